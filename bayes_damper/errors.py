@@ -1,0 +1,47 @@
+"""What can go wrong in front of a user, and the exit code that each kind of ending has.
+
+Every message is a sentence that says what is wrong, where, and what to do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import IntEnum
+
+
+class ExitCode(IntEnum):
+    """How a command ended."""
+
+    DONE = 0
+    BAD_INPUT = 2
+    NOT_CONVERGED = 3
+    SELF_CHECK_FAILED = 4
+    INTERRUPTED = 130
+
+
+class BayesDamperError(Exception):
+    """Base of all errors that are meant for the user's eyes."""
+
+    exit_code = ExitCode.BAD_INPUT
+
+
+class InputError(BayesDamperError):
+    """Something that the user gave cannot be used; `faults` holds one sentence for each thing that is wrong."""
+
+    exit_code = ExitCode.BAD_INPUT
+
+    def __init__(self, faults: str | Sequence[str]) -> None:
+        self.faults: tuple[str, ...] = (faults,) if isinstance(faults, str) else tuple(faults)
+        super().__init__("\n".join(self.faults))
+
+
+class SelfCheckError(BayesDamperError):
+    """A check that the tool makes on itself failed: a broken seal, an accuracy bound missed."""
+
+    exit_code = ExitCode.SELF_CHECK_FAILED
+
+
+class Interrupted(BayesDamperError):
+    """The user stopped a run; its state has been saved."""
+
+    exit_code = ExitCode.INTERRUPTED
