@@ -1,0 +1,656 @@
+"""Stepping in time: an adaptive Rosenbrock method of order 4 for 16 parameter vectors (lanes) at once.
+
+Method: Kaps & Rentrop (1979) with the coefficients of Shampine (1982, ACM TOMS 8, 93), 4 stages, 3 evaluations of the
+torques, an embedded error of order 3. Chosen over explicit and other implicit schemes because the cost hardly
+depends on nu: with tanh(nu w) friction an explicit step must stay below 2.8 / (nu F (1/J1 + 1/J2)), and one that does
+not stays bounded and plausible while the friction is wrong.
+
+How it is laid out, and why:
+
+- Angles are eliminated from each stage (th' = w), so that a stage solves 2 x 2 for the velocities; memory states of an
+  effect are eliminated by a Schur complement.
+- One loop over 16 lanes holds one whole step, so that LLVM vectorises it: plain arithmetic, lanes.tanh, selects
+  instead of branches, an integer reduction, one work array with a row per quantity.
+- Every lane has its own step size and never sees the others: a record is bitwise the same alone and in any batch.
+- Steps land on every sample and are never longer than 1 ms: a free step can jump over a reversal of the friction.
+- The reading at a sample is the first stage of the next step: observing costs nothing.
+- The Jacobian of the nominal rig is exact; that of an effect is a difference quotient along the directions that the
+  effect declares (8 digits, more than a Rosenbrock method needs).
+
+The source of `advance` is compiled anew for each combination of rig options and effect: into a file of its own in
+the user's cache folder, with the effect bound as a global, so that numba's on-disk cache serves a second start.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import os
+import tempfile
+from builtins import compile as builtins_compile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+from numba import njit
+
+from bayes_damper import damper, lanes
+from bayes_damper.damper import Rig, linearised, torques
+from bayes_damper.effects.base import Variant
+from bayes_damper.lanes import fourth_root_of_inverse
+
+LANES = 16
+LONGEST_STEP = 1e-3
+MOST_PASSES = 5_000  # step attempts within one sample interval before a lane is given up
+# Errors allowed per step: a share of the lane's typical speed, and of the width 1 / nu over which friction reverses.
+SPEED_TOLERANCE = 1.25e-6
+SWITCH_TOLERANCE = 1e-4
+
+# Statuses that a lane can end with; outcome.py has the words.
+COMPLETED, NOT_FINITE_INPUT, STEP_UNDERFLOW, NOT_FINITE_RECORD = 0, 1, 2, 3
+
+# Shampine's coefficients, in the transformed form that needs no matrix-vector products.
+GAMMA = 0.5
+A21, A31, A32 = 2.0, 48.0 / 25.0, 6.0 / 25.0
+C21, C31, C32 = -8.0, 372.0 / 25.0, 12.0 / 5.0
+C41, C42, C43 = -112.0 / 125.0, -54.0 / 125.0, -2.0 / 5.0
+B1, B2, B3, B4 = 19.0 / 9.0, 0.5, 25.0 / 108.0, 125.0 / 108.0
+E1, E2, E4 = 17.0 / 54.0, 7.0 / 36.0, 125.0 / 108.0
+T2, T3 = 1.0, 0.6
+G1, G2, G3, G4 = 0.5, -1.5, 2.42, 0.116
+
+# Rows of the parameter block, in the order of damper.ROWS, then those derived once per call.
+J1, J2, J12, K1, K3, C1, C3, K2, C2, MU, N0, R_BAR, R_FACE, DRAG, NU, THETA0, TH20, W10, W20, DELAY = range(20)
+FRICTION, SLOPE, MI11, MI12, MI22, TOL, EPS_TH, EPS_W = range(20, 28)
+PARAMETER_ROWS = 28
+# Rows of the work block.
+TH1, TH2, W1, W2, Z1, Z2, HTRY, REST, TIME, Y1, Y2, U1, U2, S1, S2, HLAST, FIRST, HELD1, HELD2 = range(19)
+WORK_ROWS = 19
+
+# What `advance` is specialised in: these are the values for the bare coupled rig.
+COUPLED = True
+PENDULUM = False
+LINEAR_NORMAL_FORCE = True
+FRICTIONLESS = False
+TORQUE = False
+COUPLES = 2
+TIMED = False
+SENSES = False
+STARTS = False
+MEMORY = 0
+memory_scale1 = 1.0
+memory_scale2 = 1.0
+
+
+@lanes.lane
+def effect_torque(t, th1, th2, w1, w2, z1, z2, p, rig):
+    """No torque: what stands here without an effect."""
+    return 0.0, 0.0
+
+
+@lanes.lane
+def effect_rate(t, th1, th2, w1, w2, z1, z2, p, rig):
+    """No memory."""
+    return 0.0, 0.0
+
+
+@lanes.lane
+def effect_start(p, rig):
+    """Memory states of zero at release."""
+    return 0.0, 0.0
+
+
+@lanes.lane
+def effect_sense(h, u1, u2, y1, y2, s1, s2, p, first):
+    """Sensors that show what there is."""
+    return y1, y2, s1, s2
+
+
+def advance(times, parameters, extras, torque, weights, memory_weights, read, out, status):
+    """Integrate one block of lanes over the sample times and write what the channels read.
+
+    times (n,) s; parameters (20, LANES) rows of damper.ROWS; extras (4, LANES) parameters of the effect; torque (n,)
+    N m on the primary at the sample times; weights (LANES,) factor on the error tolerance; memory_weights (2,);
+    read (3,) selects acceleration, velocity or displacement by a one among zeros; out (2, n, LANES); status (LANES,).
+    """
+    par = np.empty((PARAMETER_ROWS, LANES))
+    work = np.zeros((WORK_ROWS, LANES))
+    for row in range(20):
+        for lane in range(LANES):
+            par[row, lane] = parameters[row, lane]
+    drive = 0.0
+    for i in range(times.size):
+        drive = max(drive, abs(torque[i]))
+    for lane in range(LANES):
+        par[FRICTION, lane] = par[MU, lane] * par[N0, lane] * par[R_BAR, lane]
+        if not COUPLED:
+            par[J12, lane] = 0.0
+        determinant = par[J1, lane] * par[J2, lane] - par[J12, lane] * par[J12, lane]
+        par[MI11, lane] = par[J2, lane] / determinant if COUPLED else 1.0 / par[J1, lane]
+        par[MI12, lane] = -par[J12, lane] / determinant if COUPLED else 0.0
+        par[MI22, lane] = par[J1, lane] / determinant if COUPLED else 0.0
+        par[SLOPE, lane] = par[R_BAR, lane] / (2.0 * par[R_FACE, lane]) if LINEAR_NORMAL_FORCE else 0.0
+        omega = np.sqrt(abs(par[K1, lane]) / par[J1, lane]) + 1e-6
+        angle = max(abs(par[THETA0, lane]), abs(par[TH20, lane]), drive / (par[J1, lane] * omega * omega))
+        speed = max(angle * omega, abs(par[W10, lane]), abs(par[W20, lane])) + 1e-9
+        par[EPS_W, lane] = 1e-8 * speed
+        par[EPS_TH, lane] = 1e-8 * speed / omega
+        par[TOL, lane] = weights[lane] * min(SPEED_TOLERANCE * speed, SWITCH_TOLERANCE / par[NU, lane])
+        work[TH1, lane] = par[THETA0, lane]
+        work[TH2, lane] = par[TH20, lane]
+        work[W1, lane] = par[W10, lane]
+        work[W2, lane] = par[W20, lane]
+        work[HELD1, lane] = read[2] * par[THETA0, lane]
+        work[HELD2, lane] = read[2] * par[TH20, lane]
+        work[HTRY, lane] = 1e-5
+        work[FIRST, lane] = 1.0
+        if STARTS:
+            rig = Rig(
+                par[J1, lane], par[J2, lane], par[J12, lane], par[K1, lane], par[K3, lane], par[C1, lane],
+                par[C3, lane], par[K2, lane], par[C2, lane], par[MU, lane], par[N0, lane], par[R_BAR, lane],
+                par[R_FACE, lane], par[DRAG, lane], par[NU, lane], par[THETA0, lane],
+            )  # fmt: skip
+            p = (extras[0, lane], extras[1, lane], extras[2, lane], extras[3, lane])
+            work[Z1, lane], work[Z2, lane] = effect_start(p, rig)
+
+    n = times.size
+    for i in range(n):
+        last = i == n - 1
+        now = times[i]
+        after = now if last else times[i + 1]
+        drive_after = torque[i] if last else torque[i + 1]
+        drive_rate = 0.0 if last else (torque[i + 1] - torque[i]) / (after - now)
+        for lane in range(LANES):
+            work[REST, lane] = max(after - par[DELAY, lane], 0.0) - max(now - par[DELAY, lane], 0.0)
+        passes = 0
+        while True:
+            remaining = 0
+            for lane in range(LANES):
+                j1 = par[J1, lane]
+                j2 = par[J2, lane]
+                j12 = par[J12, lane]
+                k1t = par[K1, lane]
+                k3t = par[K3, lane]
+                c1t = par[C1, lane]
+                c3t = par[C3, lane]
+                k2t = par[K2, lane]
+                c2t = par[C2, lane]
+                friction = 0.0 if FRICTIONLESS else par[FRICTION, lane]
+                slope = par[SLOPE, lane]
+                drag = par[DRAG, lane]
+                nu = par[NU, lane]
+                th1 = work[TH1, lane]
+                th2 = work[TH2, lane]
+                w1 = work[W1, lane]
+                w2 = work[W2, lane]
+                z1 = work[Z1, lane]
+                z2 = work[Z2, lane]
+                rest = work[REST, lane]
+                t = work[TIME, lane]
+                # As many equal steps as the proposed step size asks for, so that the last one lands on the sample.
+                tries = max(rest / work[HTRY, lane] - 1e-9, 0.5)
+                tries = (tries + 0.5 + 6755399441055744.0) - 6755399441055744.0
+                h = rest / max(tries, 1.0)
+                p = (extras[0, lane], extras[1, lane], extras[2, lane], extras[3, lane])
+                rig = Rig(
+                    j1, j2, j12, k1t, k3t, c1t, c3t, k2t, c2t, par[MU, lane], par[N0, lane], par[R_BAR, lane],
+                    par[R_FACE, lane], drag, nu, par[THETA0, lane],
+                )  # fmt: skip
+
+                # Stage 1: torques, Jacobian, and the reading of this instant.
+                tau1, tau2, a1, a2, t_phi, b1, b2, t_slip = linearised(
+                    th1, th2, w1, w2, k1t, k3t, c1t, c3t, k2t, c2t, friction, slope, drag, nu, COUPLED, PENDULUM
+                )
+                tau1 = tau1 + (drive_after - drive_rate * rest)
+                rate1 = drive_rate
+                rate2 = 0.0
+                q1 = 0.0
+                q2 = 0.0
+                f1 = 0.0
+                f2 = 0.0
+                grow1 = 0.0
+                grow2 = 0.0
+                # Jacobian of the torques: d_ij = d tau_i / d th_j, v_ij = d tau_i / d w_j, y_ij = d tau_i / d z_j;
+                # and of the memory rates: x_ij by th, o_ij by w, g_ij by z.
+                d11 = a1 - t_phi
+                d12 = t_phi
+                d21 = t_phi
+                d22 = a2 - t_phi
+                v11 = b1 - t_slip
+                v12 = t_slip
+                v21 = t_slip
+                v22 = b2 - t_slip
+                if TORQUE:
+                    q1, q2 = effect_torque(t, th1, th2, w1, w2, z1, z2, p, rig)
+                    eps = par[EPS_TH, lane]
+                    per = 1.0 / eps
+                    epw = par[EPS_W, lane]
+                    pew = 1.0 / epw
+                    if COUPLES == 0:
+                        m1, m2 = effect_torque(t, th1 + eps, th2 + eps, w1, w2, z1, z2, p, rig)
+                        n1, n2 = effect_torque(t, th1, th2, w1 + epw, w2 + epw, z1, z2, p, rig)
+                        d11 = d11 + (m1 - q1) * per
+                        d22 = d22 + (m2 - q2) * per
+                        v11 = v11 + (n1 - q1) * pew
+                        v22 = v22 + (n2 - q2) * pew
+                    elif COUPLES == 1:
+                        m1, m2 = effect_torque(t, th1 + eps, th2, w1, w2, z1, z2, p, rig)
+                        n1, n2 = effect_torque(t, th1, th2, w1 + epw, w2, z1, z2, p, rig)
+                        across = (m1 - q1) * per
+                        along = (n1 - q1) * pew
+                        d11 = d11 + across
+                        d12 = d12 - across
+                        d21 = d21 - across
+                        d22 = d22 + across
+                        v11 = v11 + along
+                        v12 = v12 - along
+                        v21 = v21 - along
+                        v22 = v22 + along
+                    else:
+                        m1, m2 = effect_torque(t, th1 + eps, th2, w1, w2, z1, z2, p, rig)
+                        n1, n2 = effect_torque(t, th1, th2, w1 + epw, w2, z1, z2, p, rig)
+                        d11 = d11 + (m1 - q1) * per
+                        d21 = d21 + (m2 - q2) * per
+                        v11 = v11 + (n1 - q1) * pew
+                        v21 = v21 + (n2 - q2) * pew
+                        if COUPLED:
+                            m1, m2 = effect_torque(t, th1, th2 + eps, w1, w2, z1, z2, p, rig)
+                            n1, n2 = effect_torque(t, th1, th2, w1, w2 + epw, z1, z2, p, rig)
+                            d12 = d12 + (m1 - q1) * per
+                            d22 = d22 + (m2 - q2) * per
+                            v12 = v12 + (n1 - q1) * pew
+                            v22 = v22 + (n2 - q2) * pew
+                    if TIMED:
+                        ept = 1e-8 * (eps / epw)
+                        m1, m2 = effect_torque(t + ept, th1, th2, w1, w2, z1, z2, p, rig)
+                        rate1 = rate1 + (m1 - q1) / ept
+                        rate2 = rate2 + (m2 - q2) / ept
+                    tau1 = tau1 + q1
+                    tau2 = tau2 + q2
+
+                y1 = read[0] * (par[MI11, lane] * tau1 + par[MI12, lane] * tau2) + read[1] * w1 + read[2] * th1
+                y2 = read[0] * (par[MI12, lane] * tau1 + par[MI22, lane] * tau2) + read[1] * w2 + read[2] * th2
+                if SENSES:
+                    first = work[FIRST, lane]
+                    u1 = work[HELD1, lane] if first > 0.5 else work[U1, lane]
+                    u2 = work[HELD2, lane] if first > 0.5 else work[U2, lane]
+                    released = (rest > 0.0) or (after > par[DELAY, lane]) or (after == par[DELAY, lane])
+                    m1, m2, s1, s2 = effect_sense(
+                        work[HLAST, lane], u1, u2, y1, y2, work[S1, lane], work[S2, lane], p, first
+                    )
+                    work[Y1, lane] = m1
+                    work[Y2, lane] = m2
+                    work[S1, lane] = s1 if released else work[S1, lane]
+                    work[S2, lane] = s2 if released else work[S2, lane]
+                    work[U1, lane] = y1
+                    work[U2, lane] = y2
+                    work[FIRST, lane] = 0.0 if released else 1.0
+                else:
+                    work[Y1, lane] = y1
+                    work[Y2, lane] = y2
+
+                y11 = 0.0
+                y12 = 0.0
+                y21 = 0.0
+                y22 = 0.0
+                x11 = 0.0
+                x12 = 0.0
+                x21 = 0.0
+                x22 = 0.0
+                o11 = 0.0
+                o12 = 0.0
+                o21 = 0.0
+                o22 = 0.0
+                g11 = 0.0
+                g12 = 0.0
+                g21 = 0.0
+                g22 = 0.0
+                if MEMORY > 0:
+                    f1, f2 = effect_rate(t, th1, th2, w1, w2, z1, z2, p, rig)
+                    eps = par[EPS_TH, lane]
+                    per = 1.0 / eps
+                    epw = par[EPS_W, lane]
+                    pew = 1.0 / epw
+                    m1, m2 = effect_rate(t, th1 + eps, th2, w1, w2, z1, z2, p, rig)
+                    x11 = (m1 - f1) * per
+                    x21 = (m2 - f2) * per
+                    m1, m2 = effect_rate(t, th1, th2, w1 + epw, w2, z1, z2, p, rig)
+                    o11 = (m1 - f1) * pew
+                    o21 = (m2 - f2) * pew
+                    if COUPLED:
+                        m1, m2 = effect_rate(t, th1, th2 + eps, w1, w2, z1, z2, p, rig)
+                        x12 = (m1 - f1) * per
+                        x22 = (m2 - f2) * per
+                        m1, m2 = effect_rate(t, th1, th2, w1, w2 + epw, z1, z2, p, rig)
+                        o12 = (m1 - f1) * pew
+                        o22 = (m2 - f2) * pew
+                    epz = 1e-8 * memory_scale1
+                    pez = 1.0 / epz
+                    m1, m2 = effect_rate(t, th1, th2, w1, w2, z1 + epz, z2, p, rig)
+                    g11 = (m1 - f1) * pez
+                    g21 = (m2 - f2) * pez
+                    if TORQUE:
+                        m1, m2 = effect_torque(t, th1, th2, w1, w2, z1 + epz, z2, p, rig)
+                        y11 = (m1 - q1) * pez
+                        y21 = (m2 - q2) * pez
+                    if MEMORY > 1:
+                        epz = 1e-8 * memory_scale2
+                        pez = 1.0 / epz
+                        m1, m2 = effect_rate(t, th1, th2, w1, w2, z1, z2 + epz, p, rig)
+                        g12 = (m1 - f1) * pez
+                        g22 = (m2 - f2) * pez
+                        if TORQUE:
+                            m1, m2 = effect_torque(t, th1, th2, w1, w2, z1, z2 + epz, p, rig)
+                            y12 = (m1 - q1) * pez
+                            y22 = (m2 - q2) * pez
+                    if TIMED:
+                        ept = 1e-8 * (eps / epw)
+                        m1, m2 = effect_rate(t + ept, th1, th2, w1, w2, z1, z2, p, rig)
+                        grow1 = (m1 - f1) / ept
+                        grow2 = (m2 - f2) / ept
+
+                # The matrix of all stages, after the angles (and the memory) are eliminated.
+                gh = GAMMA * h
+                s11 = j1 * (1.0 / GAMMA) - h * (v11 + gh * d11)
+                s12 = 0.0
+                s21 = 0.0
+                s22 = 1.0
+                if COUPLED:
+                    s12 = j12 * (1.0 / GAMMA) - h * (v12 + gh * d12)
+                    s21 = j12 * (1.0 / GAMMA) - h * (v21 + gh * d21)
+                    s22 = j2 * (1.0 / GAMMA) - h * (v22 + gh * d22)
+                i11 = 0.0
+                i12 = 0.0
+                i21 = 0.0
+                i22 = 0.0
+                h11 = 0.0
+                h12 = 0.0
+                h21 = 0.0
+                h22 = 0.0
+                l11 = 0.0
+                l12 = 0.0
+                l21 = 0.0
+                l22 = 0.0
+                if MEMORY > 0:
+                    e11 = 1.0 / GAMMA - h * g11
+                    e22 = 1.0 / GAMMA - h * g22
+                    e12 = -h * g12
+                    e21 = -h * g21
+                    inverse = 1.0 / (e11 * e22 - e12 * e21)
+                    i11 = e22 * inverse
+                    i12 = -e12 * inverse
+                    i21 = -e21 * inverse
+                    i22 = e11 * inverse
+                    h11 = h * (o11 + gh * x11)
+                    h12 = h * (o12 + gh * x12)
+                    h21 = h * (o21 + gh * x21)
+                    h22 = h * (o22 + gh * x22)
+                    l11 = h * (y11 * i11 + y12 * i21)
+                    l12 = h * (y11 * i12 + y12 * i22)
+                    l21 = h * (y21 * i11 + y22 * i21)
+                    l22 = h * (y21 * i12 + y22 * i22)
+                    s11 = s11 - (l11 * h11 + l12 * h21)
+                    if COUPLED:
+                        s12 = s12 - (l11 * h12 + l12 * h22)
+                        s21 = s21 - (l21 * h11 + l22 * h21)
+                        s22 = s22 - (l21 * h12 + l22 * h22)
+                inverse = 1.0 / (s11 * s22 - s12 * s21)
+                n11 = s22 * inverse
+                n12 = -s12 * inverse
+                n21 = -s21 * inverse
+                n22 = s11 * inverse
+
+                # Stage 1. p_i, r_i, m_i: increments of angle, velocity and memory; the index is stage then body.
+                hw1 = h * w1
+                hw2 = h * w2
+                hh = h * h
+                rhs1 = h * tau1 + gh * (d11 * hw1 + d12 * hw2) + (hh * G1) * rate1
+                rhs2 = h * tau2 + gh * (d21 * hw1 + d22 * hw2) + (hh * G1) * rate2
+                rz1 = 0.0
+                rz2 = 0.0
+                if MEMORY > 0:
+                    rz1 = h * f1 + gh * (x11 * hw1 + x12 * hw2) + (hh * G1) * grow1
+                    rz2 = h * f2 + gh * (x21 * hw1 + x22 * hw2) + (hh * G1) * grow2
+                    rhs1 = rhs1 + l11 * rz1 + l12 * rz2
+                    rhs2 = rhs2 + l21 * rz1 + l22 * rz2
+                r11 = n11 * rhs1 + n12 * rhs2
+                r12 = n21 * rhs1 + n22 * rhs2 if COUPLED else 0.0
+                p11 = gh * r11 + GAMMA * hw1
+                p12 = gh * r12 + GAMMA * hw2
+                m11 = 0.0
+                m12 = 0.0
+                if MEMORY > 0:
+                    rz1 = rz1 + h11 * r11 + h12 * r12
+                    rz2 = rz2 + h21 * r11 + h22 * r12
+                    m11 = i11 * rz1 + i12 * rz2
+                    m12 = i21 * rz1 + i22 * rz2
+
+                # Stage 2.
+                ath1 = th1 + A21 * p11
+                ath2 = th2 + A21 * p12
+                aw1 = w1 + A21 * r11
+                aw2 = w2 + A21 * r12
+                tau1, tau2 = torques(
+                    ath1, ath2, aw1, aw2, k1t, k3t, c1t, c3t, k2t, c2t, friction, slope, drag, nu, COUPLED, PENDULUM
+                )
+                tau1 = tau1 + (drive_after - drive_rate * (rest - T2 * h))
+                if TORQUE:
+                    q1, q2 = effect_torque(
+                        t + T2 * h, ath1, ath2, aw1, aw2, z1 + A21 * m11, z2 + A21 * m12, p, rig
+                    )
+                    tau1 = tau1 + q1
+                    tau2 = tau2 + q2
+                c_1 = C21 * p11
+                c_2 = C21 * p12
+                e_1 = C21 * r11
+                e_2 = C21 * r12
+                hw1 = h * aw1 + c_1
+                hw2 = h * aw2 + c_2
+                rhs1 = h * tau1 + (j1 * e_1 + j12 * e_2) + gh * (d11 * hw1 + d12 * hw2) + (hh * G2) * rate1
+                rhs2 = h * tau2 + (j12 * e_1 + j2 * e_2) + gh * (d21 * hw1 + d22 * hw2) + (hh * G2) * rate2
+                if MEMORY > 0:
+                    f1, f2 = effect_rate(
+                        t + T2 * h, ath1, ath2, aw1, aw2, z1 + A21 * m11, z2 + A21 * m12, p, rig
+                    )
+                    rz1 = h * f1 + C21 * m11 + gh * (x11 * hw1 + x12 * hw2) + (hh * G2) * grow1
+                    rz2 = h * f2 + C21 * m12 + gh * (x21 * hw1 + x22 * hw2) + (hh * G2) * grow2
+                    rhs1 = rhs1 + l11 * rz1 + l12 * rz2
+                    rhs2 = rhs2 + l21 * rz1 + l22 * rz2
+                r21 = n11 * rhs1 + n12 * rhs2
+                r22 = n21 * rhs1 + n22 * rhs2 if COUPLED else 0.0
+                p21 = gh * r21 + GAMMA * hw1
+                p22 = gh * r22 + GAMMA * hw2
+                m21 = 0.0
+                m22 = 0.0
+                if MEMORY > 0:
+                    rz1 = rz1 + h11 * r21 + h12 * r22
+                    rz2 = rz2 + h21 * r21 + h22 * r22
+                    m21 = i11 * rz1 + i12 * rz2
+                    m22 = i21 * rz1 + i22 * rz2
+
+                # Stage 3.
+                ath1 = th1 + A31 * p11 + A32 * p21
+                ath2 = th2 + A31 * p12 + A32 * p22
+                aw1 = w1 + A31 * r11 + A32 * r21
+                aw2 = w2 + A31 * r12 + A32 * r22
+                az1 = z1 + A31 * m11 + A32 * m21
+                az2 = z2 + A31 * m12 + A32 * m22
+                tau1, tau2 = torques(
+                    ath1, ath2, aw1, aw2, k1t, k3t, c1t, c3t, k2t, c2t, friction, slope, drag, nu, COUPLED, PENDULUM
+                )
+                tau1 = tau1 + (drive_after - drive_rate * (rest - T3 * h))
+                if TORQUE:
+                    q1, q2 = effect_torque(t + T3 * h, ath1, ath2, aw1, aw2, az1, az2, p, rig)
+                    tau1 = tau1 + q1
+                    tau2 = tau2 + q2
+                e_1 = C31 * r11 + C32 * r21
+                e_2 = C31 * r12 + C32 * r22
+                hw1 = h * aw1 + (C31 * p11 + C32 * p21)
+                hw2 = h * aw2 + (C31 * p12 + C32 * p22)
+                rhs1 = h * tau1 + (j1 * e_1 + j12 * e_2) + gh * (d11 * hw1 + d12 * hw2) + (hh * G3) * rate1
+                rhs2 = h * tau2 + (j12 * e_1 + j2 * e_2) + gh * (d21 * hw1 + d22 * hw2) + (hh * G3) * rate2
+                if MEMORY > 0:
+                    f1, f2 = effect_rate(t + T3 * h, ath1, ath2, aw1, aw2, az1, az2, p, rig)
+                    rz1 = h * f1 + (C31 * m11 + C32 * m21) + gh * (x11 * hw1 + x12 * hw2) + (hh * G3) * grow1
+                    rz2 = h * f2 + (C31 * m12 + C32 * m22) + gh * (x21 * hw1 + x22 * hw2) + (hh * G3) * grow2
+                    rhs1 = rhs1 + l11 * rz1 + l12 * rz2
+                    rhs2 = rhs2 + l21 * rz1 + l22 * rz2
+                r31 = n11 * rhs1 + n12 * rhs2
+                r32 = n21 * rhs1 + n22 * rhs2 if COUPLED else 0.0
+                p31 = gh * r31 + GAMMA * hw1
+                p32 = gh * r32 + GAMMA * hw2
+                m31 = 0.0
+                m32 = 0.0
+                if MEMORY > 0:
+                    rz1 = rz1 + h11 * r31 + h12 * r32
+                    rz2 = rz2 + h21 * r31 + h22 * r32
+                    m31 = i11 * rz1 + i12 * rz2
+                    m32 = i21 * rz1 + i22 * rz2
+
+                # Stage 4: the torques are those of stage 3.
+                e_1 = C41 * r11 + C42 * r21 + C43 * r31
+                e_2 = C41 * r12 + C42 * r22 + C43 * r32
+                hw1 = h * aw1 + (C41 * p11 + C42 * p21 + C43 * p31)
+                hw2 = h * aw2 + (C41 * p12 + C42 * p22 + C43 * p32)
+                rhs1 = h * tau1 + (j1 * e_1 + j12 * e_2) + gh * (d11 * hw1 + d12 * hw2) + (hh * G4) * rate1
+                rhs2 = h * tau2 + (j12 * e_1 + j2 * e_2) + gh * (d21 * hw1 + d22 * hw2) + (hh * G4) * rate2
+                if MEMORY > 0:
+                    rz1 = h * f1 + (C41 * m11 + C42 * m21 + C43 * m31) + gh * (x11 * hw1 + x12 * hw2)
+                    rz2 = h * f2 + (C41 * m12 + C42 * m22 + C43 * m32) + gh * (x21 * hw1 + x22 * hw2)
+                    rz1 = rz1 + (hh * G4) * grow1
+                    rz2 = rz2 + (hh * G4) * grow2
+                    rhs1 = rhs1 + l11 * rz1 + l12 * rz2
+                    rhs2 = rhs2 + l21 * rz1 + l22 * rz2
+                r41 = n11 * rhs1 + n12 * rhs2
+                r42 = n21 * rhs1 + n22 * rhs2 if COUPLED else 0.0
+                p41 = gh * r41 + GAMMA * hw1
+                p42 = gh * r42 + GAMMA * hw2
+
+                error = abs(E1 * r11 + E2 * r21 + E4 * r41) + abs(E1 * r12 + E2 * r22 + E4 * r42)
+                nz1 = z1
+                nz2 = z2
+                if MEMORY > 0:
+                    rz1 = rz1 + h11 * r41 + h12 * r42
+                    rz2 = rz2 + h21 * r41 + h22 * r42
+                    m41 = i11 * rz1 + i12 * rz2
+                    m42 = i21 * rz1 + i22 * rz2
+                    error = error + memory_weights[0] * abs(E1 * m11 + E2 * m21 + E4 * m41)
+                    error = error + memory_weights[1] * abs(E1 * m12 + E2 * m22 + E4 * m42)
+                    nz1 = z1 + B1 * m11 + B2 * m21 + B3 * m31 + B4 * m41
+                    nz2 = z2 + B1 * m12 + B2 * m22 + B3 * m32 + B4 * m42
+                error = error / par[TOL, lane]
+                accepted = error <= 1.0
+                factor = min(max(0.9 * fourth_root_of_inverse(max(error, 1e-8)), 0.2), 5.0)
+                proposal = h * factor
+                proposal = max(proposal, work[HTRY, lane]) if accepted and factor >= 1.0 else proposal
+                work[HTRY, lane] = min(proposal, LONGEST_STEP) if rest > 0.0 else work[HTRY, lane]
+                work[TH1, lane] = th1 + B1 * p11 + B2 * p21 + B3 * p31 + B4 * p41 if accepted else th1
+                work[W1, lane] = w1 + B1 * r11 + B2 * r21 + B3 * r31 + B4 * r41 if accepted else w1
+                if COUPLED:
+                    work[TH2, lane] = th2 + B1 * p12 + B2 * p22 + B3 * p32 + B4 * p42 if accepted else th2
+                    work[W2, lane] = w2 + B1 * r12 + B2 * r22 + B3 * r32 + B4 * r42 if accepted else w2
+                work[Z1, lane] = nz1 if accepted else z1
+                work[Z2, lane] = nz2 if accepted else z2
+                done = h if accepted else 0.0
+                work[HLAST, lane] = done
+                work[TIME, lane] = t + done
+                rest = 0.0 if accepted and tries <= 1.0 else rest - done
+                work[REST, lane] = rest
+                remaining += 1 if rest > 0.0 else 0
+            if passes == 0:
+                for lane in range(LANES):
+                    held = now < par[DELAY, lane]
+                    out[0, i, lane] = work[HELD1, lane] if held else work[Y1, lane]
+                    out[1, i, lane] = work[HELD2, lane] if held else work[Y2, lane]
+            passes += 1
+            if remaining == 0:
+                break
+            if passes > MOST_PASSES:
+                for lane in range(LANES):
+                    if work[REST, lane] > 0.0:
+                        status[lane] = STEP_UNDERFLOW
+                        par[DELAY, lane] = 1e300  # never released again: the lane costs nothing from here on
+                break
+
+
+_COUPLES = {"bodies": 0, "interface": 1, "all": 2}
+_NEUTRAL = {"torque": effect_torque, "rate": effect_rate, "start": effect_start, "sense": effect_sense}
+_NUMBA_OPTIONS: dict[str, Any] = {"fastmath": lanes.FASTMATH, "error_model": "numpy", "nogil": True}
+
+
+def cache_folder() -> Path:
+    """Where compiled kernels are kept: BAYES_DAMPER_CACHE, else the user's cache folder, else a temporary one."""
+    given = os.environ.get("BAYES_DAMPER_CACHE")
+    base = Path(given) if given else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "bayes_damper"
+    try:
+        base.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=base):
+            return base
+    except OSError:
+        fallback = Path(tempfile.gettempdir()) / f"bayes_damper-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
+        fallback.mkdir(parents=True, exist_ok=True)
+        return fallback
+
+
+def specialised_globals(
+    coupled: bool, linear_normal_force: bool, pendulum: bool, variant: Variant | None
+) -> dict[str, Any]:
+    """The globals that `advance` reads, for one combination of rig options and effect."""
+    bound: dict[str, Any] = {
+        "COUPLED": coupled,
+        "LINEAR_NORMAL_FORCE": linear_normal_force,
+        "PENDULUM": pendulum,
+    }
+    for hook, neutral in _NEUTRAL.items():
+        kernel = getattr(variant, hook) if variant is not None else None
+        bound[f"effect_{hook}"] = neutral if kernel is None else kernel
+    if variant is not None:
+        scales = (*variant.memory_scale, 1.0, 1.0)
+        bound |= {
+            "FRICTIONLESS": variant.replaces_friction,
+            "TORQUE": variant.torque is not None,
+            "COUPLES": _COUPLES[variant.couples],
+            "TIMED": variant.timed,
+            "SENSES": variant.sense is not None,
+            "STARTS": variant.start is not None,
+            "MEMORY": variant.memory,
+            "memory_scale1": float(scales[0]),
+            "memory_scale2": float(scales[1]),
+        }
+    return bound
+
+
+def _fingerprint(bound: dict[str, Any]) -> str:
+    """A checksum of everything that the machine code depends on."""
+    parts = [numba.__version__, np.__version__, __file__]
+    parts += [inspect.getsource(module) for module in (lanes, damper)]
+    parts.append(Path(__file__).read_text(encoding="utf-8"))
+    for name in sorted(bound):
+        value = bound[name]
+        if hasattr(value, "py_func"):
+            parts.append(f"{name}:{value.py_func.__qualname__}")
+            parts.append(Path(inspect.getsourcefile(value.py_func) or "").read_text(encoding="utf-8"))
+        else:
+            parts.append(f"{name}={value!r}")
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:20]
+
+
+def specialise(bound: dict[str, Any], compile: bool = True) -> Callable[..., None]:
+    """`advance` bound to these globals: compiled, from numba's on-disk cache when it was compiled before.
+
+    With ``compile=False`` the plain Python function, which tests hold the compiled one against.
+    """
+    source = inspect.getsource(advance)
+    namespace = dict(globals()) | bound
+    if not compile:
+        exec(builtins_compile(source, "advance", "exec"), namespace)
+        return namespace["advance"]  # type: ignore[no-any-return]
+    path = cache_folder() / f"advance_{_fingerprint(bound)}.py"
+    if not path.exists():
+        partial = path.with_suffix(f".{os.getpid()}")
+        partial.write_text(source, encoding="utf-8")
+        os.replace(partial, path)
+    exec(builtins_compile(source, str(path), "exec"), namespace)
+    return njit(cache=True, **_NUMBA_OPTIONS)(namespace["advance"])  # type: ignore[no-any-return]
