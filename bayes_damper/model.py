@@ -1,0 +1,209 @@
+"""The rig as a function: parameters and sample times in, the readings of both channels out.
+
+A `Model` is the nominal damper with at most one effect (or a pair composed into one variant) and the sensors, compiled
+once. It takes many parameter vectors at a time, because sixteen cost hardly more than one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bayes_damper import integrator
+from bayes_damper.damper import ROWS
+from bayes_damper.effects.base import MOST_PARAMETERS, Variant, parameter_table
+from bayes_damper.integrator import LANES
+
+Quantity = Literal["acceleration", "velocity", "displacement"]
+QUANTITIES: tuple[Quantity, ...] = ("acceleration", "velocity", "displacement")
+Array = NDArray[np.float64]
+Parameters = Mapping[str, ArrayLike]
+
+# What a rig has when nothing is said: no second stiffness, a start at rest with both bodies at one angle, no late trigger.
+_OPTIONAL = {"J12": 0.0, "k3t": 0.0, "omega1_0": 0.0, "omega2_0": 0.0, "delay": 0.0}
+# What the uncoupled rig does not see.
+_COUPLED_ONLY = {"J2": 1.0, "c3t": 0.0, "k2t": 0.0, "c2t": 0.0, "mu": 0.0, "N0": 0.0, "R": 1.0, "r": 1.0}
+_POSITIVE = ("J1", "J2", "R", "r", "nu")
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """Readings of n parameter vectors: `y` (n, n_channels, n_times), nan where `outcome` (n,) is not COMPLETED."""
+
+    y: Array
+    outcome: NDArray[np.int64]
+
+
+@cache
+def _kernel(coupled: bool, linear: bool, pendulum: bool, variant: Variant | None) -> Callable[..., None]:
+    return integrator.specialise(integrator.specialised_globals(coupled, linear, pendulum, variant))
+
+
+@dataclass(frozen=True)
+class Model:
+    """One configuration of a rig, with at most one effect.
+
+    coupled : whether the secondary inertia is there; normal_force : law of the magnet's pull (eq. 20);
+    restoring : "pendulum" puts k sin(th) in place of k th.
+    """
+
+    coupled: bool = True
+    normal_force: Literal["linear", "constant"] = "linear"
+    restoring: Literal["linear", "pendulum"] = "linear"
+    effect: Variant | None = None
+
+    @property
+    def channels(self) -> int:
+        """1 for the uncoupled rig, else 2."""
+        return 2 if self.coupled else 1
+
+    @property
+    def acting(self) -> Variant | None:
+        """The effect, if it acts in this configuration."""
+        return self.effect if self.effect is not None and (self.coupled or self.effect.uncoupled) else None
+
+    def compile(self) -> Callable[..., None]:
+        """The kernel; from the on-disk cache if it was compiled before (0.1 s), else compiled now (seconds)."""
+        variant = self.acting
+        return _kernel(
+            self.coupled,
+            self.normal_force == "linear",
+            self.restoring == "pendulum",
+            variant if variant is not None and variant.has_kernel else None,
+        )
+
+    def simulate(
+        self,
+        parameters: Parameters,
+        times: ArrayLike,
+        *,
+        effect: Parameters | None = None,
+        torque: ArrayLike | None = None,
+        quantity: Quantity = "acceleration",
+        tolerance: float = 1.0,
+        threads: int = 1,
+    ) -> Simulation:
+        """Readings of all channels for n parameter vectors.
+
+        Parameters
+        ----------
+        parameters : name -> scalar or (n,), SI; names of `damper.ROWS` (theta2_0 defaults to theta0; J12, k3t, initial
+            velocities and delay to 0; what only the coupled rig has may be left out for the uncoupled one).
+        times : (n_times,) s on the record's clock, increasing. The rig is released at `delay`; before, it is held.
+            A delay below times[0] means that the record begins after the release.
+        effect : parameters of the effect, name -> scalar or (n,), if the model has one.
+        torque : (n_times,) N m on the primary, linear between samples.
+        quantity : what the channels read.
+        tolerance : factor on the integrator's error tolerance: 1 keeps errors below 1e-4 of the peak, 0.1 below 1e-5.
+        threads : blocks of 16 vectors integrated side by side; the result does not depend on it.
+
+        Raises
+        ------
+        KeyError
+            if a parameter that the configuration needs is missing.
+        ValueError
+            if times do not increase, or a name is unknown.
+        """
+        grid = np.ascontiguousarray(times, float)
+        if grid.ndim != 1 or grid.size < 1 or np.any(np.diff(grid) <= 0.0):
+            raise ValueError("times must be one-dimensional and increase from sample to sample")
+        drive = np.zeros(grid.size) if torque is None else np.ascontiguousarray(torque, float)
+        if drive.shape != grid.shape:
+            raise ValueError(f"torque has {drive.size} samples, times has {grid.size}; give one torque per sample")
+        variant = self.acting
+        changes = dict(effect or {})
+        if self.effect is not None:
+            parameter_table(self.effect, changes)  # the names must fit, even where the effect does not act
+        elif changes:
+            raise ValueError(f"the model has no effect, but parameters {sorted(changes)} were given for one")
+        if variant is None:
+            return self._run(self._rows(parameters), np.zeros((MOST_PARAMETERS, 1)), grid, drive, quantity, tolerance, threads)
+        extras = parameter_table(variant, changes)
+        named = {p.name: extras[i] for i, p in enumerate(variant.parameters)}
+        amended = parameters if variant.amend is None else variant.amend(_complete(parameters), named)
+        rows = self._rows(amended)
+        if variant.lag is None:
+            return self._run(rows, extras, grid, drive, quantity, tolerance, threads)
+        readings = []
+        for channel, lag in enumerate(variant.lag(named)[: self.channels]):
+            late = np.array(np.broadcast_to(rows, (rows.shape[0], max(rows.shape[1], np.size(lag)))))
+            late[ROWS.index("delay")] += lag
+            readings.append((channel, self._run(late, extras, grid, drive, quantity, tolerance, threads)))
+        y = np.stack([simulation.y[:, channel] for channel, simulation in readings], axis=1)
+        return Simulation(y, np.max([simulation.outcome for _, simulation in readings], axis=0))
+
+    def _rows(self, parameters: Parameters) -> Array:
+        """Parameters as rows of damper.ROWS, (20, n)."""
+        given = _complete(parameters)
+        if not self.coupled:
+            # Placeholders of what is not there: an uncoupled kernel reads none of it into the motion.
+            given = _COUPLED_ONLY | {k: v for k, v in given.items() if k not in ("J12", "k3t")} | {"J12": 0.0, "k3t": 0.0}
+        missing = [name for name in ROWS if name not in given]
+        if missing:
+            raise KeyError(f"the simulation needs {', '.join(missing)}; give them in SI units")
+        columns = np.broadcast_arrays(*[np.atleast_1d(np.asarray(given[name], float)) for name in ROWS])
+        return np.array(columns)
+
+    def _run(
+        self, rows: Array, extras: Array, times: Array, torque: Array, quantity: Quantity, tolerance: float, threads: int
+    ) -> Simulation:
+        n = max(rows.shape[1], extras.shape[1])
+        rows = np.array(np.broadcast_to(rows, (rows.shape[0], n)))
+        extras = np.array(np.broadcast_to(extras, (extras.shape[0], n)))
+        usable = np.isfinite(rows).all(axis=0) & np.isfinite(extras).all(axis=0)
+        usable &= (rows[[ROWS.index(name) for name in _POSITIVE]] > 0.0).all(axis=0)
+        outcome = np.where(usable, integrator.COMPLETED, integrator.NOT_FINITE_INPUT)
+        y = np.full((n, self.channels, times.size), np.nan)
+        which = np.flatnonzero(usable)
+        if which.size == 0:
+            return Simulation(y, outcome)
+        first = rows[ROWS.index("delay"), which].min()
+        early = first < times[0]
+        grid = np.concatenate([[first], times]) if early else times
+        drive = np.concatenate([torque[:1], torque]) if early else torque
+        kernel = self.compile()
+        read = np.array([float(quantity == name) for name in QUANTITIES])
+        variant = self.acting
+        scales = (*variant.memory_scale, np.inf, np.inf)[:2] if variant is not None else (np.inf, np.inf)
+        memory_weights = 1.0 / np.array(scales)
+
+        def block(start: int) -> None:
+            lanes = which[np.minimum(np.arange(start, start + LANES), which.size - 1)]
+            out = np.empty((2, grid.size, LANES))
+            status = np.zeros(LANES, np.int64)
+            kernel(
+                *(grid, np.ascontiguousarray(rows[:, lanes]), np.ascontiguousarray(extras[:, lanes]), drive),
+                *(np.full(LANES, tolerance), memory_weights, read, out, status),
+            )
+            kept = min(LANES, which.size - start)
+            y[lanes[:kept]] = out[: self.channels, grid.size - times.size :, :kept].transpose(2, 0, 1)
+            outcome[lanes[:kept]] = status[:kept]
+
+        starts = range(0, which.size, LANES)
+        if threads > 1 and len(starts) > 1:
+            with ThreadPoolExecutor(threads) as pool:
+                list(pool.map(block, starts))
+        else:
+            for start in starts:
+                block(start)
+        unbounded = (outcome == integrator.COMPLETED) & ~np.isfinite(y).all(axis=(1, 2))
+        outcome[unbounded] = integrator.NOT_FINITE_RECORD
+        y[outcome != integrator.COMPLETED] = np.nan
+        return Simulation(y, outcome)
+
+
+def _complete(parameters: Parameters) -> dict[str, Any]:
+    """The parameters with the defaults of those that may be left out."""
+    unknown = sorted(set(parameters) - set(ROWS))
+    if unknown:
+        raise ValueError(f"unknown parameter {unknown[0]!r}; the simulation knows {', '.join(ROWS)}")
+    given = _OPTIONAL | dict(parameters)
+    if "theta2_0" not in given and "theta0" in given:
+        given["theta2_0"] = given["theta0"]
+    return given
