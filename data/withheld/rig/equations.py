@@ -1,0 +1,295 @@
+"""Motion of the rig: a fixed-step fourth-order Runge-Kutta scheme, the bristles of the interface stepped exponentially.
+
+The nominal equations (angles th, velocities w, primary 1, secondary 2, phi = th1 - th2, v = w1 - w2):
+
+    J1 a1 = -c1 w1 - k1 th1 - d tanh(nu w1) - T + Q1
+    J2 a2 = -c3 w2          - d tanh(nu w2) + T + Q2
+    T     = k2 phi + c2 v + mu N R tanh(nu v),    N = N0 max(0, 1 - R |phi| / (2 r))
+
+Uncoupled, T is left out and the secondary does not exist. A disturbance adds torques Q, scales the pull N or the
+friction, or replaces tanh(nu v) by a bristle. Up to two disturbances act at once; each has an amplitude p0, three shape
+numbers p1, p2, p3 and two memories.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from . import codes as C
+
+RIG_FIELDS = ("J1", "J2", "k1t", "c1t", "c3t", "k2t", "c2t", "mu", "N0", "R", "r", "drag", "nu", "theta0")
+J1, J2, K1, C1, C3, K2, C2, MU, N0, BAR, FACE, DRAG, NU, TH0 = range(14)
+
+SPRING_CUBIC, SPRING_BOTTOMING = C.SPRING_CUBIC, C.SPRING_BOTTOMING
+COUPLING_BACKLASH, COUPLING_HYSTERESIS = C.COUPLING_BACKLASH, C.COUPLING_HYSTERESIS
+STIFFNESS_DRIFT, KNOCK, BASE_MOTION = C.STIFFNESS_DRIFT, C.KNOCK, C.BASE_MOTION
+FLEXIBLE_SHAFT, CLAMP_PLAY = C.FLEXIBLE_SHAFT, C.CLAMP_PLAY
+BEARING_STRIBECK, QUADRATIC_DRAG, MISALIGNMENT_DRAG = C.BEARING_STRIBECK, C.QUADRATIC_DRAG, C.MISALIGNMENT_DRAG
+GREASE_THIXOTROPY, BEARING_RUNOUT, WAKE_DRAG = C.GREASE_THIXOTROPY, C.BEARING_RUNOUT, C.WAKE_DRAG
+STICK_SLIP, FRICTION_DISPLACEMENT, MAGNET_CUBIC = C.STICK_SLIP, C.FRICTION_DISPLACEMENT, C.MAGNET_CUBIC
+EDDY_OVERLAP, MAGNET_FADE, INTERFACE_RELAXATION = C.EDDY_OVERLAP, C.MAGNET_FADE, C.INTERFACE_RELAXATION
+NORMAL_FORCE_LAW, MAGNETIC_COGGING = C.NORMAL_FORCE_LAW, C.MAGNETIC_COGGING
+FACE_WOBBLE, ASYMMETRIC_MAGNET = C.FACE_WOBBLE, C.ASYMMETRIC_MAGNET
+UNBALANCED_BAR, GUARD_RUB, CABLE_PULL = C.UNBALANCED_BAR, C.GUARD_RUB, C.CABLE_PULL
+RELEASE_RAMP, RELEASE_DRAG = C.RELEASE_RAMP, C.RELEASE_DRAG
+
+
+@njit(cache=True)
+def lens_area(x: float) -> float:
+    """Overlap of two equal discs whose centres lie x diameters apart, as a share of one disc."""
+    if x >= 1.0:
+        return 0.0
+    return 2.0 / math.pi * (math.acos(x) - x * math.sqrt(1.0 - x * x))
+
+
+@njit(cache=True)
+def pull_and_friction(code, t, th1, th2, z0, p0, p1, p2, p3, g):
+    """Factors (of the magnet's pull N, of the coefficient of friction) that one disturbance causes."""
+    phi = abs(th1 - th2)
+    x = g[BAR] * phi / (2.0 * g[FACE])
+    if code == NORMAL_FORCE_LAW:  # pull of an opening air gap: hyperbolic on top of the linear loss
+        return 1.0 / max(0.05, 1.0 + p0 * x), 1.0
+    if code == FRICTION_DISPLACEMENT:  # friction that saturates with the displacement
+        return 1.0, 1.0 + p0 * (1.0 - math.exp(-phi / p1))
+    if code == MAGNET_FADE:  # pull dies exponentially with the heat z0 (1 = energy at release in case II)
+        return math.exp(-p0 * z0), 1.0
+    if code == FACE_WOBBLE:  # a face that is not square to its shaft
+        return max(0.0, 1.0 + p0 * math.sin(p1 * th2 + p2)), 1.0
+    return 1.0, 1.0
+
+
+@njit(cache=True)
+def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled):
+    """Torques (Q1, Q2) in N m that one disturbance adds; pull = N in newtons."""
+    nu = g[NU]
+    if code < 20:
+        if code == SPRING_CUBIC:  # hyperbolic sine, hardening or softening
+            return -p0 * g[K1] * (math.sinh(p1 * th1) / p1 - th1), 0.0
+        if code == SPRING_BOTTOMING:  # a stop with a soft lip of width p2
+            over = (abs(th1) - p1) / p2
+            soft = over if over > 30.0 else math.log1p(math.exp(over))
+            return -math.copysign(p0 * p2 * soft, th1) * math.tanh(abs(th1) / (0.2 * p1)), 0.0
+        if code == COUPLING_BACKLASH:  # rubber spider: in the gap a share p1 of the stiffness is left
+            return g[K1] * (1.0 - p1) * min(max(th1, -p0), p0), 0.0
+        if code == COUPLING_HYSTERESIS:  # Bouc-Wen, z0 in -1..1
+            return -p0 * z0, 0.0
+        if code == STIFFNESS_DRIFT:
+            return p0 * g[K1] * th1 * (1.0 - math.exp(-t / p1)), 0.0
+        if code == KNOCK:  # half a sine at the instant p1 for the time p2
+            s = (t - p1) / p2
+            return (p0 * math.sin(math.pi * s) if 0.0 < s < 1.0 else 0.0), 0.0
+        if code == FLEXIBLE_SHAFT:  # a share of J1 on a shaft of its own: twist z0, rate z1
+            share = p0 * g[J1] / (1.0 - p0)
+            return share * (p1 * p1 * z0 + 2.0 * p2 * p1 * z1), 0.0
+        if code == CLAMP_PLAY:  # the same share held by a clamp with slack p2 on either side
+            share = p0 * g[J1] / (1.0 - p0)
+            reach = z0 - min(max(z0, -p2), p2)
+            return share * (p1 * p1 * reach + 0.1 * p1 * z1 * (1.0 if reach != 0.0 else 0.1)), 0.0
+        if code == BASE_MOTION:  # the table swings after the recoil
+            return g[K1] * p0 * math.exp(-t / p2) * math.sin(p1 * t), 0.0
+        return 0.0, 0.0
+    if code < 40:
+        if code == BEARING_STRIBECK:  # Lorentzian hump above the kinetic drag
+            a = p0 * g[DRAG]
+            return (-a * math.tanh(nu * w1) / (1.0 + (w1 / p1) ** 2),
+                    -a * math.tanh(nu * w2) / (1.0 + (w2 / p1) ** 2))
+        if code == QUADRATIC_DRAG:  # turbulent above the speed p1, laminar below
+            return -p0 * w1 * math.sqrt(w1 * w1 + p1 * p1), -p0 * w2 * math.sqrt(w2 * w2 + p1 * p1)
+        if code == MISALIGNMENT_DRAG:  # side load; the two bearings share it unequally
+            side = p0 * (pull / g[N0]) if coupled else 0.0
+            return (-side * nu * w1 / math.sqrt(1.0 + (nu * w1) ** 2),
+                    -side * p1 * nu * w2 / math.sqrt(1.0 + (nu * w2) ** 2))
+        if code == GREASE_THIXOTROPY:  # grease that thins with the angle swept, z0
+            return -p0 * w1 * math.exp(-z0 / p1), -p0 * w2 * math.exp(-z0 / p1)
+        if code == BEARING_RUNOUT:  # drag that depends on where the shaft stands
+            return (-p0 * (1.0 + math.sin(p1 * th1 + p2)) * math.tanh(nu * w1),
+                    -p0 * (1.0 + math.sin(p1 * th2 + p3)) * math.tanh(nu * w2))
+        if code == WAKE_DRAG:  # air set in motion: drag remembers w abs(w)
+            return -p0 * z0, -p0 * z1
+        return 0.0, 0.0
+    if code < 60:
+        phi = th1 - th2
+        if code == MAGNET_CUBIC:  # field of a small magnet: falls off as (1 + (phi/b)^2)^(-3/2)
+            q = -p0 * g[K2] * phi * ((1.0 + (phi / p1) ** 2) ** -1.5 - 1.0)
+            return q, -q
+        if code == EDDY_OVERLAP:  # square of the area that two discs share
+            a = lens_area(g[BAR] * abs(phi) / (2.0 * g[FACE]))
+            q = -p0 * a * a * (w1 - w2)
+            return q, -q
+        if code == INTERFACE_RELAXATION:  # two Maxwell arms, times p1 and 3 p1
+            q = -p0 * (z0 + 0.3 * z1)
+            return q, -q
+        if code == MAGNETIC_COGGING:
+            q = -p0 * math.sin(p1 * phi)
+            return q, -q
+        if code == ASYMMETRIC_MAGNET:
+            q = -p0 * g[K2] * math.sqrt(phi * phi + 1e-6)
+            return q, -q
+        return 0.0, 0.0
+    if code == UNBALANCED_BAR:
+        return 0.0, p0 * math.sin(th2 + p1)
+    if code == GUARD_RUB:  # secondary rubs at its guard beyond the angle p1
+        s = (th2 - p1) / 0.004
+        return 0.0, -p0 * math.tanh(nu * w2) * 0.5 * (1.0 + math.tanh(s))
+    if code == CABLE_PULL:  # the accelerometer's cable, stiffer the more it is bent, with loss
+        return 0.0, -p0 * (th2 * abs(th2) / 0.1 + p1 * w2)
+    if code == RELEASE_RAMP:  # half a cosine
+        if t < p0:
+            return g[K1] * g[TH0] * 0.5 * (1.0 + math.cos(math.pi * t / p0)), 0.0
+        return 0.0, 0.0
+    if code == RELEASE_DRAG:  # the pad slides along the bar while it retreats
+        return -p0 * math.exp(-t / p1) * math.tanh(50.0 * w1), 0.0
+    return 0.0, 0.0
+
+
+@njit(cache=True)
+def memory_rates(code, th1, th2, w1, w2, a1, z0, z1, p0, p1, p2, p3, g, friction):
+    """Rates of the two memories of one disturbance; friction = dry friction torque of the interface, N m."""
+    if code == COUPLING_HYSTERESIS:  # Bouc-Wen with n = 2; p1 = angle of yield, p2 = beta of beta + gamma = 1
+        return w1 * (1.0 - z0 * z0 * ((1.0 - p2) + math.copysign(p2, w1 * z0))) / p1, 0.0
+    if code == FLEXIBLE_SHAFT:
+        return z1, -p1 * p1 * z0 - 2.0 * p2 * p1 * z1 - a1
+    if code == CLAMP_PLAY:
+        reach = z0 - min(max(z0, -p2), p2)
+        return z1, -p1 * p1 * reach - 0.1 * p1 * z1 * (1.0 if reach != 0.0 else 0.1) - a1
+    if code == GREASE_THIXOTROPY:
+        return abs(w1), 0.0
+    if code == WAKE_DRAG:
+        return (w1 * abs(w1) - z0) / p1, (w2 * abs(w2) - z1) / p1
+    if code == MAGNET_FADE:
+        v = w1 - w2
+        return (friction * v + g[C2] * v * v) / 0.049, 0.0
+    if code == INTERFACE_RELAXATION:
+        v = w1 - w2
+        return v - z0 / p1, v - z1 / (3.0 * p1)
+    return 0.0, 0.0
+
+
+@njit(cache=True)
+def bristle_goal(v, nu, excess, speed, yield_angle):
+    """(steady deflection, rate in 1/s) of the bristles at the sliding velocity v; deflection 1 = kinetic friction."""
+    hump = 1.0 + excess * math.exp(-((v / speed) ** 2))
+    s = nu * abs(v)
+    curve = hump * math.tanh(s)
+    pace = abs(v) / curve if s > 1e-9 else 1.0 / (hump * nu)
+    return math.copysign(curve, v), pace / max(yield_angle, 1e-300)
+
+
+@njit(cache=True)
+def accelerations(t, th1, th2, w1, w2, z, bristle, k, P, g, coupled, rates):
+    """(a1, a2) at one instant; fills `rates` (4,) of the memories. `bristle` replaces tanh(nu v) when k says so."""
+    nu = g[NU]
+    m1 = -g[C1] * w1 - g[K1] * th1 - g[DRAG] * math.tanh(nu * w1)
+    m2 = 0.0
+    pull = 0.0
+    friction = 0.0
+    if coupled:
+        phi = th1 - th2
+        v = w1 - w2
+        pull = g[N0] * max(0.0, 1.0 - g[BAR] * abs(phi) / (2.0 * g[FACE]))
+        rough = 1.0
+        sticky = False
+        for i in range(2):
+            if k[i] >= 40 and k[i] < 60:
+                n, f = pull_and_friction(k[i], t, th1, th2, z[2 * i], P[i, 0], P[i, 1], P[i, 2], P[i, 3], g)
+                pull *= n
+                rough *= f
+                sticky = sticky or k[i] == STICK_SLIP
+        slide = bristle if sticky else math.tanh(nu * v)
+        friction = g[MU] * rough * pull * g[BAR] * slide
+        T = g[K2] * phi + g[C2] * v + friction
+        m1 -= T
+        m2 = T - g[C3] * w2 - g[DRAG] * math.tanh(nu * w2)
+    for i in range(2):
+        if k[i] > 0:
+            q1, q2 = torques(k[i], t, th1, th2, w1, w2, z[2 * i], z[2 * i + 1], P[i, 0], P[i, 1], P[i, 2], P[i, 3],
+                             g, pull, coupled)
+            m1 += q1
+            m2 += q2
+    a1 = m1 / g[J1]
+    a2 = m2 / g[J2] if coupled else 0.0
+    for i in range(2):
+        if k[i] > 0:
+            r0, r1 = memory_rates(k[i], th1, th2, w1, w2, a1, z[2 * i], z[2 * i + 1], P[i, 0], P[i, 1], P[i, 2],
+                                  P[i, 3], g, friction)
+            rates[2 * i] = r0
+            rates[2 * i + 1] = r1
+    return a1, a2
+
+
+@njit(cache=True)
+def integrate(g, k, P, start, coupled, step, steps, keep):
+    """Motion from release, every `keep` steps of `step` seconds.
+
+    g : (14,) rig constants in the order of RIG_FIELDS; k : (2,) codes; P : (2, 4) their numbers;
+    start : (8,) th1, th2, w1, w2 and the four memories.
+    Returns (steps // keep + 1, 6): th1, th2, w1, w2, a1, a2.
+    """
+    out = np.empty((steps // keep + 1, 6))
+    th1, th2, w1, w2 = start[0], start[1], start[2], start[3]
+    z = start[4:8].copy()
+    zs = np.empty(4)
+    r1 = np.zeros(4)
+    r2 = np.zeros(4)
+    r3 = np.zeros(4)
+    r4 = np.zeros(4)
+    slot = -1
+    for i in range(2):
+        if k[i] == STICK_SLIP:
+            slot = i
+    excess, speed, yielding = 0.0, 1.0, 1.0
+    if slot >= 0:
+        excess, speed, yielding = P[slot, 0], P[slot, 1], P[slot, 0] * P[slot, 2]
+    nu = g[NU]
+    bristle = 0.0
+    b2 = b3 = b4 = 0.0
+    h = 0.5 * step
+    for j in range(steps + 1):
+        t = j * step
+        a1, a2 = accelerations(t, th1, th2, w1, w2, z, bristle, k, P, g, coupled, r1)
+        if j % keep == 0:
+            o = j // keep
+            out[o, 0], out[o, 1], out[o, 2], out[o, 3], out[o, 4], out[o, 5] = th1, th2, w1, w2, a1, a2
+        if j == steps:
+            break
+        u1, u2 = w1 + h * a1, w2 + h * a2
+        for i in range(4):
+            zs[i] = z[i] + h * r1[i]
+        if slot >= 0:
+            goal, pace = bristle_goal(u1 - u2, nu, excess, speed, yielding)
+            b2 = goal + (bristle - goal) * math.exp(-pace * h)
+        p1, p2 = accelerations(t + h, th1 + h * w1, th2 + h * w2, u1, u2, zs, b2, k, P, g, coupled, r2)
+        v1, v2 = w1 + h * p1, w2 + h * p2
+        for i in range(4):
+            zs[i] = z[i] + h * r2[i]
+        if slot >= 0:
+            goal, pace = bristle_goal(v1 - v2, nu, excess, speed, yielding)
+            b3 = goal + (bristle - goal) * math.exp(-pace * h)
+        q1, q2 = accelerations(t + h, th1 + h * u1, th2 + h * u2, v1, v2, zs, b3, k, P, g, coupled, r3)
+        x1, x2 = w1 + step * q1, w2 + step * q2
+        for i in range(4):
+            zs[i] = z[i] + step * r3[i]
+        if slot >= 0:
+            goal, pace = bristle_goal(v1 - v2, nu, excess, speed, yielding)
+            b4 = goal + (bristle - goal) * math.exp(-pace * step)
+        e1, e2 = accelerations(t + step, th1 + step * v1, th2 + step * v2, x1, x2, zs, b4, k, P, g, coupled, r4)
+        th1 += step / 6.0 * (w1 + 2.0 * u1 + 2.0 * v1 + x1)
+        th2 += step / 6.0 * (w2 + 2.0 * u2 + 2.0 * v2 + x2)
+        w1 += step / 6.0 * (a1 + 2.0 * p1 + 2.0 * q1 + e1)
+        w2 += step / 6.0 * (a2 + 2.0 * p2 + 2.0 * q2 + e2)
+        for i in range(4):
+            z[i] += step / 6.0 * (r1[i] + 2.0 * r2[i] + 2.0 * r3[i] + r4[i])
+        if slot >= 0:
+            middle, pace = bristle_goal(v1 - v2, nu, excess, speed, yielding)
+            goal, _ = bristle_goal(w1 - w2, nu, excess, speed, yielding)
+            if pace * step < 5.0:
+                goal = middle
+            bristle = goal + (bristle - goal) * math.exp(-pace * step)
+    return out
+
+
+def rig_array(values: dict[str, float]) -> NDArray[np.float64]:
+    """Rig constants by name (SI) as the array that `integrate` takes."""
+    return np.array([values[name] for name in RIG_FIELDS])

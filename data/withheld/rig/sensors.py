@@ -1,0 +1,115 @@
+"""From motion to readings: the accelerometers, the logger's clock, and what can be wrong with them.
+
+Filters are linear state-space systems advanced with the bilinear rule on the fine grid of the motion, at rest before
+the release; delays and clock errors read the fine grid between its points.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import bilinear, lfilter
+
+from . import codes as C
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """One thing that is wrong: code of its kind, amplitude p0, shape numbers p1, p2, p3."""
+
+    code: int
+    p: tuple[float, float, float, float]
+
+
+def _filtered(y: NDArray[np.float64], num: Sequence[float], den: Sequence[float], step: float) -> NDArray[np.float64]:
+    b, a = bilinear(num, den, 1.0 / step)
+    return lfilter(b, a, y)
+
+
+def _low_pass(y: NDArray[np.float64], tau: float, step: float) -> NDArray[np.float64]:
+    """Two real poles, the second six times as fast as the first."""
+    fast = tau / 6.0
+    return _filtered(y, [1.0], [tau * fast, tau + fast, 1.0], step)
+
+
+def _high_pass(y: NDArray[np.float64], corner: float, step: float) -> NDArray[np.float64]:
+    """Two zeros at nought, poles at the corner (rad/s) and at an eighth of it."""
+    low = corner / 8.0
+    return _filtered(y, [1.0, 0.0, 0.0], [1.0, corner + low, corner * low], step)
+
+
+def _resonance(y: NDArray[np.float64], share: float, wn: float, zeta: float, step: float) -> NDArray[np.float64]:
+    mount = _filtered(y, [wn * wn], [1.0, 2.0 * zeta * wn, wn * wn], step)
+    return y + share * (mount - y)
+
+
+def soft_limit(y: NDArray[np.float64], limit: float, sharpness: float) -> NDArray[np.float64]:
+    """Readings that bend over to +-limit (rad/s^2)."""
+    return y / (1.0 + np.abs(y / limit) ** sharpness) ** (1.0 / sharpness)
+
+
+FULL_SCALE = 280.0  # rad/s^2, near the largest acceleration of case IV
+
+
+def readings(
+    motion: NDArray[np.float64],
+    step: float,
+    coupled: bool,
+    times: NDArray[np.float64],
+    disturbances: Sequence[Disturbance],
+    release: float = 0.0,
+    phase: float = 0.0,
+) -> NDArray[np.float64]:
+    """Noise-free readings (channels, n_times), rad/s^2, at `times` (s, the record's clock).
+
+    motion : (n, 6) th1, th2, w1, w2, a1, a2 every `step` seconds from the release; `release` : s, its instant on the
+    record's clock (negative where the logger starts late); before it the accelerometers read nothing.
+    phase : of the mains in this record, rad.
+    """
+    channels = [motion[:, 4], motion[:, 5]] if coupled else [motion[:, 4]]
+    speeds = [motion[:, 2], motion[:, 3]]
+    lags = [0.0, 0.0]
+    bend = 0.0
+    for d in disturbances:
+        a, p1, p2, p3 = d.p
+        which = [c for c in range(len(channels)) if int(p1) in (c, 2)]
+        if d.code == C.SENSOR_GAIN:
+            for c in which:
+                channels[c] = channels[c] * (1.0 + a)
+        elif d.code == C.SENSOR_DELAY:
+            for c in which:
+                lags[c] += a
+        elif d.code == C.SENSOR_BANDWIDTH and a > 0.0:
+            channels = [_low_pass(y, a, step) for y in channels]
+        elif d.code == C.SENSOR_HIGHPASS and a > 0.0:
+            channels = [_high_pass(y, a, step) for y in channels]
+        elif d.code == C.SENSOR_CLIPPING and a > 0.0:
+            for c in which:
+                channels[c] = soft_limit(channels[c], FULL_SCALE / a, p2)
+        elif d.code == C.MOUNT_RESONANCE:
+            for c in range(len(channels)):
+                if int(p3) in (c, 2):
+                    channels[c] = _resonance(channels[c], a, p1, p2, step)
+        elif d.code == C.CHANNEL_CROSSTALK and coupled:
+            channels[1] = channels[1] + a * channels[0]
+        elif d.code == C.CLOCK_DRIFT:
+            bend += a
+        elif d.code == C.QUANTISER_FAULT:
+            for c in which:
+                channels[c] = channels[c] + a * (np.floor(channels[c] / p2) % 2.0)
+        elif d.code == C.CROSS_AXIS:
+            for c in range(len(channels)):
+                channels[c] = channels[c] + a * (1.0, p2)[c] * speeds[c] ** 2
+    since = times - release
+    since = since + bend * since * np.abs(since)
+    grid = np.arange(motion.shape[0]) * step
+    out = np.empty((len(channels), times.size))
+    for c, y in enumerate(channels):
+        at = since - lags[c]
+        out[c] = np.where(at > -1e-9, np.interp(at, grid, y), 0.0)
+    for d in disturbances:
+        if d.code == C.MAINS_HUM:
+            for c in range(len(channels)):
+                out[c] += d.p[0] * (1.0, d.p[2])[c] * np.sin(2.0 * np.pi * d.p[1] * times + phase + 0.4 * c)
+    return out

@@ -1,0 +1,71 @@
+"""One record of the rig: constants and disturbances to noise-free readings."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import codes as C
+from .equations import integrate, rig_array
+from .sensors import Disturbance, readings
+
+FIRST_SENSOR_CODE = 80
+FINE_STEP = 2e-5  # s, of the records that are written
+SEARCH_STEP = 1e-4  # s, of the searches for an amplitude; 0.002 rad/s^2 from the fine one
+
+
+def disturbed_start(
+    rig: dict[str, float], coupled: bool, disturbances: Sequence[Disturbance]
+) -> tuple[dict[str, float], NDArray[np.float64]]:
+    """Constants and start (8,) after the disturbances that act on these have acted."""
+    rig = dict(rig)
+    start = np.zeros(8)
+    start[0] = rig["theta0"]
+    start[1] = rig["theta0"] if coupled else 0.0
+    for i, d in enumerate(disturbances):
+        a, p1 = d.p[0], d.p[1]
+        if d.code == C.STIFFNESS_ERROR:
+            rig["k1t"] *= 1.0 + a
+        elif d.code == C.INERTIA_ERROR:
+            rig["J2"] *= 1.0 + a
+        elif d.code in (C.FLEXIBLE_SHAFT, C.CLAMP_PLAY):
+            rig["J1"] *= 1.0 - a
+        elif d.code == C.RELEASE_OFFSET and coupled:
+            start[1] += a
+        elif d.code == C.RELEASE_PUSH:
+            start[2] += a
+            start[3] += a * p1 if coupled else 0.0
+        elif d.code == C.COUPLING_HYSTERESIS:  # pushed slowly from 0 to theta0
+            start[4 + 2 * i] = np.tanh(rig["theta0"] / p1)
+    return rig, start
+
+
+def motion(
+    rig: dict[str, float], coupled: bool, disturbances: Sequence[Disturbance], duration: float, step: float, keep: int = 1
+) -> NDArray[np.float64]:
+    """Motion (n, 6) th1, th2, w1, w2, a1, a2 every keep * step seconds from the release."""
+    rig, start = disturbed_start(rig, coupled, disturbances)
+    codes = np.zeros(2, np.int64)
+    numbers = np.zeros((2, 4))
+    for i, d in enumerate(disturbances):
+        numbers[i] = d.p
+        fading = d.code in (C.FLEXIBLE_SHAFT, C.CLAMP_PLAY, C.STICK_SLIP) and d.p[0] == 0.0
+        codes[i] = 0 if d.code >= FIRST_SENSOR_CODE or fading else d.code
+        if d.code in (C.FLEXIBLE_SHAFT, C.CLAMP_PLAY):  # its torque is written for the whole inertia
+            numbers[i, 0] = d.p[0]
+    return integrate(rig_array(rig), codes, numbers, start, coupled, step, round(duration / step), keep)
+
+
+def record(
+    rig: dict[str, float],
+    coupled: bool,
+    times: NDArray[np.float64],
+    disturbances: Sequence[Disturbance] = (),
+    release: float = 0.0,
+    phase: float = 0.0,
+    step: float = FINE_STEP,
+) -> NDArray[np.float64]:
+    """Noise-free readings (channels, n_times), rad/s^2, at `times` (s); see `sensors.readings`."""
+    duration = float(times[-1]) - min(release, 0.0) + 0.06
+    path = motion(rig, coupled, disturbances, duration, step)
+    return readings(path, step, coupled, times, disturbances, release, phase)
