@@ -11,7 +11,8 @@ How it is laid out, and why:
   effect are eliminated by a Schur complement.
 - One loop over 16 lanes holds one whole step, so that LLVM vectorises it: plain arithmetic, lanes.tanh, selects
   instead of branches, an integer reduction, one work array with a row per quantity.
-- Every lane has its own step size and never sees the others: a record is bitwise the same alone and in any batch.
+- Every lane has its own step size and its own place in the record and never sees the others: no lane waits for one
+  whose friction is just reversing, and a record is bitwise the same alone and in any batch.
 - Steps land on every sample and are never longer than 1 ms: a free step can jump over a reversal of the friction.
 - The reading at a sample is the first stage of the next step: observing costs nothing.
 - The Jacobian of the nominal rig is exact; that of an effect is a difference quotient along the directions that the
@@ -66,8 +67,8 @@ J1, J2, J12, K1, K3, C1, C3, K2, C2, MU, N0, R_BAR, R_FACE, DRAG, NU, THETA0, TH
 FRICTION, SLOPE, MI11, MI12, MI22, TOL, EPS_TH, EPS_W = range(20, 28)
 PARAMETER_ROWS = 28
 # Rows of the work block.
-TH1, TH2, W1, W2, Z1, Z2, HTRY, REST, TIME, Y1, Y2, U1, U2, S1, S2, HLAST, FIRST, HELD1, HELD2 = range(19)
-WORK_ROWS = 19
+TH1, TH2, W1, W2, Z1, Z2, HTRY, REST, TIME, Y1, Y2, U1, U2, S1, S2, HLAST, FIRST, HELD1, HELD2, AFTER, DRIVE, RAMP = range(22)
+WORK_ROWS = 22
 
 # What `advance` is specialised in: these are the values for the bare coupled rig.
 COUPLED = True
@@ -106,6 +107,18 @@ def effect_start(p, rig):
 def effect_sense(h, u1, u2, y1, y2, s1, s2, p, first):
     """Sensors that show what there is."""
     return y1, y2, s1, s2
+
+
+@njit(inline="always")
+def enter(i, lane, times, torque, par, work):
+    """Let a lane enter the interval that follows sample i: how long it is, and the input torque along it."""
+    last = i == times.size - 1
+    now = times[i]
+    after = now if last else times[i + 1]
+    work[AFTER, lane] = after
+    work[DRIVE, lane] = torque[i] if last else torque[i + 1]
+    work[RAMP, lane] = 0.0 if last else (torque[i + 1] - torque[i]) / (after - now)
+    work[REST, lane] = max(after - par[DELAY, lane], 0.0) - max(now - par[DELAY, lane], 0.0)
 
 
 def advance(times, parameters, extras, torque, weights, memory_weights, read, out, status):
@@ -156,423 +169,423 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             work[Z1, lane], work[Z2, lane] = effect_start(p, rig)
 
     n = times.size
-    for i in range(n):
-        last = i == n - 1
-        now = times[i]
-        after = now if last else times[i + 1]
-        drive_after = torque[i] if last else torque[i + 1]
-        drive_rate = 0.0 if last else (torque[i + 1] - torque[i]) / (after - now)
+    index = np.zeros(LANES, np.int64)  # the sample that each lane stands at: lanes do not wait for each other
+    attempts = np.zeros(LANES, np.int64)
+    for lane in range(LANES):
+        enter(0, lane, times, torque, par, work)
+    while True:
         for lane in range(LANES):
-            work[REST, lane] = max(after - par[DELAY, lane], 0.0) - max(now - par[DELAY, lane], 0.0)
-        passes = 0
-        while True:
-            remaining = 0
-            for lane in range(LANES):
-                j1 = par[J1, lane]
-                j2 = par[J2, lane]
-                j12 = par[J12, lane]
-                k1t = par[K1, lane]
-                k3t = par[K3, lane]
-                c1t = par[C1, lane]
-                c3t = par[C3, lane]
-                k2t = par[K2, lane]
-                c2t = par[C2, lane]
-                friction = 0.0 if FRICTIONLESS else par[FRICTION, lane]
-                slope = par[SLOPE, lane]
-                drag = par[DRAG, lane]
-                nu = par[NU, lane]
-                th1 = work[TH1, lane]
-                th2 = work[TH2, lane]
-                w1 = work[W1, lane]
-                w2 = work[W2, lane]
-                z1 = work[Z1, lane]
-                z2 = work[Z2, lane]
-                rest = work[REST, lane]
-                t = work[TIME, lane]
-                # As many equal steps as the proposed step size asks for, so that the last one lands on the sample.
-                tries = max(rest / work[HTRY, lane] - 1e-9, 0.5)
-                tries = (tries + 0.5 + 6755399441055744.0) - 6755399441055744.0
-                h = rest / max(tries, 1.0)
-                p = (extras[0, lane], extras[1, lane], extras[2, lane], extras[3, lane])
-                rig = Rig(
-                    j1, j2, j12, k1t, k3t, c1t, c3t, k2t, c2t, par[MU, lane], par[N0, lane], par[R_BAR, lane],
-                    par[R_FACE, lane], drag, nu, par[THETA0, lane],
-                )  # fmt: skip
+            j1 = par[J1, lane]
+            j2 = par[J2, lane]
+            j12 = par[J12, lane]
+            k1t = par[K1, lane]
+            k3t = par[K3, lane]
+            c1t = par[C1, lane]
+            c3t = par[C3, lane]
+            k2t = par[K2, lane]
+            c2t = par[C2, lane]
+            friction = 0.0 if FRICTIONLESS else par[FRICTION, lane]
+            slope = par[SLOPE, lane]
+            drag = par[DRAG, lane]
+            nu = par[NU, lane]
+            th1 = work[TH1, lane]
+            th2 = work[TH2, lane]
+            w1 = work[W1, lane]
+            w2 = work[W2, lane]
+            z1 = work[Z1, lane]
+            z2 = work[Z2, lane]
+            rest = work[REST, lane]
+            t = work[TIME, lane]
+            # As many equal steps as the proposed step size asks for, so that the last one lands on the sample.
+            tries = max(rest / work[HTRY, lane] - 1e-9, 0.5)
+            tries = (tries + 0.5 + 6755399441055744.0) - 6755399441055744.0
+            h = rest / max(tries, 1.0)
+            p = (extras[0, lane], extras[1, lane], extras[2, lane], extras[3, lane])
+            rig = Rig(
+                j1, j2, j12, k1t, k3t, c1t, c3t, k2t, c2t, par[MU, lane], par[N0, lane], par[R_BAR, lane],
+                par[R_FACE, lane], drag, nu, par[THETA0, lane],
+            )  # fmt: skip
 
-                # Stage 1: torques, Jacobian, and the reading of this instant.
-                tau1, tau2, a1, a2, t_phi, b1, b2, t_slip = linearised(
-                    th1, th2, w1, w2, k1t, k3t, c1t, c3t, k2t, c2t, friction, slope, drag, nu, COUPLED, PENDULUM
-                )
-                tau1 = tau1 + (drive_after - drive_rate * rest)
-                rate1 = drive_rate
-                rate2 = 0.0
-                q1 = 0.0
-                q2 = 0.0
-                f1 = 0.0
-                f2 = 0.0
-                grow1 = 0.0
-                grow2 = 0.0
-                # Jacobian of the torques: d_ij = d tau_i / d th_j, v_ij = d tau_i / d w_j, y_ij = d tau_i / d z_j;
-                # and of the memory rates: x_ij by th, o_ij by w, g_ij by z.
-                d11 = a1 - t_phi
-                d12 = t_phi
-                d21 = t_phi
-                d22 = a2 - t_phi
-                v11 = b1 - t_slip
-                v12 = t_slip
-                v21 = t_slip
-                v22 = b2 - t_slip
-                if TORQUE:
-                    q1, q2 = effect_torque(t, th1, th2, w1, w2, z1, z2, p, rig)
-                    eps = par[EPS_TH, lane]
-                    per = 1.0 / eps
-                    epw = par[EPS_W, lane]
-                    pew = 1.0 / epw
-                    if COUPLES == 0:
-                        m1, m2 = effect_torque(t, th1 + eps, th2 + eps, w1, w2, z1, z2, p, rig)
-                        n1, n2 = effect_torque(t, th1, th2, w1 + epw, w2 + epw, z1, z2, p, rig)
-                        d11 = d11 + (m1 - q1) * per
-                        d22 = d22 + (m2 - q2) * per
-                        v11 = v11 + (n1 - q1) * pew
-                        v22 = v22 + (n2 - q2) * pew
-                    elif COUPLES == 1:
-                        m1, m2 = effect_torque(t, th1 + eps, th2, w1, w2, z1, z2, p, rig)
-                        n1, n2 = effect_torque(t, th1, th2, w1 + epw, w2, z1, z2, p, rig)
-                        across = (m1 - q1) * per
-                        along = (n1 - q1) * pew
-                        d11 = d11 + across
-                        d12 = d12 - across
-                        d21 = d21 - across
-                        d22 = d22 + across
-                        v11 = v11 + along
-                        v12 = v12 - along
-                        v21 = v21 - along
-                        v22 = v22 + along
-                    else:
-                        m1, m2 = effect_torque(t, th1 + eps, th2, w1, w2, z1, z2, p, rig)
-                        n1, n2 = effect_torque(t, th1, th2, w1 + epw, w2, z1, z2, p, rig)
-                        d11 = d11 + (m1 - q1) * per
-                        d21 = d21 + (m2 - q2) * per
-                        v11 = v11 + (n1 - q1) * pew
-                        v21 = v21 + (n2 - q2) * pew
-                        if COUPLED:
-                            m1, m2 = effect_torque(t, th1, th2 + eps, w1, w2, z1, z2, p, rig)
-                            n1, n2 = effect_torque(t, th1, th2, w1, w2 + epw, z1, z2, p, rig)
-                            d12 = d12 + (m1 - q1) * per
-                            d22 = d22 + (m2 - q2) * per
-                            v12 = v12 + (n1 - q1) * pew
-                            v22 = v22 + (n2 - q2) * pew
-                    if TIMED:
-                        ept = 1e-8 * (eps / epw)
-                        m1, m2 = effect_torque(t + ept, th1, th2, w1, w2, z1, z2, p, rig)
-                        rate1 = rate1 + (m1 - q1) / ept
-                        rate2 = rate2 + (m2 - q2) / ept
-                    tau1 = tau1 + q1
-                    tau2 = tau2 + q2
-
-                y1 = read[0] * (par[MI11, lane] * tau1 + par[MI12, lane] * tau2) + read[1] * w1 + read[2] * th1
-                y2 = read[0] * (par[MI12, lane] * tau1 + par[MI22, lane] * tau2) + read[1] * w2 + read[2] * th2
-                if SENSES:
-                    first = work[FIRST, lane]
-                    u1 = work[HELD1, lane] if first > 0.5 else work[U1, lane]
-                    u2 = work[HELD2, lane] if first > 0.5 else work[U2, lane]
-                    released = (rest > 0.0) or (after > par[DELAY, lane]) or (after == par[DELAY, lane])
-                    m1, m2, s1, s2 = effect_sense(
-                        work[HLAST, lane], u1, u2, y1, y2, work[S1, lane], work[S2, lane], p, first
-                    )
-                    work[Y1, lane] = m1
-                    work[Y2, lane] = m2
-                    work[S1, lane] = s1 if released else work[S1, lane]
-                    work[S2, lane] = s2 if released else work[S2, lane]
-                    work[U1, lane] = y1
-                    work[U2, lane] = y2
-                    work[FIRST, lane] = 0.0 if released else 1.0
+            # Stage 1: torques, Jacobian, and the reading of this instant.
+            tau1, tau2, a1, a2, t_phi, b1, b2, t_slip = linearised(
+                th1, th2, w1, w2, k1t, k3t, c1t, c3t, k2t, c2t, friction, slope, drag, nu, COUPLED, PENDULUM
+            )
+            tau1 = tau1 + (work[DRIVE, lane] - work[RAMP, lane] * rest)
+            rate1 = work[RAMP, lane]
+            rate2 = 0.0
+            q1 = 0.0
+            q2 = 0.0
+            f1 = 0.0
+            f2 = 0.0
+            grow1 = 0.0
+            grow2 = 0.0
+            # Jacobian of the torques: d_ij = d tau_i / d th_j, v_ij = d tau_i / d w_j, y_ij = d tau_i / d z_j;
+            # and of the memory rates: x_ij by th, o_ij by w, g_ij by z.
+            d11 = a1 - t_phi
+            d12 = t_phi
+            d21 = t_phi
+            d22 = a2 - t_phi
+            v11 = b1 - t_slip
+            v12 = t_slip
+            v21 = t_slip
+            v22 = b2 - t_slip
+            if TORQUE:
+                q1, q2 = effect_torque(t, th1, th2, w1, w2, z1, z2, p, rig)
+                eps = par[EPS_TH, lane]
+                per = 1.0 / eps
+                epw = par[EPS_W, lane]
+                pew = 1.0 / epw
+                if COUPLES == 0:
+                    m1, m2 = effect_torque(t, th1 + eps, th2 + eps, w1, w2, z1, z2, p, rig)
+                    n1, n2 = effect_torque(t, th1, th2, w1 + epw, w2 + epw, z1, z2, p, rig)
+                    d11 = d11 + (m1 - q1) * per
+                    d22 = d22 + (m2 - q2) * per
+                    v11 = v11 + (n1 - q1) * pew
+                    v22 = v22 + (n2 - q2) * pew
+                elif COUPLES == 1:
+                    m1, m2 = effect_torque(t, th1 + eps, th2, w1, w2, z1, z2, p, rig)
+                    n1, n2 = effect_torque(t, th1, th2, w1 + epw, w2, z1, z2, p, rig)
+                    across = (m1 - q1) * per
+                    along = (n1 - q1) * pew
+                    d11 = d11 + across
+                    d12 = d12 - across
+                    d21 = d21 - across
+                    d22 = d22 + across
+                    v11 = v11 + along
+                    v12 = v12 - along
+                    v21 = v21 - along
+                    v22 = v22 + along
                 else:
-                    work[Y1, lane] = y1
-                    work[Y2, lane] = y2
-
-                y11 = 0.0
-                y12 = 0.0
-                y21 = 0.0
-                y22 = 0.0
-                x11 = 0.0
-                x12 = 0.0
-                x21 = 0.0
-                x22 = 0.0
-                o11 = 0.0
-                o12 = 0.0
-                o21 = 0.0
-                o22 = 0.0
-                g11 = 0.0
-                g12 = 0.0
-                g21 = 0.0
-                g22 = 0.0
-                if MEMORY > 0:
-                    f1, f2 = effect_rate(t, th1, th2, w1, w2, z1, z2, p, rig)
-                    eps = par[EPS_TH, lane]
-                    per = 1.0 / eps
-                    epw = par[EPS_W, lane]
-                    pew = 1.0 / epw
-                    m1, m2 = effect_rate(t, th1 + eps, th2, w1, w2, z1, z2, p, rig)
-                    x11 = (m1 - f1) * per
-                    x21 = (m2 - f2) * per
-                    m1, m2 = effect_rate(t, th1, th2, w1 + epw, w2, z1, z2, p, rig)
-                    o11 = (m1 - f1) * pew
-                    o21 = (m2 - f2) * pew
+                    m1, m2 = effect_torque(t, th1 + eps, th2, w1, w2, z1, z2, p, rig)
+                    n1, n2 = effect_torque(t, th1, th2, w1 + epw, w2, z1, z2, p, rig)
+                    d11 = d11 + (m1 - q1) * per
+                    d21 = d21 + (m2 - q2) * per
+                    v11 = v11 + (n1 - q1) * pew
+                    v21 = v21 + (n2 - q2) * pew
                     if COUPLED:
-                        m1, m2 = effect_rate(t, th1, th2 + eps, w1, w2, z1, z2, p, rig)
-                        x12 = (m1 - f1) * per
-                        x22 = (m2 - f2) * per
-                        m1, m2 = effect_rate(t, th1, th2, w1, w2 + epw, z1, z2, p, rig)
-                        o12 = (m1 - f1) * pew
-                        o22 = (m2 - f2) * pew
-                    epz = 1e-8 * memory_scale1
+                        m1, m2 = effect_torque(t, th1, th2 + eps, w1, w2, z1, z2, p, rig)
+                        n1, n2 = effect_torque(t, th1, th2, w1, w2 + epw, z1, z2, p, rig)
+                        d12 = d12 + (m1 - q1) * per
+                        d22 = d22 + (m2 - q2) * per
+                        v12 = v12 + (n1 - q1) * pew
+                        v22 = v22 + (n2 - q2) * pew
+                if TIMED:
+                    ept = 1e-8 * (eps / epw)
+                    m1, m2 = effect_torque(t + ept, th1, th2, w1, w2, z1, z2, p, rig)
+                    rate1 = rate1 + (m1 - q1) / ept
+                    rate2 = rate2 + (m2 - q2) / ept
+                tau1 = tau1 + q1
+                tau2 = tau2 + q2
+
+            y1 = read[0] * (par[MI11, lane] * tau1 + par[MI12, lane] * tau2) + read[1] * w1 + read[2] * th1
+            y2 = read[0] * (par[MI12, lane] * tau1 + par[MI22, lane] * tau2) + read[1] * w2 + read[2] * th2
+            if SENSES:
+                first = work[FIRST, lane]
+                u1 = work[HELD1, lane] if first > 0.5 else work[U1, lane]
+                u2 = work[HELD2, lane] if first > 0.5 else work[U2, lane]
+                released = (rest > 0.0) or (work[AFTER, lane] > par[DELAY, lane]) or (work[AFTER, lane] == par[DELAY, lane])
+                m1, m2, s1, s2 = effect_sense(
+                    work[HLAST, lane], u1, u2, y1, y2, work[S1, lane], work[S2, lane], p, first
+                )
+                work[Y1, lane] = m1
+                work[Y2, lane] = m2
+                work[S1, lane] = s1 if released else work[S1, lane]
+                work[S2, lane] = s2 if released else work[S2, lane]
+                work[U1, lane] = y1
+                work[U2, lane] = y2
+                work[FIRST, lane] = 0.0 if released else 1.0
+            else:
+                work[Y1, lane] = y1
+                work[Y2, lane] = y2
+
+            y11 = 0.0
+            y12 = 0.0
+            y21 = 0.0
+            y22 = 0.0
+            x11 = 0.0
+            x12 = 0.0
+            x21 = 0.0
+            x22 = 0.0
+            o11 = 0.0
+            o12 = 0.0
+            o21 = 0.0
+            o22 = 0.0
+            g11 = 0.0
+            g12 = 0.0
+            g21 = 0.0
+            g22 = 0.0
+            if MEMORY > 0:
+                f1, f2 = effect_rate(t, th1, th2, w1, w2, z1, z2, p, rig)
+                eps = par[EPS_TH, lane]
+                per = 1.0 / eps
+                epw = par[EPS_W, lane]
+                pew = 1.0 / epw
+                m1, m2 = effect_rate(t, th1 + eps, th2, w1, w2, z1, z2, p, rig)
+                x11 = (m1 - f1) * per
+                x21 = (m2 - f2) * per
+                m1, m2 = effect_rate(t, th1, th2, w1 + epw, w2, z1, z2, p, rig)
+                o11 = (m1 - f1) * pew
+                o21 = (m2 - f2) * pew
+                if COUPLED:
+                    m1, m2 = effect_rate(t, th1, th2 + eps, w1, w2, z1, z2, p, rig)
+                    x12 = (m1 - f1) * per
+                    x22 = (m2 - f2) * per
+                    m1, m2 = effect_rate(t, th1, th2, w1, w2 + epw, z1, z2, p, rig)
+                    o12 = (m1 - f1) * pew
+                    o22 = (m2 - f2) * pew
+                epz = 1e-8 * memory_scale1
+                pez = 1.0 / epz
+                m1, m2 = effect_rate(t, th1, th2, w1, w2, z1 + epz, z2, p, rig)
+                g11 = (m1 - f1) * pez
+                g21 = (m2 - f2) * pez
+                if TORQUE:
+                    m1, m2 = effect_torque(t, th1, th2, w1, w2, z1 + epz, z2, p, rig)
+                    y11 = (m1 - q1) * pez
+                    y21 = (m2 - q2) * pez
+                if MEMORY > 1:
+                    epz = 1e-8 * memory_scale2
                     pez = 1.0 / epz
-                    m1, m2 = effect_rate(t, th1, th2, w1, w2, z1 + epz, z2, p, rig)
-                    g11 = (m1 - f1) * pez
-                    g21 = (m2 - f2) * pez
+                    m1, m2 = effect_rate(t, th1, th2, w1, w2, z1, z2 + epz, p, rig)
+                    g12 = (m1 - f1) * pez
+                    g22 = (m2 - f2) * pez
                     if TORQUE:
-                        m1, m2 = effect_torque(t, th1, th2, w1, w2, z1 + epz, z2, p, rig)
-                        y11 = (m1 - q1) * pez
-                        y21 = (m2 - q2) * pez
-                    if MEMORY > 1:
-                        epz = 1e-8 * memory_scale2
-                        pez = 1.0 / epz
-                        m1, m2 = effect_rate(t, th1, th2, w1, w2, z1, z2 + epz, p, rig)
-                        g12 = (m1 - f1) * pez
-                        g22 = (m2 - f2) * pez
-                        if TORQUE:
-                            m1, m2 = effect_torque(t, th1, th2, w1, w2, z1, z2 + epz, p, rig)
-                            y12 = (m1 - q1) * pez
-                            y22 = (m2 - q2) * pez
-                    if TIMED:
-                        ept = 1e-8 * (eps / epw)
-                        m1, m2 = effect_rate(t + ept, th1, th2, w1, w2, z1, z2, p, rig)
-                        grow1 = (m1 - f1) / ept
-                        grow2 = (m2 - f2) / ept
+                        m1, m2 = effect_torque(t, th1, th2, w1, w2, z1, z2 + epz, p, rig)
+                        y12 = (m1 - q1) * pez
+                        y22 = (m2 - q2) * pez
+                if TIMED:
+                    ept = 1e-8 * (eps / epw)
+                    m1, m2 = effect_rate(t + ept, th1, th2, w1, w2, z1, z2, p, rig)
+                    grow1 = (m1 - f1) / ept
+                    grow2 = (m2 - f2) / ept
 
-                # The matrix of all stages, after the angles (and the memory) are eliminated.
-                gh = GAMMA * h
-                s11 = j1 * (1.0 / GAMMA) - h * (v11 + gh * d11)
-                s12 = 0.0
-                s21 = 0.0
-                s22 = 1.0
+            # The matrix of all stages, after the angles (and the memory) are eliminated.
+            gh = GAMMA * h
+            s11 = j1 * (1.0 / GAMMA) - h * (v11 + gh * d11)
+            s12 = 0.0
+            s21 = 0.0
+            s22 = 1.0
+            if COUPLED:
+                s12 = j12 * (1.0 / GAMMA) - h * (v12 + gh * d12)
+                s21 = j12 * (1.0 / GAMMA) - h * (v21 + gh * d21)
+                s22 = j2 * (1.0 / GAMMA) - h * (v22 + gh * d22)
+            i11 = 0.0
+            i12 = 0.0
+            i21 = 0.0
+            i22 = 0.0
+            h11 = 0.0
+            h12 = 0.0
+            h21 = 0.0
+            h22 = 0.0
+            l11 = 0.0
+            l12 = 0.0
+            l21 = 0.0
+            l22 = 0.0
+            if MEMORY > 0:
+                e11 = 1.0 / GAMMA - h * g11
+                e22 = 1.0 / GAMMA - h * g22
+                e12 = -h * g12
+                e21 = -h * g21
+                inverse = 1.0 / (e11 * e22 - e12 * e21)
+                i11 = e22 * inverse
+                i12 = -e12 * inverse
+                i21 = -e21 * inverse
+                i22 = e11 * inverse
+                h11 = h * (o11 + gh * x11)
+                h12 = h * (o12 + gh * x12)
+                h21 = h * (o21 + gh * x21)
+                h22 = h * (o22 + gh * x22)
+                l11 = h * (y11 * i11 + y12 * i21)
+                l12 = h * (y11 * i12 + y12 * i22)
+                l21 = h * (y21 * i11 + y22 * i21)
+                l22 = h * (y21 * i12 + y22 * i22)
+                s11 = s11 - (l11 * h11 + l12 * h21)
                 if COUPLED:
-                    s12 = j12 * (1.0 / GAMMA) - h * (v12 + gh * d12)
-                    s21 = j12 * (1.0 / GAMMA) - h * (v21 + gh * d21)
-                    s22 = j2 * (1.0 / GAMMA) - h * (v22 + gh * d22)
-                i11 = 0.0
-                i12 = 0.0
-                i21 = 0.0
-                i22 = 0.0
-                h11 = 0.0
-                h12 = 0.0
-                h21 = 0.0
-                h22 = 0.0
-                l11 = 0.0
-                l12 = 0.0
-                l21 = 0.0
-                l22 = 0.0
-                if MEMORY > 0:
-                    e11 = 1.0 / GAMMA - h * g11
-                    e22 = 1.0 / GAMMA - h * g22
-                    e12 = -h * g12
-                    e21 = -h * g21
-                    inverse = 1.0 / (e11 * e22 - e12 * e21)
-                    i11 = e22 * inverse
-                    i12 = -e12 * inverse
-                    i21 = -e21 * inverse
-                    i22 = e11 * inverse
-                    h11 = h * (o11 + gh * x11)
-                    h12 = h * (o12 + gh * x12)
-                    h21 = h * (o21 + gh * x21)
-                    h22 = h * (o22 + gh * x22)
-                    l11 = h * (y11 * i11 + y12 * i21)
-                    l12 = h * (y11 * i12 + y12 * i22)
-                    l21 = h * (y21 * i11 + y22 * i21)
-                    l22 = h * (y21 * i12 + y22 * i22)
-                    s11 = s11 - (l11 * h11 + l12 * h21)
-                    if COUPLED:
-                        s12 = s12 - (l11 * h12 + l12 * h22)
-                        s21 = s21 - (l21 * h11 + l22 * h21)
-                        s22 = s22 - (l21 * h12 + l22 * h22)
-                inverse = 1.0 / (s11 * s22 - s12 * s21)
-                n11 = s22 * inverse
-                n12 = -s12 * inverse
-                n21 = -s21 * inverse
-                n22 = s11 * inverse
+                    s12 = s12 - (l11 * h12 + l12 * h22)
+                    s21 = s21 - (l21 * h11 + l22 * h21)
+                    s22 = s22 - (l21 * h12 + l22 * h22)
+            inverse = 1.0 / (s11 * s22 - s12 * s21)
+            n11 = s22 * inverse
+            n12 = -s12 * inverse
+            n21 = -s21 * inverse
+            n22 = s11 * inverse
 
-                # Stage 1. p_i, r_i, m_i: increments of angle, velocity and memory; the index is stage then body.
-                hw1 = h * w1
-                hw2 = h * w2
-                hh = h * h
-                rhs1 = h * tau1 + gh * (d11 * hw1 + d12 * hw2) + (hh * G1) * rate1
-                rhs2 = h * tau2 + gh * (d21 * hw1 + d22 * hw2) + (hh * G1) * rate2
-                rz1 = 0.0
-                rz2 = 0.0
-                if MEMORY > 0:
-                    rz1 = h * f1 + gh * (x11 * hw1 + x12 * hw2) + (hh * G1) * grow1
-                    rz2 = h * f2 + gh * (x21 * hw1 + x22 * hw2) + (hh * G1) * grow2
-                    rhs1 = rhs1 + l11 * rz1 + l12 * rz2
-                    rhs2 = rhs2 + l21 * rz1 + l22 * rz2
-                r11 = n11 * rhs1 + n12 * rhs2
-                r12 = n21 * rhs1 + n22 * rhs2 if COUPLED else 0.0
-                p11 = gh * r11 + GAMMA * hw1
-                p12 = gh * r12 + GAMMA * hw2
-                m11 = 0.0
-                m12 = 0.0
-                if MEMORY > 0:
-                    rz1 = rz1 + h11 * r11 + h12 * r12
-                    rz2 = rz2 + h21 * r11 + h22 * r12
-                    m11 = i11 * rz1 + i12 * rz2
-                    m12 = i21 * rz1 + i22 * rz2
+            # Stage 1. p_i, r_i, m_i: increments of angle, velocity and memory; the index is stage then body.
+            hw1 = h * w1
+            hw2 = h * w2
+            hh = h * h
+            rhs1 = h * tau1 + gh * (d11 * hw1 + d12 * hw2) + (hh * G1) * rate1
+            rhs2 = h * tau2 + gh * (d21 * hw1 + d22 * hw2) + (hh * G1) * rate2
+            rz1 = 0.0
+            rz2 = 0.0
+            if MEMORY > 0:
+                rz1 = h * f1 + gh * (x11 * hw1 + x12 * hw2) + (hh * G1) * grow1
+                rz2 = h * f2 + gh * (x21 * hw1 + x22 * hw2) + (hh * G1) * grow2
+                rhs1 = rhs1 + l11 * rz1 + l12 * rz2
+                rhs2 = rhs2 + l21 * rz1 + l22 * rz2
+            r11 = n11 * rhs1 + n12 * rhs2
+            r12 = n21 * rhs1 + n22 * rhs2 if COUPLED else 0.0
+            p11 = gh * r11 + GAMMA * hw1
+            p12 = gh * r12 + GAMMA * hw2
+            m11 = 0.0
+            m12 = 0.0
+            if MEMORY > 0:
+                rz1 = rz1 + h11 * r11 + h12 * r12
+                rz2 = rz2 + h21 * r11 + h22 * r12
+                m11 = i11 * rz1 + i12 * rz2
+                m12 = i21 * rz1 + i22 * rz2
 
-                # Stage 2.
-                ath1 = th1 + A21 * p11
-                ath2 = th2 + A21 * p12
-                aw1 = w1 + A21 * r11
-                aw2 = w2 + A21 * r12
-                tau1, tau2 = torques(
-                    ath1, ath2, aw1, aw2, k1t, k3t, c1t, c3t, k2t, c2t, friction, slope, drag, nu, COUPLED, PENDULUM
+            # Stage 2.
+            ath1 = th1 + A21 * p11
+            ath2 = th2 + A21 * p12
+            aw1 = w1 + A21 * r11
+            aw2 = w2 + A21 * r12
+            tau1, tau2 = torques(
+                ath1, ath2, aw1, aw2, k1t, k3t, c1t, c3t, k2t, c2t, friction, slope, drag, nu, COUPLED, PENDULUM
+            )
+            tau1 = tau1 + (work[DRIVE, lane] - work[RAMP, lane] * (rest - T2 * h))
+            if TORQUE:
+                q1, q2 = effect_torque(
+                    t + T2 * h, ath1, ath2, aw1, aw2, z1 + A21 * m11, z2 + A21 * m12, p, rig
                 )
-                tau1 = tau1 + (drive_after - drive_rate * (rest - T2 * h))
-                if TORQUE:
-                    q1, q2 = effect_torque(
-                        t + T2 * h, ath1, ath2, aw1, aw2, z1 + A21 * m11, z2 + A21 * m12, p, rig
-                    )
-                    tau1 = tau1 + q1
-                    tau2 = tau2 + q2
-                c_1 = C21 * p11
-                c_2 = C21 * p12
-                e_1 = C21 * r11
-                e_2 = C21 * r12
-                hw1 = h * aw1 + c_1
-                hw2 = h * aw2 + c_2
-                rhs1 = h * tau1 + (j1 * e_1 + j12 * e_2) + gh * (d11 * hw1 + d12 * hw2) + (hh * G2) * rate1
-                rhs2 = h * tau2 + (j12 * e_1 + j2 * e_2) + gh * (d21 * hw1 + d22 * hw2) + (hh * G2) * rate2
-                if MEMORY > 0:
-                    f1, f2 = effect_rate(
-                        t + T2 * h, ath1, ath2, aw1, aw2, z1 + A21 * m11, z2 + A21 * m12, p, rig
-                    )
-                    rz1 = h * f1 + C21 * m11 + gh * (x11 * hw1 + x12 * hw2) + (hh * G2) * grow1
-                    rz2 = h * f2 + C21 * m12 + gh * (x21 * hw1 + x22 * hw2) + (hh * G2) * grow2
-                    rhs1 = rhs1 + l11 * rz1 + l12 * rz2
-                    rhs2 = rhs2 + l21 * rz1 + l22 * rz2
-                r21 = n11 * rhs1 + n12 * rhs2
-                r22 = n21 * rhs1 + n22 * rhs2 if COUPLED else 0.0
-                p21 = gh * r21 + GAMMA * hw1
-                p22 = gh * r22 + GAMMA * hw2
-                m21 = 0.0
-                m22 = 0.0
-                if MEMORY > 0:
-                    rz1 = rz1 + h11 * r21 + h12 * r22
-                    rz2 = rz2 + h21 * r21 + h22 * r22
-                    m21 = i11 * rz1 + i12 * rz2
-                    m22 = i21 * rz1 + i22 * rz2
-
-                # Stage 3.
-                ath1 = th1 + A31 * p11 + A32 * p21
-                ath2 = th2 + A31 * p12 + A32 * p22
-                aw1 = w1 + A31 * r11 + A32 * r21
-                aw2 = w2 + A31 * r12 + A32 * r22
-                az1 = z1 + A31 * m11 + A32 * m21
-                az2 = z2 + A31 * m12 + A32 * m22
-                tau1, tau2 = torques(
-                    ath1, ath2, aw1, aw2, k1t, k3t, c1t, c3t, k2t, c2t, friction, slope, drag, nu, COUPLED, PENDULUM
+                tau1 = tau1 + q1
+                tau2 = tau2 + q2
+            c_1 = C21 * p11
+            c_2 = C21 * p12
+            e_1 = C21 * r11
+            e_2 = C21 * r12
+            hw1 = h * aw1 + c_1
+            hw2 = h * aw2 + c_2
+            rhs1 = h * tau1 + (j1 * e_1 + j12 * e_2) + gh * (d11 * hw1 + d12 * hw2) + (hh * G2) * rate1
+            rhs2 = h * tau2 + (j12 * e_1 + j2 * e_2) + gh * (d21 * hw1 + d22 * hw2) + (hh * G2) * rate2
+            if MEMORY > 0:
+                f1, f2 = effect_rate(
+                    t + T2 * h, ath1, ath2, aw1, aw2, z1 + A21 * m11, z2 + A21 * m12, p, rig
                 )
-                tau1 = tau1 + (drive_after - drive_rate * (rest - T3 * h))
-                if TORQUE:
-                    q1, q2 = effect_torque(t + T3 * h, ath1, ath2, aw1, aw2, az1, az2, p, rig)
-                    tau1 = tau1 + q1
-                    tau2 = tau2 + q2
-                e_1 = C31 * r11 + C32 * r21
-                e_2 = C31 * r12 + C32 * r22
-                hw1 = h * aw1 + (C31 * p11 + C32 * p21)
-                hw2 = h * aw2 + (C31 * p12 + C32 * p22)
-                rhs1 = h * tau1 + (j1 * e_1 + j12 * e_2) + gh * (d11 * hw1 + d12 * hw2) + (hh * G3) * rate1
-                rhs2 = h * tau2 + (j12 * e_1 + j2 * e_2) + gh * (d21 * hw1 + d22 * hw2) + (hh * G3) * rate2
-                if MEMORY > 0:
-                    f1, f2 = effect_rate(t + T3 * h, ath1, ath2, aw1, aw2, az1, az2, p, rig)
-                    rz1 = h * f1 + (C31 * m11 + C32 * m21) + gh * (x11 * hw1 + x12 * hw2) + (hh * G3) * grow1
-                    rz2 = h * f2 + (C31 * m12 + C32 * m22) + gh * (x21 * hw1 + x22 * hw2) + (hh * G3) * grow2
-                    rhs1 = rhs1 + l11 * rz1 + l12 * rz2
-                    rhs2 = rhs2 + l21 * rz1 + l22 * rz2
-                r31 = n11 * rhs1 + n12 * rhs2
-                r32 = n21 * rhs1 + n22 * rhs2 if COUPLED else 0.0
-                p31 = gh * r31 + GAMMA * hw1
-                p32 = gh * r32 + GAMMA * hw2
-                m31 = 0.0
-                m32 = 0.0
-                if MEMORY > 0:
-                    rz1 = rz1 + h11 * r31 + h12 * r32
-                    rz2 = rz2 + h21 * r31 + h22 * r32
-                    m31 = i11 * rz1 + i12 * rz2
-                    m32 = i21 * rz1 + i22 * rz2
+                rz1 = h * f1 + C21 * m11 + gh * (x11 * hw1 + x12 * hw2) + (hh * G2) * grow1
+                rz2 = h * f2 + C21 * m12 + gh * (x21 * hw1 + x22 * hw2) + (hh * G2) * grow2
+                rhs1 = rhs1 + l11 * rz1 + l12 * rz2
+                rhs2 = rhs2 + l21 * rz1 + l22 * rz2
+            r21 = n11 * rhs1 + n12 * rhs2
+            r22 = n21 * rhs1 + n22 * rhs2 if COUPLED else 0.0
+            p21 = gh * r21 + GAMMA * hw1
+            p22 = gh * r22 + GAMMA * hw2
+            m21 = 0.0
+            m22 = 0.0
+            if MEMORY > 0:
+                rz1 = rz1 + h11 * r21 + h12 * r22
+                rz2 = rz2 + h21 * r21 + h22 * r22
+                m21 = i11 * rz1 + i12 * rz2
+                m22 = i21 * rz1 + i22 * rz2
 
-                # Stage 4: the torques are those of stage 3.
-                e_1 = C41 * r11 + C42 * r21 + C43 * r31
-                e_2 = C41 * r12 + C42 * r22 + C43 * r32
-                hw1 = h * aw1 + (C41 * p11 + C42 * p21 + C43 * p31)
-                hw2 = h * aw2 + (C41 * p12 + C42 * p22 + C43 * p32)
-                rhs1 = h * tau1 + (j1 * e_1 + j12 * e_2) + gh * (d11 * hw1 + d12 * hw2) + (hh * G4) * rate1
-                rhs2 = h * tau2 + (j12 * e_1 + j2 * e_2) + gh * (d21 * hw1 + d22 * hw2) + (hh * G4) * rate2
-                if MEMORY > 0:
-                    rz1 = h * f1 + (C41 * m11 + C42 * m21 + C43 * m31) + gh * (x11 * hw1 + x12 * hw2)
-                    rz2 = h * f2 + (C41 * m12 + C42 * m22 + C43 * m32) + gh * (x21 * hw1 + x22 * hw2)
-                    rz1 = rz1 + (hh * G4) * grow1
-                    rz2 = rz2 + (hh * G4) * grow2
-                    rhs1 = rhs1 + l11 * rz1 + l12 * rz2
-                    rhs2 = rhs2 + l21 * rz1 + l22 * rz2
-                r41 = n11 * rhs1 + n12 * rhs2
-                r42 = n21 * rhs1 + n22 * rhs2 if COUPLED else 0.0
-                p41 = gh * r41 + GAMMA * hw1
-                p42 = gh * r42 + GAMMA * hw2
+            # Stage 3.
+            ath1 = th1 + A31 * p11 + A32 * p21
+            ath2 = th2 + A31 * p12 + A32 * p22
+            aw1 = w1 + A31 * r11 + A32 * r21
+            aw2 = w2 + A31 * r12 + A32 * r22
+            az1 = z1 + A31 * m11 + A32 * m21
+            az2 = z2 + A31 * m12 + A32 * m22
+            tau1, tau2 = torques(
+                ath1, ath2, aw1, aw2, k1t, k3t, c1t, c3t, k2t, c2t, friction, slope, drag, nu, COUPLED, PENDULUM
+            )
+            tau1 = tau1 + (work[DRIVE, lane] - work[RAMP, lane] * (rest - T3 * h))
+            if TORQUE:
+                q1, q2 = effect_torque(t + T3 * h, ath1, ath2, aw1, aw2, az1, az2, p, rig)
+                tau1 = tau1 + q1
+                tau2 = tau2 + q2
+            e_1 = C31 * r11 + C32 * r21
+            e_2 = C31 * r12 + C32 * r22
+            hw1 = h * aw1 + (C31 * p11 + C32 * p21)
+            hw2 = h * aw2 + (C31 * p12 + C32 * p22)
+            rhs1 = h * tau1 + (j1 * e_1 + j12 * e_2) + gh * (d11 * hw1 + d12 * hw2) + (hh * G3) * rate1
+            rhs2 = h * tau2 + (j12 * e_1 + j2 * e_2) + gh * (d21 * hw1 + d22 * hw2) + (hh * G3) * rate2
+            if MEMORY > 0:
+                f1, f2 = effect_rate(t + T3 * h, ath1, ath2, aw1, aw2, az1, az2, p, rig)
+                rz1 = h * f1 + (C31 * m11 + C32 * m21) + gh * (x11 * hw1 + x12 * hw2) + (hh * G3) * grow1
+                rz2 = h * f2 + (C31 * m12 + C32 * m22) + gh * (x21 * hw1 + x22 * hw2) + (hh * G3) * grow2
+                rhs1 = rhs1 + l11 * rz1 + l12 * rz2
+                rhs2 = rhs2 + l21 * rz1 + l22 * rz2
+            r31 = n11 * rhs1 + n12 * rhs2
+            r32 = n21 * rhs1 + n22 * rhs2 if COUPLED else 0.0
+            p31 = gh * r31 + GAMMA * hw1
+            p32 = gh * r32 + GAMMA * hw2
+            m31 = 0.0
+            m32 = 0.0
+            if MEMORY > 0:
+                rz1 = rz1 + h11 * r31 + h12 * r32
+                rz2 = rz2 + h21 * r31 + h22 * r32
+                m31 = i11 * rz1 + i12 * rz2
+                m32 = i21 * rz1 + i22 * rz2
 
-                error = abs(E1 * r11 + E2 * r21 + E4 * r41) + abs(E1 * r12 + E2 * r22 + E4 * r42)
-                nz1 = z1
-                nz2 = z2
-                if MEMORY > 0:
-                    rz1 = rz1 + h11 * r41 + h12 * r42
-                    rz2 = rz2 + h21 * r41 + h22 * r42
-                    m41 = i11 * rz1 + i12 * rz2
-                    m42 = i21 * rz1 + i22 * rz2
-                    error = error + memory_weights[0] * abs(E1 * m11 + E2 * m21 + E4 * m41)
-                    error = error + memory_weights[1] * abs(E1 * m12 + E2 * m22 + E4 * m42)
-                    nz1 = z1 + B1 * m11 + B2 * m21 + B3 * m31 + B4 * m41
-                    nz2 = z2 + B1 * m12 + B2 * m22 + B3 * m32 + B4 * m42
-                error = error / par[TOL, lane]
-                accepted = error <= 1.0
-                factor = min(max(0.9 * fourth_root_of_inverse(max(error, 1e-8)), 0.2), 5.0)
-                proposal = h * factor
-                proposal = max(proposal, work[HTRY, lane]) if accepted and factor >= 1.0 else proposal
-                work[HTRY, lane] = min(proposal, LONGEST_STEP) if rest > 0.0 else work[HTRY, lane]
-                work[TH1, lane] = th1 + B1 * p11 + B2 * p21 + B3 * p31 + B4 * p41 if accepted else th1
-                work[W1, lane] = w1 + B1 * r11 + B2 * r21 + B3 * r31 + B4 * r41 if accepted else w1
-                if COUPLED:
-                    work[TH2, lane] = th2 + B1 * p12 + B2 * p22 + B3 * p32 + B4 * p42 if accepted else th2
-                    work[W2, lane] = w2 + B1 * r12 + B2 * r22 + B3 * r32 + B4 * r42 if accepted else w2
-                work[Z1, lane] = nz1 if accepted else z1
-                work[Z2, lane] = nz2 if accepted else z2
-                done = h if accepted else 0.0
-                work[HLAST, lane] = done
-                work[TIME, lane] = t + done
-                rest = 0.0 if accepted and tries <= 1.0 else rest - done
-                work[REST, lane] = rest
-                remaining += 1 if rest > 0.0 else 0
-            if passes == 0:
-                for lane in range(LANES):
-                    held = now < par[DELAY, lane]
-                    out[0, i, lane] = work[HELD1, lane] if held else work[Y1, lane]
-                    out[1, i, lane] = work[HELD2, lane] if held else work[Y2, lane]
-            passes += 1
-            if remaining == 0:
-                break
-            if passes > MOST_PASSES:
-                for lane in range(LANES):
-                    if work[REST, lane] > 0.0:
-                        status[lane] = STEP_UNDERFLOW
-                        par[DELAY, lane] = 1e300  # never released again: the lane costs nothing from here on
-                break
+            # Stage 4: the torques are those of stage 3.
+            e_1 = C41 * r11 + C42 * r21 + C43 * r31
+            e_2 = C41 * r12 + C42 * r22 + C43 * r32
+            hw1 = h * aw1 + (C41 * p11 + C42 * p21 + C43 * p31)
+            hw2 = h * aw2 + (C41 * p12 + C42 * p22 + C43 * p32)
+            rhs1 = h * tau1 + (j1 * e_1 + j12 * e_2) + gh * (d11 * hw1 + d12 * hw2) + (hh * G4) * rate1
+            rhs2 = h * tau2 + (j12 * e_1 + j2 * e_2) + gh * (d21 * hw1 + d22 * hw2) + (hh * G4) * rate2
+            if MEMORY > 0:
+                rz1 = h * f1 + (C41 * m11 + C42 * m21 + C43 * m31) + gh * (x11 * hw1 + x12 * hw2)
+                rz2 = h * f2 + (C41 * m12 + C42 * m22 + C43 * m32) + gh * (x21 * hw1 + x22 * hw2)
+                rz1 = rz1 + (hh * G4) * grow1
+                rz2 = rz2 + (hh * G4) * grow2
+                rhs1 = rhs1 + l11 * rz1 + l12 * rz2
+                rhs2 = rhs2 + l21 * rz1 + l22 * rz2
+            r41 = n11 * rhs1 + n12 * rhs2
+            r42 = n21 * rhs1 + n22 * rhs2 if COUPLED else 0.0
+            p41 = gh * r41 + GAMMA * hw1
+            p42 = gh * r42 + GAMMA * hw2
+
+            error = abs(E1 * r11 + E2 * r21 + E4 * r41) + abs(E1 * r12 + E2 * r22 + E4 * r42)
+            nz1 = z1
+            nz2 = z2
+            if MEMORY > 0:
+                rz1 = rz1 + h11 * r41 + h12 * r42
+                rz2 = rz2 + h21 * r41 + h22 * r42
+                m41 = i11 * rz1 + i12 * rz2
+                m42 = i21 * rz1 + i22 * rz2
+                error = error + memory_weights[0] * abs(E1 * m11 + E2 * m21 + E4 * m41)
+                error = error + memory_weights[1] * abs(E1 * m12 + E2 * m22 + E4 * m42)
+                nz1 = z1 + B1 * m11 + B2 * m21 + B3 * m31 + B4 * m41
+                nz2 = z2 + B1 * m12 + B2 * m22 + B3 * m32 + B4 * m42
+            error = error / par[TOL, lane]
+            accepted = error <= 1.0
+            factor = min(max(0.9 * fourth_root_of_inverse(max(error, 1e-8)), 0.2), 5.0)
+            proposal = h * factor
+            proposal = max(proposal, work[HTRY, lane]) if accepted and factor >= 1.0 else proposal
+            work[HTRY, lane] = min(proposal, LONGEST_STEP) if rest > 0.0 else work[HTRY, lane]
+            work[TH1, lane] = th1 + B1 * p11 + B2 * p21 + B3 * p31 + B4 * p41 if accepted else th1
+            work[W1, lane] = w1 + B1 * r11 + B2 * r21 + B3 * r31 + B4 * r41 if accepted else w1
+            if COUPLED:
+                work[TH2, lane] = th2 + B1 * p12 + B2 * p22 + B3 * p32 + B4 * p42 if accepted else th2
+                work[W2, lane] = w2 + B1 * r12 + B2 * r22 + B3 * r32 + B4 * r42 if accepted else w2
+            work[Z1, lane] = nz1 if accepted else z1
+            work[Z2, lane] = nz2 if accepted else z2
+            done = h if accepted else 0.0
+            work[HLAST, lane] = done
+            work[TIME, lane] = t + done
+            rest = 0.0 if accepted and tries <= 1.0 else rest - done
+            work[REST, lane] = rest
+            live = 0
+        for lane in range(LANES):
+            i = index[lane]
+            if attempts[lane] == 0:  # the first pass at a sample has made its reading
+                held = times[i] < par[DELAY, lane]
+                out[0, i, lane] = work[HELD1, lane] if held else work[Y1, lane]
+                out[1, i, lane] = work[HELD2, lane] if held else work[Y2, lane]
+            attempts[lane] += 1
+            if work[REST, lane] > 0.0 and attempts[lane] > MOST_PASSES:
+                status[lane] = STEP_UNDERFLOW
+                par[DELAY, lane] = 1e300  # never released again: the lane costs nothing from here on
+                work[REST, lane] = 0.0
+            if work[REST, lane] > 0.0:
+                live += 1
+            elif i < n - 1:
+                index[lane] = i + 1
+                attempts[lane] = 0
+                enter(i + 1, lane, times, torque, par, work)
+                live += 1
+        if live == 0:
+            break
 
 
 _COUPLES = {"bodies": 0, "interface": 1, "all": 2}
