@@ -1,0 +1,211 @@
+"""Long runs: independent tasks on worker processes, their progress, and what it takes to go on after a stop.
+
+A task is plain data: the name of a function and its arguments. It runs in a folder of its own, keeps its state there,
+and leaves `done.json` when it is finished, so a run that was stopped goes on with what is missing. Results do not
+depend on the number of workers or on the order, because every task carries its own seed.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import time
+from collections.abc import Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, Protocol
+
+from bayes_damper.errors import BayesDamperError, InputError, Interrupted
+
+_POLL_S = 0.2
+_STATUS_EVERY_S = 0.5
+_MOST_BREAKDOWNS = 3
+
+
+@dataclass(frozen=True)
+class Task:
+    """One independent piece of a run.
+
+    call : "package.module:function"; the function is called as f(folder, report, **arguments), where `folder` is the
+    task's own and `report(share, text)` tells how far it is. It returns plain JSON data.
+    """
+
+    name: str
+    call: str
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Progress(Protocol):
+    """What shows progress to the user; figures in [0, 1]."""
+
+    def update(self, task: str, share: float, text: str) -> None: ...
+
+
+class Silent:
+    """Shows nothing: for --quiet and where there is no terminal."""
+
+    def update(self, task: str, share: float, text: str) -> None:
+        """Nothing."""
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Write JSON so that a reader sees either the old or the new file, whole."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
+    partial.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    os.replace(partial, path)
+
+
+def read_json(path: Path) -> Any:
+    """Contents of a JSON file.
+
+    Raises
+    ------
+    InputError
+        if the file is missing or is not JSON.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file; name a folder that bayes-damper has written") from None
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: this is not valid JSON ({error}); run the command that wrote it again") from None
+
+
+def execute(task: Task, folder: Path) -> Any:
+    """Run one task in its folder, unless it is done already; its result."""
+    done = folder / "done.json"
+    if done.exists():
+        return read_json(done)
+    folder.mkdir(parents=True, exist_ok=True)
+    last = 0.0
+
+    def report(share: float, text: str) -> None:
+        nonlocal last
+        if time.monotonic() - last > _STATUS_EVERY_S or share >= 1.0:
+            last = time.monotonic()
+            write_json(folder / "status.json", {"share": share, "text": text})
+
+    module, _, function = task.call.partition(":")
+    result = getattr(importlib.import_module(module), function)(folder, report, **task.arguments)
+    write_json(done, result)
+    return result
+
+
+def run_tasks(
+    tasks: Sequence[Task],
+    folder: Path,
+    *,
+    workers: int = 1,
+    scheduler: str | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Run tasks in `folder`/<task name> on worker processes, or on a Dask cluster; name -> result, in the tasks' order.
+
+    Raises
+    ------
+    Interrupted
+        after Ctrl-C: every task has saved its state.
+    BayesDamperError
+        the first error of a task, when the others have come to an end.
+    """
+    shown: Progress = progress or Silent()
+    if workers < 1:
+        raise InputError(f"--workers {workers}: give at least 1")
+    if scheduler is not None:
+        return _on_cluster(tasks, folder, scheduler, shown)
+    if workers == 1:
+        return {task.name: _here(task, folder, shown) for task in tasks}
+    return _on_processes(tasks, folder, workers, shown)
+
+
+def _here(task: Task, folder: Path, progress: Progress) -> Any:
+    own = folder / task.name
+    done = own / "done.json"
+    if done.exists():
+        progress.update(task.name, 1.0, "done before")
+        return read_json(done)
+    own.mkdir(parents=True, exist_ok=True)
+    module, _, function = task.call.partition(":")
+
+    def report(share: float, text: str) -> None:
+        progress.update(task.name, share, text)
+
+    try:
+        result = getattr(importlib.import_module(module), function)(own, report, **task.arguments)
+    except KeyboardInterrupt:
+        raise Interrupted(f"stopped; go on with: bayes-damper resume {folder}") from None
+    write_json(done, result)
+    progress.update(task.name, 1.0, "done")
+    return result
+
+
+def _on_processes(tasks: Sequence[Task], folder: Path, workers: int, progress: Progress) -> dict[str, Any]:
+    results: dict[str, Any] = {}
+    breakdowns = 0
+    while True:
+        waiting = [task for task in tasks if task.name not in results]
+        if not waiting:
+            return {task.name: results[task.name] for task in tasks}
+        try:
+            with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+                futures: dict[Future[Any], Task] = {
+                    pool.submit(execute, task, folder / task.name): task for task in waiting
+                }
+                _collect(futures, folder, progress, results)
+        except BrokenProcessPool:
+            # A worker was killed from outside: what it had saved is there, so a new pool goes on with the rest.
+            breakdowns += 1
+            if breakdowns > _MOST_BREAKDOWNS:
+                raise BayesDamperError(
+                    f"worker processes were killed {breakdowns} times (out of memory?); use fewer --workers and go on "
+                    f"with: bayes-damper resume {folder}"
+                ) from None
+        except KeyboardInterrupt:
+            raise Interrupted(f"stopped; go on with: bayes-damper resume {folder}") from None
+
+
+def _collect(futures: dict[Future[Any], Task], folder: Path, progress: Progress, results: dict[str, Any]) -> None:
+    pending = set(futures)
+    failure: BaseException | None = None
+    while pending:
+        finished, pending = wait(pending, timeout=_POLL_S, return_when=FIRST_COMPLETED)
+        for future in finished:
+            error = future.exception()
+            if isinstance(error, BrokenProcessPool):
+                raise error
+            if error is None:
+                results[futures[future].name] = future.result()
+                progress.update(futures[future].name, 1.0, "done")
+            else:
+                failure = failure or error
+        for future in pending:
+            name = futures[future].name
+            status = folder / name / "status.json"
+            if status.exists():
+                told = read_json(status)
+                progress.update(name, told["share"], told["text"])
+    if failure is not None:
+        raise failure
+
+
+def _on_cluster(tasks: Sequence[Task], folder: Path, scheduler: str, progress: Progress) -> dict[str, Any]:
+    try:
+        distributed = importlib.import_module("distributed")
+    except ImportError:
+        raise InputError("--scheduler needs Dask: pip install 'bayes-damper[cluster]'") from None
+    with distributed.Client(scheduler) as client:
+        futures = {
+            client.submit(execute, task, (folder / task.name).resolve(), pure=False, retries=_MOST_BREAKDOWNS): task
+            for task in tasks
+        }
+        results = {}
+        for future, result in distributed.as_completed(futures, with_results=True):
+            results[futures[future].name] = result
+            progress.update(futures[future].name, 1.0, "done")
+    return {task.name: results[task.name] for task in tasks}
+
