@@ -1,0 +1,209 @@
+"""Every figure: numbers in, matplotlib figures out. The only module that imports matplotlib and corner.
+
+Figures are made for reports: readable in grey print and for colour-blind eyes (the palette of Okabe and Ito, with line
+styles and markers that differ too), every axis with symbol and unit. Nothing is computed here but what drawing needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import corner
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+mpl.use("Agg", force=False)
+
+Array = NDArray[np.float64]
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+STYLES = ("-", "--", "-.", ":")
+_RC = {
+    "font.size": 9.0,
+    "axes.titlesize": 10.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.6,
+    "legend.frameon": False,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "bayes_damper",
+    "figure.dpi": 110,
+}
+NOT_CONVERGED = "NOT CONVERGED: do not use these numbers"
+
+
+def new_figure(width: float = 7.0, height: float = 4.0, converged: bool = True) -> Figure:
+    """An empty figure in the house style, width and height in inches, marked when its run did not converge."""
+    with mpl.rc_context(_RC):
+        figure = Figure(figsize=(width, height), layout="constrained")
+    if not converged:
+        mark(figure)
+    return figure
+
+
+def mark(figure: Figure) -> None:
+    """Write across the top of a figure that its run did not converge."""
+    figure.text(
+        *(0.5, 0.995, NOT_CONVERGED),
+        ha="center",
+        va="top",
+        color="white",
+        weight="bold",
+        bbox={"facecolor": "#B00020", "edgecolor": "none", "pad": 3.0},
+        zorder=100,
+    )
+
+
+def save(figure: Figure, path: Path) -> list[Path]:
+    """Write a figure as SVG and PNG beside each other; `path` without its suffix. The files written."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    written = []
+    with mpl.rc_context(_RC):
+        for suffix, options in ((".svg", {"metadata": {"Date": None}}), (".png", {"dpi": 150})):
+            target = path.with_name(path.name + suffix)
+            figure.savefig(target, **options)  # type: ignore[arg-type]
+            written.append(target)
+    return written
+
+
+def label(symbol: str, unit: str) -> str:
+    """Axis label: symbol and unit, the unit left out where it is 1."""
+    return symbol if unit in ("", "1") else f"{symbol} [{unit}]"
+
+
+def corner_figure(
+    draws: Mapping[str, Mapping[str, Array]], labels: Mapping[str, str], *, title: str, converged: bool = True
+) -> Figure:
+    """Corner plot of one posterior, or of several overlaid.
+
+    draws : group (e.g. case) -> parameter -> (n_draws,); all groups have the same parameters.
+    labels : parameter -> axis label. The contours hold 50 and 90 % of the draws; the dashed lines are the median and
+    the ends of the central 90 %.
+    """
+    names = list(next(iter(draws.values())))
+    stacked = {group: np.column_stack([values[name] for name in names]) for group, values in draws.items()}
+    everything = np.concatenate(list(stacked.values()))
+    low, high = np.quantile(everything, [0.002, 0.998], axis=0)
+    span = np.where(high > low, high - low, np.maximum(np.abs(high), 1e-12) * 1e-3)
+    ranges = list(zip(low - 0.03 * span, high + 0.03 * span, strict=True))
+    single = len(draws) == 1
+    with mpl.rc_context(_RC | {"axes.grid": False, "axes.spines.top": True, "axes.spines.right": True}):
+        figure = Figure(figsize=(1.35 * len(names) + 0.8,) * 2)
+        for k, (group, table) in enumerate(stacked.items()):
+            colour = COLOURS[k % len(COLOURS)]
+            corner.corner(
+                *(table,),
+                fig=figure,
+                range=ranges,
+                bins=30,
+                smooth=1.0,
+                smooth1d=1.0,
+                labels=[labels.get(name, name) for name in names],
+                label_kwargs={"fontsize": 9},
+                color=colour,
+                levels=(0.5, 0.9),
+                quantiles=(0.05, 0.5, 0.95) if single else None,
+                plot_datapoints=False,
+                plot_density=single,
+                fill_contours=single,
+                max_n_ticks=3,
+                weights=np.full(len(table), 1.0 / len(table)),
+                hist_kwargs={"linestyle": STYLES[k % len(STYLES)]},
+                contour_kwargs={"linestyles": STYLES[k % len(STYLES)]},
+            )
+            if not single:
+                figure.text(0.98, 0.97 - 0.035 * k, group, color=colour, ha="right", va="top", weight="bold", fontsize=11)
+        figure.suptitle(title, x=0.98 if single else 0.75, y=0.99, ha="right", va="top", fontsize=12)
+    if not converged:
+        mark(figure)
+    return figure
+
+
+def trace_figure(
+    draws: Mapping[str, Array], labels: Mapping[str, str], *, title: str, burn_in: int = 0, converged: bool = True
+) -> Figure:
+    """Trace and rank plot of each parameter.
+
+    draws : parameter -> (ensembles, draws). Left the traces of the ensembles, right the histogram of each ensemble's
+    ranks among all draws: flat bars mean that the ensembles agree.
+    """
+    names = list(draws)
+    figure = new_figure(9.0, 1.05 * len(names) + 0.9, converged)
+    with mpl.rc_context(_RC):
+        axes = figure.subplots(len(names), 2, squeeze=False, width_ratios=[3, 2])
+        for row, name in zip(axes, names, strict=True):
+            values = np.asarray(draws[name])
+            ranks = np.argsort(np.argsort(values.ravel())).reshape(values.shape) / values.size
+            for k, (chain, chain_ranks) in enumerate(zip(values, ranks, strict=True)):
+                colour = COLOURS[k % len(COLOURS)]
+                row[0].plot(np.arange(chain.size) + burn_in, chain, lw=0.4, color=colour, alpha=0.8)
+                heights, edges = np.histogram(chain_ranks, bins=20, range=(0.0, 1.0), density=True)
+                row[1].stairs(heights, edges, color=colour, lw=1.2, ls=STYLES[k % len(STYLES)])
+            row[0].set_ylabel(labels.get(name, name))
+            row[1].axhline(1.0, color="#888888", lw=0.8)
+            row[1].set_ylim(0.0, None)
+            row[1].set_yticks([0, 1])
+        axes[-1, 0].set_xlabel("draw (thinned)")
+        axes[-1, 1].set_xlabel("rank among all draws / number of draws")
+        axes[0, 0].set_title("trace of each ensemble")
+        axes[0, 1].set_title("ranks of each ensemble (flat: they agree)")
+        figure.suptitle(title)
+    return figure
+
+
+def feature_check_figure(rows: Sequence[Mapping[str, Any]], *, title: str, converged: bool = True) -> Figure:
+    """Measured features against what the posterior predicts for them.
+
+    rows : one mapping each with name, unit, measured, standard_error, median, hdi50, hdi90, percentile. Values are
+    drawn as distance from the measurement in standard errors of the prediction and the measurement together.
+    """
+    figure = new_figure(8.0, 0.34 * len(rows) + 1.4, converged)
+    with mpl.rc_context(_RC):
+        axes = figure.subplots()
+        for y, row in enumerate(rows):
+            scale = max(row["standard_error"], 1e-300)
+            axes.plot([-1, 1], [y, y], color="#999999", lw=7, alpha=0.35, solid_capstyle="butt")
+            for key, width in (("hdi90", 1.5), ("hdi50", 4.0)):
+                low, high = ((edge - row["measured"]) / scale for edge in row[key])
+                axes.plot([low, high], [y, y], color=COLOURS[0], lw=width, solid_capstyle="butt")
+            axes.plot((row["median"] - row["measured"]) / scale, y, "o", color=COLOURS[1], ms=4)
+        axes.axvline(0.0, color="black", lw=0.8)
+        axes.set_yticks(range(len(rows)), [f"{row['name']}   {row['percentile']:.0f} %" for row in rows])
+        axes.set_xscale("symlog", linthresh=3.0)
+        axes.set_xlabel(
+            "(model - measured) / standard error; grey: measured +- 1 standard error, blue: 50 and 90 % of the model"
+        )
+        axes.set_ylim(len(rows) - 0.5, -0.5)
+        axes.set_title(f"{title}\nbeside each name: percentile of the prediction at which the measurement falls", loc="left")
+    return figure
+
+
+def forest_figure(
+    intervals: Mapping[str, Mapping[str, tuple[float, float, float]]], labels: Mapping[str, str], *, title: str,
+    converged: bool = True,
+) -> Figure:  # fmt: skip
+    """Median and 90 % interval of each parameter over groups (cases): parameter -> group -> (low, median, high)."""
+    names = list(intervals)
+    columns = min(3, len(names))
+    lines = -(-len(names) // columns)
+    groups = list(next(iter(intervals.values())))
+    figure = new_figure(3.1 * columns, (0.32 * len(groups) + 0.9) * lines + 0.5, converged)
+    with mpl.rc_context(_RC):
+        axes = np.atleast_1d(figure.subplots(lines, columns, squeeze=False)).ravel()
+        for axis, name in zip(axes, names, strict=False):
+            for y, group in enumerate(groups):
+                low, median, high = intervals[name][group]
+                axis.plot([low, high], [y, y], color=COLOURS[0], lw=2.0)
+                axis.plot(median, y, "o", color=COLOURS[1], ms=5)
+            axis.set_yticks(range(len(groups)), groups)
+            axis.set_ylim(len(groups) - 0.5, -0.5)
+            axis.set_xlabel(labels.get(name, name))
+        for axis in axes[len(names) :]:
+            axis.set_visible(False)
+        figure.suptitle(title)
+    return figure
