@@ -12,7 +12,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import log_ndtr, ndtr, ndtri
+from scipy.special import log_ndtr, ndtr, ndtri, ndtri_exp
 
 Array = NDArray[np.float64]
 Coordinate = Literal["linear", "log"]
@@ -163,3 +163,49 @@ def median(distribution: Distribution) -> float:
 def sample(distribution: Distribution, rng: np.random.Generator, size: int | tuple[int, ...]) -> Array:
     """Independent draws of shape `size`."""
     return distribution.ppf(rng.random(size))
+
+
+# Standard coordinates: z = Phi^-1(F(x)), in which every prior is a unit Gaussian.
+
+_FARTHEST = 37.0  # standard deviations beyond which a standard coordinate is not followed
+
+
+def from_standard(distribution: Distribution, z: ArrayLike) -> Array:
+    """The value x whose quantile in `distribution` is that of `z` in a unit Gaussian; accurate far into both tails."""
+    z = np.clip(np.asarray(z, float), -_FARTHEST, _FARTHEST)
+    if isinstance(distribution, LogNormal):
+        return np.asarray(distribution.median_value * np.exp(math.log(distribution.factor) * z))
+    if isinstance(distribution, HalfNormal):
+        # x / sd = -Phi^-1(Phi(-z) / 2): the upper tail is a lower tail of half its mass.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            far = -ndtri_exp(log_ndtr(-z) - math.log(2.0))
+        return np.asarray(distribution.sd * np.where(z > -5.0, far, math.sqrt(math.pi / 2.0) * ndtr(z)))
+    if isinstance(distribution, Normal):
+        a = (distribution.lower - distribution.mean) / distribution.sd
+        b = (distribution.upper - distribution.mean) / distribution.sd
+        if math.isinf(a) and math.isinf(b):
+            return np.asarray(distribution.mean + distribution.sd * z)
+        if math.isinf(b):  # cut below only: mirror, so that the far tail keeps its digits
+            with np.errstate(divide="ignore", invalid="ignore"):
+                x = -ndtri_exp(log_ndtr(-z) + log_ndtr(-a))
+            return np.asarray(np.maximum(distribution.mean + distribution.sd * x, distribution.lower))
+        if math.isinf(a):
+            with np.errstate(divide="ignore", invalid="ignore"):
+                x = ndtri_exp(log_ndtr(z) + log_ndtr(b))
+            return np.asarray(np.minimum(distribution.mean + distribution.sd * x, distribution.upper))
+    return np.asarray(distribution.ppf(ndtr(np.clip(z, -8.0, 8.0))))
+
+
+def to_standard(distribution: Distribution, x: ArrayLike) -> Array:
+    """The standard coordinate of the value `x`, cut to +-8 where there is no closed form: the inverse of the above."""
+    x = np.asarray(x, float)
+    if isinstance(distribution, LogNormal):
+        return np.asarray(np.log(x / distribution.median_value) / math.log(distribution.factor))
+    if isinstance(distribution, Normal) and math.isinf(distribution.lower) and math.isinf(distribution.upper):
+        return np.asarray((x - distribution.mean) / distribution.sd)
+    low, high = np.full(x.shape, -8.0), np.full(x.shape, 8.0)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        above = from_standard(distribution, middle) > x
+        high, low = np.where(above, middle, high), np.where(above, low, middle)
+    return np.asarray(0.5 * (low + high))
