@@ -1,0 +1,155 @@
+"""The command line: arguments only. Each command is one public call, and prints what the call's result says of itself."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from bayes_damper.errors import BayesDamperError, ExitCode
+
+Arguments = argparse.Namespace
+
+
+def _call(name: str) -> Callable[..., Any]:
+    """A function of the package by "module:name"; imported only when its command runs, so that --help stays quick."""
+    module, _, function = name.partition(":")
+    return getattr(importlib.import_module(f"bayes_damper.{module}"), function)  # type: ignore[no-any-return]
+
+
+def _progress(args: Arguments) -> Any:
+    return _call("progress:make_progress")(quiet=args.quiet or args.json)
+
+
+def _demo(args: Arguments) -> Any:
+    return _call("demo:demo")(
+        out=args.out, seed=args.seed, workers=args.workers, quick=args.quick, progress=_progress(args)
+    )
+
+
+def _check(args: Arguments) -> Any:
+    return _call("check:check")(args.campaign)
+
+
+def _simulate(args: Arguments) -> Any:
+    return _call("simulate:simulate_record")(
+        case=args.case,
+        coupled=not args.uncoupled,
+        settings=args.set or [],
+        effect=args.effect,
+        rate=args.rate,
+        duration=args.duration,
+        out=args.out,
+        effects_folder=args.effects,
+    )
+
+
+def _fit(args: Arguments) -> Any:
+    return _call("fit:fit")(
+        args.campaign,
+        cases=args.case,
+        priors=args.priors,
+        normal_force=args.normal_force,
+        out=args.out,
+        seed=args.seed,
+        workers=args.workers,
+        scheduler=args.scheduler,
+        thorough=args.thorough,
+        most_steps=args.most_steps,
+        progress=_progress(args),
+    )
+
+
+def _resume(args: Arguments) -> Any:
+    return _call("resume:resume")(args.folder, more=args.more, workers=args.workers, progress=_progress(args))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="bayes-damper",
+        description="Calibrate a magnetically coupled mass damper against measurements, with honest uncertainty, and find "
+        "out where and why the model and the rig differ.",
+        epilog="Exit codes: 0 done, 2 bad input, 3 did not converge (results written and marked), 4 a self-check failed, "
+        "130 interrupted (state saved).",
+    )
+    parser.add_argument("--version", action="version", version=_version())
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    def command(name: str, run: Callable[[Arguments], Any], text: str, *, out: str | None = None) -> Any:
+        sub = commands.add_parser(name, help=text, description=text)
+        sub.set_defaults(run=run)
+        if out is not None:
+            sub.add_argument("--out", type=Path, default=Path(out), help=f"folder for the results (default: {out})")
+        sub.add_argument("--seed", type=int, default=1, metavar="N", help="decides every random number (default: 1)")
+        sub.add_argument("--quiet", action="store_true", help="no progress, no summary: only errors")
+        sub.add_argument("--json", action="store_true", help="print the result as JSON instead of text")
+        return sub
+
+    def workers(sub: Any) -> None:
+        sub.add_argument("--workers", type=int, default=2, metavar="N", help="processes on this machine (default: 2)")
+        sub.add_argument("--scheduler", metavar="ADDRESS", help="run on an existing Dask cluster instead")
+
+    sub = command("demo", _demo, "the main job on the shipped data, start to report", out="results/demo")
+    sub.add_argument("--quick", action="store_true", help="a tenth of the draws: for a first look, marked as such")
+    workers(sub)
+
+    sub = command("check", _check, "read and validate a campaign, or name every fault")
+    sub.add_argument("campaign", help="folder of the campaign, or `thesis`")
+
+    sub = command("simulate", _simulate, "one noise-free record of the thesis's rig, in the record format")
+    sub.add_argument("--case", default="IV", help="thesis case: I, II, III or IV (default: IV)")
+    sub.add_argument("--uncoupled", action="store_true", help="the primary inertia alone")
+    sub.add_argument("--set", action="append", metavar="NAME=VALUE", help="a parameter, a rig key, or EFFECT.PARAMETER")
+    sub.add_argument("--effect", metavar="NAME", help="an effect of the library, at the first of its typical values")
+    sub.add_argument("--effects", type=Path, metavar="DIR", help="a folder with effects of your own")
+    sub.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="sample rate (default: 1000)")
+    sub.add_argument("--duration", type=float, default=1.0, metavar="S", help="length of the record (default: 1)")
+    sub.add_argument("--out", type=Path, required=True, metavar="F.csv", help="the record to write")
+
+    sub = command("fit", _fit, "posterior per case, and of all cases together for a campaign", out="results/fit")
+    sub.add_argument("campaign", help="folder of the campaign, or `thesis`")
+    sub.add_argument("--case", action="append", metavar="C", help="only this case (repeat for several)")
+    sub.add_argument("--priors", type=Path, metavar="F.toml", help="prior file in place of the shipped one")
+    sub.add_argument("--normal-force", choices=("linear", "constant"), help="law of the magnet's pull (eq. 20)")
+    sub.add_argument("--thorough", action="store_true", help="50 autocorrelation times instead of 20")
+    sub.add_argument("--most-steps", type=int, metavar="N", help="give up after N steps of each ensemble")
+    workers(sub)
+
+    sub = command("resume", _resume, "go on with an interrupted run; --more extends a finished one")
+    sub.add_argument("folder", type=Path, help="the folder that the run writes to")
+    sub.add_argument("--more", action="store_true", help="extend a run that has finished")
+    sub.add_argument("--workers", type=int, metavar="N", help="processes on this machine (default: as before)")
+    return parser
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("bayes-damper")
+    except PackageNotFoundError:
+        return "0 (not installed)"
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; its exit code (see --help)."""
+    args = _parser().parse_args(argv)
+    try:
+        result = args.run(args)
+    except BayesDamperError as error:
+        print(f"bayes-damper {args.command}: {error}", file=sys.stderr)
+        return int(error.exit_code)
+    except KeyboardInterrupt:
+        print(f"bayes-damper {args.command}: stopped", file=sys.stderr)
+        return int(ExitCode.INTERRUPTED)
+    if not args.quiet:
+        print(json.dumps(result.to_json(), indent=1) if args.json else result.text())
+    return int(result.exit_code)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
