@@ -1,0 +1,213 @@
+"""What the readings of one channel look like, before any model: noise floor, resolution, gaps, flat tops, spikes.
+
+Pure functions of arrays; campaign.py makes sentences of what they find. Nothing here alters a reading.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+_MAD_TO_SD = 1.482602218505602
+
+
+def noise_floor_of(readings: Array) -> float:
+    """Standard deviation of the white noise of one channel, in the unit of the readings.
+
+    Differences of order six cancel whatever is smooth over seven samples; their median absolute value, divided by
+    sqrt(924) (the root of the sum of the squared binomial coefficients), is the noise. Robust against jumps and
+    spikes; noise that is correlated over several samples (a low-pass sensor) comes out too small. Never below the
+    noise of rounding, step / sqrt(12). Zero for fewer than four readings.
+
+    readings : (n,)
+    """
+    order = 6 if len(readings) >= 20 else 2
+    if len(readings) < order + 2:
+        return 0.0
+    differences = np.diff(readings, order)
+    scale = math.sqrt(math.comb(2 * order, order))
+    noise = _MAD_TO_SD * float(np.median(np.abs(differences))) / scale
+    if noise == 0.0:
+        noise = min(float(np.std(differences)) / scale, float(np.std(readings)))
+    step = resolution_of(readings)
+    return max(noise, step / math.sqrt(12.0)) if step > 0.0 else noise
+
+
+def resolution_of(readings: Array) -> float:
+    """Step in which one channel is quantised, 0 where no common step shows.
+
+    A step shows when values recur (fewer than half of them are distinct) and all of them lie on its multiples.
+    """
+    values = np.unique(readings)
+    if len(values) < 3 or len(values) > 0.5 * len(readings):
+        return 0.0
+    steps = np.diff(values)
+    span = values[-1] - values[0]
+    step = float(np.median(np.sort(steps[steps > 1e-9 * span])[: max(1, len(steps) // 10)]))
+    multiples = steps / step
+    close = np.abs(multiples - np.round(multiples)) < 0.15
+    return step if np.mean(close) > 0.8 else 0.0
+
+
+def gaps_of(times: Array) -> list[tuple[float, float]]:
+    """The stretches (start, end), in seconds, where more than one sample is missing from an otherwise denser record."""
+    steps = np.diff(times)
+    where = np.flatnonzero(steps > 2.5 * np.median(steps))
+    return [(float(times[i]), float(times[i + 1])) for i in where]
+
+
+def unevenness_of(times: Array) -> float:
+    """Largest departure of a time step from the median step, as a share of it; gaps are left out."""
+    steps = np.diff(times)
+    middle = float(np.median(steps))
+    ordinary = steps[steps <= 2.5 * middle]
+    return float(np.max(np.abs(ordinary - middle))) / middle
+
+
+def flat_tops_of(times: Array, readings: Array, noise: float, omega: float, held_at_first: bool) -> list[float]:
+    """The levels at which a channel seems to end: at most one below and one above.
+
+    Two signs: runs of three and more equal extreme values (in a channel whose values do not recur otherwise), or a
+    run within six standard deviations of the extreme that lasts 1.4 times as long as the turn of a sinusoid of
+    angular frequency `omega` (rad/s) and is flat to the noise. With `held_at_first` a run that begins with the
+    record is no sign: the rig is held there.
+    """
+    levels: list[float] = []
+    centre = float(np.median(readings))
+    step = resolution_of(readings)
+    dt = float(np.median(np.diff(times)))
+    for side in (-1.0, 1.0):
+        y = side * (readings - centre)
+        top = float(np.max(y))
+        if top <= 12.0 * max(noise, step):
+            continue
+        if _flat_by_equality(y, top, step, dt, omega, held_at_first) or _flat_by_spread(
+            y, top, max(noise, step / 3.0), dt, omega, held_at_first
+        ):
+            levels.append(centre + side * top)
+    return levels
+
+
+def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Half-open index ranges in which `mask` holds."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _flat_by_equality(y: Array, top: float, step: float, dt: float, omega: float, held_at_first: bool) -> bool:
+    runs = [b - a for a, b in _runs(y >= top - 1e-9 * abs(top)) if not (held_at_first and a == 0)]
+    turn = 2.0 * math.acos(max(-1.0, 1.0 - step / top)) / (omega * dt)  # samples that a rounded sinusoid stays there
+    return bool(runs) and max(runs) >= 3 and max(runs) > 2.0 * turn + 1.0
+
+
+def _flat_by_spread(y: Array, top: float, noise: float, dt: float, omega: float, held_at_first: bool) -> bool:
+    width = 6.0 * noise
+    turn = 2.0 * math.acos(max(-1.0, 1.0 - width / top)) / (omega * dt)
+    for a, b in _runs(y > top - width):
+        inside = y[a + 2 : b - 2]
+        if (held_at_first and a == 0) or len(inside) < 8:
+            continue
+        slope = np.polyfit(np.arange(len(inside)), inside, 2)
+        bow = abs(slope[0]) * (len(inside) / 2.0) ** 2
+        if b - a > 1.4 * turn and np.std(inside) < 1.3 * noise and bow < 1.5 * noise:
+            return True
+    return False
+
+
+def outliers_of(times: Array, readings: Array, noise: float, omega: float) -> list[int]:
+    """Indices of single readings that leave both neighbours by ten standard deviations and more.
+
+    The bend of the motion itself, of angular frequency up to 5 `omega` (rad/s), is allowed for.
+    """
+    if len(readings) < 7:
+        return []
+    inner = readings[2:-2]
+    around = np.stack([readings[0:-4], readings[1:-3], readings[3:-1], readings[4:]])
+    departure = inner - np.median(around, axis=0)
+    dt = float(np.median(np.diff(times)))
+    bend = 2.0 * np.ptp(readings) * min(1.0, (5.0 * omega * dt) ** 2)
+    bound = max(10.0 * noise, bend, 1e-9 * float(np.ptp(readings)))
+    spike = (np.abs(departure) > bound) & (np.abs(departure) > 3.0 * np.ptp(around[1:3], axis=0))
+    return [int(i) + 2 for i in np.flatnonzero(spike)]
+
+
+def offset_of(times: Array, readings: Array, noise: float, omega: float) -> float:
+    """Level at which the channel rests at the end of the record; 0 where the last quarter shows none.
+
+    An offset shows when the mean over the last quarter, taken over at least one period, is beyond half of the
+    scatter there and beyond eight standard errors.
+    """
+    tail = readings[times >= times[-1] - max(0.25 * (times[-1] - times[0]), 2.0 * math.pi / omega)]
+    if len(tail) < 8:
+        return 0.0
+    mean, scatter = float(np.mean(tail)), float(np.std(tail))
+    return mean if abs(mean) > max(0.5 * scatter, 8.0 * noise / math.sqrt(len(tail))) else 0.0
+
+
+def dominant_frequency(times: Array, readings: Array) -> float:
+    """Frequency of the strongest line, in Hz: peak of the windowed spectrum, refined by a parabola; 0 if none."""
+    count = len(times)
+    if count < 8:
+        return 0.0
+    even = np.linspace(times[0], times[-1], count)
+    y = np.interp(even, times, readings)
+    size = 8 * count
+    power = np.abs(np.fft.rfft((y - np.mean(y)) * np.hanning(count), size))
+    i = int(np.argmax(power[1:-1])) + 1
+    a, b, c = power[i - 1 : i + 2]
+    bend = a - 2.0 * b + c
+    shift = 0.5 * (a - c) / bend if bend != 0.0 else 0.0
+    return float((i + shift) / (size * (even[1] - even[0])))
+
+
+def find_release(times: Array, readings: Array) -> float:
+    """Instant at which a held rig begins to move, in seconds on the clock of the record.
+
+    The first hundredth of the record (at least five readings) is taken as held: level and noise come from it. The
+    motion begins with the first of three successive readings beyond six standard deviations; the instant is the
+    reading before them. When nothing moves, the start of the record is returned.
+
+    times : (n,) s; readings : (n,), any quantity, any unit
+    """
+    count = max(5, len(readings) // 100)
+    head = readings[:count]
+    level = float(np.median(head))
+    noise = max(noise_floor_of(readings), float(np.std(head)), 1e-12 * float(np.ptp(readings)))
+    beyond = np.abs(readings - level) > 6.0 * noise
+    lasting = beyond[:-2] & beyond[1:-1] & beyond[2:]
+    if not lasting.any():
+        return float(times[0])
+    first = int(np.argmax(lasting))
+    return float(times[max(first - 1, 0)])
+
+
+def find_first_peak(times: Array, readings: Array, omega: float | None = None) -> float:
+    """Instant of the first turning point of an oscillation, in seconds on the clock of the record.
+
+    Where a start by hand spoils the first swing, the record is used from there on. The first crossing of the middle
+    position is looked for; the turning point is the largest excursion before it, refined by a parabola through
+    the readings within a fortieth of a period.
+
+    times : (n,) s; readings : (n,), displacement or acceleration; omega : rad/s, from the spectrum when not given
+    """
+    middle = float(np.median(readings[len(readings) // 2 :]))
+    y = readings - middle
+    crossings = np.flatnonzero(np.sign(y[:-1]) * np.sign(y[1:]) < 0)
+    swing = 0.2 * float(np.max(np.abs(y)))
+    start, peak = 0, int(np.argmax(np.abs(y)))
+    for end in [*crossings.tolist(), len(y) - 1]:
+        stretch = np.abs(y[start : end + 1])
+        if len(stretch) > 2 and stretch.max() > swing:
+            peak = start + int(np.argmax(stretch))
+            break
+        start = end + 1
+    rate = omega / (2.0 * math.pi) if omega else dominant_frequency(times, readings)
+    near = np.abs(times - times[peak]) <= max(1.0 / (40.0 * max(rate, 1e-9)), 2.0 * float(np.median(np.diff(times))))
+    if near.sum() < 4 or rate <= 0.0:
+        return float(times[peak])
+    a, b, _ = np.polyfit(times[near] - times[peak], y[near], 2)
+    vertex = -b / (2.0 * a) if a != 0.0 else 0.0
+    return float(times[peak] + np.clip(vertex, *(np.array([times[near][0], times[near][-1]]) - times[peak])))

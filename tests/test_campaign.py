@@ -1,0 +1,318 @@
+"""Reading a campaign: every fault gets its sentence, every oddity its warning, and a sound one comes back whole."""
+
+from __future__ import annotations
+
+import gzip
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from campaigns import decay, read_table, write_synthetic, write_table
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bayes_damper.campaign import Constant, load_campaign, noise_floor, write_campaign
+from bayes_damper.errors import InputError
+
+FIRST = "trials/IV_uncoupled_1.csv"
+COUPLED = "trials/IV_coupled_1.csv"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return write_synthetic(tmp_path / "campaign")
+
+
+def faults_of(folder: Path) -> list[str]:
+    with pytest.raises(InputError) as caught:
+        load_campaign(folder)
+    return list(caught.value.faults)
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+
+
+def alter(path: Path, change: Callable[[list[np.ndarray]], list[np.ndarray]]) -> None:
+    names, columns = read_table(path)
+    write_table(path, names, change(columns))
+
+
+def test_a_sound_campaign_gives_no_warning(folder: Path) -> None:
+    campaign = load_campaign(folder)
+    assert campaign.warnings == ()
+    assert campaign.cases == ("IV",)
+    assert len(campaign.select(configuration="coupled")) == 3
+    first = campaign.trials[0]
+    assert first.channels.shape == (1, 1001)
+    assert first.theta0 is not None
+    assert first.theta0.value == pytest.approx(math.radians(4.7))
+    assert first.theta0.std == pytest.approx(math.radians(0.1))
+    assert campaign.measurement.noise_std == (2.0, 2.0)
+    assert len(campaign.sha256) == 64
+
+
+def test_the_last_trial_of_each_group_is_held_out_unless_marked(folder: Path) -> None:
+    assert {t.key for t in load_campaign(folder).heldout} == {("IV", "uncoupled", 3), ("IV", "coupled", 3)}
+    lines = (folder / "trials.csv").read_text().splitlines()
+    marked = [lines[0] + ",holdout", lines[1] + ",true", *(line + "," for line in lines[2:])]
+    (folder / "trials.csv").write_text("\n".join(marked))
+    campaign = load_campaign(folder)
+    assert [t.key for t in campaign.heldout] == [("IV", "uncoupled", 1)]
+    assert len(campaign.training) == 5
+
+
+def test_what_is_written_reads_back_the_same(folder: Path, tmp_path: Path) -> None:
+    campaign = load_campaign(folder)
+    again = load_campaign(write_campaign(tmp_path / "copy", campaign))
+    assert (again.name, again.rig, again.measurement) == (campaign.name, campaign.rig, campaign.measurement)
+    for a, b in zip(campaign.trials, again.trials, strict=True):
+        assert (a.key, a.k1t, a.theta0, a.holdout) == (b.key, b.k1t, b.theta0, b.holdout)
+        assert np.array_equal(a.channels, b.channels)
+    with pytest.raises(InputError, match="holds a campaign already"):
+        write_campaign(tmp_path / "copy", campaign)
+
+
+def test_the_checksum_changes_with_any_byte(folder: Path) -> None:
+    before = load_campaign(folder).sha256
+    assert load_campaign(folder).sha256 == before
+    with (folder / FIRST).open("a") as file:
+        file.write("\n")
+    assert load_campaign(folder).sha256 != before
+
+
+def test_reading_a_full_campaign_is_fast(tmp_path: Path) -> None:
+    cases = (("I", 6.2, 5.7), ("II", 6.2, 7.2), ("III", 10.2, 2.7), ("IV", 10.2, 4.7))
+    write_synthetic(tmp_path, cases)
+    start = time.perf_counter()
+    assert len(load_campaign(tmp_path).trials) == 24
+    assert time.perf_counter() - start < 1.0
+
+
+def test_compressed_records_are_read(folder: Path) -> None:
+    raw = (folder / FIRST).read_bytes()
+    (folder / (FIRST + ".gz")).write_bytes(gzip.compress(raw))
+    edit(folder / "trials.csv", FIRST, FIRST + ".gz")
+    assert len(load_campaign(folder).trials) == 6
+    (folder / (FIRST + ".gz")).write_bytes(gzip.compress(raw)[:-400])
+    assert "not a whole gzip file" in faults_of(folder)[0]
+
+
+TOML_FAULTS = [
+    (
+        "primary_inertia = 3.015e-3",
+        "primary_inertai = 3.015e-3",
+        "unknown key 'primary_inertai'; did you mean 'primary_inertia'?",
+    ),
+    ("primary_inertia = 3.015e-3", "primary_inertia = -3.015e-3", "primary_inertia = -0.003015 must be positive"),
+    ("primary_inertia = 3.015e-3", "primary_inertia = '3'", "primary_inertia must be a number"),
+    ("primary_inertia = 3.015e-3", "primary_inertia = true", "primary_inertia must be a number"),
+    ("primary_inertia = 3.015e-3", "primary_inertia = nan", "primary_inertia must be finite"),
+    ("bar_radius = 0.10", "bar_radius = 100.0", "it looks like millimetres"),
+    ("bar_radius = 0.10", "", "bar_radius (R, m) is missing"),
+    ("secondary_inertia = 2.474e-3", "", "secondary_inertia is missing"),
+    ("bar_radius = 0.10", "bar_radius = {value = 0.1, sd = 0.01}", "unknown key 'sd'; did you mean 'std'?"),
+    ("bar_radius = 0.10", "bar_radius = {value = 0.1, std = -0.01}", "std = -0.01 is negative"),
+    ('"acceleration"', '"accelration"', "did you mean 'acceleration'?"),
+    ('name = "synthetic"', "", "key 'name' is missing"),
+    ("[rig]", "[rigg]", "unknown key 'rigg'; did you mean 'rig'?"),
+    ("noise_std = 2.0", "noise_std = -2.0", "noise_std = -2.0 must be positive"),
+    ("[rig]", "[rig", "campaign.toml: not valid TOML"),
+    ("bar_radius = 0.10", "bar_radius = 0.10\ninertial_coupling = 1.0", "no rig has such an inertia matrix"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "sentence"), TOML_FAULTS)
+def test_faults_of_campaign_toml(folder: Path, old: str, new: str, sentence: str) -> None:
+    edit(folder / "campaign.toml", old, new)
+    assert any(sentence in fault and "campaign.toml" in fault for fault in faults_of(folder))
+
+
+TRIAL_FAULTS = [
+    ("configuration,", "config,", "column 'configuration' is missing"),
+    ("k1t_n_m_per_rad", "k1_n_per_m", "does not belong to a torsional rig; use 'k1t_n_m_per_rad'"),
+    (f"{FIRST},IV,uncoupled", f"{FIRST},IV,uncopled", "line 2: configuration 'uncopled' is not uncoupled or coupled"),
+    (FIRST, "../other.csv", "line 2: ../other.csv leaves the campaign's folder"),
+    (FIRST, "/etc/hosts", "leaves the campaign's folder"),
+    (FIRST, "trials/none.csv", "trials/none.csv (trials.csv, line 2): no such file"),
+    ("4.7,2", "4.7,1", "line 3: case IV, uncoupled, trial 1 is already on line 2"),
+    ("10.2,4.7,1", "ten,4.7,1", "line 2, k1t_n_m_per_rad: 'ten' is not a number"),
+    ("10.2,4.7,1", "10.2,,1", "line 2: theta0_deg is empty"),
+    ("10.2,4.7,1", "10.2,4,7,1", "line 2: 7 fields where the header has 6"),
+    ("10.2,4.7,1", "-10.2,4.7,1", "k1t_n_m_per_rad = -10.2 must be positive"),
+    ("10.2,4.7,1", "10.2,nan,1", "'nan' is not finite"),
+    ("10.2,4.7,1", "10.2,4.7,1.5", "trial '1.5' is not a whole number"),
+    ("10.2,4.7,1", "10.2,0.082,1", "it looks like degrees taken for radians"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "sentence"), TRIAL_FAULTS)
+def test_faults_of_trials_csv(folder: Path, old: str, new: str, sentence: str) -> None:
+    edit(folder / "trials.csv", old, new)
+    assert any(sentence in fault for fault in faults_of(folder))
+
+
+RECORD_FAULTS = [
+    ("alpha1_rad_s2", "alpha_1", "line 1: column 'alpha1_rad_s2' is missing"),
+    ("alpha1_rad_s2", "theta1_rad", 'these are the columns of kind = torsional, quantity = "displacement"'),
+    ("time_s,", "time_ms,", "column 'time_s' is missing"),
+    ("\n0.002,", "\n0.002,nan\n0.0021,", "line 4, column 'alpha1_rad_s2': nan is no reading"),
+    ("\n0.002,", "\n0.0019,\n0.002,", "line 4, column 'alpha1_rad_s2': the cell is empty"),
+    ("\n0.002,", "\n0.0019,oops\n0.002,", "line 4, column 'alpha1_rad_s2': 'oops' is not a number"),
+    ("\n0.002,", "\n0.0005,", "line 4: time_s does not increase"),
+    ("\n0.002,", "\n0,002,", "line 4: 3 fields where the header has 2; decimal commas?"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "sentence"), RECORD_FAULTS)
+def test_faults_of_a_record(folder: Path, old: str, new: str, sentence: str) -> None:
+    edit(folder / FIRST, old, new)
+    faults = faults_of(folder)
+    assert any(sentence in fault and FIRST in fault for fault in faults), faults
+
+
+ALTERED = [
+    (lambda c: [c[0], np.degrees(c[1])], "it looks like degrees taken for radians"),
+    (lambda c: [c[0], c[1] * 0.1 / 9.81], "it looks like g at the mounting radius"),
+    (lambda c: [c[0] * 1000.0, c[1]], "it looks like milliseconds"),
+    (lambda c: [c[0][:60], c[1][:60]], "is less than one natural period"),
+    (lambda c: [c[0], 0.0 * c[1]], "every reading is the same"),
+]
+
+
+@pytest.mark.parametrize(("change", "sentence"), ALTERED)
+def test_wrong_units_and_short_records(folder: Path, change: Callable, sentence: str) -> None:
+    alter(folder / FIRST, change)
+    faults = faults_of(folder)
+    assert len(faults) == 1
+    assert sentence in faults[0]
+    assert FIRST in faults[0]
+
+
+def test_a_coupled_trial_needs_its_second_channel(folder: Path) -> None:
+    names, columns = read_table(folder / COUPLED)
+    write_table(folder / COUPLED, names[:2], columns[:2])
+    assert "needs its second channel" in faults_of(folder)[0]
+
+
+@pytest.mark.parametrize("content", [b"", b"\n \n", b"time_s;alpha1_rad_s2\n0,0;1,0\n", b"\xff\xfe\x00t"])
+def test_unreadable_records(folder: Path, content: bytes) -> None:
+    (folder / FIRST).write_bytes(content)
+    faults = faults_of(folder)
+    assert len(faults) == 1
+    assert FIRST in faults[0]
+
+
+def test_all_faults_of_all_files_come_at_once(folder: Path) -> None:
+    edit(folder / "campaign.toml", "bar_radius", "bar_radios")
+    edit(folder / "trials.csv", "coupled,10.2,4.7,2", "coupled,x,4.7,2")
+    edit(folder / COUPLED, "alpha2_rad_s2", "beta")
+    text = "\n".join(faults_of(folder))
+    assert all(part in text for part in ("'bar_radios'", "'x' is not a number", "column 'alpha2_rad_s2' is missing"))
+
+
+def test_no_trials_and_no_folder(folder: Path) -> None:
+    header = (folder / "trials.csv").read_text().splitlines()[0]
+    (folder / "trials.csv").write_text(header + "\n")
+    assert faults_of(folder) == ["trials.csv: no trials; write one row for each record"]
+    assert "no such folder" in faults_of(folder / "nowhere")[0]
+
+
+def test_friction_fixed_at_zero_needs_no_magnet(folder: Path) -> None:
+    for line in ("bar_radius = 0.10\n", "magnet_radius = 0.0127\n", "magnet_pull = 100.0\n"):
+        edit(folder / "campaign.toml", line, "")
+    assert len(faults_of(folder)) == 3
+    (folder / "priors.toml").write_text("mu = 0.0\n")
+    assert not load_campaign(folder).rig.has_magnet
+
+
+def _clip(columns: list[np.ndarray]) -> list[np.ndarray]:
+    return [columns[0], np.clip(columns[1], -100.0, 100.0)]
+
+
+def _noisy_clip(columns: list[np.ndarray]) -> list[np.ndarray]:
+    wave = decay(columns[0], math.radians(4.7), 10.2, 0.031)
+    return [columns[0], np.clip(wave, -110.0, 110.0) + np.random.default_rng(2).standard_normal(len(wave))]
+
+
+def _spike(columns: list[np.ndarray]) -> list[np.ndarray]:
+    columns[1][300] += 90.0
+    return columns
+
+
+ODD = [
+    (_clip, "it looks clipped there"),
+    (_noisy_clip, "it looks clipped there"),
+    (_spike, "1 single readings stick out, at 0.3 s"),
+    (lambda c: [c[0] + 0.0003 * np.sin(np.arange(len(c[0]))), c[1]], "time is uneven"),
+    (lambda c: [np.delete(x, slice(400, 450)) for x in c], "1 gaps in time, the longest from 0.399 to 0.45 s"),
+    (lambda c: [c[0][80:], c[1][80:]], "late start: the record begins 0.08 s"),
+    (lambda c: [c[0][:-80], c[1][80:]], "the record begins after the motion began"),
+    (lambda c: [c[0], -c[1]], "the sign of the channel looks reversed"),
+    (lambda c: [c[0] - 0.04, c[1]], "motion begins 0.04 s before the nominal release"),
+    (lambda c: [c[0], np.concatenate([0.1 * np.sin(np.arange(50)), c[1][:-50]])], "motion begins 0.05 s after"),
+    (lambda c: [0.9 * c[0], c[1]], "the time column says 1111.1 Hz, sample_rate says 1000"),
+    (lambda c: [c[0], 16.0 * np.round(c[1] / 16.0)], "quantised in steps of 16"),
+    (lambda c: [c[0], c[1] + 20.0], "the sensor has an offset"),
+    (lambda c: [c[0], c[1] + 9.0 * np.random.default_rng(3).standard_normal(len(c[0]))], "noise_std says 2"),
+    (lambda c: [c[0], decay(c[0], 0.08, 12.5, 0.06) + 2.0 * np.sin(1e4 * c[0])], "unlike its repeats"),
+]
+
+
+@pytest.mark.parametrize(("change", "sentence"), ODD)
+def test_odd_records_are_told_and_read(folder: Path, change: Callable, sentence: str) -> None:
+    alter(folder / FIRST, change)
+    warnings = load_campaign(folder).warnings
+    assert any(sentence in w and FIRST in w for w in warnings), warnings
+
+
+def test_single_trials_and_caveats_are_told(tmp_path: Path) -> None:
+    folder = write_synthetic(tmp_path, repeats=1)
+    edit(folder / "campaign.toml", "[rig]", 'caveats = ["The clock may be 2 % off."]\n[rig]')
+    campaign = load_campaign(folder)
+    assert campaign.warnings[0] == "The clock may be 2 % off."
+    assert any("only one trial of IV uncoupled, IV coupled" in w for w in campaign.warnings)
+    assert campaign.heldout == ()
+    assert "warning: The clock" in campaign.describe()
+
+
+def test_translational_records_and_free_starts(tmp_path: Path) -> None:
+    toml = (
+        'name = "t"\n[rig]\nkind = "translational"\nprimary_inertia = 1.0\n[measurement]\nquantity = "displacement"\n'
+        'start = "free"\n'
+    )
+    (tmp_path / "campaign.toml").write_text(toml)
+    (tmp_path / "trials.csv").write_text("file,case,configuration,k1_n_per_m,trial\nr.csv,A,uncoupled,40.0,1\n")
+    times = np.arange(500) / 50.0
+    rng = np.random.default_rng(0)
+    x = 0.03 * np.exp(-0.1 * times) * np.cos(6.3 * times) + 1e-4 * rng.standard_normal(500)
+    write_table(tmp_path / "r.csv", ["time_s", "x1_m"], [times, x])
+    campaign = load_campaign(tmp_path)
+    assert campaign.trials[0].theta0 is None
+    assert campaign.rig.bar_radius == Constant(1.0)
+    write_table(tmp_path / "r.csv", ["time_s", "x1_m"], [times, 1000.0 * x])
+    assert "it looks like millimetres" in faults_of(tmp_path)[0]
+
+
+@pytest.mark.parametrize("sigma", [0.3, 2.0, 10.0])
+def test_the_noise_floor_is_found_to_a_tenth(tmp_path: Path, sigma: float) -> None:
+    folder = write_synthetic(tmp_path, noise=sigma, repeats=6)
+    floors = np.concatenate([noise_floor(t) for t in load_campaign(folder).trials])
+    assert np.mean(floors) == pytest.approx(sigma, rel=0.1)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.binary(max_size=200))
+def test_no_content_of_a_record_escapes_as_another_error(content: bytes) -> None:
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = write_synthetic(Path(name), repeats=1, configurations=("uncoupled",), duration=0.3)
+        (folder / FIRST).write_bytes(b"time_s,alpha1_rad_s2\n" + content)
+        with pytest.raises(InputError):
+            load_campaign(folder)
