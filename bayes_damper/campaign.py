@@ -1025,6 +1025,9 @@ def _look_at_release(head: _Head, trial: Trial, omega: float, warnings: list[str
     first = float(np.median(y[:3]))
     largest = float(np.max(np.abs(y)))
     middle = {0: sign * first < 0.8 * level, 1: abs(first) > 0.3 * largest, 2: False}[power]
+    soon = min(int(np.searchsorted(times, onset + 0.13 / omega)), len(y) - 1)
+    if power == 2 and abs(first) <= 8.0 * noise and onset < times[0] + 0.3 / omega:  # no jump where a release jumps
+        middle = sign * y[soon] < 0.4 * float(np.quantile(np.abs(y), 0.998))
     if power == 2 and abs(first) > 8.0 * noise:
         middle = sign * first < 0.4 * float(np.quantile(np.abs(y), 0.998))
     if times[0] <= 1.5 * step and not early and middle:

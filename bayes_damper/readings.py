@@ -137,14 +137,14 @@ def outliers_of(times: Array, readings: Array, noise: float, omega: float) -> li
 def offset_of(times: Array, readings: Array, noise: float, omega: float) -> float:
     """Level at which the channel rests at the end of the record; 0 where the last quarter shows none.
 
-    An offset shows when the mean over the last quarter, taken over at least one period, is beyond half of the
-    scatter there and beyond eight standard errors.
+    The last quarter, or two and a half periods, is averaged with a window that suppresses the oscillation itself. An
+    offset shows when the mean is beyond a seventh of the scatter there and beyond eight standard errors.
     """
-    tail = readings[times >= times[-1] - max(0.25 * (times[-1] - times[0]), 2.0 * math.pi / omega)]
+    tail = readings[times >= times[-1] - max(0.25 * (times[-1] - times[0]), 5.0 * math.pi / omega)]
     if len(tail) < 8:
         return 0.0
-    mean, scatter = float(np.mean(tail)), float(np.std(tail))
-    return mean if abs(mean) > max(0.5 * scatter, 8.0 * noise / math.sqrt(len(tail))) else 0.0
+    mean, scatter = float(np.average(tail, weights=np.hanning(len(tail) + 2)[1:-1])), float(np.std(tail))
+    return mean if abs(mean) > max(0.15 * scatter, 8.0 * noise / math.sqrt(len(tail))) else 0.0
 
 
 def dominant_frequency(times: Array, readings: Array) -> float:

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from campaigns import decay, read_table, write_synthetic, write_table
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayes_damper.campaign import Constant, load_campaign, noise_floor, write_campaign
 from bayes_damper.errors import InputError
+from tests.campaigns import decay, read_table, write_synthetic, write_table
 
 FIRST = "trials/IV_uncoupled_1.csv"
 COUPLED = "trials/IV_coupled_1.csv"
