@@ -1,8 +1,9 @@
+# ruff: noqa: INP001, T201  (a script of its own, in no package, that talks to the terminal)
 """Makes campaigns whose cause is withheld.
 
     python data/withheld/make.py --kind easy --effect knock --level 0.5 --seed 7 --out FOLDER
     python data/withheld/make.py --set easy --seed 7 --out FOLDER --workers 2
-    python data/withheld/make.py --kind hard --effect library --effect none*20 --level 0.5 --level 1 --seed 7 --out FOLDER
+    python data/withheld/make.py --kind hard --effect library --effect none*20 --level 0.5 --seed 7 --out FOLDER
     python data/withheld/make.py --list
 
 --effect takes a name, "a+b" for two at once, a group (library, development, reserved, foreign, none, pairs, random),
@@ -68,7 +69,7 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error(str(fault))
     out = given.out.resolve()
     key = given.key or out.parent / f"{out.name}_key.json"
-    tell = (lambda line: None) if given.quiet else (lambda line: print(line, flush=True))
+    tell = None if given.quiet else print
     write_set(wanted[: given.limit], out, key, given.workers, given.salt, tell)
     return 0
 

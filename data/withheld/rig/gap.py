@@ -5,8 +5,9 @@ The fit is a damped Gauss-Newton search with finite differences over mu, k2t, c2
 one free release angle a record.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,9 +43,11 @@ class Fit:
 class Nominal:
     """The nominal model on a set of conditions, with its derivatives."""
 
-    def __init__(self, conditions: Sequence[Condition], times: NDArray[np.float64]) -> None:
+    def __init__(self, conditions: Sequence[Condition], times: NDArray[np.float64], late: float = 0.0) -> None:
         self.conditions = list(conditions)
         self.times = times
+        self.late = late
+        self.skip = round(late / SEARCH_STEP)
         self.keep = round(float(times[1] - times[0]) / SEARCH_STEP)
         self.size = times.size * sum(2 if c.coupled else 1 for c in self.conditions)
 
@@ -52,7 +55,10 @@ class Nominal:
         """Readings of condition i as one vector."""
         c = self.conditions[i]
         rig = c.rig | dict(zip(FITTED, np.exp(q).tolist(), strict=True)) | {"theta0": angle}
-        path = motion(rig, c.coupled, (), float(self.times[-1]), SEARCH_STEP, self.keep)
+        if self.skip:
+            path = motion(rig, c.coupled, (), float(self.times[-1]) + self.late, SEARCH_STEP)[self.skip :: self.keep]
+        else:
+            path = motion(rig, c.coupled, (), float(self.times[-1]), SEARCH_STEP, self.keep)
         return path[:, 4:6].T.ravel() if c.coupled else path[:, 4]
 
     def all(self, x: NDArray[np.float64]) -> list[NDArray[np.float64]]:
@@ -80,7 +86,9 @@ class Nominal:
         rig = self.conditions[0].rig
         return np.array([np.log(rig[n]) for n in FITTED] + [c.rig["theta0"] for c in self.conditions])
 
-    def fit(self, data: list[NDArray[np.float64]], x: NDArray[np.float64], rounds: int = 40) -> tuple[NDArray, Fit]:
+    def fit(
+        self, data: list[NDArray[np.float64]], x: NDArray[np.float64], rounds: int = 40
+    ) -> tuple[NDArray[np.float64], Fit]:
         """Damped Gauss-Newton search from x; returns (x, Fit)."""
         y = np.concatenate(data)
         low = np.concatenate([np.log([1e-6, 1e-3, 1e-5, 1e-6, 2.0, 1e-6, 1e-6]), np.full(len(data), 1e-3)])
@@ -111,26 +119,28 @@ class Nominal:
             if gained < 2e-3 * cost:
                 break
         edges = np.cumsum([0] + [d.size for d in data])
-        residuals = [r[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        residuals = [r[a:b] for a, b in pairwise(edges.tolist())]
         names = dict(zip(FITTED, np.exp(x[:7]).tolist(), strict=True))
         return x, Fit(names, x[7:], float(np.sqrt(cost / self.size)) / NOISE, residuals)
 
 
 def truth(
-    conditions: Sequence[Condition], times: NDArray[np.float64], disturbances: Sequence[Disturbance]
+    conditions: Sequence[Condition], times: NDArray[np.float64], disturbances: Sequence[Disturbance],
+    late: float = 0.0,
 ) -> list[NDArray[np.float64]]:
     """Noise-free readings of every condition, each as one vector."""
     return [
-        record(c.rig, c.coupled, times, disturbances, phase=c.phase, step=SEARCH_STEP).ravel() for c in conditions
+        record(c.rig, c.coupled, times, disturbances, -late, c.phase, SEARCH_STEP).ravel() for c in conditions
     ]
 
 
 def gap_of(
-    conditions: Sequence[Condition], times: NDArray[np.float64], disturbances: Sequence[Disturbance]
+    conditions: Sequence[Condition], times: NDArray[np.float64], disturbances: Sequence[Disturbance],
+    late: float = 0.0,
 ) -> Fit:
-    """Best nominal fit to these disturbances, from the true parameters and from softer friction."""
-    model = Nominal(conditions, times)
-    data = truth(conditions, times, disturbances)
+    """Best nominal fit to these disturbances, from the true parameters and from another smoothing constant."""
+    model = Nominal(conditions, times, late)
+    data = truth(conditions, times, disturbances, late)
     x0 = model.start()
     soft = x0.copy()
     soft[4] = np.log(30.0) if x0[4] > np.log(55.0) else np.log(90.0)
@@ -144,19 +154,24 @@ def amplitude_for(
     level: float,
     conditions: Sequence[Condition],
     times: NDArray[np.float64],
+    late: float = 0.0,
     tolerance: float = 0.03,
 ) -> tuple[float, float]:
-    """(amplitude, level reached). The level falls short where the kind's limit stops it; search in logarithms."""
-    model = Nominal(conditions, times)
+    """(size of the amplitude, level reached).
+
+    late : s by which the loggers start after the release. The level falls short where the kind's limit stops it and is
+    exceeded where its least amplitude is already too much.
+    """
+    model = Nominal(conditions, times, late)
     x0 = model.start()
     base = model.all(x0)
-    Q, _ = np.linalg.qr(model.jacobian(x0, base) / 1.0)
+    Q, _ = np.linalg.qr(model.jacobian(x0, base))
     flat = np.concatenate(base)
-    root = np.sqrt(model.size) * NOISE
+    root = float(np.sqrt(model.size)) * NOISE
     bound = kind.bound(sign)
 
     def data_at(s: float) -> list[NDArray[np.float64]]:
-        return truth(conditions, times, [kind.at(sign * s, shape)])
+        return truth(conditions, times, [kind.at(sign * s, shape)], late)
 
     def estimate(s: float) -> float:
         d = np.concatenate(data_at(s)) - flat
@@ -172,10 +187,15 @@ def amplitude_for(
         return best.level
 
     s = _solve(estimate, min(kind.scale, bound), level, bound, 0.05, 8)[0]
+    s = max(s, kind.least)
+    if s == kind.least and (reached := exact(s)) > level:
+        return s, reached
     return _solve(exact, s, level, bound, tolerance, 7)
 
 
-def _solve(f, s: float, wanted: float, bound: float, tolerance: float, rounds: int) -> tuple[float, float]:
+def _solve(
+    f: Callable[[float], float], s: float, wanted: float, bound: float, tolerance: float, rounds: int
+) -> tuple[float, float]:
     """Secant and bisection in logarithms for f(s) = wanted, s in (0, bound]; returns the best (s, f(s)) seen."""
     seen: list[tuple[float, float]] = []
     low, high = 0.0, np.inf

@@ -1,17 +1,18 @@
 """From motion to readings: the accelerometers, the logger's clock, and what can be wrong with them.
 
-Filters are linear state-space systems advanced with the bilinear rule on the fine grid of the motion, at rest before
-the release; delays and clock errors read the fine grid between its points.
+Filters are linear state-space systems advanced exactly for readings that are linear between the points of the fine
+grid, at rest before the release; delays and clock errors read the fine grid between its points.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
-from scipy.signal import bilinear, lfilter
+from scipy.linalg import expm
 
-from . import codes as C
+from . import codes
 
 
 @dataclass(frozen=True)
@@ -22,25 +23,56 @@ class Disturbance:
     p: tuple[float, float, float, float]
 
 
+@njit(cache=True)
+def _advance(
+    A: NDArray[np.float64],
+    before: NDArray[np.float64],
+    after: NDArray[np.float64],
+    c: NDArray[np.float64],
+    d: float,
+    u: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Output of x' = A x + (0, 1) u, y = c x + d u for u linear between samples, at rest before the first."""
+    y = np.empty(u.size)
+    x0 = x1 = 0.0
+    y[0] = d * u[0]
+    for i in range(1, u.size):
+        n0 = A[0, 0] * x0 + A[0, 1] * x1 + before[0] * u[i - 1] + after[0] * u[i]
+        n1 = A[1, 0] * x0 + A[1, 1] * x1 + before[1] * u[i - 1] + after[1] * u[i]
+        x0, x1 = n0, n1
+        y[i] = c[0] * x0 + c[1] * x1 + d * u[i]
+    return y
+
+
 def _filtered(y: NDArray[np.float64], num: Sequence[float], den: Sequence[float], step: float) -> NDArray[np.float64]:
-    b, a = bilinear(num, den, 1.0 / step)
-    return lfilter(b, a, y)
+    """(num[0] s^2 + num[1] s + num[2]) / (s^2 + den[0] s + den[1]) in controllable form, exact for a linear input."""
+    block = np.zeros((4, 4))  # state, input, slope of the input
+    block[:2, :2] = [[0.0, 1.0], [-den[1], -den[0]]]
+    block[1, 2] = 1.0
+    block[2, 3] = 1.0
+    power = expm(block * step)
+    after = power[:2, 3] / step
+    before = power[:2, 2] - after
+    c = np.array([num[2] - num[0] * den[1], num[1] - num[0] * den[0]])
+    A = np.ascontiguousarray(power[:2, :2])
+    out: NDArray[np.float64] = _advance(A, before, after, c, num[0], np.ascontiguousarray(y))
+    return out
 
 
 def _low_pass(y: NDArray[np.float64], tau: float, step: float) -> NDArray[np.float64]:
     """Two real poles, the second six times as fast as the first."""
-    fast = tau / 6.0
-    return _filtered(y, [1.0], [tau * fast, tau + fast, 1.0], step)
+    slow, fast = 1.0 / tau, 6.0 / tau
+    return _filtered(y, [0.0, 0.0, slow * fast], [slow + fast, slow * fast], step)
 
 
 def _high_pass(y: NDArray[np.float64], corner: float, step: float) -> NDArray[np.float64]:
     """Two zeros at nought, poles at the corner (rad/s) and at an eighth of it."""
     low = corner / 8.0
-    return _filtered(y, [1.0, 0.0, 0.0], [1.0, corner + low, corner * low], step)
+    return _filtered(y, [1.0, 0.0, 0.0], [corner + low, corner * low], step)
 
 
 def _resonance(y: NDArray[np.float64], share: float, wn: float, zeta: float, step: float) -> NDArray[np.float64]:
-    mount = _filtered(y, [wn * wn], [1.0, 2.0 * zeta * wn, wn * wn], step)
+    mount = _filtered(y, [0.0, 0.0, wn * wn], [2.0 * zeta * wn, wn * wn], step)
     return y + share * (mount - y)
 
 
@@ -74,31 +106,31 @@ def readings(
     for d in disturbances:
         a, p1, p2, p3 = d.p
         which = [c for c in range(len(channels)) if int(p1) in (c, 2)]
-        if d.code == C.SENSOR_GAIN:
+        if d.code == codes.SENSOR_GAIN:
             for c in which:
                 channels[c] = channels[c] * (1.0 + a)
-        elif d.code == C.SENSOR_DELAY:
+        elif d.code == codes.SENSOR_DELAY:
             for c in which:
                 lags[c] += a
-        elif d.code == C.SENSOR_BANDWIDTH and a > 0.0:
+        elif d.code == codes.SENSOR_BANDWIDTH and a > 0.0:
             channels = [_low_pass(y, a, step) for y in channels]
-        elif d.code == C.SENSOR_HIGHPASS and a > 0.0:
+        elif d.code == codes.SENSOR_HIGHPASS and a > 0.0:
             channels = [_high_pass(y, a, step) for y in channels]
-        elif d.code == C.SENSOR_CLIPPING and a > 0.0:
+        elif d.code == codes.SENSOR_CLIPPING and a > 0.0:
             for c in which:
                 channels[c] = soft_limit(channels[c], FULL_SCALE / a, p2)
-        elif d.code == C.MOUNT_RESONANCE:
+        elif d.code == codes.MOUNT_RESONANCE:
             for c in range(len(channels)):
                 if int(p3) in (c, 2):
                     channels[c] = _resonance(channels[c], a, p1, p2, step)
-        elif d.code == C.CHANNEL_CROSSTALK and coupled:
+        elif d.code == codes.CHANNEL_CROSSTALK and coupled:
             channels[1] = channels[1] + a * channels[0]
-        elif d.code == C.CLOCK_DRIFT:
+        elif d.code == codes.CLOCK_DRIFT:
             bend += a
-        elif d.code == C.QUANTISER_FAULT:
+        elif d.code == codes.QUANTISER_FAULT:
             for c in which:
                 channels[c] = channels[c] + a * (np.floor(channels[c] / p2) % 2.0)
-        elif d.code == C.CROSS_AXIS:
+        elif d.code == codes.CROSS_AXIS:
             for c in range(len(channels)):
                 channels[c] = channels[c] + a * (1.0, p2)[c] * speeds[c] ** 2
     since = times - release
@@ -109,7 +141,7 @@ def readings(
         at = since - lags[c]
         out[c] = np.where(at > -1e-9, np.interp(at, grid, y), 0.0)
     for d in disturbances:
-        if d.code == C.MAINS_HUM:
+        if d.code == codes.MAINS_HUM:
             for c in range(len(channels)):
                 out[c] += d.p[0] * (1.0, d.p[2])[c] * np.sin(2.0 * np.pi * d.p[1] * times + phase + 0.4 * c)
     return out

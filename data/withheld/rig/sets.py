@@ -1,12 +1,12 @@
 """Sets of campaigns: which orders a set holds, how they are made in shuffled order, and the key they share."""
 
 import json
-import os
 import secrets
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -74,24 +74,31 @@ def orders(
 
 
 def write_set(
-    wanted: Sequence[Order], folder: Path, key_file: Path, workers: int = 1, salt: str | None = None,
-    tell: Callable[[str], None] = lambda line: None,
-) -> dict:
+    wanted: Sequence[Order],
+    folder: Path,
+    key_file: Path,
+    workers: int = 1,
+    salt: str | None = None,
+    tell: Callable[[str], None] | None = None,
+) -> dict[str, Any]:
     """Makes every campaign of the set and writes the key after each (existing entries are kept); returns the key."""
-    key = json.loads(key_file.read_text()) if key_file.exists() else {"schema": KEY_SCHEMA, "campaigns": {}}
-    salt = salt or key.get("salt") or secrets.token_hex(16)
+    key: dict[str, Any] = {"schema": KEY_SCHEMA, "campaigns": {}}
+    if key_file.exists():
+        key = json.loads(key_file.read_text())
+    salt = str(salt or key.get("salt") or secrets.token_hex(16))
     key["salt"] = salt
     folder.mkdir(parents=True, exist_ok=True)
     key_file.parent.mkdir(parents=True, exist_ok=True)
     todo = [o for o in wanted if folder_name(o, salt) not in key["campaigns"]]
 
-    def keep(order: Order, entry: dict) -> None:
+    def keep(order: Order, entry: dict[str, Any]) -> None:
         key["campaigns"][folder_name(order, salt)] = entry
         key["campaigns"] = dict(sorted(key["campaigns"].items()))
         draft = key_file.with_suffix(".tmp")
         draft.write_text(json.dumps(key, indent=1) + "\n")
-        os.replace(draft, key_file)
-        tell(f"{len(key['campaigns'])} campaigns, {folder_name(order, salt)}")
+        draft.replace(key_file)
+        if tell is not None:
+            tell(f"{len(key['campaigns'])} campaigns, {folder_name(order, salt)}")
 
     if workers == 1:
         for order in todo:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from . import codes as C
+from . import codes
 from .equations import integrate, rig_array
 from .sensors import Disturbance, readings
 
@@ -24,36 +24,42 @@ def disturbed_start(
     start[1] = rig["theta0"] if coupled else 0.0
     for i, d in enumerate(disturbances):
         a, p1 = d.p[0], d.p[1]
-        if d.code == C.STIFFNESS_ERROR:
+        if d.code == codes.STIFFNESS_ERROR:
             rig["k1t"] *= 1.0 + a
-        elif d.code == C.INERTIA_ERROR:
+        elif d.code == codes.INERTIA_ERROR:
             rig["J2"] *= 1.0 + a
-        elif d.code in (C.FLEXIBLE_SHAFT, C.CLAMP_PLAY):
+        elif d.code in (codes.FLEXIBLE_SHAFT, codes.CLAMP_PLAY):
             rig["J1"] *= 1.0 - a
-        elif d.code == C.RELEASE_OFFSET and coupled:
+        elif d.code == codes.RELEASE_OFFSET and coupled:
             start[1] += a
-        elif d.code == C.RELEASE_PUSH:
+        elif d.code == codes.RELEASE_PUSH:
             start[2] += a
             start[3] += a * p1 if coupled else 0.0
-        elif d.code == C.COUPLING_HYSTERESIS:  # pushed slowly from 0 to theta0
+        elif d.code == codes.COUPLING_HYSTERESIS:  # pushed slowly from 0 to theta0
             start[4 + 2 * i] = np.tanh(rig["theta0"] / p1)
     return rig, start
 
 
 def motion(
-    rig: dict[str, float], coupled: bool, disturbances: Sequence[Disturbance], duration: float, step: float, keep: int = 1
+    rig: dict[str, float],
+    coupled: bool,
+    disturbances: Sequence[Disturbance],
+    duration: float,
+    step: float,
+    keep: int = 1,
 ) -> NDArray[np.float64]:
     """Motion (n, 6) th1, th2, w1, w2, a1, a2 every keep * step seconds from the release."""
     rig, start = disturbed_start(rig, coupled, disturbances)
-    codes = np.zeros(2, np.int64)
+    acting = np.zeros(2, np.int64)
     numbers = np.zeros((2, 4))
     for i, d in enumerate(disturbances):
         numbers[i] = d.p
-        fading = d.code in (C.FLEXIBLE_SHAFT, C.CLAMP_PLAY, C.STICK_SLIP) and d.p[0] == 0.0
-        codes[i] = 0 if d.code >= FIRST_SENSOR_CODE or fading else d.code
-        if d.code in (C.FLEXIBLE_SHAFT, C.CLAMP_PLAY):  # its torque is written for the whole inertia
-            numbers[i, 0] = d.p[0]
-    return integrate(rig_array(rig), codes, numbers, start, coupled, step, round(duration / step), keep)
+        fading = d.code in (codes.FLEXIBLE_SHAFT, codes.CLAMP_PLAY, codes.STICK_SLIP) and d.p[0] == 0.0
+        acting[i] = 0 if d.code >= FIRST_SENSOR_CODE or fading else d.code
+    path: NDArray[np.float64] = integrate(
+        rig_array(rig), acting, numbers, start, coupled, step, round(duration / step), keep
+    )
+    return path
 
 
 def record(
