@@ -11,6 +11,7 @@ from .sensors import Disturbance, readings
 
 FIRST_SENSOR_CODE = 80
 FINE_STEP = 2e-5  # s, of the records that are written
+VANISHING = (codes.FLEXIBLE_SHAFT, codes.CLAMP_PLAY, codes.STICK_SLIP, codes.RELEASE_RAMP)  # nothing at amplitude 0
 SEARCH_STEP = 1e-4  # s, of the searches for an amplitude; 0.002 rad/s^2 from the fine one
 
 
@@ -54,7 +55,8 @@ def motion(
     numbers = np.zeros((2, 4))
     for i, d in enumerate(disturbances):
         numbers[i] = d.p
-        fading = d.code in (codes.FLEXIBLE_SHAFT, codes.CLAMP_PLAY, codes.STICK_SLIP) and d.p[0] == 0.0
+        least = {codes.RELEASE_RAMP: step}.get(d.code, 0.0)  # a ramp shorter than a step is none
+        fading = d.code in VANISHING and d.p[0] <= least
         acting[i] = 0 if d.code >= FIRST_SENSOR_CODE or fading else d.code
     path: NDArray[np.float64] = integrate(
         rig_array(rig), acting, numbers, start, coupled, step, round(duration / step), keep
