@@ -117,7 +117,9 @@ def corner_figure(
                 contour_kwargs={"linestyles": STYLES[k % len(STYLES)]},
             )
             if not single:
-                figure.text(0.98, 0.97 - 0.035 * k, group, color=colour, ha="right", va="top", weight="bold", fontsize=11)
+                figure.text(
+                    0.98, 0.97 - 0.035 * k, group, color=colour, ha="right", va="top", weight="bold", fontsize=11
+                )
         figure.suptitle(title, x=0.98 if single else 0.75, y=0.99, ha="right", va="top", fontsize=12)
     if not converged:
         mark(figure)
@@ -179,7 +181,9 @@ def feature_check_figure(rows: Sequence[Mapping[str, Any]], *, title: str, conve
             "(model - measured) / standard error; grey: measured +- 1 standard error, blue: 50 and 90 % of the model"
         )
         axes.set_ylim(len(rows) - 0.5, -0.5)
-        axes.set_title(f"{title}\nbeside each name: percentile of the prediction at which the measurement falls", loc="left")
+        axes.set_title(
+            f"{title}\nbeside each name: percentile of the prediction at which the measurement falls", loc="left"
+        )
     return figure
 
 

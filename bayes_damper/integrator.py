@@ -67,7 +67,8 @@ J1, J2, J12, K1, K3, C1, C3, K2, C2, MU, N0, R_BAR, R_FACE, DRAG, NU, THETA0, TH
 FRICTION, SLOPE, MI11, MI12, MI22, TOL, EPS_TH, EPS_W = range(20, 28)
 PARAMETER_ROWS = 28
 # Rows of the work block.
-TH1, TH2, W1, W2, Z1, Z2, HTRY, REST, TIME, Y1, Y2, U1, U2, S1, S2, HLAST, FIRST, HELD1, HELD2, AFTER, DRIVE, RAMP = range(22)
+TH1, TH2, W1, W2, Z1, Z2, HTRY, REST, TIME, Y1, Y2 = range(11)
+U1, U2, S1, S2, HLAST, FIRST, HELD1, HELD2, AFTER, DRIVE, RAMP = range(11, 22)
 WORK_ROWS = 22
 
 # What `advance` is specialised in: these are the values for the bare coupled rig.

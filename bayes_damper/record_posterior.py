@@ -34,7 +34,8 @@ NOISE_PRIOR = LogNormal(1.0, 1.5)
 @dataclass(frozen=True, eq=False)
 class _Part:
     """A group of trials with what stays fixed: eta (trials, m), T (trials, channels, m, n), TT = T T', and the number
-    of readings (trials, channels)."""
+    of readings (trials, channels).
+    """
 
     group: Group
     eta: Array
@@ -64,7 +65,8 @@ class RecordPosterior:
         n, channels, samples = group.y.shape
         T = T.reshape(n, -1, channels, samples).transpose(0, 2, 1, 3)
         TT = np.matmul(T, T.transpose(0, 1, 3, 2))
-        return _Part(group, eta, np.ascontiguousarray(T), TT, np.count_nonzero(group.weight > 0.0, axis=2).astype(float))
+        readings = np.count_nonzero(group.weight > 0.0, axis=2).astype(float)
+        return _Part(group, eta, np.ascontiguousarray(T), TT, readings)
 
     @property
     def trials(self) -> tuple[int, ...]:
@@ -92,7 +94,7 @@ class RecordPosterior:
         return from_standard(self.noise_prior, points[:, self.problem.size :])
 
     def _sums(self, part: _Part, q: Array) -> tuple[Array, Array]:
-        """w'w (k, trials, channels) and T'w (k, trials, channels, m) for each q (k, size)."""
+        """Sums of squares w'w (k, trials, channels) and T'w (k, trials, channels, m) for each q (k, size)."""
         n, channels, samples = part.group.y.shape
         k = len(q)
         which = np.tile(np.arange(n), k)

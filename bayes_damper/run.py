@@ -208,4 +208,3 @@ def _on_cluster(tasks: Sequence[Task], folder: Path, scheduler: str, progress: P
             results[futures[future].name] = result
             progress.update(futures[future].name, 1.0, "done")
     return {task.name: results[task.name] for task in tasks}
-

@@ -1,0 +1,53 @@
+"""`bayes-damper check`: is this campaign readable, and what in it looks odd?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bayes_damper.campaign import load_campaign
+from bayes_damper.errors import ExitCode
+from bayes_damper.published import load_published
+
+
+@dataclass(frozen=True)
+class Check:
+    """A campaign that can be read: what it holds, and sentences on what looks odd."""
+
+    name: str
+    description: str
+    warnings: tuple[str, ...]
+    sha256: str
+    exit_code: ExitCode = ExitCode.DONE
+
+    def text(self) -> str:
+        """For people."""
+        return f"{self.description}\n{'No fault; read the warnings.' if self.warnings else 'No fault found.'}"
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs."""
+        return {
+            "schema": "bayes-damper/check/1",
+            "campaign": self.name,
+            "campaign_sha256": self.sha256,
+            "description": self.description,
+            "warnings": list(self.warnings),
+        }
+
+
+def check(campaign: str | Path) -> Check:
+    """Read and validate a campaign folder, or ``thesis``, the published measurements.
+
+    Raises
+    ------
+    InputError
+        with a sentence for every fault: file, line, column, what was expected, what to do.
+    """
+    if str(campaign) == "thesis":
+        published = load_published()
+        cases = ", ".join(case.name for case in published.cases)
+        text = f"thesis: cases {cases}; {len(published.measurements)} published measurements (Augustine 2013)"
+        return Check("thesis", text, (), published.sha256)
+    found = load_campaign(campaign)
+    return Check(found.name, found.describe(), found.warnings, found.sha256)
