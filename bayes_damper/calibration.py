@@ -1,0 +1,1238 @@
+"""Fitting a campaign by least squares, with everything that is uncertain about the rig and about each trial.
+
+How to use it::
+
+    experiment = experiment_of(campaign)              # a campaign.Campaign, or build an Experiment by hand
+    problem = Problem(experiment)                     # nominal model; effect=variant adds one effect
+    fit = calibrate(problem)                          # noise is learnt from the repeats on the way
+    fit.parameters                                    # {"mu": (value, sd), ...}
+    fit.log_evidence                                  # Laplace; comparable between Problems that share `noise`
+    rival = calibrate(Problem(experiment, effect=variant, noise=fit.problem.noise), starts=[fit.q])
+    predict(fit, experiment.heldout)                  # held-out trials: only their own nuisances are fitted
+
+Every unknown has a coordinate in which its prior is a standard Gaussian: `q` holds those of the whole campaign
+(nominal parameters, constants declared with a standard deviation, parameters of the effect), `eta` those of each trial
+(release angle, instant of release, its own friction). With r the whitened residuals, J = dr/dq and T = dr/d eta the
+cost  |r|^2 + |q|^2 + sum |eta_j|^2  is minimised by damped Gauss-Newton steps in which each trial's nuisances are
+eliminated by a Schur complement,
+
+    H_j = 1 + T_j' T_j,    S = 1 + sum_j J_j' J_j - J_j' T_j H_j^-1 T_j' J_j,
+    log Z = -(cost + log |S| + sum_j log |H_j|) / 2      (Laplace, up to the constant of the noise).
+
+All vectors of a Jacobian, of all trials that share their sample times, go through one call of Model.simulate.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize
+from scipy.signal import lfilter
+from scipy.special import log_ndtr, ndtr, ndtri, ndtri_exp
+
+from bayes_damper.distributions import Distribution, HalfNormal, LogNormal, LogUniform, Normal, Uniform, median
+from bayes_damper.effects.base import Variant
+from bayes_damper.model import Model, Quantity
+
+Array = NDArray[np.float64]
+
+FRICTION_SPREAD = 0.04  # prior sd of ln mu from trial to trial, where the repeats show that it varies
+EVENT_THRESHOLD = 4.5  # robust sds of the second difference beyond which a sample counts as an event
+EVENT_TIMING = 5e-5  # s, by which the instant of an event may be off without the model being wrong
+FIRST_STAGE_EVENT_WEIGHT = 0.15
+_FARTHEST = 37.0  # standard deviations beyond which a coordinate is not followed
+
+
+# Coordinates with a standard Gaussian prior -----------------------------------------------------------------------------
+
+
+def value_of(distribution: Distribution, z: ArrayLike) -> Array:
+    """Quantile of the standard Gaussian coordinate `z`, accurate far into both tails; the shape of `z`."""
+    z = np.clip(np.asarray(z, float), -_FARTHEST, _FARTHEST)
+    if isinstance(distribution, Normal) and math.isinf(distribution.lower) and math.isinf(distribution.upper):
+        return np.asarray(distribution.mean + distribution.sd * z)
+    if isinstance(distribution, LogNormal):
+        return np.asarray(distribution.median_value * np.exp(math.log(distribution.factor) * z))
+    if isinstance(distribution, HalfNormal):
+        # x / sd = -ndtri(Phi(-z) / 2): the upper tail is a lower tail of half its mass.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            far = -ndtri_exp(log_ndtr(-z) - math.log(2.0))
+        near = math.sqrt(math.pi / 2.0) * ndtr(z)
+        return np.asarray(distribution.sd * np.where(z > -5.0, far, near))
+    if isinstance(distribution, Normal):
+        a = (distribution.lower - distribution.mean) / distribution.sd
+        b = (distribution.upper - distribution.mean) / distribution.sd
+        if math.isinf(b) and a > -37.0:  # cut below only: mirror, so that the far tail keeps its digits
+            with np.errstate(divide="ignore", invalid="ignore"):
+                x = -ndtri_exp(log_ndtr(-z) + log_ndtr(-a))
+            return np.asarray(np.maximum(distribution.mean + distribution.sd * x, distribution.lower))
+        if math.isinf(a) and b < 37.0:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                x = ndtri_exp(log_ndtr(z) + log_ndtr(b))
+            return np.asarray(np.minimum(distribution.mean + distribution.sd * x, distribution.upper))
+    return np.asarray(distribution.ppf(ndtr(np.clip(z, -8.0, 8.0))))
+
+
+def coordinate_of(distribution: Distribution, x: float) -> float:
+    """The standard Gaussian coordinate of the value `x`, within +-8; the inverse of `value_of`."""
+    low, high = -8.0, 8.0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        if float(value_of(distribution, middle)) < x:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+# What is fitted ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class TrialRecord:
+    """One measured trial, as the calibration sees it.
+
+    times (n,) s; y (channels, n), nan where a reading is missing; k1t: index into Experiment.stiffnesses;
+    theta0, theta0_sd: nominal release angle (rad) and its standard uncertainty.
+    """
+
+    label: str
+    case: str
+    coupled: bool
+    number: int
+    times: Array
+    y: Array
+    k1t: int
+    theta0: float = 0.0
+    theta0_sd: float = 0.0
+    torque: Array | None = None
+    heldout: bool = False
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Trials of one rig, with what is declared about it.
+
+    constants: name (J1 J2 J12 k3t R r N0) -> (value, standard deviation or 0); stiffnesses: (k1t, sd) per declared
+    value; start: "rest" from theta0, or "free": angles and velocities at the first sample are inferred.
+    """
+
+    constants: Mapping[str, tuple[float, float]]
+    stiffnesses: tuple[tuple[float, float], ...]
+    trials: tuple[TrialRecord, ...]
+    quantity: Quantity = "acceleration"
+    normal_force: Literal["linear", "constant"] = "linear"
+    restoring: Literal["linear", "pendulum"] = "linear"
+    start: Literal["rest", "free"] = "rest"
+    noise_sd: tuple[float, ...] = ()
+    priors: Mapping[str, Distribution] = field(default_factory=dict)
+
+    @property
+    def coupled(self) -> bool:
+        """Whether any trial is coupled."""
+        return any(trial.coupled for trial in self.trials)
+
+    @property
+    def magnet(self) -> bool:
+        """Whether friction at the interface is possible."""
+        return self.coupled and self.constants.get("N0", (0.0, 0.0))[0] > 0.0
+
+    @property
+    def training(self) -> tuple[int, ...]:
+        """Indices of the trials that fits may use."""
+        return tuple(i for i, trial in enumerate(self.trials) if not trial.heldout)
+
+    @property
+    def heldout(self) -> tuple[int, ...]:
+        """Indices of the trials on which only their own nuisances are ever fitted."""
+        return tuple(i for i, trial in enumerate(self.trials) if trial.heldout)
+
+
+def default_priors(experiment: Experiment) -> dict[str, Distribution]:
+    """Priors of the nominal parameters, scaled to the rig; with the thesis's rig their medians are the thesis's values.
+
+    Wide (a factor of 2.7 each way for stiffness and damping, 3 for friction) because a campaign decides, not the prior.
+    """
+    j1 = experiment.constants["J1"][0]
+    j2 = experiment.constants.get("J2", (j1, 0.0))[0]
+    k1 = float(np.median([k for k, _ in experiment.stiffnesses]))
+    omega = math.sqrt(k1 / j1)
+    angles = [abs(t.theta0) for t in experiment.trials if t.theta0]
+    if not angles:
+        reach = {"acceleration": omega**2, "velocity": omega, "displacement": 1.0}[experiment.quantity]
+        angles = [float(np.nanmax(np.abs(t.y[0]))) / reach for t in experiment.trials] or [0.1]
+    angle = max(float(np.median(angles)), 1e-9)
+    viscous = 0.06 * math.sqrt(k1 * j1)  # damping ratio 0.03
+    return {
+        "mu": LogNormal(0.007, 2.7),
+        "k2t": LogNormal(1.5 * k1 / 8.2 * j2 / 2.474e-3 * 3.015e-3 / j1, 2.7),
+        "c2t": LogNormal(0.48 * math.sqrt(k1 * j2) * 1.2, 2.7),
+        "drag": LogNormal(0.0065 * k1 * angle, 3.0),
+        "nu": LogNormal(200.0 / (omega * angle * 52.0) * 50.0 / 40.0 * 12.0, 2.5),
+        "c1t": LogNormal(viscous, 2.7),
+        "c3t": LogNormal(viscous * j2 / j1, 2.7),
+    }
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of each channel: an ARMA(1, 1) process (a white one plus an AR(1) one); phi = theta = 0 is white.
+
+    innovation: sd of the innovations, the channel's unit; total: sd of the noise itself.
+    """
+
+    innovation: tuple[float, ...]
+    phi: tuple[float, ...]
+    theta: tuple[float, ...]
+
+    @property
+    def total(self) -> tuple[float, ...]:
+        """Standard deviation of the noise of each channel."""
+        return tuple(
+            s * math.sqrt((1.0 + t * t - 2.0 * p * t) / (1.0 - p * p))
+            for s, p, t in zip(self.innovation, self.phi, self.theta, strict=True)
+        )
+
+    def whiten(self, channel: int, r: Array) -> Array:
+        """Innovations of residuals r (..., n), in units of their standard deviation."""
+        p, t, s = self.phi[channel], self.theta[channel], self.innovation[channel]
+        if p == 0.0 and t == 0.0:
+            return r / s
+        return np.asarray(lfilter([1.0, -p], [1.0, -t], r, axis=-1)) / s
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """One unknown of the whole campaign. role: "nominal", "constant", "stiffness" (k1t number `index`) or "effect"."""
+
+    name: str
+    role: Literal["nominal", "constant", "stiffness", "effect"]
+    prior: Distribution
+    index: int = 0
+
+
+@dataclass(frozen=True)
+class Switches:
+    """Which nuisances of the trials are free: the instant of release, and each trial's own friction."""
+
+    delay: bool = True
+    friction: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Training trials that can share one simulation: same configuration, times and torque."""
+
+    coupled: bool
+    trials: tuple[int, ...]
+    times: Array
+    torque: Array | None
+    y: Array  # (trials, channels, n), missing readings 0
+    weight: Array  # the same shape; 0 where missing
+    first_weight: Array
+    nuisances: tuple[tuple[str, Array, Array], ...]  # name, prior mean and sd for each trial
+    lower: Array  # (trials, m) bounds of eta
+    upper: Array
+
+    def weights(self, annealed: bool) -> Array:
+        """Weights of the residuals; annealed: samples beside friction reversals count little, for a smoother cost."""
+        return self.first_weight if annealed else self.weight
+
+
+def _event_strength(y: Array, noise: Array) -> Array:
+    """How far each sample's neighbourhood jumps, in the unit of y: 0 away from events. y (channels, n)."""
+    jump = np.zeros_like(y)
+    if y.shape[1] < 8:
+        return jump
+    second = np.zeros_like(y)
+    second[:, 1:-1] = y[:, 2:] - 2.0 * y[:, 1:-1] + y[:, :-2]
+    scale = 1.4826 * np.nanmedian(np.abs(second[:, 2:-2]), axis=1) + 1e-300
+    scale = np.maximum(scale, noise)
+    hit = np.abs(second) > EVENT_THRESHOLD * scale[:, None]
+    step = np.zeros_like(y)
+    step[:, 1:] = np.abs(np.diff(y, axis=1))
+    step[:, :-1] = np.maximum(step[:, :-1], step[:, 1:])
+    for shift in (-1, 0, 1):
+        rolled = np.roll(np.where(hit, step, 0.0), shift, axis=1)
+        jump = np.maximum(jump, rolled)
+    return np.asarray(np.nan_to_num(jump))
+
+
+class Problem:
+    """Everything that the fit of one model to one experiment needs: coordinates, trials in groups, weights, noise."""
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        effect: Variant | None = None,
+        *,
+        nominal: Literal["nonlinear", "linear"] = "nonlinear",
+        noise: Noise | None = None,
+        switches: Switches | None = None,
+        threads: int = 1,
+        tolerance: float = 1.0,
+        trials: Sequence[int] | None = None,
+    ) -> None:
+        """`trials`: indices of those to fit, default all that are not held out; `noise` is estimated if absent."""
+        self.experiment = experiment
+        self.effect = effect
+        self.nominal = nominal
+        self.threads = threads
+        self.tolerance = tolerance
+        self.trials = tuple(experiment.training if trials is None else trials)
+        self.switches = switches or Switches()
+        self.noise = noise or rough_noise(experiment, self.trials)
+        self.coordinates = self._coordinates()
+        self.names = tuple(c.name for c in self.coordinates)
+        self.size = len(self.coordinates)
+        self.models = {
+            coupled: Model(coupled, experiment.normal_force, experiment.restoring, effect) for coupled in (False, True)
+        }
+        self._groups: dict[tuple[int, ...], list[Group]] = {}
+        self.groups = self.grouped(self.trials)
+
+    def with_noise(self, noise: Noise) -> Problem:
+        """The same problem under another noise."""
+        return Problem(
+            self.experiment, self.effect, nominal=self.nominal, noise=noise, switches=self.switches,
+            threads=self.threads, tolerance=self.tolerance, trials=self.trials,
+        )  # fmt: skip
+
+    def with_effect(self, effect: Variant | None) -> Problem:
+        """The same data, noise and nuisances under another effect; groups are shared."""
+        other = Problem.__new__(Problem)
+        other.__dict__.update(self.__dict__)
+        other.effect = effect
+        other.coordinates = other._coordinates()
+        other.names = tuple(c.name for c in other.coordinates)
+        other.size = len(other.coordinates)
+        e = self.experiment
+        other.models = {coupled: Model(coupled, e.normal_force, e.restoring, effect) for coupled in (False, True)}
+        return other
+
+    @property
+    def n_data(self) -> float:
+        """Number of readings, weighted."""
+        return float(sum(np.sum(g.weight**2) for g in self.groups))
+
+    # Set-up
+
+    def _coordinates(self) -> tuple[Coordinate, ...]:
+        e = self.experiment
+        priors = default_priors(e) | dict(e.priors)
+        used = [e.trials[i] for i in self.trials] or list(e.trials)
+        coupled = any(t.coupled for t in used)
+        names = ["k2t", "c2t", "c1t", "c3t"] if coupled else ["c1t"]
+        if self.nominal == "nonlinear":
+            names += ["mu", "drag", "nu"] if coupled and e.magnet else ["drag", "nu"]
+        if self.effect is not None and self.effect.replaces_friction and "mu" in names:
+            names.remove("mu")
+        free = [n for n in names if not isinstance(priors[n], float | int) and _spread(priors[n]) > 0.0]
+        out = [Coordinate(n, "nominal", priors[n]) for n in free]
+        for name, (value, sd) in e.constants.items():
+            if sd > 0.0 and (coupled or name == "J1"):
+                out.append(Coordinate(name, "constant", Normal(value, sd)))
+        for i, (value, sd) in enumerate(e.stiffnesses):
+            if sd > 0.0 and any(t.k1t == i for t in used):
+                label = "k1t" if len(e.stiffnesses) == 1 else f"k1t[{value:g}]"
+                out.append(Coordinate(label, "stiffness", Normal(value, sd), i))
+        if self.effect is not None:
+            out += [Coordinate(f"effect.{p.name}", "effect", p.prior) for p in self.effect.parameters]
+        return tuple(out)
+
+    def grouped(self, trials: Sequence[int]) -> list[Group]:
+        """The trials in groups that share a simulation."""
+        known = self._groups.get(tuple(trials))
+        if known is not None:
+            return known
+        e = self.experiment
+        keyed: dict[tuple[Any, ...], list[int]] = {}
+        for i in trials:
+            t = e.trials[i]
+            driven = None if t.torque is None or not np.any(t.torque) else t.torque.tobytes()
+            keyed.setdefault((t.coupled, t.times.tobytes(), driven), []).append(i)
+        groups = [self._group(members) for members in keyed.values()]
+        self._groups[tuple(trials)] = groups
+        return groups
+
+    def _group(self, members: list[int]) -> Group:
+        e = self.experiment
+        trials = [e.trials[i] for i in members]
+        first = trials[0]
+        raw = np.array([t.y for t in trials])
+        y = np.nan_to_num(raw)
+        spread = np.array(self.noise.total[: y.shape[1]])
+        weight = np.ones_like(y)
+        annealed = np.ones_like(y)
+        cases: dict[tuple[str, float], list[int]] = {}
+        for k, t in enumerate(trials):
+            cases.setdefault((t.case, t.theta0), []).append(k)
+        for same in cases.values():
+            jump = np.max([_event_strength(raw[k], 2.4 * spread) for k in same], axis=0)
+            jump = jump * (first.times > first.times[0])
+            rate = 1.0 / max(float(np.median(np.diff(first.times))), 1e-12) if first.times.size > 1 else 0.0
+            extra = (jump * rate * EVENT_TIMING / spread[:, None]) ** 2
+            for k in same:
+                weight[k] /= np.sqrt(1.0 + extra)
+                annealed[k] = np.where(jump > 0.0, FIRST_STAGE_EVENT_WEIGHT, 1.0)
+        nuisances, lower, upper = self._nuisances(trials)
+        if e.start == "rest" and first.times.size > 2 and e.quantity == "acceleration":
+            # The release itself: a reading that rises from 0 to its peak at once.
+            early = np.flatnonzero(first.times <= first.times[0] + 1.5 * float(np.median(np.diff(first.times))))
+            released = np.array([t.times[0] <= 0.0 for t in trials])
+            for k in np.flatnonzero(released):
+                weight[k][:, early[1:]] *= 0.3
+                weight[k][:, 0] = 0.0 if self.switches.delay else 0.3
+        missing = ~np.isfinite(raw)
+        weight[missing] = 0.0
+        annealed = np.minimum(annealed, weight)
+        return Group(
+            first.coupled, tuple(members), first.times, first.torque, y, weight, annealed, nuisances, lower, upper
+        )
+
+    def _nuisances(self, trials: list[TrialRecord]) -> tuple[tuple[tuple[str, Array, Array], ...], Array, Array]:
+        e = self.experiment
+        n = len(trials)
+        out: list[tuple[str, Array, Array]] = []
+        bounds: list[tuple[Array, Array]] = []
+        wide = (np.full(n, -_FARTHEST), np.full(n, _FARTHEST))
+        if e.start == "free":
+            omega = math.sqrt(e.stiffnesses[0][0] / e.constants["J1"][0])
+            for name, order in (("theta0", 0), ("omega1_0", 1), ("theta2_0", 0), ("omega2_0", 1)):
+                if name in ("theta2_0", "omega2_0") and not trials[0].coupled:
+                    continue
+                channel = 1 if "2_0" in name else 0
+                power = order - {"displacement": 0, "velocity": 1, "acceleration": 2}[e.quantity]
+                reach = np.array([float(np.nanmax(np.abs(t.y[channel]))) for t in trials]) * omega**power
+                guess = np.zeros(n)
+                if power == 0:
+                    guess = np.array([float(np.nan_to_num(t.y[channel][0])) for t in trials])
+                elif power == -2:
+                    guess = -np.array([float(np.nan_to_num(t.y[channel][0])) for t in trials]) / omega**2
+                out.append((name, guess, 1.5 * reach + 1e-9))
+                bounds.append(wide)
+            return tuple(out), np.array([b[0] for b in bounds]).T, np.array([b[1] for b in bounds]).T
+        mean = np.array([t.theta0 for t in trials])
+        sd = np.array([t.theta0_sd for t in trials])
+        if np.any(sd > 0.0):
+            out.append(("theta0", mean, np.maximum(sd, 1e-12)))
+            bounds.append(wide)
+        if self.switches.delay:
+            low, high = np.array([release_window(t, e.quantity) for t in trials]).T
+            middle, half = 0.5 * (low + high), 0.35 * (high - low)
+            out.append(("delay", middle, half))
+            bounds.append(((low - middle) / half - 0.4, (high - middle) / half * (1.0 - 1e-9)))
+        if self.switches.friction and trials[0].coupled and "mu" in self.names:
+            out.append(("ln_mu", np.zeros(n), np.full(n, FRICTION_SPREAD)))
+            bounds.append(wide)
+        if not out:
+            return (), np.zeros((n, 0)), np.zeros((n, 0))
+        return tuple(out), np.array([b[0] for b in bounds]).T, np.array([b[1] for b in bounds]).T
+
+    # Simulation
+
+    def prior_mean(self) -> Array:
+        """The start at the prior medians, (size,)."""
+        return np.zeros(self.size)
+
+    def no_nuisance(self) -> dict[int, Array]:
+        """Nuisances at their prior means: trial -> (m,)."""
+        return {i: np.zeros(len(g.nuisances)) for g in self.groups for i in g.trials}
+
+    def parameters(self, q: Array) -> dict[str, Array]:
+        """Values of the coordinates q (..., size) by name."""
+        return {c.name: value_of(c.prior, q[..., i]) for i, c in enumerate(self.coordinates)}
+
+    def _inputs(self, group: Group, which: Array, q: Array, eta: Array) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Arguments of Model.simulate for vectors q (n, size), eta (n, m) on the group's trials `which` (n,)."""
+        e = self.experiment
+        rig: dict[str, Any] = {name: value for name, (value, _) in e.constants.items()}
+        rig["k1t"] = np.array([e.stiffnesses[e.trials[i].k1t][0] for i in group.trials])[which]
+        rig["theta0"] = np.array([e.trials[i].theta0 for i in group.trials])[which]
+        priors = default_priors(e) | dict(e.priors)
+        linear = self.nominal == "linear"
+        for name in ("k2t", "c2t", "c1t", "c3t", "mu", "drag", "nu"):
+            rig[name] = 0.0 if linear and name in ("mu", "drag") else median(priors[name])
+        if not e.magnet:
+            rig["mu"] = 0.0
+            rig = {"N0": 0.0, "R": 1.0, "r": 1.0} | rig
+        effect: dict[str, Any] = {}
+        for i, c in enumerate(self.coordinates):
+            x = value_of(c.prior, q[:, i])
+            if c.role == "effect":
+                effect[c.name.removeprefix("effect.")] = x
+            elif c.role == "stiffness":
+                hit = np.array([e.trials[j].k1t == c.index for j in group.trials])[which]
+                rig["k1t"] = np.where(hit, x, rig["k1t"])
+            else:
+                rig[c.name] = x
+        for i, (name, mean, sd) in enumerate(group.nuisances):
+            x = mean[which] + sd[which] * eta[:, i]
+            if name == "ln_mu":
+                rig["mu"] = rig["mu"] * np.exp(x)
+            else:
+                rig[name] = x
+        if e.start == "free":
+            rig["delay"] = float(group.times[0])
+        if not group.coupled:
+            rig = {k: v for k, v in rig.items() if k not in ("theta2_0", "omega2_0")}
+        if self.effect is not None and not effect:
+            effect = {}
+        return rig, effect
+
+    def simulate(self, group: Group, which: Array, q: Array, eta: Array) -> Array:
+        """Readings (n, channels, n_times) of vectors q (n, size), eta (n, m) on the group's trials `which` (n,)."""
+        rig, effect = self._inputs(group, which, q, eta)
+        return (
+            self.models[group.coupled]
+            .simulate(
+                rig,
+                group.times,
+                effect=effect if self.effect is not None else None,
+                torque=group.torque,
+                quantity=self.experiment.quantity,
+                tolerance=self.tolerance,
+                threads=self.threads,
+            )
+            .y
+        )
+
+    def whitened(self, r: Array, weight: Array) -> Array:
+        """Weighted innovations, (..., channels * n), of residuals r (..., channels, n)."""
+        scaled = r * weight
+        parts = [self.noise.whiten(c, scaled[..., c, :]) for c in range(r.shape[-2])]
+        return np.concatenate(parts, axis=-1)
+
+    def costs(self, q: Array, eta: Mapping[int, Array], annealed: bool = False) -> Array:
+        """Cost of k candidates: q (k, size), eta: trial -> (k, m). inf where a simulation failed."""
+        k = q.shape[0]
+        total = np.sum(q**2, axis=1)
+        for group in self.groups:
+            n = len(group.trials)
+            which = np.tile(np.arange(n), k)
+            values = np.stack([eta[i] for i in group.trials], axis=1).reshape(k * n, -1)
+            y = self.simulate(group, which, np.repeat(q, n, axis=0), values)
+            r = y - group.y[which]
+            w = self.whitened(r, group.weights(annealed)[which])
+            chi2 = np.einsum("ij,ij->i", w, w)
+            total = total + (chi2 + np.sum(values**2, axis=1)).reshape(k, n).sum(axis=1)
+        return np.where(np.isfinite(total), total, np.inf)
+
+    def linearise(
+        self, q: Array, eta: Mapping[int, Array], *, annealed: bool = False, central: bool = False,
+        steps: Array | None = None,
+    ) -> Linear:  # fmt: skip
+        """Whitened residuals and their derivatives at one point. steps (size,) of the differences in q."""
+        blocks = []
+        steps = np.full(self.size, 2e-3) if steps is None else steps
+        for group in self.groups:
+            columns = [i for i, c in enumerate(self.coordinates) if self._acts(c, group)]
+            merged = [i for i in columns if self.coordinates[i].role != "stiffness"]
+            stiff = any(self.coordinates[i].role == "stiffness" for i in columns)
+            n = len(group.trials)
+            m = len(group.nuisances)
+            names = [name for name, _, _ in group.nuisances]
+            moved = [i for i, name in enumerate(names) if name != "ln_mu"]
+            lanes = 1 + len(merged) + int(stiff) + len(moved)
+            sides = (1.0, -1.0) if central else (1.0,)
+            base_q = np.tile(q, (n, 1))
+            base_eta = np.array([eta[i] for i in group.trials]).reshape(n, m)
+            rows_q = [base_q]
+            rows_eta = [base_eta]
+            trial_steps = np.full((n, m), 2e-3)
+            for i, name in enumerate(names):
+                if name == "delay":
+                    trial_steps[:, i] = 1e-6 / group.nuisances[i][2]
+                trial_steps[:, i] *= np.where(base_eta[:, i] + trial_steps[:, i] > group.upper[:, i], -1.0, 1.0)
+            for side in sides:
+                for i in merged:
+                    moved_q = base_q.copy()
+                    moved_q[:, i] += side * steps[i]
+                    rows_q.append(moved_q)
+                    rows_eta.append(base_eta)
+                if stiff:
+                    moved_q = base_q.copy()
+                    for i in columns:
+                        if self.coordinates[i].role == "stiffness":
+                            moved_q[:, i] += side * steps[i]
+                    rows_q.append(moved_q)
+                    rows_eta.append(base_eta)
+                for i in moved:
+                    moved_eta = base_eta.copy()
+                    moved_eta[:, i] += side * trial_steps[:, i]
+                    rows_q.append(base_q)
+                    rows_eta.append(moved_eta)
+            copies = len(rows_q)
+            y = self.simulate(
+                group, np.tile(np.arange(n), copies), np.concatenate(rows_q), np.concatenate(rows_eta)
+            ).reshape(copies, n, -1, group.times.size)
+            base = y[0]
+            forward = y[1:lanes] - base
+            if central:
+                backward = y[lanes:] - base
+                bad = ~np.isfinite(backward).all(axis=(2, 3))
+                backward[bad] = -forward[bad]
+                forward = 0.5 * (forward - backward)
+            forward[~np.isfinite(forward).all(axis=(2, 3))] = 0.0
+            weight = group.weights(annealed)
+            r = self.whitened(base - group.y, weight)
+            w = self.whitened(forward, weight)  # (lanes - 1, n, data)
+            jac = np.zeros((n, self.size, w.shape[-1]))
+            for k, i in enumerate(merged):
+                jac[:, i] = w[k] / steps[i]
+            if stiff:
+                per = w[len(merged)]
+                for i in columns:
+                    c = self.coordinates[i]
+                    if c.role == "stiffness":
+                        hit = np.array([self.experiment.trials[j].k1t == c.index for j in group.trials])
+                        jac[hit, i] = per[hit] / steps[i]
+            own = np.zeros((n, m, w.shape[-1]))
+            offset = len(merged) + int(stiff)
+            for k, i in enumerate(moved):
+                own[:, i] = w[offset + k] / trial_steps[:, i, None]
+            if "ln_mu" in names:
+                i_mu = self.names.index("mu")
+                per_log = math.log(_factor(self.coordinates[i_mu].prior))
+                own[:, names.index("ln_mu")] = jac[:, i_mu] * (FRICTION_SPREAD / per_log)
+            blocks.append(Block(group, r, jac, own, base_eta))
+        return Linear(self, q, tuple(blocks))
+
+    def _acts(self, c: Coordinate, group: Group) -> bool:
+        """Whether a coordinate can change the records of a group."""
+        e = self.experiment
+        if c.role == "stiffness":
+            return any(e.trials[i].k1t == c.index for i in group.trials)
+        if c.role == "effect":
+            return self.effect is not None and (group.coupled or self.effect.uncoupled)
+        return group.coupled or c.name in ("J1", "c1t", "drag", "nu")
+
+
+def _spread(distribution: Distribution) -> float:
+    return float(distribution.ppf(0.84) - distribution.ppf(0.16))
+
+
+def _factor(distribution: Distribution) -> float:
+    """Local factor per unit of z of a scale parameter at its median (exact for a LogNormal)."""
+    if isinstance(distribution, LogNormal):
+        return distribution.factor
+    if isinstance(distribution, LogUniform | Uniform | HalfNormal | Normal):
+        low, high = float(value_of(distribution, -0.1)), float(value_of(distribution, 0.1))
+        return (high / low) ** 5.0 if low > 0.0 else math.e
+    return math.e
+
+
+def release_window(trial: TrialRecord, quantity: str) -> tuple[float, float]:
+    """Earliest and latest instant of release that the first readings allow, s, one sample wide.
+
+    A first reading near 0 while the next ones are at the peak means that the logger ran before the release.
+    """
+    n = min(trial.times.size - 1, 400)
+    dt = float(np.median(np.diff(trial.times[: n + 1]))) if n > 0 else 1e-3
+    if quantity != "acceleration" or trial.times[0] > 0.0 or trial.times.size < 4:
+        return -dt, 0.0
+    y = np.abs(np.nan_to_num(trial.y[0]))
+    peak = float(np.max(y[1:6]))
+    held = 0
+    while held < y.size - 2 and y[held] < 0.3 * peak and held < 3:
+        held += 1
+    if held == 0:
+        return float(trial.times[0]) - dt, float(trial.times[0])
+    return float(trial.times[held - 1]), float(trial.times[held])
+
+
+# Linear algebra ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Whitened residuals r (trials, data), J (trials, size, data) and T (trials, m, data) of one group."""
+
+    group: Group
+    r: Array
+    J: Array
+    T: Array
+    eta: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """The problem linearised at q: what steps, covariance, evidence and screening are computed from."""
+
+    problem: Problem
+    q: Array
+    blocks: tuple[Block, ...]
+
+    def normal(self, extra: Sequence[Array] | None = None) -> Normals:
+        """Normal equations with the nuisances eliminated.
+
+        extra: for each block further columns (trials, k, data) to carry along, such as an effect to be screened.
+        """
+        k = 0 if extra is None else extra[0].shape[1]
+        size = self.problem.size
+        S = np.eye(size + k)
+        S[size:, size:] = 0.0
+        g = np.concatenate([self.q, np.zeros(k)])
+        cost = float(self.q @ self.q)
+        parts = []
+        for b, block in enumerate(self.blocks):
+            J = block.J if extra is None else np.concatenate([block.J, extra[b]], axis=1)
+            n, m = block.eta.shape
+            full = np.concatenate([J, block.T, block.r[:, None, :]], axis=1)
+            gram = np.matmul(full, full.transpose(0, 2, 1))
+            p = size + k
+            H = gram[:, p : p + m, p : p + m] + np.eye(m)
+            TJ = gram[:, p : p + m, :p]
+            gT = gram[:, p : p + m, -1] + block.eta
+            S += gram[:, :p, :p].sum(axis=0)
+            g += gram[:, :p, -1].sum(axis=0)
+            cost += float(gram[:, -1, -1].sum() + np.sum(block.eta**2))
+            parts.append((block, H, TJ, gT))
+        return Normals(self, S, g, cost, tuple(parts), size, k)
+
+
+@dataclass(frozen=True, eq=False)
+class Normals:
+    """S and g before the elimination, and each trial's H, T'J and nuisance gradient."""
+
+    linear: Linear
+    S: Array
+    g: Array
+    cost: float
+    parts: tuple[tuple[Block, Array, Array, Array], ...]
+    size: int
+    extra: int
+
+    def reduced(self, damping: float = 0.0) -> tuple[Array, Array, list[Array]]:
+        """S and g with the nuisances eliminated, and H_j^-1 of each block."""
+        S, g = self.S.copy(), self.g.copy()
+        inverses = []
+        for _, H, TJ, gT in self.parts:
+            if H.shape[1] == 0:
+                inverses.append(H)
+                continue
+            m = H.shape[1]
+            damped = H + damping * H * np.eye(m)
+            inverse = np.linalg.inv(damped)
+            S -= np.einsum("jma,jmn,jnb->ab", TJ, inverse, TJ, optimize=True)
+            g -= np.einsum("jma,jmn,jn->a", TJ, inverse, gT, optimize=True)
+            inverses.append(inverse)
+        return S, g, inverses
+
+    def step(self, damping: float) -> tuple[Array, dict[int, Array]]:
+        """Damped Gauss-Newton step in q and in each trial's eta."""
+        S, g, inverses = self.reduced(damping)
+        S[np.diag_indices_from(S)] *= 1.0 + damping
+        dq = -np.linalg.solve(S, g)
+        deta: dict[int, Array] = {}
+        for (block, _, TJ, gT), inverse in zip(self.parts, inverses, strict=True):
+            move = -np.einsum("jmn,jn->jm", inverse, gT + TJ @ dq) if inverse.shape[1] else gT
+            for k, i in enumerate(block.group.trials):
+                deta[i] = move[k]
+        return dq, deta
+
+    def log_evidence(self) -> float:
+        """Laplace evidence without the constant of the noise; -inf if a matrix is not positive definite."""
+        S, _, _ = self.reduced()
+        total = -0.5 * self.cost
+        sign, log_det = np.linalg.slogdet(S)
+        if sign <= 0 or not np.isfinite(log_det):
+            return -math.inf
+        total -= 0.5 * log_det
+        for _, H, _, _ in self.parts:
+            if H.shape[1]:
+                signs, log_dets = np.linalg.slogdet(H)
+                if np.any(signs <= 0):
+                    return -math.inf
+                total -= 0.5 * float(np.sum(log_dets))
+        return total if math.isfinite(total) else -math.inf
+
+
+# The fit ----------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A fitted model.
+
+    q (size,), covariance (size, size) in coordinates with standard Gaussian priors; eta: trial -> (m,);
+    chi2: sum of squared whitened residuals; cost: chi2 and the priors' share; n_data: weighted number of readings.
+    """
+
+    problem: Problem
+    q: Array
+    eta: Mapping[int, Array]
+    covariance: Array
+    cost: float
+    chi2: float
+    log_evidence: float
+    converged: bool
+    linear: Linear
+    iterations: int
+
+    @property
+    def parameters(self) -> dict[str, tuple[float, float]]:
+        """Value and standard deviation of every unknown of the campaign."""
+        out = {}
+        for i, c in enumerate(self.problem.coordinates):
+            x = float(value_of(c.prior, self.q[i]))
+            sd = math.sqrt(max(self.covariance[i, i], 0.0))
+            up, down = value_of(c.prior, self.q[i] + sd), value_of(c.prior, self.q[i] - sd)
+            out[c.name] = (x, 0.5 * abs(float(up - down)))
+        return out
+
+    @property
+    def excess(self) -> float:
+        """Chi-square beyond what noise alone would leave."""
+        return self.chi2 - self.problem.n_data
+
+    @property
+    def pulled(self) -> dict[str, float]:
+        """Declared constants that the fit moved by more than 3 of their standard deviations."""
+        return {
+            c.name: float(self.q[i])
+            for i, c in enumerate(self.problem.coordinates)
+            if c.role in ("constant", "stiffness") and abs(self.q[i]) > 3.0
+        }
+
+    def interval(self, name: str, share: float = 0.9) -> tuple[float, float]:
+        """Central interval of one unknown, holding `share` of its probability."""
+        i = self.problem.names.index(name)
+        reach = float(ndtri(0.5 + 0.5 * share)) * math.sqrt(max(self.covariance[i, i], 0.0))
+        prior = self.problem.coordinates[i].prior
+        low, high = float(value_of(prior, self.q[i] - reach)), float(value_of(prior, self.q[i] + reach))
+        return (low, high) if low <= high else (high, low)
+
+    def residuals(self) -> dict[int, Array]:
+        """Reading minus model of each fitted trial, (channels, n); nan where the reading is missing."""
+        out = {}
+        for group in self.problem.groups:
+            n = len(group.trials)
+            values = np.array([self.eta[i] for i in group.trials]).reshape(n, -1)
+            y = self.problem.simulate(group, np.arange(n), np.tile(self.q, (n, 1)), values)
+            for k, i in enumerate(group.trials):
+                out[i] = self.problem.experiment.trials[i].y - y[k]
+        return out
+
+
+def calibrate(
+    problem: Problem,
+    starts: Iterable[ArrayLike] = (),
+    *,
+    eta: Mapping[int, Array] | None = None,
+    most: int = 25,
+    finish: bool = True,
+    anneal: bool = True,
+    give_up: float = math.inf,
+) -> Calibration:
+    """The best fit over the starts, each by annealed, damped Gauss-Newton steps.
+
+    starts : points (size,) in q; default the prior medians, with smoothing constants below and above;
+    eta : nuisances to start from; most : iterations per stage; finish : central differences at the end;
+    give_up : a start whose cost after the first stage exceeds the best by more is not followed.
+
+    A fit in which every simulation fails has cost inf and log_evidence -inf.
+    """
+    points = [np.asarray(s, float) for s in starts] or default_starts(problem)
+    best: tuple[float, Array, dict[int, Array], bool, int] | None = None
+    for point in points:
+        own = {i: v.copy() for i, v in (eta or problem.no_nuisance()).items()}
+        q = point
+        used = 0
+        if anneal:
+            q, own, cost, _, used = _descend(problem, q, own, most, annealed=True, tolerance=0.5)
+            if best is not None and cost > best[0] + give_up:
+                continue
+        q, own, cost, converged, more = _descend(problem, q, own, most, annealed=False, tolerance=0.02)
+        if best is None or cost < best[0]:
+            best = (cost, q, own, converged, used + more)
+    assert best is not None
+    cost, q, own, converged, used = best
+    return summarise(problem, q, own, converged, used, central=finish)
+
+
+def default_starts(problem: Problem) -> list[Array]:
+    """Prior medians, with a smooth and a sharp friction."""
+    start = problem.prior_mean()
+    if "nu" not in problem.names:
+        return [start]
+    i = problem.names.index("nu")
+    prior = problem.coordinates[i].prior
+    out = []
+    for factor in (0.6, 1.8):
+        point = start.copy()
+        point[i] = coordinate_of(prior, factor * median(prior))
+        out.append(point)
+    return out
+
+
+def summarise(
+    problem: Problem, q: Array, eta: Mapping[int, Array], converged: bool, iterations: int, central: bool = True
+) -> Calibration:
+    """Covariance, evidence and the rest at a point that a fit has reached."""
+    linear = problem.linearise(q, eta, central=central)
+    normals = linear.normal()
+    S, _, _ = normals.reduced()
+    try:
+        covariance = cho_solve(cho_factor(S), np.eye(problem.size))
+        evidence = normals.log_evidence()
+    except (np.linalg.LinAlgError, ValueError):
+        covariance, evidence = np.full((problem.size, problem.size), np.nan), -math.inf
+    prior = float(q @ q) + sum(float(v @ v) for v in eta.values())
+    cost = normals.cost if math.isfinite(normals.cost) else math.inf
+    return Calibration(
+        problem, q, dict(eta), covariance, cost, cost - prior, evidence, converged, linear, iterations
+    )
+
+
+def _descend(
+    problem: Problem, q: Array, eta: dict[int, Array], most: int, annealed: bool, tolerance: float
+) -> tuple[Array, dict[int, Array], float, bool, int]:
+    """Levenberg-Marquardt from one start: q, eta, cost, whether it converged, Jacobians used."""
+    damping = 1e-2
+    cost = float(problem.costs(q[None], {i: v[None] for i, v in eta.items()}, annealed)[0])
+    if not math.isfinite(cost):
+        return q, eta, cost, False, 0
+    bounds = {i: (g.lower[k], g.upper[k]) for g in problem.groups for k, i in enumerate(g.trials)}
+    for iteration in range(1, most + 1):
+        normals = problem.linearise(q, eta, annealed=annealed).normal()
+        accepted = False
+        gained = 0.0
+        for _ in range(3):
+            candidates = []
+            for factor in (0.03, 0.3, 3.0, 30.0):
+                try:
+                    dq, deta = normals.step(damping * factor)
+                except np.linalg.LinAlgError:
+                    continue
+                shrink = min(1.0, 1.5 / max(float(np.max(np.abs(dq), initial=0.0)), 1e-12))
+                moved = {i: np.clip(eta[i] + shrink * deta[i], *bounds[i]) for i in eta}
+                candidates.append((damping * factor, q + shrink * dq, moved))
+            if not candidates:
+                damping *= 100.0
+                continue
+            trial_costs = problem.costs(
+                np.array([c[1] for c in candidates]),
+                {i: np.array([c[2][i] for c in candidates]) for i in eta},
+                annealed,
+            )
+            k = int(np.argmin(trial_costs))
+            if trial_costs[k] < cost:
+                gained = cost - float(trial_costs[k])
+                cost = float(trial_costs[k])
+                damping, q, eta = candidates[k]
+                damping = max(damping, 1e-7)
+                accepted = True
+                break
+            damping *= 300.0
+        if not accepted or gained < tolerance:
+            return q, eta, cost, True, iteration
+    return q, eta, cost, False, most
+
+
+# Held-out trials --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """What a fit says about a trial that it has not seen, its own nuisances fitted.
+
+    model (channels, n), residual (channels, n) = reading - model, eta (m,), chi2: whitened and weighted; n_data: weighted
+    number of readings.
+    """
+
+    trial: int
+    model: Array
+    residual: Array
+    eta: Array
+    chi2: float
+    n_data: float
+
+
+def predict(fit: Calibration, trials: Sequence[int], rounds: int = 12) -> dict[int, Prediction]:
+    """Predictions for trials that the fit has not used: only their own nuisances are estimated, from several starts."""
+    problem = fit.problem
+    out: dict[int, Prediction] = {}
+    for group in problem.grouped(tuple(trials)):
+        n, m = len(group.trials), len(group.nuisances)
+        names = [name for name, _, _ in group.nuisances]
+        starts = [np.zeros(m)]
+        if "delay" in names:
+            for value in (-1.2, -0.8, -0.4, 0.4, 0.8, 1.2):
+                point = np.zeros(m)
+                point[names.index("delay")] = value
+                starts.append(point)
+        k = len(starts)
+        which = np.repeat(np.arange(n), k)
+        eta = np.tile(np.array(starts).reshape(k, m), (n, 1))
+        low, high = group.lower[which], group.upper[which]
+        eta = np.clip(eta, low, high)
+        weight = group.weight[which]
+
+        def evaluate(
+            values: Array, which: Array = which, weight: Array = weight, group: Group = group
+        ) -> tuple[Array, Array]:
+            y = problem.simulate(group, which, np.tile(fit.q, (which.size, 1)), values)
+            r = problem.whitened(y - group.y[which], weight)
+            total = np.einsum("ij,ij->i", r, r) + np.sum(values**2, axis=1)
+            return r, np.where(np.isfinite(total), total, np.inf)
+
+        r, cost = evaluate(eta)
+        damping = np.full(n * k, 1e-2)
+        for _ in range(rounds if m else 0):
+            T = np.empty((n * k, m, r.shape[1]))
+            for i, name in enumerate(names):
+                step = np.full(n * k, 2e-3) if name != "delay" else 1e-6 / group.nuisances[i][2][which]
+                step = np.where(eta[:, i] + step > high[:, i], -step, step)
+                moved = eta.copy()
+                moved[:, i] += step
+                T[:, i] = (evaluate(moved)[0] - r) / step[:, None]
+            T = np.nan_to_num(T)
+            H = T @ T.transpose(0, 2, 1) + np.eye(m)
+            H += damping[:, None, None] * H * np.eye(m)
+            g = np.einsum("imd,id->im", T, np.nan_to_num(r)) + eta
+            move = -np.linalg.solve(H, g[:, :, None])[:, :, 0]
+            move *= np.minimum(1.0, 1.5 / np.maximum(np.abs(move).max(axis=1), 1e-12))[:, None]
+            candidate = np.clip(eta + move, low, high)
+            r_new, cost_new = evaluate(candidate)
+            better = cost_new < cost
+            done = np.all(~better | (cost - cost_new < 0.01)) and np.all(damping < 1e3)
+            eta = np.where(better[:, None], candidate, eta)
+            r = np.where(better[:, None], r_new, r)
+            damping = np.where(better, damping * 0.1, damping * 30.0)
+            cost = np.where(better, cost_new, cost)
+            if done:
+                break
+        winner = cost.reshape(n, k).argmin(axis=1) + np.arange(n) * k
+        chosen = eta[winner]
+        y = problem.simulate(group, np.arange(n), np.tile(fit.q, (n, 1)), chosen)
+        r = problem.whitened(y - group.y, group.weight)
+        for j, i in enumerate(group.trials):
+            residual = problem.experiment.trials[i].y - y[j]
+            out[i] = Prediction(
+                i, y[j], residual, chosen[j], float(r[j] @ r[j]), float(np.sum(group.weight[j] ** 2))
+            )
+    return out
+
+
+# Noise ------------------------------------------------------------------------------------------------------------------
+
+
+def rough_noise(experiment: Experiment, trials: Sequence[int]) -> Noise:
+    """White noise per channel from the fast content of the readings: for a first fit."""
+    channels = 1 + int(any(experiment.trials[i].coupled for i in trials))
+    sds = []
+    for c in range(channels):
+        pieces = []
+        for i in trials:
+            y = experiment.trials[i].y
+            if c < y.shape[0] and y.shape[1] > 12:
+                fast = np.diff(y[c], n=4)[4:]
+                pieces.append(fast[np.isfinite(fast)])
+        if pieces and sum(p.size for p in pieces):
+            sd = 1.4826 * float(np.median(np.abs(np.concatenate(pieces)))) / math.sqrt(70.0)
+        else:
+            sd = 0.0
+        declared = experiment.noise_sd[min(c, len(experiment.noise_sd) - 1)] if experiment.noise_sd else 0.0
+        scale = max((float(np.nanmax(np.abs(experiment.trials[i].y))) for i in trials), default=1.0)
+        sds.append(max(sd if sd > 0.0 else declared, 1e-6 * scale, 1e-300))
+    return Noise(tuple(sds), (0.0,) * channels, (0.0,) * channels)
+
+
+def learn_noise(fit: Calibration, colour: bool = True) -> Noise:
+    """Noise of each channel from what the repeats do not share; without repeats, from the residuals' fast content.
+
+    What the repeats share is the model's fault, not noise: it drops out of the differences. Colour is only claimed
+    where it raises the likelihood by more than 3 nats.
+    """
+    problem = fit.problem
+    e = problem.experiment
+    residuals = fit.residuals()
+    channels = len(problem.noise.innovation)
+    sets: dict[tuple[str, bool, float], list[int]] = {}
+    for i in problem.trials:
+        t = e.trials[i]
+        sets.setdefault((t.case, t.coupled, t.theta0), []).append(i)
+    weights = {i: g.weight[k] for g in problem.groups for k, i in enumerate(g.trials)}
+    innovation, phis, thetas = [], [], []
+    for c in range(channels):
+        spectra: dict[int, list[Array]] = {}
+        counts: dict[int, float] = {}
+        lone: dict[int, list[Array]] = {}
+        for members in sets.values():
+            usable = [i for i in members if c < residuals[i].shape[0]]
+            lengths = {residuals[i].shape[1] for i in usable}
+            if not usable:
+                continue
+            stack = [np.nan_to_num(residuals[i][c]) for i in usable]
+            if len(usable) > 1 and len(lengths) == 1:
+                deviation = np.array(stack) - np.mean(stack, axis=0)
+                keep = np.min([weights[i][c] for i in usable], axis=0) > 0.9
+                deviation = deviation[:, keep] * math.sqrt(len(usable) / (len(usable) - 1.0))
+                for d in deviation:
+                    power = np.abs(np.fft.rfft(d)) ** 2 / d.size
+                    spectra.setdefault(d.size, []).append(power[1:])
+                    counts[d.size] = counts.get(d.size, 0.0) + (len(usable) - 1.0) / len(usable)
+            else:
+                for d in stack:
+                    power = np.abs(np.fft.rfft(d)) ** 2 / d.size
+                    lone.setdefault(d.size, []).append(power[power.size // 3 :])
+        if spectra and sum(len(v) for v in spectra.values()) > 1:
+            a, p, t = _fit_spectrum(spectra, counts, colour and all(_even(e.trials[i].times) for i in problem.trials))
+        elif lone:
+            values = np.concatenate([x for v in lone.values() for x in v])
+            a, p, t = math.sqrt(float(np.mean(np.minimum(values, 12.0 * np.median(values))))), 0.0, 0.0
+        else:
+            a, p, t = problem.noise.innovation[c], 0.0, 0.0
+        innovation.append(max(a, 1e-300))
+        phis.append(p)
+        thetas.append(t)
+    return Noise(tuple(innovation), tuple(phis), tuple(thetas))
+
+
+def _even(times: Array) -> bool:
+    """Whether the samples are evenly spaced, to 2 %."""
+    gaps = np.diff(times)
+    return bool(gaps.size > 0 and gaps.max() < 1.02 * gaps.min() + 1e-12)
+
+
+def _fit_spectrum(
+    spectra: Mapping[int, list[Array]], counts: Mapping[int, float], colour: bool
+) -> tuple[float, float, float]:
+    """Whittle fit of a white plus an AR(1) process: sd of the innovations, phi, theta of the ARMA(1, 1) they form."""
+    bins = []
+    for n, powers in spectra.items():
+        mean = np.mean(powers, axis=0)
+        omega = 2.0 * np.pi * np.arange(1, mean.size + 1) / n
+        bins.append((omega[:-1], mean[:-1], counts[n]))
+    omega = np.concatenate([b[0] for b in bins])
+    power = np.concatenate([b[1] for b in bins])
+    count = np.concatenate([np.full(b[0].size, b[2]) for b in bins])
+    white = float(np.sum(count * power) / np.sum(count))
+
+    def minus_log(x: Array) -> float:
+        a, b, phi = math.exp(x[0]), math.exp(x[1]), 0.99 / (1.0 + math.exp(-x[2]))
+        s = a + b / (1.0 + phi * phi - 2.0 * phi * np.cos(omega))
+        return float(np.sum(count * (np.log(s) + power / s)))
+
+    flat = float(np.sum(count * (math.log(white) + power / white)))
+    if not colour or omega.size < 50:
+        return math.sqrt(white), 0.0, 0.0
+    start = np.array([math.log(0.8 * white), math.log(0.04 * white), 2.0])
+    found = minimize(minus_log, start, method="Nelder-Mead", options={"maxiter": 400, "xatol": 1e-3, "fatol": 1e-3})
+    if flat - float(found.fun) < 3.0:
+        return math.sqrt(white), 0.0, 0.0
+    a, b, phi = math.exp(found.x[0]), math.exp(found.x[1]), 0.99 / (1.0 + math.exp(-found.x[2]))
+    # a |1 - phi z|^2 + b = s^2 |1 - theta z|^2
+    if a * phi <= 0.0:
+        return math.sqrt(white), 0.0, 0.0
+    half = (a * (1.0 + phi * phi) + b) / (2.0 * a * phi)
+    theta = half - math.sqrt(max(half * half - 1.0, 0.0))
+    return math.sqrt(a * phi / max(theta, 1e-12)), phi, theta
+
+
+# From the first fit to the nuisances that are needed ----------------------------------------------------------------------
+
+
+def choose_switches(fit: Calibration) -> Switches:
+    """Which nuisances the repeats call for, from a fit in which all are free.
+
+    Repeats of one case differ only in what is each trial's own, so the spread of the nuisances between repeats, beyond
+    their own uncertainty, tells whether release or friction vary, whatever the model leaves out.
+    """
+    problem = fit.problem
+    wanted = {"delay": False, "ln_mu": False}
+    normals = fit.linear.normal()
+    for name in wanted:
+        z: list[float] = []
+        for block, H, _, _ in normals.parts:
+            names = [n for n, _, _ in block.group.nuisances]
+            if name not in names or not H.shape[1]:
+                continue
+            i = names.index(name)
+            sd = np.sqrt(np.linalg.inv(H)[:, i, i])
+            _, mean, scale = block.group.nuisances[i]
+            same: dict[tuple[str, float], list[int]] = {}
+            for k, j in enumerate(block.group.trials):
+                t = problem.experiment.trials[j]
+                same.setdefault((t.case, t.theta0), []).append(k)
+                late = mean[k] + scale[k] * block.eta[k, i]
+                if name == "delay" and late > 1e-4 * scale[k]:
+                    wanted["delay"] = True  # the first readings show a rig still held
+            for members in same.values():
+                values = block.eta[members, i]
+                pull = sd[members]
+                z += list((values - values.mean()) / pull / math.sqrt(max(1.0 - 1.0 / len(members), 1e-9)))
+        if len(z) > 1 and float(np.mean(np.square(z))) > 9.0:
+            wanted[name] = True
+    return Switches(delay=wanted["delay"], friction=wanted["ln_mu"])
+
+
+def calibrate_nominal(
+    experiment: Experiment,
+    *,
+    nominal: Literal["nonlinear", "linear"] = "nonlinear",
+    threads: int = 1,
+    switches: Switches | None = None,
+    tell: Callable[[str], None] = lambda line: None,
+) -> Calibration:
+    """The nominal model fitted to the training trials: first roughly, then with the nuisances and the noise they show."""
+    problem = Problem(experiment, nominal=nominal, threads=threads, switches=switches or Switches())
+    fit = calibrate(problem, most=15, finish=False)
+    chosen = switches or choose_switches(fit)
+    problem = Problem(experiment, nominal=nominal, noise=learn_noise(fit), switches=chosen, threads=threads)
+    starts = [fit.q, *default_starts(problem)]
+    fit = calibrate(problem, starts, give_up=300.0)
+    noise = learn_noise(fit)
+    tell(f"noise sd {', '.join(f'{s:.3g}' for s in noise.total)}")
+    problem = Problem(experiment, nominal=nominal, noise=noise, switches=chosen, threads=threads)
+    return calibrate(problem, [fit.q], eta=fit.eta, anneal=False)
+
+
+# Reading a campaign ------------------------------------------------------------------------------------------------------
+
+
+def experiment_of(campaign: Any, priors: Mapping[str, Distribution] | None = None) -> Experiment:
+    """A campaign.Campaign as an Experiment; priors override those of `default_priors`.
+
+    Where no trial is marked as held out, the last one of each case and configuration that has repeats is.
+    """
+    rig, measurement = campaign.rig, campaign.measurement
+    fields = {
+        "J1": "primary_inertia", "J2": "secondary_inertia", "R": "bar_radius", "r": "magnet_radius", "N0": "magnet_pull",
+        "k3t": "ground2_stiffness", "J12": "inertial_coupling",
+    }  # fmt: skip
+    constants: dict[str, tuple[float, float]] = {}
+    for name, field_name in fields.items():
+        value = getattr(rig, field_name, None)
+        if value is not None:
+            constants[name] = (float(getattr(value, "value", value)), float(getattr(value, "std", 0.0) or 0.0))
+    stiffnesses: list[tuple[float, float]] = []
+    records = []
+    heldout = {id(t) for t in campaign.heldout}
+    for t in campaign.trials:
+        key = (float(getattr(t.k1t, "value", t.k1t)), float(getattr(t.k1t, "std", 0.0) or 0.0))
+        if key not in stiffnesses:
+            stiffnesses.append(key)
+        angle = t.theta0
+        records.append(
+            TrialRecord(
+                label=str(t.file), case=t.case, coupled=t.configuration == "coupled", number=int(t.trial),
+                times=np.asarray(t.times, float), y=np.atleast_2d(np.asarray(t.channels, float)), k1t=stiffnesses.index(key),
+                theta0=0.0 if angle is None else float(getattr(angle, "value", angle)),
+                theta0_sd=0.0 if angle is None else float(getattr(angle, "std", 0.0) or 0.0),
+                torque=None if t.torque is None else np.asarray(t.torque, float), heldout=id(t) in heldout,
+            )  # fmt: skip
+        )
+    sd = getattr(measurement, "noise_std", None)
+    given = () if sd is None else tuple(float(x) for x in np.atleast_1d(np.asarray(sd, float)))
+    return Experiment(
+        constants, tuple(stiffnesses), tuple(records), measurement.quantity, rig.normal_force, rig.restoring,
+        measurement.start, given, dict(priors or {}),
+    )  # fmt: skip
