@@ -1,0 +1,310 @@
+"""The library of effects: what a rig may do that the nominal model leaves out, one file each.
+
+`EFFECTS` holds those of this folder, found by scanning it; a file whose name begins with an underscore holds shapes
+that effects share. Effects of a user's own come from a folder (`load_effects`) or from installed packages (entry points
+of the group "bayes_damper.effects"). `candidates` tells which effects a rig can have.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, replace
+from importlib import import_module
+from importlib.metadata import entry_points
+from pathlib import Path
+from pkgutil import iter_modules
+from types import ModuleType
+from typing import Any, Literal
+
+import numpy as np
+
+from bayes_damper.damper import Rig
+from bayes_damper.distributions import Distribution, HalfNormal, LogNormal, LogUniform, Normal, Uniform
+from bayes_damper.effects.base import SITES, Effect, EffectParameter, Variant
+from bayes_damper.errors import InputError
+
+__all__ = [
+    "EFFECTS",
+    "ENTRY_POINTS",
+    "REFERENCE",
+    "Effect",
+    "EffectParameter",
+    "Scales",
+    "Variant",
+    "all_effects",
+    "candidates",
+    "classes",
+    "faults",
+    "load_effects",
+    "scaled",
+]
+
+ENTRY_POINTS = "bayes_damper.effects"
+
+EFFECTS: dict[str, Effect] = {
+    module.name: import_module(f"{__name__}.{module.name}").EFFECT
+    for module in iter_modules(__path__)
+    if module.name != "base" and not module.name.startswith("_")
+}
+"""Name -> effect of the library, in alphabetical order."""
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Magnitudes of a rig: release angle (rad), inverse frequency (s/rad), spring torque (N m), peak reading."""
+
+    angle: float
+    time: float
+    torque: float
+    reading: float
+
+
+REFERENCE = Scales(angle=0.1, time=1.0 / 55.0, torque=0.8, reading=200.0)
+"""Magnitudes of the thesis's rig, for which the priors and starts of the library are written."""
+
+_DIMENSIONS = {"T": "torque", "rad": "angle", "s": "time", "reading": "reading", "1": ""}
+
+
+def _exponents(unit: str) -> dict[str, float]:
+    """Powers of the scales in a unit such as "N m s/rad^2" or "1/(N m rad)"; ValueError if it cannot be read."""
+    powers: dict[str, float] = {}
+    above, _, below = unit.replace("N m", "T").partition("/")
+    for sign, part in ((1.0, above), (-1.0, below)):
+        for token in re.sub(r"[()]", " ", part).split():
+            symbol, _, power = token.partition("^")
+            if symbol not in _DIMENSIONS:
+                raise ValueError(f"unit {unit!r}: {symbol!r} is none of N m, rad, s, reading and 1")
+            scale = _DIMENSIONS[symbol]
+            powers[scale] = powers.get(scale, 0.0) + sign * float(power or 1.0)
+    return powers
+
+
+def _ratio(unit: str, scales: Scales) -> float:
+    ratio = 1.0
+    for scale, power in _exponents(unit).items():
+        if scale:
+            ratio *= (getattr(scales, scale) / getattr(REFERENCE, scale)) ** power
+    return ratio
+
+
+def _stretched(prior: Distribution, ratio: float) -> Distribution:
+    """The distribution of `ratio` times the variable."""
+    if isinstance(prior, LogNormal):
+        return replace(prior, median_value=prior.median_value * ratio)
+    if isinstance(prior, Normal | HalfNormal | Uniform | LogUniform):
+        changes: dict[str, Any] = {
+            f.name: getattr(prior, f.name) * ratio for f in fields(prior) if f.name != "coordinate"
+        }
+        return replace(prior, **changes)
+    raise TypeError(f"cannot scale a prior of the kind {type(prior).__name__}")
+
+
+def scaled(variant: Variant, scales: Scales) -> Variant:
+    """The variant with priors, starts and nulls for a rig of other magnitudes than the thesis's.
+
+    Each parameter is multiplied by the ratio of the scales that its unit is made of, so that a pendulum that swings 1
+    rad in 2 s has the same prior probabilities of relative effects as a rig that swings 0.1 rad in 0.1 s.
+    """
+    ratios = [_ratio(p.unit, scales) for p in variant.parameters]
+    parameters = tuple(
+        p if ratio == 1.0 else replace(
+            p, prior=_stretched(p.prior, ratio), null=None if p.null is None else p.null * ratio
+        )
+        for p, ratio in zip(variant.parameters, ratios, strict=True)
+    )  # fmt: skip
+    starts = tuple(tuple(x * ratio for x, ratio in zip(start, ratios, strict=True)) for start in variant.starts)
+    return replace(variant, parameters=parameters, starts=starts)
+
+
+def _is_sentence(text: str) -> bool:
+    return len(text.split()) >= 3 and text[0].isupper() and text.endswith(".")
+
+
+def _variant_faults(variant: Variant) -> Iterable[str]:
+    names = [p.name for p in variant.parameters]
+    if not names or len(set(names)) != len(names):
+        yield "needs parameters, each with a name of its own"
+    for p in variant.parameters:
+        if not (_is_sentence(p.meaning) and _is_sentence(p.reason)):
+            yield f"parameter {p.name}: meaning and reason must each be a sentence that ends in a full stop"
+        try:
+            _exponents(p.unit)
+        except ValueError as error:
+            yield f"parameter {p.name}: {error}"
+        if p.null is not None and not np.isfinite(p.prior.logpdf(p.null)):
+            yield f"parameter {p.name}: its null {p.null:g} lies outside its prior"
+    if not variant.starts:
+        yield "needs `starts`, points from which a search begins"
+    for start in variant.starts:
+        outside = [
+            p.name for p, x in zip(variant.parameters, start, strict=True) if not np.isfinite(float(p.prior.logpdf(x)))
+        ]
+        if outside:
+            yield f"start {start} lies outside the prior of {', '.join(outside)}"
+    kernels = {hook: getattr(variant, hook) for hook in ("torque", "rate", "start", "sense")}
+    for hook, kernel in kernels.items():
+        if kernel is not None and not hasattr(kernel, "py_func"):
+            yield f"`{hook}` must be decorated with `lanes.lane`"
+    if all(kernel is None for kernel in (*kernels.values(), variant.lag, variant.amend)):
+        yield "does nothing: it needs at least one of torque, sense, lag and amend"
+    if (variant.rate is not None) != (variant.memory > 0):
+        yield "`rate` and `memory` belong together"
+    if variant.replaces_friction != (variant.null is None):
+        yield "a variant has a parameter with a null unless it replaces the friction, and only then"
+
+
+def faults(effect: Effect) -> list[str]:
+    """What an effect lacks of the duties in base.py, one sentence each; empty if nothing."""
+    found = []
+    if not effect.name.isidentifier():
+        found.append("its name must be letters, digits and underscores")
+    if effect.site not in SITES:
+        found.append(f"its site {effect.site!r} is none of {', '.join(SITES)}")
+    found += [
+        f"`{name}` must be a sentence that ends in a full stop"
+        for name in ("summary", "looks_like", "source")
+        if not _is_sentence(getattr(effect, name))
+    ]
+    if not effect.variants or len({v.name for v in effect.variants}) != len(effect.variants):
+        found.append("it needs variants, each with a name of its own")
+    found += [f"variant {v.name}: {fault}" for v in effect.variants for fault in _variant_faults(v)]
+    return [f"effect {effect.name}: {fault}" for fault in found]
+
+
+def _checked(effect: Any, where: str, known: Mapping[str, Effect]) -> list[str]:
+    """Faults of what a user's file or package offers as an effect."""
+    if not isinstance(effect, Effect):
+        return [f"{where}: defines no EFFECT; write EFFECT = Effect(...) as the files of bayes_damper/effects do"]
+    if effect.name in known:
+        return [f"{where}: there is an effect {effect.name} already; give this one another name"]
+    return [f"{where}: {fault}" for fault in faults(effect)]
+
+
+def _module(path: Path) -> ModuleType:
+    """The module of a file, under a name that does not depend on where it lies."""
+    name = f"bayes_damper_effect_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module
+
+
+def load_effects(folder: str | Path, known: Mapping[str, Effect] = EFFECTS) -> dict[str, Effect]:
+    """Effects of a user's folder: name -> effect, from every .py file whose name does not begin with an underscore.
+
+    Raises
+    ------
+    InputError
+        if the folder is not there or holds no effect, a file cannot be imported or defines no EFFECT, an effect lacks
+        one of its duties or has a name that is taken; all faults at once.
+    """
+    path = Path(folder)
+    if not path.is_dir():
+        raise InputError(f"{path}: there is no such folder of effects; give one that holds a .py file per effect")
+    files = sorted(f for f in path.glob("*.py") if not f.name.startswith("_"))
+    if not files:
+        raise InputError(f"{path}: holds no .py file; write one per effect, each with an EFFECT")
+    loaded: dict[str, Effect] = {}
+    wrong: list[str] = []
+    for file in files:
+        try:
+            effect = getattr(_module(file), "EFFECT", None)
+        except Exception as error:  # noqa: BLE001 (a user's file may fail in any way)
+            wrong.append(f"{file}: cannot be imported ({type(error).__name__}: {error}); run it with python")
+            continue
+        found = _checked(effect, str(file), {**known, **loaded})
+        wrong += found
+        if not found and isinstance(effect, Effect):
+            loaded[effect.name] = effect
+    if wrong:
+        raise InputError(wrong)
+    return loaded
+
+
+def all_effects(folder: str | Path | None = None) -> dict[str, Effect]:
+    """The library, then effects of installed packages, then those of `folder`: name -> effect.
+
+    Raises
+    ------
+    InputError
+        as `load_effects`; also if an installed package offers something that is no effect.
+    """
+    effects = dict(EFFECTS)
+    wrong: list[str] = []
+    for point in sorted(entry_points(group=ENTRY_POINTS), key=lambda p: p.name):
+        where = f"entry point {point.name} = {point.value}"
+        try:
+            offered = point.load()
+        except Exception as error:  # noqa: BLE001 (another package's code may fail in any way)
+            wrong.append(f"{where}: cannot be loaded ({type(error).__name__}: {error}); reinstall the package")
+            continue
+        effect = getattr(offered, "EFFECT", offered)
+        found = _checked(effect, where, effects)
+        wrong += found
+        if not found:
+            effects[effect.name] = effect
+    if wrong:
+        raise InputError(wrong)
+    return effects if folder is None else effects | load_effects(folder, effects)
+
+
+def classes(effects: Mapping[str, Effect] = EFFECTS) -> list[frozenset[str]]:
+    """Groups of two effects or more that agree to first order, each once."""
+    groups: list[set[str]] = []
+    for effect in effects.values():
+        if not effect.alike:
+            continue
+        group = {effect.name, *(name for name in effect.alike if name in effects)}
+        joined = [g for g in groups if g & group]
+        groups = [g for g in groups if g not in joined] + [group.union(*joined)]
+    return sorted((frozenset(g) for g in groups if len(g) > 1), key=sorted)
+
+
+def _acts_without_dry_friction(variant: Variant) -> bool:
+    """Whether the variant does anything on a rig with mu = drag = 0."""
+    if variant.torque is None:
+        return True
+    rig = Rig(1.0, 0.8, 0.0, 9.0, 0.5, 0.1, 0.1, 1.0, 0.1, 0.0, 10.0, 0.1, 0.1, 0.0, 20.0, 0.3)
+    states = ((1e-7, 0.25, 0.1, -0.8, 0.5, 0.3, 0.2), (0.02, -0.2, -0.3, 0.9, 1.2, -0.4, 0.5))
+    return any(
+        abs(torque) > 0.0
+        for start in variant.starts
+        for state in states
+        for torque in getattr(variant.torque, "py_func", variant.torque)(*state, (*start, 0.0, 0.0, 0.0)[:4], rig)
+    )
+
+
+def candidates(
+    rig_has_coupled: bool,
+    has_magnet: bool = True,
+    nominal: Literal["nonlinear", "linear"] = "nonlinear",
+    effects: Mapping[str, Effect] = EFFECTS,
+) -> dict[str, Effect]:
+    """The effects that a rig can have, each with those of its variants that do anything there.
+
+    rig_has_coupled : whether any trial is coupled; has_magnet : whether a pull presses the faces (mu is not 0);
+    nominal : "linear" has mu = drag = 0, so that dry friction becomes a candidate and what scales with it none.
+    """
+    has = {"coupled": rig_has_coupled, "magnet": has_magnet, "linear_nominal": nominal == "linear"}
+    offered = {}
+    for name, effect in effects.items():
+        if not all(has[need] for need in effect.needs):
+            continue
+        variants = tuple(
+            v
+            for v in effect.variants
+            if (rig_has_coupled or v.uncoupled) and (nominal == "nonlinear" or _acts_without_dry_friction(v))
+        )
+        if variants:
+            offered[name] = effect if len(variants) == len(effect.variants) else replace(effect, variants=variants)
+    return offered

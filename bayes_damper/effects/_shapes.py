@@ -1,0 +1,18 @@
+"""Shapes that several effects share: how far the faces overlap, and the nominal friction between them."""
+
+from __future__ import annotations
+
+from bayes_damper.damper import normal_force_ratio
+from bayes_damper.lanes import lane, tanh
+
+
+@lane
+def overlap(phi, rig):
+    """Share of the faces' width that overlaps at the relative angle phi, 1 to 0 (eq. 20, p. 24)."""
+    return normal_force_ratio(phi, rig.R / (2.0 * rig.r))
+
+
+@lane
+def friction(phi, slip, rig):
+    """Nominal friction torque between the faces, mu N R tanh(nu slip), with N linear in the overlap (N m)."""
+    return rig.mu * rig.N0 * rig.R * overlap(phi, rig) * tanh(rig.nu * slip)

@@ -1,0 +1,90 @@
+"""The sensors follow the motion with a lag: a low-pass in the channels.
+
+    tau dm/dt = y - m    in both channels, in one, or twice in one
+
+Source: Doebelin (2004), Measurement Systems, sec. 3.3 (instruments of first and second order).
+"""
+
+from __future__ import annotations
+
+from bayes_damper.distributions import HalfNormal
+from bayes_damper.effects._filters import follow, low_pass
+from bayes_damper.effects.base import Effect, EffectParameter, Variant
+from bayes_damper.lanes import lane
+
+
+@lane
+def both(h, u1, u2, y1, y2, s1, s2, p, first):
+    """The same low-pass in both channels."""
+    m1 = follow(h, u1, y1, s1, p[0], first)
+    m2 = follow(h, u2, y2, s2, p[0], first)
+    return m1, m2, m1, m2
+
+
+@lane
+def both_settled(h, u1, u2, y1, y2, s1, s2, p, first):
+    """The same low-pass in both channels, started at the first reading after the release."""
+    m1 = y1 if first > 0.5 else low_pass(h, u1, y1, s1, p[0])
+    m2 = y2 if first > 0.5 else low_pass(h, u2, y2, s2, p[0])
+    return m1, m2, m1, m2
+
+
+@lane
+def channel1(h, u1, u2, y1, y2, s1, s2, p, first):
+    """A low-pass in the primary's channel."""
+    m1 = follow(h, u1, y1, s1, p[0], first)
+    return m1, y2, m1, s2
+
+
+@lane
+def channel2(h, u1, u2, y1, y2, s1, s2, p, first):
+    """A low-pass in the secondary's channel."""
+    m2 = follow(h, u2, y2, s2, p[0], first)
+    return y1, m2, s1, m2
+
+
+TIME = EffectParameter(
+    "time", "s", "Time constant of the filter.", HalfNormal(0.003),
+    "Corner frequencies of conditioners lie from some 50 Hz up, time constants from 3 ms down.", 0.0,
+)  # fmt: skip
+STARTS = ((0.00005,), (0.0005,), (0.002,), (0.005,))
+
+EFFECT = Effect(
+    name="sensor_bandwidth",
+    site="sensor",
+    summary="The sensors are too slow to follow quick changes of the motion.",
+    looks_like="Jumps and the first peak are rounded and late, slow content is right.",
+    hides_behind=("nu", "delay"),
+    source="Doebelin (2004), Measurement Systems, sec. 3.3.",
+    variants=(
+        Variant(
+            name="both",
+            formula="tau dm/dt = y - m in both channels, from the reading at rest",
+            parameters=(TIME,),
+            sense=both,
+            starts=STARTS,
+        ),
+        Variant(
+            name="both_settled",
+            formula="tau dm/dt = y - m in both channels, from the first reading",
+            parameters=(TIME,),
+            sense=both_settled,
+            starts=STARTS,
+        ),
+        Variant(
+            name="channel1",
+            formula="tau dm1/dt = y1 - m1",
+            parameters=(TIME,),
+            sense=channel1,
+            starts=STARTS,
+        ),
+        Variant(
+            name="channel2",
+            formula="tau dm2/dt = y2 - m2",
+            parameters=(TIME,),
+            sense=channel2,
+            starts=STARTS,
+            uncoupled=False,
+        ),
+    ),
+)

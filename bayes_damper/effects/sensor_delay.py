@@ -1,0 +1,60 @@
+"""One channel lags behind the other.
+
+    m(t) = y(t - T)    on channel 1 or on channel 2
+
+Source: Wilson (2005), Sensor Technology Handbook, ch. 4 (a multiplexed converter reads one channel after the other).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from bayes_damper.distributions import HalfNormal
+from bayes_damper.effects.base import Effect, EffectParameter, Variant
+
+
+def channel1(p: Mapping[str, Any]) -> tuple[Any, Any]:
+    """The primary's channel is late."""
+    return p["time"], 0.0
+
+
+def channel2(p: Mapping[str, Any]) -> tuple[Any, Any]:
+    """The secondary's channel is late."""
+    return 0.0, p["time"]
+
+
+PARAMETERS = (
+    EffectParameter(
+        "time", "s", "Lag of the channel.", HalfNormal(0.002),
+        "Multiplexing and filters shift a channel by a fraction of a sample to a few samples of 1 ms.", 0.0,
+    ),
+)  # fmt: skip
+STARTS = ((0.0001,), (0.0007,), (0.002,), (0.004,))
+
+EFFECT = Effect(
+    name="sensor_delay",
+    site="sensor",
+    summary="One channel is recorded later than the other.",
+    looks_like="One channel is shifted in time by a constant amount, the release included; the other one fits.",
+    hides_behind=("delay",),
+    source="Wilson (2005), Sensor Technology Handbook, ch. 4.",
+    needs=("coupled",),
+    variants=(
+        Variant(
+            name="channel1",
+            formula="m1(t) = y1(t - T)",
+            parameters=PARAMETERS,
+            lag=channel1,
+            starts=STARTS,
+        ),
+        Variant(
+            name="channel2",
+            formula="m2(t) = y2(t - T)",
+            parameters=PARAMETERS,
+            lag=channel2,
+            starts=STARTS,
+            uncoupled=False,
+        ),
+    ),
+)
