@@ -5,7 +5,8 @@ import pytest
 
 from bayes_damper import linear, thesis
 from bayes_damper.features import features
-from bayes_damper.thesis import CASES, PRINTED
+from bayes_damper.published import load_published
+from bayes_damper.thesis import CASES, printed, printed_case
 from bayes_damper.thesis.printed import half_unit, spread
 from bayes_damper.thesis.rig import J1, solve_for
 from bayes_damper.thesis.tables import AGREES, CONTRADICTION, OPEN, ROUNDING, judge
@@ -176,11 +177,11 @@ def test_effective_coupling_meets_the_measured_decrement_and_period():
         k2t, c2t, misfit = thesis.effective_coupling(case)
         times = np.linspace(0.0, 0.6, 1201)
         rig = thesis.linear_rig(case, k2t=k2t, c2t=c2t)
-        alpha = linear.free_response(rig, np.deg2rad(float(PRINTED[case].theta0)), times).acceleration[:, 0]
+        alpha = linear.free_response(rig, np.deg2rad(float(printed_case(case).theta0)), times).acceleration[:, 0]
         found = features(times, alpha, 0.55e-3)
         assert misfit < 0.1
-        assert found.log_decrement[0] == pytest.approx(float(PRINTED[case].coupled_decrement[0]), abs=0.01)
-        assert 1e3 * found.period[0] == pytest.approx(float(PRINTED[case].coupled_period[0]), abs=0.5)
+        assert found.log_decrement[0] == pytest.approx(float(printed_case(case).coupled_decrement[0]), abs=0.01)
+        assert 1e3 * found.period[0] == pytest.approx(float(printed_case(case).coupled_period[0]), abs=0.5)
 
 
 def test_no_length_of_the_bar_tunes_the_secondary(recomputation):
@@ -213,3 +214,17 @@ def test_figures_show_what_the_tables_say(recomputation):
 def test_an_unknown_parameter_of_the_nonlinear_rig_is_refused():
     with pytest.raises(KeyError, match="speed"):
         thesis.nonlinear_rig(0.009, speed=1.0)
+
+
+def test_constants_are_those_of_the_shipped_data():
+    """Table 1 (p. 9), eq. 20 (p. 24) and p. 27."""
+    data = load_published()
+    assert {k: pytest.approx(1e-6 * float(v)) for k, v in printed.INERTIA_ROWS.items()} | {
+        "total": pytest.approx(1e-6 * float(printed.INERTIA))
+    } == data.inertia
+    texts = {(p.case, p.quantity): p.text for p in data.printed}
+    assert float(texts["IV", "magnet_pull"]) == printed.MAGNET_PULL
+    assert texts["IV", "secondary_natural_frequency"] == printed.SECONDARY_FREQUENCY
+    assert [float(texts["IV", f"fitted_mu_{law}_normal_force"]) for law, _ in printed.LAWS] == [
+        m for _, m in printed.LAWS
+    ]

@@ -15,13 +15,13 @@ import pandas as pd
 
 from bayes_damper.thesis.contradictions import Contradiction, Needed, contradictions
 from bayes_damper.thesis.figures import Figure, figures
-from bayes_damper.thesis.printed import CASES, PRINTED
+from bayes_damper.thesis.printed import CASES, printed_case
 from bayes_damper.thesis.rig import effective_coupling, linear_rig, nonlinear_rig, secondary_inertia
 from bayes_damper.thesis.tables import table
 
 __all__ = [
-    "CASES", "PRINTED", "Contradiction", "Figure", "Needed", "Recomputation", "effective_coupling", "linear_rig",
-    "nonlinear_rig", "recompute", "secondary_inertia",
+    "CASES", "Contradiction", "Figure", "Needed", "Recomputation", "effective_coupling", "linear_rig",
+    "nonlinear_rig", "printed_case", "recompute", "secondary_inertia",
 ]  # fmt: skip
 
 

@@ -24,8 +24,8 @@ from bayes_damper.thesis.printed import (
     INERTIA_ROWS,
     LAWS,
     MAGNET_PULL,
-    PRINTED,
     T_MIN,
+    printed_case,
     spread,
 )
 from bayes_damper.thesis.rig import (
@@ -110,7 +110,7 @@ def _inertias() -> list[Contradiction]:
 
 
 def _table_12() -> list[Contradiction]:
-    p = PRINTED["IV"]
+    p = printed_case("IV")
     k1t, z = float(p.k1t), float(p.ratio[0])
     frequency, peak = linear.uncoupled_resonance(J1, k1t, CASE_IV_DAMPING)
     c_high = solve_for(lambda c: float(linear.uncoupled_resonance(J1, k1t, c)[1]), 772.1, 1e-3, 0.12)
@@ -215,7 +215,7 @@ def _table_12() -> list[Contradiction]:
 def _stiffness() -> list[Contradiction]:
     stiffness, angle, spans = [], [], []
     for case in ("I", "II"):
-        energy, bound, j1 = spread((PRINTED[case].energy, PRINTED[case].bound, INERTIA))
+        energy, bound, j1 = spread((printed_case(case).energy, printed_case(case).bound, INERTIA))
         torque = 1e-6 * bound * j1
         k, th = torque**2 / (2e-3 * energy), np.rad2deg(2e-3 * energy / torque)
         stiffness.append(k[0])
@@ -225,10 +225,10 @@ def _stiffness() -> list[Contradiction]:
     k = linear.stiffness_for(f, 1e-6 * j1)
     designed = float(k[0])
     spans.append(f"{k.min():.2f} to {k.max():.2f}")
-    designs = [float(linear.natural_frequency(float(PRINTED[c].k1t), J1)) for c in CASES]
-    measured = [float(PRINTED[c].measured_frequency[0]) for c in CASES]
+    designs = [float(linear.natural_frequency(float(printed_case(c).k1t), J1)) for c in CASES]
+    measured = [float(printed_case(c).measured_frequency[0]) for c in CASES]
     lower = [100 * (1 - (m / d) ** 2) for m, d in zip(measured, designs, strict=True)]
-    short = [100 * (1 - float(PRINTED[c].acceleration[0]) / float(PRINTED[c].bound)) for c in CASES]
+    short = [100 * (1 - float(printed_case(c).acceleration[0]) / float(printed_case(c).bound)) for c in CASES]
     remaining = [100 * (1 - (1 - a / 100) / (1 - x / 100)) for a, x in zip(short, lower, strict=True)]
     return [
         Contradiction(
@@ -257,7 +257,7 @@ def _stiffness() -> list[Contradiction]:
              + ", ".join(f"{x:.1f}" for x in remaining) + " %.",
             tuple(
                 Needed(
-                    *("J1", "kg m^2", J1 / (1 - lower[i] / 100), PRINTED[CASES[i]].measured_frequency[0]),
+                    *("J1", "kg m^2", J1 / (1 - lower[i] / 100), printed_case(CASES[i]).measured_frequency[0]),
                     "No single J1 does it for both stiffnesses: k1t must be uncertain too.",
                 )
                 for i in (1, 3)
@@ -286,7 +286,7 @@ def _stiffness() -> list[Contradiction]:
 def _frequency_errors() -> Contradiction:
     lines = []
     for case in ("I", "III"):
-        p = PRINTED[case]
+        p = printed_case(case)
         z, e = (float(x) for x in p.ratio)
         period = 1e-3 * float(p.period[0])
         f = 1 / period * z * e / (1 - z**2) ** 1.5
@@ -307,7 +307,7 @@ def _model_against_measurement() -> list[Contradiction]:
     excess, drop, delays, needed_torque = [], [], [], []
     periods = []
     for case in CASES:
-        p = PRINTED[case]
+        p = printed_case(case)
         excess.append(100 * (float(p.model_acceleration) / float(p.coupled_acceleration[0]) - 1))
         drop.append(float(p.acceleration[0]) - float(p.coupled_acceleration[0]))
         delays.append(1e3 * delay_of_peak(case))
@@ -318,14 +318,14 @@ def _model_against_measurement() -> list[Contradiction]:
         ))  # fmt: skip
         found = linear_features(linear_rig(case), np.deg2rad(float(p.theta0)))
         periods.append((1e3 * float(found.period[0]), 1e3 * float(found.period_peaks[0])))
-    two = PRINTED["II"]
+    two = printed_case("II")
     theta0 = np.deg2rad(float(two.theta0))
 
     def decrement_ii(name: str) -> Callable[[float], float]:
         return lambda x: float(linear_features(linear_rig("II", **{name: x}), theta0).log_decrement[0])
 
     own = [
-        float(linear_features(linear_rig(c, None), np.deg2rad(float(PRINTED[c].theta0))).log_decrement[0])
+        float(linear_features(linear_rig(c, None), np.deg2rad(float(printed_case(c).theta0))).log_decrement[0])
         for c in CASES
     ]
     coupling = [effective_coupling(c) for c in CASES]
@@ -350,7 +350,7 @@ def _model_against_measurement() -> list[Contradiction]:
                 "the peak "
             "was read from samples, and the thesis does not say from when on.",
             tuple(
-                Needed("t_min", "s", 1e-3 * d, PRINTED[c].model_acceleration, "Plausible: half a millisecond.")
+                Needed("t_min", "s", 1e-3 * d, printed_case(c).model_acceleration, "Plausible: half a millisecond.")
                 for c, d in zip(CASES, delays, strict=True)
             ),
         ),
@@ -373,15 +373,15 @@ def _model_against_measurement() -> list[Contradiction]:
             "period of the coupled rig",
             (17, 18, 20),
             "Table 7: at low stiffness the period falls by coupling; the linear model with Table 9 makes it longer.",
-            "Cases I-IV: measured " + ", ".join(PRINTED[c].coupled_period[0] for c in CASES) + " ms; linear model "
+            "Cases I-IV: measured " + ", ".join(printed_case(c).coupled_period[0] for c in CASES) + " ms; linear model "
             + ", ".join(f"{a:.0f}" for a, _ in periods) + " ms between crossings, "
             + ", ".join(f"{b:.0f}" for _, b in periods) + " ms from release to the second peak; uncoupled "
-            + ", ".join(PRINTED[c].period[0] for c in CASES) + " ms.",
+            + ", ".join(printed_case(c).period[0] for c in CASES) + " ms.",
             tuple(
-                Needed(f"k2t, c2t of case {c}", "N m/rad", k2t, PRINTED[c].coupled_period[0],
+                Needed(f"k2t, c2t of case {c}", "N m/rad", k2t, printed_case(c).coupled_period[0],
                        f"With c2t = {c2t:.3f} N m s/rad period and decrement both come out within {miss:.1f} standard "
                        "errors; "
-                       f"the thesis fitted {PRINTED[c].k2t} and {PRINTED[c].c2t} to the records.")
+                       f"the thesis fitted {printed_case(c).k2t} and {printed_case(c).c2t} to the records.")
                 for c, (k2t, c2t, miss) in zip(CASES, coupling, strict=True)
             ),
         ),
@@ -390,10 +390,9 @@ def _model_against_measurement() -> list[Contradiction]:
             (13, 21),
             "p. 13: damping ratios fall with the initial energy. p. 21: amplitudes rise with it.",
             "Of the 6 pairs of cases, ordered by energy, "
-            f"{pairs_against_energy([float(PRINTED[c].ratio[0]) for c in CASES])} show the first and "
-            f"{pairs_against_energy([-float(PRINTED[c].coupled_acceleration[0]) for c in CASES])} the second. Four "
-            "cases of two "
-            "stiffnesses cannot tell energy from stiffness and angle.",
+            f"{pairs_against_energy([float(printed_case(c).ratio[0]) for c in CASES])} show the first and "
+            f"{pairs_against_energy([-float(printed_case(c).coupled_acceleration[0]) for c in CASES])} the second. "
+            "Four cases of two stiffnesses cannot tell energy from stiffness and angle.",
         ),
         Contradiction(
             "scatter of three trials",

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bayes_damper import linear
 from bayes_damper.linear import LinearRig
 from bayes_damper.model import Model
-from bayes_damper.thesis.printed import CASE_IV_DAMPING, LAWS, PRINTED
+from bayes_damper.thesis.printed import CASE_IV_DAMPING, LAWS, printed_case
 from bayes_damper.thesis.rig import FINE, J1, linear_rig, nonlinear_rig, secondary_inertia
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ class Figure:
 
 def figures() -> dict[str, Figure]:
     """Data of Figures 2, 6, 8, 10-13; measured curves were not published, so they are left out."""
-    p = PRINTED["IV"]
+    p = printed_case("IV")
     theta0 = np.deg2rad(float(p.theta0))
     base = linear_rig("IV")
     f = np.linspace(0.05, 50.0, 2000)

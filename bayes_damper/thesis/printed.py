@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import csv
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+from bayes_damper.published import load_published
+from bayes_damper.resources import shipped_path
 
 Array = NDArray[np.float64]
 
@@ -50,36 +56,77 @@ class Case:
     model_acceleration: str
     model_decrement: str
     ratio_table_3: tuple[str, str]
+    decrement_table_10: str
 
 
-PRINTED: dict[str, Case] = {
-    "I": Case(
-        *("6.2", "5.7", "30.4", ("0.95", "0.40"), ("0.150", "0.061"), "7.19", ("6.76", "0.01"), "5.98"),
-        *(("149.6", "0.2"), "203.6", ("164.1", "6.2"), "164.2", "19.4", ("1.61", "0.20"), ("0.249", "0.028")),
-        *(("138.1", "3.6"), ("135.7", "2.9"), "2", "0.1", "199.8", "1.9", ("0.15", "0.06")),
-    ),
-    "II": Case(
-        *("6.2", "7.2", "49.2", ("0.26", "0.04"), ("0.041", "0.006"), "7.19", ("6.71", "0.01"), "6.68"),
-        *(("149.0", "0.2"), "257.1", ("211.3", "4.6"), "211.3", "17.8", ("0.96", "0.12"), ("0.151", "0.018")),
-        *(("121.3", "1.5"), ("177.3", "0.6"), "1", "0.08", "252.3", "1.9", ("0.04", "0.01")),
-    ),
-    "III": Case(
-        *("10.2", "2.7", "11.3", ("0.42", "0.41"), ("0.067", "0.062"), "9.26", ("9.04", "0.01"), "2.38"),
-        *(("110.8", "0.1"), "159.1", ("157.4", "8.3"), "157.4", "1.1", ("1.66", "0.16"), ("0.256", "0.022")),
-        *(("112.1", "5.3"), ("95.9", "9.9"), "3", "0.12", "155.6", "1.9", ("0.07", "0.06")),
-    ),
-    "IV": Case(
-        *("10.2", "4.7", "34.3", ("0.20", "0.01"), ("0.031", "0.001"), "9.26", ("9.07", "0.01"), "2.05"),
-        *(("110.4", "0.1"), "277.5", ("240.7", "8.1"), "240.7", "13.3", ("1.21", "0.05"), ("0.189", "0.007")),
-        *(("116.3", "7.3"), ("218.7", "6.1"), "1", "0.08", "273.1", "1.4", ("0.03", "0.001")),
-    ),
-}
-TABLE_12 = {  # p. 31: resonance Hz, accelerance 1/(kg m^2)
-    "with effective stiffness": (("9.0", "680.7"),),
-    "no effective stiffness": (("9.0", "873.9"),),
-    "undamped coupling": (("3.1", "900.1"), ("9.8", "7069.2")),
-    "uncoupled": (("9.2", "772.1"),),
-}
+@cache
+def _texts() -> dict[tuple[str, str, str, str], tuple[str, str]]:
+    """(case, configuration, quantity, table) -> value and standard error as printed, of everything in `data/thesis`."""
+    load_published()  # verifies the checksums
+    texts = {}
+    for name in ("measurements", "derived", "printed"):
+        with shipped_path(f"data/thesis/{name}.csv").open(encoding="utf-8", newline="") as file:
+            for row in csv.DictReader(file):
+                key = (row["case"], row["configuration"], row["quantity"], row["table"])
+                texts[key] = (row["value"], row.get("standard_error", ""))
+    return texts
+
+
+@cache
+def printed_case(name: str) -> Case:
+    """What is printed on one case, from `data/thesis`."""
+    texts = _texts()
+
+    def both(configuration: str, quantity: str, table: int) -> tuple[str, str]:
+        return texts[name, configuration, quantity, f"Table {table}"]
+
+    def one(configuration: str, quantity: str, table: int) -> str:
+        return both(configuration, quantity, table)[0]
+
+    nominal = load_published().cases[name]
+    return Case(
+        k1t=f"{nominal.k1t:.1f}",
+        theta0=f"{math.degrees(nominal.theta0):.1f}",
+        energy=one("both", "initial_potential_energy", 2),
+        decrement=both("uncoupled", "log_decrement", 6),
+        ratio=both("uncoupled", "damping_ratio", 6),
+        designed=one("uncoupled", "designed_natural_frequency", 4),
+        measured_frequency=both("uncoupled", "natural_frequency", 4),
+        frequency_difference=one("uncoupled", "frequency_difference", 4),
+        period=both("uncoupled", "period", 7),
+        bound=one("uncoupled", "undamped_acceleration_bound", 5),
+        acceleration=both("uncoupled", "max_acceleration", 8),
+        acceleration_table_5=one("uncoupled", "max_acceleration", 5),
+        acceleration_difference=one("uncoupled", "acceleration_difference", 5),
+        coupled_decrement=both("coupled", "log_decrement", 6),
+        coupled_ratio=both("coupled", "damping_ratio", 6),
+        coupled_period=both("coupled", "period", 7),
+        coupled_acceleration=both("coupled", "max_acceleration", 8),
+        k2t=one("coupled", "fitted_k2t", 9),
+        c2t=one("coupled", "fitted_c2t", 9),
+        model_acceleration=one("coupled", "linear_model_max_acceleration", 10),
+        model_decrement=one("coupled", "linear_model_log_decrement", 10),
+        ratio_table_3=both("uncoupled", "damping_ratio", 3),
+        decrement_table_10=one("coupled", "log_decrement", 10),
+    )
+
+
+@cache
+def table_12() -> dict[str, tuple[tuple[str, str], ...]]:
+    """Table 12 (p. 31): state of the model -> resonance (Hz) and accelerance (1/(kg m^2)) of each peak, as printed."""
+    values = {
+        (p.configuration, p.quantity): p.text for p in load_published().frequency_response if p.table == "Table 12"
+    }
+
+    def peak(state: str, which: str = "") -> tuple[str, str]:
+        return values[state, f"{which}resonance"], values[state, f"{which}accelerance"]
+
+    return {
+        "with effective stiffness": (peak("with effective stiffness"),),
+        "no effective stiffness": (peak("k2t = 0"),),
+        "undamped coupling": (peak("c2t = 0", "first_"), peak("c2t = 0", "second_")),
+        "uncoupled": (peak("uncoupled"),),
+    }
 
 
 def half_unit(printed: str) -> float:

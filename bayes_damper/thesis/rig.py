@@ -19,9 +19,9 @@ from bayes_damper.thesis.printed import (
     INERTIA,
     MAGNET_PULL,
     MAGNET_RADIUS,
-    PRINTED,
     SECONDARY_FREQUENCY,
     T_MIN,
+    printed_case,
 )
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ def secondary_inertia(frequency_hz: ArrayLike = float(SECONDARY_FREQUENCY), k2t:
 
 def linear_rig(case: str, c1t: float | None = CASE_IV_DAMPING, **changes: ArrayLike) -> LinearRig:
     """The thesis's linear model of a case (Table 9); `c1t` None takes the case's own damping ratio (Tables 3, 6)."""
-    p = PRINTED[case]
+    p = printed_case(case)
     if c1t is None:
         c1t = float(linear.damping_coefficient(float(p.ratio[0]), float(p.k1t), J1))
     values: dict[str, ArrayLike] = {
@@ -58,7 +58,7 @@ def nonlinear_rig(mu: ArrayLike, **changes: ArrayLike) -> dict[str, ArrayLike]:
 
     What is printed nowhere has working values: R = 0.10 m, r = 0.0127 m, drag 0, nu = 50 s/rad.
     """
-    p = PRINTED["IV"]
+    p = printed_case("IV")
     values: dict[str, ArrayLike] = {
         "J1": J1, "J2": secondary_inertia(), "k1t": float(p.k1t), "c1t": CASE_IV_DAMPING, "c3t": CASE_IV_DAMPING,
         "k2t": 0.0, "c2t": 0.0, "mu": mu, "N0": MAGNET_PULL, "R": BAR_RADIUS, "r": MAGNET_RADIUS, "drag": 0.0,
@@ -72,7 +72,7 @@ def nonlinear_rig(mu: ArrayLike, **changes: ArrayLike) -> dict[str, ArrayLike]:
 
 def pairs_against_energy(values: Sequence[float]) -> int:
     """In how many of the pairs of cases the value falls as the energy rises."""
-    energies = [float(PRINTED[c].energy) for c in CASES]
+    energies = [float(printed_case(c).energy) for c in CASES]
     return sum(
         (e - f) * (v - w) < 0 for (e, v), (f, w) in itertools.combinations(zip(energies, values, strict=True), 2)
     )
@@ -80,7 +80,7 @@ def pairs_against_energy(values: Sequence[float]) -> int:
 
 def delay_of_peak(case: str) -> float:
     """Time after release at which the linear model, started at the printed bound, has the printed peak, s."""
-    p = PRINTED[case]
+    p = printed_case(case)
     theta0 = float(p.bound) * J1 / float(p.k1t)
     t = np.linspace(0.0, 3e-3, 601)
     alpha = -linear.free_response(linear_rig(case), theta0, t).acceleration[0, 0]
@@ -92,7 +92,7 @@ def effective_coupling(case: str) -> tuple[float, float, float]:
 
     Returns k2t (N m/rad), c2t (N m s/rad) and the root mean square misfit in standard errors. Tables 6, 7 (pp. 17-18).
     """
-    p = PRINTED[case]
+    p = printed_case(case)
 
     def misfit(x: Array) -> Array:
         found = linear_features(linear_rig(case, k2t=np.exp(x[0]), c2t=np.exp(x[1])), np.deg2rad(float(p.theta0)))
