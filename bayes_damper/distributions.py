@@ -22,7 +22,10 @@ _LOG_ROOT_2PI = 0.5 * math.log(2.0 * math.pi)
 class Distribution(Protocol):
     """What every distribution offers."""
 
-    coordinate: Coordinate
+    @property
+    def coordinate(self) -> Coordinate:
+        """The coordinate in which a sampler moves best."""
+        ...
 
     @property
     def support(self) -> tuple[float, float]:

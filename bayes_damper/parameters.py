@@ -80,14 +80,14 @@ TRANSLATIONAL_UNITS: dict[str, str] = {
 
 def unit_of(name: str, kind: str = "torsional") -> str:
     """Unit of a parameter; "" if it is none of ours. Suffixes in brackets (``k1t[6.2]``, ``theta0[2]``) are ignored."""
-    parameter = PARAMETERS.get(name.split("[")[0])
+    parameter = PARAMETERS.get(name.partition("[")[0])
     if parameter is None:
         return ""
     return TRANSLATIONAL_UNITS.get(parameter.unit, parameter.unit) if kind == "translational" else parameter.unit
 
 
 def nearest(name: str, valid: Iterable[str]) -> str | None:
-    """The valid name most like `name`, None if none is: for error sentences. Case alone never counts as a difference."""
+    """The valid name most like `name`, None if none is: for error sentences. Case does not count."""
     names = list(valid)
     if same := [v for v in names if v.lower() == name.lower()]:
         return same[0]

@@ -18,7 +18,7 @@ from bayes_damper.errors import InputError
 from bayes_damper.resources import shipped_path
 
 FILES = ("cases", "measurements", "derived", "inertia", "printed", "frequency_response")
-_TO_SI = {"ms": (1e-3, "s"), "mJ": (1e-3, "J"), "kg mm^2": (1e-6, "kg m^2")}
+_TO_SI = {"ms": (1e3, "s"), "kg mm^2": (1e6, "kg m^2")}  # printed unit -> divisor, SI unit
 Configuration = Literal["uncoupled", "coupled"]
 
 
@@ -118,7 +118,7 @@ def load_published(folder: Path | str | None = None) -> Published:
         for i, row in enumerate(tables["cases"], start=2)
     }
     inertia = {
-        row["component"]: _number(root, "inertia", i, row, "value", faults) * _TO_SI[row["unit"]][0]
+        row["component"]: _number(root, "inertia", i, row, "value", faults) / _TO_SI[row["unit"]][0]
         for i, row in enumerate(tables["inertia"], start=2)
     }
     printed = _printed(root, "printed", tables["printed"], faults)
@@ -175,8 +175,8 @@ def _measurements(root: Path, name: str, rows: list[dict[str, str]], faults: lis
                 row["case"],
                 row["configuration"],
                 row["quantity"],
-                scale * _number(root, name, line, row, "value", faults),
-                scale * error,
+                _number(root, name, line, row, "value", faults) / scale,
+                error / scale,
                 unit,
                 int(row["n"]),
                 row["table"],
