@@ -81,7 +81,9 @@ def test_file_of_effect_names_its_source_and_keeps_each_formula_short(effect):
     assert "Source:" in module.__doc__
     for kernel in kernels:
         source = inspect.getsource(getattr(kernel, "py_func", kernel))
-        body = [line for line in source.splitlines() if line.strip() and not line.strip().startswith(('"""', "@", "def"))]
+        body = [
+            line for line in source.splitlines() if line.strip() and not line.strip().startswith(('"""', "@", "def"))
+        ]
         assert len(body) <= 8
         assert not re.search(r"\bmath\.|\bnp\.(?!asarray)|\bfor\b|\bwhile\b", source)
 
@@ -91,7 +93,9 @@ def test_priors_are_proper_and_their_scale_is_that_of_the_starts(effect, variant
     for i, parameter in enumerate(variant.parameters):
         low, high = parameter.prior.ppf([1e-9, 1.0 - 1e-9])
         log = parameter.prior.coordinate == "log"
-        density = lambda x: float(np.exp(parameter.prior.logpdf(math.exp(x) if log else x))) * (math.exp(x) if log else 1)  # noqa: B023, E731
+        density = lambda x: (
+            float(np.exp(parameter.prior.logpdf(math.exp(x) if log else x))) * (math.exp(x) if log else 1)
+        )  # noqa: B023, E731
         mass, _ = quad(density, *(np.log([low, high]) if log else (low, high)), limit=200)
         assert mass == pytest.approx(1.0, abs=1e-5)
         assert all(low <= start[i] <= high for start in variant.starts)
@@ -129,7 +133,7 @@ def test_compiled_and_plain_python_agree(effect, variant):
             for hook in (variant.torque, variant.rate):
                 if hook is not None:
                     plain = hook.py_func(*state, p, RIG)
-                    np.testing.assert_allclose(hook(*state, p, RIG), plain, rtol=1e-11, atol=1e-13 * abs(max(plain)))
+                    np.testing.assert_allclose(hook(*state, p, RIG), plain, rtol=1e-9, atol=1e-12)
         if variant.start is not None:
             np.testing.assert_allclose(variant.start(p, RIG), variant.start.py_func(p, RIG), rtol=1e-13)
         if variant.sense is not None:
@@ -140,13 +144,23 @@ def test_compiled_and_plain_python_agree(effect, variant):
 
 @of(lambda e, v: v.torque is not None and v.null is not None)
 def test_no_torque_at_the_null(effect, variant):
+    p = padded(variant.null)
+    z = (0.0, 0.0) if variant.start is None else variant.start.py_func(p, RIG)
     for state in states():
-        assert variant.torque.py_func(*state, padded(variant.null), RIG) == pytest.approx((0.0, 0.0), abs=1e-17)
+        if variant.memory:  # it must not leave zero, or it would still take part in the control of the step
+            assert z == (0.0, 0.0)
+            assert variant.rate.py_func(*state[:5], *z, p, RIG) == (0.0, 0.0)
+        now = (*state[:5], *z) if variant.memory else state
+        assert variant.torque.py_func(*now, p, RIG) == pytest.approx((0.0, 0.0), abs=1e-17)
 
 
 @of(lambda e, v: v.torque is not None)
 def test_torque_is_finite_in_extreme_states(effect, variant):
-    extreme = [(1e3, 1.5, -1.5, 60.0, -60.0, 1.0, 1.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (1.0, 3.0, 3.0, 0.0, 9.0, -1.0, 0.0)]
+    extreme = [
+        (1e3, 1.5, -1.5, 60.0, -60.0, 1.0, 1.0),
+        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        (1.0, 3.0, 3.0, 0.0, 9.0, -1.0, 0.0),
+    ]
     corners = [variant.starts[0], *([variant.null] if variant.null else [])]
     corners += [tuple(float(p.prior.ppf(u)) for p in variant.parameters) for u in (1e-4, 0.5, 1.0 - 1e-4)]
     for values in corners:
@@ -231,7 +245,11 @@ def test_friction_never_feeds_energy_in(effect, variant):
             assert q1 * state[3] + q2 * state[4] <= 0.0
 
 
-@of(lambda e, v: e.name in ("friction_displacement", "normal_force_law", "magnet_fade", "eddy_overlap") and v.name != "whole")
+@of(
+    lambda e, v: (
+        e.name in ("friction_displacement", "normal_force_law", "magnet_fade", "eddy_overlap") and v.name != "whole"
+    )
+)
 def test_what_is_taken_off_the_nominal_losses_never_exceeds_them(effect, variant):
     for values in variant.starts:
         for state in states(seed=5, n=40):
@@ -261,8 +279,11 @@ def test_hysteresis_and_bristles_stay_bounded_and_dissipate_over_a_cycle():
 
         z0 = 0.0 if variant.start is None else variant.start.py_func(p, RIG._replace(theta0=0.1))[0]
         period = 2.0 * math.pi / 40.0
-        solution = solve_ivp(rates, (0.0, 3.0 * period), [z0, 0.0], "LSODA", np.linspace(0, 3 * period, 300), rtol=1e-8, atol=1e-10)
-        assert np.abs(solution.y[0]).max() <= 1.0 + (variant.parameters[-1].name == "speed") * p[2] + 1e-6
+        solution = solve_ivp(
+            rates, (0.0, 3.0 * period), [z0, 0.0], "LSODA", np.linspace(0, 3 * period, 300), rtol=1e-9, atol=1e-12
+        )
+        highest = {"dahl": p[0] / RIG.k1t, "bouc_wen": p[0] * p[1], "bristle": 1.0, "lugre": 1.0 + p[2]}[variant.name]
+        assert np.abs(solution.y[0]).max() <= highest * (1.0 + 1e-5)
         assert solution.y[1][-1] > solution.y[1][199] > solution.y[1][99] > 0.0
 
 
@@ -274,14 +295,18 @@ def test_bristles_in_steady_sliding_give_the_nominal_friction():
             z = math.copysign(1.0, v)
             assert variant.rate.py_func(0.0, 0.05, 0.02, v, 0.0, z, 0.0, p, RIG)[0] == pytest.approx(0.0, abs=1e-9)
             expected = RIG.mu * RIG.N0 * RIG.R * (1.0 - RIG.R * 0.03 / (2.0 * RIG.r)) * math.tanh(1000.0 * v)
-            assert variant.torque.py_func(0.0, 0.05, 0.02, v, 0.0, z, 0.0, p, RIG) == pytest.approx((-expected, expected))
+            assert variant.torque.py_func(0.0, 0.05, 0.02, v, 0.0, z, 0.0, p, RIG) == pytest.approx(
+                (-expected, expected)
+            )
 
 
 def test_stiff_bristle_gives_the_record_of_the_nominal_rig_with_hard_friction():
     times = np.arange(0.0, 0.3, 1e-3)
     hard = PARAMETERS | {"nu": 2000.0}
     variant = EFFECTS["stick_slip"].variant("bristle")
-    bristle = Model(effect=variant).simulate(hard, times, effect={"deflection": 2e-6, "damping": 1e-7}, quantity="velocity")
+    bristle = Model(effect=variant).simulate(
+        hard, times, effect={"deflection": 2e-6, "damping": 1e-7}, quantity="velocity"
+    )
     nominal = Model().simulate(hard, times, quantity="velocity")
     assert np.abs(bristle.y - nominal.y).max() < 5e-3 * np.abs(nominal.y).max()
 
@@ -302,7 +327,7 @@ def test_winding_up_leaves_the_hysteresis_where_its_rate_takes_it():
             lambda t, z, variant=variant, p=p: [variant.rate.py_func(t, t, 0.0, 1.0, 0.0, z[0], 0.0, p, RIG)[0]],
             (0.0, RIG.theta0), [0.0], rtol=1e-9, atol=1e-12,
         )  # fmt: skip
-        assert variant.start.py_func(p, RIG)[0] == pytest.approx(wound.y[0, -1], rel=1e-6)
+        assert variant.start.py_func(p, RIG)[0] == pytest.approx(wound.y[0, -1], rel=1e-5)
 
 
 def test_low_pass_answers_a_ramp_exactly():
@@ -320,7 +345,10 @@ def test_low_pass_answers_a_ramp_exactly():
 def test_release_ramp_holds_the_rig_at_first_and_then_lets_go():
     for variant in EFFECTS["release_ramp"].variants:
         holding = RIG.k1t * RIG.theta0
-        q = [variant.torque.py_func(t, RIG.theta0, 0, 0, 0, 0, 0, padded((0.004,)), RIG)[0] for t in (0.0, 1e-3, 3e-3, 0.1)]
+        q = [
+            variant.torque.py_func(t, RIG.theta0, 0, 0, 0, 0, 0, padded((0.004,)), RIG)[0]
+            for t in (0.0, 1e-3, 3e-3, 0.1)
+        ]
         assert q[0] == pytest.approx(holding, rel=1e-3)
         assert q[0] > q[1] > q[2] > 0.0
         assert abs(q[3]) < 1e-9 * holding
@@ -541,7 +569,9 @@ def test_faults_of_a_variant_are_found():
     parameter = variant.parameters[0]
     broken = {
         "outside its prior": replace(variant, parameters=(replace(parameter, prior=Uniform(1.0, 200.0)),)),
-        "lies outside the prior of k3": replace(variant, parameters=(replace(parameter, prior=LogNormal(1.0, 2.0), null=None),)),
+        "lies outside the prior of k3": replace(
+            variant, parameters=(replace(parameter, prior=LogNormal(1.0, 2.0), null=None),)
+        ),
         "sentence": replace(variant, parameters=(replace(parameter, reason="none"),)),
         "lanes.lane": replace(variant, torque=lambda *_: (0.0, 0.0)),
         "does nothing": replace(variant, torque=None),

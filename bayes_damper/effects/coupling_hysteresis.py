@@ -3,6 +3,8 @@
     Dahl:      Q1 = -F z,                  dz/dt = (w1 - |w1| z) / d
     Bouc-Wen:  Q1 = a k1t (th1 - d z),     dz/dt = (w1 - (|w1| z |z| + w1 z^2) / 2) / d
 
+Memory: F z / k1t or a d z, in rad, so that it vanishes with the effect.
+
 z = L (1 - exp(-theta0/d)) or L tanh(theta0/d) at release: L = 1 if the coupling was just wound up from its middle
 position, 0 if it has relaxed since. Source: Dahl (1968), Aerospace TOR-158; Wen (1976), J. Eng. Mech. 102, 249.
 """
@@ -17,38 +19,38 @@ from bayes_damper.lanes import exp, lane, tanh
 @lane
 def dahl(t, th1, th2, w1, w2, z1, z2, p, rig):
     """Friction torque between the halves of the coupling."""
-    return -p[0] * z1, 0.0
+    return -rig.k1t * z1, 0.0
 
 
 @lane
 def dahl_rate(t, th1, th2, w1, w2, z1, z2, p, rig):
-    """Rate of Dahl's state, which saturates at one."""
-    return (w1 - abs(w1) * z1) / p[1], 0.0
+    """Rate of that torque over k1t."""
+    return (w1 * p[0] / rig.k1t - abs(w1) * z1) / p[1], 0.0
 
 
 @lane
 def dahl_start(p, rig):
     """State after winding up to the release angle from rest."""
     wound = 1.0 - exp(-abs(rig.theta0) / p[1])
-    return p[2] * (wound if rig.theta0 >= 0.0 else -wound), 0.0
+    return p[2] * p[0] / rig.k1t * (wound if rig.theta0 >= 0.0 else -wound), 0.0
 
 
 @lane
 def bouc_wen(t, th1, th2, w1, w2, z1, z2, p, rig):
     """A share of the spring that yields."""
-    return p[0] * rig.k1t * (th1 - p[1] * z1), 0.0
+    return rig.k1t * (p[0] * th1 - z1), 0.0
 
 
 @lane
 def bouc_wen_rate(t, th1, th2, w1, w2, z1, z2, p, rig):
-    """Rate of the yielding spring's stretch, in units of the yield angle (exponent 2, beta = gamma)."""
-    return (w1 - 0.5 * (abs(w1) * z1 * abs(z1) + w1 * z1 * z1)) / p[1], 0.0
+    """Rate of the torque that yields, over k1t (exponent 2, beta = gamma)."""
+    return p[0] * w1 - 0.5 * (abs(w1) * z1 * abs(z1) + w1 * z1 * z1) / (max(p[0], 1e-9) * p[1] * p[1]), 0.0
 
 
 @lane
 def bouc_wen_start(p, rig):
     """State after winding up to the release angle from rest."""
-    return p[2] * tanh(rig.theta0 / p[1]), 0.0
+    return p[2] * p[0] * p[1] * tanh(rig.theta0 / p[1]), 0.0
 
 
 ANGLE = EffectParameter(
@@ -83,7 +85,7 @@ EFFECT = Effect(
             rate=dahl_rate,
             start=dahl_start,
             memory=1,
-            memory_scale=(0.3,),
+            memory_scale=(0.005,),
             starts=((0.005, 0.005, 0.5), (0.02, 0.005, 0.5), (0.02, 0.02, 0.9), (0.03, 0.06, 0.1), (0.002, 0.02, 0.9)),
         ),
         Variant(
@@ -101,7 +103,7 @@ EFFECT = Effect(
             rate=bouc_wen_rate,
             start=bouc_wen_start,
             memory=1,
-            memory_scale=(0.3,),
+            memory_scale=(0.005,),
             starts=((0.02, 0.02, 0.5), (0.1, 0.005, 0.5), (0.1, 0.02, 0.9), (0.1, 0.06, 0.1), (0.3, 0.02, 0.5)),
         ),
     ),

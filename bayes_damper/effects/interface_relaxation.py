@@ -2,6 +2,8 @@
 
     T += k z,    dz/dt = (w1 - w2) - z / tau;    with a second arm of ten times the time for a broad spectrum
 
+Memory: k z / k1t, in rad, so that it vanishes with the effect.
+
 Source: Findley, Lai and Onaran (1976), Creep and Relaxation of Nonlinear Viscoelastic Materials, sec. 5.3.
 """
 
@@ -15,28 +17,28 @@ from bayes_damper.lanes import lane
 @lane
 def one_arm(t, th1, th2, w1, w2, z1, z2, p, rig):
     """Torque of one arm."""
-    q = p[0] * z1
+    q = rig.k1t * z1
     return -q, q
 
 
 @lane
 def one_arm_rate(t, th1, th2, w1, w2, z1, z2, p, rig):
-    """Rate at which the arm's spring is stretched."""
-    return (w1 - w2) - z1 / p[1], 0.0
+    """Rate of the arm's torque, over k1t."""
+    return (w1 - w2) * p[0] / rig.k1t - z1 / p[1], 0.0
 
 
 @lane
 def two_arms(t, th1, th2, w1, w2, z1, z2, p, rig):
     """Torque of two arms of half the stiffness each."""
-    q = 0.5 * p[0] * (z1 + z2)
+    q = rig.k1t * (z1 + z2)
     return -q, q
 
 
 @lane
 def two_arms_rate(t, th1, th2, w1, w2, z1, z2, p, rig):
-    """Rates at which the arms' springs are stretched."""
-    slip = w1 - w2
-    return slip - z1 / p[1], slip - 0.1 * z2 / p[1]
+    """Rates of the arms' torques, over k1t."""
+    stretched = 0.5 * (w1 - w2) * p[0] / rig.k1t
+    return stretched - z1 / p[1], stretched - 0.1 * z2 / p[1]
 
 
 PARAMETERS = (
@@ -68,7 +70,7 @@ EFFECT = Effect(
             couples="interface",
             rate=one_arm_rate,
             memory=1,
-            memory_scale=(0.02,),
+            memory_scale=(0.005,),
             starts=STARTS,
             uncoupled=False,
         ),
@@ -80,7 +82,7 @@ EFFECT = Effect(
             couples="interface",
             rate=two_arms_rate,
             memory=2,
-            memory_scale=(0.02, 0.02),
+            memory_scale=(0.005, 0.005),
             starts=STARTS,
             uncoupled=False,
         ),

@@ -2,7 +2,7 @@
 
     N -> N max(0, 1 - a E)   or   N exp(-a E),    dE/dt = friction power;    or all of T falls so, with all its losses
 
-Memory: E / J1. Source: Augustine (2013), p. 35 (named, not modelled); Furlani (2001), ch. 1 (loss with temperature).
+Memory: a E. Source: Augustine (2013), p. 35 (named, not modelled); Furlani (2001), ch. 1 (loss with temperature).
 """
 
 from __future__ import annotations
@@ -16,27 +16,27 @@ from bayes_damper.lanes import exp, lane
 @lane
 def linear(t, th1, th2, w1, w2, z1, z2, p, rig):
     """Pull that falls linearly with the heat."""
-    q = -friction(th1 - th2, w1 - w2, rig) * min(p[0] * rig.J1 * z1, 1.0)
+    q = -friction(th1 - th2, w1 - w2, rig) * min(z1, 1.0)
     return -q, q
 
 
 @lane
 def linear_rate(t, th1, th2, w1, w2, z1, z2, p, rig):
-    """Friction power over J1."""
-    return friction(th1 - th2, w1 - w2, rig) * (w1 - w2) * max(1.0 - p[0] * rig.J1 * z1, 0.0) / rig.J1, 0.0
+    """Friction power times the loss that it causes."""
+    return p[0] * friction(th1 - th2, w1 - w2, rig) * (w1 - w2) * max(1.0 - z1, 0.0), 0.0
 
 
 @lane
 def exponential(t, th1, th2, w1, w2, z1, z2, p, rig):
     """Pull that falls exponentially with the heat."""
-    q = friction(th1 - th2, w1 - w2, rig) * (exp(-p[0] * rig.J1 * z1) - 1.0)
+    q = friction(th1 - th2, w1 - w2, rig) * (exp(-z1) - 1.0)
     return -q, q
 
 
 @lane
 def exponential_rate(t, th1, th2, w1, w2, z1, z2, p, rig):
-    """Friction power over J1."""
-    return friction(th1 - th2, w1 - w2, rig) * (w1 - w2) * exp(-p[0] * rig.J1 * z1) / rig.J1, 0.0
+    """Friction power times the loss that it causes."""
+    return p[0] * friction(th1 - th2, w1 - w2, rig) * (w1 - w2) * exp(-z1), 0.0
 
 
 @lane
@@ -44,15 +44,15 @@ def whole(t, th1, th2, w1, w2, z1, z2, p, rig):
     """Friction, stiffness and damping of the interface fall together."""
     slip = w1 - w2
     nominal = friction(th1 - th2, slip, rig) + rig.k2t * (th1 - th2) + rig.c2t * slip
-    q = nominal * (exp(-p[0] * rig.J1 * z1) - 1.0)
+    q = nominal * (exp(-z1) - 1.0)
     return -q, q
 
 
 @lane
 def whole_rate(t, th1, th2, w1, w2, z1, z2, p, rig):
-    """Power lost in friction and damping, over J1."""
+    """Power lost in friction and damping times the loss of pull that it causes."""
     slip = w1 - w2
-    return (friction(th1 - th2, slip, rig) + rig.c2t * slip) * slip * exp(-p[0] * rig.J1 * z1) / rig.J1, 0.0
+    return p[0] * (friction(th1 - th2, slip, rig) + rig.c2t * slip) * slip * exp(-z1), 0.0
 
 
 PARAMETERS = (
@@ -81,7 +81,7 @@ EFFECT = Effect(
             couples="interface",
             rate=linear_rate,
             memory=1,
-            memory_scale=(3.0,),
+            memory_scale=(0.3,),
             starts=STARTS,
             uncoupled=False,
         ),
@@ -93,7 +93,7 @@ EFFECT = Effect(
             couples="interface",
             rate=exponential_rate,
             memory=1,
-            memory_scale=(3.0,),
+            memory_scale=(0.3,),
             starts=STARTS,
             uncoupled=False,
         ),
@@ -105,7 +105,7 @@ EFFECT = Effect(
             couples="interface",
             rate=whole_rate,
             memory=1,
-            memory_scale=(3.0,),
+            memory_scale=(0.3,),
             starts=STARTS,
             uncoupled=False,
         ),
