@@ -223,8 +223,8 @@ def load_priors(
 ) -> PriorSet:
     """Reads a prior file: a shipped one by name ("thesis", "campaign") or any by path.
 
-    base : priors that the file overrides entry by entry; extra : further names with their units, e.g. of effects; kind :
-    of the rig, which decides the units.
+    base : priors that the file overrides entry by entry; extra : further names with their units, e.g. of effects;
+    kind : of the rig, which decides the units.
 
     Raises
     ------

@@ -1,0 +1,70 @@
+"""The wheel is whole: data, priors and the command work from another folder, without the checkout."""
+
+import os
+import site
+import subprocess
+import sys
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("wheel")
+    command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", str(folder), str(ROOT)]
+    subprocess.run(command, check=True, cwd=folder)
+    (path,) = folder.glob("*.whl")
+    return path
+
+
+@pytest.fixture(scope="module")
+def run(wheel, tmp_path_factory):
+    """Runs a command of an environment that has the wheel and, behind it, the packages of this one."""
+    folder = tmp_path_factory.mktemp("installed")
+    venv.create(folder / "venv", with_pip=False)
+    (target,) = (folder / "venv").glob("lib/python*/site-packages")
+    install = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(target), str(wheel)]
+    subprocess.run(install, check=True)
+    # A line in a .pth file adds the folder itself, but not its .pth files: the editable checkout stays out of sight.
+    (target / "outside.pth").write_text("\n".join(site.getsitepackages()))
+    environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME")}
+
+    def call(*arguments):
+        command = [str(folder / "venv" / "bin" / "python"), *arguments]
+        return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+
+    return call
+
+
+def test_the_wheel_is_small_and_holds_data_and_priors(wheel):
+    names = zipfile.ZipFile(wheel).namelist()
+    assert "bayes_damper/_shipped/data/thesis/measurements.csv" in names
+    assert "bayes_damper/_shipped/priors/thesis.toml" in names
+    assert not [name for name in names if name.startswith("tests/")]
+    assert wheel.stat().st_size < 5e6
+
+
+def test_data_and_priors_are_found_outside_the_checkout(run):
+    done = run(
+        "-c",
+        "from bayes_damper import published, priors; print(published.__file__); "
+        "print(len(published.load_published().measurements), priors.load_priors('thesis').name)",
+    )
+    assert done.returncode == 0, done.stderr
+    place, numbers = done.stdout.splitlines()
+    assert str(ROOT / "bayes_damper") not in place
+    assert numbers == "24 thesis"
+
+
+def test_the_command_explains_itself(run):
+    done = run(
+        "-c", "import sys; from bayes_damper.cli import main; sys.argv = ['bayes-damper', '--help']; sys.exit(main())"
+    )
+    assert done.returncode == 0, done.stderr
+    assert "demo" in done.stdout
