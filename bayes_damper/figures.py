@@ -211,3 +211,42 @@ def forest_figure(
             axis.set_visible(False)
         figure.suptitle(title)
     return figure
+
+
+def record_figure(trials: Sequence[Mapping[str, Any]], unit: str, *, title: str, converged: bool = True) -> Figure:
+    """Measured records under the posterior band, with the residuals below.
+
+    trials : one mapping each with label, times (n,) s, measured, low, median, high (channels, n).
+    """
+    channels = max(np.shape(t["measured"])[0] for t in trials)
+    figure = new_figure(4.6 * channels, 2.3 * len(trials) + 0.5, converged)
+    with mpl.rc_context(_RC):
+        axes = figure.subplots(
+            2 * len(trials), channels, squeeze=False, sharex=True, height_ratios=[2.2, 1.0] * len(trials)
+        )
+        for k, trial in enumerate(trials):
+            times = trial["times"]
+            for c in range(channels):
+                upper, lower = axes[2 * k, c], axes[2 * k + 1, c]
+                if c >= np.shape(trial["measured"])[0]:
+                    upper.set_visible(False)
+                    lower.set_visible(False)
+                    continue
+                upper.plot(times, trial["measured"][c], ".", color="#555555", ms=1.6, label="measured", rasterized=True)
+                upper.plot(times, trial["median"][c], color=COLOURS[0], lw=0.9, label="model, median")
+                upper.fill_between(
+                    *(times, trial["low"][c], trial["high"][c]), color=COLOURS[0], alpha=0.3, lw=0, label="model, 90 %"
+                )
+                lower.plot(
+                    *(times, trial["measured"][c] - trial["median"][c], "."), color=COLOURS[1], ms=1.4, rasterized=True
+                )
+                lower.axhline(0.0, color="black", lw=0.6)
+                upper.set_title(f"{trial['label']}, channel {c + 1}", loc="left")
+                if c == 0:
+                    upper.set_ylabel(unit)
+                    lower.set_ylabel("residual")
+        axes[0, 0].legend(loc="upper right", ncols=3)
+        for axis in axes[-1]:
+            axis.set_xlabel("time [s]")
+        figure.suptitle(title)
+    return figure

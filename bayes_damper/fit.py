@@ -1,0 +1,544 @@
+"""Fitting: from published features or recorded trials to posteriors per case, and of all cases together.
+
+`fit` is what `bayes-damper fit` calls. Each case is a task of run.py in a folder of its own, so that cases run side by
+side, and an interrupted fit goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper import arviz_adapter, figures
+from bayes_damper.calibration import Experiment, calibrate_nominal, experiment_of
+from bayes_damper.campaign import load_campaign
+from bayes_damper.checkpoint import Checkpoint
+from bayes_damper.distributions import Distribution
+from bayes_damper.errors import ExitCode, InputError
+from bayes_damper.parameters import PARAMETERS, unit_of
+from bayes_damper.posterior import Coordinates, Datum, FeaturePosterior
+from bayes_damper.priors import PriorSet, load_priors, priors_from_dict
+from bayes_damper.provenance import code_sha256, provenance
+from bayes_damper.published import load_published
+from bayes_damper.record_posterior import RecordPosterior
+from bayes_damper.run import Progress, Task, read_json, run_tasks, write_json
+from bayes_damper.sampling import Progress as Stage
+from bayes_damper.sampling import Sampling, Start, StoppingRule, find_start, sample
+from bayes_damper.summary import hdi, summarise, table_text, write_table
+
+Array = NDArray[np.float64]
+Report = Callable[[float, str], None]
+SCHEMA = "bayes-damper/fit/1"
+KEPT_DRAWS = 4000
+"""Draws of each case that go into posterior.nc: thinned so that they are all but independent."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Posteriors of a campaign: `summary` is what summary.json holds, `folder` where all files are."""
+
+    folder: Path
+    summary: Mapping[str, Any]
+
+    @property
+    def converged(self) -> bool:
+        """Whether every run met the stopping rule."""
+        return bool(self.summary["converged"])
+
+    @property
+    def exit_code(self) -> ExitCode:
+        return ExitCode.DONE if self.converged else ExitCode.NOT_CONVERGED
+
+    def to_json(self) -> dict[str, Any]:
+        """What summary.json holds."""
+        return dict(self.summary)
+
+    def text(self) -> str:
+        """Tables for the terminal, warnings first."""
+        parts = []
+        groups = dict(self.summary["cases"]) | ({"joint": self.summary["joint"]} if self.summary.get("joint") else {})
+        for name, found in groups.items():
+            title = "all cases together" if name == "joint" else f"case {name}"
+            if not found["converged"]:
+                title += "   *** DID NOT CONVERGE: do not use these numbers ***"
+            parts.append(table_text(found["parameters"], title))
+            parts += [f"  {sentence}" for sentence in found["sentences"]]
+        parts.append(f"Files: {self.folder}")
+        return "\n".join(parts)
+
+
+def fit(
+    campaign: str | Path,
+    *,
+    cases: Sequence[str] | None = None,
+    priors: str | Path | None = None,
+    normal_force: str | None = None,
+    out: str | Path = "results/fit",
+    seed: int = 1,
+    workers: int = 1,
+    scheduler: str | None = None,
+    thorough: bool = False,
+    most_steps: int | None = None,
+    joint: bool = True,
+    progress: Progress | None = None,
+) -> Fit:
+    """Posterior of each case, and of all cases together for a campaign; all files are written to `out`.
+
+    Parameters
+    ----------
+    campaign : folder of a campaign, or "thesis" for the published measurements.
+    cases : only these; default all. priors : prior file in place of the shipped one. normal_force : "linear" or
+    "constant" (eq. 20), overrides the campaign's. seed : decides every random number. workers : processes.
+    thorough : 50 autocorrelation times in place of 20. most_steps : give up after so many steps of each ensemble.
+    joint : whether to fit all cases of a campaign together too.
+
+    Raises
+    ------
+    InputError
+        if the campaign, a prior or an argument cannot be used, or `out` holds another run.
+    Interrupted
+        after Ctrl-C; `resume` goes on.
+    """
+    folder = Path(out)
+    plan = plan_fit(
+        str(campaign), cases=cases, priors=None if priors is None else str(priors), normal_force=normal_force, seed=seed,
+        thorough=thorough, most_steps=most_steps, joint=joint,
+    )  # fmt: skip
+    start_run(folder, {"command": "fit", "plan": plan, "workers": workers})
+    return finish_fit(folder, plan, workers=workers, scheduler=scheduler, progress=progress)
+
+
+def plan_fit(
+    campaign: str,
+    *,
+    cases: Sequence[str] | None,
+    priors: str | None,
+    normal_force: str | None,
+    seed: int,
+    thorough: bool,
+    most_steps: int | None,
+    joint: bool,
+) -> dict[str, Any]:
+    """Everything that decides the results of a fit, as plain data."""
+    thesis = campaign == "thesis"
+    prior_set: PriorSet | None
+    if thesis:
+        published = load_published()
+        known: Sequence[str] = tuple(published.cases)
+        checksum, name = published.checksum, "thesis"
+        prior_set = load_priors(priors or "thesis")
+    else:
+        loaded = load_campaign(campaign)
+        known, checksum, name = loaded.cases, loaded.sha256, loaded.name
+        beside = Path(campaign) / "priors.toml"
+        file = Path(priors) if priors is not None else beside if beside.exists() else None
+        prior_set = None if file is None else load_priors(file, kind=loaded.rig.kind)
+    chosen = list(known) if cases is None else list(dict.fromkeys(cases))
+    unknown = [case for case in chosen if case not in known]
+    if unknown:
+        raise InputError(f"--case {unknown[0]}: there is no such case; {campaign} has {', '.join(known)}")
+    if normal_force not in (None, "linear", "constant"):
+        raise InputError(f"normal_force {normal_force!r}: expected linear or constant")
+    return {
+        "campaign": campaign if thesis else str(Path(campaign).resolve()),
+        "name": name,
+        "campaign_sha256": checksum,
+        "cases": chosen,
+        "joint": joint and not thesis and len(chosen) > 1,
+        "priors": None if prior_set is None else prior_set.to_dict(),
+        "normal_force": normal_force,
+        "seed": seed,
+        "thorough": thorough,
+        "most_steps": most_steps,
+    }
+
+
+def start_run(folder: Path, record: Mapping[str, Any]) -> None:
+    """Note in `folder` what runs there, so that `resume` can go on; refuse a folder that holds another run.
+
+    Raises
+    ------
+    InputError
+        if the folder holds a run with another plan.
+    """
+    path = folder / "run.json"
+    if path.exists():
+        before = read_json(path)
+        if before.get("command") != record["command"] or before.get("plan") != record["plan"]:
+            changed = _differences(before.get("plan", {}), record["plan"]) or ["command"]
+            raise InputError(
+                f"{folder}: holds another run (different: {', '.join(changed)}); name another --out, or remove the folder"
+            )
+    write_json(path, dict(record))
+
+
+def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    return [key for key in dict.fromkeys([*before, *now]) if before.get(key) != now.get(key)]
+
+
+def finish_fit(
+    folder: Path, plan: Mapping[str, Any], *, workers: int, scheduler: str | None = None, progress: Progress | None = None
+) -> Fit:
+    """Run what is missing of a planned fit, then write the files that cover all cases."""
+    kind = "fit_published_case" if plan["campaign"] == "thesis" else "fit_recorded_cases"
+    names = [*plan["cases"], *(["joint"] if plan["joint"] else [])]
+    # The joint fit is the longest: it starts first.
+    order = sorted(names, key=lambda name: name != "joint")
+    tasks = [
+        Task(name, f"bayes_damper.fit:{kind}", {"name": name, "plan": dict(plan), "threads": 1}) for name in order
+    ]
+    results = run_tasks(tasks, folder, workers=workers, scheduler=scheduler, progress=progress)
+    found = {name: results[name] for name in plan["cases"]}
+    summary: dict[str, Any] = {
+        "schema": SCHEMA,
+        "campaign": plan["name"],
+        "campaign_sha256": plan["campaign_sha256"],
+        "seed": plan["seed"],
+        "converged": all(r["converged"] for r in results.values()),
+        "cases": found,
+    }
+    if plan["joint"]:
+        summary["joint"] = results["joint"]
+    summary["provenance"] = provenance()
+    write_json(folder / "summary.json", summary)
+    write_table(summary, folder / "summary.csv")
+    arviz_adapter.combine_cases({name: folder / name / "posterior.nc" for name in plan["cases"]}, folder / "posterior.nc")
+    _draw_overview(folder, summary)
+    return Fit(folder, summary)
+
+
+def stopping_rule(plan: Mapping[str, Any]) -> StoppingRule:
+    """The rule that a plan asks for."""
+    rule = StoppingRule.thorough() if plan["thorough"] else StoppingRule()
+    return rule if plan["most_steps"] is None else replace(rule, max_steps=int(plan["most_steps"]))
+
+
+# Published features -----------------------------------------------------------------------------------------------------
+
+
+def published_posterior(case: str, priors: PriorSet, normal_force: str = "linear") -> FeaturePosterior:
+    """The posterior of one thesis case: six published numbers, priors of the thesis's rig."""
+    published = load_published()
+    data = [Datum(m.configuration, m.quantity, m.value, m.standard_error, m.n) for m in published.of_case(case)]
+    own = priors.for_case(case)
+    return FeaturePosterior(data, Coordinates(own.free, own.fixed, own.tied), normal_force, case)
+
+
+def fit_published_case(folder: Path, report: Report, *, name: str, plan: Mapping[str, Any], threads: int) -> Any:
+    """Task: fit one thesis case and write its files; its entry of summary.json."""
+    posterior = published_posterior(name, priors_from_dict(plan["priors"]), plan["normal_force"] or "linear")
+    rng = np.random.default_rng([plan["seed"], _number(name)])
+    sampling = _sampled(posterior, folder, report, plan, rng, lambda: _search(posterior, rng))
+    flat = sampling.flat()
+    draws = {key: _shaped(value, sampling) for key, value in posterior.coordinates.values(flat).items()}
+    draws = {key: draws[key] for key in posterior.names} | _derived(draws)
+    kept = sampling.flat(KEPT_DRAWS)
+    features, likelihood = posterior.predict(kept), posterior.log_likelihood(kept)
+    noise = rng.standard_t([d.n - 1.0 for d in posterior.data], size=features.shape)
+    replicated = features + noise * [d.standard_error for d in posterior.data]
+    checks = [
+        {
+            "name": f"case {name}: {d.name}",
+            "unit": {"log_decrement": "1", "period": "s", "max_acceleration": "rad/s^2"}[d.quantity],
+            "measured": d.value,
+            "standard_error": d.standard_error,
+            "median": float(np.nanmedian(features[:, i])),
+            "hdi50": list(hdi(features[:, i], 0.5)),
+            "hdi90": list(hdi(features[:, i], 0.9)),
+            "percentile": float(100.0 * np.mean(replicated[:, i] < d.value)),
+        }
+        for i, d in enumerate(posterior.data)
+    ]
+    arviz_adapter.write_posterior(
+        folder / "posterior.nc",
+        posterior=_thinned(draws, sampling),
+        prior=posterior.coordinates.values(posterior.coordinates.draw(rng, 2000)),
+        posterior_predictive={"features": _as_chains(replicated, sampling)},
+        log_likelihood={"features": _as_chains(likelihood, sampling)},
+        observed_data={"features": np.array([d.value for d in posterior.data])},
+        labels={"feature": [d.name for d in posterior.data]},
+        sampling=sampling,
+        attributes=_attributes(plan, name),
+    )
+    entry = _entry(draws, _shares(posterior.names, flat), sampling, dict(posterior.outcomes))
+    entry["predictive"] = checks
+    _draw_case(folder, f"thesis, case {name}", draws, sampling, checks)
+    return entry
+
+
+def _search(posterior: FeaturePosterior, rng: np.random.Generator) -> Start:
+    return find_start(posterior, posterior.coordinates.draw(rng, 2048), rng)
+
+
+# Recorded trials --------------------------------------------------------------------------------------------------------
+
+
+def recorded_experiment(plan: Mapping[str, Any], case: str | None) -> Experiment:
+    """The trials of one case, or of all planned cases, as a calibration takes them; marked trials are left out."""
+    campaign = load_campaign(plan["campaign"])
+    if campaign.sha256 != plan["campaign_sha256"]:
+        raise InputError(
+            f"{plan['campaign']}: the campaign has changed since this run began; start a new run with another --out"
+        )
+    priors: dict[str, Distribution] = {}
+    if plan["priors"] is not None:
+        priors = priors_from_dict(plan["priors"], kind=campaign.rig.kind).free
+    experiment = experiment_of(campaign, priors)
+    marked = {t.file for t in campaign.trials if t.holdout}
+    wanted = [case] if case is not None else plan["cases"]
+    trials = tuple(
+        replace(record, heldout=record.label in marked) for record in experiment.trials if record.case in wanted
+    )
+    law = plan["normal_force"] or experiment.normal_force
+    return replace(experiment, trials=trials, normal_force=law)
+
+
+def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping[str, Any], threads: int) -> Any:
+    """Task: fit one case of a campaign, or all together (`name` "joint"); its entry of summary.json."""
+    experiment = recorded_experiment(plan, None if name == "joint" else name)
+    report(0.0, "finding the best fit")
+    best = calibrate_nominal(experiment, threads=threads)
+    posterior = RecordPosterior(best)
+    rng = np.random.default_rng([plan["seed"], _number(name)])
+
+    def start() -> Start:
+        height = float(posterior(posterior.start[None])[0])
+        return Start(posterior.start, posterior.covariance, height, np.empty((0, posterior.ndim)), 1)
+
+    sampling = _sampled(posterior, folder, report, plan, rng, start)
+    draws = {key: _shaped(value, sampling) for key, value in posterior.values(sampling.flat()).items()}
+    constants = {key: np.full(1, value) for key, (value, _) in experiment.constants.items() if key not in draws}
+    draws |= _derived(constants | draws)
+    kept = sampling.flat(KEPT_DRAWS)
+    nuisances = _trial_draws(posterior, kept, rng)
+    few = sampling.flat(60)
+    bands = posterior.predictive(few, rng)
+    entry = _entry(draws, _shares(posterior.names, sampling.flat()), sampling, dict(posterior.outcomes))
+    labels = {i: experiment.trials[i].label for i in posterior.trials}
+    entry["trials"] = {
+        labels[i]: {
+            key: {"mean": float(x.mean()), "sd": float(x.std()), "hdi90": list(hdi(x)), "unit": unit_of(key)}
+            for key, x in values.items()
+        }
+        for i, values in nuisances.items()
+    }
+    entry["best_fit"] = {
+        "chi2": best.chi2,
+        "readings": best.problem.n_data,
+        "log_evidence_laplace": best.log_evidence,
+        "noise_learnt": list(best.problem.noise.total),
+        "noise_correlation": list(best.problem.noise.phi),
+        "constants_pulled": best.pulled,
+    }
+    arviz_adapter.write_posterior(
+        folder / "posterior.nc",
+        posterior=_thinned(draws, sampling)
+        | {f"{key}[{labels[i]}]": _as_chains(x, sampling) for i, v in nuisances.items() for key, x in v.items()},
+        prior={key: x for key, x in posterior.values(rng.standard_normal((2000, posterior.ndim))).items()},
+        posterior_predictive={},
+        log_likelihood={"trials": _as_chains(posterior.log_likelihood(kept), sampling)},
+        observed_data={},
+        labels={"trial": [labels[i] for i in posterior.trials]},
+        sampling=sampling,
+        attributes=_attributes(plan, name),
+    )
+    _draw_case(folder, f"{plan['name']}, {'all cases' if name == 'joint' else f'case {name}'}", draws, sampling, None)
+    _draw_records(folder, experiment, bands, sampling.converged)
+    return entry
+
+
+def _trial_draws(posterior: RecordPosterior, points: Array, rng: np.random.Generator) -> dict[int, dict[str, Array]]:
+    """Release angle (rad), instant (s) and friction factor of each trial: trial -> name -> (n,)."""
+    out: dict[int, dict[str, Array]] = {}
+    drawn = posterior.nuisances(points, rng)
+    for part in posterior.parts:
+        for k, i in enumerate(part.group.trials):
+            if i in drawn:
+                out[i] = {
+                    name: mean[k] + sd[k] * drawn[i][:, m]
+                    for m, (name, mean, sd) in enumerate(part.group.nuisances)
+                }
+    return out
+
+
+# What both kinds share ---------------------------------------------------------------------------------------------------
+
+
+def _sampled(
+    posterior: FeaturePosterior | RecordPosterior,
+    folder: Path,
+    report: Report,
+    plan: Mapping[str, Any],
+    rng: np.random.Generator,
+    start: Callable[[], Start],
+) -> Sampling:
+    """Draws of a posterior, going on from the folder's saved state if there is one."""
+    decided = json.dumps({key: plan[key] for key in plan if key not in ("thorough", "most_steps")}, sort_keys=True)
+    fingerprint = {
+        "plan": hashlib.sha256(decided.encode()).hexdigest(),
+        "code": code_sha256(),
+    }
+    report(0.01, "finding the start")
+    begin = start()
+    rule = stopping_rule(plan)
+
+    def tell(stage: Stage) -> None:
+        share = 0.05 if stage.phase == "warm-up" else 0.1 + 0.85 * stage.part
+        report(share, f"{stage.phase}, {stage.steps} steps")
+
+    del rng
+    return sample(
+        posterior,
+        begin,
+        seed=int(np.random.SeedSequence([plan["seed"], _number(folder.name)]).generate_state(1)[0]),
+        rule=rule,
+        checkpoint=Checkpoint(folder / "state", fingerprint),
+        progress=tell,
+    )
+
+
+def _number(name: str) -> int:
+    """A number that belongs to a name: tasks get seeds of their own, whatever their order."""
+    return int.from_bytes(hashlib.sha256(name.encode()).digest()[:4], "big")
+
+
+def _shaped(values: Array, sampling: Sampling) -> Array:
+    return np.reshape(values, sampling.draws.shape[:3])
+
+
+def _derived(draws: Mapping[str, Array]) -> dict[str, Array]:
+    """Combinations that free decay determines better than their factors."""
+    if not {"mu", "N0", "R"} <= set(draws):
+        return {}
+    torque = draws["mu"] * draws["N0"] * draws["R"]
+    found = {"friction_torque": torque}
+    if "J1" in draws:
+        found["friction_torque_per_inertia"] = torque / draws["J1"]
+    return found
+
+
+def _thinned(draws: Mapping[str, Array], sampling: Sampling) -> dict[str, Array]:
+    """The kept draws by ensemble: name -> (ensembles, kept / ensembles)."""
+    count = _kept(sampling)
+    index = np.linspace(0, sampling.draws.shape[1] * sampling.draws.shape[2] - 1, count).round().astype(int)
+    return {key: value.reshape(value.shape[0], -1)[:, index] for key, value in draws.items()}
+
+
+def _kept(sampling: Sampling) -> int:
+    return min(KEPT_DRAWS // sampling.draws.shape[0], sampling.draws.shape[1] * sampling.draws.shape[2])
+
+
+def _as_chains(values: Array, sampling: Sampling) -> Array:
+    """(n, ...) of kept draws as (ensembles, n / ensembles, ...)."""
+    ensembles = sampling.draws.shape[0]
+    per = len(values) // ensembles
+    return values[: per * ensembles].reshape(ensembles, per, *values.shape[1:])
+
+
+def _entry(
+    draws: Mapping[str, Array], prior_shares: Mapping[str, float], sampling: Sampling, outcomes: Mapping[str, int]
+) -> dict[str, Any]:
+    """The entry of summary.json for one run."""
+    verdict = sampling.verdict
+    failed = {name: count for name, count in outcomes.items() if name != "COMPLETED" and count}
+    sentences = list(verdict.sentences)
+    if failed:
+        told = ", ".join(f"{count} {name}" for name, count in failed.items())
+        sentences.append(f"Simulations that failed and were given no weight: {told} of {sum(outcomes.values())}.")
+    return {
+        "converged": verdict.converged,
+        "parameters": summarise(draws, {name: unit_of(name) for name in draws}, prior_shares),
+        "sentences": sentences,
+        "steps": verdict.steps,
+        "autocorrelation_steps": float(np.max(verdict.tau)),
+        "acceptance": [float(a) for a in sampling.acceptance],
+        "evaluations": sampling.evaluations,
+        "outcomes": dict(outcomes),
+        "stranded_walkers": [list(pair) for pair in verdict.stranded],
+    }
+
+
+def _shares(names: Sequence[str], points: Array) -> dict[str, float]:
+    """Posterior variance of each standard coordinate: what is left of the prior's own 1."""
+    return {name: float(min(1.0, points[:, i].var())) for i, name in enumerate(names)}
+
+
+def _attributes(plan: Mapping[str, Any], name: str) -> dict[str, Any]:
+    return {"campaign": plan["name"], "case": name, "plan": json.dumps(plan), "provenance": json.dumps(provenance())}
+
+
+# Figures ----------------------------------------------------------------------------------------------------------------
+
+_MAIN = ("mu", "k2t", "c2t", "drag", "nu", "c1t", "c3t", "friction_torque", "sigma1", "sigma2")
+
+
+def _axis_labels(names: Sequence[str]) -> dict[str, str]:
+    return {name: figures.label(PARAMETERS[name].symbol if name in PARAMETERS else name, unit_of(name)) for name in names}
+
+
+def _draw_case(
+    folder: Path, title: str, draws: Mapping[str, Array], sampling: Sampling, checks: Sequence[Mapping[str, Any]] | None
+) -> None:
+    thinned = _thinned(draws, sampling)
+    names = [name for name in _MAIN if name in thinned]
+    labels = _axis_labels(list(draws))
+    flat = {name: thinned[name].ravel() for name in names}
+    converged = sampling.converged
+    figures.save(figures.corner_figure({title: flat}, labels, title=title, converged=converged), folder / "corner")
+    trace = {name: value for name, value in thinned.items() if value.std() > 0.0}
+    figures.save(figures.trace_figure(trace, labels, title=title, converged=converged), folder / "trace")
+    if checks is not None:
+        figures.save(figures.feature_check_figure(checks, title=title, converged=converged), folder / "predictive")
+
+
+def _draw_overview(folder: Path, summary: Mapping[str, Any]) -> None:
+    cases = summary["cases"]
+    names = [name for name in _MAIN if all(name in entry["parameters"] for entry in cases.values())]
+    groups = dict(cases) | ({"all": summary["joint"]} if summary.get("joint") else {})
+    intervals = {
+        name: {
+            group: (p["hdi90"][0], p["median"], p["hdi90"][1])
+            for group, entry in groups.items()
+            if (p := entry["parameters"].get(name)) is not None
+        }
+        for name in names
+    }
+    title = f"{summary['campaign']}: median and 90 % interval of each case"
+    figure = figures.forest_figure(intervals, _axis_labels(names), title=title, converged=summary["converged"])
+    figures.save(figure, folder / "forest")
+    rows = [row for entry in cases.values() for row in entry.get("predictive", [])]
+    if rows:
+        title = f"{summary['campaign']}: what was measured, and what the fitted model gives"
+        figure = figures.feature_check_figure(rows, title=title, converged=summary["converged"])
+        figures.save(figure, folder / "predictive")
+
+
+_READING_UNITS = {"acceleration": "rad/s^2", "velocity": "rad/s", "displacement": "rad"}
+
+
+def _draw_records(
+    folder: Path, experiment: Experiment, bands: Mapping[int, Array], converged: bool, most: int = 4
+) -> None:
+    """The first trial of each configuration (at most `most`) under the band of the posterior."""
+    shown: dict[tuple[str, bool], int] = {}
+    for i in bands:
+        trial = experiment.trials[i]
+        shown.setdefault((trial.case, trial.coupled), i)
+    rows = []
+    for i in list(shown.values())[:most]:
+        low, middle, high = np.nanquantile(bands[i], [0.05, 0.5, 0.95], axis=0)
+        trial = experiment.trials[i]
+        rows.append(
+            {"label": trial.label, "times": trial.times, "measured": trial.y, "low": low, "median": middle, "high": high}
+        )
+    figure = figures.record_figure(
+        rows, _READING_UNITS[experiment.quantity], title="measured records and the fitted model", converged=converged
+    )
+    figures.save(figure, folder / "records")
