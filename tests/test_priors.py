@@ -167,10 +167,8 @@ def test_a_file_overrides_a_base_entry_by_entry(thesis, tmp_path):
 def test_degrees_and_milliseconds_are_converted(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(
-    path.write_text(
         'theta0 = {dist = "normal", mean = 180, sd = 90, unit = "deg"}\n'
         'delay = {dist = "fixed", value = 2, unit = "ms"}\n'
-    )
     )
     priors = load_priors(path)
     assert priors.free["theta0"] == Normal(math.pi, math.pi / 2.0)
