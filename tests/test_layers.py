@@ -23,7 +23,7 @@ LAYERS = (
     {"sampling", "evidence", "arviz_adapter"},
     {"figures", "run", "check", "summary"},
     {"progress"},
-    {"fit", "variability", "diagnosis", "tuning", "thesis", "compare"},
+    {"fit", "variability", "diagnosis", "tuning", "thesis", "compare", "simulate"},
     {"withheld", "bench"},
     {"report"},
     {"demo"},
