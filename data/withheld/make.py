@@ -31,7 +31,7 @@ SETS: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[float, ...], int]]
     "faint": (("easy",), ("library", "foreign"), (0.05, 0.1), 0),
     "hard": (("hard",), ("library*4", "none*100", "foreign*2"), (0.15, 0.5, 1.0), 0),
     "pairs": (("easy", "hard"), ("pairs",), (0.5, 1.0), 20),
-    "shipped": (("easy", "hard"), ("library*1", "none*4", "reserved"), (0.5,), 0),
+    "shipped": (("easy", "hard"), ("library", "none*3", "reserved"), (0.5, 1.0), 0),  # with --limit 36
 }
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import codes
-from .gap import NOISE, Condition, amplitude_for, gap_of
+from .gap import NOISE, Condition, amplitude_for, gap_of, visible_chi2
 from .kinds import KINDS, Kind
 from .sensors import FULL_SCALE, Disturbance
 from .simulate import FINE_STEP, record
@@ -122,6 +122,15 @@ def make_campaign(order: Order, folder: Path, salt: str) -> dict[str, Any]:
     entries = [entry for _, entry in found]
     fit = gap_of(conditions, times, disturbances, offset) if disturbances else None
 
+    if fit is None:
+        visible = 0.0
+    elif hard:
+        shares = {**HARD_SHARES, "k1t": K1T_SHARE}
+        order_k = sorted(k1t, key=lambda k: k1t[k])
+        declared = {**DECLARED, **{f"k1t{i}": k for i, k in enumerate(order_k)}}
+        visible = visible_chi2(conditions, times, disturbances, fit, declared, shares, offset, TRIALS)
+    else:
+        visible = TRIALS * sum(float(r @ r) for r in fit.residuals) / NOISE**2
     late = {"late": True, "early": False}.get(order.trigger, bool(rng.integers(2)))
     home = folder / name
     if home.exists():  # left by a run that was stopped before its entry reached the key
@@ -147,7 +156,7 @@ def make_campaign(order: Order, folder: Path, salt: str) -> dict[str, Any]:
                 if hard:
                     noisy = QUANTUM * np.round(noisy / QUANTUM)
                 file = f"trials/{number:02d}.csv.gz"
-                _write_record(home / file, times, noisy)
+                _write_record(home / file, times, noisy, 2 if hard else 1)
                 rows.append((file, label, "coupled" if coupled else "uncoupled", f"{k:g}",
                              *((f"{K1T_SHARE * k:g}",) if hard else ()), f"{degrees:g}",
                              f"{ANGLE_SHARE * degrees:.3g}", str(trial)))
@@ -166,7 +175,8 @@ def make_campaign(order: Order, folder: Path, salt: str) -> dict[str, Any]:
         "class": entries[0]["class"] if single else None,
         "standing": entries[0]["standing"] if single else None,
         "level_wanted": order.level if entries else 0.0, "level": fit.level if fit else 0.0,
-        "gap_rms_rad_s2": fit.level * NOISE if fit else 0.0, "disturbances": entries,
+        "gap_rms_rad_s2": fit.level * NOISE if fit else 0.0, "visible_chi2": visible,
+        "disturbances": entries,
         "nominal": nominal, "constants": {**true, "k1t": {f"{k:g}": v for k, v in k1t.items()}},
         "best_nominal": fit.parameters if fit else nominal, "trials": trials, "seed": order.seed,
         "duration": order.duration, "trigger": "late" if late else "early",
@@ -213,11 +223,11 @@ def _clip(y: NDArray[np.float64], disturbances: list[Disturbance]) -> NDArray[np
     return y
 
 
-def _write_record(path: Path, times: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+def _write_record(path: Path, times: NDArray[np.float64], y: NDArray[np.float64], digits: int) -> None:
     text = io.StringIO()
     text.write("time_s,alpha1_rad_s2" + (",alpha2_rad_s2" if len(y) == 2 else "") + "\n")
     for i, t in enumerate(times):
-        text.write(f"{t:.3f}," + ",".join(f"{v:.2f}" for v in y[:, i]) + "\n")
+        text.write(f"{t:.3f}," + ",".join(f"{v:.{digits}f}" for v in y[:, i]) + "\n")
     with path.open("wb") as raw, gzip.GzipFile(filename="", mode="wb", fileobj=raw, mtime=0) as packed:
         packed.write(text.getvalue().encode())
 
