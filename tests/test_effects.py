@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.integrate import quad, solve_ivp
+from scipy.integrate import solve_ivp
 
 from bayes_damper import damper
 from bayes_damper.damper import Rig
@@ -31,8 +31,8 @@ from bayes_damper.errors import InputError
 from bayes_damper.model import Model
 
 PARAMETERS = {
-    "J1": 3.015e-3, "J2": 2.474e-3, "J12": 0.0, "k1t": 10.2, "k3t": 0.0, "c1t": 0.01, "c3t": 0.008, "k2t": 1.3, "c2t": 0.02,
-    "mu": 0.008, "N0": 100.0, "R": 0.1, "r": 0.0127, "drag": 0.012, "nu": 30.0, "theta0": 0.11,
+    "J1": 3.015e-3, "J2": 2.474e-3, "J12": 0.0, "k1t": 10.2, "k3t": 0.0, "c1t": 0.01, "c3t": 0.008, "k2t": 1.3,
+    "c2t": 0.02, "mu": 0.008, "N0": 100.0, "R": 0.1, "r": 0.0127, "drag": 0.012, "nu": 30.0, "theta0": 0.11,
 }  # fmt: skip
 RIG = Rig(**PARAMETERS)
 VARIANTS = {f"{e.name}/{v.name}": (e, v) for e in EFFECTS.values() for v in e.variants}
@@ -93,10 +93,9 @@ def test_priors_are_proper_and_their_scale_is_that_of_the_starts(effect, variant
     for i, parameter in enumerate(variant.parameters):
         low, high = parameter.prior.ppf([1e-9, 1.0 - 1e-9])
         log = parameter.prior.coordinate == "log"
-        density = lambda x: (
-            float(np.exp(parameter.prior.logpdf(math.exp(x) if log else x))) * (math.exp(x) if log else 1)
-        )  # noqa: B023, E731
-        mass, _ = quad(density, *(np.log([low, high]) if log else (low, high)), limit=200)
+        grid = np.linspace(*(np.log([low, high]) if log else (low, high)), 200_001)
+        x = np.exp(grid) if log else grid
+        mass = np.trapezoid(np.exp(parameter.prior.logpdf(x)) * (x if log else 1.0), grid)
         assert mass == pytest.approx(1.0, abs=1e-5)
         assert all(low <= start[i] <= high for start in variant.starts)
         if not log:
@@ -253,8 +252,8 @@ def test_friction_never_feeds_energy_in(effect, variant):
 def test_what_is_taken_off_the_nominal_losses_never_exceeds_them(effect, variant):
     for values in variant.starts:
         for state in states(seed=5, n=40):
-            t, th1, th2, w1, w2, z1, z2 = state
-            q1, _ = variant.torque.py_func(t, th1, th2, w1, w2, abs(z1), z2, padded(values), RIG)
+            _, th1, th2, w1, w2, z1, z2 = state
+            q1, _ = variant.torque.py_func(0.0, th1, th2, w1, w2, abs(z1), z2, padded(values), RIG)
             slope = RIG.R / (2.0 * RIG.r)
             ratio = damper.normal_force_ratio.py_func(th1 - th2, slope)
             nominal = RIG.c2t * (w1 - w2) + RIG.mu * RIG.N0 * RIG.R * ratio * math.tanh(RIG.nu * (w1 - w2))
@@ -381,7 +380,7 @@ def reference(variant, values, times):
     rig = Rig(**{name: float(parameters[name]) for name in Rig._fields})
 
     def forces(t, y):
-        th1, th2, w1, w2, z1, z2 = y
+        th1, th2, w1, w2 = y[:4]
         friction = 0.0 if variant.replaces_friction else rig.mu * rig.N0 * rig.R
         slope = rig.R / (2.0 * rig.r)
         phi, slip = th1 - th2, w1 - w2
@@ -424,7 +423,7 @@ def test_kernel_agrees_with_scipy_and_plain_python(effect, variant):
     assert error < (1e-4 if variant.sense is None else 4e-4)
 
 
-@of(lambda e, v: v.lag is not None)
+@of(lambda e, v: e.name == "sensor_delay")
 def test_a_lag_shifts_one_channel_and_not_the_other(effect, variant):
     record = Model(effect=variant).simulate(PARAMETERS, TIMES, effect={"time": 3e-3}).y[0]
     bare = Model().simulate(PARAMETERS, TIMES).y[0]
@@ -456,8 +455,8 @@ def test_library_holds_every_effect_of_the_contract():
         "friction_displacement": "interface", "magnet_cubic": "interface", "eddy_overlap": "interface",
         "magnet_fade": "interface", "interface_relaxation": "interface", "normal_force_law": "interface",
         "inertia_error": "ground2", "release_ramp": "release", "release_offset": "release", "sensor_gain": "sensor",
-        "sensor_delay": "sensor", "sensor_bandwidth": "sensor", "sensor_highpass": "sensor", "sensor_clipping": "sensor",
-        "bearing_drag": "bearings", "interface_friction": "interface",
+        "sensor_delay": "sensor", "sensor_bandwidth": "sensor", "sensor_highpass": "sensor",
+        "sensor_clipping": "sensor", "bearing_drag": "bearings", "interface_friction": "interface",
     }  # fmt: skip
     assert promised.items() <= {name: effect.site for name, effect in EFFECTS.items()}.items()
     assert all(name == effect.name for name, effect in EFFECTS.items())

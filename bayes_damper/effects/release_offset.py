@@ -40,12 +40,12 @@ EFFECT = Effect(
             formula="theta2(0) = theta1(0) + d",
             parameters=(
                 EffectParameter(
-                    "offset", "rad", "Angle of the secondary less that of the primary.", Normal(0.0, 0.01),
-                    "Bars aligned by eye agree to a millimetre at a radius of 0.1 m.", 0.0,
+                    "offset", "rad", "Angle of the secondary less that of the primary.", Normal(0.0, 0.015),
+                    "Bars aligned by eye agree to one or two millimetres at a radius of 0.1 m.", 0.0,
                 ),
             ),
             amend=offset,
-            starts=((0.005,), (-0.005,), (0.0003,)),
+            starts=((0.01,), (-0.01,), (0.0005,)),
             uncoupled=False,
         ),
         Variant(
@@ -53,12 +53,12 @@ EFFECT = Effect(
             formula="theta2(0) = theta1(0) (1 + e)",
             parameters=(
                 EffectParameter(
-                    "share", "1", "Offset over the release angle.", Normal(0.0, 0.1),
-                    "A millimetre at a radius of 0.1 m, over release angles of about 0.1 rad.", 0.0,
+                    "share", "1", "Offset over the release angle.", Normal(0.0, 0.15),
+                    "One or two millimetres at a radius of 0.1 m, over release angles of about 0.1 rad.", 0.0,
                 ),
             ),
             amend=share,
-            starts=((0.05,), (-0.05,), (0.003,)),
+            starts=((0.1,), (-0.1,), (0.005,)),
             uncoupled=False,
         ),
     ),

@@ -1,11 +1,14 @@
 """The sensors follow the motion with a lag: a low-pass in the channels.
 
-    tau dm/dt = y - m    in both channels, in one, or twice in one
+    tau dm/dt = y - m    in both channels, in one, or in both with a lag of T as filters of higher order have
 
 Source: Doebelin (2004), Measurement Systems, sec. 3.3 (instruments of first and second order).
 """
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
 
 from bayes_damper.distributions import HalfNormal
 from bayes_damper.effects._filters import follow, low_pass
@@ -43,6 +46,11 @@ def channel2(h, u1, u2, y1, y2, s1, s2, p, first):
     return y1, m2, s1, m2
 
 
+def lag(p: Mapping[str, Any]) -> tuple[Any, Any]:
+    """The part of a filter's delay that the first order leaves out, in both channels."""
+    return p["lag"], p["lag"]
+
+
 TIME = EffectParameter(
     "time", "s", "Time constant of the filter.", HalfNormal(0.003),
     "Corner frequencies of conditioners lie from some 50 Hz up, time constants from 3 ms down.", 0.0,
@@ -72,6 +80,20 @@ EFFECT = Effect(
             starts=STARTS,
         ),
         Variant(
+            name="lagged",
+            formula="tau dm/dt = y(t - T) - m in both channels, from the reading at rest",
+            parameters=(
+                TIME,
+                EffectParameter(
+                    "lag", "s", "Lag in addition to that of the first order.", HalfNormal(0.001),
+                    "Filters of higher order lag by about another time constant.", 0.0,
+                ),
+            ),
+            sense=both,
+            lag=lag,
+            starts=((0.00005, 0.00005), (0.0005, 0.0003), (0.001, 0.001), (0.003, 0.001)),
+        ),
+        Variant(
             name="channel1",
             formula="tau dm1/dt = y1 - m1",
             parameters=(TIME,),
@@ -87,4 +109,4 @@ EFFECT = Effect(
             uncoupled=False,
         ),
     ),
-)
+)  # fmt: skip

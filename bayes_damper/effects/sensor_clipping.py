@@ -75,7 +75,7 @@ EFFECT = Effect(
             formula="m2 = clamp(y2, -L, L)",
             parameters=PARAMETERS,
             sense=channel2,
-            starts=STARTS,
+            starts=((120.0,), (80.0,), (50.0,), (30.0,)),
             uncoupled=False,
         ),
     ),
