@@ -1,0 +1,282 @@
+"""Tuning: time integration against the transfer function, the thesis's designs, the best design, what is refused."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from bayes_damper import linear, tuning
+from bayes_damper.errors import InputError
+from bayes_damper.run import write_json
+from bayes_damper.tuning import Design
+
+THESIS = {"k1t": 10.2, "c1t": 0.0109, "k2t": 1.0, "c2t": 0.08}
+
+
+def spread(n=60, seed=0, **changes):
+    rng = np.random.default_rng(seed)
+    values = {"k1t": (10.0, 0.04), "c1t": (0.0109, 0.2), "k2t": (1.0, 0.3), "c2t": (0.08, 0.2)} | changes
+    return {name: x * np.exp(cv * rng.standard_normal(n)) for name, (x, cv) in values.items()}
+
+
+# The design -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"J2": 0.0}, "J2 = 0: a design needs a J2 above zero"),
+        ({"J2": -1e-3}, "J2 = -0.001"),
+        ({"R": 0.0}, "R = 0"),
+        ({"k2t": -1.0}, "negative k2t"),
+        ({"magnet_pull": np.nan}, "magnet_pull"),
+        ({"J2": 1e-3, "bar_inertia": 2e-3}, "bar cannot weigh more"),
+    ],
+)
+def test_a_design_outside_physics_is_refused(changes, words):
+    with pytest.raises(InputError, match=words):
+        Design(**changes)
+
+
+def test_all_faults_of_a_design_are_named_at_once():
+    with pytest.raises(InputError) as caught:
+        Design(J2=0.0, R=-1.0, k2t=-1.0)
+    assert len(caught.value.faults) == 3
+
+
+def test_the_radius_acts_on_stiffness_and_on_the_bar():
+    """k2t = k2 R^2 (eq. 21, p. 27); the bar's part of J2 grows with R^3."""
+    draws = tuning.complete(THESIS)
+    changed = Design(R=0.2).apply(draws)
+    assert changed["k2t"] == pytest.approx([4.0])
+    assert changed["J2"] == pytest.approx(draws["J2"])
+    assert changed["R"] == pytest.approx([0.2])
+    with_bar = Design(R=0.2, bar_inertia=2.146e-3).apply(draws)
+    assert with_bar["J2"] == pytest.approx([2.474e-3 + 7 * 2.146e-3])
+    assert Design(R=0.2, k2t=0.5).apply(draws)["k2t"] == pytest.approx([2.0])
+    assert draws["k2t"] == pytest.approx([1.0])
+
+
+def test_a_bar_heavier_than_the_posteriors_inertia_is_refused():
+    with pytest.raises(InputError, match="bar"):
+        Design(bar_inertia=3e-3).apply(tuning.complete(THESIS))
+
+
+# The linear model -------------------------------------------------------------------------------------------------
+
+
+def test_the_thesiss_designs_lose_17_9_and_7_1_db():
+    """Printed 1 and 5 dB (p. 29); 17.9 and 7.1 dB follow from the thesis's own parameters."""
+    draws = tuning.complete(THESIS)
+    untuned, tuned = tuning.linear_performance(draws), tuning.linear_performance(draws, Design(J2=2.474e-3 / 8))
+    assert untuned.insertion_loss == pytest.approx([17.9], abs=0.05)
+    assert tuned.insertion_loss == pytest.approx([7.1], abs=0.05)
+    assert tuned.shift == pytest.approx([8.946 - 9.266], abs=0.002)
+
+
+# The nonlinear model ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("coupled", [True, False])
+def test_time_integration_under_harmonic_torque_gives_the_transfer_function(coupled):
+    draws = tuning.complete(spread(8))
+    f = np.array([3.0, 7.0, 8.8, 9.3, 12.0])
+    found, unsettled = tuning.harmonic_response(draws, f, 0.05, coupled)
+    rig = draws if coupled else draws | {"k2t": 0.0 * draws["k2t"], "c2t": 0.0 * draws["c2t"]}
+    exact = linear.accelerance(tuning.linear_rig(rig), f)[:, 0]
+    np.testing.assert_allclose(found, exact, rtol=5e-3)
+    assert unsettled.max() < 0.02
+
+
+def test_friction_under_harmonic_torque_equals_direct_integration():
+    """Scaled time, one drive for all, against scipy in real time with the same smoothed friction."""
+    draws = tuning.complete(THESIS | {"c2t": 0.01, "mu": 0.009, "drag": 0.004, "nu": 20.0})
+    p = {name: float(x[0]) for name, x in draws.items()}
+    f, amplitude = 8.0, 0.1
+    w = 2 * np.pi * f
+
+    def rhs(t, x):
+        th1, th2, w1, w2 = x
+        n = p["N0"] * max(0.0, 1.0 - p["R"] * abs(th1 - th2) / (2 * p["r"]))
+        slip = w1 - w2
+        t12 = p["k2t"] * (th1 - th2) + p["c2t"] * slip + p["mu"] * n * p["R"] * np.tanh(p["nu"] * slip)
+        drag1, drag2 = (p["drag"] * np.tanh(p["nu"] * v) for v in (w1, w2))
+        drive = amplitude * np.cos(w * t)
+        a1 = (drive - p["c1t"] * w1 - p["k1t"] * th1 - drag1 - t12) / p["J1"]
+        return [w1, w2, a1, (t12 - p["c3t"] * w2 - drag2) / p["J2"]]
+
+    start, n = 40 / f, 200
+    t = start + np.arange(2 * n) / (n * f)
+    run = solve_ivp(rhs, (0.0, t[-1]), np.zeros(4), t_eval=t, method="LSODA", rtol=1e-8, atol=1e-10)
+    angle = 2.0 * np.abs(np.mean(run.y[0] * np.exp(-1j * w * t)))
+    found, unsettled = tuning.harmonic_response(draws, [f], amplitude)
+    assert found[0, 0] == pytest.approx(angle * w**2 / amplitude, rel=3e-3)
+    assert unsettled[0, 0] < 1e-3
+
+
+def test_without_friction_both_models_agree():
+    draws = tuning.complete(spread(20))
+    for design in (Design(), Design(J2=2.474e-3 / 8)):
+        ours = tuning.nonlinear_performances(draws, 0.05, {"d": design})["d"]
+        exact = tuning.linear_performance(draws, design)
+        np.testing.assert_allclose(ours.insertion_loss, exact.insertion_loss, atol=0.05)
+        np.testing.assert_allclose(ours.shift, exact.shift, atol=0.02)
+
+
+def test_friction_makes_the_loss_depend_on_the_amplitude():
+    """Far above the friction torque the loss is that of the viscous coupling; near it, it is not."""
+    draws = tuning.complete(THESIS | {"mu": 0.009})
+    losses = [
+        tuning.nonlinear_performances(draws, a, {"d": Design()})["d"].insertion_loss[0] for a in (0.05, 0.2, 1.0, 20.0)
+    ]
+    viscous = tuning.linear_performance(draws).insertion_loss[0]
+    assert np.ptp(losses) > 1.0
+    # The overlap closes at 14.6 deg: far above, hardly any friction is left.
+    assert losses[-1] == pytest.approx(viscous, abs=0.3)
+
+
+def test_stuck_faces_make_one_inertia():
+    """A friction that the torque cannot break leaves the resonance of J1 + J2."""
+    draws = tuning.complete(THESIS | {"mu": 0.5, "c2t": 0.0, "k2t": 0.0, "c1t": 0.03, "nu": 500.0})
+    found = tuning.nonlinear_performances(draws, 0.01, {"d": Design()})["d"]
+    expected = linear.natural_frequency(draws["k1t"], draws["J1"] + draws["J2"])
+    assert found.resonance == pytest.approx(expected, rel=0.02)
+
+
+def test_an_amplitude_of_zero_is_refused():
+    with pytest.raises(InputError, match="amplitude"):
+        tuning.harmonic_response(tuning.complete(THESIS), [9.0], 0.0)
+
+
+# The best design --------------------------------------------------------------------------------------------------
+
+
+def test_the_best_design_beats_every_design_of_a_grid():
+    draws = tuning.complete(spread(40))
+    bounds = {"J2": (0.5e-3, 4e-3), "k2t": (0.3, 6.0)}
+    best = tuning.best_design(draws, bounds=bounds)
+    for j2 in np.geomspace(*bounds["J2"], 9):
+        for k2t in np.geomspace(*bounds["k2t"], 9):
+            loss = tuning.linear_performance(draws, Design(J2=j2, k2t=k2t)).insertion_loss
+            assert np.nanmean(loss) <= best.expected + 0.02
+    assert best.design.J2 is not None
+    assert bounds["J2"][0] * 0.999 <= best.design.J2 <= bounds["J2"][1] * 1.001
+
+
+def test_the_radius_is_changed_only_where_the_magnet_does_not_reach():
+    draws = tuning.complete(spread(40))
+    wide = tuning.best_design(draws, bounds={"J2": (1e-3, 4e-3), "k2t": (0.3, 12.0)})
+    reach = tuning.best_design(draws, bounds={"J2": (1e-3, 4e-3), "k2t": (0.3, 2.0), "R": (0.05, 0.3)})
+    assert wide.design.R is None
+    assert reach.design.k2t == pytest.approx(2.0)
+    assert pytest.approx(0.1 * np.sqrt(wide.design.k2t / 2.0), rel=0.05) == reach.design.R
+    assert reach.expected == pytest.approx(wide.expected, abs=0.02)
+
+
+@pytest.mark.parametrize("bounds", [{"mu": (0.0, 1.0)}, {"J2": (0.0, 1e-3)}, {"J2": (2e-3, 1e-3)}, {}])
+def test_bounds_that_mean_nothing_are_refused(bounds):
+    with pytest.raises(InputError):
+        tuning.best_design(tuning.complete(THESIS), bounds=bounds)
+
+
+def test_shares_of_variance_find_what_the_answer_is_made_of():
+    draws = tuning.complete(spread(2000))
+    answer = 3.0 * np.log(draws["c2t"]) + 0.5 * np.log(draws["k1t"]) / 0.04 * 0.2
+    shares = tuning.shares_of_variance(draws, answer)
+    assert next(iter(shares)) == "c2t"
+    assert shares["c2t"] == pytest.approx(0.36 / 0.37, abs=0.03)
+    assert shares["k1t"] == pytest.approx(0.01 / 0.37, abs=0.03)
+    assert "c3t" not in shares  # tied to c1t
+    assert "J1" not in shares  # does not vary
+
+
+# Sources and results ----------------------------------------------------------------------------------------------
+
+
+def test_a_summary_is_drawn_from_by_its_moments(tmp_path):
+    table = {name: {"mean": mean, "sd": 0.1 * mean} for name, mean in THESIS.items()}
+    write_json(tmp_path / "summary.json", {"schema": "bayes-damper/fit/1", "cases": {"IV": {"parameters": table}}})
+    draws = tuning.posterior_draws(tmp_path, "IV", 4000, np.random.default_rng(0))
+    assert draws["k2t"].mean() == pytest.approx(1.0, rel=0.01)
+    assert draws["c2t"].std() == pytest.approx(0.008, rel=0.05)
+    with pytest.raises(InputError, match="no case 'I'"):
+        tuning.posterior_draws(tmp_path, "I", 10, np.random.default_rng(0))
+
+
+def test_a_stored_posterior_is_read_with_its_correlations(tmp_path):
+    h5netcdf = pytest.importorskip("h5netcdf")
+    values = spread(100)
+    with h5netcdf.File(tmp_path / "posterior.nc", "w") as root:
+        group = root.create_group("posterior")
+        group.dimensions = {"chain": 4, "draw": 25}
+        for name, x in values.items():
+            group.create_variable(name, ("chain", "draw"), data=x.reshape(4, 25))
+    draws = tuning.posterior_draws(tmp_path, "IV", 100, np.random.default_rng(0))
+    assert sorted(draws["k2t"]) == pytest.approx(sorted(values["k2t"]))
+    assert np.corrcoef(draws["k2t"], draws["c2t"])[0, 1] == pytest.approx(
+        np.corrcoef(values["k2t"], values["c2t"])[0, 1]
+    )
+
+
+@pytest.mark.parametrize(
+    ("draws", "case", "words"),
+    [
+        ({"k2t": [-1.0]}, "IV", "k2t"),
+        ({"J2": [0.0]}, "IV", "J2"),
+        ({"k2t": [1.0, 2.0], "c2t": [1.0, 2.0, 3.0]}, "IV", "lengths"),
+        ({}, "V", "no such case"),
+    ],
+)
+def test_draws_that_mean_nothing_are_refused(draws, case, words):
+    with pytest.raises(InputError, match=words):
+        tuning.complete(draws, case)
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("tune")
+    found = tuning.tune(
+        spread(60, mu=(0.009, 0.2)), J2=2.474e-3 / 8, amplitudes=(0.05, 0.2), n_draws=60, n_nonlinear=6, out=folder
+    )
+    return found, json.loads((folder / "tune.json").read_text(encoding="utf-8"))
+
+
+def test_tune_writes_what_it_returns(result):
+    found, stored = result
+    assert stored == json.loads(json.dumps(found.to_json()))
+    assert stored["schema"] == "bayes-damper/tune/1"
+    assert [row["torque_amplitude_n_m"] for row in stored["nonlinear"]] == [0.05, 0.2]
+    assert stored["hangs_most_on"] in ("c1t", "c2t")
+    low, high = stored["linear"]["insertion_loss_db"]["interval90"]
+    assert low < stored["linear"]["insertion_loss_db"]["median"] < high
+    assert 0.0 <= stored["linear"]["probability_of_target"] <= 1.0
+
+
+def test_bands_of_the_frequency_response_are_ordered(result):
+    for band in result[0].response.values():
+        assert (band.low <= band.median).all()
+        assert (band.median <= band.high).all()
+
+
+def test_the_best_design_is_better_than_the_given_one(result):
+    found, stored = result
+    assert found.optimum.expected > np.nanmean(found.linear.insertion_loss)
+    assert stored["optimum"]["linear"]["insertion_loss_db"]["mean"] == pytest.approx(found.optimum.expected)
+
+
+def test_the_text_names_the_answer(result):
+    text = result[0].text()
+    assert "best design" in text
+    assert "hangs most on" in text
+
+
+def test_the_same_seed_gives_the_same_answer(result):
+    again = tuning.tune(spread(60, mu=(0.009, 0.2)), J2=2.474e-3 / 8, amplitudes=(), n_draws=60, optimise=False)
+    np.testing.assert_array_equal(again.linear.insertion_loss, result[0].linear.insertion_loss)
+    assert again.optimum is None
+
+
+def test_no_draws_are_refused():
+    with pytest.raises(InputError, match="at least one draw"):
+        tuning.tune(THESIS, n_draws=0)
