@@ -1,0 +1,19 @@
+"""Sampling of any log density with emcee: a start, independent ensembles, and a verdict on their draws."""
+
+from bayes_damper.sampling.convergence import Diagnostic, StoppingRule, Verdict, diagnose_draws, judge
+from bayes_damper.sampling.ensembles import Progress, Sampling, Target, sample
+from bayes_damper.sampling.start import Start, find_start
+
+__all__ = [
+    "Diagnostic",
+    "Progress",
+    "Sampling",
+    "Start",
+    "StoppingRule",
+    "Target",
+    "Verdict",
+    "diagnose_draws",
+    "find_start",
+    "judge",
+    "sample",
+]

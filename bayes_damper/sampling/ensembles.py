@@ -1,0 +1,468 @@
+"""Runs several independent emcee ensembles until a rule is satisfied, with saved states, on one or more processes.
+
+An ensemble goes through two phases. Warm-up: rounds of growing length until two rounds in succession look alike; each
+round fits a Student t to its draws, which from then on serves as an independence proposal, as often as its acceptance
+earns it. Drawing: proposals are frozen and all steps count. Every ensemble has its own generator spawned from the seed,
+and works in blocks that depend on nothing but its own state, so results are the same for any number of processes, and
+a run that goes on from a saved state gives bit for bit what it would have given without the stop.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
+
+import emcee
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper.checkpoint import Checkpoint
+from bayes_damper.errors import InputError, Interrupted
+from bayes_damper.sampling.convergence import StoppingRule, Verdict, autocorrelation_time, judge, stranded_walkers
+from bayes_damper.sampling.moves import DifferentialEvolution, HalvesMove, Independence, Snooker
+from bayes_damper.sampling.start import Start, cloud
+
+Array = NDArray[np.float64]
+
+_FIRST_ROUND = 50  # steps
+_LONGEST_WARM_UP = 4000  # steps
+_BLOCK = 25  # stored steps between two states
+_FEWEST_STORED = 100
+_MEMORY = 96e6  # bytes of draws kept before every second stored step is dropped
+
+
+class Target(Protocol):
+    """A log density of points (n, ndim) -> (n,), each value independent of which points come with it."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """One name for each coordinate."""
+
+    @property
+    def ndim(self) -> int:
+        """Number of coordinates."""
+
+    def __call__(self, points: Array) -> Array:
+        """Log density of each point."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What a progress display is told: phase "warm-up" or "drawing", steps of each ensemble so far, part done (0..1),
+    seconds since the start of this process's work, and the latest verdict."""
+
+    phase: str
+    steps: int
+    part: float
+    seconds: float
+    verdict: Verdict | None
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """Draws of independent ensembles and the verdict on them.
+
+    draws : (ensembles, stored steps, walkers, ndim); log_prob : (ensembles, stored steps, walkers);
+    acceptance : (ensembles,) share of accepted proposals; thin : steps for each stored one; warm_up : (ensembles,) steps;
+    evaluations : of the target; undefined : how many of them were NaN (such points are never accepted);
+    reseated : walkers that were stranded in the warm-up and moved to a better place.
+    """
+
+    names: tuple[str, ...]
+    draws: Array
+    log_prob: Array
+    acceptance: Array
+    thin: int
+    warm_up: NDArray[np.int64]
+    evaluations: int
+    undefined: int
+    reseated: int
+    seed: int
+    verdict: Verdict
+
+    @property
+    def converged(self) -> bool:
+        """Whether the stopping rule was met."""
+        return self.verdict.converged
+
+    def flat(self, count: int | None = None) -> Array:
+        """All draws as (n, ndim), or `count` of them spread evenly over ensembles, steps and walkers."""
+        points = self.draws.reshape(-1, self.draws.shape[-1])
+        if count is None or count >= len(points):
+            return points
+        return points[np.linspace(0, len(points) - 1, count).round().astype(np.intp)]
+
+
+@dataclass(frozen=True)
+class _Ensemble:
+    """State of one ensemble between two blocks."""
+
+    coords: Array
+    log_prob: Array
+    random: dict[str, Any]
+    steps: int = 0  # of the warm-up
+    length: int = _FIRST_ROUND
+    warm: bool = False
+    weight: float = 0.0  # of the independence proposal
+    centre: Array = field(default_factory=lambda: np.empty(0))
+    spread: Array = field(default_factory=lambda: np.empty(0))
+    tau: float = 1.0
+    last: Array = field(default_factory=lambda: np.empty(0))  # (2, ndim + 1): mean and standard deviation last round
+    tried: int = 0
+    taken: int = 0
+    undefined: int = 0
+    reseated: int = 0
+    drawn: int = 0
+
+
+def sample(
+    target: Target,
+    start: Start,
+    *,
+    seed: int,
+    ensembles: int = 4,
+    walkers: int = 64,
+    rule: StoppingRule | None = None,
+    checkpoint: Checkpoint | None = None,
+    progress: Callable[[Progress], None] | None = None,
+    workers: int = 1,
+) -> Sampling:
+    """Draws from `target` by emcee until the rule holds or its budget is spent; the verdict says which.
+
+    walkers : of each ensemble, even, at least twice the number of coordinates (64 and 256 fill the lanes of the kernel).
+    checkpoint : goes on from the state it holds, if any, and saves into it every few seconds; rule, workers and progress
+    may differ from those of the stopped run. workers : processes, the ensembles being their tasks.
+
+    Raises InputError for unusable arguments or another run's state, Interrupted after Ctrl-C (the state is saved).
+    """
+    rule = rule or StoppingRule()
+    _check(target, start, ensembles, walkers)
+    if checkpoint is not None:
+        checkpoint = checkpoint.bound_to(_fingerprint(target, start, seed, ensembles, walkers))
+    run = _Run(target, start, seed, ensembles, walkers, rule, checkpoint, progress)
+    with _workers(target, min(workers, ensembles)) as advance:
+        try:
+            run.warm_up(advance)
+            run.draw(advance)
+        except KeyboardInterrupt:
+            run.save()
+            where = f" in {checkpoint.folder}" if checkpoint is not None else ""
+            raise Interrupted(
+                f"Stopped by the user; the state is saved{where}."
+                if where
+                else "Stopped by the user; nothing is saved."
+            ) from None
+    return run.result()
+
+
+class _Run:
+    """The ensembles of one call of `sample`, their draws, and when to save and to stop."""
+
+    def __init__(
+        self,
+        target: Target,
+        start: Start,
+        seed: int,
+        ensembles: int,
+        walkers: int,
+        rule: StoppingRule,
+        checkpoint: Checkpoint | None,
+        progress: Callable[[Progress], None] | None,
+    ) -> None:
+        self.target, self.seed, self.rule = target, seed, rule
+        self.checkpoint, self.progress = checkpoint, progress
+        self.walkers = walkers
+        self.thin = 0
+        self.judged = 0
+        self.verdict: Verdict | None = None
+        self.begun = time.monotonic()
+        self.done_here = 0
+        self.capacity = 4 * _BLOCK * max(2, int(_MEMORY / (8 * ensembles * walkers * (target.ndim + 1)) / (4 * _BLOCK)))
+        saved = checkpoint.load() if checkpoint is not None else None
+        if saved is None:
+            self.states = [_begin(target, start, seed, e, walkers) for e in range(ensembles)]
+            self.draws = np.empty((ensembles, 0, walkers, target.ndim))
+            self.log_prob = np.empty((ensembles, 0, walkers))
+        else:
+            self._restore(*saved)
+
+    def warm_up(self, advance: Callable[[list[tuple[_Ensemble, int]]], list[Any]]) -> None:
+        """Runs warm-up rounds, each ensemble its own number, until all are warm; then fixes the common thinning."""
+        while not all(s.warm for s in self.states):
+            cold = [i for i, s in enumerate(self.states) if not s.warm]
+            for i, (state, _, _) in zip(cold, advance([(self.states[i], 0) for i in cold]), strict=True):
+                self.states[i] = state
+            self._tell("warm-up", max(s.steps for s in self.states), 0.0)
+            self._save_if_due()
+        if self.thin == 0:
+            self.thin = max(1, int(max(s.tau for s in self.states) / 8))
+
+    def draw(self, advance: Callable[[list[tuple[_Ensemble, int]]], list[Any]]) -> None:
+        """Draws block by block until the rule holds or the budget is spent."""
+        if self.judged > 0 and self.judged == self.draws.shape[1] * self.thin:
+            self._judge()  # a finished run, perhaps under a new rule; off that schedule an early look would change the end
+        while not self._finished():
+            parts = advance([(s, self.thin) for s in self.states])
+            self.states = [p[0] for p in parts]
+            self.draws = np.concatenate([self.draws, np.stack([p[1] for p in parts])], axis=1)
+            self.log_prob = np.concatenate([self.log_prob, np.stack([p[2] for p in parts])], axis=1)
+            self.done_here += _BLOCK * self.thin
+            if self.draws.shape[1] >= self.capacity:
+                self.draws, self.log_prob = self.draws[:, 1::2].copy(), self.log_prob[:, 1::2].copy()
+                self.thin *= 2
+            steps = self.draws.shape[1] * self.thin
+            if self.draws.shape[1] >= _FEWEST_STORED and steps >= 1.2 * self.judged:
+                self._judge()
+            self._tell("drawing", steps, min(1.0, self._part()))
+            self._save_if_due()
+        if self.judged != self.draws.shape[1] * self.thin:
+            self._judge()
+        self.save()
+
+    def save(self) -> None:
+        """Writes the state, where a checkpoint was asked for."""
+        if self.checkpoint is None:
+            return
+        arrays: dict[str, NDArray[Any]] = {"draws": self.draws, "log_prob": self.log_prob}
+        records = []
+        for i, state in enumerate(self.states):
+            record = {}
+            for name, value in vars(state).items():
+                if isinstance(value, np.ndarray):
+                    arrays[f"{i}.{name}"] = value
+                elif name == "random":
+                    arrays[f"{i}.random"] = value["key"]
+                    record["random"] = {k: v for k, v in value.items() if k != "key"}
+                else:
+                    record[name] = value
+            records.append(record)
+        self.checkpoint.save(arrays, {"thin": self.thin, "judged": self.judged, "ensembles": records})
+
+    def result(self) -> Sampling:
+        """What was drawn, with the verdict."""
+        assert self.verdict is not None
+        tried = np.array([s.tried for s in self.states])
+        taken = np.array([s.taken for s in self.states])
+        verdict = self.verdict
+        undefined = sum(s.undefined for s in self.states)
+        if undefined:
+            more = f"At {undefined} of the points tried the posterior was not a number; none was accepted."
+            verdict = replace(verdict, sentences=(*verdict.sentences, more))
+        return Sampling(
+            names=tuple(self.target.names),
+            draws=self.draws,
+            log_prob=self.log_prob,
+            acceptance=taken / np.maximum(tried, 1),
+            thin=self.thin,
+            warm_up=np.array([s.steps for s in self.states]),
+            evaluations=sum((s.steps + s.drawn) * self.walkers for s in self.states),
+            undefined=undefined,
+            reseated=sum(s.reseated for s in self.states),
+            seed=self.seed,
+            verdict=verdict,
+        )
+
+    def _restore(self, arrays: dict[str, NDArray[Any]], record: dict[str, Any]) -> None:
+        self.thin, self.judged = int(record["thin"]), int(record["judged"])
+        self.draws, self.log_prob = arrays["draws"], arrays["log_prob"]
+        self.states = []
+        for i, values in enumerate(record["ensembles"]):
+            own = {n.split(".", 1)[1]: a for n, a in arrays.items() if n.startswith(f"{i}.")}
+            random = {**values.pop("random"), "key": own.pop("random")}
+            self.states.append(_Ensemble(**values, **own, random=random))
+
+    def _judge(self) -> None:
+        pace = (time.monotonic() - self.begun) / self.done_here if self.done_here else 0.0
+        self.verdict = judge(tuple(self.target.names), self.draws, self.log_prob, self.thin, self.rule, pace)
+        self.judged = self.draws.shape[1] * self.thin
+
+    def _finished(self) -> bool:
+        if self.verdict is not None and self.verdict.converged:
+            return True
+        if self.draws.shape[1] * self.thin >= self.rule.max_steps:
+            return True
+        limit = self.rule.max_seconds
+        return limit is not None and time.monotonic() - self.begun > limit
+
+    def _part(self) -> float:
+        verdict, rule = self.verdict, self.rule
+        if verdict is None or not np.all(np.isfinite(verdict.tau)):
+            return 0.0
+        least = min(verdict.ess_bulk.min(), verdict.ess_tail.min()) / rule.ess
+        return float(min(least, verdict.steps / (rule.taus * verdict.tau.max())))
+
+    def _tell(self, phase: str, steps: int, part: float) -> None:
+        if self.progress is not None:
+            self.progress(Progress(phase, steps, part, time.monotonic() - self.begun, self.verdict))
+
+    def _save_if_due(self) -> None:
+        if self.checkpoint is not None and self.checkpoint.due():
+            self.save()
+
+
+def _begin(target: Target, start: Start, seed: int, ensemble: int, walkers: int) -> _Ensemble:
+    """An ensemble at its start, with a generator of its own."""
+    child = np.random.SeedSequence(seed).spawn(ensemble + 1)[ensemble]
+    coords, log_prob = cloud(target, start, walkers, np.random.default_rng(child), ensemble)
+    random = np.random.RandomState(np.random.MT19937(child.spawn(1)[0])).get_state(legacy=True)
+    return _Ensemble(coords, log_prob, _packed(random))
+
+
+def _advance(target: Target, state: _Ensemble, thin: int) -> tuple[_Ensemble, Array, Array]:
+    """One block of an ensemble: a round of warm-up (thin = 0) or 25 stored steps, with the draws of the latter."""
+    moves = _moves(state)
+    sampler = emcee.EnsembleSampler(len(state.coords), target.ndim, target, moves=moves, vectorize=True)
+    begin = emcee.State(state.coords, log_prob=state.log_prob, random_state=_unpacked(state.random))
+    steps = _BLOCK if thin else state.length
+    end = sampler.run_mcmc(begin, steps, thin_by=max(thin, 1), skip_initial_state_check=True)
+    chain, heights = sampler.get_chain(), sampler.get_log_prob()
+    counts = [m for m, _ in moves]
+    state = replace(
+        state,
+        coords=end.coords,
+        log_prob=end.log_prob,
+        random=_packed(end.random_state),
+        undefined=state.undefined + sum(m.undefined for m in counts),
+    )
+    if thin:
+        tried, taken = sum(m.tried for m in counts), sum(m.taken for m in counts)
+        return (
+            replace(state, tried=state.tried + tried, taken=state.taken + taken, drawn=state.drawn + steps * thin),
+            chain,
+            heights,
+        )
+    return _after_round(state, chain, heights, counts), chain[:0], heights[:0]
+
+
+def _after_round(state: _Ensemble, chain: Array, heights: Array, moves: list[HalvesMove]) -> _Ensemble:
+    """What a round of warm-up teaches: stranded walkers, the independence proposal, whether it was the last round."""
+    ndim = chain.shape[2]
+    steps = state.steps + len(chain)
+    coords, log_prob = state.coords.copy(), state.log_prob.copy()
+    lost = [w for _, w in stranded_walkers(heights[None, len(heights) // 2 :])]
+    fine = np.setdiff1d(np.arange(len(coords)), lost)
+    for walker, other in zip(lost, fine, strict=False):
+        coords[walker], log_prob[walker] = coords[other], log_prob[other]
+    flat = np.column_stack([chain[:, fine].reshape(-1, ndim), heights[:, fine].reshape(-1)])
+    figures = np.stack([flat.mean(axis=0), flat.std(axis=0)])
+    weight = state.weight
+    if weight > 0:
+        own = moves[-1]
+        share = own.taken / max(own.tried, 1)
+        weight = 0.7 if share > 0.3 else 0.45 if share > 0.1 else 0.15 if share > 0.02 else 0.03
+    elif state.last.size:
+        weight = 0.3
+    alike = state.last.size > 0 and _alike(state.last, figures)
+    tau = max(float(np.nanmax(autocorrelation_time(chain[None, ..., i]))) for i in range(ndim))
+    warm = (alike and state.weight > 0 and not lost and len(chain) >= 3 * tau) or steps >= _LONGEST_WARM_UP
+    covariance = np.cov(flat[:, :ndim].T).reshape(ndim, ndim)
+    covariance = covariance + np.diag(np.diag(covariance)) * 1e-9 + np.eye(ndim) * 1e-300
+    return replace(
+        state,
+        coords=coords,
+        log_prob=log_prob,
+        steps=steps,
+        length=max(_FIRST_ROUND, steps // 2),
+        warm=bool(warm),
+        weight=weight,
+        centre=figures[0, :ndim].copy(),
+        spread=covariance,
+        tau=tau,
+        last=figures,
+        reseated=state.reseated + len(lost),
+    )
+
+
+def _alike(before: Array, after: Array) -> bool:
+    """Whether means and spreads of two rounds differ by less than they would by chance in a short round."""
+    width = np.maximum(np.maximum(before[1], after[1]), 1e-300)
+    return bool(
+        np.all(np.abs(after[0] - before[0]) < 0.3 * width) and np.all(np.abs(after[1] - before[1]) < 0.3 * width)
+    )
+
+
+def _moves(state: _Ensemble) -> list[tuple[HalvesMove, float]]:
+    """The mix of moves: differential evolution, its mode-jumping variant, snooker, and what was learnt."""
+    rest = 1.0 - state.weight
+    mix: list[tuple[HalvesMove, float]] = [
+        (DifferentialEvolution(spread=0.3), 0.7 * rest),
+        (DifferentialEvolution(1.0, spread=1e-3), 0.1 * rest),
+        (Snooker(), 0.2 * rest),
+    ]
+    if state.weight > 0:
+        mix.append((Independence(state.centre, state.spread), state.weight))
+    return mix
+
+
+def _packed(state: Any) -> dict[str, Any]:  # noqa: ANN401  # numpy's legacy tuple
+    """numpy's legacy state tuple with plain Python numbers, so that it goes through JSON unharmed."""
+    return {"key": state[1].copy(), "position": int(state[2]), "has_gauss": int(state[3]), "gauss": float(state[4])}
+
+
+def _unpacked(random: dict[str, Any]) -> tuple[str, NDArray[np.uint32], int, int, float]:
+    return ("MT19937", random["key"], random["position"], random["has_gauss"], random["gauss"])
+
+
+def _check(target: Target, start: Start, ensembles: int, walkers: int) -> None:
+    faults = []
+    if walkers % 2 or walkers < 2 * target.ndim or walkers < 8:
+        least = max(8, 2 * target.ndim)
+        faults.append(
+            f"{walkers} walkers: an ensemble in {target.ndim} dimensions needs an even number, at least {least}."
+        )
+    if ensembles < 1:
+        faults.append(f"{ensembles} ensembles: at least one is needed, and two or more for R-hat.")
+    if len(start.point) != target.ndim:
+        faults.append(f"The start has {len(start.point)} coordinates, the posterior {target.ndim}.")
+    if faults:
+        raise InputError(faults)
+
+
+def _fingerprint(target: Target, start: Start, seed: int, ensembles: int, walkers: int) -> dict[str, str]:
+    import hashlib
+
+    shape = np.concatenate([start.point, start.covariance.ravel(), start.others.ravel()])
+    return {
+        "parameters": ", ".join(target.names),
+        "seed": str(seed),
+        "ensembles": str(ensembles),
+        "walkers": str(walkers),
+        "starting point": hashlib.sha256(np.ascontiguousarray(shape).tobytes()).hexdigest()[:16],
+    }
+
+
+# --- processes ------------------------------------------------------------------------------------------------------
+
+_TARGET: list[Target] = []  # in a worker process: the target, received once
+
+
+@contextmanager
+def _workers(target: Target, count: int) -> Iterator[Callable[[list[tuple[_Ensemble, int]]], list[Any]]]:
+    """A function that advances ensembles, in this process or spread over `count` others."""
+    if count <= 1:
+        yield lambda tasks: [_advance(target, state, thin) for state, thin in tasks]
+        return
+    # A fork hands compiled kernels over as they are; where there is none the target has to be picklable.
+    method = "fork" if sys.platform.startswith("linux") else "spawn"
+    context = multiprocessing.get_context(method)
+    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_receive, initargs=(target,))
+    try:
+        yield lambda tasks: list(pool.map(_advance_here, tasks))
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _receive(target: Target) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _TARGET[:] = [target]
+
+
+def _advance_here(task: tuple[_Ensemble, int]) -> tuple[_Ensemble, Array, Array]:
+    return _advance(_TARGET[0], *task)

@@ -1,0 +1,163 @@
+"""The moves leave known distributions as they are: moments and Kolmogorov-Smirnov tests at fixed seeds."""
+
+import emcee
+import numpy as np
+import pytest
+from scipy import stats
+
+from bayes_damper.sampling.moves import DifferentialEvolution, Independence, Snooker, StudentT, _distinct
+
+MOVES = {
+    "differential_evolution": lambda ndim: DifferentialEvolution(),
+    "differential_evolution_spread": lambda ndim: DifferentialEvolution(spread=0.5),
+    "snooker": lambda ndim: Snooker(),
+    "independence": lambda ndim: Independence(np.full(ndim, 0.3), 1.5 * np.eye(ndim), 5.0),
+    "default_mix": lambda ndim: [
+        (DifferentialEvolution(), 0.7),
+        (DifferentialEvolution(1.0), 0.1),
+        (Snooker(), 0.2),
+    ],
+}
+
+
+def run(move, log_prob, start, steps, seed=0, thin=10):
+    walkers, ndim = start.shape
+    sampler = emcee.EnsembleSampler(walkers, ndim, log_prob, vectorize=True, moves=move)
+    sampler.random_state = np.random.RandomState(seed).get_state()
+    sampler.run_mcmc(start, steps, thin_by=thin)
+    return sampler.get_chain()
+
+
+@pytest.mark.parametrize("name", MOVES)
+@pytest.mark.parametrize("walkers", [12, 64])
+def test_a_correlated_gaussian_is_kept(name, walkers):
+    """Started from the target itself, 200 thinned steps later every ensemble of many still has its distribution."""
+    ndim = 3
+    covariance = np.array([[1.0, 0.9, 0.3], [0.9, 1.0, 0.1], [0.3, 0.1, 2.0]])
+    inverse = np.linalg.inv(covariance)
+    rng = np.random.default_rng(5)
+    last = []
+    repeats = 3000 // walkers
+    for seed in range(repeats):
+        start = rng.multivariate_normal(np.zeros(ndim), covariance, walkers)
+        chain = run(
+            MOVES[name](ndim), lambda x: -0.5 * np.einsum("ij,jk,ik->i", x, inverse, x), start, 1, seed=seed, thin=25
+        )
+        last.append(chain[-1])
+    points = np.concatenate(last)
+    white = points @ np.linalg.inv(np.linalg.cholesky(covariance)).T
+    for column in white.T:
+        assert stats.kstest(column, "norm").pvalue > 1e-3
+    assert stats.kstest(np.einsum("ij,ij->i", white, white), stats.chi2(ndim).cdf).pvalue > 1e-3
+    assert np.abs(np.cov(white.T) - np.eye(ndim)).max() < 0.12
+
+
+@pytest.mark.parametrize("name", MOVES)
+@pytest.mark.parametrize("walkers", [8, 64])
+def test_a_half_line_with_a_hard_wall_is_kept(name, walkers):
+    """An exponential that ends at zero beside a Gaussian: points beyond the wall have log density -inf."""
+
+    def log_prob(x):
+        return np.where(x[:, 0] < 0, -np.inf, -x[:, 0]) - 0.5 * x[:, 1] ** 2
+
+    rng = np.random.default_rng(8)
+    last = []
+    for seed in range(3000 // walkers):
+        start = np.column_stack([rng.exponential(size=walkers), rng.standard_normal(walkers)])
+        last.append(run(MOVES[name](2), log_prob, start, 1, seed=seed, thin=25)[-1])
+    points = np.concatenate(last)
+    assert points[:, 0].min() >= 0
+    assert stats.kstest(points[:, 0], "expon").pvalue > 1e-3
+    assert stats.kstest(points[:, 1], "norm").pvalue > 1e-3
+
+
+@pytest.mark.parametrize("name", ["differential_evolution", "snooker", "default_mix"])
+def test_a_banana_is_found_from_a_small_ball(name):
+    """x ~ N(0, 1), y | x ~ N(x^2, 0.3): the moments of the long run are those of the formula."""
+
+    def log_prob(x):
+        return -0.5 * x[:, 0] ** 2 - 0.5 * ((x[:, 1] - x[:, 0] ** 2) / 0.3) ** 2
+
+    start = 0.1 * np.random.default_rng(1).standard_normal((64, 2))
+    chain = run(MOVES[name](2), log_prob, start, 1500, thin=10)[300:].reshape(-1, 2)
+    residual = (chain[:, 1] - chain[:, 0] ** 2) / 0.3
+    assert abs(chain[:, 0].mean()) < 0.08
+    assert chain[:, 0].std() == pytest.approx(1.0, abs=0.06)
+    assert chain[:, 1].mean() == pytest.approx(1.0, abs=0.12)
+    assert residual.mean() == pytest.approx(0.0, abs=0.05)
+    assert residual.std() == pytest.approx(1.0, abs=0.05)
+
+
+def test_unit_gamma_swaps_walkers_between_two_modes():
+    """Two narrow modes 40 standard deviations apart: gamma = 1 carries walkers across, 2.38 / sqrt(2 d) does not."""
+
+    def log_prob(x):
+        left = -0.5 * ((x + 20.0) ** 2).sum(axis=1)
+        right = -0.5 * ((x - 20.0) ** 2).sum(axis=1)
+        return np.logaddexp(left, right)
+
+    rng = np.random.default_rng(3)
+    start = rng.standard_normal((64, 2)) + np.where(np.arange(64) < 48, 20.0, -20.0)[:, None]
+
+    def crossings(gamma):
+        side = run(DifferentialEvolution(gamma), log_prob, start, 300, thin=1)[:, :, 0] > 0
+        return np.count_nonzero(side[1:] != side[:-1])
+
+    assert crossings(1.0) > 100
+    assert crossings(None) == 0
+
+
+def test_in_one_dimension_snooker_needs_no_extra_factor():
+    points, log_ratio = Snooker().proposal(np.ones((5, 1)), np.arange(8.0)[:, None] + 2, np.random.RandomState(0))
+    assert points.shape == (5, 1)
+    assert np.all(log_ratio == 0)
+
+
+def test_undefined_values_are_refused_and_counted():
+    def log_prob(x):
+        return np.where(x[:, 0] > 0.5, np.nan, -0.5 * (x**2).sum(axis=1))
+
+    move = DifferentialEvolution()
+    start = np.random.default_rng(0).uniform(-1, 0.4, (16, 2))
+    chain = run(move, log_prob, start, 100, thin=1)
+    assert chain[:, :, 0].max() <= 0.5
+    assert move.undefined > 0
+    assert move.tried == 1600
+    assert 0 < move.taken < move.tried
+
+
+def test_triples_are_distinct_and_evenly_spread():
+    first, second, third = _distinct(np.random.RandomState(0), 60000, 5)
+    assert np.all((first != second) & (second != third) & (first != third))
+    counts = np.bincount(first * 25 + second * 5 + third, minlength=125)
+    counts = counts[counts > 0]
+    assert len(counts) == 60
+    assert stats.chisquare(counts).pvalue > 1e-3
+
+
+@pytest.mark.parametrize("freedom", [3.0, 8.0])
+def test_student_t_agrees_with_scipy(freedom):
+    covariance = np.array([[2.0, 0.5], [0.5, 1.0]])
+    shape = StudentT(np.array([1.0, -1.0]), covariance, freedom)
+    points = shape.draw(np.random.default_rng(0), 20000)
+    peer = stats.multivariate_t([1.0, -1.0], covariance, df=freedom)
+    assert np.allclose(shape.log_density(points[:50]), peer.logpdf(points[:50]))
+    assert stats.kstest((points[:, 0] - 1) / np.sqrt(2), stats.t(freedom).cdf).pvalue > 1e-3
+
+
+def test_the_check_tells_a_snooker_that_keeps_its_target_from_one_that_does_not():
+    """The Kolmogorov-Smirnov test above has the power to see a wrong acceptance rule, emcee's own move included."""
+
+    class Careless(Snooker):
+        def proposal(self, moving, resting, random):
+            return super().proposal(moving, resting, random)[0], 0.0
+
+    def p_value(move):
+        rng = np.random.default_rng(5)
+        starts = [rng.standard_normal((64, 3)) for _ in range(40)]
+        last = [run(move, lambda x: -0.5 * (x**2).sum(axis=1), s, 1, seed=i, thin=25)[-1] for i, s in enumerate(starts)]
+        return stats.kstest((np.concatenate(last) ** 2).sum(axis=1), stats.chi2(3).cdf).pvalue
+
+    assert p_value(Snooker()) > 1e-3
+    assert p_value(Careless()) < 1e-10
+    assert p_value(emcee.moves.DESnookerMove()) < 1e-10
