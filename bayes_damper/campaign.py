@@ -1145,14 +1145,14 @@ _COMMENTS = {
 
 def campaign_toml(campaign: Campaign) -> str:
     """campaign.toml as text, each key with what it means."""
-    lines = [f"name = {_quoted(campaign.name)}"]
+    lines = [f"name = {quoted(campaign.name)}"]
     for key in ("description", "source"):
         if getattr(campaign, key):
-            lines.append(f"{key} = {_quoted(getattr(campaign, key))}")
+            lines.append(f"{key} = {quoted(getattr(campaign, key))}")
     if campaign.caveats:
         lines += [
             "caveats = [  # told as warnings by every command",
-            *(f"    {_quoted(c)}," for c in campaign.caveats),
+            *(f"    {quoted(c)}," for c in campaign.caveats),
             "]",
         ]
     lines += ["", "[rig]"]
@@ -1168,7 +1168,8 @@ def campaign_toml(campaign: Campaign) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _quoted(text: str) -> str:
+def quoted(text: str) -> str:
+    """A TOML string."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     for mark, name in (("\n", "\\n"), ("\r", "\\r"), ("\t", "\\t")):
         escaped = escaped.replace(mark, name)
@@ -1180,7 +1181,7 @@ def _toml(value: Constant | str | float | tuple[float, ...]) -> str:
         return f"{{ value = {value.value!r}, std = {value.std!r} }}" if value.uncertain else repr(value.value)
     if isinstance(value, tuple):
         return "[" + ", ".join(map(repr, value)) + "]"
-    return _quoted(value) if isinstance(value, str) else repr(value)
+    return quoted(value) if isinstance(value, str) else repr(value)
 
 
 def trials_csv(campaign: Campaign) -> str:

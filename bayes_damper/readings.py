@@ -168,14 +168,18 @@ def find_release(times: Array, readings: Array) -> float:
 
     The first hundredth of the record (at least five readings) is taken as held: level and noise come from it. The
     motion begins with the first of three successive readings beyond six standard deviations; the instant is the
-    reading before them. When nothing moves, the start of the record is returned.
+    reading before them. Where nothing is held or
+    nothing moves, the start of the record is returned.
 
     times : (n,) s; readings : (n,), any quantity, any unit
     """
     count = max(5, len(readings) // 100)
     head = readings[:count]
     level = float(np.median(head))
-    noise = max(noise_floor_of(readings), float(np.std(head)), 1e-12 * float(np.ptp(readings)))
+    floor = max(noise_floor_of(readings), 1e-12 * float(np.ptp(readings)))
+    if np.std(head) > 5.0 * floor:  # not held: it moves from the first reading on
+        return float(times[0])
+    noise = max(floor, float(np.std(head)))
     beyond = np.abs(readings - level) > 6.0 * noise
     lasting = beyond[:-2] & beyond[1:-1] & beyond[2:]
     if not lasting.any():

@@ -1,0 +1,143 @@
+"""From logger files to campaigns: conversions, releases, and a sentence for each malformed file."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayes_damper.campaign import load_campaign
+from bayes_damper.errors import InputError
+from bayes_damper.importer import convert, import_records, init_campaign
+from bayes_damper.readings import find_first_peak, find_release
+from tests.campaigns import decay
+
+ROOT = Path(__file__).resolve().parent.parent
+RAW = Path(os.environ.get("BAYES_DAMPER_REALDATA", ROOT.parent / "shared" / "realdata"))
+TIMES = np.arange(-200, 1200) / 1000.0
+OPTIONS = {"primary_inertia": 3.015e-3, "k1t": 10.2, "theta0": 4.7, "time": "t", "columns": ["a"], "release": "find"}
+
+
+def wave(seed: int = 0) -> np.ndarray:
+    noise = np.random.default_rng(seed).standard_normal(len(TIMES))
+    return decay(TIMES, math.radians(4.7), 10.2, 0.031) + noise
+
+
+def logger_file(path: Path, y: np.ndarray, mark: str = ",", comma: bool = False, times: np.ndarray = TIMES) -> Path:
+    rows = [f"{t + 5.0:.4f}{mark}{v:.6f}" for t, v in zip(times, y, strict=True)]
+    text = "\n".join([f"t{mark}a", *(r.replace(".", ",") if comma else r for r in rows)])
+    path.write_text(text + "\n", encoding="utf-8")
+    return path
+
+
+def fault_of(tmp_path: Path, source: Path, **options: object) -> str:
+    with pytest.raises(InputError) as caught:
+        init_campaign(tmp_path / "out", [source], **{**OPTIONS, **options})
+    assert not (tmp_path / "out").exists()
+    return str(caught.value)
+
+
+def test_logger_files_become_a_campaign(tmp_path: Path) -> None:
+    sources = [logger_file(tmp_path / f"run{i}.csv", wave(i)) for i in range(3)]
+    campaign = load_campaign(init_campaign(tmp_path / "out", sources, **OPTIONS))
+    assert [t.trial for t in campaign.trials] == [1, 2, 3]
+    assert campaign.trials[0].times[0] == pytest.approx(-0.02, abs=0.002)
+    assert campaign.warnings == ()
+    again = import_records(tmp_path / "out" / "import.toml", tmp_path / "again")
+    assert (again / "trials.csv").read_bytes() == (tmp_path / "out" / "trials.csv").read_bytes()
+
+
+def test_g_at_the_mounting_radius_with_semicolons_and_decimal_commas(tmp_path: Path) -> None:
+    source = logger_file(tmp_path / "run.csv", wave() * 0.1 / 9.80665, ";", True)
+    options = {**OPTIONS, "decimal": ",", "units": ["g"], "mounting_radius": 0.1}
+    trial = load_campaign(init_campaign(tmp_path / "out", [source], **options)).trials[0]
+    assert np.max(np.abs(trial.channels)) == pytest.approx(np.max(np.abs(wave())), rel=1e-3)
+
+
+def test_missing_constants_are_assumed_and_told(tmp_path: Path) -> None:
+    source = logger_file(tmp_path / "run.csv", 1e-3 * decay(TIMES, 1.0, 10.2, 0.031)[200:], times=TIMES[200:])
+    campaign = load_campaign(
+        init_campaign(tmp_path / "out", [source], time="t", columns=["a"], quantity="displacement")
+    )
+    k1t = campaign.trials[0].k1t
+    assert abs(k1t.value - 10.2 / 3.015e-3) < k1t.std
+    assert any("per unit inertia" in w for w in campaign.warnings)
+    assert any("k1t was not given" in w for w in campaign.warnings)
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"columns": ["alpha"]}, "column 'alpha' is missing, the file has t, a"),
+        ({"columns": [3]}, "column 3 is missing, the file has 2"),
+        ({"sha256": "0" * 64}, "expected 0000000000000000"),
+        ({"units": ["deg/s^2"]}, "it looks like"),
+        ({"units": ["m/s^2"]}, "give mounting_radius in metres"),
+        ({"units": ["furlong"]}, "'furlong' is no unit of acceleration"),
+        ({"colums": ["a"]}, "option 'colums' does not exist; did you mean 'columns'?"),
+        ({"release": "guess"}, "release = 'guess' is none of"),
+        ({"start": 900.0}, "only 0 readings"),
+    ],
+)
+def test_wrong_options(tmp_path: Path, options: dict, sentence: str) -> None:
+    source = logger_file(tmp_path / "run.csv", wave())
+    if "units" in options and options["units"] == ["deg/s^2"]:
+        source = logger_file(tmp_path / "run.csv", 0.5 * wave())
+    if "sha256" in options:
+        spec = {
+            "name": "x",
+            "rig": {"primary_inertia": 1.0},
+            "reader": {"columns": ["a"], "time": "t"},
+            "trials": [
+                {"source": str(source), "case": "A", "configuration": "uncoupled", "k1t": 1.0, "theta0": 1.0, **options}
+            ],
+        }
+        with pytest.raises(InputError, match=sentence):
+            import_records(spec, tmp_path / "out")
+        return
+    assert sentence in fault_of(tmp_path, source, **options)
+
+
+def test_degrees_taken_for_radians(tmp_path: Path) -> None:
+    source = logger_file(tmp_path / "run.csv", np.degrees(wave()))
+    assert "it looks like degrees taken for radians" in fault_of(tmp_path, source)
+
+
+def test_decimal_commas_that_were_not_told(tmp_path: Path) -> None:
+    source = logger_file(tmp_path / "run.csv", wave(), ";", True)
+    assert "has decimal commas; set decimal = ','" in fault_of(tmp_path, source)
+
+
+def test_a_record_that_starts_in_the_middle(tmp_path: Path) -> None:
+    source = logger_file(tmp_path / "run.csv", wave()[270:], times=TIMES[270:])
+    assert "it starts in the middle" in fault_of(tmp_path, source)
+
+
+def test_release_and_first_peak_are_found() -> None:
+    assert find_release(TIMES, wave()) == pytest.approx(0.0, abs=0.0015)
+    period = 2.0 * math.pi * math.sqrt(3.015e-3 / 10.2)
+    late = 0.3 * period < TIMES
+    assert find_first_peak(TIMES[late], wave()[late]) == pytest.approx(0.5 * period, abs=0.02 * period)
+
+
+def test_tangential_units() -> None:
+    ones = np.ones(2)
+    assert convert(ones, "g", "torsional", "acceleration", 0.1, "x") == pytest.approx([98.0665] * 2)
+    assert convert(ones, "deg", "torsional", "displacement", None, "x") == pytest.approx([math.pi / 180.0] * 2)
+    assert convert(ones, "mm", "translational", "displacement", None, "x") == pytest.approx([1e-3] * 2)
+
+
+@pytest.mark.parametrize("name", ["rotary_pendulum", "tuned_mass_damper", "double_pendulum"])
+def test_real_rigs_come_out_as_shipped(tmp_path: Path, name: str) -> None:
+    if not (RAW / name).is_dir():
+        pytest.skip(f"the raw files of {name} are not here; set BAYES_DAMPER_REALDATA to their folder")
+    shipped = ROOT / "data" / "real" / name
+    folder = import_records(shipped / "import.toml", tmp_path / "out", RAW / name)
+    for file in ("campaign.toml", "trials.csv"):
+        digests = [hashlib.sha256((f / file).read_bytes()).hexdigest() for f in (folder, shipped)]
+        assert digests[0] == digests[1]
+    assert load_campaign(folder).training
