@@ -1,7 +1,7 @@
 """The state of a long run on disk: written whole or not at all, checked when read, refused when it is another run's.
 
-A folder holds the last two states, `state-000017.npz` and so on. Each is written under another name, flushed to the disk
-and then renamed, and begins with the SHA-256 of what follows, so that a kill at any moment leaves at least one good
+A folder holds the last two states, `state-000017.npz` and so on. Each is written under another name, flushed to the
+disk and then renamed, and begins with the SHA-256 of what follows, so that a kill at any moment leaves at least one good
 state. The arrays and the JSON record inside go in and come out bit for bit; nothing is pickled.
 """
 
@@ -28,8 +28,8 @@ _RECORD = "__record__"
 class Checkpoint:
     """States of one run in `folder`.
 
-    fingerprint : what decides the result (model, prior, data, seed, package version ...), name -> value as text. A state
-    with another fingerprint is refused. every : least seconds between two timed saves.
+    fingerprint : what decides the result (model, prior, data, seed, package version ...), name -> value as text. A
+    state with another fingerprint is refused. every : least seconds between two timed saves.
     """
 
     def __init__(self, folder: Path | str, fingerprint: Mapping[str, str], every: float = 3.0) -> None:

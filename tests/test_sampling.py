@@ -1,10 +1,10 @@
 """Runs of ensembles: known posteriors, the verdict, and runs that are stopped, killed or spread over processes."""
 
-import os
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -125,7 +125,7 @@ def test_a_run_killed_at_random_moments_ends_as_if_never_stopped(tmp_path):
     rng = np.random.default_rng(1)
     killed = 0
     for _ in range(4):
-        child = subprocess.Popen([sys.executable, "-c", CHILD, str(tmp_path), os.path.dirname(__file__)])
+        child = subprocess.Popen([sys.executable, "-c", CHILD, str(tmp_path), str(Path(__file__).parent)])
         until = time.monotonic() + 20
         before = {p.name for p in tmp_path.glob("state-*.npz")}
         while child.poll() is None and {p.name for p in tmp_path.glob("state-*.npz")} == before:

@@ -56,7 +56,8 @@ class Target(Protocol):
 @dataclass(frozen=True)
 class Progress:
     """What a progress display is told: phase "warm-up" or "drawing", steps of each ensemble so far, part done (0..1),
-    seconds since the start of this process's work, and the latest verdict."""
+    seconds since the start of this process's work, and the latest verdict.
+    """
 
     phase: str
     steps: int
@@ -70,8 +71,8 @@ class Sampling:
     """Draws of independent ensembles and the verdict on them.
 
     draws : (ensembles, stored steps, walkers, ndim); log_prob : (ensembles, stored steps, walkers);
-    acceptance : (ensembles,) share of accepted proposals; thin : steps for each stored one; warm_up : (ensembles,) steps;
-    evaluations : of the target; undefined : how many of them were NaN (such points are never accepted);
+    acceptance : (ensembles,) share of accepted proposals; thin : steps for each stored one;
+    warm_up : (ensembles,) steps; evaluations : of the target; undefined : how many of them were NaN (such points are never accepted);
     reseated : walkers that were stranded in the warm-up and moved to a better place.
     """
 
@@ -136,9 +137,9 @@ def sample(
 ) -> Sampling:
     """Draws from `target` by emcee until the rule holds or its budget is spent; the verdict says which.
 
-    walkers : of each ensemble, even, at least twice the number of coordinates (64 and 256 fill the lanes of the kernel).
-    checkpoint : goes on from the state it holds, if any, and saves into it every few seconds; rule, workers and progress
-    may differ from those of the stopped run. workers : processes, the ensembles being their tasks.
+    walkers : of each ensemble, even, at least twice the number of coordinates (64 and 256 fill the kernel's lanes).
+    checkpoint : goes on from the state it holds, if any, and saves into it every few seconds; rule, workers and
+    progress may differ from those of the stopped run. workers : processes, the ensembles being their tasks.
 
     Raises InputError for unusable arguments or another run's state, Interrupted after Ctrl-C (the state is saved).
     """
@@ -207,7 +208,7 @@ class _Run:
     def draw(self, advance: Callable[[list[tuple[_Ensemble, int]]], list[Any]]) -> None:
         """Draws block by block until the rule holds or the budget is spent."""
         if self.judged > 0 and self.judged == self.draws.shape[1] * self.thin:
-            self._judge()  # a finished run, perhaps under a new rule; off that schedule an early look would change the end
+            self._judge()  # finished, perhaps under a new rule; elsewhere an early look would change the end
         while not self._finished():
             parts = advance([(s, self.thin) for s in self.states])
             self.states = [p[0] for p in parts]
@@ -274,7 +275,7 @@ class _Run:
         self.draws, self.log_prob = arrays["draws"], arrays["log_prob"]
         self.states = []
         for i, values in enumerate(record["ensembles"]):
-            own = {n.split(".", 1)[1]: a for n, a in arrays.items() if n.startswith(f"{i}.")}
+            own: dict[str, Any] = {n.split(".", 1)[1]: a for n, a in arrays.items() if n.startswith(f"{i}.")}
             random = {**values.pop("random"), "key": own.pop("random")}
             self.states.append(_Ensemble(**values, **own, random=random))
 
@@ -401,8 +402,8 @@ def _moves(state: _Ensemble) -> list[tuple[HalvesMove, float]]:
     return mix
 
 
-def _packed(state: Any) -> dict[str, Any]:  # noqa: ANN401  # numpy's legacy tuple
-    """numpy's legacy state tuple with plain Python numbers, so that it goes through JSON unharmed."""
+def _packed(state: Any) -> dict[str, Any]:  # numpy's legacy tuple
+    """The legacy state tuple with plain Python numbers, so that it goes through JSON unharmed."""
     return {"key": state[1].copy(), "position": int(state[2]), "has_gauss": int(state[3]), "gauss": float(state[4])}
 
 

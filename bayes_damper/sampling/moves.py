@@ -40,7 +40,7 @@ class HalvesMove(Move):  # type: ignore[misc]  # emcee has no annotations
     def proposal(self, moving: Array, resting: Array, random: np.random.RandomState) -> tuple[Array, Array | float]:
         """New points for `moving` (n, ndim), and log of the ratio of reverse to forward proposal density, (n,) or 0."""
 
-    def propose(self, model: Any, state: Any) -> tuple[Any, NDArray[np.bool_]]:  # noqa: ANN401  # emcee's own types
+    def propose(self, model: Any, state: Any) -> tuple[Any, NDArray[np.bool_]]:  # emcee's own types
         """One step of emcee: moves both halves of `state` in place; returns it and who moved, (walkers,) bool."""
         coords, log_prob, random = state.coords, state.log_prob, model.random
         walkers = len(coords)

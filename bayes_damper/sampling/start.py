@@ -24,7 +24,8 @@ _PASSES = 3
 @dataclass(frozen=True)
 class Start:
     """Optimum `point` (ndim,), local `covariance` (ndim, ndim), `log_prob` there; `others` (k, ndim), further optima
-    within a few nats, found by repeated searches; `evaluations` spent."""
+    within a few nats, found by repeated searches; `evaluations` spent.
+    """
 
     point: Array
     covariance: Array
@@ -68,8 +69,7 @@ def cloud(
 ) -> tuple[Array, Array]:
     """Starting points (walkers, ndim) of one ensemble and their log densities (walkers,), all finite.
 
-    Normal draws with the local covariance about the optimum (about another optimum for some `turn`s, where there is one),
-    none more than a sensible depth below it; drawn closer in when too few are good.
+    Normal draws with the local covariance about the optimum (about another for some `turn`s, where there is one), none more than a sensible depth below it; drawn closer in when too few are good.
     """
     ndim = len(start.point)
     centres = np.vstack([start.point[None], start.others])
