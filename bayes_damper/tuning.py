@@ -110,21 +110,33 @@ class Design:
 # Draws ------------------------------------------------------------------------------------------------------------
 
 
-def complete(draws: Mapping[str, ArrayLike], case: str = "IV") -> dict[str, Array]:
-    """Draws of every parameter that the models need, each (n,); what is missing comes from the published set-up.
+def complete(
+    draws: Mapping[str, ArrayLike], case: str = "IV", rig: Mapping[str, float] | None = None
+) -> dict[str, Array]:
+    """Draws of every parameter that the models need, each (n,).
+
+    What the draws do not hold comes from `rig` (constants of a rig of one's own, SI), else from the published set-up:
+    k1t from the thesis's `case`, c3t from c1t.
 
     Raises
     ------
     InputError
-        if a value has no physical meaning or lengths differ.
+        if a value has no physical meaning, lengths differ, or nothing tells k1t.
     """
-    cases = load_published().cases
-    if case not in cases:
-        raise InputError(f"case {case!r}: the thesis has no such case; its cases are {', '.join(cases)}")
-    c1t = draws.get("c1t", 0.0109)
-    given: dict[str, ArrayLike] = {
-        **SETUP, "k1t": cases[case].k1t, "c1t": c1t, "c3t": draws.get("c3t", c1t), "k2t": 0.0, "c2t": 0.0
-    }  # fmt: skip
+    constants = dict(rig or {})
+    unknown = sorted(set(constants) - set(NONLINEAR))
+    if unknown:
+        raise InputError(f"rig: {unknown[0]!r} is no constant of the rig; it may hold {', '.join(NONLINEAR)}")
+    if "k1t" not in draws and "k1t" not in constants:
+        cases = load_published().cases
+        if case not in cases:
+            raise InputError(
+                f"case {case!r}: the draws hold no k1t, and the thesis has no such case (it has {', '.join(cases)}); "
+                "give k1t among the constants of the rig"
+            )
+        constants["k1t"] = cases[case].k1t
+    c1t = draws.get("c1t", constants.get("c1t", 0.0109))
+    given: dict[str, ArrayLike] = {**SETUP, "c1t": c1t, "c3t": c1t, "k2t": 0.0, "c2t": 0.0, **constants}
     given |= {name: draws[name] for name in NONLINEAR if name in draws}
     try:
         columns = np.broadcast_arrays(*(np.atleast_1d(np.asarray(given[name], dtype=np.float64)) for name in NONLINEAR))
@@ -147,16 +159,20 @@ def complete(draws: Mapping[str, ArrayLike], case: str = "IV") -> dict[str, Arra
 
 
 def posterior_draws(
-    source: Mapping[str, ArrayLike] | Path | str, case: str, n: int, rng: np.random.Generator
+    source: Mapping[str, ArrayLike] | Path | str,
+    case: str,
+    n: int,
+    rng: np.random.Generator,
+    rig: Mapping[str, float] | None = None,
 ) -> dict[str, Array]:
     """`n` draws of one case from arrays, from the `posterior.nc` of a fit, or from its `summary.json`.
 
     A summary knows no correlations: each parameter is then drawn by itself, log-normal with its mean and sd.
     """
     if isinstance(source, Mapping):
-        full = complete(source, case)
+        full = complete(source, case, rig)
     else:
-        full = complete(_stored(Path(source), case, n, rng), case)
+        full = complete(_stored(Path(source), case, n, rng), case, rig)
     size = len(full["J1"])
     pick = rng.permutation(size)[:n] if size >= n else rng.integers(size, size=n)
     if size == 1:
@@ -165,7 +181,7 @@ def posterior_draws(
 
 
 def _stored(folder: Path, case: str, n: int, rng: np.random.Generator) -> dict[str, Array]:
-    for place in (folder / "cases" / case, folder / case, folder):
+    for place in (folder / case, folder):
         file = place / "posterior.nc"
         if file.is_file():
             return _draws_of_file(file)
@@ -586,6 +602,7 @@ def tune(
     source: Mapping[str, ArrayLike] | Path | str,
     *,
     case: str = "IV",
+    rig: Mapping[str, float] | None = None,
     J2: float | None = None,
     k2t: float | None = None,
     R: float | None = None,
@@ -604,7 +621,8 @@ def tune(
 
     Parameters
     ----------
-    source : posterior draws, name -> (n,), or the folder of a fit.
+    source : posterior draws, name -> (n,), or the folder of a fit; case : which of its cases ("joint": all together).
+    rig : constants that the posterior does not hold (SI); else those of the thesis.
     J2, k2t, R, magnet_pull, bar_inertia : the design (see `Design`); None keeps the rig as it is.
     target_db : loss whose probability is given; amplitudes : torques (N m) at which the nonlinear model is driven.
     bounds : where the best design is sought, SI (see `best_design`); out : folder for `tune.json`.
@@ -619,7 +637,7 @@ def tune(
     if min(n_draws, n_nonlinear) < 1:
         raise InputError(f"n_draws = {n_draws}, n_nonlinear = {n_nonlinear}: at least one draw of each is needed")
     rng = np.random.default_rng(seed)
-    draws = posterior_draws(source, case, n_draws, rng)
+    draws = posterior_draws(source, case, n_draws, rng, rig)
     performance = linear_performance(draws, design)
     optimum = best_design(draws, design, bounds) if optimise else None
     designs = {"design": design} | ({} if optimum is None else {"best design": optimum.design})

@@ -172,6 +172,13 @@ def test_friction_torque_of_the_drop_at_release(recomputation):
     assert np.array(values) * 10.0 / J1 == pytest.approx([28.4, 34.0, 61.5, 22.0], abs=0.01)
 
 
+def test_drag_cannot_lower_the_uncoupled_peaks_of_cases_ii_and_iv(recomputation):
+    """d = J1 (bound - peak) (pp. 16, 18) makes decrements of 0.57 and 0.36; measured 0.26 +- 0.04 and 0.20 +- 0.01."""
+    needed = contradiction(recomputation, "uncoupled peaks").needed
+    assert [n.value for n in needed] == pytest.approx([0.119, 0.138, 0.005, 0.111], abs=0.0006)
+    assert [n.plausibility.split(":")[0] for n in needed] == ["Plausible", "Implausible", "Plausible", "Implausible"]
+
+
 def test_effective_coupling_meets_the_measured_decrement_and_period():
     for case in CASES:
         k2t, c2t, misfit = thesis.effective_coupling(case)

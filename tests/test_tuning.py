@@ -233,6 +233,16 @@ def test_draws_that_mean_nothing_are_refused(draws, case, words):
         tuning.complete(draws, case)
 
 
+def test_constants_of_another_rig_take_the_place_of_the_thesiss():
+    own = {"J1": 1.0, "J2": 0.5, "k1t": 30.0}
+    draws = tuning.complete({"c1t": [0.3, 0.4], "k2t": [2.0, 2.0]}, "any", own)
+    assert draws["k1t"] == pytest.approx([30.0, 30.0])
+    assert draws["J2"] == pytest.approx([0.5, 0.5])
+    assert draws["c3t"] == pytest.approx([0.3, 0.4])
+    with pytest.raises(InputError, match="'colour'"):
+        tuning.complete({}, "IV", {"colour": 1.0})
+
+
 @pytest.fixture(scope="module")
 def result(tmp_path_factory):
     folder = tmp_path_factory.mktemp("tune")
