@@ -32,7 +32,7 @@ TRIALS = 3
 QUANTUM = 0.25  # rad/s^2
 AR_SHARE, AR_PHI = 0.2, 0.9
 CHANNEL_2 = 1.4
-REDRAWS = 6  # of the nominal parameters, where a kind's limit keeps it too weak on the rig drawn first
+REDRAWS = 3  # of the nominal parameters, where a kind's limit keeps it too weak on the rig drawn first
 
 
 @dataclass(frozen=True)
