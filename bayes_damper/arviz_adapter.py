@@ -1,8 +1,9 @@
 """Results as an xarray DataTree with the groups and dimension names of ArviZ, and `posterior.nc` on disk.
 
 Dimension `chain` is the ensemble. The walkers of an ensemble are folded into `draw`: draw = stored step * walkers +
-walker, so that all walkers of a step stand together. ArviZ would take them for one sequential chain: the effective sample sizes
-and R-hat that count are those of `bayes_damper.sampling`, kept in the attributes of the posterior's variables.
+walker, so that all walkers of a step stand together. ArviZ would take them for one sequential chain: the effective
+sample sizes and R-hat that count are those
+of `bayes_damper.sampling`, kept in the attributes of the posterior's variables.
 """
 
 from __future__ import annotations
@@ -96,3 +97,33 @@ def _variable(name: str, values: Array, sampled: bool) -> xr.Variable:
 def _dataset(variables: Mapping[str, xr.Variable], attributes: Mapping[str, int]) -> xr.Dataset:
     data = xr.Dataset(dict(variables), attrs=dict(attributes))
     return data.assign_coords({dim: np.arange(size) for dim, size in data.sizes.items()})
+
+
+def combine_cases(files: Mapping[str, Path], path: Path, most: int = 1000) -> None:
+    """One `posterior.nc` from those of single cases, with a dimension `case`; at most `most` draws of each chain.
+
+    Only groups and quantities that all cases have are taken.
+    """
+    trees = {case: read(file) for case, file in files.items()}
+    combined: dict[str, xr.Dataset] = {}
+    for group in set.intersection(*(set(tree.children) for tree in trees.values())):
+        parts = {case: tree[group].to_dataset() for case, tree in trees.items()}
+        shared = set.intersection(*({str(name) for name in part.data_vars} for part in parts.values()))
+        if not shared:
+            continue
+        kept = [_spread(part[sorted(shared)], most) for part in parts.values()]
+        draws = min(part.sizes.get("draw", 0) for part in kept)
+        if draws:
+            kept = [part.isel(draw=slice(draws)).assign_coords(draw=np.arange(draws)) for part in kept]
+        index = xr.Variable("case", list(parts))
+        combined[group] = xr.concat(kept, dim=index, coords="minimal", join="exact", combine_attrs="drop_conflicts")
+    attributes = {f"{key} of case {case}": value for case, tree in trees.items() for key, value in tree.attrs.items()}
+    combined["/"] = xr.Dataset(attrs=attributes)
+    write(xr.DataTree.from_dict(combined), path)
+
+
+def _spread(part: xr.Dataset, most: int) -> xr.Dataset:
+    size = part.sizes.get("draw", 0)
+    if size <= most:
+        return part
+    return part.isel(draw=np.linspace(0, size - 1, most).round().astype(int))

@@ -1,8 +1,8 @@
 """The state of a long run on disk: written whole or not at all, checked when read, refused when it is another run's.
 
 A folder holds the last two states, `state-000017.npz` and so on. Each is written under another name, flushed to the
-disk and then renamed, and begins with the SHA-256 of what follows, so that a kill at any moment leaves at least one good
-state. The arrays and the JSON record inside go in and come out bit for bit; nothing is pickled.
+disk and then renamed, and begins with the SHA-256 of what follows, so that a kill at any moment leaves at least one
+good state. The arrays and the JSON record inside go in and come out bit for bit; nothing is pickled.
 """
 
 from __future__ import annotations

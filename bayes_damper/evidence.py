@@ -47,8 +47,9 @@ def bridge(
     """Log evidence by bridge sampling (Meng and Wong 1996, Statistica Sinica 6:831).
 
     draws : (ensembles, steps, walkers, ndim) and log_prob : (ensembles, steps, walkers) of a converged run, two
-    ensembles or more; bounds : (lower, upper), each (ndim,), infinite where there is none: bounded coordinates are unfolded by a
-    logit or a logarithm. A Student t is fitted to half of the ensembles in these coordinates and bridged with the
+    ensembles or more; bounds : (lower, upper), each (ndim,), infinite where there is none: bounded coordinates are
+    unfolded by a logit or a logarithm. A Student t is fitted to half of the ensembles in these coordinates and
+    bridged with the
     other half, then the other way round; the answer is the mean of both.
     """
     if len(draws) < 2:

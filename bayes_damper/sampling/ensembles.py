@@ -72,7 +72,8 @@ class Sampling:
 
     draws : (ensembles, stored steps, walkers, ndim); log_prob : (ensembles, stored steps, walkers);
     acceptance : (ensembles,) share of accepted proposals; thin : steps for each stored one;
-    warm_up : (ensembles,) steps; evaluations : of the target; undefined : how many of them were NaN (such points are never accepted);
+    warm_up : (ensembles,) steps; evaluations : of the target; undefined : how many of them were NaN (such points are
+    never accepted);
     reseated : walkers that were stranded in the warm-up and moved to a better place.
     """
 

@@ -69,7 +69,8 @@ def cloud(
 ) -> tuple[Array, Array]:
     """Starting points (walkers, ndim) of one ensemble and their log densities (walkers,), all finite.
 
-    Normal draws with the local covariance about the optimum (about another for some `turn`s, where there is one), none more than a sensible depth below it; drawn closer in when too few are good.
+    Normal draws with the local covariance about the optimum (about another for some `turn`s, where there is one), none
+    more than a sensible depth below it; drawn closer in when too few are good.
     """
     ndim = len(start.point)
     centres = np.vstack([start.point[None], start.others])
@@ -197,7 +198,7 @@ def _scan(target: _Counted, point: Array, best: float, axes: Array) -> tuple[Arr
 
 
 def _mixed_differences(target: _Counted, point: Array, best: float, steps: Array) -> Array:
-    """Minus the second differences of the log density for the columns of `steps`, (ndim, ndim), unit diagonal kept sane."""
+    """Minus the second differences of the log density for the columns of `steps`, (ndim, ndim), diagonal 1."""
     ndim = len(point)
     rows, columns = np.triu_indices(ndim, 1)
     signs = np.array([[1.0, 1.0], [-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0]])
