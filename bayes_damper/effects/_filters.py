@@ -10,7 +10,10 @@ def low_pass(h, u, y, s, tau):
     """State at the end of a step h (s) of tau ds/dt = x - s, where x goes linearly from u to y."""
     x = h / max(tau, 1e-20)
     decay = exp(-x)
-    mean = (1.0 - decay) / max(x, 1e-3) if x > 1e-3 else 1.0 - x * (0.5 - x * (1.0 / 6.0 - x / 24.0))
+    # Both ways to the mean of the decay are computed, so that choosing one needs no branch (which would not vectorise).
+    quotient = (1.0 - decay) / max(x, 1e-3)
+    series = 1.0 - x * (0.5 - x * (1.0 / 6.0 - x / 24.0))
+    mean = quotient if x > 1e-3 else series
     return y - (y - u) * mean + (s - u) * decay
 
 
