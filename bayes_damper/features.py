@@ -5,8 +5,9 @@ The thesis leaves the definitions open (pp. 12-18). Here, alpha being the primar
 - X1 is the largest |alpha| from `t_min` on. The supremum over t > 0 is always the value at release, which no
   accelerometer shows: the thesis's own linear peaks are those 0.4-0.8 ms later (Table 10, p. 21).
 - A lobe is what lies between two changes of sign. X2 is the largest |alpha| of the next lobe of the same sign as X1's,
-  so the jag that dry friction puts beside a peak, where the velocity reverses, makes no peak of its own. An excursion
-  to the other side that stays below 0.2 % of X1 ends no lobe.
+  so the jag that dry friction puts beside a peak, where the velocity reverses, makes no peak of its own. Nor
+  does the jag that the faces' reversal of slip puts across zero: an excursion to the other side ends a lobe only if it
+  lasts half as long as the time from X1 to the first change of sign and exceeds 0.2 % of X1.
 - The decrement is ln(X1 / X2) (eq. 10).
 - The period is the time between the crossings of zero that end the two lobes: neighbouring crossings in the same
   direction. The time from release to X2 is given beside it as `period_peaks`; in heavily damped records the two differ
@@ -27,7 +28,9 @@ from bayes_damper.errors import InputError
 
 Array = NDArray[np.float64]
 SMALLEST_LOBE = 0.002
-"""An excursion to the other side counts from this fraction of X1 on."""
+"""A lobe counts from this fraction of X1 on, ..."""
+SHORTEST_LOBE = 0.5
+"""... and from this fraction of the time between X1 and the first change of sign on."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +77,7 @@ def features(times: ArrayLike, alpha1: ArrayLike, t_min: ArrayLike = 0.0, releas
     if not np.all((start >= t[0]) & (start < t[-1])):
         raise InputError(f"t_min must lie within the record, {t[0]:g} to {t[-1]:g} s; got {start.min():g}")
     out = np.full((4, n), np.nan)
-    _scan(t, records, start, zero, SMALLEST_LOBE, out)
+    _scan(t, records, start, zero, SMALLEST_LOBE, SHORTEST_LOBE, out)
     return Features(out[0], out[1], out[2], out[3], np.isfinite(out).all(axis=0))
 
 
@@ -99,7 +102,9 @@ def _parabola(t: Array, y: Array, k: int, sign: float, best: float, period: floa
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _scan(times: Array, records: Array, t_min: Array, release: Array, smallest: float, out: Array) -> None:
+def _scan(
+    times: Array, records: Array, t_min: Array, release: Array, smallest: float, shortest: float, out: Array
+) -> None:
     n_times = times.size
     for i in range(records.shape[0]):
         y = records[i]
@@ -120,32 +125,37 @@ def _scan(times: Array, records: Array, t_min: Array, release: Array, smallest: 
         if not finite or best == 0.0:
             continue
         # From the peak on: the ends of its lobe, of the lobe of the other sign and of the next one of the same sign.
+        # Each lobe is first a candidate, and counts once it has lasted and reached far enough.
         least = smallest * best
+        start = t_min[i] if k1 < 0 else times[k1]
+        previous, t_previous = sign * (at_start if k1 < 0 else y[k1]), start
         phase = 0
-        crossing = 0.0
-        end_first = np.nan
-        end_second = np.nan
-        k2 = -1
-        second = 0.0
-        previous = sign * (at_start if k1 < 0 else y[k1])
-        t_previous = t_min[i] if k1 < 0 else times[k1]
+        hold = -1.0
+        crossing, highest, k_highest = 0.0, 0.0, -1
+        end_first, end_second = np.nan, np.nan
+        second, k2 = 0.0, -1
         for k in range(first if k1 < 0 else k1 + 1, n_times):
             now = sign * y[k]
             awaited = 1.0 if phase == 1 else -1.0  # the sign of the lobe that comes next
-            if awaited * previous <= 0.0 < awaited * now:
-                crossing = t_previous + (times[k] - t_previous) * previous / (previous - now)
             if phase == 2 and now > second:
                 second, k2 = now, k
-            if awaited * now > least:
-                if phase == 0:
-                    end_first = crossing
-                    phase = 1
-                elif phase == 1:
-                    phase = 2
-                    second, k2 = now, k
-                else:
-                    end_second = crossing
-                    break
+            if awaited * now > 0.0:
+                if awaited * previous <= 0.0:
+                    crossing = t_previous + (times[k] - t_previous) * previous / (previous - now)
+                    highest = 0.0
+                    if hold < 0.0:
+                        hold = shortest * (crossing - start)
+                if awaited * now > highest:
+                    highest, k_highest = awaited * now, k
+                if highest > least and times[k] - crossing >= hold:
+                    if phase == 0:
+                        end_first = crossing
+                    elif phase == 1:
+                        second, k2 = highest, k_highest
+                    else:
+                        end_second = crossing
+                        break
+                    phase += 1
             previous, t_previous = now, times[k]
         period = end_second - end_first
         out[2, i] = period

@@ -10,6 +10,8 @@ from bayes_damper import linear
 from bayes_damper.errors import InputError
 from bayes_damper.features import features
 from bayes_damper.linear import LinearRig
+from bayes_damper.model import Model
+from bayes_damper.thesis import nonlinear_rig
 
 J1, J2 = 3.015e-3, 2.474e-3
 K1T = np.array([6.2, 6.2, 10.2, 10.2])
@@ -89,6 +91,16 @@ def test_the_jag_of_dry_friction_makes_no_peak(drag):
     assert found.period[0] == pytest.approx(2 * np.pi * np.sqrt(J1 / k), rel=1e-4)
 
 
+def test_the_jag_of_the_faces_across_zero_ends_no_lobe():
+    """Strong interface friction (eqs. 18-20) throws the acceleration across zero for some milliseconds."""
+    times = np.concatenate([np.linspace(0.0, 1e-3, 21), np.arange(2, 451) * 1e-3])
+    mu = np.linspace(0.002, 0.035, 400)
+    found = features(times, Model().simulate(nonlinear_rig(mu), times).y[:, 0], 0.55e-3)
+    assert found.valid.all()
+    assert ((found.period > 0.1) & (found.period < 0.16)).all()
+    assert (np.abs(np.diff(found.log_decrement)) < 0.05).all()
+
+
 @settings(deadline=None, max_examples=50)
 @given(t_min=st.floats(0.0, 3e-3), c2t=st.floats(0.0, 0.15), step=st.floats(1e-7, 1e-5))
 def test_features_move_continuously(t_min, c2t, step):
@@ -103,7 +115,7 @@ def test_features_move_continuously(t_min, c2t, step):
 def test_compiled_and_plain_python_agree():
     records = linear_model()
     out = np.full((4, 4), np.nan)
-    module._scan.py_func(TIMES, records, np.full(4, 4e-4), np.zeros(4), module.SMALLEST_LOBE, out)
+    module._scan.py_func(TIMES, records, np.full(4, 4e-4), np.zeros(4), module.SMALLEST_LOBE, module.SHORTEST_LOBE, out)
     found = features(TIMES, records, 4e-4)
     np.testing.assert_allclose(
         out, [found.max_acceleration, found.log_decrement, found.period, found.period_peaks], 1e-12

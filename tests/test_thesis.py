@@ -5,6 +5,7 @@ import pytest
 
 from bayes_damper import linear, thesis
 from bayes_damper.features import features
+from bayes_damper.model import Model
 from bayes_damper.published import load_published
 from bayes_damper.thesis import CASES, printed, printed_case
 from bayes_damper.thesis.printed import half_unit, spread
@@ -189,6 +190,16 @@ def test_effective_coupling_meets_the_measured_decrement_and_period():
         assert misfit < 0.1
         assert found.log_decrement[0] == pytest.approx(float(printed_case(case).coupled_decrement[0]), abs=0.01)
         assert 1e3 * found.period[0] == pytest.approx(float(printed_case(case).coupled_period[0]), abs=0.5)
+
+
+def test_no_dry_friction_alone_gives_the_measured_decrement(recomputation):
+    """Case IV coupled: 1.21 (p. 17). Without drag and c2t the decrement stays below it: sticking takes over."""
+    by_mu = contradiction(recomputation, "friction of the nonlinear model").needed[:2]
+    times = np.concatenate([np.linspace(0.0, 1e-3, 21), np.arange(2, 601) * 1e-3])
+    for needed, law in zip(by_mu, ("constant", "linear"), strict=True):
+        alpha = Model(normal_force=law).simulate(thesis.nonlinear_rig(np.geomspace(0.002, 0.1, 60)), times).y[:, 0]
+        assert needed.value is None
+        assert np.nanmax(features(times, alpha, 0.55e-3).log_decrement) < 1.21
 
 
 def test_no_length_of_the_bar_tunes_the_secondary(recomputation):

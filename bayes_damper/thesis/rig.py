@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 
 J1 = 1e-6 * float(INERTIA)
 TIMES = np.linspace(0.0, 0.6, 601)
+EARLY_TIMES = np.concatenate([np.linspace(0.0, 1e-3, 21), np.arange(2, 601) * 1e-3])
+"""Sample times with a fine first millisecond, in which dry friction lowers the acceleration."""
 FINE = np.linspace(0.0, 1.0, 1001)
 
 
