@@ -508,7 +508,8 @@ def _friction() -> Contradiction:
         value, highest = needs(law), int(np.nanargmax(found[law]))
         if value is None:
             why = (
-                f"No mu up to {mu[-1]:g} does it at R = 0.10 m without drag: the decrement is {found[law][highest]:.2f} "
+                f"No mu up to {mu[-1]:g} does it at R = 0.10 m without drag: the decrement is "
+                f"{found[law][highest]:.2f} "
                 f"at most (mu = {mu[highest]:.3f}), because faces that stick dissipate nothing."
             )
         else:
