@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from bayes_damper.lanes import cos, lane, sin, tanh
+from bayes_damper.lanes import TANH_SCALE, cos, lane, sin, tanh_scaled
 
 ROWS = (
     *("J1", "J2", "J12", "k1t", "k3t", "c1t", "c3t", "k2t", "c2t", "mu", "N0", "R", "r", "drag", "nu"),
@@ -45,37 +45,48 @@ class Rig(NamedTuple):
 
 @lane
 def normal_force_ratio(phi: float, slope: float) -> float:
-    """N / N0 (eq. 20, p. 24): 1 at full overlap of the faces, 0 beyond the last; slope = R / (2 r), or 0 for constant N."""
+    """N / N0 (eq. 20, p. 24): 1 at full overlap of the faces, 0 beyond the last; slope = R / (2 r), 0 if constant."""
     return max(0.0, 1.0 - slope * abs(phi))
 
 
 @lane
-def torques(th1, th2, w1, w2, k1t, k3t, c1t, c3t, k2t, c2t, friction, slope, drag, nu, coupled, pendulum):
-    """Nominal torque on each inertia (N m), input torque and effects left out; friction = mu N0 R."""
+def smooth_torques(th1, th2, w1, w2, k1t, k3t, c1t, c3t, k2t, c2t, coupled, pendulum):
+    """Torque of springs and dashpots on each inertia, N m."""
     g1 = sin(th1) if pendulum else th1
-    tau1 = -c1t * w1 - k1t * g1 - drag * tanh(nu * w1)
+    tau1 = -c1t * w1 - k1t * g1
     tau2 = 0.0
     if coupled:
         g2 = sin(th2) if pendulum else th2
-        phi = th1 - th2
-        slip = w1 - w2
-        interface = k2t * phi + c2t * slip + friction * normal_force_ratio(phi, slope) * tanh(nu * slip)
+        interface = k2t * (th1 - th2) + c2t * (w1 - w2)
         tau1 = tau1 - interface
-        tau2 = interface - c3t * w2 - k3t * g2 - drag * tanh(nu * w2)
+        tau2 = interface - c3t * w2 - k3t * g2
     return tau1, tau2
 
 
 @lane
+def friction_torques(th1, th2, w1, w2, friction, slope, drag, sharpness, coupled):
+    """Dry friction that holds each inertia back, N m; friction = mu N0 R, sharpness = TANH_SCALE nu."""
+    held1 = drag * tanh_scaled(sharpness * w1)
+    held2 = 0.0
+    if coupled:
+        face = friction * normal_force_ratio(th1 - th2, slope) * tanh_scaled(sharpness * (w1 - w2))
+        held2 = drag * tanh_scaled(sharpness * w2) - face
+        held1 = held1 + face
+    return held1, held2
+
+
+@lane
 def linearised(th1, th2, w1, w2, k1t, k3t, c1t, c3t, k2t, c2t, friction, slope, drag, nu, coupled, pendulum):
-    """Nominal torques with their derivatives.
+    """Nominal torques with their derivatives; friction = mu N0 R.
 
     Returns tau1, tau2, then d tau1/d th1, d tau2/d th2, d T/d phi, d tau1/d w1, d tau2/d w2, d T/d slip, where the
     diagonal entries leave the interface torque T out: it enters both equations with opposite signs.
     """
+    sharpness = TANH_SCALE * nu
     g1 = sin(th1) if pendulum else th1
     slope1 = cos(th1) if pendulum else 1.0
-    s1 = tanh(nu * w1)
-    tau1 = -c1t * w1 - k1t * g1 - drag * s1
+    s1 = tanh_scaled(sharpness * w1)
+    tau1 = -c1t * w1 - k1t * g1
     a1 = -k1t * slope1
     b1 = -c1t - drag * nu * (1.0 - s1 * s1)
     tau2 = 0.0
@@ -86,17 +97,20 @@ def linearised(th1, th2, w1, w2, k1t, k3t, c1t, c3t, k2t, c2t, friction, slope, 
     if coupled:
         g2 = sin(th2) if pendulum else th2
         slope2 = cos(th2) if pendulum else 1.0
-        s2 = tanh(nu * w2)
+        s2 = tanh_scaled(sharpness * w2)
         phi = th1 - th2
         slip = w1 - w2
-        s = tanh(nu * slip)
+        s = tanh_scaled(sharpness * slip)
         ratio = normal_force_ratio(phi, slope)
-        interface = k2t * phi + c2t * slip + friction * ratio * s
-        tau1 = tau1 - interface
-        tau2 = interface - c3t * w2 - k3t * g2 - drag * s2
+        smooth = k2t * phi + c2t * slip
+        face = friction * ratio * s
+        tau1 = (tau1 - smooth) - (drag * s1 + face)
+        tau2 = (smooth - c3t * w2 - k3t * g2) - (drag * s2 - face)
         a2 = -k3t * slope2
         b2 = -c3t - drag * nu * (1.0 - s2 * s2)
         side = (slope if phi < 0.0 else -slope) if ratio > 0.0 else 0.0
         t_phi = k2t + friction * side * s
         t_slip = c2t + friction * ratio * nu * (1.0 - s * s)
+    else:
+        tau1 = tau1 - drag * s1
     return tau1, tau2, a1, a2, t_phi, b1, b2, t_slip

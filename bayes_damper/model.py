@@ -41,8 +41,8 @@ class Simulation:
 
 
 @cache
-def _kernel(coupled: bool, linear: bool, pendulum: bool, variant: Variant | None) -> Callable[..., None]:
-    return integrator.specialise(integrator.specialised_globals(coupled, linear, pendulum, variant))
+def _kernel(coupled: bool, linear: bool, pendulum: bool, driven: bool, variant: Variant | None) -> Callable[..., None]:
+    return integrator.specialise(integrator.specialised_globals(coupled, linear, pendulum, driven, variant))
 
 
 @dataclass(frozen=True)
@@ -68,13 +68,17 @@ class Model:
         """The effect, if it acts in this configuration."""
         return self.effect if self.effect is not None and (self.coupled or self.effect.uncoupled) else None
 
-    def compile(self) -> Callable[..., None]:
-        """The kernel; from the on-disk cache if it was compiled before (0.1 s), else compiled now (seconds)."""
+    def compile(self, driven: bool = False) -> Callable[..., None]:
+        """The kernel, for records with (driven) or without an input torque.
+
+        From the on-disk cache if it was compiled before (0.1 s), else compiled when first called (seconds).
+        """
         variant = self.acting
         return _kernel(
             self.coupled,
             self.normal_force == "linear",
             self.restoring == "pendulum",
+            driven,
             variant if variant is not None and variant.has_kernel else None,
         )
 
@@ -123,7 +127,9 @@ class Model:
         elif changes:
             raise ValueError(f"the model has no effect, but parameters {sorted(changes)} were given for one")
         if variant is None:
-            return self._run(self._rows(parameters), np.zeros((MOST_PARAMETERS, 1)), grid, drive, quantity, tolerance, threads)
+            return self._run(
+                self._rows(parameters), np.zeros((MOST_PARAMETERS, 1)), grid, drive, quantity, tolerance, threads
+            )
         extras = parameter_table(variant, changes)
         named = {p.name: extras[i] for i, p in enumerate(variant.parameters)}
         amended = parameters if variant.amend is None else variant.amend(_complete(parameters), named)
@@ -143,7 +149,9 @@ class Model:
         given = _complete(parameters)
         if not self.coupled:
             # Placeholders of what is not there: an uncoupled kernel reads none of it into the motion.
-            given = _COUPLED_ONLY | {k: v for k, v in given.items() if k not in ("J12", "k3t")} | {"J12": 0.0, "k3t": 0.0}
+            given = (
+                _COUPLED_ONLY | {k: v for k, v in given.items() if k not in ("J12", "k3t")} | {"J12": 0.0, "k3t": 0.0}
+            )
         missing = [name for name in ROWS if name not in given]
         if missing:
             raise KeyError(f"the simulation needs {', '.join(missing)}; give them in SI units")
@@ -151,7 +159,14 @@ class Model:
         return np.array(columns)
 
     def _run(
-        self, rows: Array, extras: Array, times: Array, torque: Array, quantity: Quantity, tolerance: float, threads: int
+        self,
+        rows: Array,
+        extras: Array,
+        times: Array,
+        torque: Array,
+        quantity: Quantity,
+        tolerance: float,
+        threads: int,
     ) -> Simulation:
         n = max(rows.shape[1], extras.shape[1])
         rows = np.array(np.broadcast_to(rows, (rows.shape[0], n)))
@@ -159,41 +174,45 @@ class Model:
         usable = np.isfinite(rows).all(axis=0) & np.isfinite(extras).all(axis=0)
         usable &= (rows[[ROWS.index(name) for name in _POSITIVE]] > 0.0).all(axis=0)
         outcome = np.where(usable, integrator.COMPLETED, integrator.NOT_FINITE_INPUT)
-        y = np.full((n, self.channels, times.size), np.nan)
+        y = np.empty((n, self.channels, times.size))
         which = np.flatnonzero(usable)
+        # Vectors that take similarly many steps share a block: one that is done waits for the others.
+        which = which[np.argsort(rows[ROWS.index("nu"), which], kind="stable")]
         if which.size == 0:
-            return Simulation(y, outcome)
+            return Simulation(np.full_like(y, np.nan), outcome)
         first = rows[ROWS.index("delay"), which].min()
         early = first < times[0]
         grid = np.concatenate([[first], times]) if early else times
         drive = np.concatenate([torque[:1], torque]) if early else torque
-        kernel = self.compile()
+        kernel = self.compile(driven=bool(np.any(drive != 0.0)))
         read = np.array([float(quantity == name) for name in QUANTITIES])
         variant = self.acting
         scales = (*variant.memory_scale, np.inf, np.inf)[:2] if variant is not None else (np.inf, np.inf)
         memory_weights = 1.0 / np.array(scales)
 
-        def block(start: int) -> None:
-            lanes = which[np.minimum(np.arange(start, start + LANES), which.size - 1)]
-            out = np.empty((2, grid.size, LANES))
-            status = np.zeros(LANES, np.int64)
-            kernel(
-                *(grid, np.ascontiguousarray(rows[:, lanes]), np.ascontiguousarray(extras[:, lanes]), drive),
-                *(np.full(LANES, tolerance), memory_weights, read, out, status),
-            )
-            kept = min(LANES, which.size - start)
-            y[lanes[:kept]] = out[: self.channels, grid.size - times.size :, :kept].transpose(2, 0, 1)
-            outcome[lanes[:kept]] = status[:kept]
-
         starts = range(0, which.size, LANES)
-        if threads > 1 and len(starts) > 1:
-            with ThreadPoolExecutor(threads) as pool:
-                list(pool.map(block, starts))
+        workers = max(1, min(threads, len(starts)))
+
+        def work(worker: int) -> None:
+            out = np.empty((LANES, 2, grid.size + 1))
+            final = np.empty(LANES)
+            status = np.empty(LANES, np.int64)
+            for start in starts[worker::workers]:
+                lanes = which[np.minimum(np.arange(start, start + LANES), which.size - 1)]
+                kernel(
+                    *(grid, np.ascontiguousarray(rows[:, lanes]), np.ascontiguousarray(extras[:, lanes]), drive),
+                    *(np.full(LANES, tolerance), memory_weights, read, out, final, status),
+                )
+                status[(status == integrator.COMPLETED) & ~np.isfinite(final)] = integrator.NOT_FINITE_RECORD
+                kept = min(LANES, which.size - start)
+                y[lanes[:kept]] = out[:kept, : self.channels, grid.size - times.size : grid.size]
+                outcome[lanes[:kept]] = status[:kept]
+
+        if workers > 1:
+            with ThreadPoolExecutor(workers) as pool:
+                list(pool.map(work, range(workers)))
         else:
-            for start in starts:
-                block(start)
-        unbounded = (outcome == integrator.COMPLETED) & ~np.isfinite(y).all(axis=(1, 2))
-        outcome[unbounded] = integrator.NOT_FINITE_RECORD
+            work(0)
         y[outcome != integrator.COMPLETED] = np.nan
         return Simulation(y, outcome)
 
