@@ -1,0 +1,134 @@
+"""What a fit leaves unexplained: tests of its residuals that need no library of effects.
+
+What the repeats of one case share is the model's fault. So the whitened residuals of repeats are averaged, and the
+periodogram of the mean is held against that of white noise, Exp(1): a smooth excess at low frequency (torques that are
+missing), a narrow line or band (a resonance, a hum), or an event in time. Lines that keep no phase from trial to trial
+drop out of the mean and are looked for in the single records.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import gamma
+
+from bayes_damper.calibration import Calibration
+
+Array = NDArray[np.float64]
+
+CORNERS = (15.0, 40.0, 100.0, 250.0)  # Hz, of the generic spectra tried
+STRENGTHS = np.geomspace(0.05, 3e4, 28)
+LOW_BAND = 100.0  # Hz: torques that act on inertias show below
+BAND_WIDTH = 5.0  # Hz, of the bands of the omnibus test
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """Evidence that something is left, in nats, and how much.
+
+    generic : gain of a generic smooth discrepancy over none, its strength and corner chosen and paid for;
+    line : -ln p of the strongest line or band, looks paid for; low_excess : chi-square of the mean residuals below
+    100 Hz beyond its expectation, low_sd its standard deviation under noise; peak_hz : where the strongest line lies.
+    """
+
+    generic: float
+    line: float
+    peak_hz: float
+    low_excess: float
+    low_sd: float
+    excess: float
+
+    @property
+    def strength(self) -> float:
+        """The larger of both kinds of evidence, nats."""
+        return max(self.generic, self.line)
+
+
+def repeats_of(fit: Calibration) -> list[list[int]]:
+    """Trials of the fit in sets of repeats: same case, configuration, release angle and sample times."""
+    sets: dict[tuple[object, ...], list[int]] = {}
+    for i in fit.problem.trials:
+        t = fit.problem.experiment.trials[i]
+        sets.setdefault((t.case, t.coupled, t.theta0, t.times.tobytes()), []).append(i)
+    return list(sets.values())
+
+
+def whitened_records(fit: Calibration) -> dict[int, Array]:
+    """Whitened, weighted residuals of each fitted trial, (channels, n): unit variance under the noise model."""
+    out = {}
+    for block in fit.linear.blocks:
+        channels = block.group.y.shape[1]
+        for k, i in enumerate(block.group.trials):
+            out[i] = block.r[k].reshape(channels, -1)
+    return out
+
+
+def remainder_of(fit: Calibration) -> Remainder:
+    """Tests of what a fit leaves."""
+    records = whitened_records(fit)
+    frequency, power, shared = [], [], []
+    for members in repeats_of(fit):
+        stack = np.array([records[i] for i in members])
+        mean = stack.sum(axis=0) / math.sqrt(len(members))
+        times = fit.problem.experiment.trials[members[0]].times
+        dt = float(np.median(np.diff(times))) if times.size > 1 else 1.0
+        n = mean.shape[1]
+        f = np.fft.rfftfreq(n, dt)[1:-1]
+        frequency.append(f)
+        for channel in range(mean.shape[0]):
+            shared.append((f, np.abs(np.fft.rfft(mean[channel])[1:-1]) ** 2 / n))
+            for k in range(len(members)):
+                power.append((f, np.abs(np.fft.rfft(stack[k, channel])[1:-1]) ** 2 / n))
+    if not shared or shared[0][0].size < 8:
+        return Remainder(0.0, 0.0, 0.0, 0.0, 1.0, fit.excess)
+    generic = _generic(shared)
+    line, peak = _lines(shared)
+    single, single_peak = _lines(power)
+    if single > line:
+        line, peak = single, single_peak
+    low = float(sum(np.sum(p[f < LOW_BAND] - 1.0) for f, p in shared))
+    count = sum(int(np.sum(f < LOW_BAND)) for f, _ in shared)
+    # Each ordinate is Exp(1); an uncertain noise level adds to the spread of the sum.
+    low_sd = math.sqrt(count + (0.01 * count) ** 2)
+    return Remainder(generic, line, peak, 2.0 * low, 2.0 * low_sd, fit.excess)
+
+
+def _generic(spectra: Sequence[tuple[Array, Array]]) -> float:
+    best = 0.0
+    f = np.concatenate([s[0] for s in spectra])
+    p = np.concatenate([s[1] for s in spectra])
+    for corner in CORNERS:
+        shape = 1.0 / (1.0 + (f / corner) ** 4)
+        level = 1.0 + STRENGTHS[:, None] * shape
+        gain = np.sum(p * (1.0 - 1.0 / level) - np.log(level), axis=1)
+        best = max(best, float(gain.max()))
+    return best - math.log(len(CORNERS) * 4.0)
+
+
+def _lines(spectra: Sequence[tuple[Array, Array]]) -> tuple[float, float]:
+    """-ln p of the strongest line or 5 Hz band of the sum over records that share their frequencies, looks paid for."""
+    sums: dict[bytes, list[Array]] = {}
+    grids: dict[bytes, Array] = {}
+    for f, p in spectra:
+        sums.setdefault(f.tobytes(), []).append(p)
+        grids[f.tobytes()] = f
+    best, where = -math.inf, 0.0
+    looks = 0
+    for key, rows in sums.items():
+        f = grids[key]
+        total = np.sum(rows, axis=0)
+        spacing = f[1] - f[0]
+        wide = max(1, round(BAND_WIDTH / spacing))
+        for width in sorted({1, wide}):
+            m = f.size // width
+            band = total[: m * width].reshape(m, width).sum(axis=1)
+            looks += m
+            minus_log_p = -gamma.logsf(band, a=len(rows) * width)
+            k = int(np.argmax(minus_log_p))
+            if minus_log_p[k] > best:
+                best, where = float(minus_log_p[k]), float(f[k * width : (k + 1) * width].mean())
+    return best - math.log(max(looks, 1)), where

@@ -1,0 +1,250 @@
+"""Which effects explain the gap: every variant screened with the linearised problem, the leaders fitted in full.
+
+Screening costs one simulation per trial and start: the finite difference that an effect makes to the records is
+projected off everything that the nominal parameters and the nuisances can do, and compared with the residuals. Leaders
+are then fitted by calibration.calibrate from several starts, and ranked by Laplace evidence.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper.calibration import Calibration, Experiment, Linear, Normals, Problem, calibrate, coordinate_of, value_of
+from bayes_damper.distributions import HalfNormal
+from bayes_damper.effects import REFERENCE, Scales, candidates, scaled
+from bayes_damper.effects.base import Effect, Variant
+
+Array = NDArray[np.float64]
+
+FULL_FITS = 9  # variants fitted in full, at least
+LEADING_SHARE = 0.25  # every variant that screens above this share of the best gain is fitted too
+STARTS_OF_LEADERS = 3
+
+
+@dataclass(frozen=True)
+class Screened:
+    """What the linearised problem says of one start of a variant: gain in nats, and amplitude relative to the start."""
+
+    start: tuple[float, ...]
+    gain: float
+    amplitude: float
+    log_evidence: float
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One variant of an effect, screened and perhaps fitted. log_evidence is relative to the nominal model's."""
+
+    effect: Effect
+    variant: Variant
+    screens: tuple[Screened, ...]
+    fit: Calibration | None
+    log_evidence: float
+
+    @property
+    def label(self) -> str:
+        """Family and formula."""
+        return f"{self.effect.name}/{self.variant.name}"
+
+    @property
+    def best_screen(self) -> Screened:
+        """The start with the largest gain."""
+        return max(self.screens, key=lambda s: s.gain)
+
+
+def scales_of(experiment: Experiment) -> Scales:
+    """Magnitudes of the rig, each a power of 2 times the library's reference, so that kernels are reused."""
+    j1 = experiment.constants["J1"][0]
+    k1 = float(np.median([k for k, _ in experiment.stiffnesses]))
+    omega = math.sqrt(k1 / j1)
+    reach = {"acceleration": omega**2, "velocity": omega, "displacement": 1.0}[experiment.quantity]
+    angles = [abs(t.theta0) for t in experiment.trials if t.theta0]
+    if not angles:
+        angles = [float(np.nanmax(np.abs(t.y[0]))) / reach for t in experiment.trials]
+    angle = float(np.median(angles))
+    exact = Scales(angle, 1.0 / omega, k1 * angle, reach * angle)
+
+    def rounded(value: float, reference: float) -> float:
+        return reference * 2.0 ** round(math.log2(value / reference))
+
+    return Scales(*(rounded(getattr(exact, f), getattr(REFERENCE, f)) for f in ("angle", "time", "torque", "reading")))
+
+
+def offered(
+    experiment: Experiment, nominal: str, effects: Mapping[str, Effect], scales: Scales | None = None
+) -> list[tuple[Effect, Variant]]:
+    """Every variant that this rig can have, with priors at the rig's scale."""
+    scales = scales or scales_of(experiment)
+    able = candidates(experiment.coupled, experiment.magnet, "linear" if nominal == "linear" else "nonlinear", effects)
+    return [(effect, scaled(variant, scales)) for effect in able.values() for variant in effect.variants]
+
+
+# Screening ---------------------------------------------------------------------------------------------------------------
+
+
+class Screen:
+    """The linearised problem at a fit, ready to judge further columns."""
+
+    def __init__(self, fit: Calibration) -> None:
+        self.fit = fit
+        self.linear: Linear = fit.linear
+        self.normals: Normals = self.linear.normal()
+        self.S, self.g, self.inverses = self.normals.reduced()
+        self.full = [np.concatenate([b.J, b.T, b.r[:, None, :]], axis=1) for b in self.linear.blocks]
+
+    def responses(self, problem: Problem, q: Array) -> list[Array]:
+        """Whitened changes of the records, per block (k, trials, data), that k vectors q (k, size) make."""
+        out = []
+        k = q.shape[0]
+        for block in self.linear.blocks:
+            group = block.group
+            n = len(group.trials)
+            which = np.tile(np.arange(n), k)
+            y = problem.simulate(group, which, np.repeat(q, n, axis=0), np.tile(block.eta, (k, 1)))
+            r = problem.whitened(y - group.y[which], group.weight[which]).reshape(k, n, -1)
+            out.append(r - block.r[None])
+        return out
+
+    def project(self, columns: Sequence[Array]) -> tuple[Array, Array]:
+        """For columns (k, trials, data) per block: their squared length and their product with the residuals.
+
+        Both after everything that parameters and nuisances can do, priors included, has been taken out; (k, k), (k,).
+        """
+        k = columns[0].shape[0]
+        size = self.fit.problem.size
+        length = np.zeros((k, k))
+        product = np.zeros(k)
+        mixed = np.zeros((size, k))
+        for (_, H, TJ, gT), inverse, full, d in zip(self.normals.parts, self.inverses, self.full, columns, strict=True):
+            d = d.transpose(1, 0, 2)  # (trials, k, data)
+            gram = full @ d.transpose(0, 2, 1)  # (trials, size + m + 1, k)
+            m = H.shape[1]
+            Td = gram[:, size : size + m]
+            HTd = inverse @ Td if m else Td
+            length += np.sum(d @ d.transpose(0, 2, 1) - Td.transpose(0, 2, 1) @ HTd, axis=0)
+            mixed += np.sum(gram[:, :size] - TJ.transpose(0, 2, 1) @ HTd, axis=0)
+            product += np.sum(gram[:, -1] - np.einsum("jmk,jm->jk", HTd, gT), axis=0)
+        solved = np.linalg.solve(self.S, np.column_stack([mixed, self.g]))
+        return length - mixed.T @ solved[:, :k], product - mixed.T @ solved[:, k]
+
+
+def screen_variant(screen: Screen, variant: Variant) -> tuple[Screened, ...]:
+    """Gain and amplitude of every start of a variant, by the linearised problem."""
+    fit = screen.fit
+    problem = fit.problem.with_effect(variant)
+    starts = variant.starts
+    z = np.array([[coordinate_of(p.prior, x) for p, x in zip(variant.parameters, s, strict=True)] for s in starts])
+    q = np.concatenate([np.tile(fit.q, (len(starts), 1)), z], axis=1)
+    columns = screen.responses(problem, q)
+    bad = ~np.all([np.isfinite(c).all(axis=(1, 2)) for c in columns], axis=0)
+    columns = [np.where(bad[:, None, None], 0.0, c) for c in columns]
+    length, product = screen.project(columns)
+    out = []
+    for k, start in enumerate(starts):
+        d2, dr = float(length[k, k]), float(product[k])
+        if bad[k] or not math.isfinite(d2) or d2 < 1e-9:
+            out.append(Screened(start, 0.0, 0.0, 0.0))
+            continue
+        if variant.null is None:
+            gain = -dr - 0.5 * d2 - 0.5 * float(z[k] @ z[k])
+            out.append(Screened(start, gain, 1.0, gain - 3.0))
+            continue
+        stiffness = _amplitude_stiffness(variant, start)
+        amplitude = -dr / (d2 + stiffness)
+        one_sided = any(
+            isinstance(p.prior, HalfNormal) for p in variant.parameters if p.null is not None
+        )
+        gain = 0.5 * dr * dr / (d2 + stiffness)
+        if one_sided and amplitude < 0.0:
+            gain = 0.0
+        occam = 0.5 * math.log1p(d2 / max(stiffness, 1e-12))
+        out.append(Screened(start, gain, amplitude, gain - occam))
+    return tuple(out)
+
+
+def _amplitude_stiffness(variant: Variant, start: tuple[float, ...]) -> float:
+    """Inverse prior variance of the factor on a start's distance from the null."""
+    total = 0.0
+    for p, x in zip(variant.parameters, start, strict=True):
+        if p.null is not None:
+            reach = abs(float(p.prior.ppf(0.84)) - p.null)
+            total = max(total, ((x - p.null) / max(reach, 1e-300)) ** 2)
+    return total
+
+
+def start_points(fit: Calibration, variant: Variant, screens: Sequence[Screened], count: int) -> list[Array]:
+    """Starts of full fits in q: the best screened ones, their amplitude set by the screening."""
+    ranked = sorted(screens, key=lambda s: -s.gain)[:count]
+    points = []
+    for s in ranked:
+        z = []
+        amplitude = float(np.clip(s.amplitude, 0.02, 1.5)) if s.amplitude > 0.0 else 0.05
+        for p, x in zip(variant.parameters, s.start, strict=True):
+            if p.null is not None and variant.null is not None:
+                x = p.null + amplitude * (x - p.null)
+            z.append(coordinate_of(p.prior, x))
+        points.append(np.concatenate([fit.q, z]))
+    return points
+
+
+# Search ------------------------------------------------------------------------------------------------------------------
+
+
+def fit_variant(fit: Calibration, effect: Effect, variant: Variant, screens: Sequence[Screened], count: int) -> Candidate:
+    """A variant fitted in full from its best `count` screened starts; evidence relative to that of `fit`."""
+    problem = fit.problem.with_effect(variant)
+    starts = start_points(fit, variant, screens, count)
+    found = calibrate(problem, starts, eta=fit.eta, anneal=False, finish=True, most=18)
+    return Candidate(effect, variant, tuple(screens), found, found.log_evidence - fit.log_evidence)
+
+
+def search(
+    nominal: Calibration,
+    pool: Sequence[tuple[Effect, Variant]],
+    *,
+    threads: int = 2,
+    full_fits: int = FULL_FITS,
+    tell: Callable[[str], None] = lambda line: None,
+) -> list[Candidate]:
+    """All candidates, best first: screened, and the leading ones fitted."""
+    screen = Screen(nominal)
+
+    def judge(item: tuple[Effect, Variant]) -> tuple[Screened, ...]:
+        return screen_variant(screen, item[1])
+
+    def run(work: Callable[..., object], items: Sequence[object]) -> list[object]:
+        if threads > 1:
+            with ThreadPoolExecutor(threads) as workers:
+                return list(workers.map(work, items))
+        return [work(item) for item in items]
+
+    screens: list[tuple[Screened, ...]] = run(judge, list(pool))  # type: ignore[assignment]
+    gains = np.array([max(s.gain for s in row) for row in screens])
+    order = np.argsort(-gains)
+    best = float(gains[order[0]]) if len(pool) else 0.0
+    chosen = [
+        k
+        for rank, k in enumerate(order)
+        if rank < full_fits or gains[k] > LEADING_SHARE * best or pool[k][1].null is None
+    ]
+    tell(f"screened {len(pool)} formulas, fitting {len(chosen)}")
+
+    def refine(k: int) -> Candidate:
+        effect, variant = pool[k]
+        count = STARTS_OF_LEADERS if gains[k] > 0.5 * best else 1
+        return fit_variant(nominal, effect, variant, screens[k], count)
+
+    fitted: dict[int, Candidate] = dict(zip(chosen, run(refine, chosen), strict=True))  # type: ignore[arg-type]
+    out = []
+    for k, (effect, variant) in enumerate(pool):
+        if k in fitted:
+            out.append(fitted[k])
+        else:
+            out.append(Candidate(effect, variant, screens[k], None, max(s.log_evidence for s in screens[k])))
+    return sorted(out, key=lambda c: -c.log_evidence)
