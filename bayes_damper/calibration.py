@@ -42,6 +42,7 @@ from bayes_damper.model import Model, Quantity
 
 Array = NDArray[np.float64]
 
+NOMINAL = ("k2t", "c2t", "c1t", "c3t", "mu", "drag", "nu")
 FRICTION_SPREAD = 0.04  # prior sd of ln mu from trial to trial, where the repeats show that it varies
 EVENT_THRESHOLD = 4.5  # robust sds of the second difference beyond which a sample counts as an event
 EVENT_TIMING = 5e-5  # s, by which the instant of an event may be off without the model being wrong
@@ -288,6 +289,11 @@ class Problem:
         self.trials = tuple(experiment.training if trials is None else trials)
         self.switches = switches or Switches()
         self.noise = noise or rough_noise(experiment, self.trials)
+        self._medians = {
+            name: median(prior)
+            for name, prior in (default_priors(experiment) | dict(experiment.priors)).items()
+            if name in NOMINAL
+        }
         self.coordinates = self._coordinates()
         self.names = tuple(c.name for c in self.coordinates)
         self.size = len(self.coordinates)
@@ -331,8 +337,6 @@ class Problem:
         names = ["k2t", "c2t", "c1t", "c3t"] if coupled else ["c1t"]
         if self.nominal == "nonlinear":
             names += ["mu", "drag", "nu"] if coupled and e.magnet else ["drag", "nu"]
-        if self.effect is not None and self.effect.replaces_friction and "mu" in names:
-            names.remove("mu")
         free = [n for n in names if not isinstance(priors[n], float | int) and _spread(priors[n]) > 0.0]
         out = [Coordinate(n, "nominal", priors[n]) for n in free]
         for name, (value, sd) in e.constants.items():
@@ -455,10 +459,9 @@ class Problem:
         rig: dict[str, Any] = {name: value for name, (value, _) in e.constants.items()}
         rig["k1t"] = np.array([e.stiffnesses[e.trials[i].k1t][0] for i in group.trials])[which]
         rig["theta0"] = np.array([e.trials[i].theta0 for i in group.trials])[which]
-        priors = default_priors(e) | dict(e.priors)
         linear = self.nominal == "linear"
-        for name in ("k2t", "c2t", "c1t", "c3t", "mu", "drag", "nu"):
-            rig[name] = 0.0 if linear and name in ("mu", "drag") else median(priors[name])
+        for name, middle in self._medians.items():
+            rig[name] = 0.0 if linear and name in ("mu", "drag") else middle
         if not e.magnet:
             rig["mu"] = 0.0
             rig = {"N0": 0.0, "R": 1.0, "r": 1.0} | rig
@@ -720,8 +723,8 @@ class Normals:
             m = H.shape[1]
             damped = H + damping * H * np.eye(m)
             inverse = np.linalg.inv(damped)
-            S -= np.einsum("jma,jmn,jnb->ab", TJ, inverse, TJ, optimize=True)
-            g -= np.einsum("jma,jmn,jn->a", TJ, inverse, gT, optimize=True)
+            S -= np.sum(TJ.transpose(0, 2, 1) @ (inverse @ TJ), axis=0)
+            g -= np.sum(TJ.transpose(0, 2, 1) @ (inverse @ gT[:, :, None]), axis=0)[:, 0]
             inverses.append(inverse)
         return S, g, inverses
 
