@@ -1,0 +1,319 @@
+"""What a small torque anywhere in the rig does to the records: the motion of a fit, and the rig linearised along it.
+
+The site map, the search for events and the missing torque ask the same question with different torques: by how much
+would the readings change? Along the motion of a fitted rig the change obeys the linearised equations
+
+    M d(dw)/dt = K(t) dth + C(t) dw + q(t),    d(dth)/dt = dw,
+
+stepped here by the trapezoidal rule for many torques at once. A reversal of dry friction lasts far less than a step;
+over a step the slope of tanh is therefore the secant (tanh(nu b) - tanh(nu a)) / (b - a), which conserves the jump.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper.calibration import Block, Calibration, Group
+from bayes_damper.model import Model
+
+Array = NDArray[np.float64]
+
+ANGLE_PER_STEP = 0.08  # largest omega dt of a step, rad: keeps the trapezoidal rule within 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Motion of the trials of one group under a fit, on a grid (N,) s that holds every sample, and how it responds.
+
+    th1, th2, w1, w2, a1, a2 : (trials, N), zeros for the secondary of an uncoupled rig; before the release the rig is
+    held. since (trials, N): time since the release, s, 0 before. y (trials, channels, n): readings without the sensors'
+    faults. at (n,): the samples' places in the grid. friction, slope, nu, k1t (trials,): what the features need.
+    step (trials, N - 1, 4, 4), push (trials, N - 1, 4, 2): transition of (dth1, dth2, dw1, dw2) and of the torque's mean
+    over the step; read_state (trials, channels, n, 4), read_torque (trials, channels, n, 2): the readings of both.
+    """
+
+    group: Group
+    grid: Array
+    at: NDArray[np.int64]
+    th1: Array
+    th2: Array
+    w1: Array
+    w2: Array
+    a1: Array
+    a2: Array
+    since: Array
+    y: Array
+    friction: Array
+    slope: Array
+    nu: Array
+    k1t: Array
+    theta0: Array
+    step: Array
+    push: Array
+    read_state: Array
+    read_torque: Array
+
+    @property
+    def phi(self) -> Array:
+        """Relative angle, rad; (trials, N)."""
+        return self.th1 - self.th2
+
+    @property
+    def slip(self) -> Array:
+        """Relative velocity, rad/s; (trials, N)."""
+        return self.w1 - self.w2
+
+    @property
+    def overlap(self) -> Array:
+        """N / N0, the share of the pull that is left; (trials, N)."""
+        return np.asarray(np.maximum(0.0, 1.0 - self.slope[:, None] * np.abs(self.phi)))
+
+    def respond(self, q1: Array | None, q2: Array | None, start: Array | None = None) -> Array:
+        """Changes of the readings, (trials, k, channels, n), that k torques make.
+
+        q1, q2 : (trials, k, N) N m on each inertia, or None; start : (trials, k, 4) changes of the state at release.
+        """
+        shaped = q1 if q1 is not None else q2
+        trials = self.th1.shape[0]
+        k = shaped.shape[1] if shaped is not None else start.shape[1]  # type: ignore[union-attr]
+        zero = np.zeros((trials, k, self.grid.size))
+        q = np.stack([zero if q1 is None else q1, zero if q2 is None else q2], axis=2)  # (trials, k, 2, N)
+        q = np.ascontiguousarray(q.transpose(3, 0, 2, 1)) * (self.since.T > 0.0)[:, :, None, None]
+        mean = 0.5 * (q[1:] + q[:-1])  # (N - 1, trials, 2, k)
+        drive = np.matmul(self.push.transpose(1, 0, 2, 3), mean)
+        steps = np.ascontiguousarray(self.step.transpose(1, 0, 2, 3))
+        states = np.empty((self.grid.size, trials, 4, k))
+        states[0] = 0.0 if start is None else start.transpose(0, 2, 1)
+        for i in range(self.grid.size - 1):
+            np.matmul(steps[i], states[i], out=states[i + 1])
+            states[i + 1] += drive[i]
+        shown = (self.since[:, self.at] > 0.0).T[:, :, None, None]
+        x = states[self.at] * shown  # (n, trials, 4, k)
+        y = np.matmul(self.read_state.transpose(2, 0, 1, 3), x)
+        y += np.matmul(self.read_torque.transpose(2, 0, 1, 3), q[self.at])
+        return np.asarray(y.transpose(1, 3, 2, 0))
+
+
+def motions(fit: Calibration) -> list[Motion]:
+    """The motion of every fitted trial, one entry for each group of the problem."""
+    return [_motion(fit, block) for block in fit.linear.blocks]
+
+
+def _bare(model: Model) -> Model:
+    """The model with sensors that show what there is."""
+    if model.effect is None or (model.effect.sense is None and model.effect.lag is None):
+        return model
+    return replace(model, effect=replace(model.effect, sense=None, lag=None))
+
+
+def _grid(times: Array, omega: float) -> tuple[Array, NDArray[np.int64]]:
+    """The sample times with steps halved until none is longer than the motion allows, and the samples' places."""
+    parts = np.maximum(1, np.ceil(np.diff(times) * omega / ANGLE_PER_STEP)).astype(int)
+    at = np.concatenate([[0], np.cumsum(parts)])
+    grid = np.interp(np.arange(at[-1] + 1), at, times)
+    return grid, at
+
+
+def _motion(fit: Calibration, block: Block) -> Motion:
+    problem = fit.problem
+    group = block.group
+    n = len(group.trials)
+    rig, effect = problem._inputs(group, np.arange(n), np.tile(fit.q, (n, 1)), block.eta)
+
+    def value(name: str, default: float = 0.0) -> Array:
+        return np.broadcast_to(np.asarray(rig.get(name, default), float), (n,)).astype(float)
+
+    variant = problem.effect
+    if variant is not None and variant.amend is not None:
+        rig = dict(variant.amend(dict(rig), {k: np.asarray(v) for k, v in effect.items()}))
+    k1t, j1, nu = value("k1t"), value("J1"), value("nu")
+    grid, at = _grid(group.times, float(np.sqrt(np.max(k1t / j1))))
+    model = _bare(problem.models[group.coupled])
+    if model.effect is not None and model.effect.amend is not None:
+        model = replace(model, effect=replace(model.effect, amend=None))
+    torque = None if group.torque is None else np.interp(grid, group.times, group.torque)
+
+    def read(quantity: Any) -> Array:
+        y = model.simulate(
+            rig, grid, effect=effect if model.effect is not None else None, torque=torque, quantity=quantity,
+            tolerance=problem.tolerance, threads=problem.threads,
+        ).y  # fmt: skip
+        y = np.nan_to_num(y)
+        return y if y.shape[1] == 2 else np.concatenate([y, np.zeros_like(y)], axis=1)
+
+    th, w, a = read("displacement"), read("velocity"), read("acceleration")
+    delay = value("delay", 0.0)
+    since = np.maximum(grid[None, :] - delay[:, None], 0.0)
+    if float(delay.max()) <= grid[0]:
+        since = since + 1e-12  # released before the record begins
+    coupled = group.coupled
+    e = problem.experiment
+    magnet = coupled and e.magnet
+    friction = value("mu") * value("N0") * value("R", 1.0) if magnet else np.zeros(n)
+    linear = e.normal_force == "linear" and magnet
+    slope = value("R", 1.0) / (2.0 * value("r", 1.0)) if linear else np.zeros(n)
+    parts = {name: value(name) for name in ("k3t", "c1t", "c3t", "k2t", "c2t", "drag")}
+    parts |= {"k1t": k1t, "nu": nu, "friction": friction, "slope": slope}
+    inverse = np.zeros((n, 2, 2))
+    if coupled:
+        mass = np.stack([np.stack([j1, value("J12")], -1), np.stack([value("J12"), value("J2")], -1)], -2)
+        inverse = np.linalg.inv(mass)
+    else:
+        inverse[:, 0, 0] = 1.0 / j1
+    pendulum = e.restoring == "pendulum"
+    K, C = _jacobian(th[:, :, :-1], th[:, :, 1:], w[:, :, :-1], w[:, :, 1:], parts, coupled, pendulum)
+    h = np.clip(grid[None, 1:] - np.maximum(grid[None, :-1], delay[:, None]), 0.0, None)
+    step, push = _steps(K, C, inverse, h)
+    y, read_state, read_torque = _reading(th, w, a, at, inverse, parts, coupled, pendulum, e.quantity)
+    theta0 = value("theta0")
+    return Motion(
+        group, grid, at, th[:, 0], th[:, 1], w[:, 0], w[:, 1], a[:, 0], a[:, 1], since, y, friction, slope, nu, k1t,
+        theta0, step, push, read_state, read_torque,
+    )  # fmt: skip
+
+
+def _secant(nu: Array, a: Array, b: Array) -> tuple[Array, Array]:
+    """Slope of tanh(nu x) averaged between a and b, and its mean value."""
+    scaled = nu[:, None]
+    low, high = np.tanh(scaled * a), np.tanh(scaled * b)
+    difference = b - a
+    near = np.abs(scaled * difference) < 1e-4
+    middle = np.tanh(0.5 * scaled * (a + b))
+    slope = np.where(near, scaled * (1.0 - middle**2), (high - low) / np.where(near, 1.0, difference))
+    return slope, 0.5 * (low + high)
+
+
+def _jacobian(
+    th_a: Array, th_b: Array, w_a: Array, w_b: Array, p: dict[str, Array], coupled: bool, pendulum: bool
+) -> tuple[Array, Array]:
+    """Derivatives of both torques by angles and velocities, averaged over steps from a to b; (trials, steps, 2, 2)."""
+    trials, _, steps = th_a.shape
+    K, C = np.zeros((trials, steps, 2, 2)), np.zeros((trials, steps, 2, 2))
+    th = 0.5 * (th_a + th_b)
+
+    def column(name: str) -> Array:
+        return p[name][:, None]
+
+    bend = np.cos(th) if pendulum else np.ones_like(th)
+    slope1, _ = _secant(p["nu"], w_a[:, 0], w_b[:, 0])
+    K[:, :, 0, 0] = -column("k1t") * bend[:, 0]
+    C[:, :, 0, 0] = -column("c1t") - column("drag") * slope1
+    if coupled:
+        slope2, _ = _secant(p["nu"], w_a[:, 1], w_b[:, 1])
+        K[:, :, 1, 1] = -column("k3t") * bend[:, 1]
+        C[:, :, 1, 1] = -column("c3t") - column("drag") * slope2
+        phi = th[:, 0] - th[:, 1]
+        ratio = np.maximum(0.0, 1.0 - column("slope") * np.abs(phi))
+        slip_slope, slip_sign = _secant(p["nu"], w_a[:, 0] - w_a[:, 1], w_b[:, 0] - w_b[:, 1])
+        t_phi = column("k2t") - column("friction") * column("slope") * np.sign(phi) * (ratio > 0.0) * slip_sign
+        t_slip = column("c2t") + column("friction") * ratio * slip_slope
+        sign = np.array([[-1.0, 1.0], [1.0, -1.0]])
+        K += t_phi[:, :, None, None] * sign
+        C += t_slip[:, :, None, None] * sign
+    return K, C
+
+
+def _steps(K: Array, C: Array, inverse: Array, h: Array) -> tuple[Array, Array]:
+    """Trapezoidal transition and push of the state over steps of h (trials, steps) s."""
+    trials, steps = h.shape
+    A = np.zeros((trials, steps, 4, 4))
+    A[:, :, 0, 2] = A[:, :, 1, 3] = 1.0
+    A[:, :, 2:, :2] = inverse[:, None] @ K
+    A[:, :, 2:, 2:] = inverse[:, None] @ C
+    A *= 0.5 * h[:, :, None, None]
+    B = np.zeros((trials, steps, 4, 2))
+    B[:, :, 2:, :] = inverse[:, None] * h[:, :, None, None]
+    left = np.linalg.inv(np.eye(4) - A)
+    return left @ (np.eye(4) + A), left @ B
+
+
+def _reading(
+    th: Array, w: Array, a: Array, at: NDArray[np.int64], inverse: Array, p: dict[str, Array], coupled: bool,
+    pendulum: bool, quantity: str,
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """Readings at the samples and their derivatives by state and torque."""
+    channels = 2 if coupled else 1
+    trials, n = th.shape[0], at.size
+    state = np.zeros((trials, n, 2, 4))
+    torque = np.zeros((trials, n, 2, 2))
+    if quantity == "displacement":
+        y = th
+        state[:, :, 0, 0] = state[:, :, 1, 1] = 1.0
+    elif quantity == "velocity":
+        y = w
+        state[:, :, 0, 2] = state[:, :, 1, 3] = 1.0
+    else:
+        y = a
+        K, C = _jacobian(th[:, :, at], th[:, :, at], w[:, :, at], w[:, :, at], p, coupled, pendulum)
+        state[:, :, :, :2] = inverse[:, None] @ K
+        state[:, :, :, 2:] = inverse[:, None] @ C
+        torque[:] = inverse[:, None]
+    return (
+        y[:, :channels][:, :, at],
+        state[:, :, :channels].transpose(0, 2, 1, 3),
+        torque[:, :, :channels].transpose(0, 2, 1, 3),
+    )
+
+
+# Judging columns ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Projected:
+    """Gram matrix (k, k) of whitened columns and their product (k,) with the residuals, parameters taken out.
+
+    `raw` (k,): squared lengths before that.
+    """
+
+    gram: Array
+    product: Array
+    raw: Array
+
+
+def whiten(fit: Calibration, group: Group, y: Array) -> Array:
+    """Whitened columns (trials, k, data) of changes of the readings (trials, k, channels, n)."""
+    return fit.problem.whitened(y, group.weight[:, None])
+
+
+def project(fit: Calibration, columns: Sequence[Array]) -> Projected:
+    """Columns (trials, k, data), one array per block, after all that parameters and nuisances can do is taken out.
+
+    The product's sign is that of "reading minus model": a coefficient c > 0 of a column adds it to the model.
+    """
+    normals = fit.linear.normal()
+    S, g, inverses = normals.reduced()
+    size = fit.problem.size
+    k = columns[0].shape[1]
+    gram, mixed, product, raw = np.zeros((k, k)), np.zeros((size, k)), np.zeros(k), np.zeros(k)
+    for (block, H, TJ, gT), inverse, d in zip(normals.parts, inverses, columns, strict=True):
+        flat = d.transpose(1, 0, 2).reshape(k, -1)
+        own = flat @ flat.T
+        raw += np.diag(own)
+        full = np.concatenate([block.J, block.T, block.r[:, None, :]], axis=1)
+        cross = full @ d.transpose(0, 2, 1)  # (trials, size + m + 1, k)
+        m = H.shape[1]
+        gram += own
+        mixed += cross[:, :size].sum(axis=0)
+        product += cross[:, -1].sum(axis=0)
+        if m:
+            td = cross[:, size : size + m]
+            solved = inverse @ td
+            gram -= np.einsum("jmk,jml->kl", td, solved)
+            mixed -= np.einsum("jms,jmk->sk", TJ, solved)
+            product -= np.einsum("jmk,jm->k", solved, gT)
+    answer = np.linalg.solve(S, np.column_stack([mixed, g]))
+    gram -= mixed.T @ answer[:, :k]
+    product -= mixed.T @ answer[:, k]
+    return Projected(0.5 * (gram + gram.T), -product, raw)
+
+
+def scale_of(values: Sequence[Array]) -> float:
+    """Largest absolute value, or 1 where all are zero."""
+    largest = max((float(np.max(np.abs(v))) for v in values if v.size), default=0.0)
+    return largest if largest > 0.0 and math.isfinite(largest) else 1.0

@@ -1,0 +1,367 @@
+"""Generic shapes that a missing torque or a faulty sensor can take, site by site: the site map's vocabulary.
+
+No effect of the library is named here. Each site has groups of columns, e.g. smooth functions of its own coordinates,
+memories of them, or bumps in time; a group is what one cause would use. Coordinates are scaled by their largest value
+in the campaign, so a column means the same in every case.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from bayes_damper.diagnosis.response import Motion, scale_of
+from bayes_damper.effects.base import SITES
+
+Array = NDArray[np.float64]
+
+DEGREE = 5  # of the polynomials in angle and velocity
+BUMPS = 40  # in time, along a record
+HUM = (50.0, 60.0, 100.0, 120.0)  # Hz
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Largest values in the campaign: angles (rad), velocities (rad/s), torque k1t theta0 (N m), duration (s)."""
+
+    th1: float
+    w1: float
+    th2: float
+    w2: float
+    phi: float
+    slip: float
+    torque: float
+    theta0: float
+    duration: float
+    omega: float
+    readings: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """One column for one group of trials: torques (trials, N), a change of start (trials, 4) or of readings."""
+
+    site: str
+    group: str
+    q1: Array | None = None
+    q2: Array | None = None
+    start: Array | None = None
+    reading: Array | None = None
+
+
+def scale_of_motions(motions: Sequence[Motion]) -> Scale:
+    """The campaign's largest values."""
+    coupled = [m for m in motions if m.group.coupled]
+    period = max(float(np.median(np.diff(m.grid))) for m in motions)
+    omega = float(np.median([np.median(m.w1.std(axis=1) / (m.th1.std(axis=1) + 1e-300)) for m in motions]))
+    channels = max(m.y.shape[1] for m in motions)
+    return Scale(
+        th1=scale_of([m.th1 for m in motions]), w1=scale_of([m.w1 for m in motions]),
+        th2=scale_of([m.th2 for m in coupled]), w2=scale_of([m.w2 for m in coupled]),
+        phi=scale_of([m.phi for m in coupled]), slip=scale_of([m.slip for m in coupled]),
+        torque=scale_of([m.k1t[:, None] * m.th1 for m in motions]), theta0=scale_of([m.theta0 for m in motions]),
+        duration=max(float(m.grid[-1]) for m in motions), omega=max(omega, 1e-3 / period),
+        readings=tuple(
+            scale_of([m.y[:, c] for m in motions if m.y.shape[1] > c]) for c in range(channels)
+        ),
+    )  # fmt: skip
+
+
+def shapes_of(motion: Motion, scale: Scale, coupled_campaign: bool) -> Iterator[Shape]:
+    """All columns for the trials of one motion, in the same order for every motion of a campaign."""
+    for site, build in _BUILDERS.items():
+        if site in ("interface", "ground2") and not coupled_campaign:
+            continue
+        for shape in build(motion, scale):
+            if coupled_campaign or not shape.group.endswith("2"):
+                yield Shape(site, shape.group, shape.q1, shape.q2, shape.start, shape.reading)
+
+
+# Elements ----------------------------------------------------------------------------------------------------------------
+
+
+def _tensor(a: Array, b: Array) -> list[Array]:
+    """Chebyshev products T_i(a) T_j(b), i + j <= DEGREE, the constant first; a, b within [-1, 1]."""
+    a, b = np.clip(a, -1.0, 1.0), np.clip(b, -1.0, 1.0)
+    ta, tb = [np.ones_like(a), a], [np.ones_like(b), b]
+    for _ in range(DEGREE - 1):
+        ta.append(2.0 * a * ta[-1] - ta[-2])
+        tb.append(2.0 * b * tb[-1] - tb[-2])
+    return [ta[i] * tb[j] for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
+
+
+def _relaxed(motion: Motion, rate: Array, tau: float) -> Array:
+    """Force of a spring and dashpot in series driven at `rate`: m' = rate - m / tau, m = 0 at release; (trials, N)."""
+    h = np.diff(motion.grid)
+    keep = np.exp(-h / tau)
+    gain = tau * (1.0 - keep)
+    out = np.zeros_like(rate)
+    mean = 0.5 * (rate[:, 1:] + rate[:, :-1])
+    for i in range(h.size):
+        out[:, i + 1] = keep[i] * out[:, i] + gain[i] * mean[:, i]
+    return out
+
+
+def _dahl(motion: Motion, angle: Array, breakaway: float) -> Array:
+    """Rate-independent memory of an angle: h follows it over `breakaway` rad and then saturates at +-1; (trials, N)."""
+    out = np.zeros_like(angle)
+    moved = np.diff(angle, axis=1) / breakaway
+    keep = np.exp(-np.abs(moved))
+    aim = np.sign(moved)
+    for i in range(moved.shape[1]):
+        out[:, i + 1] = aim[:, i] + (out[:, i] - aim[:, i]) * keep[:, i]
+    return out
+
+
+def _resonance(motion: Motion, drive: Array, omega: float) -> tuple[Array, Array]:
+    """Deflection and speed of a lightly damped resonator shaken by `drive`; (trials, N) each."""
+    h = float(np.median(np.diff(motion.grid)))
+    pole = np.exp((-0.03 + 1j * math.sqrt(1.0 - 0.03**2)) * omega * h)
+    state = lfilter([1.0], [1.0, -pole], drive * (motion.since > 0.0), axis=-1)
+    return state.imag, state.real
+
+
+def _flexible(motion: Motion, drive: Array, scale: Scale) -> Iterator[Array]:
+    nyquist = math.pi / float(np.median(np.diff(motion.grid)))
+    for factor in (2.0, 3.0, 4.5, 7.0, 11.0):
+        if factor * scale.omega < 0.7 * nyquist:
+            yield from _resonance(motion, drive, factor * scale.omega)
+
+
+def _bumps(motion: Motion, scale: Scale) -> Iterator[Array]:
+    centres = (np.arange(BUMPS) + 0.5) * scale.duration / BUMPS
+    width = scale.duration / BUMPS
+    for centre in centres:
+        x = (motion.grid - centre) / width
+        yield np.broadcast_to(np.where(np.abs(x) < 1.0, 0.5 + 0.5 * np.cos(np.pi * x), 0.0), motion.th1.shape)
+
+
+def _drags(w: Array, reach: float, nu: Array) -> list[Array]:
+    """Odd functions of a velocity: dry, smoother dry, Stribeck humps, square, cube, root."""
+    v = w / reach
+    dry = np.tanh(nu[:, None] * w)
+    return [
+        dry, np.tanh(v / 0.1), np.tanh(v / 0.3), dry * np.exp(-np.abs(v) / 0.02), dry * np.exp(-np.abs(v) / 0.06),
+        dry * np.exp(-np.abs(v) / 0.2), v * np.abs(v), v**3, dry * np.sqrt(np.abs(v)),
+    ]  # fmt: skip
+
+
+# Sites -------------------------------------------------------------------------------------------------------------------
+
+
+def _ground1(m: Motion, s: Scale) -> Iterator[Shape]:
+    u, v, t = m.th1 / s.th1, m.w1 / s.w1, m.since / s.duration
+    for f in _tensor(u, v):
+        yield Shape("", "law", f)
+    for f in _own_spring(m, u, m.th1, m.w1, s.th1):
+        yield Shape("", "spring", f)
+    for f in (u * t, v * t, u * t * t, np.exp(-5.0 * t) * u, t, t * t):
+        yield Shape("", "drift", f)
+    for breakaway in (0.02, 0.06, 0.2, 0.6):
+        yield Shape("", "memory", _dahl(m, m.th1, breakaway * s.th1))
+    for tau in (0.1, 0.3, 1.0, 3.0):
+        yield Shape("", "memory", _relaxed(m, v, tau / s.omega))
+    for f in _flexible(m, m.a1 / (s.w1 * s.omega), s):
+        yield Shape("", "flexible", f)
+    for f in _bumps(m, s):
+        yield Shape("", "time", f)
+
+
+def _own_spring(m: Motion, u: Array, th: Array, w: Array, reach: float) -> Iterator[Array]:
+    """Stops, dead zones and a cubic."""
+    yield u**3
+    for stop in (0.2, 0.35, 0.5, 0.65, 0.8, 0.9):
+        yield np.sign(u) * np.maximum(np.abs(u) - stop, 0.0)
+    for slack in (0.01, 0.03, 0.1):
+        yield np.clip(u / slack, -1.0, 1.0)
+
+
+def _bearings(m: Motion, s: Scale) -> Iterator[Shape]:
+    coupled = m.group.coupled
+    d1 = _drags(m.w1, s.w1, m.nu)
+    d2 = _drags(m.w2, s.w2, m.nu) if coupled else [np.zeros_like(m.w1)] * len(d1)
+    wide = [s.w2 / s.w1 if coupled else 1.0] * len(d1)
+    for k in (6, 7):  # the same law on both inertias, in the same units
+        wide[k] = (s.w2 / s.w1) ** (2.0 if k == 6 else 3.0)
+    for k, (a, b) in enumerate(zip(d1, d2, strict=True)):
+        yield Shape("", "drag", a, b * (wide[k] if k >= 6 else 1.0))
+    pull = m.overlap if coupled else np.zeros_like(m.w1)
+    for k in (0, 1, 2, 6):
+        yield Shape("", "load", d1[k] * pull, d2[k] * pull)
+    for k in (0, 1):
+        yield Shape("", "load", d1[k] * (pull > 0.0), d2[k] * (pull > 0.0))
+        yield Shape("", "load", d1[k] * np.abs(m.phi) / s.phi, d2[k] * np.abs(m.phi) / s.phi)
+    t = m.since / s.duration
+    for k in (0, 2):
+        yield Shape("", "drift", d1[k] * t, d2[k] * t)
+    ratio = s.w2 / s.w1
+    yield Shape("", "drift", m.w1 / s.w1 * t, m.w2 / s.w2 * t * ratio if coupled else 0.0 * t)
+
+
+def _interface(m: Motion, s: Scale) -> Iterator[Shape]:
+    def pair(group: str, f: Array) -> Shape:
+        f = f if m.group.coupled else np.zeros_like(m.th1)
+        return Shape("", group, -f, f)
+
+    phi, slip, t = m.phi, m.slip, m.since / s.duration
+    p, v = phi / s.phi, slip / s.slip
+    dry = np.tanh(m.nu[:, None] * slip)
+    pull = m.overlap
+    for f in _tensor(p, v):
+        yield pair("law", f)
+    for f in (dry, dry * pull, dry * pull**2, dry * pull**3, dry * np.abs(p), dry * p**2, dry * p**4):
+        yield pair("friction", f)
+    for hump in (0.02, 0.06, 0.2, 0.5):
+        yield pair("friction", dry * pull * np.exp(-np.abs(v) / hump))
+    for f in (v * pull, v * pull**2, v * np.abs(p), v * p**2, v * p**4, v * np.abs(v), v / (1.0 + (3.0 * v) ** 2)):
+        yield pair("damping", f)
+    for f in (p**3, p**5, p * np.abs(p), p * pull, np.sign(p) * np.maximum(np.abs(p) - 0.5, 0.0)):
+        yield pair("magnet", f)
+    heat = np.cumsum(np.abs(slip) * np.gradient(m.grid)[None, :], axis=1)
+    heat = heat / scale_of([heat])
+    for f in (dry * pull, p, v):
+        yield pair("heat", f * heat)
+        yield pair("heat", f * t)
+    for tau in (0.1, 0.3, 1.0, 3.0, 10.0):
+        yield pair("memory", _relaxed(m, v, tau / s.omega))
+    for breakaway in (0.01, 0.03, 0.1, 0.3):
+        yield pair("memory", _dahl(m, phi, breakaway * s.phi) * pull)
+    for k in range(1, 9):
+        yield pair("poles", np.sin(0.5 * np.pi * k * p))
+        yield pair("poles", np.cos(0.5 * np.pi * k * p))
+    for f in _flexible(m, (m.a1 - m.a2) / (s.slip * s.omega), s):
+        yield pair("flexible", f)
+
+
+def _ground2(m: Motion, s: Scale) -> Iterator[Shape]:
+    def own(group: str, f: Array) -> Shape:
+        return Shape("", group, None, f if m.group.coupled else np.zeros_like(m.th1))
+
+    u, v, t = m.th2 / s.th2, m.w2 / s.w2, m.since / s.duration
+    for f in _tensor(u, v):
+        yield own("law", f)
+    yield own("inertia", m.a2 / (s.w2 * s.omega))
+    for f in (np.ones_like(t), u, u * u):
+        yield own("weight", f)
+    for f in _own_spring(m, u, m.th2, m.w2, s.th2):
+        yield own("spring", f)
+    for f in _drags(m.w2, s.w2, m.nu):
+        yield own("drag", f)
+    for f in (u * t, v * t, t, t * t):
+        yield own("drift", f)
+    for breakaway in (0.02, 0.06, 0.2, 0.6):
+        yield own("memory", _dahl(m, m.th2, breakaway * s.th2))
+    for tau in (0.1, 0.3, 1.0, 3.0):
+        yield own("memory", _relaxed(m, v, tau / s.omega))
+    for f in _flexible(m, m.a2 / (s.w2 * s.omega), s):
+        yield own("flexible", f)
+    for f in _bumps(m, s):
+        yield own("time", f)
+
+
+def _release(m: Motion, s: Scale) -> Iterator[Shape]:
+    n = m.th1.shape[0]
+    reach = (m.k1t * m.theta0)[:, None]
+    angle = m.theta0 / s.theta0
+    coupled = m.group.coupled
+    nothing = np.zeros((n, 4))
+
+    def begun(index: int, size: Array) -> Array:
+        out = nothing.copy()
+        out[:, index] = size
+        return out
+
+    one = np.ones(n)
+    for size in (angle, one):
+        yield Shape("", "offset2", start=begun(1, s.theta0 * size if coupled else 0.0 * size))
+        yield Shape("", "speed", start=begun(2, s.w1 * size))
+        yield Shape("", "speed2", start=begun(3, s.w1 * size if coupled else 0.0 * size))
+        yield Shape("", "start", start=begun(0, s.theta0 * size))
+    # The holder lets go late: a torque towards the start that dies out within a time.
+    step = float(np.median(np.diff(m.grid)))
+    for steps in (0.4, 1.0, 2.0, 4.0, 8.0):
+        held = np.maximum(0.0, 1.0 - m.since / (steps * step)) * reach / s.torque
+        yield Shape("", "hold", held)
+    for steps in (2.0, 8.0):
+        held = np.exp(-m.since / (steps * step)) * reach / s.torque
+        yield Shape("", "hold", held)
+        yield Shape("", "hold2", None, held if coupled else 0.0 * held)
+
+
+def _sensor(m: Motion, s: Scale) -> Iterator[Shape]:
+    group = m.group
+    n, channels, size = m.y.shape
+    dt = np.gradient(group.times)
+    released = (m.since[:, m.at] > 0.0).astype(float)
+    th, w = (m.th1[:, m.at], m.th2[:, m.at]), (m.w1[:, m.at], m.w2[:, m.at])
+    t = m.since[:, m.at] / s.duration
+    h = float(np.median(np.diff(group.times)))
+
+    for c in range(len(s.readings)):
+        present = c < channels
+        y = m.y[:, c] / s.readings[c] if present else np.zeros((n, size))
+        slope = np.gradient(y, group.times, axis=1) * released / s.omega
+        other = m.y[:, 1 - c] / s.readings[1 - c] if channels == 2 and present else np.zeros((n, size))
+
+        def column(kind: str, f: Array, c: int = c, present: bool = present) -> Shape:
+            out = np.zeros((n, channels, size))
+            if present:
+                out[:, c] = f * released
+            return Shape("", f"{kind}{'' if c == 0 else ' 2'}", reading=out)
+
+        yield column("gain", y)
+        yield column("delay", slope)
+        for tau in (0.3, 1.0, 3.0, 8.0):
+            yield column("lowpass", _passed(y, tau * h, dt) - y)
+        for tau in (1.0, 3.0, 10.0, 30.0, 100.0):
+            slow = _passed(y, tau / s.omega, dt)
+            yield column("highpass", slow)
+        for tau in (3.0, 30.0):
+            yield column("highpass", _passed(_passed(y, tau / s.omega, dt), tau / s.omega, dt))
+        for limit in (0.2, 0.35, 0.5, 0.65, 0.8, 0.9):
+            yield column("clip", y - np.clip(y, -limit, limit))
+        for f in (y**2, y**3, y * np.abs(y), np.abs(y), np.tanh(y / 0.05)):
+            yield column("nonlinear", f)
+        for f in (other, np.gradient(other, group.times, axis=1) / s.omega):
+            yield column("cross 2", f)
+        for f in (np.ones((n, size)), t, t * t, np.exp(-5.0 * t)):
+            yield column("offset", f)
+        for f in (y * t, y * t * t, slope * t):
+            yield column("drift", f)
+        for f in (th[c] / s.th1, w[c] / s.w1, (w[c] / s.w1) ** 2, (th[c] / s.th1) ** 2):
+            yield column("tilt", f)
+        for f in _shaken(y, h, s.omega):
+            yield column("mount", f)
+        for hertz in HUM:
+            for wave in (np.sin, np.cos):
+                yield column("hum", np.broadcast_to(wave(2.0 * np.pi * hertz * group.times), (n, size)))
+    both = np.gradient(m.y, group.times, axis=2) * t[:, None] * released[:, None] / s.omega / s.readings[0]
+    yield Shape("", "clock", reading=both)
+
+
+def _passed(y: Array, tau: float, dt: Array) -> Array:
+    """First-order low-pass of y (trials, n), from rest at 0."""
+    keep = math.exp(-float(np.median(dt)) / tau)
+    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], y, axis=-1))
+
+
+def _shaken(y: Array, h: float, omega: float) -> Iterator[Array]:
+    """A sensor on an elastic mount: resonances driven by the reading."""
+    for factor in (2.0, 4.0, 8.0, 16.0):
+        if factor * omega * h < 0.7 * math.pi:
+            pole = np.exp((-0.05 + 1j) * factor * omega * h)
+            state = lfilter([factor * omega * h], [1.0, -pole], y, axis=-1)
+            yield state.imag
+            yield state.real
+
+
+_BUILDERS: dict[str, Callable[[Motion, Scale], Iterator[Shape]]] = {
+    "ground1": _ground1, "bearings": _bearings, "interface": _interface, "ground2": _ground2, "release": _release,
+    "sensor": _sensor,
+}  # fmt: skip
+assert tuple(_BUILDERS) == SITES

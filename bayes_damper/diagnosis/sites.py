@@ -1,0 +1,333 @@
+"""Where a gap lies, without any library: one evidence per physical site, and the torque that is missing there.
+
+Along the motion of a fit, the rig's response to generic torques of each site (shapes.py) is computed by linearised
+dynamics (response.py), everything that parameters and nuisances can do is taken out, and what is left of the residuals
+is explained by a Gaussian prior on the coefficients: within one group of shapes, over all shapes of the site, or by a
+few shapes only. The evidence of a site is the mean over these hypotheses, so a site with many shapes pays for them.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaln, logsumexp
+
+from bayes_damper.calibration import Calibration
+from bayes_damper.diagnosis.response import Motion, Projected, motions, project, whiten
+from bayes_damper.diagnosis.shapes import Shape, scale_of_motions, shapes_of
+from bayes_damper.effects.base import SITES
+
+Array = NDArray[np.float64]
+
+STRENGTHS = np.geomspace(1.0, 3e4, 19)  # of a column's response, in noise standard deviations
+MOST_SHAPES = 6  # in a sparse hypothesis
+USABLE = 1e-3  # a column of which parameters leave less than this share of its length is not used
+PRIOR_NONE = 0.4
+TEMPERING = 0.04  # share of the best evidence by which surrogates may be wrong
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """One way to explain residuals at one site: columns, strength of their prior, evidence in nats over none."""
+
+    site: str
+    group: str
+    columns: NDArray[np.int64]
+    strength: float
+    log_evidence: float
+
+
+@dataclass(frozen=True, eq=False)
+class MissingTorque:
+    """Torque that the model lacks on one trial, from the release on, with standard deviations.
+
+    times (n,) s; torque, sd (2, n) N m on each inertia; th1 ... (n,) the motion, rad and rad/s.
+    """
+
+    trial: int
+    times: Array
+    torque: Array
+    sd: Array
+    th1: Array
+    w1: Array
+    th2: Array
+    w2: Array
+
+    @property
+    def phi(self) -> Array:
+        """Relative angle, rad."""
+        return self.th1 - self.th2
+
+    @property
+    def slip(self) -> Array:
+        """Relative velocity, rad/s."""
+        return self.w1 - self.w2
+
+
+@dataclass(frozen=True, eq=False)
+class SiteMap:
+    """Evidence of each site over no gap (nats), probabilities (with "none", sum 1), the leading hypothesis of each site,
+    and the missing torque at the best site (none for a sensor: there the torque is not what is wrong)."""
+
+    log_evidence: Mapping[str, float]
+    probabilities: Mapping[str, float]
+    leaders: Mapping[str, Hypothesis]
+    torque: tuple[MissingTorque, ...]
+    fit: Calibration
+
+    @property
+    def best(self) -> str:
+        """The most probable site, "none" left out."""
+        return max(self.log_evidence, key=lambda s: self.log_evidence[s])
+
+    @property
+    def strength(self) -> float:
+        """Evidence of the best site, nats."""
+        return self.log_evidence[self.best]
+
+    def credible_set(self, share: float = 0.9) -> list[str]:
+        """The smallest set of sites that holds at least `share` of the probability of a gap."""
+        gap = {s: p for s, p in self.probabilities.items() if s != "none"}
+        total, out = 0.0, []
+        for site, p in sorted(gap.items(), key=lambda item: -item[1]):
+            out.append(site)
+            total += p
+            if total >= share * sum(gap.values()) - 1e-12:
+                break
+        return out
+
+    def curve(self, bins: int = 25) -> dict[str, Any]:
+        """Missing torque against the coordinates of the best site, averaged in bins.
+
+        Gives for each coordinate its bin centres, mean torque, band (sd of the mean within the bin, posterior
+        included) and the number of instants; names: "th1", "w1" / "phi", "slip" / "th2", "w2".
+        """
+        names = {"interface": ("phi", "slip"), "ground2": ("th2", "w2")}.get(self.best, ("th1", "w1"))
+        inertia = 1 if self.best in ("interface", "ground2") else 0
+        out: dict[str, Any] = {}
+        used = [m for m in self.torque if inertia == 0 or np.any(m.th2)]
+        for name in names:
+            if not used:
+                break
+            x = np.concatenate([getattr(m, name) for m in used])
+            y = np.concatenate([m.torque[inertia] for m in used])
+            sd = np.concatenate([m.sd[inertia] for m in used])
+            edges = np.linspace(x.min(), x.max() + 1e-300, bins + 1)
+            which = np.clip(np.digitize(x, edges) - 1, 0, bins - 1)
+            count = np.bincount(which, minlength=bins)
+            some = np.maximum(count, 1)
+            mean = np.bincount(which, y, bins) / some
+            spread = np.bincount(which, sd**2, bins) / some
+            keep = count > 0
+            out[name] = {
+                "centre": (0.5 * (edges[1:] + edges[:-1]))[keep].tolist(), "torque_n_m": mean[keep].tolist(),
+                "sd_n_m": np.sqrt(spread)[keep].tolist(), "count": count[keep].tolist(),
+            }  # fmt: skip
+        return out
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers for diagnosis.json."""
+        return {
+            "sites": {s: float(p) for s, p in self.probabilities.items()},
+            "log_evidence": {s: float(v) for s, v in self.log_evidence.items()},
+            "credible_set": self.credible_set(),
+            "shape": {s: h.group for s, h in self.leaders.items()},
+        }
+
+
+def site_map(fit: Calibration, *, torque: bool = True, prior_none: float = PRIOR_NONE) -> SiteMap:
+    """Evidence and probability of every site that the rig has, from what a fit leaves; 1 to 3 s a campaign.
+
+    torque : also estimate the missing torque at the best site; prior_none : prior probability of no gap.
+    """
+    moved = motions(fit)
+    scale = scale_of_motions(moved)
+    coupled = any(m.group.coupled for m in moved)
+    shapes = [list(shapes_of(m, scale, coupled)) for m in moved]
+    columns = [_columns(fit, m, s) for m, s in zip(moved, shapes, strict=True)]
+    judged = project(fit, columns)
+    labels = [(s.site, s.group) for s in shapes[0]]
+    hypotheses = hypotheses_of(judged, labels)
+    evidence, leaders = _per_site(hypotheses)
+    probabilities = probabilities_of(evidence, prior_none)
+    best = max(evidence, key=lambda s: evidence[s])
+    missing: tuple[MissingTorque, ...] = ()
+    if torque and best != "sensor":
+        missing = _torque(moved, shapes, judged, leaders[best])
+    return SiteMap(evidence, probabilities, leaders, missing, fit)
+
+
+def _columns(fit: Calibration, motion: Motion, shapes: Sequence[Shape], most: int = 64) -> Array:
+    """Whitened responses (trials, k, data) to the shapes."""
+    n = motion.th1.shape[0]
+    zero = np.zeros_like(motion.th1)
+    out: list[Array | None] = [None] * len(shapes)
+    torques = [k for k, s in enumerate(shapes) if s.reading is None]
+    for first in range(0, len(torques), most):
+        chunk = torques[first : first + most]
+        q1 = np.stack([zero if shapes[k].q1 is None else shapes[k].q1 for k in chunk], axis=1)
+        q2 = np.stack([zero if shapes[k].q2 is None else shapes[k].q2 for k in chunk], axis=1)
+        start = np.stack([np.zeros((n, 4)) if shapes[k].start is None else shapes[k].start for k in chunk], axis=1)
+        y = whiten(fit, motion.group, motion.respond(q1, q2, start))
+        for place, k in enumerate(chunk):
+            out[k] = y[:, place]
+    readings = [k for k, s in enumerate(shapes) if s.reading is not None]
+    if readings:
+        y = whiten(fit, motion.group, np.stack([shapes[k].reading for k in readings], axis=1))
+        for place, k in enumerate(readings):
+            out[k] = y[:, place]
+    return np.stack(out, axis=1)  # type: ignore[arg-type]
+
+
+# Evidence ----------------------------------------------------------------------------------------------------------------
+
+
+def hypotheses_of(judged: Projected, labels: Sequence[tuple[str, str]]) -> list[Hypothesis]:
+    """All hypotheses of all sites. Each group, the whole site, and the best few shapes of it."""
+    left = np.diag(judged.gram)
+    usable = left > np.maximum(USABLE**2 * judged.raw, 1e-12)
+    size = np.sqrt(np.where(usable, left, 1.0))
+    gram = judged.gram / size[:, None] / size[None, :]
+    product = judged.product / size
+    out = []
+    for site in dict.fromkeys(s for s, _ in labels):
+        members = np.array([k for k, (s, _) in enumerate(labels) if s == site and usable[k]], dtype=np.int64)
+        if members.size == 0:
+            continue
+        groups = list(dict.fromkeys(labels[k][1] for k in members))
+        prior = -math.log(2.0 * len(groups))
+        for group in groups:
+            which = np.array([k for k in members if labels[k][1] == group], dtype=np.int64)
+            value, strength = dense_evidence(gram[np.ix_(which, which)], product[which])
+            out.append(Hypothesis(site, group, which, strength, value + prior))
+        value, strength = dense_evidence(gram[np.ix_(members, members)], product[members])
+        out.append(Hypothesis(site, "all", members, strength, value - math.log(4.0)))
+        out += _sparse(gram, product, members, site)
+    return out
+
+
+def dense_evidence(gram: Array, product: Array) -> tuple[float, float]:
+    """log evidence over none of Gaussian coefficients, mean over the prior's strengths; and the best strength."""
+    values, vectors = np.linalg.eigh(gram)
+    values = np.maximum(values, 0.0)
+    along = (vectors.T @ product) ** 2
+    s2 = STRENGTHS[:, None] ** 2
+    nats = 0.5 * np.sum(along / (1.0 / s2 + values), axis=1) - 0.5 * np.sum(np.log1p(s2 * values), axis=1)
+    return float(logsumexp(nats) - math.log(nats.size)), float(STRENGTHS[int(np.argmax(nats))])
+
+
+def _sparse(gram: Array, product: Array, members: NDArray[np.int64], site: str) -> list[Hypothesis]:
+    """Few shapes, added greedily; the choice among all subsets of that size is paid for."""
+    chosen: list[int] = []
+    out = []
+    rest = list(members)
+    for count in range(1, min(MOST_SHAPES, members.size) + 1):
+        if chosen:
+            inner = gram[np.ix_(chosen, chosen)] + 1e-9 * np.eye(len(chosen))
+            across = gram[np.ix_(chosen, rest)]
+            solved = np.linalg.solve(inner, np.column_stack([across, product[chosen]]))
+            length = np.diag(gram)[rest] - np.einsum("ij,ij->j", across, solved[:, :-1])
+            along = product[rest] - across.T @ solved[:, -1]
+        else:
+            length, along = np.diag(gram)[rest], product[rest]
+        gain = np.where(length > 1e-6, along**2 / np.maximum(length, 1e-6), 0.0)
+        best = int(np.argmax(gain))
+        chosen.append(int(rest.pop(best)))
+        value, strength = dense_evidence(gram[np.ix_(chosen, chosen)], product[chosen])
+        total = members.size
+        subsets = gammaln(total + 1) - gammaln(count + 1) - gammaln(total - count + 1)
+        penalty = float(subsets) + math.log(4.0 * MOST_SHAPES)
+        out.append(Hypothesis(site, "few", np.array(chosen, dtype=np.int64), strength, value - penalty))
+    return out
+
+
+def _per_site(hypotheses: Sequence[Hypothesis]) -> tuple[dict[str, float], dict[str, Hypothesis]]:
+    evidence: dict[str, float] = {}
+    leaders: dict[str, Hypothesis] = {}
+    for site in SITES:
+        own = [h for h in hypotheses if h.site == site]
+        if own:
+            evidence[site] = float(logsumexp([h.log_evidence for h in own]))
+            leaders[site] = max(own, key=lambda h: h.log_evidence)
+    return evidence, leaders
+
+
+def probabilities_of(evidence: Mapping[str, float], prior_none: float = PRIOR_NONE) -> dict[str, float]:
+    """Probabilities of the sites and "none".
+
+    Surrogates are linear and their shapes approximate, so differences between sites count less the larger the gap is;
+    against "none" they count in full.
+    """
+    best = max(evidence.values(), default=0.0)
+    temperature = 1.0 + TEMPERING * max(best, 0.0)
+    logs = {s: max((v - best) / temperature, -700.0) for s, v in evidence.items()}
+    norm = float(logsumexp(list(logs.values())))
+    log_gap = math.log(1.0 - prior_none) + best + norm - math.log(len(logs))
+    log_none = math.log(prior_none)
+    total = float(np.logaddexp(log_gap, log_none))
+    gap = math.exp(log_gap - total)
+    out = {site: gap * math.exp(logs[site] - norm) if site in logs else 0.0 for site in SITES}
+    return out | {"none": math.exp(log_none - total)}
+
+
+# Missing torque ------------------------------------------------------------------------------------------------------------
+
+
+def _torque(
+    moved: Sequence[Motion], shapes: Sequence[Sequence[Shape]], judged: Projected, hypothesis: Hypothesis
+) -> tuple[MissingTorque, ...]:
+    """Posterior mean and standard deviation of the torque under the leading hypothesis of a site."""
+    which = hypothesis.columns
+    size = np.sqrt(np.diag(judged.gram)[which])
+    gram = judged.gram[np.ix_(which, which)] / size[:, None] / size[None, :]
+    precision = gram + np.eye(which.size) / hypothesis.strength**2
+    covariance = np.linalg.inv(precision)
+    mean = covariance @ (judged.product[which] / size)
+    root = np.linalg.cholesky(0.5 * (covariance + covariance.T) + 1e-15 * np.eye(which.size))
+    out = []
+    for m, own in zip(moved, shapes, strict=True):
+        zero = np.zeros_like(m.th1)
+        for k, trial in enumerate(m.group.trials):
+            torque, sd = np.zeros((2, m.grid.size)), np.zeros((2, m.grid.size))
+            for inertia in (0, 1):
+                features = np.array([
+                    (zero if q is None else q)[k]
+                    for q in ((own[c].q1 if inertia == 0 else own[c].q2) for c in which)
+                ]) / size[:, None]  # fmt: skip
+                torque[inertia] = mean @ features
+                sd[inertia] = np.sqrt(np.sum((root.T @ features) ** 2, axis=0))
+            at = m.at
+            out.append(
+                MissingTorque(
+                    trial, m.group.times, torque[:, at], sd[:, at], m.th1[k, at], m.w1[k, at], m.th2[k, at], m.w2[k, at]
+                )
+            )
+    return tuple(sorted(out, key=lambda o: o.trial))
+
+
+def write_missing_torque(path: str | Path, found: SiteMap) -> None:
+    """The missing torque of every fitted trial as CSV, one row a sample; a header alone if the best site has none."""
+    trials = found.fit.problem.experiment.trials
+    names = (
+        "case", "configuration", "trial", "time_s", "torque1_n_m", "torque1_sd_n_m", "torque2_n_m", "torque2_sd_n_m",
+        "theta1_rad", "omega1_rad_s", "theta2_rad", "omega2_rad_s",
+    )  # fmt: skip
+    with Path(path).open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(names)
+        for m in found.torque:
+            t = trials[m.trial]
+            head = (t.case, "coupled" if t.coupled else "uncoupled", t.number)
+            for i in range(m.times.size):
+                numbers = (
+                    m.times[i], m.torque[0, i], m.sd[0, i], m.torque[1, i], m.sd[1, i], m.th1[i], m.w1[i], m.th2[i],
+                    m.w2[i],
+                )  # fmt: skip
+                writer.writerow((*head, *(f"{x:.9g}" for x in numbers)))
