@@ -140,9 +140,9 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
     drive = 0.0
     torques = np.zeros(n + 3)
     if DRIVEN:
-        for i in range(n):
-            torques[i] = torque[i]
-            drive = max(drive, abs(torque[i]))
+        for i in range(n + 3):
+            torques[i] = torque[min(i, n - 1)]
+            drive = max(drive, abs(torques[i]))
     for lane in range(width):
         for row in range(20):
             block[row, lane] = parameters[row, lane]

@@ -88,7 +88,7 @@ def test_faulty_calls_are_refused():
 @pytest.mark.parametrize("delay", [0.0103, 0.010, -0.0041, 0.00037])
 def test_a_delay_shifts_the_record_and_the_rig_is_held_before(delay):
     y = Model().simulate(reference.BASE | {"delay": delay}, TIMES).y[0]
-    after = TIMES >= delay
+    after = delay <= TIMES
     shifted = reference.solve(
         {}, np.concatenate([[0.0], TIMES[after] - delay]) if delay not in (0.0, 0.010) else TIMES[after] - delay
     )[0]
