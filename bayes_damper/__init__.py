@@ -1,1 +1,62 @@
-"""bayes_damper: calibrate a magnetically coupled mass damper and find out why the model and the rig differ."""
+"""bayes_damper: calibrate a magnetically coupled mass damper and find out why the model and the rig differ.
+
+The public names are loaded when they are first used, so that importing the package is quick and writes nothing.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from bayes_damper.campaign import load_campaign as load_campaign
+    from bayes_damper.check import check as check
+    from bayes_damper.fit import fit as fit
+    from bayes_damper.importer import import_records as import_records
+    from bayes_damper.importer import init_campaign as init_campaign
+    from bayes_damper.model import Model as Model
+    from bayes_damper.published import load_published as load_published
+    from bayes_damper.simulate import simulate_record as simulate_record
+    from bayes_damper.tuning import tune as tune
+
+_PLACES = {
+    "Model": "model",
+    "check": "check",
+    "fit": "fit",
+    "import_records": "importer",
+    "init_campaign": "importer",
+    "load_campaign": "campaign",
+    "load_published": "published",
+    "simulate_record": "simulate",
+    "tune": "tuning",
+}
+
+__all__ = [
+    "Model", "check", "fit", "import_records", "init_campaign", "load_campaign", "load_published", "simulate_record",
+    "tune",
+]  # fmt: skip
+
+
+class _Package(ModuleType):
+    """A module in which a public function is not hidden by the submodule of the same name when that is imported."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not (name in _PLACES and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_PLACES})
+
+
+sys.modules[__name__].__class__ = _Package
