@@ -1,0 +1,394 @@
+"""Is there a gap, how large is it, and how much of it does an answer close: on trials that no fit has used.
+
+The test. Training trials predict what the model leaves on a held-out trial: the mean residual of its repeats, and the
+generic shapes of the site map or the records of a rival model. None of them has seen the held-out noise, so without a
+gap the product of such a prediction with the held-out residuals, both cleared of everything that parameters and the
+trial's own nuisances can do, is a standard Gaussian once divided by the prediction's length: a test of exact size,
+whatever was tried on the training trials. Chi-square alone would have to know the noise to a fraction of a per cent.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from bayes_damper.calibration import Calibration, Group, Problem, Switches, calibrate, predict
+
+Array = NDArray[np.float64]
+
+SIZE = 0.05
+NEGLIGIBLE = 0.25  # of the noise sd: a gap below it adds 3 % to the residuals
+KEPT_WEIGHT = 0.5  # readings that a fit trusts less (release, friction reversals) are left out of sums of squares
+DRAWS = 2000
+_SLOW = 80.0  # Hz: torques on inertias show below
+
+
+@dataclass(frozen=True)
+class Closed:
+    """Share of the reducible gap that an answer closes, over held-out trials.
+
+    median and hdi90 of the bootstrap over trials; method: "held-out" (X0 - X1) / (X0 - floor), or "model difference"
+    (X0 - X1) / sum (A1 - A0)^2 where the gap is too small against the noise of its own sum of squares.
+    """
+
+    median: float
+    hdi90: tuple[float, float]
+    method: Literal["held-out", "model difference", "none"]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers."""
+        return {"median": self.median, "hdi90": list(self.hdi90), "method": self.method}
+
+
+@dataclass(frozen=True)
+class Gap:
+    """The gap on held-out trials. rms in the unit of the readings; closed and augmented_rms None without an answer.
+
+    upper_rms: 95 % upper limit of the gap's rms, in units of the noise sd. why: one sentence.
+    """
+
+    answer: Literal["none", "gap", "cannot tell"]
+    p_value: float
+    size: float
+    noise_rms: float
+    nominal_rms: float
+    augmented_rms: float | None
+    closed: Closed | None
+    upper_rms: float
+    why: str
+
+    def to_json(self) -> dict[str, Any]:
+        """The `gap` entry of diagnosis.json."""
+        return {
+            "answer": self.answer, "p_value": self.p_value, "size": self.size, "noise_rms": self.noise_rms,
+            "nominal_rms": self.nominal_rms, "augmented_rms": self.augmented_rms,
+            "closed": None if self.closed is None else self.closed.to_json(),
+            "upper_rms_over_noise": self.upper_rms if math.isfinite(self.upper_rms) else None, "why": self.why,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Shift:
+    """A parameter before and after an effect was added; sigmas: the move in standard deviations of the value after."""
+
+    name: str
+    before: tuple[float, float]
+    after: tuple[float, float]
+    sigmas: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers."""
+        return {
+            "before": {"value": self.before[0], "sd": self.before[1]},
+            "after": {"value": self.after[0], "sd": self.after[1]}, "shift_sigmas": self.sigmas,
+        }  # fmt: skip
+
+
+def measure_gap(
+    nominal: Calibration,
+    winner: Calibration | None = None,
+    *,
+    shapes: Mapping[int, Array] | None = None,
+    size: float = SIZE,
+    rng: np.random.Generator | None = None,
+) -> Gap:
+    """The gap of the nominal model on held-out trials, and what is left of it under the winner.
+
+    shapes : what the training trials say is missing, held-out trial -> (channels, n), e.g. from `predicted_gap`;
+    further predictions come from the repeats and from the winner. `rng` draws the bootstrap (default: seed 0).
+    """
+    experiment = nominal.problem.experiment
+    heldout = experiment.heldout
+    noise = nominal.problem.noise.total
+    if not heldout:
+        rms = _rms(nominal.residuals(), nominal.problem, nominal.problem.trials)
+        floor = _floor_rms(nominal.problem, nominal.problem.trials)
+        return Gap(
+            "cannot tell", 1.0, size, floor, rms, None, None, math.inf,
+            "no trial is held out: every case has a single trial; repeat at least one",
+        )  # fmt: skip
+    before = predict(nominal, heldout)
+    after = None if winner is None else predict(winner, heldout)
+    predictions: list[dict[int, Array]] = []
+    if winner is not None and after is not None:
+        predictions.append({i: after[i].model - before[i].model for i in heldout})
+    if shapes:
+        predictions.append(dict(shapes))
+    predictions.append(repeats_say(nominal))
+    p_value = held_out_test(nominal, {i: before[i].eta for i in heldout}, predictions)
+    masks = _masks(nominal.problem, heldout)
+    x0 = _squares({i: before[i].residual for i in heldout}, masks, noise)
+    count = np.array([sum(m.sum() for m in masks[i]) for i in heldout], float)
+    upper = _upper_limit(float(x0.sum()), float(count.sum()))
+    nominal_rms = _rms({i: before[i].residual for i in heldout}, nominal.problem, heldout)
+    augmented = None if after is None else _rms({i: after[i].residual for i in heldout}, nominal.problem, heldout)
+    closed = None
+    if after is not None:
+        x1 = _squares({i: after[i].residual for i in heldout}, masks, noise)
+        d = _squares({i: after[i].model - before[i].model for i in heldout}, masks, noise)
+        closed = share_closed(x0, x1, d, count, rng)
+    answer: Literal["none", "gap", "cannot tell"]
+    if p_value < size:
+        answer, why = "gap", f"held-out residuals follow what the training trials predict (p = {p_value:.2g})"
+    elif upper < NEGLIGIBLE:
+        answer, why = "none", f"no sign of a gap, and one above {upper:.2f} of the noise is excluded"
+    else:
+        answer, why = "cannot tell", f"no sign of a gap, but one of {upper:.2f} of the noise would not show: more trials"
+    return Gap(
+        answer, p_value, size, _floor_rms(nominal.problem, heldout), nominal_rms, augmented, closed, upper, why
+    )
+
+
+# The test ----------------------------------------------------------------------------------------------------------------
+
+
+def repeats_say(fit: Calibration) -> dict[int, Array]:
+    """Mean residual of the training repeats of each held-out trial, its fast content removed; trial -> (channels, n)."""
+    experiment = fit.problem.experiment
+    residuals = fit.residuals()
+    out = {}
+    for i in experiment.heldout:
+        t = experiment.trials[i]
+        same = [
+            j
+            for j in fit.problem.trials
+            if (experiment.trials[j].case, experiment.trials[j].coupled) == (t.case, t.coupled)
+            and experiment.trials[j].theta0 == t.theta0
+            and np.array_equal(experiment.trials[j].times, t.times)
+        ]
+        if same:
+            mean = np.mean([np.nan_to_num(residuals[j]) for j in same], axis=0)
+            dt = float(np.median(np.diff(t.times)))
+            spectrum = np.fft.rfft(mean, axis=1)
+            spectrum[:, np.fft.rfftfreq(mean.shape[1], dt) > _SLOW] = 0.0
+            out[i] = np.fft.irfft(spectrum, mean.shape[1], axis=1)
+    return out
+
+
+def held_out_test(
+    fit: Calibration, eta: Mapping[int, Array], predictions: Sequence[Mapping[int, Array]]
+) -> float:
+    """p-value of "no gap": the smallest over the predictions, multiplied by their number.
+
+    eta : nuisances fitted to each held-out trial; predictions : held-out trial -> (channels, n) of what the model
+    lacks, made without those trials.
+    """
+    if not predictions:
+        return 1.0
+    problem = fit.problem
+    own = Problem(
+        problem.experiment, problem.effect, nominal=problem.nominal, noise=problem.noise, switches=problem.switches,
+        threads=problem.threads, tolerance=problem.tolerance, trials=tuple(eta),
+    )  # fmt: skip
+    columns = [problem.names.index(n) for n in own.names]
+    linear = own.linearise(fit.q[columns], eta)
+    rows, nuisances = [], []
+    residual: list[Array] = []
+    ranges: dict[int, tuple[Group, slice]] = {}
+    first = 0
+    for block in linear.blocks:
+        for k, i in enumerate(block.group.trials):
+            d = block.r.shape[1]
+            rows.append(block.J[k].T)
+            nuisances.append(block.T[k].T)
+            residual.append(-block.r[k])
+            ranges[i] = (block.group, slice(first, first + d))
+            first += d
+    J, r = np.concatenate(rows), np.concatenate(residual)
+    place = {i: k for k, i in enumerate(ranges)}
+
+    def cleared(x: Array) -> Array:
+        """x without what each trial's nuisances can do."""
+        out = x.copy()
+        for i, (_, s) in ranges.items():
+            T = nuisances[place[i]]
+            if T.shape[1]:
+                q, _ = np.linalg.qr(T)
+                out[s] -= q @ (q.T @ out[s])
+        return out
+
+    basis, s, _ = np.linalg.svd(cleared(J), full_matrices=False)
+    basis = basis[:, s > 1e-9 * max(float(s[0]), 1e-300)]
+    p_values = []
+    for prediction in predictions:
+        x = np.zeros(first)
+        for i, shape in prediction.items():
+            if i in ranges:
+                group, where = ranges[i]
+                k = group.trials.index(i)
+                x[where] = problem.whitened(np.nan_to_num(shape)[None], group.weight[k][None])[0]
+        x = cleared(x)
+        x -= basis @ (basis.T @ x)
+        length = float(np.linalg.norm(x))
+        p_values.append(float(ndtr(-(x @ r) / length)) if length > 1e-12 else 1.0)
+    return min(1.0, len(p_values) * min(p_values))
+
+
+# Sizes -------------------------------------------------------------------------------------------------------------------
+
+
+def _masks(problem: Problem, trials: Sequence[int]) -> dict[int, NDArray[np.bool_]]:
+    return {
+        i: group.weight[k] > KEPT_WEIGHT for group in problem.grouped(tuple(trials)) for k, i in enumerate(group.trials)
+    }
+
+
+def _squares(residuals: Mapping[int, Array], masks: Mapping[int, Array], noise: Sequence[float]) -> Array:
+    """Sum of squared residuals of each trial, over the noise variance of its channel; (trials,)."""
+    sds = np.array(noise)
+    return np.array([
+        float(np.sum((np.where(masks[i], np.nan_to_num(r), 0.0) / sds[: r.shape[0], None]) ** 2))
+        for i, r in residuals.items()
+    ])  # fmt: skip
+
+
+def _rms(residuals: Mapping[int, Array], problem: Problem, trials: Sequence[int]) -> float:
+    masks = _masks(problem, trials)
+    total = sum(float(np.sum(np.nan_to_num(residuals[i])[masks[i]] ** 2)) for i in trials)
+    count = sum(int(masks[i].sum()) for i in trials)
+    return math.sqrt(total / max(count, 1))
+
+
+def _floor_rms(problem: Problem, trials: Sequence[int]) -> float:
+    masks = _masks(problem, trials)
+    sds = problem.noise.total
+    total = sum(float(m.sum()) * sds[c] ** 2 for i in trials for c, m in enumerate(masks[i]))
+    count = sum(int(masks[i].sum()) for i in trials)
+    return math.sqrt(total / max(count, 1))
+
+
+def _upper_limit(x: float, n: float, known: float = 0.01) -> float:
+    """95 % upper limit of a gap's rms over the noise sd, from a chi-square x of n readings; noise variance to `known`."""
+    if n <= 0.0:
+        return math.inf
+    sd = math.sqrt(2.0 * n + (known * n) ** 2)
+    return math.sqrt(max(x - n, 0.0) / n + 1.645 * sd / n)
+
+
+def share_closed(
+    x0: Array, x1: Array, difference: Array, count: Array, rng: np.random.Generator | None = None
+) -> Closed:
+    """Share closed with its interval over trials.
+
+    x0, x1 (trials,): sums of squares before and after, over the noise variance; difference (trials,): of the two
+    models; count (trials,): readings.
+    """
+    rng = np.random.default_rng(0) if rng is None else rng
+    gained, reducible = x0 - x1, x0 - count
+    noise = math.sqrt(2.0 * float(count.sum()))
+    if float(difference.sum()) < 1e-9:
+        return Closed(0.0, (0.0, 0.0), "none")
+    method: Literal["held-out", "model difference"]
+    if float(reducible.sum()) > 6.0 * noise:
+        method, below = "held-out", reducible
+    else:
+        method, below = "model difference", difference
+    n = x0.size
+    if n >= 3:
+        pick = rng.integers(0, n, (DRAWS, n))
+        above_draws, below_draws = gained[pick].sum(axis=1), below[pick].sum(axis=1)
+    else:
+        spread = 2.0 * math.sqrt(float(difference.sum()))
+        above_draws = gained.sum() + spread * rng.standard_normal(DRAWS)
+        wide = noise if method == "held-out" else 0.0
+        below_draws = below.sum() + wide * rng.standard_normal(DRAWS)
+    usable = below_draws > 0.05 * float(below.sum())
+    draws = np.sort(above_draws[usable] / below_draws[usable])
+    if draws.size < 20:
+        value = float(gained.sum() / below.sum())
+        return Closed(value, (-math.inf, math.inf), method)
+    return Closed(float(np.median(draws)), shortest_interval(draws), method)
+
+
+def shortest_interval(draws: Array, share: float = 0.9) -> tuple[float, float]:
+    """The shortest interval that holds `share` of sorted draws."""
+    inside = max(1, math.ceil(share * draws.size) - 1)
+    widths = draws[inside:] - draws[: draws.size - inside]
+    k = int(np.argmin(widths))
+    return float(draws[k]), float(draws[k + inside])
+
+
+# Parameters and extrapolation ------------------------------------------------------------------------------------------------
+
+
+def shifts(nominal: Calibration, winner: Calibration) -> list[Shift]:
+    """What the missing effect had pretended: every shared parameter before and after."""
+    before, after = nominal.parameters, winner.parameters
+    out = []
+    for name, (x0, sd0) in before.items():
+        if name in after:
+            x1, sd1 = after[name]
+            out.append(Shift(name, (x0, sd0), (x1, sd1), (x1 - x0) / sd1 if sd1 > 0.0 else 0.0))
+    return out
+
+
+@dataclass(frozen=True)
+class Extrapolation:
+    """A case predicted by fits that never saw it."""
+
+    case: str
+    nominal_rms: float
+    augmented_rms: float
+    noise_rms: float
+    closed: Closed
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers."""
+        return {
+            "case": self.case, "nominal_rms": self.nominal_rms, "augmented_rms": self.augmented_rms,
+            "noise_rms": self.noise_rms, "closed": self.closed.to_json(),
+        }  # fmt: skip
+
+
+def left_out_case(
+    nominal: Calibration, winner: Calibration, case: str, rng: np.random.Generator | None = None
+) -> Extrapolation:
+    """Both models refitted without one case, which they then predict.
+
+    Raises
+    ------
+    ValueError
+        if the case does not exist, or no training trial remains without it.
+    """
+    experiment = nominal.problem.experiment
+    out = [i for i, t in enumerate(experiment.trials) if t.case == case]
+    rest = tuple(i for i in nominal.problem.trials if experiment.trials[i].case != case)
+    if not out:
+        raise ValueError(f"no trial belongs to case {case!r}; cases are {sorted({t.case for t in experiment.trials})}")
+    if not rest:
+        raise ValueError(f"without case {case!r} no training trial remains; leave-out needs two cases")
+    predictions = []
+    for fit in (nominal, winner):
+        problem = fit.problem
+        fewer = Problem(
+            experiment, problem.effect, nominal=problem.nominal, noise=problem.noise,
+            switches=Switches(problem.switches.delay, problem.switches.friction), threads=problem.threads,
+            tolerance=problem.tolerance, trials=rest,
+        )  # fmt: skip
+        keep = [problem.names.index(n) for n in fewer.names]
+        again = calibrate(fewer, [fit.q[keep]], eta={i: fit.eta[i] for i in rest}, anneal=False, finish=False)
+        q = np.zeros(problem.size)  # what only the left-out case could tell keeps its prior
+        q[keep] = again.q
+        widened = Calibration(
+            problem, q, again.eta, fit.covariance, again.cost, again.chi2, again.log_evidence, again.converged, fit.linear,
+            again.iterations,
+        )  # fmt: skip
+        predictions.append(predict(widened, out))
+    before, after = predictions
+    masks = _masks(nominal.problem, out)
+    noise = nominal.problem.noise.total
+    x0 = _squares({i: before[i].residual for i in out}, masks, noise)
+    x1 = _squares({i: after[i].residual for i in out}, masks, noise)
+    d = _squares({i: after[i].model - before[i].model for i in out}, masks, noise)
+    count = np.array([float(masks[i].sum()) for i in out])
+    return Extrapolation(
+        case, _rms({i: before[i].residual for i in out}, nominal.problem, out),
+        _rms({i: after[i].residual for i in out}, nominal.problem, out), _floor_rms(nominal.problem, out),
+        share_closed(x0, x1, d, count, rng),
+    )  # fmt: skip
