@@ -1,3 +1,4 @@
+# ruff: noqa: ARG001  (every hook of an effect has the same arguments, needed or not)
 """Stepping in time: an adaptive Rosenbrock method of order 4 for 16 parameter vectors (lanes) at once.
 
 Method: Kaps & Rentrop (1979) with the coefficients of Shampine (1982, ACM TOMS 8, 93), 4 stages, 3 evaluations of the
@@ -121,7 +122,7 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
     N m on the primary at the sample times; weights (LANES,) factor on the error tolerance; memory_weights (2,);
     read (3,) selects acceleration, velocity or displacement by a one among zeros; out (LANES, 2, n + 1) receives the
     readings (the last column is for what nobody reads), final (LANES,) a sum over the last state, which is finite if
-    all of the record is, status (LANES,).
+    all of the record is, status (LANES,). Returns the number of steps that the slowest lane attempted.
     """
     # One array, so that LLVM sees that rows do not overlap; a width that it cannot know, so that it vectorises the
     # loop over lanes instead of unrolling it.
@@ -163,7 +164,8 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
         speed = max(angle * omega, abs(block[W10, lane]), abs(block[W20, lane])) + 1e-9
         block[EPS_W, lane] = 1e-8 * speed
         block[EPS_TH, lane] = 1e-8 * speed / omega
-        block[PER_SPEED, lane] = 1.0 / (weights[lane] * min(SPEED_TOLERANCE * speed, SWITCH_TOLERANCE / block[NU, lane]))
+        allowed = weights[lane] * min(SPEED_TOLERANCE * speed, SWITCH_TOLERANCE / block[NU, lane])
+        block[PER_SPEED, lane] = 1.0 / allowed
         block[PER_ACC1, lane] = 1.0 / (weights[lane] * ACCELERATION_TOLERANCE * speed * omega * j1)
         block[PER_ACC2, lane] = 1.0 / (weights[lane] * ACCELERATION_TOLERANCE * speed * omega * j2)
         block[TH1, lane] = block[THETA0, lane]
@@ -193,8 +195,10 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             block[RAMP, lane] = (torques[1] - torques[0]) / (clock[1] - clock[0]) if n > 1 else 0.0
 
     live = width
+    passes = 0
     while live > 0:
         live = 0
+        passes += 1
         for lane in range(width):
             j1 = block[J1, lane]
             j2 = block[J2, lane]
@@ -642,6 +646,7 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
         final[lane] = block[TH1, lane] + block[TH2, lane] + block[W1, lane] + block[W2, lane] + block[Y1, lane]
         final[lane] += block[Y2, lane] + block[Z1, lane] + block[Z2, lane]
         status[lane] = STEP_UNDERFLOW if block[GIVEN_UP, lane] > 0.5 else COMPLETED
+    return passes
 
 
 _COUPLES = {"bodies": 0, "interface": 1, "all": 2}
@@ -707,7 +712,7 @@ def _fingerprint(bound: dict[str, Any]) -> str:
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:20]
 
 
-def specialise(bound: dict[str, Any], compile: bool = True) -> Callable[..., None]:
+def specialise(bound: dict[str, Any], compile: bool = True) -> Callable[..., Any]:
     """`advance` bound to these globals: compiled, from numba's on-disk cache when it was compiled before.
 
     With ``compile=False`` the plain Python function, which tests hold the compiled one against.

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayes_damper import integrator
+from bayes_damper.accumulate import Accumulator
 from bayes_damper.damper import ROWS
 from bayes_damper.effects.base import MOST_PARAMETERS, Variant, parameter_table
 from bayes_damper.integrator import LANES
@@ -37,6 +38,14 @@ class Simulation:
     """Readings of n parameter vectors: `y` (n, n_channels, n_times), nan where `outcome` (n,) is not COMPLETED."""
 
     y: Array
+    outcome: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Sums of n parameter vectors: `sums` (n, n_channels, n_sums), nan where `outcome` (n,) is not COMPLETED."""
+
+    sums: Array
     outcome: NDArray[np.int64]
 
 
@@ -114,6 +123,74 @@ class Model:
         ValueError
             if times do not increase, or a name is unknown.
         """
+        rows, extras, grid, drive, lags = self._prepared(parameters, times, effect, torque)
+        if lags is None:
+            return self._run(rows, extras, grid, drive, quantity, tolerance, threads)
+        readings = []
+        for channel, lag in enumerate(lags):
+            late = np.array(np.broadcast_to(rows, (rows.shape[0], max(rows.shape[1], np.size(lag)))))
+            late[ROWS.index("delay")] += lag
+            readings.append((channel, self._run(late, extras, grid, drive, quantity, tolerance, threads)))
+        y = np.stack([simulation.y[:, channel] for channel, simulation in readings], axis=1)
+        return Simulation(y, np.max([simulation.outcome for _, simulation in readings], axis=0))
+
+    def accumulate(
+        self,
+        parameters: Parameters,
+        times: ArrayLike,
+        data: ArrayLike,
+        accumulator: Accumulator,
+        *,
+        directions: ArrayLike | None = None,
+        options: ArrayLike | None = None,
+        effect: Parameters | None = None,
+        torque: ArrayLike | None = None,
+        quantity: Quantity = "acceleration",
+        tolerance: float = 1.0,
+        threads: int = 1,
+    ) -> Sums:
+        """What a likelihood needs of the residuals of n parameter vectors, without ever holding their records.
+
+        Parameters
+        ----------
+        parameters, times, effect, torque, quantity, tolerance, threads : as for `simulate`.
+        data : (n_channels, n_times) measured readings, nan where there is none.
+        accumulator : one of accumulate.py, or your own.
+        directions : (k, n_channels, n_times) series whose products with the residuals are wanted.
+        options : (n or 1, m) numbers of the accumulator for each parameter vector, e.g. degrees of freedom and scales.
+        """
+        observed = np.ascontiguousarray(data, float)
+        rows, extras, grid, drive, lags = self._prepared(parameters, times, effect, torque)
+        if observed.shape != (self.channels, grid.size):
+            raise ValueError(f"data has shape {observed.shape}, expected {(self.channels, grid.size)}: channels, times")
+        weight = np.isfinite(observed).astype(float)
+        observed = np.where(weight > 0.0, observed, 0.0)
+        along = np.zeros((0, *observed.shape)) if directions is None else np.ascontiguousarray(directions, float)
+        n = max(rows.shape[1], extras.shape[1])
+        own = np.zeros((1, 1)) if options is None else np.atleast_2d(np.asarray(options, float))
+        own = np.ascontiguousarray(np.broadcast_to(own, (n, own.shape[1])))
+        sums = np.full((n, self.channels, accumulator.size(along.shape[0])), np.nan)
+
+        def take(vector: int, record: Array) -> None:
+            accumulator.kernel(np.ascontiguousarray(record), observed, weight, along, own[vector], sums[vector])
+
+        if lags is None:
+            outcome = self._run(rows, extras, grid, drive, quantity, tolerance, threads, take).outcome
+        else:
+            # Channels that lag are integrated one by one, so their records must be there together.
+            simulation = self.simulate(
+                parameters, times, effect=effect, torque=torque, quantity=quantity, tolerance=tolerance, threads=threads
+            )
+            outcome = simulation.outcome
+            for vector in np.flatnonzero(outcome == integrator.COMPLETED):
+                take(int(vector), simulation.y[vector])
+        sums[outcome != integrator.COMPLETED] = np.nan
+        return Sums(sums, outcome)
+
+    def _prepared(
+        self, parameters: Parameters, times: ArrayLike, effect: Parameters | None, torque: ArrayLike | None
+    ) -> tuple[Array, Array, Array, Array, list[Any] | None]:
+        """Checked arguments: rows, parameters of the effect, sample times, input torque, and lags of the channels."""
         grid = np.ascontiguousarray(times, float)
         if grid.ndim != 1 or grid.size < 1 or np.any(np.diff(grid) <= 0.0):
             raise ValueError("times must be one-dimensional and increase from sample to sample")
@@ -127,22 +204,12 @@ class Model:
         elif changes:
             raise ValueError(f"the model has no effect, but parameters {sorted(changes)} were given for one")
         if variant is None:
-            return self._run(
-                self._rows(parameters), np.zeros((MOST_PARAMETERS, 1)), grid, drive, quantity, tolerance, threads
-            )
+            return self._rows(parameters), np.zeros((MOST_PARAMETERS, 1)), grid, drive, None
         extras = parameter_table(variant, changes)
         named = {p.name: extras[i] for i, p in enumerate(variant.parameters)}
         amended = parameters if variant.amend is None else variant.amend(_complete(parameters), named)
-        rows = self._rows(amended)
-        if variant.lag is None:
-            return self._run(rows, extras, grid, drive, quantity, tolerance, threads)
-        readings = []
-        for channel, lag in enumerate(variant.lag(named)[: self.channels]):
-            late = np.array(np.broadcast_to(rows, (rows.shape[0], max(rows.shape[1], np.size(lag)))))
-            late[ROWS.index("delay")] += lag
-            readings.append((channel, self._run(late, extras, grid, drive, quantity, tolerance, threads)))
-        y = np.stack([simulation.y[:, channel] for channel, simulation in readings], axis=1)
-        return Simulation(y, np.max([simulation.outcome for _, simulation in readings], axis=0))
+        lags = None if variant.lag is None else list(variant.lag(named)[: self.channels])
+        return self._rows(amended), extras, grid, drive, lags
 
     def _rows(self, parameters: Parameters) -> Array:
         """Parameters as rows of damper.ROWS, (20, n)."""
@@ -167,14 +234,16 @@ class Model:
         quantity: Quantity,
         tolerance: float,
         threads: int,
+        take: Callable[[int, Array], None] | None = None,
     ) -> Simulation:
+        """Integrate block by block; records go into the result, or to `take` (vector, record) where that is given."""
         n = max(rows.shape[1], extras.shape[1])
         rows = np.array(np.broadcast_to(rows, (rows.shape[0], n)))
         extras = np.array(np.broadcast_to(extras, (extras.shape[0], n)))
         usable = np.isfinite(rows).all(axis=0) & np.isfinite(extras).all(axis=0)
         usable &= (rows[[ROWS.index(name) for name in _POSITIVE]] > 0.0).all(axis=0)
         outcome = np.where(usable, integrator.COMPLETED, integrator.NOT_FINITE_INPUT)
-        y = np.empty((n, self.channels, times.size))
+        y = np.empty((n if take is None else 0, self.channels, times.size))
         which = np.flatnonzero(usable)
         # Vectors that take similarly many steps share a block: one that is done waits for the others.
         which = which[np.argsort(rows[ROWS.index("nu"), which], kind="stable")]
@@ -205,15 +274,21 @@ class Model:
                 )
                 status[(status == integrator.COMPLETED) & ~np.isfinite(final)] = integrator.NOT_FINITE_RECORD
                 kept = min(LANES, which.size - start)
-                y[lanes[:kept]] = out[:kept, : self.channels, grid.size - times.size : grid.size]
+                records = out[:kept, : self.channels, grid.size - times.size : grid.size]
                 outcome[lanes[:kept]] = status[:kept]
+                if take is None:
+                    y[lanes[:kept]] = records
+                else:
+                    for vector, record in zip(lanes[:kept], records, strict=True):
+                        take(int(vector), record)
 
         if workers > 1:
             with ThreadPoolExecutor(workers) as pool:
                 list(pool.map(work, range(workers)))
         else:
             work(0)
-        y[outcome != integrator.COMPLETED] = np.nan
+        if take is None:
+            y[outcome != integrator.COMPLETED] = np.nan
         return Simulation(y, outcome)
 
 

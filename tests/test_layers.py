@@ -15,7 +15,7 @@ LAYERS = (
     {"readings"},
     {"campaign", "importer", "lanes", "damper", "linear", "published"},
     {"effects"},
-    {"integrator"},
+    {"integrator", "accumulate"},
     {"model"},
     {"features", "priors", "likelihood"},
     {"posterior", "calibration"},
