@@ -139,17 +139,18 @@ def measure_gap(
     elif upper < NEGLIGIBLE:
         answer, why = "none", f"no sign of a gap, and one above {upper:.2f} of the noise is excluded"
     else:
-        answer, why = "cannot tell", f"no sign of a gap, but one of {upper:.2f} of the noise would not show: more trials"
-    return Gap(
-        answer, p_value, size, _floor_rms(nominal.problem, heldout), nominal_rms, augmented, closed, upper, why
-    )
+        answer, why = (
+            "cannot tell",
+            f"no sign of a gap, but one of {upper:.2f} of the noise is not excluded: add trials",
+        )
+    return Gap(answer, p_value, size, _floor_rms(nominal.problem, heldout), nominal_rms, augmented, closed, upper, why)
 
 
-# The test ----------------------------------------------------------------------------------------------------------------
+# The test -------------------------------------------------------------------------------------------------------------
 
 
 def repeats_say(fit: Calibration) -> dict[int, Array]:
-    """Mean residual of the training repeats of each held-out trial, its fast content removed; trial -> (channels, n)."""
+    """Mean residual of each held-out trial's repeats, its fast content removed; trial -> (channels, n)."""
     experiment = fit.problem.experiment
     residuals = fit.residuals()
     out = {}
@@ -171,9 +172,7 @@ def repeats_say(fit: Calibration) -> dict[int, Array]:
     return out
 
 
-def held_out_test(
-    fit: Calibration, eta: Mapping[int, Array], predictions: Sequence[Mapping[int, Array]]
-) -> float:
+def held_out_test(fit: Calibration, eta: Mapping[int, Array], predictions: Sequence[Mapping[int, Array]]) -> float:
     """p-value of "no gap": the smallest over the predictions, multiplied by their number.
 
     eta : nuisances fitted to each held-out trial; predictions : held-out trial -> (channels, n) of what the model
@@ -204,7 +203,7 @@ def held_out_test(
     place = {i: k for k, i in enumerate(ranges)}
 
     def cleared(x: Array) -> Array:
-        """x without what each trial's nuisances can do."""
+        """Without what each trial's nuisances can do."""
         out = x.copy()
         for i, (_, s) in ranges.items():
             T = nuisances[place[i]]
@@ -230,7 +229,7 @@ def held_out_test(
     return min(1.0, len(p_values) * min(p_values))
 
 
-# Sizes -------------------------------------------------------------------------------------------------------------------
+# Sizes ----------------------------------------------------------------------------------------------------------------
 
 
 def _masks(problem: Problem, trials: Sequence[int]) -> dict[int, NDArray[np.bool_]]:
@@ -239,7 +238,7 @@ def _masks(problem: Problem, trials: Sequence[int]) -> dict[int, NDArray[np.bool
     }
 
 
-def _squares(residuals: Mapping[int, Array], masks: Mapping[int, Array], noise: Sequence[float]) -> Array:
+def _squares(residuals: Mapping[int, Array], masks: Mapping[int, NDArray[np.bool_]], noise: Sequence[float]) -> Array:
     """Sum of squared residuals of each trial, over the noise variance of its channel; (trials,)."""
     sds = np.array(noise)
     return np.array([
@@ -264,7 +263,7 @@ def _floor_rms(problem: Problem, trials: Sequence[int]) -> float:
 
 
 def _upper_limit(x: float, n: float, known: float = 0.01) -> float:
-    """95 % upper limit of a gap's rms over the noise sd, from a chi-square x of n readings; noise variance to `known`."""
+    """95 % upper limit of a gap's rms over the noise sd: chi-square x of n readings, noise variance to `known`."""
     if n <= 0.0:
         return math.inf
     sd = math.sqrt(2.0 * n + (known * n) ** 2)
@@ -314,7 +313,7 @@ def shortest_interval(draws: Array, share: float = 0.9) -> tuple[float, float]:
     return float(draws[k]), float(draws[k + inside])
 
 
-# Parameters and extrapolation ------------------------------------------------------------------------------------------------
+# Parameters and extrapolation -----------------------------------------------------------------------------------------
 
 
 def shifts(nominal: Calibration, winner: Calibration) -> list[Shift]:
@@ -376,8 +375,8 @@ def left_out_case(
         q = np.zeros(problem.size)  # what only the left-out case could tell keeps its prior
         q[keep] = again.q
         widened = Calibration(
-            problem, q, again.eta, fit.covariance, again.cost, again.chi2, again.log_evidence, again.converged, fit.linear,
-            again.iterations,
+            problem, q, again.eta, fit.covariance, again.cost, again.chi2, again.log_evidence, again.converged,
+            fit.linear, again.iterations,
         )  # fmt: skip
         predictions.append(predict(widened, out))
     before, after = predictions

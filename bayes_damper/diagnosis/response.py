@@ -32,10 +32,10 @@ class Motion:
     """Motion of the trials of one group under a fit, on a grid (N,) s that holds every sample, and how it responds.
 
     th1, th2, w1, w2, a1, a2 : (trials, N), zeros for the secondary of an uncoupled rig; before the release the rig is
-    held. since (trials, N): time since the release, s, 0 before. y (trials, channels, n): readings without the sensors'
-    faults. at (n,): the samples' places in the grid. friction, slope, nu, k1t (trials,): what the features need.
-    step (trials, N - 1, 4, 4), push (trials, N - 1, 4, 2): transition of (dth1, dth2, dw1, dw2) and of the torque's mean
-    over the step; read_state (trials, channels, n, 4), read_torque (trials, channels, n, 2): the readings of both.
+    held. since (trials, N): time since the release, s, 0 before. y (trials, channels, n): readings of sensors that show
+    what there is. at (n,): the samples' places in the grid. friction, slope, nu, k1t (trials,): what the features need.
+    step (trials, N - 1, 4, 4), push (trials, N - 1, 4, 2): transition of (dth1, dth2, dw1, dw2) and of the torque's
+    mean over the step; read_state (trials, channels, n, 4), read_torque (trials, channels, n, 2): the readings of both.
     """
 
     group: Group
@@ -124,7 +124,8 @@ def _motion(fit: Calibration, block: Block) -> Motion:
     problem = fit.problem
     group = block.group
     n = len(group.trials)
-    rig, effect = problem._inputs(group, np.arange(n), np.tile(fit.q, (n, 1)), block.eta)
+    every: Any = np.arange(n)
+    rig, effect = problem._inputs(group, every, np.tile(fit.q, (n, 1)), block.eta)  # noqa: SLF001
 
     def value(name: str, default: float = 0.0) -> Array:
         return np.broadcast_to(np.asarray(rig.get(name, default), float), (n,)).astype(float)
@@ -160,10 +161,10 @@ def _motion(fit: Calibration, block: Block) -> Motion:
     slope = value("R", 1.0) / (2.0 * value("r", 1.0)) if linear else np.zeros(n)
     parts = {name: value(name) for name in ("k3t", "c1t", "c3t", "k2t", "c2t", "drag")}
     parts |= {"k1t": k1t, "nu": nu, "friction": friction, "slope": slope}
-    inverse = np.zeros((n, 2, 2))
+    inverse: Array = np.zeros((n, 2, 2))
     if coupled:
         mass = np.stack([np.stack([j1, value("J12")], -1), np.stack([value("J12"), value("J2")], -1)], -2)
-        inverse = np.linalg.inv(mass)
+        inverse[:] = np.linalg.inv(mass)
     else:
         inverse[:, 0, 0] = 1.0 / j1
     pendulum = e.restoring == "pendulum"
@@ -261,7 +262,7 @@ def _reading(
     )
 
 
-# Judging columns ---------------------------------------------------------------------------------------------------------
+# Judging columns ------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)

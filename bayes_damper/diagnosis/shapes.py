@@ -82,7 +82,7 @@ def shapes_of(motion: Motion, scale: Scale, coupled_campaign: bool) -> Iterator[
                 yield Shape(site, shape.group, shape.q1, shape.q2, shape.start, shape.reading)
 
 
-# Elements ----------------------------------------------------------------------------------------------------------------
+# Elements -------------------------------------------------------------------------------------------------------------
 
 
 def _tensor(a: Array, b: Array) -> list[Array]:
@@ -107,7 +107,7 @@ def _relaxed(motion: Motion, rate: Array, tau: float) -> Array:
     return out
 
 
-def _dahl(motion: Motion, angle: Array, breakaway: float) -> Array:
+def _dahl(angle: Array, breakaway: float) -> Array:
     """Rate-independent memory of an angle: h follows it over `breakaway` rad and then saturates at +-1; (trials, N)."""
     out = np.zeros_like(angle)
     moved = np.diff(angle, axis=1) / breakaway
@@ -151,19 +151,19 @@ def _drags(w: Array, reach: float, nu: Array) -> list[Array]:
     ]  # fmt: skip
 
 
-# Sites -------------------------------------------------------------------------------------------------------------------
+# Sites ----------------------------------------------------------------------------------------------------------------
 
 
 def _ground1(m: Motion, s: Scale) -> Iterator[Shape]:
     u, v, t = m.th1 / s.th1, m.w1 / s.w1, m.since / s.duration
     for f in _tensor(u, v):
         yield Shape("", "law", f)
-    for f in _own_spring(m, u, m.th1, m.w1, s.th1):
+    for f in _own_spring(u):
         yield Shape("", "spring", f)
     for f in (u * t, v * t, u * t * t, np.exp(-5.0 * t) * u, t, t * t):
         yield Shape("", "drift", f)
     for breakaway in (0.02, 0.06, 0.2, 0.6):
-        yield Shape("", "memory", _dahl(m, m.th1, breakaway * s.th1))
+        yield Shape("", "memory", _dahl(m.th1, breakaway * s.th1))
     for tau in (0.1, 0.3, 1.0, 3.0):
         yield Shape("", "memory", _relaxed(m, v, tau / s.omega))
     for f in _flexible(m, m.a1 / (s.w1 * s.omega), s):
@@ -172,8 +172,8 @@ def _ground1(m: Motion, s: Scale) -> Iterator[Shape]:
         yield Shape("", "time", f)
 
 
-def _own_spring(m: Motion, u: Array, th: Array, w: Array, reach: float) -> Iterator[Array]:
-    """Stops, dead zones and a cubic."""
+def _own_spring(u: Array) -> Iterator[Array]:
+    """A cubic, stops and dead zones of a scaled angle."""
     yield u**3
     for stop in (0.2, 0.35, 0.5, 0.65, 0.8, 0.9):
         yield np.sign(u) * np.maximum(np.abs(u) - stop, 0.0)
@@ -230,7 +230,7 @@ def _interface(m: Motion, s: Scale) -> Iterator[Shape]:
     for tau in (0.1, 0.3, 1.0, 3.0, 10.0):
         yield pair("memory", _relaxed(m, v, tau / s.omega))
     for breakaway in (0.01, 0.03, 0.1, 0.3):
-        yield pair("memory", _dahl(m, phi, breakaway * s.phi) * pull)
+        yield pair("memory", _dahl(phi, breakaway * s.phi) * pull)
     for k in range(1, 9):
         yield pair("poles", np.sin(0.5 * np.pi * k * p))
         yield pair("poles", np.cos(0.5 * np.pi * k * p))
@@ -248,14 +248,14 @@ def _ground2(m: Motion, s: Scale) -> Iterator[Shape]:
     yield own("inertia", m.a2 / (s.w2 * s.omega))
     for f in (np.ones_like(t), u, u * u):
         yield own("weight", f)
-    for f in _own_spring(m, u, m.th2, m.w2, s.th2):
+    for f in _own_spring(u):
         yield own("spring", f)
     for f in _drags(m.w2, s.w2, m.nu):
         yield own("drag", f)
     for f in (u * t, v * t, t, t * t):
         yield own("drift", f)
     for breakaway in (0.02, 0.06, 0.2, 0.6):
-        yield own("memory", _dahl(m, m.th2, breakaway * s.th2))
+        yield own("memory", _dahl(m.th2, breakaway * s.th2))
     for tau in (0.1, 0.3, 1.0, 3.0):
         yield own("memory", _relaxed(m, v, tau / s.omega))
     for f in _flexible(m, m.a2 / (s.w2 * s.omega), s):

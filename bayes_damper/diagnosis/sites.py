@@ -73,8 +73,11 @@ class MissingTorque:
 
 @dataclass(frozen=True, eq=False)
 class SiteMap:
-    """Evidence of each site over no gap (nats), probabilities (with "none", sum 1), the leading hypothesis of each site,
-    and the missing torque at the best site (none for a sensor: there the torque is not what is wrong)."""
+    """Where a gap lies.
+
+    log_evidence: of each site over no gap, nats; probabilities: of the sites and "none", sum 1; leaders: the leading
+    hypothesis of each site; torque: what is missing at the best site (empty for a sensor: no torque is wrong there).
+    """
 
     log_evidence: Mapping[str, float]
     probabilities: Mapping[str, float]
@@ -172,21 +175,27 @@ def _columns(fit: Calibration, motion: Motion, shapes: Sequence[Shape], most: in
     torques = [k for k, s in enumerate(shapes) if s.reading is None]
     for first in range(0, len(torques), most):
         chunk = torques[first : first + most]
-        q1 = np.stack([zero if shapes[k].q1 is None else shapes[k].q1 for k in chunk], axis=1)
-        q2 = np.stack([zero if shapes[k].q2 is None else shapes[k].q2 for k in chunk], axis=1)
-        start = np.stack([np.zeros((n, 4)) if shapes[k].start is None else shapes[k].start for k in chunk], axis=1)
+        still = np.zeros((n, 4))
+        q1 = np.stack([_or(shapes[k].q1, zero) for k in chunk], axis=1)
+        q2 = np.stack([_or(shapes[k].q2, zero) for k in chunk], axis=1)
+        start = np.stack([_or(shapes[k].start, still) for k in chunk], axis=1)
         y = whiten(fit, motion.group, motion.respond(q1, q2, start))
         for place, k in enumerate(chunk):
             out[k] = y[:, place]
-    readings = [k for k, s in enumerate(shapes) if s.reading is not None]
+    readings = [(k, s.reading) for k, s in enumerate(shapes) if s.reading is not None]
     if readings:
-        y = whiten(fit, motion.group, np.stack([shapes[k].reading for k in readings], axis=1))
-        for place, k in enumerate(readings):
+        y = whiten(fit, motion.group, np.stack([reading for _, reading in readings], axis=1))
+        for place, (k, _) in enumerate(readings):
             out[k] = y[:, place]
-    return np.stack(out, axis=1)  # type: ignore[arg-type]
+    return np.stack([column for column in out if column is not None], axis=1)
 
 
-# Evidence ----------------------------------------------------------------------------------------------------------------
+def _or(shape: Array | None, zero: Array) -> Array:
+    """The shape, or nothing."""
+    return zero if shape is None else shape
+
+
+# Evidence -------------------------------------------------------------------------------------------------------------
 
 
 def hypotheses_of(judged: Projected, labels: Sequence[tuple[str, str]]) -> list[Hypothesis]:
@@ -214,7 +223,7 @@ def hypotheses_of(judged: Projected, labels: Sequence[tuple[str, str]]) -> list[
 
 
 def dense_evidence(gram: Array, product: Array) -> tuple[float, float]:
-    """log evidence over none of Gaussian coefficients, mean over the prior's strengths; and the best strength."""
+    """Log evidence over none of Gaussian coefficients, mean over the prior's strengths; and the best strength."""
     values, vectors = np.linalg.eigh(gram)
     values = np.maximum(values, 0.0)
     along = (vectors.T @ product) ** 2
@@ -277,7 +286,7 @@ def probabilities_of(evidence: Mapping[str, float], prior_none: float = PRIOR_NO
     return out | {"none": math.exp(log_none - total)}
 
 
-# Missing torque ------------------------------------------------------------------------------------------------------------
+# Missing torque -------------------------------------------------------------------------------------------------------
 
 
 def _torque(

@@ -33,8 +33,11 @@ EVENT_WIDTHS = (0.004, 0.012, 0.03)  # s
 
 @dataclass(frozen=True, eq=False)
 class Repeats:
-    """Trials of the same case, configuration and times: `mean` (channels, n) of their whitened residuals times the
-    square root of their number, unit variance under noise; `single` (trials, channels, n); weight (channels, n)."""
+    """Trials of the same case, configuration and times, whitened.
+
+    mean (channels, n) of their residuals times the square root of their number: unit variance under noise;
+    single (trials, channels, n); weight (channels, n).
+    """
 
     case: str
     coupled: bool
@@ -92,7 +95,7 @@ class Event:
 
 @dataclass(frozen=True)
 class Where:
-    """All places where residuals exceed the noise, the most significant first, and the strongest event if there is one."""
+    """Places where residuals exceed the noise, the most significant first, and the strongest event if there is one."""
 
     time: tuple[Entry, ...]
     frequency: tuple[Entry, ...]
@@ -143,16 +146,14 @@ def repeats_of(fit: Calibration) -> list[Repeats]:
         trials = tuple(i for i, _, _ in members)
         single = np.array([r for _, r, _ in members])
         t = experiment.trials[trials[0]]
-        out.append(
-            Repeats(
-                t.case, t.coupled, trials, tuple(experiment.trials[i].number for i in trials), t.times,
-                single.sum(axis=0) / math.sqrt(len(trials)), single, np.min([w for _, _, w in members], axis=0),
-            )  # fmt: skip
-        )
+        numbers = tuple(experiment.trials[i].number for i in trials)
+        mean = single.sum(axis=0) / math.sqrt(len(trials))
+        weight = np.min([w for _, _, w in members], axis=0)
+        out.append(Repeats(t.case, t.coupled, trials, numbers, t.times, mean, single, weight))
     return out
 
 
-# Multiplicity --------------------------------------------------------------------------------------------------------------
+# Multiplicity ---------------------------------------------------------------------------------------------------------
 
 
 def holm(p_values: Sequence[float]) -> Array:
@@ -172,9 +173,7 @@ def _adjusted(entries: Sequence[Entry]) -> list[Entry]:
 
 def _kept(entries: Sequence[Entry], size: float) -> list[Entry]:
     """Entries below `size` after Holm, the strongest first, none that overlaps a stronger one of the same record."""
-    pairs = sorted(
-        zip(_adjusted(entries), entries, strict=True), key=lambda pair: (pair[0].p_value, pair[1].p_value)
-    )
+    pairs = sorted(zip(_adjusted(entries), entries, strict=True), key=lambda pair: (pair[0].p_value, pair[1].p_value))
     out: list[Entry] = []
     for entry, _ in pairs:
         if entry.p_value >= size or len(out) >= MOST_ENTRIES:
@@ -200,7 +199,7 @@ def _exceeds(sum_of_squares: Array, count: Array) -> Array:
     return np.asarray(gammaincc(shape, np.asarray(sum_of_squares) * count / variance))
 
 
-# Looks ---------------------------------------------------------------------------------------------------------------------
+# Looks ----------------------------------------------------------------------------------------------------------------
 
 
 def _words(coupled: bool) -> str:
@@ -228,8 +227,8 @@ def _in_time(sets: Sequence[Repeats]) -> Iterator[Entry]:
                         continue
                     single = np.sum(s.single[:, channel, first : first + width] ** 2, axis=1)
                     place = {
-                        "start_s": float(s.times[first]), "end_s": float(s.times[first + width - 1] + dt), "case": s.case,
-                        "configuration": _words(s.coupled), "trial": s.numbers[int(np.argmax(single))],
+                        "start_s": float(s.times[first]), "end_s": float(s.times[first + width - 1] + dt),
+                        "case": s.case, "configuration": _words(s.coupled), "trial": s.numbers[int(np.argmax(single))],
                         "trials": list(s.numbers), "channel": channel + 1,
                     }  # fmt: skip
                     yield Entry(place, float(p))
@@ -242,7 +241,7 @@ def _in_frequency(sets: Sequence[Repeats]) -> Iterator[Entry]:
         n = s.times.size
         if n < 16:
             continue
-        f = np.fft.rfftfreq(n, float(np.median(np.diff(s.times))))[1:-1]
+        f = np.asarray(np.fft.rfftfreq(n, float(np.median(np.diff(s.times)))), np.float64)[1:-1]
         for channel in range(s.mean.shape[0]):
             scale = 1.0 / max(float(np.sum(s.weight[channel] ** 2)), 1e-9)
             power = np.abs(np.fft.rfft(s.mean[channel])[1:-1]) ** 2 * scale
@@ -337,7 +336,7 @@ def _in_phase_space(sets: Sequence[Repeats], moved: Sequence[Motion]) -> Iterato
                 yield Entry(place, float(p[cell]))
 
 
-# Events --------------------------------------------------------------------------------------------------------------------
+# Events ---------------------------------------------------------------------------------------------------------------
 
 
 def find_event(fit: Calibration, moved: Sequence[Motion] | None = None, threshold: float = 8.0) -> Event | None:
