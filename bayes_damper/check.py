@@ -46,8 +46,8 @@ def check(campaign: str | Path) -> Check:
     """
     if str(campaign) == "thesis":
         published = load_published()
-        cases = ", ".join(case.name for case in published.cases)
+        cases = ", ".join(published.cases)
         text = f"thesis: cases {cases}; {len(published.measurements)} published measurements (Augustine 2013)"
-        return Check("thesis", text, (), published.sha256)
+        return Check("thesis", text, (), published.checksum)
     found = load_campaign(campaign)
     return Check(found.name, found.describe(), found.warnings, found.sha256)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,13 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper import arviz_adapter, figures
+from bayes_damper.arviz_adapter import hdi
 from bayes_damper.calibration import Experiment, calibrate_nominal, experiment_of
 from bayes_damper.campaign import load_campaign
 from bayes_damper.checkpoint import Checkpoint
 from bayes_damper.distributions import Distribution
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.parameters import PARAMETERS, unit_of
-from bayes_damper.posterior import Coordinates, Datum, FeaturePosterior
+from bayes_damper.posterior import Coordinates, Datum, FeaturePosterior, Shared
 from bayes_damper.priors import PriorSet, load_priors, priors_from_dict
 from bayes_damper.provenance import code_sha256, provenance
 from bayes_damper.published import load_published
@@ -31,7 +33,7 @@ from bayes_damper.record_posterior import RecordPosterior
 from bayes_damper.run import Progress, Task, read_json, run_tasks, write_json
 from bayes_damper.sampling import Progress as Stage
 from bayes_damper.sampling import Sampling, Start, StoppingRule, find_start, sample
-from bayes_damper.summary import hdi, summarise, table_text, write_table
+from bayes_damper.summary import summarise, table_text, write_table
 
 Array = NDArray[np.float64]
 Report = Callable[[float, str], None]
@@ -228,14 +230,30 @@ def published_posterior(case: str, priors: PriorSet, normal_force: str = "linear
     published = load_published()
     data = [Datum(m.configuration, m.quantity, m.value, m.standard_error, m.n) for m in published.of_case(case)]
     own = priors.for_case(case)
-    return FeaturePosterior(data, Coordinates(own.free, own.fixed, own.tied), normal_force, case)
+    coordinates = Coordinates(own.free, own.fixed, own.tied, damping_pairs(own.medians()))
+    return FeaturePosterior(data, coordinates, normal_force, case)
+
+
+def damping_pairs(values: Mapping[str, float]) -> tuple[Shared, ...]:
+    """Viscous and dry damping that one feature cannot tell apart: at the bearings, and between the faces.
+
+    A cycle's log decrement is pi c / sqrt(k J) from a viscous torque and about 4 d / (k theta0) from a dry one
+    (energy lost per cycle over twice the energy); the same for the interface, seen from the primary.
+    """
+    stiffness, inertia, angle = values["k1t"], values["J1"], values["theta0"]
+    viscous, dry = math.sqrt(stiffness * inertia) / math.pi, stiffness * angle / 4.0
+    return (
+        Shared("c1t", "drag", viscous, dry),
+        Shared("c2t", "mu", viscous, dry / (values["N0"] * values["R"])),
+    )
 
 
 def fit_published_case(folder: Path, report: Report, *, name: str, plan: Mapping[str, Any], threads: int) -> Any:
     """Task: fit one thesis case and write its files; its entry of summary.json."""
     posterior = published_posterior(name, priors_from_dict(plan["priors"]), plan["normal_force"] or "linear")
     rng = np.random.default_rng([plan["seed"], _number(name)])
-    sampling = _sampled(posterior, folder, report, plan, rng, lambda: _search(posterior, rng))
+    standard = posterior.coordinates.standard
+    sampling = _sampled(posterior, folder, report, plan, lambda: _search(posterior, rng), standard)
     flat = sampling.flat()
     draws = {key: _shaped(value, sampling) for key, value in posterior.coordinates.values(flat).items()}
     draws = {key: draws[key] for key in posterior.names} | _derived(draws)
@@ -256,18 +274,15 @@ def fit_published_case(folder: Path, report: Report, *, name: str, plan: Mapping
         }
         for i, d in enumerate(posterior.data)
     ]
-    arviz_adapter.write_posterior(
-        folder / "posterior.nc",
-        posterior=_thinned(draws, sampling),
-        prior=posterior.coordinates.values(posterior.coordinates.draw(rng, 2000)),
-        posterior_predictive={"features": _as_chains(replicated, sampling)},
-        log_likelihood={"features": _as_chains(likelihood, sampling)},
-        observed_data={"features": np.array([d.value for d in posterior.data])},
-        labels={"feature": [d.name for d in posterior.data]},
-        sampling=sampling,
-        attributes=_attributes(plan, name),
-    )
-    entry = _entry(draws, _shares(posterior.names, flat), sampling, dict(posterior.outcomes))
+    groups = {
+        "prior": _one_chain(posterior.coordinates.values(posterior.coordinates.draw(rng, 2000))),
+        "posterior_predictive": {"features": _as_chains(replicated, sampling)},
+        "log_likelihood": {"features": _as_chains(likelihood, sampling)},
+        "observed_data": {"features": np.array([d.value for d in posterior.data])},
+    }
+    names = {"features": json.dumps([d.name for d in posterior.data])}
+    _write_tree(folder, draws, sampling, groups, _attributes(plan, name) | names)
+    entry = _entry(draws, _shares(posterior.names, standard(flat)), sampling, dict(posterior.outcomes))
     entry["predictive"] = checks
     _draw_case(folder, f"thesis, case {name}", draws, sampling, checks)
     return entry
@@ -312,7 +327,7 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
         height = float(posterior(posterior.start[None])[0])
         return Start(posterior.start, posterior.covariance, height, np.empty((0, posterior.ndim)), 1)
 
-    sampling = _sampled(posterior, folder, report, plan, rng, start)
+    sampling = _sampled(posterior, folder, report, plan, start)
     draws = {key: _shaped(value, sampling) for key, value in posterior.values(sampling.flat()).items()}
     constants = {key: np.full(1, value) for key, (value, _) in experiment.constants.items() if key not in draws}
     draws |= _derived(constants | draws)
@@ -337,18 +352,18 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
         "noise_correlation": list(best.problem.noise.phi),
         "constants_pulled": best.pulled,
     }
-    arviz_adapter.write_posterior(
-        folder / "posterior.nc",
-        posterior=_thinned(draws, sampling)
-        | {f"{key}[{labels[i]}]": _as_chains(x, sampling) for i, v in nuisances.items() for key, x in v.items()},
-        prior={key: x for key, x in posterior.values(rng.standard_normal((2000, posterior.ndim))).items()},
-        posterior_predictive={},
-        log_likelihood={"trials": _as_chains(posterior.log_likelihood(kept), sampling)},
-        observed_data={},
-        labels={"trial": [labels[i] for i in posterior.trials]},
-        sampling=sampling,
-        attributes=_attributes(plan, name),
-    )
+    per_trial = {
+        f"{key}[{labels[i]}]": _as_chains(x, sampling) for i, values in nuisances.items() for key, x in values.items()
+    }
+    groups = {
+        "trial_posterior": per_trial,
+        "prior": _one_chain(posterior.values(rng.standard_normal((2000, posterior.ndim)))),
+        "posterior_predictive": {labels[i]: y[None].astype(np.float32) for i, y in bands.items()},
+        "log_likelihood": {"trials": _as_chains(posterior.log_likelihood(kept), sampling)},
+        "observed_data": {labels[i]: experiment.trials[i].y for i in posterior.trials},
+    }
+    names = {"trials": json.dumps([labels[i] for i in posterior.trials])}
+    _write_tree(folder, draws, sampling, groups, _attributes(plan, name) | names)
     _draw_case(folder, f"{plan['name']}, {'all cases' if name == 'joint' else f'case {name}'}", draws, sampling, None)
     _draw_records(folder, experiment, bands, sampling.converged)
     return entry
@@ -376,8 +391,8 @@ def _sampled(
     folder: Path,
     report: Report,
     plan: Mapping[str, Any],
-    rng: np.random.Generator,
     start: Callable[[], Start],
+    monitor: Callable[[Array], Array] | None = None,
 ) -> Sampling:
     """Draws of a posterior, going on from the folder's saved state if there is one."""
     decided = json.dumps({key: plan[key] for key in plan if key not in ("thorough", "most_steps")}, sort_keys=True)
@@ -393,7 +408,6 @@ def _sampled(
         share = 0.05 if stage.phase == "warm-up" else 0.1 + 0.85 * stage.part
         report(share, f"{stage.phase}, {stage.steps} steps")
 
-    del rng
     return sample(
         posterior,
         begin,
@@ -401,6 +415,7 @@ def _sampled(
         rule=rule,
         checkpoint=Checkpoint(folder / "state", fingerprint),
         progress=tell,
+        monitor=monitor,
     )
 
 
@@ -433,6 +448,21 @@ def _thinned(draws: Mapping[str, Array], sampling: Sampling) -> dict[str, Array]
 
 def _kept(sampling: Sampling) -> int:
     return min(KEPT_DRAWS // sampling.draws.shape[0], sampling.draws.shape[1] * sampling.draws.shape[2])
+
+
+def _one_chain(values: Mapping[str, Array]) -> dict[str, Array]:
+    return {key: np.asarray(value)[None] for key, value in values.items()}
+
+
+def _write_tree(
+    folder: Path,
+    draws: Mapping[str, Array],
+    sampling: Sampling,
+    groups: Mapping[str, Mapping[str, Array]],
+    attributes: Mapping[str, Any],
+) -> None:
+    tree = arviz_adapter.to_tree(draws, log_prob=sampling.log_prob, groups=groups, attributes=dict(attributes))
+    arviz_adapter.write(tree, folder / "posterior.nc")
 
 
 def _as_chains(values: Array, sampling: Sampling) -> Array:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
-from bayes_damper.distributions import Distribution, from_standard, to_standard
+from bayes_damper.distributions import Distribution, LogNormal, from_standard, to_standard
 from bayes_damper.errors import InputError
 from bayes_damper.features import features
 from bayes_damper.model import Model
@@ -28,15 +28,31 @@ _LOG_2PI = math.log(2.0 * math.pi)
 
 
 @dataclass(frozen=True)
+class Shared:
+    """Two scale parameters of which the data see a weighted sum: x / x_unit + y / y_unit.
+
+    Their posterior bends like an L where the data determine the sum but not the shares. In the coordinates
+    ln(sum) and ln(ratio of the shares) it is straight, and the change has Jacobian 1.
+    """
+
+    x: str
+    y: str
+    x_unit: float
+    y_unit: float
+
+
+@dataclass(frozen=True)
 class Coordinates:
     """Free parameters with their priors, fixed ones, and ones tied to another.
 
-    free : name -> prior; fixed : name -> value; tied : name -> name of a free or fixed parameter whose value it takes.
+    free : name -> prior; fixed : name -> value; tied : name -> name of a free or fixed parameter whose value it takes;
+    shared : pairs of lognormal free parameters that are sampled as sum and ratio.
     """
 
     free: Mapping[str, Distribution]
     fixed: Mapping[str, float] = field(default_factory=dict)
     tied: Mapping[str, str] = field(default_factory=dict)
+    shared: tuple[Shared, ...] = ()
 
     def __post_init__(self) -> None:
         for name, other in self.tied.items():
@@ -53,26 +69,61 @@ class Coordinates:
         """Number of free parameters."""
         return len(self.free)
 
-    def values(self, points: Array) -> dict[str, Array]:
-        """All parameters at points (n, ndim) of standard coordinates: name -> (n,)."""
+    def _lines(self) -> list[tuple[int, int, float, float, float, float]]:
+        """Of each shared pair: its two columns, and the constants of ln(x / x_unit) = a + b z for both."""
+        lines = []
+        for pair in self.shared:
+            i, j = self.names.index(pair.x), self.names.index(pair.y)
+            x, y = self.free[pair.x], self.free[pair.y]
+            if not (isinstance(x, LogNormal) and isinstance(y, LogNormal)):
+                continue  # another prior: leave the two as they are
+            lines.append((i, j, math.log(x.median_value / pair.x_unit), math.log(x.factor),
+                          math.log(y.median_value / pair.y_unit), math.log(y.factor)))  # fmt: skip
+        return lines
+
+    def standard(self, points: Array) -> Array:
+        """Standard coordinates (n, ndim) of points as they are sampled: shared pairs taken apart."""
         points = np.atleast_2d(points)
+        lines = self._lines()
+        if not lines:
+            return points
+        z = points.copy()
+        for i, j, a, b, c, d in lines:
+            first = points[:, i] - np.logaddexp(0.0, points[:, j])  # ln(x / x_unit)
+            z[:, i] = (first - a) / b
+            z[:, j] = (first + points[:, j] - c) / d
+        return z
+
+    def sampled(self, z: Array) -> Array:
+        """Points as they are sampled (n, ndim) from standard coordinates: the inverse of `standard`."""
+        points = np.atleast_2d(z).copy()
+        for i, j, a, b, c, d in self._lines():
+            first, second = a + b * z[:, i], c + d * z[:, j]
+            points[:, i] = np.logaddexp(first, second)
+            points[:, j] = second - first
+        return points
+
+    def values(self, points: Array) -> dict[str, Array]:
+        """All parameters at points (n, ndim) as they are sampled: name -> (n,)."""
+        points = self.standard(points)
         given = {name: from_standard(prior, points[:, i]) for i, (name, prior) in enumerate(self.free.items())}
         given |= {name: np.full(len(points), value) for name, value in self.fixed.items()}
         return given | {name: given[other] for name, other in self.tied.items()}
 
     def points(self, values: Mapping[str, Any]) -> Array:
-        """Standard coordinates (n, ndim) of parameter values: the inverse of `values`."""
+        """Points (n, ndim), as they are sampled, of parameter values: the inverse of `values`."""
         columns = [np.atleast_1d(to_standard(prior, values[name])) for name, prior in self.free.items()]
-        return np.stack(np.broadcast_arrays(*columns), axis=-1)
+        return self.sampled(np.stack(np.broadcast_arrays(*columns), axis=-1))
 
     def log_prior(self, points: Array) -> Array:
-        """Log prior density in standard coordinates, (n,)."""
-        points = np.atleast_2d(points)
-        return -0.5 * (np.sum(points**2, axis=1) + self.ndim * _LOG_2PI)
+        """Log prior density in the sampled coordinates, (n,)."""
+        value = -0.5 * (np.sum(self.standard(points) ** 2, axis=1) + self.ndim * _LOG_2PI)
+        # ln x and ln y in terms of sum and ratio have Jacobian 1; z in terms of ln x has 1 / b.
+        return value - sum(math.log(b * d) for _, _, _, b, _, d in self._lines())
 
     def draw(self, rng: np.random.Generator, n: int) -> Array:
         """Points drawn from the prior, (n, ndim)."""
-        return rng.standard_normal((n, self.ndim))
+        return self.sampled(rng.standard_normal((n, self.ndim)))
 
 
 @dataclass(frozen=True)

@@ -10,18 +10,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from bayes_damper.arviz_adapter import hdi
 from bayes_damper.sampling.convergence import diagnose_draws
 
 Array = NDArray[np.float64]
-
-
-def hdi(values: Array, share: float = 0.9) -> tuple[float, float]:
-    """Highest-density interval: the shortest one that holds `share` of the values (n,)."""
-    ordered = np.sort(np.ravel(values))
-    kept = max(1, int(np.ceil(share * ordered.size)))
-    widths = ordered[kept - 1 :] - ordered[: ordered.size - kept + 1]
-    first = int(np.argmin(widths))
-    return float(ordered[first]), float(ordered[first + kept - 1])
 
 
 def summarise(draws: Mapping[str, Array], units: Mapping[str, str], prior_shares: Mapping[str, float]) -> dict[str, Any]:

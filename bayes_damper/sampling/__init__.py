@@ -2,7 +2,7 @@
 
 from bayes_damper.sampling.convergence import Diagnostic, StoppingRule, Verdict, diagnose_draws, judge
 from bayes_damper.sampling.ensembles import Progress, Sampling, Target, sample
-from bayes_damper.sampling.start import Start, find_start
+from bayes_damper.sampling.start import Start, annealed_start, find_start
 
 __all__ = [
     "Diagnostic",
@@ -12,6 +12,7 @@ __all__ = [
     "StoppingRule",
     "Target",
     "Verdict",
+    "annealed_start",
     "diagnose_draws",
     "find_start",
     "judge",

@@ -1,7 +1,7 @@
 """Runs several independent emcee ensembles until a rule is satisfied, with saved states, on one or more processes.
 
 An ensemble goes through two phases. Warm-up: rounds of growing length until two rounds in succession look alike; each
-round fits a Student t to its draws, which from then on serves as an independence proposal, as often as its acceptance
+round fits a mixture of Student t distributions to its draws, which from then on serves as an independence proposal, as often as its acceptance
 earns it. Drawing: proposals are frozen and all steps count. Every ensemble has its own generator spawned from the seed,
 and works in blocks that depend on nothing but its own state, so results are the same for any number of processes, and
 a run that goes on from a saved state gives bit for bit what it would have given without the stop.
@@ -26,15 +26,17 @@ from numpy.typing import NDArray
 from bayes_damper.checkpoint import Checkpoint
 from bayes_damper.errors import InputError, Interrupted
 from bayes_damper.sampling.convergence import StoppingRule, Verdict, autocorrelation_time, judge, stranded_walkers
-from bayes_damper.sampling.moves import DifferentialEvolution, HalvesMove, Independence, Snooker
+from bayes_damper.sampling.moves import DifferentialEvolution, HalvesMove, Independence, Snooker, fit_mixture
 from bayes_damper.sampling.start import Start, cloud
 
 Array = NDArray[np.float64]
 
 _FIRST_ROUND = 50  # steps
 _LONGEST_WARM_UP = 4000  # steps
+_TUNING = 200  # steps of warm-up after an annealed start
 _BLOCK = 25  # stored steps between two states
 _FEWEST_STORED = 100
+_LEARNT_FROM = 6000  # draws of a round
 _MEMORY = 96e6  # bytes of draws kept before every second stored step is dropped
 
 
@@ -113,8 +115,10 @@ class _Ensemble:
     length: int = _FIRST_ROUND
     warm: bool = False
     weight: float = 0.0  # of the independence proposal
-    centre: Array = field(default_factory=lambda: np.empty(0))
-    spread: Array = field(default_factory=lambda: np.empty(0))
+    annealed: bool = False  # began as a sample of the posterior: nothing to forget, only proposals to tune
+    shares: Array = field(default_factory=lambda: np.empty(0))  # of the mixture that was learnt
+    centres: Array = field(default_factory=lambda: np.empty(0))
+    spreads: Array = field(default_factory=lambda: np.empty(0))
     tau: float = 1.0
     last: Array = field(default_factory=lambda: np.empty(0))  # (2, ndim + 1): mean and standard deviation last round
     tried: int = 0
@@ -135,6 +139,7 @@ def sample(
     checkpoint: Checkpoint | None = None,
     progress: Callable[[Progress], None] | None = None,
     workers: int = 1,
+    monitor: Callable[[Array], Array] | None = None,
 ) -> Sampling:
     """Draws from `target` by emcee until the rule holds or its budget is spent; the verdict says which.
 
@@ -148,7 +153,7 @@ def sample(
     _check(target, start, ensembles, walkers)
     if checkpoint is not None:
         checkpoint = checkpoint.bound_to(_fingerprint(target, start, seed, ensembles, walkers))
-    run = _Run(target, start, seed, ensembles, walkers, rule, checkpoint, progress)
+    run = _Run(target, start, seed, ensembles, walkers, rule, checkpoint, progress, monitor)
     with _workers(target, min(workers, ensembles)) as advance:
         try:
             run.warm_up(advance)
@@ -177,8 +182,10 @@ class _Run:
         rule: StoppingRule,
         checkpoint: Checkpoint | None,
         progress: Callable[[Progress], None] | None,
+        monitor: Callable[[Array], Array] | None,
     ) -> None:
         self.target, self.seed, self.rule = target, seed, rule
+        self.monitor = monitor
         self.checkpoint, self.progress = checkpoint, progress
         self.walkers = walkers
         self.thin = 0
@@ -224,7 +231,7 @@ class _Run:
                 self._judge()
             self._tell("drawing", steps, min(1.0, self._part()))
             self._save_if_due()
-        if self.judged != self.draws.shape[1] * self.thin:
+        if self.verdict is None or self.judged != self.draws.shape[1] * self.thin:
             self._judge()
         self.save()
 
@@ -282,12 +289,17 @@ class _Run:
 
     def _judge(self) -> None:
         pace = (time.monotonic() - self.begun) / self.done_here if self.done_here else 0.0
-        self.verdict = judge(tuple(self.target.names), self.draws, self.log_prob, self.thin, self.rule, pace)
+        told = self.draws
+        if self.monitor is not None:
+            told = self.monitor(told.reshape(-1, self.target.ndim)).reshape(told.shape)
+        self.verdict = judge(tuple(self.target.names), told, self.log_prob, self.thin, self.rule, pace)
         self.judged = self.draws.shape[1] * self.thin
 
     def _finished(self) -> bool:
         if self.verdict is not None and self.verdict.converged:
             return True
+        if self.draws.shape[1] < _FEWEST_STORED:
+            return False  # too few to judge, whatever the budget
         if self.draws.shape[1] * self.thin >= self.rule.max_steps:
             return True
         limit = self.rule.max_seconds
@@ -314,7 +326,11 @@ def _begin(target: Target, start: Start, seed: int, ensemble: int, walkers: int)
     child = np.random.SeedSequence(seed).spawn(ensemble + 1)[ensemble]
     coords, log_prob = cloud(target, start, walkers, np.random.default_rng(child), ensemble)
     random = np.random.RandomState(np.random.MT19937(child.spawn(1)[0])).get_state(legacy=True)
-    return _Ensemble(coords, log_prob, _packed(random))
+    state = _Ensemble(coords, log_prob, _packed(random))
+    if not len(start.population):
+        return state
+    shares, centres, spreads = fit_mixture(start.population)
+    return replace(state, annealed=True, shares=shares, centres=centres, spreads=spreads, weight=0.3)
 
 
 def _advance(target: Target, state: _Ensemble, thin: int) -> tuple[_Ensemble, Array, Array]:
@@ -363,9 +379,10 @@ def _after_round(state: _Ensemble, chain: Array, heights: Array, moves: list[Hal
         weight = 0.3
     alike = state.last.size > 0 and _alike(state.last, figures)
     tau = max(float(np.nanmax(autocorrelation_time(chain[None, ..., i]))) for i in range(ndim))
-    warm = (alike and state.weight > 0 and not lost and len(chain) >= 3 * tau) or steps >= _LONGEST_WARM_UP
-    covariance = np.cov(flat[:, :ndim].T).reshape(ndim, ndim)
-    covariance = covariance + np.diag(np.diag(covariance)) * 1e-9 + np.eye(ndim) * 1e-300
+    settled = steps >= _TUNING if state.annealed else alike and len(chain) >= 3 * tau
+    warm = (settled and state.weight > 0 and not lost) or steps >= _LONGEST_WARM_UP
+    few = flat[:: max(1, len(flat) // _LEARNT_FROM), :ndim]
+    shares, centres, spreads = fit_mixture(few)
     return replace(
         state,
         coords=coords,
@@ -374,8 +391,9 @@ def _after_round(state: _Ensemble, chain: Array, heights: Array, moves: list[Hal
         length=max(_FIRST_ROUND, steps // 2),
         warm=bool(warm),
         weight=weight,
-        centre=figures[0, :ndim].copy(),
-        spread=covariance,
+        shares=shares,
+        centres=centres,
+        spreads=spreads + np.eye(ndim) * 1e-300,
         tau=tau,
         last=figures,
         reseated=state.reseated + len(lost),
@@ -399,7 +417,7 @@ def _moves(state: _Ensemble) -> list[tuple[HalvesMove, float]]:
         (Snooker(), 0.2 * rest),
     ]
     if state.weight > 0:
-        mix.append((Independence(state.centre, state.spread), state.weight))
+        mix.append((Independence(state.shares, state.centres, state.spreads), state.weight))
     return mix
 
 

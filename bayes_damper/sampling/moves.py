@@ -12,6 +12,7 @@ the state and that its acceptance rule does not make up for.
 
 from __future__ import annotations
 
+import warnings
 from abc import abstractmethod
 from typing import Any
 
@@ -109,19 +110,60 @@ class Snooker(HalvesMove):
 
 
 class Independence(HalvesMove):
-    """Draws from a fixed Student t distribution that resembles the target, whatever the walker's own place.
+    """Draws from a fixed mixture of Student t distributions that resembles the target, whatever the walker's own place.
 
-    centre : (ndim,); covariance : (ndim, ndim) scale matrix; freedom : degrees of freedom, small for heavy tails.
-    All are fixed before the draws that count: a proposal that kept learning would break detailed balance.
+    shares : (k,) weights that sum to 1; centres : (k, ndim); covariances : (k, ndim, ndim) scale matrices; freedom :
+    degrees of freedom, small for heavy tails. All are fixed before the draws that count: a proposal that kept learning
+    would break detailed balance.
     """
 
-    def __init__(self, centre: Array, covariance: Array, freedom: float = 5.0) -> None:
+    def __init__(self, shares: Array, centres: Array, covariances: Array, freedom: float = 6.0) -> None:
         super().__init__()
-        self.shape = StudentT(centre, covariance, freedom)
+        self.shares = np.asarray(shares, dtype=float)
+        self.shapes = [StudentT(c, s, freedom) for c, s in zip(centres, covariances, strict=True)]
+
+    def log_density(self, points: Array) -> Array:
+        """Log density of the mixture at points (n, ndim), (n,)."""
+        each = [np.log(w) + shape.log_density(points) for w, shape in zip(self.shares, self.shapes, strict=True)]
+        return np.asarray(np.logaddexp.reduce(each, axis=0))
 
     def proposal(self, moving: Array, resting: Array, random: np.random.RandomState) -> tuple[Array, Array | float]:  # noqa: ARG002
-        points = self.shape.draw(random, len(moving))
-        return points, self.shape.log_density(moving) - self.shape.log_density(points)
+        owner = np.searchsorted(np.cumsum(self.shares)[:-1], random.random_sample(len(moving)), side="right")
+        points = np.empty_like(moving)
+        for k, shape in enumerate(self.shapes):
+            mine = owner == k
+            if mine.any():
+                points[mine] = shape.draw(random, int(mine.sum()))
+        return points, self.log_density(moving) - self.log_density(points)
+
+
+def fit_mixture(draws: Array, most: int = 12) -> tuple[Array, Array, Array]:
+    """Shares (k,), centres (k, ndim) and covariances (k, ndim, ndim) of a Gaussian mixture fitted to draws (n, ndim).
+
+    k is 1, 4 or `most`, whichever fitted to one half of the draws predicts the other half best.
+    """
+    from sklearn.mixture import GaussianMixture
+
+    ndim = draws.shape[1]
+    spread = np.maximum(draws.std(axis=0), 1e-300)
+    white = (draws - draws.mean(axis=0)) / spread
+    order = np.random.RandomState(0).permutation(len(white))
+    first, second = white[order[::2]], white[order[1::2]]
+    options = [k for k in (1, 4, most) if k * 4 * ndim <= len(first)] or [1]
+    fits = [
+        GaussianMixture(k, reg_covar=1e-6, init_params="k-means++", random_state=0, max_iter=60, tol=1e-2)
+        for k in options
+    ]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # an EM cut short still proposes well
+        scores = [fit.fit(first).score(second) for fit in fits]
+    best = fits[int(np.argmax(scores))]
+    shares = np.maximum(best.weights_, 1e-6)
+    return (
+        shares / shares.sum(),
+        draws.mean(axis=0) + best.means_ * spread,
+        best.covariances_ * spread[:, None] * spread,
+    )
 
 
 class StudentT:

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 
 from bayes_damper.errors import InputError
+from bayes_damper.sampling.moves import DifferentialEvolution, Snooker
 
 Array = NDArray[np.float64]
 LogDensity = Callable[[Array], Array]
@@ -32,6 +33,8 @@ class Start:
     log_prob: float
     others: Array
     evaluations: int
+    population: Array = field(default_factory=lambda: np.empty((0, 0)))
+    """A sample of the posterior (m, ndim) to take walkers from, where an annealed start found one."""
 
 
 def find_start(
@@ -64,14 +67,89 @@ def find_start(
     return Start(point, covariance, best, np.array(others).reshape(-1, ndim), counted.evaluations)
 
 
+def annealed_start(
+    log_prior: LogDensity,
+    log_likelihood: LogDensity,
+    draws: Array,
+    rng: np.random.Generator,
+    *,
+    moves: int = 8,
+    keep: float = 0.5,
+) -> Start:
+    """A population led from the prior to the posterior by raising the likelihood to powers from 0 to 1.
+
+    For posteriors with several modes or long arms, where a cloud about one optimum would take long to find the rest.
+    Sequential Monte Carlo (Del Moral, Doucet & Jasra 2006, J. R. Statist. Soc. B 68, 411): each power is as much above
+    the last as leaves `keep` of the effective sample; then the population is resampled and every member moved `moves`
+    times by differential evolution and snooker steps. No member stays where the prior put it.
+
+    Raises InputError when the likelihood is zero at all draws.
+    """
+    counted = _Counted(log_likelihood)
+    points = np.array(draws, dtype=float)
+    n, ndim = points.shape
+    like, prior = counted(points), np.asarray(log_prior(points), dtype=float)
+    if not np.any(np.isfinite(like)):
+        raise InputError(
+            f"The likelihood is zero at all {n} points drawn from the prior: widen the prior, or look whether units or "
+            "release angles of the data are what the prior expects."
+        )
+    random = np.random.RandomState(rng.integers(2**32, dtype=np.uint64))
+    proposals = (DifferentialEvolution(spread=0.3), DifferentialEvolution(0.5, spread=0.5), Snooker())
+    power = 0.0
+    while power < 1.0:
+        step = _next_power(like, 1.0 - power, keep)
+        weight = np.exp(step * (like - like.max()))
+        power += step
+        chosen = np.searchsorted(np.cumsum(weight / weight.sum()), (rng.random() + np.arange(n)) / n)
+        chosen = rng.permutation(np.minimum(chosen, n - 1))
+        points, like, prior = points[chosen], like[chosen], prior[chosen]
+        for turn in range(moves if power < 1.0 else 3 * moves):
+            move = proposals[turn % len(proposals)]
+            order = random.permutation(n)
+            for moving, resting in ((order[: n // 2], order[n // 2 :]), (order[n // 2 :], order[: n // 2])):
+                tried, ratio = move.proposal(points[moving], points[resting], random)
+                new_like, new_prior = counted(tried), np.asarray(log_prior(tried), dtype=float)
+                gain = ratio + power * (new_like - like[moving]) + new_prior - prior[moving]
+                taken = gain > -random.standard_exponential(len(moving))
+                mine = moving[taken]
+                points[mine], like[mine], prior[mine] = tried[taken], new_like[taken], new_prior[taken]
+    height = like + prior
+    best = int(np.argmax(height))
+    return Start(
+        points[best], np.cov(points.T).reshape(ndim, ndim), float(height[best]), np.empty((0, ndim)),
+        counted.evaluations, points,
+    )  # fmt: skip
+
+
+def _next_power(like: Array, most: float, keep: float) -> float:
+    """The step in the power of the likelihood that leaves a share `keep` of the effective sample."""
+
+    def share(step: float) -> float:
+        weight = np.exp(step * (like - like.max()))
+        return float(weight.sum() ** 2 / (weight**2).sum() / len(like))
+
+    if share(most) >= keep:
+        return most
+    low, high = 0.0, most
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if share(middle) > keep else (low, middle)
+    # Where the likelihood vanishes for more than 1 - keep of the members no step is small enough: take a small one.
+    return max(low, min(most, 1e-6))
+
+
 def cloud(
     target: LogDensity, start: Start, walkers: int, rng: np.random.Generator, turn: int = 0
 ) -> tuple[Array, Array]:
     """Starting points (walkers, ndim) of one ensemble and their log densities (walkers,), all finite.
 
-    Normal draws with the local covariance about the optimum (about another for some `turn`s, where there is one), none
+    Members of the start's population, where it has one. Else normal draws with the local covariance about the optimum (about another for some `turn`s, where there is one), none
     more than a sensible depth below it; drawn closer in when too few are good.
     """
+    if len(start.population) >= walkers:
+        chosen = start.population[rng.choice(len(start.population), walkers, replace=False)]
+        return chosen, np.asarray(target(chosen), dtype=float)
     ndim = len(start.point)
     centres = np.vstack([start.point[None], start.others])
     centre = centres[turn % len(centres)]
