@@ -305,13 +305,15 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
                 tau1 = tau1 + q1
                 tau2 = tau2 + q2
 
-            y1 = read_acceleration * (block[MI11, lane] * tau1 + block[MI12, lane] * tau2) + read_velocity * w1 + read_displacement * th1
-            y2 = read_acceleration * (block[MI12, lane] * tau1 + block[MI22, lane] * tau2) + read_velocity * w2 + read_displacement * th2
+            y1 = read_acceleration * (block[MI11, lane] * tau1 + block[MI12, lane] * tau2)
+            y2 = read_acceleration * (block[MI12, lane] * tau1 + block[MI22, lane] * tau2)
+            y1 = y1 + read_velocity * w1 + read_displacement * th1
+            y2 = y2 + read_velocity * w2 + read_displacement * th2
             if SENSES:
                 first = block[FIRST, lane]
                 u1 = block[HELD1, lane] if first > 0.5 else block[U1, lane]
                 u2 = block[HELD2, lane] if first > 0.5 else block[U2, lane]
-                released = (rest > 0.0) or (block[AFTER, lane] > block[DELAY, lane]) or (block[AFTER, lane] == block[DELAY, lane])
+                released = (rest > 0.0) or (block[AFTER, lane] >= block[DELAY, lane])
                 m1, m2, s1, s2 = effect_sense(
                     block[HLAST, lane], u1, u2, y1, y2, block[S1, lane], block[S2, lane], p, first
                 )
@@ -478,9 +480,7 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             if DRIVEN:
                 tau1 = tau1 + (block[DRIVE, lane] - block[RAMP, lane] * (rest - T2 * h))
             if TORQUE:
-                q1, q2 = effect_torque(
-                    t + T2 * h, ath1, ath2, aw1, aw2, z1 + A21 * m11, z2 + A21 * m12, p, rig
-                )
+                q1, q2 = effect_torque(t + T2 * h, ath1, ath2, aw1, aw2, z1 + A21 * m11, z2 + A21 * m12, p, rig)
                 tau1 = tau1 + q1
                 tau2 = tau2 + q2
             c_1 = C21 * p11
@@ -492,9 +492,7 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             rhs1 = h * tau1 + (j1 * e_1 + j12 * e_2) + (gd11 * hw1 + gd12 * hw2) + (hh * G2) * rate1 - h * held1
             rhs2 = h * tau2 + (j12 * e_1 + j2 * e_2) + (gd21 * hw1 + gd22 * hw2) + (hh * G2) * rate2 - h * held2
             if MEMORY > 0:
-                f1, f2 = effect_rate(
-                    t + T2 * h, ath1, ath2, aw1, aw2, z1 + A21 * m11, z2 + A21 * m12, p, rig
-                )
+                f1, f2 = effect_rate(t + T2 * h, ath1, ath2, aw1, aw2, z1 + A21 * m11, z2 + A21 * m12, p, rig)
                 rz1 = h * f1 + C21 * m11 + gh * (x11 * hw1 + x12 * hw2) + (hh * G2) * grow1
                 rz2 = h * f2 + C21 * m12 + gh * (x21 * hw1 + x22 * hw2) + (hh * G2) * grow2
                 rhs1 = rhs1 + l11 * rz1 + l12 * rz2
@@ -712,7 +710,7 @@ def _fingerprint(bound: dict[str, Any]) -> str:
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:20]
 
 
-def specialise(bound: dict[str, Any], compile: bool = True) -> Callable[..., Any]:
+def specialise(bound: dict[str, Any], compile: bool = True) -> Callable[..., Any]:  # noqa: A002
     """`advance` bound to these globals: compiled, from numba's on-disk cache when it was compiled before.
 
     With ``compile=False`` the plain Python function, which tests hold the compiled one against.
@@ -720,12 +718,12 @@ def specialise(bound: dict[str, Any], compile: bool = True) -> Callable[..., Any
     source = inspect.getsource(advance)
     namespace = dict(globals()) | bound
     if not compile:
-        exec(builtins_compile(source, "advance", "exec"), namespace)
-        return namespace["advance"]  # type: ignore[no-any-return]
+        exec(builtins_compile(source, "advance", "exec"), namespace)  # noqa: S102
+        return namespace["advance"]
     path = cache_folder() / f"advance_{_fingerprint(bound)}.py"
     if not path.exists():
         partial = path.with_suffix(f".{os.getpid()}")
         partial.write_text(source, encoding="utf-8")
-        os.replace(partial, path)
-    exec(builtins_compile(source, str(path), "exec"), namespace)
-    return njit(cache=True, **_NUMBA_OPTIONS)(namespace["advance"])  # type: ignore[no-any-return]
+        partial.replace(path)
+    exec(builtins_compile(source, str(path), "exec"), namespace)  # noqa: S102
+    return njit(cache=True, **_NUMBA_OPTIONS)(namespace["advance"])

@@ -1,3 +1,4 @@
+# ruff: noqa: ARG001  (an intrinsic has the arguments that numba asks for)
 """Elementary functions that LLVM can vectorise: what kernels and effects use in place of `math`.
 
 A call into the C library in a loop over lanes silently turns vectorisation off (a factor of four to six), so these are
@@ -9,7 +10,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
@@ -144,5 +144,5 @@ def cos(x: float) -> float:
 
 @lane
 def fourth_root_of_inverse(x: float) -> float:
-    """x ** -0.25 for x > 0, to 4 %: what a step-size controller needs, without a root or a logarithm."""
+    """Give x ** -0.25 for x > 0, to 4 %: what a step-size controller needs, without a root or a logarithm."""
     return _float(5758712311122007040 - (_bits(x) >> 2))

@@ -26,7 +26,7 @@ QUANTITIES: tuple[Quantity, ...] = ("acceleration", "velocity", "displacement")
 Array = NDArray[np.float64]
 Parameters = Mapping[str, ArrayLike]
 
-# What a rig has when nothing is said: no second stiffness, a start at rest with both bodies at one angle, no late trigger.
+# What a rig has when nothing is said: no second stiffness, a start at rest, both bodies at one angle, no late trigger.
 _OPTIONAL = {"J12": 0.0, "k3t": 0.0, "omega1_0": 0.0, "omega2_0": 0.0, "delay": 0.0}
 # What the uncoupled rig does not see.
 _COUPLED_ONLY = {"J2": 1.0, "c3t": 0.0, "k2t": 0.0, "c2t": 0.0, "mu": 0.0, "N0": 0.0, "R": 1.0, "r": 1.0}

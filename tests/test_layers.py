@@ -21,7 +21,7 @@ LAYERS = (
     {"posterior", "calibration"},
     {"record_posterior"},
     {"sampling", "evidence", "arviz_adapter"},
-    {"figures", "run", "check", "summary"},
+    {"figures", "run", "bench_peers", "check", "summary"},
     {"progress"},
     {"fit", "variability", "diagnosis", "tuning", "thesis", "compare", "simulate"},
     {"withheld", "bench"},
