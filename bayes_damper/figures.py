@@ -250,3 +250,19 @@ def record_figure(trials: Sequence[Mapping[str, Any]], unit: str, *, title: str,
             axis.set_xlabel("time [s]")
         figure.suptitle(title)
     return figure
+
+
+def work_precision_figure(curves: Mapping[str, Sequence[tuple[float, float]]], *, title: str) -> Figure:
+    """Largest error against CPU time of one record; a curve of (microseconds, share of the peak) for each method."""
+    figure = new_figure(6.0, 4.0)
+    with mpl.rc_context(_RC):
+        axes = figure.add_subplot()
+        for i, (name, points) in enumerate(curves.items()):
+            time, error = np.array(points, float).T
+            axes.loglog(time, error, marker="os^vD"[i % 5], color=COLOURS[i % 7], linestyle=STYLES[i % 4], label=name)
+        axes.axhline(1e-4, color="#888888", linewidth=0.8)
+        axes.set_xlabel(label("CPU time of one record", "µs"))
+        axes.set_ylabel("largest error, share of the peak")
+        axes.set_title(title)
+        axes.legend()
+    return figure
