@@ -26,7 +26,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, Literal
 
 import numpy as np
@@ -47,10 +48,11 @@ FRICTION_SPREAD = 0.04  # prior sd of ln mu from trial to trial, where the repea
 EVENT_THRESHOLD = 4.5  # robust sds of the second difference beyond which a sample counts as an event
 EVENT_TIMING = 5e-5  # s, by which the instant of an event may be off without the model being wrong
 FIRST_STAGE_EVENT_WEIGHT = 0.15
+HOPELESS, HURRY = 60.0, 6.0  # cost above a target, and in how many such steps it must be reachable, to go on
 _FARTHEST = 37.0  # standard deviations beyond which a coordinate is not followed
 
 
-# Coordinates with a standard Gaussian prior -----------------------------------------------------------------------------
+# Coordinates with a standard Gaussian prior -------------------------------------------------------------------------
 
 
 def value_of(distribution: Distribution, z: ArrayLike) -> Array:
@@ -80,6 +82,7 @@ def value_of(distribution: Distribution, z: ArrayLike) -> Array:
     return np.asarray(distribution.ppf(ndtr(np.clip(z, -8.0, 8.0))))
 
 
+@cache
 def coordinate_of(distribution: Distribution, x: float) -> float:
     """The standard Gaussian coordinate of the value `x`, within +-8; the inverse of `value_of`."""
     low, high = -8.0, 8.0
@@ -92,7 +95,7 @@ def coordinate_of(distribution: Distribution, x: float) -> float:
     return 0.5 * (low + high)
 
 
-# What is fitted ---------------------------------------------------------------------------------------------------------
+# What is fitted -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -315,7 +318,7 @@ class Problem:
         other = Problem.__new__(Problem)
         other.__dict__.update(self.__dict__)
         other.effect = effect
-        other.coordinates = other._coordinates()
+        other.coordinates = other._coordinates()  # noqa: SLF001 (the same class)
         other.names = tuple(c.name for c in other.coordinates)
         other.size = len(other.coordinates)
         e = self.experiment
@@ -650,7 +653,7 @@ def release_window(trial: TrialRecord, quantity: str) -> tuple[float, float]:
     return float(trial.times[held - 1]), float(trial.times[held])
 
 
-# Linear algebra ---------------------------------------------------------------------------------------------------------
+# Linear algebra -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -686,7 +689,7 @@ class Linear:
         parts = []
         for b, block in enumerate(self.blocks):
             J = block.J if extra is None else np.concatenate([block.J, extra[b]], axis=1)
-            n, m = block.eta.shape
+            m = block.eta.shape[1]
             full = np.concatenate([J, block.T, block.r[:, None, :]], axis=1)
             gram = np.matmul(full, full.transpose(0, 2, 1))
             p = size + k
@@ -757,7 +760,7 @@ class Normals:
         return total if math.isfinite(total) else -math.inf
 
 
-# The fit ----------------------------------------------------------------------------------------------------------------
+# The fit ------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -833,12 +836,14 @@ def calibrate(
     finish: bool = True,
     anneal: bool = True,
     give_up: float = math.inf,
+    target: float = -math.inf,
 ) -> Calibration:
     """The best fit over the starts, each by annealed, damped Gauss-Newton steps.
 
     starts : points (size,) in q; default the prior medians, with smoothing constants below and above;
     eta : nuisances to start from; most : iterations per stage; finish : central differences at the end;
-    give_up : a start whose cost after the first stage exceeds the best by more is not followed.
+    give_up : a start whose cost after the first stage exceeds the best by more is not followed; target : a cost that
+    another model has reached: a descend that gets nowhere near it ends early.
 
     A fit in which every simulation fails has cost inf and log_evidence -inf.
     """
@@ -852,7 +857,8 @@ def calibrate(
             q, own, cost, _, used = _descend(problem, q, own, most, annealed=True, tolerance=0.5)
             if best is not None and cost > best[0] + give_up:
                 continue
-        q, own, cost, converged, more = _descend(problem, q, own, most, annealed=False, tolerance=0.02)
+        goal = target if best is None else max(target, best[0])
+        q, own, cost, converged, more = _descend(problem, q, own, most, annealed=False, tolerance=0.02, target=goal)
         if best is None or cost < best[0]:
             best = (cost, q, own, converged, used + more)
     assert best is not None
@@ -889,14 +895,13 @@ def summarise(
         covariance, evidence = np.full((problem.size, problem.size), np.nan), -math.inf
     prior = float(q @ q) + sum(float(v @ v) for v in eta.values())
     cost = normals.cost if math.isfinite(normals.cost) else math.inf
-    return Calibration(
-        problem, q, dict(eta), covariance, cost, cost - prior, evidence, converged, linear, iterations
-    )
+    return Calibration(problem, q, dict(eta), covariance, cost, cost - prior, evidence, converged, linear, iterations)
 
 
 def _descend(
-    problem: Problem, q: Array, eta: dict[int, Array], most: int, annealed: bool, tolerance: float
-) -> tuple[Array, dict[int, Array], float, bool, int]:
+    problem: Problem, q: Array, eta: dict[int, Array], most: int, annealed: bool, tolerance: float,
+    target: float = -math.inf,
+) -> tuple[Array, dict[int, Array], float, bool, int]:  # fmt: skip
     """Levenberg-Marquardt from one start: q, eta, cost, whether it converged, Jacobians used."""
     damping = 1e-2
     cost = float(problem.costs(q[None], {i: v[None] for i, v in eta.items()}, annealed)[0])
@@ -936,18 +941,20 @@ def _descend(
             damping *= 300.0
         if not accepted or gained < tolerance:
             return q, eta, cost, True, iteration
+        if math.isfinite(target) and iteration >= 3 and cost - target > HOPELESS and HURRY * gained < cost - target:
+            return q, eta, cost, False, iteration
     return q, eta, cost, False, most
 
 
-# Held-out trials --------------------------------------------------------------------------------------------------------
+# Held-out trials ----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
     """What a fit says about a trial that it has not seen, its own nuisances fitted.
 
-    model (channels, n), residual (channels, n) = reading - model, eta (m,), chi2: whitened and weighted; n_data: weighted
-    number of readings.
+    model (channels, n), residual (channels, n) = reading - model, eta (m,), chi2: whitened and weighted; n_data:
+    weighted number of readings.
     """
 
     trial: int
@@ -1018,13 +1025,11 @@ def predict(fit: Calibration, trials: Sequence[int], rounds: int = 12) -> dict[i
         r = problem.whitened(y - group.y, group.weight)
         for j, i in enumerate(group.trials):
             residual = problem.experiment.trials[i].y - y[j]
-            out[i] = Prediction(
-                i, y[j], residual, chosen[j], float(r[j] @ r[j]), float(np.sum(group.weight[j] ** 2))
-            )
+            out[i] = Prediction(i, y[j], residual, chosen[j], float(r[j] @ r[j]), float(np.sum(group.weight[j] ** 2)))
     return out
 
 
-# Noise ------------------------------------------------------------------------------------------------------------------
+# Noise --------------------------------------------------------------------------------------------------------------
 
 
 def rough_noise(experiment: Experiment, trials: Sequence[int]) -> Noise:
@@ -1136,18 +1141,19 @@ def _fit_spectrum(
     if a * phi <= 0.0:
         return math.sqrt(white), 0.0, 0.0
     half = (a * (1.0 + phi * phi) + b) / (2.0 * a * phi)
-    theta = half - math.sqrt(max(half * half - 1.0, 0.0))
-    return math.sqrt(a * phi / max(theta, 1e-12)), phi, theta
+    inverse = half + math.sqrt(max(half * half - 1.0, 0.0))
+    return math.sqrt(a * phi * inverse), phi, 1.0 / inverse
 
 
-# From the first fit to the nuisances that are needed ----------------------------------------------------------------------
+# From the first fit to the nuisances that are needed ----------------------------------------------------------------
 
 
 def choose_switches(fit: Calibration) -> Switches:
     """Which nuisances the repeats call for, from a fit in which all are free.
 
     Repeats of one case differ only in what is each trial's own, so the spread of the nuisances between repeats, beyond
-    their own uncertainty, tells whether release or friction vary, whatever the model leaves out.
+    their own uncertainty, tells whether release or friction vary, whatever the model leaves out. A release that is late
+    by the same time in all of them is left to the effects of release and sensor.
     """
     problem = fit.problem
     wanted = {"delay": False, "ln_mu": False}
@@ -1160,14 +1166,10 @@ def choose_switches(fit: Calibration) -> Switches:
                 continue
             i = names.index(name)
             sd = np.sqrt(np.linalg.inv(H)[:, i, i])
-            _, mean, scale = block.group.nuisances[i]
             same: dict[tuple[str, float], list[int]] = {}
             for k, j in enumerate(block.group.trials):
                 t = problem.experiment.trials[j]
                 same.setdefault((t.case, t.theta0), []).append(k)
-                late = mean[k] + scale[k] * block.eta[k, i]
-                if name == "delay" and late > 1e-4 * scale[k]:
-                    wanted["delay"] = True  # the first readings show a rig still held
             for members in same.values():
                 values = block.eta[members, i]
                 pull = sd[members]
@@ -1183,9 +1185,9 @@ def calibrate_nominal(
     nominal: Literal["nonlinear", "linear"] = "nonlinear",
     threads: int = 1,
     switches: Switches | None = None,
-    tell: Callable[[str], None] = lambda line: None,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> Calibration:
-    """The nominal model fitted to the training trials: first roughly, then with the nuisances and the noise they show."""
+    """The nominal model fitted to the training trials: roughly, then with the nuisances and noise that they show."""
     problem = Problem(experiment, nominal=nominal, threads=threads, switches=switches or Switches())
     fit = calibrate(problem, most=15, finish=False)
     chosen = switches or choose_switches(fit)
@@ -1198,7 +1200,7 @@ def calibrate_nominal(
     return calibrate(problem, [fit.q], eta=fit.eta, anneal=False)
 
 
-# Reading a campaign ------------------------------------------------------------------------------------------------------
+# Reading a campaign -------------------------------------------------------------------------------------------------
 
 
 def experiment_of(campaign: Any, priors: Mapping[str, Distribution] | None = None) -> Experiment:
@@ -1208,8 +1210,8 @@ def experiment_of(campaign: Any, priors: Mapping[str, Distribution] | None = Non
     """
     rig, measurement = campaign.rig, campaign.measurement
     fields = {
-        "J1": "primary_inertia", "J2": "secondary_inertia", "R": "bar_radius", "r": "magnet_radius", "N0": "magnet_pull",
-        "k3t": "ground2_stiffness", "J12": "inertial_coupling",
+        "J1": "primary_inertia", "J2": "secondary_inertia", "R": "bar_radius", "r": "magnet_radius",
+        "N0": "magnet_pull", "k3t": "ground2_stiffness", "J12": "inertial_coupling",
     }  # fmt: skip
     constants: dict[str, tuple[float, float]] = {}
     for name, field_name in fields.items():
@@ -1226,11 +1228,17 @@ def experiment_of(campaign: Any, priors: Mapping[str, Distribution] | None = Non
         angle = t.theta0
         records.append(
             TrialRecord(
-                label=str(t.file), case=t.case, coupled=t.configuration == "coupled", number=int(t.trial),
-                times=np.asarray(t.times, float), y=np.atleast_2d(np.asarray(t.channels, float)), k1t=stiffnesses.index(key),
+                label=str(t.file),
+                case=t.case,
+                coupled=t.configuration == "coupled",
+                number=int(t.trial),
+                times=np.array(t.times, float),
+                y=np.atleast_2d(np.array(t.channels, float)),
+                k1t=stiffnesses.index(key),
                 theta0=0.0 if angle is None else float(getattr(angle, "value", angle)),
                 theta0_sd=0.0 if angle is None else float(getattr(angle, "std", 0.0) or 0.0),
-                torque=None if t.torque is None else np.asarray(t.torque, float), heldout=id(t) in heldout,
+                torque=None if t.torque is None else np.array(t.torque, float),
+                heldout=id(t) in heldout,
             )  # fmt: skip
         )
     sd = getattr(measurement, "noise_std", None)

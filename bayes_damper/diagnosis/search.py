@@ -15,16 +15,28 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.calibration import Calibration, Experiment, Linear, Normals, Problem, calibrate, coordinate_of, value_of
+from bayes_damper.calibration import (
+    Calibration,
+    Experiment,
+    Linear,
+    Normals,
+    Problem,
+    calibrate,
+    coordinate_of,
+)
 from bayes_damper.distributions import HalfNormal
 from bayes_damper.effects import REFERENCE, Scales, candidates, scaled
 from bayes_damper.effects.base import Effect, Variant
 
 Array = NDArray[np.float64]
 
-FULL_FITS = 9  # variants fitted in full, at least
+FULL_FITS = 8  # variants fitted in full, at least
 LEADING_SHARE = 0.25  # every variant that screens above this share of the best gain is fitted too
-STARTS_OF_LEADERS = 3
+MOST_FITS = 14
+MOST_STEPS = 25
+FAINT = 8.0  # nats: below, formulas that replace the friction are not tried
+STARTS_OF_LEADERS = 2
+LOST = -1.2  # prior sds below the median at which a friction counts as given up
 
 
 @dataclass(frozen=True)
@@ -35,6 +47,8 @@ class Screened:
     gain: float
     amplitude: float
     log_evidence: float
+    base: tuple[float, ...]
+    """Nominal coordinates at which the effect was switched on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +99,7 @@ def offered(
     return [(effect, scaled(variant, scales)) for effect in able.values() for variant in effect.variants]
 
 
-# Screening ---------------------------------------------------------------------------------------------------------------
+# Screening ----------------------------------------------------------------------------------------------------------
 
 
 class Screen:
@@ -122,50 +136,74 @@ class Screen:
         product = np.zeros(k)
         mixed = np.zeros((size, k))
         for (_, H, TJ, gT), inverse, full, d in zip(self.normals.parts, self.inverses, self.full, columns, strict=True):
-            d = d.transpose(1, 0, 2)  # (trials, k, data)
-            gram = full @ d.transpose(0, 2, 1)  # (trials, size + m + 1, k)
+            rows = d.transpose(1, 0, 2)  # (trials, k, data)
+            gram = full @ rows.transpose(0, 2, 1)  # (trials, size + m + 1, k)
             m = H.shape[1]
             Td = gram[:, size : size + m]
             HTd = inverse @ Td if m else Td
-            length += np.sum(d @ d.transpose(0, 2, 1) - Td.transpose(0, 2, 1) @ HTd, axis=0)
+            length += np.sum(rows @ rows.transpose(0, 2, 1) - Td.transpose(0, 2, 1) @ HTd, axis=0)
             mixed += np.sum(gram[:, :size] - TJ.transpose(0, 2, 1) @ HTd, axis=0)
             product += np.sum(gram[:, -1] - np.einsum("jmk,jm->jk", HTd, gT), axis=0)
         solved = np.linalg.solve(self.S, np.column_stack([mixed, self.g]))
         return length - mixed.T @ solved[:, :k], product - mixed.T @ solved[:, k]
 
 
+def bases_of(fit: Calibration) -> list[Array]:
+    """Nominal points at which effects are switched on: the optimum, and where it has lost its friction, one that has not.
+
+    A nominal model that misses an effect of the friction may give up the friction altogether; whatever scales with it
+    would then show no effect.
+    """
+    out = [fit.q]
+    lost = fit.q.copy()
+    for name in ("mu", "drag"):
+        if name in fit.problem.names:
+            i = fit.problem.names.index(name)
+            lost[i] = max(lost[i], 0.0) if fit.q[i] < LOST else lost[i]
+    if np.any(lost != fit.q):
+        out.append(lost)
+    return out
+
+
 def screen_variant(screen: Screen, variant: Variant) -> tuple[Screened, ...]:
     """Gain and amplitude of every start of a variant, by the linearised problem."""
+    out = [row for base in bases_of(screen.fit) for row in _screen_at(screen, variant, base)]
+    return tuple(out)
+
+
+def _screen_at(screen: Screen, variant: Variant, base: Array) -> list[Screened]:
     fit = screen.fit
     problem = fit.problem.with_effect(variant)
     starts = variant.starts
     z = np.array([[coordinate_of(p.prior, x) for p, x in zip(variant.parameters, s, strict=True)] for s in starts])
-    q = np.concatenate([np.tile(fit.q, (len(starts), 1)), z], axis=1)
+    q = np.concatenate([np.tile(base, (len(starts), 1)), z], axis=1)
     columns = screen.responses(problem, q)
+    if base is not fit.q and variant.null is not None:
+        without = screen.responses(fit.problem, base[None])
+        columns = [c - w for c, w in zip(columns, without, strict=True)]
     bad = ~np.all([np.isfinite(c).all(axis=(1, 2)) for c in columns], axis=0)
     columns = [np.where(bad[:, None, None], 0.0, c) for c in columns]
     length, product = screen.project(columns)
+    at = tuple(float(x) for x in base)
     out = []
     for k, start in enumerate(starts):
         d2, dr = float(length[k, k]), float(product[k])
         if bad[k] or not math.isfinite(d2) or d2 < 1e-9:
-            out.append(Screened(start, 0.0, 0.0, 0.0))
+            out.append(Screened(start, 0.0, 0.0, 0.0, at))
             continue
         if variant.null is None:
             gain = -dr - 0.5 * d2 - 0.5 * float(z[k] @ z[k])
-            out.append(Screened(start, gain, 1.0, gain - 3.0))
+            out.append(Screened(start, gain, 1.0, gain - 3.0, at))
             continue
         stiffness = _amplitude_stiffness(variant, start)
         amplitude = -dr / (d2 + stiffness)
-        one_sided = any(
-            isinstance(p.prior, HalfNormal) for p in variant.parameters if p.null is not None
-        )
+        one_sided = any(isinstance(p.prior, HalfNormal) for p in variant.parameters if p.null is not None)
         gain = 0.5 * dr * dr / (d2 + stiffness)
         if one_sided and amplitude < 0.0:
             gain = 0.0
         occam = 0.5 * math.log1p(d2 / max(stiffness, 1e-12))
-        out.append(Screened(start, gain, amplitude, gain - occam))
-    return tuple(out)
+        out.append(Screened(start, gain, amplitude, gain - occam, at))
+    return out
 
 
 def _amplitude_stiffness(variant: Variant, start: tuple[float, ...]) -> float:
@@ -178,7 +216,7 @@ def _amplitude_stiffness(variant: Variant, start: tuple[float, ...]) -> float:
     return total
 
 
-def start_points(fit: Calibration, variant: Variant, screens: Sequence[Screened], count: int) -> list[Array]:
+def start_points(variant: Variant, screens: Sequence[Screened], count: int) -> list[Array]:
     """Starts of full fits in q: the best screened ones, their amplitude set by the screening."""
     ranked = sorted(screens, key=lambda s: -s.gain)[:count]
     points = []
@@ -186,21 +224,23 @@ def start_points(fit: Calibration, variant: Variant, screens: Sequence[Screened]
         z = []
         amplitude = float(np.clip(s.amplitude, 0.02, 1.5)) if s.amplitude > 0.0 else 0.05
         for p, x in zip(variant.parameters, s.start, strict=True):
-            if p.null is not None and variant.null is not None:
-                x = p.null + amplitude * (x - p.null)
-            z.append(coordinate_of(p.prior, x))
-        points.append(np.concatenate([fit.q, z]))
+            scaled_x = x if p.null is None or variant.null is None else p.null + amplitude * (x - p.null)
+            z.append(coordinate_of(p.prior, scaled_x))
+        points.append(np.concatenate([s.base, z]))
     return points
 
 
-# Search ------------------------------------------------------------------------------------------------------------------
+# Search -------------------------------------------------------------------------------------------------------------
 
 
-def fit_variant(fit: Calibration, effect: Effect, variant: Variant, screens: Sequence[Screened], count: int) -> Candidate:
+def fit_variant(
+    fit: Calibration, effect: Effect, variant: Variant, screens: Sequence[Screened], count: int,
+    target: float = -math.inf,
+) -> Candidate:  # fmt: skip
     """A variant fitted in full from its best `count` screened starts; evidence relative to that of `fit`."""
     problem = fit.problem.with_effect(variant)
-    starts = start_points(fit, variant, screens, count)
-    found = calibrate(problem, starts, eta=fit.eta, anneal=False, finish=True, most=18)
+    starts = start_points(variant, screens, count)
+    found = calibrate(problem, starts, eta=fit.eta, anneal=False, finish=True, most=MOST_STEPS, target=target)
     return Candidate(effect, variant, tuple(screens), found, found.log_evidence - fit.log_evidence)
 
 
@@ -210,7 +250,7 @@ def search(
     *,
     threads: int = 2,
     full_fits: int = FULL_FITS,
-    tell: Callable[[str], None] = lambda line: None,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> list[Candidate]:
     """All candidates, best first: screened, and the leading ones fitted."""
     screen = Screen(nominal)
@@ -231,14 +271,21 @@ def search(
     chosen = [
         k
         for rank, k in enumerate(order)
-        if rank < full_fits or gains[k] > LEADING_SHARE * best or pool[k][1].null is None
+        if rank < full_fits
+        or (gains[k] > LEADING_SHARE * best and rank < MOST_FITS)
+        or (pool[k][1].null is None and best > FAINT)
     ]
     tell(f"screened {len(pool)} formulas, fitting {len(chosen)}")
+
+    reached = [nominal.cost]
 
     def refine(k: int) -> Candidate:
         effect, variant = pool[k]
         count = STARTS_OF_LEADERS if gains[k] > 0.5 * best else 1
-        return fit_variant(nominal, effect, variant, screens[k], count)
+        candidate = fit_variant(nominal, effect, variant, screens[k], count, min(reached))
+        if candidate.fit is not None:
+            reached.append(candidate.fit.cost)
+        return candidate
 
     fitted: dict[int, Candidate] = dict(zip(chosen, run(refine, chosen), strict=True))  # type: ignore[arg-type]
     out = []

@@ -66,7 +66,7 @@ class Answers:
 
 
 def family_evidence(candidates: Sequence[Candidate]) -> dict[str, float]:
-    """log Z of each family relative to the nominal model: mean over its variants; -inf for what is not finite."""
+    """Log evidence of each family relative to the nominal model: mean over its variants; -inf for what is not finite."""
     rows: dict[str, list[float]] = {}
     for c in candidates:
         rows.setdefault(c.effect.name, []).append(c.log_evidence if math.isfinite(c.log_evidence) else -math.inf)
@@ -84,13 +84,11 @@ def _logistic(x: float) -> float:
     return 1.0 / (1.0 + math.exp(-max(min(x, 60.0), -60.0)))
 
 
-def weigh(
-    evidence: Mapping[str, float], before: Remainder, after: Remainder, rule: Rule = RULE
-) -> Answers:
+def weigh(evidence: Mapping[str, float], before: Remainder, after: Remainder, rule: Rule = RULE) -> Answers:
     """Probabilities of all answers.
 
-    evidence : family -> log Z relative to the nominal model; before, after : what the nominal model leaves, and what the
-    leading effect leaves.
+    evidence : family -> log Z relative to the nominal model; before, after : what the nominal model leaves, and what
+    the leading effect leaves.
     """
     names = [n for n, z in evidence.items() if math.isfinite(z)]
     each = (1.0 - PRIOR_NONE - PRIOR_UNKNOWN) / max(len(evidence), 1)

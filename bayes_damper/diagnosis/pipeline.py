@@ -1,0 +1,328 @@
+"""From a campaign to an answer: calibration, search, remainder, verdict, and how far the gap shrinks."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from bayes_damper.calibration import (
+    Calibration,
+    Experiment,
+    Problem,
+    calibrate,
+    calibrate_nominal,
+    experiment_of,
+    learn_noise,
+    value_of,
+)
+from bayes_damper.diagnosis.gap import Gap, measure_gap, shifts
+from bayes_damper.diagnosis.next_experiment import Proposal, propose
+from bayes_damper.diagnosis.remainder import Remainder, remainder_of
+from bayes_damper.diagnosis.search import Candidate, offered, search
+from bayes_damper.diagnosis.sites import SiteMap, site_map, write_missing_torque
+from bayes_damper.diagnosis.verdict import RULE, Answers, Rule, family_evidence, weigh
+from bayes_damper.diagnosis.where import Where, locate
+from bayes_damper.distributions import Distribution
+from bayes_damper.effects import EFFECTS, Effect, classes
+from bayes_damper.effects.base import SITES
+
+SCHEMA = "bayes-damper/diagnosis/1"
+INDISTINCT = 3.0  # nats between two families below which these data cannot tell them apart
+RELEARN = 3.0  # sds by which a better model lowers the chi-square before the noise is learnt again
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """The answer for one campaign, with the fits behind it.
+
+    candidates: every formula of every effect, best first, evidence relative to the nominal model; winner: the fitted
+    formula of the leading effect, None if none could be fitted; before, after: what the nominal model and the winner
+    leave unexplained; gap: on held-out trials; site_map: where the nominal model's gap lies, without any library;
+    remainder_map: the same for what the winner leaves; sites: probability of each site and "none".
+    """
+
+    campaign: str
+    experiment: Experiment
+    nominal_kind: Literal["nonlinear", "linear"]
+    nominal: Calibration
+    candidates: tuple[Candidate, ...]
+    winner: Candidate | None
+    answers: Answers
+    before: Remainder
+    after: Remainder
+    gap: Gap
+    where: Where
+    site_map: SiteMap
+    remainder_map: SiteMap
+    proposals: tuple[Proposal, ...]
+    sites: Mapping[str, float]
+    evidence: Mapping[str, float]
+    indistinguishable: tuple[tuple[str, ...], ...]
+    notes: tuple[str, ...] = ()
+    seconds: float = 0.0
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def verdict(self) -> str:
+        """One effect, "none" or "unknown"."""
+        return self.answers.verdict
+
+    def best_of(self, effect: str) -> Candidate | None:
+        """The fitted formula with the largest evidence of a family; None if it was only screened."""
+        rows = [c for c in self.candidates if c.effect.name == effect and c.fit is not None]
+        return rows[0] if rows else None
+
+    def to_json(self) -> dict[str, Any]:
+        """The fields of diagnosis.json (schema bayes-damper/diagnosis/1)."""
+        noise = self.nominal.problem.noise.total
+        out: dict[str, Any] = {
+            "schema": SCHEMA,
+            "campaign": self.campaign,
+            "nominal": self.nominal_kind,
+            "verdict": self.verdict,
+            "credible_set": self.answers.credible_set(),
+            "probabilities": self.answers.probabilities,
+            "pair": None,
+            "sites": dict(self.sites),
+            "gap": self.gap.to_json(),
+            "where": self.where.to_json(),
+            "next_experiment": [p.to_json() for p in self.proposals],
+            "site_map": self.site_map.to_json() | {"curve": self.site_map.curve()},
+            "remainder_map": self.remainder_map.to_json(),
+            "noise": {
+                "sd": list(noise),
+                "phi": list(self.nominal.problem.noise.phi),
+                "innovation": list(self.nominal.problem.noise.innovation),
+            },
+            "effects": [self._row(name) for name in sorted(self.evidence, key=lambda n: -self.evidence[n])],
+            "parameters": self._shifts(),
+            "indistinguishable": [list(group) for group in self.indistinguishable],
+            "remainder": {
+                "share_of_gap": self.answers.share_left,
+                "evidence_nats": self.after.strength,
+                "strongest_line_hz": self.after.peak_hz,
+                "temperature": self.answers.temperature,
+            },
+            "notes": list(self.notes),
+            "seconds": self.seconds,
+        }
+        return _plain(out | dict(self.extra))  # type: ignore[no-any-return]
+
+    def write(self, folder: str | Path) -> Path:
+        """Write diagnosis.json and missing_torque.csv into the folder (made if absent); returns the former's path."""
+        home = Path(folder)
+        home.mkdir(parents=True, exist_ok=True)
+        path = home / "diagnosis.json"
+        path.write_text(json.dumps(self.to_json(), indent=1) + "\n", encoding="utf-8")
+        write_missing_torque(home / "missing_torque.csv", self.site_map)
+        return path
+
+    def _row(self, name: str) -> dict[str, Any]:
+        rows = [c for c in self.candidates if c.effect.name == name]
+        best = self.best_of(name) or rows[0]
+        return {
+            "name": name,
+            "variant": best.variant.name,
+            "formula": best.variant.formula,
+            "site": best.effect.site,
+            "probability": self.answers.probabilities[name],
+            "log_evidence": self.evidence[name],
+            "fitted": best.fit is not None,
+            "parameters": {p.name: _estimate(best.fit, f"effect.{p.name}", p.unit) for p in best.variant.parameters}
+            if best.fit is not None
+            else {},
+        }
+
+    def _shifts(self) -> dict[str, Any]:
+        """Parameters before and after the winner, with the shift in standard deviations."""
+        if self.winner is None or self.winner.fit is None:
+            return {n: {"before": {"value": v, "sd": sd}} for n, (v, sd) in self.nominal.parameters.items()}
+        return {row.name: row.to_json() for row in shifts(self.nominal, self.winner.fit)}
+
+
+def _estimate(fit: Calibration, name: str, unit: str) -> dict[str, Any]:
+    value, sd = fit.parameters[name]
+    return {"unit": unit, "mean": value, "sd": sd, "hdi90": fit.interval(name)}
+
+
+def _plain(x: Any) -> Any:
+    """Numbers that JSON can hold: no numpy types, no nan or infinity."""
+    if isinstance(x, Mapping):
+        return {str(k): _plain(v) for k, v in x.items()}
+    if isinstance(x, list | tuple):
+        return [_plain(v) for v in x]
+    if isinstance(x, np.ndarray):
+        return _plain(x.tolist())
+    if isinstance(x, bool | np.bool_):
+        return bool(x)
+    if isinstance(x, int | np.integer):
+        return int(x)
+    if isinstance(x, float | np.floating):
+        return float(x) if math.isfinite(float(x)) else None
+    return x
+
+
+def diagnose(
+    campaign: Any,
+    *,
+    nominal: Literal["nonlinear", "linear"] = "nonlinear",
+    effects: Mapping[str, Effect] = EFFECTS,
+    priors: Mapping[str, Distribution] | None = None,
+    seed: int = 1,
+    threads: int = 2,
+    rule: Rule = RULE,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Diagnosis:
+    """The sim-to-real gap of a campaign (campaign.Campaign, or an Experiment): whether, which, how far it shrinks.
+
+    effects : name -> Effect, the candidates; priors : of nominal parameters, in place of the defaults; seed : kept in
+    the record of the run (every step is deterministic); tell : receives a line per stage.
+    """
+    began = time.perf_counter()
+    name = getattr(campaign, "name", "campaign")
+    experiment = campaign if isinstance(campaign, Experiment) else experiment_of(campaign, priors)
+    notes: list[str] = []
+    fit = calibrate_nominal(experiment, nominal=nominal, threads=threads, tell=tell)
+    pool = offered(experiment, nominal, effects)
+    found = search(fit, pool, threads=threads, tell=tell)
+    fit, found = _reseeded(fit, found)
+    fit, found = _with_winners_noise(fit, found)
+    winner = next((c for c in found if c.fit is not None), None)
+    before = remainder_of(fit)
+    after = before if winner is None or winner.fit is None else remainder_of(winner.fit)
+    evidence = family_evidence(found)
+    answers = weigh(evidence, before, after, rule)
+    notes += _notes(experiment, fit, answers)
+    tell(f"leading answer {answers.verdict}; locating the gap")
+    before_map = site_map(fit)
+    after_map = before_map if winner is None or winner.fit is None else site_map(winner.fit)
+    rng = np.random.default_rng(seed)
+    gap = measure_gap(fit, None if winner is None else winner.fit, rng=rng)
+    return Diagnosis(
+        name, experiment, nominal, fit, tuple(found), winner, answers, before, after, gap, locate(fit), before_map,
+        after_map, tuple(_proposals(fit, found, answers)), _sites(answers, effects, before_map, after_map), evidence,
+        tuple(_indistinct(evidence, effects)), tuple(notes), time.perf_counter() - began, {"seed": seed},
+    )  # fmt: skip
+
+
+def _proposals(fit: Calibration, found: list[Candidate], answers: Answers) -> list[Proposal]:
+    """Experiments that would best split the leading answers that are fitted, `none` among them."""
+    best: dict[str, Calibration] = {"none": fit}
+    for c in found:
+        if c.fit is not None:
+            best.setdefault(c.effect.name, c.fit)
+    leading = sorted(best, key=lambda n: -answers.probabilities[n])[:3]
+    return propose([best[n] for n in leading], [max(answers.probabilities[n], 0.02) for n in leading], top=5)
+
+
+def _reseeded(fit: Calibration, found: list[Candidate]) -> tuple[Calibration, list[Candidate]]:
+    """The nominal model fitted again from the leaders' parameters: a better basin than its own lowers their gain."""
+    starts = [c.fit.q[: fit.problem.size] for c in found[:2] if c.fit is not None]
+    if not starts:
+        return fit, found
+    again = calibrate(fit.problem, starts, eta=fit.eta, anneal=False, most=12)
+    gained = again.log_evidence - fit.log_evidence
+    if not gained > 0.05:
+        return fit, found
+    return again, [
+        Candidate(c.effect, c.variant, c.screens, c.fit, c.log_evidence - (gained if c.fit is not None else 0.0))
+        for c in found
+    ]
+
+
+def _with_winners_noise(fit: Calibration, found: list[Candidate]) -> tuple[Calibration, list[Candidate]]:
+    """Nominal model and leaders under the noise that the leader shows, where that is smaller: a bad model inflates it."""
+    leader = next((c for c in found if c.fit is not None), None)
+    if leader is None or leader.fit is None or leader.log_evidence < 10.0:
+        return fit, found
+    noise = learn_noise(leader.fit)
+    shrunk = max(old / new for old, new in zip(fit.problem.noise.innovation, noise.innovation, strict=True))
+    if shrunk < 1.015:
+        return fit, found
+    base = Problem(
+        fit.problem.experiment, nominal=fit.problem.nominal, noise=noise, switches=fit.problem.switches,
+        threads=fit.problem.threads, tolerance=fit.problem.tolerance, trials=fit.problem.trials,
+    )  # fmt: skip
+    fresh = calibrate(base, [fit.q], eta=fit.eta, anneal=False, most=12)
+    out = []
+    for c in found:
+        if c.fit is None or c.log_evidence < 0.3 * leader.log_evidence:
+            out.append(c)
+            continue
+        again = calibrate(base.with_effect(c.variant), [c.fit.q], eta=c.fit.eta, anneal=False, most=10)
+        out.append(Candidate(c.effect, c.variant, c.screens, again, again.log_evidence - fresh.log_evidence))
+    return fresh, sorted(out, key=lambda c: -c.log_evidence)
+
+
+def _sites(answers: Answers, effects: Mapping[str, Effect], before: SiteMap, after: SiteMap) -> dict[str, float]:
+    """Probability of each site: effects at their own, `unknown` as the site maps of gap and remainder say."""
+    sites = dict.fromkeys((*SITES, "none"), 0.0)
+    for name, p in answers.probabilities.items():
+        if name == "none":
+            sites["none"] += p
+        elif name != "unknown":
+            sites[effects[name].site] += p
+    weights = {s: before.probabilities.get(s, 0.0) + 0.5 * after.probabilities.get(s, 0.0) + 0.01 for s in SITES}
+    total = sum(weights.values())
+    for site in SITES:
+        sites[site] += answers.probabilities["unknown"] * weights[site] / total
+    return sites
+
+
+def _indistinct(evidence: Mapping[str, float], effects: Mapping[str, Effect]) -> list[tuple[str, ...]]:
+    """Declared classes among the candidates, and the leaders whose evidence lies within 3 nats of the first."""
+    groups = [tuple(sorted(group)) for group in classes({n: effects[n] for n in evidence})]
+    if evidence:
+        top = max(evidence.values())
+        close = tuple(sorted(n for n, z in evidence.items() if z > top - INDISTINCT)) if top > INDISTINCT else ()
+        if len(close) > 1 and close not in groups:
+            groups.append(close)
+    return groups
+
+
+def _notes(experiment: Experiment, fit: Calibration, answers: Answers) -> list[str]:
+    """What could not be told and why, in sentences."""
+    notes = []
+    if not experiment.coupled:
+        notes.append("There are no coupled trials, so nothing can be said about the interface or the secondary.")
+    if len(fit.problem.trials) == 1:
+        notes.append("There is one trial, so what it shows cannot be told from what would not repeat; add repeats.")
+    elif not any(
+        len({t.number for t in experiment.trials if (t.case, t.coupled) == key}) > 1
+        for key in {(t.case, t.coupled) for t in experiment.trials}
+    ):
+        notes.append("There are no repeats, so the noise is judged by its fast content alone; repeat a case.")
+    for name, z in fit.pulled.items():
+        notes.append(
+            f"The nominal model moves {name} by {z:+.1f} of its declared standard deviations: an effect, or a typo."
+        )
+    if answers.probabilities["none"] > 0.1 and answers.verdict != "none":
+        notes.append("The gap is not certain: `none` keeps more than a tenth of the probability.")
+    hidden = hidden_by(fit)
+    if answers.probabilities["none"] > 0.5 and hidden:
+        notes += hidden
+    return notes
+
+
+def hidden_by(fit: Calibration) -> list[str]:
+    """Constants whose declared uncertainty the campaign cannot reduce, with the accuracy that would help."""
+    out = []
+    for i, c in enumerate(fit.problem.coordinates):
+        if c.role not in ("constant", "stiffness"):
+            continue
+        sd = math.sqrt(max(fit.covariance[i, i], 0.0))
+        middle = float(value_of(c.prior, 0.0))
+        declared = abs(float(value_of(c.prior, 1.0)) - middle) / max(abs(middle), 1e-300)
+        if sd > 0.5:
+            out.append(
+                f"An error of {c.name} within its declared {100.0 * declared:.2g} % looks like an effect of its size; "
+                f"measured to {30.0 * declared:.1g} % it could no longer hide one."
+            )
+    return out

@@ -1,0 +1,234 @@
+"""Calibration by least squares: right values, right covariance, right evidence, on records made by the model itself."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+
+from bayes_damper.calibration import (
+    Experiment,
+    Noise,
+    Problem,
+    Switches,
+    TrialRecord,
+    calibrate,
+    calibrate_nominal,
+    coordinate_of,
+    learn_noise,
+    predict,
+    value_of,
+)
+from bayes_damper.distributions import HalfNormal, LogNormal, LogUniform, Normal, Uniform
+from bayes_damper.model import Model
+
+RIG = {"J1": 3.015e-3, "J2": 2.474e-3, "R": 0.10, "r": 0.0127, "N0": 100.0}
+TRUE = {"mu": 0.006, "k2t": 1.4, "c2t": 0.07, "drag": 0.005, "nu": 40.0, "c1t": 0.011, "c3t": 0.009}
+CASES = (("I", 6.2, 5.7), ("IV", 10.2, 4.7))
+
+
+def make_experiment(
+    seed: int, *, noise: float = 2.0, repeats: int = 3, coupled: bool = True, k1t_sd: float = 0.0, n: int = 400,
+    late: bool = False, colour: bool = False, **changes: object,
+) -> Experiment:  # fmt: skip
+    """Two cases, each uncoupled and coupled, the last repeat held out."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(n) * 1e-3
+    trials = []
+    for index, (case, k1t, degrees) in enumerate(CASES):
+        for both in (False, True) if coupled else (False,):
+            for number in range(1, repeats + 1):
+                theta0 = math.radians(degrees)
+                own = theta0 * (1.0 + 0.01 * rng.standard_normal())
+                delay = -float(rng.uniform(0.0, 1e-3)) if late else 0.0
+                y = Model(both).simulate(RIG | TRUE | {"k1t": k1t, "theta0": own, "delay": delay}, times).y[0]
+                e = rng.standard_normal(y.shape)
+                if colour:
+                    for i in range(1, n):
+                        e[:, i] = 0.6 * e[:, i - 1] + 0.8 * e[:, i]
+                trials.append(
+                    TrialRecord(
+                        f"{case}{number}",
+                        case,
+                        both,
+                        number,
+                        times,
+                        y + noise * e,
+                        index,
+                        theta0,
+                        0.01 * theta0,
+                        heldout=number == repeats,
+                    )
+                )
+    return Experiment(
+        {name: (value, 0.0) for name, value in RIG.items()}, tuple((k, k1t_sd * k) for _, k, _ in CASES),
+        tuple(trials), **changes,  # type: ignore[arg-type]
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    return calibrate_nominal(make_experiment(3))
+
+
+@pytest.mark.parametrize(
+    "prior", [Normal(2.0, 0.5), LogNormal(0.01, 2.7), HalfNormal(3.0), Uniform(-1.0, 2.0), LogUniform(0.1, 10.0),
+              Normal(0.0, 1.0, lower=0.0)], ids=lambda p: type(p).__name__,
+)  # fmt: skip
+def test_a_coordinate_has_a_standard_gaussian_prior(prior):
+    """The value at z is the quantile of Phi(z), and the way back agrees."""
+    from scipy.special import ndtr
+
+    z = np.linspace(-3.0, 3.0, 13)
+    assert np.allclose(value_of(prior, z), prior.ppf(ndtr(z)), rtol=1e-9)
+    for each in z:
+        assert coordinate_of(prior, float(value_of(prior, each))) == pytest.approx(each, abs=1e-6)
+
+
+def test_a_half_normal_reaches_far_into_its_tail():
+    """Ten standard deviations are as far as the formula says, with no loss of digits."""
+    assert float(value_of(HalfNormal(2.0), 10.0)) == pytest.approx(20.0, rel=0.02)
+
+
+def test_parameters_are_recovered_within_their_covariance():
+    """Over several campaigns the deviations from the truth have unit variance in units of the stated sd."""
+    z = []
+    for seed in range(6):
+        fit = calibrate_nominal(make_experiment(seed))
+        assert fit.converged
+        z += [(fit.parameters[name][0] - TRUE[name]) / fit.parameters[name][1] for name in TRUE]
+    assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.5
+    assert np.max(np.abs(z)) < 4.5
+
+
+def test_late_triggers_and_uncertain_constants_are_part_of_the_fit():
+    """Triggers late by up to a sample are found by themselves, and the fit leaves noise only."""
+    fit = calibrate_nominal(make_experiment(8, late=True, k1t_sd=0.01))
+    assert fit.problem.switches.delay
+    assert abs(fit.excess) < 4.0 * math.sqrt(2.0 * fit.problem.n_data)
+    assert "k1t[6.2]" in fit.parameters
+
+
+def test_elimination_equals_the_joint_problem(fitted):
+    """Step, covariance and evidence by Schur complements are those of the big dense problem."""
+    problem = fitted.problem
+    q = fitted.q + 0.05
+    linear = problem.linearise(q, fitted.eta)
+    normals = linear.normal()
+    J = np.concatenate([row for b in linear.blocks for row in b.J.transpose(0, 2, 1)])
+    T = block_diag(*[row.T for b in linear.blocks for row in b.T])
+    r = np.concatenate([row for b in linear.blocks for row in b.r])
+    eta = np.concatenate([row for b in linear.blocks for row in b.eta])
+    A = np.hstack([J, T])
+    full = A.T @ A + np.eye(A.shape[1])
+    gradient = A.T @ r + np.concatenate([q, eta])
+    step = -np.linalg.solve(full, gradient)
+    dq, deta = normals.step(0.0)
+    order = [i for b in linear.blocks for i in b.group.trials]
+    assert np.allclose(dq, step[: problem.size], rtol=1e-5, atol=1e-8)
+    assert np.allclose(np.concatenate([deta[i] for i in order]), step[problem.size :], rtol=1e-5, atol=1e-8)
+    cost = r @ r + q @ q + eta @ eta
+    assert normals.log_evidence() == pytest.approx(-0.5 * cost - 0.5 * np.linalg.slogdet(full)[1], rel=1e-9)
+
+
+def test_evidence_of_a_linear_gaussian_problem_is_exact(fitted):
+    """At the minimum of the linearised problem the Laplace evidence is the exact Gaussian integral."""
+    linear = fitted.linear
+    normals = linear.normal()
+    dq, deta = normals.step(0.0)
+    J = np.concatenate([row for b in linear.blocks for row in b.J.transpose(0, 2, 1)])
+    T = block_diag(*[row.T for b in linear.blocks for row in b.T])
+    A = np.hstack([J, T])
+    order = [i for b in linear.blocks for i in b.group.trials]
+    x = np.concatenate([fitted.q + dq, *[fitted.eta[i] + deta[i] for i in order]])
+    r = np.concatenate([row for b in linear.blocks for row in b.r])
+    x0 = np.concatenate([fitted.q, *[fitted.eta[i] for i in order]])
+    y = A @ x0 - r  # r = A x - y
+    # Marginal density of y: N(0, 1 + A A'), by the determinant lemma, without its constant.
+    precision = np.eye(A.shape[1]) + A.T @ A
+    exact = -0.5 * (y @ y - (A.T @ y) @ np.linalg.solve(precision, A.T @ y)) - 0.5 * np.linalg.slogdet(precision)[1]
+    residual = A @ x - y
+    laplace = -0.5 * (residual @ residual + x @ x) - 0.5 * np.linalg.slogdet(precision)[1]
+    assert laplace == pytest.approx(exact, abs=1e-4)
+    assert normals.log_evidence() == pytest.approx(exact, abs=0.5)
+
+
+def test_whitening_makes_coloured_noise_white():
+    """Innovations of an ARMA(1, 1) process have unit variance and no correlation."""
+    rng = np.random.default_rng(1)
+    n = 200_000
+    e = rng.standard_normal(n)
+    x = np.zeros(n)
+    for i in range(1, n):
+        x[i] = 0.9 * x[i - 1] + e[i] - 0.7 * e[i - 1]
+    white = Noise((1.0,), (0.9,), (0.7,)).whiten(0, x)
+    assert white.std() == pytest.approx(1.0, rel=0.01)
+    assert abs(np.mean(white[1:] * white[:-1])) < 0.01
+    assert Noise((1.0,), (0.9,), (0.7,)).total[0] == pytest.approx(x.std(), rel=0.02)
+
+
+def test_the_noise_is_learnt_from_the_repeats():
+    """Standard deviation and colour come back from records with AR(1) noise."""
+    fit = calibrate_nominal(make_experiment(5, colour=True))
+    noise = learn_noise(fit)
+    assert noise.total[0] == pytest.approx(2.0, rel=0.1)
+    flat = np.concatenate([noise.whiten(0, r[0]) for r in fit.residuals().values()])
+    assert abs(np.corrcoef(flat[1:], flat[:-1])[0, 1]) < 0.05
+
+
+def test_heldout_trials_cost_no_more_than_noise(fitted):
+    """A trial that no fit has seen is predicted to the noise, its own release angle fitted."""
+    experiment = fitted.problem.experiment
+    assert set(fitted.problem.trials).isdisjoint(experiment.heldout)
+    for row in predict(fitted, experiment.heldout).values():
+        assert abs(row.chi2 - row.n_data) < 5.0 * math.sqrt(2.0 * row.n_data)
+
+
+def test_switches_stay_off_where_the_repeats_agree(fitted):
+    """Easy data do not pay for triggers and frictions of their own."""
+    assert fitted.problem.switches == Switches(delay=False, friction=False)
+
+
+def test_a_point_that_cannot_be_simulated_has_no_evidence(fitted):
+    """A failed simulation costs infinity and its evidence is minus infinity, so that it never wins."""
+    problem = fitted.problem
+    q = fitted.q.copy()
+    q[problem.names.index("nu")] = np.nan
+    assert problem.costs(q[None], {i: v[None] for i, v in fitted.eta.items()})[0] == math.inf
+    broken = calibrate(problem, [q])
+    assert broken.log_evidence == -math.inf
+
+
+def test_uncoupled_trials_alone_are_enough_for_what_they_show():
+    """Only drag, its smoothing and the viscous damping are asked for."""
+    fit = calibrate_nominal(make_experiment(4, coupled=False))
+    assert set(fit.parameters) == {"c1t", "drag", "nu"}
+    assert fit.parameters["drag"][0] == pytest.approx(TRUE["drag"], rel=0.1)
+
+
+def test_the_linear_nominal_has_no_dry_friction():
+    """mu and drag are neither fitted nor simulated."""
+    problem = Problem(make_experiment(1, n=100), nominal="linear")
+    assert set(problem.names) == {"k2t", "c2t", "c1t", "c3t"}
+
+
+def test_free_starts_infer_the_initial_state():
+    """Records that begin somewhere in the motion are fitted without a release."""
+    rng = np.random.default_rng(2)
+    times = np.arange(400) * 1e-3
+    trials = []
+    for number in (1, 2):
+        y = (
+            Model(False)
+            .simulate(
+                RIG | TRUE | {"k1t": 6.2, "theta0": 0.05, "omega1_0": 1.5, "delay": 0.0}, times, quantity="velocity"
+            )
+            .y[0]
+        )
+        trials.append(TrialRecord("a", "I", False, number, times, y + 0.02 * rng.standard_normal(y.shape), 0))
+    fit = calibrate_nominal(
+        Experiment({"J1": (RIG["J1"], 0.0)}, ((6.2, 0.0),), tuple(trials), quantity="velocity", start="free")
+    )
+    assert abs(fit.excess) < 5.0 * math.sqrt(2.0 * fit.problem.n_data)
