@@ -24,9 +24,10 @@ _PARTS = 16
 class Accumulator:
     """How to sum.
 
-    `kernel(y, data, weight, directions, options, sums)` fills sums (n_channels, n_sums) from a record y, the data and
-    weights (0 where there is no datum), each (n_channels, n), from directions (k, n_channels, n), and from options
-    (m,), numbers of its own for each parameter vector. `size(k)` gives n_sums.
+    `kernel(block, skip, data, weight, directions, options, sums)` fills sums (m, n_channels, n_sums) from the records
+    of m vectors, block[v, c, skip : skip + n], from the data and weights (0 where there is no datum), each
+    (n_channels, n), from directions (k, n_channels, n), and from options (m, any), numbers of its own for each vector.
+    `size(k)` gives n_sums.
     """
 
     name: str
@@ -43,92 +44,95 @@ def _compiled(function: Callable[..., None]) -> Callable[..., None]:
 
 
 @_compiled
-def _gaussian(y: Any, data: Any, weight: Any, directions: Any, _options: Any, sums: Any) -> None:
+def _gaussian(block: Any, skip: int, data: Any, weight: Any, directions: Any, _options: Any, sums: Any) -> None:
     """Sum w r^2, then sum w r T_k for each direction; r = data - y."""
-    n = y.shape[1]
+    n = data.shape[1]
     whole = n - n % _PARTS
     part = np.empty(_PARTS)
-    for c in range(y.shape[0]):
-        for k in range(1 + directions.shape[0]):
-            part[:] = 0.0
-            total = 0.0
-            if k == 0:
-                for i in range(0, whole, _PARTS):
-                    for j in range(_PARTS):
-                        r = data[c, i + j] - y[c, i + j]
-                        part[j] += weight[c, i + j] * r * r
-                for i in range(whole, n):
-                    r = data[c, i] - y[c, i]
-                    total += weight[c, i] * r * r
-            else:
-                for i in range(0, whole, _PARTS):
-                    for j in range(_PARTS):
-                        r = data[c, i + j] - y[c, i + j]
-                        part[j] += weight[c, i + j] * r * directions[k - 1, c, i + j]
-                for i in range(whole, n):
-                    total += weight[c, i] * (data[c, i] - y[c, i]) * directions[k - 1, c, i]
-            for j in range(_PARTS):
-                total += part[j]
-            sums[c, k] = total
+    for v in range(sums.shape[0]):
+        for c in range(data.shape[0]):
+            for k in range(1 + directions.shape[0]):
+                part[:] = 0.0
+                total = 0.0
+                if k == 0:
+                    for i in range(0, whole, _PARTS):
+                        for j in range(_PARTS):
+                            r = data[c, i + j] - block[v, c, skip + i + j]
+                            part[j] += weight[c, i + j] * r * r
+                    for i in range(whole, n):
+                        r = data[c, i] - block[v, c, skip + i]
+                        total += weight[c, i] * r * r
+                else:
+                    for i in range(0, whole, _PARTS):
+                        for j in range(_PARTS):
+                            r = data[c, i + j] - block[v, c, skip + i + j]
+                            part[j] += weight[c, i + j] * r * directions[k - 1, c, i + j]
+                    for i in range(whole, n):
+                        total += weight[c, i] * (data[c, i] - block[v, c, skip + i]) * directions[k - 1, c, i]
+                for j in range(_PARTS):
+                    total += part[j]
+                sums[v, c, k] = total
 
 
 @_compiled
-def _autoregressive(y: Any, data: Any, weight: Any, _directions: Any, _options: Any, sums: Any) -> None:
+def _autoregressive(block: Any, skip: int, data: Any, weight: Any, _directions: Any, _options: Any, sums: Any) -> None:
     """Sum w r_i^2, sum over neighbours of r_(i-1)^2, r_i r_(i-1) and r_i^2, where both are data.
 
     The innovations of an AR(1) noise have sum (r_i - rho r_(i-1))^2 = sums[3] - 2 rho sums[2] + rho^2 sums[1].
     """
-    n = y.shape[1]
+    n = data.shape[1]
     whole = n - 1 - (n - 1) % _PARTS
     part = np.empty((4, _PARTS))
-    for c in range(y.shape[0]):
-        part[:] = 0.0
-        first = data[c, 0] - y[c, 0]
-        part[0, 0] = weight[c, 0] * first * first
-        for i in range(1, 1 + whole, _PARTS):
-            for j in range(_PARTS):
-                r = data[c, i + j] - y[c, i + j]
-                before = data[c, i + j - 1] - y[c, i + j - 1]
-                both = weight[c, i + j] * weight[c, i + j - 1]
-                part[0, j] += weight[c, i + j] * r * r
-                part[1, j] += both * before * before
-                part[2, j] += both * r * before
-                part[3, j] += both * r * r
-        for i in range(1 + whole, n):
-            r = data[c, i] - y[c, i]
-            before = data[c, i - 1] - y[c, i - 1]
-            both = weight[c, i] * weight[c, i - 1]
-            part[0, 0] += weight[c, i] * r * r
-            part[1, 0] += both * before * before
-            part[2, 0] += both * r * before
-            part[3, 0] += both * r * r
-        for k in range(4):
-            total = 0.0
-            for j in range(_PARTS):
-                total += part[k, j]
-            sums[c, k] = total
+    for v in range(sums.shape[0]):
+        for c in range(data.shape[0]):
+            part[:] = 0.0
+            first = data[c, 0] - block[v, c, skip + 0]
+            part[0, 0] = weight[c, 0] * first * first
+            for i in range(1, 1 + whole, _PARTS):
+                for j in range(_PARTS):
+                    r = data[c, i + j] - block[v, c, skip + i + j]
+                    before = data[c, i + j - 1] - block[v, c, skip + i + j - 1]
+                    both = weight[c, i + j] * weight[c, i + j - 1]
+                    part[0, j] += weight[c, i + j] * r * r
+                    part[1, j] += both * before * before
+                    part[2, j] += both * r * before
+                    part[3, j] += both * r * r
+            for i in range(1 + whole, n):
+                r = data[c, i] - block[v, c, skip + i]
+                before = data[c, i - 1] - block[v, c, skip + i - 1]
+                both = weight[c, i] * weight[c, i - 1]
+                part[0, 0] += weight[c, i] * r * r
+                part[1, 0] += both * before * before
+                part[2, 0] += both * r * before
+                part[3, 0] += both * r * r
+            for k in range(4):
+                total = 0.0
+                for j in range(_PARTS):
+                    total += part[k, j]
+                sums[v, c, k] = total
 
 
 @_compiled
-def _student(y: Any, data: Any, weight: Any, _directions: Any, options: Any, sums: Any) -> None:
+def _student(block: Any, skip: int, data: Any, weight: Any, _directions: Any, options: Any, sums: Any) -> None:
     """Sum w log(1 + r^2 / (dof s_c^2)); options: dof, then the scale s of each channel."""
-    n = y.shape[1]
+    n = data.shape[1]
     whole = n - n % _PARTS
     part = np.empty(_PARTS)
-    for c in range(y.shape[0]):
-        per = 1.0 / (options[0] * options[1 + c] * options[1 + c])
-        part[:] = 0.0
-        total = 0.0
-        for i in range(0, whole, _PARTS):
+    for v in range(sums.shape[0]):
+        for c in range(data.shape[0]):
+            per = 1.0 / (options[v, 0] * options[v, 1 + c] * options[v, 1 + c])
+            part[:] = 0.0
+            total = 0.0
+            for i in range(0, whole, _PARTS):
+                for j in range(_PARTS):
+                    r = data[c, i + j] - block[v, c, skip + i + j]
+                    part[j] += weight[c, i + j] * lanes.log(1.0 + r * r * per)
+            for i in range(whole, n):
+                r = data[c, i] - block[v, c, skip + i]
+                total += weight[c, i] * lanes.log(1.0 + r * r * per)
             for j in range(_PARTS):
-                r = data[c, i + j] - y[c, i + j]
-                part[j] += weight[c, i + j] * lanes.log(1.0 + r * r * per)
-        for i in range(whole, n):
-            r = data[c, i] - y[c, i]
-            total += weight[c, i] * lanes.log(1.0 + r * r * per)
-        for j in range(_PARTS):
-            total += part[j]
-        sums[c, 0] = total
+                total += part[j]
+            sums[v, c, 0] = total
 
 
 GAUSSIAN = Accumulator("gaussian", _gaussian, lambda k: 1 + k)

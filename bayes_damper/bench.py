@@ -23,6 +23,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from bayes_damper import bench_peers, damper, integrator, lanes
+from bayes_damper.accumulate import GAUSSIAN
 from bayes_damper.damper import ROWS
 from bayes_damper.integrator import LANES
 from bayes_damper.model import Model
@@ -307,6 +308,7 @@ def bench(*, repeats: int = 7, peers: bool = True) -> Bench:
     model = Model()
     kernel: Callable[..., Any] = model.compile()
     plain = libm_kernel()
+    data = np.zeros((2, TIMES.size))
     calls: dict[Any, tuple[Callable[[], Any], int]] = {}
     slow: dict[Any, tuple[Callable[[], Any], int]] = {}
     errors: dict[Any, Callable[[], float]] = {}
@@ -324,8 +326,10 @@ def bench(*, repeats: int = 7, peers: bool = True) -> Bench:
         def own_error(table: dict[str, Any] = sixteen, truth: Array = truth, tolerance: float = 1.0) -> float:
             return _error(model.simulate(table, TIMES, tolerance=tolerance).y, truth)
 
-        calls[_OWN, nu] = (lambda table=table: model.simulate(table, TIMES), _VECTORS)  # type: ignore[misc]
+        calls[_OWN, nu] = (lambda t=table: model.accumulate(t, TIMES, data, GAUSSIAN), _VECTORS)  # type: ignore[misc]
         errors[_OWN, nu] = own_error
+        calls["bayes_damper, records kept", nu] = (lambda t=table: model.simulate(t, TIMES), _VECTORS)  # type: ignore[misc]
+        errors["bayes_damper, records kept", nu] = own_error
         calls["kernel alone", nu] = (lambda a=arguments: kernel(*a), LANES)  # type: ignore[misc]
         errors["kernel alone", nu] = own_error
         fixed = min(integrator.SPEED_TOLERANCE * speed, integrator.SWITCH_TOLERANCE / nu)

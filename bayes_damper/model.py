@@ -171,8 +171,10 @@ class Model:
         own = np.ascontiguousarray(np.broadcast_to(own, (n, own.shape[1])))
         sums = np.full((n, self.channels, accumulator.size(along.shape[0])), np.nan)
 
-        def take(vector: int, record: Array) -> None:
-            accumulator.kernel(np.ascontiguousarray(record), observed, weight, along, own[vector], sums[vector])
+        def take(vectors: NDArray[np.int64], block: Array, skip: int) -> None:
+            part = np.empty((vectors.size, *sums.shape[1:]))
+            accumulator.kernel(block, skip, observed, weight, along, own[vectors], part)
+            sums[vectors] = part
 
         if lags is None:
             outcome = self._run(rows, extras, grid, drive, quantity, tolerance, threads, take).outcome
@@ -182,8 +184,7 @@ class Model:
                 parameters, times, effect=effect, torque=torque, quantity=quantity, tolerance=tolerance, threads=threads
             )
             outcome = simulation.outcome
-            for vector in np.flatnonzero(outcome == integrator.COMPLETED):
-                take(int(vector), simulation.y[vector])
+            take(np.arange(n), simulation.y, 0)
         sums[outcome != integrator.COMPLETED] = np.nan
         return Sums(sums, outcome)
 
@@ -234,9 +235,9 @@ class Model:
         quantity: Quantity,
         tolerance: float,
         threads: int,
-        take: Callable[[int, Array], None] | None = None,
+        take: Callable[[NDArray[np.int64], Array, int], None] | None = None,
     ) -> Simulation:
-        """Integrate block by block; records go into the result, or to `take` (vector, record) where that is given."""
+        """Integrate block by block; records go into the result, or to `take` (vectors, block, skip)."""
         n = max(rows.shape[1], extras.shape[1])
         rows = np.array(np.broadcast_to(rows, (rows.shape[0], n)))
         extras = np.array(np.broadcast_to(extras, (extras.shape[0], n)))
@@ -274,13 +275,12 @@ class Model:
                 )
                 status[(status == integrator.COMPLETED) & ~np.isfinite(final)] = integrator.NOT_FINITE_RECORD
                 kept = min(LANES, which.size - start)
-                records = out[:kept, : self.channels, grid.size - times.size : grid.size]
                 outcome[lanes[:kept]] = status[:kept]
+                skip = grid.size - times.size
                 if take is None:
-                    y[lanes[:kept]] = records
+                    y[lanes[:kept]] = out[:kept, : self.channels, skip : grid.size]
                 else:
-                    for vector, record in zip(lanes[:kept], records, strict=True):
-                        take(int(vector), record)
+                    take(lanes[:kept], out, skip)
 
         if workers > 1:
             with ThreadPoolExecutor(workers) as pool:
