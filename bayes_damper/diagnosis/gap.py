@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from bayes_damper.calibration import Calibration, Group, Problem, Switches, calibrate, predict
+from bayes_damper.calibration import Calibration, Group, Problem, calibrate, predict
+from bayes_damper.diagnosis.response import on_trials
 
 Array = NDArray[np.float64]
 
@@ -100,7 +101,7 @@ def measure_gap(
 ) -> Gap:
     """The gap of the nominal model on held-out trials, and what is left of it under the winner.
 
-    shapes : what the training trials say is missing, held-out trial -> (channels, n), e.g. from `predicted_gap`;
+    shapes : what the training trials say is missing, held-out trial -> (channels, n), e.g. from `sites.predicted_gap`;
     further predictions come from the repeats and from the winner. `rng` draws the bootstrap (default: seed 0).
     """
     experiment = nominal.problem.experiment
@@ -181,12 +182,7 @@ def held_out_test(fit: Calibration, eta: Mapping[int, Array], predictions: Seque
     if not predictions:
         return 1.0
     problem = fit.problem
-    own = Problem(
-        problem.experiment, problem.effect, nominal=problem.nominal, noise=problem.noise, switches=problem.switches,
-        threads=problem.threads, tolerance=problem.tolerance, trials=tuple(eta),
-    )  # fmt: skip
-    columns = [problem.names.index(n) for n in own.names]
-    linear = own.linearise(fit.q[columns], eta)
+    linear = on_trials(fit, eta).linear
     rows, nuisances = [], []
     residual: list[Array] = []
     ranges: dict[int, tuple[Group, slice]] = {}
@@ -367,8 +363,7 @@ def left_out_case(
         problem = fit.problem
         fewer = Problem(
             experiment, problem.effect, nominal=problem.nominal, noise=problem.noise,
-            switches=Switches(problem.switches.delay, problem.switches.friction), threads=problem.threads,
-            tolerance=problem.tolerance, trials=rest,
+            switches=problem.switches, threads=problem.threads, tolerance=problem.tolerance, trials=rest,
         )  # fmt: skip
         keep = [problem.names.index(n) for n in fewer.names]
         again = calibrate(fewer, [fit.q[keep]], eta={i: fit.eta[i] for i in rest}, anneal=False, finish=False)

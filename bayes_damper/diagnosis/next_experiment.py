@@ -174,7 +174,7 @@ def _with_events(fit: Calibration, experiment: Experiment) -> Experiment:
 
 
 def _moved(fit: Calibration, experiment: Experiment) -> tuple[Problem, Array]:
-    """The fit's model on other trials, and its coordinates there: at the prior mean if the campaign did not hold them."""
+    """The fit's model on other trials, and its coordinates there: at the prior mean where they are new."""
     old = fit.problem
     problem = Problem(
         experiment, old.effect, nominal=old.nominal, noise=old.noise, switches=old.switches, threads=old.threads,

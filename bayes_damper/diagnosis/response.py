@@ -12,14 +12,14 @@ over a step the slope of tanh is therefore the secant (tanh(nu b) - tanh(nu a)) 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.calibration import Block, Calibration, Group
+from bayes_damper.calibration import Block, Calibration, Group, Problem
 from bayes_damper.model import Model
 
 Array = NDArray[np.float64]
@@ -103,6 +103,21 @@ class Motion:
 def motions(fit: Calibration) -> list[Motion]:
     """The motion of every fitted trial, one entry for each group of the problem."""
     return [_motion(fit, block) for block in fit.linear.blocks]
+
+
+def on_trials(fit: Calibration, eta: Mapping[int, Array]) -> Calibration:
+    """The fit as it stands, linearised on other trials whose nuisances are eta."""
+    old = fit.problem
+    problem = Problem(
+        old.experiment, old.effect, nominal=old.nominal, noise=old.noise, switches=old.switches, threads=old.threads,
+        tolerance=old.tolerance, trials=tuple(eta),
+    )  # fmt: skip
+    keep = [old.names.index(name) for name in problem.names]
+    q = fit.q[keep]
+    linear = problem.linearise(q, eta)
+    return replace(
+        fit, problem=problem, q=q, eta=dict(eta), covariance=fit.covariance[np.ix_(keep, keep)], linear=linear
+    )
 
 
 def _bare(model: Model) -> Model:
@@ -269,12 +284,13 @@ def _reading(
 class Projected:
     """Gram matrix (k, k) of whitened columns and their product (k,) with the residuals, parameters taken out.
 
-    `raw` (k,): squared lengths before that.
+    `raw` (k,): squared lengths before that; `absorbed` (size, k): by how much the parameters give way to a column.
     """
 
     gram: Array
     product: Array
     raw: Array
+    absorbed: Array
 
 
 def whiten(fit: Calibration, group: Group, y: Array) -> Array:
@@ -311,7 +327,7 @@ def project(fit: Calibration, columns: Sequence[Array]) -> Projected:
     answer = np.linalg.solve(S, np.column_stack([mixed, g]))
     gram -= mixed.T @ answer[:, :k]
     product -= mixed.T @ answer[:, k]
-    return Projected(0.5 * (gram + gram.T), -product, raw)
+    return Projected(0.5 * (gram + gram.T), -product, raw, np.asarray(-answer[:, :k]))
 
 
 def scale_of(values: Sequence[Array]) -> float:

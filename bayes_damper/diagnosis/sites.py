@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln, logsumexp
 
-from bayes_damper.calibration import Calibration
-from bayes_damper.diagnosis.response import Motion, Projected, motions, project, whiten
-from bayes_damper.diagnosis.shapes import Shape, scale_of_motions, shapes_of
+from bayes_damper.calibration import Calibration, predict
+from bayes_damper.diagnosis.response import Motion, Projected, motions, on_trials, project, whiten
+from bayes_damper.diagnosis.shapes import Scale, Shape, scale_of_motions, shapes_of
 from bayes_damper.effects.base import SITES
 
 Array = NDArray[np.float64]
@@ -76,7 +76,9 @@ class SiteMap:
     """Where a gap lies.
 
     log_evidence: of each site over no gap, nats; probabilities: of the sites and "none", sum 1; leaders: the leading
-    hypothesis of each site; torque: what is missing at the best site (empty for a sensor: no torque is wrong there).
+    hypothesis of each site; torque: what is missing at the best site (empty for a sensor: no torque is wrong there);
+    coefficients: of the best site's leading hypothesis, in the units of its shapes; shift: what the parameters q of the
+    fit give way to it.
     """
 
     log_evidence: Mapping[str, float]
@@ -84,6 +86,9 @@ class SiteMap:
     leaders: Mapping[str, Hypothesis]
     torque: tuple[MissingTorque, ...]
     fit: Calibration
+    scale: Scale
+    coefficients: Array
+    shift: Array
 
     @property
     def best(self) -> str:
@@ -161,10 +166,59 @@ def site_map(fit: Calibration, *, torque: bool = True, prior_none: float = PRIOR
     evidence, leaders = _per_site(hypotheses)
     probabilities = probabilities_of(evidence, prior_none)
     best = max(evidence, key=lambda s: evidence[s])
+    mean, root = _coefficients(judged, leaders[best])
     missing: tuple[MissingTorque, ...] = ()
     if torque and best != "sensor":
-        missing = _torque(moved, shapes, judged, leaders[best])
-    return SiteMap(evidence, probabilities, leaders, missing, fit)
+        missing = _torque(moved, shapes, leaders[best].columns, mean, root)
+    shift = judged.absorbed[:, leaders[best].columns] @ mean
+    return SiteMap(evidence, probabilities, leaders, missing, fit, scale, mean, shift)
+
+
+def predicted_gap(found: SiteMap) -> dict[int, Array]:
+    """What the best site's shapes, learnt on the training trials, change in the model's held-out records.
+
+    Held-out trial -> (channels, n), unit of the readings. Parameters give way to the shapes as they do in training, and
+    each trial's nuisances to both; none of it depends on the noise of the held-out records.
+    """
+    fit = found.fit
+    heldout = fit.problem.experiment.heldout
+    if not heldout:
+        return {}
+    unseen = on_trials(fit, {i: p.eta for i, p in predict(fit, heldout).items()})
+    keep = [fit.problem.names.index(name) for name in unseen.problem.names]
+    shift = found.shift[keep]
+    coupled = any(t.coupled for t in fit.problem.experiment.trials)
+    columns = found.leaders[found.best].columns
+    out = {}
+    for motion, block in zip(motions(unseen), unseen.linear.blocks, strict=True):
+        group = motion.group
+        every = list(shapes_of(motion, found.scale, coupled))
+        y = np.einsum("jkcn,k->jcn", _changes(motion, [every[c] for c in columns]), found.coefficients)
+        d = whiten(fit, group, y[:, None])[:, 0] + np.einsum("jqd,q->jd", block.J, shift)
+        H = block.T @ block.T.transpose(0, 2, 1) + np.eye(block.T.shape[1])
+        own = -np.linalg.solve(H, np.einsum("jmd,jd->jm", block.T, d)[:, :, None])[:, :, 0]
+        n = len(group.trials)
+        twice: Any = np.tile(np.arange(n), 2)
+        q = np.concatenate([np.tile(unseen.q, (n, 1)), np.tile(unseen.q + shift, (n, 1))])
+        eta = np.concatenate([block.eta, np.clip(block.eta + own, group.lower, group.upper)])
+        before, after = np.split(unseen.problem.simulate(group, twice, q, eta), 2)
+        y = y + np.nan_to_num(after - before)
+        out.update({i: y[k] for k, i in enumerate(group.trials)})
+    return out
+
+
+def _changes(motion: Motion, shapes: Sequence[Shape]) -> Array:
+    """Changes of the readings (trials, k, channels, n) by a few shapes."""
+    zero, still = np.zeros_like(motion.th1), np.zeros((motion.th1.shape[0], 4))
+    y = motion.respond(
+        np.stack([_or(s.q1, zero) for s in shapes], axis=1),
+        np.stack([_or(s.q2, zero) for s in shapes], axis=1),
+        np.stack([_or(s.start, still) for s in shapes], axis=1),
+    )
+    for k, s in enumerate(shapes):
+        if s.reading is not None:
+            y[:, k] = s.reading
+    return y
 
 
 def _columns(fit: Calibration, motion: Motion, shapes: Sequence[Shape], most: int = 64) -> Array:
@@ -289,17 +343,21 @@ def probabilities_of(evidence: Mapping[str, float], prior_none: float = PRIOR_NO
 # Missing torque -------------------------------------------------------------------------------------------------------
 
 
-def _torque(
-    moved: Sequence[Motion], shapes: Sequence[Sequence[Shape]], judged: Projected, hypothesis: Hypothesis
-) -> tuple[MissingTorque, ...]:
-    """Posterior mean and standard deviation of the torque under the leading hypothesis of a site."""
+def _coefficients(judged: Projected, hypothesis: Hypothesis) -> tuple[Array, Array]:
+    """Posterior mean (k,) of the coefficients, in the units of the shapes, and a root of their covariance."""
     which = hypothesis.columns
     size = np.sqrt(np.diag(judged.gram)[which])
     gram = judged.gram[np.ix_(which, which)] / size[:, None] / size[None, :]
-    precision = gram + np.eye(which.size) / hypothesis.strength**2
-    covariance = np.linalg.inv(precision)
-    mean = covariance @ (judged.product[which] / size)
-    root = np.linalg.cholesky(0.5 * (covariance + covariance.T) + 1e-15 * np.eye(which.size))
+    values, vectors = np.linalg.eigh(gram)
+    inverse = 1.0 / (np.maximum(values, 0.0) + 1.0 / hypothesis.strength**2)
+    mean = vectors @ (inverse * (vectors.T @ (judged.product[which] / size)))
+    return mean / size, vectors * np.sqrt(inverse) / size[:, None]
+
+
+def _torque(
+    moved: Sequence[Motion], shapes: Sequence[Sequence[Shape]], which: NDArray[np.int64], mean: Array, root: Array
+) -> tuple[MissingTorque, ...]:
+    """Posterior mean and standard deviation of the torque that the shapes `which` make."""
     out = []
     for m, own in zip(moved, shapes, strict=True):
         zero = np.zeros_like(m.th1)
@@ -309,7 +367,7 @@ def _torque(
                 features = np.array([
                     (zero if q is None else q)[k]
                     for q in ((own[c].q1 if inertia == 0 else own[c].q2) for c in which)
-                ]) / size[:, None]  # fmt: skip
+                ])  # fmt: skip
                 torque[inertia] = mean @ features
                 sd[inertia] = np.sqrt(np.sum((root.T @ features) ** 2, axis=0))
             at = m.at

@@ -1,0 +1,78 @@
+"""A small rig for the tests of the diagnosis: two cases, both configurations, half a second, answers known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from bayes_damper.calibration import Experiment, TrialRecord
+from bayes_damper.effects import EFFECTS
+from bayes_damper.effects.base import Variant
+from bayes_damper.model import Model
+
+RIG = {
+    "J1": 3.015e-3, "J2": 2.474e-3, "R": 0.1, "r": 0.0127, "N0": 100.0, "k2t": 1.2, "c2t": 0.06, "c1t": 0.011,
+    "c3t": 0.009, "mu": 0.006, "drag": 0.005, "nu": 60.0,
+}  # fmt: skip
+STIFFNESSES = (6.2, 10.2)
+NOISE = 2.0
+
+
+def variant(effect: str, name: str | None = None) -> Variant:
+    """A formula of the library, the first one unless named."""
+    family = EFFECTS[effect]
+    return family.variants[0] if name is None else family.variant(name)
+
+
+def measured(
+    seed: int = 1,
+    *,
+    effect: Variant | None = None,
+    values: Mapping[str, float] | None = None,
+    torque: Callable[[Any], Any] | None = None,
+    sensor: Callable[[Any, Any], Any] | None = None,
+    cases: Sequence[tuple[str, int, float]] = (("I", 0, 0.1), ("IV", 1, 0.08)),
+    configurations: Sequence[bool] = (False, True),
+    repeats: int = 3,
+    duration: float = 0.5,
+    rate: float = 1000.0,
+    noise: float = NOISE,
+) -> Experiment:
+    """Trials of the rig with something unknown in it; the last repeat of each case and configuration is held out.
+
+    torque : (times) -> N m on the primary, which nobody declares; sensor : (times, y (channels, n)) -> what it shows.
+    """
+    rng = np.random.default_rng(seed)
+    times = np.arange(round(duration * rate)) / rate
+    trials = []
+    for case, k, theta0 in cases:
+        for coupled in configurations:
+            for number in range(1, repeats + 1):
+                released = theta0 * (1.0 + 0.01 * rng.standard_normal())
+                y = Model(coupled, effect=effect).simulate(
+                    RIG | {"k1t": STIFFNESSES[k], "theta0": released}, times, effect=values,
+                    torque=None if torque is None else torque(times),
+                ).y[0]  # fmt: skip
+                if sensor is not None:
+                    y = sensor(times, y)
+                y = y + noise * rng.standard_normal(y.shape)
+                label = f"{case} {coupled} {number}"
+                trials.append(
+                    TrialRecord(
+                        label, case, coupled, number, times, y, k, theta0, 0.01 * theta0, heldout=number == repeats > 1
+                    )
+                )
+    constants = {name: (RIG[name], 0.0) for name in ("J1", "J2", "R", "r", "N0")}
+    return Experiment(constants, tuple((k, 0.0) for k in STIFFNESSES), tuple(trials))
+
+
+def knock(start: float, length: float, size: float) -> Callable[[Any], Any]:
+    """Half a sine on the primary, N m."""
+
+    def torque(times: Any) -> Any:
+        x = (times - start) / length
+        return np.where((x > 0.0) & (x < 1.0), size * np.sin(np.pi * np.clip(x, 0.0, 1.0)), 0.0)
+
+    return torque

@@ -1,0 +1,174 @@
+"""The site map: responses against full simulations, the right site for known causes, honest evidence and torque."""
+
+import csv
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal
+from small_rig import RIG, knock, measured, variant
+
+from bayes_damper.calibration import calibrate_nominal, predict
+from bayes_damper.diagnosis.response import motions, project
+from bayes_damper.diagnosis.sites import (
+    STRENGTHS,
+    dense_evidence,
+    predicted_gap,
+    probabilities_of,
+    site_map,
+    write_missing_torque,
+)
+from bayes_damper.effects.base import SITES
+from bayes_damper.model import Model
+
+CUBIC = {"effect": variant("magnet_cubic", "cubic"), "values": {"cubic": 200.0}}
+
+
+@pytest.fixture(scope="module")
+def faultless():
+    return calibrate_nominal(measured(3))
+
+
+@pytest.fixture(scope="module")
+def interface():
+    fit = calibrate_nominal(measured(4, **CUBIC))
+    return fit, site_map(fit)
+
+
+def test_linearised_response_agrees_with_a_simulation(faultless):
+    """A small torque that depends on the motion, through full simulation and through the variational equations."""
+    size = 0.05
+    for motion in motions(faultless):
+        group = motion.group
+        torque = -size * motion.phi**3 * group.coupled
+        response = motion.respond(torque[:, None], -torque[:, None])[:, 0]
+        values = {k: v[0] for k, v in faultless.parameters.items()}
+        for k, i in enumerate(group.trials):
+            trial = faultless.problem.experiment.trials[i]
+            rig = RIG | values | {
+                "k1t": faultless.problem.experiment.stiffnesses[trial.k1t][0], "theta0": motion.theta0[k],
+            }  # fmt: skip
+            bare = Model(group.coupled).simulate(rig, group.times).y[0]
+            other = Model(group.coupled, effect=CUBIC["effect"])
+            changed = other.simulate(rig, group.times, effect={"cubic": size}, tolerance=0.1).y[0]
+            still = other.simulate(rig, group.times, effect={"cubic": 0.0}, tolerance=0.1).y[0]
+            assert np.allclose(motion.y[k], bare, atol=1e-3 * np.abs(bare).max())
+            if not group.coupled:
+                assert not np.any(response[k])
+                continue
+            difference = changed - still
+            error = np.median(np.abs(response[k] - difference))
+            assert error < 0.02 * np.median(np.abs(difference))
+
+
+def test_projection_takes_out_what_parameters_can_do(faultless):
+    """A column that a parameter already has is left with next to nothing; noise is left as it is."""
+    rng = np.random.default_rng(1)
+    columns = []
+    for block in faultless.linear.blocks:
+        n, _, d = block.J.shape
+        columns.append(np.stack([block.J[:, 0], block.J[:, 1], rng.standard_normal((n, d))], axis=1))
+    judged = project(faultless, columns)
+    left = np.diag(judged.gram) / judged.raw
+    assert np.all(left[:2] < 1e-2)
+    assert left[2] > 0.95
+
+
+@pytest.mark.parametrize(
+    ("site", "cause"),
+    [
+        ("ground1", {"effect": variant("spring_cubic"), "values": {"k3": 40.0}}),
+        ("ground1", {"torque": knock(0.2, 0.012, 0.06)}),
+        ("bearings", {"effect": variant("quadratic_drag"), "values": {"coefficient": 0.3}}),
+        ("sensor", {"sensor": lambda t, y: np.clip(y, -130.0, 130.0)}),
+        ("sensor", {"sensor": lambda t, y: y + (np.array([[0.0], [0.12]]) * y[:1])[: len(y)]}),
+    ],
+    ids=["hardening", "knock", "drag", "clipping", "crosstalk"],
+)
+def test_a_cause_is_found_at_its_site(site, cause):
+    found = site_map(calibrate_nominal(measured(5, **cause)), torque=False)
+    assert found.best == site
+    assert found.probabilities["none"] < 0.01
+    assert site in found.credible_set()
+    assert abs(sum(found.probabilities.values()) - 1.0) < 1e-12
+
+
+def test_interface_torque_is_found_at_the_interface_with_its_shape(interface):
+    """The missing torque grows with the cube of the relative angle, apart from what stiffness and damping can take."""
+    fit, found = interface
+    assert found.best == "interface"
+    assert found.probabilities["interface"] > 0.9
+    coupled = [m for m in found.torque if np.any(m.th2)]
+    assert len(coupled) == 4
+    for m in coupled:
+        assert np.allclose(m.torque[0], -m.torque[1])
+    phi = np.concatenate([m.phi for m in coupled])
+    slip = np.concatenate([m.slip for m in coupled])
+    q2 = np.concatenate([m.torque[1] for m in coupled])
+    nominal = np.column_stack([phi, slip, np.tanh(60.0 * slip), np.tanh(60.0 * slip) * np.abs(phi)])
+
+    def beyond(x):
+        return x - nominal @ np.linalg.lstsq(nominal, x, rcond=None)[0]
+
+    shape = beyond(q2)
+    expected = beyond(200.0 * phi**3)
+    assert np.corrcoef(shape, expected)[0, 1] > 0.9
+    assert set(found.curve()) == {"phi", "slip"}
+    assert fit.problem.experiment.coupled
+
+
+def test_without_a_gap_the_map_says_none(faultless):
+    found = site_map(faultless)
+    assert found.probabilities["none"] > 0.5
+    assert set(found.probabilities) == {*SITES, "none"}
+
+
+def test_missing_torque_is_written_as_a_table(tmp_path, interface):
+    fit, found = interface
+    path = tmp_path / "missing_torque.csv"
+    write_missing_torque(path, found)
+    with path.open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == sum(fit.problem.experiment.trials[i].times.size for i in fit.problem.trials)
+    row = next(r for r in rows if r["configuration"] == "coupled" and float(r["time_s"]) > 0.1)
+    assert float(row["torque1_n_m"]) == pytest.approx(-float(row["torque2_n_m"]))
+    assert float(row["torque1_sd_n_m"]) > 0.0
+
+
+def test_shapes_learnt_in_training_predict_the_held_out_trials(interface):
+    """Adding what the site map learnt brings held-out residuals closer to the noise."""
+    fit, found = interface
+    heldout = fit.problem.experiment.heldout
+    before = predict(fit, heldout)
+    extra = predicted_gap(found)
+    x0 = sum(np.sum(before[i].residual[:, 3:] ** 2) for i in heldout)
+    x1 = sum(np.sum((before[i].residual - extra[i])[:, 3:] ** 2) for i in heldout)
+    floor = sum(4.0 * before[i].residual[:, 3:].size for i in heldout)
+    assert x0 - floor > 500.0
+    assert (x0 - x1) / (x0 - floor) > 0.7
+
+
+def test_evidence_equals_the_ratio_of_densities():
+    """Against the two multivariate normal densities of the data, averaged over the strengths of the prior."""
+    rng = np.random.default_rng(2)
+    root = rng.standard_normal((30, 3))
+    root /= np.linalg.norm(root, axis=0)
+    y = rng.standard_normal(30) + root @ np.array([4.0, -2.0, 1.0])
+    ratios = [
+        multivariate_normal(np.zeros(30), np.eye(30) + s**2 * root @ root.T).logpdf(y)
+        - multivariate_normal(np.zeros(30), np.eye(30)).logpdf(y)
+        for s in STRENGTHS
+    ]
+    value, strength = dense_evidence(root.T @ root, root.T @ y)
+    assert value == pytest.approx(logsumexp(ratios) - np.log(len(ratios)), rel=1e-6)
+    assert strength == STRENGTHS[int(np.argmax(ratios))]
+
+
+def test_probabilities_share_what_surrogates_cannot_tell():
+    """Differences of a few per cent of a large evidence leave both sites possible; a small gap is told from none."""
+    close = probabilities_of({"ground1": 3000.0, "sensor": 2990.0, "interface": 900.0})
+    assert 0.3 < close["sensor"] < close["ground1"] < 0.7
+    assert close["none"] < 1e-9
+    assert close["interface"] < 0.01
+    assert close["release"] == 0.0
+    assert probabilities_of({"ground1": -3.0, "sensor": -3.0})["none"] > 0.9
