@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from bayes_damper.importer import init_campaign as init_campaign
     from bayes_damper.model import Model as Model
     from bayes_damper.published import load_published as load_published
+    from bayes_damper.report import report as report
     from bayes_damper.simulate import simulate_record as simulate_record
     from bayes_damper.tuning import tune as tune
 
@@ -29,13 +30,14 @@ _PLACES = {
     "init_campaign": "importer",
     "load_campaign": "campaign",
     "load_published": "published",
+    "report": "report",
     "simulate_record": "simulate",
     "tune": "tuning",
 }
 
 __all__ = [
-    "Model", "check", "fit", "import_records", "init_campaign", "load_campaign", "load_published", "simulate_record",
-    "tune",
+    "Model", "check", "fit", "import_records", "init_campaign", "load_campaign", "load_published", "report",
+    "simulate_record", "tune",
 ]  # fmt: skip
 
 

@@ -68,6 +68,10 @@ def _resume(args: Arguments) -> Any:
     return _call("resume:resume")(args.folder, more=args.more, workers=args.workers, progress=_progress(args))
 
 
+def _report(args: Arguments) -> Any:
+    return _call("report:report")(args.folder, out=args.out)
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="bayes-damper",
@@ -123,6 +127,10 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("folder", type=Path, help="the folder that the run writes to")
     sub.add_argument("--more", action="store_true", help="extend a run that has finished")
     sub.add_argument("--workers", type=int, metavar="N", help="processes on this machine (default: as before)")
+
+    sub = command("report", _report, "one self-contained HTML page from whatever results the folder holds")
+    sub.add_argument("folder", type=Path, help="a folder that other commands have written to")
+    sub.add_argument("--out", type=Path, metavar="F.html", help="the page (default: report.html in the folder)")
     return parser
 
 

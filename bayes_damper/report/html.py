@@ -1,0 +1,227 @@
+"""`bayes-damper report FOLDER`: one self-contained HTML page from whatever results the folder holds.
+
+Nothing is loaded from elsewhere: styles, script and figures are inside, and a content security policy forbids the
+rest. The page computes nothing but quantiles of stored draws for its charts.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from bayes_damper.errors import ExitCode, InputError
+from bayes_damper.provenance import provenance
+from bayes_damper.report.parts import NOTHING, Picture, Result, Section
+from bayes_damper.report.results import READERS
+from bayes_damper.run import read_json
+
+LARGEST = 5_000_000
+"""Bytes that a page may have, so that it can be sent by mail."""
+_LARGEST_SVG = 350_000  # bytes; a larger one is taken as PNG
+_MIME = {".svg": "image/svg+xml", ".png": "image/png"}
+_ORDER = ("forest", "predictive", "records", "corner", "trace")
+
+
+@dataclass(frozen=True)
+class Report:
+    """A page written to `path`: which results it shows, how many figures, and the warnings that stand on it."""
+
+    path: Path
+    results: tuple[str, ...]
+    figures: int
+    left_out: tuple[str, ...]
+    warnings: tuple[str, ...]
+    size: int
+    exit_code: ExitCode = ExitCode.DONE
+
+    def text(self) -> str:
+        """For people."""
+        lines = [f"{self.path}: {listed_results(self.results)}, {self.figures} figures, {self.size / 1e6:.1f} MB"]
+        lines += [f"  {w}" for w in self.warnings]
+        if self.left_out:
+            lines.append(f"  Left out because the page would be too large: {', '.join(self.left_out)}")
+        return "\n".join(lines)
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs."""
+        return {
+            "schema": "bayes-damper/report/1",
+            "path": str(self.path),
+            "results": list(self.results),
+            "figures": self.figures,
+            "left_out": list(self.left_out),
+            "warnings": list(self.warnings),
+            "bytes": self.size,
+        }
+
+
+@dataclass
+class _Budget:
+    """Bytes that figures may still take, and what they were turned into."""
+
+    left: int
+    used: dict[str, str] = field(default_factory=dict)
+    left_out: list[str] = field(default_factory=list)
+
+
+def report(folder: str | Path, *, out: str | Path | None = None) -> Report:
+    """Write one HTML page with all results of a folder, and of the folders directly in it.
+
+    Parameters
+    ----------
+    folder : what `fit`, `diagnose`, `tune` and the other commands wrote to (`--out`).
+    out : the page; by default report.html in the folder.
+
+    Raises
+    ------
+    InputError
+        if there is no such folder, or nothing in it that a report can show.
+    """
+    home = Path(folder)
+    if not home.is_dir():
+        raise InputError(f"{home}: there is no such folder; name one that a command has written to (--out)")
+    path = Path(out) if out is not None else home / "report.html"
+    files, results, warnings = [], [], []
+    for file, kind in _result_files(home):
+        data = read_json(file)
+        schema, read = READERS[kind]
+        found = data.get("schema") if isinstance(data, Mapping) else None
+        if found != schema:
+            warnings.append(f"{file.relative_to(home)} is not shown: its schema is {found!r}, expected {schema!r}.")
+            continue
+        try:
+            results.append(read(data, file.parent))
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            warnings.append(f"{file.relative_to(home)} is not shown: an entry is missing or malformed ({error!r}).")
+            continue
+        files.append(file)
+    if not results:
+        hint = f"it holds none of {', '.join(READERS)}"
+        raise InputError([f"{home}: there is nothing to report; {hint}", *warnings])
+    warnings = [w for r in results for w in r.warnings] + warnings
+    names = tuple(str(f.relative_to(home)) for f in files)
+    page, budget = _page(home, names, results, warnings)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(page, encoding="utf-8")
+    shown = sum(bool(v) for v in budget.used.values())
+    return Report(path, names, shown, tuple(budget.left_out), tuple(warnings), len(page.encode("utf-8")))
+
+
+def listed_results(names: tuple[str, ...]) -> str:
+    """Names of result files for a sentence."""
+    return ", ".join(names)
+
+
+def _result_files(home: Path) -> Iterator[tuple[Path, str]]:
+    """Files of results in a folder and directly below it, in the order of the page."""
+    places = [home, *sorted(p for p in home.iterdir() if p.is_dir() and not p.name.startswith("."))]
+    for kind in READERS:
+        yield from ((place / kind, kind) for place in places if (place / kind).is_file())
+
+
+def _page(home: Path, names: tuple[str, ...], results: list[Result], warnings: list[str]) -> tuple[str, _Budget]:
+    templates = Path(__file__).parent / "templates"
+    environment = Environment(
+        loader=FileSystemLoader(templates),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["json"] = _json
+    sections = _numbered([r.section for r in results], names)
+    charts = sum(len(_json(c.data)) for s in sections for c in _charts(s))
+    budget = _Budget(LARGEST - 150_000 - charts)
+    for picture in sorted((p for s in sections for p in _all_pictures(s)), key=_rank):
+        _take(picture, budget, home)
+    page = environment.get_template("report.html.j2").render(
+        title=f"Report: {_name(results) or home.resolve().name}",
+        headlines=[(r.headline, s) for r, s in zip(results, sections, strict=True)],
+        sections=sections,
+        warnings=warnings,
+        images=budget.used,
+        left_out=budget.left_out,
+        origins=[(n, _origin(home / n, r)) for n, r in zip(names, results, strict=True)],
+        own=provenance(),
+        style=(templates / "report.css").read_text(encoding="utf-8"),
+        script=(templates / "report.js").read_text(encoding="utf-8"),
+    )
+    return page, budget
+
+
+def _name(results: list[Result]) -> str:
+    """The campaign that the results are of, if any of them says so."""
+    return next((str(r.provenance["campaign"]) for r in results if r.provenance.get("campaign")), "")
+
+
+def _numbered(sections: list[Section], names: tuple[str, ...]) -> list[Section]:
+    """Sections with titles of their own: those of a folder below tell which. Every figure stands once on a page."""
+    out: list[Section] = []
+    shown: set[str] = set()
+    for section, name in zip(sections, names, strict=True):
+        place = Path(name).parent.as_posix()
+        title = section.title if place == "." else f"{section.title} ({place})"
+        pictures = tuple(p for p in section.pictures if p.path not in shown)
+        shown |= {p.path for p in pictures}
+        out.append(replace(section, title=title, pictures=pictures))
+    return out
+
+
+def _charts(section: Section) -> Iterator[Any]:
+    yield from section.charts
+    for part in section.parts:
+        yield from _charts(part)
+
+
+def _all_pictures(section: Section) -> Iterator[Picture]:
+    yield from section.pictures
+    for part in section.parts:
+        yield from _all_pictures(part)
+
+
+def _rank(picture: Picture) -> int:
+    stem = Path(picture.path).name
+    return _ORDER.index(stem) if stem in _ORDER else 2
+
+
+def _take(picture: Picture, budget: _Budget, home: Path) -> None:
+    """Turn a figure into a data address, as SVG unless that is large, as long as there is room."""
+    if picture.path in budget.used:
+        return
+    files = [f for s in _MIME if (f := Path(picture.path).with_name(Path(picture.path).name + s)).is_file()]
+    files.sort(key=lambda f: (f.suffix == ".svg" and f.stat().st_size > _LARGEST_SVG, f.suffix != ".svg"))
+    budget.used[picture.path] = ""
+    for file in files:
+        content = file.read_bytes()
+        address = f"data:{_MIME[file.suffix]};base64,{base64.b64encode(content).decode('ascii')}"
+        if len(address) <= budget.left:
+            budget.left -= len(address)
+            budget.used[picture.path] = address
+            return
+    if files:
+        name = files[0]
+        budget.left_out.append(str(name.relative_to(home) if name.is_relative_to(home) else name))
+
+
+def _origin(file: Path, result: Result) -> list[tuple[str, str]]:
+    """Provenance of one result, flat; with the checksum of its file."""
+    rows = [("file sha256", hashlib.sha256(file.read_bytes()).hexdigest())]
+    for key, value in result.provenance.items():
+        if isinstance(value, Mapping):
+            text = ", ".join(f"{k} {v}" for k, v in value.items())
+        else:
+            text = NOTHING if value is None else str(value)
+        rows.append((key.replace("_", " "), text))
+    return rows
+
+
+def _json(data: Any) -> str:
+    """JSON that may stand inside a script element."""
+    return json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")

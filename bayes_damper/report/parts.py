@@ -1,0 +1,182 @@
+"""What a report is made of, as plain records, and how its numbers are written."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+NOTHING = "\N{EN DASH}"
+"""What stands where there is no number."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """Cells of a table row; `mark` is "", "prior" (decided by the prior) or "bad" (do not use, or outside)."""
+
+    cells: tuple[str, ...]
+    mark: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table with its caption; numbers and words are formatted already."""
+
+    caption: str
+    columns: tuple[str, ...]
+    rows: tuple[Row, ...]
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure: what it shows, the words for those who cannot see it, and its file."""
+
+    title: str
+    alt: str
+    path: str
+
+
+@dataclass(frozen=True)
+class Chart:
+    """An interactive chart: `data` is what the page's script draws (see charts.py)."""
+
+    title: str
+    alt: str
+    data: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Section:
+    """One part of the page below the first screen."""
+
+    title: str
+    sentences: tuple[str, ...] = ()
+    tables: tuple[Table, ...] = ()
+    charts: tuple[Chart, ...] = ()
+    pictures: tuple[Picture, ...] = ()
+    parts: tuple[Section, ...] = ()
+
+    @property
+    def anchor(self) -> str:
+        """An id for links, from the title."""
+        return "".join(c if c.isalnum() else "-" for c in self.title.lower())
+
+
+@dataclass(frozen=True)
+class Headline:
+    """An answer for the first screen: `tone` is "good", "bad" or "open"; probabilities are (answer, value, tone)."""
+
+    title: str
+    tone: str
+    sentences: tuple[str, ...]
+    probabilities: tuple[tuple[str, float], ...] = ()
+    changes: tuple[str, ...] = ()
+    table: Table | None = None
+
+
+@dataclass(frozen=True)
+class Result:
+    """What one file of results contributes to the page."""
+
+    headline: Headline
+    section: Section
+    warnings: tuple[str, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+
+def number(x: Any, width: float | None = None) -> str:
+    """A number as text, with the digits that an interval of this width supports, else four; a dash for nothing."""
+    if x is None or isinstance(x, bool) or not isinstance(x, int | float) or not math.isfinite(x):
+        return NOTHING
+    if isinstance(x, int):
+        return str(x)
+    if width is None or not math.isfinite(width) or width <= 0.0:
+        return f"{x:.4g}"
+    digits = 2 - math.floor(math.log10(width))
+    if -3 <= digits <= 6 and abs(x) < 1e6:
+        return f"{round(x, digits):.{max(digits, 0)}f}"
+    significant = max(2, math.floor(math.log10(max(abs(x), 1e-300))) + digits + 1)
+    return f"{x:.{min(significant, 6)}g}"
+
+
+def percent(p: Any) -> str:
+    """A probability in per cent; never 0 or 100 unless it is exactly that."""
+    if p is None:
+        return NOTHING
+    value = 100.0 * float(p)
+    if value in {0.0, 100.0}:
+        return f"{value:.0f} %"
+    if value > 99.0:
+        return f"{min(value, 99.9):.1f} %"
+    return "below 0.1 %" if value < 0.1 else f"{value:.1f} %" if value < 1.0 else f"{value:.0f} %"
+
+
+def interval(low: Any, high: Any) -> str:
+    """An interval as text."""
+    if low is None or high is None:
+        return NOTHING
+    width = abs(high - low)
+    return f"{number(low, width)} to {number(high, width)}"
+
+
+def words(name: str) -> str:
+    """A key of a JSON file as words."""
+    return name.replace("_", " ")
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names as a list in a sentence."""
+    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1] if names else "none"
+
+
+def generic(data: Mapping[str, Any], title: str, skip: Sequence[str] = (), depth: int = 0) -> Section:
+    """Any JSON object as tables: plain values in one, lists and objects in one each, deeper ones nested."""
+    plain, tables, parts = [], [], []
+    for key, value in data.items():
+        if key in skip or value is None or value in ({}, []):
+            continue
+        if isinstance(value, Mapping) and value and all(isinstance(v, Mapping) for v in value.values()):
+            if all(_flat(v) for v in value.values()):
+                tables.append(_records(words(key), [{"": k, **v} for k, v in value.items()]))
+            elif depth < 2:
+                parts.append(generic(value, words(key), depth=depth + 1))
+        elif isinstance(value, Mapping):
+            if _flat(value):
+                rows = tuple(Row((words(str(k)), _text(v))) for k, v in value.items())
+                tables.append(Table(words(key), ("", "value"), rows))
+            elif depth < 2:
+                parts.append(generic(value, words(key), depth=depth + 1))
+        elif isinstance(value, list) and value and all(isinstance(v, Mapping) and _flat(v) for v in value):
+            tables.append(_records(words(key), value))
+        elif _is_plain(value):
+            plain.append(Row((words(key), _text(value))))
+    if plain:
+        tables.insert(0, Table("values", ("", "value"), tuple(plain)))
+    return Section(title, tables=tuple(tables), parts=tuple(p for p in parts if p.tables or p.parts))
+
+
+def _is_plain(value: Any) -> bool:
+    return not isinstance(value, Mapping) and not (
+        isinstance(value, list) and (len(value) > 12 or any(isinstance(v, Mapping) for v in value))
+    )
+
+
+def _flat(value: Mapping[str, Any]) -> bool:
+    return all(_is_plain(v) for v in value.values())
+
+
+def _records(caption: str, records: Sequence[Mapping[str, Any]], most: int = 40) -> Table:
+    columns = list(dict.fromkeys(key for record in records for key in record))
+    rows = tuple(Row(tuple(_text(record.get(c)) for c in columns)) for record in records[:most])
+    note = f"The first {most} of {len(records)} rows; all are in the JSON file." if len(records) > most else ""
+    return Table(caption, tuple(words(c) for c in columns), rows, note)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, list):
+        return ", ".join(_text(v) for v in value) or NOTHING
+    return NOTHING if value is None else str(value) if isinstance(value, str) else number(value)

@@ -1,0 +1,492 @@
+"""From the JSON files of results to headlines and sections: words and tables, nothing computed anew."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from bayes_damper.parameters import PARAMETERS
+from bayes_damper.report.charts import record_chart, response_chart, torque_chart
+from bayes_damper.report.parts import (
+    NOTHING,
+    Headline,
+    Picture,
+    Result,
+    Row,
+    Section,
+    Table,
+    generic,
+    interval,
+    listed,
+    number,
+    percent,
+    words,
+)
+
+_OUTSIDE = 5.0  # per cent: a measurement below this percentile, or as far above, counts as outside
+_PICTURES = {
+    "corner": ("Pairs of parameters", "Corner figure: the distribution of each parameter and of each pair of them."),
+    "trace": ("Health of the run", "Traces of each ensemble, and the ranks of its draws, flat where ensembles agree."),
+    "predictive": (
+        "What was measured and what the fitted model gives",
+        "Each measured feature with the 50 and 90 % intervals of the model, in standard errors of the measurement.",
+    ),
+    "records": (
+        "Records, band and residuals",
+        "Measured records of one trial of each configuration under the model's 90 % band, residuals below.",
+    ),
+    "forest": ("Parameters over the cases", "Median and 90 % interval of each parameter for each case."),
+}
+_KINDS = ("variability", "tune", "withheld", "compare", "bench")
+_MAIN = (
+    "mu", "friction_torque", "friction_torque_per_inertia", "k2t", "c2t", "drag", "nu", "c1t", "c3t", "k1t", "J1", "J2",
+)  # fmt: skip
+_MEASURABLE = ("J1", "J2", "R", "r", "N0", "k1t", "k2t", "theta0", "drag", "mu")
+_INTERVALS = (
+    "Intervals hold 90 % of the posterior probability, given the model, the data and the prior. “Decided by prior” "
+    "means that the measurements said nothing about that parameter: the interval is the one that was assumed."
+)
+_UNCONVERGED = "The run did not converge: do not use these numbers."
+
+
+def decided_by(share: float | None) -> str:
+    """Who decided about a parameter, in the words of the tables."""
+    if share is None:
+        return "derived"
+    return "data" if share < 0.3 else "data and prior" if share < 0.8 else "prior"
+
+
+# A fit --------------------------------------------------------------------------------------------------------------
+
+
+def fit_result(summary: Mapping[str, Any], folder: Path) -> Result:
+    """Headline and section of summary.json."""
+    cases = dict(summary.get("cases", {}))
+    groups = cases | ({"all cases together": summary["joint"]} if summary.get("joint") else {})
+    converged = bool(summary.get("converged"))
+    failed = [name for name, entry in groups.items() if not entry.get("converged")]
+    warnings = [f"{_title(name)} did not converge: do not use its numbers." for name in failed]
+    sections = []
+    for name, entry in groups.items():
+        place = folder / ("joint" if name == "all cases together" else name)
+        sections.append(_case_section(name, entry, place))
+    pictures = _pictures(folder)
+    section = Section("Fit", (_INTERVALS,), pictures=pictures, parts=tuple(sections))
+    head = _fit_headline(str(summary.get("campaign", "")), groups, converged)
+    return Result(head, section, tuple(warnings), dict(summary.get("provenance", {})) | _fingerprint(summary))
+
+
+def _fingerprint(data: Mapping[str, Any]) -> dict[str, Any]:
+    return {k: data[k] for k in ("campaign", "campaign_sha256", "seed") if k in data}
+
+
+def _title(name: str) -> str:
+    return name if name.startswith("all") else f"Case {name}"
+
+
+def _fit_headline(campaign: str, groups: Mapping[str, Any], converged: bool) -> Headline:
+    sentences, changes = [], []
+    if converged:
+        sentences.append("All runs converged." if len(groups) > 1 else "The run converged.")
+    else:
+        failed = [_title(n) for n, e in groups.items() if not e.get("converged")]
+        sentences.append(f"{listed(failed)} did not converge. Do not use these numbers.")
+        changes.append("More steps: bayes-damper resume FOLDER --more. The sentences of each case say what fell short.")
+    checks = [row for entry in groups.values() for row in entry.get("predictive", [])]
+    outside = [row for row in checks if _is_outside(row)]
+    tone = "good" if converged else "bad"
+    if checks:
+        sentences.append(
+            f"{len(outside)} of {len(checks)} measurements lie outside the central 90 % of the prediction; "
+            f"chance alone would put about {0.1 * len(checks):.0f} there."
+        )
+        if outside and len(outside) > max(1.0, 0.2 * len(checks)):
+            tone = "bad" if not converged else "open"
+            worst = ", ".join(str(row["name"]) for row in outside[:3])
+            sentences.append(f"The model cannot reproduce all of the data, whatever its parameters: {worst}.")
+            changes.append("A diagnosis of recorded trials would tell what the model lacks.")
+    by_prior: dict[str, int] = {}
+    for entry in groups.values():
+        for name, p in entry.get("parameters", {}).items():
+            if p.get("prior_share") is not None and p["prior_share"] >= 0.8:
+                by_prior.setdefault(name, 0)
+                by_prior[name] += 1
+    everywhere = [name for name, count in by_prior.items() if count == len(groups)]
+    if everywhere:
+        sentences.append(f"Nothing was learnt about {listed(everywhere)}: there the prior decided.")
+        able = [name for name in everywhere if name in _MEASURABLE]
+        if able:
+            changes.append(f"Measuring {listed(able)} directly would replace an assumption by a fact.")
+    title = f"Fit of {campaign}" if campaign else "Fit"
+    return Headline(title, tone, tuple(sentences), changes=tuple(changes), table=_overview(groups))
+
+
+def _overview(groups: Mapping[str, Any]) -> Table:
+    names = [n for n in _MAIN if any(n in e.get("parameters", {}) for e in groups.values())]
+    rows = []
+    for name in names:
+        cells, unit = [], ""
+        for entry in groups.values():
+            p = entry.get("parameters", {}).get(name)
+            if p is None:
+                cells.append(NOTHING)
+                continue
+            unit = p.get("unit", "")
+            low, high = p["hdi90"]
+            star = " *" if (p.get("prior_share") or 0.0) >= 0.8 else ""
+            cells.append(f"{number(p['median'], high - low)} ({interval(low, high)}){star}")
+        rows.append(Row((_symbol(name), unit, *cells)))
+    columns = ("parameter", "unit", *(n if n.startswith("all") else f"case {n}" for n in groups))
+    return Table("Median and 90 % interval", columns, tuple(rows), "* decided by the prior, not by the data")
+
+
+def _symbol(name: str) -> str:
+    return PARAMETERS[name].symbol if name in PARAMETERS else name
+
+
+def _meaning(name: str) -> str:
+    known = PARAMETERS.get(name.partition("[")[0])
+    return f"{name}: {known.meaning}" if known else name
+
+
+def _is_outside(row: Mapping[str, Any]) -> bool:
+    return not _OUTSIDE <= float(row["percentile"]) <= 100.0 - _OUTSIDE
+
+
+def _case_section(name: str, entry: Mapping[str, Any], folder: Path) -> Section:
+    good = bool(entry.get("converged"))
+    rows = []
+    for key, p in entry.get("parameters", {}).items():
+        low, high = p["hdi90"]
+        width = high - low
+        who = decided_by(p.get("prior_share"))
+        health = (
+            number(p.get("r_hat")),
+            *(f"{v:.0f}" if (v := p.get(k)) else NOTHING for k in ("ess_bulk", "ess_tail")),
+        )
+        cells = (_meaning(key), number(p["median"], width), number(low, width), number(high, width), p["unit"], who)
+        rows.append(Row(cells + health, "bad" if not good else "prior" if who == "prior" else ""))
+    columns = ("parameter", "median", "90 % from", "to", "unit", "decided by", "R-hat", "ESS bulk", "ESS tail")
+    tables = [Table(f"{_title(name)}: parameters", columns, tuple(rows))]
+    checks = entry.get("predictive", [])
+    if checks:
+        tables.append(_check_table(name, checks))
+    if entry.get("trials"):
+        tables.append(_trial_table(name, entry["trials"]))
+    if entry.get("best_fit"):
+        tables += generic({"best fit": entry["best_fit"]}, "").tables
+    sentences = tuple(entry.get("sentences", ()))
+    if not good:
+        sentences = (_UNCONVERGED, *sentences)
+    file = folder / "posterior.nc"
+    chart = record_chart(file) if file.is_file() else None
+    charts = () if chart is None else (chart,)
+    return Section(_title(name), sentences, tuple(tables), charts, _pictures(folder, _title(name)))
+
+
+def _check_table(name: str, checks: Sequence[Mapping[str, Any]]) -> Table:
+    rows = []
+    for row in checks:
+        error = row["standard_error"]
+        outside = _is_outside(row)
+        cells = (
+            str(row["name"]).partition(": ")[2] or str(row["name"]),
+            f"{number(row['measured'], 2.0 * error)} ± {number(error, 2.0 * error)}",
+            number(row["median"], 2.0 * error),
+            interval(*row["hdi90"]),
+            row["unit"],
+            f"{row['percentile']:.0f} %",
+            "outside" if outside else "inside",
+        )
+        rows.append(Row(cells, "bad" if outside else ""))
+    columns = ("feature", "measured ± standard error", "model, median", "model, 90 %", "unit", "percentile", "verdict")
+    note = "Percentile: where the measurement falls in the prediction, noise included. Outside: below 5 or above 95 %."
+    return Table(f"{_title(name)}: what was measured and what the fitted model gives", columns, tuple(rows), note)
+
+
+def _trial_table(name: str, trials: Mapping[str, Any]) -> Table:
+    rows = []
+    for label, nuisances in trials.items():
+        for key, p in nuisances.items():
+            low, high = p["hdi90"]
+            rows.append(Row((label, _meaning(key), number(p["mean"], high - low), interval(low, high), p["unit"])))
+    columns = ("trial", "unknown", "mean", "90 %", "unit")
+    return Table(f"{_title(name)}: unknowns of each trial", columns, tuple(rows))
+
+
+def _pictures(folder: Path, group: str = "", *, kind: str = "") -> tuple[Picture, ...]:
+    """Figures that lie in a folder, known ones first; one entry for SVG and PNG of a name.
+
+    Where several results share a folder, figures go by their names: to the `kind` that they begin with, else to the fit
+    if it draws such figures, else to whichever of fit and diagnosis comes first on the page.
+    """
+    stems = sorted({p.stem for s in (".svg", ".png") for p in folder.glob(f"*{s}")})
+    if kind not in ("", "diagnosis"):
+        stems = [s for s in stems if s.startswith(kind)]
+    else:
+        stems = [s for s in stems if not s.startswith(_KINDS) and not (kind == "diagnosis" and s in _PICTURES)]
+    order = list(_PICTURES)
+    stems.sort(key=lambda s: (order.index(s) if s in order else len(order), s))
+    out = []
+    for stem in stems:
+        title, alt = _PICTURES.get(stem, (words(stem).capitalize(), f"Figure: {words(stem)}."))
+        out.append(Picture(title, f"{group + ': ' if group else ''}{alt}", str(folder / stem)))
+    return tuple(out)
+
+
+# A diagnosis --------------------------------------------------------------------------------------------------------
+
+
+def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
+    """Headline and section of diagnosis.json."""
+    probabilities = sorted(data.get("probabilities", {}).items(), key=lambda item: -item[1])
+    verdict, gap = str(data.get("verdict", "unknown")), data.get("gap") or {}
+    share = dict(probabilities).get(verdict)
+    sites = sorted((data.get("sites") or {}).items(), key=lambda item: -item[1])
+    sentences = [_gap_sentence(gap)]
+    if verdict == "none":
+        sentences.append(f"The nominal model needs no addition ({percent(share)}).")
+    elif verdict == "unknown":
+        place = next((s for s, _ in sites if s != "none"), None)
+        sentences.append(f"No effect of the library explains it ({percent(share)}). Most probable place: {place}.")
+    else:
+        place = sites[0] if sites else None
+        where = f", at the site {place[0]} ({percent(place[1])})" if place else ""
+        sentences.append(f"Most probable cause: {words(verdict)} ({percent(share)}){where}.")
+    pair = data.get("pair")
+    if pair:
+        sentences.append(
+            f"Likely both at once: {listed([words(e) for e in pair['effects']])} ({percent(pair['probability'])})."
+        )
+    credible = [words(n) for n in data.get("credible_set", [])]
+    if len(credible) > 1:
+        sentences.append(f"With 90 % probability it is one of {listed(credible)}; the data do not decide which.")
+    sentences.append(_closed_sentence(gap))
+    changes = [
+        f"{listed([words(n) for n in group])} cannot be told apart by these data."
+        for group in data.get("indistinguishable", [])
+    ]
+    changes += [_experiment_sentence(e) for e in (data.get("next_experiment") or [])[:3]]
+    if len(probabilities) > 1:
+        second = next(item for item in probabilities if item[0] != verdict)
+        changes.append(f"The strongest rival is {words(second[0])} ({percent(second[1])}).")
+    top = (share or 0.0) > 0.9 and len(credible) <= 1
+    tone = "good" if verdict == "none" and top else "bad" if top else "open"
+    shown = tuple((words(n), float(p)) for n, p in probabilities if p >= 0.01)[:8]
+    name = str(data.get("campaign", ""))
+    head = Headline(
+        f"Diagnosis of {name}" if name else "Diagnosis", tone, tuple(s for s in sentences if s), shown, tuple(changes)
+    )
+    charts = [torque_chart(f) for f in sorted(folder.glob("*torque*.csv"))]
+    rest = generic(
+        data, "", ("schema", "campaign", "verdict", "credible_set", "probabilities", "sites", "effects", "provenance",
+                   "campaign_sha256", "seed", "indistinguishable", "notes", "next_experiment"),
+    )  # fmt: skip
+    section = Section(
+        "Diagnosis",
+        tuple(data.get("notes", ())),
+        (
+            _probability_table("Probability of each answer", probabilities),
+            _probability_table("Probability of each site", sites),
+            _effect_table(data.get("effects", [])),
+            *([_records_table("Next experiment", data["next_experiment"])] if data.get("next_experiment") else []),
+            *rest.tables,
+        ),
+        tuple(c for c in charts if c is not None),
+        _pictures(folder, kind="diagnosis"),
+        rest.parts,
+    )
+    return Result(head, section, (), dict(data.get("provenance", {})) | _fingerprint(data))
+
+
+def _records_table(caption: str, records: Sequence[Mapping[str, Any]]) -> Table:
+    return generic({caption: list(records)}, "").tables[0]
+
+
+def _gap_sentence(gap: Mapping[str, Any]) -> str:
+    answer = gap.get("answer")
+    p = gap.get("p_value")
+    told = "" if p is None else " (p below 0.001)" if p < 0.001 else f" (p = {number(p)})"
+    return {
+        "gap": f"The rig and the model differ by more than the noise{told}.",
+        "none": f"The rig and the model differ by no more than the noise{told}.",
+        "cannot tell": f"These data cannot tell whether the rig and the model differ{told}.",
+    }.get(str(answer), "")
+
+
+def _closed_sentence(gap: Mapping[str, Any]) -> str:
+    closed = (gap.get("closed") or {}).get("median")
+    if closed is None:
+        return ""
+    hdi = (gap.get("closed") or {}).get("hdi90")
+    spread = f" (90 %: {interval(100.0 * hdi[0], 100.0 * hdi[1])} %)" if hdi else ""
+    return f"On held-out trials the most probable cause closes {100.0 * closed:.0f} % of the gap{spread}."
+
+
+def _experiment_sentence(e: Mapping[str, Any]) -> str:
+    details = ", ".join(
+        f"{words(k)} {number(v) if isinstance(v, int | float) else v}" for k, v in e.items() if "expected" not in k
+    )
+    gain = e.get("expected_information_nats")
+    return f"Next experiment: {details}" + ("." if gain is None else f" (expected gain {number(gain)} nats).")
+
+
+def _probability_table(caption: str, items: Sequence[tuple[str, float]]) -> Table:
+    return Table(caption, ("answer", "probability"), tuple(Row((words(n), percent(p))) for n, p in items))
+
+
+def _effect_table(effects: Sequence[Mapping[str, Any]]) -> Table:
+    rows = []
+    for e in effects:
+        closed = e.get("closed")
+        closed = closed.get("median") if isinstance(closed, Mapping) else closed
+        cells = (
+            words(str(e.get("name", ""))),
+            words(str(e.get("variant") or NOTHING)),
+            str(e.get("site") or NOTHING),
+            percent(e.get("probability")),
+            number(e.get("log_evidence")),
+            "; ".join(_parameter(k, v) for k, v in (e.get("parameters") or {}).items()) or NOTHING,
+            NOTHING if closed is None else f"{100.0 * closed:.0f} %",
+        )
+        rows.append(Row(cells))
+    columns = ("effect", "formula", "site", "probability", "log evidence, nats", "parameters", "gap closed")
+    return Table("Effects, best first", columns, tuple(rows))
+
+
+def _parameter(name: str, value: Any) -> str:
+    if isinstance(value, Mapping):
+        middle = value.get("median", value.get("mean", value.get("value")))
+        low, high = value.get("hdi90") or (None, None)
+        sd = value.get("sd")
+        spread = f" ({interval(low, high)})" if low is not None else f" ± {number(sd)}" if sd is not None else ""
+        return f"{name} {number(middle)}{spread} {value.get('unit', '')}".strip()
+    if isinstance(value, list) and len(value) == 2:
+        return f"{name} {number(value[0])} ± {number(value[1])}"
+    return f"{name} {number(value)}"
+
+
+# A tuning -----------------------------------------------------------------------------------------------------------
+
+
+def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
+    """Headline and section of tune.json."""
+    target = data["target_db"]
+    designs = [("your design", data.get("design", {}), data)]
+    if data.get("optimum"):
+        designs.append(("best design", data["optimum"]["design"], data["optimum"]))
+    sentences = []
+    for name, _, found in designs:
+        loss, p = found["linear"]["insertion_loss_db"], found["linear"]["probability_of_target"]
+        sentences.append(
+            f"{name.capitalize()}, linear model: insertion loss {number(loss['mean'])} dB "
+            f"(90 %: {interval(*(loss['interval90'] or (None, None)))} dB); "
+            f"it reaches {target:g} dB with probability {percent(p)}."
+        )
+    weak = [row for row in data.get("nonlinear", []) if row["probability_of_target"] < 0.5]
+    if weak:
+        at = listed([f"{row['torque_amplitude_n_m']:g} N m" for row in weak])
+        sentences.append(f"With dry friction, your design probably misses the target when the exciting torque is {at}.")
+    changes = []
+    if data.get("hangs_most_on"):
+        name = data["hangs_most_on"]
+        share = data.get("variance_shares", {}).get(name)
+        changes.append(
+            f"The insertion loss hangs most on {name} ({percent(share)} of its variance): measure that better."
+        )
+    if data.get("optimum") and data["optimum"].get("at_bound"):
+        changes.append(
+            f"The best design lies at the bound of {listed(data['optimum']['at_bound'])}: wider bounds may give more."
+        )
+    rows = []
+    for name, _, found in designs:
+        rows.append(_performance_row(f"{name}, linear", found["linear"]))
+        rows += [
+            _performance_row(f"{name}, torque {r['torque_amplitude_n_m']:g} N m", r) for r in found.get("nonlinear", [])
+        ]
+    columns = (
+        "design and model",
+        "loss, mean [dB]",
+        "loss, 90 % [dB]",
+        "resonance [Hz]",
+        "shift [Hz]",
+        f"P(loss ≥ {target:g} dB)",
+    )
+    tables = [Table("Insertion loss and resonance", columns, tuple(rows), str(data.get("definition", "")))]
+    tables.append(_design_table(designs))
+    if data.get("variance_shares"):
+        shares = tuple(Row((k, percent(v))) for k, v in data["variance_shares"].items())
+        tables.append(Table("What the insertion loss hangs on", ("parameter", "share of its variance"), shares))
+    chart = response_chart(data.get("frequency_response", {}))
+    p = data["linear"]["probability_of_target"]
+    head = Headline(
+        f"Tuning, case {data.get('case', '')}", "good" if p > 0.9 else "bad" if p < 0.1 else "open", tuple(sentences),
+        changes=tuple(changes),
+    )  # fmt: skip
+    section = Section(
+        "Tuning",
+        (f"From {data.get('draws')} draws.",),
+        tuple(tables),
+        () if chart is None else (chart,),
+        _pictures(folder),
+    )
+    return Result(head, section, (), dict(data.get("provenance", {})))
+
+
+def _performance_row(name: str, p: Mapping[str, Any]) -> Row:
+    loss = p["insertion_loss_db"]
+    low, high = loss["interval90"] or (None, None)
+    cells = (
+        name, number(loss["mean"], None if low is None else high - low), interval(low, high),
+        number(p["resonance_hz"]["median"]), number(p["resonance_shift_hz"]["median"]),
+        percent(p["probability_of_target"]),
+    )  # fmt: skip
+    return Row(cells)
+
+
+def _design_table(designs: Sequence[tuple[str, Mapping[str, Any], Any]]) -> Table:
+    units = {"J2": "kg m^2", "k2t": "N m/rad", "R": "m", "magnet_pull": "N", "bar_inertia": "kg m^2"}
+    rows = tuple(
+        Row((words(key), unit, *("as it is" if d.get(key) is None else number(d[key]) for _, d, _ in designs)))
+        for key, unit in units.items()
+    )
+    return Table("Designs", ("quantity", "unit", *(name for name, _, _ in designs)), rows)
+
+
+# Results that this page knows only by their form --------------------------------------------------------------------
+
+
+def other_result(kind: str, title: str, opening: str) -> Callable[[Mapping[str, Any], Path], Result]:
+    """A reader of results that shows everything as tables."""
+
+    def read(data: Mapping[str, Any], folder: Path) -> Result:
+        rest = generic(data, title, ("schema", "provenance"))
+        sentences = tuple(data.get("sentences", ())) or (opening,)
+        section = Section(title, (), rest.tables, (), _pictures(folder, kind=kind), rest.parts)
+        return Result(Headline(title, "open", sentences), section, (), dict(data.get("provenance", {})))
+
+    return read
+
+
+READERS: Mapping[str, tuple[str, Callable[[Mapping[str, Any], Path], Result]]] = {
+    "diagnosis.json": ("bayes-damper/diagnosis/1", diagnosis_result),
+    "summary.json": ("bayes-damper/fit/1", fit_result),
+    "variability.json": (
+        "bayes-damper/variability/1",
+        other_result("variability", "Variability", "What the cases share and where they differ."),
+    ),
+    "tune.json": ("bayes-damper/tune/1", tune_result),
+    "withheld.json": (
+        "bayes-damper/withheld/1",
+        other_result(
+            "withheld", "Withheld causes", "Verdicts on campaigns whose causes were sealed, and their scores."
+        ),
+    ),
+    "compare.json": ("bayes-damper/compare/1", other_result("compare", "Comparison", "Results side by side.")),
+    "bench.json": (
+        "bayes-damper/bench/1",
+        other_result("bench", "Speed and accuracy", "Measured on the machine named below."),
+    ),
+}
+"""File name -> (schema, reader), in the order in which they come on the page."""

@@ -1,0 +1,405 @@
+"""The report: what it says, that it is whole in one file, and that a browser shows it without fault."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from bayes_damper import report
+from bayes_damper.errors import ExitCode, InputError
+from bayes_damper.figures import COLOURS, forest_figure, new_figure, save
+from bayes_damper.report.charts import pack, unpack
+from bayes_damper.report.html import LARGEST
+from bayes_damper.report.parts import number, percent
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+TIMES = np.arange(0.0, 0.5, 1e-3)
+
+
+def parameter(median: float, share: float | None, unit: str = "1") -> dict:
+    return {
+        "unit": unit, "mean": median, "sd": 0.2 * median, "median": median, "hdi90": [0.7 * median, 1.3 * median],
+        "r_hat": 1.002, "ess_bulk": 2300.0, "ess_tail": 1900.0, "prior_share": share,
+    }  # fmt: skip
+
+
+def case(converged: bool = True, outside: bool = False) -> dict:
+    return {
+        "converged": converged,
+        "parameters": {
+            "mu": parameter(0.0083, 0.2),
+            "nu": parameter(120.0, 0.93, "s/rad"),
+            "k2t": parameter(1.3, 0.5, "N m/rad"),
+            "friction_torque": parameter(0.081, None, "N m"),
+        },
+        "sentences": [] if converged else ["The effective sample size of nu is 200, below 1000."],
+        "predictive": [
+            {
+                "name": f"case IV: period ({c})", "unit": "s", "measured": 0.11, "standard_error": 0.001,
+                "median": 0.111, "hdi50": [0.1105, 0.1115], "hdi90": [0.109, 0.113],
+                "percentile": 99.0 if outside else p,
+            }
+            for c, p in (("uncoupled", 40.0), ("coupled", 55.0))
+        ],
+    }  # fmt: skip
+
+
+def write_fit(folder: Path, converged: bool = True, outside: bool = False) -> None:
+    cases = {"III": case(converged, outside), "IV": case()}
+    summary = {
+        "schema": "bayes-damper/fit/1", "campaign": "synthetic <rig>", "campaign_sha256": "a" * 64, "seed": 7,
+        "converged": converged, "cases": cases, "provenance": {"commit": "0123456789", "packages": {"numpy": "2.0"}},
+    }  # fmt: skip
+    (folder / "III").mkdir(parents=True)
+    (folder / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
+    intervals = {"mu": {"III": (0.006, 0.008, 0.01), "IV": (0.007, 0.0083, 0.011)}}
+    save(forest_figure(intervals, {"mu": "mu"}, title="mu", converged=converged), folder / "forest")
+    write_posterior(folder / "III" / "posterior.nc")
+
+
+def write_posterior(path: Path) -> None:
+    rng = np.random.default_rng(1)
+    wave = -250.0 * np.exp(-9.0 * TIMES) * np.cos(57.0 * TIMES)
+    y = np.stack([wave, 0.3 * wave]) + 2.0 * rng.standard_normal((2, TIMES.size))
+    y[0, 100:104] = np.nan  # a gap
+    model = np.stack([wave, 0.3 * wave])[None, None] * (1.0 + 0.01 * rng.standard_normal((1, 40, 1, 1)))
+    tree = {
+        "observed_data": xr.Dataset({"coupled_1": (("channel", "time"), y)}),
+        "posterior_predictive": xr.Dataset({"coupled_1": (("chain", "draw", "channel", "time"), model)}),
+        "constant_data": xr.Dataset({"coupled_1": (("time",), TIMES)}),
+    }
+    xr.DataTree.from_dict(tree).to_netcdf(path, engine="h5netcdf")
+
+
+def write_diagnosis(folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    data = {
+        "schema": "bayes-damper/diagnosis/1", "campaign": "synthetic <rig>", "verdict": "stick_slip",
+        "credible_set": ["stick_slip", "unknown"],
+        "probabilities": {"none": 0.01, "unknown": 0.12, "stick_slip": 0.86, "magnet_cubic": 0.01}, "pair": None,
+        "sites": {"interface": 0.95, "none": 0.01, "bearings": 0.04},
+        "gap": {"answer": "gap", "p_value": 1e-9, "size": 0.05, "noise_rms": 2.0, "nominal_rms": 2.9,
+                "augmented_rms": 2.01, "closed": {"median": 0.97, "hdi90": [0.9, 1.0]}},
+        "where": {"time": [{"start_s": 0.3, "end_s": 0.31, "case": "IV", "trial": 1, "channel": 1, "p_value": 1e-5}],
+                  "channel": {"1": {"p_value": 0.01}}},
+        "effects": [{"name": "stick_slip", "variant": "bristle", "site": "interface", "probability": 0.86,
+                     "log_evidence": 812.3, "parameters": {"ratio": {"median": 1.4, "hdi90": [1.2, 1.6], "unit": "1"}},
+                     "augmented_rms": 2.01, "closed": {"median": 0.97, "hdi90": [0.9, 1.0]}}],
+        "indistinguishable": [["friction_displacement", "normal_force_law"]],
+        "next_experiment": [{"configuration": "coupled", "k1t_n_m_per_rad": 10.2, "theta0_deg": 2.7,
+                             "expected_information_nats": 1.8}],
+    }  # fmt: skip
+    (folder / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
+    head = (
+        "case,configuration,trial,time_s,torque1_n_m,torque1_sd_n_m,torque2_n_m,torque2_sd_n_m,theta1_rad,omega1_rad_s"
+    )
+    rows = [f"IV,coupled,1,{t:.3f},{0.01 * np.sin(57 * t):.5f},0.001,{-0.01 * np.sin(57 * t):.5f},0.001,"
+            f"{0.08 * np.cos(57 * t):.4f},{4.0 * np.sin(57 * t):.4f}" for t in TIMES]  # fmt: skip
+    (folder / "missing_torque.csv").write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
+
+
+def write_tuning(folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    loss = {"mean": 12.0, "sd": 1.0, "median": 12.0, "interval90": [10.4, 13.6], "without": 0}
+    hertz = {"mean": 8.9, "sd": 0.1, "median": 8.9, "interval90": [8.7, 9.1], "without": 0}
+    performance = {"insertion_loss_db": loss, "resonance_hz": hertz, "resonance_without_hz": hertz,
+                   "resonance_shift_hz": hertz, "probability_of_target": 0.97}  # fmt: skip
+    f = np.linspace(3.0, 18.0, 60)
+    peak = 600.0 / (1.0 + (f - 9.0) ** 2)
+    band = {
+        "frequency_hz": f.tolist(),
+        "q05": (0.8 * peak).tolist(),
+        "median": peak.tolist(),
+        "q95": (1.2 * peak).tolist(),
+    }
+    design = {"J2": None, "k2t": 2.0, "R": None, "magnet_pull": None, "bar_inertia": 0.0}
+    data = {
+        "schema": "bayes-damper/tune/1", "case": "IV", "definition": "20 log10", "draws": 400, "target_db": 10.0,
+        "design": design, "linear": performance,
+        "nonlinear": [{"torque_amplitude_n_m": 0.02} | performance | {"probability_of_target": 0.2}],
+        "optimum": {"design": design, "at_bound": ["k2t"], "linear": performance, "nonlinear": []},
+        "variance_shares": {"c2t": 0.7, "k2t": 0.2}, "hangs_most_on": "c2t",
+        "frequency_response": {"linear, uncoupled": band, "linear, design": band, "0.02 N m, design": band},
+    }  # fmt: skip
+    (folder / "tune.json").write_text(json.dumps(data), encoding="utf-8")
+
+
+def write_everything(folder: Path) -> Path:
+    write_fit(folder)
+    write_diagnosis(folder / "diagnosis")
+    write_tuning(folder)
+    shares = {"schema": "bayes-damper/variability/1", "parameters": {"mu": {"between": 0.4, "p_value": 0.02}}, "n": 4}
+    (folder / "variability.json").write_text(json.dumps(shares), encoding="utf-8")
+    scores = {"schema": "bayes-damper/withheld/1", "scores": {"top_1": 0.9, "covered": 0.93}, "campaigns": [
+        {"name": "a1", "verdict": "none", "right": True}]}  # fmt: skip
+    (folder / "withheld.json").write_text(json.dumps(scores), encoding="utf-8")
+    return folder
+
+
+def words_of(page: str) -> str:
+    body = re.sub(r"<(script|style)\b.*?</\1>", " ", page, flags=re.DOTALL)
+    return re.sub(r"\s+", " ", html.unescape(re.sub(r"<[^>]+>", " ", body)))
+
+
+# What it says -------------------------------------------------------------------------------------------------------
+
+
+def test_everything_a_folder_holds_is_on_the_page(tmp_path):
+    done = report(write_everything(tmp_path / "results"))
+    text = words_of(done.path.read_text(encoding="utf-8"))
+    assert done.exit_code is ExitCode.DONE
+    assert set(done.results) == {
+        "diagnosis/diagnosis.json", "summary.json", "variability.json", "tune.json", "withheld.json",
+    }  # fmt: skip
+    assert "Most probable cause: stick slip (86 %), at the site interface (95 %)" in text
+    assert "With 90 % probability it is one of stick slip and unknown" in text
+    assert "friction displacement and normal force law cannot be told apart" in text
+    assert "closes 97 % of the gap" in text
+    assert "Nothing was learnt about nu" in text
+    assert "insertion loss 12 dB (90 %: 10.40 to 13.60 dB)" in text
+    assert "your design probably misses the target when the exciting torque is 0.02 N m" in text
+    assert "synthetic <rig>" in text
+    assert text.index("Most probable cause") < text.index("Case III: parameters")
+    assert done.to_json()["bytes"] == done.path.stat().st_size
+
+
+def test_numbers_stand_with_unit_and_interval(tmp_path):
+    write_fit(tmp_path / "fit")
+    page = report(tmp_path / "fit").path.read_text(encoding="utf-8")
+    row = re.search(r"<tr[^>]*><th scope=\"row\">k2t: stiffness.*?</tr>", page, re.DOTALL)
+    assert row is not None
+    cells = re.findall(r"<td>(.*?)</td>", row[0])
+    assert cells[:5] == ["1.300", "0.910", "1.690", "N m/rad", "data and prior"]
+    assert '<tr class="prior"><th scope="row">nu:' in page
+
+
+def test_a_run_that_did_not_converge_is_marked_first(tmp_path):
+    write_fit(tmp_path / "fit", converged=False)
+    done = report(tmp_path / "fit")
+    text = words_of(done.path.read_text(encoding="utf-8"))
+    assert done.warnings == ("Case III did not converge: do not use its numbers.",)
+    assert text.index("Do not use these numbers") < text.index("Median and 90 % interval")
+    assert "The effective sample size of nu is 200" in text
+
+
+def test_a_model_that_cannot_reproduce_the_data_is_said_so(tmp_path):
+    write_fit(tmp_path / "fit", outside=True)
+    text = words_of(report(tmp_path / "fit").path.read_text(encoding="utf-8"))
+    assert "2 of 4 measurements lie outside" in text
+    assert "The model cannot reproduce all of the data" in text
+
+
+def test_results_that_cannot_be_read_are_named(tmp_path):
+    write_fit(tmp_path / "fit")
+    (tmp_path / "fit" / "tune.json").write_text('{"schema": "bayes-damper/tune/9"}', encoding="utf-8")
+    (tmp_path / "fit" / "diagnosis.json").write_text(
+        '{"schema": "bayes-damper/diagnosis/1", "verdict": "x", "pair": {"effects": 3}}', encoding="utf-8"
+    )
+    warnings = report(tmp_path / "fit").warnings
+    assert any("tune.json is not shown: its schema is 'bayes-damper/tune/9'" in w for w in warnings)
+    assert any("diagnosis.json is not shown: an entry is missing or malformed" in w for w in warnings)
+
+
+@pytest.mark.parametrize("make", [False, True])
+def test_a_folder_without_results_is_refused(tmp_path, make):
+    folder = tmp_path / "nothing"
+    if make:
+        folder.mkdir()
+    with pytest.raises(InputError, match="nothing to report" if make else "there is no such folder"):
+        report(folder)
+
+
+# One file -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_page_is_one_file_that_loads_nothing(tmp_path):
+    page = report(write_everything(tmp_path / "results")).path.read_text(encoding="utf-8")
+    addresses = re.findall(r"(?:src|href|action|srcset)=\"([^\"]*)\"", page)
+    assert addresses
+    assert all(a.startswith(("data:", "#")) for a in addresses)
+    assert "url(" not in page
+    assert "http" not in re.sub(r"http-equiv", "", page)
+    assert "default-src 'none'" in page
+
+
+def test_large_figures_are_left_out_and_named(tmp_path):
+    write_fit(tmp_path / "fit")
+    noise = np.random.default_rng(0)
+    for name in "abc":
+        (tmp_path / "fit" / f"{name}.png").write_bytes(noise.bytes(1_700_000))
+    done = report(tmp_path / "fit")
+    assert done.size <= LARGEST
+    assert done.left_out == ("c.png",)
+    assert "c.png" in words_of(done.path.read_text(encoding="utf-8"))
+
+
+def test_a_large_vector_figure_is_taken_as_picture(tmp_path):
+    write_fit(tmp_path / "fit")
+    figure = new_figure()
+    rng = np.random.default_rng(0)
+    figure.subplots().plot(rng.random(9000), rng.random(9000), ".", color=COLOURS[0])
+    svg, png = save(figure, tmp_path / "fit" / "cloud")
+    assert svg.stat().st_size > 350_000 > png.stat().st_size
+    page = report(tmp_path / "fit").path.read_text(encoding="utf-8")
+    assert len(re.findall(r"<img src=\"data:image/png", page)) == 1
+
+
+def test_packed_numbers_come_back_within_half_a_step():
+    x = np.array([-250.0, 3.25, np.nan, 180.5])
+    back = unpack(pack(x))
+    assert np.isnan(back[2])
+    assert np.nanmax(np.abs(back - x)) <= 0.5 * (180.5 + 250.0) / 65534.0 * 1.0001
+    assert unpack(pack([4.0, 4.0])) == pytest.approx([4.0, 4.0])
+
+
+@pytest.mark.parametrize(
+    ("value", "width", "text"),
+    [(0.0079294, 0.0104, "0.0079"), (120.7, 1609.0, "120"), (9.0423, 0.21, "9.042"), (None, None, "\N{EN DASH}")],
+)
+def test_numbers_have_the_digits_that_their_interval_supports(value, width, text):
+    assert number(value, width) == text
+
+
+def test_no_probability_is_rounded_to_certainty():
+    assert [percent(p) for p in (0.0, 1e-7, 0.004, 0.5, 0.9996, 1.0)] == [
+        "0 %", "below 0.1 %", "0.4 %", "50 %", "99.9 %", "100 %",
+    ]  # fmt: skip
+
+
+# In a browser -------------------------------------------------------------------------------------------------------
+
+PROBE = """
+const frame = document.querySelector("iframe");
+const seen = { faults: [], contrast: [] };
+addEventListener("load", () => setTimeout(() => {
+  const page = frame.contentDocument, root = page.documentElement, view = frame.contentWindow;
+  seen.wide = root.scrollWidth - root.clientWidth;
+  seen.width = root.clientWidth;
+  seen.charts = Number(root.dataset.drawn || -1);
+  seen.images = [...page.images].map((i) => i.complete && i.naturalWidth > 20);
+  seen.dark = view.matchMedia("(prefers-color-scheme: dark)").matches;
+  seen.canvases = [...page.querySelectorAll("canvas")].map((c) => {
+    const pixels = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
+    const colours = new Set();
+    for (let i = 0; i < pixels.length; i += 4) {
+      colours.add(pixels[i] + 256 * pixels[i + 1] + 65536 * pixels[i + 2]);
+    }
+    return colours.size;
+  });
+  const fault = (what, e) => seen.faults.push(what + ": " + (e.outerHTML || "").slice(0, 80));
+  for (const e of page.images) if (!e.alt.trim()) fault("no alt", e);
+  for (const e of page.querySelectorAll("th")) if (!e.scope) fault("no scope", e);
+  for (const e of page.querySelectorAll("table")) {
+    if (!e.caption || !e.caption.textContent.trim()) fault("no caption", e);
+  }
+  for (const e of page.querySelectorAll("button, a, option")) if (!e.textContent.trim()) fault("no name", e);
+  for (const e of page.querySelectorAll("select")) if (!e.labels.length) fault("no label", e);
+  for (const e of page.querySelectorAll("canvas, .scroll")) if (!e.getAttribute("aria-label")) fault("no label", e);
+  for (const e of page.querySelectorAll("[aria-labelledby]")) {
+    if (!page.getElementById(e.getAttribute("aria-labelledby"))) fault("labelled by nothing", e);
+  }
+  for (const e of page.querySelectorAll("a[href^='#']")) {
+    if (!page.querySelector(e.getAttribute("href"))) fault("dead link", e);
+  }
+  const ids = [...page.querySelectorAll("[id]")].map((e) => e.id);
+  if (new Set(ids).size !== ids.length) seen.faults.push("an id twice");
+  for (const name of ["header", "nav", "main", "footer", "h1"]) {
+    const count = page.querySelectorAll("body > " + name + ", header > " + name).length;
+    if (count !== 1) seen.faults.push("not one " + name);
+  }
+  if (root.lang !== "en" || !page.title) seen.faults.push("language or title");
+  let level = 0;
+  for (const e of page.querySelectorAll("h1, h2, h3, h4, h5, h6")) {
+    if (Number(e.tagName[1]) > level + 1) fault("heading skips a level", e);
+    level = Number(e.tagName[1]);
+  }
+  const rgb = (text) => (text.match(/[0-9.]+/g) || []).map(Number);
+  const light = ([r, g, b]) => {
+    const f = (c) => (c / 255 <= 0.03928 ? c / 255 / 12.92 : ((c / 255 + 0.055) / 1.055) ** 2.4);
+    return 0.2126 * f(r) + 0.7152 * f(g) + 0.0722 * f(b);
+  };
+  const ground = (e) => {
+    for (; e; e = e.parentElement) {
+      const c = rgb(view.getComputedStyle(e).backgroundColor);
+      if (c.length === 3 || c[3] > 0) return c;
+    }
+    return [255, 255, 255];
+  };
+  for (const e of page.querySelectorAll("body *")) {
+    const own = [...e.childNodes].some((n) => n.nodeType === 3 && n.data.trim());
+    if (!own || !e.getClientRects().length || ["SCRIPT", "STYLE"].includes(e.tagName)) continue;
+    const a = light(rgb(view.getComputedStyle(e).color)), b = light(ground(e));
+    const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+    if (ratio < 4.5) seen.contrast.push(e.tagName + " " + ratio.toFixed(2) + " " + e.textContent.trim().slice(0, 30));
+  }
+  const select = page.querySelector("figure.chart select");
+  select.value = "1";
+  select.dispatchEvent(new view.Event("change"));
+  const canvas = page.querySelector("figure.chart canvas");
+  canvas.dispatchEvent(new view.KeyboardEvent("keydown", { key: "ArrowRight", bubbles: true }));
+  seen.readout = page.querySelector("figure.chart .readout").textContent;
+  canvas.dispatchEvent(new view.KeyboardEvent("keydown", { key: "+", bubbles: true }));
+  page.querySelector("button.enlarge").click();
+  seen.large = page.querySelectorAll("figure.large").length;
+  seen.wideAfter = root.scrollWidth - root.clientWidth;
+  const told = { id: "seen", textContent: JSON.stringify(seen) };
+  document.body.append(Object.assign(document.createElement("pre"), told));
+}, 400));
+"""
+
+
+def probed(page: Path, folder: Path, width: int, dark: bool) -> tuple[dict, str]:
+    """What a script sees of the page in a frame of this width, and the lines that the browser logged to its console."""
+    assert CHROMIUM is not None
+    wrapper = folder / f"frame{width}{dark}.html"
+    content = html.escape(page.read_text(encoding="utf-8"), quote=True)
+    wrapper.write_text(
+        f'<!DOCTYPE html><body style="margin:0"><iframe style="border:0" width="{width}" height="900" '
+        f'srcdoc="{content}"></iframe><script>{PROBE}</script>',
+        encoding="utf-8",
+    )
+    done = subprocess.run(
+        [
+            CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+            "--hide-scrollbars",
+            "--disable-background-networking", "--disable-component-update", "--disable-sync",
+            "--enable-logging=stderr",
+            f"--user-data-dir={folder / f'profile{width}{dark}'}", "--window-size=1400,1000",
+            "--virtual-time-budget=4000",
+            *(["--blink-settings=preferredColorScheme=0"] if dark else ["--blink-settings=preferredColorScheme=1"]),
+            "--dump-dom", wrapper.as_uri(),
+        ],
+        capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    found = re.search(r'<pre id="seen">(.*?)</pre>', done.stdout, re.DOTALL)
+    assert found is not None, done.stderr[-2000:]
+    return json.loads(html.unescape(found[1])), "\n".join(x for x in done.stderr.splitlines() if "CONSOLE" in x)
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine: the page is not tried in a browser")
+@pytest.mark.parametrize(("width", "dark"), [(1280, False), (360, False), (1280, True), (360, True)])
+def test_a_browser_shows_all_of_it_without_fault(tmp_path, width, dark):
+    page = report(write_everything(tmp_path / "results")).path
+    seen, console = probed(page, tmp_path, width, dark)
+    assert console == ""
+    assert seen["width"] == width
+    assert seen["dark"] is dark
+    assert seen["charts"] == 3
+    assert len(seen["images"]) == 1
+    assert all(seen["images"])
+    assert len(seen["canvases"]) == 3
+    assert min(seen["canvases"]) > 20, "a canvas was left empty"
+    assert seen["wide"] <= 0
+    assert seen["wideAfter"] <= 0, "an enlarged figure widens the page"
+    assert seen["large"] == 1
+    assert seen["faults"] == []
+    assert seen["contrast"] == []
+    assert seen["readout"].startswith(("th1", "frequency", "time"))
