@@ -140,7 +140,7 @@ def test_errors_stay_below_1e_4_of_the_peak(law):
 @pytest.mark.slow
 @pytest.mark.parametrize("law", ["linear", "constant"])
 def test_errors_stay_below_1e_4_of_the_peak_over_whole_records(law):
-    table = reference.draw(50, 21)
+    table = reference.draw(12, 21)
     errors, difference = _errors(law, table, SECOND)
     noise = np.random.default_rng(5).normal(0.0, 2.0, difference.shape)
     change = ((noise + difference) ** 2 - noise**2).sum(axis=(1, 2)) / 8.0
