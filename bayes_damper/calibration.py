@@ -42,6 +42,7 @@ from bayes_damper.effects.base import Variant
 from bayes_damper.model import Model, Quantity
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.signedinteger[Any]]
 
 NOMINAL = ("k2t", "c2t", "c1t", "c3t", "mu", "drag", "nu")
 FRICTION_SPREAD = 0.04  # prior sd of ln mu from trial to trial, where the repeats show that it varies
@@ -55,9 +56,9 @@ _FARTHEST = 37.0  # standard deviations beyond which a coordinate is not followe
 # Coordinates with a standard Gaussian prior -------------------------------------------------------------------------
 
 
-def value_of(distribution: Distribution, z: ArrayLike) -> Array:
-    """Quantile of the standard Gaussian coordinate `z`, accurate far into both tails; the shape of `z`."""
-    z = np.clip(np.asarray(z, float), -_FARTHEST, _FARTHEST)
+def value_of(distribution: Distribution, at: ArrayLike) -> Array:
+    """Quantile of the standard Gaussian coordinate `at`, accurate far into both tails; the shape of `at`."""
+    z: Array = np.clip(np.asarray(at, float), -_FARTHEST, _FARTHEST)
     if isinstance(distribution, Normal) and math.isinf(distribution.lower) and math.isinf(distribution.upper):
         return np.asarray(distribution.mean + distribution.sd * z)
     if isinstance(distribution, LogNormal):
@@ -82,9 +83,14 @@ def value_of(distribution: Distribution, z: ArrayLike) -> Array:
     return np.asarray(distribution.ppf(ndtr(np.clip(z, -8.0, 8.0))))
 
 
-@cache
 def coordinate_of(distribution: Distribution, x: float) -> float:
     """The standard Gaussian coordinate of the value `x`, within +-8; the inverse of `value_of`."""
+    known: Any = distribution
+    return _bisected(known, x)
+
+
+@cache
+def _bisected(distribution: Any, x: float) -> float:
     low, high = -8.0, 8.0
     for _ in range(60):
         middle = 0.5 * (low + high)
@@ -393,7 +399,7 @@ class Problem:
             # The release itself: a reading that rises from 0 to its peak at once.
             early = np.flatnonzero(first.times <= first.times[0] + 1.5 * float(np.median(np.diff(first.times))))
             released = np.array([t.times[0] <= 0.0 for t in trials])
-            for k in np.flatnonzero(released):
+            for k in np.flatnonzero(released).tolist():
                 weight[k][:, early[1:]] *= 0.3
                 weight[k][:, 0] = 0.0 if self.switches.delay else 0.3
         missing = ~np.isfinite(raw)
@@ -456,7 +462,7 @@ class Problem:
         """Values of the coordinates q (..., size) by name."""
         return {c.name: value_of(c.prior, q[..., i]) for i, c in enumerate(self.coordinates)}
 
-    def _inputs(self, group: Group, which: Array, q: Array, eta: Array) -> tuple[dict[str, Any], dict[str, Any]]:
+    def _inputs(self, group: Group, which: Indices, q: Array, eta: Array) -> tuple[dict[str, Any], dict[str, Any]]:
         """Arguments of Model.simulate for vectors q (n, size), eta (n, m) on the group's trials `which` (n,)."""
         e = self.experiment
         rig: dict[str, Any] = {name: value for name, (value, _) in e.constants.items()}
@@ -492,7 +498,7 @@ class Problem:
             effect = {}
         return rig, effect
 
-    def simulate(self, group: Group, which: Array, q: Array, eta: Array) -> Array:
+    def simulate(self, group: Group, which: Indices, q: Array, eta: Array) -> Array:
         """Readings (n, channels, n_times) of vectors q (n, size), eta (n, m) on the group's trials `which` (n,)."""
         rig, effect = self._inputs(group, which, q, eta)
         return (
@@ -728,7 +734,7 @@ class Normals:
             inverse = np.linalg.inv(damped)
             S -= np.sum(TJ.transpose(0, 2, 1) @ (inverse @ TJ), axis=0)
             g -= np.sum(TJ.transpose(0, 2, 1) @ (inverse @ gT[:, :, None]), axis=0)[:, 0]
-            inverses.append(inverse)
+            inverses.append(np.asarray(inverse, float))
         return S, g, inverses
 
     def step(self, damping: float) -> tuple[Array, dict[int, Array]]:
@@ -741,7 +747,7 @@ class Normals:
             move = -np.einsum("jmn,jn->jm", inverse, gT + TJ @ dq) if inverse.shape[1] else gT
             for k, i in enumerate(block.group.trials):
                 deta[i] = move[k]
-        return dq, deta
+        return np.asarray(dq, float), deta
 
     def log_evidence(self) -> float:
         """Laplace evidence without the constant of the noise; -inf if a matrix is not positive definite."""
@@ -986,7 +992,7 @@ def predict(fit: Calibration, trials: Sequence[int], rounds: int = 12) -> dict[i
         weight = group.weight[which]
 
         def evaluate(
-            values: Array, which: Array = which, weight: Array = weight, group: Group = group
+            values: Array, which: Indices = which, weight: Array = weight, group: Group = group
         ) -> tuple[Array, Array]:
             y = problem.simulate(group, which, np.tile(fit.q, (which.size, 1)), values)
             r = problem.whitened(y - group.y[which], weight)
@@ -1068,7 +1074,9 @@ def learn_noise(fit: Calibration, colour: bool = True) -> Noise:
         t = e.trials[i]
         sets.setdefault((t.case, t.coupled, t.theta0), []).append(i)
     weights = {i: g.weight[k] for g in problem.groups for k, i in enumerate(g.trials)}
-    innovation, phis, thetas = [], [], []
+    innovation: list[float] = []
+    phis: list[float] = []
+    thetas: list[float] = []
     for c in range(channels):
         spectra: dict[int, list[Array]] = {}
         counts: dict[int, float] = {}
@@ -1092,15 +1100,17 @@ def learn_noise(fit: Calibration, colour: bool = True) -> Noise:
                     power = np.abs(np.fft.rfft(d)) ** 2 / d.size
                     lone.setdefault(d.size, []).append(power[power.size // 3 :])
         if spectra and sum(len(v) for v in spectra.values()) > 1:
-            a, p, t = _fit_spectrum(spectra, counts, colour and all(_even(e.trials[i].times) for i in problem.trials))
+            a, p, theta = _fit_spectrum(
+                spectra, counts, colour and all(_even(e.trials[i].times) for i in problem.trials)
+            )
         elif lone:
             values = np.concatenate([x for v in lone.values() for x in v])
-            a, p, t = math.sqrt(float(np.mean(np.minimum(values, 12.0 * np.median(values))))), 0.0, 0.0
+            a, p, theta = math.sqrt(float(np.mean(np.minimum(values, 12.0 * np.median(values))))), 0.0, 0.0
         else:
-            a, p, t = problem.noise.innovation[c], 0.0, 0.0
+            a, p, theta = problem.noise.innovation[c], 0.0, 0.0
         innovation.append(max(a, 1e-300))
         phis.append(p)
-        thetas.append(t)
+        thetas.append(theta)
     return Noise(tuple(innovation), tuple(phis), tuple(thetas))
 
 

@@ -238,7 +238,7 @@ def _reseeded(fit: Calibration, found: list[Candidate]) -> tuple[Calibration, li
 
 
 def _with_winners_noise(fit: Calibration, found: list[Candidate]) -> tuple[Calibration, list[Candidate]]:
-    """Nominal model and leaders under the noise that the leader shows, where that is smaller: a bad model inflates it."""
+    """Nominal model and leaders under the noise that the leader shows, where it is smaller: a bad model inflates it."""
     leader = next((c for c in found if c.fit is not None), None)
     if leader is None or leader.fit is None or leader.log_evidence < 10.0:
         return fit, found

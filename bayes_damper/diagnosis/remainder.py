@@ -70,15 +70,15 @@ def whitened_records(fit: Calibration) -> dict[int, Array]:
 def remainder_of(fit: Calibration) -> Remainder:
     """Tests of what a fit leaves."""
     records = whitened_records(fit)
-    frequency, power, shared = [], [], []
+    power: list[tuple[Array, Array]] = []
+    shared: list[tuple[Array, Array]] = []
     for members in repeats_of(fit):
         stack = np.array([records[i] for i in members])
         mean = stack.sum(axis=0) / math.sqrt(len(members))
         times = fit.problem.experiment.trials[members[0]].times
         dt = float(np.median(np.diff(times))) if times.size > 1 else 1.0
         n = mean.shape[1]
-        f = np.fft.rfftfreq(n, dt)[1:-1]
-        frequency.append(f)
+        f = np.asarray(np.fft.rfftfreq(n, dt)[1:-1], float)
         for channel in range(mean.shape[0]):
             shared.append((f, np.abs(np.fft.rfft(mean[channel])[1:-1]) ** 2 / n))
             for k in range(len(members)):

@@ -149,7 +149,7 @@ class Screen:
 
 
 def bases_of(fit: Calibration) -> list[Array]:
-    """Nominal points at which effects are switched on: the optimum, and where it has lost its friction, one that has not.
+    """Nominal points at which effects are switched on: the optimum, and if it has lost its friction, one that has not.
 
     A nominal model that misses an effect of the friction may give up the friction altogether; whatever scales with it
     would then show no effect.

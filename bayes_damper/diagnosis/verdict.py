@@ -22,6 +22,7 @@ from bayes_damper.diagnosis.search import Candidate
 
 PRIOR_NONE = 0.25
 PRIOR_UNKNOWN = 0.15
+USUAL = 20  # candidates among which the prior is shared, however few are offered
 FLOOR = 0.005  # probability that no answer falls below, shared among all
 
 
@@ -66,7 +67,7 @@ class Answers:
 
 
 def family_evidence(candidates: Sequence[Candidate]) -> dict[str, float]:
-    """Log evidence of each family relative to the nominal model: mean over its variants; -inf for what is not finite."""
+    """Log evidence of each family over the nominal model: mean over its variants; -inf for what is not finite."""
     rows: dict[str, list[float]] = {}
     for c in candidates:
         rows.setdefault(c.effect.name, []).append(c.log_evidence if math.isfinite(c.log_evidence) else -math.inf)
@@ -91,7 +92,7 @@ def weigh(evidence: Mapping[str, float], before: Remainder, after: Remainder, ru
     the leading effect leaves.
     """
     names = [n for n, z in evidence.items() if math.isfinite(z)]
-    each = (1.0 - PRIOR_NONE - PRIOR_UNKNOWN) / max(len(evidence), 1)
+    each = (1.0 - PRIOR_NONE - PRIOR_UNKNOWN) / max(len(evidence), USUAL)
     temperature = 1.0 + max(0.0, after.low_excess - 2.0 * after.low_sd) / (rule.tempering * 20.0)
     log_w = {"none": math.log(PRIOR_NONE)} | {n: math.log(each) + evidence[n] / temperature for n in names}
     top = max(log_w.values())

@@ -1,0 +1,176 @@
+"""The diagnosis: the rule on its own, the tests of the remainder, and small campaigns with a known answer."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from test_calibration import RIG, TRUE, make_experiment
+
+from bayes_damper.calibration import Experiment, TrialRecord, calibrate_nominal
+from bayes_damper.diagnosis import diagnose
+from bayes_damper.diagnosis.remainder import Remainder, remainder_of
+from bayes_damper.diagnosis.search import Screen, offered, scales_of, screen_variant
+from bayes_damper.diagnosis.verdict import RULE, Answers, family_evidence, weigh
+from bayes_damper.effects import EFFECTS
+from bayes_damper.model import Model
+
+FEW = {name: EFFECTS[name] for name in ("quadratic_drag", "spring_cubic", "sensor_gain")}
+QUIET = Remainder(-3.0, 0.0, 100.0, -20.0, 70.0, 0.0)
+GAP = Remainder(900.0, 200.0, 8.0, 3000.0, 70.0, 3000.0)
+
+
+def with_effect(effect: str, variant: str, values: dict[str, float], seed: int = 2) -> Experiment:
+    """Two cases, uncoupled and coupled, three repeats, with one effect of the library at work."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(500) * 1e-3
+    formula = EFFECTS[effect].variant(variant)
+    trials = []
+    for index, (case, k1t, degrees) in enumerate((("I", 6.2, 5.7), ("IV", 10.2, 4.7))):
+        for both in (False, True):
+            for number in (1, 2, 3):
+                theta0 = math.radians(degrees)
+                rig = RIG | TRUE | {"k1t": k1t, "theta0": theta0 * (1.0 + 0.01 * rng.standard_normal())}
+                y = Model(both, effect=formula).simulate(rig, times, effect=values).y[0]
+                noisy = y + 2.0 * rng.standard_normal(y.shape)
+                label = f"{case}{number}"
+                trials.append(
+                    TrialRecord(
+                        label, case, both, number, times, noisy, index, theta0, 0.01 * theta0, heldout=number == 3
+                    )
+                )
+    return Experiment({n: (v, 0.0) for n, v in RIG.items()}, ((6.2, 0.0), (10.2, 0.0)), tuple(trials))
+
+
+@pytest.fixture(scope="module")
+def named(tmp_path_factory):
+    found = diagnose(with_effect("quadratic_drag", "alike", {"coefficient": 0.8}), effects=FEW)
+    folder = tmp_path_factory.mktemp("diagnosis")
+    return found, json.loads(found.write(folder).read_text()), folder
+
+
+def test_a_strong_effect_is_named_and_sized(named):
+    """Quadratic drag comes out first, its coefficient within its uncertainty."""
+    found, _, _ = named
+    assert found.verdict == "quadratic_drag"
+    value, sd = found.winner.fit.parameters["effect.coefficient"]
+    assert abs(value - 0.8) < 4.0 * sd
+    assert found.answers.credible_set() == ["quadratic_drag"]
+    assert max(found.sites, key=found.sites.get) == "bearings"
+
+
+def test_the_gap_closes_on_trials_that_no_fit_has_seen(named):
+    """Held-out residuals fall from above the noise to the noise."""
+    found, _, _ = named
+    assert found.gap.answer == "gap"
+    assert found.gap.augmented_rms < found.gap.nominal_rms
+    assert found.gap.closed.median > 0.8
+
+
+def test_the_file_holds_what_the_contract_says(named):
+    """Fields, sums and schema of diagnosis.json; the missing torque beside it."""
+    _, table, folder = named
+    assert table["schema"] == "bayes-damper/diagnosis/1"
+    assert sum(table["probabilities"].values()) == pytest.approx(1.0)
+    assert sum(table["sites"].values()) == pytest.approx(1.0)
+    assert set(table["probabilities"]) == {"none", "unknown", *FEW}
+    assert set(table["gap"]) >= {"answer", "p_value", "size", "noise_rms", "nominal_rms", "augmented_rms", "closed"}
+    assert set(table["where"]) >= {"time", "frequency", "channel", "case", "phase_space"}
+    assert {"name", "variant", "site", "probability", "log_evidence", "parameters"} <= set(table["effects"][0])
+    assert (folder / "missing_torque.csv").stat().st_size > 0
+
+
+def test_nothing_wrong_is_called_none():
+    """Records of the nominal rig itself, with late triggers and uncertain stiffness, get no effect."""
+    found = diagnose(make_experiment(6, late=True, k1t_sd=0.01, n=500), effects=FEW)
+    assert found.verdict == "none"
+    assert found.answers.probabilities["none"] > 0.7
+
+
+def test_an_effect_outside_the_candidates_is_unknown():
+    """When quadratic drag is taken out of the library, no other effect takes its name."""
+    others = {name: EFFECTS[name] for name in ("sensor_gain", "inertia_error", "sensor_delay")}
+    found = diagnose(with_effect("quadratic_drag", "alike", {"coefficient": 0.8}), effects=others)
+    assert found.verdict == "unknown"
+
+
+def test_the_screening_puts_the_truth_first():
+    """The linearised gain of the acting effect exceeds that of every other candidate of the whole library."""
+    experiment = with_effect("spring_cubic", "cubic", {"k3": 120.0}) if _has("spring_cubic", "k3") else None
+    experiment = experiment or with_effect("quadratic_drag", "alike", {"coefficient": 0.8})
+    truth = "spring_cubic" if _has("spring_cubic", "k3") else "quadratic_drag"
+    screen = Screen(calibrate_nominal(experiment))
+    gains = {
+        effect.name: max(s.gain for s in screen_variant(screen, variant))
+        for effect, variant in offered(experiment, "nonlinear", FEW)
+    }
+    assert max(gains, key=gains.get) == truth
+
+
+def _has(effect: str, parameter: str) -> bool:
+    return any(p.name == parameter for v in EFFECTS[effect].variants for p in v.parameters if v.name == "cubic")
+
+
+def test_the_remainder_of_noise_is_small_and_of_a_hum_is_not():
+    """A line without a common phase is found in the single records."""
+    clean = make_experiment(9, n=500)
+    assert remainder_of(calibrate_nominal(clean)).strength < 6.0
+    rng = np.random.default_rng(1)
+    trials = tuple(
+        TrialRecord(
+            t.label, t.case, t.coupled, t.number, t.times,
+            t.y + 1.5 * np.sin(2.0 * np.pi * 50.0 * t.times + rng.uniform(0.0, 6.28)), t.k1t, t.theta0, t.theta0_sd,
+            heldout=t.heldout,
+        )
+        for t in clean.trials
+    )  # fmt: skip
+    left = remainder_of(calibrate_nominal(Experiment(clean.constants, clean.stiffnesses, trials)))
+    assert left.line > 20.0
+    assert left.peak_hz == pytest.approx(50.0, abs=3.0)
+
+
+def test_evidence_that_is_not_a_number_never_wins():
+    """nan and -inf give a family no probability."""
+
+    class Row:
+        def __init__(self, name: str, value: float) -> None:
+            self.effect = type("E", (), {"name": name})
+            self.log_evidence = value
+
+    rows = [Row("a", math.nan), Row("b", -math.inf), Row("c", 5.0), Row("a", math.nan)]
+    evidence = family_evidence(rows)  # type: ignore[arg-type]
+    assert evidence["a"] == -math.inf
+    answers = weigh(evidence, QUIET, QUIET)
+    assert answers.probabilities["a"] < 0.01
+    assert max(answers.probabilities, key=answers.probabilities.get) == "c"
+
+
+@pytest.mark.parametrize(
+    ("evidence", "before", "after", "verdict"),
+    [
+        ({"a": 0.5, "b": -1.0}, QUIET, QUIET, "none"),
+        ({"a": 900.0, "b": 700.0}, GAP, QUIET, "a"),
+        ({"a": 500.0, "b": 400.0}, GAP, Remainder(300.0, 90.0, 8.0, 1500.0, 70.0, 1500.0), "unknown"),
+        ({"a": 0.5}, Remainder(-3.0, 60.0, 50.0, 10.0, 70.0, 0.0), Remainder(-3.0, 60.0, 50.0, 10.0, 70.0, 0.0),
+         "unknown"),
+    ],
+)  # fmt: skip
+def test_the_rule_answers_plain_cases(evidence, before, after, verdict):
+    """No gap, a gap closed, a gap half closed, and a line that no effect touches."""
+    answers = weigh(evidence, before, after, RULE)
+    assert sum(answers.probabilities.values()) == pytest.approx(1.0)
+    assert answers.verdict == verdict
+
+
+def test_the_credible_set_is_the_smallest():
+    """Answers are taken by probability until nine tenths are reached."""
+    answers = Answers({"a": 0.6, "b": 0.35, "none": 0.05}, 1.0, 0.0, 0.0)
+    assert answers.credible_set() == ["a", "b"]
+
+
+def test_scales_keep_the_kernels_of_a_rig_like_the_thesis_s():
+    """Magnitudes near the reference are rounded to it, so that no kernel is compiled anew."""
+    scales = scales_of(make_experiment(1, n=50))
+    assert (scales.angle, scales.torque) == (0.1, 0.8)
