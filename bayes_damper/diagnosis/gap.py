@@ -126,14 +126,14 @@ def measure_gap(
     masks = _masks(nominal.problem, heldout)
     x0 = _squares({i: before[i].residual for i in heldout}, masks, noise)
     count = np.array([sum(m.sum() for m in masks[i]) for i in heldout], float)
-    upper = _upper_limit(float(x0.sum()), float(count.sum()))
+    upper = _upper_limit(float(x0.sum()), float(count.sum()), noise_spread(nominal.problem))
     nominal_rms = _rms({i: before[i].residual for i in heldout}, nominal.problem, heldout)
     augmented = None if after is None else _rms({i: after[i].residual for i in heldout}, nominal.problem, heldout)
     closed = None
     if after is not None:
         x1 = _squares({i: after[i].residual for i in heldout}, masks, noise)
         d = _squares({i: after[i].model - before[i].model for i in heldout}, masks, noise)
-        closed = share_closed(x0, x1, d, count, rng)
+        closed = share_closed(x0, x1, d, count, rng, noise_spread(nominal.problem))
     answer: Literal["none", "gap", "cannot tell"]
     if p_value < size:
         answer, why = "gap", f"held-out residuals follow what the training trials predict (p = {p_value:.2g})"
@@ -258,7 +258,7 @@ def _floor_rms(problem: Problem, trials: Sequence[int]) -> float:
     return math.sqrt(total / max(count, 1))
 
 
-def _upper_limit(x: float, n: float, known: float = 0.01) -> float:
+def _upper_limit(x: float, n: float, known: float) -> float:
     """95 % upper limit of a gap's rms over the noise sd: chi-square x of n readings, noise variance to `known`."""
     if n <= 0.0:
         return math.inf
@@ -266,17 +266,33 @@ def _upper_limit(x: float, n: float, known: float = 0.01) -> float:
     return math.sqrt(max(x - n, 0.0) / n + 1.645 * sd / n)
 
 
+def noise_spread(problem: Problem) -> float:
+    """Relative standard deviation of the noise variance, as learnt from the repeats of the fitted trials."""
+    sets: dict[tuple[object, ...], list[int]] = {}
+    trials = problem.experiment.trials
+    for i in problem.trials:
+        sets.setdefault((trials[i].case, trials[i].coupled, trials[i].theta0), []).append(trials[i].y.size)
+    freedom = sum(sum(sizes) * (len(sizes) - 1) / len(sizes) for sizes in sets.values())
+    return math.sqrt(2.0 / freedom) if freedom > 100.0 else 0.05
+
+
 def share_closed(
-    x0: Array, x1: Array, difference: Array, count: Array, rng: np.random.Generator | None = None
+    x0: Array,
+    x1: Array,
+    difference: Array,
+    count: Array,
+    rng: np.random.Generator | None = None,
+    known: float = 0.0,
 ) -> Closed:
     """Share closed with its interval over trials.
 
     x0, x1 (trials,): sums of squares before and after, over the noise variance; difference (trials,): of the two
-    models; count (trials,): readings.
+    models; count (trials,): readings; known: relative standard deviation of the noise variance.
     """
     rng = np.random.default_rng(0) if rng is None else rng
     gained, reducible = x0 - x1, x0 - count
-    noise = math.sqrt(2.0 * float(count.sum()))
+    floor_sd = known * float(count.sum())
+    noise = math.hypot(math.sqrt(2.0 * float(count.sum())), floor_sd)
     if float(difference.sum()) < 1e-9:
         return Closed(0.0, (0.0, 0.0), "none")
     method: Literal["held-out", "model difference"]
@@ -288,6 +304,8 @@ def share_closed(
     if n >= 3:
         pick = rng.integers(0, n, (DRAWS, n))
         above_draws, below_draws = gained[pick].sum(axis=1), below[pick].sum(axis=1)
+        if method == "held-out":
+            below_draws = below_draws + floor_sd * rng.standard_normal(DRAWS)
     else:
         spread = 2.0 * math.sqrt(float(difference.sum()))
         above_draws = gained.sum() + spread * rng.standard_normal(DRAWS)
@@ -384,5 +402,5 @@ def left_out_case(
     return Extrapolation(
         case, _rms({i: before[i].residual for i in out}, nominal.problem, out),
         _rms({i: after[i].residual for i in out}, nominal.problem, out), _floor_rms(nominal.problem, out),
-        share_closed(x0, x1, d, count, rng),
+        share_closed(x0, x1, d, count, rng, noise_spread(nominal.problem)),
     )  # fmt: skip

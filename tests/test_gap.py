@@ -1,0 +1,147 @@
+"""The gap on held-out trials: a test of its stated size, with power, and honest shares of what is closed."""
+
+import numpy as np
+import pytest
+from small_rig import measured, variant
+
+from bayes_damper.calibration import Problem, Switches, calibrate, calibrate_nominal
+from bayes_damper.diagnosis.gap import (
+    held_out_test,
+    left_out_case,
+    measure_gap,
+    repeats_say,
+    share_closed,
+    shifts,
+    shortest_interval,
+)
+from bayes_damper.diagnosis.sites import predicted_gap, site_map
+
+CUBIC = variant("magnet_cubic", "cubic")
+
+
+@pytest.fixture(scope="module")
+def both():
+    """The nominal fit and the fit of the true formula, on data with a cubic magnet."""
+    nominal = calibrate_nominal(measured(4, effect=CUBIC, values={"cubic": 200.0}))
+    problem = nominal.problem.with_effect(CUBIC)
+    winner = calibrate(problem, [np.append(nominal.q, 0.5)], eta=nominal.eta, anneal=False)
+    return nominal, winner
+
+
+def test_the_test_has_its_stated_size():
+    """200 small campaigns without a gap, each fitted anew: about 5 % are called a gap, never many more."""
+    alarms = 0
+    p_values = []
+    switches = Switches(delay=False, friction=False)
+    start = None
+    for seed in range(200):
+        experiment = measured(1000 + seed, configurations=(False,), duration=0.25, rate=500.0)
+        problem = Problem(experiment, switches=switches)
+        fit = calibrate(problem, [np.zeros(problem.size) if start is None else start], anneal=False, finish=False)
+        start = fit.q
+        gap = measure_gap(fit)
+        p_values.append(gap.p_value)
+        alarms += gap.answer == "gap"
+    assert 1 <= alarms <= 20  # 10 expected; beyond 20 once in a thousand
+    assert 0.4 < np.mean(p_values) < 0.6
+
+
+def test_a_gap_is_found_and_closed_by_its_cause(both):
+    nominal, winner = both
+    gap = measure_gap(nominal, winner)
+    assert gap.answer == "gap"
+    assert gap.p_value < 1e-6
+    assert gap.nominal_rms > gap.augmented_rms
+    assert gap.augmented_rms == pytest.approx(gap.noise_rms, rel=0.03)
+    assert 0.8 < gap.closed.median < 1.2
+    low, high = gap.closed.hdi90
+    assert low < gap.closed.median < high
+    entry = gap.to_json()
+    assert {"answer", "p_value", "size", "noise_rms", "nominal_rms", "augmented_rms", "closed"} <= set(entry)
+
+
+def test_no_gap_is_left_under_the_cause(both):
+    _, winner = both
+    assert measure_gap(winner).p_value > 0.01
+
+
+def test_shapes_of_the_site_map_sharpen_the_test():
+    """A gap that the repeats alone hardly show is seen when the site map says what to look for."""
+    nominal = calibrate_nominal(measured(13, effect=CUBIC, values={"cubic": 70.0}))
+    plain = measure_gap(nominal).p_value
+    helped = measure_gap(nominal, shapes=predicted_gap(site_map(nominal, torque=False))).p_value
+    assert helped < 0.05
+    assert helped < plain
+
+
+def test_predictions_made_of_noise_find_nothing():
+    """Random shapes: p-values are even, and many of them are paid for."""
+    fit = calibrate_nominal(measured(3))
+    experiment = fit.problem.experiment
+    eta = {i: np.zeros(len(g.nuisances)) for g in fit.problem.grouped(experiment.heldout) for i in g.trials}
+    rng = np.random.default_rng(5)
+
+    def shape():
+        return {i: rng.standard_normal(experiment.trials[i].y.shape) for i in experiment.heldout}
+
+    single = [held_out_test(fit, eta, [shape()]) for _ in range(60)]
+    assert 0.3 < np.mean(single) < 0.7
+    assert held_out_test(fit, eta, [shape() for _ in range(20)]) > 0.05
+    assert held_out_test(fit, eta, []) == 1.0
+    assert set(repeats_say(fit)) == set(experiment.heldout)
+
+
+def test_parameters_stop_pretending_once_the_cause_is_there(both):
+    nominal, winner = both
+    moved = {s.name: s for s in shifts(nominal, winner)}
+    assert abs(moved["k2t"].sigmas) > 3.0
+    value, sd = moved["k2t"].after
+    assert value == pytest.approx(1.2, abs=4.0 * sd)
+    assert abs(moved["k2t"].before[0] - 1.2) > abs(value - 1.2)
+
+
+def test_a_left_out_case_is_predicted_better_with_the_cause(both):
+    nominal, winner = both
+    found = left_out_case(nominal, winner, "I")
+    assert found.closed.median > 0.7
+    assert found.augmented_rms < found.nominal_rms
+    with pytest.raises(ValueError, match="cases are"):
+        left_out_case(nominal, winner, "IX")
+
+
+def test_leaving_out_the_only_case_is_refused():
+    fit = calibrate_nominal(measured(3, cases=(("I", 0, 0.1),)))
+    with pytest.raises(ValueError, match="two cases"):
+        left_out_case(fit, fit, "I")
+
+
+def test_without_repeats_the_answer_is_that_none_can_be_told():
+    gap = measure_gap(calibrate_nominal(measured(3, repeats=1)))
+    assert gap.answer == "cannot tell"
+    assert "repeat" in gap.why
+    assert gap.closed is None
+
+
+def test_a_short_campaign_without_a_sign_cannot_exclude_a_gap():
+    experiment = measured(21, cases=(("I", 0, 0.1),), configurations=(False,), repeats=2, duration=0.1)
+    gap = measure_gap(calibrate_nominal(experiment))
+    assert gap.answer == "cannot tell"
+    assert "excluded" in gap.why
+
+
+def test_share_closed_by_hand():
+    """Every trial has a reducible 1000 of which 900 go: 0.9 whichever trials are drawn; small gaps use the model."""
+    count = np.full(4, 1000.0)
+    closed = share_closed(count + 1000.0, count + 100.0, np.full(4, 900.0), count)
+    assert closed.median == pytest.approx(0.9)
+    assert closed.hdi90 == pytest.approx((0.9, 0.9))
+    assert closed.method == "held-out"
+    small = share_closed(count + np.array([30.0, -20.0, 40.0, 10.0]), count, np.full(4, 20.0), count)
+    assert small.method == "model difference"
+    assert small.hdi90[0] < small.median < small.hdi90[1]
+    assert share_closed(count, count, np.zeros(4), count).method == "none"
+
+
+def test_shortest_interval_of_a_skewed_sample():
+    draws = np.sort(np.concatenate([np.linspace(0.0, 1.0, 91), np.full(9, 50.0)]))
+    assert shortest_interval(draws) == pytest.approx((0.0, 0.989), abs=0.02)
