@@ -1,0 +1,46 @@
+"""The main job on the shipped data: the four cases of the thesis, from published numbers to posteriors and report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bayes_damper.errors import ExitCode
+from bayes_damper.fit import Fit, fit
+from bayes_damper.report import report
+from bayes_damper.run import Progress
+
+QUICK_STEPS = 300
+
+
+@dataclass(frozen=True)
+class Demo:
+    """The fit of the thesis's cases and the page that shows it."""
+
+    fit: Fit
+    page: Path
+
+    @property
+    def exit_code(self) -> ExitCode:
+        return self.fit.exit_code
+
+    def to_json(self) -> dict[str, Any]:
+        """What summary.json holds."""
+        return self.fit.to_json()
+
+    def text(self) -> str:
+        """For people."""
+        return f"{self.fit.text()}\nReport: {self.page}"
+
+
+def demo(
+    out: str | Path = "results/demo", *, seed: int = 1, workers: int = 2, quick: bool = False,
+    scheduler: str | None = None, progress: Progress | None = None,
+) -> Demo:  # fmt: skip
+    """Fit the four cases of the thesis and write the report. quick : stop early, marked as not converged."""
+    fitted = fit(
+        "thesis", out=out, seed=seed, workers=workers, most_steps=QUICK_STEPS if quick else None, scheduler=scheduler,
+        progress=progress,
+    )  # fmt: skip
+    return Demo(fitted, report(fitted.folder).path)

@@ -1,0 +1,37 @@
+"""Going on with a run that was stopped, or extending one that has finished."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from bayes_damper.errors import InputError
+from bayes_damper.fit import finish_fit
+from bayes_damper.run import Progress, read_json, write_json
+
+
+def resume(
+    folder: str | Path, *, more: bool = False, workers: int | None = None, progress: Progress | None = None
+) -> Any:
+    """Go on with what `folder` holds; the result is what the uninterrupted command would have given.
+
+    more : extend a finished run: four times the autocorrelation times, and twice the most steps if those were given.
+    workers : processes; default as before.
+
+    Raises
+    ------
+    InputError
+        if the folder holds no run, or one whose data, code or settings have changed.
+    """
+    path = Path(folder)
+    record = read_json(path / "run.json")
+    if record.get("command") != "fit":
+        raise InputError(f"{path}: run.json names the command {record.get('command')!r}; expected fit")
+    plan = dict(record["plan"])
+    if more:
+        plan["thorough"] = True
+        plan["most_steps"] = None if plan["most_steps"] is None else 2 * plan["most_steps"]
+        for done in path.glob("*/done.json"):
+            done.unlink()
+        write_json(path / "run.json", record | {"plan": plan})
+    return finish_fit(path, plan, workers=workers or record.get("workers", 1), progress=progress)
