@@ -47,7 +47,10 @@ def new_figure(width: float = 7.0, height: float = 4.0, converged: bool = True) 
 
 
 def mark(figure: Figure) -> None:
-    """Write across the top of a figure that its run did not converge."""
+    """Write across the top of a figure that its run did not converge, above what is drawn."""
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.set(rect=(0.0, 0.0, 1.0, 1.0 - 0.28 / figure.get_figheight()))  # type: ignore[call-arg]
     figure.text(
         *(0.5, 0.995, NOT_CONVERGED),
         ha="center",
@@ -178,11 +181,11 @@ def feature_check_figure(rows: Sequence[Mapping[str, Any]], *, title: str, conve
         axes.set_yticks(range(len(rows)), [f"{row['name']}   {row['percentile']:.0f} %" for row in rows])
         axes.set_xscale("symlog", linthresh=3.0)
         axes.set_xlabel(
-            "(model - measured) / standard error; grey: measured +- 1 standard error, blue: 50 and 90 % of the model"
+            "(model - measured) / standard error\ngrey: measured +- 1 standard error, blue: 50 and 90 % of the model"
         )
         axes.set_ylim(len(rows) - 0.5, -0.5)
         axes.set_title(
-            f"{title}\nbeside each name: percentile of the prediction at which the measurement falls", loc="left"
+            f"{title}\nbeside each name: percentile of the prediction\nat which the measurement falls", loc="left"
         )
     return figure
 
@@ -266,3 +269,99 @@ def work_precision_figure(curves: Mapping[str, Sequence[tuple[float, float]]], *
         axes.set_title(title)
         axes.legend()
     return figure
+
+
+def variability_figure(result: Mapping[str, Any], *, title: str, converged: bool = True) -> Figure:
+    """Effective k2t and c2t against initial energy, and where their scatter over the cases comes from.
+
+    result : what variability.json holds. Above: bands of one and the same rig (median, 90 %), each case with its 90 %
+    interval, and the values that linear fits to the measurements gave. Below: shares of the scatter, 90 % intervals.
+    """
+    names = {"k2t": "k2t [N m/rad]", "c2t": "c2t [N m s/rad]"}
+    figure = new_figure(9.0, 6.2, converged)
+    with mpl.rc_context(_RC):
+        axes = figure.subplots(2, 2, height_ratios=[2.4, 1.0])
+        for k, (name, axis_label) in enumerate(names.items()):
+            upper, lower = axes[0, k], axes[1, k]
+            for i, (label_, curve) in enumerate(result["effective"]["curves"].items()):
+                energy = 1e3 * np.asarray(curve["energy_j"])
+                colour = COLOURS[(2, 4, 5)[i % 3]]
+                upper.plot(energy, curve[name]["median"], color=colour, ls=STYLES[i % 4], label=f"one rig, {label_}")
+                upper.fill_between(energy, curve[name]["low"], curve[name]["high"], color=colour, alpha=0.18, lw=0)
+            for i, (case, row) in enumerate(result["effective"]["cases"].items()):
+                energy = 1e3 * row["energy_j"]
+                upper.plot([energy] * 2, row[name]["hdi90"], color=COLOURS[0], lw=1.6)
+                told = "each case, 90 %" if i == 0 else None
+                upper.plot(energy, row[name]["median"], "o", color=COLOURS[0], ms=5, label=told)
+                upper.annotate(case, (energy, row[name]["median"]), xytext=(4, 4), textcoords="offset points")
+                if "measured" in row:
+                    told = "linear fit to the measurements" if i == 0 else None
+                    upper.plot(energy, row["measured"][name], "D", color=COLOURS[1], ms=5, label=told)
+            upper.set_yscale("log")
+            upper.set_xlabel("initial energy [mJ]")
+            upper.set_ylabel(f"effective {axis_label}")
+            pieces = {key: row for key, row in result["decomposition"][name].items() if isinstance(row, Mapping)}
+            pieces = {key: row["share"] for key, row in pieces.items() if "share" in row}
+            for y, share in enumerate(pieces.values()):
+                lower.plot(share["hdi90"], [y, y], color=COLOURS[0], lw=2.0)
+                lower.plot(share["median"], y, "o", color=COLOURS[1], ms=5)
+            lower.set_yticks(range(len(pieces)), [key.replace("_", " ") for key in pieces] if k == 0 else [])
+            lower.set_xlim(0.0, 1.0)
+            lower.set_ylim(len(pieces) - 0.5, -0.5)
+            lower.set_xlabel(f"share of the variance of ln {name} over the cases")
+        axes[0, 0].legend(loc="best", fontsize=7)
+        figure.suptitle(title)
+    return figure
+
+
+def withheld_figure(scores: Mapping[str, Any], *, rehearsal: bool = False) -> Figure:
+    """The check on withheld data: what was taken for what, sites, reliability beside a calibrated twin, strength.
+
+    scores : the entry `scores` of withheld.json. rehearsal : marked across the top.
+    """
+    answers = sorted({*scores["confusion"], *(n for row in scores["confusion"].values() for n in row)})
+    figure = new_figure(11.0, 4.2 + 0.22 * len(answers))
+    with mpl.rc_context(_RC | {"axes.grid": False}):
+        parts = figure.subplot_mosaic([["names", "sites"], ["names", "reliability"], ["names", "level"]], width_ratios=[3, 2])
+        _draw_counts(parts["names"], scores["confusion"], "what was taken for what")
+        _draw_counts(parts["sites"], scores["sites"], "true site and most probable site")
+        axis, told = parts["reliability"], scores["reliability"]["all"]
+        axis.plot([0, 1], [0, 1], color="#888888", lw=0.8)
+        for row in told["bins"]:
+            at = row["confidence"]
+            axis.plot([at, at], row["twin95"], color=COLOURS[5], lw=7, alpha=0.5, solid_capstyle="butt")
+            axis.plot([at, at], row["right"]["interval95"], color=COLOURS[0], lw=1.2)
+            axis.plot(at, row["right"]["value"], "o", color=COLOURS[1], ms=5)
+        axis.set_xlabel("probability of the verdict")
+        axis.set_ylabel("share that is right")
+        axis.set_title("reliability (wide bars: a perfectly calibrated twin, 95 %)", loc="left")
+        axis = parts["level"]
+        for k, kind in enumerate(sorted({row["kind"] for row in scores["by_level"]})):
+            rows = [row for row in scores["by_level"] if row["kind"] == kind]
+            at = [row["level"] * (1.03 if k else 0.97) for row in rows]
+            right = [row["accepted_first"] for row in rows]
+            reach = np.array([[r["value"] - r["interval95"][0], r["interval95"][1] - r["value"]] for r in right]).T
+            marks = {"color": COLOURS[k], "ls": STYLES[k % len(STYLES)], "marker": "os"[k % 2], "ms": 4}
+            axis.errorbar(at, [r["value"] for r in right], np.maximum(reach, 0.0), label=kind, **marks)
+            axis.legend(loc="lower right")
+        axis.set_xscale("log")
+        axis.set_ylim(0.0, 1.05)
+        axis.set_xlabel("level: gap after the best nominal fit / noise")
+        axis.set_ylabel("right answer first")
+    if rehearsal:
+        figure.suptitle("REHEARSAL: the code has changed since these campaigns were sealed", color="#B00020", weight="bold")
+    return figure
+
+
+def _draw_counts(axis: Any, counts: Mapping[str, Mapping[str, int]], title: str) -> None:
+    """A matrix of counts, rows true, columns answered; shaded by the share of its row."""
+    rows = list(counts)
+    columns = [*rows, *sorted({name for row in counts.values() for name in row} - set(rows))]
+    table = np.array([[counts[row].get(column, 0) for column in columns] for row in rows], float)
+    axis.imshow(table / np.maximum(table.sum(axis=1, keepdims=True), 1.0), cmap="Blues", vmin=0.0, vmax=1.4, aspect="auto")
+    for (y, x), count in np.ndenumerate(table):
+        if count:
+            axis.text(x, y, f"{count:.0f}", ha="center", va="center", fontsize=7)
+    axis.set_xticks(range(len(columns)), columns, rotation=90, fontsize=7)
+    axis.set_yticks(range(len(rows)), rows, fontsize=7)
+    axis.set_title(title, loc="left")

@@ -1,0 +1,336 @@
+"""From the results of a fit to `variability.json`: what `variability` does, step by step."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper import arviz_adapter, figures
+from bayes_damper.distributions import to_standard
+from bayes_damper.errors import ExitCode, InputError
+from bayes_damper.provenance import provenance
+from bayes_damper.run import Progress, Task, read_json, run_tasks, write_json
+from bayes_damper.variability.decomposition import Sets, decompose
+from bayes_damper.variability.pooling import POOLINGS, Recycled, gaussian_hierarchy_of, recycle
+from bayes_damper.variability.published import PublishedCases
+from bayes_damper.variability.recorded import RecordedCases
+
+Array = NDArray[np.float64]
+SCHEMA = "bayes-damper/variability/1"
+MEANING = {
+    "shared": "one parameter set for all cases",
+    "separate": "each case its own parameter set",
+    "partial": "values scattered about a common mean",
+}
+_RECYCLED_DRAWS = 1500
+_LARGEST_SPREAD = 1.5
+"""Nats by which repeated runs may differ before the evidence is called unconverged."""
+
+
+@dataclass(frozen=True)
+class Variability:
+    """What the cases share and where they differ; `result` is what variability.json holds, `folder` where it is."""
+
+    folder: Path
+    result: Mapping[str, Any]
+
+    @property
+    def converged(self) -> bool:
+        """Whether the fit and the runs of the three answers converged."""
+        return bool(self.result["converged"])
+
+    @property
+    def exit_code(self) -> ExitCode:
+        return ExitCode.DONE if self.converged else ExitCode.NOT_CONVERGED
+
+    def to_json(self) -> dict[str, Any]:
+        """What variability.json holds."""
+        return dict(self.result)
+
+    def text(self) -> str:
+        """A table for the terminal, warnings first."""
+        r = self.result
+        lines = [] if self.converged else ["*** DID NOT CONVERGE: do not use these numbers ***"]
+        lines.append(f"{r['campaign']}: cases {', '.join(r['cases'])}")
+        lines.append(f"  {'':44s}{'log evidence':>14s}{'probability':>13s}{'unseen data':>13s}")
+        for name, model in r["models"].items():
+            lines.append(
+                f"  {MEANING[name]:44s}{model['log_evidence']:10.2f} +-{model['error']:5.2f}"
+                f"{model['probability']:11.2f}{model['heldout']['log_score']:13.2f}"
+            )
+        for name, rows in (r["decomposition"] or {}).items():
+            lines.append(f"  variance of ln {name} over the cases      median   90 % interval")
+            lines += [
+                f"    {key.replace('_', ' '):36s}{row['median']:9.3f}   {row['hdi90'][0]:.3f} .. {row['hdi90'][1]:.3f}"
+                for key, row in rows.items()
+                if isinstance(row, Mapping) and "median" in row
+            ]
+        return "\n".join([*lines, *(f"  {s}" for s in r["sentences"]), f"Files: {self.folder}"])
+
+
+def variability(
+    folder: str | Path,
+    *,
+    out: str | Path | None = None,
+    seed: int = 1,
+    particles: int = 256,
+    repeats: int = 2,
+    draws: int = 200,
+    workers: int = 1,
+    scheduler: str | None = None,
+    progress: Progress | None = None,
+) -> Variability:
+    """What the cases of a fit share and where they differ; writes variability.json and figures.
+
+    Parameters
+    ----------
+    folder : results of `fit` (published features or recorded trials), or "thesis" for the published features without
+    a fit: the draws of each case are then made here. out : where to write; default the folder itself
+    ("results/variability" for "thesis"). seed : decides every random number. particles : of each run of the tempering.
+    repeats : runs of each answer with all cases; their spread is the error of its evidence. draws : for the effective
+    linear parameters. workers : processes. A run that was stopped goes on when the same call is made again.
+
+    Raises
+    ------
+    InputError
+        if the folder holds no fit, or one of fewer than two cases, or an argument cannot be used.
+    Interrupted
+        after Ctrl-C.
+    """
+    if particles < 32 or repeats < 1 or draws < 8:
+        raise InputError("variability needs at least 32 particles, 1 repeat and 8 draws; raise those that are below")
+    plan, fitted = _read_fit(folder)
+    target = Path(out) if out is not None else fitted or Path("results/variability")
+    cases = PublishedCases(plan) if plan["campaign"] == "thesis" else RecordedCases(plan)
+    rng = np.random.default_rng([seed, 5])
+    settings = {"fit": plan, "seed": seed, "particles": particles, "repeats": repeats}
+    _claim(target, settings)
+    if isinstance(cases, PublishedCases):
+        work = target / "variability"
+        runs = _run_published(cases, settings, work, workers, scheduler, progress)
+        models, published_sets = cases.models(runs, work, rng, draws)
+        sets: Sets | None = published_sets
+        draws_of = _fit_draws(fitted, plan, cases) if fitted is not None else cases.own_draws(rng, _RECYCLED_DRAWS)
+        direct = cases.loaded(work / "partial-own-0", "partial", None, own_constants=True)
+    else:
+        models, sets = cases.models(rng, particles, draws)
+        draws_of = {
+            case: cases.reweighted(case, z, rng) for case, z in _fit_draws(fitted or target, plan, cases).items()
+        }
+        direct = gaussian_hierarchy_of(draws_of, cases.pooled, rng, particles)
+    check = _agreement(recycle(draws_of, rng, particles), direct, cases.pooled)
+    found = None if sets is None else decompose(sets)
+    _add_probabilities(models)
+    fit_converged = bool(plan.get("fit_converged", True))
+    result: dict[str, Any] = {
+        "schema": SCHEMA,
+        "campaign": plan["name"],
+        "campaign_sha256": plan["campaign_sha256"],
+        "seed": seed,
+        "converged": fit_converged and all(m["spread"] < _LARGEST_SPREAD for m in models.values()),
+        "cases": list(cases.names),
+        "pooled": list(cases.pooled),
+        "common": list(cases.common),
+        "method": cases.method,
+        "models": models,
+        "recycled": check,
+        "effective": found.effective if found is not None else None,
+        "decomposition": found.parts if found is not None else None,
+        "method_of_effective": found.method if found is not None else None,
+    }
+    result["sentences"] = _sentences(result, fit_converged)
+    result["provenance"] = provenance()
+    write_json(target / "variability.json", _plain(result))
+    if found is not None:
+        title = f"{plan['name']}: effective linear stiffness and damping"
+        drawn = figures.variability_figure(result, title=title, converged=result["converged"])
+        figures.save(drawn, target / "variability_effective")
+    figures.save(_scatter_figure(result), target / "variability_scatter")
+    return Variability(target, result)
+
+
+def _read_fit(folder: str | Path) -> tuple[dict[str, Any], Path | None]:
+    """The plan of a fit and its folder."""
+    if str(folder) == "thesis":
+        return PublishedCases.default_plan(), None
+    path = Path(folder)
+    if not path.is_dir():
+        raise InputError(
+            f"{folder}: there is no such folder; name one that `bayes-damper fit` has written, or `thesis`"
+        )
+    if not (path / "summary.json").exists():
+        more = (
+            "; the fit there is unfinished, `bayes-damper resume` goes on with it"
+            if (path / "run.json").exists()
+            else ""
+        )
+        raise InputError(f"{folder}: holds no results of `bayes-damper fit` (no summary.json){more}")
+    summary, run = read_json(path / "summary.json"), read_json(path / "run.json")
+    schema = summary.get("schema") if isinstance(summary, dict) else None
+    if schema != "bayes-damper/fit/1" or run.get("command") != "fit":
+        raise InputError(
+            f"{folder}: summary.json is of {schema!r}; variability needs the results of `bayes-damper fit`"
+        )
+    plan = dict(run["plan"]) | {"fit_converged": bool(summary["converged"])}
+    if len(plan["cases"]) < 2:
+        raise InputError(f"{folder}: holds one case only; fit two cases or more to ask how they differ")
+    return plan, path
+
+
+def _claim(target: Path, settings: Mapping[str, Any]) -> None:
+    """Note what runs in the working folder; another run's pieces are not mixed with this one's."""
+    path = target / "variability" / "run.json"
+    record = {"command": "variability", "plan": dict(settings)}
+    if path.exists() and read_json(path) != record:
+        raise InputError(f"{path.parent}: holds pieces of another run; remove that folder, or name another --out")
+    write_json(path, record)
+
+
+def _run_published(
+    cases: PublishedCases, settings: Mapping[str, Any], work: Path, workers: int, scheduler: str | None,
+    progress: Progress | None,
+) -> dict[str, Any]:  # fmt: skip
+    """All runs of the tempering: each answer with all cases, and with each case left out."""
+    wanted: list[tuple[str, str | None, int]] = [
+        (pooling, None, k) for pooling in POOLINGS for k in range(settings["repeats"])
+    ]
+    wanted += [(pooling, case, 0) for pooling in POOLINGS for case in cases.names]
+    tasks = [
+        Task(
+            f"{pooling}-{'all' if case is None else f'without-{case}'}-{k}",
+            "bayes_damper.variability.published:run_pooling",
+            {"settings": dict(settings), "pooling": pooling, "without": case, "repeat": k, "own_constants": False},
+        )
+        for pooling, case, k in wanted
+    ]
+    tasks.append(
+        Task(
+            "partial-own-0",
+            "bayes_damper.variability.published:run_pooling",
+            {"settings": dict(settings), "pooling": "partial", "without": None, "repeat": 0, "own_constants": True},
+        )
+    )
+    tasks.sort(key=lambda task: not task.name.startswith("partial"))  # the longest first
+    return run_tasks(tasks, work, workers=workers, scheduler=scheduler, progress=progress)
+
+
+def _fit_draws(folder: Path, plan: Mapping[str, Any], cases: PublishedCases | RecordedCases) -> dict[str, Array]:
+    """The fit's draws of each case in standard coordinates: case -> (n, pooled), spread over the whole chain."""
+    out = {}
+    for case in plan["cases"]:
+        file = folder / case / "posterior.nc"
+        if not file.exists():
+            raise InputError(f"{file}: is missing; run `bayes-damper fit` again")
+        posterior = arviz_adapter.read(file)["posterior"]
+        priors = cases.priors(case)
+        columns = [to_standard(priors[name], np.asarray(posterior[name].values).ravel()) for name in cases.pooled]
+        z = np.stack(columns, axis=1)
+        out[case] = z[np.linspace(0, len(z) - 1, min(len(z), _RECYCLED_DRAWS)).round().astype(int)]
+    return out
+
+
+def _agreement(recycled: Recycled, direct: tuple[Array, Mapping[str, Array]], pooled: Sequence[str]) -> dict[str, Any]:
+    """How far the two ways to the hierarchy agree: differences of means in standard deviations of the direct draws."""
+    scatter, values = direct
+    rows: dict[str, float] = {}
+    for j, name in enumerate(pooled):
+        rows[f"scatter of {name}"] = _difference(recycled.scatter[:, j], scatter[:, j])
+        for case, z in values.items():
+            rows[f"{name} of case {case}"] = _difference(recycled.values[case][:, j], z[:, j])
+    least = min(recycled.ess.values())
+    allowed = 0.15 + 4.0 * math.sqrt(1.0 / least + 4.0 / len(scatter))
+    worst = max(rows, key=lambda key: abs(rows[key]))
+    return {
+        "ess": dict(recycled.ess),
+        "pareto_k": dict(recycled.pareto_k),
+        "reliable": recycled.reliable,
+        "log_evidence_over_separate": recycled.log_z,
+        "error": recycled.error,
+        "differences_sd": rows,
+        "largest_difference_sd": abs(rows[worst]),
+        "largest_at": worst,
+        "allowed_difference_sd": allowed,
+        "agree": abs(rows[worst]) <= allowed,
+    }
+
+
+def _difference(a: Array, b: Array) -> float:
+    return float((a.mean() - b.mean()) / max(float(b.std()), 1e-12))
+
+
+def _add_probabilities(models: dict[str, dict[str, Any]]) -> None:
+    """Probability of each answer, all three being equally probable before."""
+    height = np.array([m["log_evidence"] for m in models.values()])
+    share = np.exp(height - height.max())
+    for model, p in zip(models.values(), share / share.sum(), strict=True):
+        model["probability"] = float(p)
+
+
+def _sentences(result: Mapping[str, Any], fit_converged: bool) -> list[str]:
+    models, check = result["models"], result["recycled"]
+    best = max(models, key=lambda name: models[name]["log_evidence"])
+    seen = max(models, key=lambda name: models[name]["heldout"]["log_score"])
+    out = [] if fit_converged else ["The fit that this rests on did not converge."]
+    out += [
+        f"The model {name} spreads by {m['spread']:.1f} nats between runs: raise particles."
+        for name, m in models.items()
+        if m["spread"] >= _LARGEST_SPREAD
+    ]
+    others = [models[best]["log_evidence"] - models[n]["log_evidence"] for n in models if n != best]
+    out.append(f"Evidence is highest for {MEANING[best]}, by {min(others):.1f} and {max(others):.1f} nats.")
+    out.append(f"{models[best]['heldout']['what']}: best predicted by {MEANING[seen]}.")
+    worst = max(check["pareto_k"].values())
+    k = f"effective draws {min(check['ess'].values()):.0f} or more, Pareto k at most {worst:.2f}"
+    if not check["reliable"]:
+        out.append(f"The fit's draws used again by weights cannot be trusted here ({k}): the direct runs count.")
+    elif check["agree"]:
+        out.append(f"The fit's draws used again by weights ({k}) agree with the direct way.")
+    else:
+        out.append(
+            f"The fit's draws used again by weights ({k}) differ from the direct way by "
+            f"{check['largest_difference_sd']:.2f} standard deviations in {check['largest_at']}."
+        )
+    decomposition: Mapping[str, Any] = result["decomposition"] or {}
+    for name, parts in decomposition.items():
+        shares = {key: row["share"] for key, row in parts.items() if isinstance(row, Mapping) and "share" in row}
+        first = max(shares, key=lambda key: shares[key]["median"])
+        low, high = shares[first]["hdi90"]
+        out.append(
+            f"Scatter of the effective {name} over the cases: the largest share is {first.replace('_', ' ')} "
+            f"({100 * shares[first]['median']:.0f} %, 90 % interval {100 * low:.0f} to {100 * high:.0f} %)."
+        )
+    return out
+
+
+def _scatter_figure(result: Mapping[str, Any]) -> Any:
+    rows = result["models"]["partial"]["scatter"]
+    intervals = {
+        "scatter": {
+            name: (row["hdi90"][0], row["median"], row["hdi90"][1]) for name, row in rows.items()
+        }
+    }  # fmt: skip
+    return figures.forest_figure(
+        intervals,
+        {"scatter": "scatter over cases / scatter that the prior allows"},
+        title=f"{result['campaign']}: 0 = one value for all cases, 1 = each its own",
+        converged=result["converged"],
+    )
+
+
+def _plain(x: Any) -> Any:
+    """Data as JSON takes it: numbers that are not finite become null."""
+    if isinstance(x, Mapping):
+        return {str(key): _plain(value) for key, value in x.items()}
+    if isinstance(x, list | tuple):
+        return [_plain(value) for value in x]
+    if isinstance(x, np.ndarray):
+        return _plain(x.tolist())
+    if isinstance(x, np.generic):
+        return _plain(x.item())
+    return None if isinstance(x, float) and not math.isfinite(x) else x

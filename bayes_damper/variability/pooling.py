@@ -1,0 +1,438 @@
+"""What cases share: one value for all, a value each, or values scattered about a common mean.
+
+In standard coordinates (each case's prior a unit Gaussian) parameter p of case c is
+
+    z_cp = sqrt(1 - s_p^2) m_p + s_p e_cp,      m_p, e_cp ~ N(0, 1),      0 <= s_p <= 1,
+
+so that every case has the same prior whatever s is, and the three answers differ in nothing but what they share:
+`shared` s = 0, `separate` s = 1, `partial` s_p uniform between 0 and 1 and inferred. For a lognormal prior the scatter
+of ln x over cases is s times ln of the prior's factor. Parameters that belong to the campaign (the rig's constants)
+have one value for all cases in each of the three; what belongs to one case (release angle, spring) is its own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp, ndtr
+
+from bayes_damper.errors import InputError
+from bayes_damper.variability.tempering import Block, temper
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Pooling = Literal["shared", "separate", "partial"]
+POOLINGS: tuple[Pooling, ...] = ("shared", "separate", "partial")
+_REFRESHES = 8
+
+
+class Straightener(Protocol):
+    """A change of the pooled coordinates (n, pooled) of constant volume that makes bent ridges straight."""
+
+    def sampled(self, z: Array) -> Array:
+        """Straight coordinates of standard ones."""
+
+    def standard(self, points: Array) -> Array:
+        """The inverse."""
+
+
+@dataclass(frozen=True)
+class CaseLikelihood:
+    """One case: names of its coordinates, and the log likelihood (n,) of points (n, len(names)) in them."""
+
+    name: str
+    names: tuple[str, ...]
+    log_likelihood: Callable[[Array], Array]
+    straightener: Straightener | None = None
+
+
+class _Plain:
+    """Blocks are moved in their own coordinates, and nothing is refreshed."""
+
+    blocks: list[Block]
+
+    def straight(self, points: Array, block: int) -> Array:
+        """The block's columns."""
+        return points[:, self.blocks[block].columns]
+
+    def bent(self, points: Array, block: int, steps: Array) -> Array:
+        """The points with the block's columns replaced."""
+        points = points.copy()
+        points[:, self.blocks[block].columns] = steps
+        return points
+
+    def refresh(self, points: Array, rng: np.random.Generator) -> Array:
+        """The points as they are."""
+        del rng
+        return points
+
+
+class Hierarchy:
+    """The joint posterior of several cases under one pooling: a target for `temper`.
+
+    pooled : parameters that the pooling is about; common : those with one value for all cases; all others of a case
+    are its own. Columns: m (pooled), s (as Phi^-1(s), only `partial`), common, then for each case e and its own.
+    """
+
+    def __init__(
+        self, cases: Sequence[CaseLikelihood], pooling: Pooling, pooled: Sequence[str], common: Sequence[str] = ()
+    ) -> None:
+        self.cases, self.pooling = tuple(cases), pooling
+        self.pooled, self.common = tuple(pooled), tuple(common)
+        for case in self.cases:
+            missing = [name for name in (*self.pooled, *self.common) if name not in case.names]
+            if missing:
+                raise InputError(f"case {case.name} has no parameter {missing[0]!r} that could be compared")
+        p = len(self.pooled)
+        start = 0
+
+        def take(count: int) -> Index:
+            nonlocal start
+            start += count
+            return np.arange(start - count, start)
+
+        self._m = take(p if pooling != "separate" else 0)
+        self._s = take(p if pooling == "partial" else 0)
+        self._common = take(len(self.common))
+        self._e, self._own = [], []
+        for case in self.cases:
+            self._e.append(take(p if pooling != "shared" else 0))
+            self._own.append(take(len(case.names) - p - len(self.common)))
+        self.ndim, self.parts = start, len(self.cases)
+        everything, carried = np.arange(self.parts), np.concatenate(self._own)
+        # What all cases hang on, then each case's own; beside each block the case whose values it holds.
+        population = Block(np.concatenate([self._m, self._s]), everything, carried)
+        moved = [(population, self.parts // 2 if pooling == "shared" else -1)]
+        moved.append((Block(self._common, everything, carried), -1))
+        for c, (e, own) in enumerate(zip(self._e, self._own, strict=True)):
+            moved.append((Block(np.concatenate([e, own]), np.array([c])), c if pooling != "shared" else -1))
+        moved = [(block, case) for block, case in moved if len(block.columns)]
+        self.blocks, self._holds = [b for b, _ in moved], [c for _, c in moved]
+
+    def straight(self, points: Array, block: int) -> Array:
+        """A block's coordinates with the case's values in straight form."""
+        case = self._holds[block]
+        x = points[:, self.blocks[block].columns]
+        curve = self.cases[case].straightener if case >= 0 else None
+        if curve is not None:
+            x[:, : len(self.pooled)] = curve.sampled(self.values(points, case))
+        return x
+
+    def bent(self, points: Array, block: int, steps: Array) -> Array:
+        """The points with a block's coordinates replaced."""
+        case = self._holds[block]
+        points, steps = points.copy(), steps.copy()
+        curve = self.cases[case].straightener if case >= 0 else None
+        if curve is not None:
+            p = len(self.pooled)
+            steps[:, :p] = curve.standard(steps[:, :p])
+            if self.pooling == "partial":
+                s = self.scatter(points)
+                steps[:, :p] = (steps[:, :p] - np.sqrt(1.0 - s**2) * points[:, self._m]) / s
+        points[:, self.blocks[block].columns] = steps
+        return points
+
+    def scatter(self, points: Array) -> Array:
+        """Scatter s of each pooled parameter, (n, pooled)."""
+        fixed = {"shared": 0.0, "separate": 1.0}
+        if self.pooling in fixed:
+            return np.full((len(points), len(self.pooled)), fixed[self.pooling])
+        return np.asarray(np.clip(ndtr(points[:, self._s]), 1e-6, 1.0 - 1e-12))
+
+    def values(self, points: Array, case: int) -> Array:
+        """Standard coordinates of the pooled parameters of one case, (n, pooled)."""
+        if self.pooling == "shared":
+            return points[:, self._m]
+        if self.pooling == "separate":
+            return points[:, self._e[case]]
+        s = self.scatter(points)
+        return np.sqrt(1.0 - s**2) * points[:, self._m] + s * points[:, self._e[case]]
+
+    def coordinates(self, points: Array, case: int) -> Array:
+        """Standard coordinates of everything that one case depends on, in the order of its names."""
+        known = dict(zip(self.pooled, self.values(points, case).T, strict=True))
+        known |= dict(zip(self.common, points[:, self._common].T, strict=True))
+        names = self.cases[case].names
+        rest = [name for name in names if name not in known]
+        known |= dict(zip(rest, points[:, self._own[case]].T, strict=True))
+        return np.stack([known[name] for name in names], axis=1)
+
+    def log_likelihood(self, points: Array, parts: Index) -> Array:
+        """Log likelihood of the chosen cases, (n, len(parts))."""
+        return np.stack([self.cases[c].log_likelihood(self.coordinates(points, c)) for c in parts], axis=1)
+
+    def refresh(self, points: Array, rng: np.random.Generator) -> Array:
+        """New m and s of each parameter, the cases' values held: no likelihood changes, so this costs nothing.
+
+        e = (z - sqrt(1 - s^2) m) / s follows; the volume factor is s^-cases.
+        """
+        if self.pooling != "partial":
+            return points
+        points = points.copy()
+        z = np.stack([self.values(points, c) for c in range(self.parts)])  # (cases, n, pooled)
+
+        def log_density(m: Array, u: Array) -> Array:
+            s = np.clip(ndtr(u), 1e-6, 1.0 - 1e-12)
+            e = (z - np.sqrt(1.0 - s**2) * m) / s
+            return np.asarray(-0.5 * (m**2 + u**2 + np.sum(e**2, axis=0)) - self.parts * np.log(s))
+
+        m, u = points[:, self._m], points[:, self._s]
+        now = log_density(m, u)
+        for i in range(_REFRESHES):
+            size = (0.15, 0.5, 1.5)[i % 3]
+            m_new, u_new = m + size * rng.standard_normal(m.shape), u + size * rng.standard_normal(u.shape)
+            new = log_density(m_new, u_new)
+            taken = np.log(rng.random(m.shape)) < new - now
+            m, u, now = np.where(taken, m_new, m), np.where(taken, u_new, u), np.where(taken, new, now)
+        s = np.clip(ndtr(u), 1e-6, 1.0 - 1e-12)
+        points[:, self._m], points[:, self._s] = m, u
+        for c, columns in enumerate(self._e):
+            points[:, columns] = (z[c] - np.sqrt(1.0 - s**2) * m) / s
+        return points
+
+
+# Draws of single cases, used again -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Recycled:
+    """The hierarchy from draws of single cases by importance weights.
+
+    mean, scatter (n, pooled): draws of m and s; values: case -> (n, pooled); ess, pareto_k: case -> effective number
+    of its draws and shape of the weights' tail under one population (m, s): the median of the former and the 90 %
+    quantile of the latter over populations; log_z: log evidence of `partial` over that of `separate`, with its error.
+    """
+
+    mean: Array
+    scatter: Array
+    values: Mapping[str, Array]
+    ess: Mapping[str, float]
+    pareto_k: Mapping[str, float]
+    log_z: float
+    error: float
+
+    @property
+    def reliable(self) -> bool:
+        """Whether all cases' weights can be trusted (Pareto k below 0.7)."""
+        return all(k < 0.7 for k in self.pareto_k.values())
+
+
+class _Population(_Plain):
+    """m and s alone: the cases' values are summed over their draws."""
+
+    def __init__(self, draws: Sequence[Array]) -> None:
+        self.draws = [np.asarray(z, float) for z in draws]
+        self.pooled = self.draws[0].shape[1]
+        self.ndim, self.parts = 2 * self.pooled, len(self.draws)
+        everything = np.arange(self.parts)
+        pairs = [Block(np.array([i, self.pooled + i]), everything) for i in range(self.pooled)]
+        self.blocks = [Block(np.arange(self.ndim), everything), *pairs]
+
+    def log_weights(self, points: Array, part: int) -> Array:
+        """Log density of each draw of a case under each population over that under the prior, (n, draws)."""
+        z = self.draws[part]
+        m = points[:, : self.pooled]
+        s = np.clip(ndtr(points[:, self.pooled :]), 1e-6, 1.0 - 1e-12)
+        a, precision = np.sqrt(1.0 - s**2) * m, s**-2
+        square = precision @ (z**2).T - 2.0 * (a * precision) @ z.T + np.sum(a**2 * precision, axis=1)[:, None]
+        return np.asarray(-0.5 * square - np.log(s).sum(axis=1)[:, None] + 0.5 * np.sum(z**2, axis=1))
+
+    def log_likelihood(self, points: Array, parts: Index) -> Array:
+        return np.stack(
+            [logsumexp(self.log_weights(points, c), axis=1) - math.log(len(self.draws[c])) for c in parts], axis=1
+        )
+
+
+def recycle(draws: Mapping[str, Array], rng: np.random.Generator, particles: int = 256) -> Recycled:
+    """Partial pooling from each case's own draws (n, pooled) in standard coordinates, without a new simulation.
+
+    A case's draws belong to its posterior under the unit Gaussian prior; under a population (m, s) each counts by the
+    ratio of the population's density to that prior's (Hogg, Myers and Bovy 2010, ApJ 725:2166).
+    """
+    target = _Population(list(draws.values()))
+    found = temper(target, rng, particles)
+    s = np.clip(ndtr(found.points[:, target.pooled :]), 1e-6, 1.0 - 1e-12)
+    values: dict[str, Array] = {}
+    ess: dict[str, float] = {}
+    tails: dict[str, float] = {}
+    for c, name in enumerate(draws):
+        log_weights = target.log_weights(found.points, c)
+        share = np.exp(log_weights - logsumexp(log_weights, axis=1)[:, None])
+        ess[name] = float(np.median(1.0 / np.sum(share**2, axis=1)))
+        some = share[:: max(1, len(share) // 64)]
+        tails[name] = float(np.quantile([pareto_k(row) for row in some], 0.9, method="lower"))
+        # One draw of the case for each population, by its weights.
+        pick = (np.cumsum(share, axis=1) > rng.random((len(share), 1))).argmax(axis=1)
+        values[name] = draws[name][pick]
+    return Recycled(
+        found.points[:, : target.pooled],
+        s,
+        values,
+        ess,
+        tails,
+        found.log_z,
+        found.error,
+    )
+
+
+def pareto_k(weights: Array) -> float:
+    """Shape of the generalised Pareto distribution of the largest weights (Vehtari et al. 2024, JMLR 25:72).
+
+    Below 0.7 averages over the weighted draws can be trusted; inf where fewer than five large weights differ, -inf
+    where all weights are the same. The fit is that of Zhang and Stephens (2009, Technometrics 51:316).
+    """
+    n = len(weights)
+    if np.ptp(weights) < 1e-9 * weights.max():
+        return -math.inf
+    count = math.ceil(min(0.2 * n, 3.0 * math.sqrt(n)))
+    ordered = np.sort(weights / weights.max())
+    x = ordered[n - count :] - ordered[n - count - 1]
+    x = x[x > 1e-12]
+    if len(x) < 5:
+        return math.inf
+    m = 30 + int(math.sqrt(len(x)))
+    quartile = x[int(len(x) / 4 + 0.5) - 1]
+    theta = 1.0 / x[-1] + (1.0 - np.sqrt(m / (np.arange(1, m + 1) - 0.5))) / (3.0 * quartile)
+    shape = np.mean(np.log1p(-theta[:, None] * x), axis=1)
+    height = len(x) * (np.log(-theta / shape) - shape - 1.0)
+    best = float(np.sum(theta * np.exp(height - logsumexp(height))))
+    k = float(np.mean(np.log1p(-best * x)))
+    # The weak prior of the former paper: k about 0.5, worth ten draws.
+    return (len(x) * k + 10.0 * 0.5) / (len(x) + 10.0)
+
+
+# Cases whose likelihood is Gaussian -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class GaussianCase:
+    """A case by its Laplace approximation: posterior mean (k,) and covariance (k, k) in standard coordinates, and its
+    log evidence.
+    """
+
+    name: str
+    names: tuple[str, ...]
+    mean: Array
+    covariance: Array
+    log_z: float
+
+
+@dataclass(frozen=True)
+class GaussianPosterior:
+    """Evidence, and the mean (cases, pooled) and joint covariance of the cases' values, of one pooling."""
+
+    log_z: float
+    mean: Array
+    covariance: Array
+    common: Array
+
+
+class GaussianHierarchy:
+    """The same hierarchy in closed form, for cases that thousands of readings determine to a few per cent.
+
+    Given s the unknowns (values of all cases, constants common to them) are jointly Gaussian.
+    """
+
+    def __init__(self, cases: Sequence[GaussianCase], pooled: Sequence[str], common: Sequence[str] = ()) -> None:
+        self.cases, self.pooled, self.common = tuple(cases), tuple(pooled), tuple(common)
+        p, c = len(self.pooled), len(self.cases)
+        self.size = p * c + len(self.common)
+        self.A = np.zeros((self.size, self.size))
+        self.b = np.zeros(self.size)
+        self.height = 0.0
+        for i, case in enumerate(self.cases):
+            keep = [k for k, name in enumerate(case.names) if name in self.pooled or name in self.common]
+            names = [case.names[k] for k in keep]
+            # What is neither is integrated out: the marginal posterior over the marginal prior.
+            covariance, mean = case.covariance[np.ix_(keep, keep)], case.mean[keep]
+            precision = np.linalg.inv(covariance)
+            place = [
+                i * p + self.pooled.index(name) if name in self.pooled else p * c + self.common.index(name)
+                for name in names
+            ]
+            natural = precision @ mean
+            likelihood = precision - np.eye(len(keep))
+            values, vectors = np.linalg.eigh(0.5 * (likelihood + likelihood.T))
+            self.A[np.ix_(place, place)] += vectors @ np.diag(np.maximum(values, 0.0)) @ vectors.T
+            self.b[place] += natural
+            log_det = float(np.linalg.slogdet(covariance)[1])
+            self.height += case.log_z - 0.5 * float(natural @ mean) - 0.5 * log_det
+
+    def _prior(self, s: Array) -> Array:
+        """Prior covariances (n, size, size) for scatters s (n, pooled)."""
+        p, c = len(self.pooled), len(self.cases)
+        prior = np.tile(np.eye(self.size), (len(s), 1, 1))
+        for j in range(p):
+            index = np.arange(c) * p + j
+            square = s[:, j, None, None] ** 2
+            prior[:, index[:, None], index[None, :]] = (1.0 - square) + square * np.eye(c)
+        return prior
+
+    def log_evidence(self, s: Array) -> Array:
+        """Log evidence (n,) for fixed scatters s (n, pooled)."""
+        prior = self._prior(s)
+        system = np.eye(self.size) + self.A @ prior
+        mean = np.einsum("nij,nj->ni", prior, np.linalg.solve(system, np.tile(self.b, (len(s), 1))[..., None])[..., 0])
+        return np.asarray(self.height + 0.5 * mean @ self.b - 0.5 * np.linalg.slogdet(system)[1])
+
+    def given(self, s: Array) -> GaussianPosterior:
+        """Evidence and posterior for fixed scatter s (pooled,)."""
+        prior = self._prior(np.asarray(s, float)[None])[0]
+        system = np.eye(self.size) + self.A @ prior
+        covariance = prior @ np.linalg.inv(system)
+        covariance = 0.5 * (covariance + covariance.T)
+        mean = covariance @ self.b
+        log_z = self.height + 0.5 * float(self.b @ mean) - 0.5 * float(np.linalg.slogdet(system)[1])
+        split = len(self.pooled) * len(self.cases)
+        return GaussianPosterior(log_z, mean[:split].reshape(len(self.cases), -1), covariance, mean[split:])
+
+    def draw(self, s: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+        """One draw for each row of s (n, pooled): values (n, cases, pooled) and common (n, common)."""
+        drawn = np.empty((len(s), self.size))
+        for i, row in enumerate(s):
+            found = self.given(row)
+            size, turn = np.linalg.eigh(found.covariance)
+            mean = np.concatenate([found.mean.ravel(), found.common])
+            drawn[i] = mean + turn @ (np.sqrt(np.maximum(size, 0.0)) * rng.standard_normal(self.size))
+        split = len(self.pooled) * len(self.cases)
+        return drawn[:, :split].reshape(len(s), len(self.cases), -1), drawn[:, split:]
+
+    def partial(self, rng: np.random.Generator, particles: int = 256) -> tuple[float, float, Array]:
+        """Log evidence with s inferred, its error, and draws of s (n, pooled)."""
+        target = _Scatter(self)
+        found = temper(target, rng, particles)
+        return target.offset + found.log_z, found.error, ndtr(found.points)
+
+
+class _Scatter(_Plain):
+    """s alone, everything else integrated out in closed form."""
+
+    def __init__(self, hierarchy: GaussianHierarchy) -> None:
+        self.hierarchy = hierarchy
+        self.ndim, self.parts = len(hierarchy.pooled), 1
+        self.offset = hierarchy.given(np.ones(self.ndim)).log_z
+        only = np.zeros(1, dtype=np.intp)
+        self.blocks = [Block(np.arange(self.ndim), only), *(Block(np.array([i]), only) for i in range(self.ndim))]
+
+    def log_likelihood(self, points: Array, parts: Index) -> Array:
+        del parts
+        return (self.hierarchy.log_evidence(ndtr(points)) - self.offset)[:, None]
+
+
+def gaussian_hierarchy_of(
+    draws: Mapping[str, Array], pooled: Sequence[str], rng: np.random.Generator, particles: int = 256
+) -> tuple[Array, dict[str, Array]]:
+    """Partial pooling with each case's draws (n, pooled) taken as Gaussian: draws of s, and of the cases' values."""
+    names = tuple(pooled)
+    cases = [
+        GaussianCase(name, names, z.mean(axis=0), np.cov(z.T).reshape(len(names), -1), 0.0) for name, z in draws.items()
+    ]
+    hierarchy = GaussianHierarchy(cases, pooled)
+    _, _, s = hierarchy.partial(rng, particles)
+    values, _ = hierarchy.draw(s, rng)
+    return s, {case.name: values[:, c] for c, case in enumerate(cases)}
