@@ -48,6 +48,7 @@ NOMINAL = ("k2t", "c2t", "c1t", "c3t", "mu", "drag", "nu")
 FRICTION_SPREAD = 0.04  # prior sd of ln mu from trial to trial, where the repeats show that it varies
 EVENT_THRESHOLD = 4.5  # robust sds of the second difference beyond which a sample counts as an event
 EVENT_TIMING = 5e-5  # s, by which the instant of an event may be off without the model being wrong
+RELEASE_WEIGHT = 0.4  # of the first two readings
 FIRST_STAGE_EVENT_WEIGHT = 0.15
 HOPELESS, HURRY = 60.0, 6.0  # cost above a target, and in how many such steps it must be reachable, to go on
 _FARTHEST = 37.0  # standard deviations beyond which a coordinate is not followed
@@ -396,12 +397,11 @@ class Problem:
                 annealed[k] = np.where(jump > 0.0, FIRST_STAGE_EVENT_WEIGHT, 1.0)
         nuisances, lower, upper = self._nuisances(trials)
         if e.start == "rest" and first.times.size > 2 and e.quantity == "acceleration":
-            # The release itself: a reading that rises from 0 to its peak at once.
-            early = np.flatnonzero(first.times <= first.times[0] + 1.5 * float(np.median(np.diff(first.times))))
-            released = np.array([t.times[0] <= 0.0 for t in trials])
-            for k in np.flatnonzero(released).tolist():
-                weight[k][:, early[1:]] *= 0.3
-                weight[k][:, 0] = 0.0 if self.switches.delay else 0.3
+            # The release itself: what rig and sensor do within a sample of it is told by no formula exactly.
+            early = first.times <= first.times[0] + 1.5 * float(np.median(np.diff(first.times)))
+            for k, t in enumerate(trials):
+                if t.times[0] <= 0.0:
+                    weight[k][:, early] *= RELEASE_WEIGHT
         missing = ~np.isfinite(raw)
         weight[missing] = 0.0
         annealed = np.minimum(annealed, weight)
@@ -440,7 +440,9 @@ class Problem:
             low, high = np.array([release_window(t, e.quantity) for t in trials]).T
             middle, half = 0.5 * (low + high), 0.35 * (high - low)
             out.append(("delay", middle, half))
-            bounds.append(((low - middle) / half - 0.4, (high - middle) / half * (1.0 - 1e-9)))
+            # A rig still held at the first reading bounds the release from below; else the logger may be later yet.
+            slack = np.where(high > np.array([t.times[0] for t in trials]), -1e-6, 0.4)
+            bounds.append(((low - middle) / half - slack, (high - middle) / half * (1.0 - 1e-9)))
         if self.switches.friction and trials[0].coupled and "mu" in self.names:
             out.append(("ln_mu", np.zeros(n), np.full(n, FRICTION_SPREAD)))
             bounds.append(wide)
@@ -492,11 +494,7 @@ class Problem:
                 rig[name] = x
         if e.start == "free":
             rig["delay"] = float(group.times[0])
-        if not group.coupled:
-            rig = {k: v for k, v in rig.items() if k not in ("theta2_0", "omega2_0")}
-        if self.effect is not None and not effect:
-            effect = {}
-        return rig, effect
+        return {"theta2_0": rig["theta0"]} | rig, effect
 
     def simulate(self, group: Group, which: Indices, q: Array, eta: Array) -> Array:
         """Readings (n, channels, n_times) of vectors q (n, size), eta (n, m) on the group's trials `which` (n,)."""
