@@ -1,4 +1,4 @@
-"""The command line: arguments only. Each command is one public call, and prints what the call's result says of itself."""
+"""The command line: arguments only. Each command is one public call, and prints what its result says of itself."""
 
 from __future__ import annotations
 
@@ -68,6 +68,76 @@ def _resume(args: Arguments) -> Any:
     return _call("resume:resume")(args.folder, more=args.more, workers=args.workers, progress=_progress(args))
 
 
+_QUESTIONS = (
+    ("columns", "Columns of the channels, primary first, by name or number from 1, with spaces between"),
+    ("time", "Column of the time, by name or number (empty: the sample rate makes it)"),
+    ("sample_rate", "Sample rate in Hz (empty: the time column decides)"),
+    ("units", "Their units, e.g. g, m/s^2, rad/s^2, with spaces between (empty: SI)"),
+    ("mounting_radius", "Distance of the sensors from the axis in m (empty: they read angles)"),
+    ("primary_inertia", "Inertia J1 in kg m^2 (empty: everything per unit inertia)"),
+    ("k1t", "Stiffness k1t in N m/rad (empty: from the strongest frequency)"),
+    ("theta0", "Release angle in degrees (empty: not released at rest, it is inferred)"),
+)
+
+
+def _init(args: Arguments) -> Any:
+    if args.table is not None:
+        _call("importer:import_records")(args.table, args.folder, args.raw, args.overwrite)
+        return _call("check:check")(args.folder)
+    given = {key: value for key, value in vars(args).items() if key in args.options and value is not None}
+    if "columns" not in given and sys.stdin.isatty() and sys.stdout.isatty() and not args.quiet:
+        given |= _answers(set(given))
+    raw = args.raw or Path()
+    _call("importer:init_campaign")(args.folder, [raw / f for f in args.files], args.overwrite, **given)
+    return _call("check:check")(args.folder)
+
+
+def _answers(given: set[str]) -> dict[str, Any]:
+    """What `init` asks for in a terminal when the columns were not given; an empty answer leaves the default."""
+    found: dict[str, Any] = {}
+    for key, question in _QUESTIONS:
+        if key in given or (key == "sample_rate" and "time" in found):
+            continue
+        words = [_number(w) for w in input(f"{question}: ").split()]
+        if words:
+            found[key] = words if key in ("columns", "units") else words[0]
+    return found
+
+
+def _number(text: str) -> int | float | str:
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+def _init_options(sub: Any) -> list[str]:
+    """An option for every key of the importer's tables, and of [rig] and [measurement]; their names."""
+    importer = importlib.import_module("bayes_damper.importer")
+    campaign = importlib.import_module("bayes_damper.campaign")
+    left_out = {"source", "sha256", "file", "trial", "holdout"}
+    keys = {k: v for t in (importer.TRIAL, importer.READER) for k, v in t.items() if k not in left_out}
+    known = {"name": "of the campaign (default: that of the folder)", "description": "a sentence",
+             "source_text": "where the data come from, licence"}  # fmt: skip
+    known |= dict.fromkeys(campaign.Rig.__dataclass_fields__, "of [rig] in campaign.toml")
+    known |= dict.fromkeys(("quantity", "noise_std", "sensor_range"), "of [measurement] in campaign.toml")
+    for key, (types, text) in keys.items():
+        flag, told = f"--{key.replace('_', '-')}", text.replace("%", "%%")
+        if bool in types:
+            sub.add_argument(flag, action=argparse.BooleanOptionalAction, default=None, help=told)
+        elif types == (list,):
+            sub.add_argument(flag, nargs="+", type=_number, metavar="X", help=told)
+        else:
+            kind = str if types == (str,) else _number
+            sub.add_argument(flag, type=kind, metavar="X", help=told)
+    for key, text in known.items():
+        kind = str if key in ("name", "description", "source_text") else _number
+        sub.add_argument(f"--{key.replace('_', '-')}", type=kind, metavar="X", help=text)
+    return [*keys, *known]
+
+
 def _report(args: Arguments) -> Any:
     return _call("report:report")(args.folder, out=args.out)
 
@@ -75,10 +145,10 @@ def _report(args: Arguments) -> Any:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="bayes-damper",
-        description="Calibrate a magnetically coupled mass damper against measurements, with honest uncertainty, and find "
-        "out where and why the model and the rig differ.",
-        epilog="Exit codes: 0 done, 2 bad input, 3 did not converge (results written and marked), 4 a self-check failed, "
-        "130 interrupted (state saved).",
+        description="Calibrate a magnetically coupled mass damper against measurements, with honest uncertainty, and "
+        "find out where and why the model and the rig differ.",
+        epilog="Exit codes: 0 done, 2 bad input, 3 did not converge (results written and marked), 4 a self-check "
+        "failed, 130 interrupted (state saved).",
     )
     parser.add_argument("--version", action="version", version=_version())
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
@@ -127,6 +197,14 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("folder", type=Path, help="the folder that the run writes to")
     sub.add_argument("--more", action="store_true", help="extend a run that has finished")
     sub.add_argument("--workers", type=int, metavar="N", help="processes on this machine (default: as before)")
+
+    sub = command("init", _init, "a commented campaign from a pile of logger files")
+    sub.add_argument("folder", type=Path, help="the campaign to write")
+    sub.add_argument("files", nargs="*", type=Path, help="logger files, one trial each")
+    sub.add_argument("--table", type=Path, metavar="import.toml", help="an import table in place of files and options")
+    sub.add_argument("--raw", type=Path, metavar="DIR", help="where the logger files lie")
+    sub.add_argument("--overwrite", action="store_true", help="replace the campaign that the folder holds")
+    sub.set_defaults(options=_init_options(sub))
 
     sub = command("report", _report, "one self-contained HTML page from whatever results the folder holds")
     sub.add_argument("folder", type=Path, help="a folder that other commands have written to")

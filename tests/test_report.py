@@ -136,7 +136,15 @@ def write_everything(folder: Path) -> Path:
     write_fit(folder)
     write_diagnosis(folder / "diagnosis")
     write_tuning(folder)
-    shares = {"schema": "bayes-damper/variability/1", "parameters": {"mu": {"between": 0.4, "p_value": 0.02}}, "n": 4}
+    models = {
+        name: {"log_evidence": z, "error": 0.1, "probability": p, "spread": 0.2, "heldout": {"log_score": -9.0}}
+        for name, z, p in (("shared", -60.0, 0.02), ("partial", -55.0, 0.91), ("separate", -57.0, 0.07))
+    }
+    shares = {
+        "schema": "bayes-damper/variability/1", "campaign": "synthetic <rig>", "converged": True, "models": models,
+        "decomposition": {"k2t": {"stiffness": {"median": 0.2, "hdi90": [0.1, 0.4]}}},
+        "sentences": ["The cases do not share one parameter set (2 %)."],
+    }  # fmt: skip
     (folder / "variability.json").write_text(json.dumps(shares), encoding="utf-8")
     scores = {"schema": "bayes-damper/withheld/1", "scores": {"top_1": 0.9, "covered": 0.93}, "campaigns": [
         {"name": "a1", "verdict": "none", "right": True}]}  # fmt: skip
@@ -164,6 +172,7 @@ def test_everything_a_folder_holds_is_on_the_page(tmp_path):
     assert "friction displacement and normal force law cannot be told apart" in text
     assert "closes 97 % of the gap" in text
     assert "Nothing was learnt about nu" in text
+    assert "The cases do not share one parameter set (2 %)" in text
     assert "insertion loss 12 dB (90 %: 10.40 to 13.60 dB)" in text
     assert "your design probably misses the target when the exciting torque is 0.02 N m" in text
     assert "synthetic <rig>" in text

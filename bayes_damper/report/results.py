@@ -454,6 +454,46 @@ def _design_table(designs: Sequence[tuple[str, Mapping[str, Any], Any]]) -> Tabl
     return Table("Designs", ("quantity", "unit", *(name for name, _, _ in designs)), rows)
 
 
+# What the cases share ---------------------------------------------------------------------------------------------
+
+_SHARING = {
+    "shared": "one parameter set for all cases",
+    "separate": "each case its own parameter set",
+    "partial": "values scattered about a common mean",
+}
+
+
+def variability_result(data: Mapping[str, Any], folder: Path) -> Result:
+    """Headline and section of variability.json."""
+    models = sorted(data["models"].items(), key=lambda item: -item[1]["probability"])
+    converged = bool(data.get("converged"))
+    sentences = list(data.get("sentences", ()))
+    if not converged:
+        sentences.insert(0, _UNCONVERGED)
+    rows = []
+    for name, m in models:
+        score = (m.get("heldout") or {}).get("log_score")
+        cells = (_SHARING.get(name, name), percent(m["probability"]), number(m["log_evidence"]), number(m.get("error")))
+        rows.append(Row((*cells, number(score)), "" if converged else "bad"))
+    columns = ("answer", "probability", "log evidence, nats", "its error", "log score on unseen data")
+    compared = Table("Do the cases share their parameters?", columns, tuple(rows))
+    shown = tuple((_SHARING.get(name, name), float(m["probability"])) for name, m in models)
+    tone = "bad" if not converged else "good" if shown[0][1] > 0.9 else "open"
+    if not sentences:
+        sentences = [f"Most probable: {shown[0][0]} ({percent(shown[0][1])})."]
+    name = str(data.get("campaign", ""))
+    head = Headline(
+        f"What the cases of {name} share" if name else "What the cases share", tone, tuple(sentences), shown
+    )
+    rest = generic(
+        data, "", ("schema", "campaign", "campaign_sha256", "seed", "converged", "sentences", "provenance", "models")
+    )
+    pictures = _pictures(folder, kind="variability")
+    section = Section("Variability", (), (compared, *rest.tables), (), pictures, rest.parts)
+    warnings = () if converged else ("The comparison of the cases did not converge: do not use its numbers.",)
+    return Result(head, section, warnings, dict(data.get("provenance", {})) | _fingerprint(data))
+
+
 # Results that this page knows only by their form --------------------------------------------------------------------
 
 
@@ -463,8 +503,15 @@ def other_result(kind: str, title: str, opening: str) -> Callable[[Mapping[str, 
     def read(data: Mapping[str, Any], folder: Path) -> Result:
         rest = generic(data, title, ("schema", "provenance"))
         sentences = tuple(data.get("sentences", ())) or (opening,)
+        scores = data.get("scores")
+        table = generic({"scores": scores}, "").tables[:1] if scores else ()
         section = Section(title, (), rest.tables, (), _pictures(folder, kind=kind), rest.parts)
-        return Result(Headline(title, "open", sentences), section, (), dict(data.get("provenance", {})))
+        return Result(
+            Headline(title, "open", sentences, table=next(iter(table), None)),
+            section,
+            (),
+            dict(data.get("provenance", {})),
+        )
 
     return read
 
@@ -472,10 +519,7 @@ def other_result(kind: str, title: str, opening: str) -> Callable[[Mapping[str, 
 READERS: Mapping[str, tuple[str, Callable[[Mapping[str, Any], Path], Result]]] = {
     "diagnosis.json": ("bayes-damper/diagnosis/1", diagnosis_result),
     "summary.json": ("bayes-damper/fit/1", fit_result),
-    "variability.json": (
-        "bayes-damper/variability/1",
-        other_result("variability", "Variability", "What the cases share and where they differ."),
-    ),
+    "variability.json": ("bayes-damper/variability/1", variability_result),
     "tune.json": ("bayes-damper/tune/1", tune_result),
     "withheld.json": (
         "bayes-damper/withheld/1",

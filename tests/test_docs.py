@@ -1,0 +1,181 @@
+"""The documentation: every command, table and file that it shows exists, and the reference is made from the code."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import json
+import re
+import shlex
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+import bayes_damper
+from bayes_damper.cli import _parser, main
+from bayes_damper.effects import EFFECTS, load_effects
+from tests.campaigns import decay
+
+ROOT = Path(__file__).resolve().parent.parent
+DOCS = ROOT / "docs"
+PAGES = sorted(p for p in DOCS.rglob("*.md") if "proof" not in p.parts)
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+
+
+def name_of(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+
+
+def pages_of(nav: object) -> list[str]:
+    if isinstance(nav, str):
+        return [nav]
+    parts = nav.values() if isinstance(nav, dict) else nav
+    return [page for part in parts for page in pages_of(part)]
+
+
+def test_every_page_is_in_the_contents_and_every_entry_is_a_page():
+    loader = type("Loader", (yaml.SafeLoader,), {})
+    nav = yaml.load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"), Loader=loader)["nav"]
+    assert sorted(pages_of(nav)) == [p.relative_to(DOCS).as_posix() for p in PAGES]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_links_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)#:]+?)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
+        assert (page.parent / target).is_file(), f"{page}: {target}"
+
+
+def commands_of(page: Path) -> list[list[str]]:
+    lines = "\n".join(blocks(page, "console")).replace("\\\n", " ").splitlines()
+    return [
+        shlex.split(line.removeprefix("$ "), comments=True)
+        for line in lines
+        if line.removeprefix("$ ").startswith("bayes-damper")
+    ]
+
+
+COMMANDS = [(page, words) for page in PAGES for words in commands_of(page)]
+
+
+@pytest.mark.parametrize(("page", "words"), COMMANDS, ids=[" ".join(w[:4]) for _, w in COMMANDS])
+def test_commands_on_the_pages_have_these_arguments(page, words, capsys):
+    try:
+        _parser().parse_args(words[1:])
+    except SystemExit as stopped:
+        assert stopped.code == 0, f"{page}: {' '.join(words)}\n{capsys.readouterr().err}"  # noqa: PT017
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if blocks(p, "toml")], ids=name_of)
+def test_tables_on_the_pages_are_toml(page):
+    for block in blocks(page, "toml"):
+        assert tomllib.loads(block)
+
+
+def test_the_effect_on_its_page_is_a_sound_effect(tmp_path):
+    block = blocks(DOCS / "how-to" / "effect.md", "python")[0]
+    (tmp_path / "cubic_drag.py").write_text(block, encoding="utf-8")
+    assert list(load_effects(tmp_path)) == ["cubic_drag"]
+
+
+def generator():
+    spec = importlib.util.spec_from_file_location("generator_of_docs", DOCS / "_generate.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_reference_holds_every_command_name_and_effect():
+    made = generator()
+    commands = made.on_page_markdown("<!-- generated: commands -->")
+    choices = next(a.choices for a in _parser()._actions if a.choices and "check" in a.choices)
+    assert [f"## {name}\n" in commands for name in choices] == [True] * len(choices)
+    names = made.python()
+    assert all(f"from bayes_damper import {name}`" in names for name in bayes_damper.__all__)
+    effects = made.effects()
+    assert all(f"### {name}\n" in effects and EFFECTS[name].summary in effects for name in EFFECTS)
+    assert "`friction_torque`" in made.parameters()
+
+
+def test_every_public_name_can_be_had_and_is_documented():
+    for name in bayes_damper.__all__:
+        value = getattr(bayes_damper, name)
+        assert callable(value), f"{name} is hidden by its module"
+        assert value.__doc__, name
+    assert set(bayes_damper.__all__) <= set(dir(bayes_damper))
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        bayes_damper.nothing  # noqa: B018
+
+
+# init, as the pages show it -----------------------------------------------------------------------------------------
+
+
+def test_logger_files_become_a_campaign_by_options(tmp_path, capsys):
+    times = np.arange(-200, 800) / 1000.0
+    rng = np.random.default_rng(3)
+    for i in range(2):
+        y = (decay(times, 0.082, 10.2, 0.031) + rng.standard_normal(times.size)) * 0.1 / 9.80665
+        rows = [f"{1e3 * t:.1f};{v:.6f}".replace(".", ",") for t, v in zip(times, y, strict=True)]
+        (tmp_path / f"run{i}.csv").write_text("\n".join(["Logger 7", "Time;Ch1", *rows]) + "\n", encoding="utf-8")
+    options = (
+        "--time Time --time-unit ms --columns Ch1 --units g --mounting-radius 0.1 --decimal , --skip-lines 1 "
+        "--release find --primary-inertia 3.015e-3 --case IV --k1t 10.2 --theta0 4.7"
+    )
+    words = ["init", str(tmp_path / "rig"), "run0.csv", "run1.csv", "--raw", str(tmp_path), *options.split()]
+    assert main(words) == 0
+    assert "rig: 2 trials, 1 cases, acceleration" in capsys.readouterr().out
+    assert main(words) == 2
+    assert "holds a campaign already" in capsys.readouterr().err
+    again = ["init", str(tmp_path / "again"), "--table", str(tmp_path / "rig" / "import.toml")]
+    assert main(again) == 0
+    first, second = ((tmp_path / n / "trials.csv").read_bytes() for n in ("rig", "again"))
+    assert first == second
+
+
+def test_init_asks_nothing_without_a_terminal(tmp_path, capsys, monkeypatch):
+    (tmp_path / "a.csv").write_text("t,a\n0,1\n1,2\n2,3\n", encoding="utf-8")
+    monkeypatch.setattr("builtins.input", lambda _: pytest.fail("asked"))
+    assert main(["init", str(tmp_path / "rig"), str(tmp_path / "a.csv"), "--time", "t"]) == 2
+    assert "'columns' is missing" in capsys.readouterr().err
+
+
+def test_init_asks_in_a_terminal(tmp_path, monkeypatch, capsys):
+    times = np.arange(-200, 800) / 1000.0
+    y = decay(times, 0.082, 10.2, 0.031) + np.random.default_rng(3).standard_normal(times.size)
+    rows = [f"{t:.3f},{v:.5f}" for t, v in zip(times, y, strict=True)]
+    (tmp_path / "a.csv").write_text("\n".join(["t,a", *rows]) + "\n", encoding="utf-8")
+    answers = iter(["a", "t", "rad/s^2", "", "3.015e-3", "10.2", "4.7"])
+    monkeypatch.setattr("builtins.input", lambda _: next(answers))
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    assert main(["init", str(tmp_path / "rig"), str(tmp_path / "a.csv"), "--release", "find"]) == 0
+    assert "1 trials" in capsys.readouterr().out
+
+
+# Notebooks ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=name_of)
+def test_notebooks_tell_a_story_with_public_calls_only(path):
+    notebook = json.loads(path.read_text(encoding="utf-8"))
+    assert f"({path.name})" in (ROOT / "notebooks" / "README.md").read_text(encoding="utf-8")
+    code = ["".join(c["source"]) for c in notebook["cells"] if c["cell_type"] == "code"]
+    assert all(not c["outputs"] and c["execution_count"] is None for c in notebook["cells"] if c["cell_type"] == "code")
+    tree = ast.parse("\n".join(code))
+    kinds = (ast.FunctionDef, ast.ClassDef, ast.AsyncFunctionDef, ast.Lambda)
+    assert not [n for n in ast.walk(tree) if isinstance(n, kinds)], (
+        "code that is more than calls belongs in the package"
+    )
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module == "bayes_damper":
+            assert {a.name for a in node.names} <= set(bayes_damper.__all__)
+
+
+def test_there_are_at_most_five_notebooks():
+    assert 1 <= len(NOTEBOOKS) <= 5
