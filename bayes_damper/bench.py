@@ -26,6 +26,7 @@ from bayes_damper import bench_peers, damper, integrator, lanes
 from bayes_damper.accumulate import GAUSSIAN
 from bayes_damper.damper import ROWS
 from bayes_damper.integrator import LANES
+from bayes_damper.errors import ExitCode
 from bayes_damper.model import Model
 
 Array = NDArray[np.float64]
@@ -101,14 +102,23 @@ class Bench:
         """Whether our own kernel kept the accuracy bound everywhere."""
         return all(target.kept is not False for target in self.targets if target.at_most and "error" in target.name)
 
-    def to_json(self) -> str:
-        """The result as bench.json."""
+    @property
+    def exit_code(self) -> ExitCode:
+        """A missed accuracy bound is a self-check that failed; a missed speed is a number in the table."""
+        return ExitCode.DONE if self.accurate else ExitCode.SELF_CHECK_FAILED
+
+    def text(self) -> str:
+        """The table."""
+        return self.table()
+
+    def to_json(self) -> dict[str, Any]:
+        """What bench.json holds."""
         body = asdict(self) | {
             "schema": SCHEMA,
             "targets": [asdict(target) | {"kept": target.kept} for target in self.targets],
             "accurate": self.accurate,
         }
-        return json.dumps({"schema": SCHEMA} | body, indent=1)
+        return {"schema": SCHEMA} | body
 
     def table(self) -> str:
         """Both tables as Markdown."""
@@ -438,7 +448,7 @@ def save(result: Bench, folder: Path) -> list[Path]:
     from bayes_damper import figures
 
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "bench.json").write_text(result.to_json() + "\n", encoding="utf-8")
+    (folder / "bench.json").write_text(json.dumps(result.to_json(), indent=1) + "\n", encoding="utf-8")
     machine = ", ".join(f"{key} {value}" for key, value in result.machine.items())
     share = result.kernel_gflops / result.peak_gflops
     text = [

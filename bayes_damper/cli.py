@@ -138,6 +138,40 @@ def _init_options(sub: Any) -> list[str]:
     return [*keys, *known]
 
 
+def _diagnose(args: Arguments) -> Any:
+    tell = (lambda _: None) if args.quiet or args.json else (lambda line: print(f"  {line}", file=sys.stderr))
+    return _call("diagnose:diagnose")(
+        args.campaign,
+        nominal=args.nominal,
+        effects=args.effects,
+        priors=args.priors,
+        out=args.out,
+        seed=args.seed,
+        threads=args.workers,
+        tell=tell,
+    )
+
+
+def _tune(args: Arguments) -> Any:
+    return _call("tuning:tune")(
+        args.folder,
+        case=args.case,
+        J2=args.secondary_inertia,
+        k2t=args.k2t,
+        R=args.bar_radius,
+        magnet_pull=args.magnet_pull,
+        target_db=args.target_db,
+        seed=args.seed,
+        out=args.out,
+    )
+
+
+def _bench(args: Arguments) -> Any:
+    result = _call("bench:bench")(repeats=args.repeats, peers=not args.no_peers)
+    _call("bench:save")(result, args.out)
+    return result
+
+
 def _report(args: Arguments) -> Any:
     return _call("report:report")(args.folder, out=args.out)
 
@@ -192,6 +226,28 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--thorough", action="store_true", help="50 autocorrelation times instead of 20")
     sub.add_argument("--most-steps", type=int, metavar="N", help="give up after N steps of each ensemble")
     workers(sub)
+
+    sub = command("diagnose", _diagnose, "the sim-to-real gap: where it lies, what causes it, how far it shrinks",
+                  out="results/diagnose")  # fmt: skip
+    sub.add_argument("campaign", help="folder of the campaign")
+    sub.add_argument("--nominal", choices=("nonlinear", "linear"), default="nonlinear",
+                     help="linear: a nominal model without dry friction, which is then a candidate")  # fmt: skip
+    sub.add_argument("--effects", type=Path, metavar="DIR", help="a folder with effects of your own")
+    sub.add_argument("--priors", type=Path, metavar="F.toml", help="priors of the nominal parameters")
+    sub.add_argument("--workers", type=int, default=2, metavar="N", help="simulations side by side (default: 2)")
+
+    sub = command("tune", _tune, "insertion loss and resonance shift of a design, with uncertainty", out="results/tune")
+    sub.add_argument("folder", type=Path, help="folder of a fit")
+    sub.add_argument("--case", default="IV", help="which case of the fit (default: IV; joint: all together)")
+    sub.add_argument("--secondary-inertia", type=float, metavar="J2", help="kg m^2; default: the rig's own")
+    sub.add_argument("--k2t", type=float, help="stiffness of the coupling, N m/rad; default: as fitted")
+    sub.add_argument("--bar-radius", type=float, metavar="R", help="m; scales k2t by R^2 (eq. 21)")
+    sub.add_argument("--magnet-pull", type=float, metavar="N0", help="N; default: the rig's own")
+    sub.add_argument("--target-db", type=float, default=10.0, metavar="DB", help="loss to reach (default: 10)")
+
+    sub = command("bench", _bench, "speed and accuracy on this machine beside the peers installed", out="results/bench")
+    sub.add_argument("--repeats", type=int, default=7, metavar="N", help="rounds over all rows (default: 7)")
+    sub.add_argument("--no-peers", action="store_true", help="time only our own kernels")
 
     sub = command("resume", _resume, "go on with an interrupted run; --more extends a finished one")
     sub.add_argument("folder", type=Path, help="the folder that the run writes to")

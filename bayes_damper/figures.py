@@ -322,7 +322,8 @@ def withheld_figure(scores: Mapping[str, Any], *, rehearsal: bool = False) -> Fi
     answers = sorted({*scores["confusion"], *(n for row in scores["confusion"].values() for n in row)})
     figure = new_figure(11.0, 4.2 + 0.22 * len(answers))
     with mpl.rc_context(_RC | {"axes.grid": False}):
-        parts = figure.subplot_mosaic([["names", "sites"], ["names", "reliability"], ["names", "level"]], width_ratios=[3, 2])
+        grid = [["names", "sites"], ["names", "reliability"], ["names", "level"]]
+        parts = figure.subplot_mosaic(grid, width_ratios=[3, 2])
         _draw_counts(parts["names"], scores["confusion"], "what was taken for what")
         _draw_counts(parts["sites"], scores["sites"], "true site and most probable site")
         axis, told = parts["reliability"], scores["reliability"]["all"]
@@ -349,7 +350,8 @@ def withheld_figure(scores: Mapping[str, Any], *, rehearsal: bool = False) -> Fi
         axis.set_xlabel("level: gap after the best nominal fit / noise")
         axis.set_ylabel("right answer first")
     if rehearsal:
-        figure.suptitle("REHEARSAL: the code has changed since these campaigns were sealed", color="#B00020", weight="bold")
+        told = "REHEARSAL: the code has changed since these campaigns were sealed"
+        figure.suptitle(told, color="#B00020", weight="bold")
     return figure
 
 
@@ -358,10 +360,68 @@ def _draw_counts(axis: Any, counts: Mapping[str, Mapping[str, int]], title: str)
     rows = list(counts)
     columns = [*rows, *sorted({name for row in counts.values() for name in row} - set(rows))]
     table = np.array([[counts[row].get(column, 0) for column in columns] for row in rows], float)
-    axis.imshow(table / np.maximum(table.sum(axis=1, keepdims=True), 1.0), cmap="Blues", vmin=0.0, vmax=1.4, aspect="auto")
+    share = table / np.maximum(table.sum(axis=1, keepdims=True), 1.0)
+    axis.imshow(share, cmap="Blues", vmin=0.0, vmax=1.4, aspect="auto")
     for (y, x), count in np.ndenumerate(table):
         if count:
             axis.text(x, y, f"{count:.0f}", ha="center", va="center", fontsize=7)
     axis.set_xticks(range(len(columns)), columns, rotation=90, fontsize=7)
     axis.set_yticks(range(len(rows)), rows, fontsize=7)
     axis.set_title(title, loc="left")
+
+
+def ranking_figure(probabilities: Mapping[str, float], sites: Mapping[str, float], *, title: str) -> Figure:
+    """Probabilities of the answers (those above 0.5 %, at most twelve) and of the sites, as bars."""
+    shown = sorted((n for n in probabilities if probabilities[n] > 0.005), key=lambda n: -probabilities[n])[:12]
+    figure = new_figure(8.0, 0.28 * max(len(shown), len(sites)) + 1.2)
+    with mpl.rc_context(_RC):
+        left, right = figure.subplots(1, 2)
+        for axis, names, values, heading in (
+            (left, shown, probabilities, "answer"),
+            (right, sorted(sites, key=lambda s: -sites[s]), sites, "site"),
+        ):
+            heights = [values[name] for name in names]
+            axis.barh(range(len(names)), heights, color=COLOURS[0])
+            for y, height in enumerate(heights):
+                axis.text(height + 0.01, y, f"{height:.2f}", va="center")
+            axis.set_yticks(range(len(names)), names)
+            axis.set_ylim(len(names) - 0.5, -0.5)
+            axis.set_xlim(0.0, 1.15)
+            axis.set_xlabel("probability")
+            axis.set_title(heading, loc="left")
+        figure.suptitle(title)
+    return figure
+
+
+def missing_torque_figure(torque: Any, *, title: str) -> Figure:
+    """Missing torque on each inertia over time with its 90 % band, and against the motion.
+
+    torque : times (n,), torque and sd (2, n) N m, th1, w1, th2, w2 (n,).
+    """
+    figure = new_figure(9.0, 6.0)
+    with mpl.rc_context(_RC):
+        axes = figure.subplots(2, 2)
+        top = figure.add_gridspec(2, 1)[0].subgridspec(1, 1)
+        for axis in axes[0]:
+            axis.remove()
+        over_time = figure.add_subplot(top[0])
+        for body, colour in ((0, COLOURS[0]), (1, COLOURS[1])):
+            value, sd = np.asarray(torque.torque[body]), np.asarray(torque.sd[body])
+            if not np.any(value):
+                continue
+            name = ("primary", "secondary")[body]
+            over_time.plot(torque.times, value, color=colour, lw=1.0, ls=STYLES[body], label=f"on the {name}")
+            over_time.fill_between(torque.times, value - 1.645 * sd, value + 1.645 * sd, color=colour, alpha=0.25, lw=0)
+        over_time.set_xlabel("time since release [s]")
+        over_time.set_ylabel("torque [N m]")
+        over_time.legend(loc="upper right")
+        phi, slip = np.asarray(torque.th1) - np.asarray(torque.th2), np.asarray(torque.w1) - np.asarray(torque.w2)
+        pairs = ((torque.th1, "th1 [rad]"), (slip if np.any(torque.w2) else torque.w1, "w1 - w2 [rad/s]"))
+        if np.any(torque.th2):
+            pairs = ((phi, "th1 - th2 [rad]"), pairs[1])
+        for axis, (x, name) in zip(axes[1], pairs, strict=True):
+            axis.plot(x, torque.torque[0], ".", ms=1.5, color=COLOURS[0])
+            axis.set_xlabel(name)
+            axis.set_ylabel("torque on the primary [N m]")
+        figure.suptitle(title)
+    return figure
