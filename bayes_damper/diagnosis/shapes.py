@@ -23,6 +23,9 @@ Array = NDArray[np.float64]
 DEGREE = 5  # of the polynomials in angle and velocity
 BUMPS = 40  # in time, along a record
 HUM = (50.0, 60.0, 100.0, 120.0)  # Hz
+RESONANCES = tuple(1.5 * 1.35**k for k in range(9))  # times the rig's own frequency
+DAMPING = 0.08  # ratio of those resonators: wide enough to meet their neighbours
+SHARP = 0.02  # damping ratio of the one at the residuals' own peak
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,8 @@ class Scale:
     duration: float
     omega: float
     readings: tuple[float, ...]
+    peak: float
+    """Frequency of the residuals' strongest line above the rig's own, rad/s; 0 if unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +59,8 @@ class Shape:
     reading: Array | None = None
 
 
-def scale_of_motions(motions: Sequence[Motion]) -> Scale:
-    """The campaign's largest values."""
+def scale_of_motions(motions: Sequence[Motion], peak: float = 0.0) -> Scale:
+    """The campaign's largest values; peak as in `Scale`."""
     coupled = [m for m in motions if m.group.coupled]
     period = max(float(np.median(np.diff(m.grid))) for m in motions)
     omega = float(np.median([np.median(m.w1.std(axis=1) / (m.th1.std(axis=1) + 1e-300)) for m in motions]))
@@ -69,6 +74,7 @@ def scale_of_motions(motions: Sequence[Motion]) -> Scale:
         readings=tuple(
             scale_of([m.y[:, c] for m in motions if m.y.shape[1] > c]) for c in range(channels)
         ),
+        peak=peak,
     )  # fmt: skip
 
 
@@ -118,19 +124,20 @@ def _dahl(angle: Array, breakaway: float) -> Array:
     return out
 
 
-def _resonance(motion: Motion, drive: Array, omega: float) -> tuple[Array, Array]:
-    """Deflection and speed of a lightly damped resonator shaken by `drive`; (trials, N) each."""
-    h = float(np.median(np.diff(motion.grid)))
-    pole = np.exp((-0.03 + 1j * math.sqrt(1.0 - 0.03**2)) * omega * h)
-    state = lfilter([1.0], [1.0, -pole], drive * (motion.since > 0.0), axis=-1)
-    return state.imag, state.real
+def _resonances(drive: Array, h: float, scale: Scale) -> Iterator[Array]:
+    """Deflection and speed of lightly damped resonators shaken by `drive` (trials, N), sampled every h s."""
+    known = [(factor * scale.omega, DAMPING) for factor in RESONANCES]
+    for omega, damping in [*known, (scale.peak if scale.peak > 0.0 else 2.5 * scale.omega, SHARP)]:
+        angle = min(omega * h, 0.9 * math.pi)
+        pole = np.exp((-damping + 1j * math.sqrt(1.0 - damping**2)) * angle)
+        state = lfilter([angle], [1.0, -pole], drive, axis=-1)
+        yield state.imag
+        yield state.real
 
 
 def _flexible(motion: Motion, drive: Array, scale: Scale) -> Iterator[Array]:
-    nyquist = math.pi / float(np.median(np.diff(motion.grid)))
-    for factor in (2.0, 3.0, 4.5, 7.0, 11.0):
-        if factor * scale.omega < 0.7 * nyquist:
-            yield from _resonance(motion, drive, factor * scale.omega)
+    h = float(np.median(np.diff(motion.grid)))
+    yield from _resonances(drive * (motion.since > 0.0), h, scale)
 
 
 def _bumps(motion: Motion, scale: Scale) -> Iterator[Array]:
@@ -335,7 +342,7 @@ def _sensor(m: Motion, s: Scale) -> Iterator[Shape]:
             yield column("drift", f)
         for f in (th[c] / s.th1, w[c] / s.w1, (w[c] / s.w1) ** 2, (th[c] / s.th1) ** 2):
             yield column("tilt", f)
-        for f in _shaken(y, h, s.omega):
+        for f in _resonances(y * released, h, s):  # a sensor on an elastic mount
             yield column("mount", f)
         for hertz in HUM:
             for wave in (np.sin, np.cos):
@@ -348,16 +355,6 @@ def _passed(y: Array, tau: float, dt: Array) -> Array:
     """First-order low-pass of y (trials, n), from rest at 0."""
     keep = math.exp(-float(np.median(dt)) / tau)
     return np.asarray(lfilter([1.0 - keep], [1.0, -keep], y, axis=-1))
-
-
-def _shaken(y: Array, h: float, omega: float) -> Iterator[Array]:
-    """A sensor on an elastic mount: resonances driven by the reading."""
-    for factor in (2.0, 4.0, 8.0, 16.0):
-        if factor * omega * h < 0.7 * math.pi:
-            pole = np.exp((-0.05 + 1j) * factor * omega * h)
-            state = lfilter([factor * omega * h], [1.0, -pole], y, axis=-1)
-            yield state.imag
-            yield state.real
 
 
 _BUILDERS: dict[str, Callable[[Motion, Scale], Iterator[Shape]]] = {

@@ -156,7 +156,7 @@ def site_map(fit: Calibration, *, torque: bool = True, prior_none: float = PRIOR
     torque : also estimate the missing torque at the best site; prior_none : prior probability of no gap.
     """
     moved = motions(fit)
-    scale = scale_of_motions(moved)
+    scale = scale_of_motions(moved, peak_of(fit))
     coupled = any(m.group.coupled for m in moved)
     shapes = [list(shapes_of(m, scale, coupled)) for m in moved]
     columns = [_columns(fit, m, s) for m, s in zip(moved, shapes, strict=True)]
@@ -172,6 +172,25 @@ def site_map(fit: Calibration, *, torque: bool = True, prior_none: float = PRIOR
         missing = _torque(moved, shapes, leaders[best].columns, mean, root)
     shift = judged.absorbed[:, leaders[best].columns] @ mean
     return SiteMap(evidence, probabilities, leaders, missing, fit, scale, mean, shift)
+
+
+def peak_of(fit: Calibration) -> float:
+    """Frequency (rad/s) of the strongest line of the residuals above 1.5 times the rig's own, 0 if there is none."""
+    experiment = fit.problem.experiment
+    own = math.sqrt(max(k for k, _ in experiment.stiffnesses) / experiment.constants["J1"][0])
+    best, peak = 0.0, 0.0
+    for block in fit.linear.blocks:
+        times = block.group.times
+        if times.size < 32:
+            continue
+        r = block.r.reshape(block.r.shape[0], -1, times.size)
+        power = np.sum(np.abs(np.fft.rfft(r, 4 * times.size, axis=2)) ** 2, axis=(0, 1)) / times.size
+        omega = 2.0 * np.pi * np.fft.rfftfreq(4 * times.size, float(np.median(np.diff(times))))
+        power = np.where((omega > 1.5 * own) & (omega < 0.8 * omega[-1]), power, 0.0)
+        k = int(np.argmax(power))
+        if power[k] > best:
+            best, peak = float(power[k]), float(omega[k])
+    return peak
 
 
 def predicted_gap(found: SiteMap) -> dict[int, Array]:
