@@ -1,0 +1,164 @@
+"""Fits: recorded trials and published features, files, refusals, going on after a stop."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from bayes_damper import arviz_adapter
+from bayes_damper.campaign import record_text
+from bayes_damper.errors import ExitCode, InputError
+from bayes_damper.fit import fit, plan_fit, published_posterior
+from bayes_damper.model import Model
+from bayes_damper.posterior import Datum, FeaturePosterior
+from bayes_damper.priors import load_priors
+from bayes_damper.resume import resume
+from bayes_damper.sampling import annealed_start
+
+TRUTH = {"mu": 0.006, "k2t": 1.5, "c2t": 0.05, "drag": 0.004, "nu": 40.0, "c1t": 0.01, "c3t": 0.008}
+RIG = {"J1": 3.015e-3, "J2": 2.474e-3, "R": 0.1, "r": 0.0127, "N0": 100.0}
+
+
+def _campaign(folder, cases=("IV",), duration=0.3, seed=0):
+    """A campaign of two repeats of both configurations, simulated with known parameters."""
+    rng = np.random.default_rng(seed)
+    (folder / "trials").mkdir(parents=True)
+    (folder / "campaign.toml").write_text(
+        'name = "known"\n[rig]\nprimary_inertia = 3.015e-3\nsecondary_inertia = 2.474e-3\nbar_radius = 0.1\n'
+        "magnet_radius = 0.0127\nmagnet_pull = 100.0\n",
+        encoding="utf-8",
+    )
+    rows = ["file,case,configuration,k1t_n_m_per_rad,theta0_deg,theta0_std_deg,trial"]
+    times = np.arange(round(duration * 1000)) * 1e-3
+    for case in cases:
+        k1t, degrees = {"IV": (10.2, 4.7), "I": (6.2, 5.7)}[case]
+        for configuration in ("uncoupled", "coupled"):
+            for trial in (1, 2):
+                theta0 = math.radians(degrees) * (1.0 + 0.01 * rng.standard_normal())
+                model = Model(coupled=configuration == "coupled")
+                y = model.simulate(RIG | TRUTH | {"k1t": k1t, "theta0": theta0}, times).y[0]
+                y = y + 2.0 * rng.standard_normal(y.shape)
+                name = f"trials/{case}-{configuration}-{trial}.csv"
+                (folder / name).write_text(record_text(times, y, "torsional", "acceleration"), encoding="utf-8")
+                rows.append(f"{name},{case},{configuration},{k1t},{degrees},{0.01 * degrees},{trial}")
+    (folder / "trials.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory):
+    home = tmp_path_factory.mktemp("fit")
+    return fit(_campaign(home / "campaign"), out=home / "out", seed=3)
+
+
+@pytest.mark.slow
+def test_a_fit_of_records_converges_and_covers_the_truth(fitted):
+    assert fitted.converged
+    assert fitted.exit_code == ExitCode.DONE
+    found = fitted.summary["cases"]["IV"]["parameters"]
+    for name, value in TRUTH.items():
+        p = found[name]
+        assert abs(p["mean"] - value) < 4.0 * p["sd"], name
+        assert p["r_hat"] <= 1.01
+        assert min(p["ess_bulk"], p["ess_tail"]) >= 1000
+    assert found["sigma1"]["mean"] == pytest.approx(2.0, rel=0.1)
+    assert found["friction_torque"]["mean"] == pytest.approx(found["mu"]["mean"] * 10.0, rel=1e-9)
+    assert found["c1t"]["prior_share"] < 0.3
+
+
+@pytest.mark.slow
+def test_the_files_of_a_fit_are_there_and_readable(fitted):
+    folder = fitted.folder
+    for name in ("summary.json", "summary.csv", "forest.svg", "IV/corner.png", "IV/trace.svg", "IV/records.svg"):
+        assert (folder / name).stat().st_size > 500, name
+    tree = arviz_adapter.read(folder / "IV" / "posterior.nc")
+    assert {"posterior", "prior", "log_likelihood", "observed_data", "sample_stats"} <= set(tree.children)
+    assert tree["posterior"]["mu"].dims == ("chain", "draw")
+    assert arviz_adapter.read(folder / "posterior.nc")["posterior"]["mu"].sizes["case"] == 1
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["schema"] == "bayes-damper/fit/1"
+    assert len(summary["cases"]["IV"]["trials"]) == 4
+
+
+@pytest.mark.slow
+def test_a_finished_run_is_not_run_again_and_another_one_is_refused(fitted):
+    again = resume(fitted.folder)
+    assert again.summary["cases"] == fitted.summary["cases"]
+    plan = json.loads((fitted.folder / "run.json").read_text())["plan"]
+    with pytest.raises(InputError, match="another run"):
+        fit(plan["campaign"], out=fitted.folder, seed=4)
+
+
+@pytest.mark.slow
+def test_a_fit_that_may_not_go_on_says_that_it_did_not_converge(tmp_path):
+    stopped = fit(_campaign(tmp_path / "campaign"), out=tmp_path / "out", most_steps=1)
+    assert not stopped.converged
+    assert stopped.exit_code == ExitCode.NOT_CONVERGED
+    assert "DID NOT CONVERGE" in stopped.text()
+    assert any("more steps" in sentence for sentence in stopped.summary["cases"]["IV"]["sentences"])
+
+
+@pytest.mark.slow
+def test_two_workers_give_what_one_gives(tmp_path):
+    campaign = _campaign(tmp_path / "campaign", ("I", "IV"), duration=0.2)
+    one = fit(campaign, out=tmp_path / "one", most_steps=1, workers=1)
+    two = fit(campaign, out=tmp_path / "two", most_steps=1, workers=2)
+    assert one.summary["cases"] == two.summary["cases"]
+    assert one.summary["joint"] == two.summary["joint"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ({"campaign": "thesis", "cases": ["V"]}, "no such case"),
+        ({"campaign": "nowhere"}, "nowhere"),
+        ({"campaign": "thesis", "priors": "nowhere.toml"}, "nowhere.toml"),
+        ({"campaign": "thesis", "normal_force": "square"}, "linear or constant"),
+    ],
+)
+def test_bad_arguments_get_a_sentence(arguments, told):
+    defaults = dict.fromkeys(("cases", "priors", "normal_force", "most_steps"))
+    with pytest.raises(InputError, match=told):
+        plan_fit(**(defaults | {"seed": 1, "thorough": False, "joint": True} | arguments))
+
+
+def test_a_folder_without_a_run_cannot_be_resumed(tmp_path):
+    with pytest.raises(InputError, match=r"run\.json"):
+        resume(tmp_path)
+
+
+@pytest.mark.slow
+def test_features_drawn_from_the_model_are_recovered_at_the_stated_rate():
+    """Parameters drawn from the prior lie in their 90 % intervals nine times in ten, over many synthetic theses."""
+    base = published_posterior("IV", load_priors("thesis"))
+    coordinates = base.coordinates
+    rng = np.random.default_rng(11)
+    hits, trials = np.zeros(coordinates.ndim), 0
+    while trials < 24:
+        point = coordinates.draw(rng, 1)
+        truth = base.predict(point)[0]
+        if not np.isfinite(truth).all():
+            continue
+        data = [
+            Datum(d.configuration, d.quantity, float(m + d.standard_error * rng.standard_t(2)), d.standard_error)
+            for d, m in zip(base.data, truth, strict=True)
+        ]
+        posterior = FeaturePosterior(data, coordinates)
+        start = annealed_start(
+            coordinates.log_prior,
+            lambda x, p=posterior: p.log_likelihood(x).sum(axis=1),
+            coordinates.draw(rng, 512),
+            rng,
+        )
+        z, drawn = coordinates.standard(point)[0], coordinates.standard(start.population)
+        low, high = np.quantile(drawn, [0.05, 0.95], axis=0)
+        hits += (z >= low) & (z <= high)
+        trials += 1
+    total = hits.sum()
+    n = trials * coordinates.ndim
+    # Parameters of one posterior are not independent: half of the trials is taken as the effective number.
+    assert binom.ppf(0.001, n // 2, 0.9) / (n // 2) <= total / n <= binom.ppf(0.999, n // 2, 0.9) / (n // 2)
