@@ -1,0 +1,583 @@
+"""Scores of verdicts whose truth is known: rates with 95 % intervals, matrices, reliability, targets, misses.
+
+Everything here is a function of verdicts (as in diagnosis.json) and entries of a key; nothing is read or written.
+
+Right answers of a campaign:
+
+- an effect of the library: the effect or one of its class; on the hard kind, where the declared constants explain it
+  (`visible_chi2` below 10, 5 nats), `none` too;
+- nothing wrong: `none`;
+- a foreign effect: `unknown`; where it is not visible (`visible_chi2` of 30 or less), `none` too;
+- a pair: both named; either of them as the verdict counts as half and is told apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+IDENTIFIABLE_CHI2 = 10.0
+FOREIGN_VISIBLE_CHI2 = 30.0
+LEAST_PROBABILITY = 1e-6  # below which the log score is not followed
+CONFIDENT = 0.9
+PARAMETERS = ("mu", "k2t", "c2t", "drag", "c1t")
+BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 1.0)
+BOOTSTRAPS = 2000
+TWINS = 4000
+FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class Scored:
+    """One verdict beside its truth.
+
+    right : answers that count as right; p_right : their probability; confidence : probability of the verdict's class;
+    brier : sum over answers (a class as one) of (p - 1 if right else p)^2; single : only one answer (a class as one) is
+    right, so that it enters names' rates; sites : the true site or sites.
+    """
+
+    name: str
+    kind: str
+    level: float
+    truth: str
+    standing: str
+    verdict: str
+    right: frozenset[str]
+    is_right: bool
+    in_set: bool
+    set_size: int
+    p_right: float
+    confidence: float
+    brier: float
+    single: bool
+    sites: tuple[str, ...]
+    site: str
+    site_right: bool
+    site_in_set: bool
+    false_and_confident: bool
+    closed: float | None
+    closed_left_out: float | None
+    seconds: float | None
+    visible: float
+    both_named: bool
+    either_named: bool
+    covered: Mapping[str, bool]
+    event_error_s: float | None
+    rms: tuple[float, float, float] | None
+    failed: bool
+
+    @property
+    def group(self) -> str:
+        """library, none, foreign or pair."""
+        if self.truth in ("none", "pair"):
+            return self.truth
+        return "library" if self.standing == "library" else "foreign"
+
+    def to_json(self) -> dict[str, Any]:
+        """What withheld.json tells of the campaign beside the sealed verdict."""
+        return {
+            "kind": self.kind, "truth": self.truth, "standing": self.standing, "level": self.level,
+            "true_sites": list(self.sites), "visible_chi2": self.visible, "accepted": sorted(self.right),
+            "right": self.is_right, "truth_in_credible_set": self.in_set, "probability_of_truth": self.p_right,
+            "brier": self.brier, "site_right": self.site_right,
+        }  # fmt: skip
+
+
+def merged(probabilities: Mapping[str, float], groups: Iterable[frozenset[str]]) -> dict[str, float]:
+    """Probabilities with each class as one answer, named by its members joined with " / "."""
+    name_of = {member: " / ".join(sorted(group)) for group in groups for member in group}
+    out: dict[str, float] = {}
+    for name, p in probabilities.items():
+        label = name_of.get(name, name)
+        out[label] = out.get(label, 0.0) + float(p)
+    return out
+
+
+def right_answers(entry: Mapping[str, Any], groups: Sequence[frozenset[str]], left_out: bool = False) -> frozenset[str]:
+    """Answers that are right for an entry of the key; `left_out`: the truth was taken out of the library."""
+    truth, visible = entry["truth"], float(entry["visible_chi2"])
+    if truth == "none":
+        return frozenset({"none"})
+    if truth == "pair":
+        return frozenset(n for effect in entry["effects"] for n in class_of(effect, groups))
+    if entry["standing"] != "library" or left_out:
+        return frozenset({"unknown"}) | (frozenset({"none"}) if visible <= FOREIGN_VISIBLE_CHI2 else frozenset())
+    hidden = entry["kind"] == "hard" and visible < IDENTIFIABLE_CHI2
+    return class_of(truth, groups) | set(entry.get("class") or ()) | ({"none"} if hidden else set())
+
+
+def class_of(effect: str, groups: Iterable[frozenset[str]]) -> frozenset[str]:
+    """The class of an effect, or the effect alone."""
+    return next((group for group in groups if effect in group), frozenset({effect}))
+
+
+def credible(probabilities: Mapping[str, float], share: float = 0.9) -> list[str]:
+    """The smallest set of answers that holds at least `share` of the probability, the most probable first."""
+    out, total = [], 0.0
+    for name in sorted(probabilities, key=lambda n: (-probabilities[n], n)):
+        out.append(name)
+        total += probabilities[name]
+        if total >= share - 1e-9:
+            break
+    return out
+
+
+def score_one(
+    name: str,
+    verdict: Mapping[str, Any],
+    entry: Mapping[str, Any],
+    groups: Sequence[frozenset[str]],
+    left_out: bool = False,
+) -> Scored:
+    """One verdict (fields of diagnosis.json) against its entry of the key.
+
+    A diagnosis that failed has the verdict "failed", is wrong everywhere, and gives its truth no probability.
+    """
+    probabilities = {str(n): float(p) for n, p in verdict.get("probabilities", {}).items()}
+    right = right_answers(entry, groups, left_out)
+    said = str(verdict["verdict"])
+    found = merged(probabilities, groups)
+    name_of = {member: " / ".join(sorted(group)) for group in groups for member in group}
+    labels = {name_of.get(n, n) for n in right}
+    p_right = min(sum(found.get(n, 0.0) for n in labels), 1.0)
+    truth_sites = entry["site"] if isinstance(entry["site"], list) else [entry["site"]]
+    sites = {str(n): float(p) for n, p in verdict.get("sites", {}).items()}
+    site = max(sites, key=lambda n: sites[n]) if sites else FAILED
+    accepted_sites = set(truth_sites) | ({"none"} if "none" in right else set())
+    named = _named(verdict)
+    both = [bool(class_of(e, groups) & named) for e in entry["effects"]]
+    is_right = said in right
+    effects_said = said not in ("none", "unknown", FAILED)
+    confidence = found.get(name_of.get(said, said), 0.0)
+    gap = verdict.get("gap") or {}
+    rms = [gap.get(k) for k in ("nominal_rms", "augmented_rms", "noise_rms")]
+    library = entry["truth"] not in ("none", "pair") and entry["standing"] == "library"
+    return Scored(
+        name=name,
+        kind=entry["kind"],
+        level=float(entry["level_wanted"]),
+        truth=entry["truth"],
+        standing="removed" if left_out else str(entry.get("standing")),
+        verdict=said,
+        right=frozenset(right),
+        is_right=is_right,
+        in_set=bool(right & set(verdict.get("credible_set") or credible(probabilities))) and bool(probabilities),
+        set_size=len(merged(dict.fromkeys(verdict.get("credible_set") or [], 0.0), groups)),
+        p_right=p_right,
+        confidence=confidence,
+        brier=(1.0 - p_right) ** 2 + sum(p**2 for n, p in found.items() if n not in labels),
+        single=len(labels) == 1,
+        sites=tuple(truth_sites),
+        site=site,
+        site_right=site in accepted_sites,
+        site_in_set=bool(accepted_sites & set(credible(sites))),
+        false_and_confident=effects_said and not is_right and confidence > CONFIDENT,
+        closed=_number(gap.get("closed"), "median"),
+        closed_left_out=_number(verdict.get("left_out_case"), "closed"),
+        seconds=_float(verdict.get("seconds")),
+        visible=float(entry["visible_chi2"]),
+        both_named=bool(both) and all(both),
+        either_named=any(both),
+        covered=_covered(verdict, entry) if library and is_right and said != "none" else {},
+        event_error_s=_event_error(verdict, entry),
+        rms=None if any(x is None for x in rms) else (float(rms[0]), float(rms[1]), float(rms[2])),  # type: ignore[arg-type]
+        failed=said == FAILED,
+    )
+
+
+def _named(verdict: Mapping[str, Any]) -> set[str]:
+    pair = verdict.get("pair") or {}
+    return {str(verdict["verdict"]), *(str(n) for n in pair.get("effects", ()))}
+
+
+def _float(x: Any) -> float | None:
+    return float(x) if isinstance(x, int | float) and math.isfinite(x) else None
+
+
+def _number(row: Any, name: str) -> float | None:
+    return _float(row.get(name)) if isinstance(row, Mapping) else _float(row)
+
+
+def _covered(verdict: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, bool]:
+    """Whether the 90 % interval of each nominal parameter, under the winner, holds the true value."""
+    out = {}
+    for name in PARAMETERS:
+        row = (verdict.get("parameters") or {}).get(name) or {}
+        interval = (row.get("after") or {}).get("hdi90")
+        if interval is not None and name in entry["nominal"]:
+            out[name] = interval[0] <= float(entry["nominal"][name]) <= interval[1]
+    return out
+
+
+def _event_error(verdict: Mapping[str, Any], entry: Mapping[str, Any]) -> float | None:
+    """Seconds between a knock and the place in time that the diagnosis names first; None where there is no knock."""
+    if entry["effects"] != ["knock"]:
+        return None
+    where = verdict.get("where") or {}
+    told = where.get("event") or next(iter(where.get("time") or ()), None)
+    if not isinstance(told, Mapping):
+        return math.inf
+    start = _float(told.get("start_s", told.get("time_s")))
+    return math.inf if start is None else abs(start - float(entry["disturbances"][0]["shape"][0]))
+
+
+# Intervals ------------------------------------------------------------------------------------------------------------
+
+
+def wilson(hits: int, n: int, z: float = 1.959964) -> tuple[float, float]:
+    """Wilson's interval of a rate; (0, 1) when n = 0."""
+    if n == 0:
+        return 0.0, 1.0
+    p = hits / n
+    middle = (p + z * z / (2 * n)) / (1.0 + z * z / n)
+    reach = z * math.sqrt(p * (1.0 - p) / n + z * z / (4.0 * n * n)) / (1.0 + z * z / n)
+    return max(0.0, middle - reach), min(1.0, middle + reach)
+
+
+def rate(values: Iterable[bool]) -> dict[str, Any]:
+    """A rate with its 95 % interval (Wilson)."""
+    listed = [bool(v) for v in values]
+    hits = sum(listed)
+    low, high = wilson(hits, len(listed))
+    return {
+        "value": hits / len(listed) if listed else None,
+        "interval95": [low, high],
+        "n": len(listed),
+        "hits": hits,
+    }
+
+
+def bootstrap(values: Iterable[float], statistic: Callable[..., Any], seed: int = 0) -> dict[str, Any]:
+    """A statistic, called as f(values, axis=-1), with its 95 % interval over campaigns (percentile bootstrap)."""
+    x = np.array(list(values), float)
+    if x.size == 0:
+        return {"value": None, "interval95": [None, None], "n": 0}
+    rng = np.random.default_rng(seed)
+    again = statistic(x[rng.integers(x.size, size=(BOOTSTRAPS, x.size))], axis=-1)
+    low, high = np.quantile(again, [0.025, 0.975])
+    return {"value": float(statistic(x, axis=-1)), "interval95": [float(low), float(high)], "n": int(x.size)}
+
+
+def _tenth(x: Array, axis: int) -> Array:
+    return np.asarray(np.quantile(x, 0.1, axis=axis))
+
+
+def log_scores(rows: Iterable[Scored]) -> list[float]:
+    """-ln of the probability given to the right answers, nats."""
+    return [-math.log(max(row.p_right, LEAST_PROBABILITY)) for row in rows]
+
+
+# Reliability ----------------------------------------------------------------------------------------------------------
+
+
+def reliability(rows: Sequence[Scored], seed: int = 0) -> dict[str, Any]:
+    """Confidence against success, beside perfectly calibrated twins of the same size.
+
+    A twin gives the same confidences and is right with exactly these probabilities. `error` is the mean over campaigns
+    of |success - confidence| of their bin; `p_value` the share of twins whose error is at least as large.
+    """
+    rows = [row for row in rows if row.single and row.group != "pair" and not row.failed]
+    if not rows:
+        return {"n": 0, "bins": [], "error": None, "p_value": None}
+    p = np.array([row.confidence for row in rows])
+    right = np.array([row.is_right for row in rows], float)
+    place = np.clip(np.searchsorted(BINS, p, side="left") - 1, 0, len(BINS) - 2)
+    rng = np.random.default_rng(seed)
+    twins = (rng.random((TWINS, p.size)) < p).astype(float)
+    members = (place[:, None] == np.arange(len(BINS) - 1)).astype(float)  # (campaigns, bins)
+    count = members.sum(axis=0)
+
+    def error(hits: Array) -> Array:
+        return np.asarray(np.abs((hits - p) @ members).sum(axis=-1) / p.size)
+
+    twin_errors = error(twins)
+    bins = []
+    for b in np.flatnonzero(count):
+        low, high = np.quantile(twins @ members[:, b] / count[b], [0.025, 0.975])
+        inside = members[:, b] > 0
+        bins.append(
+            {
+                "from": BINS[b],
+                "to": BINS[b + 1],
+                "confidence": float(p[inside].mean()),
+                "right": rate(right[inside] > 0.5),
+                "twin95": [float(low), float(high)],
+            }
+        )
+    return {
+        "n": int(p.size),
+        "bins": bins,
+        "confidence": float(p.mean()),
+        "success": float(right.mean()),
+        "error": float(error(right)),
+        "twin_error": {"mean": float(twin_errors.mean()), "upper95": float(np.quantile(twin_errors, 0.95))},
+        "p_value": float((1 + np.sum(twin_errors >= error(right) - 1e-12)) / (1 + TWINS)),
+    }
+
+
+# Matrices -------------------------------------------------------------------------------------------------------------
+
+
+def matrix(pairs: Iterable[tuple[str, str]]) -> dict[str, dict[str, int]]:
+    """Counts: truth -> verdict -> number of campaigns."""
+    out: dict[str, dict[str, int]] = {}
+    for truth, said in pairs:
+        row = out.setdefault(truth, {})
+        row[said] = row.get(said, 0) + 1
+    return {truth: dict(sorted(out[truth].items(), key=lambda item: -item[1])) for truth in sorted(out)}
+
+
+def confusion(rows: Iterable[Scored]) -> dict[str, dict[str, int]]:
+    """What was taken for what; pairs are left to their own row of the scores."""
+    return matrix((row.truth, row.verdict) for row in rows if row.group != "pair")
+
+
+def site_matrix(rows: Iterable[Scored]) -> dict[str, dict[str, int]]:
+    """Counts: true site -> most probable site -> number of campaigns; pairs left out."""
+    return matrix((row.sites[0], row.site) for row in rows if row.group != "pair")
+
+
+# Summary --------------------------------------------------------------------------------------------------------------
+
+
+def summarise(rows: Sequence[Scored]) -> dict[str, Any]:
+    """All scores of a set of campaigns."""
+    named = [r for r in rows if r.group in ("library", "none") and r.single]
+    library = [r for r in named if r.group == "library"]
+    foreign = [r for r in rows if r.group == "foreign" and r.single]
+    pairs = [r for r in rows if r.group == "pair"]
+    single = [r for r in rows if r.group != "pair"]
+    strong = [r.closed for r in library if r.level >= 0.3 and r.closed is not None]
+    return {
+        "campaigns": len(rows),
+        "failed": sum(r.failed for r in rows),
+        "hidden": sum(not r.single for r in rows if r.group in ("library", "foreign")),
+        "right_first": rate(r.is_right for r in library),
+        "accepted_first": rate(r.is_right for r in single),
+        "none_kept": rate(r.is_right for r in rows if r.group == "none"),
+        "unknown_first": rate(r.is_right for r in foreign),
+        "truth_in_credible_set": rate(r.in_set for r in single if r.group != "foreign"),
+        "credible_set_size": bootstrap((r.set_size for r in library), np.median),
+        "false_and_confident": rate(r.false_and_confident for r in single),
+        "site": rate(r.site_right for r in library),
+        "site_of_unknown": rate(r.site_right for r in foreign),
+        "site_of_unknown_in_set": rate(r.site_in_set for r in foreign),
+        "pairs_both_named": rate(r.both_named for r in pairs),
+        "pairs_one_named": rate(r.either_named for r in pairs),
+        "closed_median": bootstrap(strong, np.median),
+        "closed_tenth": bootstrap(strong, _tenth),
+        "log_score": bootstrap(log_scores(single), np.mean),
+        "brier": bootstrap((r.brier for r in single), np.mean),
+        "coverage90": rate(hit for r in rows for hit in r.covered.values()),
+        "coverage90_by_parameter": {
+            name: rate(r.covered[name] for r in rows if name in r.covered) for name in PARAMETERS
+        },
+        "seconds": bootstrap((r.seconds for r in rows if r.seconds is not None), np.median),
+    }
+
+
+def by_level(rows: Sequence[Scored]) -> list[dict[str, Any]]:
+    """Results against strength, library effects: one row for each kind and level."""
+    out = []
+    for kind, level in sorted({(r.kind, r.level) for r in rows if r.group == "library"}):
+        here = [r for r in rows if r.group == "library" and (r.kind, r.level) == (kind, level)]
+        rms = [r.rms for r in here if r.rms is not None]
+        out.append(
+            {
+                "kind": kind,
+                "level": level,
+                "accepted_first": rate(r.is_right for r in here),
+                "right_first": rate(r.is_right for r in here if r.single),
+                "site": rate(r.site_right for r in here),
+                "closed_median": bootstrap((r.closed for r in here if r.closed is not None), np.median),
+                "rms_median": dict(
+                    zip(("nominal", "augmented", "noise"), np.median(np.array(rms), axis=0).tolist(), strict=True)
+                )
+                if rms
+                else None,
+            }
+        )
+    return out
+
+
+@dataclass(frozen=True)
+class Target:
+    """A figure to be reached: `least` or `most`, or both; `counted`: how many campaigns the figure is meant for."""
+
+    what: str
+    where: str
+    of: Callable[[Sequence[Scored]], dict[str, Any]]
+    chosen: Callable[[Scored], bool]
+    least: float | None = None
+    most: float | None = None
+    counted: int = 1
+
+    def judge(self, rows: Sequence[Scored]) -> dict[str, Any]:
+        """The figure, its interval, and whether the target is met: the interval holds it or lies beyond it."""
+        found = self.of([row for row in rows if self.chosen(row)])
+        low, high = found["interval95"]
+        if found["value"] is None or found["n"] == 0:
+            status = "not tested"
+        else:
+            above = self.least is None or high >= self.least - 1e-12
+            below = self.most is None or low <= self.most + 1e-12
+            status = "met" if above and below else "missed"
+        return {
+            "what": self.what, "where": self.where, "least": self.least, "most": self.most, "value": found["value"],
+            "interval95": [low, high], "n": found["n"], "enough": found["n"] >= self.counted, "status": status,
+        }  # fmt: skip
+
+
+def _rate_of(attribute: str) -> Callable[[Sequence[Scored]], dict[str, Any]]:
+    return lambda rows: rate(getattr(row, attribute) for row in rows)
+
+
+def _closed(statistic: Callable[..., Any]) -> Callable[[Sequence[Scored]], dict[str, Any]]:
+    return lambda rows: bootstrap((r.closed for r in rows if r.closed is not None), statistic)
+
+
+def _left_out(rows: Sequence[Scored]) -> dict[str, Any]:
+    return bootstrap((r.closed_left_out for r in rows if r.closed_left_out is not None), np.median)
+
+
+def _log_score(rows: Sequence[Scored]) -> dict[str, Any]:
+    return bootstrap(log_scores(rows), np.mean)
+
+
+def _brier(rows: Sequence[Scored]) -> dict[str, Any]:
+    return bootstrap((r.brier for r in rows), np.mean)
+
+
+def _coverage(rows: Sequence[Scored]) -> dict[str, Any]:
+    return rate(hit for r in rows for hit in r.covered.values())
+
+
+def _event(within_s: float) -> Callable[[Sequence[Scored]], dict[str, Any]]:
+    return lambda rows: rate(r.event_error_s <= within_s for r in rows if r.event_error_s is not None)
+
+
+def _seconds(rows: Sequence[Scored]) -> dict[str, Any]:
+    return bootstrap((r.seconds for r in rows if r.seconds is not None), np.median)
+
+
+def _targets_of(kind: str, levels: tuple[float, float], f: Mapping[str, float]) -> list[Target]:
+    """Targets of one kind over a range of levels; `f` holds the figures."""
+    low, high = levels
+    where = f"{kind}, level {low:g}" if low == high else f"{kind}, level {low:g}-{high:g}"
+
+    def here(row: Scored) -> bool:
+        return row.kind == kind and low - 1e-9 <= row.level <= high + 1e-9
+
+    def of(*groups: str) -> Callable[[Scored], bool]:
+        return lambda row: here(row) and row.group in groups and row.single
+
+    named, foreign, anything = of("library"), of("foreign"), of("library", "foreign")
+    strong = (lambda row: named(row) and row.level >= 0.3) if kind == "easy" else named
+    rows = [
+        Target("right effect first", where, _rate_of("is_right"), named, least=f["first"]),
+        Target("truth in the 90 % credible set", where, _rate_of("in_set"), named, least=f["in_set"]),
+        Target(
+            "effect outside the library: unknown first", where, _rate_of("is_right"), foreign, f["unknown"], None, 10
+        ),
+        Target("wrong effect with p > 0.9", where, _rate_of("false_and_confident"), anything, most=f["wrong"]),
+        Target("site, effect in the library", where, _rate_of("site_right"), named, least=f["site"]),
+        Target("site of an unknown: right one first", where, _rate_of("site_right"), foreign, f["site_unknown"]),
+        Target("site of an unknown: in the 90 % set", where, _rate_of("site_in_set"), foreign, f["site_set"]),
+        Target("log score, nats", where, _log_score, named, None, f["log"]),
+        Target("Brier score", where, _brier, named, None, f["brier"]),
+    ]
+    if "closed" in f:
+        rows += [
+            Target("share of gap closed, median", where, _closed(np.median), strong, f["closed"]),
+            Target("share of gap closed, 10th percentile", where, _closed(_tenth), strong, f["closed_tenth"]),
+        ]
+    if "left_out" in f:
+        rows.append(Target("gap closed on a left-out case, median", where, _left_out, strong, f["left_out"]))
+    return rows
+
+
+def _of_kind(kind: str, f: Mapping[str, float]) -> list[Target]:
+    """Targets of one kind over all levels."""
+
+    def of(group: str) -> Callable[[Scored], bool]:
+        return lambda row: row.kind == kind and row.group == group
+
+    def pair(row: Scored) -> bool:
+        return of("pair")(row) and (kind == "easy" or row.level in (0.5, 1.0))
+
+    return [
+        Target("none where there is none", kind, _rate_of("is_right"), of("none"), f["none"], None, 100),
+        Target("two effects at once: both named", kind, _rate_of("both_named"), pair, f["pairs"], None, 40),
+        Target("90 % intervals, right effect, cover", kind, _coverage, of("library"), f["cover"], f["cover_most"]),
+        Target(f"instant of an event within {f['event']:g} ms", kind, _event(f["event"] * 1e-3), of("foreign"), 0.9),
+        Target("seconds a campaign, median", kind, _seconds, lambda row: row.kind == kind, None, 20.0),
+    ]
+
+
+TARGETS: tuple[Target, ...] = (
+    *_targets_of("easy", (0.15, 2.0), {
+        "first": 0.98, "in_set": 0.96, "unknown": 0.9, "wrong": 0.02, "site": 0.99, "site_unknown": 0.8,
+        "site_set": 0.92, "log": 0.12, "brier": 0.04, "closed": 0.97, "closed_tenth": 0.85, "left_out": 0.9,
+    }),
+    Target("right effect first", "easy, level 0.05", _rate_of("is_right"),
+           lambda r: r.kind == "easy" and abs(r.level - 0.05) < 1e-9 and r.group == "library", 0.9),
+    *_of_kind("easy", {"none": 0.97, "pairs": 0.85, "cover": 0.85, "cover_most": 0.95, "event": 3.0}),
+    *_targets_of("hard", (1.0, 1.0), {
+        "first": 0.97, "in_set": 0.95, "unknown": 0.85, "wrong": 0.03, "site": 0.98, "site_unknown": 0.7,
+        "site_set": 0.88, "log": 0.25, "brier": 0.08, "closed": 0.9, "closed_tenth": 0.65,
+    }),
+    *_targets_of("hard", (0.5, 0.5), {
+        "first": 0.95, "in_set": 0.95, "unknown": 0.8, "wrong": 0.04, "site": 0.97, "site_unknown": 0.7,
+        "site_set": 0.88, "log": 0.25, "brier": 0.08,
+    }),
+    *_targets_of("hard", (0.15, 0.15), {
+        "first": 0.9, "in_set": 0.9, "unknown": 0.7, "wrong": 0.06, "site": 0.93, "site_unknown": 0.7,
+        "site_set": 0.88, "log": 0.5, "brier": 0.2,
+    }),
+    *_of_kind("hard", {"none": 0.97, "pairs": 0.7, "cover": 0.8, "cover_most": 0.96, "event": 5.0}),
+)  # fmt: skip
+
+
+def misses(rows: Iterable[Scored]) -> list[str]:
+    """Every verdict that is wrong, one sentence each."""
+    out = []
+    for r in rows:
+        if r.is_right and (r.group != "pair" or r.both_named):
+            continue
+        at = f"{r.name} ({r.kind}, level {r.level:g})"
+        if r.failed:
+            out.append(f"{at}: the diagnosis failed; the truth is {r.truth}.")
+        elif r.group == "pair":
+            out.append(f"{at}: of a pair ({' / '.join(sorted(r.right))}) the verdict {r.verdict} names "
+                       f"{'one' if r.either_named else 'none'}.")  # fmt: skip
+        else:
+            out.append(
+                f"{at}: {r.truth} ({', '.join(r.sites)}) taken for {r.verdict} with p = {r.confidence:.2f}; the right "
+                f"answer had {r.p_right:.2g}."
+            )
+    return out
+
+
+def all_scores(rows: Sequence[Scored], seed: int = 0) -> dict[str, Any]:
+    """Everything withheld.json tells of a set of verdicts: together, by kind, by level, matrices, targets, misses."""
+    kinds = sorted({row.kind for row in rows})
+    return {
+        "all": summarise(rows),
+        "by_kind": {kind: summarise([r for r in rows if r.kind == kind]) for kind in kinds},
+        "by_level": by_level(rows),
+        "confusion": confusion(rows),
+        "sites": site_matrix(rows),
+        "reliability": {
+            "all": reliability(rows, seed),
+            **{kind: reliability([r for r in rows if r.kind == kind], seed) for kind in kinds},
+        },
+        "targets": [target.judge(rows) for target in TARGETS],
+        "misses": misses(rows),
+    }
