@@ -152,6 +152,19 @@ def _diagnose(args: Arguments) -> Any:
     )
 
 
+def _withheld(args: Arguments) -> Any:
+    return _call("withheld:withheld")(
+        args.folder,
+        full=args.full,
+        key=args.key,
+        workers=args.workers,
+        scheduler=args.scheduler,
+        seed=args.seed,
+        out=args.out,
+        progress=_progress(args),
+    )
+
+
 def _tune(args: Arguments) -> Any:
     return _call("tuning:tune")(
         args.folder,
@@ -235,6 +248,13 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--effects", type=Path, metavar="DIR", help="a folder with effects of your own")
     sub.add_argument("--priors", type=Path, metavar="F.toml", help="priors of the nominal parameters")
     sub.add_argument("--workers", type=int, default=2, metavar="N", help="simulations side by side (default: 2)")
+
+    sub = command("withheld", _withheld, "the check on data whose effect is withheld: sealed verdicts, then scores",
+                  out="results/withheld")  # fmt: skip
+    sub.add_argument("folder", nargs="?", type=Path, help="campaigns, one folder each (default: those shipped)")
+    sub.add_argument("--full", action="store_true", help="all campaigns, and each again without its effect (hours)")
+    sub.add_argument("--key", type=Path, metavar="F.json", help="the key (default: FOLDER_key.json beside the folder)")
+    workers(sub)
 
     sub = command("tune", _tune, "insertion loss and resonance shift of a design, with uncertainty", out="results/tune")
     sub.add_argument("folder", type=Path, help="folder of a fit")
