@@ -23,7 +23,10 @@ ROWS = (
 
 
 class Rig(NamedTuple):
-    """The rig's constants and parameters as an effect sees them."""
+    """The rig's constants and parameters as an effect sees them.
+
+    slope : R / (2 r) where the pull falls with the overlap of the faces, 0 where it is constant.
+    """
 
     J1: float
     J2: float
@@ -41,6 +44,7 @@ class Rig(NamedTuple):
     drag: float
     nu: float
     theta0: float
+    slope: float
 
 
 @lane

@@ -28,10 +28,12 @@ from __future__ import annotations
 import hashlib
 import inspect
 import os
+import sys
 import tempfile
 from builtins import compile as builtins_compile
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numba
@@ -180,7 +182,7 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             rig = Rig(
                 j1, j2, j12, block[K1, lane], block[K3, lane], block[C1, lane], block[C3, lane], block[K2, lane],
                 block[C2, lane], block[MU, lane], block[N0, lane], block[R_BAR, lane], block[R_FACE, lane],
-                block[DRAG, lane], block[NU, lane], block[THETA0, lane],
+                block[DRAG, lane], block[NU, lane], block[THETA0, lane], block[SLOPE, lane],
             )  # fmt: skip
             p = (block[EXTRA, lane], block[EXTRA + 1, lane], block[EXTRA + 2, lane], block[EXTRA + 3, lane])
             block[Z1, lane], block[Z2, lane] = effect_start(p, rig)
@@ -229,7 +231,7 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             p = (block[EXTRA, lane], block[EXTRA + 1, lane], block[EXTRA + 2, lane], block[EXTRA + 3, lane])
             rig = Rig(
                 j1, j2, j12, k1t, k3t, c1t, c3t, k2t, c2t, block[MU, lane], block[N0, lane], block[R_BAR, lane],
-                block[R_FACE, lane], drag, nu, block[THETA0, lane],
+                block[R_FACE, lane], drag, nu, block[THETA0, lane], slope,
             )  # fmt: skip
 
             # Stage 1: torques, Jacobian, and the reading of this instant.
@@ -310,25 +312,34 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             y1 = y1 + read_velocity * w1 + read_displacement * th1
             y2 = y2 + read_velocity * w2 + read_displacement * th2
             if SENSES:
+                # Everything is loaded before anything is chosen: a load that only one side needs would be a branch.
                 first = block[FIRST, lane]
-                u1 = block[HELD1, lane] if first > 0.5 else block[U1, lane]
-                u2 = block[HELD2, lane] if first > 0.5 else block[U2, lane]
-                released = (rest > 0.0) or (block[AFTER, lane] >= block[DELAY, lane])
-                m1, m2, s1, s2 = effect_sense(
-                    block[HLAST, lane], u1, u2, y1, y2, block[S1, lane], block[S2, lane], p, first
-                )
-                held = block[NOW, lane] < block[DELAY, lane]
-                block[Y1, lane] = block[HELD1, lane] if held else m1
-                block[Y2, lane] = block[HELD2, lane] if held else m2
-                block[S1, lane] = s1 if released else block[S1, lane]
-                block[S2, lane] = s2 if released else block[S2, lane]
+                rest1 = block[HELD1, lane]
+                rest2 = block[HELD2, lane]
+                u1 = block[U1, lane]
+                u2 = block[U2, lane]
+                old1 = block[S1, lane]
+                old2 = block[S2, lane]
+                delay = block[DELAY, lane]
+                u1 = rest1 if first > 0.5 else u1
+                u2 = rest2 if first > 0.5 else u2
+                after = block[AFTER, lane]
+                released = (rest > 0.0) or (after >= delay)
+                m1, m2, s1, s2 = effect_sense(block[HLAST, lane], u1, u2, y1, y2, old1, old2, p, first)
+                held = block[NOW, lane] < delay
+                block[Y1, lane] = rest1 if held else m1
+                block[Y2, lane] = rest2 if held else m2
+                block[S1, lane] = s1 if released else old1
+                block[S2, lane] = s2 if released else old2
                 block[U1, lane] = y1
                 block[U2, lane] = y2
                 block[FIRST, lane] = 0.0 if released else 1.0
             else:
+                rest1 = block[HELD1, lane]
+                rest2 = block[HELD2, lane]
                 held = block[NOW, lane] < block[DELAY, lane]
-                block[Y1, lane] = block[HELD1, lane] if held else y1
-                block[Y2, lane] = block[HELD2, lane] if held else y2
+                block[Y1, lane] = rest1 if held else y1
+                block[Y2, lane] = rest2 if held else y2
 
             y11 = 0.0
             y12 = 0.0
@@ -695,18 +706,40 @@ def specialised_globals(
     return bound
 
 
+def _ingredients(name: str, value: Any, files: set[Path], callers: tuple[Any, ...] = ()) -> list[str]:
+    """Names and numbers that a kernel uses, itself and through what it calls; `files` gains the sources they stand in.
+
+    So an effect is compiled anew also when a file that it shares with others changes, or a number that a factory of
+    kernels has bound.
+    """
+    if isinstance(value, bool | int | float | str | tuple):
+        return [f"{name}={value!r}"]
+    if isinstance(value, np.ndarray):
+        return [f"{name}={value.dtype}{value.shape}{value.tobytes().hex()}"]
+    function = getattr(value, "py_func", None)
+    module = value if isinstance(value, ModuleType) else sys.modules.get(getattr(value, "__module__", None) or "")
+    source = inspect.getsourcefile(function) if function is not None else getattr(module, "__file__", None)
+    path = Path(source) if source else None
+    ours = path is not None and path.suffix == ".py" and "site-packages" not in path.parts
+    parts = [name if function is None else f"{name}:{function.__qualname__}"]
+    if path is not None and (function is not None or ours):
+        files.add(path)
+    if function is not None:
+        used = inspect.getclosurevars(function)
+        for inner, part in sorted((dict(used.globals) | dict(used.nonlocals)).items()):
+            # A kernel may have the name of a field that it reads, and then seems to use itself.
+            if part is not value and not any(part is caller for caller in callers):
+                parts += _ingredients(f"{name}.{inner}", part, files, (*callers, value))
+    return parts
+
+
 def _fingerprint(bound: dict[str, Any]) -> str:
     """A checksum of everything that the machine code depends on."""
     parts = [numba.__version__, np.__version__, __file__]
-    parts += [inspect.getsource(module) for module in (lanes, damper)]
-    parts.append(Path(__file__).read_text(encoding="utf-8"))
+    files = {Path(__file__), Path(inspect.getfile(lanes)), Path(inspect.getfile(damper))}
     for name in sorted(bound):
-        value = bound[name]
-        if hasattr(value, "py_func"):
-            parts.append(f"{name}:{value.py_func.__qualname__}")
-            parts.append(Path(inspect.getsourcefile(value.py_func) or "").read_text(encoding="utf-8"))
-        else:
-            parts.append(f"{name}={value!r}")
+        parts += _ingredients(name, bound[name], files)
+    parts += [path.read_text(encoding="utf-8") for path in sorted(files)]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:20]
 
 

@@ -34,7 +34,7 @@ PARAMETERS = {
     "J1": 3.015e-3, "J2": 2.474e-3, "J12": 0.0, "k1t": 10.2, "k3t": 0.0, "c1t": 0.01, "c3t": 0.008, "k2t": 1.3,
     "c2t": 0.02, "mu": 0.008, "N0": 100.0, "R": 0.1, "r": 0.0127, "drag": 0.012, "nu": 30.0, "theta0": 0.11,
 }  # fmt: skip
-RIG = Rig(**PARAMETERS)
+RIG = Rig(**PARAMETERS, slope=PARAMETERS["R"] / (2.0 * PARAMETERS["r"]))
 VARIANTS = {f"{e.name}/{v.name}": (e, v) for e in EFFECTS.values() for v in e.variants}
 every_variant = pytest.mark.parametrize(("effect", "variant"), VARIANTS.values(), ids=VARIANTS)
 
@@ -319,6 +319,49 @@ def test_lens_law_is_the_common_area_of_two_circles():
         assert q2 / (RIG.mu * RIG.N0 * RIG.R) + (1.0 - x) == pytest.approx(area, abs=1e-5)
 
 
+def test_effects_of_the_friction_follow_the_law_of_the_pull():
+    constant = RIG._replace(slope=0.0)
+    full = RIG.mu * RIG.N0 * RIG.R
+    apart = 2.5 * RIG.r / RIG.R  # the faces no longer overlap
+    p = (0.5, 2.0, 0.5, 1.0)
+    sliding = (0.0, apart, 0.0, 2.0, 0.0, 1.0, 0.0)
+
+    def torque(effect, name, rig, p=p):
+        return EFFECTS[effect].variant(name).torque.py_func(*sliding, p, rig)
+
+    for effect in ("stick_slip", "misalignment_drag", "friction_displacement"):
+        for variant in EFFECTS[effect].variants:
+            if (effect, variant.name) == ("misalignment_drag", "constant"):
+                continue
+            assert torque(effect, variant.name, RIG)[0] == 0.0
+            assert torque(effect, variant.name, constant)[0] != 0.0
+    assert torque("misalignment_drag", "with_pull", constant) == torque("misalignment_drag", "constant", constant)
+    # A pull that is wholly the effect's is the same whatever the rig's own law; full sharpness, so tanh is 1.
+    whole = (1.0, 3.0, 0.0, 0.0)
+    for name in ("lens", "bell"):
+        for phi in (0.0, 0.1, apart):
+            now = (0.0, phi, 0.0, 50.0, 0.0, 0.0, 0.0, whole)
+            sums = []
+            for rig in (RIG, constant):
+                nominal = full * damper.normal_force_ratio.py_func(phi, rig.slope)
+                sums.append(nominal + EFFECTS["normal_force_law"].variant(name).torque.py_func(*now, rig)[1])
+            assert sums[0] == pytest.approx(sums[1], rel=1e-12)
+    # Eddy currents know the overlap, not the pull.
+    assert torque("eddy_overlap", "linear", RIG) == torque("eddy_overlap", "linear", constant)
+
+
+def test_kernels_of_a_rig_with_constant_pull_know_it():
+    share = {"share": 0.3}
+    records = [
+        Model(normal_force="constant", effect=EFFECTS["misalignment_drag"].variant(name)).simulate(
+            PARAMETERS, TIMES, effect=share
+        )
+        for name in ("with_pull", "constant")
+    ]
+    assert np.abs(records[0].y - records[1].y).max() < 1e-6 * np.abs(records[0].y).max()
+    assert np.abs(records[0].y - Model(normal_force="constant").simulate(PARAMETERS, TIMES).y).max() > 0.5
+
+
 def test_winding_up_leaves_the_hysteresis_where_its_rate_takes_it():
     for variant in EFFECTS["coupling_hysteresis"].variants:
         p = padded((0.1, 0.03, 1.0))
@@ -377,7 +420,7 @@ def reference(variant, values, times):
     parameters = PARAMETERS | {"theta2_0": PARAMETERS["theta0"]}
     if variant.amend is not None:
         parameters = dict(variant.amend(parameters, named(variant, values)))
-    rig = Rig(**{name: float(parameters[name]) for name in Rig._fields})
+    rig = Rig(**{name: float(parameters[name]) for name in PARAMETERS}, slope=RIG.slope)
 
     def forces(t, y):
         th1, th2, w1, w2 = y[:4]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import subprocess
 import sys
@@ -378,6 +379,43 @@ def test_a_home_that_cannot_be_written_falls_back(tmp_path):
     blocked.write_text("not a folder")
     assert _probe({"BAYES_DAMPER_CACHE": str(blocked), "TMPDIR": str(tmp_path)})[:2] == (0, 1)
     assert list(tmp_path.glob("bayes_damper-*/advance_*.py"))
+
+
+HELPER = """
+from bayes_damper.lanes import lane
+@lane
+def grip(w):
+    return 2.0 * w
+"""
+USER = """
+from bayes_damper.lanes import lane
+from grip_helper import grip
+def factory(size):
+    @lane
+    def drag(t, th1, th2, w1, w2, z1, z2, p, rig):
+        return -size * grip(w1) * rig.drag, 0.0
+    return drag
+"""
+
+
+def test_a_kernel_is_compiled_anew_when_anything_that_it_calls_changes(tmp_path, monkeypatch):
+    helper = tmp_path / "grip_helper.py"
+    helper.write_text(HELPER)
+    (tmp_path / "grip_user.py").write_text(USER)
+    monkeypatch.syspath_prepend(tmp_path)
+    user = importlib.import_module("grip_user")
+
+    def mark(size):
+        variant = Variant("grip", "size grip(w)", (), torque=user.factory(size))
+        return integrator._fingerprint(integrator.specialised_globals(True, True, False, False, variant))
+
+    before = mark(1.0)
+    assert mark(1.0) == before
+    assert mark(1.5) != before
+    helper.write_text(HELPER.replace("2.0", "3.0"))
+    assert mark(1.0) != before
+    helper.write_text(HELPER)
+    assert mark(1.0) == before
 
 
 @pytest.mark.slow

@@ -51,7 +51,7 @@ class Variant:
     """One formula of an effect, with the functions that compute it. Hooks not used keep their neutral defaults.
 
     Kernel hooks (see the numbered duties of this module); `p` is a tuple of four floats, the effect's parameters in
-    order and zeros; `rig` has the fields of `damper.Rig` (J1 ... nu, theta0):
+    order and zeros; `rig` has the fields of `damper.Rig` (J1 ... nu, theta0, slope):
 
     torque : (t, th1, th2, w1, w2, z1, z2, p, rig) -> (Q1, Q2), N m added on the right-hand side; t in s since release
     rate : the same arguments -> (dz1, dz2), rates of the memory states

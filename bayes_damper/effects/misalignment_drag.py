@@ -8,7 +8,7 @@ Source: Augustine (2013), pp. 9 and 33 (one-sided magnets misalign the shafts).
 from __future__ import annotations
 
 from bayes_damper.distributions import HalfNormal
-from bayes_damper.effects._shapes import overlap
+from bayes_damper.effects._shapes import pull
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
 from bayes_damper.lanes import lane, tanh
 
@@ -16,7 +16,7 @@ from bayes_damper.lanes import lane, tanh
 @lane
 def with_pull(t, th1, th2, w1, w2, z1, z2, p, rig):
     """Dry drag in proportion to the pull of the moment."""
-    side = p[0] * rig.mu * rig.N0 * rig.R * overlap(th1 - th2, rig)
+    side = p[0] * rig.mu * rig.N0 * rig.R * pull(th1 - th2, rig)
     return -side * tanh(rig.nu * w1), -side * tanh(rig.nu * w2)
 
 
@@ -30,7 +30,7 @@ def constant(t, th1, th2, w1, w2, z1, z2, p, rig):
 @lane
 def viscous(t, th1, th2, w1, w2, z1, z2, p, rig):
     """Viscous drag in proportion to the pull of the moment; p is the damping over that of the bearings."""
-    side = p[0] * rig.c1t * overlap(th1 - th2, rig)
+    side = p[0] * rig.c1t * pull(th1 - th2, rig)
     return -side * w1, -side * w2
 
 

@@ -9,7 +9,7 @@ law, assumed); Vokoun et al. (2009), J. Magn. Magn. Mater. 321, 3758 (pull of cy
 from __future__ import annotations
 
 from bayes_damper.distributions import LogNormal, Normal, Uniform
-from bayes_damper.effects._shapes import friction, overlap
+from bayes_damper.effects._shapes import friction, overlap, pull
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
 from bayes_damper.lanes import exp, lane, log, tanh
 
@@ -25,10 +25,11 @@ def power(t, th1, th2, w1, w2, z1, z2, p, rig):
 @lane
 def lens(t, th1, th2, w1, w2, z1, z2, p, rig):
     """Pull in proportion to the common area of two circles (a fit to the lens formula, error below 1e-4)."""
-    o = overlap(th1 - th2, rig)
+    phi = th1 - th2
+    o = overlap(phi, rig)
     x = 1.0 - o
     area = exp(1.5 * log(o)) * (1.0 + x * (0.226600 + x * (-0.033177 + x * 0.007268)))
-    q = rig.mu * rig.N0 * rig.R * tanh(rig.nu * (w1 - w2)) * p[0] * (area - o)
+    q = rig.mu * rig.N0 * rig.R * tanh(rig.nu * (w1 - w2)) * p[0] * (area - pull(phi, rig))
     return -q, q
 
 
@@ -37,7 +38,7 @@ def bell(t, th1, th2, w1, w2, z1, z2, p, rig):
     """Pull that falls as a Gaussian of the relative angle."""
     phi = th1 - th2
     x = p[1] * phi
-    q = rig.mu * rig.N0 * rig.R * tanh(rig.nu * (w1 - w2)) * p[0] * (exp(-x * x) - overlap(phi, rig))
+    q = rig.mu * rig.N0 * rig.R * tanh(rig.nu * (w1 - w2)) * p[0] * (exp(-x * x) - pull(phi, rig))
     return -q, q
 
 

@@ -10,7 +10,7 @@ Canudas de Wit et al. (1995), IEEE Trans. Autom. Control 40, 419; Armstrong-Helo
 from __future__ import annotations
 
 from bayes_damper.distributions import HalfNormal, LogNormal
-from bayes_damper.effects._shapes import friction, overlap
+from bayes_damper.effects._shapes import friction, pull
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
 from bayes_damper.lanes import exp, lane
 
@@ -42,7 +42,7 @@ def bristle_rate(t, th1, th2, w1, w2, z1, z2, p, rig):
 def bristle(t, th1, th2, w1, w2, z1, z2, p, rig):
     """Torque of bristles without static excess."""
     v = w1 - w2
-    q = rig.mu * rig.N0 * rig.R * overlap(th1 - th2, rig) * (z1 + p[1] * (v - abs(v) * z1) / p[0])
+    q = rig.mu * rig.N0 * rig.R * pull(th1 - th2, rig) * (z1 + p[1] * (v - abs(v) * z1) / p[0])
     return -q, q
 
 
@@ -58,7 +58,7 @@ def lugre(t, th1, th2, w1, w2, z1, z2, p, rig):
     """Torque of bristles with static excess."""
     v = w1 - w2
     rate = (v - abs(v) * z1 / (1.0 + p[2] * exp(-(v / p[3]) * (v / p[3])))) / p[0]
-    q = rig.mu * rig.N0 * rig.R * overlap(th1 - th2, rig) * (z1 + p[1] * rate)
+    q = rig.mu * rig.N0 * rig.R * pull(th1 - th2, rig) * (z1 + p[1] * rate)
     return -q, q
 
 
