@@ -1,0 +1,488 @@
+"""What cases share: evidence, scatter, recycled draws and the decomposition against cases of known truth."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from campaigns import CAMPAIGN_TOML, write_table
+from scipy.stats import genpareto
+
+from bayes_damper import arviz_adapter
+from bayes_damper.calibration import value_of
+from bayes_damper.campaign import load_campaign
+from bayes_damper.errors import ExitCode, InputError
+from bayes_damper.model import Model
+from bayes_damper.run import write_json
+from bayes_damper.variability import variability
+from bayes_damper.variability.decomposition import CaseDraws, Sets, decompose
+from bayes_damper.variability.equivalent import TIMES, bearing_damping, equivalent, fit_linear, linear_record
+from bayes_damper.variability.pooling import (
+    POOLINGS,
+    CaseLikelihood,
+    GaussianCase,
+    GaussianHierarchy,
+    Hierarchy,
+    gaussian_hierarchy_of,
+    pareto_k,
+    recycle,
+)
+from bayes_damper.variability.published import PublishedCases
+from bayes_damper.variability.recorded import RecordedCases
+from bayes_damper.variability.tempering import temper
+
+NAMES = ("a", "b", "c", "J", "own")
+POOLED, COMMON = NAMES[:3], ("J",)
+FIXED = {"shared": np.zeros(3), "separate": np.ones(3)}
+
+
+def linear_cases(rng, kind, *, cases=4, sharpness=3.0, readings=8):
+    """Cases with a linear-Gaussian likelihood of known pooling: "shared", "separate" or "half" (a alone differs)."""
+    base, constant = rng.standard_normal(3), rng.standard_normal()
+    gaussians, likelihoods, draws = [], [], {}
+    for i in range(cases):
+        own = {"shared": base, "separate": rng.standard_normal(3), "half": np.array([rng.standard_normal(), *base[1:]])}
+        truth = np.concatenate([own[kind], [constant, rng.standard_normal()]])
+        a = sharpness * rng.standard_normal((readings, 5))
+        y = a @ truth + rng.standard_normal(readings)
+        covariance = np.linalg.inv(a.T @ a + np.eye(5))
+        mean = covariance @ a.T @ y
+        total = np.eye(readings) + a @ a.T
+        log_z = -0.5 * (readings * math.log(2 * math.pi) + np.linalg.slogdet(total)[1] + y @ np.linalg.solve(total, y))
+        gaussians.append(GaussianCase(str(i), NAMES, mean, covariance, log_z))
+        likelihoods.append(
+            CaseLikelihood(
+                str(i),
+                NAMES,
+                lambda x, a=a, y=y: -0.5 * np.sum((x @ a.T - y) ** 2, axis=1) - 0.5 * len(y) * math.log(2 * math.pi),
+            )
+        )
+        draws[str(i)] = rng.multivariate_normal(mean, covariance, 1500)[:, :3]
+    return gaussians, likelihoods, draws
+
+
+def test_closed_form_agrees_with_the_whole_gaussian_integral():
+    """The evidence of data y = A x + noise under the joint prior, written down as one Gaussian density of all data."""
+    rng = np.random.default_rng(3)
+    s = np.array([0.3, 0.0, 1.0])
+    rows, ys, gaussians = [], [], []
+    for i in range(3):
+        a = rng.standard_normal((4, 4))
+        y = rng.standard_normal(4)
+        covariance = np.linalg.inv(a.T @ a + np.eye(4))
+        total = np.eye(4) + a @ a.T
+        log_z = -0.5 * (4 * math.log(2 * math.pi) + np.linalg.slogdet(total)[1] + y @ np.linalg.solve(total, y))
+        gaussians.append(GaussianCase(str(i), NAMES[:4], covariance @ a.T @ y, covariance, log_z))
+        full = np.zeros((4, 10))
+        full[:, 3 * i : 3 * i + 3], full[:, 9] = a[:, :3], a[:, 3]
+        rows.append(full)
+        ys.append(y)
+    prior = np.eye(10)
+    for j in range(3):
+        index = np.arange(3) * 3 + j
+        prior[np.ix_(index, index)] = (1 - s[j] ** 2) + s[j] ** 2 * np.eye(3)
+    design, y = np.concatenate(rows), np.concatenate(ys)
+    total = np.eye(12) + design @ prior @ design.T
+    exact = -0.5 * (12 * math.log(2 * math.pi) + np.linalg.slogdet(total)[1] + y @ np.linalg.solve(total, y))
+    found = GaussianHierarchy(gaussians, POOLED, COMMON)
+    assert found.given(s).log_z == pytest.approx(exact, abs=1e-9)
+    assert found.log_evidence(np.stack([s, s])) == pytest.approx([exact] * 2, abs=1e-9)
+    mean = prior @ design.T @ np.linalg.solve(total, y)
+    assert found.given(s).mean.ravel() == pytest.approx(mean[:9], abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["shared", "separate"])
+@pytest.mark.parametrize("common", [COMMON, ()])
+def test_tempering_agrees_with_the_closed_form(kind, common):
+    rng = np.random.default_rng(1)
+    gaussians, likelihoods, _ = linear_cases(rng, kind, sharpness=1.5)
+    exact = GaussianHierarchy(gaussians, POOLED, common)
+    for pooling in POOLINGS:
+        hierarchy = Hierarchy(likelihoods, pooling, POOLED, common)
+        found = temper(hierarchy, rng, 384)
+        if pooling == "partial":
+            log_z, error, s = exact.partial(rng, 512)
+            assert found.log_z == pytest.approx(log_z, abs=5 * (found.error + error))
+            assert hierarchy.scatter(found.points).mean(axis=0) == pytest.approx(s.mean(axis=0), abs=0.12)
+        else:
+            given = exact.given(FIXED[pooling])
+            assert found.log_z == pytest.approx(given.log_z, abs=5 * found.error)
+            mean = np.array([hierarchy.values(found.points, i).mean(axis=0) for i in range(4)])
+            sd = np.sqrt(np.diag(given.covariance)[:12]).reshape(4, 3)
+            assert np.all(np.abs(mean - given.mean) < 0.6 * sd + 0.02)
+
+
+def test_straight_coordinates_leave_the_posterior_as_it_is():
+    """A change of volume-keeping coordinates changes how steps are taken, not where the particles end."""
+
+    class Shear:
+        def sampled(self, z):
+            return np.stack([z[:, 0], z[:, 1] + z[:, 0] ** 2, z[:, 2]], axis=1)
+
+        def standard(self, points):
+            return np.stack([points[:, 0], points[:, 1] - points[:, 0] ** 2, points[:, 2]], axis=1)
+
+    rng = np.random.default_rng(5)
+    gaussians, likelihoods, _ = linear_cases(rng, "half", cases=3, sharpness=1.0)
+    bent = [CaseLikelihood(c.name, c.names, c.log_likelihood, Shear()) for c in likelihoods]
+    exact = GaussianHierarchy(gaussians, POOLED, COMMON)
+    for pooling in ("shared", "separate"):
+        found = temper(Hierarchy(bent, pooling, POOLED, COMMON), rng, 384)
+        assert found.log_z == pytest.approx(exact.given(FIXED[pooling]).log_z, abs=5 * found.error)
+
+
+def test_refresh_keeps_the_values_of_the_cases():
+    rng = np.random.default_rng(2)
+    _, likelihoods, _ = linear_cases(rng, "half")
+    hierarchy = Hierarchy(likelihoods, "partial", POOLED, COMMON)
+    points = rng.standard_normal((64, hierarchy.ndim))
+    moved = hierarchy.refresh(points, rng)
+    assert not np.allclose(hierarchy.scatter(points), hierarchy.scatter(moved))
+    for case in range(4):
+        assert hierarchy.values(moved, case) == pytest.approx(hierarchy.values(points, case), abs=1e-9)
+
+
+def test_refresh_of_the_prior_gives_the_prior():
+    """Without data, m, s and e stay unit Gaussians (s uniform) under any number of refreshes."""
+    rng = np.random.default_rng(4)
+    _, likelihoods, _ = linear_cases(rng, "half")
+    hierarchy = Hierarchy(likelihoods, "partial", POOLED, COMMON)
+    points = rng.standard_normal((4000, hierarchy.ndim))
+    for _ in range(5):
+        points = hierarchy.refresh(points, rng)
+    assert np.abs(points.mean(axis=0)).max() < 0.08
+    assert points.std(axis=0) == pytest.approx(np.ones(hierarchy.ndim), abs=0.06)
+
+
+def test_recycled_draws_agree_with_direct_sampling():
+    rng = np.random.default_rng(7)
+    _, likelihoods, draws = linear_cases(rng, "separate", sharpness=1.5)
+    hierarchy = Hierarchy(likelihoods, "partial", POOLED)
+    direct = temper(hierarchy, rng, 384)
+    alone = sum(temper(Hierarchy([c], "separate", POOLED), rng, 384).log_z for c in likelihoods)
+    recycled = recycle(draws, rng, 192)
+    assert recycled.reliable
+    assert min(recycled.ess.values()) > 100
+    assert recycled.log_z == pytest.approx(direct.log_z - alone, abs=1.2)
+    scatter = hierarchy.scatter(direct.points)
+    assert recycled.scatter.mean(axis=0) == pytest.approx(scatter.mean(axis=0), abs=0.12)
+    for i, case in enumerate(draws):
+        z = hierarchy.values(direct.points, i)
+        assert recycled.values[case].mean(axis=0) == pytest.approx(z.mean(axis=0), abs=0.35 * z.std(axis=0).max())
+
+
+def test_weights_that_rest_on_few_draws_are_called_unreliable():
+    """Sharp and nearly equal cases want a population far narrower than the draws are dense."""
+    rng = np.random.default_rng(8)
+    draws = {str(i): rng.standard_normal((60, 5)) * 0.9 for i in range(6)}
+    draws["far"] = rng.standard_normal((60, 5)) * 0.05 + 3.0
+    found = recycle(draws, rng, 96)
+    assert not found.reliable
+
+
+@pytest.mark.parametrize("k", [0.2, 0.6, 1.1])
+def test_pareto_k_finds_the_shape_of_a_known_tail(k):
+    rng = np.random.default_rng(int(10 * k))
+    found = [pareto_k(genpareto.rvs(k, size=4000, random_state=rng)) for _ in range(8)]
+    assert np.mean(found) == pytest.approx(k, abs=0.12)
+
+
+def test_equal_weights_have_no_tail():
+    assert pareto_k(np.ones(100)) == -math.inf
+
+
+@pytest.mark.parametrize("kind", ["shared", "separate", "half"])
+def test_known_pooling_is_found_at_the_right_rate(kind):
+    """Over seeds: the right answer has the highest evidence, and the scatter tells which parameter differs."""
+    right = told = 0
+    for seed in range(16):
+        rng = np.random.default_rng([seed, 11])
+        gaussians, _, _ = linear_cases(rng, kind, sharpness=6.0)
+        exact = GaussianHierarchy(gaussians, POOLED, COMMON)
+        log_z, _, s = exact.partial(rng, 96)
+        height = {name: exact.given(fixed).log_z for name, fixed in FIXED.items()} | {"partial": log_z}
+        best = max(height, key=lambda name: height[name])
+        right += best == ("partial" if kind == "half" else kind)
+        small = np.median(s, axis=0)
+        told += {"shared": small.max() < 0.3, "separate": np.mean(small) > 0.4, "half": small[0] > small[1:].max()}[
+            kind
+        ]
+    # A draw of four values is by chance sometimes so narrow that a common mean is the better answer.
+    assert right >= {"shared": 15, "separate": 9, "half": 13}[kind]
+    assert told >= 14
+
+
+def test_intervals_of_the_scatter_cover_the_truth():
+    """Truth drawn from the prior of the partly pooled model: 80 % intervals of s hold it about as often as they say."""
+    inside = []
+    for seed in range(30):
+        rng = np.random.default_rng([seed, 17])
+        s = rng.random(3)
+        m, gaussians = rng.standard_normal(3), []
+        for i in range(4):
+            truth = np.append(np.sqrt(1 - s**2) * m + s * rng.standard_normal(3), rng.standard_normal(2))
+            a = 4.0 * rng.standard_normal((10, 5))
+            covariance = np.linalg.inv(a.T @ a + np.eye(5))
+            y = a @ truth + rng.standard_normal(10)
+            gaussians.append(GaussianCase(str(i), NAMES, covariance @ a.T @ y, covariance, 0.0))
+        _, _, draws = GaussianHierarchy(gaussians, POOLED).partial(rng, 192)
+        low, high = np.quantile(draws, [0.1, 0.9], axis=0)
+        inside += list((s > low) & (s < high))
+    assert 0.65 < np.mean(inside) < 0.93
+
+
+# The effective linear rig
+
+RIG = {"J1": 3.015e-3, "J2": 2.474e-3, "R": 0.1, "r": 0.0127, "N0": 100.0, "k1t": 10.2}
+TRUTH = {"mu": 0.009, "k2t": 1.5, "c2t": 0.04, "drag": 0.004, "nu": 80.0, "c1t": 0.008, "c3t": 0.007}
+
+
+def rigs(n, **changes):
+    values = {name: np.full(n, x) for name, x in (RIG | TRUTH | {"theta0": math.radians(4.7)}).items()}
+    return values | {name: np.broadcast_to(np.asarray(x, float), (n,)).copy() for name, x in changes.items()}
+
+
+def test_a_linear_rig_is_its_own_equivalent():
+    k2t, c2t = np.array([0.4, 1.0, 3.0, 8.0]), np.array([0.03, 0.08, 0.12, 0.3])
+    values = rigs(4, mu=0.0, drag=0.0, c3t=0.008, k2t=k2t, c2t=c2t)
+    found = equivalent(values)
+    assert np.exp(found.log_values) == pytest.approx(np.stack([k2t, c2t], axis=1), rel=0.02)
+    assert found.misfit.max() < 0.005
+    exact = values | {"k3t": np.zeros(4), "J12": np.zeros(4)}
+    record = linear_record(exact, np.log(np.stack([k2t, c2t], axis=1)), TIMES, "acceleration")
+    direct = fit_linear(record, values, values["c1t"], "acceleration")
+    assert np.exp(direct.log_values) == pytest.approx(np.stack([k2t, c2t], axis=1), rel=1e-3)
+
+
+def test_friction_looks_like_damping_that_falls_with_amplitude():
+    """Dry friction gives a viscous equivalent in proportion to 1 / amplitude: what the thesis saw (p. 22)."""
+    found = equivalent(rigs(3, theta0=np.radians([3.0, 5.0, 9.0])))
+    damping = np.exp(found.log_values[:, 1])
+    assert damping[0] > damping[1] > damping[2] > TRUTH["c2t"]
+
+
+def test_bearing_damping_grows_with_drag():
+    found = bearing_damping(rigs(3, drag=[0.0, 0.004, 0.01]))
+    assert found[0] == pytest.approx(0.008, rel=0.03)  # the first peak is read 0.6 ms late
+    assert found[0] < found[1] < found[2]
+
+
+def sets_of(cases, references):
+    draws = {
+        name: CaseDraws(v, w, v, w) for (name, v), w in zip(cases.items(), references, strict=True)
+    }  # fmt: skip
+    return Sets(
+        draws,
+        {name: float(0.5 * v["k1t"][0] * v["theta0"][0] ** 2) for name, v in cases.items()},
+        {},
+        (0.0, 0.0),
+        {name: lambda x: np.full(x.shape, 1e-4) for name in cases},
+        {},
+    )
+
+
+def test_decomposition_of_one_rig_at_several_amplitudes_is_all_friction():
+    cases = {str(i): rigs(8, theta0=math.radians(a)) for i, a in enumerate((3.0, 5.0, 9.0))}
+    parts = decompose(sets_of(cases, list(cases.values()))).parts["c2t"]
+    assert parts["real_difference"]["median"] == pytest.approx(0.0, abs=1e-12)
+    assert parts["friction_at_another_amplitude"]["share"]["median"] > 0.95
+    assert parts["probability_largest"]["friction_at_another_amplitude"] == 1.0
+
+
+def test_decomposition_of_different_rigs_at_one_amplitude_is_all_difference():
+    cases = {str(i): rigs(8, c2t=c) for i, c in enumerate((0.03, 0.06, 0.12))}
+    parts = decompose(sets_of(cases, [rigs(8, c2t=0.06)] * 3)).parts["c2t"]
+    assert parts["friction_at_another_amplitude"]["median"] == pytest.approx(0.0, abs=1e-12)
+    assert parts["real_difference"]["share"]["median"] > 0.95
+    total = parts["expected_total"]["median"]
+    pieces = ("friction_at_another_amplitude", "measurement_scatter", "real_difference", "covariance")
+    assert total == pytest.approx(sum(parts[key]["median"] for key in pieces), rel=1e-6)
+
+
+# Recorded campaigns
+
+CASES = (("I", 6.2, 5.7), ("II", 6.2, 7.2), ("IV", 10.2, 4.7))
+
+
+def write_campaign(folder, kind, seed=1, repeats=2):
+    """A campaign of the nonlinear model with known pooling; returns the parameters of each case."""
+    rng = np.random.default_rng(seed)
+    (folder / "trials").mkdir(parents=True)
+    (folder / "campaign.toml").write_text(CAMPAIGN_TOML, encoding="utf-8")
+    differing = {"shared": (), "half": ("mu", "c2t"), "separate": tuple(TRUTH)}[kind]
+    rows = ["file,case,configuration,k1t_n_m_per_rad,theta0_deg,theta0_std_deg,trial"]
+    times = np.arange(501) * 1e-3
+    truths = {}
+    for case, k1t, degrees in CASES:
+        factor = {name: math.exp(0.4 * rng.standard_normal()) for name in TRUTH}
+        truths[case] = {name: x * (factor[name] if name in differing else 1.0) for name, x in TRUTH.items()}
+        for coupled in (False, True):
+            for trial in range(1, repeats + 1):
+                theta0 = math.radians(degrees) * (1.0 + 0.005 * rng.standard_normal())
+                values = RIG | truths[case] | {"k1t": k1t, "theta0": theta0}
+                y = Model(coupled).simulate(values, times).y[0]
+                y = y + 2.0 * rng.standard_normal(y.shape)
+                name = f"trials/{case}_{int(coupled)}_{trial}.csv"
+                write_table(folder / name, ["time_s", "alpha1_rad_s2", "alpha2_rad_s2"][: 1 + len(y)], [times, *y])
+                word = "coupled" if coupled else "uncoupled"
+                rows.append(f"{name},{case},{word},{k1t},{degrees},{0.005 * degrees},{trial}")
+    (folder / "trials.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    return truths
+
+
+def plan_of(folder):
+    campaign = load_campaign(folder)
+    return {
+        "campaign": str(folder), "name": campaign.name, "campaign_sha256": campaign.sha256,
+        "cases": [case for case, _, _ in CASES], "priors": None, "normal_force": None,
+    }  # fmt: skip
+
+
+def write_fit(folder, cases, converged=True):
+    """A folder like that of a fit, with draws of each case's Laplace approximation."""
+    rng = np.random.default_rng(9)
+    folder.mkdir()
+    write_json(folder / "run.json", {"command": "fit", "plan": cases.plan, "workers": 1})
+    write_json(folder / "summary.json", {"schema": "bayes-damper/fit/1", "converged": converged, "cases": {}})
+    for case, fit in cases.fits.items():
+        q = rng.multivariate_normal(fit.q, fit.covariance, 2 * 50 * 8)
+        draws = {
+            c.name: value_of(c.prior, q[:, i]).reshape(2, 50, 8) for i, c in enumerate(fit.problem.coordinates)
+        }  # fmt: skip
+        (folder / case).mkdir()
+        tree = arviz_adapter.to_tree(draws, log_prob=np.zeros((2, 50, 8)))
+        arviz_adapter.write(tree, folder / case / "posterior.nc")
+
+
+def test_half_shared_campaign_end_to_end(tmp_path):
+    truths = write_campaign(tmp_path / "campaign", "half")
+    write_fit(tmp_path / "fit", RecordedCases(plan_of(tmp_path / "campaign")))
+    found = variability(tmp_path / "fit", particles=64, draws=24, seed=3)
+    assert found.exit_code is ExitCode.DONE
+    result = json.loads((tmp_path / "fit" / "variability.json").read_text())
+    assert result["schema"] == "bayes-damper/variability/1"
+    models = result["models"]
+    assert models["partial"]["probability"] > 0.95
+    assert models["shared"]["heldout"]["log_score"] < models["partial"]["heldout"]["log_score"] - 50.0
+    assert models["partial"]["heldout"]["log_score"] > models["separate"]["heldout"]["log_score"] - 10.0
+    scatter = {name: row["median"] for name, row in models["partial"]["scatter"].items()}
+    assert min(scatter["mu"], scatter["c2t"]) > max(scatter["k2t"], scatter["c1t"], scatter["drag"])
+    for case, truth in truths.items():
+        low, high = models["partial"]["cases"][case]["mu"]["hdi90"]
+        assert 0.8 * low < truth["mu"] < 1.2 * high
+        row = result["effective"]["cases"][case]
+        assert row["c2t"]["median"] == pytest.approx(row["measured"]["c2t"], rel=0.1)
+    parts = result["decomposition"]["c2t"]
+    assert parts["expected_total"]["median"] == pytest.approx(parts["measured"], rel=0.3)
+    assert (tmp_path / "fit" / "variability_effective.svg").exists()
+    assert "one parameter set for all cases" in found.text()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("kind", ["shared", "half", "separate"])
+def test_known_pooling_of_campaigns_is_found(tmp_path, kind, seed):
+    write_campaign(tmp_path / "campaign", kind, seed=seed)
+    models, _ = RecordedCases(plan_of(tmp_path / "campaign")).models(np.random.default_rng(seed), 96, 24)
+    best = max(models, key=lambda name: models[name]["log_evidence"])
+    assert best in {"shared": ("shared",), "half": ("partial",), "separate": ("separate", "partial")}[kind]
+    scatter = {name: row["median"] for name, row in models["partial"]["scatter"].items()}
+    if kind == "shared":
+        assert max(scatter[name] for name in ("mu", "k2t", "c2t", "c1t", "drag")) < 0.15
+
+
+def test_the_fit_of_one_case_is_brought_to_the_common_prior(tmp_path):
+    """Draws of a case under its own prior, drawn again, have the mean that the common prior gives."""
+    write_campaign(tmp_path / "campaign", "shared")
+    cases = RecordedCases(plan_of(tmp_path / "campaign"))
+    case, j = "II", cases.pooled.index("drag")
+    own, common = cases.fitted_priors[case]["drag"], cases.priors(case)["drag"]
+    assert own.median_value != pytest.approx(common.median_value, rel=0.05)
+    rng = np.random.default_rng(1)
+    z = rng.standard_normal((20000, len(cases.pooled)))  # no data: the case's own prior
+    columns = [
+        (np.log(value_of(cases.fitted_priors[case][n], z[:, k]) / cases.priors(case)[n].median_value))
+        / math.log(cases.priors(case)[n].factor)
+        for k, n in enumerate(cases.pooled)
+    ]  # fmt: skip
+    moved = cases.reweighted(case, np.stack(columns, axis=1), rng)
+    assert abs(moved[:, j].mean()) < 0.1
+    assert moved[:, j].std() == pytest.approx(1.0, abs=0.1)
+
+
+def test_gaussian_hierarchy_of_draws_is_that_of_their_moments():
+    rng = np.random.default_rng(6)
+    draws = {str(i): rng.normal(x, 0.1, (400, 2)) for i, x in enumerate((-1.0, 0.0, 1.2))}
+    s, values = gaussian_hierarchy_of(draws, ("a", "b"), rng, 96)
+    assert np.median(s) > 0.4
+    for case, z in draws.items():
+        assert values[case].mean(axis=0) == pytest.approx(z.mean(axis=0), abs=0.06)
+
+
+# The thesis
+
+
+def test_levels_of_the_priors_say_what_is_compared():
+    cases = PublishedCases(PublishedCases.default_plan())
+    assert cases.pooled == ("k2t", "c2t", "c1t", "mu", "drag", "nu")
+    assert set(cases.common) == {"J1", "J2", "R", "r", "N0", "t_min"}
+    assert cases.hierarchy("shared").ndim == 6 + 6 + 4 * 2
+    assert cases.hierarchy("separate").ndim == 6 + 4 * (6 + 2)
+    assert cases.hierarchy("partial").ndim == 2 * 6 + 6 + 4 * (6 + 2)
+
+
+def test_hierarchy_gives_each_case_the_likelihood_of_its_posterior():
+    cases = PublishedCases(PublishedCases.default_plan())
+    hierarchy = cases.hierarchy("shared")
+    points = np.random.default_rng(1).standard_normal((32, hierarchy.ndim)) * 0.3
+    found = hierarchy.log_likelihood(points, np.arange(4))
+    for i, case in enumerate(cases.names):
+        z = hierarchy.coordinates(points, i)
+        assert found[:, i] == pytest.approx(cases.posteriors[case].log_likelihood(z).sum(axis=1))
+        values = cases.posteriors[case].coordinates.values(z)
+        first = cases.posteriors["I"].coordinates.values(hierarchy.coordinates(points, 0))
+        assert values["mu"] == pytest.approx(first["mu"])
+        assert values["J1"] == pytest.approx(first["J1"])
+    assert np.std(found, axis=1).min() > 0.0
+
+
+@pytest.mark.slow
+def test_thesis_end_to_end_and_resumed(tmp_path):
+    first = variability("thesis", out=tmp_path / "a", particles=32, repeats=1, draws=16)
+    rows = first.result["effective"]["cases"]
+    assert rows["IV"]["measured"] == {"k2t": 1.0, "c2t": 0.08}
+    assert rows["II"]["energy_j"] == pytest.approx(49.2e-3, rel=0.02)
+    assert sum(m["probability"] for m in first.result["models"].values()) == pytest.approx(1.0)
+    again = variability("thesis", out=tmp_path / "a", particles=32, repeats=1, draws=16)
+    assert again.result["models"] == first.result["models"]
+    with pytest.raises(InputError, match="another run"):
+        variability("thesis", out=tmp_path / "a", particles=48, repeats=1, draws=16)
+
+
+# Bad input
+
+
+def test_bad_folders_are_refused_with_a_sentence(tmp_path):
+    with pytest.raises(InputError, match="there is no such folder"):
+        variability(tmp_path / "nothing")
+    with pytest.raises(InputError, match="holds no results of `bayes-damper fit`"):
+        variability(tmp_path)
+    write_json(tmp_path / "summary.json", {"schema": "bayes-damper/diagnosis/1"})
+    write_json(tmp_path / "run.json", {"command": "diagnose", "plan": {}})
+    with pytest.raises(InputError, match="needs the results of"):
+        variability(tmp_path)
+    write_json(tmp_path / "summary.json", {"schema": "bayes-damper/fit/1", "converged": True})
+    write_json(tmp_path / "run.json", {"command": "fit", "plan": {"campaign": "thesis", "cases": ["I"]}})
+    with pytest.raises(InputError, match="one case only"):
+        variability(tmp_path)
+
+
+def test_bad_arguments_are_refused(tmp_path):
+    with pytest.raises(InputError, match="at least 32 particles"):
+        variability("thesis", out=tmp_path, particles=4)
+
+
+def test_a_parameter_that_a_case_lacks_cannot_be_compared():
+    _, likelihoods, _ = linear_cases(np.random.default_rng(1), "shared")
+    with pytest.raises(InputError, match="case 0 has no parameter 'mu'"):
+        Hierarchy(likelihoods, "shared", ("mu",))
