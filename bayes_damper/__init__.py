@@ -11,33 +11,43 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from bayes_damper.bench import bench as bench
     from bayes_damper.campaign import load_campaign as load_campaign
     from bayes_damper.check import check as check
+    from bayes_damper.demo import demo as demo
+    from bayes_damper.diagnose import diagnose as diagnose
     from bayes_damper.fit import fit as fit
     from bayes_damper.importer import import_records as import_records
     from bayes_damper.importer import init_campaign as init_campaign
     from bayes_damper.model import Model as Model
     from bayes_damper.published import load_published as load_published
     from bayes_damper.report import report as report
+    from bayes_damper.resume import resume as resume
     from bayes_damper.simulate import simulate_record as simulate_record
     from bayes_damper.tuning import tune as tune
+    from bayes_damper.variability import variability as variability
 
 _PLACES = {
     "Model": "model",
+    "bench": "bench",
     "check": "check",
+    "demo": "demo",
+    "diagnose": "diagnose",
     "fit": "fit",
     "import_records": "importer",
     "init_campaign": "importer",
     "load_campaign": "campaign",
     "load_published": "published",
     "report": "report",
+    "resume": "resume",
     "simulate_record": "simulate",
     "tune": "tuning",
+    "variability": "variability",
 }
 
 __all__ = [
-    "Model", "check", "fit", "import_records", "init_campaign", "load_campaign", "load_published", "report",
-    "simulate_record", "tune",
+    "Model", "bench", "check", "demo", "diagnose", "fit", "import_records", "init_campaign", "load_campaign",
+    "load_published", "report", "resume", "simulate_record", "tune", "variability",
 ]  # fmt: skip
 
 

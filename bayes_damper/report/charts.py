@@ -10,6 +10,7 @@ import base64
 import csv
 import gzip
 import json
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -68,7 +69,7 @@ def record_chart(file: Path, unit_hint: str = "") -> Chart | None:
         model = model.reshape(-1, *model.shape[-2:])
         if model.shape[1:] != y.shape:
             continue
-        t = times.get(label, clock.get(label))
+        t = times.get(label, clock.get(_plain(label)))
         x, x_name = (np.arange(y.shape[1]), "reading number") if t is None or len(t) != y.shape[1] else (t, "time [s]")
         low, middle, high = np.nanquantile(model, [0.05, 0.5, 0.95], axis=0)
         every = -(-y.shape[1] // MOST_POINTS)
@@ -138,7 +139,12 @@ def _clock(attributes: Mapping[str, Any]) -> tuple[dict[str, Array], str]:
     if campaign.sha256 != plan.get("campaign_sha256"):
         return {}, ""
     unit = _UNITS[campaign.measurement.quantity, campaign.rig.kind]
-    return {str(t.file): np.asarray(t.times) for t in campaign.trials}, unit
+    return {_plain(name): np.asarray(t.times) for t in campaign.trials for name in (str(t.file), t.label)}, unit
+
+
+def _plain(label: str) -> str:
+    """A trial's name without the marks that files of draws cannot have in names."""
+    return re.sub(r"[^A-Za-z0-9]+", " ", label.removesuffix(".gz").removesuffix(".csv")).strip()
 
 
 def response_chart(responses: Mapping[str, Mapping[str, Sequence[float]]]) -> Chart | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -38,6 +39,18 @@ _PICTURES = {
     ),
     "forest": ("Parameters over the cases", "Median and 90 % interval of each parameter for each case."),
 }
+_MORE = {
+    "ranking": ("Which effect, and where", "Bars: probability of each answer, and of each site of the rig."),
+    "missing_torque": (
+        "Missing torque",
+        "The torque that the nominal model lacks, against time, angle and velocity, with its uncertainty.",
+    ),
+    "variability_effective": (
+        "Effective stiffness and damping",
+        "Effective linear stiffness and damping of each case, and what shared friction at another amplitude explains.",
+    ),
+    "variability_scatter": ("Scatter over the cases", "Median and 90 % interval of each part of the scatter."),
+}
 _KINDS = ("variability", "tune", "withheld", "compare", "bench")
 _MAIN = (
     "mu", "friction_torque", "friction_torque_per_inertia", "k2t", "c2t", "drag", "nu", "c1t", "c3t", "k1t", "J1", "J2",
@@ -69,12 +82,20 @@ def fit_result(summary: Mapping[str, Any], folder: Path) -> Result:
     warnings = [f"{_title(name)} did not converge: do not use its numbers." for name in failed]
     sections = []
     for name, entry in groups.items():
-        place = folder / ("joint" if name == "all cases together" else name)
+        place = folder / ("joint" if name == "all cases together" else _folder_name(name))
         sections.append(_case_section(name, entry, place))
     pictures = _pictures(folder)
     section = Section("Fit", (_INTERVALS,), pictures=pictures, parts=tuple(sections))
     head = _fit_headline(str(summary.get("campaign", "")), groups, converged)
     return Result(head, section, tuple(warnings), dict(summary.get("provenance", {})) | _fingerprint(summary))
+
+
+def _folder_name(case: str) -> str:
+    if re.fullmatch(r"[\w-]+", case):
+        return case
+    from bayes_damper.fit import folder_name  # only here: it brings the samplers along
+
+    return folder_name(case)
 
 
 def _fingerprint(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -230,7 +251,7 @@ def _pictures(folder: Path, group: str = "", *, kind: str = "") -> tuple[Picture
     stems.sort(key=lambda s: (order.index(s) if s in order else len(order), s))
     out = []
     for stem in stems:
-        title, alt = _PICTURES.get(stem, (words(stem).capitalize(), f"Figure: {words(stem)}."))
+        title, alt = (_PICTURES | _MORE).get(stem, (words(stem).capitalize(), f"Figure: {words(stem)}."))
         out.append(Picture(title, f"{group + ': ' if group else ''}{alt}", str(folder / stem)))
     return tuple(out)
 
