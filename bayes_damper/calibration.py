@@ -1247,7 +1247,7 @@ def experiment_of(campaign: Any, priors: Mapping[str, Distribution] | None = Non
                 theta0_sd=0.0 if angle is None else float(getattr(angle, "std", 0.0) or 0.0),
                 torque=None if t.torque is None else np.array(t.torque, float),
                 heldout=id(t) in heldout,
-            )  # fmt: skip
+            )
         )
     sd = getattr(measurement, "noise_std", None)
     given = () if sd is None else tuple(float(x) for x in np.atleast_1d(np.asarray(sd, float)))

@@ -24,6 +24,7 @@ from bayes_damper.calibration import (
 )
 from bayes_damper.diagnosis.gap import Gap, measure_gap, shifts
 from bayes_damper.diagnosis.next_experiment import Proposal, propose
+from bayes_damper.diagnosis.pairs import Pair, best_pair
 from bayes_damper.diagnosis.remainder import Remainder, remainder_of
 from bayes_damper.diagnosis.search import Candidate, offered, search
 from bayes_damper.diagnosis.sites import SiteMap, site_map, write_missing_torque
@@ -35,7 +36,7 @@ from bayes_damper.effects.base import SITES
 
 SCHEMA = "bayes-damper/diagnosis/1"
 INDISTINCT = 3.0  # nats between two families below which these data cannot tell them apart
-RELEARN = 3.0  # sds by which a better model lowers the chi-square before the noise is learnt again
+PAIR_FROM = 10.0  # nats left by the leading effect from which a second one is looked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +66,7 @@ class Diagnosis:
     sites: Mapping[str, float]
     evidence: Mapping[str, float]
     indistinguishable: tuple[tuple[str, ...], ...]
+    pair: Pair | None = None
     notes: tuple[str, ...] = ()
     seconds: float = 0.0
     extra: Mapping[str, Any] = field(default_factory=dict)
@@ -89,7 +91,9 @@ class Diagnosis:
             "verdict": self.verdict,
             "credible_set": self.answers.credible_set(),
             "probabilities": self.answers.probabilities,
-            "pair": None,
+            "pair": None
+            if self.pair is None or self.answers.pair < 0.5
+            else {"effects": list(self.pair.effects), "probability": self.answers.pair},
             "sites": dict(self.sites),
             "gap": self.gap.to_json(),
             "where": self.where.to_json(),
@@ -198,7 +202,8 @@ def diagnose(
     before = remainder_of(fit)
     after = before if winner is None or winner.fit is None else remainder_of(winner.fit)
     evidence = family_evidence(found)
-    answers = weigh(evidence, before, after, rule)
+    pair = best_pair(fit, found, pool, before) if after.strength > PAIR_FROM else None
+    answers = weigh(evidence, before, after, rule, pair)
     notes += _notes(experiment, fit, answers)
     tell(f"leading answer {answers.verdict}; locating the gap")
     before_map = site_map(fit)
@@ -208,7 +213,7 @@ def diagnose(
     return Diagnosis(
         name, experiment, nominal, fit, tuple(found), winner, answers, before, after, gap, locate(fit), before_map,
         after_map, tuple(_proposals(fit, found, answers)), _sites(answers, effects, before_map, after_map), evidence,
-        tuple(_indistinct(evidence, effects)), tuple(notes), time.perf_counter() - began, {"seed": seed},
+        tuple(_indistinct(evidence, effects)), pair, tuple(notes), time.perf_counter() - began, {"seed": seed},
     )  # fmt: skip
 
 

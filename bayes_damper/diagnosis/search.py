@@ -172,14 +172,21 @@ def screen_variant(screen: Screen, variant: Variant) -> tuple[Screened, ...]:
 
 
 def _screen_at(screen: Screen, variant: Variant, base: Array) -> list[Screened]:
-    fit = screen.fit
-    problem = fit.problem.with_effect(variant)
+    problem = screen.fit.problem.with_effect(variant)
+    without = None if base is screen.fit.q or variant.null is None else screen.fit.problem
+    return screen_column(screen, problem, variant, base, against=without)
+
+
+def screen_column(
+    screen: Screen, problem: Problem, variant: Variant, base: Array, against: Problem | None = None
+) -> list[Screened]:
+    """Every start of a variant: `problem` (with it) at `base`, less `against` there (default: the screen's fit)."""
     starts = variant.starts
     z = np.array([[coordinate_of(p.prior, x) for p, x in zip(variant.parameters, s, strict=True)] for s in starts])
     q = np.concatenate([np.tile(base, (len(starts), 1)), z], axis=1)
     columns = screen.responses(problem, q)
-    if base is not fit.q and variant.null is not None:
-        without = screen.responses(fit.problem, base[None])
+    if against is not None:
+        without = screen.responses(against, base[None])
         columns = [c - w for c, w in zip(columns, without, strict=True)]
     bad = ~np.all([np.isfinite(c).all(axis=(1, 2)) for c in columns], axis=0)
     columns = [np.where(bad[:, None, None], 0.0, c) for c in columns]

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayes_damper.diagnosis.pairs import Pair
 from bayes_damper.diagnosis.remainder import Remainder
 from bayes_damper.diagnosis.search import Candidate
 
@@ -36,6 +37,8 @@ class Rule:
     strength_width: float = 2.5
     tempering: float = 30.0
     line: float = 12.0
+    pair_share: float = 0.02
+    pair_gain: float = 12.0
 
 
 RULE = Rule()
@@ -49,6 +52,7 @@ class Answers:
     temperature: float
     share_left: float
     unknown: float
+    pair: float = 0.0
 
     @property
     def verdict(self) -> str:
@@ -85,11 +89,17 @@ def _logistic(x: float) -> float:
     return 1.0 / (1.0 + math.exp(-max(min(x, 60.0), -60.0)))
 
 
-def weigh(evidence: Mapping[str, float], before: Remainder, after: Remainder, rule: Rule = RULE) -> Answers:
+def weigh(
+    evidence: Mapping[str, float],
+    before: Remainder,
+    after: Remainder,
+    rule: Rule = RULE,
+    pair: Pair | None = None,
+) -> Answers:
     """Probabilities of all answers.
 
     evidence : family -> log Z relative to the nominal model; before, after : what the nominal model leaves, and what
-    the leading effect leaves.
+    the leading effect leaves; pair : two effects that may close what one leaves open.
     """
     names = [n for n, z in evidence.items() if math.isfinite(z)]
     each = (1.0 - PRIOR_NONE - PRIOR_UNKNOWN) / max(len(evidence), USUAL)
@@ -108,16 +118,23 @@ def weigh(evidence: Mapping[str, float], before: Remainder, after: Remainder, ru
         (math.log(max(share, 1e-6)) - math.log(0.3 * rule.share)) / rule.share_width
     )
     foreign = left * max(large, lined)
+    both = 0.0
+    if pair is not None:
+        closes = _logistic((math.log(rule.pair_share) - math.log(max(pair.share_left, 1e-6))) / rule.share_width)
+        both = foreign * closes * _logistic((pair.gain - rule.pair_gain) / rule.strength_width)
+        foreign -= both
     nothing = _logistic((before.strength - rule.strength) / rule.strength_width)
     unknown = known["none"] * nothing + (1.0 - known["none"]) * foreign
-    probabilities = {n: p * (1.0 - nothing if n == "none" else 1.0 - foreign) for n, p in known.items()}
+    probabilities = {n: p * (1.0 - nothing if n == "none" else 1.0 - foreign - both) for n, p in known.items()}
     probabilities["unknown"] = unknown
+    if pair is not None:
+        probabilities[pair.effects[0]] += (1.0 - known["none"]) * both
     for name in evidence:
         probabilities.setdefault(name, 0.0)
     count = len(probabilities)
     mixed = {n: (1.0 - FLOOR) * p + FLOOR / count for n, p in probabilities.items()}
     total = sum(mixed.values())
-    return Answers({n: float(p / total) for n, p in mixed.items()}, temperature, share, float(unknown))
+    return Answers({n: float(p / total) for n, p in mixed.items()}, temperature, share, float(unknown), both)
 
 
 def rank(evidence: Mapping[str, float]) -> list[str]:
