@@ -68,6 +68,23 @@ def _resume(args: Arguments) -> Any:
     return _call("resume:resume")(args.folder, more=args.more, workers=args.workers, progress=_progress(args))
 
 
+def _variability(args: Arguments) -> Any:
+    return _call("variability:variability")(
+        args.folder,
+        out=args.out,
+        seed=args.seed,
+        particles=args.particles,
+        repeats=args.repeats,
+        workers=args.workers,
+        scheduler=args.scheduler,
+        progress=_progress(args),
+    )
+
+
+def _compare(args: Arguments) -> Any:
+    return _call("compare:compare")(args.folders, out=args.out, seed=args.seed)
+
+
 _QUESTIONS = (
     ("columns", "Columns of the channels, primary first, by name or number from 1, with spaces between"),
     ("time", "Column of the time, by name or number (empty: the sample rate makes it)"),
@@ -281,6 +298,17 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--raw", type=Path, metavar="DIR", help="where the logger files lie")
     sub.add_argument("--overwrite", action="store_true", help="replace the campaign that the folder holds")
     sub.set_defaults(options=_init_options(sub))
+
+    sub = command("variability", _variability, "what the cases of a fit share and where they differ")
+    sub.add_argument("folder", help="results of `fit`, or `thesis`")
+    sub.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default: the folder itself)")
+    sub.add_argument("--particles", type=int, default=256, metavar="N", help="particles of each run (default: 256)")
+    sub.add_argument("--repeats", type=int, default=2, metavar="N", help="runs of each model (default: 2)")
+    workers(sub)
+
+    sub = command("compare", _compare, "results side by side")
+    sub.add_argument("folders", nargs="+", metavar="FOLDER", help="folders that other commands have written to")
+    sub.add_argument("--out", type=Path, metavar="DIR", help="write comparison.json and a figure there too")
 
     sub = command("report", _report, "one self-contained HTML page from whatever results the folder holds")
     sub.add_argument("folder", type=Path, help="a folder that other commands have written to")

@@ -29,6 +29,7 @@ MEANING = {
     "partial": "values scattered about a common mean",
 }
 _RECYCLED_DRAWS = 1500
+_WORST_MEMORY = 0.6
 _LARGEST_SPREAD = 1.5
 """Nats by which repeated runs may differ before the evidence is called unconverged."""
 
@@ -146,7 +147,8 @@ def variability(
     }
     result["sentences"] = _sentences(result, fit_converged)
     result["provenance"] = provenance()
-    write_json(target / "variability.json", _plain(result))
+    result = _plain(result)
+    write_json(target / "variability.json", result)
     if found is not None:
         title = f"{plan['name']}: effective linear stiffness and damping"
         drawn = figures.variability_figure(result, title=title, converged=result["converged"])
@@ -282,6 +284,12 @@ def _sentences(result: Mapping[str, Any], fit_converged: bool) -> list[str]:
         for name, m in models.items()
         if m["spread"] >= _LARGEST_SPREAD
     ]
+    slow = [name for name, m in models.items() if m.get("memory", 0.0) > _WORST_MEMORY]
+    if slow:
+        out.append(
+            f"Particles moved slowly ({', '.join(slow)}): the errors of the evidence are too small by an unknown "
+            "factor; raise particles and repeats, and look at the spread."
+        )
     others = [models[best]["log_evidence"] - models[n]["log_evidence"] for n in models if n != best]
     out.append(f"Evidence is highest for {MEANING[best]}, by {min(others):.1f} and {max(others):.1f} nats.")
     out.append(f"{models[best]['heldout']['what']}: best predicted by {MEANING[seen]}.")

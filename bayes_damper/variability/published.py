@@ -118,7 +118,9 @@ class PublishedCases:
             error = math.sqrt(float(np.mean([runs[name]["error"] ** 2 for name in names])) / len(names))
             spread = float(np.ptp(heights)) if len(heights) > 1 else 0.0
             height = float(heights.mean())
-            unseen = {case: height - runs[f"{pooling}-without-{case}-0"]["log_z"] for case in self.names}
+            without = {case: runs[f"{pooling}-without-{case}-0"] for case in self.names}
+            unseen = {case: height - run["log_z"] for case, run in without.items()}
+            unsure = len(without) ** 2 * error**2 + sum(run["error"] ** 2 for run in without.values())
             points = np.concatenate([_points(work / name) for name in names])
             models[pooling] = {
                 "log_evidence": height,
@@ -127,8 +129,10 @@ class PublishedCases:
                 "heldout": {
                     "what": "Each case's features, predicted from the other cases",
                     "log_score": float(sum(unseen.values())),
+                    "error": math.sqrt(unsure),
                     "cases": unseen,
                 },
+                "memory": max(runs[name]["memory"] for name in names),
             } | self._described(self.hierarchy(pooling), points)
         names = [name for name in runs if name.startswith("partial-all-")]
         points = np.concatenate([_points(work / name) for name in names])
