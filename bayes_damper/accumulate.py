@@ -38,9 +38,9 @@ class Accumulator:
 def _compiled(function: Callable[..., None]) -> Callable[..., None]:
     options: dict[str, Any] = {"nogil": True, "fastmath": lanes.FASTMATH, "error_model": "numpy"}
     try:
-        return njit(function, cache=True, **options)  # type: ignore[no-any-return]
+        return njit(function, cache=True, **options)
     except RuntimeError:  # nowhere to keep compiled code: compile it in every process
-        return njit(function, **options)  # type: ignore[no-any-return]
+        return njit(function, **options)
 
 
 @_compiled

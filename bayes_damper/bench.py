@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from bayes_damper import bench_peers, damper, integrator, lanes
 from bayes_damper.accumulate import GAUSSIAN
 from bayes_damper.damper import ROWS
-from bayes_damper.integrator import LANES
 from bayes_damper.errors import ExitCode
+from bayes_damper.integrator import LANES
 from bayes_damper.model import Model
 
 Array = NDArray[np.float64]

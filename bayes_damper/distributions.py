@@ -69,7 +69,8 @@ class Normal:
 
     def ppf(self, u: ArrayLike) -> Array:
         low, high = ndtr((self.lower - self.mean) / self.sd), ndtr((self.upper - self.mean) / self.sd)
-        return np.clip(self.mean + self.sd * ndtri(low + np.asarray(u, float) * (high - low)), self.lower, self.upper)
+        x = self.mean + self.sd * ndtri(low + np.asarray(u, float) * (high - low))
+        return np.asarray(np.clip(x, self.lower, self.upper))
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,7 @@ class LogNormal:
         return np.where(x > 0.0, value, -np.inf)
 
     def ppf(self, u: ArrayLike) -> Array:
-        return self.median_value * np.exp(math.log(self.factor) * ndtri(np.asarray(u, float)))
+        return np.asarray(self.median_value * np.exp(math.log(self.factor) * ndtri(np.asarray(u, float))))
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,7 @@ class HalfNormal:
         return np.where(x >= 0.0, value, -np.inf)
 
     def ppf(self, u: ArrayLike) -> Array:
-        return self.sd * ndtri(0.5 + 0.5 * np.asarray(u, float))
+        return np.asarray(self.sd * ndtri(0.5 + 0.5 * np.asarray(u, float)))
 
 
 @dataclass(frozen=True)
@@ -175,28 +176,28 @@ _FARTHEST = 37.0  # standard deviations beyond which a standard coordinate is no
 
 def from_standard(distribution: Distribution, z: ArrayLike) -> Array:
     """The value x whose quantile in `distribution` is that of `z` in a unit Gaussian; accurate far into both tails."""
-    z = np.clip(np.asarray(z, float), -_FARTHEST, _FARTHEST)
+    y: Array = np.clip(np.asarray(z, float), -_FARTHEST, _FARTHEST)
     if isinstance(distribution, LogNormal):
-        return np.asarray(distribution.median_value * np.exp(math.log(distribution.factor) * z))
+        return np.asarray(distribution.median_value * np.exp(math.log(distribution.factor) * y))
     if isinstance(distribution, HalfNormal):
-        # x / sd = -Phi^-1(Phi(-z) / 2): the upper tail is a lower tail of half its mass.
+        # x / sd = -Phi^-1(Phi(-y) / 2): the upper tail is a lower tail of half its mass.
         with np.errstate(divide="ignore", invalid="ignore"):
-            far = -ndtri_exp(log_ndtr(-z) - math.log(2.0))
-        return np.asarray(distribution.sd * np.where(z > -5.0, far, math.sqrt(math.pi / 2.0) * ndtr(z)))
+            far = -ndtri_exp(log_ndtr(-y) - math.log(2.0))
+        return np.asarray(distribution.sd * np.where(y > -5.0, far, math.sqrt(math.pi / 2.0) * ndtr(y)))
     if isinstance(distribution, Normal):
         a = (distribution.lower - distribution.mean) / distribution.sd
         b = (distribution.upper - distribution.mean) / distribution.sd
         if math.isinf(a) and math.isinf(b):
-            return np.asarray(distribution.mean + distribution.sd * z)
+            return np.asarray(distribution.mean + distribution.sd * y)
         if math.isinf(b):  # cut below only: mirror, so that the far tail keeps its digits
             with np.errstate(divide="ignore", invalid="ignore"):
-                x = -ndtri_exp(log_ndtr(-z) + log_ndtr(-a))
+                x = -ndtri_exp(log_ndtr(-y) + log_ndtr(-a))
             return np.asarray(np.maximum(distribution.mean + distribution.sd * x, distribution.lower))
         if math.isinf(a):
             with np.errstate(divide="ignore", invalid="ignore"):
-                x = ndtri_exp(log_ndtr(z) + log_ndtr(b))
+                x = ndtri_exp(log_ndtr(y) + log_ndtr(b))
             return np.asarray(np.minimum(distribution.mean + distribution.sd * x, distribution.upper))
-    return np.asarray(distribution.ppf(ndtr(np.clip(z, -8.0, 8.0))))
+    return np.asarray(distribution.ppf(ndtr(np.clip(y, -8.0, 8.0))))
 
 
 def to_standard(distribution: Distribution, x: ArrayLike) -> Array:

@@ -69,7 +69,7 @@ def save(figure: Figure, path: Path) -> list[Path]:
     with mpl.rc_context(_RC):
         for suffix, options in ((".svg", {"metadata": {"Date": None}}), (".png", {"dpi": 150})):
             target = path.with_name(path.name + suffix)
-            figure.savefig(target, **options)  # type: ignore[arg-type]
+            figure.savefig(target, **options)
             written.append(target)
     return written
 
@@ -322,11 +322,10 @@ def withheld_figure(scores: Mapping[str, Any], *, rehearsal: bool = False) -> Fi
     answers = sorted({*scores["confusion"], *(n for row in scores["confusion"].values() for n in row)})
     figure = new_figure(11.0, 4.2 + 0.22 * len(answers))
     with mpl.rc_context(_RC | {"axes.grid": False}):
-        grid = [["names", "sites"], ["names", "reliability"], ["names", "level"]]
-        parts = figure.subplot_mosaic(grid, width_ratios=[3, 2])
-        _draw_counts(parts["names"], scores["confusion"], "what was taken for what")
-        _draw_counts(parts["sites"], scores["sites"], "true site and most probable site")
-        axis, told = parts["reliability"], scores["reliability"]["all"]
+        parts = figure.subplot_mosaic("ns;nr;nl", width_ratios=[3, 2])
+        _draw_counts(parts["n"], scores["confusion"], "what was taken for what")
+        _draw_counts(parts["s"], scores["sites"], "true site and most probable site")
+        axis, told = parts["r"], scores["reliability"]["all"]
         axis.plot([0, 1], [0, 1], color="#888888", lw=0.8)
         for row in told["bins"]:
             at = row["confidence"]
@@ -336,13 +335,13 @@ def withheld_figure(scores: Mapping[str, Any], *, rehearsal: bool = False) -> Fi
         axis.set_xlabel("probability of the verdict")
         axis.set_ylabel("share that is right")
         axis.set_title("reliability (wide bars: a perfectly calibrated twin, 95 %)", loc="left")
-        axis = parts["level"]
+        axis = parts["l"]
         for k, kind in enumerate(sorted({row["kind"] for row in scores["by_level"]})):
             rows = [row for row in scores["by_level"] if row["kind"] == kind]
             at = [row["level"] * (1.03 if k else 0.97) for row in rows]
             right = [row["accepted_first"] for row in rows]
             reach = np.array([[r["value"] - r["interval95"][0], r["interval95"][1] - r["value"]] for r in right]).T
-            marks = {"color": COLOURS[k], "ls": STYLES[k % len(STYLES)], "marker": "os"[k % 2], "ms": 4}
+            marks: dict[str, Any] = {"color": COLOURS[k], "ls": STYLES[k % len(STYLES)], "marker": "os"[k % 2], "ms": 4}
             axis.errorbar(at, [r["value"] for r in right], np.maximum(reach, 0.0), label=kind, **marks)
             axis.legend(loc="lower right")
         axis.set_xscale("log")

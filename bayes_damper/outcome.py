@@ -23,8 +23,8 @@ class Outcome(IntEnum):
 
 _SENTENCES = {
     Outcome.COMPLETED: "the whole record was simulated.",
-    Outcome.NOT_FINITE_INPUT: "a parameter was not a finite number, or an inertia, the smoothing constant or a radius was "
-    "not positive; narrow the prior to values that a rig can have.",
+    Outcome.NOT_FINITE_INPUT: "a parameter was not a finite number, or an inertia, the smoothing constant or a radius "
+    "was not positive; narrow the prior to values that a rig can have.",
     Outcome.STEP_UNDERFLOW: "the equations were too stiff for the integrator to finish; narrow the prior of nu, or of "
     "the stiffness that makes the motion so fast.",
     Outcome.NOT_FINITE_RECORD: "the motion grew without bound; narrow the prior of the parameter that feeds energy in.",

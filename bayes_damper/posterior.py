@@ -117,7 +117,7 @@ class Coordinates:
 
     def log_prior(self, points: Array) -> Array:
         """Log prior density in the sampled coordinates, (n,)."""
-        value = -0.5 * (np.sum(self.standard(points) ** 2, axis=1) + self.ndim * _LOG_2PI)
+        value: Array = -0.5 * (np.sum(self.standard(points) ** 2, axis=1) + self.ndim * _LOG_2PI)
         # ln x and ln y in terms of sum and ratio have Jacobian 1; z in terms of ln x has 1 / b.
         return value - sum(math.log(b * d) for _, _, _, b, _, d in self._lines())
 
@@ -199,4 +199,4 @@ class FeaturePosterior:
     def __call__(self, points: Array) -> Array:
         """Log posterior density (normalised prior times likelihood) in standard coordinates, (n,)."""
         points = np.atleast_2d(points)
-        return self.coordinates.log_prior(points) + self.log_likelihood(points).sum(axis=1)
+        return np.asarray(self.coordinates.log_prior(points) + self.log_likelihood(points).sum(axis=1))

@@ -45,7 +45,7 @@ class _Part:
 
 
 class RecordPosterior:
-    """Log posterior over q (the unknowns of calibration.Problem) and the noise of each channel, in standard coordinates.
+    """Log posterior over q (unknowns of calibration.Problem) and the noise of each channel, in standard coordinates.
 
     names : those of the problem, then noise1 (and noise2); ndim : their number.
     """
@@ -134,12 +134,12 @@ class RecordPosterior:
     def log_prior(self, points: Array) -> Array:
         """Log prior density in standard coordinates, (n,)."""
         points = np.atleast_2d(points)
-        return -0.5 * (np.sum(points**2, axis=1) + self.ndim * math.log(2.0 * math.pi))
+        return np.asarray(-0.5 * (np.sum(points**2, axis=1) + self.ndim * math.log(2.0 * math.pi)))
 
     def __call__(self, points: Array) -> Array:
         """Log posterior density in standard coordinates, (n,)."""
         points = np.atleast_2d(points)
-        return self.log_prior(points) + self.log_likelihood(points).sum(axis=1)
+        return np.asarray(self.log_prior(points) + self.log_likelihood(points).sum(axis=1))
 
     def values(self, points: Array) -> dict[str, Array]:
         """Physical values: name -> (n,), the noise as sigma1, sigma2 in the unit of the readings."""

@@ -1,4 +1,4 @@
-"""`bayes-damper simulate`: one noise-free record of the thesis's rig, with any parameter changed and any effect added."""
+"""`bayes-damper simulate`: one noise-free record of the thesis's rig, any parameter changed and any effect added."""
 
 from __future__ import annotations
 

@@ -16,7 +16,9 @@ from bayes_damper.sampling.convergence import diagnose_draws
 Array = NDArray[np.float64]
 
 
-def summarise(draws: Mapping[str, Array], units: Mapping[str, str], prior_shares: Mapping[str, float]) -> dict[str, Any]:
+def summarise(
+    draws: Mapping[str, Array], units: Mapping[str, str], prior_shares: Mapping[str, float]
+) -> dict[str, Any]:
     """Summary of each quantity: name -> numbers as in summary.json.
 
     draws : name -> (ensembles, steps, walkers); prior_shares : name -> variance of the posterior over that of the

@@ -12,8 +12,8 @@ import numpy as np
 from numba import njit
 
 BASE = {
-    "J1": 3.015e-3, "J2": 2.474e-3, "J12": 0.0, "k1t": 6.2, "k3t": 0.0, "c1t": 0.01, "c3t": 0.01, "k2t": 1.0, "c2t": 0.03,
-    "mu": 0.009, "N0": 100.0, "R": 0.1, "r": 0.0127, "drag": 0.015, "nu": 100.0, "theta0": np.radians(5.0),
+    "J1": 3.015e-3, "J2": 2.474e-3, "J12": 0.0, "k1t": 6.2, "k3t": 0.0, "c1t": 0.01, "c3t": 0.01, "k2t": 1.0,
+    "c2t": 0.03, "mu": 0.009, "N0": 100.0, "R": 0.1, "r": 0.0127, "drag": 0.015, "nu": 100.0, "theta0": np.radians(5.0),
 }  # fmt: skip
 NAMES = tuple(BASE)
 
@@ -50,7 +50,7 @@ def _solve(q, x0, times, torque, coupled, linear, pendulum, longest):
         if i == n - 1:
             break
         gap = times[i + 1] - times[i]
-        steps = int(math.ceil(gap / longest))
+        steps = math.ceil(gap / longest)
         h = gap / steps
         for s in range(steps):
             for j in range(4):

@@ -23,10 +23,10 @@ LAYERS = (
     {"sampling", "evidence", "arviz_adapter"},
     {"figures", "run", "bench_peers", "check", "summary"},
     {"progress"},
-    {"fit", "variability", "diagnosis", "tuning", "thesis", "compare", "simulate"},
+    {"fit", "variability", "diagnosis", "tuning", "thesis", "compare", "simulate", "diagnose"},
     {"withheld", "bench"},
     {"report"},
-    {"demo"},
+    {"demo", "resume"},
     {"cli"},
 )
 LEVEL = {name: number for number, names in enumerate(LAYERS) for name in names}

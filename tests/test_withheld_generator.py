@@ -151,11 +151,29 @@ def test_every_disturbance_changes_the_records(name):
 
 def test_the_list_of_kinds_holds_every_required_one():
     assert set(kinds.names("library")) == {
-        "spring_cubic", "spring_bottoming", "coupling_backlash", "coupling_hysteresis", "stiffness_error",
-        "bearing_stribeck", "quadratic_drag", "misalignment_drag", "stick_slip", "friction_displacement",
+        "spring_cubic",
+        "spring_bottoming",
+        "coupling_backlash",
+        "coupling_hysteresis",
+        "stiffness_error",
+        "bearing_stribeck",
+        "quadratic_drag",
+        "misalignment_drag",
+        "stick_slip",
+        "friction_displacement",
         "magnet_cubic",
-        "eddy_overlap", "magnet_fade", "interface_relaxation", "normal_force_law", "inertia_error", "release_ramp",
-        "release_offset", "sensor_gain", "sensor_delay", "sensor_bandwidth", "sensor_highpass", "sensor_clipping",
+        "eddy_overlap",
+        "magnet_fade",
+        "interface_relaxation",
+        "normal_force_law",
+        "inertia_error",
+        "release_ramp",
+        "release_offset",
+        "sensor_gain",
+        "sensor_delay",
+        "sensor_bandwidth",
+        "sensor_highpass",
+        "sensor_clipping",
     }
     assert len(kinds.names("development")) >= 6
     assert len(kinds.names("reserved")) >= 6
@@ -249,8 +267,29 @@ def read(path):
 def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("withheld")
     out = folder / "campaigns"
-    code = make.main(["--kind", "easy", "--kind", "hard", "--effect", "knock", "--effect", "none", "--level", "1",
-                      "--seed", "5", "--duration", "0.4", "--salt", "grain", "--out", str(out), "--quiet"])
+    code = make.main(
+        [
+            "--kind",
+            "easy",
+            "--kind",
+            "hard",
+            "--effect",
+            "knock",
+            "--effect",
+            "none",
+            "--level",
+            "1",
+            "--seed",
+            "5",
+            "--duration",
+            "0.4",
+            "--salt",
+            "grain",
+            "--out",
+            str(out),
+            "--quiet",
+        ]
+    )
     assert code == 0
     return out, json.loads((folder / "campaigns_key.json").read_text())
 

@@ -128,7 +128,7 @@ class Effect:
     source: str
     variants: tuple[Variant, ...]
     needs: tuple[Literal["coupled", "magnet", "linear_nominal"], ...] = ()
-    """What a rig must have for the effect to be possible; "linear_nominal": only a candidate with `--nominal linear`."""
+    """What a rig must have for the effect to be possible; "linear_nominal": only offered with `--nominal linear`."""
     alike: frozenset[str] = field(default_factory=frozenset)
     """Effects that agree with it to first order (a class): a verdict inside the class is right."""
 
@@ -152,6 +152,6 @@ def parameter_table(variant: Variant, values: Mapping[str, Any]) -> NDArray[np.f
         raise KeyError(f"{variant.name}: takes {names}; unknown {sorted(unknown)}, missing {sorted(missing)}")
     columns = np.broadcast_arrays(*[np.atleast_1d(np.asarray(values[name], float)) for name in names] or [np.zeros(1)])
     table = np.zeros((MOST_PARAMETERS, columns[0].size))
-    for row, name in enumerate(names):
+    for row in range(len(names)):
         table[row] = columns[row]
     return table

@@ -1,10 +1,11 @@
 """Runs several independent emcee ensembles until a rule is satisfied, with saved states, on one or more processes.
 
 An ensemble goes through two phases. Warm-up: rounds of growing length until two rounds in succession look alike; each
-round fits a mixture of Student t distributions to its draws, which from then on serves as an independence proposal, as often as its acceptance
-earns it. Drawing: proposals are frozen and all steps count. Every ensemble has its own generator spawned from the seed,
-and works in blocks that depend on nothing but its own state, so results are the same for any number of processes, and
-a run that goes on from a saved state gives bit for bit what it would have given without the stop.
+round fits a mixture of Student t distributions to its draws, which from then on serves as an independence proposal, as
+often as its acceptance earns it. Drawing: proposals are frozen and all steps count. Every ensemble has its own
+generator spawned from the seed, and works in blocks that depend on nothing but its own state, so results are the same
+for any number of processes, and a run that goes on from a saved state gives bit for bit what it would have given
+without the stop.
 """
 
 from __future__ import annotations

@@ -144,8 +144,9 @@ def cloud(
 ) -> tuple[Array, Array]:
     """Starting points (walkers, ndim) of one ensemble and their log densities (walkers,), all finite.
 
-    Members of the start's population, where it has one. Else normal draws with the local covariance about the optimum (about another for some `turn`s, where there is one), none
-    more than a sensible depth below it; drawn closer in when too few are good.
+    Members of the start's population, where it has one. Else normal draws with the local covariance about the optimum
+    (about another for some `turn`s, where there is one), none more than a sensible depth below it; drawn closer in when
+    too few are good.
     """
     if len(start.population) >= walkers:
         chosen = start.population[rng.choice(len(start.population), walkers, replace=False)]
