@@ -56,7 +56,7 @@ class Comparison:
         """Tables for the terminal."""
         r = self.result
         labels = list(r["folders"])
-        width = max(14, *(len(label) + 2 for label in labels))
+        width = max(22, *(len(label) + 2 for label in labels))
         lines = [f"{'':38s}" + "".join(f"{label:>{width}s}" for label in labels)]
         for case, rows in r["parameters"].items():
             lines.append(f"{'all cases together' if case == 'joint' else f'case {case}'}")
@@ -290,30 +290,44 @@ def leave_out(log_likelihood: Array) -> tuple[float, float]:
 def prior_sensitivity(
     draws: Mapping[str, Array], priors: PriorSet, widths: tuple[float, float] = WIDTHS
 ) -> dict[str, Any]:
-    """How a posterior moves when every prior is narrower or wider, by importance weights.
+    """How a posterior moves when one prior is narrower or wider, the others as they are, by importance weights.
 
-    draws : parameter -> (n,). Returns parameter -> {"half", "double"} -> shift of the mean in posterior standard
-    deviations, ratio of the standard deviations, effective draws and Pareto k of the weights (above 0.7: the fit must
-    be run again to know).
+    draws : parameter -> (n,). Returns, for each parameter whose prior is changed, {"half", "double"} -> shift of its
+    mean in posterior standard deviations, ratio of its standard deviations, which other parameter moves most and how
+    far, effective draws and Pareto k of the weights (above 0.7: only a new fit can tell).
     """
-    before = priors.only(draws).log_density(draws)
-    out: dict[str, Any] = {name: {} for name in draws}
-    for word, width in zip(("half", "double"), widths, strict=True):
-        log_weights = priors.only(draws).widened(width).log_density(draws) - before
-        weights = np.exp(log_weights - log_weights.max())
-        weights = weights / weights.sum()
-        ess, k = float(1.0 / np.sum(weights**2)), pareto_k(weights)
-        for name, x in draws.items():
-            mean, sd = float(x.mean()), float(x.std())
-            moved = float(weights @ x)
-            spread = math.sqrt(max(float(weights @ (x - moved) ** 2), 0.0))
+    free = priors.free
+    out: dict[str, Any] = {}
+    for name in draws:
+        only = priors.only([name])
+        out[name] = {}
+        for word, width in zip(("half", "double"), widths, strict=True):
+            log_weights = only.widened(width).free[name].logpdf(draws[name]) - free[name].logpdf(draws[name])
+            weights = np.exp(log_weights - log_weights.max())
+            weights = weights / weights.sum()
+            moves = {other: _moved(weights, x) for other, x in draws.items()}
+            others = {other: move[0] for other, move in moves.items() if other != name}
+            most = max(others, key=lambda other: abs(others[other]), default=name)
+            k = pareto_k(weights)
             out[name][word] = {
-                "shift": (moved - mean) / sd if sd > 0.0 else 0.0,
-                "width": spread / sd if sd > 0.0 else 1.0,
-                "ess": ess,
+                "shift": moves[name][0],
+                "width": moves[name][1],
+                "moves_most": most,
+                "shift_of_that": moves[most][0],
+                "ess": float(1.0 / np.sum(weights**2)),
                 "pareto_k": k if math.isfinite(k) else None,
+                "reliable": k < 0.7,
             }
     return out
+
+
+def _moved(weights: Array, x: Array) -> tuple[float, float]:
+    """Shift of the weighted mean in standard deviations, and ratio of the standard deviations."""
+    sd = float(x.std())
+    if sd == 0.0:
+        return 0.0, 1.0
+    mean = float(weights @ x)
+    return (mean - float(x.mean())) / sd, math.sqrt(max(float(weights @ (x - mean) ** 2), 0.0)) / sd
 
 
 # Words and figure -----------------------------------------------------------------------------------------------------
@@ -322,7 +336,11 @@ def prior_sensitivity(
 def _cell(found: Mapping[str, Any] | None) -> str:
     if found is None:
         return "-"
-    return f"{found['median']:.4g}±{found['sd']:.2g}"
+    return f"{found['median']:.3g} +- {found['sd']:.2g}"
+
+
+def _shift(found: Mapping[str, Any]) -> str:
+    return f"{found['shift']:+.2f}" + ("" if found["reliable"] else "?")
 
 
 def _word(value: Any) -> str:
@@ -339,8 +357,11 @@ def _sentences(result: Mapping[str, Any]) -> list[str]:
     total = result["evidence"].get("sum over cases", {})
     if same and len(total) > 1:
         best = max(total, key=lambda label: total[label])
-        second = sorted(total.values())[-2]
-        out.append(f"Evidence is highest for {best}, by {total[best] - second:.1f} nats.")
+        lead = total[best] - sorted(total.values())[-2]
+        if lead < 1.0:
+            out.append("Evidence does not tell the best two apart (less than 1 nat).")
+        else:
+            out.append(f"Evidence is highest for {best}, by {lead:.1f} nats.")
     far = [
         (abs(cell["distance_sd"]), name, case, label)
         for case, rows in result["parameters"].items()
@@ -356,7 +377,13 @@ def _sentences(result: Mapping[str, Any]) -> list[str]:
         moves = [(abs(p[w]["shift"]), n, c) for c, rows in cases.items() for n, p in rows.items() for w in p]
         if moves:
             size, name, case = max(moves)
-            out.append(f"{label}: priors half or twice as wide move {name} of case {case} most, by {size:.2f} sd.")
+            out.append(
+                f"{label}: {name} of case {case} hangs most on its own prior (half or twice as wide: {size:.2f} sd)."
+            )
+        if any(not p[w]["reliable"] for rows in cases.values() for p in rows.values() for w in p):
+            out.append(
+                f"{label}: shifts marked ? rest on too few draws (Pareto k above 0.7); fit with that prior to know."
+            )
     return out
 
 
