@@ -30,7 +30,7 @@ STRENGTHS = np.geomspace(1.0, 3e4, 19)  # of a column's response, in noise stand
 MOST_SHAPES = 6  # in a sparse hypothesis
 USABLE = 1e-3  # a column of which parameters leave less than this share of its length is not used
 PRIOR_NONE = 0.4
-TEMPERING = 0.04  # share of the best evidence by which surrogates may be wrong
+TEMPERING = 0.1  # share of the best evidence by which linear responses and approximate shapes may be wrong
 
 
 @dataclass(frozen=True, eq=False)
