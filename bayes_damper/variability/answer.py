@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from bayes_damper import arviz_adapter, figures
 from bayes_damper.distributions import to_standard
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.provenance import provenance
+from bayes_damper.provenance import code_sha256, provenance
 from bayes_damper.run import Progress, Task, read_json, run_tasks, write_json
 from bayes_damper.variability.decomposition import Sets, decompose
 from bayes_damper.variability.pooling import POOLINGS, Recycled, gaussian_hierarchy_of, recycle
@@ -188,9 +188,11 @@ def _read_fit(folder: str | Path) -> tuple[dict[str, Any], Path | None]:
 def _claim(target: Path, settings: Mapping[str, Any]) -> None:
     """Note what runs in the working folder; another run's pieces are not mixed with this one's."""
     path = target / "variability" / "run.json"
-    record = {"command": "variability", "plan": dict(settings)}
+    record = {"command": "variability", "plan": dict(settings), "code": code_sha256()}
     if path.exists() and read_json(path) != record:
-        raise InputError(f"{path.parent}: holds pieces of another run; remove that folder, or name another --out")
+        raise InputError(
+            f"{path.parent}: holds pieces of another run, or of another version of the package; remove that folder, or name another --out"
+        )
     write_json(path, record)
 
 
