@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from bayes_damper import arviz_adapter, figures
 from bayes_damper.arviz_adapter import hdi
-from bayes_damper.calibration import Experiment, calibrate_nominal, experiment_of
+from bayes_damper.calibration import Experiment, TrialRecord, calibrate_nominal, experiment_of
 from bayes_damper.campaign import load_campaign
 from bayes_damper.checkpoint import Checkpoint
 from bayes_damper.distributions import Distribution
@@ -194,9 +195,11 @@ def finish_fit(
     # The joint fit is the longest: it starts first.
     order = sorted(names, key=lambda name: name != "joint")
     tasks = [
-        Task(name, f"bayes_damper.fit:{kind}", {"name": name, "plan": dict(plan), "threads": 1}) for name in order
+        Task(folder_name(name), f"bayes_damper.fit:{kind}", {"name": name, "plan": dict(plan), "threads": 1})
+        for name in order
     ]
-    results = run_tasks(tasks, folder, workers=workers, scheduler=scheduler, progress=progress)
+    done = run_tasks(tasks, folder, workers=workers, scheduler=scheduler, progress=progress)
+    results = {name: done[folder_name(name)] for name in names}
     found = {name: results[name] for name in plan["cases"]}
     summary: dict[str, Any] = {
         "schema": SCHEMA,
@@ -211,9 +214,16 @@ def finish_fit(
     summary["provenance"] = provenance()
     write_json(folder / "summary.json", summary)
     write_table(summary, folder / "summary.csv")
-    arviz_adapter.combine_cases({name: folder / name / "posterior.nc" for name in plan["cases"]}, folder / "posterior.nc")
+    arviz_adapter.combine_cases({name: folder / folder_name(name) / "posterior.nc" for name in plan["cases"]}, folder / "posterior.nc")
     _draw_overview(folder, summary)
     return Fit(folder, summary)
+
+
+def folder_name(case: str) -> str:
+    """The folder of a case: its label where that is a plain word, else one that no file system minds."""
+    if re.fullmatch(r"[\w-]+", case):
+        return case
+    return re.sub(r"[^\w-]+", "_", case) + "-" + hashlib.sha256(case.encode()).hexdigest()[:6]
 
 
 def stopping_rule(plan: Mapping[str, Any]) -> StoppingRule:
@@ -345,7 +355,7 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
     few = sampling.flat(60)
     bands = posterior.predictive(few, rng)
     entry = _entry(draws, _shares(posterior.names, sampling.flat()), sampling, dict(posterior.outcomes))
-    labels = {i: experiment.trials[i].label for i in posterior.trials}
+    labels = {i: _trial_label(experiment.trials[i]) for i in posterior.trials}
     entry["trials"] = {
         labels[i]: {
             key: {"mean": float(x.mean()), "sd": float(x.std()), "hdi90": list(hdi(x)), "unit": unit_of(key)}
@@ -376,6 +386,12 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
     _draw_case(folder, f"{plan['name']}, {'all cases' if name == 'joint' else f'case {name}'}", draws, sampling, None)
     _draw_records(folder, experiment, bands, sampling.converged)
     return entry
+
+
+def _trial_label(trial: TrialRecord) -> str:
+    """Words that name a trial, without the slash that separates groups in a posterior.nc."""
+    configuration = "coupled" if trial.coupled else "uncoupled"
+    return f"{trial.case} {configuration} #{trial.number}".replace("/", "|")
 
 
 def _trial_draws(posterior: RecordPosterior, points: Array, rng: np.random.Generator) -> dict[int, dict[str, Array]]:
@@ -575,7 +591,7 @@ def _draw_records(
         low, middle, high = np.nanquantile(bands[i], [0.05, 0.5, 0.95], axis=0)
         trial = experiment.trials[i]
         rows.append(
-            {"label": trial.label, "times": trial.times, "measured": trial.y, "low": low, "median": middle, "high": high}
+            {"label": _trial_label(trial), "times": trial.times, "measured": trial.y, "low": low, "median": middle, "high": high}
         )
     figure = figures.record_figure(
         rows, _READING_UNITS[experiment.quantity], title="measured records and the fitted model", converged=converged
