@@ -29,7 +29,7 @@ def answer(campaign, *, seed, leave_out, threads):
         "sites": sites,
         "pair": None,
         "gap": {"nominal_rms": 2.9, "augmented_rms": 2.01, "noise_rms": 2.0, "closed": {"median": 0.98}},
-        "parameters": {"mu": {"after": {"hdi90": [0.0, 1.0]}}, "k2t": {"after": {"hdi90": [5.0, 6.0]}}},
+        "intervals90": {"mu": [0.0, 1.0], "k2t": [5.0, 6.0]},
         "seconds": float("nan"),
     }
 

@@ -24,7 +24,7 @@ def entry(truth, *, kind="easy", level=0.5, visible=500.0, standing="library", s
         "class": None if none else [truth], "standing": None if none else standing,
         "site": site or SITE.get(truth, "ground1"),
         "level_wanted": 0.0 if none else level, "visible_chi2": 0.0 if none else visible,
-        "nominal": {"mu": 0.005, "k2t": 1.6}, "disturbances": [{"shape": [0.3, 0.0, 0.0]}],
+        "nominal": {"mu": 0.005, "k2t": 1.6}, "disturbances": [{"shape": [0.3, 0.01, 0.0]}],
     }  # fmt: skip
 
 
@@ -308,14 +308,11 @@ def test_a_pair_needs_both_names():
 
 
 def test_coverage_and_instant_of_an_event():
-    verdict = said(
-        "spring_cubic",
-        parameters={"mu": {"after": {"hdi90": [0.004, 0.006]}}, "k2t": {"after": {"hdi90": [1.7, 1.8]}}},
-    )
+    verdict = said("spring_cubic", intervals90={"mu": [0.004, 0.006], "k2t": [1.7, 1.8]})
     assert scores.score_one("c", verdict, entry("spring_cubic"), GROUPS).covered == {"mu": True, "k2t": False}
     assert scores.score_one("c", verdict, entry("stick_slip"), GROUPS).covered == {}
     knock = entry("knock", standing="development")
-    row = scores.score_one("c", said("unknown", where={"time": [{"start_s": 0.302, "end_s": 0.31}]}), knock, GROUPS)
+    row = scores.score_one("c", said("unknown", where={"event": {"instant_s": 0.307}}), knock, GROUPS)
     assert row.event_error_s == pytest.approx(0.002)
     assert scores.score_one("c", said("unknown"), knock, GROUPS).event_error_s == math.inf
 
@@ -386,8 +383,8 @@ def test_every_target_of_the_table_can_be_judged():
             seconds=9.0,
             left_out_case={"closed": 0.95},
             sites={SITE.get(truth, "ground1"): 1.0},
-            parameters={"mu": {"after": {"hdi90": [0.004, 0.006]}}},
-            where={"time": [{"start_s": 0.3}]},
+            intervals90={"mu": [0.004, 0.006]},
+            where={"event": {"instant_s": 0.305}},
             pair={"effects": effects} if effects else None,
         )
         standing = "library" if known else "development"

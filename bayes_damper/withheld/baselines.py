@@ -148,7 +148,6 @@ def _terms(fit: Calibration, m: Motion) -> Iterator[tuple[str, Array, Array]]:
     yield "stiffness_error", m.k1t[:, None] * th1, zero
     yield "bearing_stribeck", sign1 * np.exp(-np.abs(w1) / speed), on * sign2 * np.exp(-np.abs(w2) / speed)
     yield "quadratic_drag", w1 * np.abs(w1), on * w2 * np.abs(w2)
-    yield "release_ramp", np.exp(-m.since[:, at] / 0.005), zero
     yield "sensor_delay", np.gradient(m.a1[:, at], axis=1), zero
     if not fit.problem.experiment.coupled:
         return

@@ -64,9 +64,10 @@ class Withheld:
 
 
 def verdict_of(campaign: str, *, seed: int, leave_out: Sequence[str], threads: int) -> dict[str, Any]:
-    """The diagnosis of one campaign folder, as diagnosis.json, with the answers of the baselines on the same fits.
+    """The diagnosis of one campaign folder, as diagnosis.json, with what the scores need beyond it.
 
-    leave_out : effects taken out of the library.
+    That is: the answers of the baselines on the same fits, intervals under the leading effect, a case left out; none of
+    it where effects are taken out of the library (`leave_out`).
     """
     from bayes_damper.campaign import load_campaign
     from bayes_damper.diagnosis import diagnose
@@ -76,7 +77,29 @@ def verdict_of(campaign: str, *, seed: int, leave_out: Sequence[str], threads: i
     if "threads" in inspect.signature(diagnose).parameters:
         options["threads"] = threads
     found = diagnose(load_campaign(campaign), **options)
-    return {**found.to_json(), "baselines": {} if leave_out else baselines_of(found)}
+    told = found.to_json()
+    if leave_out:
+        return told
+    return {**told, "baselines": baselines_of(found), **_under_the_winner(found)}
+
+
+def _under_the_winner(found: Any) -> dict[str, Any]:
+    """Intervals of the parameters under the leading effect, and what it closes of the gap on a case left out.
+
+    The case left out is the last of the campaign; nothing is told where the leading answer has no fit.
+    """
+    from bayes_damper.diagnosis.gap import left_out_case
+
+    fit = None if found.winner is None else found.winner.fit
+    if fit is None:
+        return {}
+    names = fit.problem.names
+    out: dict[str, Any] = {"intervals90": {n: list(fit.interval(n)) for n in scores.PARAMETERS if n in names}}
+    cases = sorted({trial.case for trial in found.experiment.trials})
+    if len(cases) > 1 and found.verdict == found.winner.effect.name:
+        case = left_out_case(found.nominal, fit, cases[-1])
+        out["left_out_case"] = {"case": case.case, "closed": case.closed.median}
+    return out
 
 
 def give_verdict(

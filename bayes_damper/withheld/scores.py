@@ -209,23 +209,20 @@ def _covered(verdict: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, 
     """Whether the 90 % interval of each nominal parameter, under the winner, holds the true value."""
     out = {}
     for name in PARAMETERS:
-        row = (verdict.get("parameters") or {}).get(name) or {}
-        interval = (row.get("after") or {}).get("hdi90")
+        interval = (verdict.get("intervals90") or {}).get(name)
         if interval is not None and name in entry["nominal"]:
             out[name] = interval[0] <= float(entry["nominal"][name]) <= interval[1]
     return out
 
 
 def _event_error(verdict: Mapping[str, Any], entry: Mapping[str, Any]) -> float | None:
-    """Seconds between a knock and the place in time that the diagnosis names first; None where there is no knock."""
+    """Seconds between the middle of a knock and the instant that the diagnosis names; None where there is no knock."""
     if entry["effects"] != ["knock"]:
         return None
-    where = verdict.get("where") or {}
-    told = where.get("event") or next(iter(where.get("time") or ()), None)
-    if not isinstance(told, Mapping):
-        return math.inf
-    start = _float(told.get("start_s", told.get("time_s")))
-    return math.inf if start is None else abs(start - float(entry["disturbances"][0]["shape"][0]))
+    event = (verdict.get("where") or {}).get("event") or {}
+    instant = _float(event.get("instant_s"))
+    start, length, _ = entry["disturbances"][0]["shape"]
+    return math.inf if instant is None else abs(instant - (start + 0.5 * length))
 
 
 # Intervals ------------------------------------------------------------------------------------------------------------
