@@ -5,13 +5,20 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayes_damper.sampling.moves import DifferentialEvolution, Independence, Snooker, StudentT, _distinct
+from bayes_damper.sampling.moves import DifferentialEvolution, Independence, Snooker, StudentT, _distinct, fit_mixture
+
+
+def mixture(ndim):
+    """A proposal of two wide bumps, neither of which is the target."""
+    centres = np.array([np.full(ndim, 0.3), np.full(ndim, -0.8)])
+    return Independence(np.array([0.7, 0.3]), centres, np.array([1.5, 2.5])[:, None, None] * np.eye(ndim), 5.0)
+
 
 MOVES = {
     "differential_evolution": lambda ndim: DifferentialEvolution(),
     "differential_evolution_spread": lambda ndim: DifferentialEvolution(spread=0.5),
     "snooker": lambda ndim: Snooker(),
-    "independence": lambda ndim: Independence(np.full(ndim, 0.3), 1.5 * np.eye(ndim), 5.0),
+    "independence": mixture,
     "default_mix": lambda ndim: [
         (DifferentialEvolution(), 0.7),
         (DifferentialEvolution(1.0), 0.1),
@@ -143,6 +150,53 @@ def test_student_t_agrees_with_scipy(freedom):
     peer = stats.multivariate_t([1.0, -1.0], covariance, df=freedom)
     assert np.allclose(shape.log_density(points[:50]), peer.logpdf(points[:50]))
     assert stats.kstest((points[:, 0] - 1) / np.sqrt(2), stats.t(freedom).cdf).pvalue > 1e-3
+
+
+def test_a_mixture_proposal_has_the_density_that_it_draws_from():
+    move = mixture(2)
+    random = np.random.RandomState(4)
+    points, _ = move.proposal(np.zeros((40_000, 2)), np.zeros((2, 2)), random)
+    peers = [stats.multivariate_t(s.centre, s.covariance, df=5.0) for s in move.shapes]
+    density = sum(w * peer.pdf(points[:50]) for w, peer in zip(move.shares, peers, strict=True))
+    np.testing.assert_allclose(np.exp(move.log_density(points[:50])), density)
+    marginal = [stats.t(5.0, s.centre[0], np.sqrt(s.covariance[0, 0])) for s in move.shapes]
+    mixed = lambda x: sum(w * m.cdf(x) for w, m in zip(move.shares, marginal, strict=True))  # noqa: E731
+    assert stats.kstest(points[:, 0], mixed).pvalue > 1e-3
+
+
+def two_bumps(count, rng):
+    """Draws (count, 2) of two bumps, a third of them in the first, in coordinates of very different size."""
+    first = rng.random(count) < 1.0 / 3.0
+    white = rng.standard_normal((count, 2))
+    points = np.where(first[:, None], white * [1.0, 0.3] + [-4.0, 0.0], white * [0.5, 1.0] + [3.0, 2.0])
+    return points * [1e-4, 1e3]
+
+
+def test_a_fitted_mixture_is_close_to_what_was_drawn():
+    draws = two_bumps(4000, np.random.default_rng(2))
+    shares, centres, covariances = fit_mixture(draws)
+    assert shares.sum() == pytest.approx(1.0)
+    assert len(shares) == len(centres) == len(covariances)
+    mean = shares @ centres
+    within = np.einsum("k,kij->ij", shares, covariances)
+    between = np.einsum("k,ki,kj->ij", shares, centres - mean, centres - mean)
+    sd = draws.std(axis=0)
+    assert np.abs((mean - draws.mean(axis=0)) / sd).max() < 0.08
+    assert np.abs((within + between - np.cov(draws.T)) / np.outer(sd, sd)).max() < 0.1
+    left = centres[:, 0] < 0.0
+    assert shares[left].sum() == pytest.approx(1.0 / 3.0, abs=0.04)
+    fresh = two_bumps(2000, np.random.default_rng(3))
+    move = Independence(shares, centres, covariances, 1e6)
+    one = StudentT(draws.mean(axis=0), np.cov(draws.T), 1e6)
+    assert move.log_density(fresh).mean() > one.log_density(fresh).mean() + 0.5
+
+
+def test_few_draws_are_fitted_by_a_single_normal():
+    draws = np.random.default_rng(0).standard_normal((24, 4)) * 3.0 + 1.0
+    shares, centres, covariances = fit_mixture(draws)
+    assert shares.tolist() == [1.0]
+    assert centres.shape == (1, 4)
+    assert np.linalg.eigvalsh(covariances[0]).min() > 0.0
 
 
 def test_the_check_tells_a_snooker_that_keeps_its_target_from_one_that_does_not():

@@ -13,6 +13,7 @@ from bayes_damper.checkpoint import Checkpoint
 from bayes_damper.errors import InputError, Interrupted
 from bayes_damper.sampling import StoppingRule, diagnose_draws, find_start, sample
 from bayes_damper.sampling.convergence import stranded_walkers
+from bayes_damper.sampling.start import annealed_start, cloud
 
 
 class Gaussian:
@@ -51,6 +52,68 @@ def test_start_is_the_optimum_with_the_local_covariance():
 def test_start_without_any_finite_point_says_so():
     with pytest.raises(InputError, match="zero at all 20 points"):
         find_start(lambda x: np.full(len(x), -np.inf), np.zeros((20, 2)), np.random.default_rng(0))
+
+
+def unit_normal(points):
+    return -0.5 * (points**2 + np.log(2.0 * np.pi)).sum(axis=1)
+
+
+def two_narrow_modes(points):
+    """Likelihood: 0.25 of a narrow bump at -1.5, 0.75 of a wider one at +1.5, in the first of two coordinates."""
+    x, y = points.T
+    bumps = [
+        np.log(w) - 0.5 * (((x - c) / s) ** 2 + ((y - 0.5) / s) ** 2) - 2.0 * np.log(s)
+        for w, c, s in ((0.25, -1.5, 0.05), (0.75, 1.5, 0.1))
+    ]
+    return np.logaddexp(*bumps)
+
+
+def test_an_annealed_population_has_the_weights_and_shapes_of_both_modes():
+    """With a unit normal prior each mode is again a normal, of known weight, mean and width."""
+    widths, centres = np.array([0.05, 0.1]), np.array([-1.5, 1.5])
+    sd = widths / np.sqrt(1.0 + widths**2)
+    # Evidence of each mode: its share times the product over both coordinates of N(0; centre, 1 + s^2).
+    evidence = np.array([0.25, 0.75]) / (1.0 + widths**2)
+    evidence = evidence * np.exp(-0.5 * (centres**2 + 0.5**2) / (1.0 + widths**2))
+    expected = evidence[0] / evidence.sum()
+    shares = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        start = annealed_start(unit_normal, two_narrow_modes, rng.standard_normal((1200, 2)), rng)
+        left = start.population[:, 0] < 0.0
+        shares.append(left.mean())
+    for k, inside in enumerate((left, ~left)):
+        mode = start.population[inside]
+        mean = np.array([centres[k], 0.5]) / (1.0 + widths[k] ** 2)
+        assert np.abs(mode.mean(axis=0) - mean).max() < 0.2 * sd[k]
+        assert np.abs(mode.std(axis=0) / sd[k] - 1.0).max() < 0.15
+    error = np.std(shares, ddof=1) / np.sqrt(len(shares))
+    assert error < 0.03
+    assert abs(np.mean(shares) - expected) < 4.0 * max(error, 0.005)
+    assert start.log_prob == pytest.approx((unit_normal(start.point[None]) + two_narrow_modes(start.point[None]))[0])
+    walkers, heights = cloud(lambda x: unit_normal(x) + two_narrow_modes(x), start, 64, np.random.default_rng(0))
+    assert np.isfinite(heights).all()
+    assert {tuple(w) for w in walkers} <= {tuple(p) for p in start.population}
+
+
+def test_annealing_without_any_finite_point_says_so():
+    rng = np.random.default_rng(0)
+    with pytest.raises(InputError, match="zero at all 20 points"):
+        annealed_start(unit_normal, lambda x: np.full(len(x), -np.inf), np.zeros((20, 2)), rng)
+
+
+def test_annealing_passes_a_likelihood_that_is_zero_over_most_of_the_prior():
+    """A half plane: the posterior is the prior cut at x = 2, whose mean is known."""
+
+    def half_plane(points):
+        return np.where(points[:, 0] > 2.0, 0.0, -np.inf)
+
+    rng = np.random.default_rng(1)
+    start = annealed_start(unit_normal, half_plane, rng.standard_normal((2000, 2)), rng)
+    assert start.population[:, 0].min() > 2.0
+    mills = np.exp(-2.0) / np.sqrt(2.0 * np.pi) / 0.0227501319
+    assert start.population[:, 0].mean() == pytest.approx(mills, abs=0.05)
+    assert start.population[:, 1].std() == pytest.approx(1.0, abs=0.1)
 
 
 def test_gaussian_is_recovered_and_the_rule_is_met():
