@@ -210,7 +210,9 @@ def test_a_run_that_was_stopped_goes_on_with_what_is_missing(tmp_path):
     assert calls(tmp_path) == ["c00"]
     assert not (tmp_path / "out/withheld.json").exists()
     assert set(check.sealed_now(tmp_path / "out")) == {"c00"}
-    found = run(tmp_path, "stopped_once")
+    record = json.loads((tmp_path / "out/run.json").read_text())
+    assert record["command"] == "withheld"
+    found = check.finish_withheld(tmp_path / "out", record["plan"], workers=1)
     assert calls(tmp_path) == ["c00", "c01", "c02"]
     assert found.results["scores"]["all"]["campaigns"] == 3
 

@@ -245,6 +245,29 @@ def withheld(
     return Withheld(results, home)
 
 
+def finish_withheld(
+    home: Path, plan: Mapping[str, Any], *, workers: int = 2, progress: Progress | None = None
+) -> Withheld:
+    """Go on with a run that was stopped; `plan` as its run.json holds it.
+
+    Raises
+    ------
+    SelfCheckError, InputError
+        as `withheld`.
+    """
+    return withheld(
+        plan["folder"],
+        full=plan["full"],
+        key=plan["key"],
+        seed=plan["seed"],
+        leave_one_out=plan["leave_one_out"],
+        diagnose_with=plan["diagnose_with"],
+        workers=workers,
+        out=home,
+        progress=progress,
+    )
+
+
 def _begin(home: Path, now: Mapping[str, Any]) -> dict[str, Any]:
     """The freeze of the run in `home`: what is there, or a new one."""
     path = home / "freeze.json"
@@ -460,11 +483,6 @@ def _shipped() -> Path | None:
         return shipped_path(SHIPPED)
     except InputError:
         return None
-
-
-def load(folder: str | Path) -> Withheld:
-    """The finished check in a folder."""
-    return Withheld(read_json(Path(folder) / "withheld.json"), Path(folder))
 
 
 def sealed_now(home: Path) -> dict[str, str]:
