@@ -149,6 +149,14 @@ def test_every_disturbance_changes_the_records(name):
     assert changed > 0.2
 
 
+@pytest.mark.parametrize("name", [n for n, k in sorted(kinds.KINDS.items()) if k.site == "interface"])
+def test_interface_kinds_leave_the_uncoupled_rig_alone(name):
+    """Without the secondary there are no faces: the uncoupled record is that of the nominal rig."""
+    kind = kinds.KINDS[name]
+    d = kind.at(min(kind.scale, kind.limit), kind.shape(np.random.default_rng(5)))
+    np.testing.assert_array_equal(simulate.record(RIG, False, TIMES, [d]), simulate.record(RIG, False, TIMES))
+
+
 def test_the_list_of_kinds_holds_every_required_one():
     assert set(kinds.names("library")) == {
         "spring_cubic",

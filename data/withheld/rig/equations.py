@@ -115,6 +115,8 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
             return -p0 * z0, -p0 * z1
         return 0.0, 0.0
     if code < 60:
+        if not coupled:  # there is no interface
+            return 0.0, 0.0
         phi = th1 - th2
         if code == MAGNET_CUBIC:  # field of a small magnet: falls off as (1 + (phi/b)^2)^(-3/2)
             q = -p0 * g[K2] * phi * ((1.0 + (phi / p1) ** 2) ** -1.5 - 1.0)
