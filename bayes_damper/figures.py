@@ -47,14 +47,15 @@ def new_figure(width: float = 7.0, height: float = 4.0, converged: bool = True) 
 
 
 def mark(figure: Figure) -> None:
-    """Write across the top of a figure that its run did not converge, above what is drawn."""
+    """Write across a figure that its run did not converge: below what is drawn where there is a layout, else above."""
     engine = figure.get_layout_engine()
     if engine is not None:
-        engine.set(rect=(0.0, 0.0, 1.0, 1.0 - 0.28 / figure.get_figheight()))  # type: ignore[call-arg]
+        strip = 0.28 / figure.get_figheight()
+        engine.set(rect=(0.0, strip, 1.0, 1.0 - strip))  # type: ignore[call-arg]
     figure.text(
-        *(0.5, 0.995, NOT_CONVERGED),
+        *(0.5, 0.995 if engine is None else 0.005, NOT_CONVERGED),
         ha="center",
-        va="top",
+        va="top" if engine is None else "bottom",
         color="white",
         weight="bold",
         bbox={"facecolor": "#B00020", "edgecolor": "none", "pad": 3.0},
@@ -108,6 +109,7 @@ def corner_figure(
                 smooth1d=1.0,
                 labels=[labels.get(name, name) for name in names],
                 label_kwargs={"fontsize": 9},
+                labelpad=0.22,
                 color=colour,
                 levels=(0.5, 0.9),
                 quantiles=(0.05, 0.5, 0.95) if single else None,
@@ -123,6 +125,8 @@ def corner_figure(
                 figure.text(
                     0.98, 0.97 - 0.035 * k, group, color=colour, ha="right", va="top", weight="bold", fontsize=11
                 )
+        margin = 1.05 / figure.get_figwidth()  # room for the labels beside the slanted numbers
+        figure.subplots_adjust(left=margin, bottom=margin)
         figure.suptitle(title, x=0.98 if single else 0.75, y=0.99, ha="right", va="top", fontsize=12)
     if not converged:
         mark(figure)
@@ -209,6 +213,7 @@ def forest_figure(
                 axis.plot(median, y, "o", color=COLOURS[1], ms=5)
             axis.set_yticks(range(len(groups)), groups)
             axis.set_ylim(len(groups) - 0.5, -0.5)
+            axis.locator_params(axis="x", nbins=4)
             axis.set_xlabel(labels.get(name, name))
         for axis in axes[len(names) :]:
             axis.set_visible(False)

@@ -51,7 +51,7 @@ _MORE = {
     ),
     "variability_scatter": ("Scatter over the cases", "Median and 90 % interval of each part of the scatter."),
 }
-_KINDS = ("variability", "tune", "withheld", "compare", "bench")
+_KINDS = ("variability", "tune", "withheld", "comparison", "bench")
 _MAIN = (
     "mu", "friction_torque", "friction_torque_per_inertia", "k2t", "c2t", "drag", "nu", "c1t", "c3t", "k1t", "J1", "J2",
 )  # fmt: skip
@@ -159,7 +159,9 @@ def _overview(groups: Mapping[str, Any]) -> Table:
             cells.append(f"{number(p['median'], high - low)} ({interval(low, high)}){star}")
         rows.append(Row((_symbol(name), unit, *cells)))
     columns = ("parameter", "unit", *(n if n.startswith("all") else f"case {n}" for n in groups))
-    return Table("Median and 90 % interval", columns, tuple(rows), "* decided by the prior, not by the data")
+    starred = any(cell.endswith("*") for row in rows for cell in row.cells)
+    note = "* decided by the prior, not by the data" if starred else ""
+    return Table("Median and 90 % interval", columns, tuple(rows), note)
 
 
 def _symbol(name: str) -> str:
@@ -548,7 +550,7 @@ READERS: Mapping[str, tuple[str, Callable[[Mapping[str, Any], Path], Result]]] =
             "withheld", "Withheld causes", "Verdicts on campaigns whose causes were sealed, and their scores."
         ),
     ),
-    "compare.json": ("bayes-damper/compare/1", other_result("compare", "Comparison", "Results side by side.")),
+    "comparison.json": ("bayes-damper/comparison/1", other_result("comparison", "Comparison", "Results side by side.")),
     "bench.json": (
         "bayes-damper/bench/1",
         other_result("bench", "Speed and accuracy", "Measured on the machine named below."),

@@ -96,6 +96,8 @@
         view.ready = true;
       }
       this.view = view;
+      const tall = view.panels.reduce((sum, p) => sum + p.height, 0);
+      this.canvas.style.height = `${Math.max(22, 4 + 5.5 * tall)}rem`;
       this.range = [...view.extent];
       this.cursor = null;
       this.readout.textContent = "Point at the chart to read values; drag over a stretch to zoom, double-click for all.";
