@@ -288,7 +288,8 @@ def search(
 
     def refine(k: int) -> Candidate:
         effect, variant = pool[k]
-        count = STARTS_OF_LEADERS if gains[k] > 0.5 * best else 1
+        # Without a null the screening cannot set an amplitude, and ranks starts badly: try them all.
+        count = len(variant.starts) if variant.null is None else STARTS_OF_LEADERS if gains[k] > 0.5 * best else 1
         candidate = fit_variant(nominal, effect, variant, screens[k], count, min(reached))
         if candidate.fit is not None:
             reached.append(candidate.fit.cost)
