@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from bayes_damper.bench import bench as bench
     from bayes_damper.campaign import load_campaign as load_campaign
     from bayes_damper.check import check as check
+    from bayes_damper.compare import compare as compare
     from bayes_damper.demo import demo as demo
     from bayes_damper.diagnose import diagnose as diagnose
     from bayes_damper.fit import fit as fit
@@ -26,11 +27,13 @@ if TYPE_CHECKING:
     from bayes_damper.simulate import simulate_record as simulate_record
     from bayes_damper.tuning import tune as tune
     from bayes_damper.variability import variability as variability
+    from bayes_damper.withheld import withheld as withheld
 
 _PLACES = {
     "Model": "model",
     "bench": "bench",
     "check": "check",
+    "compare": "compare",
     "demo": "demo",
     "diagnose": "diagnose",
     "fit": "fit",
@@ -43,11 +46,12 @@ _PLACES = {
     "simulate_record": "simulate",
     "tune": "tuning",
     "variability": "variability",
+    "withheld": "withheld",
 }
 
 __all__ = [
-    "Model", "bench", "check", "demo", "diagnose", "fit", "import_records", "init_campaign", "load_campaign",
-    "load_published", "report", "resume", "simulate_record", "tune", "variability",
+    "Model", "bench", "check", "compare", "demo", "diagnose", "fit", "import_records", "init_campaign", "load_campaign",
+    "load_published", "report", "resume", "simulate_record", "tune", "variability", "withheld",
 ]  # fmt: skip
 
 
