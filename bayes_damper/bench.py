@@ -17,6 +17,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import emcee
 import numba
 import numpy as np
 from numba import njit
@@ -28,6 +29,7 @@ from bayes_damper.damper import ROWS
 from bayes_damper.errors import ExitCode
 from bayes_damper.integrator import LANES
 from bayes_damper.model import Model
+from bayes_damper.sampling.moves import DifferentialEvolution, Snooker
 
 Array = NDArray[np.float64]
 SCHEMA = "bayes-damper/bench/1"
@@ -96,6 +98,10 @@ class Bench:
     work_precision: dict[str, list[tuple[float, float]]]
     peak_gflops: float
     kernel_gflops: float
+    scaling: dict[str, list[tuple[float, float]]]
+    """Total time (us) over the number of samples of 32 records, and over the number of records (trials) of 1001."""
+    emcee_overhead: float
+    """Time (us) that emcee spends per walker and step beside the target, 64 walkers, 6 parameters, default mix."""
 
     @property
     def accurate(self) -> bool:
@@ -364,15 +370,59 @@ def bench(*, repeats: int = 7, peers: bool = True) -> Bench:
     )
     peak = peak_gflops()
     reached = max(passes[nu] * FLOPS_PER_STEP / least["kernel alone", nu] / 1e9 for nu in SHARPNESS)
+    overhead = _emcee_overhead()
     return Bench(
         machine={"processor": _processor(), "python": platform.python_version(), "numba": numba.__version__},
         rows=rows,
-        targets=_targets(rows, missing if peers else [], peak, reached),
+        targets=(
+            *_targets(rows, missing if peers else [], peak, reached),
+            Target("emcee's own time per walker and step, us", 2.5, overhead, True),
+        ),
         missing=tuple(missing),
         work_precision=_work_precision(),
         peak_gflops=peak,
         kernel_gflops=reached,
+        scaling=_scaling(),
+        emcee_overhead=overhead,
     )
+
+
+def _scaling() -> dict[str, list[tuple[float, float]]]:
+    """Total CPU time over the length of the record and over the number of records."""
+    model, nu = Model(), 100.0
+    curves: dict[str, list[tuple[float, float]]] = {"samples": [], "records": []}
+    table = vectors(nu, 32)
+    for samples in (251, 501, 1001, 2001, 4001):
+        times = np.arange(samples) * 1e-3
+        spent = _interleaved({0: (lambda t=times: model.simulate(table, t), 1)}, 5)[0]  # type: ignore[misc]
+        curves["samples"].append((samples, spent * 1e6))
+    for records in (16, 32, 64, 128, 256):
+        many = {name: np.resize(v, records) if np.ndim(v) else v for name, v in vectors(nu).items()}
+        spent = _interleaved({0: (lambda v=many: model.simulate(v, TIMES), 1)}, 5)[0]  # type: ignore[misc]
+        curves["records"].append((records, spent * 1e6))
+    return curves
+
+
+def _emcee_overhead(walkers: int = 64, ndim: int = 6, steps: int = 400) -> float:
+    """CPU time per walker and step of the default mix of moves on a target that costs next to nothing, us."""
+    mix = [(DifferentialEvolution(spread=0.3), 0.7), (DifferentialEvolution(1.0, spread=1e-3), 0.1), (Snooker(), 0.2)]
+
+    def target(points: Array) -> Array:
+        return np.asarray(-0.5 * np.einsum("ij,ij->i", points, points))
+
+    start = np.random.default_rng(1).standard_normal((walkers, ndim))
+    sampler = emcee.EnsembleSampler(walkers, ndim, target, moves=mix, vectorize=True)
+    state = sampler.run_mcmc(start, 50, skip_initial_state_check=True)
+    spent = math.inf
+    for _ in range(5):
+        begun = time.process_time()
+        state = sampler.run_mcmc(state, steps, skip_initial_state_check=True)
+        own = time.process_time() - begun
+        begun = time.process_time()
+        for _ in range(2 * steps):
+            target(start[: walkers // 2])
+        spent = min(spent, own - (time.process_time() - begun))
+    return spent / (walkers * steps) * 1e6
 
 
 def _order(least: dict[Any, float]) -> Callable[[Any], Any]:
@@ -443,6 +493,19 @@ def _work_precision() -> dict[str, list[tuple[float, float]]]:
     return curves
 
 
+def _scaling_lines(scaling: dict[str, list[tuple[float, float]]]) -> list[str]:
+    lines = []
+    for what, points in scaling.items():
+        lines += [
+            f"| {what} | " + " | ".join(f"{n:g}" for n, _ in points) + " |",
+            "| --- " * (len(points) + 1) + "|",
+            "| CPU time, ms | " + " | ".join(f"{spent / 1e3:.3g}" for _, spent in points) + " |",
+            "| per one, us | " + " | ".join(f"{spent / n:.3g}" for n, spent in points) + " |",
+            "",
+        ]
+    return lines[:-1]
+
+
 def save(result: Bench, folder: Path) -> list[Path]:
     """Write bench.json, bench.md and the figure of work against precision; gives the files."""
     from bayes_damper import figures
@@ -461,6 +524,10 @@ def save(result: Bench, folder: Path) -> list[Path]:
         f"({share:.0%}, idle lanes included).",
         "",
         result.table(),
+        "",
+        "Cost grows in proportion to the number of samples and of records (32 records; 1001 samples; nu = 100):",
+        "",
+        *_scaling_lines(result.scaling),
         "",
         "![Error against time](bench.svg)",
     ]
