@@ -117,7 +117,11 @@ def variability(
         runs = _run_published(cases, settings, work, workers, scheduler, progress)
         models, published_sets = cases.models(runs, work, rng, draws)
         sets: Sets | None = published_sets
-        draws_of = _fit_draws(fitted, plan, cases) if fitted is not None else cases.own_draws(rng, _RECYCLED_DRAWS)
+        draws_of = (
+            _fit_draws(fitted, plan, cases)
+            if fitted is not None
+            else cases.own_draws(rng, min(_RECYCLED_DRAWS, 4 * particles))
+        )
         direct = cases.loaded(work / "partial-own-0", "partial", None, own_constants=True)
     else:
         models, sets = cases.models(rng, particles, draws)
@@ -191,7 +195,8 @@ def _claim(target: Path, settings: Mapping[str, Any]) -> None:
     record = {"command": "variability", "plan": dict(settings), "code": code_sha256()}
     if path.exists() and read_json(path) != record:
         raise InputError(
-            f"{path.parent}: holds pieces of another run, or of another version of the package; remove that folder, or name another --out"
+            f"{path.parent}: holds pieces of another run, or of another version of the package; remove that folder, "
+            "or name another --out"
         )
     write_json(path, record)
 
