@@ -10,6 +10,9 @@ PYTHON ?=
 RUN := $(VENV)/bin/python
 PIP := $(RUN) -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 DEMO_OUT ?= results/demo
+# Processes that run tests side by side; tests of one file, or of one formula of an effect, stay together.
+JOBS ?= 2
+TESTS = $(RUN) -m pytest --numprocesses $(JOBS) --dist loadgroup
 
 export PYTHONHASHSEED := 0
 export OMP_NUM_THREADS ?= 1
@@ -54,10 +57,10 @@ demo: $(VENV)/.core ## fit the four cases of the thesis: table, figures, files
 	@$(VENV)/bin/bayes-damper demo --out $(DEMO_OUT)
 
 test: $(VENV)/.dev ## the quick tests
-	@$(RUN) -m pytest -m "not slow and not prove"
+	@$(TESTS) -m "not slow and not prove"
 
 slow: $(VENV)/.dev ## the tests that take longer
-	@$(RUN) -m pytest -m "slow and not prove"
+	@$(TESTS) -m "slow and not prove"
 
 lint: $(VENV)/.dev ## ruff: rules and format
 	@$(RUN) -m ruff check .

@@ -37,12 +37,23 @@ PARAMETERS = {
 RIG = Rig(**PARAMETERS, slope=PARAMETERS["R"] / (2.0 * PARAMETERS["r"]))
 VARIANTS = {f"{e.name}/{v.name}": (e, v) for e in EFFECTS.values() for v in e.variants}
 every_variant = pytest.mark.parametrize(("effect", "variant"), VARIANTS.values(), ids=VARIANTS)
+SECOND = {f"{e.name}/{v.name}" for e in EFFECTS.values() for v in e.variants[1:]}  # quick tests take the first of each
 
 
 def of(condition):
     """Parametrises a test over the variants that meet a condition."""
     chosen = {name: pair for name, pair in VARIANTS.items() if condition(*pair)}
     return pytest.mark.parametrize(("effect", "variant"), chosen.values(), ids=chosen)
+
+
+def simulated(condition=lambda e, v: True):
+    """As `of`, for tests that compile a kernel for each variant (seconds): only the first of an effect is quick."""
+    chosen = [
+        pytest.param(*pair, id=name, marks=[pytest.mark.xdist_group(name), *[pytest.mark.slow] * (name in SECOND)])
+        for name, pair in VARIANTS.items()
+        if condition(*pair)
+    ]
+    return pytest.mark.parametrize(("effect", "variant"), chosen)
 
 
 def padded(values):
@@ -401,7 +412,7 @@ def test_release_ramp_holds_the_rig_at_first_and_then_lets_go():
 TIMES = np.arange(0.0, 0.25, 1e-3)
 
 
-@every_variant
+@simulated()
 def test_effect_at_its_null_is_the_bare_rig(effect, variant):
     if variant.null is None:
         assert variant.replaces_friction
@@ -445,7 +456,7 @@ def reference(variant, values, times):
     return np.array([forces(t, y) for t, y in zip(times, solution.y.T, strict=True)]).T
 
 
-@of(lambda e, v: v.lag is None)
+@simulated(lambda e, v: v.lag is None)
 def test_kernel_agrees_with_scipy_and_plain_python(effect, variant):
     values = variant.starts[min(1, len(variant.starts) - 1)]
     lag = 0
@@ -466,7 +477,7 @@ def test_kernel_agrees_with_scipy_and_plain_python(effect, variant):
     assert error < (1e-4 if variant.sense is None else 4e-4)
 
 
-@of(lambda e, v: e.name == "sensor_delay")
+@simulated(lambda e, v: e.name == "sensor_delay")
 def test_a_lag_shifts_one_channel_and_not_the_other(effect, variant):
     record = Model(effect=variant).simulate(PARAMETERS, TIMES, effect={"time": 3e-3}).y[0]
     bare = Model().simulate(PARAMETERS, TIMES).y[0]
@@ -476,7 +487,7 @@ def test_a_lag_shifts_one_channel_and_not_the_other(effect, variant):
     assert (record[late, :3] == 0.0).all()
 
 
-@every_variant
+@simulated()
 def test_every_start_changes_the_record(effect, variant):
     starts = np.array(variant.starts)
     record = Model(effect=variant).simulate(PARAMETERS, TIMES, effect=named(variant, starts.T))

@@ -46,6 +46,12 @@ def test_the_wheel_is_small_and_holds_data_and_priors(wheel):
     names = zipfile.ZipFile(wheel).namelist()
     assert "bayes_damper/_shipped/data/thesis/measurements.csv" in names
     assert "bayes_damper/_shipped/priors/thesis.toml" in names
+    kept = [p.relative_to(ROOT) for folder in ("data", "priors") for p in (ROOT / folder).rglob("*") if p.is_file()]
+    for folder in ("thesis", "real", "withheld"):
+        assert any(p.parts[:2] == ("data", folder) for p in kept)
+    for path in kept:
+        assert "__pycache__" in path.parts or f"bayes_damper/_shipped/{path.as_posix()}" in names
+    assert not [name for name in names if "__pycache__" in name or name.endswith((".pyc", ".nbi", ".nbc"))]
     assert not [name for name in names if name.startswith("tests/")]
     assert wheel.stat().st_size < 5e6
 
