@@ -143,6 +143,8 @@ def plan_fit(
         beside = Path(campaign) / "priors.toml"
         file = Path(priors) if priors is not None else beside if beside.exists() else None
         prior_set = None if file is None else load_priors(file, kind=loaded.rig.kind)
+        if prior_set is not None:
+            recorded_priors(prior_set)
     chosen = list(known) if cases is None else list(dict.fromkeys(cases))
     unknown = [case for case in chosen if case not in known]
     if unknown:
@@ -311,6 +313,28 @@ def _search(posterior: FeaturePosterior, rng: np.random.Generator) -> Start:
     )
 
 
+def recorded_priors(priors: PriorSet) -> dict[str, Distribution | float]:
+    """Priors of nominal parameters as a calibration takes them: distributions, and numbers for fixed parameters.
+
+    Raises
+    ------
+    InputError
+        for what a campaign's prior file cannot say: a tied parameter, or numbers that differ between cases.
+    """
+    faults = [
+        f"priors {priors.name!r}: {name} is tied to {other}; in a campaign give it a prior or a number of its own"
+        for name, other in priors.tied.items()
+    ]
+    faults += [
+        f"priors {priors.name!r}: {name} has numbers per case; in a campaign each case has the same prior"
+        for name, entry in priors.entries.items()
+        if entry.cases
+    ]
+    if faults:
+        raise InputError(faults)
+    return {**priors.free, **priors.fixed}
+
+
 # Recorded trials --------------------------------------------------------------------------------------------------------
 
 
@@ -321,9 +345,9 @@ def recorded_experiment(plan: Mapping[str, Any], case: str | None) -> Experiment
         raise InputError(
             f"{plan['campaign']}: the campaign has changed since this run began; start a new run with another --out"
         )
-    priors: dict[str, Distribution] = {}
+    priors: dict[str, Distribution | float] = {}
     if plan["priors"] is not None:
-        priors = priors_from_dict(plan["priors"], kind=campaign.rig.kind).free
+        priors = recorded_priors(priors_from_dict(plan["priors"], kind=campaign.rig.kind))
     experiment = experiment_of(campaign, priors)
     marked = {t.file for t in campaign.trials if t.holdout}
     wanted = [case] if case is not None else plan["cases"]
