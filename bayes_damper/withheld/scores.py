@@ -414,7 +414,7 @@ class Target:
     chosen: Callable[[Scored], bool]
     least: float | None = None
     most: float | None = None
-    counted: int = 1
+    counted: int = 20
 
     def judge(self, rows: Sequence[Scored]) -> dict[str, Any]:
         """The figure, its interval, and whether the target is met: the interval holds it or lies beyond it."""
