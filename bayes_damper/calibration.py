@@ -142,7 +142,7 @@ class Experiment:
     restoring: Literal["linear", "pendulum"] = "linear"
     start: Literal["rest", "free"] = "rest"
     noise_sd: tuple[float, ...] = ()
-    priors: Mapping[str, Distribution] = field(default_factory=dict)
+    priors: Mapping[str, Distribution | float] = field(default_factory=dict)
 
     @property
     def coupled(self) -> bool:
@@ -300,7 +300,7 @@ class Problem:
         self.switches = switches or Switches()
         self.noise = noise or rough_noise(experiment, self.trials)
         self._medians = {
-            name: median(prior)
+            name: float(prior) if isinstance(prior, float | int) else median(prior)
             for name, prior in (default_priors(experiment) | dict(experiment.priors)).items()
             if name in NOMINAL
         }
@@ -347,8 +347,8 @@ class Problem:
         names = ["k2t", "c2t", "c1t", "c3t"] if coupled else ["c1t"]
         if self.nominal == "nonlinear":
             names += ["mu", "drag", "nu"] if coupled and e.magnet else ["drag", "nu"]
-        free = [n for n in names if not isinstance(priors[n], float | int) and _spread(priors[n]) > 0.0]
-        out = [Coordinate(n, "nominal", priors[n]) for n in free]
+        free = {n: p for n in names if not isinstance(p := priors[n], float | int) and _spread(p) > 0.0}
+        out = [Coordinate(n, "nominal", p) for n, p in free.items()]
         for name, (value, sd) in e.constants.items():
             if sd > 0.0 and (coupled or name == "J1"):
                 out.append(Coordinate(name, "constant", Normal(value, sd)))
@@ -1211,7 +1211,7 @@ def calibrate_nominal(
 # Reading a campaign -------------------------------------------------------------------------------------------------
 
 
-def experiment_of(campaign: Any, priors: Mapping[str, Distribution] | None = None) -> Experiment:
+def experiment_of(campaign: Any, priors: Mapping[str, Distribution | float] | None = None) -> Experiment:
     """A campaign.Campaign as an Experiment; priors override those of `default_priors`.
 
     Where no trial is marked as held out, the last one of each case and configuration that has repeats is.

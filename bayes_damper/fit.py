@@ -398,10 +398,10 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
     per_trial = {
         f"{key}[{labels[i]}]": _as_chains(x, sampling) for i, values in nuisances.items() for key, x in values.items()
     }
-    groups = {
+    groups: dict[str, Mapping[str, Array]] = {
         "trial_posterior": per_trial,
         "prior": _one_chain(posterior.values(rng.standard_normal((2000, posterior.ndim)))),
-        "posterior_predictive": {labels[i]: y[None].astype(np.float32) for i, y in bands.items()},
+        "posterior_predictive": {labels[i]: y[None] for i, y in bands.items()},
         "log_likelihood": {"trials": _as_chains(posterior.log_likelihood(kept), sampling)},
         "observed_data": {labels[i]: experiment.trials[i].y for i in posterior.trials},
     }
@@ -496,7 +496,8 @@ def _thinned(draws: Mapping[str, Array], sampling: Sampling) -> dict[str, Array]
 
 
 def _kept(sampling: Sampling) -> int:
-    return min(KEPT_DRAWS // sampling.draws.shape[0], sampling.draws.shape[1] * sampling.draws.shape[2])
+    ensembles, steps, walkers = sampling.log_prob.shape
+    return min(KEPT_DRAWS // ensembles, steps * walkers)
 
 
 def _one_chain(values: Mapping[str, Array]) -> dict[str, Array]:
