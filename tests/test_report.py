@@ -93,7 +93,7 @@ def write_diagnosis(folder: Path) -> None:
         "effects": [{"name": "stick_slip", "variant": "bristle", "site": "interface", "probability": 0.86,
                      "log_evidence": 812.3, "parameters": {"ratio": {"median": 1.4, "hdi90": [1.2, 1.6], "unit": "1"}},
                      "augmented_rms": 2.01, "closed": {"median": 0.97, "hdi90": [0.9, 1.0]}}],
-        "indistinguishable": [["friction_displacement", "normal_force_law"]],
+        "indistinguishable": [["stick_slip", "bearing_stribeck"], ["friction_displacement", "normal_force_law"]],
         "next_experiment": [{"configuration": "coupled", "k1t_n_m_per_rad": 10.2, "theta0_deg": 2.7,
                              "expected_information_nats": 1.8}],
     }  # fmt: skip
@@ -169,7 +169,9 @@ def test_everything_a_folder_holds_is_on_the_page(tmp_path):
     }  # fmt: skip
     assert "Most probable cause: stick slip (86 %), at the site interface (95 %)" in text
     assert "With 90 % probability it is one of stick slip and unknown" in text
-    assert "friction displacement and normal force law cannot be told apart" in text
+    assert "stick slip and bearing stribeck cannot be told apart" in text
+    assert "friction displacement and normal force law cannot" not in text
+    assert "Next experiment: coupled, k1t 10.2 N m/rad, released at 2.7 deg (expected gain 1.8 nats)." in text
     assert "closes 97 % of the gap" in text
     assert "Nothing was learnt about nu" in text
     assert "The cases do not share one parameter set (2 %)" in text

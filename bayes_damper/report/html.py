@@ -18,7 +18,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.provenance import provenance
-from bayes_damper.report.parts import NOTHING, Picture, Result, Section
+from bayes_damper.report.parts import NOTHING, Picture, Result, Section, percent
 from bayes_damper.report.results import READERS
 from bayes_damper.run import read_json
 
@@ -135,7 +135,7 @@ def _page(home: Path, names: tuple[str, ...], results: list[Result], warnings: l
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["json"] = _json
+    environment.filters |= {"json": _json, "percent": percent}
     sections = _numbered([r.section for r in results], names)
     charts = sum(len(_json(c.data)) for s in sections for c in _charts(s))
     budget = _Budget(LARGEST - 150_000 - charts)

@@ -289,8 +289,9 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
     changes = [
         f"{listed([words(n) for n in group])} cannot be told apart by these data."
         for group in data.get("indistinguishable", [])
+        if set(group) & set(data.get("credible_set", []))
     ]
-    changes += [_experiment_sentence(e) for e in (data.get("next_experiment") or [])[:3]]
+    changes += [_experiment_sentence(e) for e in (data.get("next_experiment") or [])[:1]]
     if len(probabilities) > 1:
         second = next(item for item in probabilities if item[0] != verdict)
         changes.append(f"The strongest rival is {words(second[0])} ({percent(second[1])}).")
@@ -348,11 +349,19 @@ def _closed_sentence(gap: Mapping[str, Any]) -> str:
 
 
 def _experiment_sentence(e: Mapping[str, Any]) -> str:
-    details = ", ".join(
-        f"{words(k)} {number(v) if isinstance(v, int | float) else v}" for k, v in e.items() if "expected" not in k
-    )
+    forms = {
+        "configuration": "{}", "k1t_n_m_per_rad": "k1t {} N m/rad", "k1_n_per_m": "k1 {} N/m",
+        "theta0_deg": "released at {} deg", "theta0_mm": "released at {} mm",
+    }  # fmt: skip
+    details = [
+        form.format(number(e[key]) if isinstance(e[key], int | float) else e[key])
+        for key, form in forms.items()
+        if e.get(key) is not None
+    ]
     gain = e.get("expected_information_nats")
-    return f"Next experiment: {details}" + ("." if gain is None else f" (expected gain {number(gain)} nats).")
+    return f"Next experiment: {', '.join(details)}" + (
+        "." if gain is None else f" (expected gain {number(gain)} nats)."
+    )
 
 
 def _probability_table(caption: str, items: Sequence[tuple[str, float]]) -> Table:
