@@ -497,7 +497,7 @@ def _thinned(draws: Mapping[str, Array], sampling: Sampling) -> dict[str, Array]
 
 def _kept(sampling: Sampling) -> int:
     ensembles, steps, walkers = sampling.log_prob.shape
-    return min(KEPT_DRAWS // ensembles, steps * walkers)
+    return int(min(KEPT_DRAWS // ensembles, steps * walkers))
 
 
 def _one_chain(values: Mapping[str, Array]) -> dict[str, Array]:
