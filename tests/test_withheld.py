@@ -205,7 +205,7 @@ def test_no_campaigns_or_no_key_is_bad_input(tmp_path):
 
 def test_a_run_that_was_stopped_goes_on_with_what_is_missing(tmp_path):
     write_set(tmp_path, ["none", "spring_cubic", "none"], deadly="c01")
-    with pytest.raises(Interrupted):
+    with pytest.raises(Interrupted, match="same command again"):
         run(tmp_path, "stopped_once")
     assert calls(tmp_path) == ["c00"]
     assert not (tmp_path / "out/withheld.json").exists()

@@ -13,7 +13,7 @@ from typing import Any
 
 from bayes_damper import figures
 from bayes_damper.effects import EFFECTS, classes
-from bayes_damper.errors import ExitCode, InputError, SelfCheckError
+from bayes_damper.errors import ExitCode, InputError, Interrupted, SelfCheckError
 from bayes_damper.provenance import provenance
 from bayes_damper.resources import shipped_path
 from bayes_damper.run import Progress, Task, read_json, run_tasks, write_json
@@ -318,7 +318,12 @@ class _Run:
         for task in tasks:
             if not (home / "verdicts" / task.name / "verdict.json").exists():
                 (home / "verdicts" / task.name / "done.json").unlink(missing_ok=True)
-        run_tasks(tasks, home / "verdicts", workers=self.workers, scheduler=self.scheduler, progress=self.progress)
+        try:
+            run_tasks(tasks, home / "verdicts", workers=self.workers, scheduler=self.scheduler, progress=self.progress)
+        except Interrupted:
+            raise Interrupted(
+                f"stopped; what is sealed stays in {self.home}: give the same command again to go on"
+            ) from None
 
     def seed_of(self, name: str) -> int:
         """A seed of its own for each campaign, whatever else is in the run."""
