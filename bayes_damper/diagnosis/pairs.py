@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayes_damper.calibration import Calibration
+from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.remainder import Remainder, remainder_of
 from bayes_damper.diagnosis.search import Candidate, Screen, Screened, bases_of, screen_column
 from bayes_damper.effects.base import Effect, Variant
@@ -50,7 +51,12 @@ def best_pair(
     """The pair with the largest evidence, None if no second effect gains enough."""
     held: dict[str, Candidate] = {}
     for c in found:
-        if c.fit is not None and math.isfinite(c.log_evidence) and c.effect.name not in held:
+        if (
+            c.effect.name != DRIFT.name
+            and c.fit is not None
+            and math.isfinite(c.log_evidence)
+            and c.effect.name not in held
+        ):
             held[c.effect.name] = c
         if len(held) == LEADERS:
             break

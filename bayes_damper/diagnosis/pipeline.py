@@ -23,6 +23,7 @@ from bayes_damper.calibration import (
     value_of,
 )
 from bayes_damper.diagnosis.gap import Gap, measure_gap, shifts
+from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.next_experiment import Proposal, propose
 from bayes_damper.diagnosis.pairs import Pair, best_pair
 from bayes_damper.diagnosis.remainder import Remainder, remainder_of
@@ -178,7 +179,7 @@ def diagnose(
     *,
     nominal: Literal["nonlinear", "linear"] = "nonlinear",
     effects: Mapping[str, Effect] = EFFECTS,
-    priors: Mapping[str, Distribution] | None = None,
+    priors: Mapping[str, Distribution | float] | None = None,
     seed: int = 1,
     threads: int = 2,
     rule: Rule = RULE,
@@ -195,15 +196,16 @@ def diagnose(
     notes: list[str] = []
     fit = calibrate_nominal(experiment, nominal=nominal, threads=threads, tell=tell)
     pool = offered(experiment, nominal, effects)
-    found = search(fit, pool, threads=threads, tell=tell)
+    found = search(fit, [*pool, *((DRIFT, variant) for variant in DRIFT.variants)], threads=threads, tell=tell)
     fit, found = _reseeded(fit, found)
     fit, found = _with_winners_noise(fit, found)
     winner = next((c for c in found if c.fit is not None), None)
     before = remainder_of(fit)
     after = before if winner is None or winner.fit is None else remainder_of(winner.fit)
     evidence = family_evidence(found)
+    drift = evidence.pop(DRIFT.name)
     pair = best_pair(fit, found, pool, before) if after.strength > PAIR_FROM else None
-    answers = weigh(evidence, before, after, rule, pair)
+    answers = weigh(evidence, before, after, rule, pair, drift)
     notes += _notes(experiment, fit, answers)
     tell(f"leading answer {answers.verdict}; locating the gap")
     before_map = site_map(fit)

@@ -37,6 +37,8 @@ class Rule:
     strength_width: float = 2.5
     tempering: float = 30.0
     line: float = 12.0
+    torque_band: float = 25.0
+    """Hz: above, no torque on the inertias explains a narrow line."""
     pair_share: float = 0.02
     pair_gain: float = 12.0
 
@@ -95,16 +97,20 @@ def weigh(
     after: Remainder,
     rule: Rule = RULE,
     pair: Pair | None = None,
+    generic: float = -math.inf,
 ) -> Answers:
     """Probabilities of all answers.
 
     evidence : family -> log Z relative to the nominal model; before, after : what the nominal model leaves, and what
-    the leading effect leaves; pair : two effects that may close what one leaves open.
+    the leading effect leaves; pair : two effects that may close what one leaves open; generic : log Z of a
+    drift of the nominal laws (generic.py), which counts for `unknown`.
     """
     names = [n for n, z in evidence.items() if math.isfinite(z)]
     each = (1.0 - PRIOR_NONE - PRIOR_UNKNOWN) / max(len(evidence), USUAL)
     temperature = 1.0 + max(0.0, after.low_excess - 2.0 * after.low_sd) / (rule.tempering * 20.0)
     log_w = {"none": math.log(PRIOR_NONE)} | {n: math.log(each) + evidence[n] / temperature for n in names}
+    if math.isfinite(generic):
+        log_w["unknown"] = math.log(each) + generic / temperature
     top = max(log_w.values())
     weights = {n: math.exp(v - top) for n, v in log_w.items()}
     total = sum(weights.values())
@@ -117,7 +123,7 @@ def weigh(
     lined = _logistic((after.line - rule.line) / rule.strength_width) * _logistic(
         (math.log(max(share, 1e-6)) - math.log(0.3 * rule.share)) / rule.share_width
     )
-    foreign = left * max(large, lined)
+    foreign = left * max(large, lined if after.peak_hz > rule.torque_band else 0.0)
     both = 0.0
     if pair is not None:
         closes = _logistic((math.log(rule.pair_share) - math.log(max(pair.share_left, 1e-6))) / rule.share_width)
@@ -126,7 +132,7 @@ def weigh(
     nothing = _logistic((before.strength - rule.strength) / rule.strength_width)
     unknown = known["none"] * nothing + (1.0 - known["none"]) * foreign
     probabilities = {n: p * (1.0 - nothing if n == "none" else 1.0 - foreign - both) for n, p in known.items()}
-    probabilities["unknown"] = unknown
+    probabilities["unknown"] = unknown + probabilities.get("unknown", 0.0)
     if pair is not None:
         probabilities[pair.effects[0]] += (1.0 - known["none"]) * both
     for name in evidence:
