@@ -69,7 +69,7 @@ def to_tree(
         "sample_stats": _dataset({"lp": xr.Variable(("chain", "draw"), log_prob.reshape(len(log_prob), -1))}, {}),
     }
     for group, content in (groups or {}).items():
-        sampled = group != "observed_data"
+        sampled = group not in ("observed_data", "constant_data")
         tree[group] = _dataset({n: _variable(n, np.asarray(v), sampled) for n, v in content.items()}, {})
     tree["/"] = xr.Dataset(attrs=dict(attributes or {}))
     return xr.DataTree.from_dict(tree)

@@ -53,7 +53,8 @@ def diagnose(
     """Where the model and the rig differ, which unmodelled effect causes it, and how far adding it closes the gap.
 
     campaign : folder; nominal : "linear" leaves dry friction out, which then is a candidate; effects : folder with
-    effects of your own; priors : prior file, by default priors.toml in the campaign; threads : simulations side by side.
+    effects of your own; priors : prior file, by default priors.toml in the campaign; threads : simulations side by
+    side.
 
     Raises
     ------
@@ -64,8 +65,8 @@ def diagnose(
         raise InputError(f"--nominal {nominal}: expected one of {', '.join(NOMINALS)}")
     if str(campaign) == "thesis":
         raise InputError(
-            "diagnose thesis: the thesis published no records, only 24 numbers, and a diagnosis from those is not built "
-            "yet; `fit thesis` shows which of them the model cannot reach (predictive.svg)"
+            "diagnose thesis: the thesis published no records, only 24 numbers, and a diagnosis from those is not "
+            "built yet; `fit thesis` shows which of them the model cannot reach (predictive.svg)"
         )
     loaded = load_campaign(campaign)
     beside = Path(campaign) / "priors.toml"
@@ -91,9 +92,10 @@ def _words(result: Mapping[str, Any]) -> list[str]:
         lines = [f"No gap beyond the noise is shown (probability {share:.2f})."]
     elif verdict == "unknown":
         site = max(result["sites"], key=lambda s: result["sites"][s])
-        lines = [
-            f"There is a gap that no effect of the library explains (probability {share:.2f}); it lies most likely at: {site}."
-        ]
+        told = (
+            f"There is a gap that no effect of the library explains (probability {share:.2f}); it lies most likely at: "
+        )
+        lines = [told + f"{site}."]
     else:
         row = next(r for r in result["effects"] if r["name"] == verdict)
         lines = [f"The missing effect is {verdict} ({row['site']}), probability {share:.2f}: {row['formula']}."]
@@ -102,15 +104,17 @@ def _words(result: Mapping[str, Any]) -> list[str]:
             for name, p in row["parameters"].items()
         ]
     lines.append(
-        f"Gap on held-out trials: {gap['answer']} (p = {gap['p_value']:.2g}); residual {gap['nominal_rms']:.3g} before, "
-        f"{gap['augmented_rms']:.3g} after, noise {gap['noise_rms']:.3g}."
+        f"Gap on held-out trials: {gap['answer']} (p = {gap['p_value']:.2g}); "
+        f"residual {gap['nominal_rms']:.3g} before, {gap['augmented_rms']:.3g} after, noise {gap['noise_rms']:.3g}."
     )
     ranked = sorted(probabilities, key=lambda name: -probabilities[name])[:5]
     lines.append("Answers: " + ", ".join(f"{name} {probabilities[name]:.2f}" for name in ranked))
     sites = sorted(result["sites"], key=lambda s: -result["sites"][s])[:3]
     lines.append("Sites: " + ", ".join(f"{site} {result['sites'][site]:.2f}" for site in sites))
     if result["indistinguishable"]:
-        lines.append("Not to be told apart by these data: " + "; ".join(" / ".join(g) for g in result["indistinguishable"]))
+        lines.append(
+            "Not to be told apart by these data: " + "; ".join(" / ".join(g) for g in result["indistinguishable"])
+        )
     return lines + [f"note: {note}" for note in result.get("notes", [])]
 
 
@@ -121,5 +125,6 @@ def _draw(folder: Path, found: Diagnosis) -> None:
     torques = found.site_map.torque
     if torques:
         figures.save(
-            figures.missing_torque_figure(torques[0], title="torque that the nominal model lacks"), folder / "missing_torque"
+            figures.missing_torque_figure(torques[0], title="torque that the nominal model lacks"),
+            folder / "missing_torque",
         )

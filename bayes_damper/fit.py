@@ -111,7 +111,8 @@ def fit(
     """
     folder = Path(out)
     plan = plan_fit(
-        str(campaign), cases=cases, priors=None if priors is None else str(priors), normal_force=normal_force, seed=seed,
+        str(campaign), cases=cases, priors=None if priors is None else str(priors), normal_force=normal_force,
+        seed=seed,
         thorough=thorough, most_steps=most_steps, joint=joint,
     )  # fmt: skip
     start_run(folder, {"command": "fit", "plan": plan, "workers": workers})
@@ -179,7 +180,8 @@ def start_run(folder: Path, record: Mapping[str, Any]) -> None:
         if before.get("command") != record["command"] or before.get("plan") != record["plan"]:
             changed = _differences(before.get("plan", {}), record["plan"]) or ["command"]
             raise InputError(
-                f"{folder}: holds another run (different: {', '.join(changed)}); name another --out, or remove the folder"
+                f"{folder}: holds another run (different: {', '.join(changed)}); "
+                "name another --out, or remove the folder"
             )
     write_json(path, dict(record))
 
@@ -189,17 +191,19 @@ def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]
 
 
 def finish_fit(
-    folder: Path, plan: Mapping[str, Any], *, workers: int, scheduler: str | None = None, progress: Progress | None = None
+    folder: Path,
+    plan: Mapping[str, Any],
+    *,
+    workers: int,
+    scheduler: str | None = None,
+    progress: Progress | None = None,
 ) -> Fit:
     """Run what is missing of a planned fit, then write the files that cover all cases."""
     kind = "fit_published_case" if plan["campaign"] == "thesis" else "fit_recorded_cases"
     names = [*plan["cases"], *(["joint"] if plan["joint"] else [])]
     # The joint fit is the longest: it starts first.
     order = sorted(names, key=lambda name: name != "joint")
-    tasks = [
-        Task(folder_name(name), f"bayes_damper.fit:{kind}", {"name": name, "plan": dict(plan), "threads": 1})
-        for name in order
-    ]
+    tasks = [Task(folder_name(name), f"bayes_damper.fit:{kind}", {"name": name, "plan": dict(plan)}) for name in order]
     done = run_tasks(tasks, folder, workers=workers, scheduler=scheduler, progress=progress)
     results = {name: done[folder_name(name)] for name in names}
     found = {name: results[name] for name in plan["cases"]}
@@ -216,7 +220,9 @@ def finish_fit(
     summary["provenance"] = provenance()
     write_json(folder / "summary.json", summary)
     write_table(summary, folder / "summary.csv")
-    arviz_adapter.combine_cases({name: folder / folder_name(name) / "posterior.nc" for name in plan["cases"]}, folder / "posterior.nc")
+    arviz_adapter.combine_cases(
+        {name: folder / folder_name(name) / "posterior.nc" for name in plan["cases"]}, folder / "posterior.nc"
+    )
     _draw_overview(folder, summary)
     return Fit(folder, summary)
 
@@ -240,7 +246,7 @@ def stopping_rule(plan: Mapping[str, Any]) -> StoppingRule:
     return rule if plan["most_steps"] is None else replace(rule, max_steps=int(plan["most_steps"]))
 
 
-# Published features -----------------------------------------------------------------------------------------------------
+# Published features --------------------------------------------------------------------------------------------------
 
 
 def published_posterior(case: str, priors: PriorSet, normal_force: str = "linear") -> FeaturePosterior:
@@ -266,7 +272,7 @@ def damping_pairs(values: Mapping[str, float]) -> tuple[Shared, ...]:
     )
 
 
-def fit_published_case(folder: Path, report: Report, *, name: str, plan: Mapping[str, Any], threads: int) -> Any:
+def fit_published_case(folder: Path, report: Report, *, name: str, plan: Mapping[str, Any]) -> Any:
     """Task: fit one thesis case and write its files; its entry of summary.json."""
     posterior = published_posterior(name, priors_from_dict(plan["priors"]), plan["normal_force"] or "linear")
     rng = np.random.default_rng([plan["seed"], _number(name)])
@@ -335,7 +341,7 @@ def recorded_priors(priors: PriorSet) -> dict[str, Distribution | float]:
     return {**priors.free, **priors.fixed}
 
 
-# Recorded trials --------------------------------------------------------------------------------------------------------
+# Recorded trials -----------------------------------------------------------------------------------------------------
 
 
 def recorded_experiment(plan: Mapping[str, Any], case: str | None) -> Experiment:
@@ -358,11 +364,11 @@ def recorded_experiment(plan: Mapping[str, Any], case: str | None) -> Experiment
     return replace(experiment, trials=trials, normal_force=law)
 
 
-def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping[str, Any], threads: int) -> Any:
+def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping[str, Any]) -> Any:
     """Task: fit one case of a campaign, or all together (`name` "joint"); its entry of summary.json."""
     experiment = recorded_experiment(plan, None if name == "joint" else name)
     report(0.0, "finding the best fit")
-    best = calibrate_nominal(experiment, threads=threads)
+    best = calibrate_nominal(experiment)
     posterior = RecordPosterior(best)
     rng = np.random.default_rng([plan["seed"], _number(name)])
 
@@ -404,6 +410,7 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
         "posterior_predictive": {labels[i]: y[None] for i, y in bands.items()},
         "log_likelihood": {"trials": _as_chains(posterior.log_likelihood(kept), sampling)},
         "observed_data": {labels[i]: experiment.trials[i].y for i in posterior.trials},
+        "constant_data": {labels[i]: experiment.trials[i].times for i in posterior.trials},
     }
     names = {"trials": json.dumps([labels[i] for i in posterior.trials])}
     _write_tree(folder, draws, sampling, groups, _attributes(plan, name) | names)
@@ -426,13 +433,12 @@ def _trial_draws(posterior: RecordPosterior, points: Array, rng: np.random.Gener
         for k, i in enumerate(part.group.trials):
             if i in drawn:
                 out[i] = {
-                    name: mean[k] + sd[k] * drawn[i][:, m]
-                    for m, (name, mean, sd) in enumerate(part.group.nuisances)
+                    name: mean[k] + sd[k] * drawn[i][:, m] for m, (name, mean, sd) in enumerate(part.group.nuisances)
                 }
     return out
 
 
-# What both kinds share ---------------------------------------------------------------------------------------------------
+# What both kinds share -----------------------------------------------------------------------------------------------
 
 
 def _sampled(
@@ -554,13 +560,15 @@ def _attributes(plan: Mapping[str, Any], name: str) -> dict[str, Any]:
     return {"campaign": plan["name"], "case": name, "plan": json.dumps(plan), "provenance": json.dumps(provenance())}
 
 
-# Figures ----------------------------------------------------------------------------------------------------------------
+# Figures -------------------------------------------------------------------------------------------------------------
 
 _MAIN = ("mu", "k2t", "c2t", "drag", "nu", "c1t", "c3t", "friction_torque", "sigma1", "sigma2")
 
 
 def _axis_labels(names: Sequence[str]) -> dict[str, str]:
-    return {name: figures.label(PARAMETERS[name].symbol if name in PARAMETERS else name, unit_of(name)) for name in names}
+    return {
+        name: figures.label(PARAMETERS[name].symbol if name in PARAMETERS else name, unit_of(name)) for name in names
+    }
 
 
 def _draw_case(
@@ -616,7 +624,14 @@ def _draw_records(
         low, middle, high = np.nanquantile(bands[i], [0.05, 0.5, 0.95], axis=0)
         trial = experiment.trials[i]
         rows.append(
-            {"label": _trial_label(trial), "times": trial.times, "measured": trial.y, "low": low, "median": middle, "high": high}
+            {
+                "label": _trial_label(trial),
+                "times": trial.times,
+                "measured": trial.y,
+                "low": low,
+                "median": middle,
+                "high": high,
+            }
         )
     figure = figures.record_figure(
         rows, _READING_UNITS[experiment.quantity], title="measured records and the fitted model", converged=converged

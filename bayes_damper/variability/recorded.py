@@ -36,6 +36,11 @@ _AVERAGED = 64
 """Draws of the scatter over which the partly pooled best values are averaged."""
 
 
+def _free(priors: Mapping[str, Distribution | float]) -> dict[str, Distribution]:
+    """The priors of what is not fixed at a number."""
+    return {name: prior for name, prior in priors.items() if not isinstance(prior, float | int)}
+
+
 class RecordedCases:
     """Recorded trials of several cases under the priors of a fit's plan; held-out trials are not fitted."""
 
@@ -60,7 +65,7 @@ class RecordedCases:
         alone = {case: replace(whole, trials=tuple(t for t in whole.trials if t.case == case)) for case in self.names}
         # Default priors follow the amplitude of the trials they are for. The cases are compared under one prior, that
         # of all trials; the fit of one case had its own.
-        self.fitted_priors = {case: default_priors(e) | dict(e.priors) for case, e in alone.items()}
+        self.fitted_priors = {case: default_priors(e) | _free(e.priors) for case, e in alone.items()}
         one = default_priors(whole) | dict(whole.priors)
         self.experiments = {case: replace(e, priors=one) for case, e in alone.items()}
         self.fits: dict[str, Calibration] = {case: calibrate_nominal(e) for case, e in self.experiments.items()}

@@ -47,8 +47,12 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path)
     parser.add_argument("--key", type=Path, help="default: OUT_key.json beside the folder")
     parser.add_argument("--duration", type=float, default=1.0, help="s of each record")
-    parser.add_argument("--trigger", choices=("late", "early", "either"), default="late",
-                        help="hard kind: the logger starts up to 1 ms after the release, before it, or either")
+    parser.add_argument(
+        "--trigger",
+        choices=("late", "early", "either"),
+        default="late",
+        help="hard kind: the logger starts up to 1 ms after the release, before it, or either",
+    )
     parser.add_argument("--limit", type=int, help="make only the first N of the shuffled set")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--salt", help="fixes the names; drawn when absent")
@@ -63,8 +67,15 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error("--out is required")
     kinds, effects, levels, pairs = SETS.get(given.set or "", (("easy",), ("random",), (0.5,), 1))
     try:
-        wanted = orders(given.kind or kinds, given.effect or effects, given.level or levels, given.seed,
-                        pairs if given.pairs is None else given.pairs, given.duration, given.trigger)
+        wanted = orders(
+            given.kind or kinds,
+            given.effect or effects,
+            given.level or levels,
+            given.seed,
+            pairs if given.pairs is None else given.pairs,
+            given.duration,
+            given.trigger,
+        )
     except ValueError as fault:
         parser.error(str(fault))
     out = given.out.resolve()

@@ -157,14 +157,38 @@ def make_campaign(order: Order, folder: Path, salt: str) -> dict[str, Any]:
                     noisy = QUANTUM * np.round(noisy / QUANTUM)
                 file = f"trials/{number:02d}.csv.gz"
                 _write_record(home / file, times, noisy, 2 if hard else 1)
-                rows.append((file, label, "coupled" if coupled else "uncoupled", f"{k:g}",
-                             *((f"{K1T_SHARE * k:g}",) if hard else ()), f"{degrees:g}",
-                             f"{ANGLE_SHARE * degrees:.3g}", str(trial)))
-                trials.append({"file": file, "theta0_rad": constants["theta0"], "mu": constants["mu"],
-                               "release_s": release, "phase": phase})
+                rows.append(
+                    (
+                        file,
+                        label,
+                        "coupled" if coupled else "uncoupled",
+                        f"{k:g}",
+                        *((f"{K1T_SHARE * k:g}",) if hard else ()),
+                        f"{degrees:g}",
+                        f"{ANGLE_SHARE * degrees:.3g}",
+                        str(trial),
+                    )
+                )
+                trials.append(
+                    {
+                        "file": file,
+                        "theta0_rad": constants["theta0"],
+                        "mu": constants["mu"],
+                        "release_s": release,
+                        "phase": phase,
+                    }
+                )
     _write_toml(home / "campaign.toml", name, hard)
-    head = ["file", "case", "configuration", "k1t_n_m_per_rad", *(["k1t_std_n_m_per_rad"] if hard else []),
-            "theta0_deg", "theta0_std_deg", "trial"]
+    head = [
+        "file",
+        "case",
+        "configuration",
+        "k1t_n_m_per_rad",
+        *(["k1t_std_n_m_per_rad"] if hard else []),
+        "theta0_deg",
+        "theta0_std_deg",
+        "trial",
+    ]
     (home / "trials.csv").write_text("\n".join(",".join(r) for r in [head, *rows]) + "\n")
     single = order.effects[0] if len(order.effects) == 1 else None
     return {
@@ -174,12 +198,18 @@ def make_campaign(order: Order, folder: Path, salt: str) -> dict[str, Any]:
         "site": entries[0]["site"] if single else ("none" if not entries else [e["site"] for e in entries]),
         "class": entries[0]["class"] if single else None,
         "standing": entries[0]["standing"] if single else None,
-        "level_wanted": order.level if entries else 0.0, "level": fit.level if fit else 0.0,
-        "gap_rms_rad_s2": fit.level * NOISE if fit else 0.0, "visible_chi2": visible,
+        "level_wanted": order.level if entries else 0.0,
+        "level": fit.level if fit else 0.0,
+        "gap_rms_rad_s2": fit.level * NOISE if fit else 0.0,
+        "visible_chi2": visible,
         "disturbances": entries,
-        "nominal": nominal, "constants": {**true, "k1t": {f"{k:g}": v for k, v in k1t.items()}},
-        "best_nominal": fit.parameters if fit else nominal, "trials": trials, "seed": order.seed,
-        "duration": order.duration, "trigger": "late" if late else "early",
+        "nominal": nominal,
+        "constants": {**true, "k1t": {f"{k:g}": v for k, v in k1t.items()}},
+        "best_nominal": fit.parameters if fit else nominal,
+        "trials": trials,
+        "seed": order.seed,
+        "duration": order.duration,
+        "trigger": "late" if late else "early",
     }
 
 
@@ -205,8 +235,14 @@ def _strong_enough(
     if hard:  # an error is more than its declaration allows
         size = max(size, BEYOND_DECLARED.get(kind.name, 0.0))
     entry = {
-        "effect": kind.name, "site": kind.site, "standing": kind.standing, "class": sorted((kind.name, *kind.twins)),
-        "amplitude": sign * size, "shape": list(shape), "unit": kind.unit, "meaning": kind.meaning,
+        "effect": kind.name,
+        "site": kind.site,
+        "standing": kind.standing,
+        "class": sorted((kind.name, *kind.twins)),
+        "amplitude": sign * size,
+        "shape": list(shape),
+        "unit": kind.unit,
+        "meaning": kind.meaning,
         "level_searched": reached,
     }
     return kind.at(sign * size, shape), entry
@@ -234,8 +270,14 @@ def _write_record(path: Path, times: NDArray[np.float64], y: NDArray[np.float64]
 
 def _write_toml(path: Path, name: str, hard: bool) -> None:
     fields = (("primary_inertia", "J1"), ("secondary_inertia", "J2"), ("bar_radius", "R"), ("magnet_radius", "r"))
-    lines = [f'name = "{name}"', 'description = "simulated trials, cause withheld"',
-             'source = "data/withheld, independent simulator"', "", "[rig]", 'kind = "torsional"']
+    lines = [
+        f'name = "{name}"',
+        'description = "simulated trials, cause withheld"',
+        'source = "data/withheld, independent simulator"',
+        "",
+        "[rig]",
+        'kind = "torsional"',
+    ]
     for field, key in fields:
         value = DECLARED[key]
         if hard:

@@ -98,19 +98,22 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
     if code < 40:
         if code == BEARING_STRIBECK:  # Lorentzian hump above the kinetic drag
             a = p0 * g[DRAG]
-            return (-a * math.tanh(nu * w1) / (1.0 + (w1 / p1) ** 2),
-                    -a * math.tanh(nu * w2) / (1.0 + (w2 / p1) ** 2))
+            return (-a * math.tanh(nu * w1) / (1.0 + (w1 / p1) ** 2), -a * math.tanh(nu * w2) / (1.0 + (w2 / p1) ** 2))
         if code == QUADRATIC_DRAG:  # turbulent above the speed p1, laminar below
             return -p0 * w1 * math.sqrt(w1 * w1 + p1 * p1), -p0 * w2 * math.sqrt(w2 * w2 + p1 * p1)
         if code == MISALIGNMENT_DRAG:  # side load; the two bearings share it unequally
             side = p0 * (pull / g[N0]) if coupled else 0.0
-            return (-side * nu * w1 / math.sqrt(1.0 + (nu * w1) ** 2),
-                    -side * p1 * nu * w2 / math.sqrt(1.0 + (nu * w2) ** 2))
+            return (
+                -side * nu * w1 / math.sqrt(1.0 + (nu * w1) ** 2),
+                -side * p1 * nu * w2 / math.sqrt(1.0 + (nu * w2) ** 2),
+            )
         if code == GREASE_THIXOTROPY:  # grease that thins with the angle swept, z0
             return -p0 * w1 * math.exp(-z0 / p1), -p0 * w2 * math.exp(-z0 / p1)
         if code == BEARING_RUNOUT:  # drag that depends on where the shaft stands
-            return (-p0 * (1.0 + math.sin(p1 * th1 + p2)) * math.tanh(nu * w1),
-                    -p0 * (1.0 + math.sin(p1 * th2 + p3)) * math.tanh(nu * w2))
+            return (
+                -p0 * (1.0 + math.sin(p1 * th1 + p2)) * math.tanh(nu * w1),
+                -p0 * (1.0 + math.sin(p1 * th2 + p3)) * math.tanh(nu * w2),
+            )
         if code == WAKE_DRAG:  # air set in motion: drag remembers w abs(w)
             return -p0 * z0, -p0 * z1
         return 0.0, 0.0
@@ -211,16 +214,18 @@ def accelerations(t, th1, th2, w1, w2, z, bristle, k, P, g, coupled, rates):
         m2 = T - g[C3] * w2 - g[DRAG] * math.tanh(nu * w2)
     for i in range(2):
         if k[i] > 0:
-            q1, q2 = torques(k[i], t, th1, th2, w1, w2, z[2 * i], z[2 * i + 1], P[i, 0], P[i, 1], P[i, 2], P[i, 3],
-                             g, pull, coupled)
+            q1, q2 = torques(
+                k[i], t, th1, th2, w1, w2, z[2 * i], z[2 * i + 1], P[i, 0], P[i, 1], P[i, 2], P[i, 3], g, pull, coupled
+            )
             m1 += q1
             m2 += q2
     a1 = m1 / g[J1]
     a2 = m2 / g[J2] if coupled else 0.0
     for i in range(2):
         if k[i] > 0:
-            r0, r1 = memory_rates(k[i], th1, th2, w1, w2, a1, z[2 * i], z[2 * i + 1], P[i, 0], P[i, 1], P[i, 2],
-                                  P[i, 3], g, friction)
+            r0, r1 = memory_rates(
+                k[i], th1, th2, w1, w2, a1, z[2 * i], z[2 * i + 1], P[i, 0], P[i, 1], P[i, 2], P[i, 3], g, friction
+            )
             rates[2 * i] = r0
             rates[2 * i + 1] = r1
     return a1, a2

@@ -125,17 +125,19 @@ class Nominal:
 
 
 def truth(
-    conditions: Sequence[Condition], times: NDArray[np.float64], disturbances: Sequence[Disturbance],
+    conditions: Sequence[Condition],
+    times: NDArray[np.float64],
+    disturbances: Sequence[Disturbance],
     late: float = 0.0,
 ) -> list[NDArray[np.float64]]:
     """Noise-free readings of every condition, each as one vector."""
-    return [
-        record(c.rig, c.coupled, times, disturbances, -late, c.phase, SEARCH_STEP).ravel() for c in conditions
-    ]
+    return [record(c.rig, c.coupled, times, disturbances, -late, c.phase, SEARCH_STEP).ravel() for c in conditions]
 
 
 def gap_of(
-    conditions: Sequence[Condition], times: NDArray[np.float64], disturbances: Sequence[Disturbance],
+    conditions: Sequence[Condition],
+    times: NDArray[np.float64],
+    disturbances: Sequence[Disturbance],
     late: float = 0.0,
 ) -> Fit:
     """Best nominal fit to these disturbances, from the true parameters and from another smoothing constant."""

@@ -42,8 +42,10 @@ def expand(tokens: Sequence[str], pairs: int, rng: np.random.Generator) -> list[
         for effects in chosen:
             for name in effects:
                 if name not in KINDS:
-                    raise ValueError(f"no disturbance or group is called {name!r}; groups: {', '.join(GROUPS)}; "
-                                     f"disturbances: {', '.join(KINDS)}")
+                    raise ValueError(
+                        f"no disturbance or group is called {name!r}; groups: {', '.join(GROUPS)}; "
+                        f"disturbances: {', '.join(KINDS)}"
+                    )
             out += [effects] * times
     return out
 
@@ -57,8 +59,13 @@ def draw_pair(rng: np.random.Generator) -> tuple[str, str]:
 
 
 def orders(
-    kinds: Sequence[str], tokens: Sequence[str], levels: Sequence[float], seed: int, pairs: int = 0,
-    duration: float = 1.0, trigger: str = "late",
+    kinds: Sequence[str],
+    tokens: Sequence[str],
+    levels: Sequence[float],
+    seed: int,
+    pairs: int = 0,
+    duration: float = 1.0,
+    trigger: str = "late",
 ) -> list[Order]:
     """Every order of a set, shuffled; each has a seed of its own drawn from `seed`."""
     rng = np.random.default_rng(seed)
@@ -109,4 +116,3 @@ def write_set(
             for order, entry in zip(todo, made, strict=True):
                 keep(order, entry)
     return key
-
