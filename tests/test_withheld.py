@@ -242,7 +242,9 @@ def test_a_diagnosis_that_fails_is_a_wrong_verdict(tmp_path):
 
 def test_the_truth_taken_out_of_the_library_is_expected_to_be_unknown(tmp_path):
     write_set(tmp_path, ["none", "spring_cubic", "sensor_gain"])
-    told = run(tmp_path, full=True).results
+    checked = run(tmp_path, full=True)
+    assert "effect taken out of the library (2 visible campaigns)" in checked.text()
+    told = checked.results
     found = told["leave_one_out"]
     assert found["campaigns"] == 2
     assert found["unknown_first"]["value"] == 1.0

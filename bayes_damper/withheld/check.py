@@ -563,6 +563,7 @@ def table_text(results: Mapping[str, Any]) -> str:
             f"  {words:32s}{_figure(found[name])}"
             for words, name in (("unknown first", "unknown_first"), ("right site first", "site"))
         ]
+        lines += [f"  {miss}" for miss in found["misses"]]
     if results.get("baselines"):
         lines += ["", f"  {'baseline':18s}{'accepted first':32s}{'log score':34s}better log score"]
         lines += [
