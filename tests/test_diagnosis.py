@@ -174,3 +174,11 @@ def test_scales_keep_the_kernels_of_a_rig_like_the_thesis_s():
     """Magnitudes near the reference are rounded to it, so that no kernel is compiled anew."""
     scales = scales_of(make_experiment(1, n=50))
     assert (scales.angle, scales.torque) == (0.1, 0.8)
+
+
+def test_a_drift_that_beats_every_effect_counts_for_unknown():
+    """Evidence of the generic drift takes the probability from the best effect, and leaves it when it loses."""
+    wins = weigh({"a": 900.0, "b": 700.0}, GAP, QUIET, RULE, None, 950.0)
+    loses = weigh({"a": 900.0, "b": 700.0}, GAP, QUIET, RULE, None, 850.0)
+    assert wins.verdict == "unknown"
+    assert loses.verdict == "a"
