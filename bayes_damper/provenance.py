@@ -51,9 +51,9 @@ def commit() -> str | None:
 
 @cache
 def code_sha256() -> str:
-    """Checksum of the package's own source files."""
+    """Checksum of the package's own source files; data that a wheel carries along are not code."""
     digest = hashlib.sha256()
-    for path in sorted(_HERE.rglob("*.py")):
+    for path in sorted(p for p in _HERE.rglob("*.py") if "_shipped" not in p.relative_to(_HERE).parts):
         digest.update(path.relative_to(_HERE).as_posix().encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()

@@ -8,6 +8,7 @@ from typing import Any
 from bayes_damper.errors import InputError
 from bayes_damper.fit import finish_fit
 from bayes_damper.run import Progress, read_json, write_json
+from bayes_damper.withheld.check import finish_withheld
 
 
 def resume(
@@ -25,9 +26,14 @@ def resume(
     """
     path = Path(folder)
     record = read_json(path / "run.json")
-    if record.get("command") != "fit":
-        raise InputError(f"{path}: run.json names the command {record.get('command')!r}; expected fit")
     plan = dict(record["plan"])
+    if record.get("command") == "withheld" and not more:
+        return finish_withheld(path, plan, workers=workers or record.get("workers", 1), progress=progress)
+    if record.get("command") != "fit":
+        raise InputError(
+            f"{path}: run.json names the command {record.get('command')!r}; fits and withheld checks can be resumed, and "
+            "only fits extended; other commands go on when the same command is given again"
+        )
     if more:
         plan["thorough"] = True
         plan["most_steps"] = None if plan["most_steps"] is None else 2 * plan["most_steps"]
