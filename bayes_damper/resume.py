@@ -31,8 +31,8 @@ def resume(
         return finish_withheld(path, plan, workers=workers or record.get("workers", 1), progress=progress)
     if record.get("command") != "fit":
         raise InputError(
-            f"{path}: run.json names the command {record.get('command')!r}; fits and withheld checks can be resumed, and "
-            "only fits extended; other commands go on when the same command is given again"
+            f"{path}: run.json names the command {record.get('command')!r}; fits and withheld checks can be resumed, "
+            "and only fits extended; other commands go on when the same command is given again"
         )
     if more:
         plan["thorough"] = True
