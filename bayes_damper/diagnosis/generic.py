@@ -20,7 +20,7 @@ def drifting(t, th1, th2, w1, w2, z1, z2, p, rig):
     spring = p[0] * rig.k1t * th1
     bearing1 = p[1] * (rig.c1t * w1 + rig.drag * tanh(rig.nu * w1))
     bearing2 = p[1] * (rig.c3t * w2 + rig.drag * tanh(rig.nu * w2))
-    pull = rig.mu * rig.N0 * rig.R * max(0.0, 1.0 - rig.R * abs(phi) / (2.0 * rig.r))
+    pull = rig.mu * rig.N0 * rig.R * max(0.0, 1.0 - rig.slope * abs(phi))
     joint = p[2] * (rig.k2t * phi + rig.c2t * v) + p[3] * pull * tanh(rig.nu * v)
     return -t * (spring + bearing1 + joint), t * (joint - bearing2)
 
