@@ -6,7 +6,10 @@ from scipy import stats
 
 from bayes_damper.distributions import HalfNormal, LogNormal, Uniform
 from bayes_damper.errors import InputError
-from bayes_damper.posterior import Coordinates, Shared
+from bayes_damper.fit import published_posterior
+from bayes_damper.posterior import Coordinates, Datum, FeaturePosterior, Shared
+from bayes_damper.priors import load_priors
+from bayes_damper.sampling import annealed_start
 
 FREE = {
     "mu": LogNormal(0.008, 2.0),
@@ -79,3 +82,32 @@ def test_a_pair_with_another_prior_is_left_as_it_is():
 def test_a_parameter_tied_to_nothing_is_refused():
     with pytest.raises(InputError, match="neither a free nor a fixed parameter"):
         Coordinates(FREE, tied={"c3t": "c1t"})
+
+
+def test_with_data_that_say_nothing_the_posterior_is_the_prior():
+    """Standard errors a million times too large: what comes out must be the prior, in every parameter."""
+    base = published_posterior("IV", load_priors("thesis"))
+    vague = [Datum(d.configuration, d.quantity, d.value, 1e6 * d.standard_error) for d in base.data]
+    posterior = FeaturePosterior(vague, base.coordinates)
+    rng = np.random.default_rng(8)
+    start = annealed_start(
+        base.coordinates.log_prior,
+        lambda x: posterior.log_likelihood(x).sum(axis=1),
+        base.coordinates.draw(rng, 512),
+        rng,
+    )
+    z = base.coordinates.standard(start.population)
+    worst = min(stats.kstest(column, "norm").pvalue for column in z.T)
+    assert worst > 1e-4
+
+
+def test_a_prior_that_excludes_every_record_gets_a_sentence():
+    base = published_posterior("IV", load_priors("thesis"))
+    coordinates = base.coordinates
+    with pytest.raises(InputError, match="widen the prior"):
+        annealed_start(
+            coordinates.log_prior,
+            lambda x: np.full(len(x), -np.inf),
+            coordinates.draw(np.random.default_rng(1), 64),
+            np.random.default_rng(1),
+        )
