@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from bayes_damper import figures
 from bayes_damper.campaign import load_campaign
 from bayes_damper.diagnosis import Diagnosis
@@ -124,7 +126,8 @@ def _draw(folder: Path, found: Diagnosis) -> None:
     figures.save(figure, folder / "ranking")
     torques = found.site_map.torque
     if torques:
+        strongest = max(torques, key=lambda found: float(np.abs(found.torque).max()))
         figures.save(
-            figures.missing_torque_figure(torques[0], title="torque that the nominal model lacks"),
+            figures.missing_torque_figure(strongest, title="torque that the nominal model lacks"),
             folder / "missing_torque",
         )

@@ -411,7 +411,7 @@ def missing_torque_figure(torque: Any, *, title: str) -> Figure:
         over_time = figure.add_subplot(top[0])
         for body, colour in ((0, COLOURS[0]), (1, COLOURS[1])):
             value, sd = np.asarray(torque.torque[body]), np.asarray(torque.sd[body])
-            if not np.any(value):
+            if body == 1 and not np.any(value):
                 continue
             name = ("primary", "secondary")[body]
             over_time.plot(torque.times, value, color=colour, lw=1.0, ls=STYLES[body], label=f"on the {name}")
