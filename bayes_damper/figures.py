@@ -404,11 +404,8 @@ def missing_torque_figure(torque: Any, *, title: str) -> Figure:
     """
     figure = new_figure(9.0, 6.0)
     with mpl.rc_context(_RC):
-        axes = figure.subplots(2, 2)
-        top = figure.add_gridspec(2, 1)[0].subgridspec(1, 1)
-        for axis in axes[0]:
-            axis.remove()
-        over_time = figure.add_subplot(top[0])
+        axes = figure.subplot_mosaic([["time", "time"], ["left", "right"]])
+        over_time = axes["time"]
         for body, colour in ((0, COLOURS[0]), (1, COLOURS[1])):
             value, sd = np.asarray(torque.torque[body]), np.asarray(torque.sd[body])
             if body == 1 and not np.any(value):
@@ -423,7 +420,7 @@ def missing_torque_figure(torque: Any, *, title: str) -> Figure:
         pairs = ((torque.th1, "th1 [rad]"), (slip if np.any(torque.w2) else torque.w1, "w1 - w2 [rad/s]"))
         if np.any(torque.th2):
             pairs = ((phi, "th1 - th2 [rad]"), pairs[1])
-        for axis, (x, name) in zip(axes[1], pairs, strict=True):
+        for axis, (x, name) in zip((axes["left"], axes["right"]), pairs, strict=True):
             axis.plot(x, torque.torque[0], ".", ms=1.5, color=COLOURS[0])
             axis.set_xlabel(name)
             axis.set_ylabel("torque on the primary [N m]")
