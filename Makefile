@@ -17,6 +17,7 @@ TESTS = $(RUN) -m pytest --numprocesses $(JOBS) --dist loadgroup
 export PYTHONHASHSEED := 0
 export OMP_NUM_THREADS ?= 1
 export MPLBACKEND := Agg
+export NO_MKDOCS_2_WARNING := 1
 
 .PHONY: help demo test slow lint types notebooks docs prove ranges format clean
 
