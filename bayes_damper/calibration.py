@@ -27,7 +27,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any, Literal
 
 import numpy as np
@@ -35,9 +34,19 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 from scipy.signal import lfilter
-from scipy.special import log_ndtr, ndtr, ndtri, ndtri_exp
+from scipy.special import ndtri
 
-from bayes_damper.distributions import Distribution, HalfNormal, LogNormal, LogUniform, Normal, Uniform, median
+from bayes_damper.distributions import (
+    Distribution,
+    HalfNormal,
+    LogNormal,
+    LogUniform,
+    Normal,
+    Uniform,
+    from_standard,
+    median,
+    to_standard,
+)
 from bayes_damper.effects.base import Variant
 from bayes_damper.model import Model, Quantity
 
@@ -57,49 +66,9 @@ _FARTHEST = 37.0  # standard deviations beyond which a coordinate is not followe
 # Coordinates with a standard Gaussian prior -------------------------------------------------------------------------
 
 
-def value_of(distribution: Distribution, at: ArrayLike) -> Array:
-    """Quantile of the standard Gaussian coordinate `at`, accurate far into both tails; the shape of `at`."""
-    z: Array = np.clip(np.asarray(at, float), -_FARTHEST, _FARTHEST)
-    if isinstance(distribution, Normal) and math.isinf(distribution.lower) and math.isinf(distribution.upper):
-        return np.asarray(distribution.mean + distribution.sd * z)
-    if isinstance(distribution, LogNormal):
-        return np.asarray(distribution.median_value * np.exp(math.log(distribution.factor) * z))
-    if isinstance(distribution, HalfNormal):
-        # x / sd = -ndtri(Phi(-z) / 2): the upper tail is a lower tail of half its mass.
-        with np.errstate(divide="ignore", invalid="ignore"):
-            far = -ndtri_exp(log_ndtr(-z) - math.log(2.0))
-        near = math.sqrt(math.pi / 2.0) * ndtr(z)
-        return np.asarray(distribution.sd * np.where(z > -5.0, far, near))
-    if isinstance(distribution, Normal):
-        a = (distribution.lower - distribution.mean) / distribution.sd
-        b = (distribution.upper - distribution.mean) / distribution.sd
-        if math.isinf(b) and a > -37.0:  # cut below only: mirror, so that the far tail keeps its digits
-            with np.errstate(divide="ignore", invalid="ignore"):
-                x = -ndtri_exp(log_ndtr(-z) + log_ndtr(-a))
-            return np.asarray(np.maximum(distribution.mean + distribution.sd * x, distribution.lower))
-        if math.isinf(a) and b < 37.0:
-            with np.errstate(divide="ignore", invalid="ignore"):
-                x = ndtri_exp(log_ndtr(z) + log_ndtr(b))
-            return np.asarray(np.minimum(distribution.mean + distribution.sd * x, distribution.upper))
-    return np.asarray(distribution.ppf(ndtr(np.clip(z, -8.0, 8.0))))
-
-
 def coordinate_of(distribution: Distribution, x: float) -> float:
-    """The standard Gaussian coordinate of the value `x`, within +-8; the inverse of `value_of`."""
-    known: Any = distribution
-    return _bisected(known, x)
-
-
-@cache
-def _bisected(distribution: Any, x: float) -> float:
-    low, high = -8.0, 8.0
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        if float(value_of(distribution, middle)) < x:
-            low = middle
-        else:
-            high = middle
-    return 0.5 * (low + high)
+    """The standard Gaussian coordinate of the value `x`, cut to +-8."""
+    return float(np.clip(to_standard(distribution, x), -8.0, 8.0))
 
 
 # What is fitted -----------------------------------------------------------------------------------------------------
@@ -462,7 +431,7 @@ class Problem:
 
     def parameters(self, q: Array) -> dict[str, Array]:
         """Values of the coordinates q (..., size) by name."""
-        return {c.name: value_of(c.prior, q[..., i]) for i, c in enumerate(self.coordinates)}
+        return {c.name: from_standard(c.prior, q[..., i]) for i, c in enumerate(self.coordinates)}
 
     def _inputs(self, group: Group, which: Indices, q: Array, eta: Array) -> tuple[dict[str, Any], dict[str, Any]]:
         """Arguments of Model.simulate for vectors q (n, size), eta (n, m) on the group's trials `which` (n,)."""
@@ -478,7 +447,7 @@ class Problem:
             rig = {"N0": 0.0, "R": 1.0, "r": 1.0} | rig
         effect: dict[str, Any] = {}
         for i, c in enumerate(self.coordinates):
-            x = value_of(c.prior, q[:, i])
+            x = from_standard(c.prior, q[:, i])
             if c.role == "effect":
                 effect[c.name.removeprefix("effect.")] = x
             elif c.role == "stiffness":
@@ -633,7 +602,7 @@ def _factor(distribution: Distribution) -> float:
     if isinstance(distribution, LogNormal):
         return distribution.factor
     if isinstance(distribution, LogUniform | Uniform | HalfNormal | Normal):
-        low, high = float(value_of(distribution, -0.1)), float(value_of(distribution, 0.1))
+        low, high = float(from_standard(distribution, -0.1)), float(from_standard(distribution, 0.1))
         return (high / low) ** 5.0 if low > 0.0 else math.e
     return math.e
 
@@ -791,9 +760,9 @@ class Calibration:
         """Value and standard deviation of every unknown of the campaign."""
         out = {}
         for i, c in enumerate(self.problem.coordinates):
-            x = float(value_of(c.prior, self.q[i]))
+            x = float(from_standard(c.prior, self.q[i]))
             sd = math.sqrt(max(self.covariance[i, i], 0.0))
-            up, down = value_of(c.prior, self.q[i] + sd), value_of(c.prior, self.q[i] - sd)
+            up, down = from_standard(c.prior, self.q[i] + sd), from_standard(c.prior, self.q[i] - sd)
             out[c.name] = (x, 0.5 * abs(float(up - down)))
         return out
 
@@ -816,7 +785,7 @@ class Calibration:
         i = self.problem.names.index(name)
         reach = float(ndtri(0.5 + 0.5 * share)) * math.sqrt(max(self.covariance[i, i], 0.0))
         prior = self.problem.coordinates[i].prior
-        low, high = float(value_of(prior, self.q[i] - reach)), float(value_of(prior, self.q[i] + reach))
+        low, high = float(from_standard(prior, self.q[i] - reach)), float(from_standard(prior, self.q[i] + reach))
         return (low, high) if low <= high else (high, low)
 
     def residuals(self) -> dict[int, Array]:

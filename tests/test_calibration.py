@@ -19,9 +19,8 @@ from bayes_damper.calibration import (
     coordinate_of,
     learn_noise,
     predict,
-    value_of,
 )
-from bayes_damper.distributions import HalfNormal, LogNormal, LogUniform, Normal, Uniform
+from bayes_damper.distributions import HalfNormal, LogNormal, LogUniform, Normal, Uniform, from_standard
 from bayes_damper.model import Model
 
 RIG = {"J1": 3.015e-3, "J2": 2.474e-3, "R": 0.10, "r": 0.0127, "N0": 100.0}
@@ -82,14 +81,14 @@ def test_a_coordinate_has_a_standard_gaussian_prior(prior):
     from scipy.special import ndtr
 
     z = np.linspace(-3.0, 3.0, 13)
-    assert np.allclose(value_of(prior, z), prior.ppf(ndtr(z)), rtol=1e-9)
+    assert np.allclose(from_standard(prior, z), prior.ppf(ndtr(z)), rtol=1e-9)
     for each in z:
-        assert coordinate_of(prior, float(value_of(prior, each))) == pytest.approx(each, abs=1e-6)
+        assert coordinate_of(prior, float(from_standard(prior, each))) == pytest.approx(each, abs=1e-6)
 
 
 def test_a_half_normal_reaches_far_into_its_tail():
     """Ten standard deviations are as far as the formula says, with no loss of digits."""
-    assert float(value_of(HalfNormal(2.0), 10.0)) == pytest.approx(20.0, rel=0.02)
+    assert float(from_standard(HalfNormal(2.0), 10.0)) == pytest.approx(20.0, rel=0.02)
 
 
 def test_parameters_are_recovered_within_their_covariance():

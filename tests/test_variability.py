@@ -9,8 +9,8 @@ from campaigns import CAMPAIGN_TOML, write_table
 from scipy.stats import genpareto
 
 from bayes_damper import arviz_adapter
-from bayes_damper.calibration import value_of
 from bayes_damper.campaign import load_campaign
+from bayes_damper.distributions import from_standard
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.model import Model
 from bayes_damper.run import write_json
@@ -347,7 +347,7 @@ def write_fit(folder, cases, converged=True):
     for case, fit in cases.fits.items():
         q = rng.multivariate_normal(fit.q, fit.covariance, 2 * 50 * 8)
         draws = {
-            c.name: value_of(c.prior, q[:, i]).reshape(2, 50, 8) for i, c in enumerate(fit.problem.coordinates)
+            c.name: from_standard(c.prior, q[:, i]).reshape(2, 50, 8) for i, c in enumerate(fit.problem.coordinates)
         }  # fmt: skip
         (folder / case).mkdir()
         tree = arviz_adapter.to_tree(draws, log_prob=np.zeros((2, 50, 8)))
@@ -401,7 +401,7 @@ def test_the_fit_of_one_case_is_brought_to_the_common_prior(tmp_path):
     rng = np.random.default_rng(1)
     z = rng.standard_normal((20000, len(cases.pooled)))  # no data: the case's own prior
     columns = [
-        (np.log(value_of(cases.fitted_priors[case][n], z[:, k]) / cases.priors(case)[n].median_value))
+        (np.log(from_standard(cases.fitted_priors[case][n], z[:, k]) / cases.priors(case)[n].median_value))
         / math.log(cases.priors(case)[n].factor)
         for k, n in enumerate(cases.pooled)
     ]  # fmt: skip

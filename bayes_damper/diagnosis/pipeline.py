@@ -20,7 +20,6 @@ from bayes_damper.calibration import (
     calibrate_nominal,
     experiment_of,
     learn_noise,
-    value_of,
 )
 from bayes_damper.diagnosis.gap import Gap, measure_gap, shifts
 from bayes_damper.diagnosis.generic import DRIFT
@@ -31,7 +30,7 @@ from bayes_damper.diagnosis.search import Candidate, offered, search
 from bayes_damper.diagnosis.sites import SiteMap, site_map, write_missing_torque
 from bayes_damper.diagnosis.verdict import RULE, Answers, Rule, family_evidence, weigh
 from bayes_damper.diagnosis.where import Where, locate
-from bayes_damper.distributions import Distribution
+from bayes_damper.distributions import Distribution, from_standard
 from bayes_damper.effects import EFFECTS, Effect, classes
 from bayes_damper.effects.base import SITES
 
@@ -325,8 +324,8 @@ def hidden_by(fit: Calibration) -> list[str]:
         if c.role not in ("constant", "stiffness"):
             continue
         sd = math.sqrt(max(fit.covariance[i, i], 0.0))
-        middle = float(value_of(c.prior, 0.0))
-        declared = abs(float(value_of(c.prior, 1.0)) - middle) / max(abs(middle), 1e-300)
+        middle = float(from_standard(c.prior, 0.0))
+        declared = abs(float(from_standard(c.prior, 1.0)) - middle) / max(abs(middle), 1e-300)
         if sd > 0.5:
             out.append(
                 f"An error of {c.name} within its declared {100.0 * declared:.2g} % looks like an effect of its size; "

@@ -18,10 +18,9 @@ from bayes_damper.calibration import (
     default_priors,
     experiment_of,
     predict,
-    value_of,
 )
 from bayes_damper.campaign import load_campaign
-from bayes_damper.distributions import Distribution, to_standard
+from bayes_damper.distributions import Distribution, from_standard, to_standard
 from bayes_damper.errors import InputError
 from bayes_damper.priors import priors_from_dict
 from bayes_damper.variability.decomposition import CaseDraws, Sets, curve_values, mean_over_cases, summary
@@ -86,7 +85,8 @@ class RecordedCases:
         """A fit's draws (n, pooled), in the standard coordinates of the common prior, drawn again for that prior."""
         own, common = self.fitted_priors[case], self.priors(case)
         before = np.stack(
-            [to_standard(own[name], value_of(common[name], draws[:, j])) for j, name in enumerate(self.pooled)], axis=1
+            [to_standard(own[name], from_standard(common[name], draws[:, j])) for j, name in enumerate(self.pooled)],
+            axis=1,
         )
         log_weights = 0.5 * np.sum(before**2 - draws**2, axis=1)
         weights = np.exp(log_weights - log_weights.max())
@@ -178,7 +178,9 @@ class RecordedCases:
         cases = {}
         for i, case in enumerate(self.names):
             priors = self.priors(case)
-            cases[case] = {name: summary(value_of(priors[name], drawn[:, i, j])) for j, name in enumerate(self.pooled)}
+            cases[case] = {
+                name: summary(from_standard(priors[name], drawn[:, i, j])) for j, name in enumerate(self.pooled)
+            }
         if pooling == "shared":
             return {"parameters": next(iter(cases.values()))}
         if pooling == "separate":
@@ -201,9 +203,9 @@ class RecordedCases:
         for i, c in enumerate(fit.problem.coordinates):
             if c.role == "stiffness":
                 if c.index == spring:
-                    rig["k1t"] = value_of(c.prior, q[:, i])
+                    rig["k1t"] = from_standard(c.prior, q[:, i])
             else:
-                rig[c.name] = value_of(c.prior, q[:, i])
+                rig[c.name] = from_standard(c.prior, q[:, i])
         if not experiment.magnet:
             rig = {"N0": np.zeros(n), "R": np.ones(n), "r": np.ones(n)} | rig | {"mu": np.zeros(n)}
         rig.setdefault("k3t", np.zeros(n))
