@@ -734,12 +734,12 @@ def _ingredients(name: str, value: Any, files: set[Path], callers: tuple[Any, ..
 
 
 def _fingerprint(bound: dict[str, Any]) -> str:
-    """A checksum of everything that the machine code depends on."""
-    parts = [numba.__version__, np.__version__, __file__]
+    """A checksum of everything that the machine code depends on, the same for every copy of the package."""
+    parts = [numba.__version__, np.__version__]
     files = {Path(__file__), Path(inspect.getfile(lanes)), Path(inspect.getfile(damper))}
     for name in sorted(bound):
         parts += _ingredients(name, bound[name], files)
-    parts += [path.read_text(encoding="utf-8") for path in sorted(files)]
+    parts += sorted(f"{path.name}\0{path.read_text(encoding='utf-8')}" for path in files)
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:20]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -416,6 +417,27 @@ def test_a_kernel_is_compiled_anew_when_anything_that_it_calls_changes(tmp_path,
     assert mark(1.0) != before
     helper.write_text(HELPER)
     assert mark(1.0) == before
+
+
+@pytest.mark.slow
+def test_two_copies_of_the_package_share_their_compiled_kernels(tmp_path):
+    package = Path(integrator.__file__).parent
+    shutil.copytree(package, tmp_path / "bayes_damper", ignore=shutil.ignore_patterns("__pycache__", "_shipped"))
+    code = (
+        "from bayes_damper import integrator; from bayes_damper.effects import EFFECTS;"
+        "variant = EFFECTS['stick_slip'].variants[0];"
+        "print(integrator.__file__, integrator._fingerprint("
+        "integrator.specialised_globals(True, True, False, False, variant)))"
+    )
+    found = [
+        subprocess.run(
+            [sys.executable, "-c", code], env=os.environ | {"PYTHONPATH": str(home)}, check=True, text=True,
+            capture_output=True, cwd=tmp_path,
+        ).stdout.split()
+        for home in (tmp_path, package.parent)
+    ]  # fmt: skip
+    assert found[0][0] != found[1][0]
+    assert found[0][1] == found[1][1]
 
 
 @pytest.mark.slow
