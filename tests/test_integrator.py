@@ -423,7 +423,7 @@ def test_a_kernel_is_compiled_anew_when_anything_that_it_calls_changes(tmp_path,
 @pytest.mark.slow
 def test_two_copies_of_the_package_share_their_compiled_kernels(tmp_path):
     package = Path(integrator.__file__).parent
-    shutil.copytree(package, tmp_path / "bayes_damper", ignore=shutil.ignore_patterns("__pycache__", "_shipped"))
+    shutil.copytree(package, tmp_path / "copy" / "bayes_damper", ignore=shutil.ignore_patterns("__pycache__", "_shipped"))
     code = (
         "from bayes_damper import integrator; from bayes_damper.effects import EFFECTS;"
         "variant = EFFECTS['stick_slip'].variants[0];"
@@ -435,7 +435,7 @@ def test_two_copies_of_the_package_share_their_compiled_kernels(tmp_path):
             [sys.executable, "-c", code], env=os.environ | {"PYTHONPATH": str(home)}, check=True, text=True,
             capture_output=True, cwd=tmp_path,
         ).stdout.split()
-        for home in (tmp_path, package.parent)
+        for home in (tmp_path / "copy", package.parent)
     ]  # fmt: skip
     assert found[0][0] != found[1][0]
     assert found[0][1] == found[1][1]
