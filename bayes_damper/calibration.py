@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -48,7 +48,9 @@ from bayes_damper.distributions import (
     to_standard,
 )
 from bayes_damper.effects.base import Variant
+from bayes_damper.errors import InputError
 from bayes_damper.model import Model, Quantity
+from bayes_damper.priors import PriorSet
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.signedinteger[Any]]
@@ -101,6 +103,10 @@ class Experiment:
 
     constants: name (J1 J2 J12 k3t R r N0) -> (value, standard deviation or 0); stiffnesses: (k1t, sd) per declared
     value; start: "rest" from theta0, or "free": angles and velocities at the first sample are inferred.
+
+    priors: parameter -> distribution, or number where it is fixed, in place of the default; levels: parameter ->
+    "campaign" (one value for all trials, the default), "case" or "trial"; case_priors: parameter -> case -> prior where
+    cases differ; ties: parameter -> the one whose value it takes.
     """
 
     constants: Mapping[str, tuple[float, float]]
@@ -112,6 +118,9 @@ class Experiment:
     start: Literal["rest", "free"] = "rest"
     noise_sd: tuple[float, ...] = ()
     priors: Mapping[str, Distribution | float] = field(default_factory=dict)
+    levels: Mapping[str, str] = field(default_factory=dict)
+    case_priors: Mapping[str, Mapping[str, Distribution | float]] = field(default_factory=dict)
+    ties: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def coupled(self) -> bool:
@@ -189,12 +198,21 @@ class Noise:
 
 @dataclass(frozen=True)
 class Coordinate:
-    """One unknown of the whole campaign. role: "nominal", "constant", "stiffness" (k1t number `index`) or "effect"."""
+    """One unknown of the whole campaign, or of one `case` if that is given.
+
+    role: "nominal", "release" (angle or instant), "constant", "stiffness" (k1t number `index`) or "effect".
+    """
 
     name: str
-    role: Literal["nominal", "constant", "stiffness", "effect"]
+    role: Literal["nominal", "release", "constant", "stiffness", "effect"]
     prior: Distribution
     index: int = 0
+    case: str | None = None
+
+    @property
+    def parameter(self) -> str:
+        """The name without its case."""
+        return self.name.partition("[")[0]
 
 
 @dataclass(frozen=True)
@@ -268,11 +286,11 @@ class Problem:
         self.trials = tuple(experiment.training if trials is None else trials)
         self.switches = switches or Switches()
         self.noise = noise or rough_noise(experiment, self.trials)
+        self._defaults = default_priors(experiment)
+        self._cases = tuple(dict.fromkeys(t.case for t in experiment.trials))
         self._medians = {
-            name: float(prior) if isinstance(prior, float | int) else median(prior)
-            for name, prior in (default_priors(experiment) | dict(experiment.priors)).items()
-            if name in NOMINAL
-        }
+            name: {case: middle(self.prior(name, case)) for case in self._cases} for name in NOMINAL
+        }  # of each case
         self.coordinates = self._coordinates()
         self.names = tuple(c.name for c in self.coordinates)
         self.size = len(self.coordinates)
@@ -308,16 +326,25 @@ class Problem:
 
     # Set-up
 
+    def prior(self, name: str, case: str) -> Distribution | float:
+        """Prior of a parameter for the trials of a case: a distribution, or a number where it is fixed."""
+        e = self.experiment
+        own = e.case_priors.get(name, {})
+        return own[case] if case in own else e.priors[name] if name in e.priors else self._defaults[name]
+
     def _coordinates(self) -> tuple[Coordinate, ...]:
         e = self.experiment
-        priors = default_priors(e) | dict(e.priors)
         used = [e.trials[i] for i in self.trials] or list(e.trials)
         coupled = any(t.coupled for t in used)
         names = ["k2t", "c2t", "c1t", "c3t"] if coupled else ["c1t"]
         if self.nominal == "nonlinear":
             names += ["mu", "drag", "nu"] if coupled and e.magnet else ["drag", "nu"]
-        free = {n: p for n in names if not isinstance(p := priors[n], float | int) and _spread(p) > 0.0}
-        out = [Coordinate(n, "nominal", p) for n, p in free.items()]
+        out = []
+        for name in dict.fromkeys(e.ties.get(n, n) for n in names):
+            out += self._shared(name, "nominal", [t for t in used if t.coupled or name in self._alone()])
+        for name in ("theta0", "delay"):
+            if e.start == "rest" and e.levels.get(name, "trial") != "trial":
+                out += self._shared(name, "release", used)
         for name, (value, sd) in e.constants.items():
             if sd > 0.0 and (coupled or name == "J1"):
                 out.append(Coordinate(name, "constant", Normal(value, sd)))
@@ -328,6 +355,27 @@ class Problem:
         if self.effect is not None:
             out += [Coordinate(f"effect.{p.name}", "effect", p.prior) for p in self.effect.parameters]
         return tuple(out)
+
+    def _shared(
+        self, name: str, role: Literal["nominal", "release"], trials: Sequence[TrialRecord]
+    ) -> list[Coordinate]:
+        """The unknowns that a parameter has at its level: one, or one for each case; none if it is each trial's own."""
+        e = self.experiment
+        cases = list(dict.fromkeys(t.case for t in trials))
+        level = e.levels.get(name, "campaign")
+        free = {
+            case: p for case in cases if not isinstance(p := self.prior(name, case), float | int) and _spread(p) > 0
+        }
+        if level == "trial" or not free:
+            return []
+        if len(cases) > 1 and (level == "case" or name in e.case_priors):
+            return [Coordinate(f"{name}[{case}]", role, p, case=case) for case, p in free.items()]
+        return [Coordinate(name, role, next(iter(free.values())))]
+
+    def _alone(self) -> set[str]:
+        """Parameters that act on trials of the primary alone."""
+        alone = {"J1", "c1t", "drag", "nu", "theta0", "delay"}
+        return alone | {other for name, other in self.experiment.ties.items() if name in alone}
 
     def grouped(self, trials: Sequence[int]) -> list[Group]:
         """The trials in groups that share a simulation."""
@@ -402,17 +450,25 @@ class Problem:
             return tuple(out), np.array([b[0] for b in bounds]).T, np.array([b[1] for b in bounds]).T
         mean = np.array([t.theta0 for t in trials])
         sd = np.array([t.theta0_sd for t in trials])
-        if np.any(sd > 0.0):
+        if np.any(sd > 0.0) and "theta0" not in e.levels:
             out.append(("theta0", mean, np.maximum(sd, 1e-12)))
             bounds.append(wide)
-        if self.switches.delay:
+        absent = {"mu"} if not e.magnet else set()
+        absent |= {"mu", "drag"} if self.nominal == "linear" else set()
+        for name in (*NOMINAL, "theta0", "delay"):
+            if e.levels.get(name) == "trial" and name not in absent and (trials[0].coupled or name in self._alone()):
+                found = _own_value(name, [self.prior(name, t.case) for t in trials])
+                if found is not None:
+                    out.append(found[0])
+                    bounds.append(found[1])
+        if self.switches.delay and "delay" not in e.levels:
             low, high = np.array([release_window(t, e.quantity) for t in trials]).T
             middle, half = 0.5 * (low + high), 0.35 * (high - low)
             out.append(("delay", middle, half))
             # A rig still held at the first reading bounds the release from below; else the logger may be later yet.
             slack = np.where(high > np.array([t.times[0] for t in trials]), -1e-6, 0.4)
             bounds.append(((low - middle) / half - slack, (high - middle) / half * (1.0 - 1e-9)))
-        if self.switches.friction and trials[0].coupled and "mu" in self.names:
+        if self.switches.friction and trials[0].coupled and any(c.parameter == "mu" for c in self.coordinates):
             out.append(("ln_mu", np.zeros(n), np.full(n, FRICTION_SPREAD)))
             bounds.append(wide)
         if not out:
@@ -439,9 +495,15 @@ class Problem:
         rig: dict[str, Any] = {name: value for name, (value, _) in e.constants.items()}
         rig["k1t"] = np.array([e.stiffnesses[e.trials[i].k1t][0] for i in group.trials])[which]
         rig["theta0"] = np.array([e.trials[i].theta0 for i in group.trials])[which]
-        linear = self.nominal == "linear"
-        for name, middle in self._medians.items():
-            rig[name] = 0.0 if linear and name in ("mu", "drag") else middle
+        cases = [e.trials[i].case for i in group.trials]
+        for name, middles in self._medians.items():
+            own = [middles[case] for case in cases]
+            rig[name] = own[0] if len(set(own)) == 1 else np.array(own)[which]
+        if self.nominal == "linear":
+            rig |= {"mu": 0.0, "drag": 0.0}
+        for name in ("theta0", "delay"):
+            if name in e.levels and e.start == "rest":
+                rig[name] = np.array([middle(self.prior(name, case)) for case in cases])[which]
         if not e.magnet:
             rig["mu"] = 0.0
             rig = {"N0": 0.0, "R": 1.0, "r": 1.0} | rig
@@ -450,17 +512,20 @@ class Problem:
             x = from_standard(c.prior, q[:, i])
             if c.role == "effect":
                 effect[c.name.removeprefix("effect.")] = x
-            elif c.role == "stiffness":
-                hit = np.array([e.trials[j].k1t == c.index for j in group.trials])[which]
-                rig["k1t"] = np.where(hit, x, rig["k1t"])
+            elif c.role == "stiffness" or c.case is not None:
+                hit = self._touched(c, group)[which]
+                rig[c.parameter] = np.where(hit, x, rig[c.parameter])
             else:
                 rig[c.name] = x
         for i, (name, mean, sd) in enumerate(group.nuisances):
             x = mean[which] + sd[which] * eta[:, i]
-            if name == "ln_mu":
-                rig["mu"] = rig["mu"] * np.exp(x)
+            if name.startswith("ln_"):
+                rig[name[3:]] = rig[name[3:]] * np.exp(x)
             else:
                 rig[name] = x
+        for name, other in e.ties.items():
+            if name in NOMINAL:
+                rig[name] = rig[other]
         if e.start == "free":
             rig["delay"] = float(group.times[0])
         return {"theta2_0": rig["theta0"]} | rig, effect
@@ -511,14 +576,16 @@ class Problem:
         blocks = []
         steps = np.full(self.size, 2e-3) if steps is None else steps
         for group in self.groups:
-            columns = [i for i, c in enumerate(self.coordinates) if self._acts(c, group)]
-            merged = [i for i in columns if self.coordinates[i].role != "stiffness"]
-            stiff = any(self.coordinates[i].role == "stiffness" for i in columns)
+            # Unknowns of different cases or springs never meet in a trial: they share a simulation.
+            together: dict[str, list[int]] = {}
+            for i, c in enumerate(self.coordinates):
+                if self._acts(c, group):
+                    together.setdefault(c.name if c.role == "effect" else c.parameter, []).append(i)
             n = len(group.trials)
             m = len(group.nuisances)
             names = [name for name, _, _ in group.nuisances]
-            moved = [i for i, name in enumerate(names) if name != "ln_mu"]
-            lanes = 1 + len(merged) + int(stiff) + len(moved)
+            moved = [i for i, name in enumerate(names) if name != "ln_mu" or "mu" not in together]
+            lanes = 1 + len(together) + len(moved)
             sides = (1.0, -1.0) if central else (1.0,)
             base_q = np.tile(q, (n, 1))
             base_eta = np.array([eta[i] for i in group.trials]).reshape(n, m)
@@ -530,16 +597,10 @@ class Problem:
                     trial_steps[:, i] = 1e-6 / group.nuisances[i][2]
                 trial_steps[:, i] *= np.where(base_eta[:, i] + trial_steps[:, i] > group.upper[:, i], -1.0, 1.0)
             for side in sides:
-                for i in merged:
+                for members in together.values():
                     moved_q = base_q.copy()
-                    moved_q[:, i] += side * steps[i]
-                    rows_q.append(moved_q)
-                    rows_eta.append(base_eta)
-                if stiff:
-                    moved_q = base_q.copy()
-                    for i in columns:
-                        if self.coordinates[i].role == "stiffness":
-                            moved_q[:, i] += side * steps[i]
+                    for i in members:
+                        moved_q[:, i] += side * steps[i]
                     rows_q.append(moved_q)
                     rows_eta.append(base_eta)
                 for i in moved:
@@ -563,34 +624,71 @@ class Problem:
             r = self.whitened(base - group.y, weight)
             w = self.whitened(forward, weight)  # (lanes - 1, n, data)
             jac = np.zeros((n, self.size, w.shape[-1]))
-            for k, i in enumerate(merged):
-                jac[:, i] = w[k] / steps[i]
-            if stiff:
-                per = w[len(merged)]
-                for i in columns:
-                    c = self.coordinates[i]
-                    if c.role == "stiffness":
-                        hit = np.array([self.experiment.trials[j].k1t == c.index for j in group.trials])
-                        jac[hit, i] = per[hit] / steps[i]
+            for k, members in enumerate(together.values()):
+                for i in members:
+                    hit = self._touched(self.coordinates[i], group)
+                    jac[hit, i] = w[k][hit] / steps[i]
             own = np.zeros((n, m, w.shape[-1]))
-            offset = len(merged) + int(stiff)
             for k, i in enumerate(moved):
-                own[:, i] = w[offset + k] / trial_steps[:, i, None]
-            if "ln_mu" in names:
-                i_mu = self.names.index("mu")
-                per_log = math.log(_factor(self.coordinates[i_mu].prior))
-                own[:, names.index("ln_mu")] = jac[:, i_mu] * (FRICTION_SPREAD / per_log)
+                own[:, i] = w[len(together) + k] / trial_steps[:, i, None]
+            if "ln_mu" in names and "mu" in together:
+                for i in together["mu"]:
+                    hit = self._touched(self.coordinates[i], group)
+                    per_log = math.log(_factor(self.coordinates[i].prior))
+                    own[hit, names.index("ln_mu")] = jac[hit, i] * (FRICTION_SPREAD / per_log)
             blocks.append(Block(group, r, jac, own, base_eta))
         return Linear(self, q, tuple(blocks))
 
+    def _touched(self, c: Coordinate, group: Group) -> NDArray[np.bool_]:
+        """Which trials of a group a coordinate belongs to, (trials,)."""
+        trials = [self.experiment.trials[i] for i in group.trials]
+        if c.role == "stiffness":
+            return np.array([t.k1t == c.index for t in trials])
+        return np.array([c.case is None or t.case == c.case for t in trials])
+
     def _acts(self, c: Coordinate, group: Group) -> bool:
         """Whether a coordinate can change the records of a group."""
-        e = self.experiment
-        if c.role == "stiffness":
-            return any(e.trials[i].k1t == c.index for i in group.trials)
         if c.role == "effect":
             return self.effect is not None and (group.coupled or self.effect.uncoupled)
-        return group.coupled or c.name in ("J1", "c1t", "drag", "nu")
+        free = group.coupled or c.role == "stiffness" or c.parameter in self._alone()
+        return free and bool(self._touched(c, group).any())
+
+
+def middle(prior: Distribution | float) -> float:
+    """The median of a prior, or the number it is fixed at."""
+    return float(prior) if isinstance(prior, float | int) else median(prior)
+
+
+def _own_value(
+    name: str, priors: Sequence[Distribution | float]
+) -> tuple[tuple[str, Array, Array], tuple[Array, Array]] | None:
+    """Nuisance of a parameter that each trial has for itself, with its bounds; None if it is fixed.
+
+    Scales are followed by their logarithm, relative to the median. What is not Gaussian there already (uniform,
+    half-normal) gets the Gaussian of the same middle and spread, cut where the prior ends.
+    """
+    if all(isinstance(p, float | int) for p in priors):
+        return None
+    means, sds, lows, highs = [], [], [], []
+    log = all(isinstance(p, float | int | LogNormal | LogUniform) for p in priors) and name not in ("theta0", "delay")
+    for p in priors:
+        value = middle(p)
+        if isinstance(p, float | int):
+            spread, low, high = 1e-12, -math.inf, math.inf
+        elif isinstance(p, LogNormal):
+            spread, low, high = math.log(p.factor) * (1.0 if log else value), -math.inf, math.inf
+        else:
+            (low, high), edge = p.support, (float(p.ppf(0.16)), float(p.ppf(0.84)))
+            spread = 0.5 * (math.log(edge[1] / edge[0]) if log else edge[1] - edge[0])
+            if log:
+                low, high = math.log(low / value), math.log(high / value)
+        centre = 0.0 if log else value
+        means.append(centre)
+        sds.append(spread)
+        lows.append(max((low - centre) / spread, -_FARTHEST))
+        highs.append(min((high - centre) / spread, _FARTHEST))
+    label = f"ln_{name}" if log else name
+    return (label, np.array(means), np.array(sds)), (np.array(lows), np.array(highs))
 
 
 def _spread(distribution: Distribution) -> float:
@@ -1180,7 +1278,60 @@ def calibrate_nominal(
 # Reading a campaign -------------------------------------------------------------------------------------------------
 
 
-def experiment_of(campaign: Any, priors: Mapping[str, Distribution | float] | None = None) -> Experiment:
+def with_priors(experiment: Experiment, priors: PriorSet) -> Experiment:
+    """The experiment under the priors of a campaign's file: values, levels, and ties.
+
+    Raises
+    ------
+    InputError
+        for entries that contradict each other or the campaign.
+    """
+    faults = []
+    levels: dict[str, str] = {}
+    values: dict[str, Distribution | float] = {}
+    own: dict[str, dict[str, Distribution | float]] = {}
+    ties = priors.tied
+    known = set(dict.fromkeys(t.case for t in experiment.trials))
+    for name, entry in priors.entries.items():
+        told = f"priors {priors.name!r}: {name}"
+        if name in ties:
+            if name in ("theta0", "delay"):
+                faults.append(f"{told} cannot be tied; give it a level, a number or a prior")
+            continue
+        if name in ("theta0", "delay") and experiment.start == "free":
+            faults.append(f'{told} has no meaning where start is "free"; leave it out')
+        levels[name] = entry.level
+        if entry.cases:
+            own[name] = {case: value for case, value in entry.cases.items() if case in known}
+            levels[name] = "case" if entry.level == "campaign" else entry.level
+        if entry.value is not None and not isinstance(entry.value, str):
+            values[name] = entry.value
+        elif entry.value == "" and known - set(entry.cases):
+            missing = ", ".join(sorted(known - set(entry.cases)))
+            faults.append(f"{told} has numbers for some cases only; add those of {missing}")
+        elif entry.value is None and name == "theta0" and entry.level != "trial":
+            angles = {(t.theta0, t.theta0_sd) for t in experiment.trials}
+            if entry.level == "campaign" and len(angles) > 1:
+                faults.append(
+                    f"{told} is one for the campaign, but trials.csv has several angles; give it a level of case"
+                )
+            own[name] = {t.case: Normal(t.theta0, max(t.theta0_sd, 1e-12)) for t in experiment.trials}
+        elif entry.value is None and name == "theta0":
+            levels.pop(name)
+        elif entry.value is None and name == "delay":
+            rate = float(
+                np.median([float(np.median(np.diff(t.times))) for t in experiment.trials if t.times.size > 1] or [1e-3])
+            )
+            values[name] = Normal(0.0, rate)
+    if faults:
+        raise InputError(faults)
+    return replace(
+        experiment, priors={**experiment.priors, **values}, levels={**experiment.levels, **levels},
+        case_priors={**experiment.case_priors, **own}, ties={**experiment.ties, **ties},
+    )  # fmt: skip
+
+
+def experiment_of(campaign: Any, priors: PriorSet | Mapping[str, Distribution | float] | None = None) -> Experiment:
     """A campaign.Campaign as an Experiment; priors override those of `default_priors`.
 
     Where no trial is marked as held out, the last one of each case and configuration that has repeats is.
@@ -1220,7 +1371,10 @@ def experiment_of(campaign: Any, priors: Mapping[str, Distribution | float] | No
         )
     sd = getattr(measurement, "noise_std", None)
     given = () if sd is None else tuple(float(x) for x in np.atleast_1d(np.asarray(sd, float)))
-    return Experiment(
+    experiment = Experiment(
         constants, tuple(stiffnesses), tuple(records), measurement.quantity, rig.normal_force, rig.restoring,
-        measurement.start, given, dict(priors or {}),
+        measurement.start, given,
     )  # fmt: skip
+    if isinstance(priors, PriorSet):
+        return with_priors(experiment, priors)
+    return replace(experiment, priors=dict(priors or {}))

@@ -24,7 +24,7 @@ from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.evidence import bridge
 from bayes_damper.fit import published_posterior
 from bayes_damper.parameters import PARAMETERS, unit_of
-from bayes_damper.priors import Prior, PriorSet, priors_from_dict
+from bayes_damper.priors import Prior, PriorSet, campaign_priors, priors_from_dict
 from bayes_damper.provenance import provenance
 from bayes_damper.run import read_json, write_json
 from bayes_damper.variability.pooling import pareto_k
@@ -62,7 +62,8 @@ class Comparison:
             lines.append(f"{'all cases together' if case == 'joint' else f'case {case}'}")
             for name, found in rows.items():
                 cells = "".join(f"{_cell(found.get(label)):>{width}s}" for label in labels)
-                lines.append(f"  {name:28s}{unit_of(name):8s}{cells}")
+                unit = next(iter(found.values())).get("unit", "")
+                lines.append(f"  {name:28s}{unit:8s}{cells}")
         for title, key in (
             ("log evidence, nats", "evidence"), ("held-out score, nats", "heldout"), ("gap and verdict", "diagnosis"),
             ("what the cases share", "variability"),
@@ -180,7 +181,7 @@ def _parameters(fits: Mapping[str, Any]) -> dict[str, dict[str, dict[str, Any]]]
         groups = dict(summary["cases"]) | ({"joint": summary["joint"]} if summary.get("joint") else {})
         for case, entry in groups.items():
             for name, p in entry["parameters"].items():
-                cell = {key: p[key] for key in ("median", "mean", "sd", "hdi90")}
+                cell = {key: p[key] for key in ("unit", "median", "mean", "sd", "hdi90")}
                 found = out.setdefault(case, {}).setdefault(name, {})
                 if found:
                     first = next(iter(found.values()))
@@ -255,10 +256,11 @@ def _priors(plan: Mapping[str, Any], case: str) -> PriorSet:
     if plan["campaign"] == "thesis":
         return priors_from_dict(plan["priors"]).for_case(case)
     campaign = load_campaign(plan["campaign"])
-    given = {} if plan["priors"] is None else priors_from_dict(plan["priors"], kind=campaign.rig.kind).free
+    given = None if plan["priors"] is None else campaign_priors(plan["priors"], campaign).for_case(case)
     whole = experiment_of(campaign, given)
     experiment = replace(whole, trials=tuple(t for t in whole.trials if t.case == case))
-    free: dict[str, Distribution] = default_priors(experiment) | given
+    free: dict[str, Distribution] = default_priors(experiment) | ({} if given is None else given.free)
+    free = {name: prior for name, prior in free.items() if given is None or name not in {**given.fixed, **given.tied}}
     return PriorSet("campaign", {name: Prior(name, value, unit_of(name)) for name, value in free.items()})
 
 
@@ -399,7 +401,8 @@ def _figure(result: Mapping[str, Any]) -> Any:
         }
         if rows and (not intervals or set(rows) == set(next(iter(intervals.values())))):
             intervals[name] = rows
-    labels = {n: figures.label(PARAMETERS[n].symbol, unit_of(n)) for n in intervals}
+    units = {n: cell["unit"] for rows in result["parameters"].values() for n, t in rows.items() for cell in t.values()}
+    labels = {n: figures.label(PARAMETERS[n].symbol, units[n]) for n in intervals}
     return figures.forest_figure(
         intervals, labels, title="results side by side", converged=all(result["converged"].values())
     )

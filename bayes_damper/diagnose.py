@@ -15,8 +15,7 @@ from bayes_damper.diagnosis import Diagnosis
 from bayes_damper.diagnosis import diagnose as diagnose_campaign
 from bayes_damper.effects import all_effects
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.fit import recorded_priors
-from bayes_damper.priors import load_priors
+from bayes_damper.priors import campaign_priors
 from bayes_damper.provenance import provenance
 from bayes_damper.run import write_json
 
@@ -73,7 +72,7 @@ def diagnose(
     loaded = load_campaign(campaign)
     beside = Path(campaign) / "priors.toml"
     file = Path(priors) if priors is not None else beside if beside.exists() else None
-    chosen = None if file is None else recorded_priors(load_priors(file, kind=loaded.rig.kind))
+    chosen = None if file is None else campaign_priors(file, loaded)
     found = diagnose_campaign(
         loaded, nominal=nominal, effects=all_effects(effects), priors=chosen, seed=seed, threads=threads, tell=tell
     )

@@ -12,6 +12,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,17 +21,16 @@ from numpy.typing import NDArray
 
 from bayes_damper import arviz_adapter, figures
 from bayes_damper.arviz_adapter import hdi
-from bayes_damper.calibration import Experiment, TrialRecord, calibrate_nominal, experiment_of
+from bayes_damper.calibration import Experiment, calibrate_nominal, experiment_of, middle
 from bayes_damper.campaign import load_campaign
 from bayes_damper.checkpoint import Checkpoint
-from bayes_damper.distributions import Distribution
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.parameters import PARAMETERS, unit_of
 from bayes_damper.posterior import Coordinates, Datum, FeaturePosterior, Shared
-from bayes_damper.priors import PriorSet, load_priors, priors_from_dict
+from bayes_damper.priors import PriorSet, campaign_priors, load_priors, priors_from_dict
 from bayes_damper.provenance import code_sha256, provenance
 from bayes_damper.published import load_published
-from bayes_damper.record_posterior import RecordPosterior
+from bayes_damper.record_posterior import RecordPosterior, trial_label
 from bayes_damper.run import Progress, Task, read_json, run_tasks, write_json
 from bayes_damper.sampling import Progress as Stage
 from bayes_damper.sampling import Sampling, Start, StoppingRule, annealed_start, sample
@@ -38,6 +38,7 @@ from bayes_damper.summary import summarise, table_text, write_table
 
 Array = NDArray[np.float64]
 Report = Callable[[float, str], None]
+Units = Callable[[str], str]
 SCHEMA = "bayes-damper/fit/1"
 KEPT_DRAWS = 4000
 """Draws of each case that go into posterior.nc: thinned so that they are all but independent."""
@@ -143,9 +144,8 @@ def plan_fit(
         known, checksum, name = loaded.cases, loaded.sha256, loaded.name
         beside = Path(campaign) / "priors.toml"
         file = Path(priors) if priors is not None else beside if beside.exists() else None
-        prior_set = None if file is None else load_priors(file, kind=loaded.rig.kind)
-        if prior_set is not None:
-            recorded_priors(prior_set)
+        prior_set = None if file is None else campaign_priors(file, loaded)
+        experiment_of(loaded, prior_set)  # tells what the file and the campaign contradict each other in
     chosen = list(known) if cases is None else list(dict.fromkeys(cases))
     unknown = [case for case in chosen if case not in known]
     if unknown:
@@ -319,41 +319,20 @@ def _search(posterior: FeaturePosterior, rng: np.random.Generator) -> Start:
     )
 
 
-def recorded_priors(priors: PriorSet) -> dict[str, Distribution | float]:
-    """Priors of nominal parameters as a calibration takes them: distributions, and numbers for fixed parameters.
-
-    Raises
-    ------
-    InputError
-        for what a campaign's prior file cannot say: a tied parameter, or numbers that differ between cases.
-    """
-    faults = [
-        f"priors {priors.name!r}: {name} is tied to {other}; in a campaign give it a prior or a number of its own"
-        for name, other in priors.tied.items()
-    ]
-    faults += [
-        f"priors {priors.name!r}: {name} has numbers per case; in a campaign each case has the same prior"
-        for name, entry in priors.entries.items()
-        if entry.cases
-    ]
-    if faults:
-        raise InputError(faults)
-    return {**priors.free, **priors.fixed}
-
-
 # Recorded trials -----------------------------------------------------------------------------------------------------
 
 
-def recorded_experiment(plan: Mapping[str, Any], case: str | None) -> Experiment:
-    """The trials of one case, or of all planned cases, as a calibration takes them; marked trials are left out."""
+def recorded_experiment(plan: Mapping[str, Any], case: str | None) -> tuple[Experiment, Units]:
+    """The trials of one case, or of all planned cases, as a calibration takes them; marked trials are left out.
+
+    With it the units of this rig's parameters.
+    """
     campaign = load_campaign(plan["campaign"])
     if campaign.sha256 != plan["campaign_sha256"]:
         raise InputError(
             f"{plan['campaign']}: the campaign has changed since this run began; start a new run with another --out"
         )
-    priors: dict[str, Distribution | float] = {}
-    if plan["priors"] is not None:
-        priors = recorded_priors(priors_from_dict(plan["priors"], kind=campaign.rig.kind))
+    priors = None if plan["priors"] is None else campaign_priors(plan["priors"], campaign)
     experiment = experiment_of(campaign, priors)
     marked = {t.file for t in campaign.trials if t.holdout}
     wanted = [case] if case is not None else plan["cases"]
@@ -361,12 +340,13 @@ def recorded_experiment(plan: Mapping[str, Any], case: str | None) -> Experiment
         replace(record, heldout=record.label in marked) for record in experiment.trials if record.case in wanted
     )
     law = plan["normal_force"] or experiment.normal_force
-    return replace(experiment, trials=trials, normal_force=law)
+    units = partial(unit_of, kind=campaign.rig.kind, quantity=experiment.quantity)
+    return replace(experiment, trials=trials, normal_force=law), units
 
 
 def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping[str, Any]) -> Any:
     """Task: fit one case of a campaign, or all together (`name` "joint"); its entry of summary.json."""
-    experiment = recorded_experiment(plan, None if name == "joint" else name)
+    experiment, units = recorded_experiment(plan, None if name == "joint" else name)
     report(0.0, "finding the best fit")
     best = calibrate_nominal(experiment)
     posterior = RecordPosterior(best)
@@ -384,11 +364,11 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
     nuisances = _trial_draws(posterior, kept, rng)
     few = sampling.flat(60)
     bands = posterior.predictive(few, rng)
-    entry = _entry(draws, _shares(posterior.names, sampling.flat()), sampling, dict(posterior.outcomes))
-    labels = {i: _trial_label(experiment.trials[i]) for i in posterior.trials}
+    entry = _entry(draws, _shares(posterior.names, sampling.flat()), sampling, dict(posterior.outcomes), units)
+    labels = {i: trial_label(experiment.trials[i]) for i in posterior.trials}
     entry["trials"] = {
         labels[i]: {
-            key: {"mean": float(x.mean()), "sd": float(x.std()), "hdi90": list(hdi(x)), "unit": unit_of(key)}
+            key: {"mean": float(x.mean()), "sd": float(x.std()), "hdi90": list(hdi(x)), "unit": units(key)}
             for key, x in values.items()
         }
         for i, values in nuisances.items()
@@ -414,28 +394,34 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
     }
     names = {"trials": json.dumps([labels[i] for i in posterior.trials])}
     _write_tree(folder, draws, sampling, groups, _attributes(plan, name) | names)
-    _draw_case(folder, f"{plan['name']}, {'all cases' if name == 'joint' else f'case {name}'}", draws, sampling, None)
-    _draw_records(folder, experiment, bands, sampling.converged)
+    _draw_case(
+        folder, f"{plan['name']}, {'all cases' if name == 'joint' else f'case {name}'}", draws, sampling, None, units
+    )
+    _draw_records(folder, experiment, bands, sampling.converged, units("sigma1"))
     return entry
 
 
-def _trial_label(trial: TrialRecord) -> str:
-    """Words that name a trial, without the slash that separates groups in a posterior.nc."""
-    configuration = "coupled" if trial.coupled else "uncoupled"
-    return f"{trial.case} {configuration} #{trial.number}".replace("/", "|")
-
-
 def _trial_draws(posterior: RecordPosterior, points: Array, rng: np.random.Generator) -> dict[int, dict[str, Array]]:
-    """Release angle (rad), instant (s) and friction factor of each trial: trial -> name -> (n,)."""
+    """What each trial has for itself under draws of the rest: trial -> name -> (n,).
+
+    Release angle (rad), instant (s), friction relative to that of all trials (ln_mu), and what the prior file gives to
+    trials.
+    """
     out: dict[int, dict[str, Array]] = {}
     drawn = posterior.nuisances(points, rng)
+    problem = posterior.problem
     for part in posterior.parts:
         for k, i in enumerate(part.group.trials):
-            if i in drawn:
-                out[i] = {
-                    name: mean[k] + sd[k] * drawn[i][:, m] for m, (name, mean, sd) in enumerate(part.group.nuisances)
-                }
-    return out
+            out[i] = {}
+            for m, (name, mean, sd) in enumerate(part.group.nuisances):
+                value = mean[k] + sd[k] * drawn[i][:, m]
+                own = name.removeprefix("ln_")
+                if own != name and problem.experiment.levels.get(own) == "trial":
+                    case = problem.experiment.trials[i].case
+                    out[i][own] = middle(problem.prior(own, case)) * np.exp(value)
+                else:
+                    out[i][name] = value
+    return {i: values for i, values in out.items() if values}
 
 
 # What both kinds share -----------------------------------------------------------------------------------------------
@@ -466,6 +452,7 @@ def _sampled(
     return sample(
         posterior,
         begin,
+        walkers=64 * math.ceil(posterior.ndim / 32),
         seed=int(np.random.SeedSequence([plan["seed"], _number(folder.name)]).generate_state(1)[0]),
         rule=rule,
         checkpoint=Checkpoint(folder / "state", fingerprint),
@@ -529,7 +516,11 @@ def _as_chains(values: Array, sampling: Sampling) -> Array:
 
 
 def _entry(
-    draws: Mapping[str, Array], prior_shares: Mapping[str, float], sampling: Sampling, outcomes: Mapping[str, int]
+    draws: Mapping[str, Array],
+    prior_shares: Mapping[str, float],
+    sampling: Sampling,
+    outcomes: Mapping[str, int],
+    units: Units = unit_of,
 ) -> dict[str, Any]:
     """The entry of summary.json for one run."""
     verdict = sampling.verdict
@@ -540,7 +531,7 @@ def _entry(
         sentences.append(f"Simulations that failed and were given no weight: {told} of {sum(outcomes.values())}.")
     return {
         "converged": verdict.converged,
-        "parameters": summarise(draws, {name: unit_of(name) for name in draws}, prior_shares),
+        "parameters": summarise(draws, {name: units(name) for name in draws}, prior_shares),
         "sentences": sentences,
         "steps": verdict.steps,
         "autocorrelation_steps": float(np.max(verdict.tau)),
@@ -565,18 +556,25 @@ def _attributes(plan: Mapping[str, Any], name: str) -> dict[str, Any]:
 _MAIN = ("mu", "k2t", "c2t", "drag", "nu", "c1t", "c3t", "friction_torque", "sigma1", "sigma2")
 
 
-def _axis_labels(names: Sequence[str]) -> dict[str, str]:
+def _axis_labels(units: Mapping[str, str]) -> dict[str, str]:
+    """Labels from units by parameter."""
     return {
-        name: figures.label(PARAMETERS[name].symbol if name in PARAMETERS else name, unit_of(name)) for name in names
+        name: figures.label(PARAMETERS[name].symbol if name in PARAMETERS else name, unit)
+        for name, unit in units.items()
     }
 
 
 def _draw_case(
-    folder: Path, title: str, draws: Mapping[str, Array], sampling: Sampling, checks: Sequence[Mapping[str, Any]] | None
+    folder: Path,
+    title: str,
+    draws: Mapping[str, Array],
+    sampling: Sampling,
+    checks: Sequence[Mapping[str, Any]] | None,
+    units: Units = unit_of,
 ) -> None:
     thinned = _thinned(draws, sampling)
-    names = [name for name in _MAIN if name in thinned]
-    labels = _axis_labels(list(draws))
+    names = [name for main in _MAIN for name in thinned if name.partition("[")[0] == main]
+    labels = _axis_labels({name: units(name) for name in draws})
     flat = {name: thinned[name].ravel() for name in names}
     converged = sampling.converged
     figures.save(figures.corner_figure({title: flat}, labels, title=title, converged=converged), folder / "corner")
@@ -599,7 +597,8 @@ def _draw_overview(folder: Path, summary: Mapping[str, Any]) -> None:
         for name in names
     }
     title = f"{summary['campaign']}: median and 90 % interval of each case"
-    figure = figures.forest_figure(intervals, _axis_labels(names), title=title, converged=summary["converged"])
+    shown = {name: next(iter(cases.values()))["parameters"][name]["unit"] for name in names}
+    figure = figures.forest_figure(intervals, _axis_labels(shown), title=title, converged=summary["converged"])
     figures.save(figure, folder / "forest")
     rows = [row for entry in cases.values() for row in entry.get("predictive", [])]
     if rows:
@@ -608,11 +607,8 @@ def _draw_overview(folder: Path, summary: Mapping[str, Any]) -> None:
         figures.save(figure, folder / "predictive")
 
 
-_READING_UNITS = {"acceleration": "rad/s^2", "velocity": "rad/s", "displacement": "rad"}
-
-
 def _draw_records(
-    folder: Path, experiment: Experiment, bands: Mapping[int, Array], converged: bool, most: int = 4
+    folder: Path, experiment: Experiment, bands: Mapping[int, Array], converged: bool, unit: str, most: int = 4
 ) -> None:
     """The first trial of each configuration (at most `most`) under the band of the posterior."""
     shown: dict[tuple[str, bool], int] = {}
@@ -625,7 +621,7 @@ def _draw_records(
         trial = experiment.trials[i]
         rows.append(
             {
-                "label": _trial_label(trial),
+                "label": trial_label(trial),
                 "times": trial.times,
                 "measured": trial.y,
                 "low": low,
@@ -633,7 +629,5 @@ def _draw_records(
                 "high": high,
             }
         )
-    figure = figures.record_figure(
-        rows, _READING_UNITS[experiment.quantity], title="measured records and the fitted model", converged=converged
-    )
+    figure = figures.record_figure(rows, unit, title="measured records and the fitted model", converged=converged)
     figures.save(figure, folder / "records")

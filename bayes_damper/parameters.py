@@ -78,12 +78,20 @@ TRANSLATIONAL_UNITS: dict[str, str] = {
 """Unit of a torsional rig -> unit of the same parameter of a translational one."""
 
 
-def unit_of(name: str, kind: str = "torsional") -> str:
-    """Unit of a parameter; "" if it is none of ours. Suffixes in brackets (``k1t[6.2]``, ``theta0[2]``) are ignored."""
+READING_UNITS: dict[str, str] = {"acceleration": "rad/s^2", "velocity": "rad/s", "displacement": "rad"}
+"""Measured quantity -> unit of its readings on a torsional rig."""
+
+
+def unit_of(name: str, kind: str = "torsional", quantity: str = "acceleration") -> str:
+    """Unit of a parameter; "" if it is none of ours. Suffixes in brackets (``k1t[6.2]``, ``theta0[2]``) are ignored.
+
+    kind : of the rig; quantity : that is measured, which is the unit of the noise.
+    """
     parameter = PARAMETERS.get(name.partition("[")[0])
     if parameter is None:
         return ""
-    return TRANSLATIONAL_UNITS.get(parameter.unit, parameter.unit) if kind == "translational" else parameter.unit
+    unit = READING_UNITS[quantity] if parameter.name in ("sigma1", "sigma2") else parameter.unit
+    return TRANSLATIONAL_UNITS.get(unit, unit) if kind == "translational" else unit
 
 
 def nearest(name: str, valid: Iterable[str]) -> str | None:

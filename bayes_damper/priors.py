@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bayes_damper.campaign import Campaign
 from bayes_damper.distributions import Distribution, HalfNormal, LogNormal, LogUniform, Normal, Uniform, median
 from bayes_damper.errors import InputError
-from bayes_damper.parameters import PARAMETERS, TRANSLATIONAL_UNITS, hint
+from bayes_damper.parameters import PARAMETERS, hint, unit_of
 from bayes_damper.resources import shipped_path
 
 Array = NDArray[np.float64]
@@ -35,17 +36,25 @@ _NUMBERS = {
 _WORDS = ("unit", "dist", "level", "reason", "source", "cases", "to")
 _CONVERSIONS = {("deg", "rad"): math.pi / 180.0, ("ms", "s"): 1e-3, ("mm", "m"): 1e-3}
 _HEAD = ("name", "description")
+RECORDED = ("mu", "k2t", "c2t", "drag", "nu", "c1t", "c3t", "theta0", "delay", "sigma1", "sigma2")
+"""What the prior file of a recorded campaign may speak of. Each has a default there, scaled to the rig."""
+_ELSEWHERE = {
+    "J1": "primary_inertia in campaign.toml", "J2": "secondary_inertia in campaign.toml",
+    "J12": "inertial_coupling in campaign.toml", "R": "bar_radius in campaign.toml",
+    "r": "magnet_radius in campaign.toml", "N0": "magnet_pull in campaign.toml",
+    "k3t": "ground2_stiffness in campaign.toml", "k1t": "the columns of k1t in trials.csv",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Prior:
     """One entry: `value` is a distribution (free), a number (fixed) or a name (tied); in SI units.
 
-    cases : the values of single cases, where they differ.
+    None stands for the default of a recorded campaign. cases : the values of single cases, where they differ.
     """
 
     name: str
-    value: Distribution | float | str
+    value: Distribution | float | str | None
     unit: str
     level: str = "campaign"
     reason: str = ""
@@ -76,7 +85,7 @@ class PriorSet:
         """
         result: dict[str, Distribution] = {}
         for name, entry in self.entries.items():
-            if not isinstance(entry.value, float | str):
+            if not isinstance(entry.value, float | str | None):
                 result[name] = entry.value
             elif isinstance(entry.value, str) and not entry.value:
                 raise InputError(f"priors {self.name!r}: {name} has a prior per case; choose the case first")
@@ -165,7 +174,7 @@ class PriorSet:
         entries = {
             name: replace(
                 entry,
-                value=entry.value if isinstance(entry.value, float | str) else _widen(entry.value, factor),
+                value=entry.value if isinstance(entry.value, float | str | None) else _widen(entry.value, factor),
                 cases={c: v if isinstance(v, float) else _widen(v, factor) for c, v in entry.cases.items()},
             )
             for name, entry in self.entries.items()
@@ -220,11 +229,14 @@ def load_priors(
     base: PriorSet | None = None,
     extra: Mapping[str, str] | None = None,
     kind: str = "torsional",
+    quantity: str = "acceleration",
+    recorded: bool = False,
 ) -> PriorSet:
     """Reads a prior file: a shipped one by name ("thesis", "campaign") or any by path.
 
     base : priors that the file overrides entry by entry; extra : further names with their units, e.g. of effects;
-    kind : of the rig, which decides the units.
+    kind, quantity : of the rig and of its readings, which decide the units; recorded : the file is that of a campaign
+    of recorded trials, where parameters that it does not name have defaults.
 
     Raises
     ------
@@ -249,7 +261,21 @@ def load_priors(
         raise InputError(f"{path}: is no UTF-8 text; save it as UTF-8") from None
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path}: is no valid TOML: {error}") from None
-    return priors_from_dict(table, str(path), base=base, extra=extra, kind=kind)
+    return priors_from_dict(table, str(path), base=base, extra=extra, kind=kind, quantity=quantity, recorded=recorded)
+
+
+def campaign_priors(source: str | Path | Mapping[str, Any], campaign: Campaign) -> PriorSet:
+    """The prior file (or its dictionary) of a campaign of recorded trials.
+
+    Raises
+    ------
+    InputError
+        with every fault of the file.
+    """
+    kind, quantity = campaign.rig.kind, campaign.measurement.quantity
+    if isinstance(source, Mapping):
+        return priors_from_dict(source, kind=kind, quantity=quantity, recorded=True)
+    return load_priors(source, kind=kind, quantity=quantity, recorded=True)
 
 
 def priors_from_dict(
@@ -259,42 +285,49 @@ def priors_from_dict(
     base: PriorSet | None = None,
     extra: Mapping[str, str] | None = None,
     kind: str = "torsional",
+    quantity: str = "acceleration",
+    recorded: bool = False,
 ) -> PriorSet:
     """Priors from a dictionary in the form of a file; `where` names it in messages. See `load_priors`."""
-    units = {
-        name: TRANSLATIONAL_UNITS.get(p.unit, p.unit) if kind == "translational" else p.unit
-        for name, p in PARAMETERS.items()
-    } | dict(extra or {})
+    units = {name: unit_of(name, kind, quantity) for name in PARAMETERS} | dict(extra or {})
+    defaults = {name: units[name] for name in RECORDED} if recorded else {}
     faults: list[str] = []
     entries = dict(base.entries) if base else {}
     for key, entry in table.items():
         if key in _HEAD:
             if not isinstance(entry, str):
                 faults.append(f"{where}: {key} must be a text, got {entry!r}")
-        elif key not in units:
-            faults.append(f"{where}: {key!r} is no parameter; {hint(key, [*units, *_HEAD])}")
+        elif recorded and key in _ELSEWHERE:
+            faults.append(f"{where}: {key} of a recorded campaign is told by {_ELSEWHERE[key]}; write it there")
+        elif key not in units or (recorded and key not in (*RECORDED, *(extra or {}))):
+            valid = [*(defaults or units), *(extra or {}), *_HEAD]
+            faults.append(f"{where}: {key!r} is no parameter; {hint(key, valid)}")
         else:
-            found = _Reader(where, key, units[key], faults).entry(entry)
+            found = _Reader(where, key, units[key], faults, key in defaults).entry(entry)
             if found is not None:
                 entries[key] = found
     if not faults:
-        faults += _tie_faults(where, entries)
+        faults += _tie_faults(where, entries, defaults)
     if faults:
         raise InputError(faults)
     name = table.get("name", Path(where).stem if base is None else base.name)
     return PriorSet(str(name), entries, str(table.get("description", base.description if base else "")))
 
 
-def _tie_faults(where: str, entries: Mapping[str, Prior]) -> list[str]:
+def _tie_faults(where: str, entries: Mapping[str, Prior], defaults: Mapping[str, str] | None = None) -> list[str]:
+    """What is wrong with ties; defaults : parameters (with their unit) that need no entry to be tied to."""
     faults = []
     for name, entry in entries.items():
         if not isinstance(entry.value, str) or not entry.value:
             continue
         other = entries.get(entry.value)
+        if other is None and entry.value in (defaults or {}):
+            other = Prior(entry.value, None, (defaults or {})[entry.value])
         if other is None:
-            faults.append(
-                f"{where}: {name} is tied to {entry.value!r}, which has no entry; {hint(entry.value, entries)}"
-            )
+            valid = dict.fromkeys([*entries, *(defaults or {})])
+            faults.append(f"{where}: {name} is tied to {entry.value!r}, which has no entry; {hint(entry.value, valid)}")
+        elif entry.value == name:
+            faults.append(f"{where}: {name} is tied to itself; give it a prior or another parameter")
         elif isinstance(other.value, str) and other.value:
             faults.append(f"{where}: {name} is tied to {entry.value}, which is itself tied; tie it to {other.value}")
         elif other.unit != entry.unit:
@@ -305,8 +338,9 @@ def _tie_faults(where: str, entries: Mapping[str, Prior]) -> list[str]:
 class _Reader:
     """Reads one entry and collects its faults."""
 
-    def __init__(self, where: str, key: str, unit: str, faults: list[str]) -> None:
-        self.where, self.key, self.unit, self.faults = where, key, unit, faults
+    def __init__(self, where: str, key: str, unit: str, faults: list[str], default: bool = False) -> None:
+        """`default` : whether a table without `dist` may stand for the default prior."""
+        self.where, self.key, self.unit, self.faults, self.default = where, key, unit, faults, default
 
     def fault(self, what: str) -> None:
         self.faults.append(f"{self.where}: {self.key}: {what}")
@@ -326,8 +360,9 @@ class _Reader:
                 self.fault(f"a list must be a pair [lower, upper], got {len(entry)} numbers")
                 return None
             entry = {"dist": "uniform", "lower": entry[0], "upper": entry[1], "unit": self.unit}
-        kinds = [*_NUMBERS, "tied"]
-        kind = entry.get("dist")
+        kinds = [*_NUMBERS, "tied", *(["default"] if self.default else [])]
+        bare = self.default and "level" in entry and not set(entry) - {"level", "unit", "reason", "source"}
+        kind = entry.get("dist", "default" if bare else None)
         if not isinstance(kind, str) or kind not in kinds:
             self.fault(f"dist must be one of {', '.join(kinds)}, got {kind!r}")
             return None
@@ -335,19 +370,22 @@ class _Reader:
         for word in entry:
             if word not in (*_WORDS, *required, *optional):
                 self.fault(f"unknown key {word!r} for dist {kind!r}; {hint(word, [*required, *optional, *_WORDS])}")
-        level = entry.get("level", "campaign")
+        own = self.default and self.key in ("theta0", "delay")
+        level = entry.get("level", "trial" if own else "campaign")
         if level not in LEVELS:
             self.fault(f"level must be one of {', '.join(LEVELS)}, got {level!r}")
         scale = self.scale(entry, kind)
-        value: Distribution | float | str | None
+        value: Distribution | float | str | None = None
         cases: dict[str, Distribution | float] = {}
         if kind == "tied":
             value = entry.get("to")
             if not isinstance(value, str) or not value:
                 self.fault("a tied entry needs the name of the other parameter: to = NAME")
-        else:
+        elif kind != "default":
             value, cases = self.values(entry, kind, scale)
-        if len(self.faults) > before or value is None:
+        elif "cases" in entry:
+            self.fault("cases need a dist with numbers")
+        if len(self.faults) > before or (value is None and kind != "default"):
             return None
         return Prior(
             self.key, value, self.unit, level, str(entry.get("reason", "")), str(entry.get("source", "")), cases
@@ -355,7 +393,7 @@ class _Reader:
 
     def scale(self, entry: Mapping[str, Any], kind: str) -> float:
         """What turns the file's unit into the parameter's own."""
-        if kind == "tied" and "unit" not in entry:
+        if kind in ("tied", "default") and "unit" not in entry:
             return 1.0
         unit = entry.get("unit")
         if unit is None:
@@ -466,8 +504,10 @@ def _widen(prior: Distribution, factor: float) -> Distribution:
     raise TypeError(f"{type(prior).__name__} cannot be widened")
 
 
-def describe(value: Distribution | float | str) -> dict[str, Any]:
+def describe(value: Distribution | float | str | None) -> dict[str, Any]:
     """A prior's value as the `dist` and numbers of a file."""
+    if value is None:
+        return {"dist": "default"}
     if isinstance(value, str):
         return {"dist": "tied", "to": value}
     if isinstance(value, float):

@@ -18,17 +18,20 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.calibration import Calibration, Group
-from bayes_damper.distributions import Distribution, LogNormal, from_standard
+from bayes_damper.calibration import Calibration, Group, TrialRecord
+from bayes_damper.distributions import Distribution, LogNormal, from_standard, to_standard
 
 Array = NDArray[np.float64]
 NOISE_PRIOR = LogNormal(1.0, 1.5)
-"""Prior of each channel's noise relative to the estimate from repeats: thousands of readings decide, not this."""
+"""Prior of each channel's noise relative to its estimate: thousands of readings decide, not this."""
+DECLARED_NOISE = 1.1
+"""Factor within which a declared noise_std is believed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,21 +47,89 @@ class _Part:
     readings: Array
 
 
+def trial_label(trial: TrialRecord) -> str:
+    """Words that name a trial, without the slash that separates groups in a posterior.nc."""
+    configuration = "coupled" if trial.coupled else "uncoupled"
+    return f"{trial.case} {configuration} #{trial.number}".replace("/", "|")
+
+
+@dataclass(frozen=True)
+class Sigma:
+    """One unknown noise: of a channel (from 0), in all trials or in some; prior of its standard deviation."""
+
+    name: str
+    channel: int
+    trials: frozenset[int]
+    prior: Distribution
+
+
 class RecordPosterior:
     """Log posterior over q (unknowns of calibration.Problem) and the noise of each channel, in standard coordinates.
 
-    names : those of the problem, then noise1 (and noise2); ndim : their number.
+    names : those of the problem, then sigma1 (and sigma2), at the level that the priors give them; ndim : their number.
     """
 
-    def __init__(self, fit: Calibration, noise_prior: Distribution = NOISE_PRIOR) -> None:
+    def __init__(self, fit: Calibration) -> None:
         self.fit = fit
         self.problem = fit.problem
-        self.noise_prior = noise_prior
-        self.channels = max(group.y.shape[1] for group in self.problem.groups)
-        self.names = self.problem.names + tuple(f"noise{c + 1}" for c in range(self.channels))
+        self.parts = tuple(self._part(block.group, block.T, block.eta) for block in fit.linear.blocks)
+        self.channels = max(part.group.y.shape[1] for part in self.parts)
+        self.sigmas = self._sigmas()
+        self.names = self.problem.names + tuple(sigma.name for sigma in self.sigmas)
         self.ndim = len(self.names)
         self.outcomes: Counter[str] = Counter()
-        self.parts = tuple(self._part(block.group, block.T, block.eta) for block in fit.linear.blocks)
+        # Which unknown noise each trial and channel has, -1 where it is fixed.
+        self._which = np.array([[self._sigma_of(c, i) for c in range(self.channels)] for i in self.trials])
+        self._known = np.array([[self._fixed_scale(c, i) for c in range(self.channels)] for i in self.trials])
+
+    def _sigma_source(self, channel: int) -> tuple[str, int]:
+        """The parameter that holds a channel's noise, and the channel whose estimate it goes by."""
+        name = f"sigma{channel + 1}"
+        other = self.problem.experiment.ties.get(name)
+        return (name, channel) if other is None else (other, int(other.removeprefix("sigma")) - 1)
+
+    def sigma_prior(self, name: str, channel: int, case: str) -> Distribution | float:
+        """Prior of the noise's standard deviation: that of the prior file, of campaign.toml, or a wide one."""
+        e = self.problem.experiment
+        own = e.case_priors.get(name, {})
+        if case in own or name in e.priors:
+            return own[case] if case in own else e.priors[name]
+        if e.noise_sd:
+            return LogNormal(e.noise_sd[min(channel, len(e.noise_sd) - 1)], DECLARED_NOISE)
+        return LogNormal(NOISE_PRIOR.median_value * self.problem.noise.total[channel], NOISE_PRIOR.factor)
+
+    def _sigmas(self) -> tuple[Sigma, ...]:
+        e = self.problem.experiment
+        found = []
+        for channel in range(self.channels):
+            name = f"sigma{channel + 1}"
+            if name in e.ties:
+                continue
+            users = [c for c in range(self.channels) if self._sigma_source(c)[0] == name]
+            trials = [i for p in self.parts if p.group.y.shape[1] > min(users) for i in p.group.trials]
+            level = "case" if name in e.case_priors else e.levels.get(name, "campaign")
+            keys = {
+                i: {"campaign": "", "case": f"[{e.trials[i].case}]", "trial": f"[{trial_label(e.trials[i])}]"}[level]
+                for i in trials
+            }
+            if len(set(keys.values())) == 1 and level == "case":
+                keys = dict.fromkeys(trials, "")
+            for key in dict.fromkeys(keys.values()):
+                members = [i for i in trials if keys[i] == key]
+                prior = self.sigma_prior(name, channel, e.trials[members[0]].case)
+                if not isinstance(prior, float | int):
+                    found.append(Sigma(f"{name}{key}", channel, frozenset(members), prior))
+        return tuple(found)
+
+    def _sigma_of(self, channel: int, trial: int) -> int:
+        source = self._sigma_source(channel)[1]
+        hits = [k for k, s in enumerate(self.sigmas) if s.channel == source and trial in s.trials]
+        return hits[0] if hits else -1
+
+    def _fixed_scale(self, channel: int, trial: int) -> float:
+        name, source = self._sigma_source(channel)
+        prior = self.sigma_prior(name, source, self.problem.experiment.trials[trial].case)
+        return float(prior) / self.problem.noise.total[channel] if isinstance(prior, float | int) else 1.0
 
     @staticmethod
     def _part(group: Group, T: Array, eta: Array) -> _Part:
@@ -76,7 +147,9 @@ class RecordPosterior:
     @property
     def start(self) -> Array:
         """The best fit, (ndim,)."""
-        return np.concatenate([self.fit.q, np.zeros(self.channels)])
+        total = self.problem.noise.total
+        noise = [float(np.clip(to_standard(s.prior, total[s.channel]), -8.0, 8.0)) for s in self.sigmas]
+        return np.concatenate([self.fit.q, noise])
 
     @property
     def covariance(self) -> Array:
@@ -84,14 +157,30 @@ class RecordPosterior:
         full = np.zeros((self.ndim, self.ndim))
         size = self.problem.size
         full[:size, :size] = self.fit.covariance
-        for c in range(self.channels):
-            count = sum(p.readings[:, c].sum() for p in self.parts if p.readings.shape[1] > c)
-            full[size + c, size + c] = 1.0 / (2.0 * count * math.log(1.5) ** 2 + 1.0)
+        start = self.start[size:]
+        for k, s in enumerate(self.sigmas):
+            count = 0.0
+            for part in self.parts:
+                rows = [j for j, i in enumerate(part.group.trials) if i in s.trials]
+                count += sum(
+                    part.readings[rows, c].sum()
+                    for c in range(part.readings.shape[1])
+                    if self._sigma_source(c)[1] == s.channel
+                )
+            up, down = from_standard(s.prior, start[k] + 1e-3), from_standard(s.prior, start[k] - 1e-3)
+            slope = float(np.log(up / down)) / 2e-3  # of ln sigma
+            full[size + k, size + k] = 1.0 / (2.0 * count * slope**2 + 1.0)
         return full
 
     def noise_scale(self, points: Array) -> Array:
-        """Noise of each channel relative to its estimate, (n, channels)."""
-        return from_standard(self.noise_prior, points[:, self.problem.size :])
+        """Noise of each trial and channel relative to its estimate, (n, trials, channels); trials as in `trials`."""
+        size, total = self.problem.size, self.problem.noise.total
+        out = np.tile(self._known, (len(points), 1, 1))
+        for k, s in enumerate(self.sigmas):
+            value = from_standard(s.prior, points[:, size + k])
+            rows, channels = np.nonzero(self._which == k)
+            out[:, rows, channels] = value[:, None] / np.array(total)[channels]
+        return out
 
     def _sums(self, part: _Part, q: Array) -> tuple[Array, Array]:
         """Sums of squares w'w (k, trials, channels) and T'w (k, trials, channels, m) for each q (k, size)."""
@@ -111,25 +200,32 @@ class RecordPosterior:
         Up to a constant that depends on the data and the noise model alone.
         """
         points = np.atleast_2d(points)
-        scale = self.noise_scale(points)
         columns = []
-        for part in self.parts:
+        for part, s in self._scaled(points):
             ww, Tw = self._sums(part, points[:, : self.problem.size])
-            s = scale[:, : ww.shape[2]]
             A, b = self._conditional(part, Tw, s)
-            quadratic = np.sum(ww / s[:, None] ** 2, axis=2) + np.sum(part.eta**2, axis=1)
+            quadratic = np.sum(ww / s**2, axis=2) + np.sum(part.eta**2, axis=1)
             if A.shape[-1]:
                 quadratic = quadratic - np.einsum("knm,knm->kn", b, np.linalg.solve(A, b[..., None])[..., 0])
                 quadratic = quadratic + np.linalg.slogdet(A)[1]
-            columns.append(-0.5 * quadratic - np.log(s) @ part.readings.T)
+            columns.append(-0.5 * quadratic - np.sum(np.log(s) * part.readings, axis=2))
         value = np.concatenate(columns, axis=1)
         return np.where(np.isfinite(value), value, -np.inf)
+
+    def _scaled(self, points: Array) -> Iterator[tuple[_Part, Array]]:
+        """Each part with the relative noise of its trials and channels, (n, trials, channels)."""
+        scale = self.noise_scale(points)
+        first = 0
+        for part in self.parts:
+            n, channels = part.group.y.shape[:2]
+            yield part, scale[:, first : first + n, :channels]
+            first += n
 
     @staticmethod
     def _conditional(part: _Part, Tw: Array, s: Array) -> tuple[Array, Array]:
         """A (k, trials, m, m) and b (k, trials, m) of the nuisances given the parameters."""
-        A = np.eye(part.T.shape[2]) + np.einsum("kc,ncij->knij", s**-2, part.TT)
-        return A, part.eta + np.einsum("kc,kncm->knm", s**-2, Tw)
+        A = np.eye(part.T.shape[2]) + np.einsum("knc,ncij->knij", s**-2, part.TT)
+        return A, part.eta + np.einsum("knc,kncm->knm", s**-2, Tw)
 
     def log_prior(self, points: Array) -> Array:
         """Log prior density in standard coordinates, (n,)."""
@@ -144,19 +240,17 @@ class RecordPosterior:
     def values(self, points: Array) -> dict[str, Array]:
         """Physical values: name -> (n,), the noise as sigma1, sigma2 in the unit of the readings."""
         points = np.atleast_2d(points)
-        named = dict(self.problem.parameters(points[:, : self.problem.size]))
-        scale = self.noise_scale(points)
-        total = self.problem.noise.total
-        return named | {f"sigma{c + 1}": scale[:, c] * total[c] for c in range(self.channels)}
+        size = self.problem.size
+        named = dict(self.problem.parameters(points[:, :size]))
+        return named | {s.name: from_standard(s.prior, points[:, size + k]) for k, s in enumerate(self.sigmas)}
 
     def nuisances(self, points: Array, rng: np.random.Generator) -> dict[int, Array]:
         """Draws of each trial's nuisances given the parameters: trial -> (n, m) in standard coordinates."""
         points = np.atleast_2d(points)
-        scale = self.noise_scale(points)
         drawn: dict[int, Array] = {}
-        for part in self.parts:
+        for part, s in self._scaled(points):
             _, Tw = self._sums(part, points[:, : self.problem.size])
-            A, b = self._conditional(part, Tw, scale[:, : part.group.y.shape[1]])
+            A, b = self._conditional(part, Tw, s)
             m = part.eta.shape[1]
             if m == 0:
                 continue

@@ -43,11 +43,12 @@ def _brute_force(posterior: RecordPosterior, point: np.ndarray) -> np.ndarray:
     """log of the integral over each trial's nuisances of likelihood times prior, on a grid about their best values."""
     problem = posterior.problem
     q = point[: problem.size]
-    scale = posterior.noise_scale(point[None])[0]
+    scales = iter(posterior.noise_scale(point[None])[0])
     values = []
     for part in posterior.parts:
         m = part.eta.shape[1]
         for k in range(len(part.group.trials)):
+            scale = next(scales)
             A = np.eye(m) + np.einsum("c,cij->ij", scale[: part.TT.shape[1]] ** -2, part.TT[k])
             root = np.linalg.inv(np.linalg.cholesky(A)).T
             grid = np.linspace(-6.0, 6.0, 49)

@@ -33,6 +33,7 @@ from bayes_damper.diagnosis.where import Where, locate
 from bayes_damper.distributions import Distribution, from_standard
 from bayes_damper.effects import EFFECTS, Effect, classes
 from bayes_damper.effects.base import SITES
+from bayes_damper.priors import PriorSet
 
 SCHEMA = "bayes-damper/diagnosis/1"
 INDISTINCT = 3.0  # nats between two families below which these data cannot tell them apart
@@ -178,7 +179,7 @@ def diagnose(
     *,
     nominal: Literal["nonlinear", "linear"] = "nonlinear",
     effects: Mapping[str, Effect] = EFFECTS,
-    priors: Mapping[str, Distribution | float] | None = None,
+    priors: PriorSet | Mapping[str, Distribution | float] | None = None,
     seed: int = 1,
     threads: int = 2,
     rule: Rule = RULE,

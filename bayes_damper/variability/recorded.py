@@ -22,7 +22,7 @@ from bayes_damper.calibration import (
 from bayes_damper.campaign import load_campaign
 from bayes_damper.distributions import Distribution, from_standard, to_standard
 from bayes_damper.errors import InputError
-from bayes_damper.priors import priors_from_dict
+from bayes_damper.priors import campaign_priors
 from bayes_damper.variability.decomposition import CaseDraws, Sets, curve_values, mean_over_cases, summary
 from bayes_damper.variability.equivalent import LAST, NAMES, TIMES, bearing_damping, fit_linear
 from bayes_damper.variability.pooling import POOLINGS, GaussianCase, GaussianHierarchy, Pooling
@@ -56,8 +56,7 @@ class RecordedCases:
         campaign = load_campaign(plan["campaign"])
         if campaign.sha256 != plan["campaign_sha256"]:
             raise InputError(f"{plan['campaign']}: the campaign has changed since it was fitted; fit it again")
-        free = {} if plan["priors"] is None else priors_from_dict(plan["priors"], kind=campaign.rig.kind).free
-        whole = experiment_of(campaign, free)
+        whole = experiment_of(campaign, None if plan["priors"] is None else campaign_priors(plan["priors"], campaign))
         if plan["normal_force"]:
             whole = replace(whole, normal_force=plan["normal_force"])
         whole = replace(whole, trials=tuple(t for t in whole.trials if t.case in self.names))
