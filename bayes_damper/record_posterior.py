@@ -36,8 +36,8 @@ DECLARED_NOISE = 1.1
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """A group of trials with what stays fixed: eta (trials, m), T (trials, channels, m, n), TT = T T', and the number
-    of readings (trials, channels).
+    """A group of trials with what stays fixed: eta (trials, m), T (trials, channels, m, n), TT = T T', and the weighted
+    number of readings (trials, channels).
     """
 
     group: Group
@@ -136,7 +136,7 @@ class RecordPosterior:
         n, channels, samples = group.y.shape
         T = T.reshape(n, -1, channels, samples).transpose(0, 2, 1, 3)
         TT = np.matmul(T, T.transpose(0, 1, 3, 2))
-        readings = np.count_nonzero(group.weight > 0.0, axis=2).astype(float)
+        readings = np.sum(group.weight**2, axis=2)  # as in Problem.n_data: else the noise would come out too small
         return _Part(group, eta, np.ascontiguousarray(T), TT, readings)
 
     @property

@@ -1,0 +1,126 @@
+"""One synthetic campaign from its truth to the ranks of all its unknowns: the fit is that of `bayes-damper fit`.
+
+What differs from `fit` is only how long it samples: one ensemble of 64 walkers in place of four, and 100 stored steps
+(every eighth of an autocorrelation time, some hundred independent draws) in place of the stopping rule.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any
+
+import numpy as np
+import ranks
+import synthetic
+from numpy.typing import NDArray
+
+from bayes_damper.calibration import Experiment, Switches, calibrate_nominal
+from bayes_damper.fit import published_posterior
+from bayes_damper.posterior import Datum, FeaturePosterior
+from bayes_damper.priors import load_priors
+from bayes_damper.record_posterior import RecordPosterior
+from bayes_damper.sampling import Sampling, Start, StoppingRule, annealed_start, diagnose_draws, sample
+
+Array = NDArray[np.float64]
+SEED = 20261
+SHORT = StoppingRule(max_steps=1)
+WALKERS = 64
+POPULATION = 512
+"""Members of the annealed start of published features; `fit` takes 2048."""
+SWITCHES = {"plain": None, "late": Switches(delay=True, friction=True)}
+
+
+def _ranks(truth: dict[str, float], drawn: dict[str, Array]) -> dict[str, int]:
+    return {name: int(np.count_nonzero(x < truth[name])) for name, x in drawn.items() if name in truth}
+
+
+def _health(sampling: Sampling, draws: Array) -> dict[str, Any]:
+    """Effective sample size of the worst coordinate, steps, walkers left behind."""
+    sizes = [diagnose_draws(draws[..., i]).ess_bulk for i in range(draws.shape[-1])]
+    return {
+        "ess": round(float(np.nanmin(sizes))),
+        "steps": sampling.verdict.steps,
+        "warm_up": int(sampling.warm_up[0]),
+        "evaluations": sampling.evaluations,
+        "stranded": len(sampling.verdict.stranded),
+    }
+
+
+def recorded(
+    kind: str,
+    number: int,
+    fault: Callable[[], AbstractContextManager[Any]] = nullcontext,
+    mistake: Callable[[Experiment], Experiment] = lambda e: e,
+) -> dict[str, Any]:
+    """Ranks of one synthetic campaign's truths; `fault` is a bug that the fit, but not the campaign, has, and `mistake`
+    what the fit takes the campaign for.
+    """
+    made = synthetic.campaign(kind, SEED, number)
+    with fault():
+        best = calibrate_nominal(mistake(made.experiment), switches=SWITCHES[kind])
+        posterior = RecordPosterior(best)
+        height = float(posterior(posterior.start[None])[0])
+        start = Start(posterior.start, posterior.covariance, height, np.empty((0, posterior.ndim)), 1)
+        sampling = sample(posterior, start, seed=number, ensembles=1, walkers=WALKERS, rule=SHORT)
+        flat = sampling.flat(ranks.DRAWS)
+        values = posterior.values(flat)
+        nuisances = posterior.nuisances(flat, np.random.default_rng([SEED, number]))
+    own: list[dict[str, Array]] = [{} for _ in made.experiment.trials]
+    for part in posterior.parts:
+        for k, i in enumerate(part.group.trials):
+            for m, (name, mean, sd) in enumerate(part.group.nuisances):
+                own[i][name] = mean[k] + sd[k] * nuisances[i][:, m]
+    truth = made.truth | {
+        "log_likelihood": float(
+            synthetic.log_likelihood(
+                made,
+                {name: np.array([x]) for name, x in made.truth.items()},
+                [{name: np.array([x]) for name, x in mine.items()} for mine in made.own],
+            )[0]
+        ),
+        "friction_torque": made.truth["mu"] * made.truth["N0"],
+    }
+    drawn = dict(values)
+    drawn["log_likelihood"] = synthetic.log_likelihood(made, values, own)
+    drawn["friction_torque"] = values["mu"] * values.get("N0", np.full(len(flat), synthetic.CONSTANTS["N0"][0]))
+    for i, mine in enumerate(made.own):
+        truth |= {f"{name}[{i + 1}]": x for name, x in mine.items()}
+        drawn |= {f"{name}[{i + 1}]": x for name, x in own[i].items()}
+    return {"ranks": _ranks(truth, drawn), "switches": vars(best.problem.switches)} | _health(sampling, sampling.draws)
+
+
+def published(case: str, number: int) -> dict[str, Any]:
+    """Ranks of truths drawn from the thesis's priors of one case, given features simulated with their errors.
+
+    Truths whose record lacks a feature are drawn again: the posterior gives them no weight either.
+    """
+    base = published_posterior(case, load_priors("thesis"))
+    coordinates = base.coordinates
+    rng = np.random.default_rng([SEED, *case.encode(), number])
+    while True:
+        point = coordinates.draw(rng, 1)
+        exact = base.predict(point)[0]
+        if np.isfinite(exact).all():
+            break
+    data = [
+        Datum(d.configuration, d.quantity, float(x + d.standard_error * rng.standard_t(d.n - 1)), d.standard_error, d.n)
+        for d, x in zip(base.data, exact, strict=True)
+    ]
+    posterior = FeaturePosterior(data, coordinates, case=case)
+    start = annealed_start(
+        coordinates.log_prior,
+        lambda x: posterior.log_likelihood(x).sum(axis=1),
+        coordinates.draw(rng, POPULATION),
+        rng,
+    )
+    sampling = sample(
+        posterior, start, seed=number, ensembles=1, walkers=WALKERS, rule=SHORT, monitor=coordinates.standard
+    )
+    flat = sampling.flat(ranks.DRAWS)
+    standard = coordinates.standard(sampling.flat()).reshape(sampling.draws.shape)
+    truth = {name: float(x) for name, x in zip(posterior.names, coordinates.standard(point)[0], strict=True)}
+    drawn = dict(zip(posterior.names, coordinates.standard(flat).T, strict=True))
+    truth["log_likelihood"] = float(posterior.log_likelihood(point).sum())
+    drawn["log_likelihood"] = posterior.log_likelihood(flat).sum(axis=1)
+    return {"ranks": _ranks(truth, drawn)} | _health(sampling, standard)

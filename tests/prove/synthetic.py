@@ -1,0 +1,96 @@
+"""Synthetic campaigns whose truth is drawn from the prior that the fit assumes.
+
+Short and of few trials, so that hundreds can be fitted: one case, two trials, a quarter of a second at 400 Hz. Two
+kinds in turn:
+
+- "plain": an uncoupled and a coupled trial, released at the first sample.
+- "late": two repeats of a coupled trial, each released at an instant and with a friction of its own.
+
+In both, each trial has its own release angle, and the magnet's pull and the stiffness are uncertain by what is declared.
+Records come from reference.py, which shares nothing with the package's integrator, and white noise is added.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import reference
+from numpy.typing import NDArray
+
+from bayes_damper.calibration import FRICTION_SPREAD, Experiment, TrialRecord, default_priors
+from bayes_damper.distributions import LogNormal, from_standard
+from bayes_damper.model import Model
+
+Array = NDArray[np.float64]
+KINDS = ("plain", "late")
+RATE = 400.0
+TIMES = np.arange(100) / RATE
+CONSTANTS = {"J1": (3.015e-3, 0.0), "J2": (2.474e-3, 0.0), "R": (0.1, 0.0), "r": (0.0127, 0.0), "N0": (100.0, 3.0)}
+STIFFNESS = (10.2, 0.1)
+ANGLE, ANGLE_SD = math.radians(4.7), 0.004 * math.radians(4.7)
+NOISE = LogNormal(2.0, 1.5)
+"""Prior of each channel's noise, rad/s^2."""
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """What was measured, and what was true: values of the rig and the noise, and of each trial's own unknowns."""
+
+    experiment: Experiment
+    truth: dict[str, float]
+    own: tuple[dict[str, float], ...]
+
+
+def campaign(kind: str, seed: int, number: int) -> Campaign:
+    """Synthetic campaign `number` of a kind."""
+    rng = np.random.default_rng([seed, KINDS.index(kind), number])
+    configurations = (False, True) if kind == "plain" else (True, True)
+    blank = tuple(
+        TrialRecord(f"{kind} {k}", "IV", coupled, k + 1, TIMES, np.ones((1 + coupled, TIMES.size)), 0, ANGLE, ANGLE_SD)
+        for k, coupled in enumerate(configurations)
+    )
+    experiment = Experiment(CONSTANTS, (STIFFNESS,), blank)
+    truth = {
+        name: float(from_standard(prior, rng.standard_normal())) for name, prior in default_priors(experiment).items()
+    }
+    truth |= {name: value + sd * rng.standard_normal() for name, (value, sd) in CONSTANTS.items()}
+    truth["k1t"] = STIFFNESS[0] + STIFFNESS[1] * rng.standard_normal()
+    truth |= {f"sigma{c}": float(from_standard(NOISE, rng.standard_normal())) for c in (1, 2)}
+    own, trials = [], []
+    for trial in blank:
+        values = {"theta0": ANGLE + ANGLE_SD * rng.standard_normal()}
+        if kind == "late":
+            values["delay"] = -rng.uniform(0.02, 0.98) / RATE
+            values["ln_mu"] = FRICTION_SPREAD * rng.standard_normal()
+        y = record(truth, values, trial.coupled)
+        sigma = np.array([truth["sigma1"], truth["sigma2"]])[: len(y), None]
+        trials.append(replace(trial, y=y + sigma * rng.standard_normal(y.shape)))
+        own.append(values)
+    return Campaign(replace(experiment, trials=tuple(trials)), truth, tuple(own))
+
+
+def record(truth: dict[str, float], own: dict[str, float], coupled: bool) -> Array:
+    """Noise-free accelerations of one trial at TIMES, (channels, n), by the reference solver."""
+    values = {name: truth[name] for name in reference.NAMES if name in truth}
+    values |= {"theta0": own["theta0"], "mu": truth["mu"] * math.exp(own.get("ln_mu", 0.0))}
+    release = own.get("delay", 0.0)
+    times = TIMES if release == 0.0 else np.concatenate([[release], TIMES])
+    y = reference.solve(values, times, coupled=coupled)[0, : 1 + coupled]
+    return y[:, times.size - TIMES.size :]
+
+
+def log_likelihood(made: Campaign, values: dict[str, Array], own: list[dict[str, Array]]) -> Array:
+    """Log density of all readings, (n,), for n sets of values and of each trial's own: written out, no fit involved."""
+    total = np.zeros(len(values["mu"]))
+    for trial, mine in zip(made.experiment.trials, own, strict=True):
+        rig = {name: values.get(name, value) for name, (value, _) in CONSTANTS.items()}
+        rig |= {name: values[name] for name in ("k1t", "k2t", "c1t", "c2t", "c3t", "drag", "nu")}
+        rig["mu"] = values["mu"] * np.exp(mine.get("ln_mu", 0.0))
+        rig |= {"theta0": mine.get("theta0", ANGLE), "delay": mine.get("delay", 0.0)}
+        residual = Model(trial.coupled).simulate(rig, TIMES).y - trial.y
+        for c in range(len(trial.y)):
+            sigma = values[f"sigma{c + 1}"]
+            total += -0.5 * np.sum(residual[:, c] ** 2, axis=1) / sigma**2 - TIMES.size * np.log(sigma)
+    return total
