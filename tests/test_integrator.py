@@ -152,14 +152,6 @@ def test_errors_stay_below_1e_4_of_the_peak_over_whole_records(law):
     assert _errors(law, table, SECOND, tolerance=0.1)[0].max() < 1e-5
 
 
-@pytest.mark.prove
-@pytest.mark.parametrize("law", ["linear", "constant"])
-def test_errors_stay_below_1e_4_of_the_peak_over_300_vectors(law):
-    table = reference.draw(150, 31)
-    assert _errors(law, table, SECOND)[0].max() < 1e-4
-    assert _errors(law, table, SECOND, tolerance=0.1)[0].max() < 1e-5
-
-
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(
     nu=st.floats(5.0, 3000.0), mu=st.floats(0.0, 0.02), drag=st.floats(0.0, 0.03), k2t=st.floats(0.0, 3.0),

@@ -11,6 +11,7 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import numpy as np
+import parts
 import ranks
 import synthetic
 from numpy.typing import NDArray
@@ -28,7 +29,28 @@ SHORT = StoppingRule(max_steps=1)
 WALKERS = 64
 POPULATION = 512
 """Members of the annealed start of published features; `fit` takes 2048."""
+CASES = ("I", "II", "III", "IV")
+SETTINGS = {
+    "synthetic campaigns": f"one case, two trials of {synthetic.TIMES.size / synthetic.RATE:g} s at "
+    f"{synthetic.RATE:g} Hz; plain: an uncoupled and a coupled trial; late: two coupled repeats, each with its own "
+    "instant of release and its own friction. Truths of parameters from the default priors, of release angle, pull and "
+    "stiffness from what is declared, noise from a lognormal of median 2 rad/s² and factor 1.5. Records by the "
+    "tests' own Runge-Kutta solver, which shares nothing with the package.",
+    "fit": "calibrate_nominal and RecordPosterior, as in `bayes-damper fit`; sampled by the same sampler with one "
+    f"ensemble of {WALKERS} walkers and 100 stored steps in place of four ensembles and the stopping rule",
+    "cases of the thesis": "truths from the thesis's priors, features with the published standard errors (Student t, "
+    f"2 degrees of freedom), FeaturePosterior; annealed start of {POPULATION} members in place of 2048, then as above",
+    "seed": str(SEED),
+}
 SWITCHES = {"plain": None, "late": Switches(delay=True, friction=True)}
+
+
+def finished_parts() -> dict[str, list[dict[str, Any]]]:
+    """What is finished of the calibration, by kind of campaign."""
+    found = {f"{kind} campaigns": f"calibration-{kind}" for kind in synthetic.KINDS}
+    found |= {f"thesis, case {case}": f"calibration-{case}" for case in CASES}
+    done = {title: list(parts.finished(name).values()) for title, name in found.items()}
+    return {title: results for title, results in done.items() if results}
 
 
 def _ranks(truth: dict[str, float], drawn: dict[str, Array]) -> dict[str, int]:

@@ -37,8 +37,9 @@ def finish(name: str, count: int, task: Callable[[int], dict[str, Any]]) -> list
             found = task(number)
             found |= {"task": number, "cpu_seconds": round(time.process_time() - begun, 2), "commit": commit()}
             line = json.dumps({"code": code_sha256()[:16]} | found)
+            cut = path.exists() and not path.read_bytes().endswith(b"\n")  # by a kill
             with path.open("a", encoding="utf-8") as file:
-                file.write(line + "\n")
+                file.write("\n" * cut + line + "\n")
             done[number] = json.loads(line)
     return [done[number] for number in range(count)]
 

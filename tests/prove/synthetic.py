@@ -6,7 +6,7 @@ kinds in turn:
 - "plain": an uncoupled and a coupled trial, released at the first sample.
 - "late": two repeats of a coupled trial, each released at an instant and with a friction of its own.
 
-In both, each trial has its own release angle, and the magnet's pull and the stiffness are uncertain by what is declared.
+In both, each trial has its own release angle, and the magnet's pull and the stiffness are uncertain as declared.
 Records come from reference.py, which shares nothing with the package's integrator, and white noise is added.
 """
 

@@ -1,0 +1,97 @@
+"""Bugs planted in the fit, never in the campaign: each must show in the ranks.
+
+A bug is a context in which the fit runs (`fault`), or what the fit takes the campaign for (`mistake`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass, replace
+from typing import Any
+from unittest import mock
+
+import numpy as np
+
+from bayes_damper.calibration import Experiment, Problem
+from bayes_damper.record_posterior import RecordPosterior
+from bayes_damper.sampling.moves import Snooker
+
+Fault = Callable[[], AbstractContextManager[Any]]
+
+
+@dataclass(frozen=True)
+class Bug:
+    """One planted bug; kind : of the campaigns on which it is looked for."""
+
+    name: str
+    kind: str
+    fault: Fault = nullcontext
+    mistake: Callable[[Experiment], Experiment] = lambda e: e
+
+
+def _rig(change: Callable[[dict[str, Any]], dict[str, Any]]) -> Fault:
+    """The fit simulates a rig whose parameters are changed on the way to the simulation."""
+    genuine = Problem._inputs
+
+    def inputs(self, *arguments):
+        rig, effect = genuine(self, *arguments)
+        return rig | change(rig), effect
+
+    return lambda: mock.patch.object(Problem, "_inputs", inputs)
+
+
+@contextmanager
+def _readings_halved() -> Iterator[None]:
+    genuine = RecordPosterior._part
+
+    def part(*arguments):
+        found = genuine(*arguments)
+        return replace(found, readings=0.5 * found.readings)
+
+    with mock.patch.object(RecordPosterior, "_part", staticmethod(part)):
+        yield
+
+
+@contextmanager
+def _prior_twice() -> Iterator[None]:
+    genuine = RecordPosterior.log_prior
+    with mock.patch.object(RecordPosterior, "log_prior", lambda self, points: 2.0 * genuine(self, points)):
+        yield
+
+
+@contextmanager
+def _snooker_without_its_factor() -> Iterator[None]:
+    genuine = Snooker.proposal
+    with mock.patch.object(Snooker, "proposal", lambda self, *a: (genuine(self, *a)[0], 0.0)):
+        yield
+
+
+def _angles(factor: float) -> Callable[[Experiment], Experiment]:
+    """Standard uncertainties of the release angles times a factor."""
+    return lambda e: replace(e, trials=tuple(replace(t, theta0_sd=factor * t.theta0_sd) for t in e.trials))
+
+
+def _swapped(e: Experiment) -> Experiment:
+    return replace(e, trials=tuple(replace(t, y=t.y[::-1].copy()) for t in e.trials))
+
+
+BUGS = (
+    Bug("wrong sign of the drag", "plain", _rig(lambda rig: {"drag": -rig["drag"]})),
+    Bug("R in place of r in the pull", "plain", _rig(lambda rig: {"r": rig["R"]})),
+    Bug("friction torque without the lever R", "plain", _rig(lambda rig: {"mu": rig["mu"] / 0.1})),
+    Bug("constant pull in place of the linear law", "plain", mistake=lambda e: replace(e, normal_force="constant")),
+    Bug("c1t and c3t swapped", "plain", _rig(lambda rig: {"c1t": rig["c3t"], "c3t": rig["c1t"]})),
+    Bug("k1t of another case", "plain", mistake=lambda e: replace(e, stiffnesses=((6.2, 0.1),))),
+    Bug("noise normalisation: half of the readings counted", "plain", _readings_halved),
+    Bug("prior counted twice", "plain", _prior_twice),
+    Bug("snooker move without its volume factor", "plain", _snooker_without_its_factor),
+    Bug(
+        "a trial lost", "plain", mistake=lambda e: replace(e, trials=(e.trials[0], replace(e.trials[1], heldout=True)))
+    ),
+    Bug("channels swapped", "late", mistake=_swapped),
+    Bug("wrong sign of the delay", "late", _rig(lambda rig: {"delay": -np.asarray(rig["delay"])})),
+    Bug("release angle taken as exact", "late", mistake=_angles(1e-9)),
+    Bug("degrees for radians in the angle's uncertainty", "late", mistake=_angles(180.0 / math.pi)),
+)

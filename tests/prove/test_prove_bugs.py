@@ -1,0 +1,46 @@
+"""Bugs planted in the fit must be noticed by the calibration, and a sound fit must not."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import calibrated
+import pages
+import parts
+import pytest
+import ranks
+from bugs import BUGS, Bug
+
+LEVEL = 1e-3
+FIRST, MOST = 5, 80
+"""Campaigns after which the ranks are first looked at, and at most; the number doubles from look to look."""
+
+
+def hunt(bug: Bug) -> dict[str, Any]:
+    """How many campaigns it takes until the ranks give a bug away, and which quantity does."""
+    name = "bug-" + "-".join(w for w in bug.name.replace(":", " ").split())
+    count = FIRST
+    while True:
+        results = parts.finish(
+            name, count, partial(calibrated.recorded, bug.kind, fault=bug.fault, mistake=bug.mistake)
+        )
+        p_values = {q: ranks.p_value(values) for q, values in pages.collected(results).items()}
+        by = min(p_values, key=lambda q: p_values[q])
+        least = ranks.least_of(list(p_values.values()))
+        if least < LEVEL or count >= MOST:
+            caught = count if least < LEVEL else None
+            return {"bug": bug.name, "kind": bug.kind, "caught": caught, "by": by, "p": least}
+        count *= 2
+
+
+@pytest.mark.prove
+def test_every_planted_bug_is_caught():
+    found = [hunt(bug) for bug in (Bug("none", "plain"), *BUGS)]
+    pages.bugs(found, LEVEL)
+    assert found[0]["caught"] is None
+    assert [row["bug"] for row in found[1:] if row["caught"] is None] == []
+
+
+def test_there_are_eight_bugs_or_more():
+    assert len({bug.name for bug in BUGS}) == len(BUGS) >= 8
