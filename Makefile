@@ -82,8 +82,8 @@ notebooks: $(VENV)/.dev ## run every notebook
 docs: $(VENV)/.docs ## build the documentation, warnings are errors
 	@$(RUN) -m mkdocs build --strict --quiet
 
-prove: $(VENV)/.dev ## the long statistical proofs
-	@$(RUN) -m pytest -m prove
+prove: $(VENV)/.dev ## the long statistical proofs; goes on where it stopped; pages in docs/proof
+	@$(TESTS) -m prove
 
 # In an environment of its own, without the constraints: do today's newest versions within the ranges install and import?
 ranges: $(RUN) ## install by ranges alone, in a fresh environment, and import everything

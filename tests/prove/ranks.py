@@ -70,5 +70,5 @@ def coverage(ranks: Sequence[int], share: float, draws: int = DRAWS) -> tuple[in
 
 
 def least_of(p_values: Sequence[float]) -> float:
-    """Probability that the least of so many independent p-values is as small (Sidak); conservative where they are not."""
+    """Probability that the least of so many independent p-values is as small (Sidak); conservative if they are not."""
     return float(-np.expm1(len(p_values) * np.log1p(-min(*p_values, 1.0 - 1e-12))))
