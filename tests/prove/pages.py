@@ -108,9 +108,9 @@ def bugs(found: Sequence[Mapping[str, Any]], level: float) -> None:
     """Page of the planted bugs."""
     lines = [
         "Each bug is planted in the fit alone, never in the simulated campaigns, and the calibration of",
-        "[its own page](calibration.md) must notice: campaigns are added until the ranks of all quantities together",
-        f"are less likely than {level:g} under uniformity. The sound fit is watched by the same rule and must not raise",
-        "it.",
+        "[its own page](calibration.md) must notice: campaigns are added until the ranks of all quantities",
+        f"together are less likely than {level:g} under uniformity. The sound fit is watched by the same rule",
+        "and must not raise it.",
         "",
         "| bug | campaigns | caught after | by | p |",
         "| --- | --- | --- | --- | --- |",
