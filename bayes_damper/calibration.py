@@ -307,6 +307,13 @@ class Problem:
             threads=self.threads, tolerance=self.tolerance, trials=self.trials,
         )  # fmt: skip
 
+    def for_trials(self, trials: Sequence[int]) -> Problem:
+        """The same problem for other trials of the experiment."""
+        return Problem(
+            self.experiment, self.effect, nominal=self.nominal, noise=self.noise, switches=self.switches,
+            threads=self.threads, tolerance=self.tolerance, trials=trials,
+        )  # fmt: skip
+
     def with_effect(self, effect: Variant | None) -> Problem:
         """The same data, noise and nuisances under another effect; groups are shared."""
         other = Problem.__new__(Problem)

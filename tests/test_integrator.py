@@ -415,7 +415,8 @@ def test_a_kernel_is_compiled_anew_when_anything_that_it_calls_changes(tmp_path,
 @pytest.mark.slow
 def test_two_copies_of_the_package_share_their_compiled_kernels(tmp_path):
     package = Path(integrator.__file__).parent
-    shutil.copytree(package, tmp_path / "copy" / "bayes_damper", ignore=shutil.ignore_patterns("__pycache__", "_shipped"))
+    skipped = shutil.ignore_patterns("__pycache__", "_shipped")
+    shutil.copytree(package, tmp_path / "copy" / "bayes_damper", ignore=skipped)
     code = (
         "from bayes_damper import integrator; from bayes_damper.effects import EFFECTS;"
         "variant = EFFECTS['stick_slip'].variants[0];"

@@ -379,10 +379,7 @@ def left_out_case(
     predictions = []
     for fit in (nominal, winner):
         problem = fit.problem
-        fewer = Problem(
-            experiment, problem.effect, nominal=problem.nominal, noise=problem.noise,
-            switches=problem.switches, threads=problem.threads, tolerance=problem.tolerance, trials=rest,
-        )  # fmt: skip
+        fewer = problem.for_trials(rest)
         keep = [problem.names.index(n) for n in fewer.names]
         again = calibrate(fewer, [fit.q[keep]], eta={i: fit.eta[i] for i in rest}, anneal=False, finish=False)
         q = np.zeros(problem.size)  # what only the left-out case could tell keeps its prior

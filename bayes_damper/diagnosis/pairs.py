@@ -1,83 +1,140 @@
 """Two effects at once, where one does not close the gap.
 
 Each of the leading effects is held in turn, at its own fit, and every other effect is screened against what that fit
-leaves: first pick and swap in one sweep. The second effect's change of the records is taken without the first one at
-work, which is right to first order; its evidence is that of the linearised problem, everything else refitted.
+leaves: first pick and swap in one sweep. The best few pairs are then fitted with everything free at once. Two effects
+change the records by the sum of what each changes alone, at the same parameters; what they do to each other beyond that
+is of second order in their strengths and is left out.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bayes_damper.calibration import Calibration
+from bayes_damper.calibration import Calibration, Coordinate, Group, Indices, Noise, Problem, calibrate
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.remainder import Remainder, remainder_of
-from bayes_damper.diagnosis.search import Candidate, Screen, Screened, bases_of, screen_column
+from bayes_damper.diagnosis.search import Candidate, Screen, Screened, bases_of, screen_column, start_points
 from bayes_damper.effects.base import Effect, Variant
 
+Array = NDArray[np.float64]
+
 LEADERS = 4  # families that are held in turn
-LEAST_GAIN = 10.0  # nats of the second effect, below which no pair is claimed
+LEAST_GAIN = 8.0  # nats of the second effect by the screening, below which no pair is fitted
+MOST_PAIRS = 4  # pairs fitted in full
+MOST_STEPS = 12
+
+
+class PairProblem(Problem):
+    """The fit of a campaign with two effects: their changes of the records add up.
+
+    Coordinates are those of the nominal model, then the first effect's (`effect.NAME`), then the second's
+    (`second.NAME`).
+    """
+
+    def __init__(self, base: Problem, first: Variant, second: Variant) -> None:
+        """`base`: the nominal problem, whose data, noise and nuisances are used."""
+        self.__dict__.update(base.__dict__)
+        self.base = base
+        self.parts = (base.with_effect(first), base.with_effect(second))
+        self.variants = (first, second)
+        self.effect = first
+        others = tuple(
+            Coordinate(f"second.{p.name}", "effect", p.prior, len(first.parameters)) for p in second.parameters
+        )
+        self.coordinates = self.parts[0].coordinates + others
+        self.names = tuple(c.name for c in self.coordinates)
+        self.size = len(self.coordinates)
+        self._split = self.parts[0].size
+
+    def with_noise(self, noise: Noise) -> PairProblem:
+        """The same problem under another noise."""
+        return PairProblem(self.base.with_noise(noise), *self.variants)
+
+    def for_trials(self, trials: Sequence[int]) -> PairProblem:
+        """The same problem for other trials of the experiment."""
+        return PairProblem(self.base.for_trials(trials), *self.variants)
+
+    def _inputs(self, group: Group, which: Indices, q: Array, eta: Array) -> tuple[dict[str, Any], dict[str, Any]]:
+        # Whoever asks for the motion gets that of the first effect, about which the second one is a small change.
+        return self.parts[0]._inputs(group, which, q[:, : self._split], eta)  # noqa: SLF001 (the same class)
+
+    def simulate(self, group: Group, which: Indices, q: Array, eta: Array) -> Array:
+        """Readings (n, channels, n_times) of vectors q (n, size), eta (n, m) on the group's trials `which` (n,)."""
+        n = self.base.size
+        alone = (q[:, : self._split], np.concatenate([q[:, :n], q[:, self._split :]], axis=1))
+        first, second = (part.simulate(group, which, x, eta) for part, x in zip(self.parts, alone, strict=True))
+        return first + second - self.base.simulate(group, which, q[:, :n], eta)
+
+    def _acts(self, c: Coordinate, group: Group) -> bool:
+        if c.role != "effect":
+            return super()._acts(c, group)
+        variant = self.parts[1 if c.name.startswith("second.") else 0].effect
+        return group.coupled or (variant is not None and variant.uncoupled)
+
+
+@dataclass(frozen=True, eq=False)
+class Second:
+    """A second effect screened against what a first one leaves; gain: nats of its linearised evidence."""
+
+    first: Candidate
+    effect: Effect
+    variant: Variant
+    screened: Screened
+
+    @property
+    def gain(self) -> float:
+        """Nats over the first effect alone, its parameters' priors paid for."""
+        return self.screened.log_evidence
+
+    @property
+    def log_evidence(self) -> float:
+        """Of both, over the nominal model."""
+        return self.first.log_evidence + self.gain
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
     """Two effects that explain a campaign together.
 
-    first: fitted; second: screened against what the first leaves; log_evidence over the nominal model; gain: nats of
-    the second; share_left: of the gap's low-frequency chi-square.
+    first, second: families and formulas, the stronger first; fit: of both at once; log_evidence over the nominal model;
+    gain: nats over the stronger one alone; after: what both leave.
     """
 
-    first: Candidate
-    second: Effect
-    variant: Variant
-    screened: Screened
+    first: tuple[Effect, Variant]
+    second: tuple[Effect, Variant]
+    fit: Calibration
     log_evidence: float
     gain: float
-    share_left: float
+    after: Remainder
 
     @property
     def effects(self) -> tuple[str, str]:
         """Names of both, the stronger first."""
-        return self.first.effect.name, self.second.name
+        return self.first[0].name, self.second[0].name
 
 
-def best_pair(
-    nominal: Calibration, found: Sequence[Candidate], pool: Sequence[tuple[Effect, Variant]], before: Remainder
-) -> Pair | None:
-    """The pair with the largest evidence, None if no second effect gains enough."""
-    held: dict[str, Candidate] = {}
-    for c in found:
-        if (
-            c.effect.name != DRIFT.name
-            and c.fit is not None
-            and math.isfinite(c.log_evidence)
-            and c.effect.name not in held
-        ):
-            held[c.effect.name] = c
-        if len(held) == LEADERS:
-            break
-    best: Pair | None = None
-    for first in held.values():
-        assert first.fit is not None
-        if first.log_evidence < LEAST_GAIN:
+def seconds_of(
+    first: Candidate, nominal: Calibration, pool: Sequence[tuple[Effect, Variant]]
+) -> list[Second]:  # fmt: skip
+    """Every formula of every other effect, screened against what the first effect's fit leaves, best first."""
+    if first.fit is None:
+        return []
+    screen = Screen(first.fit)
+    out = []
+    for effect, variant in pool:
+        if effect.name == first.effect.name:
             continue
-        left = remainder_of(first.fit)
-        screen = Screen(first.fit)
-        for effect, variant in pool:
-            if effect.name == first.effect.name or variant.null is None:
-                continue
-            row = _second(screen, nominal, variant)
-            if row is None or row.log_evidence < LEAST_GAIN:
-                continue
-            total = first.log_evidence + row.log_evidence
-            if total > max(found[0].log_evidence + LEAST_GAIN, -math.inf if best is None else best.log_evidence):
-                remaining = max(left.low_excess - 2.0 * row.gain, 0.0) / max(before.low_excess, before.low_sd)
-                best = Pair(first, effect, variant, row, total, row.gain, min(remaining, 1.0))
-    return best
+        row = _second(screen, nominal, variant)
+        if row is not None:
+            out.append(Second(first, effect, variant, row))
+    return sorted(out, key=lambda s: -s.gain)
 
 
 def _second(screen: Screen, nominal: Calibration, variant: Variant) -> Screened | None:
@@ -89,3 +146,72 @@ def _second(screen: Screen, nominal: Calibration, variant: Variant) -> Screened 
         rows += screen_column(screen, problem, variant, point, against=nominal.problem)
     usable = [r for r in rows if r.amplitude > 0.0 and np.isfinite(r.log_evidence)]
     return max(usable, key=lambda r: r.log_evidence) if usable else None
+
+
+def leaders_of(found: Sequence[Candidate], count: int = LEADERS) -> list[Candidate]:
+    """The best fitted formula of each of the leading families."""
+    held: dict[str, Candidate] = {}
+    for c in found:
+        if c.effect.name != DRIFT.name and c.fit is not None and math.isfinite(c.log_evidence):
+            held.setdefault(c.effect.name, c)
+    return list(held.values())[:count]
+
+
+def best_pairs(
+    nominal: Calibration,
+    found: Sequence[Candidate],
+    pool: Sequence[tuple[Effect, Variant]],
+    known: Sequence[Second] = (),
+    *,
+    threads: int = 1,
+    most: int = MOST_PAIRS,
+) -> list[Pair]:
+    """Pairs fitted in full, best first.
+
+    known : second effects screened already, against one of the leaders; most : pairs that are fitted.
+    """
+    done = {s.first.label for s in known}
+    leaders = [c for c in leaders_of(found) if c.log_evidence > LEAST_GAIN and c.label not in done]
+
+    def run(work: Callable[[Candidate], list[Second]], items: Sequence[Candidate]) -> list[list[Second]]:
+        if threads > 1:
+            with ThreadPoolExecutor(threads) as workers:
+                return list(workers.map(work, items))
+        return [work(item) for item in items]
+
+    rows = [*known, *(s for each in run(lambda c: seconds_of(c, nominal, pool), leaders) for s in each)]
+    chosen: dict[frozenset[str], Second] = {}
+    for s in sorted(rows, key=lambda s: -s.log_evidence):
+        if s.gain > LEAST_GAIN:
+            chosen.setdefault(frozenset((s.first.effect.name, s.effect.name)), s)
+    picked = list(chosen.values())[:most]
+    single = {c.effect.name: c.log_evidence for c in reversed(leaders_of(found, len(found)))}
+
+    def refine(s: Second) -> Pair | None:
+        return _fitted(nominal, s, single)
+
+    if threads > 1:
+        with ThreadPoolExecutor(threads) as workers:
+            pairs = list(workers.map(refine, picked))
+    else:
+        pairs = [refine(s) for s in picked]
+    return sorted((p for p in pairs if p is not None), key=lambda p: -p.log_evidence)
+
+
+def _fitted(nominal: Calibration, s: Second, single: dict[str, float]) -> Pair | None:
+    """Both effects fitted at once; None if that fails."""
+    first = s.first.fit
+    assert first is not None
+    problem = PairProblem(nominal.problem, s.first.variant, s.variant)
+    n = nominal.problem.size
+    start = start_points(s.variant, [replace(s.screened, base=tuple(first.q[:n]))], 1)[0]
+    q = np.concatenate([first.q, start[n:]])
+    fit = calibrate(problem, [q], eta=first.eta, anneal=False, most=MOST_STEPS)
+    evidence = fit.log_evidence - nominal.log_evidence
+    if not math.isfinite(evidence):
+        return None
+    sides = ((s.first.effect, s.first.variant), (s.effect, s.variant))
+    if single.get(s.effect.name, -math.inf) > single.get(s.first.effect.name, -math.inf):
+        sides = (sides[1], sides[0])
+    best = max(single.get(name, -math.inf) for name in (s.first.effect.name, s.effect.name))
+    return Pair(*sides, fit, evidence, evidence - best, remainder_of(fit))

@@ -24,11 +24,11 @@ from bayes_damper.calibration import (
 from bayes_damper.diagnosis.gap import Gap, measure_gap, shifts
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.next_experiment import Proposal, propose
-from bayes_damper.diagnosis.pairs import Pair, best_pair
+from bayes_damper.diagnosis.pairs import Pair, Second, best_pairs, seconds_of
 from bayes_damper.diagnosis.remainder import Remainder, remainder_of
 from bayes_damper.diagnosis.search import Candidate, offered, search
 from bayes_damper.diagnosis.sites import SiteMap, site_map, write_missing_torque
-from bayes_damper.diagnosis.verdict import RULE, Answers, Rule, family_evidence, weigh
+from bayes_damper.diagnosis.verdict import RULE, Answers, Rule, family_evidence, left_of, weigh
 from bayes_damper.diagnosis.where import Where, locate
 from bayes_damper.distributions import Distribution, from_standard
 from bayes_damper.effects import EFFECTS, Effect, classes
@@ -37,7 +37,8 @@ from bayes_damper.priors import PriorSet
 
 SCHEMA = "bayes-damper/diagnosis/1"
 INDISTINCT = 3.0  # nats between two families below which these data cannot tell them apart
-PAIR_FROM = 10.0  # nats left by the leading effect from which a second one is looked for
+PAIR_FROM = 6.0  # nats left by the leading effect from which pairs are fitted
+JUDGED_PAIRS = 2  # pairs whose remainder is mapped
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +72,9 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     seconds: float = 0.0
     extra: Mapping[str, Any] = field(default_factory=dict)
+    pairs: tuple[Pair, ...] = ()
+    seconds_left: tuple[Second, ...] = ()
+    drift: float = -math.inf
 
     @property
     def verdict(self) -> str:
@@ -94,7 +98,12 @@ class Diagnosis:
             "probabilities": self.answers.probabilities,
             "pair": None
             if self.pair is None or self.answers.pair < 0.5
-            else {"effects": list(self.pair.effects), "probability": self.answers.pair},
+            else {
+                "effects": list(self.pair.effects),
+                "probability": self.answers.pair,
+                "log_evidence": self.pair.log_evidence,
+                "gain": self.pair.gain,
+            },
             "sites": dict(self.sites),
             "gap": self.gap.to_json(),
             "where": self.where.to_json(),
@@ -110,8 +119,8 @@ class Diagnosis:
             "parameters": self._shifts(),
             "indistinguishable": [list(group) for group in self.indistinguishable],
             "remainder": {
-                "share_of_gap": self.answers.share_left,
-                "evidence_nats": self.after.strength,
+                "share_of_gap": self.answers.left.share,
+                "evidence_nats": self.answers.left.nats,
                 "strongest_line_hz": self.after.peak_hz,
                 "temperature": self.answers.temperature,
             },
@@ -204,18 +213,35 @@ def diagnose(
     after = before if winner is None or winner.fit is None else remainder_of(winner.fit)
     evidence = family_evidence(found)
     drift = evidence.pop(DRIFT.name)
-    pair = best_pair(fit, found, pool, before) if after.strength > PAIR_FROM else None
-    answers = weigh(evidence, before, after, rule, pair, drift)
-    notes += _notes(experiment, fit, answers)
-    tell(f"leading answer {answers.verdict}; locating the gap")
+    tell("looking for what the leading effect leaves")
     before_map = site_map(fit)
     after_map = before_map if winner is None or winner.fit is None else site_map(winner.fit)
+    none_left = left_of(before, before_map.strength, before, before_map.strength)
+    left = left_of(after, after_map.strength, before, before_map.strength)
+    seconds = [] if winner is None or winner.effect is DRIFT else seconds_of(winner, fit, pool)
+    gain = max((s.gain for s in seconds), default=0.0)
+    pairs = best_pairs(fit, found, pool, seconds, threads=threads) if max(left.nats, gain) > PAIR_FROM else []
+    judged = [
+        (
+            p.effects,
+            p.log_evidence,
+            left_of(p.after, site_map(p.fit, torque=False).strength, before, before_map.strength),
+        )
+        for p in pairs[:JUDGED_PAIRS]
+    ]
+    best_left = pairs[0].after if pairs and pairs[0].gain > 0.0 else after
+    excess = best_left.low_excess - 2.0 * best_left.low_sd
+    answers = weigh(evidence, none_left, left, excess, rule, judged, drift)
+    pair = next((p for p in pairs if p.effects == answers.pair_effects), None)
+    notes += _notes(experiment, fit, answers)
+    tell(f"leading answer {answers.verdict}")
     rng = np.random.default_rng(seed)
     gap = measure_gap(fit, None if winner is None else winner.fit, rng=rng)
     return Diagnosis(
         name, experiment, nominal, fit, tuple(found), winner, answers, before, after, gap, locate(fit), before_map,
         after_map, tuple(_proposals(fit, found, answers)), _sites(answers, effects, before_map, after_map), evidence,
         tuple(_indistinct(evidence, effects)), pair, tuple(notes), time.perf_counter() - began, {"seed": seed},
+        tuple(pairs), tuple(seconds), drift,
     )  # fmt: skip
 
 

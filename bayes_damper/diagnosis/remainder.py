@@ -131,4 +131,4 @@ def _lines(spectra: Sequence[tuple[Array, Array]]) -> tuple[float, float]:
             k = int(np.argmax(minus_log_p))
             if minus_log_p[k] > best:
                 best, where = float(minus_log_p[k]), float(f[k * width : (k + 1) * width].mean())
-    return best - math.log(max(looks, 1)), where
+    return min(best, 1e6) - math.log(max(looks, 1)), where

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.calibration import Block, Calibration, Group, Problem
+from bayes_damper.calibration import Block, Calibration, Group
 from bayes_damper.model import Model
 
 Array = NDArray[np.float64]
@@ -108,10 +108,7 @@ def motions(fit: Calibration) -> list[Motion]:
 def on_trials(fit: Calibration, eta: Mapping[int, Array]) -> Calibration:
     """The fit as it stands, linearised on other trials whose nuisances are eta."""
     old = fit.problem
-    problem = Problem(
-        old.experiment, old.effect, nominal=old.nominal, noise=old.noise, switches=old.switches, threads=old.threads,
-        tolerance=old.tolerance, trials=tuple(eta),
-    )  # fmt: skip
+    problem = old.for_trials(tuple(eta))
     keep = [old.names.index(name) for name in problem.names]
     q = fit.q[keep]
     linear = problem.linearise(q, eta)

@@ -1,12 +1,15 @@
-"""From evidences to probabilities of answers: effects, `none` and `unknown`.
+"""From evidences to probabilities of answers: effects, pairs of effects, `none` and `unknown`.
 
 Naive evidence is overconfident with tens of thousands of samples, because every formula is slightly wrong. So
 
 - the evidence of a family is the mean over its formulas;
 - evidences are tempered by T = 1 + (excess of the winner's mean residual beyond 2 sd) / TEMPERING;
-- `unknown` competes through what the leading answer leaves: the evidence that something is left (remainder.py), and the
-  share of the gap that is left. A right effect under a slightly wrong formula leaves a small share; a foreign effect
-  under its best impostor a larger one.
+- a pair must gain more than the share of the stronger one's evidence by which a formula may be wrong;
+- `unknown` competes with each answer through what that answer leaves: the evidence that something is left, and its
+  share of the evidence of the gap. A right effect under a slightly wrong formula leaves a small share; a foreign effect
+  under its best impostor a larger one;
+- and where the gap is so faint that a remainder could not be seen, through how often a foreign cause is imitated that
+  well.
 """
 
 from __future__ import annotations
@@ -17,44 +20,80 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayes_damper.diagnosis.pairs import Pair
 from bayes_damper.diagnosis.remainder import Remainder
 from bayes_damper.diagnosis.search import Candidate
 
-PRIOR_NONE = 0.25
+PRIOR_NONE = 0.3
 PRIOR_UNKNOWN = 0.15
+PRIOR_PAIRS = 0.05
 USUAL = 20  # candidates among which the prior is shared, however few are offered
 FLOOR = 0.005  # probability that no answer falls below, shared among all
 
 
 @dataclass(frozen=True)
 class Rule:
-    """Constants of the rule, calibrated on simulated campaigns."""
+    """Constants of the rule, calibrated on simulated campaigns.
 
-    share: float = 0.10
-    share_width: float = 0.30
+    strength, strength_width : nats left from which a remainder counts, logistic; share, share_width : share of the
+    gap's evidence left from which it is no matter of formulas, logistic in its logarithm; line : nats of a narrow line
+    that no torque explains, torque_band : Hz above which it is one; tempering : of the evidences; mismatch : share of
+    the stronger effect's evidence that a second one gains by mending the first one's formula; imitated : exponent of
+    the share left by foreign causes, P(share < s) = s^imitated, and least : its smallest value with a meaning.
+    """
+
     strength: float = 10.0
     strength_width: float = 2.5
-    tempering: float = 30.0
+    share: float = 0.09
+    share_width: float = 0.30
     line: float = 12.0
     torque_band: float = 25.0
-    """Hz: above, no torque on the inertias explains a narrow line."""
-    pair_share: float = 0.02
-    pair_gain: float = 12.0
+    tempering: float = 30.0
+    mismatch: float = 0.03
+    imitated: float = 0.8
+    least: float = 0.03
 
 
 RULE = Rule()
 
 
 @dataclass(frozen=True)
+class Left:
+    """What an answer leaves of the gap.
+
+    nats : evidence that anything is left; share : of the evidence of the gap, 1 for `none`; line, peak_hz : the
+    strongest narrow line, nats and Hz.
+    """
+
+    nats: float
+    share: float
+    line: float = 0.0
+    peak_hz: float = 0.0
+
+
+def left_of(after: Remainder, mapped: float, before: Remainder, mapped_before: float) -> Left:
+    """What an answer leaves, by the tests of its residuals and the site map of what is left.
+
+    mapped, mapped_before : evidence of the best site in the remainder, and in the gap itself, nats.
+    """
+    nats = max(after.strength, mapped - math.log(20.0))
+    whole = max(mapped_before, mapped, before.generic, after.generic, 1e-9)
+    return Left(nats, min(max(mapped, after.generic, 0.0) / whole, 1.0), after.line, after.peak_hz)
+
+
+@dataclass(frozen=True)
 class Answers:
-    """Probabilities of all answers, and how they came about."""
+    """Probabilities of all answers, and how they came about.
+
+    temperature : of the evidences; left : what the leading answer leaves; unknown : probability that it leaves the work
+    of another cause; pair : probability of `pair_effects`, whose stronger member carries it in `probabilities`.
+    """
 
     probabilities: dict[str, float]
     temperature: float
-    share_left: float
+    left: Left
     unknown: float
     pair: float = 0.0
+    pair_effects: tuple[str, str] | None = None
 
     @property
     def verdict(self) -> str:
@@ -91,56 +130,95 @@ def _logistic(x: float) -> float:
     return 1.0 / (1.0 + math.exp(-max(min(x, 60.0), -60.0)))
 
 
+def foreign(left: Left, evidence: float, rule: Rule = RULE) -> float:
+    """Probability that what an answer explains is the work of a cause outside the library.
+
+    By what it leaves; and, because a remainder below `strength` nats goes unseen, by how often a foreign cause would be
+    imitated well enough for that. evidence : of the answer over the nominal model, nats.
+    """
+    seen = _logistic((left.nats - rule.strength) / rule.strength_width)
+    log_share = math.log(max(left.share, 1e-6))
+    large = _logistic((log_share - math.log(rule.share)) / rule.share_width)
+    if left.peak_hz > rule.torque_band:
+        lined = _logistic((left.line - rule.line) / rule.strength_width)
+        large = max(large, lined * _logistic((log_share - math.log(0.3 * rule.share)) / rule.share_width))
+    unseen = min(1.0, max(rule.strength / max(evidence, 1e-9), rule.least)) ** rule.imitated
+    base = float(PRIOR_UNKNOWN / (1.0 - PRIOR_NONE) * unseen)
+    return 1.0 - (1.0 - base) * (1.0 - seen * large)
+
+
 def weigh(
     evidence: Mapping[str, float],
-    before: Remainder,
-    after: Remainder,
+    before: Left,
+    after: Left,
+    excess: float = 0.0,
     rule: Rule = RULE,
-    pair: Pair | None = None,
+    pairs: Sequence[tuple[tuple[str, str], float, Left]] = (),
     generic: float = -math.inf,
 ) -> Answers:
     """Probabilities of all answers.
 
-    evidence : family -> log Z relative to the nominal model; before, after : what the nominal model leaves, and what
-    the leading effect leaves; pair : two effects that may close what one leaves open; generic : log Z of a
-    drift of the nominal laws (generic.py), which counts for `unknown`.
+    evidence : family -> log Z relative to the nominal model; before, after : what `none` and the leading effect leave;
+    excess : chi-square of the best answer's mean residuals at low frequency beyond 2 sd; pairs : effects (the stronger
+    first), log Z of both, and what they leave; generic : log Z of a drift of the nominal laws (generic.py), which
+    counts for `unknown`.
     """
     names = [n for n, z in evidence.items() if math.isfinite(z)]
-    each = (1.0 - PRIOR_NONE - PRIOR_UNKNOWN) / max(len(evidence), USUAL)
-    temperature = 1.0 + max(0.0, after.low_excess - 2.0 * after.low_sd) / (rule.tempering * 20.0)
-    log_w = {"none": math.log(PRIOR_NONE)} | {n: math.log(each) + evidence[n] / temperature for n in names}
+    among = max(len(evidence), USUAL)
+    each = (1.0 - PRIOR_NONE - PRIOR_UNKNOWN - PRIOR_PAIRS) / among
+    temperature = 1.0 + max(0.0, excess) / (rule.tempering * 20.0)
+    best = max((evidence[n] for n in names), default=0.0)
+    log_w: dict[str | tuple[str, str], float] = {"none": math.log(PRIOR_NONE)}
+    log_w |= {n: math.log(each) + evidence[n] / temperature for n in names}
     if math.isfinite(generic):
         log_w["unknown"] = math.log(each) + generic / temperature
+    left: dict[str | tuple[str, str], Left] = {"none": before}
+    for effects, value, remains in pairs:
+        paid = value - rule.mismatch * max(best, 0.0)
+        log_w[effects] = math.log(2.0 * PRIOR_PAIRS / (among * (among - 1.0))) + paid / temperature
+        left[effects] = remains
     top = max(log_w.values())
     weights = {n: math.exp(v - top) for n, v in log_w.items()}
     total = sum(weights.values())
-    known = {n: w / total for n, w in weights.items()}
-    # What the answers leave, averaged over `none` and the leading effect.
-    gap = max(before.low_excess, before.low_sd)
-    share = min(max(after.low_excess, 0.0) / gap, 1.0)
-    left = _logistic((after.strength - rule.strength) / rule.strength_width)
-    large = _logistic((math.log(max(share, 1e-6)) - math.log(rule.share)) / rule.share_width)
-    lined = _logistic((after.line - rule.line) / rule.strength_width) * _logistic(
-        (math.log(max(share, 1e-6)) - math.log(0.3 * rule.share)) / rule.share_width
-    )
-    foreign = left * max(large, lined if after.peak_hz > rule.torque_band else 0.0)
-    both = 0.0
-    if pair is not None:
-        closes = _logistic((math.log(rule.pair_share) - math.log(max(pair.share_left, 1e-6))) / rule.share_width)
-        both = foreign * closes * _logistic((pair.gain - rule.pair_gain) / rule.strength_width)
-        foreign -= both
-    nothing = _logistic((before.strength - rule.strength) / rule.strength_width)
-    unknown = known["none"] * nothing + (1.0 - known["none"]) * foreign
-    probabilities = {n: p * (1.0 - nothing if n == "none" else 1.0 - foreign - both) for n, p in known.items()}
-    probabilities["unknown"] = unknown + probabilities.get("unknown", 0.0)
-    if pair is not None:
-        probabilities[pair.effects[0]] += (1.0 - known["none"]) * both
-    for name in evidence:
-        probabilities.setdefault(name, 0.0)
+    probabilities = dict.fromkeys(("none", "unknown", *evidence), 0.0)
+    pair, pair_effects, unknown = 0.0, None, 0.0
+    for answer, weight in weights.items():
+        p = weight / total
+        if answer == "unknown":
+            probabilities["unknown"] += p
+            continue
+        remains = left.get(answer, after)
+        if answer == "none":
+            lost = _logistic((remains.nats - rule.strength) / rule.strength_width)
+        else:
+            lost = foreign(remains, log_evidence_of(answer, evidence, pairs), rule)
+        probabilities["unknown"] += p * lost
+        unknown += p * lost
+        if isinstance(answer, tuple):
+            probabilities[answer[0]] += p * (1.0 - lost)
+            if p * (1.0 - lost) > pair:
+                pair, pair_effects = p * (1.0 - lost), answer
+        else:
+            probabilities[answer] += p * (1.0 - lost)
     count = len(probabilities)
     mixed = {n: (1.0 - FLOOR) * p + FLOOR / count for n, p in probabilities.items()}
     total = sum(mixed.values())
-    return Answers({n: float(p / total) for n, p in mixed.items()}, temperature, share, float(unknown), both)
+    leading = max(weights, key=lambda n: weights[n])
+    return Answers(
+        {n: float(p / total) for n, p in mixed.items()}, temperature, left.get(leading, after), float(unknown), pair,
+        pair_effects,
+    )  # fmt: skip
+
+
+def log_evidence_of(
+    answer: str | tuple[str, str],
+    evidence: Mapping[str, float],
+    pairs: Sequence[tuple[tuple[str, str], float, Left]],
+) -> float:
+    """Log Z of an answer over the nominal model."""
+    if isinstance(answer, str):
+        return evidence[answer]
+    return next(value for effects, value, _ in pairs if effects == answer)
 
 
 def rank(evidence: Mapping[str, float]) -> list[str]:
