@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from test_calibration import RIG, TRUE, make_experiment
 
-from bayes_damper.calibration import Experiment, Problem, TrialRecord, calibrate_nominal
+from bayes_damper.calibration import Experiment, Problem, TrialRecord, calibrate, calibrate_nominal
 from bayes_damper.diagnosis import diagnose
 from bayes_damper.diagnosis.pairs import PairProblem
 from bayes_damper.diagnosis.remainder import Remainder, remainder_of
 from bayes_damper.diagnosis.search import Screen, offered, scales_of, screen_variant
+from bayes_damper.diagnosis.sensitivity import Quadratic
 from bayes_damper.diagnosis.verdict import Answers, Left, family_evidence, left_of, weigh
 from bayes_damper.effects import EFFECTS
 from bayes_damper.model import Model
@@ -240,3 +241,17 @@ def test_a_drift_that_beats_every_effect_counts_for_unknown():
     loses = weigh({"a": 900.0, "b": 700.0}, ALL, QUIET, generic=850.0)
     assert wins.verdict == "unknown"
     assert loses.verdict == "a"
+
+
+def test_leaving_a_trial_out_is_what_a_fit_without_it_would_say():
+    """The quadratic's evidence changes as that of a refit, and the prior's width as a refit under that prior."""
+    experiment = make_experiment(2, n=120)
+    fit = calibrate_nominal(experiment)
+    quadratic = Quadratic.of(fit)
+    assert quadratic.log_evidence() == pytest.approx(fit.log_evidence, abs=0.01)
+    rest = tuple(i for i in fit.problem.trials if i != fit.problem.trials[0])
+    fewer = fit.problem.for_trials(rest)
+    keep = [fit.problem.names.index(n) for n in fewer.names]
+    refit = calibrate(fewer, [fit.q[keep]], eta={i: fit.eta[i] for i in rest}, anneal=False)
+    assert quadratic.log_evidence(without=fit.problem.trials[:1]) == pytest.approx(refit.log_evidence, abs=0.5)
+    assert quadratic.log_evidence(widths=2.0) < quadratic.log_evidence()

@@ -147,6 +147,38 @@ def measure_gap(
     return Gap(answer, p_value, size, _floor_rms(nominal.problem, heldout), nominal_rms, augmented, closed, upper, why)
 
 
+def closing(
+    nominal: Calibration,
+    fits: Mapping[str, Calibration],
+    best: Calibration,
+    rng: np.random.Generator | None = None,
+) -> dict[str, tuple[float, Closed]]:
+    """What each of several models leaves on held-out trials (rms, unit of the readings), and the share it closes.
+
+    best : the model whose change of the records stands for the gap's size where the gap itself is lost in the noise.
+    Empty if no trial is held out.
+    """
+    heldout = nominal.problem.experiment.heldout
+    if not heldout or not fits:
+        return {}
+    problem, noise = nominal.problem, nominal.problem.noise.total
+    masks = _masks(problem, heldout)
+    before = predict(nominal, heldout)
+    x0 = _squares({i: before[i].residual for i in heldout}, masks, noise)
+    count = np.array([sum(m.sum() for m in masks[i]) for i in heldout], float)
+    known = {id(fit): predict(fit, heldout) for fit in (*fits.values(), best)}
+    reference = known[id(best)]
+    d = _squares({i: reference[i].model - before[i].model for i in heldout}, masks, noise)
+    out = {}
+    for name, fit in fits.items():
+        after = known[id(fit)]
+        residuals = {i: after[i].residual for i in heldout}
+        x1 = _squares(residuals, masks, noise)
+        closed = share_closed(x0, x1, d, count, rng, noise_spread(problem))
+        out[name] = (_rms(residuals, problem, heldout), closed)
+    return out
+
+
 # The test -------------------------------------------------------------------------------------------------------------
 
 

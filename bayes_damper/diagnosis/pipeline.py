@@ -21,12 +21,13 @@ from bayes_damper.calibration import (
     experiment_of,
     learn_noise,
 )
-from bayes_damper.diagnosis.gap import Gap, measure_gap, shifts
+from bayes_damper.diagnosis.gap import Closed, Gap, closing, measure_gap, shifts
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.next_experiment import Proposal, propose
 from bayes_damper.diagnosis.pairs import Pair, Second, best_pairs, seconds_of
 from bayes_damper.diagnosis.remainder import Remainder, remainder_of
 from bayes_damper.diagnosis.search import Candidate, offered, search
+from bayes_damper.diagnosis.sensitivity import Choice, in_a_sentence, sensitivity
 from bayes_damper.diagnosis.sites import SiteMap, site_map, write_missing_torque
 from bayes_damper.diagnosis.verdict import RULE, Answers, Rule, family_evidence, left_of, weigh
 from bayes_damper.diagnosis.where import Where, locate
@@ -39,6 +40,7 @@ SCHEMA = "bayes-damper/diagnosis/1"
 INDISTINCT = 3.0  # nats between two families below which these data cannot tell them apart
 PAIR_FROM = 6.0  # nats left by the leading effect from which pairs are fitted
 JUDGED_PAIRS = 2  # pairs whose remainder is mapped
+TOLD = 3  # leading effects for which the gap they leave on held-out trials is told
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +48,12 @@ class Diagnosis:
     """The answer for one campaign, with the fits behind it.
 
     candidates: every formula of every effect, best first, evidence relative to the nominal model; winner: the fitted
-    formula of the leading effect, None if none could be fitted; before, after: what the nominal model and the winner
-    leave unexplained; gap: on held-out trials; site_map: where the nominal model's gap lies, without any library;
-    remainder_map: the same for what the winner leaves; sites: probability of each site and "none".
+    formula of the leading effect, None if none could be fitted; best: its fit, or that of the pair where two effects
+    are the answer; before, after: what the nominal model and the winner leave unexplained; gap: on held-out trials,
+    closed by `best`; closing: the same by each leading effect; choices: the verdict under other choices; site_map:
+    where the nominal model's gap lies, without any library; remainder_map: the same for what the winner leaves;
+    sites: probability of each site and "none"; pairs: fitted at once, best first; second_effects: every formula
+    screened against what the winner leaves; drift: log evidence of a drift of the nominal laws (generic.py).
     """
 
     campaign: str
@@ -73,8 +78,11 @@ class Diagnosis:
     seconds: float = 0.0
     extra: Mapping[str, Any] = field(default_factory=dict)
     pairs: tuple[Pair, ...] = ()
-    seconds_left: tuple[Second, ...] = ()
+    second_effects: tuple[Second, ...] = ()
     drift: float = -math.inf
+    best: Calibration | None = None
+    choices: tuple[Choice, ...] = ()
+    closing: Mapping[str, tuple[float, Closed]] = field(default_factory=dict)
 
     @property
     def verdict(self) -> str:
@@ -124,6 +132,7 @@ class Diagnosis:
                 "strongest_line_hz": self.after.peak_hz,
                 "temperature": self.answers.temperature,
             },
+            "sensitivity": [c.to_json() for c in self.choices],
             "notes": list(self.notes),
             "seconds": self.seconds,
         }
@@ -149,6 +158,8 @@ class Diagnosis:
             "probability": self.answers.probabilities[name],
             "log_evidence": self.evidence[name],
             "fitted": best.fit is not None,
+            "augmented_rms": self.closing[name][0] if name in self.closing else None,
+            "closed": self.closing[name][1].to_json() if name in self.closing else None,
             "parameters": {p.name: _estimate(best.fit, f"effect.{p.name}", p.unit) for p in best.variant.parameters}
             if best.fit is not None
             else {},
@@ -156,9 +167,9 @@ class Diagnosis:
 
     def _shifts(self) -> dict[str, Any]:
         """Parameters before and after the winner, with the shift in standard deviations."""
-        if self.winner is None or self.winner.fit is None:
+        if self.best is None:
             return {n: {"before": {"value": v, "sd": sd}} for n, (v, sd) in self.nominal.parameters.items()}
-        return {row.name: row.to_json() for row in shifts(self.nominal, self.winner.fit)}
+        return {row.name: row.to_json() for row in shifts(self.nominal, self.best)}
 
 
 def _estimate(fit: Calibration, name: str, unit: str) -> dict[str, Any]:
@@ -221,27 +232,37 @@ def diagnose(
     seconds = [] if winner is None or winner.effect is DRIFT else seconds_of(winner, fit, pool)
     gain = max((s.gain for s in seconds), default=0.0)
     pairs = best_pairs(fit, found, pool, seconds, threads=threads) if max(left.nats, gain) > PAIR_FROM else []
-    judged = [
-        (
-            p.effects,
-            p.log_evidence,
-            left_of(p.after, site_map(p.fit, torque=False).strength, before, before_map.strength),
-        )
-        for p in pairs[:JUDGED_PAIRS]
-    ]
+    judged = []
+    for p in pairs[:JUDGED_PAIRS]:
+        mapped = site_map(p.fit, torque=False).strength
+        judged.append((p.effects, p.log_evidence, left_of(p.after, mapped, before, before_map.strength)))
     best_left = pairs[0].after if pairs and pairs[0].gain > 0.0 else after
     excess = best_left.low_excess - 2.0 * best_left.low_sd
-    answers = weigh(evidence, none_left, left, excess, rule, judged, drift)
+
+    def judge(changes: Mapping[str, float], of_pairs: Mapping[str, float]) -> Answers:
+        moved = {n: z + changes.get(n, 0.0) for n, z in evidence.items()}
+        both = [(e, z + of_pairs.get("+".join(e), 0.0), remains) for e, z, remains in judged]
+        return weigh(moved, none_left, left, excess, rule, both, drift + changes.get(DRIFT.name, 0.0))
+
+    answers = judge({}, {})
+    fits: dict[str, list[Calibration]] = {}
+    for c in found:
+        if c.fit is not None and math.isfinite(c.log_evidence):
+            fits.setdefault(c.effect.name, []).append(c.fit)
+    choices = sensitivity(fit, fits, judge, answers.verdict, {"+".join(p.effects): p.fit for p in pairs[:JUDGED_PAIRS]})
     pair = next((p for p in pairs if p.effects == answers.pair_effects), None)
-    notes += _notes(experiment, fit, answers)
+    notes += [*_notes(experiment, fit, answers), in_a_sentence(choices, answers.verdict)]
     tell(f"leading answer {answers.verdict}")
     rng = np.random.default_rng(seed)
-    gap = measure_gap(fit, None if winner is None else winner.fit, rng=rng)
+    best = pair.fit if pair is not None and answers.pair >= 0.5 else None if winner is None else winner.fit
+    gap = measure_gap(fit, best, rng=rng)
+    leading = sorted(evidence, key=lambda n: -evidence[n])[:TOLD]
+    told = {} if best is None else closing(fit, {n: fits[n][0] for n in leading if n in fits}, best, rng)
     return Diagnosis(
         name, experiment, nominal, fit, tuple(found), winner, answers, before, after, gap, locate(fit), before_map,
         after_map, tuple(_proposals(fit, found, answers)), _sites(answers, effects, before_map, after_map), evidence,
         tuple(_indistinct(evidence, effects)), pair, tuple(notes), time.perf_counter() - began, {"seed": seed},
-        tuple(pairs), tuple(seconds), drift,
+        tuple(pairs), tuple(seconds), drift, best, tuple(choices), told,
     )  # fmt: skip
 
 

@@ -1,0 +1,168 @@
+"""How far a verdict hangs on choices: prior widths halved and doubled, one case or one trial left out.
+
+Each model is taken as quadratic about its best fit, in its parameters and in the nuisances of each trial,
+
+    cost(q) = (q + dq)' P (q + dq) + sum_j [c_j + 2 b_j' dq + dq' A_j dq],
+
+with every trial's own nuisances eliminated from its A_j, b_j, c_j; so a choice costs no simulation. P is 1 over the
+square of the factor on the prior widths; a trial left out loses its term. What each answer leaves unexplained is
+taken from the verdict on all trials. Nothing in a diagnosis is drawn at random but the bootstrap of the interval of
+the share closed, so another seed gives the same verdict.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper.calibration import Calibration, TrialRecord
+from bayes_damper.diagnosis.verdict import Answers
+
+Array = NDArray[np.float64]
+
+MOST_TRIALS = 40  # beyond, only cases are left out one by one
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A choice that could have been made otherwise, and the verdict that follows.
+
+    probability: of that verdict; of_leading: what the verdict on all data keeps.
+    """
+
+    what: str
+    verdict: str
+    probability: float
+    of_leading: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers."""
+        return {
+            "choice": self.what, "verdict": self.verdict, "probability": self.probability,
+            "probability_of_the_leading_answer": self.of_leading,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Quadratic:
+    """A fit as a quadratic in q, trial by trial: A (trials, size, size), b (trials, size), c (trials,).
+
+    log_det (trials,): of each trial's nuisances; scaled (size,): whether a coordinate's prior may be widened, which
+    constants declared with a standard deviation may not.
+    """
+
+    trials: tuple[int, ...]
+    q: Array
+    A: Array
+    b: Array
+    c: Array
+    log_det: Array
+    scaled: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, fit: Calibration) -> Quadratic:
+        """From the linearised problem at the best fit."""
+        rows: list[tuple[int, Array, Array, float, float]] = []
+        p = fit.problem.size
+        for block in fit.linear.blocks:
+            full = np.concatenate([block.J, block.T, block.r[:, None, :]], axis=1)
+            gram = np.matmul(full, full.transpose(0, 2, 1))
+            m = block.eta.shape[1]
+            for k, i in enumerate(block.group.trials):
+                g = gram[k]
+                A, b, c = g[:p, :p], g[:p, -1], float(g[-1, -1] + block.eta[k] @ block.eta[k])
+                log_det = 0.0
+                if m:
+                    H = g[p : p + m, p : p + m] + np.eye(m)
+                    own = g[p : p + m, -1] + block.eta[k]
+                    solved = np.linalg.solve(H, np.column_stack([g[p : p + m, :p], own]))
+                    A = A - g[p : p + m, :p].T @ solved[:, :p]
+                    b = b - g[p : p + m, :p].T @ solved[:, p]
+                    c -= float(own @ solved[:, p])
+                    log_det = float(np.linalg.slogdet(H)[1])
+                rows.append((i, A, b, c, log_det))
+        return cls(
+            tuple(r[0] for r in rows), fit.q, np.array([r[1] for r in rows]), np.array([r[2] for r in rows]),
+            np.array([r[3] for r in rows]), np.array([r[4] for r in rows]),
+            np.array([c.role in ("nominal", "effect") for c in fit.problem.coordinates]),
+        )  # fmt: skip
+
+    def log_evidence(self, without: Collection[int] = (), widths: float = 1.0) -> float:
+        """Laplace evidence without some trials, under prior widths times a factor; -inf where it does not exist."""
+        keep = np.array([i not in without for i in self.trials])
+        precision = np.where(self.scaled, 1.0 / widths**2, 1.0)
+        S = np.diag(precision) + self.A[keep].sum(axis=0)
+        g = precision * self.q + self.b[keep].sum(axis=0)
+        cost = float(precision @ self.q**2) + float(self.c[keep].sum())
+        sign, log_det = np.linalg.slogdet(S)
+        if sign <= 0 or not math.isfinite(log_det):
+            return -math.inf
+        cost -= float(g @ np.linalg.solve(S, g))
+        total = cost + log_det - float(np.sum(np.log(precision))) + float(self.log_det[keep].sum())
+        return -0.5 * total if math.isfinite(total) else -math.inf
+
+
+def sensitivity(
+    nominal: Calibration,
+    fits: Mapping[str, Sequence[Calibration]],
+    judge: Callable[[Mapping[str, float], Mapping[str, float]], Answers],
+    leading: str,
+    pairs: Mapping[str, Calibration] | None = None,
+) -> list[Choice]:
+    """The verdict under every other choice.
+
+    fits : family -> its fitted formulas; pairs : label -> fit of two effects at once; judge : gives the answers from
+    the change of each family's and pair's log evidence over the nominal model; leading : the verdict on all data.
+    """
+    base = Quadratic.of(nominal)
+    families = {name: [Quadratic.of(f) for f in each] for name, each in fits.items()}
+    both = {label: Quadratic.of(f) for label, f in (pairs or {}).items()}
+    whole = {label: q.log_evidence() for label, q in both.items()}
+    known = {name: [q.log_evidence() for q in each] for name, each in families.items()}
+    experiment = nominal.problem.experiment
+    choices: list[tuple[str, Collection[int], float]] = [
+        ("prior widths halved", (), 0.5), ("prior widths doubled", (), 2.0),
+    ]  # fmt: skip
+    cases = list(dict.fromkeys(experiment.trials[i].case for i in base.trials))
+    if len(cases) > 1:
+        for case in cases:
+            choices.append((f"without case {case}", [i for i in base.trials if experiment.trials[i].case == case], 1.0))
+    if 1 < len(base.trials) <= MOST_TRIALS:
+        choices += [(f"without {_named(experiment.trials[i])}", [i], 1.0) for i in sorted(base.trials)]
+    out = []
+    for what, without, widths in choices:
+        zero = base.log_evidence(without, widths) - base.log_evidence()
+        changes = {
+            name: max(q.log_evidence(without, widths) for q in each) - max(known[name]) - zero
+            for name, each in families.items()
+            if math.isfinite(max(known[name]))
+        }
+        of_pairs = {label: q.log_evidence(without, widths) - whole[label] - zero for label, q in both.items()}
+        answers = judge(changes, of_pairs)
+        p = answers.probabilities
+        out.append(Choice(what, answers.verdict, p[answers.verdict], p[leading]))
+    return out
+
+
+def _named(trial: TrialRecord) -> str:
+    configuration = "coupled" if trial.coupled else "uncoupled"
+    return f"trial {trial.number} of case {trial.case}, {configuration}"
+
+
+def in_a_sentence(choices: Sequence[Choice], leading: str) -> str:
+    """What the choices change, for the reader of a verdict."""
+    other = [c for c in choices if c.verdict != leading]
+    if not choices:
+        return "There is nothing to leave out, so how far the verdict hangs on a single trial cannot be told."
+    if not other:
+        return (
+            f"The verdict stays the same under all {len(choices)} other choices tried (priors, a case or a trial less)."
+        )
+    told = "; ".join(f"{c.what}: {c.verdict} ({c.probability:.2f})" for c in other[:4])
+    more = f", and {len(other) - 4} more" if len(other) > 4 else ""
+    return f"The verdict changes under {len(other)} of {len(choices)} other choices: {told}{more}."
