@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from bayes_damper.importer import import_records as import_records
     from bayes_damper.importer import init_campaign as init_campaign
     from bayes_damper.model import Model as Model
+    from bayes_damper.planning import plan as plan
     from bayes_damper.published import load_published as load_published
     from bayes_damper.report import report as report
     from bayes_damper.resume import resume as resume
@@ -41,6 +42,7 @@ _PLACES = {
     "init_campaign": "importer",
     "load_campaign": "campaign",
     "load_published": "published",
+    "plan": "planning",
     "report": "report",
     "resume": "resume",
     "simulate_record": "simulate",
@@ -51,7 +53,7 @@ _PLACES = {
 
 __all__ = [
     "Model", "bench", "check", "compare", "demo", "diagnose", "fit", "import_records", "init_campaign", "load_campaign",
-    "load_published", "report", "resume", "simulate_record", "tune", "variability", "withheld",
+    "load_published", "plan", "report", "resume", "simulate_record", "tune", "variability", "withheld",
 ]  # fmt: skip
 
 

@@ -57,7 +57,10 @@ _RIG_WORDS = {
     "restoring": ("linear", "pendulum"),
 }
 _MEASUREMENT_WORDS = {"quantity": ("acceleration", "velocity", "displacement"), "start": ("rest", "free")}
-_MEASUREMENT_NUMBERS = ("sample_rate", "noise_std", "sensor_range", "sensor_bandwidth")
+_MEASUREMENT_NUMBERS = ("sample_rate", "duration", "noise_std", "sensor_range", "sensor_bandwidth")
+_SINGLE = {"sample_rate": "Hz", "duration": "s"}
+PLANNED_PERIODS = 8.0
+"""Natural periods of the slowest case that a planned record lasts where no duration is declared."""
 _TOP = ("name", "description", "source", "caveats", "rig", "measurement")
 _SHOWN = 5  # faults of one kind shown for one file
 
@@ -106,6 +109,8 @@ class Measurement:
     noise_std: tuple[float, ...] | None = None
     sensor_range: tuple[float, ...] | None = None
     sensor_bandwidth: tuple[float, ...] | None = None
+    duration: float | None = None
+    """Length of a record that is planned, s; of measured ones the time column decides."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,6 +273,8 @@ def load_campaign(folder: str | Path) -> Campaign:
             _check_magnitudes(head, trial, faults, warnings)
             _look_at_trial(head, trial, warnings)
     if faults:
+        if rows and not any((folder / row.file).exists() for row in rows):
+            faults.append("none of the records is there: `bayes-damper plan` judges a campaign before it is measured")
         raise InputError(faults)
     _look_at_repeats(head, trials, warnings)
     noise = _per_channel(head.measurement.noise_std, any(t.coupled for t in trials))
@@ -284,6 +291,65 @@ def load_campaign(folder: str | Path) -> Campaign:
         (*head.caveats, *warnings),
         digest.hexdigest(),
     )
+
+
+def load_plan(folder: str | Path) -> Campaign:
+    """A campaign of which nothing, or only a part, has been measured yet.
+
+    The files that trials.csv names may be missing: such a trial has readings of zero at the sample times that
+    [measurement] declares (`sample_rate`, `duration`; by default eight natural periods of the slowest case). Records
+    that are there are read and checked as ever.
+
+    Raises
+    ------
+    InputError
+        with one sentence for every fault of every file.
+    """
+    folder = Path(folder)
+    faults: list[str] = []
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; give the folder that holds campaign.toml")
+    digest = hashlib.sha256()
+    head = _read_head(folder, faults, digest)
+    if head is None:
+        raise InputError(faults)
+    rows = _read_rows(folder, head.rig.kind, head.measurement.start, faults, digest)
+    _check_rig(folder, head.rig, any(row.configuration == "coupled" for row in rows), faults)
+    missing = [row for row in rows if not (folder / row.file).exists()]
+    rate = head.measurement.sample_rate
+    if missing and rate is None:
+        faults.append("campaign.toml [measurement]: sample_rate is missing; a plan without records needs it, in Hz")
+    if faults or head.broken:
+        raise InputError(faults)
+    planned = []
+    slowest = min((row.k1t.value for row in missing), default=1.0)
+    period = 2.0 * math.pi * math.sqrt(head.rig.primary_inertia.value / slowest)
+    duration = head.measurement.duration or PLANNED_PERIODS * period
+    if missing and rate is not None and duration * rate < 16.0:
+        raise InputError(
+            f"campaign.toml [measurement]: {duration:.3g} s at {rate:g} Hz are fewer than 16 readings; raise "
+            "sample_rate or duration"
+        )
+    for row in rows:
+        if row in missing and rate is not None:
+            times = np.arange(round(duration * rate) + 1) / rate
+            channels = np.zeros((2 if row.configuration == "coupled" else 1, times.size))
+            planned.append(
+                Trial(row.file, row.case, row.configuration, row.trial, row.k1t, row.theta0, times, channels,
+                      holdout=row.holdout)
+            )  # fmt: skip
+            continue
+        trial = _read_trial(folder, row, head, faults, digest)
+        if trial is not None:
+            planned.append(trial)
+    if faults:
+        raise InputError(faults)
+    noise = _per_channel(head.measurement.noise_std, any(t.coupled for t in planned))
+    measurement = replace(head.measurement, noise_std=noise, duration=duration if missing else None)
+    return Campaign(
+        head.name, head.rig, measurement, tuple(planned), head.description, head.source, head.caveats, folder,
+        (*head.caveats, *head.notes), digest.hexdigest(),
+    )  # fmt: skip
 
 
 # --- campaign.toml -------------------------------------------------------------------------------------------------
@@ -464,10 +530,13 @@ def _read_measurement(table: Mapping[str, Any], name: str, faults: list[str]) ->
             faults.append(f"{where}: unknown key '{key}'; {_nearest(key, valid)}")
     words = _read_words(table, _MEASUREMENT_WORDS, where, faults)
     tuples = {k: _positives(table[k], f"{where}: {k}", faults) for k in _MEASUREMENT_NUMBERS if k in table}
-    rate = tuples.pop("sample_rate", None)
-    if rate is not None and len(rate) != 1:
-        faults.append(f"{where}: sample_rate must be one number, in Hz")
-    return Measurement(sample_rate=rate[0] if rate else None, **words, **tuples)  # type: ignore[arg-type]
+    single: dict[str, float | None] = {}
+    for key, unit in _SINGLE.items():
+        found = tuples.pop(key, None)
+        if found is not None and len(found) != 1:
+            faults.append(f"{where}: {key} must be one number, in {unit}")
+        single[key] = found[0] if found else None
+    return Measurement(**words, **tuples, **single)  # type: ignore[arg-type]
 
 
 def _positives(value: TomlValue, where: str, faults: list[str]) -> tuple[float, ...] | None:
@@ -1137,6 +1206,7 @@ _COMMENTS = {
     "quantity": "acceleration, velocity or displacement",
     "start": "rest: released at rest from theta0; free: initial angles and velocities are inferred",
     "sample_rate": "Hz; the time column decides",
+    "duration": "s, of a record that is planned; the time column decides",
     "noise_std": "prior value of the noise, one per channel",
     "sensor_range": "largest reading, one per channel",
     "sensor_bandwidth": "Hz, one per channel",

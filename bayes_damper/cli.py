@@ -169,6 +169,18 @@ def _diagnose(args: Arguments) -> Any:
     )
 
 
+def _plan(args: Arguments) -> Any:
+    return _call("planning:plan")(
+        args.campaign,
+        nominal=args.nominal,
+        effects=args.effects,
+        priors=args.priors,
+        out=args.out,
+        seed=args.seed,
+        threads=args.workers,
+    )
+
+
 def _withheld(args: Arguments) -> Any:
     return _call("withheld:withheld")(
         args.folder,
@@ -260,6 +272,15 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("diagnose", _diagnose, "the sim-to-real gap: where it lies, what causes it, how far it shrinks",
                   out="results/diagnose")  # fmt: skip
     sub.add_argument("campaign", help="folder of the campaign")
+    sub.add_argument("--nominal", choices=("nonlinear", "linear"), default="nonlinear",
+                     help="linear: a nominal model without dry friction, which is then a candidate")  # fmt: skip
+    sub.add_argument("--effects", type=Path, metavar="DIR", help="a folder with effects of your own")
+    sub.add_argument("--priors", type=Path, metavar="F.toml", help="priors of the nominal parameters")
+    sub.add_argument("--workers", type=int, default=2, metavar="N", help="simulations side by side (default: 2)")
+
+    sub = command("plan", _plan, "before measuring: what the planned trials could tell apart, and with how many",
+                  out="results/plan")  # fmt: skip
+    sub.add_argument("campaign", help="folder with campaign.toml and trials.csv; the records need not exist")
     sub.add_argument("--nominal", choices=("nonlinear", "linear"), default="nonlinear",
                      help="linear: a nominal model without dry friction, which is then a candidate")  # fmt: skip
     sub.add_argument("--effects", type=Path, metavar="DIR", help="a folder with effects of your own")

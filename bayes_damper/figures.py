@@ -319,6 +319,35 @@ def variability_figure(result: Mapping[str, Any], *, title: str, converged: bool
     return figure
 
 
+def plan_figure(result: Mapping[str, Any], *, title: str) -> Figure:
+    """What a plan could see and tell apart: chance of each effect to be seen, and nats of each beside each rival.
+
+    result : what plan.json holds. The numbers in the right part are expected nats, left out from 10 on (told apart);
+    dark cells are pairs that the planned trials cannot tell apart.
+    """
+    names = [row["name"] for row in result["effects"]]
+    figure = new_figure(4.0 + 0.36 * len(names), 1.9 + 0.26 * len(names))
+    with mpl.rc_context(_RC | {"axes.grid": False}):
+        left, right = figure.subplots(1, 2, width_ratios=[2.2, 0.36 * len(names)])
+        left.barh(range(len(names)), [row["chance"] for row in result["effects"]], color=COLOURS[0])
+        left.set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
+        left.set_xlim(0.0, 1.0)
+        left.set_ylim(len(names) - 0.5, -0.5)
+        left.set_xlabel("share of plausible sizes\nthat would be seen")
+        table = np.array([[result["matrix"][a].get(b, np.nan) for b in names] for a in names], float)
+        right.imshow(np.clip(table, 0.0, 10.0), cmap="Blues_r", vmin=-4.0, vmax=10.0, aspect="auto")
+        for (y, x), nats in np.ndenumerate(table):
+            if nats < 10.0:
+                right.text(x, y, f"{nats:.0f}", ha="center", va="center", fontsize=7, color="w" if nats < 3.0 else "k")
+        right.set_xticks(range(len(names)), [name.replace("_", " ") for name in names], rotation=90)
+        right.set_yticks([])
+        right.set_ylim(len(names) - 0.5, -0.5)
+        right.set_xlabel("rival")
+        right.set_title("nats by which a typical effect stands out beside a rival (empty: 10 or more)", loc="left")
+        figure.suptitle(title)
+    return figure
+
+
 def withheld_figure(scores: Mapping[str, Any], *, rehearsal: bool = False) -> Figure:
     """The check on withheld data: what was taken for what, sites, reliability beside a calibrated twin, strength.
 

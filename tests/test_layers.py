@@ -24,7 +24,7 @@ LAYERS = (
     {"figures", "run", "bench_peers", "check", "summary"},
     {"progress"},
     {"fit", "variability", "diagnosis", "tuning", "thesis", "compare", "simulate", "diagnose"},
-    {"withheld", "bench"},
+    {"withheld", "bench", "planning"},
     {"report"},
     {"demo", "resume"},
     {"cli"},

@@ -84,8 +84,8 @@ def propose(
     p = np.array([x for _, x in open_answers])
     p /= p.sum()
     leaders = [f for f, _ in open_answers]
-    experiment = _candidates(leaders[0].problem.experiment, stiffnesses, angles)
-    experiment = _with_events(leaders[0], experiment)
+    experiment = candidate_trials(leaders[0].problem.experiment, stiffnesses, angles)
+    experiment = with_events(leaders[0], experiment)
     predicted = [_predict(fit, experiment) for fit in leaders]
     proposals = []
     for i, trial in enumerate(experiment.trials):
@@ -126,7 +126,7 @@ def bhattacharyya(mean_a: Array, root_a: Array, mean_b: Array, root_b: Array) ->
     return max(0.0, quadratic / 8.0 + 0.5 * (log_det(root) - 0.5 * log_det(root_a) - 0.5 * log_det(root_b)))
 
 
-def _candidates(
+def candidate_trials(
     experiment: Experiment, stiffnesses: Sequence[float] | None, angles: Sequence[float] | None
 ) -> Experiment:
     """The experiments to judge, one trial each; priors stay those of the campaign."""
@@ -161,9 +161,9 @@ def _candidates(
     return replace(experiment, trials=tuple(records), stiffnesses=tuple(given), priors=priors)
 
 
-def _with_events(fit: Calibration, experiment: Experiment) -> Experiment:
+def with_events(fit: Calibration, experiment: Experiment) -> Experiment:
     """The candidates with predicted readings, so that friction reversals count as little as they would in a fit."""
-    problem, q = _moved(fit, experiment)
+    problem, q = moved(fit, experiment)
     readings: dict[int, Array] = {}
     for group in problem.groups:
         n = len(group.trials)
@@ -173,17 +173,17 @@ def _with_events(fit: Calibration, experiment: Experiment) -> Experiment:
     return replace(experiment, trials=tuple(replace(t, y=readings[i]) for i, t in enumerate(experiment.trials)))
 
 
-def _moved(fit: Calibration, experiment: Experiment) -> tuple[Problem, Array]:
+def moved(fit: Calibration, experiment: Experiment) -> tuple[Problem, Array]:
     """The fit's model on other trials, and its coordinates there: at the prior mean where they are new."""
     old = fit.problem
     problem = Problem(
         experiment, old.effect, nominal=old.nominal, noise=old.noise, switches=old.switches, threads=old.threads,
         tolerance=old.tolerance, trials=tuple(range(len(experiment.trials))),
     )  # fmt: skip
-    return problem, np.array([0.0 if k is None else fit.q[k] for k in _places(fit, problem)])
+    return problem, np.array([0.0 if k is None else fit.q[k] for k in places_of(fit, problem)])
 
 
-def _places(fit: Calibration, problem: Problem) -> list[int | None]:
+def places_of(fit: Calibration, problem: Problem) -> list[int | None]:
     """Where each coordinate of the new problem stands in the fit; None if it is new."""
     known = {(c.role, c.name if c.role != "stiffness" else c.index): k for k, c in enumerate(fit.problem.coordinates)}
     return [known.get((c.role, c.name if c.role != "stiffness" else c.index)) for c in problem.coordinates]
@@ -191,8 +191,8 @@ def _places(fit: Calibration, problem: Problem) -> list[int | None]:
 
 def _predict(fit: Calibration, experiment: Experiment) -> list[tuple[Array, Array]]:
     """For each candidate trial its whitened prediction (d,) and the root (d, k) of what is uncertain about it."""
-    problem, q = _moved(fit, experiment)
-    places = _places(fit, problem)
+    problem, q = moved(fit, experiment)
+    places = places_of(fit, problem)
     known = [k for k in places if k is not None]
     covariance = np.eye(problem.size)
     rows = np.array([i for i, k in enumerate(places) if k is not None], dtype=np.int64)
