@@ -33,9 +33,8 @@ from bayes_damper.distributions import from_standard
 from bayes_damper.effects import Effect, all_effects, classes
 from bayes_damper.effects.base import Variant
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.fit import recorded_priors
 from bayes_damper.parameters import unit_of
-from bayes_damper.priors import load_priors
+from bayes_damper.priors import PriorSet, campaign_priors
 from bayes_damper.provenance import provenance
 from bayes_damper.run import write_json
 
@@ -117,7 +116,7 @@ def plan(
     """
     loaded = load_plan(campaign)
     file = Path(priors) if priors is not None else Path(campaign) / "priors.toml"
-    chosen = recorded_priors(load_priors(file, kind=loaded.rig.kind)) if priors is not None or file.exists() else None
+    chosen = campaign_priors(file, loaded) if priors is not None or file.exists() else None
     if loaded.measurement.start != "rest":
         raise InputError(
             f'{campaign}: a plan needs a release from rest; with start = "free" nothing tells how large the motion is'
@@ -139,7 +138,7 @@ def judge(
     campaign: Campaign,
     effects: Mapping[str, Effect],
     nominal: Literal["nonlinear", "linear"] = "nonlinear",
-    priors: Mapping[str, Any] | None = None,
+    priors: PriorSet | None = None,
     seed: int = 1,
     threads: int = 2,
 ) -> dict[str, Any]:
@@ -168,7 +167,7 @@ def judge(
         "invisible": [row["name"] for row in rows if row["chance"] < 0.05 and row["nats"] < NATS],
         "indistinguishable": groups,
         "parameters": parameters,
-        "add": _additions(fit, views, rivals),
+        "add": _additions(fit, views, rivals, campaign.rig.kind),
         "sentences": _sentences(campaign, fit, rows, groups, parameters),
     }
 
@@ -177,7 +176,7 @@ def judge(
 
 
 def planned_fit(
-    campaign: Campaign, nominal: Literal["nonlinear", "linear"], priors: Mapping[str, Any] | None, threads: int
+    campaign: Campaign, nominal: Literal["nonlinear", "linear"], priors: PriorSet | None, threads: int
 ) -> Calibration:
     """The nominal model at its prior medians, linearised on the readings that it predicts itself."""
     experiment = experiment_of(campaign, priors)
@@ -446,7 +445,9 @@ def _rivals(
 # More trials ----------------------------------------------------------------------------------------------------------
 
 
-def _additions(fit: Calibration, views: Sequence[View], rivals: Mapping[str, Rivals]) -> list[dict[str, Any]]:
+def _additions(
+    fit: Calibration, views: Sequence[View], rivals: Mapping[str, Rivals], kind: str
+) -> list[dict[str, Any]]:
     """Single trials that would help most, ranked by the nats, up to `NATS` for each effect, that one of each adds.
 
     An effect's nats are those over the nominal model or over its strongest rival, whichever is less.
@@ -498,10 +499,15 @@ def _additions(fit: Calibration, views: Sequence[View], rivals: Mapping[str, Riv
         if total[t] < 0.1:
             break
         helped = [views[k].effect.name for k in np.argsort(-gains[t]) if gains[t, k] > 0.1 * total[t]]
+        k1t, theta0 = candidates.stiffnesses[trial.k1t][0], trial.theta0
+        place = (
+            {"k1_n_per_m": k1t, "theta0_mm": 1e3 * theta0}
+            if kind == "translational"
+            else {"k1t_n_m_per_rad": k1t, "theta0_deg": math.degrees(theta0)}
+        )
         out.append({
-            "configuration": "coupled" if trial.coupled else "uncoupled",
-            "k1t_n_m_per_rad": candidates.stiffnesses[trial.k1t][0], "theta0_deg": math.degrees(trial.theta0),
-            "nats": float(total[t]), "helps": helped,
+            "configuration": "coupled" if trial.coupled else "uncoupled", **place, "nats": float(total[t]),
+            "helps": helped,
         })  # fmt: skip
     return out
 
