@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 
 from bayes_damper.distributions import Distribution, LogNormal, from_standard, to_standard
+from bayes_damper.effects.base import Variant
 from bayes_damper.errors import InputError
 from bayes_damper.features import features
 from bayes_damper.model import Model
@@ -146,6 +147,9 @@ FEATURE_QUANTITIES = ("log_decrement", "period", "max_acceleration")
 FEATURE_TIMES: Array = np.concatenate([np.linspace(0.0, 1e-3, 21), np.arange(2, 451) * 1e-3])
 """Sample times of a simulated record from which features are taken, s: fine where the first peak is, then 1 kHz."""
 
+EFFECT_PREFIX = "effect."
+"""Begins the name of a coordinate that belongs to an effect."""
+
 
 class FeaturePosterior:
     """Posterior of one thesis case from its published features (log decrement, damped period, maximum acceleration).
@@ -153,16 +157,27 @@ class FeaturePosterior:
     A standard error from n = 3 trials makes (measured - true) / error Student-t with n - 1 degrees of freedom, so
     the likelihood has heavy tails. Peak and decrement are computed from one simulated record by the definition of
     features.py, so that they share the first peak as the measured ones do.
+
+    effect : a formula that the rig follows beside the nominal ones; its parameters are among the coordinates as
+    "effect.NAME". times : of the simulated records, s.
     """
 
     def __init__(
-        self, data: Sequence[Datum], coordinates: Coordinates, normal_force: str = "linear", case: str = ""
+        self,
+        data: Sequence[Datum],
+        coordinates: Coordinates,
+        normal_force: str = "linear",
+        case: str = "",
+        *,
+        effect: Variant | None = None,
+        times: Array = FEATURE_TIMES,
     ) -> None:
         self.data = tuple(data)
         self.coordinates = coordinates
         self.case = case
+        self.times = times
         self.models = {
-            name: Model(coupled=name == "coupled", normal_force=normal_force)  # type: ignore[arg-type]
+            name: Model(coupled=name == "coupled", normal_force=normal_force, effect=effect)  # type: ignore[arg-type]
             for name in dict.fromkeys(d.configuration for d in self.data)
         }
         self.outcomes: Counter[str] = Counter()
@@ -177,13 +192,20 @@ class FeaturePosterior:
 
     def predict(self, points: Array) -> Array:
         """The features that the model gives at points (n, ndim), in the order of the data: (n, n_data), nan if none."""
-        values = self.coordinates.values(points)
+        return self.predict_from(self.coordinates.values(points))
+
+    def predict_from(self, parameters: Mapping[str, Array]) -> Array:
+        """The features that the model gives for parameter values (n,) by name: (n, n_data), nan if none."""
+        values = dict(parameters)
         t_min = values.pop("t_min")
+        changes = {name: values.pop(name) for name in list(values) if name.startswith(EFFECT_PREFIX)}
+        effect = {name.removeprefix(EFFECT_PREFIX): x for name, x in changes.items()}
         found = {}
         for name, model in self.models.items():
-            simulation = model.simulate(values, FEATURE_TIMES)
-            self.outcomes.update(Outcome(int(o)).name for o in simulation.outcome)
-            found[name] = features(FEATURE_TIMES, simulation.y[:, 0], t_min)
+            simulation = model.simulate(values, self.times, effect=effect)
+            number, count = np.unique(simulation.outcome, return_counts=True)
+            self.outcomes.update({Outcome(int(o)).name: int(c) for o, c in zip(number, count, strict=True)})
+            found[name] = features(self.times, simulation.y[:, 0], t_min)
         return np.stack([getattr(found[d.configuration], d.quantity) for d in self.data], axis=1)
 
     def log_likelihood(self, points: Array) -> Array:

@@ -5,9 +5,10 @@ import pytest
 from scipy import stats
 
 from bayes_damper.distributions import HalfNormal, LogNormal, Uniform
+from bayes_damper.effects import EFFECTS
 from bayes_damper.errors import InputError
 from bayes_damper.fit import published_posterior
-from bayes_damper.posterior import Coordinates, Datum, FeaturePosterior, Shared
+from bayes_damper.posterior import EFFECT_PREFIX, Coordinates, Datum, FeaturePosterior, Shared
 from bayes_damper.priors import load_priors
 from bayes_damper.sampling import annealed_start
 
@@ -111,3 +112,24 @@ def test_a_prior_that_excludes_every_record_gets_a_sentence():
             coordinates.draw(np.random.default_rng(1), 64),
             np.random.default_rng(1),
         )
+
+
+def test_a_posterior_with_an_effect_takes_its_parameters_as_coordinates():
+    """At its null the effect changes nothing; a soft release lowers the first peak, in both configurations."""
+    fitted = published_posterior("IV", load_priors("thesis"))
+    plain = FeaturePosterior(fitted.data, Coordinates(fitted.coordinates.free, tied=fitted.coordinates.tied,
+                                                      fixed=fitted.coordinates.fixed))  # fmt: skip
+    ramp = EFFECTS["release_ramp"].variant("linear")
+    free = plain.coordinates.free | {f"{EFFECT_PREFIX}{p.name}": p.prior for p in ramp.parameters}
+    changed = FeaturePosterior(
+        fitted.data, Coordinates(free, plain.coordinates.fixed, plain.coordinates.tied), effect=ramp
+    )
+    z = np.zeros((2, changed.ndim))
+    z[0, -1] = -8.0  # the null of a half-normal duration
+    without = plain.predict(np.zeros((1, plain.ndim)))[0]
+    found = changed.predict(z)
+    np.testing.assert_allclose(found[0], without, rtol=1e-6)
+    peaks = [i for i, d in enumerate(changed.data) if d.quantity == "max_acceleration"]
+    assert (found[1, peaks] < 0.999 * without[peaks]).all()
+    values = changed.coordinates.values(z)
+    np.testing.assert_allclose(changed.predict_from(values), found)
