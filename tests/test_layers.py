@@ -15,7 +15,7 @@ LAYERS = (
     {"readings"},
     {"campaign", "importer", "lanes", "damper", "linear", "published"},
     {"effects"},
-    {"integrator", "accumulate"},
+    {"integrator", "accumulate", "composition"},
     {"model"},
     {"features", "priors", "likelihood"},
     {"posterior", "calibration"},

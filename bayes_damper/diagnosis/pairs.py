@@ -1,15 +1,16 @@
 """Two effects at once, where one does not close the gap.
 
 Each of the leading effects is held in turn, at its own fit, and every other effect is screened against what that fit
-leaves: first pick and swap in one sweep. The best few pairs are then fitted with everything free at once. Two effects
-change the records by the sum of what each changes alone, at the same parameters; what they do to each other beyond that
-is of second order in their strengths and is left out.
+leaves: first pick and swap in one sweep. The best few pairs are then fitted with everything free at once, under the
+assumption that two effects change the records by the sum of what each changes alone. What they do to each other beyond
+that grows with the gap; where a fitted pair still leaves something, its formulas are composed into one kernel
+(composition.py; compiled when a pair is met for the first time on a machine) and fitted again.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.calibration import Calibration, Coordinate, Group, Indices, Noise, Problem, calibrate
+from bayes_damper.composition import compose
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.remainder import Remainder, remainder_of
 from bayes_damper.diagnosis.search import Candidate, Screen, Screened, bases_of, screen_column, start_points
@@ -28,7 +30,7 @@ Array = NDArray[np.float64]
 LEADERS = 4  # families that are held in turn
 LEAST_GAIN = 8.0  # nats of the second effect by the screening, below which no pair is fitted
 MOST_PAIRS = 4  # pairs fitted in full
-MOST_STEPS = 12
+MOST_STEPS = 16
 
 
 class PairProblem(Problem):
@@ -77,6 +79,37 @@ class PairProblem(Problem):
             return super()._acts(c, group)
         variant = self.parts[1 if c.name.startswith("second.") else 0].effect
         return group.coupled or (variant is not None and variant.uncoupled)
+
+
+class ComposedProblem(Problem):
+    """The fit of a campaign with two effects composed into one kernel: exact, whatever they do to each other.
+
+    Coordinates as those of a `PairProblem`, named `effect.first.NAME` and `effect.second.NAME`.
+    """
+
+    def __init__(self, base: Problem, first: Variant, second: Variant) -> None:
+        """`base`: the nominal problem, whose data, noise and nuisances are used.
+
+        Raises
+        ------
+        ValueError
+            if the kernel has no room for both.
+        """
+        both, apart = (compose(first, second, coupled=coupled) for coupled in (True, False))
+        if both is None or apart is None:
+            raise ValueError(f"{first.name} and {second.name} cannot be composed: the kernel has no room for both")
+        self.__dict__.update(base.with_effect(both).__dict__)
+        self.models = self.models | {False: replace(self.models[False], effect=apart)}
+        self.base = base
+        self.variants = (first, second)
+
+    def with_noise(self, noise: Noise) -> ComposedProblem:
+        """The same problem under another noise."""
+        return ComposedProblem(self.base.with_noise(noise), *self.variants)
+
+    def for_trials(self, trials: Sequence[int]) -> ComposedProblem:
+        """The same problem for other trials of the experiment."""
+        return ComposedProblem(self.base.for_trials(trials), *self.variants)
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +221,7 @@ def best_pairs(
     single = {c.effect.name: c.log_evidence for c in reversed(leaders_of(found, len(found)))}
 
     def refine(s: Second) -> Pair | None:
-        return _fitted(nominal, s, single)
+        return _fitted(nominal, s, found, single)
 
     if threads > 1:
         with ThreadPoolExecutor(threads) as workers:
@@ -198,20 +231,47 @@ def best_pairs(
     return sorted((p for p in pairs if p is not None), key=lambda p: -p.log_evidence)
 
 
-def _fitted(nominal: Calibration, s: Second, single: dict[str, float]) -> Pair | None:
-    """Both effects fitted at once; None if that fails."""
+def _fitted(nominal: Calibration, s: Second, found: Sequence[Candidate], single: Mapping[str, float]) -> Pair | None:
+    """Both effects fitted at once, their changes added up; None if that fails."""
     first = s.first.fit
     assert first is not None
     problem = PairProblem(nominal.problem, s.first.variant, s.variant)
     n = nominal.problem.size
-    start = start_points(s.variant, [replace(s.screened, base=tuple(first.q[:n]))], 1)[0]
-    q = np.concatenate([first.q, start[n:]])
-    fit = calibrate(problem, [q], eta=first.eta, anneal=False, most=MOST_STEPS)
+    screened = start_points(s.variant, [replace(s.screened, base=tuple(first.q[:n]))], 1)[0]
+    starts = [np.concatenate([first.q, screened[n:]])]
+    for c in found:
+        if c.variant is s.variant and c.fit is not None:
+            # Each effect as it is alone, the nominal parameters moved by both moves together, and by none.
+            moved = first.q[:n] + c.fit.q[:n] - nominal.q
+            starts += [np.concatenate([q, first.q[n:], c.fit.q[n:]]) for q in (moved, nominal.q)]
+    fit = calibrate(problem, starts, eta=first.eta, anneal=False, most=MOST_STEPS)
+    return _pair(nominal, ((s.first.effect, s.first.variant), (s.effect, s.variant)), fit, single)
+
+
+def _pair(
+    nominal: Calibration,
+    sides: tuple[tuple[Effect, Variant], tuple[Effect, Variant]],
+    fit: Calibration,
+    single: Mapping[str, float],
+) -> Pair | None:
+    """The fit of two effects as an answer; None if it has no evidence."""
     evidence = fit.log_evidence - nominal.log_evidence
     if not math.isfinite(evidence):
         return None
-    sides = ((s.first.effect, s.first.variant), (s.effect, s.variant))
-    if single.get(s.effect.name, -math.inf) > single.get(s.first.effect.name, -math.inf):
-        sides = (sides[1], sides[0])
-    best = max(single.get(name, -math.inf) for name in (s.first.effect.name, s.effect.name))
-    return Pair(*sides, fit, evidence, evidence - best, remainder_of(fit))
+    alone = [single.get(effect.name, -math.inf) for effect, _ in sides]
+    first, second = sides if alone[0] >= alone[1] else (sides[1], sides[0])
+    return Pair(first, second, fit, evidence, evidence - max(alone), remainder_of(fit))
+
+
+def exactly(nominal: Calibration, pair: Pair, found: Sequence[Candidate]) -> Pair:
+    """The pair fitted with its formulas composed into one kernel; the pair itself where the kernel has no room."""
+    problem = pair.fit.problem
+    if not isinstance(problem, PairProblem):
+        return pair
+    first, second = problem.variants
+    if compose(first, second) is None:
+        return pair
+    exact = ComposedProblem(nominal.problem, first, second)
+    again = calibrate(exact, [pair.fit.q], eta=pair.fit.eta, anneal=False, most=MOST_STEPS)
+    single = {c.effect.name: c.log_evidence for c in reversed(leaders_of(found, len(found)))}
+    return _pair(nominal, (pair.first, pair.second), again, single) or pair

@@ -24,12 +24,12 @@ from bayes_damper.calibration import (
 from bayes_damper.diagnosis.gap import Closed, Gap, closing, measure_gap, shifts
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.next_experiment import Proposal, propose
-from bayes_damper.diagnosis.pairs import Pair, Second, best_pairs, seconds_of
+from bayes_damper.diagnosis.pairs import Pair, Second, best_pairs, exactly, seconds_of
 from bayes_damper.diagnosis.remainder import Remainder, remainder_of
 from bayes_damper.diagnosis.search import Candidate, offered, search
 from bayes_damper.diagnosis.sensitivity import Choice, in_a_sentence, sensitivity
 from bayes_damper.diagnosis.sites import SiteMap, site_map, write_missing_torque
-from bayes_damper.diagnosis.verdict import RULE, Answers, Rule, family_evidence, left_of, weigh
+from bayes_damper.diagnosis.verdict import RULE, Answers, Left, Rule, family_evidence, left_of, weigh
 from bayes_damper.diagnosis.where import Where, locate
 from bayes_damper.distributions import Distribution, from_standard
 from bayes_damper.effects import EFFECTS, Effect, classes
@@ -233,9 +233,14 @@ def diagnose(
     gain = max((s.gain for s in seconds), default=0.0)
     pairs = best_pairs(fit, found, pool, seconds, threads=threads) if max(left.nats, gain) > PAIR_FROM else []
     judged = []
-    for p in pairs[:JUDGED_PAIRS]:
-        mapped = site_map(p.fit, torque=False).strength
-        judged.append((p.effects, p.log_evidence, left_of(p.after, mapped, before, before_map.strength)))
+    for k, p in enumerate(pairs[:JUDGED_PAIRS]):
+        remains = _left_by(p, before, before_map)
+        if remains.nats > PAIR_FROM and p.gain > 0.0:
+            tell(f"composing {' and '.join(p.effects)}")
+            pairs[k] = exactly(fit, p, found)
+            remains = _left_by(pairs[k], before, before_map)
+        judged.append((pairs[k].effects, pairs[k].log_evidence, remains))
+    pairs.sort(key=lambda p: -p.log_evidence)
     best_left = pairs[0].after if pairs and pairs[0].gain > 0.0 else after
     excess = best_left.low_excess - 2.0 * best_left.low_sd
 
@@ -264,6 +269,11 @@ def diagnose(
         tuple(_indistinct(evidence, effects)), pair, tuple(notes), time.perf_counter() - began, {"seed": seed},
         tuple(pairs), tuple(seconds), drift, best, tuple(choices), told,
     )  # fmt: skip
+
+
+def _left_by(pair: Pair, before: Remainder, before_map: SiteMap) -> Left:
+    """What a pair of effects leaves."""
+    return left_of(pair.after, site_map(pair.fit, torque=False).strength, before, before_map.strength)
 
 
 def _proposals(fit: Calibration, found: list[Candidate], answers: Answers) -> list[Proposal]:
