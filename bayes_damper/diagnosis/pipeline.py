@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -228,7 +228,13 @@ def diagnose(
     before_map = site_map(fit)
     after_map = before_map if winner is None or winner.fit is None else site_map(winner.fit)
     none_left = left_of(before, before_map.strength, before, before_map.strength)
-    left = left_of(after, after_map.strength, before, before_map.strength)
+    left = left_of(
+        after,
+        after_map.strength,
+        before,
+        before_map.strength,
+        _at(after_map, [] if winner is None else [winner.effect]),
+    )
     seconds = [] if winner is None or winner.effect is DRIFT else seconds_of(winner, fit, pool)
     gain = max((s.gain for s in seconds), default=0.0)
     pairs = best_pairs(fit, found, pool, seconds, threads=threads) if max(left.nats, gain) > PAIR_FROM else []
@@ -273,7 +279,16 @@ def diagnose(
 
 def _left_by(pair: Pair, before: Remainder, before_map: SiteMap) -> Left:
     """What a pair of effects leaves."""
-    return left_of(pair.after, site_map(pair.fit, torque=False).strength, before, before_map.strength)
+    found = site_map(pair.fit, torque=False)
+    home = _at(found, [pair.first[0], pair.second[0]])
+    return left_of(pair.after, found.strength, before, before_map.strength, home)
+
+
+def _at(found: SiteMap, effects: Sequence[Effect]) -> float:
+    """Probability that a remainder, if there is one, lies at the site of one of the effects."""
+    somewhere = 1.0 - found.probabilities["none"]
+    here = sum(found.probabilities[site] for site in {e.site for e in effects})
+    return here / somewhere if somewhere > 1e-9 else 0.5
 
 
 def _proposals(fit: Calibration, found: list[Candidate], answers: Answers) -> list[Proposal]:
@@ -333,6 +348,11 @@ def _sites(answers: Answers, effects: Mapping[str, Effect], before: SiteMap, aft
             sites["none"] += p
         elif name != "unknown":
             sites[effects[name].site] += p
+    if answers.pair_effects is not None:
+        # The stronger effect of a pair carries its probability; the place is where both are.
+        here, there = (effects[name].site for name in answers.pair_effects)
+        sites[here] -= 0.5 * answers.pair
+        sites[there] += 0.5 * answers.pair
     weights = {s: before.probabilities.get(s, 0.0) + 0.5 * after.probabilities.get(s, 0.0) + 0.01 for s in SITES}
     total = sum(weights.values())
     for site in SITES:

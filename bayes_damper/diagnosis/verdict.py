@@ -6,8 +6,8 @@ Naive evidence is overconfident with tens of thousands of samples, because every
 - evidences are tempered by T = 1 + (excess of the winner's mean residual beyond 2 sd) / TEMPERING;
 - a pair must gain more than the share of the stronger one's evidence by which a formula may be wrong;
 - `unknown` competes with each answer through what that answer leaves: the evidence that something is left, and its
-  share of the evidence of the gap. A right effect under a slightly wrong formula leaves a small share; a foreign effect
-  under its best impostor a larger one;
+  share of the evidence of the gap. A right effect under a slightly wrong formula leaves a small share, and at its own
+  site; a foreign effect under its best impostor a larger one, and mostly at another site;
 - and where the gap is so faint that a remainder could not be seen, through how often a foreign cause is imitated that
   well.
 """
@@ -34,8 +34,9 @@ FLOOR = 0.005  # probability that no answer falls below, shared among all
 class Rule:
     """Constants of the rule, calibrated on simulated campaigns.
 
-    strength, strength_width : nats left from which a remainder counts, logistic; share, share_width : share of the
-    gap's evidence left from which it is no matter of formulas, logistic in its logarithm; line : nats of a narrow line
+    strength, strength_width : nats left from which a remainder counts, logistic; share_home, share_away : share of the
+    gap's evidence left, at the answer's own site or at another one, from which it is no matter of formulas, logistic in
+    its logarithm with share_width; line : nats of a narrow line
     that no torque explains, torque_band : Hz above which it is one; tempering : of the evidences; mismatch : share of
     the stronger effect's evidence that a second one gains by mending the first one's formula; imitated : exponent of
     the share left by foreign causes, P(share < s) = s^imitated, and least : its smallest value with a meaning.
@@ -43,7 +44,8 @@ class Rule:
 
     strength: float = 10.0
     strength_width: float = 2.5
-    share: float = 0.09
+    share_home: float = 0.15
+    share_away: float = 0.05
     share_width: float = 0.30
     line: float = 12.0
     torque_band: float = 25.0
@@ -60,24 +62,33 @@ RULE = Rule()
 class Left:
     """What an answer leaves of the gap.
 
-    nats : evidence that anything is left; share : of the evidence of the gap, 1 for `none`; line, peak_hz : the
-    strongest narrow line, nats and Hz.
+    nats : evidence that anything is left; share : of the evidence of the gap, 1 for `none`; home : probability that it
+    lies at the answer's own site; line, peak_hz : the strongest narrow line, nats and Hz.
     """
 
     nats: float
     share: float
+    home: float = 0.5
     line: float = 0.0
     peak_hz: float = 0.0
 
 
-def left_of(after: Remainder, mapped: float, before: Remainder, mapped_before: float) -> Left:
+def left_of(
+    after: Remainder, mapped: float, before: Remainder, mapped_before: float, home: float = 0.5
+) -> Left:  # fmt: skip
     """What an answer leaves, by the tests of its residuals and the site map of what is left.
 
-    mapped, mapped_before : evidence of the best site in the remainder, and in the gap itself, nats.
+    mapped, mapped_before : evidence of the best site in the remainder, and in the gap itself, nats; home : probability
+    that the remainder lies at the answer's own site. Where the gap shows
+    at low frequencies, the share is at most that of its chi-square there: what is left at sharp events, such as
+    reversals of a friction whose formula is not quite right, has much evidence but is little of the gap.
     """
     nats = max(after.strength, mapped - math.log(20.0))
     whole = max(mapped_before, mapped, before.generic, after.generic, 1e-9)
-    return Left(nats, min(max(mapped, after.generic, 0.0) / whole, 1.0), after.line, after.peak_hz)
+    share = max(mapped, after.generic, 0.0) / whole
+    if before.low_excess > 5.0 * before.low_sd:
+        share = min(share, max(after.low_excess + after.low_sd, 0.0) / before.low_excess)
+    return Left(nats, min(share, 1.0), home, after.line, after.peak_hz)
 
 
 @dataclass(frozen=True)
@@ -138,10 +149,11 @@ def foreign(left: Left, evidence: float, rule: Rule = RULE) -> float:
     """
     seen = _logistic((left.nats - rule.strength) / rule.strength_width)
     log_share = math.log(max(left.share, 1e-6))
-    large = _logistic((log_share - math.log(rule.share)) / rule.share_width)
+    limit = rule.share_away * (rule.share_home / rule.share_away) ** left.home
+    large = _logistic((log_share - math.log(limit)) / rule.share_width)
     if left.peak_hz > rule.torque_band:
         lined = _logistic((left.line - rule.line) / rule.strength_width)
-        large = max(large, lined * _logistic((log_share - math.log(0.3 * rule.share)) / rule.share_width))
+        large = max(large, lined * _logistic((log_share - math.log(0.3 * limit)) / rule.share_width))
     unseen = min(1.0, max(rule.strength / max(evidence, 1e-9), rule.least)) ** rule.imitated
     base = float(PRIOR_UNKNOWN / (1.0 - PRIOR_NONE) * unseen)
     return 1.0 - (1.0 - base) * (1.0 - seen * large)
