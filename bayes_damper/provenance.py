@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import platform
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -50,13 +51,48 @@ def commit() -> str | None:
 
 
 @cache
-def code_sha256() -> str:
-    """Checksum of the package's own source files; data that a wheel carries along are not code."""
+def code_sha256(*roots: str) -> str:
+    """Checksum of the package's own source files; data that a wheel carries along are not code.
+
+    roots : names of modules, e.g. "bayes_damper.diagnosis"; then only of these and of what they import, directly or
+    not, wherever the import stands. Of a package that is imported every file counts.
+    """
+    files = sorted(_reached(roots)) if roots else [p for p in _HERE.rglob("*.py") if not _is_carried(p)]
     digest = hashlib.sha256()
-    for path in sorted(p for p in _HERE.rglob("*.py") if "_shipped" not in p.relative_to(_HERE).parts):
+    for path in sorted(files):
         digest.update(path.relative_to(_HERE).as_posix().encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()
+
+
+def _is_carried(path: Path) -> bool:
+    return "_shipped" in path.relative_to(_HERE).parts
+
+
+def _reached(roots: Iterable[str]) -> set[Path]:
+    """Source files of these modules of the package and of every one that they import."""
+    todo = list(roots)
+    found: set[Path] = set()
+    while todo:
+        for path in _files(todo.pop()) - found:
+            found.add(path)
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Import):
+                    todo += [alias.name for alias in node.names]
+                elif isinstance(node, ast.ImportFrom) and node.module:
+                    todo += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+    return found
+
+
+def _files(module: str) -> set[Path]:
+    """The file of a module of this package, every file of a subpackage; none of another package."""
+    first, *rest = module.split(".")
+    place = _HERE.joinpath(*rest)
+    if first != _HERE.name or not rest:
+        return set()
+    if place.is_dir():
+        return set(place.rglob("*.py"))
+    return {place.with_suffix(".py")} & {place.parent / name.name for name in place.parent.glob("*.py")}
 
 
 def provenance(**more: Any) -> dict[str, Any]:

@@ -142,13 +142,13 @@ def test_a_verdict_of_another_run_does_not_count(tmp_path):
 def test_code_changed_since_the_seal_makes_a_rehearsal(tmp_path, monkeypatch):
     write_set(tmp_path, ["spring_cubic", "none"])
     assert not run(tmp_path).rehearsal
-    monkeypatch.setattr(sealing, "code_sha256", lambda: "0" * 64)
+    monkeypatch.setattr(sealing, "code_sha256", lambda *roots: "0" * 64)
     same_run = run(tmp_path)
     assert same_run.rehearsal
     assert "REHEARSAL" in same_run.text()
     new_run = run(tmp_path, out=tmp_path / "fresh")
     assert new_run.rehearsal, "campaigns that were scored once are bound to the code of that time"
-    assert "code has changed" in new_run.results["why_rehearsal"][0]
+    assert "code of the diagnosis has changed" in new_run.results["why_rehearsal"][0]
     fresh = tmp_path / "new"
     fresh.mkdir()
     write_set(fresh, ["spring_cubic"])
@@ -162,7 +162,7 @@ def test_verdicts_given_by_other_code_make_a_rehearsal(tmp_path, monkeypatch):
     path = sealing.verdict_path(tmp_path / "out", "c00")
     content = json.loads(path.read_text())
     with monkeypatch.context() as patch:
-        patch.setattr(sealing, "code_sha256", lambda: "0" * 64)
+        patch.setattr(sealing, "code_sha256", lambda *roots: "0" * 64)
         sealing.write_verdict(path, "c00", content["verdict"], content["freeze"])
     assert "other code than was frozen" in run(tmp_path, "stopped_once").results["why_rehearsal"][0]
 

@@ -90,8 +90,8 @@ def _under_the_winner(found: Any) -> dict[str, Any]:
     """
     from bayes_damper.diagnosis.gap import left_out_case
 
-    fit = None if found.winner is None else found.winner.fit
-    if fit is None:
+    fit = found.best
+    if fit is None or found.winner is None:
         return {}
     names = fit.problem.names
     out: dict[str, Any] = {"intervals90": {n: list(fit.interval(n)) for n in scores.PARAMETERS if n in names}}

@@ -28,6 +28,8 @@ from bayes_damper.run import read_json, write_json
 FREEZE_SCHEMA = "bayes-damper/withheld-freeze/1"
 VERDICT_SCHEMA = "bayes-damper/withheld-verdict/1"
 KEY_SCHEMA = "bayes-damper/withheld-key/1"
+JUDGES = ("bayes_damper.diagnosis", "bayes_damper.campaign")
+"""What gives a verdict: these, with all that they import, are frozen."""
 
 
 def digest(data: Any) -> str:
@@ -75,7 +77,7 @@ def freeze(
         "schema": FREEZE_SCHEMA,
         "bayes_damper": package_version(),
         "commit": commit(),
-        "code_sha256": code_sha256(),
+        "code_sha256": code_sha256(*JUDGES),
         "effects_sha256": library_sha256(effects),
         "effects": sorted(effects),
         "key_sha256": file_sha256(key),
@@ -89,7 +91,7 @@ def freeze(
 def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
     """What differs between two freezes in code, effects or call, one sentence each: reasons for a rehearsal."""
     told = {
-        "code_sha256": "the package's code",
+        "code_sha256": "the code of the diagnosis",
         "effects_sha256": "the library of effects",
         "call": "the function that gives the verdicts",
     }
@@ -127,7 +129,7 @@ def write_verdict(path: Path, name: str, verdict: Mapping[str, Any], freeze_seal
         "schema": VERDICT_SCHEMA,
         "campaign": name,
         "freeze": freeze_seal,
-        "code_sha256": code_sha256(),
+        "code_sha256": code_sha256(*JUDGES),
         "verdict": dict(verdict),
     }
     content["seal"] = digest(content)
