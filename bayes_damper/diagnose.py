@@ -104,6 +104,9 @@ def _words(result: Mapping[str, Any]) -> list[str]:
             f"  {name} = {p['mean']:.4g} {p['unit']}, 90 % interval {p['hdi90'][0]:.4g} to {p['hdi90'][1]:.4g}"
             for name, p in row["parameters"].items()
         ]
+    if result.get("pair"):
+        both, p = result["pair"]["effects"], result["pair"]["probability"]
+        lines.append(f"One effect does not close the gap; {both[0]} and {both[1]} together do (probability {p:.2f}).")
     lines.append(
         f"Gap on held-out trials: {gap['answer']} (p = {gap['p_value']:.2g}); "
         f"residual {gap['nominal_rms']:.3g} before, {gap['augmented_rms']:.3g} after, noise {gap['noise_rms']:.3g}."

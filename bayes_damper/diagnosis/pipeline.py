@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -228,13 +228,8 @@ def diagnose(
     before_map = site_map(fit)
     after_map = before_map if winner is None or winner.fit is None else site_map(winner.fit)
     none_left = left_of(before, before_map.strength, before, before_map.strength)
-    left = left_of(
-        after,
-        after_map.strength,
-        before,
-        before_map.strength,
-        _at(after_map, [] if winner is None else [winner.effect]),
-    )
+    home = 0.5 if winner is None else _at(after_map, {winner.effect.site})
+    left = left_of(after, after_map.strength, before, before_map.strength, home)
     seconds = [] if winner is None or winner.effect is DRIFT else seconds_of(winner, fit, pool)
     gain = max((s.gain for s in seconds), default=0.0)
     pairs = best_pairs(fit, found, pool, seconds, threads=threads) if max(left.nats, gain) > PAIR_FROM else []
@@ -278,17 +273,16 @@ def diagnose(
 
 
 def _left_by(pair: Pair, before: Remainder, before_map: SiteMap) -> Left:
-    """What a pair of effects leaves."""
+    """What a pair of effects leaves; two have formulas enough, so less of it is laid to them than to one."""
     found = site_map(pair.fit, torque=False)
-    home = _at(found, [pair.first[0], pair.second[0]])
+    home = 0.5 * _at(found, {pair.first[0].site, pair.second[0].site})
     return left_of(pair.after, found.strength, before, before_map.strength, home)
 
 
-def _at(found: SiteMap, effects: Sequence[Effect]) -> float:
-    """Probability that a remainder, if there is one, lies at the site of one of the effects."""
+def _at(found: SiteMap, sites: Collection[str]) -> float:
+    """Probability that a remainder, if there is one, lies at one of the sites."""
     somewhere = 1.0 - found.probabilities["none"]
-    here = sum(found.probabilities[site] for site in {e.site for e in effects})
-    return here / somewhere if somewhere > 1e-9 else 0.5
+    return sum(found.probabilities[site] for site in sites) / somewhere if somewhere > 1e-9 else 0.5
 
 
 def _proposals(fit: Calibration, found: list[Candidate], answers: Answers) -> list[Proposal]:
