@@ -319,6 +319,89 @@ def variability_figure(result: Mapping[str, Any], *, title: str, converged: bool
     return figure
 
 
+def response_figure(result: Mapping[str, Any], *, title: str) -> Figure:
+    """Frequency response of the primary without a secondary and with each design: one panel for each way of exciting.
+
+    result : what tune.json holds; bands hold 90 % of the draws.
+    """
+    panels: dict[str, list[tuple[str, Mapping[str, Any]]]] = {}
+    for name, band in result["frequency_response"].items():
+        excited, _, design = name.partition(", ")
+        panels.setdefault(excited, []).append((design, band))
+    designs = list(dict.fromkeys(design for bands in panels.values() for design, _ in bands))
+    columns = min(2, len(panels))
+    rows = -(-len(panels) // columns)
+    figure = new_figure(4.6 * columns, 2.7 * rows + 0.5)
+    with mpl.rc_context(_RC):
+        axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
+        for axis, (excited, bands) in zip(axes, panels.items(), strict=False):
+            for design, band in bands:
+                k = designs.index(design)
+                frequency = np.asarray(band["frequency_hz"])
+                marks: dict[str, Any] = {"color": COLOURS[k % len(COLOURS)]}
+                axis.plot(frequency, band["median"], ls=STYLES[k % len(STYLES)], label=design, **marks)
+                axis.fill_between(frequency, band["q05"], band["q95"], alpha=0.2, lw=0, **marks)
+            axis.set_yscale("log")
+            axis.set_title("linear model" if excited == "linear" else f"nonlinear, torque {excited}", loc="left")
+        for axis in axes[len(panels) :]:
+            axis.set_visible(False)
+        for axis in axes[: len(panels)]:
+            axis.tick_params(labelbottom=True)
+        for axis in axes[: len(panels)][-columns:]:
+            axis.set_xlabel("frequency [Hz]")
+        for axis in axes[::columns]:
+            axis.set_ylabel("accelerance [1/(kg m²)]")
+        axes[0].legend(loc="best", fontsize=8)
+        figure.suptitle(title)
+    return figure
+
+
+def tuning_figure(result: Mapping[str, Any], *, title: str) -> Figure:
+    """Insertion loss against the exciting torque, and over the inertia and the radius of the secondary.
+
+    result : what tune.json holds. Bars and bands hold 90 % of the draws; the grey line is the target, the
+    upright ones are the design and the best design.
+    """
+    curves = result["curves"]
+    driven = {"design": result["nonlinear"], "best design": (result["optimum"] or {}).get("nonlinear", [])}
+    first = bool(result["nonlinear"])
+    columns = len(curves) + first
+    figure = new_figure(3.4 * max(columns, 1) + 0.4, 3.3)
+    with mpl.rc_context(_RC):
+        axes = figure.subplots(1, max(columns, 1), squeeze=False, sharey=True)[0]
+        for k, (name, rows) in enumerate(driven.items()):
+            told = [r for r in rows if r["insertion_loss_db"]["median"] is not None]
+            x = np.array([r["torque_amplitude_n_m"] for r in told]) * (0.97 if k else 1.03)
+            for at, row in zip(x, told, strict=True):
+                axes[0].plot([at] * 2, row["insertion_loss_db"]["interval90"], color=COLOURS[k], lw=1.5)
+            y = [r["insertion_loss_db"]["median"] for r in told]
+            axes[0].plot(x, y, color=COLOURS[k], ls=STYLES[k], marker="os"[k], ms=4, label=name)
+        if first:
+            axes[0].set_xscale("log")
+            ticks = [r["torque_amplitude_n_m"] for r in result["nonlinear"]]
+            axes[0].set_xticks(ticks, [f"{x:g}" for x in ticks])
+            axes[0].minorticks_off()
+            axes[0].set_xlabel("exciting torque [N m]")
+            axes[0].legend(loc="best", fontsize=8)
+            axes[0].set_title("with dry friction", loc="left")
+        labels = {"J2": ("J2 [g m²]", 1e3), "R": ("R [mm]", 1e3)}
+        for axis, (name, curve) in zip(axes[int(first) :], curves.items(), strict=False):
+            words, unit = labels.get(name, (name, 1.0))
+            x = unit * np.asarray(curve["value"])
+            axis.plot(x, curve["mean"], color=COLOURS[0], label="mean")
+            axis.fill_between(x, curve["q05"], curve["q95"], color=COLOURS[0], alpha=0.2, lw=0, label="90 %")
+            for k, place in enumerate((curve["design"], curve["best_design"])):
+                if place is not None:
+                    axis.axvline(unit * place, color=COLOURS[k], ls=STYLES[k], lw=1.0)
+            axis.set_xlabel(words)
+            axis.set_title("linear model", loc="left")
+        for axis in axes:
+            axis.axhline(result["target_db"], color="#888888", lw=0.9)
+        axes[0].set_ylabel("insertion loss [dB]")
+        figure.suptitle(title)
+    return figure
+
+
 def plan_figure(result: Mapping[str, Any], *, title: str) -> Figure:
     """What a plan could see and tell apart: chance of each effect to be seen, and nats of each beside each rival.
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +25,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
 
-from bayes_damper import linear
+from bayes_damper import figures, linear
+from bayes_damper.campaign import load_campaign
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.linear import LinearRig
 from bayes_damper.model import Model
+from bayes_damper.provenance import provenance
 from bayes_damper.published import load_published
 from bayes_damper.run import read_json, write_json
 
@@ -43,6 +45,10 @@ NONLINEAR = (*LINEAR, "mu", "drag", "nu", "N0", "R", "r")
 BOUNDS = {"J2": (0.1, 2.0), "k2t": (0.25, 4.0), "R": (0.5, 2.0)}
 """Where the best design is sought by default: factors on the present J2, k2t and R."""
 AMPLITUDES = (0.02, 0.05, 0.1, 0.2)  # N m
+CURVES: Mapping[str, tuple[float, float]] = {"J2": (0.1, 2.0), "R": (0.5, 2.0)}
+"""What the tuning curves go over, as factors on the rig's present J2 and R."""
+_CURVE_POINTS = 25
+_WITHOUT_LIMIT = 1e9  # m: a face so large that the pull does not fall with the overlap
 _COMMON_HZ = 10.0  # every drive is brought to this frequency by scaling time
 _PER_CYCLE = 24
 _MEASURED_CYCLES = 4
@@ -178,6 +184,59 @@ def posterior_draws(
     if size == 1:
         pick = np.zeros(1, int)
     return {name: column[pick] for name, column in full.items()}
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where draws come from: name of the campaign, its checksum, and the rig's constants that are not among them."""
+
+    campaign: str = ""
+    sha256: str | None = None
+    constants: Mapping[str, float] = field(default_factory=dict)
+
+
+def origin_of(source: Mapping[str, ArrayLike] | Path | str, case: str) -> Origin:
+    """The campaign that a fit's folder belongs to; nothing for arrays.
+
+    The constants of a recorded campaign that were not inferred stand in its files, which must be where they were.
+
+    Raises
+    ------
+    InputError
+        if the campaign has changed, or its rig is one that the equations of tuning do not know.
+    """
+    if isinstance(source, Mapping):
+        return Origin()
+    folder = Path(source)
+    if not (folder / "run.json").is_file():
+        return Origin()
+    plan = read_json(folder / "run.json").get("plan", {})
+    told = {"campaign": str(plan.get("name", "")), "sha256": plan.get("campaign_sha256")}
+    if plan.get("campaign") in (None, "thesis"):
+        return Origin(**told)
+    campaign = load_campaign(plan["campaign"])
+    if campaign.sha256 != plan["campaign_sha256"]:
+        raise InputError(f"{plan['campaign']}: the campaign has changed since it was fitted; fit it again")
+    rig = campaign.rig
+    if rig.ground2_stiffness.value or rig.inertial_coupling.value or rig.restoring != "linear":
+        raise InputError(
+            f"{campaign.name}: tune knows no spring from the secondary to ground, no inertial coupling and no "
+            "pendulum, but this rig has one of them; pass draws as arrays if it can be neglected"
+        )
+    fields = {"J1": rig.primary_inertia, "J2": rig.secondary_inertia, "R": rig.bar_radius, "r": rig.magnet_radius,
+              "N0": rig.magnet_pull}  # fmt: skip
+    constants = {name: constant.value for name, constant in fields.items() if constant is not None}
+    if not rig.has_magnet:
+        constants = {"R": 1.0} | constants | {"mu": 0.0, "N0": 0.0}
+    if (plan.get("normal_force") or rig.normal_force) == "constant":
+        constants["r"] = _WITHOUT_LIMIT
+    springs = dict.fromkeys(t.k1t.value for t in campaign.trials if case in ("joint", t.case))
+    if len(springs) == 1:
+        constants["k1t"] = next(iter(springs))
+    elif springs:
+        listed = ", ".join(f"{k:g}" for k in springs)
+        raise InputError(f"case {case!r} has several springs ({listed} N m/rad): name one case, or give k1t in `rig`")
+    return Origin(**told, constants=constants)
 
 
 def _stored(folder: Path, case: str, n: int, rng: np.random.Generator) -> dict[str, Array]:
@@ -317,6 +376,7 @@ def _grid(draws: Draws, coupled: bool) -> tuple[Array, float]:
 def _peak(draws: Draws, amplitude: float, coupled: bool) -> tuple[Array, Array]:
     """Frequency and height of the highest accelerance of every draw: a grid, then two finer ones about its best."""
     grid, step = _grid(draws, coupled)
+    edge = grid[:, -1]
     for _ in range(2):
         height, _ = harmonic_response(draws, grid, amplitude, coupled)
         best = np.take_along_axis(grid, np.argmax(np.nan_to_num(height), axis=1)[:, None], 1)
@@ -327,7 +387,10 @@ def _peak(draws: Draws, amplitude: float, coupled: bool) -> tuple[Array, Array]:
     a, b, c = (np.take_along_axis(height, k + i, 1)[:, 0] for i in (-1, 0, 1))
     bend = a - 2.0 * b + c
     x = np.where(bend < 0.0, np.clip(0.5 * (a - c) / np.where(bend < 0.0, bend, -1.0), -1.0, 1.0), 0.0)
-    return np.take_along_axis(grid, k, 1)[:, 0] * np.exp(x * step), b - 0.25 * (a - c) * x
+    frequency = np.take_along_axis(grid, k, 1)[:, 0] * np.exp(x * step)
+    # Faces and bearings that stick leave a mass that follows the torque: highest at the end, wherever that is.
+    inside = frequency < 0.98 * edge
+    return np.where(inside, frequency, np.nan), np.where(inside, b - 0.25 * (a - c) * x, np.nan)
 
 
 def nonlinear_performances(draws: Draws, amplitude: float, designs: Mapping[str, Design]) -> dict[str, Performance]:
@@ -336,7 +399,7 @@ def nonlinear_performances(draws: Draws, amplitude: float, designs: Mapping[str,
     out = {}
     for name, design in designs.items():
         frequency, height = _peak(design.apply(draws), amplitude, coupled=True)
-        moving = (height > 0.0) & (without > 0.0)
+        moving = (height > 0.0) & (without > 0.0)  # nowhere true of nan
         loss = 20.0 * np.log10(np.where(moving, without, 1.0) / np.where(moving, height, 1.0))
         out[name] = Performance(
             np.where(moving, loss, np.nan),
@@ -452,6 +515,36 @@ def shares_of_variance(draws: Draws, answer: Array) -> dict[str, float]:
     return dict(sorted(out.items(), key=lambda item: -item[1]))
 
 
+@dataclass(frozen=True)
+class Curve:
+    """Insertion loss of the linear model over one quantity of the design: its values (n,), mean and central 90 % of the
+    loss in dB, and the probability of the target, each (n,).
+    """
+
+    values: Array
+    mean: Array
+    low: Array
+    high: Array
+    probability: Array
+
+
+def tuning_curves(draws: Draws, design: Design, target_db: float) -> dict[str, Curve]:
+    """Insertion loss against J2 and R about a design, all else as in the design."""
+    out = {}
+    for name, (low, high) in CURVES.items():
+        values = float(np.median(draws[name])) * np.geomspace(low, high, _CURVE_POINTS)
+        if name == "J2":
+            values = values[values >= design.bar_inertia]
+        found = [linear_performance(draws, replace(design, **{name: float(x)})) for x in values]
+        losses = np.array([p.insertion_loss for p in found])
+        known = np.where(np.isfinite(losses), losses, np.nan)
+        out[name] = Curve(
+            values, np.nanmean(known, axis=1), np.nanquantile(known, 0.05, axis=1), np.nanquantile(known, 0.95, axis=1),
+            np.array([_probability(p, target_db) for p in found]),
+        )  # fmt: skip
+    return out
+
+
 # The command ------------------------------------------------------------------------------------------------------
 
 
@@ -479,6 +572,10 @@ class TuneResult:
     optimum_nonlinear: Mapping[float, Performance]
     shares: Mapping[str, float]
     response: Mapping[str, Band]
+    curves: Mapping[str, Curve] = field(default_factory=dict)
+    origin: Origin = field(default_factory=Origin)
+    seed: int = 1
+    provenance: Mapping[str, Any] = field(default_factory=dict)
     exit_code: ExitCode = ExitCode.DONE
 
     def to_json(self) -> dict[str, Any]:
@@ -486,6 +583,9 @@ class TuneResult:
         best = self.optimum
         return {
             "schema": SCHEMA,
+            "campaign": self.origin.campaign,
+            "campaign_sha256": self.origin.sha256,
+            "seed": self.seed,
             "case": self.case,
             "definition": "20 log10 of the highest accelerance without the secondary over the highest with it (eq. 24)",
             "draws": len(self.draws["J1"]),
@@ -517,7 +617,21 @@ class TuneResult:
                 }
                 for name, band in self.response.items()
             },
-        }
+            "curves": {
+                name: {
+                    "design": self._place(self.design, name),
+                    "best_design": None if best is None else self._place(best.design, name),
+                    "value": c.values.tolist(), "mean": c.mean.tolist(), "q05": c.low.tolist(), "q95": c.high.tolist(),
+                    "probability_of_target": c.probability.tolist(),
+                }
+                for name, c in self.curves.items()
+            },
+            "provenance": dict(self.provenance),
+        }  # fmt: skip
+
+    def _place(self, design: Design, name: str) -> float:
+        given = getattr(design, name)
+        return float(np.median(self.draws[name]) if given is None else given)
 
     def text(self) -> str:
         """The result in a few lines."""
@@ -541,9 +655,11 @@ def _sentence(p: Performance, target: float) -> str:
     if known.size == 0:
         return "no resonance in any draw"
     low, high = np.quantile(known, [0.05, 0.95])
+    gone = 1.0 - known.size / p.insertion_loss.size
+    none = f", no resonance in {100 * gone:.0f} % of the draws" if gone > 0.005 else ""
     return (
         f"insertion loss {known.mean():.1f} dB (90 %: {low:.1f} to {high:.1f}), resonance moves by "
-        f"{np.nanmedian(p.shift):+.2f} Hz, P(loss >= {target:g} dB) = {_probability(p, target):.2f}"
+        f"{np.nanmedian(p.shift):+.2f} Hz, P(loss >= {target:g} dB) = {_probability(p, target):.2f}{none}"
     )
 
 
@@ -622,10 +738,10 @@ def tune(
     Parameters
     ----------
     source : posterior draws, name -> (n,), or the folder of a fit; case : which of its cases ("joint": all together).
-    rig : constants that the posterior does not hold (SI); else those of the thesis.
+    rig : constants that the posterior does not hold (SI); else those of the fitted campaign, else the thesis's.
     J2, k2t, R, magnet_pull, bar_inertia : the design (see `Design`); None keeps the rig as it is.
     target_db : loss whose probability is given; amplitudes : torques (N m) at which the nonlinear model is driven.
-    bounds : where the best design is sought, SI (see `best_design`); out : folder for `tune.json`.
+    bounds : where the best design is sought, SI (see `best_design`); out : folder for `tune.json` and figures.
     n_draws, n_nonlinear : draws for the linear and, among them, for the nonlinear model.
 
     Raises
@@ -637,7 +753,8 @@ def tune(
     if min(n_draws, n_nonlinear) < 1:
         raise InputError(f"n_draws = {n_draws}, n_nonlinear = {n_nonlinear}: at least one draw of each is needed")
     rng = np.random.default_rng(seed)
-    draws = posterior_draws(source, case, n_draws, rng, rig)
+    origin = origin_of(source, case) if rig is None or "k1t" not in rig else Origin()
+    draws = posterior_draws(source, case, n_draws, rng, {**origin.constants, **(rig or {})})
     performance = linear_performance(draws, design)
     optimum = best_design(draws, design, bounds) if optimise else None
     designs = {"design": design} | ({} if optimum is None else {"best design": optimum.design})
@@ -652,8 +769,13 @@ def tune(
         response |= {f"{a:g} N m, {name}": band for name, band in frequency_responses(fewer, designs, a).items()}
     shares = shares_of_variance(draws, performance.insertion_loss)
     result = TuneResult(
-        *(case, design, draws, target_db, performance, nonlinear, optimum, at_optimum, shares, response)
+        case, design, draws, target_db, performance, nonlinear, optimum, at_optimum, shares, response,
+        tuning_curves(draws, design, target_db), origin, seed, provenance(),
     )  # fmt: skip
     if out is not None:
-        write_json(Path(out) / "tune.json", result.to_json())
+        told = result.to_json()
+        write_json(Path(out) / "tune.json", told)
+        about = f"{origin.campaign or 'design'}, case {case}"
+        figures.save(figures.response_figure(told, title=f"{about}: frequency response"), Path(out) / "tune_response")
+        figures.save(figures.tuning_figure(told, title=f"{about}: insertion loss"), Path(out) / "tune_loss")
     return result

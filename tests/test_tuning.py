@@ -4,9 +4,11 @@ import json
 
 import numpy as np
 import pytest
+from campaigns import CAMPAIGN_TOML, write_synthetic
 from scipy.integrate import solve_ivp
 
-from bayes_damper import linear, tuning
+from bayes_damper import figures, linear, tuning
+from bayes_damper.campaign import load_campaign
 from bayes_damper.errors import InputError
 from bayes_damper.run import write_json
 from bayes_damper.tuning import Design
@@ -279,6 +281,67 @@ def test_the_text_names_the_answer(result):
     text = result[0].text()
     assert "best design" in text
     assert "hangs most on" in text
+
+
+def test_the_file_says_where_it_comes_from_and_holds_the_curves(result, tmp_path):
+    found, stored = result
+    assert stored["seed"] == 1
+    assert stored["provenance"]["code_sha256"]
+    curve = stored["curves"]["J2"]
+    assert curve["design"] == pytest.approx(2.474e-3 / 8)
+    place = int(np.argmin(np.abs(np.array(curve["value"]) - curve["design"])))
+    at = tuning.linear_performance(found.draws, Design(J2=curve["value"][place])).insertion_loss
+    assert curve["mean"][place] == pytest.approx(np.nanmean(at))
+    assert curve["probability_of_target"][place] == pytest.approx(np.mean(at >= 10.0))
+    assert all(low <= high for low, high in zip(curve["q05"], curve["q95"], strict=True))
+
+
+def test_the_figures_are_drawn(result, tmp_path):
+    _, stored = result
+    for name, drawn in (("a", figures.response_figure), ("b", figures.tuning_figure)):
+        written = figures.save(drawn(stored, title="a title"), tmp_path / name)
+        assert [p.suffix for p in written] == [".svg", ".png"]
+        assert "a title" in written[0].read_text(encoding="utf-8")
+
+
+def test_a_rig_that_sticks_has_no_resonance():
+    """Drag above the torque holds the bearings: what still moves is highest at the end of the range, no peak."""
+    held = tuning.complete(THESIS | {"mu": 0.0, "drag": 0.05, "nu": 300.0})
+    found = tuning.nonlinear_performances(held, 0.02, {"design": Design()})["design"]
+    assert np.isnan(found.resonance).all()
+    assert np.isnan(found.insertion_loss).all()
+
+
+def fitted_folder(folder, toml=CAMPAIGN_TOML):
+    """A recorded campaign and, beside it, what a fit leaves that holds friction and coupling only."""
+    campaign = write_synthetic(folder / "rig", cases=(("I", 6.2, 5.7), ("IV", 20.4, 4.7)), repeats=1)
+    (campaign / "campaign.toml").write_text(toml, encoding="utf-8")
+    plan = {"campaign": str(campaign), "name": "synthetic", "campaign_sha256": load_campaign(campaign).sha256}
+    write_json(folder / "fit" / "run.json", {"command": "fit", "plan": plan | {"normal_force": None}})
+    row = {"mean": 1.0, "sd": 0.01}
+    tables = {case: {"parameters": {"k2t": row, "c2t": row | {"mean": 0.08}}} for case in ("I", "IV")}
+    write_json(folder / "fit" / "summary.json", {"cases": tables})
+    return folder / "fit"
+
+
+def test_constants_of_a_fitted_campaign_are_its_own(tmp_path):
+    toml = CAMPAIGN_TOML.replace("primary_inertia = 3.015e-3", "primary_inertia = 6e-3")
+    found = tuning.tune(fitted_folder(tmp_path, toml), case="IV", amplitudes=(), optimise=False, n_draws=10)
+    assert found.draws["J1"] == pytest.approx(np.full(10, 6e-3))
+    assert found.draws["k1t"] == pytest.approx(np.full(10, 20.4))
+    assert found.to_json()["campaign"] == "synthetic"
+    assert len(found.to_json()["campaign_sha256"]) == 64
+
+
+def test_a_rig_that_tuning_does_not_know_is_refused(tmp_path):
+    toml = CAMPAIGN_TOML.replace("[measurement]", "ground2_stiffness = 1.0\n[measurement]")
+    with pytest.raises(InputError, match="no spring from the secondary"):
+        tuning.tune(fitted_folder(tmp_path, toml), case="IV")
+
+
+def test_several_springs_need_a_case(tmp_path):
+    with pytest.raises(InputError, match=r"several springs \(6.2, 20.4"):
+        tuning.tune(fitted_folder(tmp_path), case="joint")
 
 
 def test_the_same_seed_gives_the_same_answer(result):

@@ -50,8 +50,20 @@ _MORE = {
         "Effective linear stiffness and damping of each case, and what shared friction at another amplitude explains.",
     ),
     "variability_scatter": ("Scatter over the cases", "Median and 90 % interval of each part of the scatter."),
+    "tune_response": (
+        "Frequency response",
+        "Acceleration of the primary per exciting torque over frequency, without a secondary and with each design.",
+    ),
+    "tune_loss": (
+        "Insertion loss",
+        "Insertion loss against the exciting torque, and over the inertia and the radius of the secondary.",
+    ),
+    "plan": (
+        "What could be told apart",
+        "Share of plausible sizes of each effect that would be seen, and nats by which it stands out beside rivals.",
+    ),
 }
-_KINDS = ("variability", "tune", "withheld", "comparison", "bench")
+_KINDS = ("variability", "tune", "plan", "withheld", "comparison", "bench")
 _MAIN = (
     "mu", "friction_torque", "friction_torque_per_inertia", "k2t", "c2t", "drag", "nu", "c1t", "c3t", "k1t", "J1", "J2",
 )  # fmt: skip
@@ -461,9 +473,9 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
         (f"From {data.get('draws')} draws.",),
         tuple(tables),
         () if chart is None else (chart,),
-        _pictures(folder),
+        _pictures(folder, kind="tune"),
     )
-    return Result(head, section, (), dict(data.get("provenance", {})))
+    return Result(head, section, (), dict(data.get("provenance", {})) | _fingerprint(data))
 
 
 def _performance_row(name: str, p: Mapping[str, Any]) -> Row:
