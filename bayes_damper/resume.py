@@ -8,6 +8,7 @@ from typing import Any
 from bayes_damper.errors import InputError
 from bayes_damper.fit import finish_fit
 from bayes_damper.run import Progress, read_json, write_json
+from bayes_damper.variability import finish_variability
 from bayes_damper.withheld.check import finish_withheld
 
 
@@ -25,14 +26,17 @@ def resume(
         if the folder holds no run, or one whose data, code or settings have changed.
     """
     path = Path(folder)
+    pieces = _unfinished_variability(path)
+    if pieces is not None and not more:
+        return finish_variability(pieces, read_json(pieces / "run.json"), workers=workers, progress=progress)
     record = read_json(path / "run.json")
     plan = dict(record["plan"])
     if record.get("command") == "withheld" and not more:
         return finish_withheld(path, plan, workers=workers or record.get("workers", 1), progress=progress)
     if record.get("command") != "fit":
         raise InputError(
-            f"{path}: run.json names the command {record.get('command')!r}; fits and withheld checks can be resumed, "
-            "and only fits extended; other commands go on when the same command is given again"
+            f"{path}: run.json names the command {record.get('command')!r}; fits, variability and withheld "
+            "checks can be resumed, and only fits extended; other commands go on when the same command is given again"
         )
     if more:
         plan["thorough"] = True
@@ -41,3 +45,11 @@ def resume(
             done.unlink()
         write_json(path / "run.json", record | {"plan": plan})
     return finish_fit(path, plan, workers=workers or record.get("workers", 1), progress=progress)
+
+
+def _unfinished_variability(path: Path) -> Path | None:
+    """The folder with the pieces of a `variability` run: named itself, or in that of the results it has not written."""
+    if path.name == "variability" and (path / "run.json").exists() and not (path / "summary.json").exists():
+        return path
+    inside = path / "variability"
+    return inside if (inside / "run.json").exists() and not (path / "variability.json").exists() else None

@@ -11,9 +11,10 @@ from scipy.stats import genpareto
 from bayes_damper import arviz_adapter
 from bayes_damper.campaign import load_campaign
 from bayes_damper.distributions import from_standard
-from bayes_damper.errors import ExitCode, InputError
+from bayes_damper.errors import ExitCode, InputError, Interrupted
 from bayes_damper.model import Model
-from bayes_damper.run import write_json
+from bayes_damper.resume import resume
+from bayes_damper.run import read_json, write_json
 from bayes_damper.variability import variability
 from bayes_damper.variability.decomposition import CaseDraws, Sets, decompose
 from bayes_damper.variability.equivalent import TIMES, bearing_damping, equivalent, fit_linear, linear_record
@@ -27,7 +28,7 @@ from bayes_damper.variability.pooling import (
     pareto_k,
     recycle,
 )
-from bayes_damper.variability.published import PublishedCases
+from bayes_damper.variability.published import PublishedCases, run_pooling
 from bayes_damper.variability.recorded import RecordedCases
 from bayes_damper.variability.tempering import temper
 
@@ -391,6 +392,39 @@ def test_known_pooling_of_campaigns_is_found(tmp_path, kind, seed):
         assert max(scatter[name] for name in ("mu", "k2t", "c2t", "c1t", "drag")) < 0.15
 
 
+RATE_SEEDS = range(20)
+
+
+@pytest.mark.prove
+def test_known_pooling_of_campaigns_is_found_at_the_right_rate(tmp_path):
+    """Simulated campaigns of three cases whose parameters are all shared, differ in two, or differ in all.
+
+    docs/proof/variability.md holds the counts of these very campaigns.
+    """
+    kinds, told = ("shared", "half", "separate"), {}
+    apart: list[tuple[bool, float]] = []
+    for kind in kinds:
+        heads = dict.fromkeys(POOLINGS, 0)
+        for seed in RATE_SEEDS:
+            folder = tmp_path / f"{kind}{seed}"
+            write_campaign(folder, kind, seed=100 + seed)
+            models, _ = RecordedCases(plan_of(folder)).models(np.random.default_rng(seed), 128, 24)
+            heads[max(models, key=lambda name: models[name]["log_evidence"])] += 1
+            if kind == "half":
+                rows = models["partial"]["scatter"]
+                apart += [(name in ("mu", "c2t"), rows[name]["median"]) for name in ("mu", "c2t", "k2t", "c1t", "c3t")]
+        told[kind] = heads
+    differing = [s for differs, s in apart if differs]
+    same = [s for differs, s in apart if not differs]
+    above = float(np.mean([a > b for a in differing for b in same]))
+    print(json.dumps(told), f"{above:.3f}")
+    n = len(RATE_SEEDS)
+    assert told["shared"]["shared"] >= 0.9 * n
+    assert told["half"]["partial"] >= 0.8 * n
+    assert told["separate"]["shared"] == 0
+    assert above > 0.95
+
+
 def test_the_fit_of_one_case_is_brought_to_the_common_prior(tmp_path):
     """Draws of a case under its own prior, drawn again, have the mean that the common prior gives."""
     write_campaign(tmp_path / "campaign", "shared")
@@ -446,15 +480,42 @@ def test_hierarchy_gives_each_case_the_likelihood_of_its_posterior():
     assert np.std(found, axis=1).min() > 0.0
 
 
+class StopsIn:
+    """Progress that is interrupted, as by Ctrl-C, when the task of this number begins to tell."""
+
+    def __init__(self, number):
+        self.number, self.seen = number, []
+
+    def update(self, task, share, text):
+        del share, text
+        if task not in self.seen:
+            self.seen.append(task)
+        if len(self.seen) == self.number:
+            raise KeyboardInterrupt
+
+
 @pytest.mark.slow
-def test_thesis_end_to_end_and_resumed(tmp_path):
-    first = variability("thesis", out=tmp_path / "a", particles=32, repeats=1, draws=16)
+def test_thesis_end_to_end_interrupted_and_resumed(tmp_path):
+    """Stopped in its third piece, and gone on with by `resume`: as one run, with pieces that any order would give."""
+    with pytest.raises(Interrupted, match="bayes-damper resume"):
+        variability("thesis", out=tmp_path / "a", particles=32, repeats=1, draws=16, progress=StopsIn(3))
+    assert not (tmp_path / "a" / "variability.json").exists()
+    first = resume(tmp_path / "a")
+    assert first.folder == tmp_path / "a"
+    assert first.result["seed"] == 1
     rows = first.result["effective"]["cases"]
     assert rows["IV"]["measured"] == {"k2t": 1.0, "c2t": 0.08}
     assert rows["II"]["energy_j"] == pytest.approx(49.2e-3, rel=0.02)
     assert sum(m["probability"] for m in first.result["models"].values()) == pytest.approx(1.0)
+    work = tmp_path / "a" / "variability"
+    settings = {k: v for k, v in read_json(work / "run.json")["plan"].items() if k in ("fit", "seed", "particles")}
+    alone = run_pooling(
+        tmp_path, lambda *_: None, settings=settings, pooling="shared", without="II", repeat=0, own_constants=False
+    )
+    assert read_json(work / "shared-without-II-0" / "done.json")["log_z"] == alone["log_z"]
     again = variability("thesis", out=tmp_path / "a", particles=32, repeats=1, draws=16)
     assert again.result["models"] == first.result["models"]
+    assert resume(work).result["models"] == first.result["models"]
     with pytest.raises(InputError, match="another run"):
         variability("thesis", out=tmp_path / "a", particles=48, repeats=1, draws=16)
 

@@ -12,6 +12,6 @@ by importance weights, and the two ways compared.
 
 from __future__ import annotations
 
-from bayes_damper.variability.answer import Variability, variability
+from bayes_damper.variability.answer import Variability, finish_variability, variability
 
-__all__ = ["Variability", "variability"]
+__all__ = ["Variability", "finish_variability", "variability"]

@@ -111,7 +111,7 @@ def variability(
     cases = PublishedCases(plan) if plan["campaign"] == "thesis" else RecordedCases(plan)
     rng = np.random.default_rng([seed, 5])
     settings = {"fit": plan, "seed": seed, "particles": particles, "repeats": repeats}
-    _claim(target, settings)
+    _claim(target, settings | {"source": str(folder), "draws": draws}, workers)
     if isinstance(cases, PublishedCases):
         work = target / "variability"
         runs = _run_published(cases, settings, work, workers, scheduler, progress)
@@ -189,16 +189,27 @@ def _read_fit(folder: str | Path) -> tuple[dict[str, Any], Path | None]:
     return plan, path
 
 
-def _claim(target: Path, settings: Mapping[str, Any]) -> None:
+def finish_variability(
+    work: Path, record: Mapping[str, Any], *, workers: int | None = None, progress: Progress | None = None
+) -> Variability:
+    """Go on with a run whose pieces and run.json (`record`) lie in `work`, the folder "variability" of its results."""
+    plan = record["plan"]
+    return variability(
+        plan["source"], out=work.parent, seed=plan["seed"], particles=plan["particles"], repeats=plan["repeats"],
+        draws=plan["draws"], workers=workers or record.get("workers", 1), progress=progress,
+    )  # fmt: skip
+
+
+def _claim(target: Path, plan: Mapping[str, Any], workers: int) -> None:
     """Note what runs in the working folder; another run's pieces are not mixed with this one's."""
     path = target / "variability" / "run.json"
-    record = {"command": "variability", "plan": dict(settings), "code": code_sha256()}
-    if path.exists() and read_json(path) != record:
+    record = {"command": "variability", "plan": dict(plan), "code": code_sha256()}
+    if path.exists() and {k: v for k, v in read_json(path).items() if k != "workers"} != record:
         raise InputError(
             f"{path.parent}: holds pieces of another run, or of another version of the package; remove that folder, "
             "or name another --out"
         )
-    write_json(path, record)
+    write_json(path, record | {"workers": workers})
 
 
 def _run_published(
