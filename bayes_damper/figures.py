@@ -34,6 +34,8 @@ _RC = {
     "svg.hashsalt": "bayes_damper",
     "figure.dpi": 110,
 }
+_LOGARITHMIC = ("nu",)
+"""Parameters that are known to a factor at best: their axes are logarithmic."""
 NOT_CONVERGED = "NOT CONVERGED: do not use these numbers"
 
 
@@ -94,7 +96,9 @@ def corner_figure(
     everything = np.concatenate(list(stacked.values()))
     low, high = np.quantile(everything, [0.002, 0.998], axis=0)
     span = np.where(high > low, high - low, np.maximum(np.abs(high), 1e-12) * 1e-3)
-    ranges = list(zip(low - 0.03 * span, high + 0.03 * span, strict=True))
+    ranges = np.stack([low - 0.03 * span, high + 0.03 * span], axis=1)
+    wide = np.array([name in _LOGARITHMIC for name in names]) & (everything.min(axis=0) > 0.0)
+    ranges[wide] = np.stack([0.9 * low[wide], 1.1 * high[wide]], axis=1)
     single = len(draws) == 1
     with mpl.rc_context(_RC | {"axes.grid": False, "axes.spines.top": True, "axes.spines.right": True}):
         figure = Figure(figsize=(1.35 * len(names) + 0.8,) * 2)
@@ -103,7 +107,8 @@ def corner_figure(
             corner.corner(
                 *(table,),
                 fig=figure,
-                range=ranges,
+                range=[tuple(ends) for ends in ranges],
+                axes_scale=["log" if x else "linear" for x in wide],
                 bins=30,
                 smooth=1.0,
                 smooth1d=1.0,
@@ -213,7 +218,10 @@ def forest_figure(
                 axis.plot(median, y, "o", color=COLOURS[1], ms=5)
             axis.set_yticks(range(len(groups)), groups)
             axis.set_ylim(len(groups) - 0.5, -0.5)
-            axis.locator_params(axis="x", nbins=4)
+            if name in _LOGARITHMIC and all(intervals[name][group][0] > 0.0 for group in groups):
+                axis.set_xscale("log")
+            else:
+                axis.locator_params(axis="x", nbins=4)
             axis.set_xlabel(labels.get(name, name))
         for axis in axes[len(names) :]:
             axis.set_visible(False)

@@ -33,7 +33,7 @@ from bayes_damper.distributions import from_standard
 from bayes_damper.effects import Effect, all_effects, classes
 from bayes_damper.effects.base import Variant
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.parameters import unit_of
+from bayes_damper.parameters import READING_UNITS, TRANSLATIONAL_UNITS, unit_of
 from bayes_damper.priors import PriorSet, campaign_priors
 from bayes_damper.provenance import provenance
 from bayes_damper.run import write_json
@@ -50,6 +50,7 @@ FACTORS = tuple(float(x) for x in np.geomspace(1.0 / 1024.0, 4.0, 25))
 PRIOR_DRAWS = 48
 REPEATS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 100)
 _TANGENT = 0.05  # step in standard prior coordinates of a rival's derivatives
+_FARTHEST = 6.0  # standard deviations of a prior beyond which no size is tried
 _BATCH = 2_000_000  # readings of one simulation call
 _PROPOSED = 5
 
@@ -77,7 +78,7 @@ class Plan:
             rival = row["rival"] or {"name": "-", "nats": None}
             over = "" if rival["nats"] is None else f"{rival['nats']:.1f}"
             times = "more than 100 x" if row["repeats_needed"] is None else f"{row['repeats_needed']} x"
-            least = ", ".join(f"{k} {v['value']:.2g} {v['unit']}" for k, v in (row["smallest"] or {}).items())
+            least = ", ".join(f"{k} {v['value']:.2g} {v['unit']}".strip() for k, v in (row["smallest"] or {}).items())
             lines.append(
                 f"  {row['name']:22s}{100 * row['chance']:4.0f} %   {rival['name']:22s}{over:>13s}   {times:20s}{least}"
             )
@@ -149,7 +150,9 @@ def judge(
     views = _views(fit, pool, rng)
     kin = {name: group for group in classes({v.effect.name: v.effect for v in views}) for name in group}
     rivals = _rivals(fit, pool, views, kin)
-    rows = [_row(view, rivals[view.effect.name]) for view in views]
+    reading = READING_UNITS[campaign.measurement.quantity]
+    reading = TRANSLATIONAL_UNITS.get(reading, reading) if campaign.rig.kind == "translational" else reading
+    rows = [_row(view, rivals[view.effect.name], reading) for view in views]
     rows.sort(key=lambda row: (-row["chance"], -row["nats"]))
     groups = _alike(rows)
     parameters = _parameters(fit, campaign.rig.kind)
@@ -347,15 +350,17 @@ def _smallest(bench: Bench, variant: Variant, values: Sequence[float]) -> dict[s
         pairs = zip(variant.parameters, values, strict=True)
         return [x if p.null is None else p.null + factor * (x - p.null) for p, x in pairs]
 
-    lengths = _lengths(bench, variant, np.array([_standard(variant, sized(f)) for f in FACTORS]))
+    points = {f: _standard(variant, sized(f)) for f in FACTORS}
+    factors = [f for f, z in points.items() if np.all(np.abs(z) < _FARTHEST)]
+    lengths = _lengths(bench, variant, np.array([points[f] for f in factors]))
     nats = expected(lengths, len(values))
     k = int(np.argmax(nats >= NATS))
     if nats[k] < NATS:
         return None
     if k == 0:
-        return _named(variant, sized(FACTORS[0]))
+        return _named(variant, sized(factors[0]))
     share = (NATS - nats[k - 1]) / (nats[k] - nats[k - 1])
-    low, high = math.log(FACTORS[k - 1]), math.log(FACTORS[k])
+    low, high = math.log(factors[k - 1]), math.log(factors[k])
     return _named(variant, sized(math.exp(low + share * (high - low))))
 
 
@@ -515,8 +520,8 @@ def _additions(
 # Words ----------------------------------------------------------------------------------------------------------------
 
 
-def _row(view: View, rivals: Rivals) -> dict[str, Any]:
-    units = {p.name: p.unit for p in view.variant.parameters}
+def _row(view: View, rivals: Rivals, reading: str) -> dict[str, Any]:
+    units = {p.name: {"1": "", "reading": reading}.get(p.unit, p.unit) for p in view.variant.parameters}
     strongest = rivals.first
     return {
         "name": view.effect.name,

@@ -100,6 +100,7 @@ def test_the_result_says_what_would_be_seen(planned):
     low, high = result["parameters"]["c1t"]["expected90"]
     wide = result["parameters"]["c1t"]["prior90"]
     assert wide[0] < low < high < wide[1]
+    assert rows["sensor_gain"]["smallest"]["error"]["unit"] == ""
     json.dumps(result, allow_nan=False)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,10 @@ from bayes_damper.report.parts import (
     words,
 )
 
+_HEADS = {
+    "k1t n m per rad": "k1t [N m/rad]", "k1 n per m": "k1 [N/m]", "theta0 deg": "theta0 [deg]",
+    "theta0 mm": "theta0 [mm]", "expected information nats": "expected information [nats]", "nats": "gain [nats]",
+}  # fmt: skip
 _OUTSIDE = 5.0  # per cent: a measurement below this percentile, or as far above, counts as outside
 _PICTURES = {
     "corner": ("Pairs of parameters", "Corner figure: the distribution of each parameter and of each pair of them."),
@@ -168,7 +173,7 @@ def _overview(groups: Mapping[str, Any]) -> Table:
             unit = p.get("unit", "")
             low, high = p["hdi90"]
             star = " *" if (p.get("prior_share") or 0.0) >= 0.8 else ""
-            cells.append(f"{number(p['median'], high - low)} ({interval(low, high)}){star}")
+            cells.append(f"{number(p['median'], high - low)}{star}\n{interval(low, high)}")
         rows.append(Row((_symbol(name), unit, *cells)))
     columns = ("parameter", "unit", *(n if n.startswith("all") else f"case {n}" for n in groups))
     starred = any(cell.endswith("*") for row in rows for cell in row.cells)
@@ -337,7 +342,8 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
 
 
 def _records_table(caption: str, records: Sequence[Mapping[str, Any]]) -> Table:
-    return generic({caption: list(records)}, "").tables[0]
+    table = generic({caption: list(records)}, "").tables[0]
+    return replace(table, columns=tuple(_HEADS.get(c, c) for c in table.columns))
 
 
 def _gap_sentence(gap: Mapping[str, Any]) -> str:
@@ -498,6 +504,49 @@ def _design_table(designs: Sequence[tuple[str, Mapping[str, Any], Any]]) -> Tabl
     return Table("Designs", ("quantity", "unit", *(name for name, _, _ in designs)), rows)
 
 
+# A plan -------------------------------------------------------------------------------------------------------------
+
+
+def plan_result(data: Mapping[str, Any], folder: Path) -> Result:
+    """Headline and section of plan.json."""
+    rows = []
+    for e in data["effects"]:
+        rival, least = e.get("rival") or {}, e.get("smallest") or {}
+        times = e.get("repeats_needed")
+        cells = (
+            words(e["name"]),
+            e["site"],
+            percent(e["chance"]),
+            "; ".join(f"{k} {number(v['value'])} {v['unit']}".strip() for k, v in least.items()) or NOTHING,
+            words(rival.get("name", NOTHING)),
+            number(rival.get("nats"), 10.0) if (rival.get("nats") or 0.0) < 100.0 else "above 100",
+            "more than 100 times" if times is None else "as planned" if times == 1 else f"{times} times",
+        )
+        rows.append(Row(cells, "bad" if times is None else ""))
+    columns = ("effect", "site", "seen", "smallest seen", "strongest rival", "nats over it", "trials needed")
+    note = (
+        "Seen: share of the sizes and shapes that the library holds plausible. Trials needed: how many times those planned "
+        "until the effect is seen and told from every rival."
+    )
+    tables = [Table("What the planned trials could tell", columns, tuple(rows), note)]
+    parameters = []
+    for name, p in data["parameters"].items():
+        low, high = p["expected90"]
+        who = decided_by(p["sd_over_prior"])
+        cells = (_meaning(name), interval(low, high), p["unit"], number(p["sd_over_prior"], 0.1), who)
+        parameters.append(Row(cells, "prior" if who == "prior" else ""))
+    columns = ("parameter", "expected 90 %", "unit", "sd / prior sd", "decided by")
+    tables.append(Table("What they would teach about each parameter", columns, tuple(parameters)))
+    if data.get("add"):
+        tables.append(_records_table("Single trials that would help most", data["add"]))
+    told = sum(e["repeats_needed"] == 1 for e in data["effects"])
+    sentences = (f"{told} of {len(rows)} effects would be seen and told from all others.", *data["sentences"])
+    name = str(data.get("campaign", ""))
+    head = Headline(f"Plan of {name}" if name else "Plan", "open", sentences[:4])
+    section = Section("Plan", sentences[4:], tuple(tables), (), _pictures(folder, kind="plan"))
+    return Result(head, section, (), dict(data.get("provenance", {})) | _fingerprint(data))
+
+
 # What the cases share ---------------------------------------------------------------------------------------------
 
 _SHARING = {
@@ -565,6 +614,7 @@ READERS: Mapping[str, tuple[str, Callable[[Mapping[str, Any], Path], Result]]] =
     "summary.json": ("bayes-damper/fit/1", fit_result),
     "variability.json": ("bayes-damper/variability/1", variability_result),
     "tune.json": ("bayes-damper/tune/1", tune_result),
+    "plan.json": ("bayes-damper/plan/1", plan_result),
     "withheld.json": (
         "bayes-damper/withheld/1",
         other_result(

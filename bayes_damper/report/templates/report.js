@@ -20,7 +20,7 @@
     const label = button.innerHTML;
     button.addEventListener("click", async () => {
       const rows = [...button.closest("figure").querySelectorAll("tr")];
-      const text = rows.map((row) => [...row.cells].map((cell) => cell.textContent.trim()).join("\t")).join("\n");
+      const text = rows.map((row) => [...row.cells].map((cell) => cell.textContent.trim().replace(/\s+/g, " ")).join("\t")).join("\n");
       button.textContent = (await copied(text)) ? "Copied" : "Could not copy";
       setTimeout(() => { button.innerHTML = label; }, 1500);
     });
