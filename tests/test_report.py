@@ -52,8 +52,26 @@ def case(converged: bool = True, outside: bool = False) -> dict:
     }  # fmt: skip
 
 
+MORE = {
+    "noise": {"kind": "student", "sd": [2.0, 2.1]},
+    "unlike_repeats": {
+        "trials": [{"trial": "IV coupled #2", "residual_power": 7.3, "or_its_only_repeat": False}],
+        "answers": {"mu": {"with": {"value": 0.0083, "sd": 1e-3}, "without": {"value": 0.0071, "sd": 1e-3},
+                           "shift_sd": -1.2}},
+    },
+    "influence": {"IV coupled #2": {"moves_most": "mu", "shift_sd": -1.2, "shifts_sd": {"mu": -1.2}}},
+    "prior_sensitivity": {"nu": {
+        "prior_share": 0.93, "decided_by": "prior",
+        "half": {"shift": -0.61, "width": 0.5, "moves_most": "mu", "shift_of_that": 0.1, "reliable": True},
+        "double": {"shift": 0.85, "width": 1.9, "moves_most": "k2t", "shift_of_that": -0.2, "reliable": False},
+    }},
+    "log_evidence": {"value": -812.34, "error": 0.05, "health": 0.4, "sentence": ""},
+}  # fmt: skip
+"""What a fit of recorded trials tells beside its parameters."""
+
+
 def write_fit(folder: Path, converged: bool = True, outside: bool = False) -> None:
-    cases = {"III": case(converged, outside), "IV": case()}
+    cases = {"III": case(converged, outside), "IV": case() | MORE}
     summary = {
         "schema": "bayes-damper/fit/1", "campaign": "synthetic <rig>", "campaign_sha256": "a" * 64, "seed": 7,
         "converged": converged, "cases": cases, "provenance": {"commit": "0123456789", "packages": {"numpy": "2.0"}},
@@ -132,6 +150,24 @@ def write_tuning(folder: Path) -> None:
     (folder / "tune.json").write_text(json.dumps(data), encoding="utf-8")
 
 
+def write_plan(folder: Path) -> None:
+    effect = {
+        "name": "magnet_cubic", "site": "interface", "variant": "cubic", "nats": 4.0, "chance": 0.22,
+        "typical": {"cubic": {"value": 30.0, "unit": "N m/rad^3"}},
+        "smallest": {"cubic": {"value": 66.0, "unit": "N m/rad^3"}},
+        "rival": {"name": "interface_relaxation", "nats": 2.4}, "repeats_needed": 6, "repeats_to_see": 3,
+    }  # fmt: skip
+    data = {
+        "schema": "bayes-damper/plan/1", "campaign": "next rig", "effects": [effect], "matrix": {},
+        "parameters": {"mu": {"unit": "1", "prior90": [0.001, 0.04], "expected90": [0.0068, 0.0072],
+                              "sd_over_prior": 0.02}},
+        "add": [{"configuration": "coupled", "k1t_n_m_per_rad": 14.3, "theta0_deg": 7.4, "nats": 5.0,
+                 "helps": ["magnet_cubic"]}],
+        "sentences": ["0 of 1 effects would be seen at their typical size."],
+    }  # fmt: skip
+    (folder / "plan.json").write_text(json.dumps(data), encoding="utf-8")
+
+
 def write_everything(folder: Path) -> Path:
     write_fit(folder)
     write_diagnosis(folder / "diagnosis")
@@ -142,10 +178,16 @@ def write_everything(folder: Path) -> Path:
     }
     shares = {
         "schema": "bayes-damper/variability/1", "campaign": "synthetic <rig>", "converged": True, "models": models,
-        "decomposition": {"k2t": {"stiffness": {"median": 0.2, "hdi90": [0.1, 0.4]}}},
+        "decomposition": {"k2t": {"real_difference": {
+            "median": 0.2, "hdi90": [0.1, 0.4], "share": {"median": 0.6, "hdi90": [0.2, 0.9]}}}},
+        "effective": {"cases": {"IV": {"energy_j": 0.0343, "k2t": {"median": 1.1, "hdi90": [0.9, 1.4]},
+                                       "c2t": {"median": 0.07, "hdi90": [0.05, 0.09]},
+                                       "measured": {"k2t": 1.0, "c2t": 0.08}}}},
+        "recycled": {"ess": {"IV": 412.0}, "pareto_k": {"IV": 0.31}},
         "sentences": ["The cases do not share one parameter set (2 %)."],
     }  # fmt: skip
     (folder / "variability.json").write_text(json.dumps(shares), encoding="utf-8")
+    write_plan(folder)
     scores = {"schema": "bayes-damper/withheld/1", "scores": {"top_1": 0.9, "covered": 0.93}, "campaigns": [
         {"name": "a1", "verdict": "none", "right": True}]}  # fmt: skip
     (folder / "withheld.json").write_text(json.dumps(scores), encoding="utf-8")
@@ -165,7 +207,7 @@ def test_everything_a_folder_holds_is_on_the_page(tmp_path):
     text = words_of(done.path.read_text(encoding="utf-8"))
     assert done.exit_code is ExitCode.DONE
     assert set(done.results) == {
-        "diagnosis/diagnosis.json", "summary.json", "variability.json", "tune.json", "withheld.json",
+        "diagnosis/diagnosis.json", "summary.json", "variability.json", "tune.json", "plan.json", "withheld.json",
     }  # fmt: skip
     assert "Most probable cause: stick slip (86 %), at the site interface (95 %)" in text
     assert "With 90 % probability it is one of stick slip and unknown" in text
@@ -180,6 +222,41 @@ def test_everything_a_folder_holds_is_on_the_page(tmp_path):
     assert "synthetic <rig>" in text
     assert text.index("Most probable cause") < text.index("Case III: parameters")
     assert done.to_json()["bytes"] == done.path.stat().st_size
+
+
+def test_what_a_fit_tells_beside_its_parameters_is_on_the_page(tmp_path):
+    write_fit(tmp_path / "fit")
+    text = words_of(report(tmp_path / "fit").path.read_text(encoding="utf-8"))
+    assert "IV coupled #2 7.300 times" in text or "IV coupled #2 7.3 times" in text
+    assert "0.0083 0.0071 -1.2 sd" in text
+    assert "nu: smoothing constant of every tanh -0.61 +0.85 ? k2t -0.20" in text
+    assert "Log evidence -812.34" in text
+    assert "* decided by the prior, not by the data" in text
+
+
+def test_the_gap_stands_before_and_after_each_effect(tmp_path):
+    write_diagnosis(tmp_path / "diagnosis")
+    data = json.loads((tmp_path / "diagnosis" / "diagnosis.json").read_text(encoding="utf-8"))
+    data["parameters"] = {"mu": {"before": {"value": 0.0083, "sd": 1e-4}, "after": {"value": 0.0071, "sd": 2e-4},
+                                 "shift_sigmas": -6.0}}  # fmt: skip
+    data["sensitivity"] = [{"choice": "without case IV", "verdict": "none", "probability": 0.4,
+                            "probability_of_the_leading_answer": 0.3}]  # fmt: skip
+    (tmp_path / "diagnosis" / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
+    text = words_of(report(tmp_path / "diagnosis").path.read_text(encoding="utf-8"))
+    assert "noise alone 2" in text
+    assert "nominal model 2.9 0 %" in text
+    assert "with stick slip 2.01 97 % (90 to 100 %)" in text
+    assert "0.0083 ± 0.0001 0.0071 ± 0.0002 -6.0 sd" in text
+    assert "without case IV none 40 % 30 %" in text
+
+
+def test_a_plan_and_a_decomposition_read_as_tables(tmp_path):
+    text = words_of(report(write_everything(tmp_path / "results")).path.read_text(encoding="utf-8"))
+    assert "magnet cubic interface 22 % cubic 66 N m/rad^3 interface relaxation 2.4 6 times" in text
+    assert "real difference 0.2 0.100 to 0.400 60 % (20 to 90 %)" in text
+    assert "IV 34.3 1.1 (0.900 to 1.400) 1" in text
+    assert "IV 412 0.31" in text
+    assert "coupled 14.3 7.4 5 magnet_cubic" in text
 
 
 def test_numbers_stand_with_unit_and_interval(tmp_path):
@@ -414,3 +491,37 @@ def test_a_browser_shows_all_of_it_without_fault(tmp_path, width, dark):
     assert seen["faults"] == []
     assert seen["contrast"] == []
     assert seen["readout"].startswith(("th1", "frequency", "time"))
+
+
+def axe_source() -> str:
+    """The accessibility checker axe-core, as a package for Python brings it along; skipped without it."""
+    package = pytest.importorskip("axe_core_python", reason="axe-core-python is not installed")
+    return (Path(package.__file__).parent / "axe.min.js").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine: the page is not tried in a browser")
+@pytest.mark.parametrize(("width", "dark"), [(1280, False), (360, True)])
+def test_axe_finds_no_fault(tmp_path, width, dark):
+    """All rules of axe-core for WCAG 2.1 A and AA and good practice, on a page of everything."""
+    page = report(write_everything(tmp_path / "results")).path.read_text(encoding="utf-8")
+    run = (
+        "addEventListener('load', () => axe.run(document).then((found) => { const pre = document.createElement('pre');"
+        "pre.id = 'axe'; pre.textContent = JSON.stringify({passes: found.passes.length, faults: found.violations.map("
+        "(v) => v.id + ': ' + v.nodes.slice(0, 3).map((n) => n.html.slice(0, 120)).join(' | '))});"
+        "document.body.append(pre); }));"
+    )
+    tried = tmp_path / "axe.html"
+    tried.write_text(page.replace("</body>", f"<script>{axe_source()}</script><script>{run}</script></body>"), "utf-8")
+    done = subprocess.run(
+        [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking",
+         f"--user-data-dir={tmp_path / 'profile'}", f"--window-size={max(width, 500)},1200",
+         "--virtual-time-budget=20000", f"--blink-settings=preferredColorScheme={0 if dark else 1}", "--dump-dom",
+         tried.as_uri()],
+        capture_output=True, text=True, timeout=180, check=False,
+    )  # fmt: skip
+    found = re.search(r'<pre id="axe">(.*?)</pre>', done.stdout, re.DOTALL)
+    assert found is not None, done.stderr[-2000:]
+    seen = json.loads(html.unescape(found[1]))
+    assert seen["passes"] > 20
+    assert seen["faults"] == []

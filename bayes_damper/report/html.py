@@ -162,12 +162,14 @@ def _name(results: list[Result]) -> str:
 
 
 def _numbered(sections: list[Section], names: tuple[str, ...]) -> list[Section]:
-    """Sections with titles of their own: those of a folder below tell which. Every figure stands once on a page."""
+    """Sections with titles of their own: two of one kind tell their folders. Every figure stands once on a page."""
     out: list[Section] = []
     shown: set[str] = set()
+    titles = [section.title for section in sections]
     for section, name in zip(sections, names, strict=True):
         place = Path(name).parent.as_posix()
-        title = section.title if place == "." else f"{section.title} ({place})"
+        told = place != "." and titles.count(section.title) > 1
+        title = f"{section.title} ({place})" if told else section.title
         pictures = tuple(p for p in section.pictures if p.path not in shown)
         shown |= {p.path for p in pictures}
         out.append(replace(section, title=title, pictures=pictures))

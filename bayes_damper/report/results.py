@@ -176,7 +176,7 @@ def _overview(groups: Mapping[str, Any]) -> Table:
             cells.append(f"{number(p['median'], high - low)}{star}\n{interval(low, high)}")
         rows.append(Row((_symbol(name), unit, *cells)))
     columns = ("parameter", "unit", *(n if n.startswith("all") else f"case {n}" for n in groups))
-    starred = any(cell.endswith("*") for row in rows for cell in row.cells)
+    starred = any("*" in cell for row in rows for cell in row.cells[2:])
     note = "* decided by the prior, not by the data" if starred else ""
     return Table("Median and 90 % interval", columns, tuple(rows), note)
 
@@ -214,15 +214,64 @@ def _case_section(name: str, entry: Mapping[str, Any], folder: Path) -> Section:
         tables.append(_check_table(name, checks))
     if entry.get("trials"):
         tables.append(_trial_table(name, entry["trials"]))
-    if entry.get("best_fit"):
-        tables += generic({"best fit": entry["best_fit"]}, "").tables
+    tables += _more_tables(name, entry)
     sentences = tuple(entry.get("sentences", ()))
+    evidence = entry.get("log_evidence")
+    if evidence:
+        error = evidence["error"]
+        sentences += (f"Log evidence {number(evidence['value'], 4.0 * error)} ± {number(error)} nats.",)
     if not good:
         sentences = (_UNCONVERGED, *sentences)
     file = folder / "posterior.nc"
     chart = record_chart(file) if file.is_file() else None
     charts = () if chart is None else (chart,)
     return Section(_title(name), sentences, tuple(tables), charts, _pictures(folder, _title(name)))
+
+
+def _more_tables(name: str, entry: Mapping[str, Any]) -> list[Table]:
+    """What a fit tells beside its parameters, as far as it is there: noise, odd trials, priors, the best fit."""
+    tables: list[Table] = []
+    apart = entry.get("unlike_repeats") or {}
+    if apart.get("trials"):
+        rows = tuple(Row((str(t["trial"]), f"{number(t['residual_power'])} times"), "bad") for t in apart["trials"])
+        columns = ("trial", "power of its residuals, against its repeats")
+        tables.append(Table(f"{_title(name)}: trials unlike their repeats", columns, rows))
+    if apart.get("answers"):
+        rows = tuple(
+            Row((_meaning(n), number(p["with"]["value"]), number(p["without"]["value"]), f"{p['shift_sd']:+.1f} sd"))
+            for n, p in apart["answers"].items()
+        )
+        columns = ("parameter", "with them", "without them", "shift")
+        tables.append(Table(f"{_title(name)}: parameters without those trials", columns, rows))
+    if entry.get("influence"):
+        rows = tuple(
+            Row((label, i["moves_most"], f"{i['shift_sd']:+.1f} sd")) for label, i in entry["influence"].items()
+        )
+        columns = ("trial left out", "moves most", "by")
+        tables.append(Table(f"{_title(name)}: what each trial decides", columns, rows))
+    if entry.get("prior_sensitivity"):
+        tables.append(_sensitivity_table(f"{_title(name)}: how the answers hang on the priors",
+                                         entry["prior_sensitivity"]))  # fmt: skip
+    for key in ("noise", "best_fit"):
+        if isinstance(entry.get(key), Mapping):
+            tables += generic({words(key): entry[key]}, "").tables
+    return tables
+
+
+def _sensitivity_table(caption: str, rows: Mapping[str, Any]) -> Table:
+    """Shifts when one prior is half or twice as wide."""
+    out = []
+    for name, p in rows.items():
+        half, double = p["half"], p["double"]
+        cells = [_meaning(name)]
+        for found in (half, double):
+            cells.append(f"{found['shift']:+.2f}" + ("" if found["reliable"] else " ?"))
+        most = max((half, double), key=lambda found: abs(found["shift_of_that"]))
+        cells.append(f"{most['moves_most']} {most['shift_of_that']:+.2f}")
+        out.append(Row(tuple(cells)))
+    columns = ("parameter", "its prior half as wide", "twice as wide", "moves most among the others")
+    note = "Shifts of the mean in standard deviations. ?: too few draws count to be sure; fit with that prior to know."
+    return Table(caption, columns, tuple(out), note)
 
 
 def _check_table(name: str, checks: Sequence[Mapping[str, Any]]) -> Table:
@@ -322,7 +371,8 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
     charts = [torque_chart(f) for f in sorted(folder.glob("*torque*.csv"))]
     rest = generic(
         data, "", ("schema", "campaign", "verdict", "credible_set", "probabilities", "sites", "effects", "provenance",
-                   "campaign_sha256", "seed", "indistinguishable", "notes", "next_experiment"),
+                   "campaign_sha256", "seed", "indistinguishable", "notes", "next_experiment", "gap", "parameters",
+                   "sensitivity"),
     )  # fmt: skip
     section = Section(
         "Diagnosis",
@@ -330,7 +380,10 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
         (
             _probability_table("Probability of each answer", probabilities),
             _probability_table("Probability of each site", sites),
+            *_gap_tables(gap, data.get("effects", [])),
             _effect_table(data.get("effects", [])),
+            *_shift_tables(data.get("parameters") or {}),
+            *_choice_tables(data.get("sensitivity") or []),
             *([_records_table("Next experiment", data["next_experiment"])] if data.get("next_experiment") else []),
             *rest.tables,
         ),
@@ -384,6 +437,57 @@ def _experiment_sentence(e: Mapping[str, Any]) -> str:
 
 def _probability_table(caption: str, items: Sequence[tuple[str, float]]) -> Table:
     return Table(caption, ("answer", "probability"), tuple(Row((words(n), percent(p))) for n, p in items))
+
+
+def _gap_tables(gap: Mapping[str, Any], effects: Sequence[Mapping[str, Any]]) -> list[Table]:
+    """Residuals on held-out trials: the noise, the nominal model, and each effect that was added."""
+    if gap.get("nominal_rms") is None:
+        return []
+    rows = [
+        Row(("noise alone", number(gap.get("noise_rms")), NOTHING)),
+        Row(("nominal model", number(gap["nominal_rms"]), "0 %")),
+    ]
+    told = [e for e in effects if e.get("augmented_rms") is not None]
+    if not told and gap.get("augmented_rms") is not None:
+        told = [{"name": "most probable cause", "augmented_rms": gap["augmented_rms"], "closed": gap.get("closed")}]
+    for e in told:
+        closed = e.get("closed") or {}
+        share = NOTHING
+        if closed.get("median") is not None:
+            low, high = closed.get("hdi90") or (None, None)
+            share = f"{100.0 * closed['median']:.0f} %"
+            share += "" if low is None else f" ({100.0 * low:.0f} to {100.0 * high:.0f} %)"
+        rows.append(Row((f"with {words(str(e['name']))}", number(e["augmented_rms"]), share)))
+    columns = ("model", "rms residual", "gap closed (90 %)")
+    note = "On held-out trials, in the unit of the readings; only each trial's own nuisances are fitted there."
+    return [Table("The gap before and after", columns, tuple(rows), note)]
+
+
+def _shift_tables(parameters: Mapping[str, Any]) -> list[Table]:
+    """Parameters of the nominal model before and after the leading effect is added."""
+    rows = []
+    for name, p in parameters.items():
+        cells = [_meaning(name)]
+        for side in ("before", "after"):
+            found = p.get(side)
+            cells.append(NOTHING if not found else f"{number(found['value'])} ± {number(found['sd'])}")
+        shift = p.get("shift_sigmas")
+        rows.append(Row((*cells, NOTHING if shift is None else f"{shift:+.1f} sd")))
+    columns = ("parameter", "nominal model", "with the leading effect", "shift")
+    return [Table("Parameters before and after", columns, tuple(rows))] if rows else []
+
+
+def _choice_tables(choices: Sequence[Mapping[str, Any]]) -> list[Table]:
+    """What the verdict would be had something been chosen otherwise."""
+    rows = tuple(
+        Row((
+            str(c["choice"]), words(str(c["verdict"])), percent(c["probability"]),
+            percent(c.get("probability_of_the_leading_answer")),
+        ))
+        for c in choices
+    )  # fmt: skip
+    columns = ("had it been otherwise", "verdict", "probability", "today's verdict keeps")
+    return [Table("How far the verdict hangs on choices", columns, rows)] if rows else []
 
 
 def _effect_table(effects: Sequence[Mapping[str, Any]]) -> Table:
@@ -525,8 +629,8 @@ def plan_result(data: Mapping[str, Any], folder: Path) -> Result:
         rows.append(Row(cells, "bad" if times is None else ""))
     columns = ("effect", "site", "seen", "smallest seen", "strongest rival", "nats over it", "trials needed")
     note = (
-        "Seen: share of the sizes and shapes that the library holds plausible. Trials needed: how many times those planned "
-        "until the effect is seen and told from every rival."
+        "Seen: share of the sizes and shapes that the library holds plausible. Trials needed: how many times those "
+        "planned until the effect is seen and told from every rival."
     )
     tables = [Table("What the planned trials could tell", columns, tuple(rows), note)]
     parameters = []
@@ -579,12 +683,60 @@ def variability_result(data: Mapping[str, Any], folder: Path) -> Result:
         f"What the cases of {name} share" if name else "What the cases share", tone, tuple(sentences), shown
     )
     rest = generic(
-        data, "", ("schema", "campaign", "campaign_sha256", "seed", "converged", "sentences", "provenance", "models")
-    )
+        data, "", ("schema", "campaign", "campaign_sha256", "seed", "converged", "sentences", "provenance", "models",
+                   "effective", "decomposition", "recycled", "method", "method_of_effective", "cases", "pooled",
+                   "common"),
+    )  # fmt: skip
     pictures = _pictures(folder, kind="variability")
-    section = Section("Variability", (), (compared, *rest.tables), (), pictures, rest.parts)
+    told = tuple(str(data[key]) for key in ("method", "method_of_effective") if data.get(key))
+    tables = (compared, *_decomposition_tables(data), *_recycled_tables(data.get("recycled") or {}), *rest.tables)
+    section = Section("Variability", told, tables, (), pictures, rest.parts)
     warnings = () if converged else ("The comparison of the cases did not converge: do not use its numbers.",)
     return Result(head, section, warnings, dict(data.get("provenance", {})) | _fingerprint(data))
+
+
+def _decomposition_tables(data: Mapping[str, Any]) -> list[Table]:
+    """Where the scatter of the effective values comes from, and those values case by case."""
+    tables = []
+    for name, parts in (data.get("decomposition") or {}).items():
+        rows = []
+        for key, row in parts.items():
+            if not isinstance(row, Mapping) or "median" not in row:
+                continue
+            share = row.get("share")
+            told = NOTHING
+            if share:
+                low, high = share["hdi90"]
+                told = f"{100.0 * share['median']:.0f} % ({100.0 * low:.0f} to {100.0 * high:.0f} %)"
+            cells = (words(key), number(row["median"]), interval(*row["hdi90"]), told)
+            rows.append(Row(cells))
+        columns = ("part", f"variance of ln {name}", "90 %", "share (90 %)")
+        tables.append(
+            Table(f"Where the scatter of the effective {name} over the cases comes from", columns, tuple(rows))
+        )
+    cases = (data.get("effective") or {}).get("cases") or {}
+    if cases:
+        rows = []
+        for case, row in cases.items():
+            cells = [case, number(1e3 * row["energy_j"])]
+            for name in ("k2t", "c2t"):
+                cells.append(f"{number(row[name]['median'])} ({interval(*row[name]['hdi90'])})")
+                cells.append(number((row.get("measured") or {}).get(name)))
+            rows.append(Row(tuple(cells)))
+        columns = ("case", "initial energy [mJ]", "effective k2t (90 %) [N m/rad]", "fitted to the measurement",
+                   "effective c2t (90 %) [N m s/rad]", "fitted to the measurement")  # fmt: skip
+        tables.append(Table("Effective linear stiffness and damping", columns, tuple(rows)))
+    return tables
+
+
+def _recycled_tables(recycled: Mapping[str, Any]) -> list[Table]:
+    """Health of the importance weights by which the draws of single cases were used again."""
+    if not recycled.get("ess"):
+        return []
+    tails = recycled.get("pareto_k") or {}
+    rows = tuple(Row((case, f"{ess:.0f}", number(tails.get(case)))) for case, ess in recycled["ess"].items())
+    note = "Weights can be trusted where Pareto k is below 0.7."
+    return [Table("Draws of each case, used again by weights", ("case", "effective draws", "Pareto k"), rows, note)]
 
 
 # Results that this page knows only by their form --------------------------------------------------------------------
