@@ -231,6 +231,7 @@ def _case_section(name: str, entry: Mapping[str, Any], folder: Path) -> Section:
 def _more_tables(name: str, entry: Mapping[str, Any]) -> list[Table]:
     """What a fit tells beside its parameters, as far as it is there: noise, odd trials, priors, the best fit."""
     tables: list[Table] = []
+    columns: tuple[str, ...]
     apart = entry.get("unlike_repeats") or {}
     if apart.get("trials"):
         rows = tuple(Row((str(t["trial"]), f"{number(t['residual_power'])} times"), "bad") for t in apart["trials"])
@@ -454,9 +455,10 @@ def _gap_tables(gap: Mapping[str, Any], effects: Sequence[Mapping[str, Any]]) ->
         closed = e.get("closed") or {}
         share = NOTHING
         if closed.get("median") is not None:
-            low, high = closed.get("hdi90") or (None, None)
             share = f"{100.0 * closed['median']:.0f} %"
-            share += "" if low is None else f" ({100.0 * low:.0f} to {100.0 * high:.0f} %)"
+            if closed.get("hdi90"):
+                low, high = closed["hdi90"]
+                share += f" ({100.0 * low:.0f} to {100.0 * high:.0f} %)"
         rows.append(Row((f"with {words(str(e['name']))}", number(e["augmented_rms"]), share)))
     columns = ("model", "rms residual", "gap closed (90 %)")
     note = "On held-out trials, in the unit of the readings; only each trial's own nuisances are fitted there."
@@ -613,6 +615,8 @@ def _design_table(designs: Sequence[tuple[str, Mapping[str, Any], Any]]) -> Tabl
 
 def plan_result(data: Mapping[str, Any], folder: Path) -> Result:
     """Headline and section of plan.json."""
+    columns: tuple[str, ...]
+    cells: tuple[str, ...]
     rows = []
     for e in data["effects"]:
         rival, least = e.get("rival") or {}, e.get("smallest") or {}
@@ -718,14 +722,14 @@ def _decomposition_tables(data: Mapping[str, Any]) -> list[Table]:
     if cases:
         rows = []
         for case, row in cases.items():
-            cells = [case, number(1e3 * row["energy_j"])]
+            line = [case, number(1e3 * row["energy_j"])]
             for name in ("k2t", "c2t"):
-                cells.append(f"{number(row[name]['median'])} ({interval(*row[name]['hdi90'])})")
-                cells.append(number((row.get("measured") or {}).get(name)))
-            rows.append(Row(tuple(cells)))
-        columns = ("case", "initial energy [mJ]", "effective k2t (90 %) [N m/rad]", "fitted to the measurement",
+                line.append(f"{number(row[name]['median'])} ({interval(*row[name]['hdi90'])})")
+                line.append(number((row.get("measured") or {}).get(name)))
+            rows.append(Row(tuple(line)))
+        heads = ("case", "initial energy [mJ]", "effective k2t (90 %) [N m/rad]", "fitted to the measurement",
                    "effective c2t (90 %) [N m s/rad]", "fitted to the measurement")  # fmt: skip
-        tables.append(Table("Effective linear stiffness and damping", columns, tuple(rows)))
+        tables.append(Table("Effective linear stiffness and damping", heads, tuple(rows)))
     return tables
 
 
