@@ -64,7 +64,15 @@ def calibration(found: Mapping[str, Results], settings: Mapping[str, Any]) -> No
             lines.append(f"| {name} | {row['p']:.3f}{flag} | {row['mean']:.3f} | {cells[0]} | {cells[1]} |")
         lines.append("")
         numbers["kinds"][kind] = {"campaigns": n, "inside": inside, "p_of_all": least, "quantities": table}
-    parts.write_page("calibration", "Are the posteriors calibrated?", lines, numbers, _ecdf_figure(found))
+    numbers["commits"] = {r["commit"] for results in found.values() for r in results}
+    passed = [kind for kind, entry in numbers["kinds"].items() if entry["p_of_all"] > 0.05]
+    verdict = (
+        f"{sum(len(results) for results in found.values())} campaigns; all quantities together inside their band for "
+        f"{', '.join(passed) or 'none'}"
+        + "".join(f"; {kind}: outside" for kind in numbers["kinds"] if kind not in passed)
+        + "."
+    )
+    parts.write_page("calibration", "Are the posteriors calibrated?", verdict, lines, numbers, _ecdf_figure(found))
 
 
 def _row(values: Sequence[int]) -> dict[str, Any]:
@@ -118,7 +126,12 @@ def bugs(found: Sequence[Mapping[str, Any]], level: float) -> None:
     for row in found:
         after = "not caught" if row["caught"] is None else str(row["caught"])
         lines.append(f"| {row['bug']} | {row['kind']} | {after} | {row['by']} | {row['p']:.1e} |")
-    parts.write_page("bugs", "Does the calibration notice a bug?", lines, {"level": level, "bugs": list(found)})
+    planted = [row for row in found if row["bug"] != "none"]
+    caught = sum(row["caught"] is not None for row in planted)
+    verdict = f"{caught} of {len(planted)} planted bugs caught."
+    parts.write_page(
+        "bugs", "Does the calibration notice a bug?", verdict, lines, {"level": level, "bugs": list(found)}
+    )
 
 
 def kills(results: Results) -> None:
@@ -126,19 +139,21 @@ def kills(results: Results) -> None:
     total = sum(len(r["kills"]) for r in results)
     bad = [r["different"] for r in results if r["different"]]
     seconds = np.mean([r["seconds"] for r in results])
+    seconds = np.mean([r["seconds"] for r in results])
     lines = [
         "A fit of four trials is stopped by SIGKILL at moments drawn evenly over the time of a whole fit",
         f"({seconds:.0f} s here), gone on with by `resume`, killed again, until it ends. Its posterior.nc (every",
         "variable, bit for bit), summary.json (but for times and provenance), summary.csv and all figures are then",
         "compared with those of a fit that nothing disturbed.",
         "",
-        f"**{total} kills over {len(results)} fits; {len(results) - len(bad)} of {len(results)} ended bit for bit the",
-        "same.**",
+        f"Kills of each fit: {', '.join(str(len(r['kills'])) for r in results)}.",
     ]
     if bad:
         lines += ["", f"Different: {bad}"]
     numbers = {"kills": total, "fits": len(results), "same": len(results) - len(bad), "different": bad}
-    parts.write_page("kills", "Is anything lost when a run is killed?", lines, numbers)
+    numbers["commits"] = {r["commit"] for r in results}
+    verdict = f"{total} kills; {len(results) - len(bad)} of {len(results)} fits ended bit for bit the same."
+    parts.write_page("kills", "Is anything lost when a run is killed?", verdict, lines, numbers)
 
 
 def integrator(rows: Results) -> None:
@@ -153,4 +168,41 @@ def integrator(rows: Results) -> None:
     ]
     lines += [f"| {r['law']} | {r['vectors']} | {r['error']:.1e} | {r['tight']:.1e} |" for r in rows]
     lines += ["", "Bounds: 1e-4 and 1e-5."]
-    parts.write_page("integrator", "Is the integrator accurate over the whole prior?", lines, {"laws": list(rows)})
+    worst, tight = (max(r[key] for r in rows) for key in ("error", "tight"))
+    verdict = (
+        f"Largest error over {sum(r['vectors'] for r in rows)} vectors: {worst:.1e} of the peak, {tight:.1e} tight."
+    )
+    parts.write_page(
+        "integrator", "Is the integrator accurate over the whole prior?", verdict, lines, {"laws": list(rows)}
+    )
+
+
+def samplers(result: Mapping[str, Any]) -> None:
+    """Page of the samplers beside their peers."""
+    lines = [
+        "One coupled record of 1 s at 1 kHz, nu = 100 s/rad, 9 unknowns, the release angle integrated out; all samplers",
+        "see the same log density from the same start. PINTS and zeus call our own posterior; NUTS needs derivatives and",
+        f"has the density in JAX (largest difference {result['jax_gap']:.2g} nats). Effective draws are those of the worst",
+        "coordinate after warm-up; CPU time on one core, all in one run.",
+        "",
+        "| sampler | effective draws | R-hat | evaluations each | CPU s, warm-up | CPU s, draws | effective draws per s "
+        "| ours over it | means differ, errors | sds differ, ratio |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for r in result["runs"]:
+        lines.append(
+            f"| {r['name']} | {r['ess']:.0f} | {r['r_hat']:.4f} | {r['evaluations_each']:.1f} | {r['warm_up']:.2f} | "
+            f"{r['seconds']:.2f} | {r['rate']:.0f} | {r['ratio']:.1f} | {r['means']:.1f} | {r['sds']:.2f} |"
+        )
+    stages = result["stages"]
+    lines += [
+        "",
+        f"Ours from the record to the rule met: {stages['all']:.1f} s of CPU time (fit {stages['fit']:.1f}, warm-up "
+        f"{stages['warm-up']:.1f}, draws {stages['draws']:.1f}); promised: 6 s.",
+    ]
+    lines += [f"Not installed: {', '.join(result['missing'])}."] if result["missing"] else []
+    told = ", ".join(f"{r['ratio']:.1f} x {r['name']}" for r in result["runs"][1:])
+    verdict = f"Effective draws per second: {told}. Posteriors agree."
+    if not result["agree"]:
+        verdict = verdict.replace("Posteriors agree.", "Posteriors do not agree.")
+    parts.write_page("samplers", "How does the sampler compare with its peers?", verdict, lines, dict(result))

@@ -60,14 +60,49 @@ def finished(name: str, code: str | None = None) -> dict[int, dict[str, Any]]:
     return done
 
 
-def write_page(name: str, title: str, lines: Sequence[str], numbers: dict[str, Any], figure: Any = None) -> None:
-    """NAME.md and NAME.json in docs/proof/, and NAME.svg and .png where there is a figure."""
+def write_page(
+    name: str, title: str, verdict: str, lines: Sequence[str], numbers: dict[str, Any], figure: Any = None
+) -> None:
+    """NAME.md and NAME.json in docs/proof/, NAME.svg and .png where there is a figure, and the index of all pages.
+
+    verdict : the result in a sentence or two, for the index.
+    """
     PAGES.mkdir(parents=True, exist_ok=True)
     date = datetime.now(UTC).date().isoformat()
-    numbers = {"schema": f"bayes-damper/proof-{name}/1", "date": date, "commit": commit()} | numbers
+    commits = sorted({str(c)[:12] for c in numbers.pop("commits", [commit()])})
+    head = {"schema": f"bayes-damper/proof-{name}/1", "title": title, "verdict": verdict, "date": date}
+    numbers = head | {"commits": commits} | numbers
     (PAGES / f"{name}.json").write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
-    head = [f"# {title}", "", f"Run on {date}, commit {numbers['commit']}.", ""]
+    text = [f"# {title}", "", f"Run on {date}, commit {', '.join(commits)}. {verdict}", "", *lines]
     if figure is not None:
         figures.save(figure, PAGES / name)
-        lines = [*lines, "", f"![{title}]({name}.svg)"]
-    (PAGES / f"{name}.md").write_text("\n".join([*head, *lines]) + "\n", encoding="utf-8")
+        text += ["", f"![{title}]({name}.svg)"]
+    (PAGES / f"{name}.md").write_text("\n".join(text) + "\n", encoding="utf-8")
+    write_index()
+
+
+def write_index() -> None:
+    """docs/proof/index.md: every page with its question, its result, its date and commit."""
+    rows = []
+    for path in sorted(PAGES.glob("*.json")):
+        page = json.loads(path.read_text(encoding="utf-8"))
+        if page["schema"].startswith("bayes-damper/proof-"):
+            commits = ", ".join(page["commits"])
+            rows.append(
+                f"| [{page['title']}]({path.stem}.md) | {page['verdict']} | `make prove` | {page['date']} | {commits} |"
+            )
+    text = f"""\
+# What is proven, and by which command
+
+`make prove` runs every proof of the table that names it: statistical checks too long for `make test`, about three hours
+on two cores. It works in parts, kept in `results/prove/` (or the folder that `PROVE_OUT` names): stopped at any moment,
+the same command goes on where it was. Parts that another version of the code has written do not count. One proof alone:
+`python -m pytest -m prove tests/prove/test_prove_bugs.py`.
+
+| question | result | command | date | commit |
+| --- | --- | --- | --- | --- |
+{chr(10).join(rows)}
+| [How fast and how accurate is the simulation beside its peers?](bench.md) | table on its page | `bayes-damper bench` | | |
+| [Does the diagnosis name the cause of a gap that it has never seen?](withheld.md) | see its page | `bayes-damper withheld` | | |
+"""
+    (PAGES / "index.md").write_text(text, encoding="utf-8")
