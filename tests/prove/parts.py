@@ -102,7 +102,9 @@ the same command goes on where it was. Parts that another version of the code ha
 | question | result | command | date | commit |
 | --- | --- | --- | --- | --- |
 {chr(10).join(rows)}
-| [How fast and how accurate is the simulation beside its peers?](bench.md) | table on its page | `bayes-damper bench` | | |
-| [Does the diagnosis name the cause of a gap that it has never seen?](withheld.md) | see its page | `bayes-damper withheld` | | |
+
+Two more have commands of their own: [how fast and how accurate the simulation is beside its peers](bench.md),
+`bayes-damper bench`, and [whether the diagnosis names the cause of a gap that it has never seen](withheld.md),
+`bayes-damper withheld`.
 """
     (PAGES / "index.md").write_text(text, encoding="utf-8")

@@ -230,7 +230,7 @@ def jax_gap(posterior: RecordPosterior) -> float:
     return float(np.abs(gap - np.median(gap)).max())
 
 
-def nuts(posterior: RecordPosterior, chains: int = 8, steps: int = 80, warm_up: int = 60) -> Run:
+def nuts(posterior: RecordPosterior, chains: int = 8, steps: int = 40, warm_up: int = 30) -> Run:
     """NUTS with a dense metric and forward-mode derivatives (cheaper here than backward)."""
     import jax
     from numpyro.infer import MCMC, NUTS
