@@ -1,18 +1,20 @@
 """Bugs planted in the fit, never in the campaign: each must show in the ranks.
 
-A bug is a context in which the fit runs (`fault`), or what the fit takes the campaign for (`mistake`).
+A bug is a context in which the fit runs (`fault`), or what the fit takes the campaign for (`mistake`). The fits are
+those without allowance for release and reversals, whose likelihood is that of the campaigns (calibrated.py).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from typing import Any
 from unittest import mock
 
 import numpy as np
+from calibrated import without_allowance
 
 from bayes_damper.calibration import Experiment, Problem
 from bayes_damper.record_posterior import RecordPosterior
@@ -29,6 +31,14 @@ class Bug:
     kind: str
     fault: Fault = nullcontext
     mistake: Callable[[Experiment], Experiment] = lambda e: e
+
+    @contextmanager
+    def planted(self) -> Iterator[None]:
+        """The fit with the bug, and without allowance."""
+        with ExitStack() as stack:
+            stack.enter_context(without_allowance())
+            stack.enter_context(self.fault())
+            yield
 
 
 def _rig(change: Callable[[dict[str, Any]], dict[str, Any]]) -> Fault:
@@ -95,3 +105,4 @@ BUGS = (
     Bug("release angle taken as exact", "late", mistake=_angles(1e-9)),
     Bug("degrees for radians in the angle's uncertainty", "late", mistake=_angles(180.0 / math.pi)),
 )
+SOUND = (Bug("none, plain", "plain"), Bug("none, late", "late"))

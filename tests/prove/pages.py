@@ -33,6 +33,12 @@ def calibration(found: Mapping[str, Results], settings: Mapping[str, Any]) -> No
         "written out in the proof itself: it notices what no single parameter shows, such as data that the fit",
         "does not use (Modrák et al. 2023, arXiv:2211.02383).",
         "",
+        "The fit as it is gives little weight to the release and to readings beside a reversal of friction, because no",
+        "real rig follows the formulas there to the microsecond. Synthetic campaigns do: to them this is information",
+        "left unused on purpose, so posteriors are a little wide there and their draws fit those readings a little worse",
+        "than the truth does. Of the fit as it is every parameter must be calibrated; of the fit without this allowance,",
+        "whose likelihood is exactly that of the campaigns, the log likelihood too.",
+        "",
         "Made by `make prove`, resumable; campaigns are short and of few trials so that hundreds can be fitted:",
         "",
         *(f"- {key}: {value}" for key, value in settings.items()),
@@ -43,12 +49,15 @@ def calibration(found: Mapping[str, Results], settings: Mapping[str, Any]) -> No
         quantities = collected(results)
         n = len(results)
         table = {name: _row(values) for name, values in quantities.items()}
-        least = ranks.least_of([row["p"] for row in table.values()])
+        judged = [name for name in table if name != "log_likelihood" or not kind.endswith("as it is")]
+        least = ranks.least_of([table[name]["p"] for name in judged])
         inside = sum(row["p"] > 0.05 for row in table.values())
         lines += [
             f"## {kind}: {n} campaigns",
             "",
-            f"{inside} of {len(table)} quantities inside their own 95 % band; all together: p = {least:.3g}",
+            f"{inside} of {len(table)} quantities inside their own 95 % band; "
+            + ("all together" if len(judged) == len(table) else "all parameters together")
+            + f": p = {least:.3g}",
             f"({'passed' if least > 0.05 else '**not passed**'}). Effective draws: median",
             f"{np.median([r['ess'] for r in results]):.0f}, least {min(r['ess'] for r in results)};",
             f"CPU time {np.mean([r['cpu_seconds'] for r in results]):.1f} s a campaign.",
@@ -126,7 +135,7 @@ def bugs(found: Sequence[Mapping[str, Any]], level: float) -> None:
     for row in found:
         after = "not caught" if row["caught"] is None else str(row["caught"])
         lines.append(f"| {row['bug']} | {row['kind']} | {after} | {row['by']} | {row['p']:.1e} |")
-    planted = [row for row in found if row["bug"] != "none"]
+    planted = [row for row in found if not row["bug"].startswith("none")]
     caught = sum(row["caught"] is not None for row in planted)
     verdict = f"{caught} of {len(planted)} planted bugs caught."
     parts.write_page(

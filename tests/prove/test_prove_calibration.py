@@ -15,7 +15,9 @@ import synthetic
 from scipy.stats import binom
 
 CAMPAIGNS = 250
-"""Of each kind."""
+"""Of each kind, for the fit as it is."""
+EXACT = 100
+"""Of each kind, for the fit without allowance for release and reversals."""
 THESES = 60
 """Of each case."""
 
@@ -23,8 +25,19 @@ THESES = 60
 @pytest.mark.prove
 @pytest.mark.xdist_group("calibration of records")
 @pytest.mark.parametrize("kind", synthetic.KINDS)
-def test_ranks_of_synthetic_campaigns_are_uniform(kind):
+def test_ranks_of_every_parameter_are_uniform(kind):
+    """The log likelihood is left to the next test: the fit as it is leaves some information unused."""
     results = parts.finish(f"calibration-{kind}", CAMPAIGNS, partial(calibrated.recorded, kind))
+    pages.calibration(calibrated.finished_parts(), calibrated.SETTINGS)
+    _judge(results, but="log_likelihood")
+
+
+@pytest.mark.prove
+@pytest.mark.xdist_group("calibration of records")
+@pytest.mark.parametrize("kind", synthetic.KINDS)
+def test_ranks_of_parameters_and_likelihood_are_uniform_without_allowance(kind):
+    task = partial(calibrated.recorded, kind, fault=calibrated.without_allowance)
+    results = parts.finish(f"exact-{kind}", EXACT, task)
     pages.calibration(calibrated.finished_parts(), calibrated.SETTINGS)
     _judge(results)
 
@@ -38,9 +51,9 @@ def test_ranks_at_the_cases_of_the_thesis_are_uniform(case):
     _judge(results)
 
 
-def _judge(results: list[dict[str, Any]]) -> None:
+def _judge(results: list[dict[str, Any]], but: str = "") -> None:
     """All quantities inside a band that holds all of them at once with 95 %."""
-    p_values = {name: ranks.p_value(values) for name, values in pages.collected(results).items()}
+    p_values = {name: ranks.p_value(values) for name, values in pages.collected(results).items() if name != but}
     assert ranks.least_of(list(p_values.values())) > 0.05, min(p_values.items(), key=lambda item: item[1])
 
 
