@@ -10,12 +10,13 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import threading
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -152,7 +153,7 @@ def _on_processes(tasks: Sequence[Task], folder: Path, workers: int, progress: P
         if not waiting:
             return {task.name: results[task.name] for task in tasks}
         try:
-            with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+            with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_end_with_parent) as pool:
                 futures: dict[Future[Any], Task] = {
                     pool.submit(execute, task, folder / task.name): task for task in waiting
                 }
@@ -167,6 +168,20 @@ def _on_processes(tasks: Sequence[Task], folder: Path, workers: int, progress: P
                 ) from None
         except KeyboardInterrupt:
             raise Interrupted(f"stopped; go on with: bayes-damper resume {folder}") from None
+
+
+def _end_with_parent() -> None:
+    """In a worker: end when the process that started it has been killed. Left alone, it would go on writing into a
+    folder in which `resume` is at work.
+    """
+    parent = parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _collect(futures: dict[Future[Any], Task], folder: Path, progress: Progress, results: dict[str, Any]) -> None:
