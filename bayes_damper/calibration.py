@@ -173,27 +173,49 @@ def default_priors(experiment: Experiment) -> dict[str, Distribution]:
 class Noise:
     """Noise of each channel: an ARMA(1, 1) process (a white one plus an AR(1) one); phi = theta = 0 is white.
 
-    innovation: sd of the innovations, the channel's unit; total: sd of the noise itself.
+    innovation: sd of the innovations, the channel's unit; total: sd of the noise itself; longer: for each channel the
+    coefficients of a longer autoregression that takes the place of phi and theta, empty where there is none.
     """
 
     innovation: tuple[float, ...]
     phi: tuple[float, ...]
     theta: tuple[float, ...]
+    longer: tuple[tuple[float, ...], ...] = ()
+
+    def filter(self, channel: int) -> tuple[list[float], list[float]]:
+        """Numerator and denominator of the filter that turns the noise into its innovations."""
+        if self.longer and self.longer[channel]:
+            return [1.0, *(-a for a in self.longer[channel])], [1.0]
+        return [1.0, -self.phi[channel]], [1.0, -self.theta[channel]]
 
     @property
     def total(self) -> tuple[float, ...]:
         """Standard deviation of the noise of each channel."""
-        return tuple(
-            s * math.sqrt((1.0 + t * t - 2.0 * p * t) / (1.0 - p * p))
-            for s, p, t in zip(self.innovation, self.phi, self.theta, strict=True)
-        )
+        out = []
+        for channel, (s, p, t) in enumerate(zip(self.innovation, self.phi, self.theta, strict=True)):
+            if self.longer and self.longer[channel]:
+                impulse = np.zeros(20_000)
+                impulse[0] = 1.0
+                ahead, back = self.filter(channel)
+                out.append(s * math.sqrt(float(np.sum(np.square(lfilter(back, ahead, impulse))))))
+            else:
+                out.append(s * math.sqrt((1.0 + t * t - 2.0 * p * t) / (1.0 - p * p)))
+        return tuple(out)
+
+    def density(self, channel: int, omega: Array) -> Array:
+        """Spectral density at angular frequencies omega (rad per sample), the channel's unit squared."""
+        ahead, back = self.filter(channel)
+        z = np.exp(-1j * omega)
+        gain = np.polyval(back[::-1], z) / np.polyval(ahead[::-1], z)
+        return np.asarray(self.innovation[channel] ** 2 * np.abs(gain) ** 2)
 
     def whiten(self, channel: int, r: Array) -> Array:
         """Innovations of residuals r (..., n), in units of their standard deviation."""
-        p, t, s = self.phi[channel], self.theta[channel], self.innovation[channel]
-        if p == 0.0 and t == 0.0:
+        s = self.innovation[channel]
+        ahead, back = self.filter(channel)
+        if not any(ahead[1:]) and not any(back[1:]):
             return r / s
-        return np.asarray(lfilter([1.0, -p], [1.0, -t], r, axis=-1)) / s
+        return np.asarray(lfilter(ahead, back, r, axis=-1)) / s
 
 
 @dataclass(frozen=True)
@@ -276,8 +298,11 @@ class Problem:
         threads: int = 1,
         tolerance: float = 1.0,
         trials: Sequence[int] | None = None,
+        factors: Mapping[int, Array] | None = None,
     ) -> None:
-        """`trials`: indices of those to fit, default all that are not held out; `noise` is estimated if absent."""
+        """`trials`: indices of those to fit, default all that are not held out; `noise` is estimated if absent;
+        factors: trial -> what multiplies the weights of its readings, (channels, n) or a number.
+        """
         self.experiment = experiment
         self.effect = effect
         self.nominal = nominal
@@ -285,6 +310,7 @@ class Problem:
         self.tolerance = tolerance
         self.trials = tuple(experiment.training if trials is None else trials)
         self.switches = switches or Switches()
+        self.factors = dict(factors or {})
         self.noise = noise or rough_noise(experiment, self.trials)
         self._defaults = default_priors(experiment)
         self._cases = tuple(dict.fromkeys(t.case for t in experiment.trials))
@@ -304,7 +330,15 @@ class Problem:
         """The same problem under another noise."""
         return Problem(
             self.experiment, self.effect, nominal=self.nominal, noise=noise, switches=self.switches,
-            threads=self.threads, tolerance=self.tolerance, trials=self.trials,
+            threads=self.threads, tolerance=self.tolerance, trials=self.trials, factors=self.factors,
+        )  # fmt: skip
+
+    def reweighted(self, factors: Mapping[int, Array]) -> Problem:
+        """The same problem with weights of readings multiplied: trial -> (channels, n) or a number."""
+        both = {i: f * self.factors[i] if i in self.factors else f for i, f in factors.items()}
+        return Problem(
+            self.experiment, self.effect, nominal=self.nominal, noise=self.noise, switches=self.switches,
+            threads=self.threads, tolerance=self.tolerance, trials=self.trials, factors={**self.factors, **both},
         )  # fmt: skip
 
     def for_trials(self, trials: Sequence[int]) -> Problem:
@@ -426,6 +460,8 @@ class Problem:
             for k, t in enumerate(trials):
                 if t.times[0] <= 0.0:
                     weight[k][:, early] *= RELEASE_WEIGHT
+        for k, i in enumerate(members):
+            weight[k] *= self.factors.get(i, 1.0)
         missing = ~np.isfinite(raw)
         weight[missing] = 0.0
         annealed = np.minimum(annealed, weight)
@@ -1154,7 +1190,7 @@ def learn_noise(fit: Calibration, colour: bool = True) -> Noise:
         counts: dict[int, float] = {}
         lone: dict[int, list[Array]] = {}
         for members in sets.values():
-            usable = [i for i in members if c < residuals[i].shape[0]]
+            usable = [i for i in members if c < residuals[i].shape[0] and weights[i][c].max(initial=0.0) > 0.9]
             lengths = {residuals[i].shape[1] for i in usable}
             if not usable:
                 continue
@@ -1173,7 +1209,7 @@ def learn_noise(fit: Calibration, colour: bool = True) -> Noise:
                     lone.setdefault(d.size, []).append(power[power.size // 3 :])
         if spectra and sum(len(v) for v in spectra.values()) > 1:
             a, p, theta = _fit_spectrum(
-                spectra, counts, colour and all(_even(e.trials[i].times) for i in problem.trials)
+                spectra, counts, colour and all(evenly_sampled(e.trials[i].times) for i in problem.trials)
             )
         elif lone:
             values = np.concatenate([x for v in lone.values() for x in v])
@@ -1186,7 +1222,7 @@ def learn_noise(fit: Calibration, colour: bool = True) -> Noise:
     return Noise(tuple(innovation), tuple(phis), tuple(thetas))
 
 
-def _even(times: Array) -> bool:
+def evenly_sampled(times: Array) -> bool:
     """Whether the samples are evenly spaced, to 2 %."""
     gaps = np.diff(times)
     return bool(gaps.size > 0 and gaps.max() < 1.02 * gaps.min() + 1e-12)
@@ -1196,6 +1232,15 @@ def _fit_spectrum(
     spectra: Mapping[int, list[Array]], counts: Mapping[int, float], colour: bool
 ) -> tuple[float, float, float]:
     """Whittle fit of a white plus an AR(1) process: sd of the innovations, phi, theta of the ARMA(1, 1) they form."""
+    omega, power, count = spectrum_bins(spectra, counts)
+    white = float(np.sum(count * power) / np.sum(count))
+    if not colour or omega.size < 50:
+        return math.sqrt(white), 0.0, 0.0
+    return whittle(omega, power, count)
+
+
+def spectrum_bins(spectra: Mapping[int, list[Array]], counts: Mapping[int, float]) -> tuple[Array, Array, Array]:
+    """Angular frequency, mean power and count of every bin of spectra by record length (without their mean)."""
     bins = []
     for n, powers in spectra.items():
         mean = np.mean(powers, axis=0)
@@ -1204,21 +1249,31 @@ def _fit_spectrum(
     omega = np.concatenate([b[0] for b in bins])
     power = np.concatenate([b[1] for b in bins])
     count = np.concatenate([np.full(b[0].size, b[2]) for b in bins])
+    return omega, power, count
+
+
+def whittle(
+    omega: Array, power: Array, count: Array, farthest: float = 0.99, starts: Sequence[float] = (2.0,)
+) -> tuple[float, float, float]:
+    """Whittle fit of a white plus an AR(1) process to power at omega: innovation, phi, theta of their ARMA(1, 1).
+
+    White where colour raises the likelihood by less than 3 nats. farthest : largest phi; starts : logits of phi.
+    """
     white = float(np.sum(count * power) / np.sum(count))
 
     def minus_log(x: Array) -> float:
-        a, b, phi = math.exp(x[0]), math.exp(x[1]), 0.99 / (1.0 + math.exp(-x[2]))
+        a, b, phi = math.exp(x[0]), math.exp(x[1]), farthest / (1.0 + math.exp(-x[2]))
         s = a + b / (1.0 + phi * phi - 2.0 * phi * np.cos(omega))
         return float(np.sum(count * (np.log(s) + power / s)))
 
     flat = float(np.sum(count * (math.log(white) + power / white)))
-    if not colour or omega.size < 50:
-        return math.sqrt(white), 0.0, 0.0
-    start = np.array([math.log(0.8 * white), math.log(0.04 * white), 2.0])
-    found = minimize(minus_log, start, method="Nelder-Mead", options={"maxiter": 400, "xatol": 1e-3, "fatol": 1e-3})
+    begun = [np.array([math.log(0.8 * white), math.log(0.04 * white), x]) for x in starts]
+    options = {"maxiter": 400, "xatol": 1e-3, "fatol": 1e-3}
+    tried = [minimize(minus_log, start, method="Nelder-Mead", options=options) for start in begun]
+    found = min(tried, key=lambda t: float(t.fun))
     if flat - float(found.fun) < 3.0:
         return math.sqrt(white), 0.0, 0.0
-    a, b, phi = math.exp(found.x[0]), math.exp(found.x[1]), 0.99 / (1.0 + math.exp(-found.x[2]))
+    a, b, phi = math.exp(found.x[0]), math.exp(found.x[1]), farthest / (1.0 + math.exp(-found.x[2]))
     # a |1 - phi z|^2 + b = s^2 |1 - theta z|^2
     if a * phi <= 0.0:
         return math.sqrt(white), 0.0, 0.0

@@ -54,6 +54,7 @@ def _fit(args: Arguments) -> Any:
         cases=args.case,
         priors=args.priors,
         normal_force=args.normal_force,
+        noise=args.noise,
         out=args.out,
         seed=args.seed,
         workers=args.workers,
@@ -265,6 +266,8 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--case", action="append", metavar="C", help="only this case (repeat for several)")
     sub.add_argument("--priors", type=Path, metavar="F.toml", help="prior file in place of the shipped one")
     sub.add_argument("--normal-force", choices=("linear", "constant"), help="law of the magnet's pull (eq. 20)")
+    sub.add_argument("--noise", choices=("auto", "gaussian", "student", "ar"), default="auto",
+                     help="white, with outliers, or correlated by what the fit leaves (default: by data)")  # fmt: skip
     sub.add_argument("--thorough", action="store_true", help="50 autocorrelation times instead of 20")
     sub.add_argument("--most-steps", type=int, metavar="N", help="give up after N steps of each ensemble")
     workers(sub)

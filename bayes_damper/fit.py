@@ -21,10 +21,13 @@ from numpy.typing import NDArray
 
 from bayes_damper import arviz_adapter, figures
 from bayes_damper.arviz_adapter import hdi
-from bayes_damper.calibration import Experiment, calibrate_nominal, experiment_of, middle
+from bayes_damper.calibration import Experiment, experiment_of, middle
 from bayes_damper.campaign import load_campaign
 from bayes_damper.checkpoint import Checkpoint
 from bayes_damper.errors import ExitCode, InputError
+from bayes_damper.evidence import bridge
+from bayes_damper.influence import comparison, influence, without
+from bayes_damper.noise import KINDS, FittedNoise, fit_with_noise
 from bayes_damper.parameters import PARAMETERS, unit_of
 from bayes_damper.posterior import Coordinates, Datum, FeaturePosterior, Shared
 from bayes_damper.priors import PriorSet, campaign_priors, load_priors, priors_from_dict
@@ -34,6 +37,8 @@ from bayes_damper.record_posterior import RecordPosterior, trial_label
 from bayes_damper.run import Progress, Task, read_json, run_tasks, write_json
 from bayes_damper.sampling import Progress as Stage
 from bayes_damper.sampling import Sampling, Start, StoppingRule, annealed_start, sample
+from bayes_damper.sensitivity import of_standard_draws
+from bayes_damper.sensitivity import text as sensitivity_text
 from bayes_damper.summary import summarise, table_text, write_table
 
 Array = NDArray[np.float64]
@@ -74,8 +79,41 @@ class Fit:
                 title += "   *** DID NOT CONVERGE: do not use these numbers ***"
             parts.append(table_text(found["parameters"], title))
             parts += [f"  {sentence}" for sentence in found["sentences"]]
+            parts += _more_text(found)
         parts.append(f"Files: {self.folder}")
         return "\n".join(parts)
+
+
+def _more_text(found: Mapping[str, Any]) -> list[str]:
+    """Lines on trials apart, priors and evidence of one entry of summary.json."""
+    lines = []
+    apart = found.get("unlike_repeats")
+    if apart:
+        for row in apart["trials"]:
+            more = " (or its only repeat is the odd one)" if row["or_its_only_repeat"] else ""
+            lines.append(
+                f"  Trial {row['trial']} is unlike its repeats{more}: its residuals have {row['residual_power']:.1f} "
+                "times their power. Look at the record; set holdout = true in trials.csv to fit without it."
+            )
+        if apart["answers"]:
+            shifts = {n: p["shift_sd"] for n, p in apart["answers"].items() if not math.isclose(p["shift_sd"], 0.0)}
+            worst = sorted(shifts, key=lambda n: -abs(shifts[n]))[:4]
+            told = ", ".join(
+                f"{n} {apart['answers'][n]['with']['value']:.4g} -> {apart['answers'][n]['without']['value']:.4g} "
+                f"({shifts[n]:+.1f} sd)"
+                for n in worst
+            )
+            lines.append(f"  Without: {told}.")
+        else:
+            lines.append("  Without it a configuration would have no trial left: no answer without it.")
+    if found.get("prior_sensitivity"):
+        lines += sensitivity_text(found["prior_sensitivity"])
+    if found.get("log_evidence"):
+        e = found["log_evidence"]
+        lines.append(
+            f"  Log evidence {e['value']:.2f} +- {e['error']:.2f} nats ({e['health']:.0%} of proposals count)."
+        )
+    return lines
 
 
 def fit(
@@ -84,6 +122,7 @@ def fit(
     cases: Sequence[str] | None = None,
     priors: str | Path | None = None,
     normal_force: str | None = None,
+    noise: str = "auto",
     out: str | Path = "results/fit",
     seed: int = 1,
     workers: int = 1,
@@ -99,7 +138,8 @@ def fit(
     ----------
     campaign : folder of a campaign, or "thesis" for the published measurements.
     cases : only these; default all. priors : prior file in place of the shipped one. normal_force : "linear" or
-    "constant" (eq. 20), overrides the campaign's. seed : decides every random number. workers : processes.
+    "constant" (eq. 20), overrides the campaign's. noise : "gaussian" (white), "student" (outliers), "ar" (correlated,
+    learnt from what the fit leaves) or "auto", by the data. seed : decides every random number. workers : processes.
     thorough : 50 autocorrelation times in place of 20. most_steps : give up after so many steps of each ensemble.
     joint : whether to fit all cases of a campaign together too.
 
@@ -113,7 +153,7 @@ def fit(
     folder = Path(out)
     plan = plan_fit(
         str(campaign), cases=cases, priors=None if priors is None else str(priors), normal_force=normal_force,
-        seed=seed,
+        noise=noise, seed=seed,
         thorough=thorough, most_steps=most_steps, joint=joint,
     )  # fmt: skip
     start_run(folder, {"command": "fit", "plan": plan, "workers": workers})
@@ -126,6 +166,7 @@ def plan_fit(
     cases: Sequence[str] | None,
     priors: str | None,
     normal_force: str | None,
+    noise: str = "auto",
     seed: int,
     thorough: bool,
     most_steps: int | None,
@@ -152,6 +193,10 @@ def plan_fit(
         raise InputError(f"--case {unknown[0]}: there is no such case; {campaign} has {', '.join(known)}")
     if normal_force not in (None, "linear", "constant"):
         raise InputError(f"normal_force {normal_force!r}: expected linear or constant")
+    if noise not in KINDS:
+        raise InputError(f"--noise {noise}: expected one of {', '.join(KINDS)}")
+    if noise != "auto" and thesis:
+        raise InputError("--noise: the published features have standard errors of their own; leave it out")
     return {
         "campaign": campaign if thesis else str(Path(campaign).resolve()),
         "name": name,
@@ -160,6 +205,7 @@ def plan_fit(
         "joint": joint and not thesis and len(chosen) > 1,
         "priors": None if prior_set is None else prior_set.to_dict(),
         "normal_force": normal_force,
+        "noise": noise,
         "seed": seed,
         "thorough": thorough,
         "most_steps": most_steps,
@@ -348,8 +394,10 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
     """Task: fit one case of a campaign, or all together (`name` "joint"); its entry of summary.json."""
     experiment, units = recorded_experiment(plan, None if name == "joint" else name)
     report(0.0, "finding the best fit")
-    best = calibrate_nominal(experiment)
-    posterior = RecordPosterior(best)
+    noise = fit_with_noise(experiment, plan.get("noise", "auto"), lambda text: report(0.0, text))
+    best = noise.fit
+    freedom = noise.freedom if noise.kind == "student" else None
+    posterior = RecordPosterior(best, power=noise.power, freedom=freedom)
     rng = np.random.default_rng([plan["seed"], _number(name)])
 
     def start() -> Start:
@@ -366,6 +414,12 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
     bands = posterior.predictive(few, rng)
     entry = _entry(draws, _shares(posterior.names, sampling.flat()), sampling, dict(posterior.outcomes), units)
     labels = {i: trial_label(experiment.trials[i]) for i in posterior.trials}
+    report(0.97, "evidence, trials left out, priors changed")
+    entry["noise"] = noise.to_json(units("sigma1"))
+    entry["sentences"] += noise.sentences(units("sigma1"))
+    entry |= _trials_apart(experiment, noise, labels, plan.get("noise", "auto"))
+    entry["prior_sensitivity"] = of_standard_draws(posterior.names, sampling.flat(4 * KEPT_DRAWS))
+    entry["log_evidence"] = _evidence(posterior, sampling, rng)
     entry["trials"] = {
         labels[i]: {
             key: {"mean": float(x.mean()), "sd": float(x.std()), "hdi90": list(hdi(x)), "unit": units(key)}
@@ -388,7 +442,7 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
         "trial_posterior": per_trial,
         "prior": _one_chain(posterior.values(rng.standard_normal((2000, posterior.ndim)))),
         "posterior_predictive": {labels[i]: y[None] for i, y in bands.items()},
-        "log_likelihood": {"trials": _as_chains(posterior.log_likelihood(kept), sampling)},
+        "log_likelihood": {"trials": _as_chains(posterior.log_likelihood(kept) + posterior.constant, sampling)},
         "observed_data": {labels[i]: experiment.trials[i].y for i in posterior.trials},
         "constant_data": {labels[i]: experiment.trials[i].times for i in posterior.trials},
     }
@@ -399,6 +453,49 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
     )
     _draw_records(folder, experiment, bands, sampling.converged, units("sigma1"))
     return entry
+
+
+def _trials_apart(experiment: Experiment, noise: FittedNoise, labels: Mapping[int, str], kind: str) -> dict[str, Any]:
+    """Entries `influence` and `unlike_repeats` of summary.json."""
+    names = noise.fit.problem.names
+    moved = {labels[i]: shift for i, shift in influence(noise.fit).items()}
+    found = noise.unlike
+    entry: dict[str, Any] = {
+        "influence": {
+            label: {
+                "moves_most": names[k],
+                "shift_sd": float(shift[k]),
+                "shifts_sd": {n: float(x) for n, x in zip(names, shift, strict=True)},
+            }
+            for label, shift in moved.items()
+            if len(shift)
+            for k in [int(np.argmax(np.abs(shift)))]
+        },
+        "unlike_repeats": None,
+    }
+    if found:
+        other = without(experiment, tuple(u.trial for u in found), kind)
+        entry["unlike_repeats"] = {
+            "trials": [
+                {"trial": labels[u.trial], "residual_power": u.power, "or_its_only_repeat": u.alone} for u in found
+            ],
+            "answers": None if other is None else comparison(noise.fit, other.fit),
+        }
+    return entry
+
+
+def _evidence(posterior: RecordPosterior, sampling: Sampling, rng: np.random.Generator) -> dict[str, Any]:
+    """Entry `log_evidence` of summary.json: of the readings, all unknowns integrated out, in nats."""
+    found = bridge(posterior, sampling.draws, sampling.log_prob, rng)
+    constant = float(posterior.constant.sum())
+    return {
+        "value": found.log_z + constant,
+        "error": found.error,
+        "health": found.health,
+        "spread_of_halves": found.spread,
+        "evaluations": found.evaluations,
+        "sentence": found.sentence,
+    }
 
 
 def _trial_draws(posterior: RecordPosterior, points: Array, rng: np.random.Generator) -> dict[int, dict[str, Array]]:

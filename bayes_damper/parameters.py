@@ -32,6 +32,7 @@ _ALL = (
     Parameter("delay", "t0", "s", "instant of the true release on the record's clock"),
     Parameter("sigma1", "sigma1", "rad/s^2", "noise of the primary's channel"),
     Parameter("sigma2", "sigma2", "rad/s^2", "noise of the secondary's channel"),
+    Parameter("noise_freedom", "f", "1", "degrees of freedom of Student's t noise: few where there are outliers"),
     Parameter("J1", "J1", "kg m^2", "moment of inertia of the primary"),
     Parameter("J2", "J2", "kg m^2", "moment of inertia of the secondary"),
     Parameter("J12", "J12", "kg m^2", "inertial coupling of the two bodies"),

@@ -12,13 +12,16 @@ where channel c enters with w / s_c and T / s_c; s_c, the noise relative to its 
 those of calibration.py's best fit and stay fixed, so that an evaluation costs one simulation per trial and no more
 dimensions; tests hold this against sampling the nuisances one by one. Given a draw, a trial's nuisances are Gaussian
 with mean eta - A^-1 b and covariance A^-1: `nuisances` draws them.
+
+Under Student's t noise of f degrees of freedom each reading enters A and b with the weight (f + 1) / (f + w^2 / s^2),
+the nuisances move by -A^-1 b, and the density there is that of Student's t (Laplace's approximation, one step).
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,10 +29,13 @@ from numpy.typing import NDArray
 
 from bayes_damper.calibration import Calibration, Group, TrialRecord
 from bayes_damper.distributions import Distribution, LogNormal, from_standard, to_standard
+from bayes_damper.noise import student_log_density
 
 Array = NDArray[np.float64]
 NOISE_PRIOR = LogNormal(1.0, 1.5)
 """Prior of each channel's noise relative to its estimate: thousands of readings decide, not this."""
+FREEDOM_PRIOR = LogNormal(8.0, 3.0)
+"""Prior of the degrees of freedom of Student's t noise; beyond 30 it is all but Gaussian."""
 DECLARED_NOISE = 1.1
 """Factor within which a declared noise_std is believed."""
 
@@ -45,6 +51,14 @@ class _Part:
     T: Array
     TT: Array
     readings: Array
+
+
+def _solve(A: Array, b: Array) -> Array:
+    return np.asarray(np.linalg.solve(A, b[..., None])[..., 0]) if b.shape[-1] else b
+
+
+def _log_det(A: Array) -> Array:
+    return np.asarray(np.linalg.slogdet(A)[1]) if A.shape[-1] else np.zeros(A.shape[:-2])
 
 
 def trial_label(trial: TrialRecord) -> str:
@@ -69,13 +83,19 @@ class RecordPosterior:
     names : those of the problem, then sigma1 (and sigma2), at the level that the priors give them; ndim : their number.
     """
 
-    def __init__(self, fit: Calibration) -> None:
+    def __init__(self, fit: Calibration, *, power: Sequence[float] | None = None, freedom: float | None = None) -> None:
+        """`power` : mean square innovation of each channel at the best fit, where the noise stands for a misfit that
+        repeats share: each reading then counts as so many; freedom : first guess of the degrees of freedom, for
+        Student's t noise.
+        """
         self.fit = fit
         self.problem = fit.problem
-        self.parts = tuple(self._part(block.group, block.T, block.eta) for block in fit.linear.blocks)
+        self.freedom = freedom
+        self.parts = tuple(self._part(block.group, block.T, block.eta, power) for block in fit.linear.blocks)
         self.channels = max(part.group.y.shape[1] for part in self.parts)
         self.sigmas = self._sigmas()
         self.names = self.problem.names + tuple(sigma.name for sigma in self.sigmas)
+        self.names += () if freedom is None else ("noise_freedom",)
         self.ndim = len(self.names)
         self.outcomes: Counter[str] = Counter()
         # Which unknown noise each trial and channel has, -1 where it is fixed.
@@ -131,12 +151,16 @@ class RecordPosterior:
         prior = self.sigma_prior(name, source, self.problem.experiment.trials[trial].case)
         return float(prior) / self.problem.noise.total[channel] if isinstance(prior, float | int) else 1.0
 
-    @staticmethod
-    def _part(group: Group, T: Array, eta: Array) -> _Part:
+    def _part(self, group: Group, T: Array, eta: Array, power: Sequence[float] | None) -> _Part:
         n, channels, samples = group.y.shape
         T = T.reshape(n, -1, channels, samples).transpose(0, 2, 1, 3)
         TT = np.matmul(T, T.transpose(0, 1, 3, 2))
-        readings = np.sum(group.weight**2, axis=2)  # as in Problem.n_data: else the noise would come out too small
+        # As in Problem.n_data, else the noise would come out too small; but all readings of a trial that counts less
+        # because its own residuals are larger.
+        own = np.array([float(np.mean(self.problem.factors.get(i, 1.0))) for i in group.trials])
+        readings = np.sum(group.weight**2, axis=2) / own[:, None] ** 2
+        if power is not None:
+            readings = readings * np.array(power[:channels])
         return _Part(group, eta, np.ascontiguousarray(T), TT, readings)
 
     @property
@@ -149,7 +173,8 @@ class RecordPosterior:
         """The best fit, (ndim,)."""
         total = self.problem.noise.total
         noise = [float(np.clip(to_standard(s.prior, total[s.channel]), -8.0, 8.0)) for s in self.sigmas]
-        return np.concatenate([self.fit.q, noise])
+        tails = [] if self.freedom is None else [float(to_standard(FREEDOM_PRIOR, self.freedom))]
+        return np.concatenate([self.fit.q, noise, tails])
 
     @property
     def covariance(self) -> Array:
@@ -170,6 +195,8 @@ class RecordPosterior:
             up, down = from_standard(s.prior, start[k] + 1e-3), from_standard(s.prior, start[k] - 1e-3)
             slope = float(np.log(up / down)) / 2e-3  # of ln sigma
             full[size + k, size + k] = 1.0 / (2.0 * count * slope**2 + 1.0)
+        if self.freedom is not None:
+            full[-1, -1] = 0.01
         return full
 
     def noise_scale(self, points: Array) -> Array:
@@ -182,8 +209,20 @@ class RecordPosterior:
             out[:, rows, channels] = value[:, None] / np.array(total)[channels]
         return out
 
-    def _sums(self, part: _Part, q: Array) -> tuple[Array, Array]:
-        """Sums of squares w'w (k, trials, channels) and T'w (k, trials, channels, m) for each q (k, size)."""
+    @property
+    def constant(self) -> Array:
+        """What `log_likelihood` leaves out of each trial's log density of its readings, (trials,)."""
+        out = []
+        for part in self.parts:
+            weight = part.group.weight
+            counted = weight > 0.0
+            sizes = np.log(np.array(self.problem.noise.innovation[: weight.shape[1]]))
+            each = np.where(counted, np.log(np.where(counted, weight, 1.0)) - sizes[None, :, None], 0.0)
+            out.append(each.sum(axis=(1, 2)) - 0.5 * math.log(2.0 * math.pi) * counted.sum(axis=(1, 2)))
+        return np.concatenate(out)
+
+    def _residuals(self, part: _Part, q: Array) -> Array:
+        """Whitened residuals (k, trials, channels, n) at the part's eta for each q (k, size)."""
         n, channels, samples = part.group.y.shape
         k = len(q)
         which = np.tile(np.arange(n), k)
@@ -191,25 +230,43 @@ class RecordPosterior:
         failed = ~np.isfinite(y).all(axis=(1, 2))
         self.outcomes["FAILED"] += int(failed.sum())
         self.outcomes["COMPLETED"] += int((~failed).sum())
-        w = self.problem.whitened(y - part.group.y[which], part.group.weight[which]).reshape(k, n, channels, samples)
-        return np.einsum("kncs,kncs->knc", w, w), np.einsum("ncms,kncs->kncm", part.T, w, optimize=True)
+        w = self.problem.whitened(y - part.group.y[which], part.group.weight[which])
+        return np.asarray(w.reshape(k, n, channels, samples))
+
+    def _evaluated(self, part: _Part, points: Array, s: Array) -> tuple[Array, Array, Array]:
+        """Log likelihood (k, trials), mean (k, trials, m) and inverse covariance (k, trials, m, m) of the nuisances."""
+        w = self._residuals(part, points[:, : self.problem.size])
+        if self.freedom is not None:
+            return self._student(part, w, s, from_standard(FREEDOM_PRIOR, points[:, -1]))
+        Tw = np.einsum("ncms,kncs->kncm", part.T, w, optimize=True)
+        A = np.eye(part.T.shape[2]) + np.einsum("knc,ncij->knij", s**-2, part.TT)
+        b = part.eta + np.einsum("knc,kncm->knm", s**-2, Tw)
+        move = _solve(A, b)
+        quadratic = np.sum(np.einsum("kncs,kncs->knc", w, w) / s**2, axis=2) + np.sum(part.eta**2, axis=1)
+        value = -0.5 * (quadratic - np.sum(b * move, axis=2) + _log_det(A)) - np.sum(np.log(s) * part.readings, axis=2)
+        return value, part.eta - move, A
+
+    @staticmethod
+    def _student(part: _Part, w: Array, s: Array, freedom: Array) -> tuple[Array, Array, Array]:
+        f = freedom[:, None, None, None]
+        counted = part.group.weight > 0.0
+        w = np.where(counted, w / s[..., None], 0.0)
+        weight = np.where(counted, (f + 1.0) / (f + w**2), 0.0) / s[..., None] ** 2
+        A = np.eye(part.T.shape[2]) + np.einsum("kncs,ncis,ncjs->knij", weight, part.T, part.T, optimize=True)
+        b = part.eta + np.einsum("kncs,ncms,knc->knm", weight * w, part.T, s, optimize=True)
+        move = _solve(A, b)
+        moved = w - np.einsum("ncms,knm->kncs", part.T, move, optimize=True) / s[..., None]
+        each = np.where(counted, student_log_density(moved, f), 0.0).sum(axis=3) - np.log(s) * part.readings
+        mean = part.eta - move
+        return each.sum(axis=2) - 0.5 * (np.sum(mean**2, axis=2) + _log_det(A)), mean, A
 
     def log_likelihood(self, points: Array) -> Array:
         """Log likelihood of each trial, its nuisances integrated out: (n, trials); -inf where a simulation failed.
 
-        Up to a constant that depends on the data and the noise model alone.
+        Up to `constant`, which depends on the data and the noise model alone.
         """
         points = np.atleast_2d(points)
-        columns = []
-        for part, s in self._scaled(points):
-            ww, Tw = self._sums(part, points[:, : self.problem.size])
-            A, b = self._conditional(part, Tw, s)
-            quadratic = np.sum(ww / s**2, axis=2) + np.sum(part.eta**2, axis=1)
-            if A.shape[-1]:
-                quadratic = quadratic - np.einsum("knm,knm->kn", b, np.linalg.solve(A, b[..., None])[..., 0])
-                quadratic = quadratic + np.linalg.slogdet(A)[1]
-            columns.append(-0.5 * quadratic - np.sum(np.log(s) * part.readings, axis=2))
-        value = np.concatenate(columns, axis=1)
+        value = np.concatenate([self._evaluated(part, points, s)[0] for part, s in self._scaled(points)], axis=1)
         return np.where(np.isfinite(value), value, -np.inf)
 
     def _scaled(self, points: Array) -> Iterator[tuple[_Part, Array]]:
@@ -220,12 +277,6 @@ class RecordPosterior:
             n, channels = part.group.y.shape[:2]
             yield part, scale[:, first : first + n, :channels]
             first += n
-
-    @staticmethod
-    def _conditional(part: _Part, Tw: Array, s: Array) -> tuple[Array, Array]:
-        """A (k, trials, m, m) and b (k, trials, m) of the nuisances given the parameters."""
-        A = np.eye(part.T.shape[2]) + np.einsum("knc,ncij->knij", s**-2, part.TT)
-        return A, part.eta + np.einsum("knc,kncm->knm", s**-2, Tw)
 
     def log_prior(self, points: Array) -> Array:
         """Log prior density in standard coordinates, (n,)."""
@@ -242,19 +293,17 @@ class RecordPosterior:
         points = np.atleast_2d(points)
         size = self.problem.size
         named = dict(self.problem.parameters(points[:, :size]))
-        return named | {s.name: from_standard(s.prior, points[:, size + k]) for k, s in enumerate(self.sigmas)}
+        named |= {s.name: from_standard(s.prior, points[:, size + k]) for k, s in enumerate(self.sigmas)}
+        return named if self.freedom is None else named | {"noise_freedom": from_standard(FREEDOM_PRIOR, points[:, -1])}
 
     def nuisances(self, points: Array, rng: np.random.Generator) -> dict[int, Array]:
         """Draws of each trial's nuisances given the parameters: trial -> (n, m) in standard coordinates."""
         points = np.atleast_2d(points)
         drawn: dict[int, Array] = {}
         for part, s in self._scaled(points):
-            _, Tw = self._sums(part, points[:, : self.problem.size])
-            A, b = self._conditional(part, Tw, s)
-            m = part.eta.shape[1]
-            if m == 0:
+            _, mean, A = self._evaluated(part, points, s)
+            if part.eta.shape[1] == 0:
                 continue
-            mean = part.eta - np.linalg.solve(A, b[..., None])[..., 0]
             root = np.linalg.inv(np.linalg.cholesky(A)).transpose(0, 1, 3, 2)
             noise = np.einsum("knij,knj->kni", root, rng.standard_normal(mean.shape))
             for k, i in enumerate(part.group.trials):

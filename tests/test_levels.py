@@ -174,7 +174,9 @@ def test_noise_at_every_level_has_the_density_of_a_gaussian(experiment: Experime
                 case = f"{name}[{experiment.trials[i].case}]"
                 sigma = values.get(name, values.get(case, values["sigma1"] if "sigma2" in entries else 2.0))
                 r = (part.group.y[k, c] - y[k, c]) * part.group.weight[k, c]
-                expected += -0.5 * float(r @ r) / sigma**2 - r.size * math.log(sigma / NOISE)
+                expected += -0.5 * float(r @ r) / sigma**2 - float(np.sum(part.group.weight[k, c] ** 2)) * math.log(
+                    sigma / NOISE
+                )
             assert next(order) == pytest.approx(expected, rel=1e-9)
 
 
