@@ -209,11 +209,16 @@ class Noise:
         gain = np.polyval(back[::-1], z) / np.polyval(ahead[::-1], z)
         return np.asarray(self.innovation[channel] ** 2 * np.abs(gain) ** 2)
 
+    def coloured(self, channel: int) -> bool:
+        """Whether the noise of a channel is correlated."""
+        ahead, back = self.filter(channel)
+        return any(ahead[1:]) or any(back[1:])
+
     def whiten(self, channel: int, r: Array) -> Array:
         """Innovations of residuals r (..., n), in units of their standard deviation."""
         s = self.innovation[channel]
         ahead, back = self.filter(channel)
-        if not any(ahead[1:]) and not any(back[1:]):
+        if not self.coloured(channel):
             return r / s
         return np.asarray(lfilter(ahead, back, r, axis=-1)) / s
 

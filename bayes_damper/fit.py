@@ -36,7 +36,7 @@ from bayes_damper.published import load_published
 from bayes_damper.record_posterior import RecordPosterior, trial_label
 from bayes_damper.run import Progress, Task, read_json, run_tasks, write_json
 from bayes_damper.sampling import Progress as Stage
-from bayes_damper.sampling import Sampling, Start, StoppingRule, annealed_start, sample
+from bayes_damper.sampling import Sampling, Start, StoppingRule, annealed_start, resampled_start, sample
 from bayes_damper.sensitivity import of_standard_draws
 from bayes_damper.sensitivity import text as sensitivity_text
 from bayes_damper.summary import summarise, table_text, write_table
@@ -45,6 +45,8 @@ Array = NDArray[np.float64]
 Report = Callable[[float, str], None]
 Units = Callable[[str], str]
 SCHEMA = "bayes-damper/fit/1"
+PROPOSALS = 4000
+"""Points of bridge sampling for the evidence."""
 KEPT_DRAWS = 4000
 """Draws of each case that go into posterior.nc: thinned so that they are all but independent."""
 
@@ -400,11 +402,8 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
     posterior = RecordPosterior(best, power=noise.power, freedom=freedom)
     rng = np.random.default_rng([plan["seed"], _number(name)])
 
-    def start() -> Start:
-        height = float(posterior(posterior.start[None])[0])
-        return Start(posterior.start, posterior.covariance, height, np.empty((0, posterior.ndim)), 1)
-
-    sampling = _sampled(posterior, folder, report, plan, start)
+    begin = partial(resampled_start, posterior, posterior.start, posterior.covariance, rng)
+    sampling = _sampled(posterior, folder, report, plan, begin)
     draws = {key: _shaped(value, sampling) for key, value in posterior.values(sampling.flat()).items()}
     constants = {key: np.full(1, value) for key, (value, _) in experiment.constants.items() if key not in draws}
     draws |= _derived(constants | draws)
@@ -486,7 +485,7 @@ def _trials_apart(experiment: Experiment, noise: FittedNoise, labels: Mapping[in
 
 def _evidence(posterior: RecordPosterior, sampling: Sampling, rng: np.random.Generator) -> dict[str, Any]:
     """Entry `log_evidence` of summary.json: of the readings, all unknowns integrated out, in nats."""
-    found = bridge(posterior, sampling.draws, sampling.log_prob, rng)
+    found = bridge(posterior, sampling.draws, sampling.log_prob, rng, proposals=PROPOSALS)
     constant = float(posterior.constant.sum())
     return {
         "value": found.log_z + constant,

@@ -42,8 +42,8 @@ DECLARED_NOISE = 1.1
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """A group of trials with what stays fixed: eta (trials, m), T (trials, channels, m, n), TT = T T', and the weighted
-    number of readings (trials, channels).
+    """A group of trials with what stays fixed: eta (trials, m), T (trials, channels, m, n), TT = T T', the weighted
+    number of readings (trials, channels), and scale (trials, channels, n), weights over the sd of the innovations.
     """
 
     group: Group
@@ -51,6 +51,7 @@ class _Part:
     T: Array
     TT: Array
     readings: Array
+    scale: Array
 
 
 def _solve(A: Array, b: Array) -> Array:
@@ -161,7 +162,8 @@ class RecordPosterior:
         readings = np.sum(group.weight**2, axis=2) / own[:, None] ** 2
         if power is not None:
             readings = readings * np.array(power[:channels])
-        return _Part(group, eta, np.ascontiguousarray(T), TT, readings)
+        scale = group.weight / np.array(self.problem.noise.innovation[:channels])[:, None]
+        return _Part(group, eta, np.ascontiguousarray(T), TT, readings, scale)
 
     @property
     def trials(self) -> tuple[int, ...]:
@@ -230,15 +232,21 @@ class RecordPosterior:
         failed = ~np.isfinite(y).all(axis=(1, 2))
         self.outcomes["FAILED"] += int(failed.sum())
         self.outcomes["COMPLETED"] += int((~failed).sum())
-        w = self.problem.whitened(y - part.group.y[which], part.group.weight[which])
-        return np.asarray(w.reshape(k, n, channels, samples))
+        w = y.reshape(k, n, channels, samples)  # our own: changed in place
+        w -= part.group.y
+        w *= part.scale
+        noise = self.problem.noise
+        for c in range(channels):
+            if noise.coloured(c):
+                w[:, :, c] = noise.whiten(c, w[:, :, c]) * noise.innovation[c]
+        return w
 
     def _evaluated(self, part: _Part, points: Array, s: Array) -> tuple[Array, Array, Array]:
         """Log likelihood (k, trials), mean (k, trials, m) and inverse covariance (k, trials, m, m) of the nuisances."""
         w = self._residuals(part, points[:, : self.problem.size])
         if self.freedom is not None:
             return self._student(part, w, s, from_standard(FREEDOM_PRIOR, points[:, -1]))
-        Tw = np.einsum("ncms,kncs->kncm", part.T, w, optimize=True)
+        Tw = np.matmul(part.T, w[..., None])[..., 0]
         A = np.eye(part.T.shape[2]) + np.einsum("knc,ncij->knij", s**-2, part.TT)
         b = part.eta + np.einsum("knc,kncm->knm", s**-2, Tw)
         move = _solve(A, b)

@@ -2,7 +2,7 @@
 
 from bayes_damper.sampling.convergence import Diagnostic, StoppingRule, Verdict, diagnose_draws, judge
 from bayes_damper.sampling.ensembles import Progress, Sampling, Target, sample
-from bayes_damper.sampling.start import Start, annealed_start, find_start
+from bayes_damper.sampling.start import Start, annealed_start, find_start, resampled_start
 
 __all__ = [
     "Diagnostic",
@@ -16,5 +16,6 @@ __all__ = [
     "diagnose_draws",
     "find_start",
     "judge",
+    "resampled_start",
     "sample",
 ]

@@ -375,12 +375,14 @@ def _after_round(state: _Ensemble, chain: Array, heights: Array, moves: list[Hal
     if weight > 0:
         own = moves[-1]
         share = own.taken / max(own.tried, 1)
-        weight = 0.7 if share > 0.3 else 0.45 if share > 0.1 else 0.15 if share > 0.02 else 0.03
+        weight = 0.9 if share > 0.6 else 0.7 if share > 0.3 else 0.45 if share > 0.1 else 0.15 if share > 0.02 else 0.03
     elif state.last.size:
         weight = 0.3
     alike = state.last.size > 0 and _alike(state.last, figures)
     tau = max(float(np.nanmax(autocorrelation_time(chain[None, ..., i]))) for i in range(ndim))
-    settled = steps >= _TUNING if state.annealed else alike and len(chain) >= 3 * tau
+    # A proposal that is mostly accepted has no more to learn.
+    enough = _TUNING / 2 if weight >= 0.9 else _TUNING
+    settled = steps >= enough if state.annealed else alike and len(chain) >= 3 * tau
     warm = (settled and state.weight > 0 and not lost) or steps >= _LONGEST_WARM_UP
     few = flat[:: max(1, len(flat) // _LEARNT_FROM), :ndim]
     shares, centres, spreads = fit_mixture(few)

@@ -140,15 +140,15 @@ class Independence(HalvesMove):
 def fit_mixture(draws: Array, most: int = 12) -> tuple[Array, Array, Array]:
     """Shares (k,), centres (k, ndim) and covariances (k, ndim, ndim) of a Gaussian mixture fitted to draws (n, ndim).
 
-    k is 1, 4 or `most`, whichever fitted to one half of the draws predicts the other half best.
+    k is 1, 4 or `most`, whichever fitted to the first half of the draws predicts the second half best: not every other
+    draw, for neighbours in time may be one and the same point, and would reward a mixture that knows it by heart.
     """
     from sklearn.mixture import GaussianMixture
 
     ndim = draws.shape[1]
     spread = np.maximum(draws.std(axis=0), 1e-300)
     white = (draws - draws.mean(axis=0)) / spread
-    order = np.random.RandomState(0).permutation(len(white))
-    first, second = white[order[::2]], white[order[1::2]]
+    first, second = white[: len(white) // 2], white[len(white) // 2 :]
     options = [k for k in (1, 4, most) if k * 4 * ndim <= len(first)] or [1]
     fits = [
         GaussianMixture(k, reg_covar=1e-6, init_params="k-means++", random_state=0, max_iter=60, tol=1e-2)
@@ -157,7 +157,7 @@ def fit_mixture(draws: Array, most: int = 12) -> tuple[Array, Array, Array]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # an EM cut short still proposes well
         scores = [fit.fit(first).score(second) for fit in fits]
-    best = fits[int(np.argmax(scores))]
+        best = fits[int(np.argmax(scores))].fit(white)
     shares = np.maximum(best.weights_, 1e-6)
     return (
         shares / shares.sum(),

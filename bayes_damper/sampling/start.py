@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,6 +120,31 @@ def annealed_start(
         points[best], np.cov(points.T).reshape(ndim, ndim), float(height[best]), np.empty((0, ndim)),
         counted.evaluations, points,
     )  # fmt: skip
+
+
+def resampled_start(
+    target: LogDensity, point: Array, covariance: Array, rng: np.random.Generator, *, draws: int = 1024
+) -> Start:
+    """A sample of a posterior that is nearly the Gaussian of a best fit: weighted draws about it, resampled.
+
+    Where the weights of fewer than a tenth of the draws count, the start is the cloud about the optimum instead.
+    """
+    ndim, freedom = len(point), 6.0
+    root = np.linalg.cholesky(covariance)
+    stretch = np.sqrt(freedom / rng.chisquare(freedom, draws))
+    z = rng.standard_normal((draws, ndim)) * stretch[:, None]
+    points = point + 1.1 * z @ root.T
+    height = np.nan_to_num(np.asarray(target(points), dtype=float), nan=-np.inf)
+    best = float(target(point[None])[0])
+    start = Start(point, covariance, best, np.empty((0, ndim)), draws + 1)
+    log_weight = height + 0.5 * (freedom + ndim) * np.log1p(np.sum(z**2, axis=1) / freedom)
+    if not np.any(np.isfinite(log_weight)):
+        return start
+    weight = np.exp(log_weight - log_weight.max())
+    weight /= weight.sum()
+    if 1.0 / np.sum(weight**2) < 0.1 * draws:
+        return start
+    return replace(start, population=points[rng.choice(draws, draws // 2, p=weight)])
 
 
 def _next_power(like: Array, most: float, keep: float) -> float:
