@@ -24,7 +24,7 @@ _FREEDOM = 6.0
 @dataclass(frozen=True)
 class Evidence:
     """Log evidence with its standard error; `health` is the effective share of the proposal's draws (below 0.05:
-    distrust); `spread` is the difference of the two independent halves; `sentence` says so in words.
+    distrust); `spread` is the difference of the two independent halves.
     """
 
     log_z: float
@@ -32,7 +32,26 @@ class Evidence:
     health: float
     spread: float
     evaluations: int
-    sentence: str
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the halves agree and enough proposals count."""
+        return self.health >= 0.05 and self.spread <= 5.0 * max(2.0 * self.error, 0.01)
+
+    @property
+    def sentence(self) -> str:
+        """The answer and its health in words."""
+        return self.words()
+
+    def words(self, constant: float = 0.0) -> str:
+        """The same of a density that is larger by exp(constant)."""
+        told = (
+            f"Log evidence {self.log_z + constant:.3f} +- {self.error:.3f} nats; {self.health:.0%} of the proposals "
+            "count."
+        )
+        if not self.trusted:
+            told += " Distrust it: the posterior is unlike any Student t; check with `nested`."
+        return told
 
 
 def bridge(
@@ -65,10 +84,7 @@ def bridge(
     error = float(np.sqrt(sum(p[1] ** 2 for p in parts)) / 2)
     health = min(p[2] for p in parts)
     spread = abs(parts[0][0] - parts[1][0])
-    sentence = f"Log evidence {log_z:.3f} +- {error:.3f} nats; {health:.0%} of the proposals count."
-    if health < 0.05 or spread > 5.0 * max(2.0 * error, 0.01):
-        sentence += " Distrust it: the posterior is unlike any Student t; check with `nested`."
-    return Evidence(log_z, error, health, spread, 2 * (proposals // 2), sentence)
+    return Evidence(log_z, error, health, spread, 2 * (proposals // 2))
 
 
 def laplace(log_prob: float, covariance: Array) -> float:

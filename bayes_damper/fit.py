@@ -493,7 +493,7 @@ def _evidence(posterior: RecordPosterior, sampling: Sampling, rng: np.random.Gen
         "health": found.health,
         "spread_of_halves": found.spread,
         "evaluations": found.evaluations,
-        "sentence": found.sentence,
+        "sentence": found.words(constant),
     }
 
 

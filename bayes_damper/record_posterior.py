@@ -13,8 +13,9 @@ those of calibration.py's best fit and stay fixed, so that an evaluation costs o
 dimensions; tests hold this against sampling the nuisances one by one. Given a draw, a trial's nuisances are Gaussian
 with mean eta - A^-1 b and covariance A^-1: `nuisances` draws them.
 
-Under Student's t noise of f degrees of freedom each reading enters A and b with the weight (f + 1) / (f + w^2 / s^2),
-the nuisances move by -A^-1 b, and the density there is that of Student's t (Laplace's approximation, one step).
+Under Student's t noise of f degrees of freedom a reading's information in A is (f + 1) / (f + 3) of that under a
+Gaussian, its score in b (f + 1) / (f + w^2 / s^2); the nuisances move by -A^-1 b, and the density there is that of
+Student's t: one step of Fisher scoring, then Laplace's approximation.
 """
 
 from __future__ import annotations
@@ -259,9 +260,10 @@ class RecordPosterior:
         f = freedom[:, None, None, None]
         counted = part.group.weight > 0.0
         w = np.where(counted, w / s[..., None], 0.0)
-        weight = np.where(counted, (f + 1.0) / (f + w**2), 0.0) / s[..., None] ** 2
-        A = np.eye(part.T.shape[2]) + np.einsum("kncs,ncis,ncjs->knij", weight, part.T, part.T, optimize=True)
-        b = part.eta + np.einsum("kncs,ncms,knc->knm", weight * w, part.T, s, optimize=True)
+        score = np.where(counted, (f + 1.0) * w / (f + w**2), 0.0)
+        expected = ((freedom + 1.0) / (freedom + 3.0))[:, None, None] * s**-2  # information of a reading
+        A = np.eye(part.T.shape[2]) + np.einsum("knc,ncij->knij", expected, part.TT)
+        b = part.eta + np.einsum("knc,kncm->knm", 1.0 / s, np.matmul(part.T, score[..., None])[..., 0])
         move = _solve(A, b)
         moved = w - np.einsum("ncms,knm->kncs", part.T, move, optimize=True) / s[..., None]
         each = np.where(counted, student_log_density(moved, f), 0.0).sum(axis=3) - np.log(s) * part.readings
