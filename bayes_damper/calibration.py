@@ -49,6 +49,7 @@ from bayes_damper.distributions import (
 )
 from bayes_damper.effects.base import Variant
 from bayes_damper.errors import InputError
+from bayes_damper.integrator import LONGEST_STEP
 from bayes_damper.model import Model, Quantity
 from bayes_damper.priors import PriorSet
 
@@ -61,6 +62,8 @@ EVENT_THRESHOLD = 4.5  # robust sds of the second difference beyond which a samp
 EVENT_TIMING = 5e-5  # s, by which the instant of an event may be off without the model being wrong
 RELEASE_WEIGHT = 0.4  # of the first two readings
 FIRST_STAGE_EVENT_WEIGHT = 0.15
+STEPS_PER_PERIOD = 120.0  # at least, of the primary on its spring
+OFFSET_SHARE = 0.05  # of a channel's reach: prior sd of its unknown offset, where the campaign does not say
 HOPELESS, HURRY = 60.0, 6.0  # cost above a target, and in how many such steps it must be reachable, to go on
 _FARTHEST = 37.0  # standard deviations beyond which a coordinate is not followed
 
@@ -121,6 +124,9 @@ class Experiment:
     levels: Mapping[str, str] = field(default_factory=dict)
     case_priors: Mapping[str, Mapping[str, Distribution | float]] = field(default_factory=dict)
     ties: Mapping[str, str] = field(default_factory=dict)
+    offset_sd: tuple[float, ...] | None = None
+    scale_sd: tuple[float, ...] = ()
+    coupling_law: Literal["constant", "cosine"] = "constant"
 
     @property
     def coupled(self) -> bool:
@@ -131,6 +137,11 @@ class Experiment:
     def magnet(self) -> bool:
         """Whether friction at the interface is possible."""
         return self.coupled and self.constants.get("N0", (0.0, 0.0))[0] > 0.0
+
+    @property
+    def face(self) -> bool:
+        """Whether a magnet with a face is declared, so that effects of a magnet are possible."""
+        return self.magnet and "r" in self.constants
 
     @property
     def training(self) -> tuple[int, ...]:
@@ -227,11 +238,12 @@ class Noise:
 class Coordinate:
     """One unknown of the whole campaign, or of one `case` if that is given.
 
-    role: "nominal", "release" (angle or instant), "constant", "stiffness" (k1t number `index`) or "effect".
+    role: "nominal", "release" (angle or instant), "constant", "stiffness" (k1t number `index`), "sensor" (scale of
+    channel `index`) or "effect".
     """
 
     name: str
-    role: Literal["nominal", "release", "constant", "stiffness", "effect"]
+    role: Literal["nominal", "release", "constant", "stiffness", "sensor", "effect"]
     prior: Distribution
     index: int = 0
     case: str | None = None
@@ -326,7 +338,7 @@ class Problem:
         self.names = tuple(c.name for c in self.coordinates)
         self.size = len(self.coordinates)
         self.models = {
-            coupled: Model(coupled, experiment.normal_force, experiment.restoring, effect) for coupled in (False, True)
+            coupled: _model(experiment, coupled, effect) for coupled in (False, True)
         }
         self._groups: dict[tuple[int, ...], list[Group]] = {}
         self.groups = self.grouped(self.trials)
@@ -361,8 +373,7 @@ class Problem:
         other.coordinates = other._coordinates()  # noqa: SLF001 (the same class)
         other.names = tuple(c.name for c in other.coordinates)
         other.size = len(other.coordinates)
-        e = self.experiment
-        other.models = {coupled: Model(coupled, e.normal_force, e.restoring, effect) for coupled in (False, True)}
+        other.models = {coupled: _model(self.experiment, coupled, effect) for coupled in (False, True)}
         return other
 
     @property
@@ -398,6 +409,9 @@ class Problem:
             if sd > 0.0 and any(t.k1t == i for t in used):
                 label = "k1t" if len(e.stiffnesses) == 1 else f"k1t[{value:g}]"
                 out.append(Coordinate(label, "stiffness", Normal(value, sd), i))
+        for c, sd in enumerate(e.scale_sd[: 1 + int(coupled)]):
+            if sd > 0.0:
+                out.append(Coordinate(f"scale{c + 1}", "sensor", Normal(1.0, sd), c))
         if self.effect is not None:
             out += [Coordinate(f"effect.{p.name}", "effect", p.prior) for p in self.effect.parameters]
         return tuple(out)
@@ -491,10 +505,14 @@ class Problem:
                 guess = np.zeros(n)
                 if power == 0:
                     guess = np.array([float(np.nan_to_num(t.y[channel][0])) for t in trials])
+                elif power == 1 and e.quantity == "displacement":
+                    guess = np.array([_first_slope(t.times, t.y[channel], 1.0 / omega) for t in trials])
                 elif power == -2:
                     guess = -np.array([float(np.nan_to_num(t.y[channel][0])) for t in trials]) / omega**2
                 out.append((name, guess, 1.5 * reach + 1e-9))
                 bounds.append(wide)
+            out += self._offsets(trials)
+            bounds += [wide] * (len(out) - len(bounds))
             return tuple(out), np.array([b[0] for b in bounds]).T, np.array([b[1] for b in bounds]).T
         mean = np.array([t.theta0 for t in trials])
         sd = np.array([t.theta0_sd for t in trials])
@@ -519,9 +537,26 @@ class Problem:
         if self.switches.friction and trials[0].coupled and any(c.parameter == "mu" for c in self.coordinates):
             out.append(("ln_mu", np.zeros(n), np.full(n, FRICTION_SPREAD)))
             bounds.append(wide)
+        out += self._offsets(trials)
+        bounds += [wide] * (len(out) - len(bounds))
         if not out:
             return (), np.zeros((n, 0)), np.zeros((n, 0))
         return tuple(out), np.array([b[0] for b in bounds]).T, np.array([b[1] for b in bounds]).T
+
+    def _offsets(self, trials: list[TrialRecord]) -> list[tuple[str, Array, Array]]:
+        """Reading of each channel at rest, unknown for each trial; its prior is a share of the channel's reach."""
+        e = self.experiment
+        out = []
+        for c in range(1 + int(trials[0].coupled)):
+            if e.offset_sd is not None:
+                sd = np.full(len(trials), e.offset_sd[min(c, len(e.offset_sd) - 1)])
+            elif e.quantity == "displacement":
+                sd = OFFSET_SHARE * np.array([float(np.nanmax(np.abs(t.y[c]))) for t in trials])
+            else:
+                continue
+            if np.any(sd > 0.0):
+                out.append((f"offset{c + 1}", np.zeros(len(trials)), np.maximum(sd, 1e-12)))
+        return out
 
     # Simulation
 
@@ -552,14 +587,16 @@ class Problem:
         for name in ("theta0", "delay"):
             if name in e.levels and e.start == "rest":
                 rig[name] = np.array([middle(self.prior(name, case)) for case in cases])[which]
+        rig = {"N0": 0.0, "R": 1.0, "r": 1.0} | rig  # a rig without magnet, or with a constant pull, has no use for them
         if not e.magnet:
             rig["mu"] = 0.0
-            rig = {"N0": 0.0, "R": 1.0, "r": 1.0} | rig
         effect: dict[str, Any] = {}
         for i, c in enumerate(self.coordinates):
             x = from_standard(c.prior, q[:, i])
             if c.role == "effect":
                 effect[c.name.removeprefix("effect.")] = x
+            elif c.role == "sensor":
+                continue
             elif c.role == "stiffness" or c.case is not None:
                 hit = self._touched(c, group)[which]
                 rig[c.parameter] = np.where(hit, x, rig[c.parameter])
@@ -569,7 +606,7 @@ class Problem:
             x = mean[which] + sd[which] * eta[:, i]
             if name.startswith("ln_"):
                 rig[name[3:]] = rig[name[3:]] * np.exp(x)
-            else:
+            elif not name.startswith("offset"):
                 rig[name] = x
         for name, other in e.ties.items():
             if name in NOMINAL:
@@ -578,10 +615,20 @@ class Problem:
             rig["delay"] = float(group.times[0])
         return {"theta2_0": rig["theta0"]} | rig, effect
 
+    def _read(self, y: Array, group: Group, which: Indices, q: Array, eta: Array) -> Array:
+        """Motions y (n, channels, n_times) as the sensors show them: each channel's scale and offset, in place."""
+        for i, c in enumerate(self.coordinates):
+            if c.role == "sensor" and c.index < y.shape[1]:
+                y[:, c.index] *= from_standard(c.prior, q[:, i])[:, None]
+        for i, (name, mean, sd) in enumerate(group.nuisances):
+            if name.startswith("offset"):
+                y[:, int(name[6:]) - 1] += (mean[which] + sd[which] * eta[:, i])[:, None]
+        return y
+
     def simulate(self, group: Group, which: Indices, q: Array, eta: Array) -> Array:
         """Readings (n, channels, n_times) of vectors q (n, size), eta (n, m) on the group's trials `which` (n,)."""
         rig, effect = self._inputs(group, which, q, eta)
-        return (
+        y = (
             self.models[group.coupled]
             .simulate(
                 rig,
@@ -594,6 +641,7 @@ class Problem:
             )
             .y
         )
+        return self._read(y, group, which, q, eta)
 
     def whitened(self, r: Array, weight: Array) -> Array:
         """Weighted innovations, (..., channels * n), of residuals r (..., channels, n)."""
@@ -632,7 +680,11 @@ class Problem:
             n = len(group.trials)
             m = len(group.nuisances)
             names = [name for name, _, _ in group.nuisances]
-            moved = [i for i, name in enumerate(names) if name != "ln_mu" or "mu" not in together]
+            moved = [
+                i
+                for i, name in enumerate(names)
+                if not name.startswith("offset") and (name != "ln_mu" or "mu" not in together)
+            ]
             lanes = 1 + len(together) + len(moved)
             sides = (1.0, -1.0) if central else (1.0,)
             base_q = np.tile(q, (n, 1))
@@ -679,6 +731,11 @@ class Problem:
             own = np.zeros((n, m, w.shape[-1]))
             for k, i in enumerate(moved):
                 own[:, i] = w[len(together) + k] / trial_steps[:, i, None]
+            for i, name in enumerate(names):
+                if name.startswith("offset"):
+                    shift = np.zeros_like(group.y)
+                    shift[:, int(name[6:]) - 1] = group.nuisances[i][2][:, None]
+                    own[:, i] = self.whitened(shift, weight)
             if "ln_mu" in names and "mu" in together:
                 for i in together["mu"]:
                     hit = self._touched(self.coordinates[i], group)
@@ -698,6 +755,8 @@ class Problem:
         """Whether a coordinate can change the records of a group."""
         if c.role == "effect":
             return self.effect is not None and (group.coupled or self.effect.uncoupled)
+        if c.role == "sensor":
+            return group.coupled or c.index == 0
         free = group.coupled or c.role == "stiffness" or c.parameter in self._alone()
         return free and bool(self._touched(c, group).any())
 
@@ -737,6 +796,26 @@ def _own_value(
         highs.append(min((high - centre) / spread, _FARTHEST))
     label = f"ln_{name}" if log else name
     return (label, np.array(means), np.array(sds)), (np.array(lows), np.array(highs))
+
+
+def _model(experiment: Experiment, coupled: bool, effect: Variant | None) -> Model:
+    """The model of one configuration."""
+    law = experiment.coupling_law if coupled else "constant"
+    return Model(coupled, experiment.normal_force, experiment.restoring, effect, law, longest_step(experiment))
+
+
+def _first_slope(times: Array, y: Array, within: float) -> float:
+    """Rate of change at the first reading, from a parabola through the readings `within` so many seconds."""
+    near = (times <= times[0] + within) & np.isfinite(y)
+    if np.count_nonzero(near) < 4:
+        return 0.0
+    return float(np.polynomial.polynomial.polyfit(times[near] - times[0], y[near], 2)[1])
+
+
+def longest_step(experiment: Experiment) -> float:
+    """Longest time step, s, in the proportion to the period that 1 ms has on the thesis's rig; a power of 2 times it."""
+    omega = max(math.sqrt(max(k, 1e-300) / experiment.constants["J1"][0]) for k, _ in experiment.stiffnesses)
+    return LONGEST_STEP * 2.0 ** max(0, math.floor(math.log2(2.0 * math.pi / omega / STEPS_PER_PERIOD / LONGEST_STEP)))
 
 
 def _spread(distribution: Distribution) -> float:
@@ -1440,7 +1519,8 @@ def experiment_of(campaign: Any, priors: PriorSet | Mapping[str, Distribution | 
     given = () if sd is None else tuple(float(x) for x in np.atleast_1d(np.asarray(sd, float)))
     experiment = Experiment(
         constants, tuple(stiffnesses), tuple(records), measurement.quantity, rig.normal_force, rig.restoring,
-        measurement.start, given,
+        measurement.start, given, offset_sd=measurement.offset_std, scale_sd=measurement.scale_std or (),
+        coupling_law=rig.inertial_coupling_law,
     )  # fmt: skip
     if isinstance(priors, PriorSet):
         return with_priors(experiment, priors)

@@ -55,10 +55,12 @@ _RIG_WORDS = {
     "kind": ("torsional", "translational"),
     "normal_force": ("linear", "constant"),
     "restoring": ("linear", "pendulum"),
+    "inertial_coupling_law": ("constant", "cosine"),
 }
 _MEASUREMENT_WORDS = {"quantity": ("acceleration", "velocity", "displacement"), "start": ("rest", "free")}
 _MEASUREMENT_NUMBERS = ("sample_rate", "duration", "noise_std", "sensor_range", "sensor_bandwidth")
 _SINGLE = {"sample_rate": "Hz", "duration": "s"}
+_MEASUREMENT_SPREADS = ("offset_std", "scale_std")  # may be 0: known
 PLANNED_PERIODS = 8.0
 """Natural periods of the slowest case that a planned record lasts where no duration is declared."""
 _TOP = ("name", "description", "source", "caveats", "rig", "measurement")
@@ -92,6 +94,7 @@ class Rig:
     kind: str = "torsional"
     normal_force: str = "linear"
     restoring: str = "linear"
+    inertial_coupling_law: str = "constant"
 
     @property
     def has_magnet(self) -> bool:
@@ -101,7 +104,11 @@ class Rig:
 
 @dataclass(frozen=True)
 class Measurement:
-    """What was measured and how. Tuples hold one number per channel, in the unit of `quantity` (bandwidth: Hz)."""
+    """What was measured and how. Tuples hold one number per channel, in the unit of `quantity` (bandwidth: Hz).
+
+    offset_std : standard uncertainty of what a channel reads at rest, each trial its own; None: a share of the reach
+    of displacement channels, and none of others. scale_std : relative, of each channel's scale.
+    """
 
     quantity: str = "acceleration"
     sample_rate: float | None = None
@@ -111,6 +118,8 @@ class Measurement:
     sensor_bandwidth: tuple[float, ...] | None = None
     duration: float | None = None
     """Length of a record that is planned, s; of measured ones the time column decides."""
+    offset_std: tuple[float, ...] | None = None
+    scale_std: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,8 +286,11 @@ def load_campaign(folder: str | Path) -> Campaign:
             faults.append("none of the records is there: `bayes-damper plan` judges a campaign before it is measured")
         raise InputError(faults)
     _look_at_repeats(head, trials, warnings)
-    noise = _per_channel(head.measurement.noise_std, any(t.coupled for t in trials))
-    measurement = replace(head.measurement, noise_std=noise)
+    per_channel = {
+        key: _per_channel(getattr(head.measurement, key), any(t.coupled for t in trials))
+        for key in ("noise_std", *_MEASUREMENT_SPREADS)
+    }
+    measurement = replace(head.measurement, **per_channel)
     return Campaign(
         head.name,
         head.rig,
@@ -524,12 +536,15 @@ def _check_constant(key: str, constant: Constant, kind: str, where: str, faults:
 
 def _read_measurement(table: Mapping[str, Any], name: str, faults: list[str]) -> Measurement:
     where = f"{name} [measurement]"
-    valid = (*_MEASUREMENT_WORDS, *_MEASUREMENT_NUMBERS)
+    valid = (*_MEASUREMENT_WORDS, *_MEASUREMENT_NUMBERS, *_MEASUREMENT_SPREADS)
     for key in table:
         if key not in valid:
             faults.append(f"{where}: unknown key '{key}'; {_nearest(key, valid)}")
     words = _read_words(table, _MEASUREMENT_WORDS, where, faults)
     tuples = {k: _positives(table[k], f"{where}: {k}", faults) for k in _MEASUREMENT_NUMBERS if k in table}
+    tuples |= {
+        k: _positives(table[k], f"{where}: {k}", faults, zero=True) for k in _MEASUREMENT_SPREADS if k in table
+    }
     single: dict[str, float | None] = {}
     for key, unit in _SINGLE.items():
         found = tuples.pop(key, None)
@@ -539,14 +554,14 @@ def _read_measurement(table: Mapping[str, Any], name: str, faults: list[str]) ->
     return Measurement(**words, **tuples, **single)  # type: ignore[arg-type]
 
 
-def _positives(value: TomlValue, where: str, faults: list[str]) -> tuple[float, ...] | None:
+def _positives(value: TomlValue, where: str, faults: list[str], zero: bool = False) -> tuple[float, ...] | None:
     values = value if isinstance(value, list) else [value]
     for number in values:
         if isinstance(number, bool) or not isinstance(number, int | float):
             faults.append(f"{where} must be a number, or one number per channel, not {number!r}")
             return None
-        if not (math.isfinite(number) and number > 0.0):
-            faults.append(f"{where} = {number!r} must be positive and finite")
+        if not (math.isfinite(number) and (number > 0.0 or (zero and number == 0.0))):
+            faults.append(f"{where} = {number!r} must be {'0 or more' if zero else 'positive'} and finite")
             return None
     if not 1 <= len(values) <= 2:
         faults.append(f"{where} has {len(values)} entries; give one number, or one per channel")
@@ -1201,6 +1216,7 @@ _COMMENTS = {
     "magnet_pull": "N0, N",
     "ground2_stiffness": "k3t, N m/rad (N/m), spring from the secondary to ground",
     "inertial_coupling": "J12, kg m^2 (kg)",
+    "inertial_coupling_law": "constant, or cosine: J12 cos(th1 - th2), as of two links",
     "normal_force": "linear in the overlap of the faces, or constant",
     "restoring": "linear spring, or pendulum",
     "quantity": "acceleration, velocity or displacement",
@@ -1210,6 +1226,8 @@ _COMMENTS = {
     "noise_std": "prior value of the noise, one per channel",
     "sensor_range": "largest reading, one per channel",
     "sensor_bandwidth": "Hz, one per channel",
+    "offset_std": "standard uncertainty of the reading at rest, one per channel, in SI units",
+    "scale_std": "relative standard uncertainty of the scale, one per channel",
 }
 
 
@@ -1226,12 +1244,14 @@ def campaign_toml(campaign: Campaign) -> str:
             "]",
         ]
     lines += ["", "[rig]"]
-    for key in ("kind", *_RIG_NUMBERS, "normal_force", "restoring"):
+    for key in ("kind", *_RIG_NUMBERS, "normal_force", "restoring", "inertial_coupling_law"):
         value = getattr(campaign.rig, key)
+        if key == "inertial_coupling_law" and not campaign.rig.inertial_coupling.value:
+            continue
         if value is not None and not (key == "bar_radius" and campaign.rig.kind == "translational"):
             lines.append(f"{key} = {_toml(value)}  # {_COMMENTS[key]}")
     lines += ["", "[measurement]"]
-    for key in ("quantity", "start", *_MEASUREMENT_NUMBERS):
+    for key in ("quantity", "start", *_MEASUREMENT_NUMBERS, *_MEASUREMENT_SPREADS):
         value = getattr(campaign.measurement, key)
         if value is not None:
             lines.append(f"{key} = {_toml(value)}  # {_COMMENTS[key]}")

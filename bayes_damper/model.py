@@ -15,11 +15,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayes_damper import integrator
+from bayes_damper import integrator, links
 from bayes_damper.accumulate import Accumulator
 from bayes_damper.damper import ROWS
 from bayes_damper.effects.base import MOST_PARAMETERS, Variant, parameter_table
-from bayes_damper.integrator import LANES
+from bayes_damper.integrator import LANES, LONGEST_STEP
 
 Quantity = Literal["acceleration", "velocity", "displacement"]
 QUANTITIES: tuple[Quantity, ...] = ("acceleration", "velocity", "displacement")
@@ -50,8 +50,13 @@ class Sums:
 
 
 @cache
-def _kernel(coupled: bool, linear: bool, pendulum: bool, driven: bool, variant: Variant | None) -> Callable[..., None]:
-    return integrator.specialise(integrator.specialised_globals(coupled, linear, pendulum, driven, variant))
+def _kernel(
+    coupled: bool, linear: bool, pendulum: bool, driven: bool, variant: Variant | None, longest_step: float
+) -> Callable[..., None]:
+    bound = integrator.specialised_globals(coupled, linear, pendulum, driven, variant)
+    if longest_step != LONGEST_STEP:
+        bound["LONGEST_STEP"] = longest_step
+    return integrator.specialise(bound)
 
 
 @dataclass(frozen=True)
@@ -59,13 +64,16 @@ class Model:
     """One configuration of a rig, with at most one effect.
 
     coupled : whether the secondary inertia is there; normal_force : law of the magnet's pull (eq. 20);
-    restoring : "pendulum" puts k sin(th) in place of k th.
+    restoring : "pendulum" puts k sin(th) in place of k th; coupling_law : "cosine" puts J12 cos(th1 - th2) in place of
+    J12, as of two links (links.py); longest_step : s, longer than the default for rigs far slower than the thesis's.
     """
 
     coupled: bool = True
     normal_force: Literal["linear", "constant"] = "linear"
     restoring: Literal["linear", "pendulum"] = "linear"
     effect: Variant | None = None
+    coupling_law: Literal["constant", "cosine"] = "constant"
+    longest_step: float = LONGEST_STEP
 
     @property
     def channels(self) -> int:
@@ -83,12 +91,13 @@ class Model:
         From the on-disk cache if it was compiled before (0.1 s), else compiled when first called (seconds).
         """
         variant = self.acting
+        variant = variant if variant is not None and variant.has_kernel else None
+        if self.coupled and self.coupling_law == "cosine":
+            if driven:
+                raise ValueError('an input torque needs coupling_law = "constant"')
+            variant = links.linked(variant, self.restoring == "pendulum")
         return _kernel(
-            self.coupled,
-            self.normal_force == "linear",
-            self.restoring == "pendulum",
-            driven,
-            variant if variant is not None and variant.has_kernel else None,
+            self.coupled, self.normal_force == "linear", self.restoring == "pendulum", driven, variant, self.longest_step
         )
 
     def simulate(

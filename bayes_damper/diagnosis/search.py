@@ -95,7 +95,9 @@ def offered(
 ) -> list[tuple[Effect, Variant]]:
     """Every variant that this rig can have, with priors at the rig's scale."""
     scales = scales or scales_of(experiment)
-    able = candidates(experiment.coupled, experiment.magnet, "linear" if nominal == "linear" else "nonlinear", effects)
+    able = candidates(
+        experiment.coupled, experiment.face, "linear" if nominal == "linear" else "nonlinear", effects, experiment.start
+    )
     return [(effect, scaled(variant, scales)) for effect in able.values() for variant in effect.variants]
 
 

@@ -1,0 +1,61 @@
+"""Two links in series: an inertial coupling that falls with the angle between them.
+
+    J1 a1 + J12 cos(phi) a2 = torques1 - J12 sin(phi) w2^2
+    J12 cos(phi) a1 + J2 a2 = torques2 + J12 sin(phi) w1^2,    phi = th1 - th2
+
+with the torques of damper.py: Lagrange's equations of a double pendulum in absolute angles (Goldstein, Poole and
+Safko, Classical Mechanics, 3rd ed., problem 1.22). The integrator has a constant inertia matrix, so what the true one
+adds is written as a torque, in which the accelerations are those of the true matrix: exact, not a correction to first
+order. An effect's own torque takes part.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+from bayes_damper.damper import friction_torques, smooth_torques
+from bayes_damper.effects.base import Kernel, Variant
+from bayes_damper.lanes import TANH_SCALE, cos, lane, sin
+
+
+@lane
+def _none(t, th1, th2, w1, w2, z1, z2, p, rig):  # noqa: ARG001 (the arguments of an effect's torque)
+    """No torque of an effect."""
+    return 0.0, 0.0
+
+
+def _linked_torque(inner: Kernel, pendulum: bool, own_friction: bool) -> Kernel:
+    """Torque of an effect `inner` and of the moving links; own_friction: the effect brings its own between the faces."""
+
+    @lane
+    def torque(t, th1, th2, w1, w2, z1, z2, p, rig):
+        q1, q2 = inner(t, th1, th2, w1, w2, z1, z2, p, rig)
+        tau1, tau2 = smooth_torques(
+            th1, th2, w1, w2, rig.k1t, rig.k3t, rig.c1t, rig.c3t, rig.k2t, rig.c2t, True, pendulum
+        )
+        friction = 0.0 if own_friction else rig.mu * rig.N0 * rig.R
+        held1, held2 = friction_torques(
+            th1, th2, w1, w2, friction, rig.slope, rig.drag, TANH_SCALE * rig.nu, True
+        )
+        tau1 = tau1 - held1
+        tau2 = tau2 - held2
+        across = rig.J12 * cos(th1 - th2)
+        turning = rig.J12 * sin(th1 - th2)
+        f1 = tau1 + q1 - turning * w2 * w2
+        f2 = tau2 + q2 + turning * w1 * w1
+        inverse = 1.0 / (rig.J1 * rig.J2 - across * across)
+        a1 = (rig.J2 * f1 - across * f2) * inverse
+        a2 = (rig.J1 * f2 - across * f1) * inverse
+        return rig.J1 * a1 + rig.J12 * a2 - tau1, rig.J12 * a1 + rig.J2 * a2 - tau2
+
+    return torque  # type: ignore[no-any-return]
+
+
+@cache
+def linked(variant: Variant | None, pendulum: bool) -> Variant:
+    """The variant (None: no effect) on a rig of two links, ready for the integrator."""
+    if variant is None:
+        return Variant("links", "two links in series", (), torque=_linked_torque(_none, pendulum, False))
+    inner = _none if variant.torque is None else variant.torque
+    return replace(variant, torque=_linked_torque(inner, pendulum, variant.replaces_friction), couples="all")
