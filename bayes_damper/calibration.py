@@ -337,9 +337,7 @@ class Problem:
         self.coordinates = self._coordinates()
         self.names = tuple(c.name for c in self.coordinates)
         self.size = len(self.coordinates)
-        self.models = {
-            coupled: _model(experiment, coupled, effect) for coupled in (False, True)
-        }
+        self.models = {coupled: _model(experiment, coupled, effect) for coupled in (False, True)}
         self._groups: dict[tuple[int, ...], list[Group]] = {}
         self.groups = self.grouped(self.trials)
 
@@ -587,7 +585,11 @@ class Problem:
         for name in ("theta0", "delay"):
             if name in e.levels and e.start == "rest":
                 rig[name] = np.array([middle(self.prior(name, case)) for case in cases])[which]
-        rig = {"N0": 0.0, "R": 1.0, "r": 1.0} | rig  # a rig without magnet, or with a constant pull, has no use for them
+        rig = {
+            "N0": 0.0,
+            "R": 1.0,
+            "r": 1.0,
+        } | rig  # a rig without magnet, or with a constant pull, has no use for them
         if not e.magnet:
             rig["mu"] = 0.0
         effect: dict[str, Any] = {}

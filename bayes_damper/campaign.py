@@ -542,9 +542,7 @@ def _read_measurement(table: Mapping[str, Any], name: str, faults: list[str]) ->
             faults.append(f"{where}: unknown key '{key}'; {_nearest(key, valid)}")
     words = _read_words(table, _MEASUREMENT_WORDS, where, faults)
     tuples = {k: _positives(table[k], f"{where}: {k}", faults) for k in _MEASUREMENT_NUMBERS if k in table}
-    tuples |= {
-        k: _positives(table[k], f"{where}: {k}", faults, zero=True) for k in _MEASUREMENT_SPREADS if k in table
-    }
+    tuples |= {k: _positives(table[k], f"{where}: {k}", faults, zero=True) for k in _MEASUREMENT_SPREADS if k in table}
     single: dict[str, float | None] = {}
     for key, unit in _SINGLE.items():
         found = tuples.pop(key, None)

@@ -35,9 +35,7 @@ def _linked_torque(inner: Kernel, pendulum: bool, own_friction: bool) -> Kernel:
             th1, th2, w1, w2, rig.k1t, rig.k3t, rig.c1t, rig.c3t, rig.k2t, rig.c2t, True, pendulum
         )
         friction = 0.0 if own_friction else rig.mu * rig.N0 * rig.R
-        held1, held2 = friction_torques(
-            th1, th2, w1, w2, friction, rig.slope, rig.drag, TANH_SCALE * rig.nu, True
-        )
+        held1, held2 = friction_torques(th1, th2, w1, w2, friction, rig.slope, rig.drag, TANH_SCALE * rig.nu, True)
         tau1 = tau1 - held1
         tau2 = tau2 - held2
         across = rig.J12 * cos(th1 - th2)

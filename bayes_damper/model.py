@@ -97,7 +97,12 @@ class Model:
                 raise ValueError('an input torque needs coupling_law = "constant"')
             variant = links.linked(variant, self.restoring == "pendulum")
         return _kernel(
-            self.coupled, self.normal_force == "linear", self.restoring == "pendulum", driven, variant, self.longest_step
+            self.coupled,
+            self.normal_force == "linear",
+            self.restoring == "pendulum",
+            driven,
+            variant,
+            self.longest_step,
         )
 
     def simulate(

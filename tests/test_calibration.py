@@ -18,6 +18,7 @@ from bayes_damper.calibration import (
     calibrate_nominal,
     coordinate_of,
     learn_noise,
+    longest_step,
     predict,
 )
 from bayes_damper.distributions import HalfNormal, LogNormal, LogUniform, Normal, Uniform, from_standard
@@ -231,3 +232,51 @@ def test_free_starts_infer_the_initial_state():
         Experiment({"J1": (RIG["J1"], 0.0)}, ((6.2, 0.0),), tuple(trials), quantity="velocity", start="free")
     )
     assert abs(fit.excess) < 5.0 * math.sqrt(2.0 * fit.problem.n_data)
+
+
+def swing(offset=0.0, scale=1.0, noise=1e-4, seed=3, **fields):
+    """Two records of one body on a pendulum's spring, that begin in motion, read with an offset and a wrong scale."""
+    rng = np.random.default_rng(seed)
+    rig = {"J1": 1.0, "k1t": 100.0, "c1t": 0.4, "drag": 0.0, "nu": 50.0}
+    times = np.arange(0.0, 2.0, 0.01)
+    trials = []
+    for number, (angle, speed) in enumerate([(1.2, 0.5), (0.7, -0.8)], start=1):
+        truth = Model(False, restoring="pendulum").simulate(
+            rig | {"theta0": angle, "omega1_0": speed}, times, quantity="displacement"
+        ).y[0]  # fmt: skip
+        y = scale * truth + offset + noise * rng.standard_normal(truth.shape)
+        trials.append(TrialRecord(f"swing {number}", "A", False, number, times, y, 0))
+    return Experiment(
+        {"J1": (1.0, 0.0)}, ((100.0, 5.0),), tuple(trials), quantity="displacement", restoring="pendulum",
+        start="free", **fields,
+    )  # fmt: skip
+
+
+def test_offset_and_scale_of_a_sensor_are_inferred():
+    fit = calibrate(Problem(swing(offset=0.02, scale=1.01, scale_sd=(0.02,)), nominal="linear"))
+    scale, sd = fit.parameters["scale1"]
+    assert abs(scale - 1.01) < 4.0 * sd < 0.004
+    for group in fit.problem.groups:
+        names = [name for name, _, _ in group.nuisances]
+        assert names == ["theta0", "omega1_0", "offset1"]
+        for k, i in enumerate(group.trials):
+            assert group.nuisances[2][2][k] * fit.eta[i][2] == pytest.approx(0.02, abs=1e-4)
+    assert fit.chi2 < 1.2 * fit.problem.n_data
+    assert fit.parameters["k1t"][0] == pytest.approx(100.0, rel=2e-3)
+
+
+def test_offsets_taken_as_known_stay_at_zero():
+    fixed = swing(offset=0.02, offset_sd=(0.0,))
+    fit = calibrate(Problem(fixed, nominal="linear"))
+    assert [name for name, _, _ in fit.problem.groups[0].nuisances] == ["theta0", "omega1_0"]
+    assert fit.chi2 > 5.0 * fit.problem.n_data
+
+
+def test_a_free_start_takes_its_first_speed_from_the_record():
+    group = Problem(swing(), nominal="linear").groups[0]
+    assert group.nuisances[1][1] == pytest.approx([0.5, -0.8], abs=0.5)
+
+
+def test_slow_rigs_take_longer_steps():
+    assert longest_step(swing()) == pytest.approx(4e-3)
+    assert longest_step(make_experiment(1, n=50)) == pytest.approx(1e-3)

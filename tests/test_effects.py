@@ -532,6 +532,11 @@ def test_only_effects_that_the_rig_can_have_are_offered():
     assert [v.name for v in linear["misalignment_drag"].variants] == ["viscous"]
 
 
+def test_a_free_start_knows_nothing_of_a_release():
+    assert "release" in {e.site for e in candidates(True).values()}
+    assert "release" not in {e.site for e in candidates(True, start="free").values()}
+
+
 def test_classes_join_effects_that_agree_to_first_order():
     assert frozenset({"friction_displacement", "normal_force_law"}) in classes()
     assert len(set().union(*classes())) == sum(map(len, classes()))
