@@ -815,7 +815,7 @@ def _first_slope(times: Array, y: Array, within: float) -> float:
 
 
 def longest_step(experiment: Experiment) -> float:
-    """Longest time step, s, in the proportion to the period that 1 ms has on the thesis's rig; a power of 2 times it."""
+    """Longest time step, s: 1 ms times a power of 2, and at least 120 to a period of the fastest primary."""
     omega = max(math.sqrt(max(k, 1e-300) / experiment.constants["J1"][0]) for k, _ in experiment.stiffnesses)
     return LONGEST_STEP * 2.0 ** max(0, math.floor(math.log2(2.0 * math.pi / omega / STEPS_PER_PERIOD / LONGEST_STEP)))
 

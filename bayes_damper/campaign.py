@@ -286,11 +286,14 @@ def load_campaign(folder: str | Path) -> Campaign:
             faults.append("none of the records is there: `bayes-damper plan` judges a campaign before it is measured")
         raise InputError(faults)
     _look_at_repeats(head, trials, warnings)
-    per_channel = {
-        key: _per_channel(getattr(head.measurement, key), any(t.coupled for t in trials))
-        for key in ("noise_std", *_MEASUREMENT_SPREADS)
-    }
-    measurement = replace(head.measurement, **per_channel)
+    both = any(t.coupled for t in trials)
+    declared = head.measurement
+    measurement = replace(
+        declared,
+        noise_std=_per_channel(declared.noise_std, both),
+        offset_std=_per_channel(declared.offset_std, both),
+        scale_std=_per_channel(declared.scale_std, both),
+    )
     return Campaign(
         head.name,
         head.rig,

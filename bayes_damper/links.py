@@ -1,3 +1,4 @@
+# ruff: noqa: ARG001  (every torque of an effect has the same arguments, needed or not)
 """Two links in series: an inertial coupling that falls with the angle between them.
 
     J1 a1 + J12 cos(phi) a2 = torques1 - J12 sin(phi) w2^2
@@ -14,22 +15,28 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 
-from bayes_damper.damper import friction_torques, smooth_torques
+from bayes_damper.damper import Rig, friction_torques, smooth_torques
 from bayes_damper.effects.base import Kernel, Variant
 from bayes_damper.lanes import TANH_SCALE, cos, lane, sin
 
+Values = tuple[float, float, float, float]
+
 
 @lane
-def _none(t, th1, th2, w1, w2, z1, z2, p, rig):  # noqa: ARG001 (the arguments of an effect's torque)
+def _none(
+    t: float, th1: float, th2: float, w1: float, w2: float, z1: float, z2: float, p: Values, rig: Rig
+) -> tuple[float, float]:
     """No torque of an effect."""
     return 0.0, 0.0
 
 
 def _linked_torque(inner: Kernel, pendulum: bool, own_friction: bool) -> Kernel:
-    """Torque of an effect `inner` and of the moving links; own_friction: the effect brings its own between the faces."""
+    """Torque of an effect `inner` and of the moving links; own_friction: it brings its own between the faces."""
 
     @lane
-    def torque(t, th1, th2, w1, w2, z1, z2, p, rig):
+    def torque(
+        t: float, th1: float, th2: float, w1: float, w2: float, z1: float, z2: float, p: Values, rig: Rig
+    ) -> tuple[float, float]:
         q1, q2 = inner(t, th1, th2, w1, w2, z1, z2, p, rig)
         tau1, tau2 = smooth_torques(
             th1, th2, w1, w2, rig.k1t, rig.k3t, rig.c1t, rig.c3t, rig.k2t, rig.c2t, True, pendulum
@@ -47,7 +54,7 @@ def _linked_torque(inner: Kernel, pendulum: bool, own_friction: bool) -> Kernel:
         a2 = (rig.J1 * f2 - across * f1) * inverse
         return rig.J1 * a1 + rig.J12 * a2 - tau1, rig.J12 * a1 + rig.J2 * a2 - tau2
 
-    return torque  # type: ignore[no-any-return]
+    return torque
 
 
 @cache

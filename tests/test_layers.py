@@ -15,7 +15,7 @@ LAYERS = (
     {"readings"},
     {"campaign", "importer", "lanes", "damper", "linear", "published"},
     {"effects"},
-    {"integrator", "accumulate", "composition"},
+    {"integrator", "accumulate", "composition", "links"},
     {"model"},
     {"features", "priors", "likelihood"},
     {"posterior", "calibration"},

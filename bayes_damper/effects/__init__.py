@@ -294,7 +294,8 @@ def candidates(
     """The effects that a rig can have, each with those of its variants that do anything there.
 
     rig_has_coupled : whether any trial is coupled; has_magnet : whether a pull presses the faces (mu is not 0);
-    nominal : "linear" has mu = drag = 0, so that dry friction becomes a candidate and what scales with it none; start : "free" records begin in motion, so nothing is known of a release.
+    nominal : "linear" has mu = drag = 0, so that dry friction becomes a candidate and what scales with it none;
+    start : "free" records begin in motion, so nothing is known of a release.
     """
     has = {"coupled": rig_has_coupled, "magnet": has_magnet, "linear_nominal": nominal == "linear"}
     offered = {}
