@@ -24,6 +24,7 @@ from scipy.special import gammaln
 from bayes_damper.calibration import (
     Calibration,
     Experiment,
+    Group,
     Noise,
     calibrate,
     calibrate_nominal,
@@ -121,10 +122,13 @@ class FittedNoise:
             floor = c.repeats or c.fast
             source = "repeats differ by" if c.repeats else "the fast content has"
             if c.widened and self.chosen:
+                cause = (
+                    "the model misses something" if c.repeats else "the model misses something, or the noise is slow"
+                )
                 out.append(
                     f"Channel {number}: the fit leaves {c.left:.3g} {unit} where {source} {floor:.3g}; residuals are "
-                    f"correlated by {c.correlation:.2f} from reading to reading: the model misses something. The noise "
-                    "was learnt from what is left, which widens all intervals; `diagnose` looks for the cause."
+                    f"correlated by {c.correlation:.2f} from reading to reading: {cause}. The noise was learnt from "
+                    "what is left, which widens all intervals; `diagnose` looks for the cause."
                 )
         if self.kind == "student":
             out.append(
@@ -254,22 +258,26 @@ def _again(fit: Calibration, noise: Noise) -> Calibration:
 
 
 def _innovations(fit: Calibration) -> list[Array]:
-    """Whitened residuals of the readings that count, by channel."""
+    """Whitened residuals of the readings that count, by channel; trials unlike their repeats left out."""
     found: list[list[Array]] = [[] for _ in fit.problem.noise.total]
     for block in fit.linear.blocks:
-        weight = block.group.weight
+        weight = block.group.weight * _like(fit, block.group)[:, None, None]
         r = block.r.reshape(weight.shape)
         for c in range(weight.shape[1]):
             found[c].append(r[:, c][weight[:, c] > 0.0])
     return [np.concatenate(parts) if parts else np.zeros(0) for parts in found]
 
 
+def _like(fit: Calibration, group: Group) -> Array:
+    """1 for the trials of a group that count fully, 0 for those unlike their repeats."""
+    return np.array([float(i not in fit.problem.factors) for i in group.trials])
+
+
 def _power(fit: Calibration) -> list[float]:
     counts = np.zeros(len(fit.problem.noise.total))
     for group in fit.problem.groups:
-        own = np.array([float(np.mean(fit.problem.factors.get(i, 1.0))) for i in group.trials])
-        for c in range(group.y.shape[1]):
-            counts[c] += float(np.sum(group.weight[:, c] ** 2 / own[:, None] ** 2))
+        weight = group.weight * _like(fit, group)[:, None, None]
+        counts[: weight.shape[1]] += np.sum(weight**2, axis=(0, 2))
     return [
         float(np.sum(x**2)) / max(n, 1.0) if x.size else 1.0 for x, n in zip(_innovations(fit), counts, strict=True)
     ]
@@ -405,9 +413,10 @@ def _mean_residuals(fit: Calibration, channel: int) -> list[tuple[Array, Array]]
         keep = np.min([weights[i][channel] for i in members], axis=0) > 0.9
         if keep.sum() < 60:
             continue
-        centre = np.median(stack, axis=0) if len(members) > 2 else stack.mean(axis=0)
-        spread = 1.4826 * float(np.median(np.abs(stack - centre))) if len(members) > 2 else total[channel]
-        spread = max(spread, 1e-3 * total[channel])
+        # Of three repeats or more the middle one tells what they share; else what is usual over time must do.
+        centre = np.median(stack, axis=0) if len(members) > 2 else np.zeros(stack.shape[1])
+        spread = 1.4826 * float(np.median(np.abs(stack - centre)[:, keep]))
+        spread = max(spread, (1e-3 if len(members) > 2 else 1.0) * total[channel])
         stack = np.clip(stack, centre - CUT * spread, centre + CUT * spread)
         mean = math.sqrt(len(members)) * np.where(keep, stack.mean(axis=0), 0.0)
         out.append((mean, np.maximum(1.0 - _absorbed(free, members), 0.2)))
