@@ -274,7 +274,7 @@ def _parser() -> argparse.ArgumentParser:
 
     sub = command("diagnose", _diagnose, "the sim-to-real gap: where it lies, what causes it, how far it shrinks",
                   out="results/diagnose")  # fmt: skip
-    sub.add_argument("campaign", help="folder of the campaign")
+    sub.add_argument("campaign", help="folder of the campaign, or `thesis`")
     sub.add_argument("--nominal", choices=("nonlinear", "linear"), default="nonlinear",
                      help="linear: a nominal model without dry friction, which is then a candidate")  # fmt: skip
     sub.add_argument("--effects", type=Path, metavar="DIR", help="a folder with effects of your own")

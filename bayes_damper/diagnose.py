@@ -13,10 +13,13 @@ from bayes_damper import figures
 from bayes_damper.campaign import load_campaign
 from bayes_damper.diagnosis import Diagnosis
 from bayes_damper.diagnosis import diagnose as diagnose_campaign
-from bayes_damper.effects import all_effects
+from bayes_damper.diagnosis.published import diagnose_published
+from bayes_damper.effects import Effect, all_effects
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.priors import campaign_priors
+from bayes_damper.posterior import Datum
+from bayes_damper.priors import campaign_priors, load_priors
 from bayes_damper.provenance import provenance
+from bayes_damper.published import load_published
 from bayes_damper.run import write_json
 
 NOMINALS = ("nonlinear", "linear")
@@ -53,9 +56,9 @@ def diagnose(
 ) -> Diagnosed:
     """Where the model and the rig differ, which unmodelled effect causes it, and how far adding it closes the gap.
 
-    campaign : folder; nominal : "linear" leaves dry friction out, which then is a candidate; effects : folder with
-    effects of your own; priors : prior file, by default priors.toml in the campaign; threads : simulations side by
-    side.
+    campaign : folder, or "thesis" for the published measurements; nominal : "linear" leaves dry friction out, which
+    then is a candidate; effects : folder with effects of your own; priors : prior file, by default priors.toml in the
+    campaign; threads : simulations side by side.
 
     Raises
     ------
@@ -65,10 +68,7 @@ def diagnose(
     if nominal not in NOMINALS:
         raise InputError(f"--nominal {nominal}: expected one of {', '.join(NOMINALS)}")
     if str(campaign) == "thesis":
-        raise InputError(
-            "diagnose thesis: the thesis published no records, only 24 numbers, and a diagnosis from those is not "
-            "built yet; `fit thesis` shows which of them the model cannot reach (predictive.svg)"
-        )
+        return _thesis(nominal, all_effects(effects), priors, Path(out), seed, threads, tell)
     loaded = load_campaign(campaign)
     beside = Path(campaign) / "priors.toml"
     file = Path(priors) if priors is not None else beside if beside.exists() else None
@@ -84,7 +84,82 @@ def diagnose(
     return Diagnosed(folder, result, tuple(f"warning: {w}" for w in loaded.warnings))
 
 
+def _thesis(
+    nominal: Literal["nonlinear", "linear"],
+    effects: Mapping[str, Effect],
+    priors: str | Path | None,
+    folder: Path,
+    seed: int,
+    threads: int,
+    tell: Callable[[str], None],
+) -> Diagnosed:
+    """The same answers from the 24 published numbers."""
+    published = load_published()
+    data = {
+        case: tuple(Datum(m.configuration, m.quantity, m.value, m.standard_error, m.n) for m in published.of_case(case))
+        for case in published.cases
+    }
+    found = diagnose_published(
+        data, load_priors(priors or "thesis"), nominal=nominal, effects=effects, seed=seed, threads=threads, tell=tell
+    )
+    path = found.write(folder)
+    result = found.to_json() | {"campaign_sha256": published.checksum, "provenance": provenance()}
+    write_json(path, result)
+    ranking = figures.ranking_figure(
+        found.answers.probabilities, found.sites, title="thesis: what 24 numbers say is missing, and where"
+    )
+    figures.save(ranking, folder / "ranking")
+    rows = {("nominal" if n == "none" else n): [r.to_json() for r in rows] for n, rows in found.rows.items()}
+    figures.save(
+        figures.published_figure(rows, title="published numbers and what each answer predicts for them"),
+        folder / "published",
+    )
+    return Diagnosed(folder, result)
+
+
+def _published_words(result: Mapping[str, Any]) -> list[str]:
+    """The answer from published numbers: nothing is called the cause below 90 %."""
+    probabilities, errors, gap = result["probabilities"], result["probability_errors"], result["gap"]
+    verdict = result["verdict"]
+    share = probabilities[verdict]
+    names = {"none": "no effect at all", "unknown": "a cause outside the library"}
+    first = f"Most probable: {names.get(verdict, verdict)}, probability {share:.2f} +- {errors[verdict]:.2f}"
+    lines = [first + ("." if share >= 0.9 else "; that is no finding, the numbers leave other answers open.")]
+    told = {"gap": "gap", "none": "no gap shown", "cannot tell": "cannot tell"}[gap["answer"]]
+    lines.append(
+        f"Gap on the coupled numbers: {told} (p = {gap['p_value']:.2g}). Coupled peaks, each predicted without the "
+        f"coupled numbers of its case: the nominal model lies {gap['mean_difference']:+.0f} rad/s^2 off on average, "
+        f"{gap['nominal_rms']:.0f} rms; the leading effect {gap['augmented_rms']:.0f} rms; "
+        f"standard errors {gap['noise_rms']:.1f}."
+    )
+    ranked = sorted(probabilities, key=lambda name: -probabilities[name])
+    lines.append("Answers that keep 2 % or more (+- what the computation leaves open):")
+    evidence = {row["name"]: row for row in result["effects"]}
+    for name in ranked:
+        if probabilities[name] < 0.02:
+            continue
+        row = evidence.get(name)
+        detail = ""
+        if row is not None:
+            detail = f"   {row['site']}; log evidence {row['log_evidence']:+.1f} +- {row['log_evidence_error']:.1f}"
+        lines.append(f"  {name:<22} {probabilities[name]:.3f} +- {errors[name]:.3f}{detail}")
+    low = [n for n in ranked if probabilities[n] < 0.02]
+    if low:
+        lines.append(f"Less than 2 % each: {', '.join(low)}")
+    sites = sorted(result["sites"], key=lambda s: -result["sites"][s])[:4]
+    lines.append("Sites: " + ", ".join(f"{site} {result['sites'][site]:.2f}" for site in sites))
+    for e in result["next_experiment"][:1]:
+        lines.append(
+            f"What would decide best: {e['measurement']}, {e['configuration']}, "
+            f"k1t {e['k1t_n_m_per_rad']:g} N m/rad, from {e['theta0_deg']:.1f} deg "
+            f"(expected {e['expected_information_nats']:.2f} nats about the leaders)."
+        )
+    return lines + [f"note: {note}" for note in result["notes"]]
+
+
 def _words(result: Mapping[str, Any]) -> list[str]:
+    if "feature" in result["where"]:
+        return _published_words(result)
     probabilities = result["probabilities"]
     verdict = result["verdict"]
     share = probabilities[verdict]

@@ -517,6 +517,41 @@ def ranking_figure(probabilities: Mapping[str, float], sites: Mapping[str, float
     return figure
 
 
+def published_figure(rows: Mapping[str, Sequence[Mapping[str, Any]]], *, title: str) -> Figure:
+    """Published numbers beside what each answer predicts for them: a panel for each configuration and feature.
+
+    rows : answer -> entries with case, configuration, feature, unit, measured, standard_error, predicted and
+    predicted_hdi90, the same numbers in the same order for each answer.
+    """
+    first = next(iter(rows.values()))
+    panels = list(dict.fromkeys((row["feature"], row["configuration"]) for row in first))
+    cases = list(dict.fromkeys(row["case"] for row in first))
+    figure = new_figure(8.0, 2.3 * ((len(panels) + 1) // 2) + 0.8)
+    with mpl.rc_context(_RC):
+        axes = figure.subplots((len(panels) + 1) // 2, 2, squeeze=False)
+        for axis, (feature, configuration) in zip(axes.flat, panels, strict=False):
+            width = 0.7 / (len(rows) + 1)
+            for k, (name, entries) in enumerate([("measured", first), *rows.items()]):
+                some = [r for r in entries if (r["feature"], r["configuration"]) == (feature, configuration)]
+                x = [cases.index(r["case"]) + (k - 0.5 * len(rows)) * width for r in some]
+                if k == 0:
+                    y, spread = [r["measured"] for r in some], [r["standard_error"] for r in some]
+                    axis.errorbar(x, y, spread, fmt="s", color="black", ms=4, capsize=2, label=name)
+                    continue
+                middle = np.array([r["predicted"] for r in some])
+                ends = np.array([r["predicted_hdi90"] for r in some])
+                reach = np.maximum(np.abs(ends.T - middle), 0.0)
+                mark = {"color": COLOURS[(k - 1) % 6], "marker": "o^vDP"[(k - 1) % 5], "ms": 4, "lw": 2.5}
+                axis.errorbar(x, middle, reach, ls="none", label=name.replace("_", " "), **mark)
+            axis.set_xticks(range(len(cases)), cases)
+            unit = first[[r["feature"] for r in first].index(feature)]["unit"]
+            axis.set_ylabel(f"{feature.replace('_', ' ')}" + ("" if unit == "1" else f" / {unit}"))
+            axis.set_title(configuration, fontsize=9.0)
+        axes.flat[0].legend(fontsize=7.0)
+        figure.suptitle(title)
+    return figure
+
+
 def missing_torque_figure(torque: Any, *, title: str) -> Figure:
     """Missing torque on each inertia over time with its 90 % band, and against the motion.
 
