@@ -19,6 +19,7 @@ from bayes_damper.diagnosis.published import (
     formulas,
     weigh_answers,
 )
+from bayes_damper.diagnosis.verdict import PRIOR_NONE, PRIOR_UNKNOWN
 from bayes_damper.distributions import from_standard
 from bayes_damper.effects import EFFECTS
 from bayes_damper.errors import InputError
@@ -104,9 +105,9 @@ def test_answers_follow_prior_and_evidence():
     flat = weigh_answers({"unknown": 0.0} | dict.fromkeys(names, 0.0))
     assert sum(flat.probabilities.values()) == pytest.approx(1.0)
     assert flat.verdict == "none"
-    assert flat.probabilities["unknown"] == pytest.approx(0.15)
+    assert flat.probabilities["unknown"] == pytest.approx(PRIOR_UNKNOWN)
     strong = weigh_answers({"unknown": 0.0} | dict.fromkeys(names, 0.0) | {"release_ramp": 5.0})
-    each = 0.6 / len(names)
+    each = (1.0 - PRIOR_NONE - PRIOR_UNKNOWN) / len(names)
     expected = each * math.exp(5.0) / (1.0 - each + each * math.exp(5.0))
     assert strong.probabilities["release_ramp"] == pytest.approx(expected)
     assert strong.ranked[0] == "release_ramp"

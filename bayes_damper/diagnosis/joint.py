@@ -403,7 +403,7 @@ def _flattened(log_weights: Array, least: float) -> Array:
     finite = np.where(np.isfinite(log_weights), log_weights, -1e9)
     finite = finite - finite.max()
     if _effective(finite) >= least:
-        return finite
+        return np.asarray(finite)
     low, high = 0.0, 1.0
     for _ in range(40):
         middle = 0.5 * (low + high)
