@@ -23,6 +23,7 @@ from bayes_damper.diagnosis.verdict import PRIOR_NONE, PRIOR_UNKNOWN
 from bayes_damper.distributions import from_standard
 from bayes_damper.effects import EFFECTS
 from bayes_damper.errors import InputError
+from bayes_damper.figures import published_figure, save
 from bayes_damper.posterior import Datum
 from bayes_damper.priors import load_priors
 from bayes_damper.published import load_published
@@ -132,6 +133,24 @@ def test_information_is_nothing_for_equal_answers_and_the_entropy_for_far_ones()
     assert _information(p, same)[0] < 0.05
     far = [rng.standard_normal((300, 40)), 30.0 + rng.standard_normal((300, 40))]
     assert _information(p, far)[0] == pytest.approx(math.log(2.0), abs=0.02)
+
+
+def test_the_figure_has_a_panel_for_each_feature_and_all_answers(tmp_path):
+    rows = {
+        name: [
+            {"case": case, "configuration": d.configuration, "feature": d.quantity, "unit": "1", "measured": d.value,
+             "standard_error": d.standard_error, "predicted": share * d.value,
+             "predicted_hdi90": [0.9 * share * d.value, 1.1 * share * d.value]}
+            for case, data in published_data().items() for d in data
+        ]
+        for name, share in (("nominal", 1.1), ("release_offset", 1.0))
+    }  # fmt: skip
+    figure = published_figure(rows, title="published numbers")
+    assert len(figure.axes) == 6
+    labels = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
+    assert labels == ["measured", "nominal", "release offset"]
+    save(figure, tmp_path / "published")
+    assert (tmp_path / "published.png").stat().st_size > 10_000
 
 
 @pytest.fixture(scope="module")
