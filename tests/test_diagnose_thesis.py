@@ -13,8 +13,10 @@ from bayes_damper.diagnose import Diagnosed, diagnose
 from bayes_damper.diagnosis.joint import Formula, Joint, simulated, weigh_formula
 from bayes_damper.diagnosis.published import (
     BLUR_PRIOR,
+    Result,
     Settings,
     _information,
+    _parameters,
     diagnose_published,
     formulas,
     weigh_answers,
@@ -124,6 +126,11 @@ def test_a_generic_discrepancy_widens_the_features_it_names_and_no_others():
         blurred = (d.configuration, d.quantity) == ("coupled", "max_acceleration")
         size = joint.coordinates.values(points)["blur"][0] * d.value
         assert s == pytest.approx(math.hypot(d.standard_error, size) if blurred else d.standard_error)
+
+
+def test_a_formula_that_changes_no_number_tells_nothing_of_its_parameters():
+    late = next(f for f in formulas() if f.family == "sensor_delay")
+    assert _parameters(Result(late, 0.0, 0.0, (), silent=True)) == {}
 
 
 def test_information_is_nothing_for_equal_answers_and_the_entropy_for_far_ones():

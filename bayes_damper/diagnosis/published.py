@@ -236,12 +236,12 @@ class PublishedDiagnosis:
 
 
 def _parameters(result: Result) -> dict[str, Any]:
-    """What a formula adds: mean, sd and interval of each of its parameters."""
-    out = {}
+    """What a formula adds: mean, sd and interval of each of its parameters; nothing where it changes no number."""
+    out: dict[str, Any] = {}
+    if result.silent:
+        return out
     rng = np.random.default_rng(0)
     for name in result.formula.extras:
-        if not result.runs:
-            continue
         run = result.runs[0]
         draws = np.concatenate([_values(w, w.draw(rng, 2000), name) for w in result.runs])
         unit = {} if run.joint.formula.variant is None else {
