@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from test_calibration import RIG, TRUE, make_experiment
 
 from bayes_damper.calibration import Experiment, Problem, TrialRecord, calibrate, calibrate_nominal
 from bayes_damper.diagnosis import diagnose
+from bayes_damper.diagnosis.outliers import outlying, told, without
 from bayes_damper.diagnosis.pairs import PairProblem
 from bayes_damper.diagnosis.remainder import Remainder, remainder_of
 from bayes_damper.diagnosis.search import Screen, offered, scales_of, screen_variant
@@ -264,3 +266,25 @@ def test_leaving_a_trial_out_is_what_a_fit_without_it_would_say():
     refit = calibrate(fewer, [fit.q[keep]], eta={i: fit.eta[i] for i in rest}, anneal=False)
     assert quadratic.log_evidence(without=fit.problem.trials[:1]) == pytest.approx(refit.log_evidence, abs=0.5)
     assert quadratic.log_evidence(widths=2.0) < quadratic.log_evidence()
+
+
+def test_a_burst_in_one_trial_is_left_out_and_one_in_all_repeats_is_not():
+    """The first is the measurement's, the second the rig's."""
+    experiment = make_experiment(2, n=160)
+    coupled = [i for i, t in enumerate(experiment.trials) if t.coupled and not t.heldout]
+    burst = np.zeros_like(experiment.trials[coupled[0]].y)
+    burst[:, 100:106] = 40.0 * np.array([1, -1, 1, 1, -1, 1])
+
+    def found(members):
+        trials = [replace(t, y=t.y + burst) if i in members else t for i, t in enumerate(experiment.trials)]
+        fit = calibrate_nominal(replace(experiment, trials=tuple(trials)))
+        return fit.problem.experiment, outlying(fit)
+
+    assert found(())[1] == {}
+    dirty, far = found(coupled[:1])
+    assert list(far) == coupled[:1]
+    assert set(np.flatnonzero(far[coupled[0]].any(axis=0))) == set(range(100, 106))
+    clean = without(dirty, far)
+    assert np.isnan(clean.trials[coupled[0]].y[0, 100:106]).all()
+    assert "left out" in told(dirty, far)[0]
+    assert found(coupled)[1] == {}

@@ -24,6 +24,7 @@ from bayes_damper.calibration import (
 from bayes_damper.diagnosis.gap import Closed, Gap, closing, measure_gap, shifts
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.next_experiment import Proposal, propose
+from bayes_damper.diagnosis.outliers import outlying, told, without
 from bayes_damper.diagnosis.pairs import Pair, Second, best_pairs, exactly, seconds_of
 from bayes_damper.diagnosis.remainder import Remainder, remainder_of
 from bayes_damper.diagnosis.search import Candidate, offered, search
@@ -37,6 +38,7 @@ from bayes_damper.effects.base import SITES
 from bayes_damper.priors import PriorSet
 
 SCHEMA = "bayes-damper/diagnosis/1"
+CLEANINGS = 2  # times that outlying readings are looked for: the first ones hide others
 INDISTINCT = 3.0  # nats between two families below which these data cannot tell them apart
 PAIR_FROM = 6.0  # nats left by the leading effect from which pairs are fitted
 JUDGED_PAIRS = 2  # pairs whose remainder is mapped
@@ -215,6 +217,13 @@ def diagnose(
     experiment = campaign if isinstance(campaign, Experiment) else experiment_of(campaign, priors)
     notes: list[str] = []
     fit = calibrate_nominal(experiment, nominal=nominal, threads=threads, tell=tell)
+    for _ in range(CLEANINGS):
+        far = outlying(fit)
+        if not far:
+            break
+        notes += told(experiment, far)
+        experiment = without(experiment, far)
+        fit = calibrate_nominal(experiment, nominal=nominal, threads=threads, tell=tell)
     pool = offered(experiment, nominal, effects)
     found = search(fit, [*pool, *((DRIFT, variant) for variant in DRIFT.variants)], threads=threads, tell=tell)
     fit, found = _reseeded(fit, found)
@@ -263,12 +272,12 @@ def diagnose(
     best = pair.fit if pair is not None and answers.pair >= 0.5 else None if winner is None else winner.fit
     gap = measure_gap(fit, best, rng=rng)
     leading = sorted(evidence, key=lambda n: -evidence[n])[:TOLD]
-    told = {} if best is None else closing(fit, {n: fits[n][0] for n in leading if n in fits}, best, rng)
+    closes = {} if best is None else closing(fit, {n: fits[n][0] for n in leading if n in fits}, best, rng)
     return Diagnosis(
         name, experiment, nominal, fit, tuple(found), winner, answers, before, after, gap, locate(fit), before_map,
         after_map, tuple(_proposals(fit, found, answers)), _sites(answers, effects, before_map, after_map), evidence,
         tuple(_indistinct(evidence, effects)), pair, tuple(notes), time.perf_counter() - began, {"seed": seed},
-        tuple(pairs), tuple(seconds), drift, best, tuple(choices), told,
+        tuple(pairs), tuple(seconds), drift, best, tuple(choices), closes,
     )  # fmt: skip
 
 
