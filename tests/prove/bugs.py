@@ -54,13 +54,13 @@ def _rig(change: Callable[[dict[str, Any]], dict[str, Any]]) -> Fault:
 
 @contextmanager
 def _readings_halved() -> Iterator[None]:
-    genuine = RecordPosterior._part
+    genuine = RecordPosterior.__init__
 
-    def part(*arguments):
-        found = genuine(*arguments)
-        return replace(found, readings=0.5 * found.readings)
+    def init(self, *arguments, **named):
+        genuine(self, *arguments, **named)
+        self.parts = tuple(replace(part, readings=0.5 * part.readings) for part in self.parts)
 
-    with mock.patch.object(RecordPosterior, "_part", staticmethod(part)):
+    with mock.patch.object(RecordPosterior, "__init__", init):
         yield
 
 

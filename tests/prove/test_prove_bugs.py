@@ -13,7 +13,7 @@ import ranks
 from bugs import BUGS, SOUND, Bug
 
 LEVEL = 1e-3
-FIRST, MOST = 5, 80
+FIRST, MOST = 3, 96
 """Campaigns after which the ranks are first looked at, and at most; the number doubles from look to look."""
 
 
