@@ -28,7 +28,7 @@ from bayes_damper.fit import published_posterior
 from bayes_damper.posterior import Datum, FeaturePosterior
 from bayes_damper.priors import load_priors
 from bayes_damper.record_posterior import RecordPosterior
-from bayes_damper.sampling import Sampling, Start, StoppingRule, annealed_start, diagnose_draws, sample
+from bayes_damper.sampling import Sampling, StoppingRule, annealed_start, diagnose_draws, resampled_start, sample
 
 Array = NDArray[np.float64]
 SEED = 20261
@@ -43,8 +43,8 @@ SETTINGS = {
     "instant of release and its own friction. Truths of parameters from the default priors, of release angle, pull and "
     "stiffness from what is declared, noise from a lognormal of median 2 rad/s² and factor 1.5. Records by the "
     "tests' own Runge-Kutta solver, which shares nothing with the package.",
-    "fit": "calibrate_nominal and RecordPosterior, as in `bayes-damper fit`; sampled by the same sampler with one "
-    f"ensemble of {WALKERS} walkers and 100 stored steps in place of four ensembles and the stopping rule",
+    "fit": "calibrate_nominal and RecordPosterior, as in `bayes-damper fit` under white noise; sampled by the same "
+    f"sampler with one ensemble of {WALKERS} walkers and 100 stored steps in place of four ensembles and the stopping rule",
     "cases of the thesis": "truths from the thesis's priors, features with the published standard errors (Student t, "
     f"2 degrees of freedom), FeaturePosterior; annealed start of {POPULATION} members in place of 2048, then as above",
     "seed": str(SEED),
@@ -97,12 +97,12 @@ def recorded(
     with fault():
         best = calibrate_nominal(mistake(made.experiment), switches=SWITCHES[kind])
         posterior = RecordPosterior(best)
-        height = float(posterior(posterior.start[None])[0])
-        start = Start(posterior.start, posterior.covariance, height, np.empty((0, posterior.ndim)), 1)
+        rng = np.random.default_rng([SEED, number])
+        start = resampled_start(posterior, posterior.start, posterior.covariance, rng)
         sampling = sample(posterior, start, seed=number, ensembles=1, walkers=WALKERS, rule=SHORT)
         flat = sampling.flat(ranks.DRAWS)
         values = posterior.values(flat)
-        nuisances = posterior.nuisances(flat, np.random.default_rng([SEED, number]))
+        nuisances = posterior.nuisances(flat, rng)
     own: list[dict[str, Array]] = [{} for _ in made.experiment.trials]
     for part in posterior.parts:
         for k, i in enumerate(part.group.trials):

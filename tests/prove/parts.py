@@ -69,7 +69,7 @@ def write_page(
     """
     PAGES.mkdir(parents=True, exist_ok=True)
     date = datetime.now(UTC).date().isoformat()
-    commits = sorted({str(c)[:12] for c in numbers.pop("commits", [commit()])})
+    commits = sorted({" ".join(w[:12] for w in str(c).split()) for c in numbers.pop("commits", [commit()])})
     head = {"schema": f"bayes-damper/proof-{name}/1", "title": title, "verdict": verdict, "date": date}
     numbers = head | {"commits": commits} | numbers
     (PAGES / f"{name}.json").write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from bayes_damper.calibration import Calibration, Experiment, TrialRecord, calibrate_nominal
 from bayes_damper.distributions import LogNormal
 from bayes_damper.record_posterior import NOISE_PRIOR, RecordPosterior
-from bayes_damper.sampling import Start, diagnose_draws, sample
+from bayes_damper.sampling import diagnose_draws, resampled_start, sample
 
 Array = NDArray[np.float64]
 TIMES = np.arange(1000) * 1e-3
@@ -76,14 +76,13 @@ def own(name: str = "bayes_damper") -> tuple[RecordPosterior, Run, dict[str, flo
     begun = time.process_time()
     posterior = RecordPosterior(calibrate_nominal(experiment))
     fitted = time.process_time()
-    height = float(posterior(posterior.start[None])[0])
     warm = [fitted]
 
     def tell(stage: Any) -> None:
         if stage.phase == "warm-up":
             warm[0] = time.process_time()
 
-    start = Start(posterior.start, posterior.covariance, height, np.empty((0, posterior.ndim)), 1)
+    start = resampled_start(posterior, posterior.start, posterior.covariance, np.random.default_rng(1))
     sampling = sample(posterior, start, seed=2, progress=tell)
     end = time.process_time()
     drawn = sampling.evaluations - int(sampling.warm_up.sum()) * sampling.draws.shape[2]
