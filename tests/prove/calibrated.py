@@ -44,7 +44,7 @@ SETTINGS = {
     "stiffness from what is declared, noise from a lognormal of median 2 rad/s² and factor 1.5. Records by the "
     "tests' own Runge-Kutta solver, which shares nothing with the package.",
     "fit": "calibrate_nominal and RecordPosterior, as in `bayes-damper fit` under white noise; sampled by the same "
-    f"sampler with one ensemble of {WALKERS} walkers and 100 stored steps in place of four ensembles and the stopping rule",
+    f"sampler with one ensemble of {WALKERS} walkers and 100 stored steps, not four ensembles and the stopping rule",
     "cases of the thesis": "truths from the thesis's priors, features with the published standard errors (Student t, "
     f"2 degrees of freedom), FeaturePosterior; annealed start of {POPULATION} members in place of 2048, then as above",
     "seed": str(SEED),
