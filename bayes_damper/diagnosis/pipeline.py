@@ -264,7 +264,14 @@ def diagnose(
     for c in found:
         if c.fit is not None and math.isfinite(c.log_evidence):
             fits.setdefault(c.effect.name, []).append(c.fit)
-    choices = sensitivity(fit, fits, judge, answers.verdict, {"+".join(p.effects): p.fit for p in pairs[:JUDGED_PAIRS]})
+    choices = sensitivity(
+        fit,
+        fits,
+        judge,
+        answers.verdict,
+        {**evidence, DRIFT.name: drift},
+        {"+".join(p.effects): p.fit for p in pairs[:JUDGED_PAIRS]},
+    )
     pair = next((p for p in pairs if p.effects == answers.pair_effects), None)
     notes += [*_notes(experiment, fit, answers), in_a_sentence(choices, answers.verdict)]
     tell(f"leading answer {answers.verdict}")

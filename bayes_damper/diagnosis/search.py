@@ -24,7 +24,7 @@ from bayes_damper.calibration import (
     calibrate,
     coordinate_of,
 )
-from bayes_damper.distributions import HalfNormal
+from bayes_damper.distributions import HalfNormal, LogUniform
 from bayes_damper.effects import REFERENCE, Scales, candidates, scaled
 from bayes_damper.effects.base import Effect, Variant
 
@@ -36,6 +36,7 @@ MOST_FITS = 14
 MOST_STEPS = 25
 FAINT = 8.0  # nats: below, formulas that replace the friction are not tried
 STARTS_OF_LEADERS = 2
+MISSED = 10.0  # nats that a fit may stay behind its screening before other starts are tried
 LOST = -1.2  # prior sds below the median at which a friction counts as given up
 
 
@@ -233,7 +234,9 @@ def start_points(variant: Variant, screens: Sequence[Screened], count: int) -> l
         z = []
         amplitude = float(np.clip(s.amplitude, 0.02, 1.5)) if s.amplitude > 0.0 else 0.05
         for p, x in zip(variant.parameters, s.start, strict=True):
-            scaled_x = x if p.null is None or variant.null is None else p.null + amplitude * (x - p.null)
+            # On a logarithmic scale (a sensor's range, say) the null is far away and no amplitude leads there.
+            free = p.null is None or variant.null is None or isinstance(p.prior, LogUniform)
+            scaled_x = x if free or p.null is None else p.null + amplitude * (x - p.null)
             z.append(coordinate_of(p.prior, scaled_x))
         points.append(np.concatenate([s.base, z]))
     return points
@@ -293,6 +296,10 @@ def search(
         # Without a null the screening cannot set an amplitude, and ranks starts badly: try them all.
         count = len(variant.starts) if variant.null is None else STARTS_OF_LEADERS if gains[k] > 0.5 * best else 1
         candidate = fit_variant(nominal, effect, variant, screens[k], count, min(reached))
+        if candidate.log_evidence < max(s.log_evidence for s in screens[k]) - MISSED:
+            # The screening promised more than the fit found: it went astray, so try every other start.
+            again = fit_variant(nominal, effect, variant, screens[k], len(variant.starts), min(reached))
+            candidate = max(candidate, again, key=lambda c: c.log_evidence)
         if candidate.fit is not None:
             reached.append(candidate.fit.cost)
         return candidate

@@ -26,7 +26,7 @@ from bayes_damper.diagnosis.verdict import Answers
 
 Array = NDArray[np.float64]
 
-MOST_REFITS, REFIT_STEPS = 3, 12
+MOST_REFITS, REFIT_STEPS = 4, 12
 MOST_TRIALS = 40  # beyond, only cases are left out one by one
 
 
@@ -122,14 +122,19 @@ def sensitivity(
     fits: Mapping[str, Sequence[Calibration]],
     judge: Callable[[Mapping[str, float], Mapping[str, float]], Answers],
     leading: str,
+    evidence: Mapping[str, float],
     pairs: Mapping[str, Calibration] | None = None,
 ) -> list[Choice]:
     """The verdict under every other choice.
 
     fits : family -> its fitted formulas; pairs : label -> fit of two effects at once; judge : gives the answers from
-    the change of each family's and pair's log evidence over the nominal model; leading : the verdict on all data.
+    the change of each family's and pair's log evidence over the nominal model; leading : the verdict on all data;
+    evidence : family -> log Z over the nominal model, on all data.
     """
     base = Quadratic.of(nominal)
+    noise = nominal.problem.noise
+    # Answers far behind keep the noise of the first fits: they stay behind, but their evidence cannot be carried over.
+    fits = {name: same for name, each in fits.items() if (same := [f for f in each if f.problem.noise == noise])}
     families = {name: [Quadratic.of(f) for f in each] for name, each in fits.items()}
     both = {label: Quadratic.of(f) for label, f in (pairs or {}).items()}
     whole = {label: q.log_evidence() for label, q in both.items()}
@@ -144,24 +149,32 @@ def sensitivity(
             choices.append((f"without case {case}", [i for i in base.trials if experiment.trials[i].case == case], 1.0))
     if 1 < len(base.trials) <= MOST_TRIALS:
         choices += [(f"without {_named(experiment.trials[i])}", [i], 1.0) for i in sorted(base.trials)]
+
+    def moved(name: str, values: Sequence[float], zero: float) -> float:
+        """Change of a family's evidence when those of its fits become `values`, the nominal model's `zero`."""
+        behind = min(evidence[name] - (max(known[name]) - base.log_evidence()), 0.0)  # what its other formulas cost it
+        return max(values) - zero + behind - evidence[name]
+
     out = []
     again = 0
     for what, without, widths in choices:
-        zero = base.log_evidence(without, widths) - base.log_evidence()
-        changes = {
-            name: max(q.log_evidence(without, widths) for q in each) - max(known[name]) - zero
-            for name, each in families.items()
-            if math.isfinite(max(known[name]))
-        }
-        of_pairs = {label: q.log_evidence(without, widths) - whole[label] - zero for label, q in both.items()}
+        zero = base.log_evidence(without, widths)
+        changes = dict.fromkeys(evidence, -math.inf) if without else {}
+        for name, each in families.items():
+            if math.isfinite(max(known[name])):
+                changes[name] = moved(name, [q.log_evidence(without, widths) for q in each], zero)
+        shift = zero - base.log_evidence()
+        of_pairs = {label: q.log_evidence(without, widths) - whole[label] - shift for label, q in both.items()}
         answers = judge(changes, of_pairs)
-        if answers.verdict != leading and without and again < MOST_REFITS:
+        for _ in range(2):
+            if answers.verdict == leading or not without or again >= MOST_REFITS:
+                break
             # The quadratic may have been carried too far: ask fits that are made again without these trials.
             again += 1
-            zero = refitted(nominal, without) - nominal.log_evidence
+            zero = refitted(nominal, without)
             for name in {leading, answers.verdict} & set(fits):
                 best = max(fits[name], key=lambda f: f.log_evidence)
-                changes[name] = refitted(best, without) - best.log_evidence - zero
+                changes[name] = moved(name, [refitted(best, without)], zero)
             answers = judge(changes, of_pairs)
         p = answers.probabilities
         out.append(Choice(what, answers.verdict, p[answers.verdict], p[leading]))
