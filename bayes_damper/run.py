@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import signal
 import threading
 import time
 from collections.abc import Mapping, Sequence
@@ -20,7 +21,7 @@ from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any, Protocol
 
-from bayes_damper.errors import BayesDamperError, InputError, Interrupted
+from bayes_damper.errors import BayesDamperError, ExitCode, InputError, Interrupted
 
 _POLL_S = 0.2
 _STATUS_EVERY_S = 0.5
@@ -152,12 +153,12 @@ def _on_processes(tasks: Sequence[Task], folder: Path, workers: int, progress: P
         waiting = [task for task in tasks if task.name not in results]
         if not waiting:
             return {task.name: results[task.name] for task in tasks}
+        pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_begin_worker)
         try:
-            with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_end_with_parent) as pool:
-                futures: dict[Future[Any], Task] = {
-                    pool.submit(execute, task, folder / task.name): task for task in waiting
-                }
-                _collect(futures, folder, progress, results)
+            futures: dict[Future[Any], Task] = {
+                pool.submit(_execute, task, folder / task.name): task for task in waiting
+            }
+            _collect(futures, folder, progress, results)
         except BrokenProcessPool:
             # A worker was killed from outside: what it had saved is there, so a new pool goes on with the rest.
             breakdowns += 1
@@ -167,7 +168,43 @@ def _on_processes(tasks: Sequence[Task], folder: Path, workers: int, progress: P
                     f"with: bayes-damper resume {folder}"
                 ) from None
         except KeyboardInterrupt:
+            for process in list((pool._processes or {}).values()):  # noqa: SLF001 (an executor has no other way)
+                process.terminate()
             raise Interrupted(f"stopped; go on with: bayes-damper resume {folder}") from None
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+_WORKER = {"busy": False, "stopped": False}
+
+
+def _begin_worker() -> None:
+    """In a worker: Ctrl-C in a terminal reaches all processes at once, so it is left to the parent, which tells each
+    worker once to stop.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _stop)
+    _end_with_parent()
+
+
+def _stop(_signal: int, _frame: Any) -> None:
+    if not _WORKER["busy"]:
+        os._exit(int(ExitCode.INTERRUPTED))
+    _WORKER["stopped"] = True
+    raise KeyboardInterrupt
+
+
+def _execute(task: Task, folder: Path) -> Any:
+    """`execute` in a worker; after a stop nothing more is begun."""
+    if _WORKER["stopped"]:
+        raise Interrupted("stopped before it began")
+    _WORKER["busy"] = True
+    try:
+        return execute(task, folder)
+    except KeyboardInterrupt:
+        raise Interrupted("stopped") from None
+    finally:
+        _WORKER["busy"] = False
 
 
 def _end_with_parent() -> None:

@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import signal
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pytest
@@ -163,3 +168,24 @@ def test_features_drawn_from_the_model_are_recovered_at_the_stated_rate():
     n = trials * coordinates.ndim
     # Parameters of one posterior are not independent: half of the trials is taken as the effective number.
     assert binom.ppf(0.001, n // 2, 0.9) / (n // 2) <= total / n <= binom.ppf(0.999, n // 2, 0.9) / (n // 2)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs process groups")
+def test_ctrl_c_with_two_workers_saves_and_ends(tmp_path):
+    """As in a terminal, where all processes get the signal; more tasks than workers, of which none may begin then."""
+    campaign = _campaign(tmp_path / "campaign", ("I", "IV"))
+    out = tmp_path / "out"
+    code = "import sys; from bayes_damper.cli import main; sys.exit(main())"
+    command = [sys.executable, "-c", code, "fit", str(campaign), "--workers", "2", "--thorough", "--out", str(out)]
+    with subprocess.Popen(command, start_new_session=True, stderr=subprocess.PIPE, text=True) as process:
+        deadline = time.monotonic() + 120.0
+        while not list(out.glob("*/state/*")) and time.monotonic() < deadline:
+            time.sleep(0.1)
+        os.killpg(process.pid, signal.SIGINT)
+        _, told = process.communicate(timeout=60.0)
+    assert process.returncode == ExitCode.INTERRUPTED, told
+    assert f"bayes-damper resume {out}" in told
+    assert "Traceback" not in told
+    assert list(out.glob("*/state/*"))
+    assert not list(out.glob("*/done.json"))

@@ -338,6 +338,7 @@ def _advance(target: Target, state: _Ensemble, thin: int) -> tuple[_Ensemble, Ar
     """One block of an ensemble: a round of warm-up (thin = 0) or 25 stored steps, with the draws of the latter."""
     moves = _moves(state)
     sampler = emcee.EnsembleSampler(len(state.coords), target.ndim, target, moves=moves, vectorize=True)
+    sampler.log_prob_fn = target  # emcee's own wrapper prints all points when Ctrl-C comes
     begin = emcee.State(state.coords, log_prob=state.log_prob, random_state=_unpacked(state.random))
     steps = _BLOCK if thin else state.length
     end = sampler.run_mcmc(begin, steps, thin_by=max(thin, 1), skip_initial_state_check=True)
