@@ -14,6 +14,7 @@ import corner
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 mpl.use("Agg", force=False)
@@ -311,6 +312,9 @@ def variability_figure(result: Mapping[str, Any], *, title: str, converged: bool
                     told = "linear fit to the measurements" if i == 0 else None
                     upper.plot(energy, row["measured"][name], "D", color=COLOURS[1], ms=5, label=told)
             upper.set_yscale("log")
+            upper.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            upper.yaxis.set_major_formatter("{x:g}")
+            upper.yaxis.set_minor_formatter(NullFormatter())
             upper.set_xlabel("initial energy [mJ]")
             upper.set_ylabel(f"effective {axis_label}")
             pieces = {key: row for key, row in result["decomposition"][name].items() if isinstance(row, Mapping)}

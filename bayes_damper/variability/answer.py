@@ -327,9 +327,16 @@ def _sentences(result: Mapping[str, Any], fit_converged: bool) -> list[str]:
         shares = {key: row["share"] for key, row in parts.items() if isinstance(row, Mapping) and "share" in row}
         first = max(shares, key=lambda key: shares[key]["median"])
         low, high = shares[first]["hdi90"]
+        sure = parts["probability_largest"][first]
         out.append(
-            f"Scatter of the effective {name} over the cases: the largest share is {first.replace('_', ' ')} "
-            f"({100 * shares[first]['median']:.0f} %, 90 % interval {100 * low:.0f} to {100 * high:.0f} %)."
+            f"Scatter of the effective {name} over the cases, if they may differ: the largest share is "
+            f"{first.replace('_', ' ')} ({100 * shares[first]['median']:.0f} %, 90 % interval {100 * low:.0f} to "
+            f"{100 * high:.0f} %); that it is the largest has the probability {sure:.2f}."
+        )
+    if decomposition:
+        out.append(
+            f"That they differ at all has the probability {1.0 - models['shared']['probability']:.2f}: without a real "
+            "difference the other parts are all there is."
         )
     return out
 
