@@ -76,6 +76,7 @@ def _variability(args: Arguments) -> Any:
         seed=args.seed,
         particles=args.particles,
         repeats=args.repeats,
+        unseen=args.unseen,
         workers=args.workers,
         scheduler=args.scheduler,
         progress=_progress(args),
@@ -328,6 +329,8 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default: the folder itself)")
     sub.add_argument("--particles", type=int, default=256, metavar="N", help="particles of each run (default: 256)")
     sub.add_argument("--repeats", type=int, default=2, metavar="N", help="runs of each model (default: 2)")
+    sub.add_argument("--unseen", action=argparse.BooleanOptionalAction, default=True,
+                     help="predict each case from the others too (published features: most of the time)")  # fmt: skip
     workers(sub)
 
     sub = command("compare", _compare, "results side by side")

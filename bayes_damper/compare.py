@@ -211,7 +211,8 @@ def _pooling(content: Mapping[str, Any]) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for name, model in content["models"].items():
         out[f"{name}: log evidence"] = model["log_evidence"]
-        out[f"{name}: held-out score"] = model["heldout"]["log_score"]
+        if model["heldout"]["log_score"] is not None:
+            out[f"{name}: held-out score"] = model["heldout"]["log_score"]
     return out
 
 

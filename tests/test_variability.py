@@ -497,8 +497,9 @@ class StopsIn:
 @pytest.mark.slow
 def test_thesis_end_to_end_interrupted_and_resumed(tmp_path):
     """Stopped in its third piece, and gone on with by `resume`: as one run, with pieces that any order would give."""
+    settings = {"particles": 32, "repeats": 1, "draws": 16, "unseen": False}
     with pytest.raises(Interrupted, match="bayes-damper resume"):
-        variability("thesis", out=tmp_path / "a", particles=32, repeats=1, draws=16, progress=StopsIn(3))
+        variability("thesis", out=tmp_path / "a", progress=StopsIn(3), **settings)
     assert not (tmp_path / "a" / "variability.json").exists()
     first = resume(tmp_path / "a")
     assert first.folder == tmp_path / "a"
@@ -508,16 +509,17 @@ def test_thesis_end_to_end_interrupted_and_resumed(tmp_path):
     assert rows["II"]["energy_j"] == pytest.approx(49.2e-3, rel=0.02)
     assert sum(m["probability"] for m in first.result["models"].values()) == pytest.approx(1.0)
     work = tmp_path / "a" / "variability"
-    settings = {k: v for k, v in read_json(work / "run.json")["plan"].items() if k in ("fit", "seed", "particles")}
+    plan = {k: v for k, v in read_json(work / "run.json")["plan"].items() if k in ("fit", "seed", "particles")}
     alone = run_pooling(
-        tmp_path, lambda *_: None, settings=settings, pooling="shared", without="II", repeat=0, own_constants=False
+        tmp_path, lambda *_: None, settings=plan, pooling="shared", without=None, repeat=0, own_constants=False
     )
-    assert read_json(work / "shared-without-II-0" / "done.json")["log_z"] == alone["log_z"]
-    again = variability("thesis", out=tmp_path / "a", particles=32, repeats=1, draws=16)
+    assert read_json(work / "shared-all-0" / "done.json")["log_z"] == alone["log_z"]
+    assert first.result["models"]["shared"]["heldout"]["log_score"] is None
+    again = variability("thesis", out=tmp_path / "a", **settings)
     assert again.result["models"] == first.result["models"]
     assert resume(work).result["models"] == first.result["models"]
     with pytest.raises(InputError, match="another run"):
-        variability("thesis", out=tmp_path / "a", particles=48, repeats=1, draws=16)
+        variability("thesis", out=tmp_path / "a", **(settings | {"particles": 48}))
 
 
 # Bad input

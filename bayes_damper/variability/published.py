@@ -118,7 +118,7 @@ class PublishedCases:
             error = math.sqrt(float(np.mean([runs[name]["error"] ** 2 for name in names])) / len(names))
             spread = float(np.ptp(heights)) if len(heights) > 1 else 0.0
             height = float(heights.mean())
-            without = {case: runs[f"{pooling}-without-{case}-0"] for case in self.names}
+            without = {case: runs[key] for case in self.names if (key := f"{pooling}-without-{case}-0") in runs}
             unseen = {case: height - run["log_z"] for case, run in without.items()}
             unsure = len(without) ** 2 * error**2 + sum(run["error"] ** 2 for run in without.values())
             points = np.concatenate([_points(work / name) for name in names])
@@ -128,8 +128,8 @@ class PublishedCases:
                 "spread": spread,
                 "heldout": {
                     "what": "Each case's features, predicted from the other cases",
-                    "log_score": float(sum(unseen.values())),
-                    "error": math.sqrt(unsure),
+                    "log_score": float(sum(unseen.values())) if unseen else None,
+                    "error": math.sqrt(unsure) if unseen else None,
                     "cases": unseen,
                 },
                 "memory": max(runs[name]["memory"] for name in names),
