@@ -62,6 +62,9 @@ EVENT_THRESHOLD = 4.5  # robust sds of the second difference beyond which a samp
 EVENT_TIMING = 5e-5  # s, by which the instant of an event may be off without the model being wrong
 RELEASE_WEIGHT = 0.4  # of the first two readings
 FIRST_STAGE_EVENT_WEIGHT = 0.15
+WHITE_ENOUGH = 1.3  # ratio of residuals without repeats to the noise of the sensors up to which they are noise
+FIRST_ERROR = 0.02  # of a channel's reach: noise of the first fit where there are no repeats
+READINGS_PER_PERIOD = 100.0  # of the primary, that displacements and velocities are thinned to
 STEPS_PER_PERIOD = 120.0  # at least, of the primary on its spring
 OFFSET_SHARE = 0.05  # of a channel's reach: prior sd of its unknown offset, where the campaign does not say
 HOPELESS, HURRY = 60.0, 6.0  # cost above a target, and in how many such steps it must be reachable, to go on
@@ -186,12 +189,20 @@ class Noise:
 
     innovation: sd of the innovations, the channel's unit; total: sd of the noise itself; longer: for each channel the
     coefficients of a longer autoregression that takes the place of phi and theta, empty where there is none.
+    Without repeats the noise stands for the model's own error too (`error_level`); sensor is then the sd of the
+    readings' noise alone.
     """
 
     innovation: tuple[float, ...]
     phi: tuple[float, ...]
     theta: tuple[float, ...]
     longer: tuple[tuple[float, ...], ...] = ()
+    sensor: tuple[float, ...] = ()
+
+    @property
+    def floor(self) -> tuple[float, ...]:
+        """Standard deviation of what no model could explain, each channel."""
+        return self.sensor or self.total
 
     def filter(self, channel: int) -> tuple[list[float], list[float]]:
         """Numerator and denominator of the filter that turns the noise into its innovations."""
@@ -1241,24 +1252,70 @@ def rough_noise(experiment: Experiment, trials: Sequence[int]) -> Noise:
         for i in trials:
             y = experiment.trials[i].y
             if c < y.shape[0] and y.shape[1] > 12:
-                fast = np.diff(y[c], n=4)[4:]
-                pieces.append(fast[np.isfinite(fast)])
-        if pieces and sum(p.size for p in pieces):
-            sd = 1.4826 * float(np.median(np.abs(np.concatenate(pieces)))) / math.sqrt(70.0)
-        else:
-            sd = 0.0
+                pieces.append(y[c])
+        sd = _fast_level(pieces)
         declared = experiment.noise_sd[min(c, len(experiment.noise_sd) - 1)] if experiment.noise_sd else 0.0
         scale = max((float(np.nanmax(np.abs(experiment.trials[i].y))) for i in trials), default=1.0)
         sds.append(max(sd if sd > 0.0 else declared, 1e-6 * scale, 1e-300))
     return Noise(tuple(sds), (0.0,) * channels, (0.0,) * channels)
 
 
+def _fast_level(series: Sequence[Array]) -> float:
+    """Standard deviation of the white noise in series, from their fourth differences; 0 where there is too little."""
+    fast = [np.diff(x, n=4)[4:] for x in series if x.size > 12]
+    kept = np.concatenate([f[np.isfinite(f)] for f in fast]) if fast else np.zeros(0)
+    return 1.4826 * float(np.median(np.abs(kept))) / math.sqrt(70.0) if kept.size else 0.0
+
+
+def lone(experiment: Experiment, trials: Sequence[int]) -> bool:
+    """Whether no two of the trials are repeats: one initial state and record length twice. Free starts never repeat."""
+    keys = [(t.case, t.coupled, t.theta0, t.times.size) for t in (experiment.trials[i] for i in trials)]
+    return experiment.start == "free" or len(set(keys)) == len(keys)
+
+
+def error_level(residuals: Sequence[Array]) -> float:
+    """Level, as of white noise, at which residuals with correlated errors carry the information that they do carry.
+
+    Half of sum P^2 / sum P over the lines P of the periodograms: the variance times the sum of all squared
+    autocorrelations (Bayley and Hammersley, 1946, J. R. Stat. Soc. Suppl. 8, 184: n readings tell as much of a variance
+    as n over that sum independent ones do). For white residuals it is their standard deviation.
+    """
+    lines = [np.abs(np.fft.rfft(r - r.mean())[1:-1]) ** 2 / r.size for r in residuals if r.size > 8]
+    if not lines:
+        return 0.0
+    power = np.concatenate(lines)
+    total = float(power.sum())
+    return math.sqrt(0.5 * float(power @ power) / total) if total > 0.0 else 0.0
+
+
 def learn_noise(fit: Calibration, colour: bool = True) -> Noise:
-    """Noise of each channel from what the repeats do not share; without repeats, from the residuals' fast content.
+    """Noise of each channel from what the repeats do not share; without repeats, from the residuals.
 
     What the repeats share is the model's fault, not noise: it drops out of the differences. Colour is only claimed
-    where it raises the likelihood by more than 3 nats.
+    where it raises the likelihood by more than 3 nats. Without repeats the residuals' fast content is the noise of the
+    sensors, and nothing tells the rest from a model that is wrong in a way that would repeat. Posteriors and evidences
+    must allow for that error, so the noise is then white at the `error_level` of the residuals.
     """
+    noise = _unshared_noise(fit, colour)
+    problem = fit.problem
+    if not lone(problem.experiment, problem.trials):
+        return noise
+    found = fit.residuals()
+    weights = {i: g.weight[k] for g in problem.groups for k, i in enumerate(g.trials)}
+    levels, sensors = [], []
+    for c, total in enumerate(noise.total):
+        used = [r[c][weights[i][c] > 0.0] for i, r in found.items() if c < r.shape[0]]
+        # Lines leak from a large slow error into the fast ones of a short record; differences do not.
+        fast = _fast_level(used)
+        sensors.append(min(fast, total) if fast > 0.0 else total)
+        levels.append(max(sensors[-1], error_level(used)))
+    if all(level < WHITE_ENOUGH * sensor for level, sensor in zip(levels, sensors, strict=True)):
+        return noise
+    zero = (0.0,) * len(levels)
+    return Noise(tuple(levels), zero, zero, sensor=tuple(sensors))
+
+
+def _unshared_noise(fit: Calibration, colour: bool) -> Noise:
     problem = fit.problem
     e = problem.experiment
     residuals = fit.residuals()
@@ -1411,7 +1468,14 @@ def calibrate_nominal(
     tell: Callable[[str], None] = lambda _: None,
 ) -> Calibration:
     """The nominal model fitted to the training trials: roughly, then with the nuisances and noise that they show."""
-    problem = Problem(experiment, nominal=nominal, threads=threads, switches=switches or Switches())
+    first = rough_noise(experiment, experiment.training)
+    if lone(experiment, experiment.training):
+        # The error of the model is not known yet, and may be a thousand times the noise: begin with a broad valley.
+        trials = [experiment.trials[i] for i in experiment.training]
+        reach = [max(float(np.nanmax(np.abs(t.y[c]))) for t in trials if c < len(t.y)) for c in range(len(first.phi))]
+        level = tuple(max(s, FIRST_ERROR * r) for s, r in zip(first.innovation, reach, strict=True))
+        first = replace(first, innovation=level, sensor=first.total)
+    problem = Problem(experiment, nominal=nominal, noise=first, threads=threads, switches=switches or Switches())
     fit = calibrate(problem, most=15, finish=False)
     chosen = switches or choose_switches(fit)
     problem = Problem(experiment, nominal=nominal, noise=learn_noise(fit), switches=chosen, threads=threads)
@@ -1420,7 +1484,11 @@ def calibrate_nominal(
     noise = learn_noise(fit)
     tell(f"noise sd {', '.join(f'{s:.3g}' for s in noise.total)}")
     problem = Problem(experiment, nominal=nominal, noise=noise, switches=chosen, threads=threads)
-    return calibrate(problem, [fit.q], eta=fit.eta, anneal=False)
+    fit = calibrate(problem, [fit.q], eta=fit.eta, anneal=False)
+    if noise.sensor:
+        # A better fit leaves less error, which again sharpens the fit.
+        fit = calibrate(problem.with_noise(learn_noise(fit)), [fit.q], eta=fit.eta, anneal=False)
+    return fit
 
 
 # Reading a campaign -------------------------------------------------------------------------------------------------
@@ -1479,6 +1547,24 @@ def with_priors(experiment: Experiment, priors: PriorSet) -> Experiment:
     )  # fmt: skip
 
 
+def thinned(experiment: Experiment) -> Experiment:
+    """The experiment with displacements and velocities of free starts thinned to some 100 readings a period.
+
+    Such records hold nothing faster that a torque could have made, and their errors, that of the model first, are the
+    same over many readings. Readings are picked, not averaged: an average would shrink fast swings.
+    """
+    if experiment.quantity == "acceleration" or experiment.start != "free":
+        return experiment
+    omega = max(math.sqrt(max(k, 1e-300) / experiment.constants["J1"][0]) for k, _ in experiment.stiffnesses)
+    wanted = 2.0 * math.pi / omega / READINGS_PER_PERIOD
+    trials = []
+    for t in experiment.trials:
+        every = max(1, math.floor(wanted / float(np.median(np.diff(t.times))))) if t.times.size > 1 else 1
+        torque = None if t.torque is None else t.torque[::every]
+        trials.append(t if every == 1 else replace(t, times=t.times[::every], y=t.y[:, ::every], torque=torque))
+    return replace(experiment, trials=tuple(trials))
+
+
 def experiment_of(campaign: Any, priors: PriorSet | Mapping[str, Distribution | float] | None = None) -> Experiment:
     """A campaign.Campaign as an Experiment; priors override those of `default_priors`.
 
@@ -1524,6 +1610,7 @@ def experiment_of(campaign: Any, priors: PriorSet | Mapping[str, Distribution | 
         measurement.start, given, offset_sd=measurement.offset_std, scale_sd=measurement.scale_std or (),
         coupling_law=rig.inertial_coupling_law,
     )  # fmt: skip
+    experiment = thinned(experiment)
     if isinstance(priors, PriorSet):
         return with_priors(experiment, priors)
     return replace(experiment, priors=dict(priors or {}))

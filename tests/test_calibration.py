@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,9 +18,11 @@ from bayes_damper.calibration import (
     calibrate,
     calibrate_nominal,
     coordinate_of,
+    error_level,
     learn_noise,
     longest_step,
     predict,
+    thinned,
 )
 from bayes_damper.distributions import HalfNormal, LogNormal, LogUniform, Normal, Uniform, from_standard
 from bayes_damper.model import Model
@@ -280,3 +283,36 @@ def test_a_free_start_takes_its_first_speed_from_the_record():
 def test_slow_rigs_take_longer_steps():
     assert longest_step(swing()) == pytest.approx(4e-3)
     assert longest_step(make_experiment(1, n=50)) == pytest.approx(1e-3)
+
+
+def test_the_level_of_an_error_is_that_of_its_noise_where_it_is_white():
+    rng = np.random.default_rng(5)
+    white = [0.3 * rng.standard_normal(4000) for _ in range(3)]
+    assert error_level(white) == pytest.approx(0.3, rel=0.05)
+    slow = [np.convolve(w, np.ones(20), mode="same") for w in white]
+    # A moving sum of 20: variance times the sum of squared autocorrelations, about 20 x 0.09 x 13.35.
+    assert error_level(slow) ** 2 == pytest.approx(20 * 0.09 * 13.35, rel=0.2)
+
+
+def test_without_repeats_the_noise_allows_for_an_error_of_the_model():
+    rng = np.random.default_rng(7)
+    right = calibrate_nominal(swing(noise=2e-3), nominal="linear")
+    assert right.problem.noise.sensor == ()
+    wrong = swing(noise=2e-3)
+    slow = [np.convolve(rng.standard_normal(t.y.size), np.hanning(25), "same")[None] * 5e-3 for t in wrong.trials]
+    bent = replace(wrong, trials=tuple(replace(t, y=t.y + s) for t, s in zip(wrong.trials, slow, strict=True)))
+    fit = calibrate_nominal(bent, nominal="linear")
+    noise = fit.problem.noise
+    assert noise.floor[0] == pytest.approx(2e-3, rel=1.0)
+    assert noise.total[0] > 5.0 * noise.floor[0]
+    value, sd = fit.parameters["c1t"]
+    assert sd > 4.0 * right.parameters["c1t"][1]
+    assert abs(value - 0.4) < 4.0 * sd
+
+
+def test_displacements_of_free_starts_are_thinned():
+    fine = swing()
+    kept = thinned(replace(fine, stiffnesses=((1.0, 0.1),)))
+    assert kept.trials[0].times.size == 200 // 6 + 1
+    assert np.array_equal(kept.trials[0].y, fine.trials[0].y[:, ::6])
+    assert thinned(fine) == fine

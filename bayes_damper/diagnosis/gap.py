@@ -106,7 +106,7 @@ def measure_gap(
     """
     experiment = nominal.problem.experiment
     heldout = experiment.heldout
-    noise = nominal.problem.noise.total
+    noise = nominal.problem.noise.floor
     if not heldout:
         rms = _rms(nominal.residuals(), nominal.problem, nominal.problem.trials)
         floor = _floor_rms(nominal.problem, nominal.problem.trials)
@@ -161,7 +161,7 @@ def closing(
     heldout = nominal.problem.experiment.heldout
     if not heldout or not fits:
         return {}
-    problem, noise = nominal.problem, nominal.problem.noise.total
+    problem, noise = nominal.problem, nominal.problem.noise.floor
     masks = _masks(problem, heldout)
     before = predict(nominal, heldout)
     x0 = _squares({i: before[i].residual for i in heldout}, masks, noise)
@@ -284,7 +284,7 @@ def _rms(residuals: Mapping[int, Array], problem: Problem, trials: Sequence[int]
 
 def _floor_rms(problem: Problem, trials: Sequence[int]) -> float:
     masks = _masks(problem, trials)
-    sds = problem.noise.total
+    sds = problem.noise.floor
     total = sum(float(m.sum()) * sds[c] ** 2 for i in trials for c, m in enumerate(masks[i]))
     count = sum(int(masks[i].sum()) for i in trials)
     return math.sqrt(total / max(count, 1))
@@ -423,7 +423,7 @@ def left_out_case(
         predictions.append(predict(widened, out))
     before, after = predictions
     masks = _masks(nominal.problem, out)
-    noise = nominal.problem.noise.total
+    noise = nominal.problem.noise.floor
     x0 = _squares({i: before[i].residual for i in out}, masks, noise)
     x1 = _squares({i: after[i].residual for i in out}, masks, noise)
     d = _squares({i: after[i].model - before[i].model for i in out}, masks, noise)
