@@ -10,19 +10,10 @@ import argparse
 import inspect
 import re
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 _MARK = re.compile(r"<!-- generated: (\w+) -->")
 _HEADINGS = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
-
-
-def on_config(config: Any) -> Any:
-    """Proofs, where there are any, become the last section of the contents."""
-    proofs = sorted((Path(config["docs_dir"]) / "proof").glob("*.md"))
-    if proofs:
-        config["nav"].append({"Proofs": [f"proof/{path.name}" for path in proofs]})
-    return config
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
