@@ -17,7 +17,7 @@ from bayes_damper.diagnosis.pairs import PairProblem
 from bayes_damper.diagnosis.remainder import Remainder, remainder_of
 from bayes_damper.diagnosis.search import Screen, offered, scales_of, screen_variant
 from bayes_damper.diagnosis.sensitivity import Quadratic
-from bayes_damper.diagnosis.verdict import Answers, Left, family_evidence, left_of, weigh
+from bayes_damper.diagnosis.verdict import Answers, Left, family_evidence, left_alone, left_of, weigh
 from bayes_damper.effects import EFFECTS
 from bayes_damper.model import Model
 
@@ -207,6 +207,17 @@ def test_what_is_left_counts_against_the_gap_itself():
     assert left_of(gap, 1000.0, gap, 1000.0).share == 1.0
     events = Remainder(-3.0, 10.0, 8.0, -50.0, 70.0, 500.0)
     assert left_of(events, 300.0, gap, 1000.0).share < 0.02
+
+
+def test_without_repeats_sums_of_squares_tell_what_is_left():
+    """An effect that closes nine tenths is the answer, whatever stays above the noise of the sensors."""
+    before = left_alone(1e4, 1e4, 100.0)
+    assert before.share == 1.0
+    assert weigh({"a": 200.0}, before, left_alone(1e4, 1e3, 100.0)).verdict == "a"
+    assert weigh({"a": 200.0}, before, left_alone(1e4, 8e3, 100.0)).verdict == "unknown"
+    assert weigh({"a": 0.0}, before, before).verdict == "unknown"
+    quiet = left_alone(150.0, 148.0, 100.0)
+    assert weigh({"a": 0.0}, quiet, quiet).verdict == "none"
 
 
 def test_two_effects_change_the_records_by_the_sum_of_their_changes():

@@ -179,6 +179,19 @@ def closing(
     return out
 
 
+def sums_of_squares(fit: Calibration) -> tuple[float, float]:
+    """Sum of squared residuals of a fit over the variance of the sensors' noise, and what that noise alone would give.
+
+    On the held-out trials where there are any, else on those that were fitted.
+    """
+    problem = fit.problem
+    heldout = problem.experiment.heldout
+    residuals = {i: p.residual for i, p in predict(fit, heldout).items()} if heldout else fit.residuals()
+    masks = _masks(problem, list(residuals))
+    x = _squares(residuals, masks, problem.noise.floor)
+    return float(x.sum()), float(sum(m.sum() for m in masks.values()))
+
+
 # The test -------------------------------------------------------------------------------------------------------------
 
 

@@ -21,7 +21,7 @@ from bayes_damper.calibration import (
     experiment_of,
     learn_noise,
 )
-from bayes_damper.diagnosis.gap import Closed, Gap, closing, measure_gap, shifts
+from bayes_damper.diagnosis.gap import Closed, Gap, closing, measure_gap, shifts, sums_of_squares
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.next_experiment import Proposal, propose
 from bayes_damper.diagnosis.outliers import outlying, told, without
@@ -30,7 +30,7 @@ from bayes_damper.diagnosis.remainder import Remainder, remainder_of
 from bayes_damper.diagnosis.search import Candidate, offered, search
 from bayes_damper.diagnosis.sensitivity import Choice, in_a_sentence, sensitivity
 from bayes_damper.diagnosis.sites import SiteMap, site_map, write_missing_torque
-from bayes_damper.diagnosis.verdict import RULE, Answers, Left, Rule, family_evidence, left_of, weigh
+from bayes_damper.diagnosis.verdict import RULE, Answers, Left, Rule, family_evidence, left_alone, left_of, weigh
 from bayes_damper.diagnosis.where import Where, locate
 from bayes_damper.distributions import Distribution, from_standard
 from bayes_damper.effects import EFFECTS, Effect, classes
@@ -41,6 +41,7 @@ SCHEMA = "bayes-damper/diagnosis/1"
 CLEANINGS = 2  # times that outlying readings are looked for: the first ones hide others
 INDISTINCT = 3.0  # nats between two families below which these data cannot tell them apart
 PAIR_FROM = 6.0  # nats left by the leading effect from which pairs are fitted
+WORTH_A_PAIR = 0.02  # share left, where no trial has repeats, from which pairs are fitted
 JUDGED_PAIRS = 2  # pairs whose remainder is mapped
 TOLD = 3  # leading effects for which the gap they leave on held-out trials is told
 
@@ -239,16 +240,24 @@ def diagnose(
     none_left = left_of(before, before_map.strength, before, before_map.strength)
     home = 0.5 if winner is None else _at(after_map, {winner.effect.site})
     left = left_of(after, after_map.strength, before, before_map.strength, home)
+    alone = bool(fit.problem.noise.sensor)
+    if alone:
+        none_left = _left_alone(fit, fit)
+        left = none_left if winner is None or winner.fit is None else _left_alone(fit, winner.fit)
     seconds = [] if winner is None or winner.effect is DRIFT else seconds_of(winner, fit, pool)
     gain = max((s.gain for s in seconds), default=0.0)
-    pairs = best_pairs(fit, found, pool, seconds, threads=threads) if max(left.nats, gain) > PAIR_FROM else []
+    pairs = (
+        best_pairs(fit, found, pool, seconds, threads=threads)
+        if max(left.nats, gain) > PAIR_FROM and (not alone or left.share > WORTH_A_PAIR)
+        else []
+    )
     judged = []
     for k, p in enumerate(pairs[:JUDGED_PAIRS]):
-        remains = _left_by(p, before, before_map)
+        remains = _left_alone(fit, p.fit) if alone else _left_by(p, before, before_map)
         if remains.nats > PAIR_FROM and p.gain > 0.0:
             tell(f"composing {' and '.join(p.effects)}")
             pairs[k] = exactly(fit, p, found)
-            remains = _left_by(pairs[k], before, before_map)
+            remains = _left_alone(fit, pairs[k].fit) if alone else _left_by(pairs[k], before, before_map)
         judged.append((pairs[k].effects, pairs[k].log_evidence, remains))
     pairs.sort(key=lambda p: -p.log_evidence)
     best_left = pairs[0].after if pairs and pairs[0].gain > 0.0 else after
@@ -293,6 +302,13 @@ def _left_by(pair: Pair, before: Remainder, before_map: SiteMap) -> Left:
     found = site_map(pair.fit, torque=False)
     home = 0.5 * _at(found, {pair.first[0].site, pair.second[0].site})
     return left_of(pair.after, found.strength, before, before_map.strength, home)
+
+
+def _left_alone(nominal: Calibration, fit: Calibration) -> Left:
+    """What a fit leaves of trials without repeats."""
+    before, floor = sums_of_squares(nominal)
+    after, _ = sums_of_squares(fit)
+    return left_alone(before, after, floor)
 
 
 def _at(found: SiteMap, sites: Collection[str]) -> float:

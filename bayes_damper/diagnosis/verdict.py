@@ -46,6 +46,10 @@ class Rule:
     strength_width: float = 2.5
     share_home: float = 0.15
     share_away: float = 0.05
+    share_lone: float = 0.33
+    """Where no trial has repeats: share of the reducible sum of squares left on held-out readings."""
+    lone_ratio: float = 4.0
+    """Where no trial has repeats: sum of squares over that of the sensors' noise from which it counts as a gap."""
     share_width: float = 0.30
     line: float = 12.0
     torque_band: float = 25.0
@@ -63,7 +67,8 @@ class Left:
     """What an answer leaves of the gap.
 
     nats : evidence that anything is left; share : of the evidence of the gap, 1 for `none`; home : probability that it
-    lies at the answer's own site; line, peak_hz : the strongest narrow line, nats and Hz.
+    lies at the answer's own site; line, peak_hz : the strongest narrow line, nats and Hz; lone : told by sums of
+    squares, for trials without repeats.
     """
 
     nats: float
@@ -71,6 +76,7 @@ class Left:
     home: float = 0.5
     line: float = 0.0
     peak_hz: float = 0.0
+    lone: bool = False
 
 
 def left_of(
@@ -137,6 +143,18 @@ def _log_mean(values: Sequence[float]) -> float:
     return top + math.log(sum(math.exp(v - top) for v in values) / len(values))
 
 
+def left_alone(before: float, after: float, floor: float, rule: Rule = RULE) -> Left:
+    """What an answer leaves of trials without repeats, by sums of squares before and after, and that of the noise.
+
+    Without repeats nothing tells a wrong model from correlated noise, so the noise of the evidences stands for both and
+    no remainder shows against it. The noise of the sensors alone, from the readings' fast content, is the floor here.
+    """
+    nats = rule.strength * math.log(max(after / floor, 1e-9)) / math.log(rule.lone_ratio) if floor > 0.0 else 0.0
+    reducible = before - floor
+    share = (after - floor) / reducible if reducible > 0.0 else 1.0
+    return Left(nats, min(max(share, 0.0), 1.0), lone=True)
+
+
 def _logistic(x: float) -> float:
     return 1.0 / (1.0 + math.exp(-max(min(x, 60.0), -60.0)))
 
@@ -149,7 +167,8 @@ def foreign(left: Left, evidence: float, rule: Rule = RULE) -> float:
     """
     seen = _logistic((left.nats - rule.strength) / rule.strength_width)
     log_share = math.log(max(left.share, 1e-6))
-    limit = rule.share_away * (rule.share_home / rule.share_away) ** left.home
+    home = rule.share_away * (rule.share_home / rule.share_away) ** left.home
+    limit = rule.share_lone if left.lone else home
     large = _logistic((log_share - math.log(limit)) / rule.share_width)
     if left.peak_hz > rule.torque_band:
         lined = _logistic((left.line - rule.line) / rule.strength_width)
