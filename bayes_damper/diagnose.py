@@ -175,13 +175,17 @@ def _words(result: Mapping[str, Any]) -> list[str]:
     else:
         row = next(r for r in result["effects"] if r["name"] == verdict)
         lines = [f"The missing effect is {verdict} ({row['site']}), probability {share:.2f}: {row['formula']}."]
+        parameters = {verdict: row["parameters"]}
+        if result.get("pair"):
+            both, p = result["pair"]["effects"], result["pair"]["probability"]
+            lines.append(f"It does not close the gap alone: {both[0]} and {both[1]} together do (probability {p:.2f}).")
+            parameters = result["pair"]["parameters"]
         lines += [
-            f"  {name} = {p['mean']:.4g} {p['unit']}, 90 % interval {p['hdi90'][0]:.4g} to {p['hdi90'][1]:.4g}"
-            for name, p in row["parameters"].items()
+            f"  {effect}, {name} = {p['mean']:.4g} {p['unit']}, "
+            f"90 % interval {p['hdi90'][0]:.4g} to {p['hdi90'][1]:.4g}"
+            for effect, those in parameters.items()
+            for name, p in those.items()
         ]
-    if result.get("pair"):
-        both, p = result["pair"]["effects"], result["pair"]["probability"]
-        lines.append(f"One effect does not close the gap; {both[0]} and {both[1]} together do (probability {p:.2f}).")
     lines.append(
         f"Gap on held-out trials: {gap['answer']} (p = {gap['p_value']:.2g}); "
         f"residual {gap['nominal_rms']:.3g} before, {gap['augmented_rms']:.3g} after, noise {gap['noise_rms']:.3g}."

@@ -26,8 +26,8 @@ QUIET = Left(-3.0, 0.0)
 ALL = Left(900.0, 1.0, line=200.0, peak_hz=8.0)
 
 
-def with_effect(effect: str, variant: str, values: dict[str, float], seed: int = 2) -> Experiment:
-    """Two cases, uncoupled and coupled, three repeats, with one effect of the library at work."""
+def with_effect(effect: str, variant: str, values: dict[str, float], seed: int = 2, gain: float = 0.0) -> Experiment:
+    """Two cases, uncoupled and coupled, three repeats, with one effect of the library at work, or a wrong gain too."""
     rng = np.random.default_rng(seed)
     times = np.arange(500) * 1e-3
     formula = EFFECTS[effect].variant(variant)
@@ -38,6 +38,7 @@ def with_effect(effect: str, variant: str, values: dict[str, float], seed: int =
                 theta0 = math.radians(degrees)
                 rig = RIG | TRUE | {"k1t": k1t, "theta0": theta0 * (1.0 + 0.01 * rng.standard_normal())}
                 y = Model(both, effect=formula).simulate(rig, times, effect=values).y[0]
+                y[0] *= 1.0 + gain
                 noisy = y + 2.0 * rng.standard_normal(y.shape)
                 label = f"{case}{number}"
                 trials.append(
@@ -63,6 +64,22 @@ def test_a_strong_effect_is_named_and_sized(named):
     assert abs(value - 0.8) < 4.0 * sd
     assert found.answers.credible_set() == ["quadratic_drag"]
     assert max(found.sites, key=found.sites.get) == "bearings"
+
+
+@pytest.mark.slow
+def test_two_effects_at_once_are_both_named_and_sized():
+    """A drag and the gain of a channel: neither closes the gap alone, both together do."""
+    found = diagnose(with_effect("quadratic_drag", "alike", {"coefficient": 0.8}, gain=0.08), effects=FEW)
+    told = found.to_json()
+    assert told["pair"] is not None
+    assert set(told["pair"]["effects"]) == {"quadratic_drag", "sensor_gain"}
+    drag = told["pair"]["parameters"]["quadratic_drag"]["coefficient"]
+    assert abs(drag["mean"] - 0.8) < 4.0 * drag["sd"]
+    error = told["pair"]["parameters"]["sensor_gain"]["error"]
+    assert abs(error["mean"] - 0.08) < 0.01
+    assert found.gap.closed.median > 0.8
+    assert set(told["sites"]) >= {"bearings", "sensor"}
+    assert min(told["sites"]["bearings"], told["sites"]["sensor"]) > 0.4
 
 
 def test_the_gap_closes_on_trials_that_no_fit_has_seen(named):

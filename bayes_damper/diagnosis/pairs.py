@@ -152,6 +152,17 @@ class Pair:
         """Names of both, the stronger first."""
         return self.first[0].name, self.second[0].name
 
+    def parameters(self) -> dict[str, dict[str, str]]:
+        """Effect -> name of its parameter -> that of the coordinate of `fit`."""
+        problem = self.fit.problem
+        assert isinstance(problem, PairProblem | ComposedProblem)
+        prefixes = ("effect.", "second.") if isinstance(problem, PairProblem) else ("effect.first.", "effect.second.")
+        out = {}
+        for prefix, variant in zip(prefixes, problem.variants, strict=True):
+            effect = self.first[0] if self.first[1] is variant else self.second[0]
+            out[effect.name] = {p.name: prefix + p.name for p in variant.parameters}
+        return out
+
 
 def seconds_of(
     first: Candidate, nominal: Calibration, pool: Sequence[tuple[Effect, Variant]]

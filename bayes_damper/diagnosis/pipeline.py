@@ -114,6 +114,7 @@ class Diagnosis:
                 "probability": self.answers.pair,
                 "log_evidence": self.pair.log_evidence,
                 "gain": self.pair.gain,
+                "parameters": self._of_pair(self.pair),
             },
             "sites": dict(self.sites),
             "gap": self.gap.to_json(),
@@ -166,6 +167,15 @@ class Diagnosis:
             "parameters": {p.name: _estimate(best.fit, f"effect.{p.name}", p.unit) for p in best.variant.parameters}
             if best.fit is not None
             else {},
+        }
+
+    @staticmethod
+    def _of_pair(pair: Pair) -> dict[str, Any]:
+        """Parameters of both effects, fitted together."""
+        units = {e.name: {p.name: p.unit for p in v.parameters} for e, v in (pair.first, pair.second)}
+        return {
+            effect: {name: _estimate(pair.fit, label, units[effect][name]) for name, label in names.items()}
+            for effect, names in pair.parameters().items()
         }
 
     def _shifts(self) -> dict[str, Any]:
@@ -254,7 +264,7 @@ def diagnose(
     judged = []
     for k, p in enumerate(pairs[:JUDGED_PAIRS]):
         remains = _left_alone(fit, p.fit) if alone else _left_by(p, before, before_map)
-        if remains.nats > PAIR_FROM and p.gain > 0.0:
+        if remains.nats > PAIR_FROM and p.gain > PAIR_FROM:
             tell(f"composing {' and '.join(p.effects)}")
             pairs[k] = exactly(fit, p, found)
             remains = _left_alone(fit, pairs[k].fit) if alone else _left_by(pairs[k], before, before_map)
