@@ -36,9 +36,9 @@ Array = NDArray[np.float64]
 
 READER: dict[str, tuple[tuple[type, ...], str]] = {
     "delimiter": ((str,), "mark between columns; 'auto' (default), ',', ';', 'tab' or 'space'"),
-    "decimal": ((str,), "'.' (default) or ','"),
-    "skip_lines": ((int,), "lines before the header (or before the numbers where there is no header)"),
-    "header": ((bool,), "whether a line of column names precedes the numbers (default: true)"),
+    "decimal": ((str,), "'.' or ',' (default: as the numbers are written)"),
+    "skip_lines": ((int,), "lines before the header, or before the numbers where there is none (default: found)"),
+    "header": ((bool,), "whether a line of column names precedes the numbers (default: found)"),
     "time": ((str, int), "column of the time, by name or number from 1; absent: sample_rate makes it"),
     "time_unit": ((str,), "s (default), ms, us, min"),
     "sample_rate": ((int, float), "Hz, nominal, where there is no time column"),
@@ -70,6 +70,8 @@ TRIAL: dict[str, tuple[tuple[type, ...], str]] = {
     "theta0_std": ((int, float), "deg (mm)"),
     "holdout": ((bool,), "true: only its own nuisances are estimated"),
 }
+_LEAST_KNOWN = 0.5
+"""Share of a file's lines that must hold readings."""
 _GRAVITY = 9.80665
 _DEGREE = math.pi / 180.0
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
@@ -288,10 +290,16 @@ def _trial_from(
     n_channels = 2 if coupled else 1
     channels = np.stack([_column(source, c, where) for c in wanted[:n_channels]])
     torque = _column(source, option["torque"], where) if "torque" in option else None
-    if not (np.isfinite(times).all() and np.isfinite(channels).all()):
+    known = np.isfinite(times) & np.isfinite(channels).all(axis=0)
+    if np.mean(known) < _LEAST_KNOWN:
+        missing = 100.0 * (1.0 - np.mean(known))
         raise InputError(
-            f"{where}: missing or non-finite readings in the chosen columns; remove those lines (gaps are allowed)"
+            f"{where}: {missing:.0f} % of the readings in the chosen columns are missing; choose other columns, or "
+            "export the file again"
         )
+    # A line without a reading becomes a gap of the record, which every command allows for.
+    times, channels = times[known], channels[:, known]
+    torque = None if torque is None else torque[known]
     back = np.flatnonzero(np.diff(times) <= 0.0)
     if len(back):
         raise InputError(
@@ -468,27 +476,27 @@ def _tall(piece: NDArray[Any]) -> NDArray[Any]:
 
 
 def _read_text(raw: bytes, name: str, option: Mapping[str, Any]) -> _Raw:
-    text = raw.decode("utf-8-sig") if raw[:3] == b"\xef\xbb\xbf" else raw.decode("utf-8", errors="replace")
-    lines = text.splitlines()[option.get("skip_lines", 0) :]
+    lines = _decoded(raw).splitlines()[option.get("skip_lines", 0) :]
     lines = [line for line in lines if line.strip()]
     if len(lines) < 3:
         raise InputError(f"{name}: no readings after the first {option.get('skip_lines', 0)} lines; correct skip_lines")
     mark = _mark(lines, option)
+    comma = option["decimal"] == "," if "decimal" in option else _has_decimal_commas(lines, mark)
+    begin, named = _begin(lines, option, mark, comma)
     names: tuple[str, ...] = ()
-    if option.get("header", True):
-        names = tuple(cell.strip().strip('"') for cell in _split(lines[0], mark))
-        lines = lines[1:]
-    comma = option.get("decimal", ".") == ","
+    if named:
+        names = tuple(cell.strip().strip('"') for cell in _split(lines[begin], mark))
+    lines = lines[begin + bool(names) :]
     if comma and mark == ",":
         raise InputError(
             f"{name}: decimal commas and commas between columns cannot be told apart; export with semicolons"
         )
-    first = 1 + option.get("skip_lines", 0) + bool(names)
+    first = 1 + option.get("skip_lines", 0) + begin + bool(names)
     rows = []
     for i, line in enumerate(lines):
         cells = _split(line, mark)
         try:
-            rows.append([float(c.replace(",", ".") if comma else c) if c.strip() else math.nan for c in cells])
+            rows.append([_number_of(c, comma) for c in cells])
         except ValueError:
             raise InputError(_bad_line(name, first + i, line, cells, bool(names))) from None
         if len(cells) != len(rows[0]) or (names and len(cells) != len(names)):
@@ -502,6 +510,60 @@ def _read_text(raw: bytes, name: str, option: Mapping[str, Any]) -> _Raw:
                 )
             )
     return _Raw(names, np.array(rows))
+
+
+_MISSING = {"", "-", "--", "---", "na", "n/a", "nan", "null", "none"}
+"""What loggers write where there is no reading."""
+
+
+def _decoded(raw: bytes) -> str:
+    """Text of a file in UTF-8, or else in the code page of Windows, whose names of columns may have umlauts."""
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return raw.decode("cp1252", errors="replace")
+
+
+def _number_of(cell: str, comma: bool) -> float:
+    """A cell as a number, nan where the reading is missing; ValueError for other words."""
+    cell = cell.strip().strip('"')
+    if cell.lower() in _MISSING:
+        return math.nan
+    return float(cell.replace(",", ".") if comma else cell)
+
+
+def _has_decimal_commas(lines: Sequence[str], mark: str) -> bool:
+    """Whether the later half of the lines writes its numbers with decimal commas."""
+    if mark == ",":
+        return False
+    cells = [c.strip() for line in lines[len(lines) // 2 :] for c in _split(line, mark)]
+    return any("," in c for c in cells) and not any("." in c for c in cells)
+
+
+def _begin(lines: Sequence[str], option: Mapping[str, Any], mark: str, comma: bool) -> tuple[int, bool]:
+    """Which line holds the names of the columns, or the first numbers, and whether it holds names.
+
+    Told by skip_lines and header where these are given; else the numbers begin with the first of five rows of numbers
+    of one length, and the line before them holds names if it has as many cells and is no row of numbers itself.
+    """
+    if "skip_lines" in option:
+        return 0, bool(option.get("header", True))
+
+    def width(line: str) -> int:
+        cells = _split(line, mark)
+        try:
+            known = [math.isfinite(_number_of(c, comma)) for c in cells]
+        except ValueError:
+            return 0
+        return len(cells) if any(known) else 0
+
+    widths = [width(line) for line in lines[:400]]
+    starts = (i for i in range(len(widths)) if widths[i] and len(set(widths[i : i + 5])) == 1)
+    first = next(starts, None)
+    if first is None:
+        return 0, bool(option.get("header", True))
+    named = first > 0 and len(_split(lines[first - 1], mark)) == widths[first] and option.get("header", True)
+    return (first - 1, True) if named else (first, False)
 
 
 def _bad_line(name: str, line: int, text: str, cells: Sequence[str], named: bool) -> str:
@@ -518,7 +580,7 @@ def _mark(lines: Sequence[str], option: Mapping[str, Any]) -> str:
     named = {"tab": "\t", "space": " "}
     if given != "auto":
         return str(named.get(given, given))
-    sample = lines[min(2, len(lines) - 1)]
+    sample = lines[max(min(2, len(lines) - 1), len(lines) // 2)]
     for mark in (";", "\t"):
         if mark in sample:
             return mark
@@ -544,9 +606,16 @@ def _column(source: _Raw, column: str | int, where: str) -> Array:
     return source.table[:, column - 1]
 
 
+def _unit_in_name(column: str | int) -> str | None:
+    """The unit of time that a column's name gives in brackets, such as "Time [ms]"; None if it gives none."""
+    found = re.search(r"[\[(]\s*([a-zµ]+)\s*[\])]", column) if isinstance(column, str) else None
+    unit = found[1].replace("µ", "u") if found else None
+    return unit if unit in _TIME else None
+
+
 def _times_of(source: _Raw, option: Mapping[str, Any], where: str) -> Array:
     if "time" in option:
-        unit = option.get("time_unit", "s")
+        unit = option.get("time_unit") or _unit_in_name(option["time"]) or "s"
         if unit not in _TIME:
             raise InputError(f"{option['where']}: time_unit '{unit}' is none of {', '.join(_TIME)}")
         return _column(source, option["time"], where) * _TIME[unit]

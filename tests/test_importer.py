@@ -107,9 +107,44 @@ def test_degrees_taken_for_radians(tmp_path: Path) -> None:
     assert "it looks like degrees taken for radians" in fault_of(tmp_path, source)
 
 
-def test_decimal_commas_that_were_not_told(tmp_path: Path) -> None:
+def test_decimal_commas_need_not_be_told(tmp_path: Path) -> None:
     source = logger_file(tmp_path / "run.csv", wave(), ";", True)
-    assert "has decimal commas; set decimal = ','" in fault_of(tmp_path, source)
+    trial = load_campaign(init_campaign(tmp_path / "out", [source], **OPTIONS)).trials[0]
+    assert np.max(np.abs(trial.channels)) == pytest.approx(np.max(np.abs(wave())), rel=1e-3)
+
+
+def odd_logger_file(path: Path, y: np.ndarray) -> Path:
+    """What a German logger writes: a head of several lines in another code page, ms, words for missing readings."""
+    rows = [f"{1e3 * (t + 5.0):.1f};{v:.5f}".replace(".", ",") for t, v in zip(TIMES, y, strict=True)]
+    rows[300:303] = [r.split(";")[0] + ";---" for r in rows[300:303]]
+    del rows[500:503]
+    head = ["Me\u00dfger\u00e4t: Logger 3000", "Datum;01.02.2024", "", "Zeit [ms];Kanal 1"]
+    path.write_text("\n".join([*head, *rows]) + "\n", encoding="cp1252")
+    return path
+
+
+def test_heads_units_in_names_and_missing_readings_are_understood(tmp_path: Path) -> None:
+    source = odd_logger_file(tmp_path / "run.csv", wave())
+    options = {**OPTIONS, "time": "Zeit [ms]", "columns": ["Kanal 1"]}
+    trial = load_campaign(init_campaign(tmp_path / "out", [source], **options)).trials[0]
+    assert np.isfinite(trial.channels).all()
+    assert np.median(np.diff(trial.times)) == pytest.approx(float(np.median(np.diff(TIMES))), rel=1e-6)
+    assert np.max(np.diff(trial.times)) == pytest.approx(4.0 * float(np.median(np.diff(TIMES))), rel=1e-3)
+
+
+def test_a_file_of_numbers_alone_needs_no_header(tmp_path: Path) -> None:
+    path = tmp_path / "run.dat"
+    path.write_text("\n".join(f"{v:.5f}" for v in wave()) + "\n", encoding="utf-8")
+    rate = 1.0 / float(np.median(np.diff(TIMES)))
+    options = {k: v for k, v in OPTIONS.items() if k != "time"} | {"columns": [1], "sample_rate": rate}
+    assert len(load_campaign(init_campaign(tmp_path / "out", [path], **options)).trials[0].times) > 300
+
+
+def test_a_column_of_missing_readings_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    rows = [f"{t:.4f},{v:.4f}," for t, v in zip(TIMES, wave(), strict=True)]
+    path.write_text("\n".join(["t,b,a", *rows]) + "\n", encoding="utf-8")
+    assert "100 % of the readings in the chosen columns are missing" in fault_of(tmp_path, path)
 
 
 def test_a_record_that_starts_in_the_middle(tmp_path: Path) -> None:

@@ -93,3 +93,16 @@ def test_importing_the_package_takes_no_heavy_module():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"import bayes_damper imports {done.stderr}"
+
+
+def test_importing_the_package_is_quick_and_leaves_nothing(tmp_path):
+    """Below a second in a new process without home, display or cache, and no file is written."""
+    code = f"import sys; sys.path.insert(0, {str(ROOT.parent)!r}); import bayes_damper, bayes_damper.cli"
+    done = subprocess.run(
+        [sys.executable, "-B", "-I", "-X", "importtime", "-c", code],
+        capture_output=True, text=True, check=True, cwd=tmp_path, env={"PATH": "", "HOME": str(tmp_path)},
+    )  # fmt: skip
+    rows = [line.split("|") for line in done.stderr.splitlines() if line.startswith("import time:") and "|" in line]
+    cumulative = {row[2].strip(): int(row[1]) for row in rows if row[1].strip().isdigit()}
+    assert cumulative["bayes_damper"] < 1_000_000
+    assert list(tmp_path.iterdir()) == []
