@@ -1,0 +1,74 @@
+"""The measured rigs of data/real, where their raw files are: shipped priors fit, and dry friction closes the gap."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayes_damper.calibration import Experiment, Noise, Problem, calibrate, coordinate_of, experiment_of, predict
+from bayes_damper.campaign import load_campaign
+from bayes_damper.diagnosis.search import offered
+from bayes_damper.effects import EFFECTS
+from bayes_damper.effects.base import Variant
+from bayes_damper.importer import import_records
+from bayes_damper.priors import campaign_priors
+
+ROOT = Path(__file__).resolve().parent.parent
+RAW = Path(os.environ.get("BAYES_DAMPER_REALDATA", ROOT.parent / "shared" / "realdata"))
+DEGREES = 180.0 / np.pi
+RIGS = ("rotary_pendulum", "tuned_mass_damper", "double_pendulum")
+
+
+def experiment(tmp_path: Path, name: str) -> Experiment:
+    if not (RAW / name).is_dir():
+        pytest.skip(f"the raw files of {name} are not here; set BAYES_DAMPER_REALDATA to their folder")
+    shipped = ROOT / "data" / "real" / name
+    campaign = load_campaign(import_records(shipped / "import.toml", tmp_path / name, RAW / name))
+    return experiment_of(campaign, campaign_priors(shipped / "priors.toml", campaign))
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_shipped_priors_fit_their_campaign(tmp_path: Path, name: str) -> None:
+    found = experiment(tmp_path, name)
+    assert found.start == "free"
+    assert {"c1t", "drag", "nu"} <= set(found.priors)
+    assert not found.face
+
+
+def test_a_single_body_without_magnet_is_offered_what_it_can_have(tmp_path: Path) -> None:
+    names = {effect.name for effect, _ in offered(experiment(tmp_path, "rotary_pendulum"), "linear", EFFECTS)}
+    assert {"bearing_drag", "quadratic_drag", "spring_cubic", "sensor_clipping"} <= names
+    assert names.isdisjoint(
+        {"interface_friction", "magnet_cubic", "magnet_fade", "eddy_overlap", "inertia_error", "sensor_delay"}
+        | {"release_ramp", "release_offset", "stick_slip", "friction_displacement", "normal_force_law"}
+    )
+
+
+def held_out_rms(found: Experiment, left_out: int, variant: Variant | None) -> float:
+    """Degrees, of the trial that the fit has not seen; only its own initial state and offset are inferred from it."""
+    trials = tuple(replace(t, heldout=i == left_out) for i, t in enumerate(found.trials))
+    problem = Problem(replace(found, trials=trials), variant, nominal="linear", noise=Noise((0.01,), (0.0,), (0.0,)))
+    starts = []
+    if variant is not None:
+        for values in variant.starts:
+            z = [coordinate_of(p.prior, x) for p, x in zip(variant.parameters, values, strict=True)]
+            starts.append(np.concatenate([np.zeros(problem.size - len(z)), z]))
+    fit = calibrate(problem, starts)
+    return float(np.sqrt(np.mean(predict(fit, [left_out])[left_out].residual ** 2))) * DEGREES
+
+
+@pytest.mark.slow
+def test_dry_friction_closes_the_gap_of_the_pendulum_on_unseen_trials(tmp_path: Path) -> None:
+    """Leave one trial out, in the order 90, 135, 45 degrees of release; quadratic drag in its place changes nothing."""
+    found = experiment(tmp_path, "rotary_pendulum")
+    pool = {effect.name: variant for effect, variant in offered(found, "linear", EFFECTS)}
+    for left_out, limit in ((0, 0.62), (1, 1.17), (2, 0.28)):
+        viscous = held_out_rms(found, left_out, None)
+        dry = held_out_rms(found, left_out, pool["bearing_drag"])
+        assert dry < limit
+        assert dry < 0.4 * viscous
+        assert held_out_rms(found, left_out, pool["quadratic_drag"]) > 0.95 * viscous
