@@ -241,9 +241,10 @@ def _described(
         x = np.concatenate(values) if values else np.zeros(1)
         square = float(np.mean(x**2)) if x.size else 0.0
         lagged = float(np.mean(np.concatenate(products))) if products and sum(p.size for p in products) else 0.0
-        channels.append(
-            ChannelNoise(repeats[c], fast[c], math.sqrt(square), lagged / square if square else 0.0, used, wide[c])
-        )
+        # Without repeats the first noise has been learnt from what is left already.
+        learnt = wide[c] or (repeats[c] is None and square > (1.5 * fast[c]) ** 2)
+        correlation = lagged / square if square else 0.0
+        channels.append(ChannelNoise(repeats[c], fast[c], math.sqrt(square), correlation, used, learnt))
     power = tuple(p if w else 1.0 for p, w in zip(_power(fit), wide, strict=True))
     return FittedNoise(fit, kind, chosen, tuple(channels), freedom, power, unlike)
 
