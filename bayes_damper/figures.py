@@ -36,7 +36,7 @@ _RC = {
     "figure.dpi": 110,
 }
 _LOGARITHMIC = ("nu",)
-"""Parameters that are known to a factor at best: their axes are logarithmic."""
+"""Parameters that may be known to a factor at best: their axes are logarithmic where a factor of 10 is seen."""
 NOT_CONVERGED = "NOT CONVERGED: do not use these numbers"
 
 
@@ -99,7 +99,7 @@ def corner_figure(
     low, high = np.quantile(everything, [0.002, 0.998], axis=0)
     span = np.where(high > low, high - low, np.maximum(np.abs(high), 1e-12) * 1e-3)
     ranges = np.stack([low - 0.03 * span, high + 0.03 * span], axis=1)
-    wide = np.array([name in _LOGARITHMIC for name in names]) & (everything.min(axis=0) > 0.0)
+    wide = np.array([name in _LOGARITHMIC for name in names]) & (everything.min(axis=0) > 0.0) & (high > 10.0 * low)
     ranges[wide] = np.stack([0.9 * low[wide], 1.1 * high[wide]], axis=1)
     single = len(draws) == 1
     with mpl.rc_context(_RC | {"axes.grid": False, "axes.spines.top": True, "axes.spines.right": True}):
@@ -220,7 +220,8 @@ def forest_figure(
                 axis.plot(median, y, "o", color=COLOURS[1], ms=5)
             axis.set_yticks(range(len(groups)), groups)
             axis.set_ylim(len(groups) - 0.5, -0.5)
-            if name in _LOGARITHMIC and all(intervals[name][group][0] > 0.0 for group in groups):
+            low, high = min(i[0] for i in intervals[name].values()), max(i[2] for i in intervals[name].values())
+            if name in _LOGARITHMIC and high > 10.0 * low > 0.0:
                 axis.set_xscale("log")
             else:
                 axis.locator_params(axis="x", nbins=4)

@@ -525,3 +525,9 @@ def test_axe_finds_no_fault(tmp_path, width, dark):
     seen = json.loads(html.unescape(found[1]))
     assert seen["passes"] > 20
     assert seen["faults"] == []
+
+
+@pytest.mark.parametrize(("high", "scale"), [(1500.0, "log"), (29.0, "linear")])
+def test_an_axis_is_logarithmic_where_only_a_factor_is_known(high, scale):
+    figure = forest_figure({"nu": {"I": (5.0, 20.0, high), "II": (5.5, 21.0, high)}}, {}, title="nu")
+    assert figure.axes[0].get_xscale() == scale
