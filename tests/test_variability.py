@@ -421,7 +421,7 @@ def test_known_pooling_of_campaigns_is_found_at_the_right_rate(tmp_path):
     n = len(RATE_SEEDS)
     assert told["shared"]["shared"] >= 0.9 * n
     assert told["half"]["partial"] >= 0.8 * n
-    assert told["separate"]["shared"] == 0
+    assert told["separate"]["partial"] + told["separate"]["separate"] >= 0.95 * n
     assert above > 0.95
 
 
