@@ -143,26 +143,38 @@ def bugs(found: Sequence[Mapping[str, Any]], level: float) -> None:
     )
 
 
-def kills(results: Results) -> None:
-    """Page of the kills."""
-    total = sum(len(r["kills"]) for r in results)
-    bad = [r["different"] for r in results if r["different"]]
-    seconds = np.mean([r["seconds"] for r in results])
-    seconds = np.mean([r["seconds"] for r in results])
+def kills() -> None:
+    """Page of the kills: what is finished of both parts."""
+    titles = {
+        "kills": "A fit of four trials, gone on with by `resume`; compared are posterior.nc (every variable), "
+        "summary.json (but for times and provenance), summary.csv and all figures",
+        "kills-sampler": "The sampler by itself, saving its state ten times a second; compared are all its draws",
+    }
     lines = [
-        "A fit of four trials is stopped by SIGKILL at moments drawn evenly over the time of a whole fit",
-        f"({seconds:.0f} s here), gone on with by `resume`, killed again, until it ends. Its posterior.nc (every",
-        "variable, bit for bit), summary.json (but for times and provenance), summary.csv and all figures are then",
-        "compared with those of a fit that nothing disturbed.",
+        "A run is stopped by SIGKILL at moments drawn evenly over the time that a whole one takes, gone on with, killed",
+        "again, until it ends; what it ends with is compared bit for bit with a run that nothing disturbed.",
         "",
-        f"Kills of each fit: {', '.join(str(len(r['kills'])) for r in results)}.",
+        "| what | kills | runs | the same, bit for bit |",
+        "| --- | --- | --- | --- |",
     ]
-    if bad:
-        lines += ["", f"Different: {bad}"]
-    numbers = {"kills": total, "fits": len(results), "same": len(results) - len(bad), "different": bad}
-    numbers["commits"] = {r["commit"] for r in results}
-    verdict = f"{total} kills; {len(results) - len(bad)} of {len(results)} fits ended bit for bit the same."
-    parts.write_page("kills", "Is anything lost when a run is killed?", verdict, lines, numbers)
+    verdicts, numbers = [], {}
+    commits: set[str] = set()
+    for name, title in titles.items():
+        results = list(parts.finished(name).values())
+        total, same = sum(len(r["kills"]) for r in results), sum(not r["different"] for r in results)
+        lines.append(f"| {title} | {total} | {len(results)} | {same} |")
+        verdicts.append(
+            f"{'fit' if name == 'kills' else 'sampler'}: {total} kills, {same} of {len(results)} runs the same"
+        )
+        numbers[name] = {"kills": total, "runs": len(results), "same": same, "lives": results}
+        commits |= {r["commit"] for r in results}
+    parts.write_page(
+        "kills",
+        "Is anything lost when a run is killed?",
+        "; ".join(verdicts) + ".",
+        lines,
+        numbers | {"commits": commits},
+    )
 
 
 def integrator(rows: Results) -> None:

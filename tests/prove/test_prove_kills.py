@@ -1,4 +1,7 @@
-"""Killed at any moment, a fit loses nothing: what `resume` ends with is bit for bit what an uninterrupted fit gives."""
+"""Killed at any moment, a fit loses nothing: what `resume` ends with is bit for bit what an uninterrupted fit gives.
+
+The sampler is killed by itself too, while it saves its state ten times a second: what a fit does every few seconds.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ import multiprocessing
 import os
 import signal
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -17,8 +21,10 @@ import pytest
 from test_fit import _campaign
 
 from bayes_damper import arviz_adapter
+from bayes_damper.checkpoint import Checkpoint
 from bayes_damper.fit import fit
 from bayes_damper.resume import resume
+from bayes_damper.sampling import Start, StoppingRule, sample
 
 KILLS = 50
 AT_MOST = 8  # kills of one fit
@@ -33,8 +39,8 @@ def _begin(campaign: Path, folder: Path) -> None:
         fit(campaign, out=folder, seed=5, most_steps=STEPS, joint=False)
 
 
-def _spawned(campaign: Path, folder: Path) -> multiprocessing.process.BaseProcess:
-    child = multiprocessing.get_context("fork").Process(target=_begin, args=(campaign, folder))
+def _spawned(run: Callable[[Path], None], folder: Path) -> multiprocessing.process.BaseProcess:
+    child = multiprocessing.get_context("fork").Process(target=run, args=(folder,))
     child.start()
     return child
 
@@ -46,19 +52,26 @@ def uninterrupted(tmp_path_factory):
     campaign = _campaign(home / "campaign", duration=0.15)
     _begin(campaign, home / "warm")  # kernels compiled, caches filled
     begun = time.monotonic()
-    child = _spawned(campaign, home / "whole")
+    child = _spawned(partial(_begin, campaign), home / "whole")
     child.join()
     assert child.exitcode == 0
-    return campaign, home / "whole", time.monotonic() - begun
+    return partial(_begin, campaign), home / "whole", time.monotonic() - begun
 
 
-def _life(campaign: Path, whole: Path, seconds: float, tmp_path: Path, number: int) -> dict[str, object]:
-    """One fit, killed again and again at moments drawn evenly over the time that a whole fit takes."""
+def _life(
+    run: Callable[[Path], None],
+    whole: Path,
+    seconds: float,
+    differences: Callable[[Path, Path], list[str]],
+    home: Path,
+    number: int,
+) -> dict[str, object]:
+    """One run, killed again and again at moments drawn evenly over the time that a whole one takes."""
     rng = np.random.default_rng([50, number])
-    folder = tmp_path / f"life-{number}"
+    folder = home / f"life-{number}"
     moments: list[float] = []
     while True:
-        child = _spawned(campaign, folder)
+        child = _spawned(run, folder)
         moment = float(rng.uniform(0.0, seconds)) if len(moments) < AT_MOST else None
         child.join(moment)
         if child.exitcode is None:
@@ -67,12 +80,20 @@ def _life(campaign: Path, whole: Path, seconds: float, tmp_path: Path, number: i
             moments.append(round(moment, 3))
         else:
             assert child.exitcode == 0
-            return {"kills": moments, "seconds": round(seconds, 1), "different": _differences(whole, folder)}
+            return {"kills": moments, "seconds": round(seconds, 1), "different": differences(whole, folder)}
+
+
+def _until_fifty(name: str, task: Callable[[int], dict[str, object]]) -> list[dict[str, object]]:
+    """As many runs as it takes to be killed fifty times."""
+    results: list[dict[str, object]] = []
+    while sum(len(r["kills"]) for r in results) < KILLS:
+        results = parts.finish(name, len(results) + 1, task)
+    return results
 
 
 def _differences(one: Path, other: Path) -> list[str]:
-    """Files whose content differs, where it is not about time or place."""
-    names = sorted(p.relative_to(one).as_posix() for p in one.rglob("*") if p.suffix in (".csv", ".svg", ".png"))
+    """Files whose content differs, where it is not about time or place; matplotlib numbers clips in SVG files anew."""
+    names = sorted(p.relative_to(one).as_posix() for p in one.rglob("*") if p.suffix in (".csv", ".png"))
     different = [n for n in names if (one / n).read_bytes() != (other / n).read_bytes()]
     a, b = (json.loads((folder / "summary.json").read_text()) for folder in (one, other))
     for summary in (a, b):
@@ -93,10 +114,53 @@ def _differences(one: Path, other: Path) -> list[str]:
 
 @pytest.mark.prove
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
-def test_fifty_kills_change_no_bit(uninterrupted, tmp_path):
-    count, results = 0, []
-    while sum(len(r["kills"]) for r in results) < KILLS:
-        count += 1
-        results = parts.finish("kills", count, partial(_life, *uninterrupted, tmp_path))
-    pages.kills(results)
+def test_fifty_kills_of_a_fit_change_no_bit(uninterrupted, tmp_path):
+    run, whole, seconds = uninterrupted
+    results = _until_fifty("kills", partial(_life, run, whole, seconds, _differences, tmp_path))
+    pages.kills()
+    assert [r["different"] for r in results] == [[]] * len(results)
+
+
+# The sampler by itself ----------------------------------------------------------------------------------------------
+
+
+class _Banana:
+    """A bent density in four dimensions."""
+
+    names = ("a", "b", "c", "d")
+    ndim = 4
+
+    def __call__(self, points):
+        a, b, c, d = points.T
+        return -0.5 * (a**2 + (b - a**2) ** 2 / 0.3 + c**2 / 4.0 + (d - c) ** 2)
+
+
+def _draw(folder: Path) -> None:
+    """Draws of the banana into `folder`, going on from the state that is there."""
+    start = Start(np.zeros(4), np.diag([1.0, 2.0, 4.0, 5.0]), 0.0, np.empty((0, 4)), 1)
+    rule = StoppingRule(ess=1e9, max_steps=600)
+    sampling = sample(
+        _Banana(), start, seed=11, rule=rule, checkpoint=Checkpoint(folder, {"proof": "kills"}, every=0.1)
+    )
+    np.save(folder / "unfinished.npy", sampling.draws)
+    (folder / "unfinished.npy").rename(folder / "draws.npy")
+
+
+def _draws_differ(one: Path, other: Path) -> list[str]:
+    same = np.array_equal(np.load(one / "draws.npy"), np.load(other / "draws.npy"))
+    return [] if same else ["draws"]
+
+
+@pytest.mark.prove
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+def test_fifty_kills_of_the_sampler_change_no_bit(tmp_path):
+    _draw(tmp_path / "warm")
+    begun = time.monotonic()
+    child = _spawned(_draw, tmp_path / "whole")
+    child.join()
+    seconds = time.monotonic() - begun
+    assert child.exitcode == 0
+    task = partial(_life, _draw, tmp_path / "whole", seconds, _draws_differ, tmp_path)
+    results = _until_fifty("kills-sampler", task)
+    pages.kills()
     assert [r["different"] for r in results] == [[]] * len(results)
