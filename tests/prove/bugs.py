@@ -83,6 +83,10 @@ def _angles(factor: float) -> Callable[[Experiment], Experiment]:
     return lambda e: replace(e, trials=tuple(replace(t, theta0_sd=factor * t.theta0_sd) for t in e.trials))
 
 
+def _without_the_last(e: Experiment) -> Experiment:
+    return replace(e, trials=(*e.trials[:-1], replace(e.trials[-1], heldout=True)))
+
+
 def _swapped(e: Experiment) -> Experiment:
     return replace(e, trials=tuple(replace(t, y=t.y[::-1].copy()) for t in e.trials))
 
@@ -97,9 +101,7 @@ BUGS = (
     Bug("noise normalisation: half of the readings counted", "plain", _readings_halved),
     Bug("prior counted twice", "plain", _prior_twice),
     Bug("snooker move without its volume factor", "plain", _snooker_without_its_factor),
-    Bug(
-        "a trial lost", "plain", mistake=lambda e: replace(e, trials=(e.trials[0], replace(e.trials[1], heldout=True)))
-    ),
+    Bug("a trial lost", "late", mistake=_without_the_last),
     Bug("channels swapped", "late", mistake=_swapped),
     Bug("wrong sign of the delay", "late", _rig(lambda rig: {"delay": -np.asarray(rig["delay"])})),
     Bug("release angle taken as exact", "late", mistake=_angles(1e-9)),

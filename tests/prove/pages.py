@@ -151,13 +151,14 @@ def kills() -> None:
         "kills-sampler": "The sampler by itself, saving its state ten times a second; compared are all its draws",
     }
     lines = [
-        "A run is stopped by SIGKILL at moments drawn evenly over the time that a whole one takes, gone on with, killed",
-        "again, until it ends; what it ends with is compared bit for bit with a run that nothing disturbed.",
+        "A run is stopped by SIGKILL at moments drawn evenly over the time that a whole one takes, gone on with,",
+        "killed again, until it ends; what it ends with is compared bit for bit with a run that nothing disturbed.",
         "",
         "| what | kills | runs | the same, bit for bit |",
         "| --- | --- | --- | --- |",
     ]
-    verdicts, numbers = [], {}
+    verdicts: list[str] = []
+    numbers: dict[str, Any] = {}
     commits: set[str] = set()
     for name, title in titles.items():
         results = list(parts.finished(name).values())
@@ -168,13 +169,8 @@ def kills() -> None:
         )
         numbers[name] = {"kills": total, "runs": len(results), "same": same, "lives": results}
         commits |= {r["commit"] for r in results}
-    parts.write_page(
-        "kills",
-        "Is anything lost when a run is killed?",
-        "; ".join(verdicts) + ".",
-        lines,
-        numbers | {"commits": commits},
-    )
+    numbers["commits"] = commits
+    parts.write_page("kills", "Is anything lost when a run is killed?", "; ".join(verdicts) + ".", lines, numbers)
 
 
 def integrator(rows: Results) -> None:
