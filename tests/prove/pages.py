@@ -121,8 +121,8 @@ def _ecdf_figure(found: Mapping[str, Results]) -> Figure:
     return figure
 
 
-def bugs(found: Sequence[Mapping[str, Any]], level: float) -> None:
-    """Page of the planted bugs."""
+def bugs(found: Sequence[Mapping[str, Any]], level: float, commits: set[str]) -> None:
+    """Page of the planted bugs: what `hunt` gave for each."""
     lines = [
         "Each bug is planted in the fit alone, never in the simulated campaigns, and the calibration of",
         "[its own page](calibration.md) must notice: campaigns are added until the ranks of all quantities",
@@ -133,13 +133,17 @@ def bugs(found: Sequence[Mapping[str, Any]], level: float) -> None:
         "| --- | --- | --- | --- | --- |",
     ]
     for row in found:
-        after = "not caught" if row["caught"] is None else str(row["caught"])
+        after = f"not caught by {row['campaigns']}" if row["caught"] is None else str(row["caught"])
         lines.append(f"| {row['bug']} | {row['kind']} | {after} | {row['by']} | {row['p']:.1e} |")
     planted = [row for row in found if not row["bug"].startswith("none")]
     caught = sum(row["caught"] is not None for row in planted)
     verdict = f"{caught} of {len(planted)} planted bugs caught."
     parts.write_page(
-        "bugs", "Does the calibration notice a bug?", verdict, lines, {"level": level, "bugs": list(found)}
+        "bugs",
+        "Does the calibration notice a bug?",
+        verdict,
+        lines,
+        {"level": level, "bugs": list(found), "commits": commits},
     )
 
 

@@ -30,14 +30,22 @@ def hunt(bug: Bug) -> dict[str, Any]:
         least = ranks.least_of(list(p_values.values()))
         if least < LEVEL or count >= MOST:
             caught = count if least < LEVEL else None
-            return {"bug": bug.name, "kind": bug.kind, "caught": caught, "by": by, "p": least}
+            return {
+                "bug": bug.name,
+                "kind": bug.kind,
+                "campaigns": count,
+                "caught": caught,
+                "by": by,
+                "p": least,
+                "commits": sorted({r["commit"] for r in results}),
+            }
         count *= 2
 
 
 @pytest.mark.prove
 def test_every_planted_bug_is_caught():
     found = [hunt(bug) for bug in (*BUGS, *SOUND)]
-    pages.bugs(found, LEVEL)
+    pages.bugs(found, LEVEL, {c for row in found for c in row.pop("commits")})
     assert [row["bug"] for row in found if (row["caught"] is None) is not row["bug"].startswith("none")] == []
 
 
