@@ -81,7 +81,7 @@ def calibration(found: Mapping[str, Results], settings: Mapping[str, Any]) -> No
         + "".join(f"; {kind}: outside" for kind in numbers["kinds"] if kind not in passed)
         + "."
     )
-    parts.write_page("calibration", "Are the posteriors calibrated?", verdict, lines, numbers, _ecdf_figure(found))
+    parts.write_page("calibration", verdict, lines, numbers, _ecdf_figure(found))
 
 
 def _row(values: Sequence[int]) -> dict[str, Any]:
@@ -140,7 +140,6 @@ def bugs(found: Sequence[Mapping[str, Any]], level: float, commits: set[str]) ->
     verdict = f"{caught} of {len(planted)} planted bugs caught."
     parts.write_page(
         "bugs",
-        "Does the calibration notice a bug?",
         verdict,
         lines,
         {"level": level, "bugs": list(found), "commits": commits},
@@ -166,6 +165,9 @@ def kills() -> None:
     commits: set[str] = set()
     for name, title in titles.items():
         results = list(parts.finished(name).values())
+        if not results:
+            lines.append(f"| {title} | not run yet | | |")
+            continue
         total, same = sum(len(r["kills"]) for r in results), sum(not r["different"] for r in results)
         lines.append(f"| {title} | {total} | {len(results)} | {same} |")
         verdicts.append(
@@ -174,7 +176,7 @@ def kills() -> None:
         numbers[name] = {"kills": total, "runs": len(results), "same": same, "lives": results}
         commits |= {r["commit"] for r in results}
     numbers["commits"] = commits
-    parts.write_page("kills", "Is anything lost when a run is killed?", "; ".join(verdicts) + ".", lines, numbers)
+    parts.write_page("kills", "; ".join(verdicts) + ".", lines, numbers)
 
 
 def integrator(rows: Results) -> None:
@@ -193,9 +195,7 @@ def integrator(rows: Results) -> None:
     verdict = (
         f"Largest error over {sum(r['vectors'] for r in rows)} vectors: {worst:.1e} of the peak, {tight:.1e} tight."
     )
-    parts.write_page(
-        "integrator", "Is the integrator accurate over the whole prior?", verdict, lines, {"laws": list(rows)}
-    )
+    parts.write_page("integrator", verdict, lines, {"laws": list(rows)})
 
 
 def samplers(result: Mapping[str, Any]) -> None:
@@ -216,15 +216,16 @@ def samplers(result: Mapping[str, Any]) -> None:
             f"| {r['name']} | {r['ess']:.0f} | {r['r_hat']:.4f} | {r['evaluations_each']:.1f} | {r['warm_up']:.2f} | "
             f"{r['seconds']:.2f} | {r['rate']:.0f} | {r['ratio']:.1f} | {r['means']:.1f} | {r['sds']:.2f} |"
         )
-    stages = result["stages"]
-    lines += [
-        "",
-        f"Ours from the record to the rule met: {stages['all']:.1f} s of CPU time (fit {stages['fit']:.1f}, warm-up",
-        f"{stages['warm-up']:.1f}, draws {stages['draws']:.1f}); promised: 6 s.",
-    ]
-    lines += [f"Not installed: {', '.join(result['missing'])}."] if result["missing"] else []
+    stages = result.get("stages")
+    if stages:
+        lines += [
+            "",
+            f"Ours from the record to the rule met: {stages['all']:.1f} s of CPU time (fit {stages['fit']:.1f}, warm-up",
+            f"{stages['warm-up']:.1f}, draws {stages['draws']:.1f}); promised: 6 s.",
+        ]
+    lines += ["", f"Not run: {', '.join(result['missing'])}."] if result["missing"] else []
     told = ", ".join(f"{r['ratio']:.1f} x {r['name']}" for r in result["runs"][1:])
     verdict = f"Effective draws per second: {told}. Posteriors agree."
     if not result["agree"]:
         verdict = verdict.replace("Posteriors agree.", "Posteriors do not agree.")
-    parts.write_page("samplers", "How does the sampler compare with its peers?", verdict, lines, dict(result))
+    parts.write_page("samplers", verdict, lines, dict(result))

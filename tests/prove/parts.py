@@ -60,14 +60,13 @@ def finished(name: str, code: str | None = None) -> dict[int, dict[str, Any]]:
     return done
 
 
-def write_page(
-    name: str, title: str, verdict: str, lines: Sequence[str], numbers: dict[str, Any], figure: Any = None
-) -> None:
+def write_page(name: str, verdict: str, lines: Sequence[str], numbers: dict[str, Any], figure: Any = None) -> None:
     """NAME.md and NAME.json in docs/proof/, NAME.svg and .png where there is a figure, and the index of all pages.
 
     verdict : the result in a sentence or two, for the index.
     """
     PAGES.mkdir(parents=True, exist_ok=True)
+    title = QUESTIONS[name]
     date = datetime.now(UTC).date().isoformat()
     commits = sorted({" ".join(w[:12] for w in str(c).split()) for c in numbers.pop("commits", [commit()])})
     head = {"schema": f"bayes-damper/proof-{name}/1", "title": title, "verdict": verdict, "date": date}
@@ -81,9 +80,24 @@ def write_page(
     write_index()
 
 
+QUESTIONS = {
+    "calibration": "Are the posteriors calibrated?",
+    "bugs": "Does the calibration notice a bug?",
+    "noise": "Do intervals hold the truth under correlated errors?",
+    "samplers": "How does the sampler compare with its peers?",
+    "kills": "Is anything lost when a run is killed?",
+    "integrator": "Is the integrator accurate over the whole prior?",
+}
+"""What each page answers, by its name."""
+
+
 def write_index() -> None:
     """docs/proof/index.md: every page with its question, its result, its date and commit."""
-    rows = []
+    rows = [
+        f"| {title} | not run yet | `make prove` | | |"
+        for name, title in QUESTIONS.items()
+        if not (PAGES / f"{name}.json").exists()
+    ]
     for path in sorted(PAGES.glob("*.json")):
         page = json.loads(path.read_text(encoding="utf-8"))
         if page["schema"].startswith("bayes-damper/proof-"):

@@ -49,7 +49,7 @@ def test_intervals_cover_under_every_kind_of_noise() -> None:
     worst = min(row["0.9"] for row in found.values())
     verdict = f"90 % intervals hold the truth in {worst:.0%} of cases or more, whatever the errors."
     numbers = {"campaigns": CAMPAIGNS, "coverage": found}
-    parts.write_page("noise", "Do intervals hold the truth under correlated errors?", verdict, lines, numbers)
+    parts.write_page("noise", verdict, lines, numbers)
     # Parameters of one campaign are not independent: two of the seven are taken as free.
     n = 2 * CAMPAIGNS
     for title, row in found.items():
