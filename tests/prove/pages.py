@@ -220,8 +220,8 @@ def samplers(result: Mapping[str, Any]) -> None:
     if stages:
         lines += [
             "",
-            f"Ours from the record to the rule met: {stages['all']:.1f} s of CPU time (fit {stages['fit']:.1f}, warm-up",
-            f"{stages['warm-up']:.1f}, draws {stages['draws']:.1f}); promised: 6 s.",
+            f"Ours from the record to the rule met: {stages['all']:.1f} s of CPU time (fit {stages['fit']:.1f},",
+            f"warm-up {stages['warm-up']:.1f}, draws {stages['draws']:.1f}); promised: 6 s.",
         ]
     lines += ["", f"Not run: {', '.join(result['missing'])}."] if result["missing"] else []
     told = ", ".join(f"{r['ratio']:.1f} x {r['name']}" for r in result["runs"][1:])
