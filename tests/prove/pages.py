@@ -212,8 +212,9 @@ def samplers(result: Mapping[str, Any]) -> None:
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for r in result["runs"]:
+        r_hat = "-" if r["r_hat"] is None else f"{r['r_hat']:.4f}"
         lines.append(
-            f"| {r['name']} | {r['ess']:.0f} | {r['r_hat']:.4f} | {r['evaluations_each']:.1f} | {r['warm_up']:.2f} | "
+            f"| {r['name']} | {r['ess']:.0f} | {r_hat} | {r['evaluations_each']:.1f} | {r['warm_up']:.2f} | "
             f"{r['seconds']:.2f} | {r['rate']:.0f} | {r['ratio']:.1f} | {r['means']:.1f} | {r['sds']:.2f} |"
         )
     stages = result.get("stages")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pages
 import pytest
 import samplers
@@ -51,7 +52,7 @@ def _row(ours: samplers.Run, run: samplers.Run, rate: float) -> dict[str, Any]:
     return {
         "name": run.name,
         "ess": least,
-        "r_hat": run.r_hat,
+        "r_hat": run.r_hat if np.isfinite(run.r_hat) else None,  # one ensemble has nothing to be compared with
         "evaluations_each": run.evaluations / least,
         "warm_up": run.warm_up_seconds,
         "seconds": run.seconds,
