@@ -225,8 +225,10 @@ def samplers(result: Mapping[str, Any]) -> None:
             f"warm-up {stages['warm-up']:.1f}, draws {stages['draws']:.1f}); promised: 6 s.",
         ]
     lines += ["", f"Not run: {', '.join(result['missing'])}."] if result["missing"] else []
-    told = ", ".join(f"{r['ratio']:.1f} x {r['name']}" for r in result["runs"][1:])
-    verdict = f"Effective draws per second: {told}. Posteriors agree."
+    told = ", ".join(f"{r['ratio']:.1f} ({r['name']})" for r in result["runs"][1:])
+    loose = [r["name"] for r in result["runs"] if r["r_hat"] is not None and r["r_hat"] >= 1.05]
+    lines += ["", f"R-hat above 1.05, so its posterior is not compared: {', '.join(loose)}."] if loose else []
+    verdict = f"Effective draws per second, ours over theirs: {told}. Posteriors agree."
     if not result["agree"]:
         verdict = verdict.replace("Posteriors agree.", "Posteriors do not agree.")
     parts.write_page("samplers", verdict, lines, dict(result))

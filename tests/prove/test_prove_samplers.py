@@ -34,7 +34,8 @@ def test_the_sampler_beats_its_peers_and_agrees_with_them():
             rows.append(_row(ours, run(), rate))
         except ImportError:
             missing.append(name)
-    agree = all(row["means"] < 4.5 and row["sds"] < 1.2 for row in rows)
+    settled = [row for row in rows if row["r_hat"] is None or row["r_hat"] < 1.05]
+    agree = all(row["means"] < 4.5 and row["sds"] < 1.2 for row in settled)
     gap = None if "numpyro" in missing else samplers.jax_gap(posterior)
     pages.samplers({"runs": rows, "stages": stages, "missing": missing, "agree": agree, "jax_gap": gap})
     assert stages["converged"]
