@@ -355,7 +355,9 @@ def _reseeded(fit: Calibration, found: list[Candidate]) -> tuple[Calibration, li
 def _with_winners_noise(fit: Calibration, found: list[Candidate]) -> tuple[Calibration, list[Candidate]]:
     """Nominal model and leaders under the noise that the leader shows, where it is smaller: a bad model inflates it."""
     leader = next((c for c in found if c.fit is not None), None)
-    if leader is None or leader.fit is None or leader.log_evidence < 10.0:
+    # Without repeats the noise stands for the nominal model's error too: any better model is asked what it leaves.
+    enough = 2.0 if fit.problem.noise.sensor else 10.0
+    if leader is None or leader.fit is None or leader.log_evidence < enough:
         return fit, found
     noise = learn_noise(leader.fit)
     shrunk = max(old / new for old, new in zip(fit.problem.noise.innovation, noise.innovation, strict=True))

@@ -49,11 +49,15 @@ class Remainder:
 
 
 def repeats_of(fit: Calibration) -> list[list[int]]:
-    """Trials of the fit in sets of repeats: same case, configuration, release angle and sample times."""
+    """Trials of the fit in sets of repeats: same case, configuration, release angle and sample times.
+
+    Records that start in motion have no repeats: no two begin alike.
+    """
     sets: dict[tuple[object, ...], list[int]] = {}
     for i in fit.problem.trials:
         t = fit.problem.experiment.trials[i]
-        sets.setdefault((t.case, t.coupled, t.theta0, t.times.tobytes()), []).append(i)
+        alone = i if fit.problem.experiment.start == "free" else -1
+        sets.setdefault((t.case, t.coupled, t.theta0, t.times.tobytes(), alone), []).append(i)
     return list(sets.values())
 
 

@@ -140,7 +140,10 @@ def repeats_of(fit: Calibration) -> list[Repeats]:
         for k, i in enumerate(block.group.trials):
             t = experiment.trials[i]
             r = -block.r[k].reshape(channels, -1)
-            found.setdefault((t.case, t.coupled, t.theta0, t.times.tobytes()), []).append((i, r, block.group.weight[k]))
+            alone = i if experiment.start == "free" else -1
+            found.setdefault((t.case, t.coupled, t.theta0, t.times.tobytes(), alone), []).append(
+                (i, r, block.group.weight[k])
+            )
     out = []
     for members in found.values():
         trials = tuple(i for i, _, _ in members)
