@@ -62,6 +62,7 @@ EVENT_THRESHOLD = 4.5  # robust sds of the second difference beyond which a samp
 EVENT_TIMING = 5e-5  # s, by which the instant of an event may be off without the model being wrong
 RELEASE_WEIGHT = 0.4  # of the first two readings
 FIRST_STAGE_EVENT_WEIGHT = 0.15
+LONG_PERIODS, FIRST_PERIODS, GROWING_STEPS = 12.0, 3.0, 20  # of records fitted window by window
 WHITE_ENOUGH = 1.3  # ratio of residuals without repeats to the noise of the sensors up to which they are noise
 FIRST_ERROR = 0.02  # of a channel's reach: noise of the first fit where there are no repeats
 READINGS_PER_PERIOD = 100.0  # of the primary, that displacements and velocities are thinned to
@@ -1459,6 +1460,36 @@ def choose_switches(fit: Calibration) -> Switches:
     return Switches(delay=wanted["delay"], friction=wanted["ln_mu"])
 
 
+def grown(experiment: Experiment, problem: Problem) -> list[Array]:
+    """Starts for long records: fits to their first few periods, carried on over windows twice as long each time.
+
+    Over many periods an error of the frequency by one part in as many puts the model out of phase, and the cost has a
+    valley for every cycle; over the first periods it has one. Empty for short records, which need none of it.
+    """
+    trials = [experiment.trials[i] for i in problem.trials]
+    omega = max(math.sqrt(max(k, 1e-300) / experiment.constants["J1"][0]) for k, _ in experiment.stiffnesses)
+    period = 2.0 * math.pi / omega
+    span = max(float(t.times[-1] - t.times[0]) for t in trials)
+    window = FIRST_PERIODS * period
+    if span < LONG_PERIODS * period:
+        return []
+    starts: list[Array] = default_starts(problem)
+    while window < span:
+        cut = []
+        for t in experiment.trials:
+            keep = t.times <= t.times[0] + window
+            torque = None if t.torque is None else t.torque[keep]
+            cut.append(replace(t, times=t.times[keep], y=t.y[:, keep], torque=torque))
+        shorter = replace(experiment, trials=tuple(cut))
+        part = Problem(
+            shorter, nominal=problem.nominal, noise=problem.noise, switches=problem.switches, threads=problem.threads,
+            trials=problem.trials,
+        )  # fmt: skip
+        starts = [calibrate(part, starts, most=GROWING_STEPS, finish=False, give_up=300.0).q]
+        window *= 2.0
+    return starts
+
+
 def calibrate_nominal(
     experiment: Experiment,
     *,
@@ -1476,7 +1507,7 @@ def calibrate_nominal(
         level = tuple(max(s, FIRST_ERROR * r) for s, r in zip(first.innovation, reach, strict=True))
         first = replace(first, innovation=level, sensor=first.total)
     problem = Problem(experiment, nominal=nominal, noise=first, threads=threads, switches=switches or Switches())
-    fit = calibrate(problem, most=15, finish=False)
+    fit = calibrate(problem, [*grown(experiment, problem), *default_starts(problem)], most=15, finish=False)
     chosen = switches or choose_switches(fit)
     problem = Problem(experiment, nominal=nominal, noise=learn_noise(fit), switches=chosen, threads=threads)
     starts = [fit.q, *default_starts(problem)]

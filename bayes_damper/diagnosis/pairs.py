@@ -209,10 +209,12 @@ def best_pairs(
     *,
     threads: int = 1,
     most: int = MOST_PAIRS,
+    least: float = LEAST_GAIN,
 ) -> list[Pair]:
     """Pairs fitted in full, best first.
 
-    known : second effects screened already, against one of the leaders; most : pairs that are fitted.
+    known : second effects screened already, against one of the leaders; most : pairs that are fitted; least : nats that
+    the screening must promise of the second effect.
     """
     done = {s.first.label for s in known}
     leaders = [c for c in leaders_of(found) if c.log_evidence > LEAST_GAIN and c.label not in done]
@@ -226,7 +228,7 @@ def best_pairs(
     rows = [*known, *(s for each in run(lambda c: seconds_of(c, nominal, pool), leaders) for s in each)]
     chosen: dict[frozenset[str], Second] = {}
     for s in sorted(rows, key=lambda s: -s.log_evidence):
-        if s.gain > LEAST_GAIN:
+        if s.gain > least:
             chosen.setdefault(frozenset((s.first.effect.name, s.effect.name)), s)
     picked = list(chosen.values())[:most]
     single = {c.effect.name: c.log_evidence for c in reversed(leaders_of(found, len(found)))}

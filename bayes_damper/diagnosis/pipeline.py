@@ -25,7 +25,7 @@ from bayes_damper.diagnosis.gap import Closed, Gap, closing, measure_gap, shifts
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.next_experiment import Proposal, propose
 from bayes_damper.diagnosis.outliers import outlying, told, without
-from bayes_damper.diagnosis.pairs import Pair, Second, best_pairs, exactly, seconds_of
+from bayes_damper.diagnosis.pairs import LEAST_GAIN, Pair, Second, best_pairs, exactly, seconds_of
 from bayes_damper.diagnosis.remainder import Remainder, remainder_of
 from bayes_damper.diagnosis.search import Candidate, offered, search
 from bayes_damper.diagnosis.sensitivity import Choice, in_a_sentence, sensitivity
@@ -257,14 +257,14 @@ def diagnose(
     seconds = [] if winner is None or winner.effect is DRIFT else seconds_of(winner, fit, pool)
     gain = max((s.gain for s in seconds), default=0.0)
     pairs = (
-        best_pairs(fit, found, pool, seconds, threads=threads)
+        best_pairs(fit, found, pool, seconds, threads=threads, least=-math.inf if alone else LEAST_GAIN)
         if max(left.nats, gain) > PAIR_FROM and (not alone or left.share > WORTH_A_PAIR)
         else []
     )
     judged = []
     for k, p in enumerate(pairs[:JUDGED_PAIRS]):
         remains = _left_alone(fit, p.fit) if alone else _left_by(p, before, before_map)
-        if remains.nats > PAIR_FROM and p.gain > PAIR_FROM:
+        if remains.nats > PAIR_FROM and (alone or p.gain > PAIR_FROM):
             tell(f"composing {' and '.join(p.effects)}")
             pairs[k] = exactly(fit, p, found)
             remains = _left_alone(fit, pairs[k].fit) if alone else _left_by(pairs[k], before, before_map)
