@@ -55,6 +55,8 @@ def _fit(args: Arguments) -> Any:
         priors=args.priors,
         normal_force=args.normal_force,
         noise=args.noise,
+        effect=args.effect,
+        effects=args.effects,
         out=args.out,
         seed=args.seed,
         workers=args.workers,
@@ -269,6 +271,8 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--normal-force", choices=("linear", "constant"), help="law of the magnet's pull (eq. 20)")
     sub.add_argument("--noise", choices=("auto", "gaussian", "student", "ar"), default="auto",
                      help="white, with outliers, or correlated by what the fit leaves (default: by data)")  # fmt: skip
+    sub.add_argument("--effect", metavar="NAME", help="give the model this effect, e.g. the verdict of a diagnosis")
+    sub.add_argument("--effects", type=Path, metavar="DIR", help="a folder with effects of your own")
     sub.add_argument("--thorough", action="store_true", help="50 autocorrelation times instead of 20")
     sub.add_argument("--most-steps", type=int, metavar="N", help="give up after N steps of each ensemble")
     workers(sub)

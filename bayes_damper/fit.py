@@ -21,15 +21,25 @@ from numpy.typing import NDArray
 
 from bayes_damper import arviz_adapter, figures
 from bayes_damper.arviz_adapter import hdi
-from bayes_damper.calibration import Experiment, experiment_of, middle
+from bayes_damper.calibration import (
+    Calibration,
+    Experiment,
+    calibrate,
+    calibrate_nominal,
+    experiment_of,
+    learn_noise,
+    middle,
+)
 from bayes_damper.campaign import load_campaign
 from bayes_damper.checkpoint import Checkpoint
+from bayes_damper.diagnosis.search import Screen, fit_variant, offered, screen_variant
+from bayes_damper.effects import all_effects
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.evidence import bridge
 from bayes_damper.influence import comparison, influence, without
 from bayes_damper.noise import KINDS, FittedNoise, fit_with_noise
 from bayes_damper.parameters import PARAMETERS, unit_of
-from bayes_damper.posterior import Coordinates, Datum, FeaturePosterior, Shared
+from bayes_damper.posterior import Coordinates, Datum, FeaturePosterior, damping_pairs
 from bayes_damper.priors import PriorSet, campaign_priors, load_priors, priors_from_dict
 from bayes_damper.provenance import code_sha256, provenance
 from bayes_damper.published import load_published
@@ -125,6 +135,8 @@ def fit(
     priors: str | Path | None = None,
     normal_force: str | None = None,
     noise: str = "auto",
+    effect: str | None = None,
+    effects: str | Path | None = None,
     out: str | Path = "results/fit",
     seed: int = 1,
     workers: int = 1,
@@ -141,9 +153,11 @@ def fit(
     campaign : folder of a campaign, or "thesis" for the published measurements.
     cases : only these; default all. priors : prior file in place of the shipped one. normal_force : "linear" or
     "constant" (eq. 20), overrides the campaign's. noise : "gaussian" (white), "student" (outliers), "ar" (correlated,
-    learnt from what the fit leaves) or "auto", by the data. seed : decides every random number. workers : processes.
-    thorough : 50 autocorrelation times in place of 20. most_steps : give up after so many steps of each ensemble.
-    joint : whether to fit all cases of a campaign together too.
+    learnt from what the fit leaves) or "auto", by the data. effect : name of one effect of the library that the model
+    gets, in the formula that fits best, e.g. the verdict of a diagnosis; effects : folder with effects of your own.
+    seed : decides every random number. workers : processes. thorough : 50 autocorrelation times in place of 20.
+    most_steps : give up after so many steps of each ensemble. joint : whether to fit all cases of a campaign
+    together too.
 
     Raises
     ------
@@ -155,7 +169,7 @@ def fit(
     folder = Path(out)
     plan = plan_fit(
         str(campaign), cases=cases, priors=None if priors is None else str(priors), normal_force=normal_force,
-        noise=noise, seed=seed,
+        noise=noise, effect=effect, effects=None if effects is None else str(effects), seed=seed,
         thorough=thorough, most_steps=most_steps, joint=joint,
     )  # fmt: skip
     start_run(folder, {"command": "fit", "plan": plan, "workers": workers})
@@ -169,6 +183,8 @@ def plan_fit(
     priors: str | None,
     normal_force: str | None,
     noise: str = "auto",
+    effect: str | None = None,
+    effects: str | None = None,
     seed: int,
     thorough: bool,
     most_steps: int | None,
@@ -197,6 +213,14 @@ def plan_fit(
         raise InputError(f"normal_force {normal_force!r}: expected linear or constant")
     if noise not in KINDS:
         raise InputError(f"--noise {noise}: expected one of {', '.join(KINDS)}")
+    if effect is not None:
+        if thesis:
+            raise InputError(
+                "--effect: `diagnose thesis` weighs effects by the published features; a fit needs records"
+            )
+        known_effects = all_effects(effects)
+        if effect not in known_effects:
+            raise InputError(f"--effect {effect}: there is none of that name; there are {', '.join(known_effects)}")
     if noise != "auto" and thesis:
         raise InputError("--noise: the published features have standard errors of their own; leave it out")
     return {
@@ -208,6 +232,8 @@ def plan_fit(
         "priors": None if prior_set is None else prior_set.to_dict(),
         "normal_force": normal_force,
         "noise": noise,
+        "effect": effect,
+        "effects": None if effects is None else str(Path(effects).resolve()),
         "seed": seed,
         "thorough": thorough,
         "most_steps": most_steps,
@@ -306,20 +332,6 @@ def published_posterior(case: str, priors: PriorSet, normal_force: str = "linear
     return FeaturePosterior(data, coordinates, normal_force, case)
 
 
-def damping_pairs(values: Mapping[str, float]) -> tuple[Shared, ...]:
-    """Viscous and dry damping that one feature cannot tell apart: at the bearings, and between the faces.
-
-    A cycle's log decrement is pi c / sqrt(k J) from a viscous torque and about 4 d / (k theta0) from a dry one
-    (energy lost per cycle over twice the energy); the same for the interface, seen from the primary.
-    """
-    stiffness, inertia, angle = values["k1t"], values["J1"], values["theta0"]
-    viscous, dry = math.sqrt(stiffness * inertia) / math.pi, stiffness * angle / 4.0
-    return (
-        Shared("c1t", "drag", viscous, dry),
-        Shared("c2t", "mu", viscous, dry / (values["N0"] * values["R"])),
-    )
-
-
 def fit_published_case(folder: Path, report: Report, *, name: str, plan: Mapping[str, Any]) -> Any:
     """Task: fit one thesis case and write its files; its entry of summary.json."""
     posterior = published_posterior(name, priors_from_dict(plan["priors"]), plan["normal_force"] or "linear")
@@ -396,8 +408,15 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
     """Task: fit one case of a campaign, or all together (`name` "joint"); its entry of summary.json."""
     experiment, units = recorded_experiment(plan, None if name == "joint" else name)
     report(0.0, "finding the best fit")
-    noise = fit_with_noise(experiment, plan.get("noise", "auto"), lambda text: report(0.0, text))
+    begin_with = None
+    if plan.get("effect") is not None:
+        begin_with = fit_with_effect(experiment, plan["effect"], plan["effects"])
+    noise = fit_with_noise(experiment, plan.get("noise", "auto"), lambda text: report(0.0, text), begin_with)
     best = noise.fit
+    if best.problem.effect is not None:
+        own = {f"effect.{p.name}": p.unit for p in best.problem.effect.parameters}
+        of_the_rig = units
+        units = lambda name: own.get(name) or of_the_rig(name)  # noqa: E731 (same signature as the partial it wraps)
     freedom = noise.freedom if noise.kind == "student" else None
     posterior = RecordPosterior(best, power=noise.power, freedom=freedom)
     rng = np.random.default_rng([plan["seed"], _number(name)])
@@ -433,6 +452,8 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
         "noise_learnt": list(best.problem.noise.total),
         "noise_correlation": list(best.problem.noise.phi),
         "constants_pulled": best.pulled,
+        "effect": plan.get("effect"),
+        "formula": None if best.problem.effect is None else best.problem.effect.formula,
     }
     per_trial = {
         f"{key}[{labels[i]}]": _as_chains(x, sampling) for i, values in nuisances.items() for key, x in values.items()
@@ -452,6 +473,27 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
     )
     _draw_records(folder, experiment, bands, sampling.converged, units("sigma1"))
     return entry
+
+
+def fit_with_effect(experiment: Experiment, effect: str, folder: str | None = None) -> Calibration:
+    """The best fit of the model with one effect, in the formula with the largest evidence.
+
+    Raises
+    ------
+    InputError
+        if these trials cannot show the effect.
+    """
+    pool = [(e, v) for e, v in offered(experiment, "nonlinear", all_effects(folder)) if e.name == effect]
+    if not pool:
+        raise InputError(
+            f"--effect {effect}: the rig of these trials cannot have it (see docs, Effects: what each needs)"
+        )
+    nominal = calibrate_nominal(experiment)
+    screen = Screen(nominal)
+    found = [fit_variant(nominal, e, v, screen_variant(screen, v), len(v.starts)) for e, v in pool]
+    best = max((c.fit for c in found if c.fit is not None), key=lambda f: f.log_evidence)
+    again = best.problem.with_noise(learn_noise(best))
+    return calibrate(again, [best.q], eta=best.eta, anneal=False)
 
 
 def _trials_apart(experiment: Experiment, noise: FittedNoise, labels: Mapping[int, str], kind: str) -> dict[str, Any]:

@@ -138,10 +138,16 @@ class FittedNoise:
 
 
 def fit_with_noise(
-    experiment: Experiment, kind: str = "auto", tell: Callable[[str], None] = lambda _: None
+    experiment: Experiment,
+    kind: str = "auto",
+    tell: Callable[[str], None] = lambda _: None,
+    begin: Calibration | None = None,
 ) -> FittedNoise:
-    """The best fit of the nominal model under the noise asked for: "gaussian" (white), "student", "ar" or "auto"."""
-    fit, unlike = _own_weights(calibrate_nominal(experiment))
+    """The best fit under the noise asked for: "gaussian" (white), "student", "ar" or "auto".
+
+    begin : a fit to begin with, of a model with an effect for example; default the nominal model's.
+    """
+    fit, unlike = _own_weights(calibrate_nominal(experiment) if begin is None else begin)
     repeats = _repeats(fit)
     if kind == "gaussian":
         tell("white noise")

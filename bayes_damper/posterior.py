@@ -222,3 +222,17 @@ class FeaturePosterior:
         """Log posterior density (normalised prior times likelihood) in standard coordinates, (n,)."""
         points = np.atleast_2d(points)
         return np.asarray(self.coordinates.log_prior(points) + self.log_likelihood(points).sum(axis=1))
+
+
+def damping_pairs(values: Mapping[str, float]) -> tuple[Shared, ...]:
+    """Viscous and dry damping that one feature cannot tell apart: at the bearings, and between the faces.
+
+    A cycle's log decrement is pi c / sqrt(k J) from a viscous torque and about 4 d / (k theta0) from a dry one
+    (energy lost per cycle over twice the energy); the same for the interface, seen from the primary.
+    """
+    stiffness, inertia, angle = values["k1t"], values["J1"], values["theta0"]
+    viscous, dry = math.sqrt(stiffness * inertia) / math.pi, stiffness * angle / 4.0
+    return (
+        Shared("c1t", "drag", viscous, dry),
+        Shared("c2t", "mu", viscous, dry / (values["N0"] * values["R"])),
+    )

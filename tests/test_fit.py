@@ -16,6 +16,7 @@ from scipy.stats import binom
 
 from bayes_damper import arviz_adapter
 from bayes_damper.campaign import record_text
+from bayes_damper.effects import EFFECTS
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.fit import fit, plan_fit, published_posterior
 from bayes_damper.model import Model
@@ -28,8 +29,8 @@ TRUTH = {"mu": 0.006, "k2t": 1.5, "c2t": 0.05, "drag": 0.004, "nu": 40.0, "c1t":
 RIG = {"J1": 3.015e-3, "J2": 2.474e-3, "R": 0.1, "r": 0.0127, "N0": 100.0}
 
 
-def _campaign(folder, cases=("IV",), duration=0.3, seed=0):
-    """A campaign of two repeats of both configurations, simulated with known parameters."""
+def _campaign(folder, cases=("IV",), duration=0.3, seed=0, effect=None, values=None):
+    """A campaign of two repeats of both configurations, simulated with known parameters and perhaps an effect."""
     rng = np.random.default_rng(seed)
     (folder / "trials").mkdir(parents=True)
     (folder / "campaign.toml").write_text(
@@ -44,8 +45,8 @@ def _campaign(folder, cases=("IV",), duration=0.3, seed=0):
         for configuration in ("uncoupled", "coupled"):
             for trial in (1, 2):
                 theta0 = math.radians(degrees) * (1.0 + 0.01 * rng.standard_normal())
-                model = Model(coupled=configuration == "coupled")
-                y = model.simulate(RIG | TRUTH | {"k1t": k1t, "theta0": theta0}, times).y[0]
+                model = Model(coupled=configuration == "coupled", effect=effect)
+                y = model.simulate(RIG | TRUTH | {"k1t": k1t, "theta0": theta0}, times, effect=values).y[0]
                 y = y + 2.0 * rng.standard_normal(y.shape)
                 name = f"trials/{case}-{configuration}-{trial}.csv"
                 (folder / name).write_text(record_text(times, y, "torsional", "acceleration"), encoding="utf-8")
@@ -90,6 +91,19 @@ def test_the_files_of_a_fit_are_there_and_readable(fitted):
 
 
 @pytest.mark.slow
+def test_a_fit_with_an_effect_infers_its_parameters(tmp_path):
+    drag = EFFECTS["quadratic_drag"].variant("alike")
+    campaign = _campaign(tmp_path / "campaign", effect=drag, values={"coefficient": 0.8})
+    found = fit(campaign, out=tmp_path / "out", effect="quadratic_drag", most_steps=100, joint=False)
+    entry = found.summary["cases"]["IV"]
+    assert entry["best_fit"]["effect"] == "quadratic_drag"
+    coefficient = entry["parameters"]["effect.coefficient"]
+    assert coefficient["unit"] == "1/rad"
+    assert abs(coefficient["mean"] - 0.8) < 4.0 * coefficient["sd"]
+    assert coefficient["sd"] < 0.3
+
+
+@pytest.mark.slow
 def test_a_finished_run_is_not_run_again_and_another_one_is_refused(fitted):
     again = resume(fitted.folder)
     assert again.summary["cases"] == fitted.summary["cases"]
@@ -124,6 +138,7 @@ def test_two_workers_give_what_one_gives(tmp_path):
         ({"campaign": "nowhere"}, "nowhere"),
         ({"campaign": "thesis", "priors": "nowhere.toml"}, "nowhere.toml"),
         ({"campaign": "thesis", "normal_force": "square"}, "linear or constant"),
+        ({"campaign": "thesis", "effect": "stick_slip"}, "needs records"),
     ],
 )
 def test_bad_arguments_get_a_sentence(arguments, told):

@@ -25,8 +25,14 @@ from bayes_damper.distributions import Distribution, from_standard
 from bayes_damper.distributions import median as median_of
 from bayes_damper.effects.base import Variant
 from bayes_damper.errors import InputError
-from bayes_damper.fit import damping_pairs
-from bayes_damper.posterior import EFFECT_PREFIX, FEATURE_TIMES, Coordinates, Datum, FeaturePosterior
+from bayes_damper.posterior import (
+    EFFECT_PREFIX,
+    FEATURE_TIMES,
+    Coordinates,
+    Datum,
+    FeaturePosterior,
+    damping_pairs,
+)
 from bayes_damper.priors import PriorSet
 from bayes_damper.sampling.moves import StudentT
 
