@@ -465,7 +465,7 @@ def withheld_figure(scores: Mapping[str, Any], *, rehearsal: bool = False) -> Fi
             axis.plot(at, row["right"]["value"], "o", color=COLOURS[1], ms=5)
         axis.set_xlabel("probability of the verdict")
         axis.set_ylabel("share that is right")
-        axis.set_title("reliability (wide bars: a perfectly calibrated twin, 95 %)", loc="left")
+        axis.set_title("reliability (bars: calibrated twin, 95 %)", loc="left")
         axis = parts["l"]
         for k, kind in enumerate(sorted({row["kind"] for row in scores["by_level"]})):
             rows = [row for row in scores["by_level"] if row["kind"] == kind]
