@@ -41,7 +41,6 @@ def test_quiet_says_nothing(capsys, tmp_path):
         ["fit", "thesis", "--case", "V"],
         ["resume", "nowhere"],
         ["diagnose", "nowhere"],
-        ["diagnose", "thesis"],
         ["simulate", "--set", "muu=1", "--out", "F.csv"],
         ["tune", "nowhere"],
     ],
