@@ -147,7 +147,11 @@ def fit_with_noise(
 
     begin : a fit to begin with, of a model with an effect for example; default the nominal model's.
     """
-    fit, unlike = _own_weights(calibrate_nominal(experiment) if begin is None else begin)
+    first = calibrate_nominal(experiment) if begin is None else begin
+    if sensor := first.problem.noise.sensor:
+        # What the model leaves is told from the noise of the sensors below, with its colour.
+        first = _again(first, Noise(sensor, (0.0,) * len(sensor), (0.0,) * len(sensor)))
+    fit, unlike = _own_weights(first)
     repeats = _repeats(fit)
     if kind == "gaussian":
         tell("white noise")

@@ -114,7 +114,7 @@ def test_a_finished_run_is_not_run_again_and_another_one_is_refused(fitted):
 
 @pytest.mark.slow
 def test_a_fit_that_may_not_go_on_says_that_it_did_not_converge(tmp_path):
-    stopped = fit(_campaign(tmp_path / "campaign"), out=tmp_path / "out", most_steps=1)
+    stopped = fit(_campaign(tmp_path / "campaign"), out=tmp_path / "out", most_steps=1, thorough=True)
     assert not stopped.converged
     assert stopped.exit_code == ExitCode.NOT_CONVERGED
     assert "DID NOT CONVERGE" in stopped.text()
@@ -189,7 +189,7 @@ def test_features_drawn_from_the_model_are_recovered_at_the_stated_rate():
 @pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs process groups")
 def test_ctrl_c_with_two_workers_saves_and_ends(tmp_path):
     """As in a terminal, where all processes get the signal; more tasks than workers, of which none may begin then."""
-    campaign = _campaign(tmp_path / "campaign", ("I", "IV"))
+    campaign = _campaign(tmp_path / "campaign", ("I", "IV"), duration=1.0)
     out = tmp_path / "out"
     code = "import sys; from bayes_damper.cli import main; sys.exit(main())"
     command = [sys.executable, "-c", code, "fit", str(campaign), "--workers", "2", "--thorough", "--out", str(out)]

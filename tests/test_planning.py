@@ -167,12 +167,12 @@ def test_the_command_writes_a_file_and_a_figure(tmp_path, capsys, monkeypatch):
 def simulated(campaign, fit, variant=None, values=None, seed=1):
     """The planned campaign measured on a rig at the prior medians, with one effect at work."""
     rng = np.random.default_rng(seed)
-    medians = fit.problem._medians
     constants = {name: value for name, (value, _) in fit.problem.experiment.constants.items()}
     trials = []
     for t in fit.problem.experiment.trials:
         k1t = fit.problem.experiment.stiffnesses[t.k1t][0]
         theta0 = t.theta0 + t.theta0_sd * rng.standard_normal()
+        medians = {name: values[t.case] for name, values in fit.problem._medians.items()}
         rig = constants | medians | {"k1t": k1t, "theta0": theta0}
         y = Model(t.coupled, effect=variant).simulate(rig, t.times, effect=values).y[0]
         trials.append(replace(t, y=y + 2.0 * rng.standard_normal(y.shape)))
