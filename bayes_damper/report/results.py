@@ -343,16 +343,18 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
     else:
         place = sites[0] if sites else None
         where = f", at the site {place[0]} ({percent(place[1])})" if place else ""
-        sentences.append(f"Most probable cause: {words(verdict)} ({percent(share)}){where}.")
+        stronger = "The stronger of two causes" if data.get("pair") else "Most probable cause"
+        sentences.append(f"{stronger}: {words(verdict)} ({percent(share)}){'' if data.get('pair') else where}.")
     pair = data.get("pair")
     if pair:
         sentences.append(
-            f"Likely both at once: {listed([words(e) for e in pair['effects']])} ({percent(pair['probability'])})."
+            f"One effect does not close the gap; {listed([words(e) for e in pair['effects']])} together do "
+            f"({percent(pair['probability'])})."
         )
     credible = [words(n) for n in data.get("credible_set", [])]
     if len(credible) > 1:
         sentences.append(f"With 90 % probability it is one of {listed(credible)}; the data do not decide which.")
-    sentences.append(_closed_sentence(gap))
+    sentences.append(_closed_sentence(gap, "these two together close" if pair else "the most probable cause closes"))
     changes = [
         f"{listed([words(n) for n in group])} cannot be told apart by these data."
         for group in data.get("indistinguishable", [])
@@ -411,13 +413,13 @@ def _gap_sentence(gap: Mapping[str, Any]) -> str:
     }.get(str(answer), "")
 
 
-def _closed_sentence(gap: Mapping[str, Any]) -> str:
+def _closed_sentence(gap: Mapping[str, Any], who: str) -> str:
     closed = (gap.get("closed") or {}).get("median")
     if closed is None:
         return ""
     hdi = (gap.get("closed") or {}).get("hdi90")
     spread = f" (90 %: {interval(100.0 * hdi[0], 100.0 * hdi[1])} %)" if hdi else ""
-    return f"On held-out trials the most probable cause closes {100.0 * closed:.0f} % of the gap{spread}."
+    return f"On held-out trials {who} {100.0 * closed:.0f} % of the gap{spread}."
 
 
 def _experiment_sentence(e: Mapping[str, Any]) -> str:
