@@ -541,8 +541,8 @@ class Problem:
             low, high = np.array([release_window(t, e.quantity) for t in trials]).T
             middle, half = 0.5 * (low + high), 0.35 * (high - low)
             out.append(("delay", middle, half))
-            # A rig still held at the first reading bounds the release from below; else the logger may be later yet.
-            slack = np.where(high > np.array([t.times[0] for t in trials]), -1e-6, 0.4)
+            # A rig seen held at the first reading bounds the release from below; else the logger may be later yet.
+            slack = np.where(low >= np.array([t.times[0] for t in trials]), -1e-6, 0.4)
             bounds.append(((low - middle) / half - slack, (high - middle) / half * (1.0 - 1e-9)))
         if self.switches.friction and trials[0].coupled and any(c.parameter == "mu" for c in self.coordinates):
             out.append(("ln_mu", np.zeros(n), np.full(n, FRICTION_SPREAD)))
@@ -847,13 +847,17 @@ def _factor(distribution: Distribution) -> float:
 
 
 def release_window(trial: TrialRecord, quantity: str) -> tuple[float, float]:
-    """Earliest and latest instant of release that the first readings allow, s, one sample wide.
+    """Earliest and latest instant of release that the first readings allow, s.
 
-    A first reading near 0 while the next ones are at the peak means that the logger ran before the release.
+    Accelerations jump at the release: a first reading near 0 while the next ones are at the peak means that the logger
+    ran before it, any other that it came later, and the window is one sample wide. Velocities and displacements start
+    without a jump, so the logger may have started up to a sample before or after.
     """
     n = min(trial.times.size - 1, 400)
     dt = float(np.median(np.diff(trial.times[: n + 1]))) if n > 0 else 1e-3
-    if quantity != "acceleration" or trial.times[0] > 0.0 or trial.times.size < 4:
+    if quantity != "acceleration":
+        return -dt, (dt if trial.times[0] <= 0.0 else 0.0)
+    if trial.times[0] > 0.0 or trial.times.size < 4:
         return -dt, 0.0
     y = np.abs(np.nan_to_num(trial.y[0]))
     peak = float(np.max(y[1:6]))
@@ -1435,12 +1439,14 @@ def choose_switches(fit: Calibration) -> Switches:
     Repeats of one case differ only in what is each trial's own, so the spread of the nuisances between repeats, beyond
     their own uncertainty, tells whether release or friction vary, whatever the model leaves out. A release that is late
     by the same time in all of them is left to the effects of release and sensor.
+    Trials without repeats cannot tell: there both stay free.
     """
     problem = fit.problem
     wanted = {"delay": False, "ln_mu": False}
     normals = fit.linear.normal()
     for name in wanted:
         z: list[float] = []
+        repeated = False
         for block, H, _, _ in normals.parts:
             names = [n for n, _, _ in block.group.nuisances]
             if name not in names or not H.shape[1]:
@@ -1452,11 +1458,11 @@ def choose_switches(fit: Calibration) -> Switches:
                 t = problem.experiment.trials[j]
                 same.setdefault((t.case, t.theta0), []).append(k)
             for members in same.values():
+                repeated |= len(members) > 1
                 values = block.eta[members, i]
                 pull = sd[members]
                 z += list((values - values.mean()) / pull / math.sqrt(max(1.0 - 1.0 / len(members), 1e-9)))
-        if len(z) > 1 and float(np.mean(np.square(z))) > 9.0:
-            wanted[name] = True
+        wanted[name] = bool(z) and (not repeated or float(np.mean(np.square(z))) > 9.0)
     return Switches(delay=wanted["delay"], friction=wanted["ln_mu"])
 
 

@@ -115,6 +115,34 @@ def test_late_triggers_and_uncertain_constants_are_part_of_the_fit():
     assert "k1t[6.2]" in fit.parameters
 
 
+@pytest.mark.parametrize(("quantity", "noise"), [("displacement", 2e-5), ("velocity", 5e-3)])
+def test_a_motion_may_be_released_on_either_side_of_the_first_reading(quantity, noise):
+    """Where readings start without a jump the logger may have run before the release, and that is no gap."""
+    fit = calibrate_nominal(with_release(quantity, noise, repeats=3))
+    assert fit.problem.switches.delay
+    assert abs(fit.excess) < 4.0 * math.sqrt(2.0 * fit.problem.n_data)
+
+
+def test_lone_trials_keep_their_own_release():
+    """One training trial of a kind cannot tell whether releases vary, so each keeps its own."""
+    fit = calibrate_nominal(with_release("velocity", 5e-3, repeats=2))
+    assert fit.problem.switches == Switches(delay=True, friction=True)
+    assert max(fit.problem.noise.total) < 2.0 * 5e-3
+
+
+def with_release(quantity, noise, repeats):
+    """Motions at 400 Hz, released up to a sample before or after the first reading."""
+    rng = np.random.default_rng(5)
+    drawn = make_experiment(5, repeats=repeats, n=200, noise=0.0)
+    times = np.arange(200) / 400.0
+    trials = []
+    for t in drawn.trials:
+        own = {"k1t": CASES[t.k1t][1], "theta0": t.theta0, "delay": float(rng.uniform(-2.5e-3, 2.5e-3))}
+        y = Model(t.coupled).simulate(RIG | TRUE | own, times, quantity=quantity).y[0]
+        trials.append(replace(t, times=times, y=y + noise * rng.standard_normal(y.shape)))
+    return replace(drawn, trials=tuple(trials), quantity=quantity)
+
+
 def test_elimination_equals_the_joint_problem(fitted):
     """Step, covariance and evidence by Schur complements are those of the big dense problem."""
     problem = fitted.problem
