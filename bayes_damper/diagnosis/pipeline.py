@@ -6,7 +6,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,12 +21,13 @@ from bayes_damper.calibration import (
     experiment_of,
     learn_noise,
 )
+from bayes_damper.diagnosis.formula import widened
 from bayes_damper.diagnosis.gap import Closed, Gap, closing, measure_gap, shifts, sums_of_squares
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.next_experiment import Proposal, propose
 from bayes_damper.diagnosis.outliers import outlying, told, without
 from bayes_damper.diagnosis.pairs import LEAST_GAIN, Pair, Second, best_pairs, exactly, seconds_of
-from bayes_damper.diagnosis.remainder import Remainder, remainder_of
+from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of
 from bayes_damper.diagnosis.search import Candidate, offered, search
 from bayes_damper.diagnosis.sensitivity import Choice, in_a_sentence, sensitivity
 from bayes_damper.diagnosis.sites import SiteMap, site_map, write_missing_torque
@@ -52,11 +53,13 @@ class Diagnosis:
 
     candidates: every formula of every effect, best first, evidence relative to the nominal model; winner: the fitted
     formula of the leading effect, None if none could be fitted; best: its fit, or that of the pair where two effects
-    are the answer; before, after: what the nominal model and the winner leave unexplained; gap: on held-out trials,
-    closed by `best`; closing: the same by each leading effect; choices: the verdict under other choices; site_map:
-    where the nominal model's gap lies, without any library; remainder_map: the same for what the winner leaves;
-    sites: probability of each site and "none"; pairs: fitted at once, best first; second_effects: every formula
-    screened against what the winner leaves; drift: log evidence of a drift of the nominal laws (generic.py).
+    are the answer, with the covariance that their inexact formulas leave (formula.py); before, after: what the nominal
+    model and the winner leave unexplained; gap: on held-out trials, closed by `best`; closing: the same by each leading
+    effect; choices: the verdict under other choices; site_map: where the nominal model's gap lies, without any library;
+    remainder_map: the same for what the winner leaves; sites: probability of each site and "none"; pairs: fitted at
+    once, best first; second_effects: every formula screened against what the winner leaves; drift: log evidence of a
+    drift of the nominal laws (generic.py); weighed: all that the rule made the probabilities from (verdict.py), so that
+    they can be made again.
     """
 
     campaign: str
@@ -86,6 +89,7 @@ class Diagnosis:
     best: Calibration | None = None
     choices: tuple[Choice, ...] = ()
     closing: Mapping[str, tuple[float, Closed]] = field(default_factory=dict)
+    weighed: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def verdict(self) -> str:
@@ -137,6 +141,7 @@ class Diagnosis:
                 "temperature": self.answers.temperature,
             },
             "sensitivity": [c.to_json() for c in self.choices],
+            "weighed": dict(self.weighed),
             "notes": list(self.notes),
             "seconds": self.seconds,
         }
@@ -154,6 +159,7 @@ class Diagnosis:
     def _row(self, name: str) -> dict[str, Any]:
         rows = [c for c in self.candidates if c.effect.name == name]
         best = self.best_of(name) or rows[0]
+        fit = self.best if best is self.winner and self.answers.pair < 0.5 else best.fit
         return {
             "name": name,
             "variant": best.variant.name,
@@ -164,17 +170,18 @@ class Diagnosis:
             "fitted": best.fit is not None,
             "augmented_rms": self.closing[name][0] if name in self.closing else None,
             "closed": self.closing[name][1].to_json() if name in self.closing else None,
-            "parameters": {p.name: _estimate(best.fit, f"effect.{p.name}", p.unit) for p in best.variant.parameters}
-            if best.fit is not None
+            "parameters": {p.name: _estimate(fit, f"effect.{p.name}", p.unit) for p in best.variant.parameters}
+            if fit is not None
             else {},
         }
 
-    @staticmethod
-    def _of_pair(pair: Pair) -> dict[str, Any]:
+    def _of_pair(self, pair: Pair) -> dict[str, Any]:
         """Parameters of both effects, fitted together."""
         units = {e.name: {p.name: p.unit for p in v.parameters} for e, v in (pair.first, pair.second)}
         return {
-            effect: {name: _estimate(pair.fit, label, units[effect][name]) for name, label in names.items()}
+            effect: {
+                name: _estimate(self.best or pair.fit, label, units[effect][name]) for name, label in names.items()
+            }
             for effect, names in pair.parameters().items()
         }
 
@@ -249,7 +256,8 @@ def diagnose(
     after_map = before_map if winner is None or winner.fit is None else site_map(winner.fit)
     none_left = left_of(before, before_map.strength, before, before_map.strength)
     home = 0.5 if winner is None else _at(after_map, {winner.effect.site})
-    left = left_of(after, after_map.strength, before, before_map.strength, home)
+    readings = math.inf if winner is None or winner.fit is None else readings_of_change(fit, winner.fit)
+    left = left_of(after, after_map.strength, before, before_map.strength, home, readings)
     alone = bool(fit.problem.noise.sensor)
     if alone:
         none_left = _left_alone(fit, fit)
@@ -279,6 +287,10 @@ def diagnose(
         return weigh(moved, none_left, left, excess, rule, both, drift + changes.get(DRIFT.name, 0.0))
 
     answers = judge({}, {})
+    weighed = {
+        "before": asdict(none_left), "after": asdict(left), "excess": excess, "drift": drift,
+        "pairs": [{"effects": list(e), "log_evidence": z, "left": asdict(remains)} for e, z, remains in judged],
+    }  # fmt: skip
     fits: dict[str, list[Calibration]] = {}
     for c in found:
         if c.fit is not None and math.isfinite(c.log_evidence):
@@ -299,11 +311,14 @@ def diagnose(
     gap = measure_gap(fit, best, rng=rng)
     leading = sorted(evidence, key=lambda n: -evidence[n])[:TOLD]
     closes = {} if best is None else closing(fit, {n: fits[n][0] for n in leading if n in fits}, best, rng)
+    if best is not None and winner is not None and winner.effect is not DRIFT:
+        acting = [winner.effect] if best is winner.fit or pair is None else [pair.first[0], pair.second[0]]
+        best = widened(best, [effect.site for effect in acting])
     return Diagnosis(
         name, experiment, nominal, fit, tuple(found), winner, answers, before, after, gap, locate(fit), before_map,
         after_map, tuple(_proposals(fit, found, answers)), _sites(answers, effects, before_map, after_map), evidence,
         tuple(_indistinct(evidence, effects)), pair, tuple(notes), time.perf_counter() - began, {"seed": seed},
-        tuple(pairs), tuple(seconds), drift, best, tuple(choices), closes,
+        tuple(pairs), tuple(seconds), drift, best, tuple(choices), closes, weighed,
     )  # fmt: skip
 
 

@@ -71,6 +71,20 @@ def whitened_records(fit: Calibration) -> dict[int, Array]:
     return out
 
 
+def readings_of_change(before: Calibration, after: Calibration) -> float:
+    """How many readings of a record carry the change that one fit makes over another, inf if there is none.
+
+    (sum d^2)^2 / sum d^4 over the whitened changes d of a channel: its number of readings for a change spread evenly, 1
+    for a single reading; mean over records, weighted by sum d^2.
+    """
+    old, new = whitened_records(before), whitened_records(after)
+    d2 = np.concatenate([np.sum((new[i] - old[i]) ** 2, axis=1) for i in old if i in new])
+    d4 = np.concatenate([np.sum((new[i] - old[i]) ** 4, axis=1) for i in old if i in new])
+    some = d4 > 0.0
+    total = float(d2[some].sum())
+    return float(np.sum(d2[some] ** 3 / d4[some])) / total if total > 0.0 else math.inf
+
+
 def remainder_of(fit: Calibration) -> Remainder:
     """Tests of what a fit leaves."""
     records = whitened_records(fit)

@@ -36,6 +36,7 @@ class Motion:
     what there is. at (n,): the samples' places in the grid. friction, slope, nu, k1t (trials,): what the features need.
     step (trials, N - 1, 4, 4), push (trials, N - 1, 4, 2): transition of (dth1, dth2, dw1, dw2) and of the torque's
     mean over the step; read_state (trials, channels, n, 4), read_torque (trials, channels, n, 2): the readings of both.
+    added (trials, 2, N): torque on each inertia beyond the nominal laws, N m: that of the fit's effect.
     """
 
     group: Group
@@ -58,6 +59,7 @@ class Motion:
     push: Array
     read_state: Array
     read_torque: Array
+    added: Array
 
     @property
     def phi(self) -> Array:
@@ -185,10 +187,43 @@ def _motion(fit: Calibration, block: Block) -> Motion:
     step, push = _steps(K, C, inverse, h)
     y, read_state, read_torque = _reading(th, w, a, at, inverse, parts, coupled, pendulum, e.quantity)
     theta0 = value("theta0")
+    added = np.zeros_like(th)
+    if e.coupling_law == "constant" and variant is not None:
+        added = a.copy()
+        if coupled:
+            added = np.einsum("jkl,jln->jkn", mass, a)
+        else:
+            added[:, 0] *= j1[:, None]
+        added -= _nominal_torques(th, w, parts, coupled, pendulum)
+        if torque is not None:
+            added[:, 0] -= torque
+        added *= (since > 0.0)[:, None]
     return Motion(
         group, grid, at, th[:, 0], th[:, 1], w[:, 0], w[:, 1], a[:, 0], a[:, 1], since, y, friction, slope, nu, k1t,
-        theta0, step, push, read_state, read_torque,
+        theta0, step, push, read_state, read_torque, added,
     )  # fmt: skip
+
+
+def _nominal_torques(th: Array, w: Array, p: dict[str, Array], coupled: bool, pendulum: bool) -> Array:
+    """Torques of the nominal laws on both inertias, (trials, 2, N); nothing on the secondary of an uncoupled rig."""
+
+    def column(name: str) -> Array:
+        return p[name][:, None]
+
+    def dry(x: Array) -> Array:
+        return np.tanh(column("nu") * x)
+
+    bent = np.sin(th) if pendulum else th
+    out = np.zeros_like(th)
+    out[:, 0] = -column("k1t") * bent[:, 0] - column("c1t") * w[:, 0] - column("drag") * dry(w[:, 0])
+    if coupled:
+        out[:, 1] = -column("k3t") * bent[:, 1] - column("c3t") * w[:, 1] - column("drag") * dry(w[:, 1])
+        phi, slip = th[:, 0] - th[:, 1], w[:, 0] - w[:, 1]
+        pull = column("friction") * np.maximum(0.0, 1.0 - column("slope") * np.abs(phi))
+        joint = column("k2t") * phi + column("c2t") * slip + pull * dry(slip)
+        out[:, 0] -= joint
+        out[:, 1] += joint
+    return out
 
 
 def _secant(nu: Array, a: Array, b: Array) -> tuple[Array, Array]:

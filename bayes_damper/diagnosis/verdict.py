@@ -68,7 +68,7 @@ class Left:
 
     nats : evidence that anything is left; share : of the evidence of the gap, 1 for `none`; home : probability that it
     lies at the answer's own site; line, peak_hz : the strongest narrow line, nats and Hz; lone : told by sums of
-    squares, for trials without repeats.
+    squares, for trials without repeats; readings : of a record that carry what the answer explains.
     """
 
     nats: float
@@ -77,15 +77,17 @@ class Left:
     line: float = 0.0
     peak_hz: float = 0.0
     lone: bool = False
+    readings: float = math.inf
 
 
 def left_of(
-    after: Remainder, mapped: float, before: Remainder, mapped_before: float, home: float = 0.5
+    after: Remainder, mapped: float, before: Remainder, mapped_before: float, home: float = 0.5,
+    readings: float = math.inf,
 ) -> Left:  # fmt: skip
     """What an answer leaves, by the tests of its residuals and the site map of what is left.
 
     mapped, mapped_before : evidence of the best site in the remainder, and in the gap itself, nats; home : probability
-    that the remainder lies at the answer's own site. Where the gap shows
+    that the remainder lies at the answer's own site; readings : as in `Left`. Where the gap shows
     at low frequencies, the share is at most that of its chi-square there: what is left at sharp events, such as
     reversals of a friction whose formula is not quite right, has much evidence but is little of the gap.
     """
@@ -94,7 +96,7 @@ def left_of(
     share = max(mapped, after.generic, 0.0) / whole
     if before.low_excess > 5.0 * before.low_sd:
         share = min(share, max(after.low_excess + after.low_sd, 0.0) / before.low_excess)
-    return Left(nats, min(share, 1.0), home, after.line, after.peak_hz)
+    return Left(nats, min(share, 1.0), home, after.line, after.peak_hz, readings=readings)
 
 
 @dataclass(frozen=True)

@@ -206,12 +206,16 @@ def _number(row: Any, name: str) -> float | None:
 
 
 def _covered(verdict: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, bool]:
-    """Whether the 90 % interval of each nominal parameter, under the winner, holds the true value."""
+    """Whether the 90 % interval of each nominal parameter, under the winner, holds the true value.
+
+    Where an effect adds, near rest, a term of the form of a nominal law, the true value is that of both together.
+    """
     out = {}
+    truth = entry.get("at_rest") or entry["nominal"]
     for name in PARAMETERS:
         interval = (verdict.get("intervals90") or {}).get(name)
-        if interval is not None and name in entry["nominal"]:
-            out[name] = interval[0] <= float(entry["nominal"][name]) <= interval[1]
+        if interval is not None and name in truth:
+            out[name] = interval[0] <= float(truth[name]) <= interval[1]
     return out
 
 

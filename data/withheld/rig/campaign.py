@@ -67,6 +67,21 @@ def nominal_draw(rng: np.random.Generator) -> dict[str, float]:
     }
 
 
+def at_rest(nominal: dict[str, float], disturbances: list[Disturbance]) -> dict[str, float]:
+    """Nominal parameters as a rig near rest shows them: what a disturbance adds there in the same form is counted in.
+
+    No measurement near rest could tell the two apart, so which share has which name is a convention of the formula.
+    """
+    out = dict(nominal)
+    for d in disturbances:
+        if d.code == codes.EDDY_OVERLAP:  # full overlap: a damping
+            out["c2t"] += d.p[0]
+        elif d.code == codes.QUADRATIC_DRAG:  # laminar below the speed p1
+            out["c1t"] += d.p[0] * d.p[1]
+            out["c3t"] += d.p[0] * d.p[1]
+    return out
+
+
 def noise_draw(rng: np.random.Generator, n: int, hard: bool, channel: int) -> NDArray[np.float64]:
     """Noise of one channel, rad/s^2: white, or (hard) a fifth of the variance an AR(1) process."""
     if not hard:
@@ -204,6 +219,7 @@ def make_campaign(order: Order, folder: Path, salt: str) -> dict[str, Any]:
         "visible_chi2": visible,
         "disturbances": entries,
         "nominal": nominal,
+        "at_rest": at_rest(nominal, disturbances),
         "constants": {**true, "k1t": {f"{k:g}": v for k, v in k1t.items()}},
         "best_nominal": fit.parameters if fit else nominal,
         "trials": trials,
