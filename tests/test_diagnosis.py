@@ -23,7 +23,7 @@ from bayes_damper.model import Model
 
 FEW = {name: EFFECTS[name] for name in ("quadratic_drag", "spring_cubic", "sensor_gain")}
 QUIET = Left(-3.0, 0.0)
-ALL = Left(900.0, 1.0, line=200.0, peak_hz=8.0)
+ALL = Left(900.0, 1.0, line=200.0, peak=1.0)
 
 
 def with_effect(effect: str, variant: str, values: dict[str, float], seed: int = 2, gain: float = 0.0) -> Experiment:
@@ -174,8 +174,8 @@ def test_evidence_that_is_not_a_number_never_wins():
         ({"a": 0.5, "b": -1.0}, QUIET, QUIET, "none"),
         ({"a": 900.0, "b": 700.0}, ALL, QUIET, "a"),
         ({"a": 900.0, "b": 700.0}, ALL, Left(25.0, 0.03), "a"),
-        ({"a": 500.0, "b": 400.0}, ALL, Left(300.0, 0.5, line=90.0, peak_hz=8.0), "unknown"),
-        ({"a": 0.5}, Left(60.0, 1.0, line=60.0, peak_hz=50.0), Left(60.0, 1.0, line=60.0, peak_hz=50.0), "unknown"),
+        ({"a": 500.0, "b": 400.0}, ALL, Left(300.0, 0.5, line=90.0, peak=1.0), "unknown"),
+        ({"a": 0.5}, Left(60.0, 1.0, line=60.0, peak=6.0), Left(60.0, 1.0, line=60.0, peak=6.0), "unknown"),
     ],
 )
 def test_the_rule_answers_plain_cases(evidence, before, after, verdict):
@@ -202,7 +202,7 @@ def test_what_is_left_at_its_own_site_is_laid_to_the_formula():
 
 def test_a_pair_is_named_where_it_closes_what_one_effect_leaves():
     """Not where its gain is within what a wrong formula of the first one would give it, nor where it leaves a lot."""
-    half = Left(400.0, 0.4, line=50.0, peak_hz=8.0)
+    half = Left(400.0, 0.4, line=50.0, peak=1.0)
     named = weigh({"a": 600.0, "b": 100.0}, ALL, half, pairs=[(("a", "b"), 950.0, QUIET)])
     assert named.verdict == "a"
     assert named.pair > 0.9

@@ -91,6 +91,9 @@ def test_choices_can_be_given(rivals):
     entry = ranked[0].to_json()
     assert set(entry) >= {"configuration", "k1t_n_m_per_rad", "theta0_deg", "expected_information_nats"}
     assert entry["theta0_deg"] == pytest.approx(np.degrees(0.1))
+    entry = ranked[0].to_json("translational")
+    assert (entry["k1_n_per_m"], entry["theta0_mm"]) == (6.2, pytest.approx(100.0))
+    assert "k1t_n_m_per_rad" not in entry
 
 
 def test_mistaken_calls_are_refused(rivals):

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from bayes_damper.calibration import Calibration, Group, Problem, calibrate, predict
+from bayes_damper.diagnosis.remainder import own_frequency
 from bayes_damper.diagnosis.response import on_trials
 
 Array = NDArray[np.float64]
@@ -27,7 +28,7 @@ SIZE = 0.05
 NEGLIGIBLE = 0.25  # of the noise sd: a gap below it adds 3 % to the residuals
 KEPT_WEIGHT = 0.5  # readings that a fit trusts less (release, friction reversals) are left out of sums of squares
 DRAWS = 2000
-_SLOW = 80.0  # Hz: torques on inertias show below
+_SLOW = 10.0  # times the rig's own frequency: torques on inertias show below
 
 
 @dataclass(frozen=True)
@@ -215,7 +216,7 @@ def repeats_say(fit: Calibration) -> dict[int, Array]:
             mean = np.mean([np.nan_to_num(residuals[j]) for j in same], axis=0)
             dt = float(np.median(np.diff(t.times)))
             spectrum = np.fft.rfft(mean, axis=1)
-            spectrum[:, np.fft.rfftfreq(mean.shape[1], dt) > _SLOW] = 0.0
+            spectrum[:, np.fft.rfftfreq(mean.shape[1], dt) > _SLOW * own_frequency(experiment)] = 0.0
             out[i] = np.fft.irfft(spectrum, mean.shape[1], axis=1)
     return out
 

@@ -43,11 +43,15 @@ class Proposal:
     information: float
     margin: float
 
-    def to_json(self) -> dict[str, Any]:
-        """An entry of `next_experiment`."""
+    def to_json(self, kind: str = "torsional") -> dict[str, Any]:
+        """An entry of `next_experiment`, in the units of that kind of rig."""
+        place = (
+            {"k1_n_per_m": self.k1t, "theta0_mm": 1e3 * self.theta0}
+            if kind == "translational"
+            else {"k1t_n_m_per_rad": self.k1t, "theta0_deg": math.degrees(self.theta0)}
+        )
         return {
-            "configuration": self.configuration, "k1t_n_m_per_rad": self.k1t,
-            "theta0_deg": math.degrees(self.theta0), "expected_information_nats": self.information,
+            "configuration": self.configuration, **place, "expected_information_nats": self.information,
             "margin": self.margin,
         }  # fmt: skip
 

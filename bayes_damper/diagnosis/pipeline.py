@@ -28,14 +28,14 @@ from bayes_damper.diagnosis.next_experiment import Proposal, propose
 from bayes_damper.diagnosis.outliers import outlying, told, without
 from bayes_damper.diagnosis.pairs import LEAST_GAIN, Pair, Second, best_pairs, exactly, seconds_of
 from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of
-from bayes_damper.diagnosis.search import Candidate, offered, search
+from bayes_damper.diagnosis.search import Candidate, offered, scales_of, search
 from bayes_damper.diagnosis.sensitivity import Choice, in_a_sentence, sensitivity
 from bayes_damper.diagnosis.sites import SiteMap, site_map, write_missing_torque
 from bayes_damper.diagnosis.verdict import RULE, Answers, Left, Rule, family_evidence, left_alone, left_of, weigh
 from bayes_damper.diagnosis.where import Where, locate
 from bayes_damper.distributions import Distribution, from_standard
-from bayes_damper.effects import EFFECTS, Effect, classes
-from bayes_damper.effects.base import SITES
+from bayes_damper.effects import EFFECTS, Effect, classes, scaled
+from bayes_damper.effects.base import SITES, Variant
 from bayes_damper.priors import PriorSet
 
 SCHEMA = "bayes-damper/diagnosis/1"
@@ -59,7 +59,7 @@ class Diagnosis:
     remainder_map: the same for what the winner leaves; sites: probability of each site and "none"; pairs: fitted at
     once, best first; second_effects: every formula screened against what the winner leaves; drift: log evidence of a
     drift of the nominal laws (generic.py); weighed: all that the rule made the probabilities from (verdict.py), so that
-    they can be made again.
+    they can be made again; kind: of rig, torsional or translational.
     """
 
     campaign: str
@@ -90,6 +90,7 @@ class Diagnosis:
     choices: tuple[Choice, ...] = ()
     closing: Mapping[str, tuple[float, Closed]] = field(default_factory=dict)
     weighed: Mapping[str, Any] = field(default_factory=dict)
+    kind: str = "torsional"
 
     @property
     def verdict(self) -> str:
@@ -123,7 +124,7 @@ class Diagnosis:
             "sites": dict(self.sites),
             "gap": self.gap.to_json(),
             "where": self.where.to_json(),
-            "next_experiment": [p.to_json() for p in self.proposals],
+            "next_experiment": [p.to_json(self.kind) for p in self.proposals],
             "site_map": self.site_map.to_json() | {"curve": self.site_map.curve()},
             "remainder_map": self.remainder_map.to_json(),
             "noise": {
@@ -243,7 +244,7 @@ def diagnose(
         experiment = without(experiment, far)
         fit = calibrate_nominal(experiment, nominal=nominal, threads=threads, tell=tell)
     pool = offered(experiment, nominal, effects)
-    found = search(fit, [*pool, *((DRIFT, variant) for variant in DRIFT.variants)], threads=threads, tell=tell)
+    found = search(fit, [*pool, *_drifts(experiment)], threads=threads, tell=tell)
     fit, found = _reseeded(fit, found)
     fit, found = _with_winners_noise(fit, found)
     winner = next((c for c in found if c.fit is not None), None)
@@ -319,7 +320,13 @@ def diagnose(
         after_map, tuple(_proposals(fit, found, answers)), _sites(answers, effects, before_map, after_map), evidence,
         tuple(_indistinct(evidence, effects)), pair, tuple(notes), time.perf_counter() - began, {"seed": seed},
         tuple(pairs), tuple(seconds), drift, best, tuple(choices), closes, weighed,
+        getattr(getattr(campaign, "rig", None), "kind", "torsional"),
     )  # fmt: skip
+
+
+def _drifts(experiment: Experiment) -> list[tuple[Effect, Variant]]:
+    """The drift of the nominal laws, its rates at the rig's own pace."""
+    return [(DRIFT, scaled(variant, scales_of(experiment))) for variant in DRIFT.variants]
 
 
 def _left_by(pair: Pair, before: Remainder, before_map: SiteMap) -> Left:

@@ -16,14 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import gamma
 
-from bayes_damper.calibration import Calibration
+from bayes_damper.calibration import Calibration, Experiment
 
 Array = NDArray[np.float64]
 
-CORNERS = (15.0, 40.0, 100.0, 250.0)  # Hz, of the generic spectra tried
+# Frequencies are those of the primary on its spring, times:
+CORNERS = (1.8, 4.8, 12.0, 30.0)  # of the generic spectra tried
+LOW_BAND = 12.0  # torques that act on inertias show below
+BAND_WIDTH = 0.6  # of the bands of the omnibus test
 STRENGTHS = np.geomspace(0.05, 3e4, 28)
-LOW_BAND = 100.0  # Hz: torques that act on inertias show below
-BAND_WIDTH = 5.0  # Hz, of the bands of the omnibus test
 
 
 @dataclass(frozen=True)
@@ -31,8 +32,9 @@ class Remainder:
     """Evidence that something is left, in nats, and how much.
 
     generic : gain of a generic smooth discrepancy over none, its strength and corner chosen and paid for;
-    line : -ln p of the strongest line or band, looks paid for; low_excess : chi-square of the mean residuals below
-    100 Hz beyond its expectation, low_sd its standard deviation under noise; peak_hz : where the strongest line lies.
+    line : -ln p of the strongest line or band over the smooth spectrum, looks paid for; low_excess : chi-square of the
+    mean residuals at low frequency beyond its expectation, low_sd its standard deviation under noise; peak_hz : where
+    the strongest line lies; own_hz : frequency of the primary on its spring.
     """
 
     generic: float
@@ -41,6 +43,7 @@ class Remainder:
     low_excess: float
     low_sd: float
     excess: float
+    own_hz: float = 1.0
 
     @property
     def strength(self) -> float:
@@ -59,6 +62,12 @@ def repeats_of(fit: Calibration) -> list[list[int]]:
         alone = i if fit.problem.experiment.start == "free" else -1
         sets.setdefault((t.case, t.coupled, t.theta0, t.times.tobytes(), alone), []).append(i)
     return list(sets.values())
+
+
+def own_frequency(experiment: Experiment) -> float:
+    """Frequency of the primary on its spring, Hz: the median over the springs."""
+    springs = float(np.median([k for k, _ in experiment.stiffnesses]))
+    return math.sqrt(springs / experiment.constants["J1"][0]) / (2.0 * math.pi)
 
 
 def whitened_records(fit: Calibration) -> dict[int, Array]:
@@ -88,6 +97,7 @@ def readings_of_change(before: Calibration, after: Calibration) -> float:
 def remainder_of(fit: Calibration) -> Remainder:
     """Tests of what a fit leaves."""
     records = whitened_records(fit)
+    own = own_frequency(fit.problem.experiment)
     power: list[tuple[Array, Array]] = []
     shared: list[tuple[Array, Array]] = []
     for members in repeats_of(fit):
@@ -102,33 +112,42 @@ def remainder_of(fit: Calibration) -> Remainder:
             for k in range(len(members)):
                 power.append((f, np.abs(np.fft.rfft(stack[k, channel])[1:-1]) ** 2 / n))
     if not shared or shared[0][0].size < 8:
-        return Remainder(0.0, 0.0, 0.0, 0.0, 1.0, fit.excess)
-    generic = _generic(shared)
-    line, peak = _lines(shared)
-    single, single_peak = _lines(power)
+        return Remainder(0.0, 0.0, 0.0, 0.0, 1.0, fit.excess, own)
+    generic, level, corner = _generic(shared, own)
+    # A peak of a smooth excess is no line: what the smooth spectrum explains is taken out first.
+    smooth = level if generic > 0.0 else 0.0
+    line, peak = _lines([(f, p / (1.0 + smooth * _shape(f, corner))) for f, p in shared], own)
+    single, single_peak = _lines([(f, p / (1.0 + smooth * _shape(f, corner))) for f, p in power], own)
     if single > line:
         line, peak = single, single_peak
-    low = float(sum(np.sum(p[f < LOW_BAND] - 1.0) for f, p in shared))
-    count = sum(int(np.sum(f < LOW_BAND)) for f, _ in shared)
+    low = float(sum(np.sum(p[f < LOW_BAND * own] - 1.0) for f, p in shared))
+    count = sum(int(np.sum(f < LOW_BAND * own)) for f, _ in shared)
     # Each ordinate is Exp(1); an uncertain noise level adds to the spread of the sum.
     low_sd = math.sqrt(count + (0.01 * count) ** 2)
-    return Remainder(generic, line, peak, 2.0 * low, 2.0 * low_sd, fit.excess)
+    return Remainder(generic, line, peak, 2.0 * low, 2.0 * low_sd, fit.excess, own)
 
 
-def _generic(spectra: Sequence[tuple[Array, Array]]) -> float:
-    best = 0.0
+def _shape(f: Array, corner: float) -> Array:
+    """Spectrum of a smooth discrepancy at frequencies f, 1 at the lowest."""
+    return np.asarray(1.0 / (1.0 + (f / corner) ** 4))
+
+
+def _generic(spectra: Sequence[tuple[Array, Array]], own: float) -> tuple[float, float, float]:
+    """Gain of the best smooth spectrum, nats, looks paid for; its strength and its corner, Hz."""
+    best, strength, where = 0.0, 0.0, CORNERS[0] * own
     f = np.concatenate([s[0] for s in spectra])
     p = np.concatenate([s[1] for s in spectra])
-    for corner in CORNERS:
-        shape = 1.0 / (1.0 + (f / corner) ** 4)
-        level = 1.0 + STRENGTHS[:, None] * shape
+    for corner in (own * c for c in CORNERS):
+        level = 1.0 + STRENGTHS[:, None] * _shape(f, corner)
         gain = np.sum(p * (1.0 - 1.0 / level) - np.log(level), axis=1)
-        best = max(best, float(gain.max()))
-    return best - math.log(len(CORNERS) * 4.0)
+        k = int(np.argmax(gain))
+        if gain[k] > best:
+            best, strength, where = float(gain[k]), float(STRENGTHS[k]), corner
+    return best - math.log(len(CORNERS) * 4.0), strength, where
 
 
-def _lines(spectra: Sequence[tuple[Array, Array]]) -> tuple[float, float]:
-    """-ln p of the strongest line or 5 Hz band of the sum over records that share their frequencies, looks paid for."""
+def _lines(spectra: Sequence[tuple[Array, Array]], own: float) -> tuple[float, float]:
+    """-ln p of the strongest line or narrow band of the sum over records of the same frequencies, looks paid for."""
     sums: dict[bytes, list[Array]] = {}
     grids: dict[bytes, Array] = {}
     for f, p in spectra:
@@ -140,7 +159,7 @@ def _lines(spectra: Sequence[tuple[Array, Array]]) -> tuple[float, float]:
         f = grids[key]
         total = np.sum(rows, axis=0)
         spacing = f[1] - f[0]
-        wide = max(1, round(BAND_WIDTH / spacing))
+        wide = max(1, round(BAND_WIDTH * own / spacing))
         for width in sorted({1, wide}):
             m = f.size // width
             band = total[: m * width].reshape(m, width).sum(axis=1)

@@ -32,19 +32,21 @@ FLOOR = 0.005  # probability that no answer falls below, shared among all
 
 @dataclass(frozen=True)
 class Rule:
-    """Constants of the rule, calibrated on simulated campaigns.
+    """Constants of the rule, calibrated on simulated campaigns (withheld/constants.py).
 
     strength, strength_width : nats left from which a remainder counts, logistic; share_home, share_away : share of the
     gap's evidence left, at the answer's own site or at another one, from which it is no matter of formulas, logistic in
-    its logarithm with share_width; line : nats of a narrow line
-    that no torque explains, torque_band : Hz above which it is one; tempering : of the evidences; mismatch : share of
-    the stronger effect's evidence that a second one gains by mending the first one's formula; imitated : exponent of
-    the share left by foreign causes, P(share < s) = s^imitated, and least : its smallest value with a meaning.
+    its logarithm with share_width; line : nats of a narrow line that no torque explains, torque_band : frequency above
+    which it is one, over the rig's own, smooth_error : share of all that is left by which its smooth spectrum may be
+    off; tempering : of the evidences; mismatch : share of the stronger effect's evidence that a second one gains by
+    mending the first one's formula; unseen : nats that may be left without being seen; imitated : exponent of the share
+    left by foreign causes, P(share < s) = s^imitated, and least : its smallest value with a meaning; few_readings : of
+    a record: a gap that shows in these alone is imitated by any cause that acts there.
     """
 
-    strength: float = 10.0
+    strength: float = 12.0
     strength_width: float = 2.5
-    share_home: float = 0.15
+    share_home: float = 0.2
     share_away: float = 0.05
     share_lone: float = 0.33
     """Where no trial has repeats: share of the reducible sum of squares left on held-out readings."""
@@ -52,11 +54,14 @@ class Rule:
     """Where no trial has repeats: sum of squares over that of the sensors' noise from which it counts as a gap."""
     share_width: float = 0.30
     line: float = 12.0
-    torque_band: float = 25.0
+    torque_band: float = 3.0
+    smooth_error: float = 0.1
     tempering: float = 30.0
-    mismatch: float = 0.03
+    mismatch: float = 0.04
+    unseen: float = 30.0
     imitated: float = 0.8
     least: float = 0.03
+    few_readings: float = 0.8
 
 
 RULE = Rule()
@@ -67,15 +72,15 @@ class Left:
     """What an answer leaves of the gap.
 
     nats : evidence that anything is left; share : of the evidence of the gap, 1 for `none`; home : probability that it
-    lies at the answer's own site; line, peak_hz : the strongest narrow line, nats and Hz; lone : told by sums of
-    squares, for trials without repeats; readings : of a record that carry what the answer explains.
+    lies at the answer's own site; line, peak : the strongest narrow line, nats and frequency over the rig's own; lone :
+    told by sums of squares, for trials without repeats; readings : of a record that carry what the answer explains.
     """
 
     nats: float
     share: float
     home: float = 0.5
     line: float = 0.0
-    peak_hz: float = 0.0
+    peak: float = 0.0
     lone: bool = False
     readings: float = math.inf
 
@@ -96,7 +101,7 @@ def left_of(
     share = max(mapped, after.generic, 0.0) / whole
     if before.low_excess > 5.0 * before.low_sd:
         share = min(share, max(after.low_excess + after.low_sd, 0.0) / before.low_excess)
-    return Left(nats, min(share, 1.0), home, after.line, after.peak_hz, readings=readings)
+    return Left(nats, min(share, 1.0), home, after.line, after.peak_hz / after.own_hz, readings=readings)
 
 
 @dataclass(frozen=True)
@@ -164,19 +169,20 @@ def _logistic(x: float) -> float:
 def foreign(left: Left, evidence: float, rule: Rule = RULE) -> float:
     """Probability that what an answer explains is the work of a cause outside the library.
 
-    By what it leaves; and, because a remainder below `strength` nats goes unseen, by how often a foreign cause would be
-    imitated well enough for that. evidence : of the answer over the nominal model, nats.
+    By what it leaves; and, because a remainder of some nats goes unseen, by how often a foreign cause would be imitated
+    well enough for that: the fainter the gap and the fewer the readings that show it, the easier. evidence : of the
+    answer over the nominal model, nats.
     """
     seen = _logistic((left.nats - rule.strength) / rule.strength_width)
     log_share = math.log(max(left.share, 1e-6))
     home = rule.share_away * (rule.share_home / rule.share_away) ** left.home
     limit = rule.share_lone if left.lone else home
     large = _logistic((log_share - math.log(limit)) / rule.share_width)
-    if left.peak_hz > rule.torque_band:
-        lined = _logistic((left.line - rule.line) / rule.strength_width)
+    if left.peak > rule.torque_band:
+        lined = _logistic((left.line - rule.smooth_error * left.nats - rule.line) / rule.strength_width)
         large = max(large, lined * _logistic((log_share - math.log(0.3 * limit)) / rule.share_width))
-    unseen = min(1.0, max(rule.strength / max(evidence, 1e-9), rule.least)) ** rule.imitated
-    base = float(PRIOR_UNKNOWN / (1.0 - PRIOR_NONE) * unseen)
+    unnoticed = max(rule.unseen / max(evidence, 1e-9), rule.least, rule.few_readings / max(left.readings, 1e-9))
+    base = float(PRIOR_UNKNOWN / (1.0 - PRIOR_NONE) * min(1.0, unnoticed) ** rule.imitated)
     return 1.0 - (1.0 - base) * (1.0 - seen * large)
 
 
