@@ -14,12 +14,14 @@ from bayes_damper.calibration import Experiment, Problem, TrialRecord, calibrate
 from bayes_damper.diagnosis import diagnose
 from bayes_damper.diagnosis.outliers import outlying, told, without
 from bayes_damper.diagnosis.pairs import PairProblem
-from bayes_damper.diagnosis.remainder import Remainder, remainder_of
+from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of
 from bayes_damper.diagnosis.search import Screen, offered, scales_of, screen_variant
 from bayes_damper.diagnosis.sensitivity import Quadratic
-from bayes_damper.diagnosis.verdict import Answers, Left, family_evidence, left_alone, left_of, weigh
+from bayes_damper.diagnosis.verdict import RULE, Answers, Left, family_evidence, left_alone, left_of, weigh
 from bayes_damper.effects import EFFECTS
+from bayes_damper.errors import InputError
 from bayes_damper.model import Model
+from bayes_damper.withheld.constants import replay
 
 FEW = {name: EFFECTS[name] for name in ("quadratic_drag", "spring_cubic", "sensor_gain")}
 QUIET = Left(-3.0, 0.0)
@@ -316,3 +318,37 @@ def test_a_burst_in_one_trial_is_left_out_and_one_in_all_repeats_is_not():
     assert np.isnan(clean.trials[coupled[0]].y[0, 100:106]).all()
     assert "left out" in told(dirty, far)[0]
     assert found(coupled)[1] == {}
+
+
+def test_a_gap_in_a_few_readings_of_each_record_is_named_with_doubt():
+    """What shows in one or two readings alone is imitated by anything that acts there, however sure it is."""
+    many = weigh({"a": 900.0}, ALL, Left(-3.0, 0.0, readings=150.0))
+    few = weigh({"a": 900.0}, ALL, Left(-3.0, 0.0, readings=1.5))
+    assert few.verdict == many.verdict == "a"
+    assert few.probabilities["unknown"] > 2.0 * many.probabilities["unknown"]
+    assert few.probabilities["a"] < 0.95 < many.probabilities["a"]
+
+
+def test_the_peak_of_a_smooth_remainder_is_no_line():
+    """At the answer's own site a smooth remainder is laid to its formula; as much of it in a line is another cause."""
+    smooth = weigh({"a": 9000.0}, ALL, Left(900.0, 0.06, home=0.9, line=50.0, peak=10.0))
+    lined = weigh({"a": 9000.0}, ALL, Left(900.0, 0.06, home=0.9, line=800.0, peak=10.0))
+    assert smooth.verdict == "a"
+    assert lined.verdict == "unknown"
+
+
+def test_readings_of_a_change_count_those_that_carry_it(named):
+    """Infinite for no change; for a drag, spread over the record, a good part of its readings."""
+    found, _, _ = named
+    assert math.isinf(readings_of_change(found.nominal, found.nominal))
+    assert 20.0 < readings_of_change(found.nominal, found.winner.fit) < 500.0
+
+
+def test_the_probabilities_can_be_made_again_from_the_file(named):
+    """What diagnosis.json holds of the weighing gives its probabilities, and under other constants others."""
+    _, table, _ = named
+    again = replay(table)
+    assert again.probabilities == pytest.approx(table["probabilities"])
+    assert replay(table, replace(RULE, unseen=1e6)).probabilities["unknown"] > again.probabilities["unknown"]
+    with pytest.raises(InputError, match="older version"):
+        replay({k: v for k, v in table.items() if k != "weighed"})
