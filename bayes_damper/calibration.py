@@ -52,6 +52,7 @@ from bayes_damper.errors import InputError
 from bayes_damper.integrator import LONGEST_STEP
 from bayes_damper.model import Model, Quantity
 from bayes_damper.priors import PriorSet
+from bayes_damper.records import common_grid, release_of
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.signedinteger[Any]]
@@ -1440,13 +1441,14 @@ def choose_switches(fit: Calibration) -> Switches:
     their own uncertainty, tells whether release or friction vary, whatever the model leaves out. A release that is late
     by the same time in all of them is left to the effects of release and sensor.
     Trials without repeats cannot tell: there both stay free.
+    Nor can values that a wrong model has pressed against an end of their range other than the nominal one.
     """
     problem = fit.problem
     wanted = {"delay": False, "ln_mu": False}
     normals = fit.linear.normal()
     for name in wanted:
         z: list[float] = []
-        repeated = False
+        repeated, pressed = False, 0
         for block, H, _, _ in normals.parts:
             names = [n for n, _, _ in block.group.nuisances]
             if name not in names or not H.shape[1]:
@@ -1460,10 +1462,21 @@ def choose_switches(fit: Calibration) -> Switches:
             for members in same.values():
                 repeated |= len(members) > 1
                 values = block.eta[members, i]
+                pressed += _pressed(block.group, i, members, values)
                 pull = sd[members]
                 z += list((values - values.mean()) / pull / math.sqrt(max(1.0 - 1.0 / len(members), 1e-9)))
-        wanted[name] = bool(z) and (not repeated or float(np.mean(np.square(z))) > 9.0)
+        wanted[name] = bool(z) and (not repeated or 2 * pressed >= len(z) or float(np.mean(np.square(z))) > 9.0)
     return Switches(delay=wanted["delay"], friction=wanted["ln_mu"])
+
+
+def _pressed(group: Group, i: int, members: Sequence[int], values: Array) -> int:
+    """How many values of nuisance i lie at an end of their range that is not the nominal value 0."""
+    _, mean, sd = group.nuisances[i]
+    low, high = group.lower[members, i], group.upper[members, i]
+    near = 0.02 * (high - low)
+    off_low = np.abs(mean[members] / sd[members] + low) > near
+    off_high = np.abs(mean[members] / sd[members] + high) > near
+    return int(np.sum((values - low < near) & off_low) + np.sum((high - values < near) & off_high))
 
 
 def grown(experiment: Experiment, problem: Problem) -> list[Array]:
@@ -1584,6 +1597,26 @@ def with_priors(experiment: Experiment, priors: PriorSet) -> Experiment:
     )  # fmt: skip
 
 
+def gridded(experiment: Experiment) -> Experiment:
+    """The experiment with repeats on one even grid of times, nan where a reading is missing, where there is one."""
+    trials = list(experiment.trials)
+    sets: dict[tuple[str, bool, float], list[int]] = {}
+    for i, t in enumerate(trials):
+        sets.setdefault((t.case, t.coupled, t.theta0), []).append(i)
+    for members in sets.values():
+        found = common_grid([trials[i].times for i in members])
+        if found is None:
+            continue
+        grid, places = found
+        for i, place in zip(members, places, strict=True):
+            t = trials[i]
+            y = np.full((t.y.shape[0], grid.size), np.nan)
+            y[:, place] = t.y
+            torque = None if t.torque is None else np.interp(grid, t.times, t.torque)
+            trials[i] = replace(t, times=grid, y=y, torque=torque)
+    return replace(experiment, trials=tuple(trials))
+
+
 def thinned(experiment: Experiment) -> Experiment:
     """The experiment with displacements and velocities of free starts thinned to some 100 readings a period.
 
@@ -1625,18 +1658,24 @@ def experiment_of(campaign: Any, priors: PriorSet | Mapping[str, Distribution | 
         if key not in stiffnesses:
             stiffnesses.append(key)
         angle = t.theta0
+        theta0 = 0.0 if angle is None else float(getattr(angle, "value", angle))
+        first, shift = 0, 0.0
+        if measurement.start == "rest" and t.torque is None:
+            omega = math.sqrt(max(key[0], 1e-300) / constants["J1"][0])
+            primary = np.atleast_2d(np.array(t.channels, float))[0]
+            first, shift = release_of(np.array(t.times, float), primary, measurement.quantity, theta0, omega)
         records.append(
             TrialRecord(
                 label=str(t.file),
                 case=t.case,
                 coupled=t.configuration == "coupled",
                 number=int(t.trial),
-                times=np.array(t.times, float),
-                y=np.atleast_2d(np.array(t.channels, float)),
+                times=np.array(t.times, float)[first:] - shift,
+                y=np.atleast_2d(np.array(t.channels, float))[:, first:],
                 k1t=stiffnesses.index(key),
-                theta0=0.0 if angle is None else float(getattr(angle, "value", angle)),
+                theta0=theta0,
                 theta0_sd=0.0 if angle is None else float(getattr(angle, "std", 0.0) or 0.0),
-                torque=None if t.torque is None else np.array(t.torque, float),
+                torque=None if t.torque is None else np.array(t.torque, float)[first:],
                 heldout=id(t) in heldout,
             )
         )
@@ -1647,7 +1686,7 @@ def experiment_of(campaign: Any, priors: PriorSet | Mapping[str, Distribution | 
         measurement.start, given, offset_sd=measurement.offset_std, scale_sd=measurement.scale_std or (),
         coupling_law=rig.inertial_coupling_law,
     )  # fmt: skip
-    experiment = thinned(experiment)
+    experiment = thinned(gridded(experiment))
     if isinstance(priors, PriorSet):
         return with_priors(experiment, priors)
     return replace(experiment, priors=dict(priors or {}))

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from bayes_damper import readings as look
 from bayes_damper.errors import InputError
+from bayes_damper.records import USUAL_LAG, departure
 
 Array = NDArray[np.float64]
 TomlValue = Any  # whatever a TOML file can hold: checked by those who take it
@@ -1089,23 +1090,27 @@ def _look_at_release(head: _Head, trial: Trial, omega: float, warnings: list[str
     """Late trigger, start in the middle of the motion, reversed sign: told from the first readings."""
     y, times = trial.channels[0], trial.times
     noise = look.noise_floor_of(y)
-    power = {"displacement": 0, "velocity": 1, "acceleration": 2}[head.measurement.quantity]
+    quantity = head.measurement.quantity
+    power = {"displacement": 0, "velocity": 1, "acceleration": 2}[quantity]
     assert trial.theta0 is not None
     sign = math.copysign(1.0, trial.theta0.value) * (1.0 if power == 0 else -1.0)
     level = abs(trial.theta0.value) if power == 0 else 0.0
-    departed = np.abs(sign * y - level) > max(8.0 * noise, 0.05 * float(np.max(np.abs(y))))
+    away, bound = departure(y, quantity, trial.theta0.value)
+    departed = away > bound
     if not departed.any():
         return
     onset = float(times[int(np.argmax(departed))])
     step = float(np.median(np.diff(times)))
     early = trial.times[0] < -1.5 * step and onset < -1.5 * step
     if early:
-        warnings.append(f"{trial.file}: motion begins {-onset:.4g} s before the nominal release; the trigger came late")
-    usual = {0: 0.5 / omega, 1: 0.2 / omega, 2: 0.02 / omega}[power]  # motion seen so long after a release at t = 0
-    if onset > usual + 1.5 * step and times[0] <= 1.5 * step:
+        warnings.append(
+            f"{trial.file}: motion begins {-onset:.4g} s before the nominal release; the trigger came late; "
+            "fits take the release from the record"
+        )
+    if onset > USUAL_LAG[quantity] / omega + 1.5 * step and times[0] <= 1.5 * step:
         warnings.append(
             f"{trial.file}: motion begins {onset:.4g} s after the nominal "
-            "release; the trigger came early or the rig stuck"
+            "release; the trigger came early or the rig stuck; fits take the release from the record"
         )
     first = float(np.median(y[:3]))
     largest = float(np.max(np.abs(y)))

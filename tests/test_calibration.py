@@ -26,6 +26,7 @@ from bayes_damper.calibration import (
     thinned,
 )
 from bayes_damper.distributions import HalfNormal, LogNormal, LogUniform, Normal, Uniform, from_standard
+from bayes_damper.effects import EFFECTS
 from bayes_damper.model import Model
 
 RIG = {"J1": 3.015e-3, "J2": 2.474e-3, "R": 0.10, "r": 0.0127, "N0": 100.0}
@@ -128,6 +129,19 @@ def test_lone_trials_keep_their_own_release():
     fit = calibrate_nominal(with_release("velocity", 5e-3, repeats=2))
     assert fit.problem.switches == Switches(delay=True, friction=True)
     assert max(fit.problem.noise.total) < 2.0 * 5e-3
+
+
+def test_releases_pressed_against_their_range_stay_free():
+    """A harder spring shifts all periods, so that releases of a wrong model end at one bound and look alike."""
+    drawn = make_experiment(6, late=True, coupled=False)
+    times = drawn.trials[0].times
+    bent = EFFECTS["spring_cubic"].variant("same_for_all")
+    trials = []
+    for k, t in enumerate(drawn.trials):
+        own = {"k1t": CASES[t.k1t][1], "theta0": t.theta0, "delay": -1e-4 * (1 + k)}
+        y = Model(coupled=False, effect=bent).simulate(RIG | TRUE | own, times, effect={"k3": 30.0}).y[0]
+        trials.append(replace(t, y=y + 2.0 * np.random.default_rng(k).standard_normal(y.shape)))
+    assert calibrate_nominal(replace(drawn, trials=tuple(trials))).problem.switches.delay
 
 
 def with_release(quantity, noise, repeats):

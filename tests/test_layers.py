@@ -13,6 +13,7 @@ ROOT = Path(__file__).resolve().parent.parent / "bayes_damper"
 LAYERS = (
     {"errors", "resources", "distributions", "outcome", "parameters", "checkpoint", "provenance"},
     {"readings"},
+    {"records"},
     {"campaign", "importer", "lanes", "damper", "linear", "published"},
     {"effects"},
     {"integrator", "accumulate", "composition", "links"},

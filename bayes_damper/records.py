@@ -1,0 +1,110 @@
+"""Records as the fits take them: from the release on, and repeats on one grid of times.
+
+A logger may run long before the release, start its clock anywhere, lose readings, or stop repeats at different ends.
+None of it is a gap between model and rig, so it is undone before a fit: by what the record itself shows, never by
+what a model says.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper import readings as look
+
+Array = NDArray[np.float64]
+
+TOLERANCE = 0.02  # share of a step by which readings may lie beside a common grid
+LARGEST_GRID = 3.0  # times the readings of the longest record; beyond, gaps are longer than what was read
+STEPS_OF_DOUBT = 1.5  # sampling steps between nominal and real release that are left to the fit
+USUAL_LAG = {"displacement": 0.5, "velocity": 0.2, "acceleration": 0.02}
+"""Radians of the oscillation after which the motion stands out from its noise."""
+
+
+def departure(readings: Array, quantity: str, theta0: float) -> tuple[Array, float]:
+    """How far the first channel has left a held rig, and the bound beyond which that is noise no more.
+
+    readings : (n,), finite; theta0 : nominal angle (rad) or displacement (m) at which the rig is held
+    """
+    sign = math.copysign(1.0, theta0) * (1.0 if quantity == "displacement" else -1.0)
+    level = abs(theta0) if quantity == "displacement" else 0.0
+    reach = float(np.max(np.abs(readings)))
+    return np.abs(sign * readings - level), max(8.0 * look.noise_floor_of(readings), 0.05 * reach)
+
+
+def release_of(times: Array, readings: Array, quantity: str, theta0: float, omega: float) -> tuple[int, float]:
+    """Where a record of a rig released from rest begins, and how much its clock is off.
+
+    times : (n,) s, nominal release at 0; readings : (n,) of the primary; omega : rad/s of the primary on its spring.
+
+    Returns
+    -------
+    first : index of the first reading to keep: the last one of the held rig, or the first after the nominal release.
+    shift : s to take from the clock. 0 where the release lies within one and a half steps of t = 0 or cannot be told.
+    """
+    usable = np.isfinite(readings)
+    if usable.sum() < 8 or theta0 == 0.0:
+        return 0, 0.0
+    t, y = times[usable], readings[usable]
+    step = float(np.median(np.diff(t)))
+    first = int(np.argmax(times >= -0.5 * step)) if times[0] < -0.5 * step and times[-1] > 0.0 else 0
+    away, bound = departure(y, quantity, theta0)
+    moving = away > bound
+    if not moving.any():
+        return first, 0.0
+    k = int(np.argmax(moving))
+    if k == 0:
+        return 0, 0.0
+    lag = USUAL_LAG[quantity] / omega
+    if -STEPS_OF_DOUBT * step <= t[k] <= lag + STEPS_OF_DOUBT * step:
+        return first, 0.0
+    start = float(t[k - 1])
+    if quantity != "acceleration":
+        start = _beginning(t[k:], away[k:], quantity, theta0, omega, step)
+    if abs(start) <= STEPS_OF_DOUBT * step:
+        return first, 0.0
+    keep = max(int(np.searchsorted(times, start, side="right")) - 1, 0)
+    return keep, float(times[keep])
+
+
+def _beginning(times: Array, away: Array, quantity: str, theta0: float, omega: float, step: float) -> float:
+    """Instant at which a motion began that was first seen at times[0]: its beginning carried back to nothing."""
+    top = 0.35 * (abs(theta0) if quantity == "displacement" else abs(theta0) * omega)
+    end = max(int(np.argmax(away > top)) if (away > top).any() else away.size, 4)
+    t, a = times[:end], away[:end]
+    x = np.arccos(np.clip(1.0 - a / abs(theta0), -1.0, 1.0)) if quantity == "displacement" else a
+    if t.size < 2 or np.ptp(x) <= 0.0:
+        return float(times[0]) - step
+    slope, rest = np.polyfit(t, x, 1)
+    return float(-rest / slope) if slope > 0.0 else float(times[0]) - step
+
+
+def common_grid(clocks: Sequence[Array]) -> tuple[Array, list[NDArray[np.intp]]] | None:
+    """One even grid that holds the readings of all records, and where on it those of each record lie.
+
+    clocks : (n_i,) s of each record. None where they are the same already, or where no even grid holds them: uneven
+    times, clocks that differ by a fraction of a step, or gaps longer than what was read.
+    """
+    first = clocks[0]
+    if all(c.size < 3 for c in clocks):
+        return None
+    step = float(np.median(np.concatenate([np.diff(c) for c in clocks])))
+    origin = min(float(c[0]) for c in clocks)
+    exact = [(c - origin) / step for c in clocks]
+    places = [np.round(x).astype(np.intp) for x in exact]
+    if any(np.max(np.abs(x - p)) > TOLERANCE * max(1.0, 1e-3 * x.size) for x, p in zip(exact, places, strict=True)):
+        return None
+    if any(np.any(np.diff(p) < 1) for p in places):
+        return None
+    size = 1 + max(int(p[-1]) for p in places)
+    if size > LARGEST_GRID * max(c.size for c in clocks):
+        return None
+    if all(c.size == size and np.array_equal(c, first) for c in clocks):
+        return None
+    grid: Array = origin + step * np.arange(size, dtype=np.float64)
+    for clock, place in zip(clocks, places, strict=True):
+        grid[place] = clock  # the record's own times where there are any
+    return grid, places
