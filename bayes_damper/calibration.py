@@ -613,7 +613,7 @@ class Problem:
             elif c.role == "sensor":
                 continue
             elif c.role == "stiffness" or c.case is not None:
-                hit = self._touched(c, group)[which]
+                hit = self.touched(c, group)[which]
                 rig[c.parameter] = np.where(hit, x, rig[c.parameter])
             else:
                 rig[c.name] = x
@@ -741,7 +741,7 @@ class Problem:
             jac = np.zeros((n, self.size, w.shape[-1]))
             for k, members in enumerate(together.values()):
                 for i in members:
-                    hit = self._touched(self.coordinates[i], group)
+                    hit = self.touched(self.coordinates[i], group)
                     jac[hit, i] = w[k][hit] / steps[i]
             own = np.zeros((n, m, w.shape[-1]))
             for k, i in enumerate(moved):
@@ -753,13 +753,13 @@ class Problem:
                     own[:, i] = self.whitened(shift, weight)
             if "ln_mu" in names and "mu" in together:
                 for i in together["mu"]:
-                    hit = self._touched(self.coordinates[i], group)
+                    hit = self.touched(self.coordinates[i], group)
                     per_log = math.log(_factor(self.coordinates[i].prior))
                     own[hit, names.index("ln_mu")] = jac[hit, i] * (FRICTION_SPREAD / per_log)
             blocks.append(Block(group, r, jac, own, base_eta))
         return Linear(self, q, tuple(blocks))
 
-    def _touched(self, c: Coordinate, group: Group) -> NDArray[np.bool_]:
+    def touched(self, c: Coordinate, group: Group) -> NDArray[np.bool_]:
         """Which trials of a group a coordinate belongs to, (trials,)."""
         trials = [self.experiment.trials[i] for i in group.trials]
         if c.role == "stiffness":
@@ -773,7 +773,7 @@ class Problem:
         if c.role == "sensor":
             return group.coupled or c.index == 0
         free = group.coupled or c.role == "stiffness" or c.parameter in self._alone()
-        return free and bool(self._touched(c, group).any())
+        return free and bool(self.touched(c, group).any())
 
 
 def middle(prior: Distribution | float) -> float:

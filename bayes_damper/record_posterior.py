@@ -8,10 +8,12 @@ derivatives by the nuisances, and a unit Gaussian prior of the nuisances (their 
     A = 1 + T'T,   b = eta + T'w,
     log L = -(w'w + eta'eta - b' A^-1 b + log |A|) / 2 - n log s,
 
-where channel c enters with w / s_c and T / s_c; s_c, the noise relative to its estimate, is sampled. eta and T are
-those of calibration.py's best fit and stay fixed, so that an evaluation costs one simulation per trial and no more
-dimensions; tests hold this against sampling the nuisances one by one. Given a draw, a trial's nuisances are Gaussian
-with mean eta - A^-1 b and covariance A^-1: `nuisances` draws them.
+where channel c enters with w / s_c and T / s_c; s_c, the noise relative to its estimate, is sampled. With q, J, T0
+and eta0 those of calibration.py's best fit, eta follows the parameters to where the linearised problem has its best
+nuisances, eta = eta0 - (1 + T0'T0)^-1 T0'J (q' - q) at q', so that only their spread given the parameters has to be
+small. T is T0, but for the column of a nuisance ln x: that grows in proportion to x. An evaluation costs one simulation
+per trial and no more dimensions; tests hold this against sampling the nuisances one by one. Given a draw, a trial's
+nuisances are Gaussian with mean eta - A^-1 b and covariance A^-1: `nuisances` draws them.
 
 Under Student's t noise of f degrees of freedom a reading's information in A is (f + 1) / (f + 3) of that under a
 Gaussian, its score in b (f + 1) / (f + w^2 / s^2); the nuisances move by -A^-1 b, and the density there is that of
@@ -28,7 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.calibration import Calibration, Group, TrialRecord
+from bayes_damper.calibration import Block, Calibration, Group, TrialRecord
 from bayes_damper.distributions import Distribution, LogNormal, from_standard, to_standard
 from bayes_damper.noise import student_log_density
 
@@ -43,12 +45,14 @@ DECLARED_NOISE = 1.1
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """A group of trials with what stays fixed: eta (trials, m), T (trials, channels, m, n), TT = T T', the weighted
-    number of readings (trials, channels), and scale (trials, channels, n), weights over the sd of the innovations.
+    """A group of trials with what stays fixed: eta (trials, m) at the best fit and follow (trials, m, size), how it
+    moves with q, T (trials, channels, m, n), TT = T T', the weighted number of readings (trials, channels), and scale
+    (trials, channels, n), weights over the sd of the innovations.
     """
 
     group: Group
     eta: Array
+    follow: Array
     T: Array
     TT: Array
     readings: Array
@@ -93,7 +97,7 @@ class RecordPosterior:
         self.fit = fit
         self.problem = fit.problem
         self.freedom = freedom
-        self.parts = tuple(self._part(block.group, block.T, block.eta, power) for block in fit.linear.blocks)
+        self.parts = tuple(self._part(block, power) for block in fit.linear.blocks)
         self.channels = max(part.group.y.shape[1] for part in self.parts)
         self.sigmas = self._sigmas()
         self.names = self.problem.names + tuple(sigma.name for sigma in self.sigmas)
@@ -153,9 +157,12 @@ class RecordPosterior:
         prior = self.sigma_prior(name, source, self.problem.experiment.trials[trial].case)
         return float(prior) / self.problem.noise.total[channel] if isinstance(prior, float | int) else 1.0
 
-    def _part(self, group: Group, T: Array, eta: Array, power: Sequence[float] | None) -> _Part:
+    def _part(self, block: Block, power: Sequence[float] | None) -> _Part:
+        group = block.group
         n, channels, samples = group.y.shape
-        T = T.reshape(n, -1, channels, samples).transpose(0, 2, 1, 3)
+        H = np.eye(block.T.shape[1]) + np.matmul(block.T, block.T.transpose(0, 2, 1))
+        follow = -np.linalg.solve(H, np.matmul(block.T, block.J.transpose(0, 2, 1)))
+        T = block.T.reshape(n, -1, channels, samples).transpose(0, 2, 1, 3)
         TT = np.matmul(T, T.transpose(0, 1, 3, 2))
         # As in Problem.n_data, else the noise would come out too small; but all readings of a trial that counts less
         # because its own residuals are larger.
@@ -164,7 +171,7 @@ class RecordPosterior:
         if power is not None:
             readings = readings * np.array(power[:channels])
         scale = group.weight / np.array(self.problem.noise.innovation[:channels])[:, None]
-        return _Part(group, eta, np.ascontiguousarray(T), TT, readings, scale)
+        return _Part(group, block.eta, follow, np.ascontiguousarray(T), TT, readings, scale)
 
     @property
     def trials(self) -> tuple[int, ...]:
@@ -224,12 +231,30 @@ class RecordPosterior:
             out.append(each.sum(axis=(1, 2)) - 0.5 * math.log(2.0 * math.pi) * counted.sum(axis=(1, 2)))
         return np.concatenate(out)
 
-    def _residuals(self, part: _Part, q: Array) -> Array:
-        """Whitened residuals (k, trials, channels, n) at the part's eta for each q (k, size)."""
+    def _followed(self, part: _Part, q: Array) -> tuple[Array, Array]:
+        """Nuisances eta (k, trials, m) about which those of each q (k, size) are integrated out, and what multiplies
+        the columns of T there, (k, trials, m).
+        """
+        problem, group = self.problem, part.group
+        eta = part.eta + np.einsum("nmi,ki->knm", part.follow, q - self.fit.q)
+        eta = np.clip(eta, group.lower, group.upper)
+        growth = np.ones_like(eta)
+        for m, (name, _, sd) in enumerate(group.nuisances):
+            if not name.startswith("ln_"):
+                continue
+            growth[:, :, m] = np.exp(sd * (eta[:, :, m] - part.eta[:, m]))
+            for i, c in enumerate(problem.coordinates):
+                if c.parameter == name[3:]:
+                    ratio = from_standard(c.prior, q[:, i]) / from_standard(c.prior, self.fit.q[i])
+                    growth[:, :, m] *= np.where(problem.touched(c, group), ratio[:, None], 1.0)
+        return eta, growth
+
+    def _residuals(self, part: _Part, q: Array, eta: Array) -> Array:
+        """Whitened residuals (k, trials, channels, n) for each q (k, size) at nuisances eta (k, trials, m)."""
         n, channels, samples = part.group.y.shape
         k = len(q)
         which = np.tile(np.arange(n), k)
-        y = self.problem.simulate(part.group, which, np.repeat(q, n, axis=0), np.tile(part.eta, (k, 1)))
+        y = self.problem.simulate(part.group, which, np.repeat(q, n, axis=0), eta.reshape(k * n, -1))
         failed = ~np.isfinite(y).all(axis=(1, 2))
         self.outcomes["FAILED"] += int(failed.sum())
         self.outcomes["COMPLETED"] += int((~failed).sum())
@@ -244,30 +269,36 @@ class RecordPosterior:
 
     def _evaluated(self, part: _Part, points: Array, s: Array) -> tuple[Array, Array, Array]:
         """Log likelihood (k, trials), mean (k, trials, m) and inverse covariance (k, trials, m, m) of the nuisances."""
-        w = self._residuals(part, points[:, : self.problem.size])
+        q = points[:, : self.problem.size]
+        eta, growth = self._followed(part, q)
+        w = self._residuals(part, q, eta)
         if self.freedom is not None:
-            return self._student(part, w, s, from_standard(FREEDOM_PRIOR, points[:, -1]))
+            return self._student(part, w, s, from_standard(FREEDOM_PRIOR, points[:, -1]), eta, growth)
         Tw = np.matmul(part.T, w[..., None])[..., 0]
-        A = np.eye(part.T.shape[2]) + np.einsum("knc,ncij->knij", s**-2, part.TT)
-        b = part.eta + np.einsum("knc,kncm->knm", s**-2, Tw)
+        A = np.einsum("knc,ncij->knij", s**-2, part.TT) * growth[..., None] * growth[..., None, :]
+        A += np.eye(part.T.shape[2])
+        b = eta + growth * np.einsum("knc,kncm->knm", s**-2, Tw)
         move = _solve(A, b)
-        quadratic = np.sum(np.einsum("kncs,kncs->knc", w, w) / s**2, axis=2) + np.sum(part.eta**2, axis=1)
+        quadratic = np.sum(np.einsum("kncs,kncs->knc", w, w) / s**2, axis=2) + np.sum(eta**2, axis=2)
         value = -0.5 * (quadratic - np.sum(b * move, axis=2) + _log_det(A)) - np.sum(np.log(s) * part.readings, axis=2)
-        return value, part.eta - move, A
+        return value, eta - move, A
 
     @staticmethod
-    def _student(part: _Part, w: Array, s: Array, freedom: Array) -> tuple[Array, Array, Array]:
+    def _student(
+        part: _Part, w: Array, s: Array, freedom: Array, eta: Array, growth: Array
+    ) -> tuple[Array, Array, Array]:
         f = freedom[:, None, None, None]
         counted = part.group.weight > 0.0
         w = np.where(counted, w / s[..., None], 0.0)
         score = np.where(counted, (f + 1.0) * w / (f + w**2), 0.0)
         expected = ((freedom + 1.0) / (freedom + 3.0))[:, None, None] * s**-2  # information of a reading
-        A = np.eye(part.T.shape[2]) + np.einsum("knc,ncij->knij", expected, part.TT)
-        b = part.eta + np.einsum("knc,kncm->knm", 1.0 / s, np.matmul(part.T, score[..., None])[..., 0])
+        A = np.einsum("knc,ncij->knij", expected, part.TT) * growth[..., None] * growth[..., None, :]
+        A += np.eye(part.T.shape[2])
+        b = eta + growth * np.einsum("knc,kncm->knm", 1.0 / s, np.matmul(part.T, score[..., None])[..., 0])
         move = _solve(A, b)
-        moved = w - np.einsum("ncms,knm->kncs", part.T, move, optimize=True) / s[..., None]
+        moved = w - np.einsum("ncms,knm->kncs", part.T, growth * move, optimize=True) / s[..., None]
         each = np.where(counted, student_log_density(moved, f), 0.0).sum(axis=3) - np.log(s) * part.readings
-        mean = part.eta - move
+        mean = eta - move
         return each.sum(axis=2) - 0.5 * (np.sum(mean**2, axis=2) + _log_det(A)), mean, A
 
     def log_likelihood(self, points: Array) -> Array:

@@ -37,7 +37,7 @@ _LONGEST_WARM_UP = 4000  # steps
 _TUNING = 200  # steps of warm-up after an annealed start
 _BLOCK = 25  # stored steps between two states
 _FEWEST_STORED = 100
-_LEARNT_FROM = 6000  # draws of a round
+_LEARNT_FROM = 4000  # draws of a round
 _MEMORY = 96e6  # bytes of draws kept before every second stored step is dropped
 
 

@@ -12,7 +12,6 @@ the state and that its acceptance rule does not make up for.
 
 from __future__ import annotations
 
-import warnings
 from abc import abstractmethod
 from typing import Any
 
@@ -23,6 +22,8 @@ from scipy.special import gammaln
 
 Array = NDArray[np.float64]
 _TINY = 1e-300
+_MOST_TURNS = 60
+_NO_GAIN = 1e-2  # nats per draw from one turn to the next
 
 
 class HalvesMove(Move):  # type: ignore[misc]  # emcee has no annotations
@@ -143,27 +144,64 @@ def fit_mixture(draws: Array, most: int = 12) -> tuple[Array, Array, Array]:
     k is 1, 4 or `most`, whichever fitted to the first half of the draws predicts the second half best: not every other
     draw, for neighbours in time may be one and the same point, and would reward a mixture that knows it by heart.
     """
-    from sklearn.mixture import GaussianMixture
-
     ndim = draws.shape[1]
     spread = np.maximum(draws.std(axis=0), 1e-300)
     white = (draws - draws.mean(axis=0)) / spread
     first, second = white[: len(white) // 2], white[len(white) // 2 :]
     options = [k for k in (1, 4, most) if k * 4 * ndim <= len(first)] or [1]
-    fits = [
-        GaussianMixture(k, reg_covar=1e-6, init_params="k-means++", random_state=0, max_iter=60, tol=1e-2)
-        for k in options
-    ]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # an EM cut short still proposes well
-        scores = [fit.fit(first).score(second) for fit in fits]
-        best = fits[int(np.argmax(scores))].fit(white)
-    shares = np.maximum(best.weights_, 1e-6)
-    return (
-        shares / shares.sum(),
-        draws.mean(axis=0) + best.means_ * spread,
-        best.covariances_ * spread[:, None] * spread,
-    )
+    scores = [float(np.logaddexp.reduce(_terms(second, *_normals(first, k)), axis=1).mean()) for k in options]
+    shares, centres, covariances = _normals(white, options[int(np.argmax(scores))])
+    return shares, draws.mean(axis=0) + centres * spread, covariances * spread[:, None] * spread
+
+
+def _normals(points: Array, k: int) -> tuple[Array, Array, Array]:
+    """Shares, centres and covariances of k normal distributions by expectation and maximisation, from centres spread
+    as in k-means++ (Arthur and Vassilvitskii 2007). Cut short after some turns: it still proposes well.
+    """
+    n, ndim = points.shape
+    rng = np.random.default_rng(0)
+    chosen = points[rng.integers(n)][None]
+    square = np.full(n, np.inf)
+    nearest = np.zeros(n, dtype=np.intp)
+    for i in range(k):
+        distance = ((points - chosen[i]) ** 2).sum(axis=1)
+        nearest[distance < square] = i
+        square = np.minimum(square, distance)
+        total = np.cumsum(square)
+        chosen = np.vstack([chosen, points[min(int(np.searchsorted(total, rng.random() * total[-1])), n - 1)]])
+    belongs = np.eye(k)[nearest]
+    last = -np.inf
+    for _ in range(_MOST_TURNS if k > 1 else 1):
+        counts = belongs.sum(axis=0) + 1e-9
+        centres = belongs.T @ points / counts[:, None]
+        weighted = (belongs[:, :, None] * points[:, None, :]).reshape(n, k * ndim)
+        covariances = (weighted.T @ points).reshape(k, ndim, ndim) / counts[:, None, None]
+        covariances += 1e-6 * np.eye(ndim) - centres[:, :, None] * centres[:, None, :]
+        shares = np.maximum(counts / n, 1e-6)
+        shares /= shares.sum()
+        if k == 1:
+            break
+        terms = _terms(points, shares, centres, covariances)
+        highest = terms.max(axis=1)
+        belongs = np.exp(terms - highest[:, None])
+        total = belongs.sum(axis=1)
+        belongs /= total[:, None]
+        level = highest + np.log(total)
+        if level.mean() - last < _NO_GAIN:
+            break
+        last = float(level.mean())
+    return shares, centres, covariances
+
+
+def _terms(points: Array, shares: Array, centres: Array, covariances: Array) -> Array:
+    """Log of share times density of each normal distribution at each point, (n, k)."""
+    k, ndim = centres.shape
+    root = np.linalg.cholesky(covariances)
+    inverse = np.linalg.inv(root)
+    white = points @ inverse.reshape(k * ndim, ndim).T - np.einsum("kij,kj->ki", inverse, centres).ravel()
+    square = np.square(white).reshape(len(points), k, ndim).sum(axis=2)
+    size = np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1) + 0.5 * ndim * np.log(2.0 * np.pi)
+    return np.asarray(np.log(shares) - size - 0.5 * square)
 
 
 class StudentT:

@@ -7,6 +7,7 @@ kinds in turn:
 - "late": two repeats of a coupled trial, each released at an instant and with a friction of its own.
 
 In both, each trial has its own release angle, and the magnet's pull and the stiffness are uncertain as declared.
+The fit is told the prior of the noise.
 Records come from reference.py, which shares nothing with the package's integrator, and white noise is added.
 """
 
@@ -51,7 +52,7 @@ def campaign(kind: str, seed: int, number: int) -> Campaign:
         TrialRecord(f"{kind} {k}", "IV", coupled, k + 1, TIMES, np.ones((1 + coupled, TIMES.size)), 0, ANGLE, ANGLE_SD)
         for k, coupled in enumerate(configurations)
     )
-    experiment = Experiment(CONSTANTS, (STIFFNESS,), blank)
+    experiment = Experiment(CONSTANTS, (STIFFNESS,), blank, priors={"sigma1": NOISE, "sigma2": NOISE})
     truth = {
         name: float(from_standard(prior, rng.standard_normal())) for name, prior in default_priors(experiment).items()
     }
@@ -62,13 +63,21 @@ def campaign(kind: str, seed: int, number: int) -> Campaign:
     for trial in blank:
         values = {"theta0": ANGLE + ANGLE_SD * rng.standard_normal()}
         if kind == "late":
-            values["delay"] = -rng.uniform(0.02, 0.98) / RATE
+            values["delay"] = _lateness(rng)
             values["ln_mu"] = FRICTION_SPREAD * rng.standard_normal()
         y = record(truth, values, trial.coupled)
         sigma = np.array([truth["sigma1"], truth["sigma2"]])[: len(y), None]
         trials.append(replace(trial, y=y + sigma * rng.standard_normal(y.shape)))
         own.append(values)
     return Campaign(replace(experiment, trials=tuple(trials)), truth, tuple(own))
+
+
+def _lateness(rng: np.random.Generator) -> float:
+    """Instant of release before the first reading, s: Gaussian about the middle of a sample, and inside it."""
+    while True:
+        share = 0.5 + 0.35 * rng.standard_normal()
+        if 0.02 < share < 0.98:
+            return -float(share) / RATE
 
 
 def record(truth: dict[str, float], own: dict[str, float], coupled: bool) -> Array:

@@ -14,11 +14,11 @@ import ranks
 import synthetic
 from scipy.stats import binom
 
-CAMPAIGNS = 250
+CAMPAIGNS = 150
 """Of each kind, for the fit as it is."""
-EXACT = 100
+EXACT = 150
 """Of each kind, for the fit without allowance for release and reversals."""
-THESES = 60
+THESES = 50
 """Of each case."""
 
 
