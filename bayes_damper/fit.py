@@ -277,7 +277,16 @@ def finish_fit(
     names = [*plan["cases"], *(["joint"] if plan["joint"] else [])]
     # The joint fit is the longest: it starts first.
     order = sorted(names, key=lambda name: name != "joint")
-    tasks = [Task(folder_name(name), f"bayes_damper.fit:{kind}", {"name": name, "plan": dict(plan)}) for name in order]
+    # Processes that cases leave idle share the ensembles of one case; so do those of the joint fit, when all else ends.
+    processes = {name: workers if name == "joint" or len(names) < workers else 1 for name in order}
+    tasks = [
+        Task(
+            folder_name(name),
+            f"bayes_damper.fit:{kind}",
+            {"name": name, "plan": dict(plan), "processes": processes[name]},
+        )
+        for name in order
+    ]
     done = run_tasks(tasks, folder, workers=workers, scheduler=scheduler, progress=progress)
     results = {name: done[folder_name(name)] for name in names}
     found = {name: results[name] for name in plan["cases"]}
@@ -332,12 +341,12 @@ def published_posterior(case: str, priors: PriorSet, normal_force: str = "linear
     return FeaturePosterior(data, coordinates, normal_force, case)
 
 
-def fit_published_case(folder: Path, report: Report, *, name: str, plan: Mapping[str, Any]) -> Any:
+def fit_published_case(folder: Path, report: Report, *, name: str, plan: Mapping[str, Any], processes: int = 1) -> Any:
     """Task: fit one thesis case and write its files; its entry of summary.json."""
     posterior = published_posterior(name, priors_from_dict(plan["priors"]), plan["normal_force"] or "linear")
     rng = np.random.default_rng([plan["seed"], _number(name)])
     standard = posterior.coordinates.standard
-    sampling = _sampled(posterior, folder, report, plan, lambda: _search(posterior, rng), standard)
+    sampling = _sampled(posterior, folder, report, plan, processes, lambda: _search(posterior, rng), standard)
     flat = sampling.flat()
     draws = {key: _shaped(value, sampling) for key, value in posterior.coordinates.values(flat).items()}
     draws = {key: draws[key] for key in posterior.names} | _derived(draws)
@@ -366,7 +375,7 @@ def fit_published_case(folder: Path, report: Report, *, name: str, plan: Mapping
     }
     names = {"features": json.dumps([d.name for d in posterior.data])}
     _write_tree(folder, draws, sampling, groups, _attributes(plan, name) | names)
-    entry = _entry(draws, _shares(posterior.names, standard(flat)), sampling, dict(posterior.outcomes))
+    entry = _entry(draws, _shares(posterior.names, standard(flat)), sampling, dict(sampling.outcomes))
     entry["predictive"] = checks
     _draw_case(folder, f"thesis, case {name}", draws, sampling, checks)
     return entry
@@ -404,7 +413,7 @@ def recorded_experiment(plan: Mapping[str, Any], case: str | None) -> tuple[Expe
     return replace(experiment, trials=trials, normal_force=law), units
 
 
-def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping[str, Any]) -> Any:
+def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping[str, Any], processes: int = 1) -> Any:
     """Task: fit one case of a campaign, or all together (`name` "joint"); its entry of summary.json."""
     experiment, units = recorded_experiment(plan, None if name == "joint" else name)
     report(0.0, "finding the best fit")
@@ -422,7 +431,7 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
     rng = np.random.default_rng([plan["seed"], _number(name)])
 
     begin = partial(resampled_start, posterior, posterior.start, posterior.covariance, rng)
-    sampling = _sampled(posterior, folder, report, plan, begin)
+    sampling = _sampled(posterior, folder, report, plan, processes, begin)
     draws = {key: _shaped(value, sampling) for key, value in posterior.values(sampling.flat()).items()}
     constants = {key: np.full(1, value) for key, (value, _) in experiment.constants.items() if key not in draws}
     draws |= _derived(constants | draws)
@@ -430,7 +439,7 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
     nuisances = _trial_draws(posterior, kept, rng)
     few = sampling.flat(60)
     bands = posterior.predictive(few, rng)
-    entry = _entry(draws, _shares(posterior.names, sampling.flat()), sampling, dict(posterior.outcomes), units)
+    entry = _entry(draws, _shares(posterior.names, sampling.flat()), sampling, dict(sampling.outcomes), units)
     labels = {i: trial_label(experiment.trials[i]) for i in posterior.trials}
     report(0.97, "evidence, trials left out, priors changed")
     entry["noise"] = noise.to_json(units("sigma1"))
@@ -570,6 +579,7 @@ def _sampled(
     folder: Path,
     report: Report,
     plan: Mapping[str, Any],
+    processes: int,
     start: Callable[[], Start],
     monitor: Callable[[Array], Array] | None = None,
 ) -> Sampling:
@@ -595,6 +605,7 @@ def _sampled(
         rule=rule,
         checkpoint=Checkpoint(folder / "state", fingerprint),
         progress=tell,
+        workers=processes,
         monitor=monitor,
     )
 

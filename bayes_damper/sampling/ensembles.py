@@ -11,10 +11,14 @@ without the stop.
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterator
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -36,13 +40,16 @@ _FIRST_ROUND = 50  # steps
 _LONGEST_WARM_UP = 4000  # steps
 _TUNING = 200  # steps of warm-up after an annealed start
 _BLOCK = 25  # stored steps between two states
-_FEWEST_STORED = 100
+_FEWEST_STORED = 75
 _LEARNT_FROM = 4000  # draws of a round
 _MEMORY = 96e6  # bytes of draws kept before every second stored step is dropped
 
 
 class Target(Protocol):
-    """A log density of points (n, ndim) -> (n,), each value independent of which points come with it."""
+    """A log density of points (n, ndim) -> (n,), each value independent of which points come with it.
+
+    A target may count how its simulations end, in a Counter `outcomes`.
+    """
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -77,7 +84,8 @@ class Sampling:
     acceptance : (ensembles,) share of accepted proposals; thin : steps for each stored one;
     warm_up : (ensembles,) steps; evaluations : of the target; undefined : how many of them were NaN (such points are
     never accepted);
-    reseated : walkers that were stranded in the warm-up and moved to a better place.
+    reseated : walkers that were stranded in the warm-up and moved to a better place; outcomes : how the target's
+    simulations ended, where it tells, and how often.
     """
 
     names: tuple[str, ...]
@@ -91,6 +99,7 @@ class Sampling:
     reseated: int
     seed: int
     verdict: Verdict
+    outcomes: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def converged(self) -> bool:
@@ -127,6 +136,7 @@ class _Ensemble:
     undefined: int = 0
     reseated: int = 0
     drawn: int = 0
+    outcomes: dict[str, int] = field(default_factory=dict)  # of the target's simulations
 
 
 def sample(
@@ -277,6 +287,7 @@ class _Run:
             reseated=sum(s.reseated for s in self.states),
             seed=self.seed,
             verdict=verdict,
+            outcomes=dict(sum((Counter(s.outcomes) for s in self.states), Counter())),
         )
 
     def _restore(self, arrays: dict[str, NDArray[Any]], record: dict[str, Any]) -> None:
@@ -337,6 +348,7 @@ def _begin(target: Target, start: Start, seed: int, ensemble: int, walkers: int)
 def _advance(target: Target, state: _Ensemble, thin: int) -> tuple[_Ensemble, Array, Array]:
     """One block of an ensemble: a round of warm-up (thin = 0) or 25 stored steps, with the draws of the latter."""
     moves = _moves(state)
+    before = Counter(getattr(target, "outcomes", {}))
     sampler = emcee.EnsembleSampler(len(state.coords), target.ndim, target, moves=moves, vectorize=True)
     sampler.log_prob_fn = target  # emcee's own wrapper prints all points when Ctrl-C comes
     begin = emcee.State(state.coords, log_prob=state.log_prob, random_state=_unpacked(state.random))
@@ -344,8 +356,10 @@ def _advance(target: Target, state: _Ensemble, thin: int) -> tuple[_Ensemble, Ar
     end = sampler.run_mcmc(begin, steps, thin_by=max(thin, 1), skip_initial_state_check=True)
     chain, heights = sampler.get_chain(), sampler.get_log_prob()
     counts = [m for m, _ in moves]
+    ended = Counter(getattr(target, "outcomes", {})) - before + Counter(state.outcomes)
     state = replace(
         state,
+        outcomes=dict(sorted(ended.items())),
         coords=end.coords,
         log_prob=end.log_prob,
         random=_packed(end.random_state),
@@ -381,8 +395,8 @@ def _after_round(state: _Ensemble, chain: Array, heights: Array, moves: list[Hal
         weight = 0.3
     alike = state.last.size > 0 and _alike(state.last, figures)
     tau = max(float(np.nanmax(autocorrelation_time(chain[None, ..., i]))) for i in range(ndim))
-    # A proposal that is mostly accepted has no more to learn.
-    enough = _TUNING / 2 if weight >= 0.9 else _TUNING
+    # A proposal that is often accepted has no more to learn.
+    enough = _TUNING / 4 if weight >= 0.7 else _TUNING
     settled = steps >= enough if state.annealed else alike and len(chain) >= 3 * tau
     warm = (settled and state.weight > 0 and not lost) or steps >= _LONGEST_WARM_UP
     few = flat[:: max(1, len(flat) // _LEARNT_FROM), :ndim]
@@ -476,16 +490,32 @@ def _workers(target: Target, count: int) -> Iterator[Callable[[list[tuple[_Ensem
     # A fork hands compiled kernels over as they are; where there is none the target has to be picklable.
     method = "fork" if sys.platform.startswith("linux") else "spawn"
     context = multiprocessing.get_context(method)
-    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_receive, initargs=(target,))
+    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_receive, initargs=(target, os.getpid()))
+
+    def advance(tasks: list[tuple[_Ensemble, int]]) -> list[Any]:
+        with warnings.catch_warnings():
+            # Threads beside us only wait for a signal or for the end of a process: they hold no lock.
+            warnings.filterwarnings("ignore", ".*fork.*", DeprecationWarning)
+            return list(pool.map(_advance_here, tasks))
+
     try:
-        yield lambda tasks: list(pool.map(_advance_here, tasks))
+        yield advance
     finally:
         pool.shutdown(cancel_futures=True)
 
 
-def _receive(target: Target) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _receive(target: Target, parent: int) -> None:
+    """In a worker: Ctrl-C and the like are the parent's business; when that is gone, so is the worker."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     _TARGET[:] = [target]
+
+
+def _end_with(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(0.5)
+    os._exit(1)
 
 
 def _advance_here(task: tuple[_Ensemble, int]) -> tuple[_Ensemble, Array, Array]:

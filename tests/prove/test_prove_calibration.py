@@ -14,11 +14,11 @@ import ranks
 import synthetic
 from scipy.stats import binom
 
-CAMPAIGNS = 150
+CAMPAIGNS = 130
 """Of each kind, for the fit as it is."""
-EXACT = 150
+EXACT = 130
 """Of each kind, for the fit without allowance for release and reversals."""
-THESES = 50
+THESES = 40
 """Of each case."""
 
 
