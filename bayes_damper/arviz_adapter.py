@@ -1,4 +1,4 @@
-"""Results as an xarray DataTree with the groups and dimension names of ArviZ, and `posterior.nc` on disk.
+"""Results with the groups and dimension names of ArviZ, and `posterior.nc` on disk, which reads as an xarray DataTree.
 
 Dimension `chain` is the ensemble. The walkers of an ensemble are folded into `draw`: draw = stored step * walkers +
 walker, so that all walkers of a step stand together. ArviZ would take them for one sequential chain: the effective
@@ -8,16 +8,25 @@ of `bayes_damper.sampling`, kept in the attributes of the posterior's variables.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+import h5netcdf
+import h5py
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from bayes_damper.sampling.convergence import diagnose_draws
 
+if TYPE_CHECKING:
+    import xarray as xr
+
 Array = NDArray[np.float64]
+_TOLD = ("r_hat", "ess_bulk", "ess_tail")
 Summary = dict[str, dict[str, float | tuple[float, float]]]
 
 
@@ -47,83 +56,115 @@ def summary(posterior: Mapping[str, Array]) -> Summary:
     return table
 
 
-def to_tree(
+@dataclass(frozen=True)
+class Variable:
+    """One quantity of a file: values, a name for each of their dimensions, and attributes."""
+
+    dims: tuple[str, ...]
+    values: NDArray[Any]
+    attributes: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Results:
+    """What a `posterior.nc` holds: group -> name -> Variable, attributes of groups, and of the file."""
+
+    groups: Mapping[str, Mapping[str, Variable]]
+    group_attributes: Mapping[str, Mapping[str, Any]]
+    attributes: Mapping[str, Any]
+
+
+def results(
     posterior: Mapping[str, Array],
     *,
     log_prob: Array,
+    diagnostics: Mapping[str, Mapping[str, Any]] | None = None,
     groups: Mapping[str, Mapping[str, Array]] | None = None,
     attributes: Mapping[str, str | int | float] | None = None,
-) -> xr.DataTree:
-    """A DataTree with posterior and sample_stats (lp), plus `groups`.
+) -> Results:
+    """Draws as a file holds them: posterior and sample_stats (lp), plus `groups`.
 
-    posterior : name -> (ensembles, steps, walkers); log_prob likewise. groups : prior, posterior_predictive and
-    log_likelihood hold (chain, draw, ...) arrays, log_likelihood with one entry a trial; observed_data plain arrays.
+    posterior : name -> (ensembles, steps, walkers); log_prob likewise; diagnostics : r_hat, ess_bulk and ess_tail of
+    each where they are known already. groups : prior, posterior_predictive and log_likelihood hold (chain, draw, ...)
+    arrays, log_likelihood with one entry a trial; observed_data plain arrays.
     """
     variables = {}
     for name, draws in posterior.items():
-        d = diagnose_draws(draws)
-        figures = {"r_hat": d.r_hat, "ess_bulk": d.ess_bulk, "ess_tail": d.ess_tail}
-        variables[name] = xr.Variable(("chain", "draw"), draws.reshape(len(draws), -1), figures)
-    tree: dict[str, xr.Dataset] = {
-        "posterior": _dataset(variables, {"walkers": log_prob.shape[2]}),
-        "sample_stats": _dataset({"lp": xr.Variable(("chain", "draw"), log_prob.reshape(len(log_prob), -1))}, {}),
-    }
-    for group, content in (groups or {}).items():
-        sampled = group not in ("observed_data", "constant_data")
-        tree[group] = _dataset({n: _variable(n, np.asarray(v), sampled) for n, v in content.items()}, {})
-    tree["/"] = xr.Dataset(attrs=dict(attributes or {}))
-    return xr.DataTree.from_dict(tree)
+        known = vars(diagnose_draws(draws)) if diagnostics is None else diagnostics[name]
+        told = {key: math.nan if known[key] is None else float(known[key]) for key in _TOLD}
+        variables[name] = Variable(("chain", "draw"), draws.reshape(len(draws), -1), told)
+    lp = Variable(("chain", "draw"), log_prob.reshape(len(log_prob), -1))
+    content: dict[str, Mapping[str, Variable]] = {"posterior": variables, "sample_stats": {"lp": lp}}
+    for group, arrays in (groups or {}).items():
+        lead = () if group in ("observed_data", "constant_data") else ("chain", "draw")
+        content[group] = {name: _variable(name, np.asarray(values), lead) for name, values in arrays.items()}
+    return Results(content, {"posterior": {"walkers": log_prob.shape[2]}}, dict(attributes or {}))
 
 
-def write(tree: xr.DataTree, path: Path | str) -> None:
-    """Writes `posterior.nc` (h5netcdf), whole or not at all."""
+def _variable(name: str, values: NDArray[Any], lead: tuple[str, ...]) -> Variable:
+    return Variable((*lead, *(f"{name}_dim_{i}" for i in range(values.ndim - len(lead)))), values)
+
+
+def write(content: Results, path: Path | str) -> None:
+    """Writes `posterior.nc` (NetCDF 4), whole or not at all."""
     final = Path(path)
     scratch = final.with_name(f".{final.name}.part")
-    tree.to_netcdf(scratch, engine="h5netcdf")
+    with h5netcdf.File(scratch, "w") as file:
+        file.attrs.update(content.attributes)
+        for group, variables in content.groups.items():
+            place = file.create_group(group)
+            place.attrs.update(content.group_attributes.get(group, {}))
+            sizes = {dim: n for v in variables.values() for dim, n in zip(v.dims, v.values.shape, strict=True)}
+            place.dimensions = sizes
+            own = {dim: Variable((dim,), np.arange(n)) for dim, n in sizes.items() if dim not in variables}
+            for name, variable in {**own, **variables}.items():
+                kind = h5py.string_dtype() if variable.values.dtype.kind in "UO" else variable.values.dtype
+                made = place.create_variable(name, variable.dims, kind, data=variable.values)
+                made.attrs.update(variable.attributes)
     scratch.replace(final)
 
 
 def read(path: Path | str) -> xr.DataTree:
     """The DataTree of a `posterior.nc`, in memory."""
+    import xarray as xr
+
     with xr.open_datatree(path, engine="h5netcdf") as tree:
         return tree.load()
-
-
-def _variable(name: str, values: Array, sampled: bool) -> xr.Variable:
-    lead = ("chain", "draw") if sampled else ()
-    return xr.Variable((*lead, *(f"{name}_dim_{i}" for i in range(values.ndim - len(lead)))), values)
-
-
-def _dataset(variables: Mapping[str, xr.Variable], attributes: Mapping[str, int]) -> xr.Dataset:
-    data = xr.Dataset(dict(variables), attrs=dict(attributes))
-    return data.assign_coords({dim: np.arange(size) for dim, size in data.sizes.items()})
 
 
 def combine_cases(files: Mapping[str, Path], path: Path, most: int = 1000) -> None:
     """One `posterior.nc` from those of single cases, with a dimension `case`; at most `most` draws of each chain.
 
-    Only groups and quantities that all cases have are taken.
+    Only groups and quantities that all cases have, in like shapes, are taken.
     """
-    trees = {case: read(file) for case, file in files.items()}
-    combined: dict[str, xr.Dataset] = {}
-    for group in set.intersection(*(set(tree.children) for tree in trees.values())):
-        parts = {case: tree[group].to_dataset() for case, tree in trees.items()}
-        shared = set.intersection(*({str(name) for name in part.data_vars} for part in parts.values()))
-        if not shared:
-            continue
-        kept = [_spread(part[sorted(shared)], most) for part in parts.values()]
-        draws = min(part.sizes.get("draw", 0) for part in kept)
-        if draws:
-            kept = [part.isel(draw=slice(draws)).assign_coords(draw=np.arange(draws)) for part in kept]
-        index = xr.Variable("case", list(parts))
-        combined[group] = xr.concat(kept, dim=index, coords="minimal", join="exact", combine_attrs="drop_conflicts")
-    attributes = {f"{key} of case {case}": value for case, tree in trees.items() for key, value in tree.attrs.items()}
-    combined["/"] = xr.Dataset(attrs=attributes)
-    write(xr.DataTree.from_dict(combined), path)
+    content: dict[str, dict[str, Variable]] = {}
+    attributes: dict[str, Any] = {}
+    with ExitStack() as stack:
+        opened = {case: stack.enter_context(h5netcdf.File(file, "r")) for case, file in files.items()}
+        first, *others = opened.values()
+        for case, file in opened.items():
+            attributes |= {f"{key} of case {case}": value for key, value in file.attrs.items()}
+        for group in (g for g in first.groups if all(g in other.groups for other in others)):
+            places = [file.groups[group] for file in opened.values()]
+            draws = min(
+                min(place.dimensions["draw"].size, most) if "draw" in place.dimensions else 0 for place in places
+            )
+            found = {}
+            for name in (n for n in places[0].variables if n not in places[0].dimensions):
+                if all(name in place.variables for place in places):
+                    parts = [_few(place.variables[name], draws) for place in places]
+                    if len({part.shape for part in parts}) == 1:
+                        found[name] = Variable(("case", *places[0].variables[name].dimensions), np.stack(parts))
+            if found:
+                found["case"] = Variable(("case",), np.array(list(files), dtype=object))
+                content[group] = found
+    write(Results(content, {}, attributes), path)
 
 
-def _spread(part: xr.Dataset, most: int) -> xr.Dataset:
-    size = part.sizes.get("draw", 0)
-    if size <= most:
-        return part
-    return part.isel(draw=np.linspace(0, size - 1, most).round().astype(int))
+def _few(variable: Any, draws: int) -> NDArray[Any]:  # of h5netcdf
+    """Values of a variable with so many of its draws."""
+    values = np.asarray(variable[...])
+    if "draw" not in variable.dimensions:
+        return values
+    axis = variable.dimensions.index("draw")
+    return values.take(np.linspace(0, values.shape[axis] - 1, draws).round().astype(int), axis=axis)

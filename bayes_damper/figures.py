@@ -53,6 +53,15 @@ def new_figure(width: float = 7.0, height: float = 4.0, converged: bool = True) 
     return figure
 
 
+def _plain_figure(width: float, height: float, converged: bool) -> Figure:
+    """The same for drawings that know their margins: laying a figure out takes as long as drawing it."""
+    with mpl.rc_context(_RC):
+        figure = Figure(figsize=(width, height))
+    if not converged:
+        mark(figure)
+    return figure
+
+
 def mark(figure: Figure) -> None:
     """Write across a figure that its run did not converge: below what is drawn where there is a layout, else above."""
     engine = figure.get_layout_engine()
@@ -174,7 +183,7 @@ def _contours(x: _Scale, y: _Scale, a: Array, b: Array, shares: Sequence[float])
     held = np.cumsum(down)
     middles = [s.start + s.length * (np.arange(-1, _BINS + 1) + 0.5) / _BINS for s in (x, y)]
     middles = [np.clip(m, s.start, s.start + s.length) for m, s in zip(middles, (x, y), strict=True)]
-    found = contour_generator(*middles, padded.T, line_type="Separate", fill_type="OuterCode")
+    found: Any = contour_generator(middles[0], middles[1], padded.T, line_type="Separate", fill_type="OuterCode")
     out = []
     for share in shares:
         level = float(down[np.searchsorted(held, share * held[-1])])
@@ -248,8 +257,8 @@ def corner_figure(
             sheet.ticks((margin, bottom), scales[i][0].ticks(), scales[i][1].ticks() if i else [])
             sheet.axes.text(scales[i][0].start + side / 2, 0.1, labels.get(name, name), ha="center", va="bottom")
             if i:
-                y = scales[i][1].start + side / 2
-                sheet.axes.text(0.1, y, labels.get(name, name), ha="left", va="center", rotation=90)
+                height = scales[i][1].start + side / 2
+                sheet.axes.text(0.1, height, labels.get(name, name), ha="left", va="center", rotation=90)
         end = 0.98 if single else 0.75
         sheet.axes.text(end * size, size - 0.1, title, ha="right", va="top", size=12)
     if not converged:
@@ -353,15 +362,20 @@ def forest_figure(
     columns = min(3, len(names))
     lines = -(-len(names) // columns)
     groups = list(next(iter(intervals.values())))
-    figure = new_figure(3.1 * columns, (0.32 * len(groups) + 0.9) * lines + 0.5, converged)
+    width, height = 3.1 * columns, (0.32 * len(groups) + 0.9) * lines + 0.5
+    figure = _plain_figure(width, height, converged)
+    beside = 0.3 + 0.075 * max(len(group) for group in groups)
+    above = 0.45 if converged else 0.75
+    place = {"left": beside / width, "right": 1.0 - 0.15 / width, "bottom": 0.5 / height, "top": 1.0 - above / height}
+    gaps = {"wspace": 0.12, "hspace": 0.65 / (0.32 * len(groups) + 0.25)}
     with mpl.rc_context(_RC):
-        axes = np.atleast_1d(figure.subplots(lines, columns, squeeze=False)).ravel()
+        axes = np.atleast_1d(figure.subplots(lines, columns, squeeze=False, gridspec_kw=place | gaps)).ravel()
         for axis, name in zip(axes, names, strict=False):
             for y, group in enumerate(groups):
                 low, median, high = intervals[name][group]
                 axis.plot([low, high], [y, y], color=COLOURS[0], lw=2.0)
                 axis.plot(median, y, "o", color=COLOURS[1], ms=5)
-            axis.set_yticks(range(len(groups)), groups)
+            axis.set_yticks(range(len(groups)), groups if axis in axes[::columns] else [])
             axis.set_ylim(len(groups) - 0.5, -0.5)
             low, high = min(i[0] for i in intervals[name].values()), max(i[2] for i in intervals[name].values())
             if name in _LOGARITHMIC and high > 10.0 * low > 0.0:
@@ -371,7 +385,7 @@ def forest_figure(
             axis.set_xlabel(labels.get(name, name))
         for axis in axes[len(names) :]:
             axis.set_visible(False)
-        figure.suptitle(title)
+        figure.text(0.5, 1.0 - (above - 0.33) / height, title, ha="center", va="top", fontsize=11)
     return figure
 
 
@@ -381,10 +395,17 @@ def record_figure(trials: Sequence[Mapping[str, Any]], unit: str, *, title: str,
     trials : one mapping each with label, times (n,) s, measured, low, median, high (channels, n).
     """
     channels = max(np.shape(t["measured"])[0] for t in trials)
-    figure = new_figure(4.6 * channels, 2.3 * len(trials) + 0.5, converged)
+    width, height = 4.6 * channels + 0.2, 2.5 * len(trials) + 0.9
+    figure = _plain_figure(width, height, converged)
+    above = 0.65 if converged else 0.95
+    place = {"left": 0.75 / width, "right": 1.0 - 0.15 / width, "bottom": 0.45 / height, "top": 1.0 - above / height}
     with mpl.rc_context(_RC):
         axes = figure.subplots(
-            2 * len(trials), channels, squeeze=False, sharex=True, height_ratios=[2.2, 1.0] * len(trials)
+            *(2 * len(trials), channels),
+            squeeze=False,
+            sharex=True,
+            height_ratios=[2.2, 1.0] * len(trials),
+            gridspec_kw=place | {"hspace": 0.32, "wspace": 0.16},
         )
         for k, trial in enumerate(trials):
             times = trial["times"]
@@ -410,7 +431,7 @@ def record_figure(trials: Sequence[Mapping[str, Any]], unit: str, *, title: str,
         axes[0, 0].legend(loc="upper right", ncols=3)
         for axis in axes[-1]:
             axis.set_xlabel("time [s]")
-        figure.suptitle(title)
+        figure.text(0.5, 1.0 - (above - 0.53) / height, title, ha="center", va="top", fontsize=11)
     return figure
 
 

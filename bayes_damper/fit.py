@@ -32,7 +32,6 @@ from bayes_damper.calibration import (
 )
 from bayes_damper.campaign import load_campaign
 from bayes_damper.checkpoint import Checkpoint
-from bayes_damper.diagnosis.search import Screen, fit_variant, offered, screen_variant
 from bayes_damper.effects import all_effects
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.evidence import bridge
@@ -374,8 +373,8 @@ def fit_published_case(folder: Path, report: Report, *, name: str, plan: Mapping
         "observed_data": {"features": np.array([d.value for d in posterior.data])},
     }
     names = {"features": json.dumps([d.name for d in posterior.data])}
-    _write_tree(folder, draws, sampling, groups, _attributes(plan, name) | names)
-    entry = _entry(draws, _shares(posterior.names, standard(flat)), sampling, dict(sampling.outcomes))
+    entry = _entry(draws, _shares(posterior.names, standard(flat)), sampling)
+    _write_draws(folder, draws, sampling, entry["parameters"], groups, _attributes(plan, name) | names)
     entry["predictive"] = checks
     _draw_case(folder, f"thesis, case {name}", draws, sampling, checks)
     return entry
@@ -436,10 +435,11 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
     constants = {key: np.full(1, value) for key, (value, _) in experiment.constants.items() if key not in draws}
     draws |= _derived(constants | draws)
     kept = sampling.flat(KEPT_DRAWS)
-    nuisances = _trial_draws(posterior, kept, rng)
+    likelihood, drawn = posterior.evaluated(kept, rng)
+    nuisances = _trial_draws(posterior, drawn)
     few = sampling.flat(60)
     bands = posterior.predictive(few, rng)
-    entry = _entry(draws, _shares(posterior.names, sampling.flat()), sampling, dict(sampling.outcomes), units)
+    entry = _entry(draws, _shares(posterior.names, sampling.flat()), sampling, units)
     labels = {i: trial_label(experiment.trials[i]) for i in posterior.trials}
     report(0.97, "evidence, trials left out, priors changed")
     entry["noise"] = noise.to_json(units("sigma1"))
@@ -471,12 +471,12 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
         "trial_posterior": per_trial,
         "prior": _one_chain(posterior.values(rng.standard_normal((2000, posterior.ndim)))),
         "posterior_predictive": {labels[i]: y[None] for i, y in bands.items()},
-        "log_likelihood": {"trials": _as_chains(posterior.log_likelihood(kept) + posterior.constant, sampling)},
+        "log_likelihood": {"trials": _as_chains(likelihood + posterior.constant, sampling)},
         "observed_data": {labels[i]: experiment.trials[i].y for i in posterior.trials},
         "constant_data": {labels[i]: experiment.trials[i].times for i in posterior.trials},
     }
     names = {"trials": json.dumps([labels[i] for i in posterior.trials])}
-    _write_tree(folder, draws, sampling, groups, _attributes(plan, name) | names)
+    _write_draws(folder, draws, sampling, entry["parameters"], groups, _attributes(plan, name) | names)
     _draw_case(
         folder, f"{plan['name']}, {'all cases' if name == 'joint' else f'case {name}'}", draws, sampling, None, units
     )
@@ -492,6 +492,8 @@ def fit_with_effect(experiment: Experiment, effect: str, folder: str | None = No
     InputError
         if these trials cannot show the effect.
     """
+    from bayes_damper.diagnosis.search import Screen, fit_variant, offered, screen_variant
+
     pool = [(e, v) for e, v in offered(experiment, "nonlinear", all_effects(folder)) if e.name == effect]
     if not pool:
         raise InputError(
@@ -548,14 +550,13 @@ def _evidence(posterior: RecordPosterior, sampling: Sampling, rng: np.random.Gen
     }
 
 
-def _trial_draws(posterior: RecordPosterior, points: Array, rng: np.random.Generator) -> dict[int, dict[str, Array]]:
-    """What each trial has for itself under draws of the rest: trial -> name -> (n,).
+def _trial_draws(posterior: RecordPosterior, drawn: Mapping[int, Array]) -> dict[int, dict[str, Array]]:
+    """What each trial has for itself, from draws of its nuisances in standard coordinates: trial -> name -> (n,).
 
     Release angle (rad), instant (s), friction relative to that of all trials (ln_mu), and what the prior file gives to
     trials.
     """
     out: dict[int, dict[str, Array]] = {}
-    drawn = posterior.nuisances(points, rng)
     problem = posterior.problem
     for part in posterior.parts:
         for k, i in enumerate(part.group.trials):
@@ -646,15 +647,18 @@ def _one_chain(values: Mapping[str, Array]) -> dict[str, Array]:
     return {key: np.asarray(value)[None] for key, value in values.items()}
 
 
-def _write_tree(
+def _write_draws(
     folder: Path,
     draws: Mapping[str, Array],
     sampling: Sampling,
+    diagnostics: Mapping[str, Mapping[str, Any]],
     groups: Mapping[str, Mapping[str, Array]],
     attributes: Mapping[str, Any],
 ) -> None:
-    tree = arviz_adapter.to_tree(draws, log_prob=sampling.log_prob, groups=groups, attributes=dict(attributes))
-    arviz_adapter.write(tree, folder / "posterior.nc")
+    found = arviz_adapter.results(
+        draws, log_prob=sampling.log_prob, diagnostics=diagnostics, groups=groups, attributes=dict(attributes)
+    )
+    arviz_adapter.write(found, folder / "posterior.nc")
 
 
 def _as_chains(values: Array, sampling: Sampling) -> Array:
@@ -668,11 +672,10 @@ def _entry(
     draws: Mapping[str, Array],
     prior_shares: Mapping[str, float],
     sampling: Sampling,
-    outcomes: Mapping[str, int],
     units: Units = unit_of,
 ) -> dict[str, Any]:
     """The entry of summary.json for one run."""
-    verdict = sampling.verdict
+    verdict, outcomes = sampling.verdict, sampling.outcomes
     failed = {name: count for name, count in outcomes.items() if name != "COMPLETED" and count}
     sentences = list(verdict.sentences)
     if failed:
@@ -702,6 +705,7 @@ def _attributes(plan: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 # Figures -------------------------------------------------------------------------------------------------------------
 
+_TRACED = 2  # of the kept draws, every so many
 _MAIN = ("mu", "k2t", "c2t", "drag", "nu", "c1t", "c3t", "friction_torque", "sigma1", "sigma2")
 
 
@@ -727,7 +731,7 @@ def _draw_case(
     flat = {name: thinned[name].ravel() for name in names}
     converged = sampling.converged
     figures.save(figures.corner_figure({title: flat}, labels, title=title, converged=converged), folder / "corner")
-    trace = {name: value for name, value in thinned.items() if value.std() > 0.0}
+    trace = {name: value[:, ::_TRACED] for name, value in thinned.items() if value.std() > 0.0}
     figures.save(figures.trace_figure(trace, labels, title=title, converged=converged), folder / "trace")
     if checks is not None:
         figures.save(figures.feature_check_figure(checks, title=title, converged=converged), folder / "predictive")

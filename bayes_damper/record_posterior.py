@@ -337,19 +337,27 @@ class RecordPosterior:
         named |= {s.name: from_standard(s.prior, points[:, size + k]) for k, s in enumerate(self.sigmas)}
         return named if self.freedom is None else named | {"noise_freedom": from_standard(FREEDOM_PRIOR, points[:, -1])}
 
-    def nuisances(self, points: Array, rng: np.random.Generator) -> dict[int, Array]:
-        """Draws of each trial's nuisances given the parameters: trial -> (n, m) in standard coordinates."""
+    def evaluated(self, points: Array, rng: np.random.Generator) -> tuple[Array, dict[int, Array]]:
+        """`log_likelihood` of each trial, (n, trials), and draws of its nuisances given the parameters: trial -> (n, m)
+        in standard coordinates.
+        """
         points = np.atleast_2d(points)
+        values = []
         drawn: dict[int, Array] = {}
         for part, s in self._scaled(points):
-            _, mean, A = self._evaluated(part, points, s)
+            value, mean, A = self._evaluated(part, points, s)
+            values.append(np.where(np.isfinite(value), value, -np.inf))
             if part.eta.shape[1] == 0:
                 continue
             root = np.linalg.inv(np.linalg.cholesky(A)).transpose(0, 1, 3, 2)
             noise = np.einsum("knij,knj->kni", root, rng.standard_normal(mean.shape))
             for k, i in enumerate(part.group.trials):
                 drawn[i] = mean[:, k] + noise[:, k]
-        return drawn
+        return np.concatenate(values, axis=1), drawn
+
+    def nuisances(self, points: Array, rng: np.random.Generator) -> dict[int, Array]:
+        """Draws of each trial's nuisances given the parameters: trial -> (n, m) in standard coordinates."""
+        return self.evaluated(points, rng)[1]
 
     def predictive(self, points: Array, rng: np.random.Generator) -> dict[int, Array]:
         """Noise-free records of each trial under draws of parameters and nuisances: trial -> (n, channels, n_times)."""

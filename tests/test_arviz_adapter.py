@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from bayes_damper.arviz_adapter import hdi, read, summary, to_tree, write
+from bayes_damper.arviz_adapter import hdi, read, results, summary, write
 
 
 def test_the_file_comes_back_and_arviz_opens_it(tmp_path):
     rng = np.random.default_rng(0)
     draws = rng.standard_normal((4, 20, 8))
     groups = {"observed_data": {"y": np.arange(3.0)}, "log_likelihood": {"trial": rng.standard_normal((4, 160, 2))}}
-    write(to_tree({"mu": draws}, log_prob=-draws, groups=groups, attributes={"seed": 1}), tmp_path / "posterior.nc")
+    write(results({"mu": draws}, log_prob=-draws, groups=groups, attributes={"seed": 1}), tmp_path / "posterior.nc")
     tree = read(tmp_path / "posterior.nc")
     assert set(tree.children) == {"posterior", "sample_stats", "observed_data", "log_likelihood"}
     assert tree.attrs["seed"] == 1

@@ -38,7 +38,7 @@ def write_fit(folder, normal_force, rng, converged=True):
     summary["cases"] = {"IV": {"converged": converged, "parameters": parameters, "sentences": []}}
     write_json(folder / "summary.json", summary)
     likelihood = posterior.log_likelihood(points).reshape(2, 128, -1)
-    tree = arviz_adapter.to_tree(
+    tree = arviz_adapter.results(
         draws, log_prob=posterior(points).reshape(2, 8, 16), groups={"log_likelihood": {"features": likelihood}}
     )
     (folder / "IV").mkdir()

@@ -351,7 +351,7 @@ def write_fit(folder, cases, converged=True):
             c.name: from_standard(c.prior, q[:, i]).reshape(2, 50, 8) for i, c in enumerate(fit.problem.coordinates)
         }  # fmt: skip
         (folder / case).mkdir()
-        tree = arviz_adapter.to_tree(draws, log_prob=np.zeros((2, 50, 8)))
+        tree = arviz_adapter.results(draws, log_prob=np.zeros((2, 50, 8)))
         arviz_adapter.write(tree, folder / case / "posterior.nc")
 
 
