@@ -92,19 +92,19 @@ def _swapped(e: Experiment) -> Experiment:
 
 
 BUGS = (
-    Bug("wrong sign of the drag", "plain", _rig(lambda rig: {"drag": -rig["drag"]})),
-    Bug("R in place of r in the pull", "plain", _rig(lambda rig: {"r": rig["R"]})),
-    Bug("friction torque without the lever R", "plain", _rig(lambda rig: {"mu": rig["mu"] / 0.1})),
-    Bug("constant pull in place of the linear law", "plain", mistake=lambda e: replace(e, normal_force="constant")),
-    Bug("c1t and c3t swapped", "plain", _rig(lambda rig: {"c1t": rig["c3t"], "c3t": rig["c1t"]})),
-    Bug("k1t of another case", "plain", mistake=lambda e: replace(e, stiffnesses=((6.2, 0.1),))),
-    Bug("noise normalisation: half of the readings counted", "plain", _readings_halved),
-    Bug("prior counted twice", "plain", _prior_twice),
-    Bug("snooker move without its volume factor", "plain", _snooker_without_its_factor),
-    Bug("a trial lost", "late", mistake=_without_the_last),
-    Bug("channels swapped", "late", mistake=_swapped),
-    Bug("wrong sign of the delay", "late", _rig(lambda rig: {"delay": -np.asarray(rig["delay"])})),
-    Bug("release angle taken as exact", "late", mistake=_angles(1e-9)),
-    Bug("degrees for radians in the angle's uncertainty", "late", mistake=_angles(180.0 / math.pi)),
+    Bug("wrong sign of the drag", "lone", _rig(lambda rig: {"drag": -rig["drag"]})),
+    Bug("R in place of r in the pull", "lone", _rig(lambda rig: {"r": rig["R"]})),
+    Bug("friction torque without the lever R", "lone", _rig(lambda rig: {"mu": rig["mu"] / 0.1})),
+    Bug("constant pull in place of the linear law", "lone", mistake=lambda e: replace(e, normal_force="constant")),
+    Bug("c1t and c3t swapped", "lone", _rig(lambda rig: {"c1t": rig["c3t"], "c3t": rig["c1t"]})),
+    Bug("k1t of another case", "lone", mistake=lambda e: replace(e, stiffnesses=((6.2, 0.1),))),
+    Bug("noise normalisation: half of the readings counted", "lone", _readings_halved),
+    Bug("prior counted twice", "lone", _prior_twice),
+    Bug("snooker move without its volume factor", "lone", _snooker_without_its_factor),
+    Bug("a trial lost", "repeats", mistake=_without_the_last),
+    Bug("channels swapped", "repeats", mistake=_swapped),
+    Bug("wrong sign of the delay", "repeats", _rig(lambda rig: {"delay": -np.asarray(rig["delay"])})),
+    Bug("release angle taken as exact", "repeats", mistake=_angles(1e-9)),
+    Bug("degrees for radians in the angle's uncertainty", "repeats", mistake=_angles(180.0 / math.pi)),
 )
-SOUND = (Bug("none, plain", "plain"), Bug("none, late", "late"))
+SOUND = (Bug("none, lone", "lone"), Bug("none, repeats", "repeats"))

@@ -1,7 +1,7 @@
 """One synthetic campaign from its truth to the ranks of all its unknowns: the fit is that of `bayes-damper fit`.
 
-What differs from `fit` is only how long it samples: one ensemble of 64 walkers in place of four, and 100 stored steps
-(every eighth of an autocorrelation time, some hundred independent draws) in place of the stopping rule.
+What differs from `fit` is only how long it samples: one ensemble of 64 walkers in place of four, and 75 stored steps
+(every eighth of an autocorrelation time, some hundreds of independent draws) in place of the stopping rule.
 
 `fit` gives little weight to the release and to readings beside a reversal of friction, because no real rig follows the
 formulas there to the microsecond. Synthetic campaigns do: to them this is information left unused, by design. Ranks
@@ -39,17 +39,18 @@ POPULATION = 512
 CASES = ("I", "II", "III", "IV")
 SETTINGS = {
     "synthetic campaigns": f"one case, two trials of {synthetic.TIMES.size / synthetic.RATE:g} s at "
-    f"{synthetic.RATE:g} Hz; plain: an uncoupled and a coupled trial; late: two coupled repeats, each with its own "
-    "instant of release and its own friction. Truths of parameters from the default priors, of release angle, pull and "
-    "stiffness from what is declared, noise from a lognormal of median 2 rad/s² and factor 1.5. Records by the "
+    f"{synthetic.RATE:g} Hz; lone: an uncoupled and a coupled trial; repeats: two coupled ones; each with its own "
+    "angle and instant of release, if coupled with its own friction too. Truths of parameters from the default priors, "
+    "of release angle, pull and stiffness from what is declared, noise from a lognormal of median 2 rad/s² and factor "
+    "1.5. Records by the "
     "tests' own Runge-Kutta solver, which shares nothing with the package.",
     "fit": "calibrate_nominal and RecordPosterior, as in `bayes-damper fit` under white noise; sampled by the same "
-    f"sampler with one ensemble of {WALKERS} walkers and 100 stored steps, not four ensembles and the stopping rule",
+    f"sampler with one ensemble of {WALKERS} walkers and 75 stored steps, not four ensembles and the stopping rule",
     "cases of the thesis": "truths from the thesis's priors, features with the published standard errors (Student t, "
     f"2 degrees of freedom), FeaturePosterior; annealed start of {POPULATION} members in place of 2048, then as above",
     "seed": str(SEED),
 }
-SWITCHES = {"plain": None, "late": Switches(delay=True, friction=True)}
+SWITCHES = {"lone": None, "repeats": Switches(delay=True, friction=True)}
 
 
 @contextmanager

@@ -3,11 +3,11 @@
 Short and of few trials, so that hundreds can be fitted: one case, two trials, a quarter of a second at 400 Hz. Two
 kinds in turn:
 
-- "plain": an uncoupled and a coupled trial, released at the first sample.
-- "late": two repeats of a coupled trial, each released at an instant and with a friction of its own.
+- "lone": an uncoupled and a coupled trial, without repeats.
+- "repeats": two repeats of a coupled trial.
 
-In both, each trial has its own release angle, and the magnet's pull and the stiffness are uncertain as declared.
-The fit is told the prior of the noise.
+In both, each trial has its own release angle and instant of release, each coupled one its own friction; the magnet's
+pull and the stiffness are uncertain as declared, and the fit is told the prior of the noise.
 Records come from reference.py, which shares nothing with the package's integrator, and white noise is added.
 """
 
@@ -25,7 +25,7 @@ from bayes_damper.distributions import LogNormal, from_standard
 from bayes_damper.model import Model
 
 Array = NDArray[np.float64]
-KINDS = ("plain", "late")
+KINDS = ("lone", "repeats")
 RATE = 400.0
 TIMES = np.arange(100) / RATE
 CONSTANTS = {"J1": (3.015e-3, 0.0), "J2": (2.474e-3, 0.0), "R": (0.1, 0.0), "r": (0.0127, 0.0), "N0": (100.0, 3.0)}
@@ -47,7 +47,7 @@ class Campaign:
 def campaign(kind: str, seed: int, number: int) -> Campaign:
     """Synthetic campaign `number` of a kind."""
     rng = np.random.default_rng([seed, KINDS.index(kind), number])
-    configurations = (False, True) if kind == "plain" else (True, True)
+    configurations = (False, True) if kind == "lone" else (True, True)
     blank = tuple(
         TrialRecord(f"{kind} {k}", "IV", coupled, k + 1, TIMES, np.ones((1 + coupled, TIMES.size)), 0, ANGLE, ANGLE_SD)
         for k, coupled in enumerate(configurations)
@@ -61,9 +61,8 @@ def campaign(kind: str, seed: int, number: int) -> Campaign:
     truth |= {f"sigma{c}": float(from_standard(NOISE, rng.standard_normal())) for c in (1, 2)}
     own, trials = [], []
     for trial in blank:
-        values = {"theta0": ANGLE + ANGLE_SD * rng.standard_normal()}
-        if kind == "late":
-            values["delay"] = _lateness(rng)
+        values = {"theta0": ANGLE + ANGLE_SD * rng.standard_normal(), "delay": _lateness(rng)}
+        if trial.coupled:
             values["ln_mu"] = FRICTION_SPREAD * rng.standard_normal()
         y = record(truth, values, trial.coupled)
         sigma = np.array([truth["sigma1"], truth["sigma2"]])[: len(y), None]
@@ -84,8 +83,7 @@ def record(truth: dict[str, float], own: dict[str, float], coupled: bool) -> Arr
     """Noise-free accelerations of one trial at TIMES, (channels, n), by the reference solver."""
     values = {name: truth[name] for name in reference.NAMES if name in truth}
     values |= {"theta0": own["theta0"], "mu": truth["mu"] * math.exp(own.get("ln_mu", 0.0))}
-    release = own.get("delay", 0.0)
-    times = TIMES if release == 0.0 else np.concatenate([[release], TIMES])
+    times = np.concatenate([[own["delay"]], TIMES])
     y = reference.solve(values, times, coupled=coupled)[0, : 1 + coupled]
     return y[:, times.size - TIMES.size :]
 

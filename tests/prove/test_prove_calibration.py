@@ -98,7 +98,7 @@ def test_a_part_goes_on_where_it_stopped(tmp_path, monkeypatch):
 
 
 def test_the_plain_log_likelihood_of_a_campaign_peaks_at_its_truth():
-    made = synthetic.campaign("late", 1, 0)
+    made = synthetic.campaign("repeats", 1, 0)
     truth = {name: np.full(2, value) for name, value in made.truth.items()}
     truth["k2t"] = truth["k2t"] * np.array([1.0, 1.5])
     own = [{name: np.full(2, value) for name, value in mine.items()} for mine in made.own]
