@@ -30,6 +30,7 @@ MODULES = {
     "exact": FITTED,
     "bug": FITTED,
     "noise": FITTED,
+    "priors": (*FITTED, "bayes_damper.sensitivity"),
     "evidence": FITTED,
     "kills-sampler": ("bayes_damper.sampling",),
     "integrator": ("bayes_damper.model",),
@@ -109,6 +110,8 @@ QUESTIONS = {
     "samplers": "How does the sampler compare with its peers?",
     "kills": "Is anything lost when a run is killed?",
     "integrator": "Is the integrator accurate over the whole prior?",
+    "evidence": "Is the evidence right, and what does it cost?",
+    "priors": "Does the table of prior sensitivity tell what a new fit would find?",
 }
 """What each page answers, by its name."""
 

@@ -3,24 +3,30 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import parts
 import pytest
 from scipy.special import ndtri
-from small_rig import measured
+from small_rig import RIG, measured
 
 from bayes_damper.calibration import Noise, Problem, Switches, calibrate
 from bayes_damper.evidence import bridge, nested
 from bayes_damper.record_posterior import RecordPosterior
 from bayes_damper.sampling import resampled_start, sample
 
-SEEDS = 5
+SEEDS = 8
+LIVE = 500
+"""Live points of nautilus, a quarter of its default: it spends nearly all of its time in its own neural networks."""
+FIXED = ("k2t", "c1t", "c3t", "drag")
+"""Held at their true values, so that nautilus comes to an end within a minute: five unknowns are left."""
 
 
 def _posterior() -> RecordPosterior:
     experiment = measured(1, cases=[("IV", 1, 0.08)], configurations=(True,), repeats=1, duration=0.3)
+    experiment = replace(experiment, priors={name: RIG[name] for name in FIXED})
     noise, switches = Noise((2.0, 2.0), (0.0, 0.0), (0.0, 0.0)), Switches(delay=False, friction=False)
     return RecordPosterior(calibrate(Problem(experiment, noise=noise, switches=switches)))
 
@@ -35,6 +41,7 @@ def _answer(number: int) -> dict[str, Any]:
             lambda u: ndtri(np.clip(u, 1e-15, 1.0 - 1e-15)),
             posterior.ndim,
             1,
+            live=LIVE,
         )
     else:
         rng = np.random.default_rng(number)
@@ -48,14 +55,31 @@ def _answer(number: int) -> dict[str, Any]:
 def test_the_evidence_is_that_of_nautilus_at_a_tenth_of_its_cost() -> None:
     *ours, theirs = parts.finish("evidence", SEEDS + 1, _answer)
     values = np.array([row["log_z"] for row in ours])
-    ratio = theirs["seconds"] / float(np.median([row["seconds"] for row in ours]))
-    numbers = {"ours": values.tolist(), "nautilus": theirs["log_z"], "cpu_ratio": ratio}
-    told = (
-        f"One coupled record of 0.3 s, nine unknowns. Bridge sampling over {SEEDS} seeds: {values.mean():.3f} nats, "
-        f"standard deviation {values.std(ddof=1):.3f}; nautilus, exploration discarded: {theirs['log_z']:.3f}. "
-        f"CPU time of nautilus over ours: {ratio:.0f}."
+    own, seconds = (float(np.median([row[key] for row in ours])) for key in ("error", "seconds"))
+    ratio = theirs["seconds"] / seconds
+    numbers = {
+        "ours": values.tolist(),
+        "errors": [row["error"] for row in ours],
+        "nautilus": {name: theirs[name] for name in ("log_z", "error", "seconds")},
+        "cpu_ratio": ratio,
+        "commits": sorted({row["commit"] for row in (*ours, theirs)}),
+    }
+    spread, gap = float(values.std(ddof=1)), float(values.mean() - theirs["log_z"])
+    lines = [
+        "One coupled record of 0.3 s at 1 kHz, five unknowns (mu, c2t, nu and the noise of both channels; the others",
+        "held at their true values, so that nautilus comes to an end soon), the release angle integrated out. Ours:",
+        "the sampler until its rule is met, then bridge sampling with 4000 proposals, all from a new seed each time.",
+        f"nautilus: {LIVE} live points, exploration discarded. CPU times on one core.",
+        "",
+        "| | log evidence, nats | standard deviation over seeds | its own error | CPU time, s |",
+        "| --- | --- | --- | --- | --- |",
+        f"| bridge sampling, {SEEDS} seeds | {values.mean():.3f} | {spread:.3f} | {own:.3f} | {seconds:.1f} |",
+        f"| nautilus | {theirs['log_z']:.3f} | - | {theirs['error']:.3f} | {theirs['seconds']:.1f} |",
+    ]
+    verdict = (
+        f"Spread over {SEEDS} seeds {spread:.3f} nats, {abs(gap):.3f} from nautilus, {ratio:.0f} times less CPU time."
     )
-    parts.write_page("evidence", "Evidence against nautilus", [told], numbers)
-    assert values.std(ddof=1) <= 0.05
-    assert abs(values.mean() - theirs["log_z"]) <= 0.1
+    parts.write_page("evidence", verdict, lines, numbers)
+    assert spread <= 0.05
+    assert abs(gap) <= 0.1
     assert ratio >= 10.0
