@@ -194,6 +194,7 @@ def _withheld(args: Arguments) -> Any:
         scheduler=args.scheduler,
         seed=args.seed,
         out=args.out,
+        effects=args.effects,
         progress=_progress(args),
     )
 
@@ -300,6 +301,7 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("folder", nargs="?", type=Path, help="campaigns, one folder each (default: those shipped)")
     sub.add_argument("--full", action="store_true", help="all campaigns, and each again without its effect (hours)")
     sub.add_argument("--key", type=Path, metavar="F.json", help="the key (default: FOLDER_key.json beside the folder)")
+    sub.add_argument("--effects", type=Path, metavar="DIR", help="a folder with effects of your own")
     workers(sub)
 
     sub = command("tune", _tune, "insertion loss and resonance shift of a design, with uncertainty", out="results/tune")

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from bayes_damper import figures
-from bayes_damper.effects import EFFECTS, classes
+from bayes_damper.effects import EFFECTS, Effect, all_effects, classes
 from bayes_damper.errors import ExitCode, InputError, Interrupted, SelfCheckError
 from bayes_damper.provenance import provenance
 from bayes_damper.resources import shipped_path
@@ -63,8 +63,12 @@ class Withheld:
 # One campaign ---------------------------------------------------------------------------------------------------------
 
 
-def verdict_of(campaign: str, *, seed: int, leave_out: Sequence[str], threads: int) -> dict[str, Any]:
+def verdict_of(
+    campaign: str, *, seed: int, leave_out: Sequence[str], threads: int, effects: str | None = None
+) -> dict[str, Any]:
     """The diagnosis of one campaign folder, as diagnosis.json, with what the scores need beyond it.
+
+    `effects`: folder with effects beside the library's and those of installed packages.
 
     That is: the answers of the baselines on the same fits, intervals under the leading effect, a case left out; none of
     it where effects are taken out of the library (`leave_out`).
@@ -72,8 +76,8 @@ def verdict_of(campaign: str, *, seed: int, leave_out: Sequence[str], threads: i
     from bayes_damper.campaign import load_campaign
     from bayes_damper.diagnosis import diagnose
 
-    effects = {name: effect for name, effect in EFFECTS.items() if name not in leave_out}
-    options: dict[str, Any] = {"seed": seed, "effects": effects}
+    offered = {name: effect for name, effect in all_effects(effects).items() if name not in leave_out}
+    options: dict[str, Any] = {"seed": seed, "effects": offered}
     if "threads" in inspect.signature(diagnose).parameters:
         options["threads"] = threads
     found = diagnose(load_campaign(campaign), **options)
@@ -113,6 +117,7 @@ def give_verdict(
     leave_out: Sequence[str],
     threads: int,
     freeze_seal: str,
+    effects: str | None = None,
 ) -> dict[str, Any]:
     """A task of the run: diagnose one campaign and seal the verdict; only its seal is returned.
 
@@ -123,9 +128,10 @@ def give_verdict(
         return {"seal": read_verdict(path, name, freeze_seal)["seal"]}
     report(0.0, "diagnosing")
     module, _, function = call.partition(":")
+    own = {} if effects is None else {"effects": effects}
     try:
         verdict = getattr(importlib.import_module(module), function)(
-            campaign, seed=seed, leave_out=list(leave_out), threads=threads
+            campaign, seed=seed, leave_out=list(leave_out), threads=threads, **own
         )
     except Exception as error:  # noqa: BLE001 (whatever a diagnosis dies of, its verdict is "failed")
         told = traceback.format_exception_only(error)[-1].strip()
@@ -173,6 +179,7 @@ def withheld(
     out: str | Path = "results/withheld",
     leave_one_out: bool | None = None,
     diagnose_with: str = DIAGNOSE,
+    effects: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Withheld:
     """Diagnose campaigns whose effect is withheld, seal every verdict, open the key and score.
@@ -181,6 +188,8 @@ def withheld(
     beside it. full : all campaigns, and every campaign of a library effect again with its class taken out of the
     library; otherwise the first 24 by name, which are hashes. out : where the run keeps its state; the same call goes
     on with a run that was stopped. diagnose_with : "module:function" that gives a verdict, called as `verdict_of` is.
+    effects : folder with effects of your own, candidates beside those of the library and of installed packages; in the
+    key they are effects of the library.
 
     Raises
     ------
@@ -195,7 +204,8 @@ def withheld(
     campaigns = find_campaigns(source)
     if not full:
         campaigns = dict(list(campaigns.items())[:SUBSET])
-    now = freeze(campaigns, key_file, EFFECTS, seed, diagnose_with)
+    library = all_effects(effects)
+    now = freeze(campaigns, key_file, library, seed, diagnose_with)
     frozen = _begin(home, now)
     write_json(
         home / "run.json",
@@ -203,15 +213,16 @@ def withheld(
             "command": "withheld", "workers": workers,
             "plan": {
                 "folder": str(source), "full": full, "key": str(key_file), "seed": seed, "leave_one_out": leave_one_out,
-                "diagnose_with": diagnose_with,
+                "diagnose_with": diagnose_with, "effects": None if effects is None else str(effects),
             },
         },
     )  # fmt: skip
-    run = _Run(home, campaigns, seed, diagnose_with, workers, scheduler, progress, now)
+    own = None if effects is None else str(Path(effects).resolve())
+    run = _Run(home, campaigns, seed, diagnose_with, workers, scheduler, progress, now, library, own)
     run.verdicts(dict.fromkeys(campaigns, ()), home, frozen["seal"])
-    opened = open_key(home, key_file, campaigns, freeze(campaigns, key_file, EFFECTS, seed, diagnose_with))
+    opened = open_key(home, key_file, campaigns, freeze(campaigns, key_file, library, seed, diagnose_with))
     reasons = [*opened.rehearsal, *_earlier(key_file, now)]
-    groups = classes(EFFECTS)
+    groups = classes(library)
     rows = [scores.score_one(n, opened.verdicts[n], opened.entries[n], groups) for n in campaigns]
     removed: list[scores.Scored] = []
     if full if leave_one_out is None else leave_one_out:
@@ -262,6 +273,7 @@ def finish_withheld(
         seed=plan["seed"],
         leave_one_out=plan["leave_one_out"],
         diagnose_with=plan["diagnose_with"],
+        effects=plan.get("effects"),
         workers=workers,
         out=home,
         progress=progress,
@@ -300,6 +312,8 @@ class _Run:
     scheduler: str | None
     progress: Progress | None
     now: Mapping[str, Any] = field(default_factory=dict)
+    library: Mapping[str, Effect] = field(default_factory=lambda: EFFECTS)
+    effects: str | None = None
 
     def verdicts(self, leave_out: Mapping[str, Sequence[str]], home: Path, seal: str) -> None:
         """Seal the verdict of every campaign named, in `home`/verdicts; those that are sealed are kept."""
@@ -310,7 +324,7 @@ class _Run:
                 {
                     "name": name, "campaign": str(self.campaigns[name].resolve()), "call": self.call,
                     "seed": self.seed_of(name), "leave_out": list(without), "threads": 2 if self.workers == 1 else 1,
-                    "freeze_seal": seal,
+                    "freeze_seal": seal, **({} if self.effects is None else {"effects": self.effects}),
                 },
             )
             for name, without in leave_out.items()
@@ -340,16 +354,16 @@ class _Run:
         leave_out = {
             name: sorted(scores.class_of(entry["truth"], groups) | set(entry.get("class") or ()))
             for name, entry in entries.items()
-            if entry["truth"] in EFFECTS
+            if entry["truth"] in self.library
         }
         if not leave_out:
             return [], []
         home = self.home / "leave_one_out"
         part = {name: self.campaigns[name] for name in leave_out}
-        now = freeze(part, key, EFFECTS, self.seed, self.call)
+        now = freeze(part, key, self.library, self.seed, self.call)
         frozen = _begin(home, now)
         self.verdicts(leave_out, home, frozen["seal"])
-        opened = open_key(home, key, part, freeze(part, key, EFFECTS, self.seed, self.call))
+        opened = open_key(home, key, part, freeze(part, key, self.library, self.seed, self.call))
         rows = [
             scores.score_one(name, opened.verdicts[name], opened.entries[name], groups, left_out=True) for name in part
         ]
@@ -456,7 +470,7 @@ def seal_campaigns(folder: str | Path, key: str | Path | None = None) -> Path:
     """
     source = Path(folder)
     key_file = Path(key) if key is not None else source.parent / f"{source.name}_key.json"
-    frozen = freeze(find_campaigns(source), key_file, EFFECTS, 0, DIAGNOSE)
+    frozen = freeze(find_campaigns(source), key_file, all_effects(), 0, DIAGNOSE)
     write_freeze(seal_path(key_file), frozen)
     return seal_path(key_file)
 
