@@ -131,6 +131,7 @@ class Experiment:
     ties: Mapping[str, str] = field(default_factory=dict)
     offset_sd: tuple[float, ...] | None = None
     scale_sd: tuple[float, ...] = ()
+    lag_sd: tuple[float, ...] = ()
     coupling_law: Literal["constant", "cosine"] = "constant"
 
     @property
@@ -252,11 +253,11 @@ class Coordinate:
     """One unknown of the whole campaign, or of one `case` if that is given.
 
     role: "nominal", "release" (angle or instant), "constant", "stiffness" (k1t number `index`), "sensor" (scale of
-    channel `index`) or "effect".
+    channel `index`), "lag" (of its readings, s) or "effect".
     """
 
     name: str
-    role: Literal["nominal", "release", "constant", "stiffness", "sensor", "effect"]
+    role: Literal["nominal", "release", "constant", "stiffness", "sensor", "lag", "effect"]
     prior: Distribution
     index: int = 0
     case: str | None = None
@@ -423,6 +424,9 @@ class Problem:
         for c, sd in enumerate(e.scale_sd[: 1 + int(coupled)]):
             if sd > 0.0:
                 out.append(Coordinate(f"scale{c + 1}", "sensor", Normal(1.0, sd), c))
+        for c, sd in enumerate(e.lag_sd[: 1 + int(coupled)]):
+            if sd > 0.0:
+                out.append(Coordinate(f"lag{c + 1}", "lag", Normal(0.0, sd), c))
         if self.effect is not None:
             out += [Coordinate(f"effect.{p.name}", "effect", p.prior) for p in self.effect.parameters]
         return tuple(out)
@@ -610,7 +614,7 @@ class Problem:
             x = from_standard(c.prior, q[:, i])
             if c.role == "effect":
                 effect[c.name.removeprefix("effect.")] = x
-            elif c.role == "sensor":
+            elif c.role in ("sensor", "lag"):
                 continue
             elif c.role == "stiffness" or c.case is not None:
                 hit = self.touched(c, group)[which]
@@ -643,19 +647,27 @@ class Problem:
     def simulate(self, group: Group, which: Indices, q: Array, eta: Array) -> Array:
         """Readings (n, channels, n_times) of vectors q (n, size), eta (n, m) on the group's trials `which` (n,)."""
         rig, effect = self._inputs(group, which, q, eta)
-        y = (
-            self.models[group.coupled]
-            .simulate(
-                rig,
-                group.times,
-                effect=effect if self.effect is not None else None,
-                torque=group.torque,
-                quantity=self.experiment.quantity,
-                tolerance=self.tolerance,
-                threads=self.threads,
+
+        def readings(rig: dict[str, Any]) -> Array:
+            return (
+                self.models[group.coupled]
+                .simulate(
+                    rig,
+                    group.times,
+                    effect=effect if self.effect is not None else None,
+                    torque=group.torque,
+                    quantity=self.experiment.quantity,
+                    tolerance=self.tolerance,
+                    threads=self.threads,
+                )
+                .y
             )
-            .y
-        )
+
+        y = readings(rig)
+        for i, c in enumerate(self.coordinates):
+            if c.role == "lag" and c.index < y.shape[1]:
+                late = rig | {"delay": rig.get("delay", 0.0) + from_standard(c.prior, q[:, i])}
+                y[:, c.index] = readings(late)[:, c.index]
         return self._read(y, group, which, q, eta)
 
     def whitened(self, r: Array, weight: Array) -> Array:
@@ -770,7 +782,7 @@ class Problem:
         """Whether a coordinate can change the records of a group."""
         if c.role == "effect":
             return self.effect is not None and (group.coupled or self.effect.uncoupled)
-        if c.role == "sensor":
+        if c.role in ("sensor", "lag"):
             return group.coupled or c.index == 0
         free = group.coupled or c.role == "stiffness" or c.parameter in self._alone()
         return free and bool(self.touched(c, group).any())
@@ -1684,6 +1696,7 @@ def experiment_of(campaign: Any, priors: PriorSet | Mapping[str, Distribution | 
     experiment = Experiment(
         constants, tuple(stiffnesses), tuple(records), measurement.quantity, rig.normal_force, rig.restoring,
         measurement.start, given, offset_sd=measurement.offset_std, scale_sd=measurement.scale_std or (),
+        lag_sd=measurement.lag_std or (),
         coupling_law=rig.inertial_coupling_law,
     )  # fmt: skip
     experiment = thinned(gridded(experiment))

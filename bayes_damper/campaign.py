@@ -61,7 +61,7 @@ _RIG_WORDS = {
 _MEASUREMENT_WORDS = {"quantity": ("acceleration", "velocity", "displacement"), "start": ("rest", "free")}
 _MEASUREMENT_NUMBERS = ("sample_rate", "duration", "noise_std", "sensor_range", "sensor_bandwidth")
 _SINGLE = {"sample_rate": "Hz", "duration": "s"}
-_MEASUREMENT_SPREADS = ("offset_std", "scale_std")  # may be 0: known
+_MEASUREMENT_SPREADS = ("offset_std", "scale_std", "lag_std")  # may be 0: known
 PLANNED_PERIODS = 8.0
 """Natural periods of the slowest case that a planned record lasts where no duration is declared."""
 _TOP = ("name", "description", "source", "caveats", "rig", "measurement")
@@ -108,7 +108,8 @@ class Measurement:
     """What was measured and how. Tuples hold one number per channel, in the unit of `quantity` (bandwidth: Hz).
 
     offset_std : standard uncertainty of what a channel reads at rest, each trial its own; None: a share of the reach
-    of displacement channels, and none of others. scale_std : relative, of each channel's scale.
+    of displacement channels, and none of others. scale_std : relative, of each channel's scale. lag_std : s, by which a
+    channel may have been read before or after its time stamp, as where a logger reads one sensor after the other.
     """
 
     quantity: str = "acceleration"
@@ -121,6 +122,7 @@ class Measurement:
     """Length of a record that is planned, s; of measured ones the time column decides."""
     offset_std: tuple[float, ...] | None = None
     scale_std: tuple[float, ...] | None = None
+    lag_std: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,6 +296,7 @@ def load_campaign(folder: str | Path) -> Campaign:
         noise_std=_per_channel(declared.noise_std, both),
         offset_std=_per_channel(declared.offset_std, both),
         scale_std=_per_channel(declared.scale_std, both),
+        lag_std=_per_channel(declared.lag_std, both),
     )
     return Campaign(
         head.name,
@@ -1234,6 +1237,7 @@ _COMMENTS = {
     "sensor_bandwidth": "Hz, one per channel",
     "offset_std": "standard uncertainty of the reading at rest, one per channel, in SI units",
     "scale_std": "relative standard uncertainty of the scale, one per channel",
+    "lag_std": "s, standard uncertainty of the instant of reading against the time stamp, one per channel",
 }
 
 

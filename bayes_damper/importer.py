@@ -627,7 +627,7 @@ def _times_of(source: _Raw, option: Mapping[str, Any], where: str) -> Array:
 # --- the table from options ----------------------------------------------------------------------------------------
 
 _RIG = tuple(Rig.__dataclass_fields__)
-_MEASUREMENT = ("quantity", "noise_std", "sensor_range", "sensor_bandwidth", "offset_std", "scale_std")
+_MEASUREMENT = ("quantity", "noise_std", "sensor_range", "sensor_bandwidth", "offset_std", "scale_std", "lag_std")
 
 
 def _spec_from_options(name: str, sources: Sequence[Path], options: Mapping[str, object]) -> dict[str, Any]:

@@ -311,6 +311,25 @@ def test_offset_and_scale_of_a_sensor_are_inferred():
     assert fit.parameters["k1t"][0] == pytest.approx(100.0, rel=2e-3)
 
 
+def test_a_channel_read_late_is_inferred_where_the_logger_may_be_late():
+    """The second sensor is read 20 ms after its time stamp; its lag is inferred, to a thousandth of that."""
+    times = np.arange(0.0, 2.0, 0.02)
+    rig = {"J1": 1.0, "J2": 0.5, "k1t": 100.0, "k2t": 40.0, "c1t": 0.2, "c3t": 0.1, "c2t": 0.1, "mu": 0.0, "drag": 0.0,
+           "nu": 50.0, "N0": 0.0, "R": 1.0, "r": 1.0, "theta0": 0.3, "theta2_0": 0.1}  # fmt: skip
+    y = Model(True).simulate(rig, times, quantity="displacement").y[0]
+    y[1] = Model(True).simulate(rig | {"delay": 0.02}, times, quantity="displacement").y[0, 1]
+    trial = TrialRecord("a", "A", True, 1, times, y + 1e-4 * np.random.default_rng(1).standard_normal(y.shape), 0)
+    experiment = Experiment(
+        {"J1": (1.0, 0.0), "J2": (0.5, 0.0)}, ((100.0, 5.0),), (trial,), quantity="displacement", start="free",
+        lag_sd=(0.0, 0.02),
+    )  # fmt: skip
+    fit = calibrate_nominal(experiment, nominal="linear")
+    assert "lag1" not in fit.parameters
+    lag, sd = fit.parameters["lag2"]
+    assert sd < 3e-4
+    assert lag == pytest.approx(0.02, abs=max(4.0 * sd, 1e-4))
+
+
 def test_offsets_taken_as_known_stay_at_zero():
     fixed = swing(offset=0.02, offset_sd=(0.0,))
     fit = calibrate(Problem(fixed, nominal="linear"))

@@ -10,14 +10,16 @@ import numpy as np
 import pytest
 from test_calibration import RIG, TRUE, make_experiment
 
-from bayes_damper.calibration import Experiment, Problem, TrialRecord, calibrate, calibrate_nominal
+from bayes_damper.calibration import Experiment, Problem, TrialRecord, calibrate, calibrate_nominal, coordinate_of
 from bayes_damper.diagnosis import diagnose
+from bayes_damper.diagnosis.lone import corroborated, held_out_gain, left_of_squares
 from bayes_damper.diagnosis.outliers import outlying, told, without
 from bayes_damper.diagnosis.pairs import PairProblem
 from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of
-from bayes_damper.diagnosis.search import Screen, offered, scales_of, screen_variant
+from bayes_damper.diagnosis.search import Candidate, Screen, offered, scales_of, screen_variant
 from bayes_damper.diagnosis.sensitivity import Quadratic
-from bayes_damper.diagnosis.verdict import RULE, Answers, Left, family_evidence, left_alone, left_of, weigh
+from bayes_damper.diagnosis.verdict import RULE, Answers, Left, family_evidence, left_of, weigh
+from bayes_damper.distributions import LogNormal
 from bayes_damper.effects import EFFECTS
 from bayes_damper.errors import InputError
 from bayes_damper.model import Model
@@ -228,15 +230,89 @@ def test_what_is_left_counts_against_the_gap_itself():
     assert left_of(events, 300.0, gap, 1000.0).share < 0.02
 
 
+def left_by_trials(before, after, floor):
+    return left_of_squares(*(np.array(x, float) for x in (before, after, floor)))
+
+
 def test_without_repeats_sums_of_squares_tell_what_is_left():
     """An effect that closes nine tenths is the answer, whatever stays above the noise of the sensors."""
-    before = left_alone(1e4, 1e4, 100.0)
+    before = left_by_trials([1e4], [1e4], [100.0])
     assert before.share == 1.0
-    assert weigh({"a": 200.0}, before, left_alone(1e4, 1e3, 100.0)).verdict == "a"
-    assert weigh({"a": 200.0}, before, left_alone(1e4, 8e3, 100.0)).verdict == "unknown"
+    assert weigh({"a": 200.0}, before, left_by_trials([1e4], [1e3], [100.0])).verdict == "a"
+    assert weigh({"a": 200.0}, before, left_by_trials([1e4], [8e3], [100.0])).verdict == "unknown"
     assert weigh({"a": 0.0}, before, before).verdict == "unknown"
-    quiet = left_alone(150.0, 148.0, 100.0)
+    quiet = left_by_trials([150.0], [148.0], [100.0])
     assert weigh({"a": 0.0}, quiet, quiet).verdict == "none"
+
+
+def test_the_largest_swing_does_not_decide_alone_what_is_left():
+    """Each trial's share counts the same; one without a gap to reduce does not count."""
+    found = left_by_trials([1e8, 1e4, 150.0], [6e7, 1e3, 100.0], [100.0, 100.0, 100.0])
+    assert found.share == pytest.approx(0.5 * (6e7 / 1e8 + 900.0 / 9900.0), rel=1e-4)
+
+
+def test_both_dry_frictions_are_one_answer_beside_a_linear_model():
+    """Of two pairs of the same evidence the one that is the usual nonlinear model needs no more than a single effect
+    does, and its stronger member is named.
+    """
+    evidence = {"interface_friction": 26.0, "bearing_drag": 12.0, "quadratic_drag": 12.0}
+    before, alone = (left_by_trials([1e6], [x], [100.0]) for x in (1e6, 5e5))
+    both = left_by_trials([1e6], [5e4], [100.0])
+    told = {
+        other: weigh(evidence, before, alone, pairs=[(("interface_friction", other), 31.0, both)])
+        for other in ("bearing_drag", "quadratic_drag")
+    }
+    assert told["bearing_drag"].verdict == "interface_friction"
+    assert told["bearing_drag"].pair > 0.7
+    assert told["quadratic_drag"].pair < 0.5
+
+
+def decaying(number, amplitude, drag=0.0, noise=1e-4, heldout=False):
+    """A pendulum's displacement from a start in motion, with dry friction and an error of slow colour."""
+    times = np.arange(0.0, 6.0, 0.02)
+    model = Model(coupled=False, restoring="pendulum", longest_step=8e-3)
+    rig = {"J1": 1.0, "k1t": 60.0, "c1t": 0.1, "drag": drag, "nu": 100.0, "theta0": amplitude}
+    y = model.simulate(rig, times, quantity="displacement").y[0]
+    y = y + noise * np.random.default_rng(number).standard_normal(y.shape)
+    return TrialRecord(f"trial {number}", "a", False, number, times, y, 0, heldout=heldout)
+
+
+def freely(drag):
+    return Experiment(
+        {"J1": (1.0, 0.0)}, ((60.0, 20.0),),
+        (decaying(1, 0.3, drag), decaying(2, 0.2, drag), decaying(3, 0.25, drag, heldout=True)),
+        "displacement", restoring="pendulum", start="free",
+        priors={"c1t": LogNormal(0.2, 4.0)},
+    )  # fmt: skip
+
+
+def test_an_effect_counts_no_more_than_held_out_readings_gain():
+    """Dry friction that is there predicts unseen readings better; what is fitted to nothing gains nothing there."""
+    experiment = freely(0.3)
+    nominal = calibrate_nominal(experiment, nominal="linear")
+    assert nominal.problem.noise.sensor
+    dry = next(v for e, v in offered(experiment, "linear", EFFECTS) if e.name == "bearing_drag")
+    fit = calibrate(
+        nominal.problem.with_effect(dry),
+        [np.concatenate([nominal.q, [coordinate_of(p.prior, x) for p, x in zip(dry.parameters, start, strict=True)]])
+         for start in dry.starts],
+        eta=nominal.eta, anneal=False,
+    )  # fmt: skip
+    assert held_out_gain(nominal, fit) > 20.0
+    worse = replace(fit, q=fit.q + np.eye(fit.q.size)[-2] * 3.0)
+    rows = [Candidate(EFFECTS["bearing_drag"], dry, (), x, 50.0) for x in (worse, fit)]
+    best, other = corroborated(nominal, rows)
+    assert best.fit is fit
+    assert other.log_evidence < 0.0
+
+
+def test_records_that_begin_in_motion_try_weak_effects_too():
+    """A long decay adds up what a weak effect does, and a strong one would end it at once."""
+    own = {v.name: v for e, v in offered(freely(0.0), "linear", EFFECTS) if e.name == "bearing_drag"}["dry"]
+    at_rest = replace(freely(0.0), start="rest")
+    usual = {v.name: v for e, v in offered(at_rest, "linear", EFFECTS) if e.name == "bearing_drag"}["dry"]
+    assert min(s[0] for s in own.starts) == pytest.approx(0.1 * min(s[0] for s in usual.starts))
+    assert {s[1] for s in own.starts} == {s[1] for s in usual.starts}
 
 
 def test_two_effects_change_the_records_by_the_sum_of_their_changes():

@@ -180,17 +180,17 @@ def closing(
     return out
 
 
-def sums_of_squares(fit: Calibration) -> tuple[float, float]:
-    """Sum of squared residuals of a fit over the variance of the sensors' noise, and what that noise alone would give.
+def squares_of_trials(fit: Calibration) -> tuple[Array, Array]:
+    """Sum of squared residuals of each trial over the variance of the sensors' noise, and what that would give alone.
 
-    On the held-out trials where there are any, else on those that were fitted.
+    Of the held-out trials where there are any, else of those that were fitted; (trials,) each.
     """
     problem = fit.problem
     heldout = problem.experiment.heldout
     residuals = {i: p.residual for i, p in predict(fit, heldout).items()} if heldout else fit.residuals()
     masks = _masks(problem, list(residuals))
-    x = _squares(residuals, masks, problem.noise.floor)
-    return float(x.sum()), float(sum(m.sum() for m in masks.values()))
+    counts = np.array([float(masks[i].sum()) for i in residuals])
+    return _squares(residuals, masks, problem.noise.floor), counts
 
 
 # The test -------------------------------------------------------------------------------------------------------------

@@ -276,6 +276,12 @@ def _pair(
     return Pair(first, second, fit, evidence, evidence - max(alone), remainder_of(fit))
 
 
+def refitted(nominal: Calibration, pair: Pair, fit: Calibration, found: Sequence[Candidate]) -> Pair | None:
+    """The pair with another fit of its two effects, its gain against the candidates; None without evidence."""
+    single = {c.effect.name: c.log_evidence for c in reversed(leaders_of(found, len(found)))}
+    return _pair(nominal, (pair.first, pair.second), fit, single)
+
+
 def exactly(nominal: Calibration, pair: Pair, found: Sequence[Candidate]) -> Pair:
     """The pair fitted with its formulas composed into one kernel; the pair itself where the kernel has no room."""
     problem = pair.fit.problem

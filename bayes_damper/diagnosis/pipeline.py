@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -22,16 +22,17 @@ from bayes_damper.calibration import (
     learn_noise,
 )
 from bayes_damper.diagnosis.formula import widened
-from bayes_damper.diagnosis.gap import Closed, Gap, closing, measure_gap, shifts, sums_of_squares
+from bayes_damper.diagnosis.gap import Closed, Gap, closing, measure_gap, shifts
 from bayes_damper.diagnosis.generic import DRIFT
+from bayes_damper.diagnosis.lone import corroborated, corroborated_pairs, left_alone, with_pairs_noise
 from bayes_damper.diagnosis.next_experiment import Proposal, propose
 from bayes_damper.diagnosis.outliers import outlying, told, without
-from bayes_damper.diagnosis.pairs import LEAST_GAIN, Pair, Second, best_pairs, exactly, seconds_of
+from bayes_damper.diagnosis.pairs import Pair, Second, best_pairs, exactly, seconds_of
 from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of
 from bayes_damper.diagnosis.search import Candidate, offered, scales_of, search
 from bayes_damper.diagnosis.sensitivity import Choice, in_a_sentence, sensitivity
 from bayes_damper.diagnosis.sites import SiteMap, site_map, write_missing_torque
-from bayes_damper.diagnosis.verdict import RULE, Answers, Left, Rule, family_evidence, left_alone, left_of, weigh
+from bayes_damper.diagnosis.verdict import RULE, Answers, Left, Rule, family_evidence, left_of, weigh
 from bayes_damper.diagnosis.where import Where, locate
 from bayes_damper.distributions import Distribution, from_standard
 from bayes_damper.effects import EFFECTS, Effect, classes, scaled
@@ -246,7 +247,15 @@ def diagnose(
     pool = offered(experiment, nominal, effects)
     found = search(fit, [*pool, *_drifts(experiment)], threads=threads, tell=tell)
     fit, found = _reseeded(fit, found)
+    alone = bool(fit.problem.noise.sensor)
+    if alone:
+        found = corroborated(fit, found)
     fit, found = _with_winners_noise(fit, found)
+    pairs: list[Pair] = []
+    if alone:
+        found = corroborated(fit, found)
+        pairs = _pairs_alone(fit, found, pool, threads)
+        fit, found, pairs = with_pairs_noise(fit, found, pairs)
     winner = next((c for c in found if c.fit is not None), None)
     before = remainder_of(fit)
     after = before if winner is None or winner.fit is None else remainder_of(winner.fit)
@@ -259,24 +268,20 @@ def diagnose(
     home = 0.5 if winner is None else _at(after_map, {winner.effect.site})
     readings = math.inf if winner is None or winner.fit is None else readings_of_change(fit, winner.fit)
     left = left_of(after, after_map.strength, before, before_map.strength, home, readings)
-    alone = bool(fit.problem.noise.sensor)
     if alone:
-        none_left = _left_alone(fit, fit)
-        left = none_left if winner is None or winner.fit is None else _left_alone(fit, winner.fit)
+        none_left = left_alone(fit, fit)
+        left = none_left if winner is None or winner.fit is None else left_alone(fit, winner.fit)
     seconds = [] if winner is None or winner.effect is DRIFT else seconds_of(winner, fit, pool)
     gain = max((s.gain for s in seconds), default=0.0)
-    pairs = (
-        best_pairs(fit, found, pool, seconds, threads=threads, least=-math.inf if alone else LEAST_GAIN)
-        if max(left.nats, gain) > PAIR_FROM and (not alone or left.share > WORTH_A_PAIR)
-        else []
-    )
+    if not alone and max(left.nats, gain) > PAIR_FROM:
+        pairs = best_pairs(fit, found, pool, seconds, threads=threads)
     judged = []
     for k, p in enumerate(pairs[:JUDGED_PAIRS]):
-        remains = _left_alone(fit, p.fit) if alone else _left_by(p, before, before_map)
+        remains = left_alone(fit, p.fit) if alone else _left_by(p, before, before_map)
         if remains.nats > PAIR_FROM and (alone or p.gain > PAIR_FROM):
             tell(f"composing {' and '.join(p.effects)}")
             pairs[k] = exactly(fit, p, found)
-            remains = _left_alone(fit, pairs[k].fit) if alone else _left_by(pairs[k], before, before_map)
+            remains = left_alone(fit, pairs[k].fit) if alone else _left_by(pairs[k], before, before_map)
         judged.append((pairs[k].effects, pairs[k].log_evidence, remains))
     pairs.sort(key=lambda p: -p.log_evidence)
     best_left = pairs[0].after if pairs and pairs[0].gain > 0.0 else after
@@ -336,11 +341,21 @@ def _left_by(pair: Pair, before: Remainder, before_map: SiteMap) -> Left:
     return left_of(pair.after, found.strength, before, before_map.strength, home)
 
 
-def _left_alone(nominal: Calibration, fit: Calibration) -> Left:
-    """What a fit leaves of trials without repeats."""
-    before, floor = sums_of_squares(nominal)
-    after, _ = sums_of_squares(fit)
-    return left_alone(before, after, floor)
+def _pairs_alone(
+    fit: Calibration, found: Sequence[Candidate], pool: Sequence[tuple[Effect, Variant]], threads: int
+) -> list[Pair]:
+    """Pairs for trials without repeats, whatever the screening promises, where the leading effect leaves enough."""
+    leader = next((c for c in found if c.fit is not None), None)
+    if leader is None or leader.fit is None or leader.effect is DRIFT:
+        return []
+    left = left_alone(fit, leader.fit)
+    if left.nats < PAIR_FROM or left.share < WORTH_A_PAIR:
+        return []
+    seconds = seconds_of(leader, fit, pool)
+    pairs = best_pairs(fit, found, pool, seconds, threads=threads, least=-math.inf)
+    # Over many periods two effects change a record by far more than the sum of what each changes.
+    pairs[:JUDGED_PAIRS] = [exactly(fit, p, found) for p in pairs[:JUDGED_PAIRS]]
+    return corroborated_pairs(fit, pairs)
 
 
 def _at(found: SiteMap, sites: Collection[str]) -> float:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,7 @@ FAINT = 8.0  # nats: below, formulas that replace the friction are not tried
 STARTS_OF_LEADERS = 2
 MISSED = 10.0  # nats that a fit may stay behind its screening before other starts are tried
 LOST = -1.2  # prior sds below the median at which a friction counts as given up
+SMALLER = 0.1  # of the starts of effects in records that begin in motion: cut from long decays, seen by their sum
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,22 @@ def offered(
     able = candidates(
         experiment.coupled, experiment.face, "linear" if nominal == "linear" else "nonlinear", effects, experiment.start
     )
-    return [(effect, scaled(variant, scales)) for effect in able.values() for variant in effect.variants]
+    pool = [(effect, scaled(variant, scales)) for effect in able.values() for variant in effect.variants]
+    return [(effect, _with_smaller_starts(v)) for effect, v in pool] if experiment.start == "free" else pool
+
+
+def _with_smaller_starts(variant: Variant) -> Variant:
+    """The variant with each start also nearer to the null, where its response to a long record is still linear."""
+    if variant.null is None or any(isinstance(p.prior, LogUniform) for p in variant.parameters):
+        return variant
+    nearer = tuple(
+        tuple(
+            x if p.null is None else p.null + SMALLER * (x - p.null)
+            for p, x in zip(variant.parameters, start, strict=True)
+        )
+        for start in variant.starts
+    )
+    return replace(variant, starts=variant.starts + nearer)
 
 
 # Screening ----------------------------------------------------------------------------------------------------------

@@ -27,6 +27,8 @@ PRIOR_NONE = 0.3
 PRIOR_UNKNOWN = 0.15
 PRIOR_PAIRS = 0.05
 USUAL = 20  # candidates among which the prior is shared, however few are offered
+FRICTIONS = frozenset({"bearing_drag", "interface_friction"})
+"""Candidates beside a linear nominal model; both at once are the usual nonlinear model, so they count as one answer."""
 FLOOR = 0.005  # probability that no answer falls below, shared among all
 
 
@@ -150,18 +152,6 @@ def _log_mean(values: Sequence[float]) -> float:
     return top + math.log(sum(math.exp(v - top) for v in values) / len(values))
 
 
-def left_alone(before: float, after: float, floor: float, rule: Rule = RULE) -> Left:
-    """What an answer leaves of trials without repeats, by sums of squares before and after, and that of the noise.
-
-    Without repeats nothing tells a wrong model from correlated noise, so the noise of the evidences stands for both and
-    no remainder shows against it. The noise of the sensors alone, from the readings' fast content, is the floor here.
-    """
-    nats = rule.strength * math.log(max(after / floor, 1e-9)) / math.log(rule.lone_ratio) if floor > 0.0 else 0.0
-    reducible = before - floor
-    share = (after - floor) / reducible if reducible > 0.0 else 1.0
-    return Left(nats, min(max(share, 0.0), 1.0), lone=True)
-
-
 def _logistic(x: float) -> float:
     return 1.0 / (1.0 + math.exp(-max(min(x, 60.0), -60.0)))
 
@@ -214,7 +204,8 @@ def weigh(
     left: dict[str | tuple[str, str], Left] = {"none": before}
     for effects, value, remains in pairs:
         paid = value - rule.mismatch * max(best, 0.0)
-        log_w[effects] = math.log(2.0 * PRIOR_PAIRS / (among * (among - 1.0))) + paid / temperature
+        prior = each if set(effects) == FRICTIONS else 2.0 * PRIOR_PAIRS / (among * (among - 1.0))
+        log_w[effects] = math.log(prior) + paid / temperature
         left[effects] = remains
     top = max(log_w.values())
     weights = {n: math.exp(v - top) for n, v in log_w.items()}
