@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper import arviz_adapter, figures
-from bayes_damper.distributions import to_standard
+from bayes_damper.distributions import Distribution, from_standard, to_standard
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.provenance import code_sha256, provenance
 from bayes_damper.run import Progress, Task, read_json, run_tasks, write_json
-from bayes_damper.variability.decomposition import Sets, decompose
-from bayes_damper.variability.pooling import POOLINGS, Recycled, gaussian_hierarchy_of, recycle
+from bayes_damper.variability.decomposition import Sets, decompose, summary
+from bayes_damper.variability.pooling import POOLINGS, Direct, Recycled, recycle
 from bayes_damper.variability.published import PublishedCases
 from bayes_damper.variability.recorded import RecordedCases
 
@@ -28,7 +28,7 @@ MEANING = {
     "separate": "each case its own parameter set",
     "partial": "values scattered about a common mean",
 }
-_RECYCLED_DRAWS = 1500
+_RECYCLED_DRAWS = 100_000
 _WORST_MEMORY = 0.6
 _LARGEST_SPREAD = 1.5
 """Nats by which repeated runs may differ before the evidence is called unconverged."""
@@ -119,19 +119,15 @@ def variability(
         runs = _run_published(cases, settings, work, unseen, workers, scheduler, progress)
         models, published_sets = cases.models(runs, work, rng, draws)
         sets: Sets | None = published_sets
-        draws_of = (
-            _fit_draws(fitted, plan, cases)
-            if fitted is not None
-            else cases.own_draws(rng, min(_RECYCLED_DRAWS, 4 * particles))
-        )
-        direct = cases.loaded(work / "partial-own-0", "partial", None, own_constants=True)
+        draws_of = _fit_draws(fitted, plan, cases) if fitted is not None else cases.own_draws(work, repeats)
+        direct = cases.direct(runs, work, repeats)
     else:
         models, sets = cases.models(rng, particles, draws)
         draws_of = {
             case: cases.reweighted(case, z, rng) for case, z in _fit_draws(fitted or target, plan, cases).items()
         }
-        direct = gaussian_hierarchy_of(draws_of, cases.pooled, rng, particles)
-    check = _agreement(recycle(draws_of, rng, particles), direct, cases.pooled)
+        direct = cases.direct(rng, particles)
+    check = _agreement(recycle(draws_of, rng, particles), direct, cases.pooled, cases.priors(cases.names[0]))
     found = None if sets is None else decompose(sets)
     _add_probabilities(models)
     fit_converged = bool(plan.get("fit_converged", True))
@@ -236,13 +232,24 @@ def _run_published(
         )
         for pooling, case, k in wanted
     ]
-    tasks.append(
+    repeats = range(settings["repeats"])
+    tasks += [
         Task(
-            "partial-own-0",
+            f"partial-own-{k}",
             "bayes_damper.variability.published:run_pooling",
-            {"settings": dict(settings), "pooling": "partial", "without": None, "repeat": 0, "own_constants": True},
+            {"settings": dict(settings), "pooling": "partial", "without": None, "repeat": k, "own_constants": True},
         )
-    )
+        for k in repeats
+    ]
+    tasks += [
+        Task(
+            f"alone-{case}-{k}",
+            "bayes_damper.variability.published:run_alone",
+            {"settings": dict(settings), "case": case, "repeat": k},
+        )
+        for case in cases.names
+        for k in repeats
+    ]
     tasks.sort(key=lambda task: not task.name.startswith("partial"))  # the longest first
     return run_tasks(tasks, work, workers=workers, scheduler=scheduler, progress=progress)
 
@@ -262,29 +269,52 @@ def _fit_draws(folder: Path, plan: Mapping[str, Any], cases: PublishedCases | Re
     return out
 
 
-def _agreement(recycled: Recycled, direct: tuple[Array, Mapping[str, Array]], pooled: Sequence[str]) -> dict[str, Any]:
-    """How far the two ways to the hierarchy agree: differences of means in standard deviations of the direct draws."""
-    scatter, values = direct
+def _agreement(
+    recycled: Recycled, direct: Direct, pooled: Sequence[str], priors: Mapping[str, Distribution]
+) -> dict[str, Any]:
+    """The two ways to the hierarchy beside each other: evidence, common value and scatter of each parameter.
+
+    Differences are those of means, in standard deviations of the direct draws; the common value is that of a case in
+    the middle of the population.
+    """
     rows: dict[str, float] = {}
+    parameters: dict[str, Any] = {}
     for j, name in enumerate(pooled):
-        rows[f"scatter of {name}"] = _difference(recycled.scatter[:, j], scatter[:, j])
-        for case, z in values.items():
+        rows[f"scatter of {name}"] = _difference(recycled.scatter[:, j], direct.scatter[:, j])
+        rows[f"common {name}"] = _difference(_middle(recycled)[:, j], _middle(direct)[:, j])
+        for case, z in direct.values.items():
             rows[f"{name} of case {case}"] = _difference(recycled.values[case][:, j], z[:, j])
-    least = min(recycled.ess.values())
-    allowed = 0.15 + 4.0 * math.sqrt(1.0 / least + 4.0 / len(scatter))
+        parameters[name] = {
+            "common": {
+                "recycled": summary(from_standard(priors[name], _middle(recycled)[:, j])),
+                "direct": summary(from_standard(priors[name], _middle(direct)[:, j])),
+            },
+            "scatter": {"recycled": summary(recycled.scatter[:, j]), "direct": summary(direct.scatter[:, j])},
+        }
+    least = min(*recycled.ess.values(), len(recycled.scatter))
+    allowed = 0.15 + 4.0 * math.sqrt(1.0 / least + 4.0 / len(direct.scatter))
     worst = max(rows, key=lambda key: abs(rows[key]))
     return {
         "ess": dict(recycled.ess),
         "pareto_k": dict(recycled.pareto_k),
+        "ess_of_one_population": dict(recycled.ess_of_one),
+        "ess_of_populations": recycled.populations,
         "reliable": recycled.reliable,
         "log_evidence_over_separate": recycled.log_z,
         "error": recycled.error,
+        "direct_log_evidence_over_separate": direct.log_z,
+        "direct_error": direct.error,
+        "parameters": parameters,
         "differences_sd": rows,
         "largest_difference_sd": abs(rows[worst]),
         "largest_at": worst,
         "allowed_difference_sd": allowed,
         "agree": abs(rows[worst]) <= allowed,
     }
+
+
+def _middle(way: Recycled | Direct) -> Array:
+    return np.asarray(np.sqrt(1.0 - way.scatter**2) * way.mean)
 
 
 def _difference(a: Array, b: Array) -> float:

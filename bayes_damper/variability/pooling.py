@@ -22,13 +22,21 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp, ndtr
 
 from bayes_damper.errors import InputError
-from bayes_damper.variability.tempering import Block, temper
+from bayes_damper.variability.tempering import Block, settle, systematic, temper
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Pooling = Literal["shared", "separate", "partial"]
 POOLINGS: tuple[Pooling, ...] = ("shared", "separate", "partial")
 _REFRESHES = 8
+_EXPLORED = 8000
+"""Draws of a case with which the populations are looked for, before all of its draws weigh them."""
+_SETTLING = 4
+"""Sweeps with all of the draws, after the populations have been weighed by them."""
+_FEWEST_OF_ONE = 30
+"""Effective draws below which the likelihood of a population is known to no better than a fifth of a nat."""
+_LARGEST = 100_000
+"""Weights that are computed at once."""
 
 
 class Straightener(Protocol):
@@ -144,6 +152,10 @@ class Hierarchy:
             return np.full((len(points), len(self.pooled)), fixed[self.pooling])
         return np.asarray(np.clip(ndtr(points[:, self._s]), 1e-6, 1.0 - 1e-12))
 
+    def means(self, points: Array) -> Array:
+        """Common mean m of each pooled parameter of a `shared` or `partial` hierarchy, (n, pooled)."""
+        return points[:, self._m]
+
     def values(self, points: Array, case: int) -> Array:
         """Standard coordinates of the pooled parameters of one case, (n, pooled)."""
         if self.pooling == "shared":
@@ -196,6 +208,21 @@ class Hierarchy:
         return points
 
 
+@dataclass(frozen=True)
+class Direct:
+    """Partial pooling without the draws of a fit: what `recycle` is held against.
+
+    mean, scatter (n, pooled): draws of m and s; values: case -> (n, pooled); log_z: log evidence of `partial` over that
+    of `separate`, with its error.
+    """
+
+    mean: Array
+    scatter: Array
+    values: Mapping[str, Array]
+    log_z: float
+    error: float
+
+
 # Draws of single cases, used again -----------------------------------------------------------------------------------
 
 
@@ -204,8 +231,10 @@ class Recycled:
     """The hierarchy from draws of single cases by importance weights.
 
     mean, scatter (n, pooled): draws of m and s; values: case -> (n, pooled); ess, pareto_k: case -> effective number
-    of its draws and shape of the weights' tail under one population (m, s): the median of the former and the 90 %
-    quantile of the latter over populations; log_z: log evidence of `partial` over that of `separate`, with its error.
+    of its draws and shape of the tail of their weights, averaged over all populations: what the posterior of the
+    case's values rests on; ess_of_one: case -> effective number of its draws under a single population (median over
+    populations); populations: effective number of draws of (m, s); log_z: log evidence of `partial` over that of
+    `separate`, with its error.
     """
 
     mean: Array
@@ -213,13 +242,16 @@ class Recycled:
     values: Mapping[str, Array]
     ess: Mapping[str, float]
     pareto_k: Mapping[str, float]
+    ess_of_one: Mapping[str, float]
+    populations: float
     log_z: float
     error: float
 
     @property
     def reliable(self) -> bool:
-        """Whether all cases' weights can be trusted (Pareto k below 0.7)."""
-        return all(k < 0.7 for k in self.pareto_k.values())
+        """Whether all cases' weights can be trusted: Pareto k below 0.7, and no population rests on a few draws."""
+        enough = min(self.ess_of_one.values()) >= _FEWEST_OF_ONE and self.populations >= _FEWEST_OF_ONE
+        return enough and all(k < 0.7 for k in self.pareto_k.values())
 
 
 class _Population(_Plain):
@@ -227,6 +259,7 @@ class _Population(_Plain):
 
     def __init__(self, draws: Sequence[Array]) -> None:
         self.draws = [np.asarray(z, float) for z in draws]
+        self.powers = [np.concatenate([(z**2).T, z.T, np.ones((1, len(z)))]) for z in self.draws]
         self.pooled = self.draws[0].shape[1]
         self.ndim, self.parts = 2 * self.pooled, len(self.draws)
         everything = np.arange(self.parts)
@@ -235,48 +268,80 @@ class _Population(_Plain):
 
     def log_weights(self, points: Array, part: int) -> Array:
         """Log density of each draw of a case under each population over that under the prior, (n, draws)."""
-        z = self.draws[part]
         m = points[:, : self.pooled]
         s = np.clip(ndtr(points[:, self.pooled :]), 1e-6, 1.0 - 1e-12)
         a, precision = np.sqrt(1.0 - s**2) * m, s**-2
-        square = precision @ (z**2).T - 2.0 * (a * precision) @ z.T + np.sum(a**2 * precision, axis=1)[:, None]
-        return np.asarray(-0.5 * square - np.log(s).sum(axis=1)[:, None] + 0.5 * np.sum(z**2, axis=1))
+        height = -0.5 * np.sum(a**2 * precision, axis=1) - np.log(s).sum(axis=1)
+        factors = np.concatenate([0.5 * (1.0 - precision), a * precision, height[:, None]], axis=1)
+        return np.asarray(factors @ self.powers[part])
 
     def log_likelihood(self, points: Array, parts: Index) -> Array:
-        return np.stack(
-            [logsumexp(self.log_weights(points, c), axis=1) - math.log(len(self.draws[c])) for c in parts], axis=1
-        )
+        """Log of the mean weight of each case's draws, (n, len(parts)); a few populations at a time."""
+        out = np.empty((len(points), len(parts)))
+        for k, c in enumerate(parts):
+            size = max(1, _LARGEST // len(self.draws[c]))
+            for i in range(0, len(points), size):
+                weights = self.log_weights(points[i : i + size], c)
+                top = weights.max(axis=1)
+                weights -= top[:, None]
+                # Single precision: six digits of a weight are enough, and four times as fast.
+                total = np.exp(weights.astype(np.float32)).sum(axis=1, dtype=np.float64)
+                out[i : i + size, k] = top + np.log(total / len(self.draws[c]))
+        return out
 
 
 def recycle(draws: Mapping[str, Array], rng: np.random.Generator, particles: int = 256) -> Recycled:
     """Partial pooling from each case's own draws (n, pooled) in standard coordinates, without a new simulation.
 
     A case's draws belong to its posterior under the unit Gaussian prior; under a population (m, s) each counts by the
-    ratio of the population's density to that prior's (Hogg, Myers and Bovy 2010, ApJ 725:2166).
+    ratio of the population's density to that prior's (Hogg, Myers and Bovy 2010, ApJ 725:2166). A narrow population in
+    p dimensions holds a share of about s^p of the draws, so all that there are count: the populations are found with
+    some of the draws, and weighed again by all of them.
     """
-    target = _Population(list(draws.values()))
-    found = temper(target, rng, particles)
-    s = np.clip(ndtr(found.points[:, target.pooled :]), 1e-6, 1.0 - 1e-12)
+    some = {name: z[np.linspace(0, len(z) - 1, min(len(z), _EXPLORED)).astype(int)] for name, z in draws.items()}
+    few, target = _Population(list(some.values())), _Population(list(draws.values()))
+    found = temper(few, rng, particles)
+    everything = np.arange(target.parts)
+    ratio = np.zeros(len(found.points))
+    if any(len(z) > _EXPLORED for z in draws.values()):
+        ratio = (target.log_likelihood(found.points, everything) - found.log_likelihood).sum(axis=1)
+    weight = np.exp(ratio - logsumexp(ratio))
+    points = found.points[systematic(weight, rng)]
+    if np.any(ratio):
+        points = settle(target, points, rng, _SETTLING)
+    distinct, back = np.unique(points, axis=0, return_inverse=True)
+    back = back.ravel()
     values: dict[str, Array] = {}
     ess: dict[str, float] = {}
+    of_one: dict[str, float] = {}
     tails: dict[str, float] = {}
+    noise = 0.0
     for c, name in enumerate(draws):
-        log_weights = target.log_weights(found.points, c)
-        share = np.exp(log_weights - logsumexp(log_weights, axis=1)[:, None])
-        ess[name] = float(np.median(1.0 / np.sum(share**2, axis=1)))
-        some = share[:: max(1, len(share) // 64)]
-        tails[name] = float(np.quantile([pareto_k(row) for row in some], 0.9, method="lower"))
-        # One draw of the case for each population, by its weights.
-        pick = (np.cumsum(share, axis=1) > rng.random((len(share), 1))).argmax(axis=1)
-        values[name] = draws[name][pick]
+        z = draws[name]
+        picked, alone, whole = np.empty(len(points), dtype=np.intp), np.empty(len(points)), np.zeros(len(z))
+        for i, row in enumerate(distinct):
+            log_weights = target.log_weights(row[None], c)[0]
+            share = np.exp(log_weights - logsumexp(log_weights))
+            here = np.flatnonzero(back == i)
+            whole += len(here) * share
+            alone[here] = 1.0 / float(np.sum(share**2))
+            # One draw of the case for each population, by its weights.
+            place = np.searchsorted(np.cumsum(share), rng.random(len(here)))
+            picked[here] = np.minimum(place, len(z) - 1)
+        whole /= whole.sum()
+        ess[name], of_one[name] = 1.0 / float(np.sum(whole**2)), float(np.median(alone))
+        tails[name], values[name] = pareto_k(whole), z[picked]
+        noise += 1.0 / of_one[name]
     return Recycled(
-        found.points[:, : target.pooled],
-        s,
+        points[:, : target.pooled],
+        np.clip(ndtr(points[:, target.pooled :]), 1e-6, 1.0 - 1e-12),
         values,
         ess,
         tails,
-        found.log_z,
-        found.error,
+        of_one,
+        1.0 / float(np.sum(weight**2)),
+        found.log_z + float(logsumexp(ratio)) - math.log(len(ratio)),
+        math.sqrt(found.error**2 + noise + float(np.sum(weight**2)) - 1.0 / len(weight)),
     )
 
 
@@ -402,6 +467,17 @@ class GaussianHierarchy:
         split = len(self.pooled) * len(self.cases)
         return drawn[:, :split].reshape(len(s), len(self.cases), -1), drawn[:, split:]
 
+    def direct(self, rng: np.random.Generator, particles: int = 256) -> Direct:
+        """Draws of the partly pooled model, and its evidence over that of separate cases."""
+        log_z, error, s = self.partial(rng, particles)
+        values, _ = self.draw(s, rng)
+        # The common mean given the cases' values: a Gaussian in each parameter.
+        a, precision = np.sqrt(1.0 - s**2), np.maximum(s, 1e-6) ** -2
+        spread = 1.0 / (1.0 + len(self.cases) * a**2 * precision)
+        mean = spread * a * precision * values.sum(axis=1) + np.sqrt(spread) * rng.standard_normal(s.shape)
+        named = {case.name: values[:, c] for c, case in enumerate(self.cases)}
+        return Direct(mean, s, named, log_z - self.given(np.ones(len(self.pooled))).log_z, error)
+
     def partial(self, rng: np.random.Generator, particles: int = 256) -> tuple[float, float, Array]:
         """Log evidence with s inferred, its error, and draws of s (n, pooled)."""
         target = _Scatter(self)
@@ -422,17 +498,3 @@ class _Scatter(_Plain):
     def log_likelihood(self, points: Array, parts: Index) -> Array:
         del parts
         return (self.hierarchy.log_evidence(ndtr(points)) - self.offset)[:, None]
-
-
-def gaussian_hierarchy_of(
-    draws: Mapping[str, Array], pooled: Sequence[str], rng: np.random.Generator, particles: int = 256
-) -> tuple[Array, dict[str, Array]]:
-    """Partial pooling with each case's draws (n, pooled) taken as Gaussian: draws of s, and of the cases' values."""
-    names = tuple(pooled)
-    cases = [
-        GaussianCase(name, names, z.mean(axis=0), np.cov(z.T).reshape(len(names), -1), 0.0) for name, z in draws.items()
-    ]
-    hierarchy = GaussianHierarchy(cases, pooled)
-    _, _, s = hierarchy.partial(rng, particles)
-    values, _ = hierarchy.draw(s, rng)
-    return s, {case.name: values[:, c] for c, case in enumerate(cases)}

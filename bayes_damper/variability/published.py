@@ -19,7 +19,7 @@ from bayes_damper.priors import load_priors, priors_from_dict
 from bayes_damper.published import load_published
 from bayes_damper.variability.decomposition import CaseDraws, Sets, curve_values, mean_over_cases, summary
 from bayes_damper.variability.equivalent import NAMES, bearing_damping, feature_scatter
-from bayes_damper.variability.pooling import POOLINGS, CaseLikelihood, Hierarchy, Pooling
+from bayes_damper.variability.pooling import POOLINGS, CaseLikelihood, Direct, Hierarchy, Pooling
 from bayes_damper.variability.tempering import temper
 
 Array = NDArray[np.float64]
@@ -91,21 +91,39 @@ class PublishedCases:
         cases = [self.likelihood(case) for case in self.names if case != without]
         return Hierarchy(cases, pooling, self.pooled, () if own_constants else self.common)
 
-    def own_draws(self, rng: np.random.Generator, count: int) -> dict[str, Array]:
-        """Draws of each case by itself, as a fit would give: case -> (count, pooled) standard coordinates."""
-        out = {}
-        for case in self.names:
-            alone = Hierarchy([self.likelihood(case)], "separate", self.pooled)
-            out[case] = alone.values(temper(alone, rng, count).points, 0)
-        return out
+    def alone(self, case: str) -> Hierarchy:
+        """The posterior of one case by itself."""
+        return Hierarchy([self.likelihood(case)], "separate", self.pooled)
 
-    def loaded(
-        self, folder: Path, pooling: Pooling, without: str | None, own_constants: bool = False
-    ) -> tuple[Array, dict[str, Array]]:
-        """Draws of a run: s (n, pooled), and case -> values (n, pooled)."""
-        hierarchy = self.hierarchy(pooling, without, own_constants)
-        points = _points(folder)
-        return hierarchy.scatter(points), {c.name: hierarchy.values(points, i) for i, c in enumerate(hierarchy.cases)}
+    def own_draws(self, work: Path, repeats: int) -> dict[str, Array]:
+        """Draws of each case by itself from the runs in a folder: case -> (n, pooled) standard coordinates."""
+        return {
+            case: np.concatenate(
+                [self.alone(case).values(_points(work / f"alone-{case}-{k}"), 0) for k in range(repeats)]
+            )
+            for case in self.names
+        }
+
+    def direct(self, runs: Mapping[str, Any], work: Path, repeats: int) -> Direct:
+        """Partial pooling of cases that have constants of the rig of their own each, as single fits have."""
+        hierarchy = self.hierarchy("partial", own_constants=True)
+        points = np.concatenate([_points(work / f"partial-own-{k}") for k in range(repeats)])
+        heights = np.array(
+            [
+                runs[f"partial-own-{k}"]["log_z"] - sum(runs[f"alone-{case}-{k}"]["log_z"] for case in self.names)
+                for k in range(repeats)
+            ]
+        )
+        names = [f"partial-own-{k}" for k in range(repeats)]
+        names += [f"alone-{case}-{k}" for case in self.names for k in range(repeats)]
+        error = math.sqrt(sum(runs[name]["error"] ** 2 for name in names)) / repeats
+        return Direct(
+            hierarchy.means(points),
+            hierarchy.scatter(points),
+            {case: hierarchy.values(points, i) for i, case in enumerate(self.names)},
+            float(heights.mean()),
+            max(error, float(np.ptp(heights)) / 2.0),
+        )
 
     def models(
         self, runs: Mapping[str, Any], work: Path, rng: np.random.Generator, draws: int
@@ -240,15 +258,26 @@ def run_pooling(
     folder: Path, report: Callable[[float, str], None], *, settings: Mapping[str, Any], pooling: Pooling,
     without: str | None, repeat: int, own_constants: bool,
 ) -> Any:  # fmt: skip
-    """Task: one run of the tempering; its draws go to points.npz."""
+    """Task: one run of the tempering with all cases, or all but one; its draws go to points.npz."""
     cases = PublishedCases(settings["fit"])
-    number = [
-        POOLINGS.index(pooling),
-        0 if without is None else 1 + cases.names.index(without),
-        repeat,
-        int(own_constants),
-    ]
-    rng = np.random.default_rng([settings["seed"], *number])
-    found = temper(cases.hierarchy(pooling, without, own_constants), rng, settings["particles"], report)
+    which = 0 if without is None else 1 + cases.names.index(without)
+    seed = [settings["seed"], POOLINGS.index(pooling), which, repeat, int(own_constants)]
+    hierarchy = cases.hierarchy(pooling, without, own_constants)
+    return _tempered(folder, hierarchy, seed, settings["particles"], report)
+
+
+def run_alone(
+    folder: Path, report: Callable[[float, str], None], *, settings: Mapping[str, Any], case: str, repeat: int
+) -> Any:
+    """Task: one run of the tempering with one case; its draws go to points.npz."""
+    cases = PublishedCases(settings["fit"])
+    seed = [settings["seed"], len(POOLINGS), cases.names.index(case), repeat]
+    return _tempered(folder, cases.alone(case), seed, 4 * settings["particles"], report)
+
+
+def _tempered(
+    folder: Path, hierarchy: Hierarchy, seed: list[int], particles: int, report: Callable[[float, str], None]
+) -> dict[str, Any]:
+    found = temper(hierarchy, np.random.default_rng(seed), particles, report)
     np.savez_compressed(folder / "points.npz", points=found.points, log_likelihood=found.log_likelihood)
     return {"log_z": found.log_z, "error": found.error, "stages": found.stages, "memory": found.forgotten}

@@ -25,7 +25,7 @@ from bayes_damper.errors import InputError
 from bayes_damper.priors import campaign_priors
 from bayes_damper.variability.decomposition import CaseDraws, Sets, curve_values, mean_over_cases, summary
 from bayes_damper.variability.equivalent import LAST, NAMES, TIMES, bearing_damping, fit_linear
-from bayes_damper.variability.pooling import POOLINGS, GaussianCase, GaussianHierarchy, Pooling
+from bayes_damper.variability.pooling import POOLINGS, Direct, GaussianCase, GaussianHierarchy, Pooling
 from bayes_damper.variability.published import describe_scatter
 
 Array = NDArray[np.float64]
@@ -97,6 +97,10 @@ class RecordedCases:
             GaussianCase(case, fit.problem.names, fit.q, fit.covariance, fit.log_evidence)
             for case, fit in self.fits.items()
         ]
+
+    def direct(self, rng: np.random.Generator, particles: int) -> Direct:
+        """Partial pooling of cases that have constants of the rig of their own each, as single fits have."""
+        return GaussianHierarchy(self.gaussians(), self.pooled).direct(rng, particles)
 
     def models(
         self, rng: np.random.Generator, particles: int, draws: int
