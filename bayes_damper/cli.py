@@ -139,11 +139,12 @@ def _init_options(sub: Any) -> list[str]:
     importer = importlib.import_module("bayes_damper.importer")
     campaign = importlib.import_module("bayes_damper.campaign")
     left_out = {"source", "sha256", "file", "trial", "holdout"}
-    keys = {k: v for t in (importer.TRIAL, importer.READER) for k, v in t.items() if k not in left_out}
+    tables = (importer.INIT, importer.TRIAL, importer.READER)
+    keys = {k: v for table in tables for k, v in table.items() if k not in left_out}
     known = {"name": "of the campaign (default: that of the folder)", "description": "a sentence",
              "source_text": "where the data come from, licence"}  # fmt: skip
     known |= dict.fromkeys(campaign.Rig.__dataclass_fields__, "of [rig] in campaign.toml")
-    known |= dict.fromkeys(("quantity", "noise_std", "sensor_range"), "of [measurement] in campaign.toml")
+    known |= dict.fromkeys(importer.MEASUREMENT, "of [measurement] in campaign.toml")
     for key, (types, text) in keys.items():
         flag, told = f"--{key.replace('_', '-')}", text.replace("%", "%%")
         if bool in types:

@@ -11,16 +11,16 @@ the same check as every command; `init_campaign` makes the table from options.
 
 from __future__ import annotations
 
+import csv
 import difflib
 import hashlib
-import io
 import math
 import re
 import shutil
 import tempfile
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ from bayes_damper import campaign as campaigns
 from bayes_damper import readings as look
 from bayes_damper.campaign import Campaign, Constant, Measurement, Rig, Trial
 from bayes_damper.errors import InputError
+from bayes_damper.logger_files import LoggerFile, number_of, read_matlab, read_text, unit_of
 
 Array = NDArray[np.float64]
 
@@ -43,7 +44,8 @@ READER: dict[str, tuple[tuple[type, ...], str]] = {
     "time_unit": ((str,), "s (default), ms, us, min"),
     "sample_rate": ((int, float), "Hz, nominal, where there is no time column"),
     "columns": ((list,), "columns of the channels, primary first, by name or number from 1"),
-    "units": ((list,), "their units"),
+    "units": ((list,), "their units (default: as the file names them, else SI); mV or V with sensitivity"),
+    "sensitivity": ((list,), "of sensors whose voltage was recorded, one per channel, e.g. '100 mV/g'"),
     "torque": ((str, int), "column of a measured torque (force) on the primary"),
     "torque_unit": ((str,), "N m (default), N mm, mN m; N, kN, mN"),
     "mounting_radius": ((int, float, list), "m, of tangential sensors on a torsional rig, one or per channel"),
@@ -58,8 +60,8 @@ READER: dict[str, tuple[tuple[type, ...], str]] = {
     "every": ((int,), "keep one reading in so many"),
 }
 TRIAL: dict[str, tuple[tuple[type, ...], str]] = {
-    "source": ((str,), "raw file"),
-    "sha256": ((str,), "its checksum, compared where given"),
+    "source": ((str, list), "raw file, or one for each channel, primary first"),
+    "sha256": ((str, list), "its checksum (one for each file), compared where given"),
     "file": ((str,), "record to write, e.g. trials/a1.csv"),
     "case": ((str,), "label of the case"),
     "configuration": ((str,), "uncoupled or coupled"),
@@ -69,6 +71,22 @@ TRIAL: dict[str, tuple[tuple[type, ...], str]] = {
     "theta0": ((int, float), "deg (mm)"),
     "theta0_std": ((int, float), "deg (mm)"),
     "holdout": ((bool,), "true: only its own nuisances are estimated"),
+}
+INIT: dict[str, tuple[tuple[type, ...], str]] = {
+    "pattern": (
+        (str,),
+        "what the files' names tell, e.g. 'case{case}_{configuration}_{trial}'; also {theta0} and {k1t}",
+    ),
+    "sheet": ((str,), "a CSV table of the trials: a column file or case, then any of the other keys as columns"),
+    "files_per_trial": ((int,), "2 where each channel has a file of its own, the primary's first"),
+}
+"""Options of `init` alone: how trials differ from each other."""
+_PATTERN = {
+    "case": r".+?",
+    "configuration": r"uncoupled|coupled",
+    "trial": r"\d+",
+    "theta0": r"[-+]?\d+(?:[.,]\d+)?",
+    "k1t": r"\d+(?:[.,]\d+)?",
 }
 _LEAST_KNOWN = 0.5
 """Share of a file's lines that must hold readings."""
@@ -89,19 +107,12 @@ _ANGULAR = {
     "velocity": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _DEGREE, "rpm": math.pi / 30.0},
     "acceleration": {"rad/s^2": 1.0, "deg/s^2": _DEGREE},
 }
+_VOLTAGE = {"V": 1.0, "mV": 1e-3}
 _TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}
 _INPUT = {
     "torsional": {"N m": 1.0, "N mm": 1e-3, "mN m": 1e-3},
     "translational": {"N": 1.0, "kN": 1e3, "mN": 1e-3},
 }
-
-
-@dataclass(frozen=True)
-class _Raw:
-    """Columns of one raw file before any conversion; names empty where the file has none; table : (n, n_columns)."""
-
-    names: tuple[str, ...]
-    table: Array
 
 
 def import_records(
@@ -233,7 +244,8 @@ def _build(table: Mapping[str, Any], name: str, raw: Path) -> Campaign:
     if faults:
         raise InputError(faults)
     trials: list[Trial] = []
-    files: dict[Path, _Raw] = {}
+    files: dict[Path, LoggerFile] = {}
+    faults += _repeated(options)
     counts: dict[tuple[str, str], int] = {}
     for option in options:
         group = (option["case"], option["configuration"])
@@ -247,7 +259,9 @@ def _build(table: Mapping[str, Any], name: str, raw: Path) -> Campaign:
     if faults:
         raise InputError(list(dict.fromkeys(faults)))
     trials = _with_estimates(trials, head.rig)
-    return Campaign(head.name, head.rig, head.measurement, tuple(trials), head.description, head.source, head.caveats)
+    notes = [note for source in files.values() for note in source.notes if note not in head.caveats]
+    caveats = (*head.caveats, *notes)
+    return Campaign(head.name, head.rig, head.measurement, tuple(trials), head.description, head.source, caveats)
 
 
 def _slug(text: str) -> str:
@@ -271,25 +285,30 @@ def _with_estimates(trials: list[Trial], rig: Rig) -> list[Trial]:
 
 
 def _trial_from(
-    option: Mapping[str, Any], rig: Rig, measurement: Measurement, raw: Path, files: dict[Path, _Raw]
+    option: Mapping[str, Any], rig: Rig, measurement: Measurement, raw: Path, files: dict[Path, LoggerFile]
 ) -> Trial:
-    path = raw / option["source"]
-    if path not in files:
-        files[path] = _read_raw(path, option)
-    source = files[path]
-    where = path.name
+    source, where, option = _source_of(option, raw, files)
     times = _times_of(source, option, where)
     wanted = option.get("columns")
+    if option["configuration"] not in ("uncoupled", "coupled"):
+        raise InputError(
+            f"{option['where']}: configuration = {option['configuration']!r} is none of 'uncoupled' and 'coupled'"
+        )
     coupled = option["configuration"] == "coupled"
     if not wanted:
-        raise InputError(f"{option['where']}: 'columns' is missing; name the channels, the primary first")
+        raise InputError(
+            f"{option['where']}: 'columns' is missing; name the channels, the primary first (the file has "
+            f"{source.described()})"
+        )
     if len(wanted) < 1 + coupled:
         raise InputError(
             f"{option['where']}: a coupled trial needs two columns, primary and secondary; 'columns' has one"
         )
     n_channels = 2 if coupled else 1
-    channels = np.stack([_column(source, c, where) for c in wanted[:n_channels]])
-    torque = _column(source, option["torque"], where) if "torque" in option else None
+    places = [source.index(c, where) for c in wanted[:n_channels]]
+    channels = source.table[:, places].T
+    option = {"units": _told_units(source, places, rig.kind, measurement.quantity), **option}
+    torque = source.table[:, source.index(option["torque"], where)] if "torque" in option else None
     known = np.isfinite(times) & np.isfinite(channels).all(axis=0)
     if np.mean(known) < _LEAST_KNOWN:
         missing = 100.0 * (1.0 - np.mean(known))
@@ -326,6 +345,49 @@ def _trial_from(
         torque,
         option.get("holdout", False),
     )
+
+
+def _source_of(
+    option: Mapping[str, Any], raw: Path, files: dict[Path, LoggerFile]
+) -> tuple[LoggerFile, str, Mapping[str, Any]]:
+    """The file of a trial, its name, and the option; files of one channel each are put side by side."""
+
+    def read(source: str, sha256: str | None) -> LoggerFile:
+        path = raw / source
+        if path not in files:
+            files[path] = _read_raw(path, {**option, "sha256": sha256})
+        return files[path]
+
+    sources = option["source"]
+    if isinstance(sources, str):
+        return read(sources, option.get("sha256")), Path(sources).name, option
+    sums = option.get("sha256") or [None] * len(sources)
+    where, columns = ", ".join(Path(s).name for s in sources), option.get("columns") or []
+    if len(columns) != len(sources) or len(sums) != len(sources) or len(sources) > 2:
+        raise InputError(
+            f"{option['where']}: {len(sources)} files for the channels of one trial; give at most two, primary "
+            "first, and 'columns' with one column of each"
+        )
+    parts = [read(s, digest) for s, digest in zip(sources, sums, strict=True)]
+    clocks = [_times_of(part, option, Path(s).name) for part, s in zip(parts, sources, strict=True)]
+    places = [p.index(c, Path(s).name) for p, c, s in zip(parts, columns, sources, strict=True)]
+    step = float(np.median(np.diff(clocks[0])))
+    if any(len(c) != len(clocks[0]) or np.max(np.abs(c - clocks[0])) > 0.5 * step for c in clocks):
+        raise InputError(
+            f"{where}: the channels were not read at the same times; export them with one clock, or in one file"
+        )
+    table = np.column_stack([clocks[0], *(p.table[:, i] for p, i in zip(parts, places, strict=True))])
+    units = ("s", *(p.unit(i) or "" for p, i in zip(parts, places, strict=True)))
+    notes = tuple(note for p in parts for note in p.notes)
+    both = LoggerFile(("time", *(f"channel {k + 1}" for k in range(len(parts)))), table, units, notes)
+    plain = {k: v for k, v in option.items() if k not in ("time_unit", "sample_rate")}
+    return both, where, {**plain, "time": 1, "columns": [k + 2 for k in range(len(parts))]}
+
+
+def _told_units(source: LoggerFile, places: Sequence[int], kind: str, quantity: str) -> list[str]:
+    """Units that the file gives for its channels; those of SI where it gives none."""
+    default = next(iter({"torsional": _ANGULAR, "translational": _TANGENTIAL}[kind][quantity]))
+    return [source.unit(i) or default for i in places]
 
 
 def _stiffness(option: Mapping[str, Any]) -> Constant:
@@ -367,10 +429,28 @@ def _in_si(channels: Array, option: Mapping[str, Any], kind: str, quantity: str,
     if any(s not in (1, -1) for s in signs):
         raise InputError(f"{option['where']}: sign must be 1 or -1 for each channel")
     rows = []
-    for y, unit, sign, r, offset in zip(channels, units, signs, radii, offsets, strict=False):
+    sensitivities = option.get("sensitivity", [None] * count)
+    if len(sensitivities) < count:
+        raise InputError(f"{option['where']}: 'sensitivity' has {len(sensitivities)} entries for {count} channels")
+    columns = zip(channels, units, signs, radii, offsets, sensitivities, strict=False)
+    for y, unit, sign, r, offset, sensitivity in columns:
         centred = sign * (y - _offset(y, offset, option["where"]))
-        rows.append(convert(centred, str(unit), kind, quantity, r, where))
+        if str(unit) in _VOLTAGE:
+            factor, sensed = _sensed(str(unit), sensitivity, option["where"])
+            rows.append(convert(factor * centred, sensed, kind, quantity, r, where))
+        else:
+            rows.append(convert(centred, str(unit), kind, quantity, r, where))
     return np.stack(rows)
+
+
+def _sensed(unit: str, sensitivity: str | None, where: str) -> tuple[float, str]:
+    """What one V or mV is, and in which unit, by a sensitivity such as '100 mV/g'."""
+    if sensitivity is None:
+        raise InputError(f"{where}: '{unit}' is a voltage; give the sensitivity of each sensor, e.g. '100 mV/g'")
+    found = re.fullmatch(r"\s*([\d.]+(?:[eE][-+]?\d+)?)\s*(m?V)\s*/\s*\(?(.+?)\)?\s*", str(sensitivity))
+    if found is None or not float(found[1]) > 0.0:
+        raise InputError(f"{where}: sensitivity = '{sensitivity}' cannot be read; write it as '100 mV/g'")
+    return _VOLTAGE[unit] / (float(found[1]) * _VOLTAGE[found[2]]), unit_of(found[3]) or found[3]
 
 
 def _offset(y: Array, offset: str | float, where: str) -> float:
@@ -424,7 +504,7 @@ def _window(
 # --- raw files -----------------------------------------------------------------------------------------------------
 
 
-def _read_raw(path: Path, option: Mapping[str, Any]) -> _Raw:
+def _read_raw(path: Path, option: Mapping[str, Any]) -> LoggerFile:
     try:
         raw = path.read_bytes()
     except OSError as error:
@@ -439,232 +519,211 @@ def _read_raw(path: Path, option: Mapping[str, Any]) -> _Raw:
         )
     if not raw.strip():
         raise InputError(f"{path.name}: the file is empty; export it again")
-    if path.suffix.lower() == ".mat":
-        return _read_matlab(raw, path.name, option)
-    return _read_text(raw, path.name, option)
+    return (read_matlab if path.suffix.lower() == ".mat" else read_text)(raw, path.name, option)
 
 
-def _read_matlab(raw: bytes, name: str, option: Mapping[str, Any]) -> _Raw:
-    """Time in column 1 where matlab_time is given, then the channels; cell arrays are joined piece by piece."""
-    from scipy.io import loadmat
-
-    try:
-        content = loadmat(io.BytesIO(raw))
-    except Exception as error:
-        raise InputError(f"{name}: not a MATLAB file that can be read ({error}); save it as version 5 or 7") from error
-    parts = []
-    for key in ("matlab_time", "matlab_data"):
-        pieces = []
-        for variable in option.get(key, []):
-            if variable not in content:
-                known = [k for k in content if not k.startswith("__")]
-                raise InputError(f"{name}: no variable '{variable}'; it holds {', '.join(known)}: correct {key}")
-            pieces += [_tall(piece) for piece in _pieces(content[variable])]
-        if pieces:
-            parts.append(np.concatenate(pieces))
-    if not parts or any(len(p) != len(parts[0]) for p in parts):
-        raise InputError(f"{name}: matlab_time and matlab_data must name arrays of equal length")
-    return _Raw((), np.ascontiguousarray(np.concatenate(parts, axis=1), dtype=float))
-
-
-def _pieces(variable: NDArray[Any]) -> list[NDArray[Any]]:
-    return [np.asarray(p) for p in variable.ravel()] if variable.dtype == object else [variable]
-
-
-def _tall(piece: NDArray[Any]) -> NDArray[Any]:
-    return piece.T if piece.shape[0] < piece.shape[1] else piece
-
-
-def _read_text(raw: bytes, name: str, option: Mapping[str, Any]) -> _Raw:
-    lines = _decoded(raw).splitlines()[option.get("skip_lines", 0) :]
-    lines = [line for line in lines if line.strip()]
-    if len(lines) < 3:
-        raise InputError(f"{name}: no readings after the first {option.get('skip_lines', 0)} lines; correct skip_lines")
-    mark = _mark(lines, option)
-    comma = option["decimal"] == "," if "decimal" in option else _has_decimal_commas(lines, mark)
-    begin, named = _begin(lines, option, mark, comma)
-    names: tuple[str, ...] = ()
-    if named:
-        names = tuple(cell.strip().strip('"') for cell in _split(lines[begin], mark))
-    lines = lines[begin + bool(names) :]
-    if comma and mark == ",":
-        raise InputError(
-            f"{name}: decimal commas and commas between columns cannot be told apart; export with semicolons"
-        )
-    first = 1 + option.get("skip_lines", 0) + begin + bool(names)
-    rows = []
-    for i, line in enumerate(lines):
-        cells = _split(line, mark)
-        try:
-            rows.append([_number_of(c, comma) for c in cells])
-        except ValueError:
-            raise InputError(_bad_line(name, first + i, line, cells, bool(names))) from None
-        if len(cells) != len(rows[0]) or (names and len(cells) != len(names)):
-            expected = len(names) or len(rows[0])
-            raise InputError(
-                f"{name}, line {first + i}: {len(cells)} columns where {expected} are expected; "
-                + (
-                    "decimal commas? set decimal = ',' and delimiter"
-                    if len(cells) > expected
-                    else "the line is cut short"
-                )
-            )
-    return _Raw(names, np.array(rows))
-
-
-_MISSING = {"", "-", "--", "---", "na", "n/a", "nan", "null", "none"}
-"""What loggers write where there is no reading."""
-
-
-def _decoded(raw: bytes) -> str:
-    """Text of a file in UTF-8, or else in the code page of Windows, whose names of columns may have umlauts."""
-    try:
-        return raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return raw.decode("cp1252", errors="replace")
-
-
-def _number_of(cell: str, comma: bool) -> float:
-    """A cell as a number, nan where the reading is missing; ValueError for other words."""
-    cell = cell.strip().strip('"')
-    if cell.lower() in _MISSING:
-        return math.nan
-    return float(cell.replace(",", ".") if comma else cell)
-
-
-def _has_decimal_commas(lines: Sequence[str], mark: str) -> bool:
-    """Whether the later half of the lines writes its numbers with decimal commas."""
-    if mark == ",":
-        return False
-    cells = [c.strip() for line in lines[len(lines) // 2 :] for c in _split(line, mark)]
-    return any("," in c for c in cells) and not any("." in c for c in cells)
-
-
-def _begin(lines: Sequence[str], option: Mapping[str, Any], mark: str, comma: bool) -> tuple[int, bool]:
-    """Which line holds the names of the columns, or the first numbers, and whether it holds names.
-
-    Told by skip_lines and header where these are given; else the numbers begin with the first of five rows of numbers
-    of one length, and the line before them holds names if it has as many cells and is no row of numbers itself.
-    """
-    if "skip_lines" in option:
-        return 0, bool(option.get("header", True))
-
-    def width(line: str) -> int:
-        cells = _split(line, mark)
-        try:
-            known = [math.isfinite(_number_of(c, comma)) for c in cells]
-        except ValueError:
-            return 0
-        return len(cells) if any(known) else 0
-
-    widths = [width(line) for line in lines[:400]]
-    starts = (i for i in range(len(widths)) if widths[i] and len(set(widths[i : i + 5])) == 1)
-    first = next(starts, None)
-    if first is None:
-        return 0, bool(option.get("header", True))
-    named = first > 0 and len(_split(lines[first - 1], mark)) == widths[first] and option.get("header", True)
-    return (first - 1, True) if named else (first, False)
-
-
-def _bad_line(name: str, line: int, text: str, cells: Sequence[str], named: bool) -> str:
-    if any(re.fullmatch(r"\s*[-+]?\d+,\d+(e[-+]?\d+)?\s*", c, re.IGNORECASE) for c in cells):
-        return f"{name}, line {line}: '{text.strip()[:40]}' has decimal commas; set decimal = ','"
-    hint = (
-        "set skip_lines to the number of lines before the column names" if named else "set skip_lines, or header = true"
-    )
-    return f"{name}, line {line}: '{text.strip()[:40]}' is not a row of numbers; {hint}, or remove the line"
-
-
-def _mark(lines: Sequence[str], option: Mapping[str, Any]) -> str:
-    given = option.get("delimiter", "auto")
-    named = {"tab": "\t", "space": " "}
-    if given != "auto":
-        return str(named.get(given, given))
-    sample = lines[max(min(2, len(lines) - 1), len(lines) // 2)]
-    for mark in (";", "\t"):
-        if mark in sample:
-            return mark
-    return "," if "," in sample and option.get("decimal", ".") != "," else " "
-
-
-def _split(line: str, mark: str) -> list[str]:
-    return line.split() if mark == " " else line.rstrip().split(mark)
-
-
-def _column(source: _Raw, column: str | int, where: str) -> Array:
-    """One column by name or by number from 1; (n,)."""
-    width = source.table.shape[1]
-    if isinstance(column, str):
-        if column not in source.names:
-            near = difflib.get_close_matches(column, source.names, 1, 0.4)
-            hint = f"did you mean '{near[0]}'?" if near else "name or number the columns"
-            known = ", ".join(source.names) or f"{width} columns without names"
-            raise InputError(f"{where}: column '{column}' is missing, the file has {known}; {hint}")
-        return source.table[:, source.names.index(column)]
-    if not 1 <= column <= width:
-        raise InputError(f"{where}: column {column} is missing, the file has {width}; count from 1")
-    return source.table[:, column - 1]
-
-
-def _unit_in_name(column: str | int) -> str | None:
-    """The unit of time that a column's name gives in brackets, such as "Time [ms]"; None if it gives none."""
-    found = re.search(r"[\[(]\s*([a-zµ]+)\s*[\])]", column) if isinstance(column, str) else None
-    unit = found[1].replace("µ", "u") if found else None
-    return unit if unit in _TIME else None
-
-
-def _times_of(source: _Raw, option: Mapping[str, Any], where: str) -> Array:
+def _times_of(source: LoggerFile, option: Mapping[str, Any], where: str) -> Array:
     if "time" in option:
-        unit = option.get("time_unit") or _unit_in_name(option["time"]) or "s"
+        column = source.index(option["time"], where)
+        found = source.unit(column)
+        unit = option.get("time_unit") or (found if found in _TIME else "s")
         if unit not in _TIME:
             raise InputError(f"{option['where']}: time_unit '{unit}' is none of {', '.join(_TIME)}")
-        return _column(source, option["time"], where) * _TIME[unit]
+        return source.table[:, column] * _TIME[unit]
     if not option.get("sample_rate", 0.0) > 0.0:
-        raise InputError(f"{option['where']}: neither 'time' nor 'sample_rate' is given; one of them makes the clock")
+        raise InputError(
+            f"{option['where']}: neither 'time' nor 'sample_rate' is given; one of them makes the clock (the file has "
+            f"{source.described()})"
+        )
     return np.arange(len(source.table)) / float(option["sample_rate"])
 
 
 # --- the table from options ----------------------------------------------------------------------------------------
 
 _RIG = tuple(Rig.__dataclass_fields__)
-_MEASUREMENT = ("quantity", "noise_std", "sensor_range", "sensor_bandwidth", "offset_std", "scale_std", "lag_std")
+MEASUREMENT = ("quantity", "noise_std", "sensor_range", "sensor_bandwidth", "offset_std", "scale_std", "lag_std")
 
 
 def _spec_from_options(name: str, sources: Sequence[Path], options: Mapping[str, object]) -> dict[str, Any]:
-    valid = (*READER, *TRIAL, *_RIG, *_MEASUREMENT, "name", "description", "source_text", "free_start")
+    valid = (*READER, *TRIAL, *_RIG, *MEASUREMENT, *INIT, "name", "description", "source_text", "free_start")
     faults = [
         f"option '{key}' does not exist; " + (f"did you mean '{near[0]}'?" if near else f"options: {', '.join(valid)}")
         for key in options
         if key not in valid
         for near in [difflib.get_close_matches(key, valid, 1, 0.5)]
     ]
+    rows = _sheet_rows(options.get("sheet"), faults)
+    folder = Path(str(options["sheet"])).resolve().parent if rows else Path()
     if not sources:
-        faults.append("no logger files were given; name at least one")
+        sources = [folder / str(row["file"]) for row in rows if "file" in row]
+    if not sources:
+        faults.append("no logger files were given; name at least one, or a --sheet with a column 'file'")
     if faults:
         raise InputError(faults)
     given = {key: value for key, value in options.items() if value is not None}
+    several = int(str(given.pop("files_per_trial", 1)))
+    if several not in (1, 2) or len(sources) % several:
+        raise InputError(
+            f"files_per_trial = {several} for {len(sources)} files: give 2 where each channel has a file of its own, "
+            "and the files in order, the primary before the secondary"
+        )
+    groups = [list(sources[i : i + several]) for i in range(0, len(sources), several)]
     caveats = []
     if "primary_inertia" not in given:
         caveats.append("The inertia was not given: everything is per unit inertia (primary_inertia = 1).")
-    if "k1t" not in given:
-        caveats.append("k1t was not given: it was estimated from the strongest frequency, uncertain by 20 %.")
+    if "columns" not in given and several == 1 and sources[0].is_file():
+        given |= _guessed(sources[0], given, caveats)
     columns = given.get("columns", [])
     coupled = isinstance(columns, list) and len(columns) > 1
-    start = "rest" if "theta0" in given and not given.get("free_start") else "free"
+    common: dict[str, Any] = {"case": "A", "configuration": "coupled" if coupled else "uncoupled", "k1t": "estimate"}
+    common |= {k: given[k] for k in TRIAL if k in given and k not in ("source", "trial", "file", "sha256")}
+    trials = [_trial_row(group, common, given.get("pattern"), rows) for group in groups]
+    if any(trial["k1t"] == "estimate" for trial in trials):
+        caveats.append("k1t was not given: it was estimated from the strongest frequency, uncertain by 20 %.")
+    known = all("theta0" in trial for trial in trials)
+    start = "rest" if known and not given.get("free_start") else "free"
     spec: dict[str, Any] = {"name": given.get("name", name), "description": given.get("description", "")}
     spec["source"] = given.get("source_text", "")
     spec["caveats"] = caveats
     spec["rig"] = {"primary_inertia": 1.0, **{k: given[k] for k in _RIG if k in given}}
-    spec["measurement"] = {"start": start, **{k: given[k] for k in _MEASUREMENT if k in given}}
+    spec["measurement"] = {"start": start, **{k: given[k] for k in MEASUREMENT if k in given}}
     if "sample_rate" in given:
         spec["measurement"]["sample_rate"] = given["sample_rate"]
     spec["reader"] = {k: given[k] for k in READER if k in given}
-    common: dict[str, Any] = {"case": "A", "configuration": "coupled" if coupled else "uncoupled", "k1t": "estimate"}
-    common |= {k: given[k] for k in TRIAL if k in given and k not in ("source", "trial", "file", "sha256")}
-    spec["trials"] = [
-        {"source": str(path), **({"sha256": _sha256(path)} if path.is_file() else {}), **common} for path in sources
-    ]
+    spec["trials"] = trials
     return spec
+
+
+def _trial_row(
+    files: Sequence[Path], common: Mapping[str, Any], pattern: object, rows: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
+    """One [[trials]]: what holds for all, over it what the file's name tells, over it what the sheet tells."""
+    sums = [_sha256(path) for path in files if path.is_file()]
+    single = len(files) == 1
+    row: dict[str, Any] = {"source": str(files[0]) if single else [str(path) for path in files]}
+    if len(sums) == len(files):
+        row["sha256"] = sums[0] if single else sums
+    row |= common
+    if pattern is not None:
+        row |= _named_in(files[0], str(pattern))
+    for entry in rows:
+        keys = [key for key in ("file", "case", "configuration") if key in entry]
+        own = {"file": None, **row}
+        matches = [
+            Path(str(entry[key])).name == files[0].name if key == "file" else str(entry[key]) == str(own[key])
+            for key in keys
+            if key == "file" or "file" not in entry
+        ]
+        if all(matches):
+            row |= {key: value for key, value in entry.items() if key != "file"}
+    row["case"] = str(row["case"])
+    return row
+
+
+def _named_in(file: Path, pattern: str) -> dict[str, Any]:
+    """What a file's name tells by a pattern such as 'case{case}_{configuration}_{trial}'."""
+    fields = re.findall(r"\{(\w*)\}", pattern)
+    wrong = [f for f in fields if f not in _PATTERN]
+    if wrong or not fields or len(set(fields)) < len(fields):
+        raise InputError(
+            f"--pattern '{pattern}': write each of {', '.join('{' + f + '}' for f in _PATTERN)} at most once, as in "
+            "'case{case}_{configuration}_{trial}'"
+        )
+    parts = re.split(r"\{\w*\}", pattern)
+    expression = re.escape(parts[0])
+    for field, part in zip(fields, parts[1:], strict=True):
+        expression += f"(?P<{field}>{_PATTERN[field]})" + re.escape(part)
+    found = re.fullmatch(expression, file.stem, re.IGNORECASE) or re.fullmatch(expression, file.name, re.IGNORECASE)
+    if found is None:
+        raise InputError(
+            f"{file.name}: the name does not follow --pattern '{pattern}'; correct the pattern or the name"
+        )
+    out: dict[str, Any] = {}
+    for field, text in found.groupdict().items():
+        if field in ("case", "configuration"):
+            out[field] = text.lower() if field == "configuration" else text
+        elif field == "trial":
+            out[field] = int(text)
+        else:
+            out[field] = float(text.replace(",", "."))
+    return out
+
+
+def _sheet_rows(sheet: object, faults: list[str]) -> list[dict[str, Any]]:
+    """Rows of a table that tells trials apart: a column 'file' or 'case' (or both), and any key of TRIAL and READER."""
+    if sheet is None:
+        return []
+    path = Path(str(sheet))
+    try:
+        lines = [x for x in path.read_text(encoding="utf-8-sig").splitlines() if x.strip()]
+    except (OSError, UnicodeDecodeError) as error:
+        faults.append(f"{path}: cannot be read ({error}); give a table of the trials as CSV")
+        return []
+    mark = next((m for m in (";", "\t") if lines and m in lines[0]), ",")
+    head, *body = [[c.strip() for c in row] for row in csv.reader(lines, delimiter=mark)] or [[]]
+    single = {k: v for k, v in {**TRIAL, **READER}.items() if (list,) != v[0]}
+    wrong = [key for key in head if key not in ("file", *single)]
+    if wrong or not body or not ({"file", "case", "configuration"} & set(head)):
+        known = f"columns: file, {', '.join(single)}"
+        faults.append(f"{path}: " + (f"unknown column '{wrong[0]}'; {known}" if wrong else f"give rows and {known}"))
+        return []
+    rows = []
+    for i, cells in enumerate(body, start=2):
+        row: dict[str, Any] = {}
+        for key, cell in zip(head, cells, strict=False):
+            if not cell:
+                continue
+            row[key] = cell
+            types = single[key][0] if key in single else (str,)
+            try:
+                if bool in types:
+                    row[key] = {"true": True, "false": False}[cell.lower()]
+                elif str not in types or key == "k1t":
+                    number = number_of(cell, mark != ",")
+                    row[key] = int(number) if float not in types else number
+            except (ValueError, KeyError):
+                if cell != "estimate":
+                    wanted = "true or false" if bool in types else "a number"
+                    faults.append(f"{path}, line {i}, column '{key}': '{cell}' is not {wanted}")
+        rows.append(row)
+    return rows
+
+
+def _guessed(path: Path, given: Mapping[str, Any], caveats: list[str]) -> dict[str, Any]:
+    """Columns of the time and the channels where none were named and only one choice is left; told as a caveat."""
+    source = _read_raw(path, given)
+    time = None if "sample_rate" in given else source.time_column()
+    if "time" in given:
+        time = source.index(given["time"], path.name)
+    readings = [
+        i for i in range(source.table.shape[1]) if i != time and np.mean(np.isfinite(source.table[:, i])) > _LEAST_KNOWN
+    ]
+    if len(readings) not in (1, 2) or (time is None and "sample_rate" not in given):
+        raise InputError(
+            f"{path.name}: has {source.described()}; name the channels with --columns, the primary first, and the time "
+            "with --time (or give --sample-rate)"
+        )
+    found: dict[str, Any] = {"columns": [i + 1 for i in readings]}
+    told = [f"{source.names[i]} ({i + 1})" if source.names else str(i + 1) for i in readings]
+    if time is not None:
+        found["time"] = time + 1
+        told.append(f"{source.names[time]} ({time + 1}) for the time" if source.names else f"{time + 1} for the time")
+    caveats.append(f"The columns were not named: taken were {', '.join(told)}.")
+    return found
+
+
+def _repeated(options: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Faults where two rows are one trial."""
+    seen: dict[tuple[str, str, int], str] = {}
+    faults = []
+    for option in options:
+        if "trial" not in option:
+            continue
+        key = (option["case"], option["configuration"], option["trial"])
+        if key in seen:
+            faults.append(f"{option['where']}: trial {key[2]} of {key[0]} {key[1]} is there already ({seen[key]})")
+        seen[key] = option["where"]
+    return faults
 
 
 def _sha256(path: Path) -> str:

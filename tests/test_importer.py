@@ -147,6 +147,153 @@ def test_a_column_of_missing_readings_is_refused(tmp_path: Path) -> None:
     assert "100 % of the readings in the chosen columns are missing" in fault_of(tmp_path, path)
 
 
+TWO = {**OPTIONS, "secondary_inertia": 2.474e-3, "bar_radius": 0.1, "magnet_radius": 0.0127, "magnet_pull": 100.0}
+G = 0.1 / 9.80665
+"""g at 0.1 m for one rad/s^2."""
+
+
+def table(head: list[str], rows: list[str], encoding: str = "utf-8", end: str = "\n") -> bytes:
+    return (end.join([*head, *rows]) + end).encode(encoding)
+
+
+def rows(form: str, scale: float = 1.0, at: float = 0.2) -> list[str]:
+    return [form.format(t + at, scale * a, 0.3 * scale * b) for t, a, b in zip(TIMES, wave(), wave(1), strict=True)]
+
+
+STAMPED = [r.replace("@", "2024-05-03 10:11:", 1) for r in rows("@{0:09.6f},{1:.4f},{2:.4f}", at=12.2)]
+CLOCKED = [r.replace("@", "10:11:", 1) for r in rows("@{0:06.3f},{1:.4f},{2:.4f}", at=12.2)]
+COMMAS = [r.replace(".", ",") for r in rows("{0:.4f};{1:.6f};{2:.6f};", G)]
+STYLES: dict[str, tuple[bytes, dict[str, object]]] = {
+    "units in a line of their own, empty last column": (
+        table(["Messung 12;;;", "", "Zeit;B 1;B 2;", "s;g;g;"], COMMAS, "cp1252", "\r\n"),
+        {"time": "Zeit", "columns": ["B 1", "b 2"], "mounting_radius": 0.1},
+    ),
+    "LabVIEW with a column of comments": (
+        table(
+            ["LabVIEW Measurement", "***End_of_Header***", "", "X0\t0.0\t0.0", "X_Value\tA\tB\tComment"],
+            rows("{0:.6f}\t{1:.4f}\t{2:.4f}"),
+        ),
+        {"time": "X_Value", "columns": ["A", "B"]},
+    ),
+    "UTF-16": (
+        table(["Time (s)\tA\tB"], rows("{0:.4f}\t{1:.4f}\t{2:.4f}"), "utf-16"),
+        {"columns": ["A", "B"], "time": 1},
+    ),
+    "date and time of the day": (table(["When,A,B"], STAMPED), {"time": "When", "columns": ["A", "B"]}),
+    "time of the day": (table(["When,A,B"], CLOCKED), {"time": "When", "columns": ["A", "B"]}),
+    "quotes and decimal commas": (
+        table(['"t","A","B"'], [r.replace(".", ",").replace("#", ",") for r in rows('"{0:.4f}"#"{1:.4f}"#"{2:.4f}"')]),
+        {"time": "t", "columns": ["A", "B"]},
+    ),
+    "head of comments, blanks": (
+        table(["# logger v1", "# t A B"], rows("{0:10.4f}  {1:12.4f} {2:12.4f}")),
+        {"time": "t", "columns": ["A", "B"]},
+    ),
+    "a foot and a line cut short": (
+        table(["t,A,B"], [*rows("{0:.4f},{1:.4f},{2:.4f}"), "1.4,12.", "End of measurement"]),
+        {"time": "t", "columns": ["A", "B"]},
+    ),
+    "unit in the name, told without it": (
+        table(["t [s];A [rad/s\u00b2];B [rad/s\u00b2]"], rows("{0:.4f};{1:.4f};{2:.4f}")),
+        {"time": "t", "columns": ["A", "B"]},
+    ),
+    "volts of sensors": (
+        table(["t;A [mV];B [mV]"], rows("{0:.4f};{1:.5f};{2:.5f}", 100.0 * G)),
+        {"time": "t", "columns": ["A", "B"], "sensitivity": ["100 mV/g", "0.1 V/g"], "mounting_radius": 0.1},
+    ),
+    "nothing named": (table(["Time,A,B"], rows("{0:.4f},{1:.4f},{2:.4f}")), {}),
+    "no clock": (
+        table([], [r.split(" ", 1)[1] for r in rows("{0:.4f} {1:.4f} {2:.4f}")]),
+        {"sample_rate": 1000.0},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_files_of_many_loggers_give_the_same_campaign(tmp_path: Path, style: str) -> None:
+    content, options = STYLES[style]
+    (tmp_path / "run.txt").write_bytes(content)
+    general = {k: v for k, v in TWO.items() if k not in ("time", "columns")}
+    campaign = load_campaign(init_campaign(tmp_path / "out", [tmp_path / "run.txt"], **{**general, **options}))
+    found = campaign.trials[0]
+    # The first reading of `find` lies within two samples of the release.
+    at = int(np.argmin(np.abs(TIMES - 0.1)))
+    shift = int(np.argmin(np.abs(found.times - 0.1)))
+    near = [
+        np.max(np.abs(found.channels[0][shift + k : shift + k + 900] - wave()[at : at + 900]))
+        for k in (-2, -1, 0, 1, 2)
+    ]
+    assert min(near) < 0.02
+    assert found.configuration == "coupled"
+    told = " ".join(campaign.warnings)
+    assert ("The columns were not named" in told) == ("columns" not in options)
+    assert ("below the numbers" in told) == ("foot" in style)
+
+
+def test_channels_in_files_of_their_own(tmp_path: Path) -> None:
+    first = logger_file(tmp_path / "run1_a.csv", wave())
+    second = logger_file(tmp_path / "run1_b.csv", 0.3 * wave(1))
+    options = {**TWO, "columns": ["a", "a"], "files_per_trial": 2}
+    trial = load_campaign(init_campaign(tmp_path / "out", [first, second], **options)).trials[0]
+    assert np.ptp(trial.channels[1]) == pytest.approx(0.3 * np.ptp(wave(1)), rel=0.02)
+    again = import_records(tmp_path / "out" / "import.toml", tmp_path / "again")
+    assert (again / "trials.csv").read_bytes() == (tmp_path / "out" / "trials.csv").read_bytes()
+    third = logger_file(tmp_path / "late.csv", wave(1), times=TIMES + 0.3)
+    with pytest.raises(InputError, match="not read at the same times"):
+        init_campaign(tmp_path / "other", [first, third], **options)
+    with pytest.raises(InputError, match="files_per_trial = 2 for 1 files"):
+        init_campaign(tmp_path / "other", [first], **options)
+
+
+def test_names_and_a_sheet_tell_the_trials_apart(tmp_path: Path) -> None:
+    sources = []
+    for case, k1t, theta0 in (("I", 6.2, 5.7), ("IV", 10.2, 4.7)):
+        for trial in (1, 2):
+            y = decay(TIMES, math.radians(theta0), k1t, 0.031) + np.random.default_rng(trial).standard_normal(
+                len(TIMES)
+            )
+            sources.append(logger_file(tmp_path / f"case{case}_uncoupled_{trial}.csv", y))
+    sheet = tmp_path / "sheet.csv"
+    sheet.write_text("case;k1t;theta0\nI;6,2;5,7\nIV;10,2;4,7\n", encoding="utf-8")
+    options = {k: v for k, v in OPTIONS.items() if k not in ("k1t", "theta0")} | {"sheet": str(sheet)}
+    pattern = "case{case}_{configuration}_{trial}"
+    campaign = load_campaign(init_campaign(tmp_path / "out", sources, pattern=pattern, **options))
+    assert [(t.case, t.trial, t.k1t.value) for t in campaign.trials] == [
+        ("I", 1, 6.2), ("I", 2, 6.2), ("IV", 1, 10.2), ("IV", 2, 10.2)
+    ]  # fmt: skip
+    assert math.degrees(campaign.trials[0].theta0.value) == pytest.approx(5.7)
+    for wrong, sentence in (
+        ({"pattern": "run{trial}"}, "the name does not follow --pattern"),
+        ({"pattern": "{colour}"}, r"write each of \{case\}"),
+        ({"pattern": pattern, "sheet": str(tmp_path / "none.csv")}, "cannot be read"),
+        ({"pattern": "case{case}_uncoupled_1"}, "does not follow"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            init_campaign(tmp_path / "wrong", sources, **(options | wrong))
+    sheet.write_text("case,kt1\nI,6.2\n", encoding="utf-8")
+    with pytest.raises(InputError, match="unknown column 'kt1'"):
+        init_campaign(tmp_path / "wrong", sources, **options)
+    sheet.write_text("file,case,trial,k1t,theta0\ncaseI_uncoupled_1.csv,I,1,6.2,5.7\n", encoding="utf-8")
+    assert len(load_campaign(init_campaign(tmp_path / "sheet", [], **options)).trials) == 1
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        (b"PK\x03\x04" + bytes(range(200)), "an Excel workbook or another archive; save it as CSV"),
+        (bytes(range(256)) * 20, "this is no text"),
+        (b"hello\nworld\nfoo\nbar\n", "holds no row of numbers"),
+        (table(["t,a"], ["0.0,1.0"] * 3 + ["0.1,bad"] + ["0.2,1.0"] * 9), "line 5: '0.1,bad' is not a row of numbers"),
+        (table(["t,a,a"], ["0.0,1.0,2.0"] * 30), "2 columns are called 'a'; give their numbers"),
+        (table(["t,a"], ["0,0,1,5"] * 30), "4 columns"),
+        (table(["t,a [mV]"], [f"{i / 1e3:.3f},1.5" for i in range(99)]), "give the sensitivity of each sensor"),
+    ],
+)
+def test_what_cannot_be_read_is_told_in_one_sentence(tmp_path: Path, content: bytes, sentence: str) -> None:
+    (tmp_path / "run.csv").write_bytes(content)
+    assert sentence in fault_of(tmp_path, tmp_path / "run.csv", release="start")
+
+
 def test_a_record_that_starts_in_the_middle(tmp_path: Path) -> None:
     source = logger_file(tmp_path / "run.csv", wave()[270:], times=TIMES[270:])
     assert "it starts in the middle" in fault_of(tmp_path, source)

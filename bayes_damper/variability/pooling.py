@@ -290,20 +290,22 @@ class _Population(_Plain):
         return out
 
 
-def recycle(draws: Mapping[str, Array], rng: np.random.Generator, particles: int = 256) -> Recycled:
+def recycle(
+    draws: Mapping[str, Array], rng: np.random.Generator, particles: int = 256, explored: int = _EXPLORED
+) -> Recycled:
     """Partial pooling from each case's own draws (n, pooled) in standard coordinates, without a new simulation.
 
     A case's draws belong to its posterior under the unit Gaussian prior; under a population (m, s) each counts by the
     ratio of the population's density to that prior's (Hogg, Myers and Bovy 2010, ApJ 725:2166). A narrow population in
     p dimensions holds a share of about s^p of the draws, so all that there are count: the populations are found with
-    some of the draws, and weighed again by all of them.
+    `explored` of the draws, and weighed again by all of them.
     """
-    some = {name: z[np.linspace(0, len(z) - 1, min(len(z), _EXPLORED)).astype(int)] for name, z in draws.items()}
+    some = {name: z[np.linspace(0, len(z) - 1, min(len(z), explored)).astype(int)] for name, z in draws.items()}
     few, target = _Population(list(some.values())), _Population(list(draws.values()))
     found = temper(few, rng, particles)
     everything = np.arange(target.parts)
     ratio = np.zeros(len(found.points))
-    if any(len(z) > _EXPLORED for z in draws.values()):
+    if any(len(z) > explored for z in draws.values()):
         ratio = (target.log_likelihood(found.points, everything) - found.log_likelihood).sum(axis=1)
     weight = np.exp(ratio - logsumexp(ratio))
     points = found.points[systematic(weight, rng)]

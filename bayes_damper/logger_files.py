@@ -1,0 +1,388 @@
+"""What a logger or DAQ system has written (delimited text, MATLAB) as columns of numbers, before any conversion.
+
+Text is read as it comes: in UTF-8, UTF-16 or the code page of Windows, with lines of a head before the columns' names,
+a line of units below them, decimal commas, times of the day, quotes, an empty last column, words for missing readings,
+and a foot below the numbers. What was left out is told in `LoggerFile.notes`. Nothing here knows of rigs or quantities.
+"""
+
+from __future__ import annotations
+
+import csv
+import datetime as dt
+import difflib
+import io
+import math
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper.errors import InputError
+
+Array = NDArray[np.float64]
+Line = tuple[int, str]
+_LOOKED_AT = 400
+"""Lines in which the first numbers are looked for."""
+_MISSING = {"", "-", "--", "---", "na", "n/a", "nan", "null", "none"}
+"""What loggers write where there is no reading."""
+_OTHER_FORMATS = (
+    (b"PK\x03\x04", "an Excel workbook or another archive; save it as CSV"),
+    (b"\xd0\xcf\x11\xe0", "an Excel workbook; save it as CSV"),
+    (b"TDSm", "a TDMS file; export it as CSV or text"),
+    (b"\x89HDF", "an HDF5 file; save it as CSV, or in MATLAB with -v7"),
+    (b"\x1f\x8b", "compressed; unpack it first"),
+)
+_CLOCK = re.compile(
+    r"(?:(?P<y>\d{4})[-/](?P<m>\d{1,2})[-/](?P<d>\d{1,2})[ T]+"
+    r"|(?P<d2>\d{1,2})[./](?P<m2>\d{1,2})[./](?P<y2>\d{4})[ T]+)?"
+    r"(?:(?P<h>\d{1,2}):(?P<min>\d{2}):(?P<s>\d{2}(?:[.,]\d+)?)|(?P<min2>\d{1,3}):(?P<s2>\d{2}[.,]\d+))Z?"
+)
+_TIME_NAMES = re.compile(
+    r"(t|time|zeit|temps|tiempo|tempo|x_value|timestamp|elapsed|seconds|sec|clock)\b.*", re.IGNORECASE
+)
+_MISREAD = str.maketrans({"²": "^2", "µ": "u", "μ": "u", "°": "deg"})
+_UNITS = {
+    "s", "ms", "us", "min", "sec", "seconds", "g", "mg", "m/s^2", "mm/s^2", "cm/s^2", "um/s^2", "rad/s^2", "deg/s^2",
+    "m/s", "mm/s", "cm/s", "um/s", "rad/s", "mrad/s", "deg/s", "rpm", "m", "cm", "mm", "um", "rad", "mrad", "deg",
+    "rev", "v", "mv", "n", "kn", "mn", "n m", "nm", "n mm", "mn m", "hz",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class LoggerFile:
+    """Columns of one file before any conversion.
+
+    names, units : empty where the file has none, "" where it has none for one column; table : (n, n_columns), nan where
+    a reading is missing; notes : sentences about what was left out.
+    """
+
+    names: tuple[str, ...]
+    table: Array
+    units: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def index(self, column: str | int, where: str) -> int:
+        """Number from 0 of a column, by its name (without its unit, in any case of letters, will do) or number from 1.
+
+        Raises
+        ------
+        InputError
+            if there is none, or more than one.
+        """
+        width = self.table.shape[1]
+        if isinstance(column, int):
+            if not 1 <= column <= width:
+                raise InputError(f"{where}: column {column} is missing, the file has {width}; count from 1")
+            return column - 1
+        plain = [_without_unit(name) for name in self.names]
+        wanted = column.strip().lower()
+        tries = (
+            [n == column for n in self.names],
+            [n.lower() == wanted for n in self.names],
+            [p == wanted for p in plain],
+        )
+        for found in tries:
+            if sum(found) > 1:
+                raise InputError(f"{where}: {sum(found)} columns are called '{column}'; give their numbers from 1")
+            if any(found):
+                return found.index(True)
+        near = difflib.get_close_matches(column, self.names, 1, 0.4)
+        hint = f"did you mean '{near[0]}'?" if near else "name or number the columns"
+        raise InputError(f"{where}: column '{column}' is missing, the file has {self.described()}; {hint}")
+
+    def described(self) -> str:
+        """The columns, for a sentence."""
+        return ", ".join(self.names) or f"{self.table.shape[1]} columns without names"
+
+    def unit(self, column: int) -> str | None:
+        """The unit that the file gives for a column (from 0), as the tables of units write it; None for none."""
+        if self.units and self.units[column]:
+            return self.units[column]
+        found = re.search(r"[\[(]([^\[\]()]+(?:\([^()]*\))?)[\])]\s*$", self.names[column]) if self.names else None
+        return unit_of(found[1]) if found else None
+
+    def time_column(self) -> int | None:
+        """The column (from 0) that is called after the time, or the first if it alone rises steadily; else None."""
+        called = [i for i, name in enumerate(self.names) if _TIME_NAMES.fullmatch(name.strip().strip('"'))]
+        if called:
+            return called[0]
+        first = self.table[:, 0]
+        rises = len(first) > 2 and np.isfinite(first).all() and bool((np.diff(first) > 0.0).all())
+        return 0 if rises and self.table.shape[1] > 1 else None
+
+
+def unit_of(text: str) -> str | None:
+    """A unit as the tables of units write it, from what stands in a file: "m/s²" and "(m/s2)" are "m/s^2"."""
+    plain = text.strip().strip("[]() ").translate(_MISREAD).replace("**", "^")
+    plain = re.sub(r"(?<=/s)2$|(?<=/sec)2$", "^2", plain).replace("/sec", "/s").replace("m/s/s", "m/s^2")
+    plain = {"sec": "s", "seconds": "s", "Nm": "N m", "Nmm": "N mm", "G": "g", "g's": "g"}.get(plain, plain)
+    return plain if plain.lower() in _UNITS else None
+
+
+def read_text(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
+    """A file of delimited text; option: delimiter, decimal, skip_lines, header (see importer.READER).
+
+    Raises
+    ------
+    InputError
+        with file, line and remedy, for what is no text or no table of numbers.
+    """
+    skipped = option.get("skip_lines", 0)
+    lines = [(i, x) for i, x in enumerate(_decoded(raw, name).splitlines(), start=1) if i > skipped and x.strip()]
+    if len(lines) < 3:
+        raise InputError(f"{name}: no readings after the first {skipped} lines; correct skip_lines")
+    mark = _mark(lines, option)
+    comma = option["decimal"] == "," if "decimal" in option else _has_decimal_commas(lines, mark)
+    if comma and mark == "," and not any('"' in x for _, x in lines):
+        raise InputError(
+            f"{name}: decimal commas and commas between columns cannot be told apart; export with semicolons"
+        )
+    begin, named = _begin(lines, option, mark, comma)
+    head = _split(lines[begin][1], mark) if named else []
+    rows, notes = _rows(lines[begin + named :], mark, comma, name, named, len(_trimmed(head)))
+    table = np.array(rows)
+    width = table.shape[1]
+    while width > 1 and np.isnan(table[:, width - 1]).all() and not "".join(head[width - 1 : width]).strip():
+        width -= 1  # an empty last column: each line ends with the mark
+    if len(_trimmed(head)) == width - 1 and width > 1 and np.isfinite(table[:, width - 1]).any():
+        raise InputError(
+            f"{name}, line {lines[begin + 1][0]}: {width} columns where {width - 1} are expected; decimal commas? set "
+            "decimal = ',' and delimiter"
+        )
+    names, units = _names(lines[: begin + 1] if named else [], mark, width)
+    return LoggerFile(names, table[:, :width], units, tuple(notes))
+
+
+def read_matlab(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
+    """Time in column 1 where matlab_time is given, then the channels; cell arrays are joined piece by piece."""
+    from scipy.io import loadmat
+
+    try:
+        content = loadmat(io.BytesIO(raw))
+    except Exception as error:
+        raise InputError(f"{name}: not a MATLAB file that can be read ({error}); save it as version 5 or 7") from error
+    parts = []
+    for key in ("matlab_time", "matlab_data"):
+        pieces = []
+        for variable in option.get(key, []):
+            if variable not in content:
+                known = [k for k in content if not k.startswith("__")]
+                raise InputError(f"{name}: no variable '{variable}'; it holds {', '.join(known)}: correct {key}")
+            pieces += [_tall(piece) for piece in _pieces(content[variable])]
+        if pieces:
+            parts.append(np.concatenate(pieces))
+    if not parts or any(len(p) != len(parts[0]) for p in parts):
+        raise InputError(f"{name}: matlab_time and matlab_data must name arrays of equal length")
+    return LoggerFile((), np.ascontiguousarray(np.concatenate(parts, axis=1), dtype=float))
+
+
+def _pieces(variable: NDArray[Any]) -> list[NDArray[Any]]:
+    return [np.asarray(p) for p in variable.ravel()] if variable.dtype == object else [variable]
+
+
+def _tall(piece: NDArray[Any]) -> NDArray[Any]:
+    return piece.T if piece.shape[0] < piece.shape[1] else piece
+
+
+def _decoded(raw: bytes, name: str) -> str:
+    """Text of a file in UTF-8 or UTF-16, or else in the code page of Windows, whose names may have umlauts."""
+    for start, what in _OTHER_FORMATS:
+        if raw.startswith(start):
+            raise InputError(f"{name}: this is {what}")
+    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return raw.decode("utf-16", errors="replace")
+    head = raw[:4000]
+    if b"\x00" in head or sum(b < 9 or 13 < b < 32 for b in head) > 0.02 * len(head):
+        raise InputError(f"{name}: this is no text; export it as CSV or text")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return raw.decode("cp1252", errors="replace")
+
+
+def number_of(cell: str, comma: bool) -> float:
+    """A cell as a number, nan where the reading is missing, seconds for a time of the day (and a date).
+
+    Raises
+    ------
+    ValueError
+        for other words.
+    """
+    cell = cell.strip().strip('"')
+    if cell.lower() in _MISSING:
+        return math.nan
+    if ":" in cell:
+        return _seconds(cell)
+    return float(cell.replace(",", ".") if comma else cell)
+
+
+def _seconds(cell: str) -> float:
+    found = _CLOCK.fullmatch(cell)
+    if found is None:
+        raise ValueError(cell)
+    part = {k: float(v.replace(",", ".")) for k, v in found.groupdict().items() if v is not None}
+    seconds = 3600.0 * part.get("h", 0.0) + 60.0 * (part.get("min", 0.0) + part.get("min2", 0.0))
+    seconds += part.get("s", 0.0) + part.get("s2", 0.0)
+    year = int(part.get("y", part.get("y2", 0.0)))
+    if year:
+        day = dt.date(year, int(part.get("m", part.get("m2", 0.0))), int(part.get("d", part.get("d2", 0.0))))
+        # Days of the year alone, so that a double still tells microseconds.
+        seconds += 86400.0 * (day - dt.date(year, 1, 1)).days
+    return seconds
+
+
+def _has_decimal_commas(lines: Sequence[Line], mark: str) -> bool:
+    """Whether the later half of the lines writes its numbers with decimal commas."""
+    cells = [c.strip() for _, line in lines[len(lines) // 2 :] for c in _split(line, mark)]
+    return any("," in c for c in cells) and not any("." in c for c in cells)
+
+
+def _cells(line: str, mark: str, comma: bool) -> list[float] | None:
+    """A line as numbers; None where it is none, or all of them are missing."""
+    try:
+        values = [number_of(c, comma) for c in _split(line, mark)]
+    except ValueError:
+        return None
+    return values if any(math.isfinite(v) for v in values) else None
+
+
+def _begin(lines: Sequence[Line], option: Mapping[str, Any], mark: str, comma: bool) -> tuple[int, bool]:
+    """Which line holds the names of the columns (or their units), or the first numbers, and whether it holds names.
+
+    Told by skip_lines and header where these are given; else the numbers begin with the first of five rows of numbers
+    of one length, and the line before them holds names if it has as many cells and is no row of numbers itself.
+    """
+    if "skip_lines" in option:
+        return 0, bool(option.get("header", True))
+    widths = []
+    for _, line in lines[:_LOOKED_AT]:
+        values = _cells(line, mark, comma)
+        widths.append(0 if values is None else len(values))
+    starts = (i for i in range(len(widths)) if widths[i] and len(set(widths[i : i + 5])) == 1)
+    first = next(starts, None)
+    if first is None:
+        return 0, bool(option.get("header", True))
+    # A line with words between rows of numbers is no head: it is told as a bad line.
+    while first > 1 and widths[first - 2] == widths[first] and _half_numbers(lines[first - 1][1], mark, comma):
+        first -= 2
+    # The names may do without the empty last column, or have one (of comments) that the rows do without.
+    enough = first > 0 and abs(len(_trimmed(_head(lines[first - 1][1], mark))) - widths[first]) <= 1
+    if widths[first] == 1:
+        enough = first > 0 and len(_trimmed(_head(lines[first - 1][1], mark))) == 1
+    return (first - 1, True) if enough and option.get("header", True) else (first, False)
+
+
+def _half_numbers(line: str, mark: str, comma: bool) -> bool:
+    """Whether half of a line's cells are numbers."""
+    cells = _split(line, mark)
+    numbers = 0
+    for cell in cells:
+        try:
+            numbers += math.isfinite(number_of(cell, comma))
+        except ValueError:
+            continue
+    return 2 * numbers >= len(cells)
+
+
+def _rows(
+    lines: Sequence[Line], mark: str, comma: bool, name: str, named: bool, heads: int
+) -> tuple[list[list[float]], list[str]]:
+    """All rows of numbers, one length each, and what was left out: a foot, a last line that is cut short."""
+    found = [(_cells(line, mark, comma), line, number) for number, line in lines]
+    known = Counter(len(values) for values, _, _ in found if values is not None)
+    if not known:
+        raise InputError(f"{name}: holds no row of numbers; name another file, or set delimiter and decimal")
+    width = known.most_common(1)[0][0]
+    if heads > width + 1:
+        number = next(n for values, _, n in found if values is not None)
+        raise InputError(f"{name}, line {number}: {width} columns where {heads} are expected; the line is cut short")
+    last = max(i for i, (values, _, _) in enumerate(found) if values is not None and len(values) == width)
+    notes, rows = [], []
+    left = len(found) - last - 1
+    if left:
+        what = f"line {found[-1][2]} below the numbers was" if left == 1 else f"{left} lines below the numbers were"
+        notes.append(f"{name}: {what} left out.")
+    for values, line, number in found[: last + 1]:
+        cells = _split(line, mark)
+        try:
+            row = values if values is not None else [number_of(c, comma) for c in cells]  # all missing
+        except ValueError:
+            raise InputError(_bad_line(name, number, line, cells, named)) from None
+        if len(row) > width and all(math.isnan(v) for v in row[width:]):
+            row = row[:width]
+        if len(row) != width:
+            raise InputError(
+                f"{name}, line {number}: {len(row)} columns where {width} are expected; "
+                + ("decimal commas? set decimal = ',' and delimiter" if len(row) > width else "the line is cut short")
+            )
+        rows.append(row)
+    return rows, notes
+
+
+def _names(head: Sequence[Line], mark: str, width: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names and units of the columns from the last line of the head; a line of units alone has the names above it."""
+    if not head:
+        return (), ()
+    cells = _head(head[-1][1], mark)[:width]
+    cells += [""] * (width - len(cells))
+    units = tuple(unit_of(c) or "" for c in cells)
+    if len(head) > 1 and any(units) and all(u or not c for u, c in zip(units, cells, strict=True)):
+        above = _head(head[-2][1], mark)[:width]
+        if sum(map(bool, above)) >= sum(map(bool, cells)):
+            return tuple(above + [""] * (width - len(above))), units
+    return tuple(cells), ()
+
+
+def _without_unit(name: str) -> str:
+    return re.sub(r"\s*[\[(][^\[\]]*[\])]\s*$", "", name).strip().lower()
+
+
+def _trimmed(cells: Sequence[str]) -> list[str]:
+    """The cells without empty ones at the end."""
+    kept = list(cells)
+    while kept and not kept[-1].strip():
+        kept.pop()
+    return kept
+
+
+def _bad_line(name: str, line: int, text: str, cells: Sequence[str], named: bool) -> str:
+    if any(re.fullmatch(r"\s*[-+]?\d+,\d+(e[-+]?\d+)?\s*", c, re.IGNORECASE) for c in cells):
+        return f"{name}, line {line}: '{text.strip()[:40]}' has decimal commas; set decimal = ','"
+    hint = (
+        "set skip_lines to the number of lines before the column names" if named else "set skip_lines, or header = true"
+    )
+    return f"{name}, line {line}: '{text.strip()[:40]}' is not a row of numbers; {hint}, or remove the line"
+
+
+def _mark(lines: Sequence[Line], option: Mapping[str, Any]) -> str:
+    given = option.get("delimiter", "auto")
+    named = {"tab": "\t", "space": " "}
+    if given != "auto":
+        return str(named.get(given, given))
+    sample = lines[max(min(2, len(lines) - 1), len(lines) // 2)][1]
+    for mark in (";", "\t", "|"):
+        if mark in sample:
+            return mark
+    if "," not in sample or '"' in sample:
+        return "," if "," in sample else " "
+    if option.get("decimal", ".") == "," or (
+        all(re.fullmatch(r"[-+]?\d+,\d+", c) for c in sample.split()[:9]) and (len(sample.split()) > 1)
+    ):
+        return " "
+    return ","
+
+
+def _split(line: str, mark: str) -> list[str]:
+    if mark == " ":
+        return line.split()
+    text = line.strip("\r\n") if mark == "\t" else line.rstrip()
+    return next(csv.reader([text], delimiter=mark)) if '"' in text else text.split(mark)
+
+
+def _head(line: str, mark: str) -> list[str]:
+    """The cells of a line of names, without the mark of a comment."""
+    return [c.strip().strip('"').strip() for c in _split(re.sub(r"^\s*[#%]+\s*", "", line), mark)]
