@@ -298,7 +298,7 @@ def _agreement(
         "ess": dict(recycled.ess),
         "pareto_k": dict(recycled.pareto_k),
         "ess_of_one_population": dict(recycled.ess_of_one),
-        "ess_of_populations": recycled.populations,
+        "draws": recycled.used,
         "reliable": recycled.reliable,
         "log_evidence_over_separate": recycled.log_z,
         "error": recycled.error,

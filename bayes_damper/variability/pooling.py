@@ -22,17 +22,15 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp, ndtr
 
 from bayes_damper.errors import InputError
-from bayes_damper.variability.tempering import Block, settle, systematic, temper
+from bayes_damper.variability.tempering import Block, temper
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Pooling = Literal["shared", "separate", "partial"]
 POOLINGS: tuple[Pooling, ...] = ("shared", "separate", "partial")
 _REFRESHES = 8
-_EXPLORED = 8000
-"""Draws of a case with which the populations are looked for, before all of its draws weigh them."""
-_SETTLING = 4
-"""Sweeps with all of the draws, after the populations have been weighed by them."""
+_LEVELS = (1500, 50_000)
+"""Draws of a case that are used again: the second number where the weights of the first cannot be trusted."""
 _FEWEST_OF_ONE = 30
 """Effective draws below which the likelihood of a population is known to no better than a fifth of a nat."""
 _LARGEST = 100_000
@@ -233,7 +231,7 @@ class Recycled:
     mean, scatter (n, pooled): draws of m and s; values: case -> (n, pooled); ess, pareto_k: case -> effective number
     of its draws and shape of the tail of their weights, averaged over all populations: what the posterior of the
     case's values rests on; ess_of_one: case -> effective number of its draws under a single population (median over
-    populations); populations: effective number of draws of (m, s); log_z: log evidence of `partial` over that of
+    populations); used: largest number of draws of a case; log_z: log evidence of `partial` over that of
     `separate`, with its error.
     """
 
@@ -243,15 +241,14 @@ class Recycled:
     ess: Mapping[str, float]
     pareto_k: Mapping[str, float]
     ess_of_one: Mapping[str, float]
-    populations: float
+    used: int
     log_z: float
     error: float
 
     @property
     def reliable(self) -> bool:
         """Whether all cases' weights can be trusted: Pareto k below 0.7, and no population rests on a few draws."""
-        enough = min(self.ess_of_one.values()) >= _FEWEST_OF_ONE and self.populations >= _FEWEST_OF_ONE
-        return enough and all(k < 0.7 for k in self.pareto_k.values())
+        return min(self.ess_of_one.values()) >= _FEWEST_OF_ONE and all(k < 0.7 for k in self.pareto_k.values())
 
 
 class _Population(_Plain):
@@ -291,59 +288,54 @@ class _Population(_Plain):
 
 
 def recycle(
-    draws: Mapping[str, Array], rng: np.random.Generator, particles: int = 256, explored: int = _EXPLORED
+    draws: Mapping[str, Array], rng: np.random.Generator, particles: int = 256, levels: Sequence[int] = _LEVELS
 ) -> Recycled:
     """Partial pooling from each case's own draws (n, pooled) in standard coordinates, without a new simulation.
 
     A case's draws belong to its posterior under the unit Gaussian prior; under a population (m, s) each counts by the
     ratio of the population's density to that prior's (Hogg, Myers and Bovy 2010, ApJ 725:2166). A narrow population in
-    p dimensions holds a share of about s^p of the draws, so all that there are count: the populations are found with
-    `explored` of the draws, and weighed again by all of them.
+    p dimensions holds a share of about s^p of the draws: where the weights of a few draws cannot be trusted, more are
+    taken, as `levels` says, up to all there are.
     """
-    some = {name: z[np.linspace(0, len(z) - 1, min(len(z), explored)).astype(int)] for name, z in draws.items()}
-    few, target = _Population(list(some.values())), _Population(list(draws.values()))
-    found = temper(few, rng, particles)
-    everything = np.arange(target.parts)
-    ratio = np.zeros(len(found.points))
-    if any(len(z) > explored for z in draws.values()):
-        ratio = (target.log_likelihood(found.points, everything) - found.log_likelihood).sum(axis=1)
-    weight = np.exp(ratio - logsumexp(ratio))
-    points = found.points[systematic(weight, rng)]
-    if np.any(ratio):
-        points = settle(target, points, rng, _SETTLING)
-    distinct, back = np.unique(points, axis=0, return_inverse=True)
-    back = back.ravel()
+    found = None
+    for level in levels:
+        some = {name: z[np.linspace(0, len(z) - 1, min(len(z), level)).astype(int)] for name, z in draws.items()}
+        found = _recycled(some, rng, particles)
+        if found.reliable or all(len(z) <= level for z in draws.values()):
+            break
+    if found is None:
+        raise InputError("recycle needs at least one level of draws")
+    return found
+
+
+def _recycled(draws: Mapping[str, Array], rng: np.random.Generator, particles: int) -> Recycled:
+    target = _Population(list(draws.values()))
+    found = temper(target, rng, particles)
     values: dict[str, Array] = {}
     ess: dict[str, float] = {}
     of_one: dict[str, float] = {}
     tails: dict[str, float] = {}
-    noise = 0.0
-    for c, name in enumerate(draws):
-        z = draws[name]
-        picked, alone, whole = np.empty(len(points), dtype=np.intp), np.empty(len(points)), np.zeros(len(z))
-        for i, row in enumerate(distinct):
-            log_weights = target.log_weights(row[None], c)[0]
+    for c, (name, z) in enumerate(draws.items()):
+        picked, alone, whole = np.empty(len(found.points), dtype=np.intp), np.empty(len(found.points)), np.zeros(len(z))
+        for i, point in enumerate(found.points):
+            log_weights = target.log_weights(point[None], c)[0]
             share = np.exp(log_weights - logsumexp(log_weights))
-            here = np.flatnonzero(back == i)
-            whole += len(here) * share
-            alone[here] = 1.0 / float(np.sum(share**2))
+            whole += share / len(found.points)
+            alone[i] = 1.0 / float(np.sum(share**2))
             # One draw of the case for each population, by its weights.
-            place = np.searchsorted(np.cumsum(share), rng.random(len(here)))
-            picked[here] = np.minimum(place, len(z) - 1)
-        whole /= whole.sum()
+            picked[i] = min(int(np.searchsorted(np.cumsum(share), rng.random())), len(z) - 1)
         ess[name], of_one[name] = 1.0 / float(np.sum(whole**2)), float(np.median(alone))
         tails[name], values[name] = pareto_k(whole), z[picked]
-        noise += 1.0 / of_one[name]
     return Recycled(
-        points[:, : target.pooled],
-        np.clip(ndtr(points[:, target.pooled :]), 1e-6, 1.0 - 1e-12),
+        found.points[:, : target.pooled],
+        np.clip(ndtr(found.points[:, target.pooled :]), 1e-6, 1.0 - 1e-12),
         values,
         ess,
         tails,
         of_one,
-        1.0 / float(np.sum(weight**2)),
-        found.log_z + float(logsumexp(ratio)) - math.log(len(ratio)),
-        math.sqrt(found.error**2 + noise + float(np.sum(weight**2)) - 1.0 / len(weight)),
+        max(map(len, draws.values())),
+        found.log_z,
+        math.sqrt(found.error**2 + sum(1.0 / x for x in of_one.values())),
     )
 
 

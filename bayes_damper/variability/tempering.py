@@ -112,20 +112,13 @@ def temper(
         log_z += float(logsumexp(weights) - math.log(particles))
         share = np.exp(weights - logsumexp(weights))
         variance += float(particles * np.sum(share**2) - 1.0) / particles
-        chosen = systematic(share, rng)
+        chosen = _systematic(share, rng)
         points, value, power = points[chosen], value[chosen], rise
         points, value, left = _move(target, points, value, power, steps, rng)
         worst = max(worst, left)
         if tell is not None:
             tell(power, f"likelihood at power {power:.3g}")
     return Tempered(points, value, log_z, math.sqrt(variance), stages, worst)
-
-
-def settle(target: Target, points: Array, rng: np.random.Generator, most: int = _MOST_SWEEPS) -> Array:
-    """Draws (n, ndim) of a target from points that are nearly such draws: `most` sweeps over all blocks, or fewer."""
-    steps = dict.fromkeys(range(len(target.blocks)), 0.6)
-    value = _clean(target.log_likelihood(points, np.arange(target.parts)))
-    return _move(target, points, value, 1.0, steps, rng, most)[0]
 
 
 def _clean(value: Array) -> Array:
@@ -153,20 +146,18 @@ def _next_power(total: Array, power: float) -> float:
     return max(low, power + 1e-12)
 
 
-def systematic(share: Array, rng: np.random.Generator) -> Index:
-    """Indices of as many draws as there are shares (n,), each about n times its share (systematic resampling)."""
+def _systematic(share: Array, rng: np.random.Generator) -> Index:
     places = (rng.random() + np.arange(len(share))) / len(share)
     return np.minimum(np.searchsorted(np.cumsum(share), places), len(share) - 1)
 
 
 def _move(
-    target: Target, points: Array, value: Array, power: float, steps: dict[int, float], rng: np.random.Generator,
-    most: int = _MOST_SWEEPS,
-) -> tuple[Array, Array, float]:  # fmt: skip
+    target: Target, points: Array, value: Array, power: float, steps: dict[int, float], rng: np.random.Generator
+) -> tuple[Array, Array, float]:
     """Metropolis sweeps over all blocks until the particles have forgotten their places."""
     begin = points.copy()
     left = 1.0
-    for sweep in range(most):
+    for sweep in range(_MOST_SWEEPS):
         for i in range(len(target.blocks)):
             points, value, accepted = _step(target, i, points, value, power, steps[i], sweep % 2 == 1, rng)
             if sweep % 2 == 0:
