@@ -231,4 +231,5 @@ def samplers(result: Mapping[str, Any]) -> None:
     verdict = f"Effective draws per second, ours over theirs: {told}. Posteriors agree."
     if not result["agree"]:
         verdict = verdict.replace("Posteriors agree.", "Posteriors do not agree.")
-    parts.write_page("samplers", verdict, lines, dict(result))
+    minutes = sum(r["warm_up"] + r["seconds"] for r in result["runs"]) / 60.0
+    parts.write_page("samplers", verdict, lines, dict(result), minutes=minutes)

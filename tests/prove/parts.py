@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import time
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -49,6 +48,12 @@ def out_folder() -> Path:
     return Path(os.environ.get("PROVE_OUT", ROOT / "results" / "prove"))
 
 
+def _cpu_seconds() -> float:
+    """CPU time of this process and of those it has waited for."""
+    spent = os.times()
+    return spent.user + spent.system + spent.children_user + spent.children_system
+
+
 def finish(name: str, count: int, task: Callable[[int], dict[str, Any]]) -> list[dict[str, Any]]:
     """Results of tasks 0 .. count - 1, run here if their line is not in NAME.jsonl yet."""
     path = out_folder() / f"{name}.jsonl"
@@ -56,9 +61,9 @@ def finish(name: str, count: int, task: Callable[[int], dict[str, Any]]) -> list
     done = finished(name)
     for number in range(count):
         if number not in done:
-            begun = time.process_time()
+            begun = _cpu_seconds()
             found = task(number)
-            found |= {"task": number, "cpu_seconds": round(time.process_time() - begun, 2), "commit": commit()}
+            found |= {"task": number, "cpu_seconds": round(_cpu_seconds() - begun, 2), "commit": commit()}
             line = json.dumps({"code": _code(name)} | found)
             cut = path.exists() and not path.read_bytes().endswith(b"\n")  # by a kill
             with path.open("a", encoding="utf-8") as file:
@@ -83,17 +88,31 @@ def finished(name: str) -> dict[int, dict[str, Any]]:
     return done
 
 
-def write_page(name: str, verdict: str, lines: Sequence[str], numbers: dict[str, Any], figure: Any = None) -> None:
+def cost(*names: str) -> float:
+    """CPU minutes that parts have taken, those whose names begin so."""
+    begun = [p.stem for p in sorted(out_folder().glob("*.jsonl")) if p.stem.startswith(names)]
+    return sum(float(entry["cpu_seconds"]) for name in begun for entry in finished(name).values()) / 60.0
+
+
+def write_page(
+    name: str,
+    verdict: str,
+    lines: Sequence[str],
+    numbers: dict[str, Any],
+    figure: Any = None,
+    minutes: float | None = None,
+) -> None:
     """NAME.md and NAME.json in docs/proof/, NAME.svg and .png where there is a figure, and the index of all pages.
 
-    verdict : the result in a sentence or two, for the index.
+    verdict : the result in a sentence or two, for the index; minutes : of CPU time, by default those of its parts.
     """
     PAGES.mkdir(parents=True, exist_ok=True)
     title = QUESTIONS[name]
     date = datetime.now(UTC).date().isoformat()
     commits = sorted({" ".join(w[:12] for w in str(c).split()) for c in numbers.pop("commits", [commit()])})
     head = {"schema": f"bayes-damper/proof-{name}/1", "title": title, "verdict": verdict, "date": date}
-    numbers = head | {"commits": commits} | numbers
+    spent = cost(*PARTS.get(name, (name,))) if minutes is None else minutes
+    numbers = head | {"commits": commits, "cpu_minutes": round(spent, 1)} | numbers
     (PAGES / f"{name}.json").write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
     text = [f"# {title}", "", f"Run on {date}, commit {', '.join(commits)}. {verdict}", "", *lines]
     if figure is not None:
@@ -114,37 +133,43 @@ QUESTIONS = {
     "priors": "Does the table of prior sensitivity tell what a new fit would find?",
 }
 """What each page answers, by its name."""
+PARTS = {"calibration": ("calibration", "exact"), "bugs": ("bug-",)}
+"""Beginnings of the names of the parts of a page, where they are not its own name."""
 
 
 def write_index() -> None:
     """docs/proof/index.md: every page with its question, its result, its date and commit."""
     rows = [
-        f"| {title} | not run yet | `make prove` | | |"
+        f"| {title} | not run yet | `make prove` | | | |"
         for name, title in QUESTIONS.items()
         if not (PAGES / f"{name}.json").exists()
     ]
+    total = 0.0
     for path in sorted(PAGES.glob("*.json")):
         page = json.loads(path.read_text(encoding="utf-8"))
         if page["schema"].startswith("bayes-damper/proof-"):
             commits = ", ".join(page["commits"])
-            rows.append(
-                f"| [{page['title']}]({path.stem}.md) | {page['verdict']} | `make prove` | {page['date']} | {commits} |"
-            )
+            minutes = float(page.get("cpu_minutes", 0.0))
+            total += minutes
+            link = f"[{page['title']}]({path.stem}.md)"
+            rows.append(f"| {link} | {page['verdict']} | `make prove` | {minutes:.0f} | {page['date']} | {commits} |")
+    index = PAGES / "index.md"
+    before = index.read_text(encoding="utf-8") if index.exists() else ""
+    # What stands below the table is written by hand.
+    below = before[before.rindex("\n|") + 1 :].partition("\n")[2] if "\n|" in before else ""
     text = f"""\
 # What is proven, and by which command
 
-`make prove` runs every proof of the table that names it: statistical checks too long for `make test`, about three hours
-on two cores. It works in parts, kept in `results/prove/` (or the folder that `PROVE_OUT` names): stopped at any moment,
-the same command goes on where it was. Parts that another version
-of the modules in question has written do not count. One proof alone:
+`make prove` runs every proof of the table that names it: statistical checks too long for `make test`, two at a time. It
+works in parts, kept in `results/prove/` (or the folder that `PROVE_OUT` names): stopped at any moment, the same command
+goes on where it was. Parts that another version of the modules in question has written do not count. One proof alone:
 `python -m pytest -m prove tests/prove/test_prove_bugs.py`.
 
-| question | result | command | date | commit |
-| --- | --- | --- | --- | --- |
-{chr(10).join(rows)}
+The CPU minutes are those that the parts took, on a machine with other work to do: {total:.0f} together,
+half of that by the clock on two cores; the limit is three hours.
 
-Two more have commands of their own: [how fast and how accurate the simulation is beside its peers](bench.md),
-`bayes-damper bench`, and [whether the diagnosis names the cause of a gap that it has never seen](withheld.md),
-`bayes-damper withheld`.
-"""
-    (PAGES / "index.md").write_text(text, encoding="utf-8")
+| question | result | command | CPU, min | date | commit |
+| --- | --- | --- | --- | --- | --- |
+{chr(10).join(rows)}
+{below}"""
+    index.write_text(text, encoding="utf-8")
