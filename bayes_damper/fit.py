@@ -601,7 +601,7 @@ def _sampled(
     return sample(
         posterior,
         begin,
-        walkers=64 * math.ceil(posterior.ndim / 32),
+        walkers=_walkers(posterior.ndim, len(begin.population) > 0 and plan["campaign"] != "thesis"),
         seed=int(np.random.SeedSequence([plan["seed"], _number(folder.name)]).generate_state(1)[0]),
         rule=rule,
         checkpoint=Checkpoint(folder / "state", fingerprint),
@@ -609,6 +609,13 @@ def _sampled(
         workers=processes,
         monitor=monitor,
     )
+
+
+def _walkers(ndim: int, known: bool) -> int:
+    """Walkers of an ensemble, a multiple of 32 to fill the lanes of the kernel; fewer where the best fit is already
+    known to resemble the posterior: most moves are then drawn from that, not from other walkers.
+    """
+    return 32 if known and ndim <= 12 else 64 * math.ceil(ndim / 32)
 
 
 def _number(name: str) -> int:
