@@ -105,6 +105,26 @@ def _variable(name: str, values: NDArray[Any], lead: tuple[str, ...]) -> Variabl
     return Variable((*lead, *(f"{name}_dim_{i}" for i in range(values.ndim - len(lead)))), values)
 
 
+def pareto_k(weights: Array) -> float:
+    """Shape of the generalised Pareto distribution of the largest of weights (n,), by ArviZ.
+
+    Below 0.7 averages over the weighted draws can be trusted (Vehtari et al. 2024, JMLR 25:72); inf where fewer than
+    five large weights differ, -inf where all weights are the same.
+    """
+    from arviz_stats.base import array_stats
+
+    top = float(weights.max())
+    if np.ptp(weights) < 1e-9 * top:
+        return -math.inf
+    # ArviZ weighs by 1/exp(its argument): it takes log likelihoods of data to be left out.
+    smooth: Any = array_stats.psislw
+    try:
+        k = float(smooth(-np.log(np.maximum(weights / top, 1e-300)))[1])
+    except ValueError:  # the largest weights are all the same
+        return math.inf
+    return k if math.isfinite(k) else math.inf
+
+
 def write(content: Results, path: Path | str) -> None:
     """Writes `posterior.nc` (NetCDF 4), whole or not at all."""
     final = Path(path)

@@ -27,7 +27,6 @@ from bayes_damper.parameters import PARAMETERS, unit_of
 from bayes_damper.priors import Prior, PriorSet, campaign_priors, priors_from_dict
 from bayes_damper.provenance import provenance
 from bayes_damper.run import read_json, write_json
-from bayes_damper.variability.pooling import pareto_k
 
 Array = NDArray[np.float64]
 SCHEMA = "bayes-damper/comparison/1"
@@ -284,7 +283,7 @@ def leave_out(log_likelihood: Array) -> tuple[float, float]:
     """
     n = len(log_likelihood)
     log_weights = -log_likelihood
-    k = pareto_k(np.exp(log_weights - log_weights.max()))
+    k = arviz_adapter.pareto_k(np.exp(log_weights - log_weights.max()))
     top = logsumexp(log_weights) - 0.5 * math.log(n)
     log_weights = np.minimum(log_weights, top)
     return float(logsumexp(log_weights + log_likelihood) - logsumexp(log_weights)), k
@@ -311,7 +310,7 @@ def prior_sensitivity(
             moves = {other: _moved(weights, x) for other, x in draws.items()}
             others = {other: move[0] for other, move in moves.items() if other != name}
             most = max(others, key=lambda other: abs(others[other]), default=name)
-            k = pareto_k(weights)
+            k = arviz_adapter.pareto_k(weights)
             out[name][word] = {
                 "shift": moves[name][0],
                 "width": moves[name][1],

@@ -1,4 +1,4 @@
-"""Every figure: numbers in, matplotlib figures out. The only module that imports matplotlib.
+"""Every figure: numbers in, matplotlib figures out. The only module that imports matplotlib and corner.
 
 Figures are made for reports: readable in grey print and for colour-blind eyes (the palette of Okabe and Ito, with line
 styles and markers that differ too), every axis with symbol and unit. Nothing is computed here but what drawing needs.
@@ -6,18 +6,15 @@ styles and markers that differ too), every axis with symbol and unit. Nothing is
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import corner
 import matplotlib as mpl
 import numpy as np
-from contourpy import contour_generator
-from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.figure import Figure
-from matplotlib.path import Path as MplPath
-from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 mpl.use("Agg", force=False)
@@ -40,7 +37,6 @@ _RC = {
 }
 _LOGARITHMIC = ("nu",)
 """Parameters that may be known to a factor at best: their axes are logarithmic where a factor of 10 is seen."""
-_BINS = 30  # of a corner figure, each way
 NOT_CONVERGED = "NOT CONVERGED: do not use these numbers"
 
 
@@ -97,102 +93,6 @@ def label(symbol: str, unit: str) -> str:
     return symbol if unit in ("", "1") else f"{symbol} [{unit}]"
 
 
-class _Scale:
-    """One direction of a panel: values from `low` to `high`, perhaps logarithmic, over some inches from `start` on."""
-
-    def __init__(self, low: float, high: float, start: float, length: float, log: bool = False) -> None:
-        self.low, self.high, self.start, self.length, self.log = low, high, start, length, log
-
-    def at(self, values: Any) -> Array:
-        """Where values are, in inches."""
-        ends = np.array([self.low, self.high])
-        x = np.asarray(values, float)
-        if self.log:
-            x, ends = np.log(x), np.log(ends)
-        return np.asarray(self.start + self.length * (x - ends[0]) / (ends[1] - ends[0]))
-
-    def ticks(self, most: int = 3, inside: bool = True) -> list[tuple[float, str]]:
-        """Places in inches of round values, well inside or up to the ends, with their labels."""
-        if self.log:
-            values = LogLocator(subs=(1.0, 2.0, 5.0)).tick_values(self.low, self.high)
-        else:
-            values = MaxNLocator(most, steps=[1, 2, 2.5, 5, 10]).tick_values(self.low, self.high)
-        margin = (0.03 if inside else -1e-6) * self.length
-        kept = [v for v in values if margin < float(self.at(v)) - self.start < self.length - margin]
-        if self.log or len(kept) < 2 or not 1e-5 < max(abs(self.low), abs(self.high)) < 1e5:
-            labels = [f"{v:g}" for v in kept]
-        else:
-            step = kept[1] - kept[0]
-            digits = max(0, math.ceil(-math.log10(step) - 1e-9))
-            digits += not math.isclose(round(step, digits), step, rel_tol=1e-6)
-            labels = [f"{v:.{digits}f}" for v in kept]
-        return [(float(self.at(v)), told) for v, told in zip(kept, labels, strict=True)]
-
-
-class _Sheet:
-    """Many small panels on one plain sheet, drawn as a few collections, in inches from the lower left corner: a hundred
-    axes would take matplotlib seconds.
-    """
-
-    def __init__(self, width: float, height: float) -> None:
-        with mpl.rc_context(_RC):
-            self.figure = Figure(figsize=(width, height))
-            self.axes = self.figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        self.axes.set_xlim(0.0, width)
-        self.axes.set_ylim(0.0, height)
-        self.axes.set_axis_off()
-
-    def lines(self, parts: Sequence[Any], **style: Any) -> None:
-        """Lines, each of points (n, 2)."""
-        self.axes.add_collection(LineCollection([np.asarray(part, float) for part in parts], **style), autolim=False)
-
-    def areas(self, paths: Sequence[MplPath], **style: Any) -> None:
-        """Filled areas."""
-        self.axes.add_collection(PathCollection(list(paths), lw=0, **style), autolim=False)
-
-    def ticks(
-        self, corner: tuple[float, float], below: list[tuple[float, str]], beside: list[tuple[float, str]]
-    ) -> None:
-        """Ticks and numbers below and to the left of a panel with this lower left corner; slanted where crowded."""
-        left, low = corner
-        slanted = sum(len(told) for _, told in below) > 8 and below[-1][0] - below[0][0] < 1.5
-        style: dict[str, Any] = {"rotation": 45, "rotation_mode": "anchor"} if slanted else {}
-        for at, told in below:
-            self.axes.text(at, low - 0.07, told, fontsize=8, va="top", ha="right" if slanted else "center", **style)
-        for at, told in beside:
-            self.axes.text(left - 0.07, at, told, fontsize=8, ha="right", va="center")
-        marks = [((at, low), (at, low - 0.04)) for at, _ in below]
-        self.lines([*marks, *(((left, at), (left - 0.04, at)) for at, _ in beside)], colors="black", lw=0.8)
-
-
-def _smoothed(counts: Array) -> Array:
-    """Counts (..., n, n) or (n,) smoothed by a Gaussian of one bin along each of their last directions."""
-    n = counts.shape[-1]
-    kernel = np.exp(-0.5 * np.subtract.outer(np.arange(n), np.arange(n)) ** 2.0)
-    kernel /= kernel.sum(axis=1, keepdims=True)
-    return np.asarray(kernel @ counts if counts.ndim == 1 else kernel @ counts @ kernel.T)
-
-
-def _contours(x: _Scale, y: _Scale, a: Array, b: Array, shares: Sequence[float]) -> list[tuple[list[Array], MplPath]]:
-    """Outline and area, in inches, that hold each share of the draws (a, b)."""
-    counts, _, _ = np.histogram2d(
-        *(x.at(a), y.at(b)), bins=_BINS, range=[[s.start, s.start + s.length] for s in (x, y)]
-    )
-    padded = np.pad(_smoothed(counts), 1)
-    down = np.sort(padded.ravel())[::-1]
-    held = np.cumsum(down)
-    middles = [s.start + s.length * (np.arange(-1, _BINS + 1) + 0.5) / _BINS for s in (x, y)]
-    middles = [np.clip(m, s.start, s.start + s.length) for m, s in zip(middles, (x, y), strict=True)]
-    found: Any = contour_generator(middles[0], middles[1], padded.T, line_type="Separate", fill_type="OuterCode")
-    out = []
-    for share in shares:
-        level = float(down[np.searchsorted(held, share * held[-1])])
-        points, codes = found.filled(level, float(down[0]) + 1.0)
-        vertices = np.concatenate(points) if points else np.zeros((0, 2))
-        out.append((found.lines(level), MplPath(vertices, np.concatenate(codes) if codes else None)))
-    return out
-
-
 def corner_figure(
     draws: Mapping[str, Mapping[str, Array]], labels: Mapping[str, str], *, title: str, converged: bool = True
 ) -> Figure:
@@ -203,67 +103,50 @@ def corner_figure(
     the ends of the central 90 %.
     """
     names = list(next(iter(draws.values())))
-    k = len(names)
-    side, gap, margin = 1.28, 0.07, 1.05
+    stacked = {group: np.column_stack([values[name] for name in names]) for group, values in draws.items()}
+    everything = np.concatenate(list(stacked.values()))
+    low, high = np.quantile(everything, [0.002, 0.998], axis=0)
+    span = np.where(high > low, high - low, np.maximum(np.abs(high), 1e-12) * 1e-3)
+    ranges = np.stack([low - 0.03 * span, high + 0.03 * span], axis=1)
+    wide = np.array([name in _LOGARITHMIC for name in names]) & (everything.min(axis=0) > 0.0) & (high > 10.0 * low)
+    ranges[wide] = np.stack([0.9 * low[wide], 1.1 * high[wide]], axis=1)
     single = len(draws) == 1
-    size = margin + k * (side + gap) + 0.35
-    sheet = _Sheet(size, size)
-    scales: list[tuple[_Scale, _Scale]] = []
-    for i, name in enumerate(names):
-        everything = np.concatenate([np.asarray(values[name], float) for values in draws.values()])
-        low, high = np.quantile(everything, [0.002, 0.998])
-        span = high - low if high > low else max(abs(high), 1e-12) * 1e-3
-        wide = bool(name in _LOGARITHMIC and everything.min() > 0.0 and high > 10.0 * low)
-        low, high = (0.9 * low, 1.1 * high) if wide else (low - 0.03 * span, high + 0.03 * span)
-        starts = margin + i * (side + gap), margin + (k - 1 - i) * (side + gap)
-        scales.append((_Scale(low, high, starts[0], side, wide), _Scale(low, high, starts[1], side, wide)))
-    frames = []
-    for i in range(k):
-        y = scales[i][1]
-        for j in range(i + 1):
-            x = scales[j][0]
-            left, right, low, high = x.start, x.start + side, y.start, y.start + side
-            frames.append([(left, low), (right, low), (right, high), (left, high), (left, low)])
-    with mpl.rc_context(_RC):
-        sheet.lines(frames, colors="black", lw=0.8)
-        for number, (group, values) in enumerate(draws.items()):
-            colour, style = COLOURS[number % len(COLOURS)], STYLES[number % len(STYLES)]
-            outlines: list[Any] = []
-            areas: tuple[list[MplPath], list[MplPath]] = ([], [])
-            steps, quantiles = [], []
-            for i, name in enumerate(names):
-                x, low = scales[i][0], scales[i][1].start
-                at = x.at(values[name])
-                counts, edges = np.histogram(at, bins=_BINS, range=(x.start, x.start + side))
-                heights = low + 0.95 * side * _smoothed(counts) / max(float(_smoothed(counts).max()), 1e-300)
-                steps.append(np.column_stack([np.repeat(edges, 2)[1:-1], np.repeat(heights, 2)]))
-                quantiles += [[(q, low), (q, low + side)] for q in np.quantile(at, [0.05, 0.5, 0.95])]
-                for j in range(i):
-                    pair = (scales[j][0], scales[i][1], values[names[j]], values[name])
-                    for kept, (lines, area) in zip(areas, _contours(*pair, (0.9, 0.5)), strict=True):
-                        outlines += lines
-                        kept.append(area)
-            sheet.lines(steps, colors=colour, lw=1.2, linestyles=style)
-            sheet.lines(outlines, colors=colour, lw=1.1, linestyles=style)
-            if single:
-                sheet.lines(quantiles, colors=colour, lw=1.2, linestyles="--")
-                sheet.areas(areas[0], facecolors=colour, alpha=0.35)
-                sheet.areas(areas[1], facecolors=colour, alpha=0.9)
-            else:
-                y_group = size - 0.35 - 0.28 * number
-                sheet.axes.text(size - 0.15, y_group, group, color=colour, ha="right", va="top", weight="bold", size=11)
-        bottom = scales[-1][1].start
-        for i, name in enumerate(names):
-            sheet.ticks((margin, bottom), scales[i][0].ticks(), scales[i][1].ticks() if i else [])
-            sheet.axes.text(scales[i][0].start + side / 2, 0.1, labels.get(name, name), ha="center", va="bottom")
-            if i:
-                height = scales[i][1].start + side / 2
-                sheet.axes.text(0.1, height, labels.get(name, name), ha="left", va="center", rotation=90)
-        end = 0.98 if single else 0.75
-        sheet.axes.text(end * size, size - 0.1, title, ha="right", va="top", size=12)
+    with mpl.rc_context(_RC | {"axes.grid": False, "axes.spines.top": True, "axes.spines.right": True}):
+        figure = Figure(figsize=(1.35 * len(names) + 0.8,) * 2)
+        for k, (group, table) in enumerate(stacked.items()):
+            colour = COLOURS[k % len(COLOURS)]
+            corner.corner(
+                *(table,),
+                fig=figure,
+                range=[tuple(ends) for ends in ranges],
+                axes_scale=["log" if x else "linear" for x in wide],
+                bins=30,
+                smooth=1.0,
+                smooth1d=1.0,
+                labels=[labels.get(name, name) for name in names],
+                label_kwargs={"fontsize": 9},
+                labelpad=0.22,
+                color=colour,
+                levels=(0.5, 0.9),
+                quantiles=(0.05, 0.5, 0.95) if single else None,
+                plot_datapoints=False,
+                plot_density=single,
+                fill_contours=single,
+                max_n_ticks=3,
+                weights=np.full(len(table), 1.0 / len(table)),
+                hist_kwargs={"linestyle": STYLES[k % len(STYLES)]},
+                contour_kwargs={"linestyles": STYLES[k % len(STYLES)]},
+            )
+            if not single:
+                figure.text(
+                    0.98, 0.97 - 0.035 * k, group, color=colour, ha="right", va="top", weight="bold", fontsize=11
+                )
+        margin = 1.05 / figure.get_figwidth()  # room for the labels beside the slanted numbers
+        figure.subplots_adjust(left=margin, bottom=margin)
+        figure.suptitle(title, x=0.98 if single else 0.75, y=0.99, ha="right", va="top", fontsize=12)
     if not converged:
-        mark(sheet.figure)
-    return sheet.figure
+        mark(figure)
+    return figure
 
 
 def trace_figure(
@@ -275,53 +158,33 @@ def trace_figure(
     ranks among all draws: flat bars mean that the ensembles agree.
     """
     names = list(draws)
-    row, gap, bottom, top = 0.72, 0.3, 0.35, 0.85 + (0.0 if converged else 0.25)
-    left, middle, right = 0.65, 5.55, 6.0  # of the traces, and of the ranks
-    width, height = 9.0, bottom + len(names) * (row + gap) + top
-    sheet = _Sheet(width, height)
-    ensembles, length = np.shape(draws[names[0]])
-    traces: list[list[Array]] = [[] for _ in range(ensembles)]
-    bars: list[list[Array]] = [[] for _ in range(ensembles)]
-    frames, flat = [], []
-    steps = _Scale(burn_in, burn_in + max(length - 1, 1), left, middle - left)
-    shares = _Scale(0.0, 1.0, right, width - 0.15 - right)
+    width, height = 9.0, 1.05 * len(names) + 1.2
+    figure = _plain_figure(width, height, converged)
+    above = 0.75 if converged else 1.0
+    place = {"left": 0.9 / width, "right": 1.0 - 0.15 / width, "bottom": 0.45 / height, "top": 1.0 - above / height}
     with mpl.rc_context(_RC):
-        for k, name in enumerate(names):
-            low = height - top - (k + 1) * (row + gap) + gap
-            values = np.asarray(draws[name], float)
+        axes = figure.subplots(
+            len(names), 2, squeeze=False, width_ratios=[3, 2], gridspec_kw=place | {"hspace": 0.3, "wspace": 0.08}
+        )
+        for row, name in zip(axes, names, strict=True):
+            values = np.asarray(draws[name])
             ranks = np.argsort(np.argsort(values.ravel())).reshape(values.shape) / values.size
-            heights = [np.histogram(r, bins=20, range=(0.0, 1.0), density=True)[0] for r in ranks]
-            y = _Scale(float(values.min()), float(values.max()), low, row)
-            up = _Scale(0.0, max(1.6, float(np.max(heights))), low, row)
-            for e in range(ensembles):
-                traces[e].append(np.column_stack([steps.at(np.arange(length) + burn_in), y.at(values[e])]))
-                edges = shares.at(np.repeat(np.linspace(0.0, 1.0, 21), 2)[1:-1])
-                bars[e].append(np.column_stack([edges, up.at(np.repeat(heights[e], 2))]))
-            for begin, end in ((left, middle), (right, width - 0.15)):
-                frames.append([(begin, low + row), (begin, low), (end, low)])
-            flat.append([(right, float(up.at(1.0))), (width - 0.15, float(up.at(1.0)))])
-            last = name == names[-1]
-            sheet.ticks((left, low), steps.ticks(6, inside=False) if last else [], y.ticks(2))
-            sheet.ticks((right, low), shares.ticks(5, inside=False) if last else [], [])
-            sheet.axes.text(right - 0.07, float(up.at(1.0)), "1", ha="right", va="center", fontsize=8)
-            sheet.axes.text(left, low + row + 0.04, labels.get(name, name), ha="left", va="bottom")
-        sheet.lines(frames, colors="black", lw=0.8)
-        sheet.lines(flat, colors="#888888", lw=0.8)
-        for e in range(ensembles):
-            colour = COLOURS[e % len(COLOURS)]
-            sheet.lines(traces[e], colors=colour, lw=0.4, alpha=0.8, rasterized=True)
-            sheet.lines(bars[e], colors=colour, lw=1.2, linestyles=STYLES[e % len(STYLES)])
-        words = {
-            0.5 * (left + middle): ("trace of each ensemble", "draw (thinned)"),
-            0.5 * (right + width): ("ranks of each ensemble (flat: they agree)", "rank among all draws / their number"),
-        }
-        for x, (above, below) in words.items():
-            sheet.axes.text(x, height - top + 0.15, above, ha="center", va="bottom", size=10)
-            sheet.axes.text(x, 0.06, below, ha="center", va="bottom")
-        sheet.axes.text(0.5 * width, height - top + 0.75, title, ha="center", va="top", size=11)
-    if not converged:
-        mark(sheet.figure)
-    return sheet.figure
+            for k, (chain, chain_ranks) in enumerate(zip(values, ranks, strict=True)):
+                colour = COLOURS[k % len(COLOURS)]
+                row[0].plot(np.arange(chain.size) + burn_in, chain, lw=0.4, color=colour, alpha=0.8, rasterized=True)
+                heights, edges = np.histogram(chain_ranks, bins=20, range=(0.0, 1.0), density=True)
+                row[1].stairs(heights, edges, color=colour, lw=1.2, ls=STYLES[k % len(STYLES)])
+            row[0].set_ylabel(labels.get(name, name))
+            row[1].axhline(1.0, color="#888888", lw=0.8)
+            row[1].set_ylim(0.0, None)
+            row[1].set_yticks([0, 1])
+        axes[-1, 0].set_xlabel("draw (thinned)")
+        axes[-1, 1].set_xlabel("rank among all draws / number of draws")
+        axes[0, 0].set_title("trace of each ensemble")
+        axes[0, 1].set_title("ranks of each ensemble (flat: they agree)")
+        figure.align_ylabels(axes[:, 0])
+        figure.text(0.5, 1.0 - 0.1 / height, title, ha="center", va="top", fontsize=11)
+    return figure
 
 
 def feature_check_figure(rows: Sequence[Mapping[str, Any]], *, title: str, converged: bool = True) -> Figure:

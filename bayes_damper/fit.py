@@ -713,6 +713,7 @@ def _attributes(plan: Mapping[str, Any], name: str) -> dict[str, Any]:
 # Figures -------------------------------------------------------------------------------------------------------------
 
 _TRACED = 2  # of the kept draws, every so many
+_CROWDED = 7  # panels each way of a corner figure; beyond, those that say nothing of their own are left out
 _MAIN = ("mu", "k2t", "c2t", "drag", "nu", "c1t", "c3t", "friction_torque", "sigma1", "sigma2")
 
 
@@ -735,7 +736,8 @@ def _draw_case(
     thinned = _thinned(draws, sampling)
     names = [name for main in _MAIN for name in thinned if name.partition("[")[0] == main]
     labels = _axis_labels({name: units(name) for name in draws})
-    flat = {name: thinned[name].ravel() for name in names}
+    beside = {"friction_torque", "sigma1", "sigma2"} & set(names) if len(names) > _CROWDED else set()
+    flat = {name: thinned[name].ravel() for name in names if name not in beside}
     converged = sampling.converged
     figures.save(figures.corner_figure({title: flat}, labels, title=title, converged=converged), folder / "corner")
     trace = {name: value[:, ::_TRACED] for name, value in thinned.items() if value.std() > 0.0}

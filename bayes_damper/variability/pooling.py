@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp, ndtr
 
+from bayes_damper.arviz_adapter import pareto_k
 from bayes_damper.errors import InputError
 from bayes_damper.variability.tempering import Block, temper
 
@@ -337,32 +338,6 @@ def _recycled(draws: Mapping[str, Array], rng: np.random.Generator, particles: i
         found.log_z,
         math.sqrt(found.error**2 + sum(1.0 / x for x in of_one.values())),
     )
-
-
-def pareto_k(weights: Array) -> float:
-    """Shape of the generalised Pareto distribution of the largest weights (Vehtari et al. 2024, JMLR 25:72).
-
-    Below 0.7 averages over the weighted draws can be trusted; inf where fewer than five large weights differ, -inf
-    where all weights are the same. The fit is that of Zhang and Stephens (2009, Technometrics 51:316).
-    """
-    n = len(weights)
-    if np.ptp(weights) < 1e-9 * weights.max():
-        return -math.inf
-    count = math.ceil(min(0.2 * n, 3.0 * math.sqrt(n)))
-    ordered = np.sort(weights / weights.max())
-    x = ordered[n - count :] - ordered[n - count - 1]
-    x = x[x > 1e-12]
-    if len(x) < 5:
-        return math.inf
-    m = 30 + int(math.sqrt(len(x)))
-    quartile = x[int(len(x) / 4 + 0.5) - 1]
-    theta = 1.0 / x[-1] + (1.0 - np.sqrt(m / (np.arange(1, m + 1) - 0.5))) / (3.0 * quartile)
-    shape = np.mean(np.log1p(-theta[:, None] * x), axis=1)
-    height = len(x) * (np.log(-theta / shape) - shape - 1.0)
-    best = float(np.sum(theta * np.exp(height - logsumexp(height))))
-    k = float(np.mean(np.log1p(-best * x)))
-    # The weak prior of the former paper: k about 0.5, worth ten draws.
-    return (len(x) * k + 10.0 * 0.5) / (len(x) + 10.0)
 
 
 # Cases whose likelihood is Gaussian -----------------------------------------------------------------------------------
