@@ -111,13 +111,13 @@ def pareto_k(weights: Array) -> float:
     Below 0.7 averages over the weighted draws can be trusted (Vehtari et al. 2024, JMLR 25:72); inf where fewer than
     five large weights differ, -inf where all weights are the same.
     """
-    from arviz_stats.base import array_stats
+    from arviz_stats import base
 
     top = float(weights.max())
     if np.ptp(weights) < 1e-9 * top:
         return -math.inf
     # ArviZ weighs by 1/exp(its argument): it takes log likelihoods of data to be left out.
-    smooth: Any = array_stats.psislw
+    smooth: Any = base.array_stats.psislw
     try:
         k = float(smooth(-np.log(np.maximum(weights / top, 1e-300)))[1])
     except ValueError:  # the largest weights are all the same
