@@ -8,6 +8,7 @@ of `bayes_damper.sampling`, kept in the attributes of the posterior's variables.
 
 from __future__ import annotations
 
+import importlib
 import math
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -111,13 +112,11 @@ def pareto_k(weights: Array) -> float:
     Below 0.7 averages over the weighted draws can be trusted (Vehtari et al. 2024, JMLR 25:72); inf where fewer than
     five large weights differ, -inf where all weights are the same.
     """
-    from arviz_stats import base
-
     top = float(weights.max())
     if np.ptp(weights) < 1e-9 * top:
         return -math.inf
     # ArviZ weighs by 1/exp(its argument): it takes log likelihoods of data to be left out.
-    smooth: Any = base.array_stats.psislw
+    smooth = importlib.import_module("arviz_stats.base").array_stats.psislw
     try:
         k = float(smooth(-np.log(np.maximum(weights / top, 1e-300)))[1])
     except ValueError:  # the largest weights are all the same
