@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal
 from small_rig import RIG, knock, measured, variant
 
 from bayes_damper.calibration import calibrate_nominal, predict
-from bayes_damper.diagnosis.response import motions, project
+from bayes_damper.diagnosis.response import _steps, motions, project
 from bayes_damper.diagnosis.sites import (
     STRENGTHS,
     dense_evidence,
@@ -172,3 +172,13 @@ def test_probabilities_share_what_surrogates_cannot_tell():
     assert close["interface"] < 0.01
     assert close["release"] == 0.0
     assert probabilities_of({"ground1": -3.0, "sensor": -3.0})["none"] > 0.9
+
+
+def test_a_sharp_friction_does_not_ring_from_sample_to_sample():
+    """A change of the start is damped by a stiff friction at rest within a step, not turned over by it."""
+    stiff = np.array([[[[0.0, 0.0], [0.0, 0.0]]]])
+    damped = np.array([[[[-40.0, 0.0], [0.0, -0.2]]]])
+    step, push = _steps(stiff, damped, np.eye(2)[None], np.array([[1.0]]))
+    assert abs(step[0, 0, 2, 2]) < 0.05
+    assert step[0, 0, 3, 3] == pytest.approx(np.exp(-0.2), rel=1e-4)
+    assert push[0, 0, 3, 1] == pytest.approx((1.0 - np.exp(-0.2)) / 0.2, rel=1e-4)
