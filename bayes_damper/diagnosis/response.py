@@ -5,8 +5,9 @@ would the readings change? Along the motion of a fitted rig the change obeys the
 
     M d(dw)/dt = K(t) dth + C(t) dw + q(t),    d(dth)/dt = dw,
 
-stepped here by an L-stable rule of third order for many torques at once. A reversal of dry friction lasts far less than a
-step; over a step the slope of tanh is therefore the secant (tanh(nu b) - tanh(nu a)) / (b - a), which conserves the jump.
+stepped here by an L-stable rule of third order for many torques at once. A reversal of dry friction lasts far less
+than a step; over a step the slope of tanh is therefore the secant (tanh(nu b) - tanh(nu a)) / (b - a), which conserves
+the jump.
 """
 
 from __future__ import annotations
