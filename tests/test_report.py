@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import html
+import io
 import json
 import re
 import shutil
@@ -12,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from PIL import Image
 
 from bayes_damper import report
 from bayes_damper.errors import ExitCode, InputError
@@ -338,6 +341,26 @@ def test_a_large_vector_figure_is_taken_as_picture(tmp_path):
     assert svg.stat().st_size > 350_000 > png.stat().st_size
     page = report(tmp_path / "fit").path.read_text(encoding="utf-8")
     assert len(re.findall(r"<img src=\"data:image/png", page)) == 1
+
+
+def test_a_picture_travels_in_few_colours(tmp_path):
+    """A trace of lines shrinks to less than half, keeps its size in pixels, and differs by no more than a shade."""
+    write_fit(tmp_path / "fit")
+    figure = new_figure(9.0, 6.0)
+    walk = np.cumsum(np.random.default_rng(0).standard_normal((4, 3000)), axis=1)
+    axes = figure.subplots()
+    for i, y in enumerate(walk):
+        axes.plot(y, color=COLOURS[i], lw=0.4, alpha=0.8)
+    _, png = save(figure, tmp_path / "fit" / "walk")
+    (tmp_path / "fit" / "walk.svg").unlink()
+    page = report(tmp_path / "fit").path.read_text(encoding="utf-8")
+    found = re.search(r"<img src=\"data:image/png;base64,([^\"]+)", page)
+    assert found is not None
+    content = base64.b64decode(found[1])
+    assert len(content) < 0.6 * png.stat().st_size
+    before, after = (np.asarray(Image.open(f).convert("RGB"), float) for f in (png, io.BytesIO(content)))
+    assert before.shape == after.shape
+    assert np.mean(np.abs(before - after)) < 2.0
 
 
 def test_packed_numbers_come_back_within_half_a_step():

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import io
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -25,6 +26,8 @@ from bayes_damper.run import read_json
 LARGEST = 5_000_000
 """Bytes that a page may have, so that it can be sent by mail."""
 _LARGEST_SVG = 350_000  # bytes; a larger one is taken as PNG
+_SMALL_PNG, _LARGE_PNG = 60_000, 600_000  # bytes; below the first it is taken as it is, above the other not so wide
+_PAGE = 1000  # pixels, the width of a figure on the page
 _MIME = {".svg": "image/svg+xml", ".png": "image/png"}
 _ORDER = ("forest", "predictive", "records", "corner", "trace")
 
@@ -201,7 +204,7 @@ def _take(picture: Picture, budget: _Budget, home: Path) -> None:
     files.sort(key=lambda f: (f.suffix == ".svg" and f.stat().st_size > _LARGEST_SVG, f.suffix != ".svg"))
     budget.used[picture.path] = ""
     for file in files:
-        content = file.read_bytes()
+        content = _smaller(file.read_bytes()) if file.suffix == ".png" else file.read_bytes()
         address = f"data:{_MIME[file.suffix]};base64,{base64.b64encode(content).decode('ascii')}"
         if len(address) <= budget.left:
             budget.left -= len(address)
@@ -210,6 +213,24 @@ def _take(picture: Picture, budget: _Budget, home: Path) -> None:
     if files:
         name = files[0]
         budget.left_out.append(str(name.relative_to(home) if name.is_relative_to(home) else name))
+
+
+def _smaller(picture: bytes) -> bytes:
+    """A PNG in at most 64 colours, which line drawings do not exceed to the eye; a large one not wider than a page."""
+    if len(picture) < _SMALL_PNG:
+        return picture
+    from PIL import Image
+
+    try:
+        with Image.open(io.BytesIO(picture)) as image:
+            plain = image.convert("RGB")
+    except OSError:  # not a picture that Pillow reads: the browser may
+        return picture
+    if len(picture) > _LARGE_PNG and plain.width > _PAGE:
+        plain = plain.resize((_PAGE, round(plain.height * _PAGE / plain.width)), Image.Resampling.LANCZOS)
+    out = io.BytesIO()
+    plain.quantize(64, dither=Image.Dither.NONE).save(out, "PNG", optimize=True)
+    return min(picture, out.getvalue(), key=len)
 
 
 def _origin(file: Path, result: Result) -> list[tuple[str, str]]:
