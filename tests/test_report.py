@@ -262,6 +262,20 @@ def test_a_plan_and_a_decomposition_read_as_tables(tmp_path):
     assert "coupled 14.3 7.4 5 magnet_cubic" in text
 
 
+def test_withheld_scores_open_the_page(tmp_path):
+    score = {"value": 0.95, "interval95": [0.87, 0.98], "n": 65, "hits": 62}
+    data = {
+        "schema": "bayes-damper/withheld/1", "rehearsal": False, "campaigns": {f"c{i}": {} for i in range(71)},
+        "scores": {"all": {"accepted_first": score, "none_kept": {**score, "n": 20, "hits": 19}}},
+    }  # fmt: skip
+    (tmp_path / "withheld.json").write_text(json.dumps(data), encoding="utf-8")
+    words = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
+    assert "Right or acceptable first answer: 62 of 65 campaigns whose causes were withheld." in words
+    assert "No gap claimed where there is none: 19 of 20." in words
+    (tmp_path / "withheld.json").write_text(json.dumps({**data, "scores": None}), encoding="utf-8")
+    assert "71 campaigns judged, verdicts sealed" in words_of(report(tmp_path).path.read_text(encoding="utf-8"))
+
+
 def test_numbers_stand_with_unit_and_interval(tmp_path):
     write_fit(tmp_path / "fit")
     page = report(tmp_path / "fit").path.read_text(encoding="utf-8")

@@ -185,9 +185,11 @@ def torque_chart(file: Path) -> Chart | None:
     for row in rows:
         head = f"{row.get('case', '')} {row.get('configuration', '')} #{row.get('trial', '')}"
         trials.setdefault(head.strip(), []).append(row)
-    views = []
+    views: list[dict[str, Any]] = []
     axes = (("time_s", "time [s]"), ("theta1_rad", "th1 [rad]"), ("omega1_rad_s", "w1 [rad/s]"))
-    for label, part in list(trials.items())[: MOST_VIEWS // len(axes)]:
+    for label, part in trials.items():
+        if len(views) + len(axes) > MOST_VIEWS:
+            break
         every = -(-len(part) // MOST_POINTS)
         column = {
             k: np.array([_float(r.get(k)) for r in part[::every]]) for k in part[0] if k.endswith(("_s", "_rad", "_m"))
@@ -199,14 +201,16 @@ def torque_chart(file: Path) -> Chart | None:
             panels = []
             for i, who in ((1, "primary"), (2, "secondary")):
                 torque, sd = column.get(f"torque{i}_n_m"), column.get(f"torque{i}_sd_n_m")
-                if torque is None or sd is None or not np.isfinite(torque).any():
+                if torque is None or sd is None or not np.any(np.nan_to_num(torque)):
                     continue
                 drawn = [series("estimate", kind, i - 1, y=torque)]
                 if kind == "line":
                     band = series("estimate ± 1.64 sd", "band", i - 1, low=torque - 1.64 * sd, high=torque + 1.64 * sd)
                     drawn.insert(0, band)
                 panels.append({"y": f"on the {who} [N m]", "height": 2, "series": drawn})
-            views.append({"label": f"{label}, against {name}", "x": name, "at": pack(column[axis]), "panels": panels})
+            if panels:
+                view = {"label": f"{label}, against {name}", "x": name, "at": pack(column[axis]), "panels": panels}
+                views.append(view)
     if not views:
         return None
     text = "The torque that the nominal model would need beside its own to follow the records, with its uncertainty."

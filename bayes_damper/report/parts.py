@@ -49,7 +49,7 @@ class Chart:
 
 @dataclass(frozen=True)
 class Section:
-    """One part of the page below the first screen."""
+    """One part of the page below the first screen; a folded one is shown when it is asked for."""
 
     title: str
     sentences: tuple[str, ...] = ()
@@ -57,6 +57,7 @@ class Section:
     charts: tuple[Chart, ...] = ()
     pictures: tuple[Picture, ...] = ()
     parts: tuple[Section, ...] = ()
+    folded: bool = False
 
     @property
     def anchor(self) -> str:
@@ -155,6 +156,13 @@ def generic(data: Mapping[str, Any], title: str, skip: Sequence[str] = (), depth
     if plain:
         tables.insert(0, Table("values", ("", "value"), tuple(plain)))
     return Section(title, tables=tuple(tables), parts=tuple(p for p in parts if p.tables or p.parts))
+
+
+def folded(rest: Section) -> tuple[Section, ...]:
+    """What is left of a file of results, for those who look for it; nothing where nothing is left."""
+    if not rest.tables and not rest.parts:
+        return ()
+    return (Section("All other numbers of the file", tables=rest.tables, parts=rest.parts, folded=True),)
 
 
 def _is_plain(value: Any) -> bool:

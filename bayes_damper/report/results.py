@@ -18,6 +18,7 @@ from bayes_damper.report.parts import (
     Row,
     Section,
     Table,
+    folded,
     generic,
     interval,
     listed,
@@ -375,8 +376,9 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
     rest = generic(
         data, "", ("schema", "campaign", "verdict", "credible_set", "probabilities", "sites", "effects", "provenance",
                    "campaign_sha256", "seed", "indistinguishable", "notes", "next_experiment", "gap", "parameters",
-                   "sensitivity"),
+                   "sensitivity", "where"),
     )  # fmt: skip
+    places = generic({"where": data.get("where") or {}}, "").parts
     section = Section(
         "Diagnosis",
         tuple(data.get("notes", ())),
@@ -388,11 +390,10 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
             *_shift_tables(data.get("parameters") or {}),
             *_choice_tables(data.get("sensitivity") or []),
             *([_records_table("Next experiment", data["next_experiment"])] if data.get("next_experiment") else []),
-            *rest.tables,
         ),
         tuple(c for c in charts if c is not None),
         _pictures(folder, kind="diagnosis"),
-        rest.parts,
+        (*places, *folded(rest)),
     )
     return Result(head, section, (), dict(data.get("provenance", {})) | _fingerprint(data))
 
@@ -670,9 +671,10 @@ def variability_result(data: Mapping[str, Any], folder: Path) -> Result:
     """Headline and section of variability.json."""
     models = sorted(data["models"].items(), key=lambda item: -item[1]["probability"])
     converged = bool(data.get("converged"))
-    sentences = list(data.get("sentences", ()))
-    if not converged:
-        sentences.insert(0, _UNCONVERGED)
+    sentences = [] if converged else [_UNCONVERGED]
+    first, p = models[0][0], float(models[0][1]["probability"])
+    sentences.append(f"Most probable: {_SHARING.get(first, first)} ({percent(p)}).")
+    sentences += data.get("sentences", ())
     rows = []
     for name, m in models:
         score = (m.get("heldout") or {}).get("log_score")
@@ -682,8 +684,6 @@ def variability_result(data: Mapping[str, Any], folder: Path) -> Result:
     compared = Table("Do the cases share their parameters?", columns, tuple(rows))
     shown = tuple((_SHARING.get(name, name), float(m["probability"])) for name, m in models)
     tone = "bad" if not converged else "good" if shown[0][1] > 0.9 else "open"
-    if not sentences:
-        sentences = [f"Most probable: {shown[0][0]} ({percent(shown[0][1])})."]
     name = str(data.get("campaign", ""))
     head = Headline(
         f"What the cases of {name} share" if name else "What the cases share", tone, tuple(sentences), shown
@@ -695,8 +695,8 @@ def variability_result(data: Mapping[str, Any], folder: Path) -> Result:
     )  # fmt: skip
     pictures = _pictures(folder, kind="variability")
     told = tuple(str(data[key]) for key in ("method", "method_of_effective") if data.get(key))
-    tables = (compared, *_decomposition_tables(data), *_recycled_tables(data.get("recycled") or {}), *rest.tables)
-    section = Section("Variability", told, tables, (), pictures, rest.parts)
+    tables = (compared, *_decomposition_tables(data), *_recycled_tables(data.get("recycled") or {}))
+    section = Section("Variability", told, tables, (), pictures, folded(rest))
     warnings = () if converged else ("The comparison of the cases did not converge: do not use its numbers.",)
     return Result(head, section, warnings, dict(data.get("provenance", {})) | _fingerprint(data))
 
@@ -736,13 +736,74 @@ def _decomposition_tables(data: Mapping[str, Any]) -> list[Table]:
 
 
 def _recycled_tables(recycled: Mapping[str, Any]) -> list[Table]:
-    """Health of the importance weights by which the draws of single cases were used again."""
+    """Partial pooling both ways, and the health of the weights by which the draws of single cases were used again."""
     if not recycled.get("ess"):
         return []
     tails = recycled.get("pareto_k") or {}
     rows = tuple(Row((case, f"{ess:.0f}", number(tails.get(case)))) for case, ess in recycled["ess"].items())
     note = "Weights can be trusted where Pareto k is below 0.7."
-    return [Table("Draws of each case, used again by weights", ("case", "effective draws", "Pareto k"), rows, note)]
+    tables = [Table("Draws of each case, used again by weights", ("case", "effective draws", "Pareto k"), rows, note)]
+    compared = [
+        Row((name, *(_told(row[key][way]) for key in ("common", "scatter") for way in ("recycled", "direct"))))
+        for name, row in (recycled.get("parameters") or {}).items()
+    ]
+    if compared:
+        heights = [f"{number(recycled[key], 0.5)} ± {number(recycled[error], 0.5)}" for key, error in _HEIGHTS]
+        note = f"Log evidence over separate cases: {heights[0]} by weights, {heights[1]} directly."
+        columns = ("parameter", "common value, by weights", "directly", "scatter, by weights", "directly")
+        tables.append(Table("Values scattered about a common mean, found in two ways", columns, tuple(compared), note))
+    return tables
+
+
+_HEIGHTS = (("log_evidence_over_separate", "error"), ("direct_log_evidence_over_separate", "direct_error"))
+
+
+def _told(row: Mapping[str, Any]) -> str:
+    return f"{number(row['median'], row['hdi90'][1] - row['hdi90'][0])} ({interval(*row['hdi90'])})"
+
+
+# A check on withheld causes -----------------------------------------------------------------------------------------
+
+_SCORES = (
+    ("accepted_first", "right or acceptable first answer"),
+    ("right_first", "right effect first"),
+    ("none_kept", "no gap claimed where there is none"),
+    ("unknown_first", "'unknown' for a cause outside the library"),
+    ("pairs_both_named", "both of two effects named"),
+    ("site", "right site"),
+    ("false_and_confident", "wrong name with more than 90 %"),
+    ("coverage90", "90 % intervals that hold the true parameter"),
+)
+
+
+def withheld_result(data: Mapping[str, Any], folder: Path) -> Result:
+    """Headline and section of withheld.json: sealed verdicts, and their scores once the key was opened."""
+    scores = (data.get("scores") or {}).get("all") or {}
+    count = len(data.get("campaigns") or ())
+    rehearsal = bool(data.get("rehearsal"))
+    sentences = [f"{count} campaigns judged, verdicts sealed; the key has not been opened."]
+    rows = []
+    for key, what in _SCORES:
+        score = scores.get(key) or {}
+        if not score.get("n"):
+            continue
+        low, high = (100.0 * x for x in score.get("interval95") or (float("nan"),) * 2)
+        rows.append(Row((what, f"{score['hits']} of {score['n']}", f"{low:.0f} to {high:.0f} %")))
+    if rows:
+        told = {row.cells[0]: row.cells[1] for row in rows}
+        first = next(iter(told.items()))
+        sentences = [f"{first[0].capitalize()}: {first[1]} campaigns whose causes were withheld."]
+        sentences += [f"{what.capitalize()}: {n}." for what, n in list(told.items())[1:4]]
+    if rehearsal:
+        sentences.insert(
+            0, "A rehearsal: the causes could have been known. " + " ".join(data.get("why_rehearsal") or ())
+        )
+    table = Table("Scores", ("what", "how often", "95 % interval"), tuple(rows)) if rows else None
+    rest = generic(data, "", ("schema", "provenance"))
+    name = "Withheld causes"
+    head = Headline(name, "bad" if rehearsal else "good" if rows else "open", tuple(sentences), table=table)
+    section = Section(name, (), (), (), _pictures(folder, kind="withheld"), folded(rest))
+    return Result(head, section, (), dict(data.get("provenance", {})))
 
 
 # Results that this page knows only by their form --------------------------------------------------------------------
@@ -773,12 +834,7 @@ READERS: Mapping[str, tuple[str, Callable[[Mapping[str, Any], Path], Result]]] =
     "variability.json": ("bayes-damper/variability/1", variability_result),
     "tune.json": ("bayes-damper/tune/1", tune_result),
     "plan.json": ("bayes-damper/plan/1", plan_result),
-    "withheld.json": (
-        "bayes-damper/withheld/1",
-        other_result(
-            "withheld", "Withheld causes", "Verdicts on campaigns whose causes were sealed, and their scores."
-        ),
-    ),
+    "withheld.json": ("bayes-damper/withheld/1", withheld_result),
     "comparison.json": ("bayes-damper/comparison/1", other_result("comparison", "Comparison", "Results side by side.")),
     "bench.json": (
         "bayes-damper/bench/1",

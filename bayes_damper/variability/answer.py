@@ -332,7 +332,13 @@ def _add_probabilities(models: dict[str, dict[str, Any]]) -> None:
 def _sentences(result: Mapping[str, Any], fit_converged: bool) -> list[str]:
     models, check = result["models"], result["recycled"]
     best = max(models, key=lambda name: models[name]["log_evidence"])
-    out = [] if fit_converged else ["The fit that this rests on did not converge."]
+    others = [models[best]["log_evidence"] - models[n]["log_evidence"] for n in models if n != best]
+    out = [f"Evidence is highest for {MEANING[best]}, by {min(others):.1f} and {max(others):.1f} nats."]
+    if all(m["heldout"]["log_score"] is not None for m in models.values()):
+        seen = max(models, key=lambda name: models[name]["heldout"]["log_score"])
+        out.append(f"{models[best]['heldout']['what']}: best predicted by {MEANING[seen]}.")
+    if not fit_converged:
+        out.insert(0, "The fit that this rests on did not converge.")
     out += [
         f"The model {name} spreads by {m['spread']:.1f} nats between runs: raise particles."
         for name, m in models.items()
@@ -344,11 +350,6 @@ def _sentences(result: Mapping[str, Any], fit_converged: bool) -> list[str]:
             f"Particles moved slowly ({', '.join(slow)}): the errors of the evidence are too small by an unknown "
             "factor; raise particles and repeats, and look at the spread."
         )
-    others = [models[best]["log_evidence"] - models[n]["log_evidence"] for n in models if n != best]
-    out.append(f"Evidence is highest for {MEANING[best]}, by {min(others):.1f} and {max(others):.1f} nats.")
-    if all(m["heldout"]["log_score"] is not None for m in models.values()):
-        seen = max(models, key=lambda name: models[name]["heldout"]["log_score"])
-        out.append(f"{models[best]['heldout']['what']}: best predicted by {MEANING[seen]}.")
     worst = max(check["pareto_k"].values())
     k = f"effective draws {min(check['ess'].values()):.0f} or more, Pareto k at most {worst:.2f}"
     if not check["reliable"]:
