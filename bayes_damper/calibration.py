@@ -931,6 +931,17 @@ class Linear:
             parts.append((block, H, TJ, gT))
         return Normals(self, S, g, cost, tuple(parts), size, k)
 
+    def pinned(self) -> Linear:
+        """The same with nuisances held that are pressed against an end of their range: they can take nothing up."""
+        blocks = []
+        for b in self.blocks:
+            low, high = b.group.lower, b.group.upper
+            gradient = np.einsum("jmd,jd->jm", b.T, b.r) + b.eta
+            near = 1e-6 * (high - low)
+            held = ((b.eta - low < near) & (gradient > 0.0)) | ((high - b.eta < near) & (gradient < 0.0))
+            blocks.append(replace(b, T=np.where(held[:, :, None], 0.0, b.T)) if held.any() else b)
+        return replace(self, blocks=tuple(blocks))
+
 
 @dataclass(frozen=True, eq=False)
 class Normals:

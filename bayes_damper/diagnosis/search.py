@@ -126,7 +126,7 @@ class Screen:
 
     def __init__(self, fit: Calibration) -> None:
         self.fit = fit
-        self.linear: Linear = fit.linear
+        self.linear: Linear = fit.linear.pinned()
         self.normals: Normals = self.linear.normal()
         self.S, self.g, self.inverses = self.normals.reduced()
         self.full = [np.concatenate([b.J, b.T, b.r[:, None, :]], axis=1) for b in self.linear.blocks]
@@ -303,6 +303,12 @@ def search(
         or (gains[k] > LEADING_SHARE * best and rank < MOST_FITS)
         or (pool[k][1].null is None and best > FAINT)
     ]
+    if nominal.problem.noise.sensor:
+        # Without repeats the error of the model stands for noise: gains are faint then, and rank the families badly.
+        leading: dict[str, int] = {}
+        for k in order:
+            leading.setdefault(pool[k][0].name, int(k))
+        chosen += sorted(set(leading.values()) - set(chosen))
     tell(f"screened {len(pool)} formulas, fitting {len(chosen)}")
 
     reached = [nominal.cost]
