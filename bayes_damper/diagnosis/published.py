@@ -39,6 +39,7 @@ Data = Mapping[str, Sequence[Datum]]
 BLUR_PRIOR: Distribution = LogNormal(0.1, 2.0)
 """Size of a generic discrepancy relative to the feature: between a few and some tens of per cent."""
 SIZE = 0.05  # of the test for a gap
+LOOSE, FEW_DRAWS = 1.5, 30.0  # nats between repeats, effective draws: from which an evidence is poorly known
 _DRAWS = 240
 _LEADING = 4  # answers between which the next experiment is to decide
 _NOISE = 2.0  # rad/s^2, of the records that a next experiment would take
@@ -48,14 +49,14 @@ _UNITS = {"log_decrement": "1", "period": "s", "max_acceleration": "rad/s^2"}
 
 @dataclass(frozen=True)
 class Settings:
-    """How much is computed: rounds and draws of the search that begins at the prior, then of each formula's evidence,
-    and independent repeats of everything.
+    """How much is computed: rounds and draws of the search that begins at the prior; draws carried along and most
+    sweeps a stage on the way to each formula's evidence; independent repeats of everything.
     """
 
     search_rounds: int = 8
     search_count: int = 768
-    rounds: int = 3
-    count: int = 256
+    count: int = 192
+    sweeps: int = 8
     repeats: int = 2
 
 
@@ -94,6 +95,12 @@ class Result:
     error: float
     runs: tuple[Weighed, ...]
     silent: bool = False
+
+    @property
+    def spread(self) -> float:
+        """Largest difference between the log evidences of independent repeats; 0 if there is one, or if silent."""
+        heights = [w.log_z for w in self.runs]
+        return 0.0 if self.silent else max(heights) - min(heights)
 
 
 @dataclass(frozen=True)
@@ -218,6 +225,8 @@ class PublishedDiagnosis:
             "formula": result.formula.text,
             "log_evidence": result.log_evidence,
             "log_evidence_error": result.error,
+            "effective_draws": 0.0 if result.silent else sum(w.ess for w in result.runs),
+            "spread_of_repeats": result.spread,
             "acts": not result.silent,
             "parameters": _parameters(result),
         }
@@ -311,7 +320,7 @@ def diagnose_published(
             rng = np.random.default_rng([seed, r, i])
             # Everything is measured against the nominal model: it gets four times the draws.
             count = settings.count * (4 if i == 0 else 1)
-            return weigh_formula(joints[i], beginning(shapes[r], joints[i]), rng, rounds=settings.rounds, count=count)
+            return weigh_formula(joints[i], beginning(shapes[r], joints[i]), rng, count=count, sweeps=settings.sweeps)
 
         found: dict[int, list[Weighed]] = {}
         for (i, _), weighed in zip(jobs, pool.map(run, jobs), strict=True):
@@ -336,7 +345,7 @@ def diagnose_published(
     return PublishedDiagnosis(
         campaign, nominal, data, tuple(results), answers, spread, evidence, errors,
         _sites(answers, results, evidence), rows, p_value, gap, _indistinct(evidence), tuple(proposals[:5]),
-        tuple(_notes(answers, results, found, data)), (base, base_error), seed, time.perf_counter() - began,
+        tuple(_notes(answers, results, data)), (base, base_error), seed, time.perf_counter() - began,
     )  # fmt: skip
 
 
@@ -544,9 +553,12 @@ def _indistinct(evidence: Mapping[str, float]) -> tuple[tuple[str, ...], ...]:
     return (close,) if len(close) > 1 else ()
 
 
-def _notes(
-    answers: PublishedAnswers, results: Sequence[Result], found: Mapping[int, Sequence[Weighed]], data: Data
-) -> list[str]:
+def _loose(result: Result) -> bool:
+    """Whether a formula's evidence is too poorly known to rank it."""
+    return result.spread > LOOSE or min(w.ess for w in result.runs) < FEW_DRAWS
+
+
+def _notes(answers: PublishedAnswers, results: Sequence[Result], data: Data) -> list[str]:
     """What could not be told, in sentences."""
     count = sum(len(rows) for rows in data.values())
     shared = "One set of parameters is shared by all cases; each case has a spring and a release angle of its own."
@@ -559,11 +571,11 @@ def _notes(
     mute = [n for n in silent if n not in loud]
     if mute:
         notes.append(f"These numbers say nothing at all about: {', '.join(mute)}.")
-    poor = sorted({results[i].formula.family for i, runs in found.items() if min(w.ess for w in runs) < 8.0})
-    if poor:
+    loose = sorted({r.formula.family for r in results if not r.silent and _loose(r)})
+    if loose:
         notes.append(
-            f"The evidence rests on fewer than eight effective draws for a formula of: {', '.join(poor)}; "
-            "its error is larger than told."
+            f"The evidence of a formula of {', '.join(loose)} differs by more than {LOOSE:g} nats between repeats, or "
+            f"rests on fewer than {FEW_DRAWS:g} effective draws: its place in the ranking is not sure."
         )
     return notes
 
