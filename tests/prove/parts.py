@@ -33,6 +33,7 @@ MODULES = {
     "evidence": FITTED,
     "kills-sampler": ("bayes_damper.sampling",),
     "integrator": ("bayes_damper.model",),
+    "next": ("bayes_damper.diagnosis",),
 }
 """By the beginning of a part's name, the modules that decide its results, with all that they import; else all."""
 
