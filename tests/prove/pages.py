@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -154,11 +155,12 @@ def kills() -> None:
         "kills-sampler": "The sampler by itself, saving its state ten times a second; compared are all its draws",
     }
     lines = [
-        "A run is stopped by SIGKILL at moments drawn evenly over the time that a whole one takes, gone on with,",
-        "killed again, until it ends; what it ends with is compared bit for bit with a run that nothing disturbed.",
+        "A run is stopped by SIGKILL at a random moment, gone on with, killed again, up to ten times, until it ends; what",
+        "it ends with is compared bit for bit with a run that nothing disturbed. Moments are drawn evenly over a third of",
+        "the time that a whole run takes, from each start on: what is resumed takes up late.",
         "",
-        "| what | kills | runs | the same, bit for bit |",
-        "| --- | --- | --- | --- |",
+        "| what | kills | runs | the same, bit for bit | last file written before a kill |",
+        "| --- | --- | --- | --- | --- |",
     ]
     verdicts: list[str] = []
     numbers: dict[str, Any] = {}
@@ -166,10 +168,12 @@ def kills() -> None:
     for name, title in titles.items():
         results = list(parts.finished(name).values())
         if not results:
-            lines.append(f"| {title} | not run yet | | |")
+            lines.append(f"| {title} | not run yet | | | |")
             continue
         total, same = sum(len(r["kills"]) for r in results), sum(not r["different"] for r in results)
-        lines.append(f"| {title} | {total} | {len(results)} | {same} |")
+        after = Counter(name for r in results for name in r["after"])
+        told = ", ".join(f"{name} {count}" for name, count in after.most_common())
+        lines.append(f"| {title} | {total} | {len(results)} | {same} | {told} |")
         verdicts.append(
             f"{'fit' if name == 'kills' else 'sampler'}: {total} kills, {same} of {len(results)} runs the same"
         )

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import re
 import signal
 import time
 from collections.abc import Callable
@@ -27,7 +28,9 @@ from bayes_damper.resume import resume
 from bayes_damper.sampling import Start, StoppingRule, sample
 
 KILLS = 50
-AT_MOST = 8  # kills of one fit
+AT_MOST = 10  # kills of one run
+SOON = 1.0 / 3.0
+"""Share of the time of a whole run within which it is killed, counted from each start: what is resumed takes up late."""
 STEPS = 300
 
 
@@ -66,21 +69,31 @@ def _life(
     home: Path,
     number: int,
 ) -> dict[str, object]:
-    """One run, killed again and again at moments drawn evenly over the time that a whole one takes."""
+    """One run, killed again and again; with each moment the last file that had been written."""
     rng = np.random.default_rng([50, number])
     folder = home / f"life-{number}"
     moments: list[float] = []
+    last: list[str] = []
     while True:
         child = _spawned(run, folder)
-        moment = float(rng.uniform(0.0, seconds)) if len(moments) < AT_MOST else None
+        moment = float(rng.uniform(0.0, SOON * seconds)) if len(moments) < AT_MOST else None
         child.join(moment)
         if child.exitcode is None:
             os.kill(child.pid, signal.SIGKILL)
             child.join()
             moments.append(round(moment, 3))
+            last.append(_latest(folder))
         else:
             assert child.exitcode == 0
-            return {"kills": moments, "seconds": round(seconds, 1), "different": differences(whole, folder)}
+            told = {"kills": moments, "after": last, "seconds": round(seconds, 1)}
+            return {**told, "different": differences(whole, folder)}
+
+
+def _latest(folder: Path) -> str:
+    """Name of the last file that a killed run has written, states without their number."""
+    files = [p for p in folder.rglob("*") if p.is_file()]
+    name = max(files, key=lambda p: p.stat().st_mtime_ns).name if files else "nothing"
+    return re.sub(r"-?\d{3,}", "", name)
 
 
 def _until_fifty(name: str, task: Callable[[int], dict[str, object]]) -> list[dict[str, object]]:
