@@ -155,9 +155,9 @@ def kills() -> None:
         "kills-sampler": "The sampler by itself, saving its state ten times a second; compared are all its draws",
     }
     lines = [
-        "A run is stopped by SIGKILL at a random moment, gone on with, killed again, up to ten times, until it ends; what",
-        "it ends with is compared bit for bit with a run that nothing disturbed. Moments are drawn evenly over a third of",
-        "the time that a whole run takes, from each start on: what is resumed takes up late.",
+        "A run is stopped by SIGKILL at a random moment, gone on with, killed again, up to ten times, until it ends;",
+        "what it ends with is compared bit for bit with a run that nothing disturbed. Moments are drawn evenly over a",
+        "third of the time that a whole run takes, from each start on: what is resumed takes up late.",
         "",
         "| what | kills | runs | the same, bit for bit | last file written before a kill |",
         "| --- | --- | --- | --- | --- |",

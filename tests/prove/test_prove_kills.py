@@ -30,7 +30,7 @@ from bayes_damper.sampling import Start, StoppingRule, sample
 KILLS = 50
 AT_MOST = 10  # kills of one run
 SOON = 1.0 / 3.0
-"""Share of the time of a whole run within which it is killed, counted from each start: what is resumed takes up late."""
+"""Share of the time of a whole run within which it is killed, from each start on: what is resumed takes up late."""
 STEPS = 300
 
 
