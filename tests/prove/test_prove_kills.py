@@ -31,7 +31,7 @@ KILLS = 50
 AT_MOST = 10  # kills of one run
 SOON = 1.0 / 3.0
 """Share of the time of a whole run within which it is killed, from each start on: what is resumed takes up late."""
-STEPS = 300
+STEPS = 100
 
 
 def _begin(campaign: Path, folder: Path) -> None:
