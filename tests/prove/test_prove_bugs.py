@@ -22,9 +22,8 @@ def hunt(bug: Bug) -> dict[str, Any]:
     name = "bug-" + "-".join(w for w in bug.name.replace(":", " ").replace(",", " ").split())
     count = FIRST
     while True:
-        results = parts.finish(
-            name, count, partial(calibrated.recorded, bug.kind, fault=bug.planted, mistake=bug.mistake)
-        )
+        task = partial(calibrated.recorded, bug.kind, fault=bug.planted, mistake=bug.mistake, weights=bug.weights)
+        results = parts.finish(name, count, task)
         p_values = {q: ranks.p_value(values) for q, values in pages.collected(results).items()}
         by = min(p_values, key=lambda q: p_values[q])
         least = ranks.least_of(list(p_values.values()))

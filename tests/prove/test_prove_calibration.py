@@ -14,11 +14,13 @@ import ranks
 import synthetic
 from scipy.stats import binom
 
-CAMPAIGNS = 130
+CAMPAIGNS = 60
 """Of each kind, for the fit as it is."""
-EXACT = 130
+WEIGHTED = 150
+"""Of each kind, with draws by weights in place of the sampler."""
+EXACT = 70
 """Of each kind, for the fit without allowance for release and reversals."""
-THESES = 40
+THESES = 20
 """Of each case."""
 
 
@@ -28,6 +30,16 @@ THESES = 40
 def test_ranks_of_every_parameter_are_uniform(kind):
     """The log likelihood is left to the next test: the fit as it is leaves some information unused."""
     results = parts.finish(f"calibration-{kind}", CAMPAIGNS, partial(calibrated.recorded, kind))
+    pages.calibration(calibrated.finished_parts(), calibrated.SETTINGS)
+    _judge(results, but="log_likelihood")
+
+
+@pytest.mark.prove
+@pytest.mark.xdist_group("calibration of records")
+@pytest.mark.parametrize("kind", synthetic.KINDS)
+def test_ranks_by_weighted_draws_are_uniform(kind):
+    task = partial(calibrated.recorded, kind, weights=True)
+    results = parts.finish(f"calibration-weights-{kind}", WEIGHTED, task)
     pages.calibration(calibrated.finished_parts(), calibrated.SETTINGS)
     _judge(results, but="log_likelihood")
 
