@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayes_damper.errors import ExitCode, InputError, Interrupted, SelfCheckError
-from bayes_damper.withheld import check, scores, sealing
+from bayes_damper.withheld import check, scores, sealing, together
 from bayes_damper.withheld.baselines import forest_out_of_fold
 
 GROUPS = [frozenset({"friction_displacement", "normal_force_law"})]
@@ -198,6 +198,41 @@ def test_no_campaigns_or_no_key_is_bad_input(tmp_path):
     (tmp_path / "set_key.json").unlink()
     with pytest.raises(InputError, match="--key"):
         run(tmp_path)
+
+
+def renamed(home, letter):
+    """The set of `home` with other names of its campaigns."""
+    key = json.loads((home / "set_key.json").read_text())
+    key["campaigns"] = {letter + name[1:]: row for name, row in key["campaigns"].items()}
+    (home / "set_key.json").write_text(json.dumps(key))
+    for folder in list((home / "set").iterdir()):
+        folder.rename(folder.with_name(letter + folder.name[1:]))
+
+
+def test_runs_are_scored_together(tmp_path, capsys):
+    """Counts add up, taken-out effects too; a campaign that is in two runs, or a run that is not done, is refused."""
+    truths = (["spring_cubic", "none"], ["sensor_gain", "none", "none"])
+    parts = []
+    for home, own in zip((tmp_path / "one", tmp_path / "two"), truths, strict=True):
+        home.mkdir()
+        write_set(home, own)
+        renamed(home, home.name[0])
+        run(home, full=True)
+        parts += [home / "out", home / "set_key.json"]
+    assert together.main([str(tmp_path / "both"), *map(str, parts)]) == 0
+    told = json.loads((tmp_path / "both/withheld.json").read_text())
+    assert told["scores"]["all"]["campaigns"] == 5
+    assert told["scores"]["all"]["none_kept"]["n"] == 3
+    assert told["leave_one_out"]["campaigns"] == 2
+    assert len(told["parts"]) == 2
+    assert (tmp_path / "both/withheld.svg").exists()
+    assert "5 campaigns" in capsys.readouterr().out
+    with pytest.raises(InputError, match="another run too"):
+        together.together([tuple(parts[:2]), tuple(parts[:2])])
+    (parts[0] / "withheld.json").unlink()
+    with pytest.raises(InputError, match="no finished run"):
+        together.together([tuple(parts[:2])])
+    assert together.main([]) == 2
 
 
 # Long runs ------------------------------------------------------------------------------------------------------------

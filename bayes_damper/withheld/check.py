@@ -244,8 +244,8 @@ def withheld(
             row.name: {**_told(opened.verdicts[row.name]), "score": row.to_json()} for row in rows
         },
         "scores": told,
-        "leave_one_out": _left_out_scores(removed),
-        "baselines": _baselines(rows, opened, groups, seed),
+        "leave_one_out": left_out_scores(removed),
+        "baselines": baseline_scores(rows, opened, groups, seed),
         "provenance": provenance(workers=workers),
     }  # fmt: skip
     results["bound_to_code"] = not reasons and (source == _shipped() or _remember(key_file, now))
@@ -376,7 +376,8 @@ def _told(verdict: Mapping[str, Any]) -> dict[str, Any]:
     return {name: verdict[name] for name in names if name in verdict}
 
 
-def _left_out_scores(rows: Sequence[scores.Scored]) -> dict[str, Any] | None:
+def left_out_scores(rows: Sequence[scores.Scored]) -> dict[str, Any] | None:
+    """Scores of campaigns diagnosed without their effect in the library; None if there are none."""
     if not rows:
         return None
     visible = [row for row in rows if row.single]
@@ -399,7 +400,7 @@ def _left_out_scores(rows: Sequence[scores.Scored]) -> dict[str, Any] | None:
     }
 
 
-def _baselines(
+def baseline_scores(
     rows: Sequence[scores.Scored], opened: Any, groups: Sequence[frozenset[str]], seed: int
 ) -> dict[str, Any]:
     """The baselines' scores on the same campaigns, each beside the diagnosis on those campaigns."""

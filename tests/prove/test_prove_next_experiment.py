@@ -38,7 +38,7 @@ RIVALS: dict[str, tuple[Truth, ...]] = {
 SMALL = (("I", 6.2, 2.9), ("II", 6.2, 3.9))
 NOISE = 2.0
 CAMPAIGNS = 4  # of each effect as the truth
-DECISIVE = 0.8
+DECISIVE = 0.5
 
 
 def _trials(
