@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 _TOLD = ("r_hat", "ess_bulk", "ess_tail")
-Summary = dict[str, dict[str, float | tuple[float, float]]]
 
 
 def hdi(draws: Array, probability: float = 0.9) -> tuple[float, float]:
@@ -38,23 +37,6 @@ def hdi(draws: Array, probability: float = 0.9) -> tuple[float, float]:
     width = values[inside:] - values[: len(values) - inside]
     low = int(width.argmin())
     return float(values[low]), float(values[low + inside])
-
-
-def summary(posterior: Mapping[str, Array]) -> Summary:
-    """Mean, sd, median, hdi90, r_hat, ess_bulk and ess_tail of each quantity (ensembles, steps, walkers)."""
-    table: Summary = {}
-    for name, draws in posterior.items():
-        d = diagnose_draws(draws)
-        table[name] = {
-            "mean": float(np.mean(draws)),
-            "sd": float(np.std(draws, ddof=1)),
-            "median": float(np.median(draws)),
-            "hdi90": hdi(draws),
-            "r_hat": d.r_hat,
-            "ess_bulk": d.ess_bulk,
-            "ess_tail": d.ess_tail,
-        }
-    return table
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,22 +17,19 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from bayes_damper import arviz_adapter, figures
-from bayes_damper.calibration import default_priors, experiment_of
-from bayes_damper.campaign import load_campaign
-from bayes_damper.distributions import Distribution
+from bayes_damper.distributions import to_standard
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.evidence import bridge
 from bayes_damper.fit import published_posterior
-from bayes_damper.parameters import PARAMETERS, unit_of
-from bayes_damper.priors import Prior, PriorSet, campaign_priors, priors_from_dict
+from bayes_damper.parameters import PARAMETERS
+from bayes_damper.priors import priors_from_dict
 from bayes_damper.provenance import provenance
 from bayes_damper.run import read_json, write_json
+from bayes_damper.sensitivity import WIDTHS, of_standard_draws
 
 Array = NDArray[np.float64]
 SCHEMA = "bayes-damper/comparison/1"
 KINDS = {"summary.json": "fit", "diagnosis.json": "diagnosis", "variability.json": "variability"}
-WIDTHS = (0.5, 2.0)
-"""Factors on the width of every prior in the table of sensitivity."""
 _PROPOSALS = 4000
 
 
@@ -227,41 +224,32 @@ def _fit_pieces(path: Path, summary: Mapping[str, Any], seed: int) -> dict[str, 
     for case, entry in summary["cases"].items():
         row = f"case {case}"
         file = path / case / "posterior.nc"
-        laplace = entry.get("best_fit", {}).get("log_evidence_laplace")
+        # What the fit has worked out already is not worked out again.
+        known = (entry.get("log_evidence") or {}).get("value", entry.get("best_fit", {}).get("log_evidence_laplace"))
+        if known is not None:
+            evidence[row] = float(known)
+        if entry.get("prior_sensitivity"):
+            sensitivity[case] = entry["prior_sensitivity"]
         if not file.exists():
-            if laplace is not None:
-                evidence[row] = float(laplace)
             continue
         tree = arviz_adapter.read(file)
-        priors = _priors(plan, case)
-        posterior = tree["posterior"]
-        draws = {name: np.asarray(posterior[name].values, float) for name in priors.free if name in posterior}
-        if laplace is not None:
-            evidence[row] = float(laplace)
-        elif plan["campaign"] == "thesis":
-            evidence[row] = _published_evidence(plan, case, posterior.attrs["walkers"], draws, tree, seed)
+        if plan["campaign"] == "thesis":
+            priors = priors_from_dict(plan["priors"]).for_case(case).free
+            posterior = tree["posterior"]
+            draws = {name: np.asarray(posterior[name].values, float) for name in priors if name in posterior}
+            if known is None:
+                evidence[row] = _published_evidence(plan, case, posterior.attrs["walkers"], draws, tree, seed)
+            if case not in sensitivity:
+                points = np.stack([to_standard(priors[name], x.ravel()) for name, x in draws.items()], axis=1)
+                sensitivity[case] = of_standard_draws(tuple(draws), points)
         told = [np.asarray(x.values, float) for x in tree["log_likelihood"].data_vars.values()]
         likelihood = np.concatenate([x.reshape(x.shape[0] * x.shape[1], -1) for x in told], axis=1)
         heldout[row] = float(sum(leave_out(column)[0] for column in likelihood.T))
-        sensitivity[case] = prior_sensitivity({name: x.ravel() for name, x in draws.items()}, priors.only(draws))
     if evidence:
         evidence["sum over cases"] = float(sum(evidence.values()))
     if heldout:
         heldout["sum over cases"] = float(sum(heldout.values()))
     return {"evidence": evidence, "heldout": heldout, "sensitivity": sensitivity}
-
-
-def _priors(plan: Mapping[str, Any], case: str) -> PriorSet:
-    """The priors under which a case was fitted, of its parameters that have one of their own."""
-    if plan["campaign"] == "thesis":
-        return priors_from_dict(plan["priors"]).for_case(case)
-    campaign = load_campaign(plan["campaign"])
-    given = None if plan["priors"] is None else campaign_priors(plan["priors"], campaign).for_case(case)
-    whole = experiment_of(campaign, given)
-    experiment = replace(whole, trials=tuple(t for t in whole.trials if t.case == case))
-    free: dict[str, Distribution] = default_priors(experiment) | ({} if given is None else given.free)
-    free = {name: prior for name, prior in free.items() if given is None or name not in {**given.fixed, **given.tied}}
-    return PriorSet("campaign", {name: Prior(name, value, unit_of(name)) for name, value in free.items()})
 
 
 def _published_evidence(
@@ -287,49 +275,6 @@ def leave_out(log_likelihood: Array) -> tuple[float, float]:
     top = logsumexp(log_weights) - 0.5 * math.log(n)
     log_weights = np.minimum(log_weights, top)
     return float(logsumexp(log_weights + log_likelihood) - logsumexp(log_weights)), k
-
-
-def prior_sensitivity(
-    draws: Mapping[str, Array], priors: PriorSet, widths: tuple[float, float] = WIDTHS
-) -> dict[str, Any]:
-    """How a posterior moves when one prior is narrower or wider, the others as they are, by importance weights.
-
-    draws : parameter -> (n,). Returns, for each parameter whose prior is changed, {"half", "double"} -> shift of its
-    mean in posterior standard deviations, ratio of its standard deviations, which other parameter moves most and how
-    far, effective draws and Pareto k of the weights (above 0.7: only a new fit can tell).
-    """
-    free = priors.free
-    out: dict[str, Any] = {}
-    for name in draws:
-        only = priors.only([name])
-        out[name] = {}
-        for word, width in zip(("half", "double"), widths, strict=True):
-            log_weights = only.widened(width).free[name].logpdf(draws[name]) - free[name].logpdf(draws[name])
-            weights = np.exp(log_weights - log_weights.max())
-            weights = weights / weights.sum()
-            moves = {other: _moved(weights, x) for other, x in draws.items()}
-            others = {other: move[0] for other, move in moves.items() if other != name}
-            most = max(others, key=lambda other: abs(others[other]), default=name)
-            k = arviz_adapter.pareto_k(weights)
-            out[name][word] = {
-                "shift": moves[name][0],
-                "width": moves[name][1],
-                "moves_most": most,
-                "shift_of_that": moves[most][0],
-                "ess": float(1.0 / np.sum(weights**2)),
-                "pareto_k": k if math.isfinite(k) else None,
-                "reliable": k < 0.7,
-            }
-    return out
-
-
-def _moved(weights: Array, x: Array) -> tuple[float, float]:
-    """Shift of the weighted mean in standard deviations, and ratio of the standard deviations."""
-    sd = float(x.std())
-    if sd == 0.0:
-        return 0.0, 1.0
-    mean = float(weights @ x)
-    return (mean - float(x.mean())) / sd, math.sqrt(max(float(weights @ (x - mean) ** 2), 0.0)) / sd
 
 
 # Words and figure -----------------------------------------------------------------------------------------------------
@@ -376,16 +321,14 @@ def _sentences(result: Mapping[str, Any]) -> list[str]:
         where = "all cases together" if case == "joint" else f"case {case}"
         out.append(f"The largest difference is {size:.1f} standard deviations: {name} of {where} in {label}.")
     for label, cases in result["prior_sensitivity"].items():
-        moves = [(abs(p[w]["shift"]), n, c) for c, rows in cases.items() for n, p in rows.items() for w in p]
+        moves = [(abs(p[w]["shift"]), n, c) for c, rows in cases.items() for n, p in rows.items() for w in WIDTHS]
         if moves:
             size, name, case = max(moves)
             out.append(
                 f"{label}: {name} of case {case} hangs most on its own prior (half or twice as wide: {size:.2f} sd)."
             )
-        if any(not p[w]["reliable"] for rows in cases.values() for p in rows.values() for w in p):
-            out.append(
-                f"{label}: shifts marked ? rest on too few draws (Pareto k above 0.7); fit with that prior to know."
-            )
+        if any(not p[w]["reliable"] for rows in cases.values() for p in rows.values() for w in WIDTHS):
+            out.append(f"{label}: shifts marked ? rest on too few draws; fit with that prior to know.")
     return out
 
 

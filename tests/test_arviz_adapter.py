@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayes_damper.arviz_adapter import hdi, read, results, summary, write
+from bayes_damper.arviz_adapter import hdi, read, results, write
 
 
 def test_the_file_comes_back_and_arviz_opens_it(tmp_path):
@@ -23,9 +23,3 @@ def test_the_shortest_interval_of_a_normal():
     low, high = hdi(np.random.default_rng(0).standard_normal(200_000))
     assert low == pytest.approx(-1.645, abs=0.06)
     assert high == pytest.approx(1.645, abs=0.06)
-
-
-def test_summary_has_the_agreed_figures():
-    table = summary({"mu": np.random.default_rng(0).standard_normal((4, 100, 16))})
-    assert set(table["mu"]) == {"mean", "sd", "median", "hdi90", "r_hat", "ess_bulk", "ess_tail"}
-    assert table["mu"]["r_hat"] < 1.01

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from bayes_damper import arviz_adapter
-from bayes_damper.compare import compare, leave_out, prior_sensitivity
-from bayes_damper.distributions import LogNormal, Normal
+from bayes_damper.compare import compare, leave_out
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.fit import published_posterior
-from bayes_damper.priors import Prior, PriorSet, load_priors
+from bayes_damper.priors import load_priors
 from bayes_damper.published import load_published
 from bayes_damper.run import write_json
+from bayes_damper.sensitivity import of_standard_draws
 from bayes_damper.summary import summarise
 from bayes_damper.variability.pooling import Hierarchy
 from bayes_damper.variability.published import PublishedCases
@@ -102,15 +102,8 @@ def test_leave_one_out_of_gaussian_draws_is_the_predictive_density():
 def test_prior_sensitivity_of_a_conjugate_posterior():
     """Prior N(0, 1), one reading y = 2 with noise 1: posterior N(1, 1/2); with prior sd 2 it is N(1.6, 0.8)."""
     rng = np.random.default_rng(3)
-    draws = {"k2t": rng.normal(1.0, math.sqrt(0.5), 40000), "mu": np.exp(0.3 * rng.standard_normal(40000))}
-    priors = PriorSet(
-        "test",
-        {
-            "k2t": Prior("k2t", Normal(0.0, 1.0), "N m/rad"),
-            "mu": Prior("mu", LogNormal(1.0, math.exp(0.3)), "1"),
-        },
-    )
-    found = prior_sensitivity(draws, priors)
+    points = np.column_stack([rng.normal(1.0, math.sqrt(0.5), 40000), rng.standard_normal(40000)])
+    found = of_standard_draws(("k2t", "mu"), points)
     double = found["k2t"]["double"]
     assert double["shift"] == pytest.approx(0.6 / math.sqrt(0.5), abs=0.08)
     assert double["width"] == pytest.approx(math.sqrt(0.8 / 0.5), abs=0.08)
@@ -119,6 +112,21 @@ def test_prior_sensitivity_of_a_conjugate_posterior():
     assert half["width"] == pytest.approx(math.sqrt(0.2 / 0.5), abs=0.05)
     assert half["moves_most"] == "mu"
     assert abs(half["shift_of_that"]) < 0.05
+    assert found["mu"]["decided_by"] == "prior"
+
+
+def test_what_a_fit_has_worked_out_is_taken_from_it(tmp_path):
+    write_fit(tmp_path / "a", "linear", np.random.default_rng(1))
+    write_fit(tmp_path / "b", "linear", np.random.default_rng(2))
+    summary = json.loads((tmp_path / "a" / "summary.json").read_text())
+    row = {"shift": 0.25, "width": 0.9, "moves_most": "k2t", "shift_of_that": 0.1, "reliable": True}
+    told = {"mu": {"prior_share": 0.2, "decided_by": "data", "half": row, "double": row}}
+    summary["cases"]["IV"] |= {"log_evidence": {"value": -12.5, "error": 0.1}, "prior_sensitivity": told}
+    write_json(tmp_path / "a" / "summary.json", summary)
+    result = compare([tmp_path / "a", tmp_path / "b"]).to_json()
+    assert result["evidence"]["case IV"]["a"] == -12.5
+    assert result["prior_sensitivity"]["a"] == {"IV": told}
+    assert len(result["prior_sensitivity"]["b"]["IV"]) > 5
 
 
 def test_bad_folders_are_all_named(tmp_path):
