@@ -139,7 +139,7 @@ def test_logger_files_become_a_campaign_by_options(tmp_path, capsys):
 
 
 def test_init_asks_nothing_without_a_terminal(tmp_path, capsys, monkeypatch):
-    (tmp_path / "a.csv").write_text("t,a\n0,1\n1,2\n2,3\n", encoding="utf-8")
+    (tmp_path / "a.csv").write_text("t,a,b,c\n0,1,1,1\n1,2,2,2\n2,3,3,3\n", encoding="utf-8")
     monkeypatch.setattr("builtins.input", lambda _: pytest.fail("asked"))
     assert main(["init", str(tmp_path / "rig"), str(tmp_path / "a.csv"), "--time", "t"]) == 2
     assert "'columns' is missing" in capsys.readouterr().err
