@@ -142,7 +142,7 @@ def test_init_asks_nothing_without_a_terminal(tmp_path, capsys, monkeypatch):
     (tmp_path / "a.csv").write_text("t,a,b,c\n0,1,1,1\n1,2,2,2\n2,3,3,3\n", encoding="utf-8")
     monkeypatch.setattr("builtins.input", lambda _: pytest.fail("asked"))
     assert main(["init", str(tmp_path / "rig"), str(tmp_path / "a.csv"), "--time", "t"]) == 2
-    assert "'columns' is missing" in capsys.readouterr().err
+    assert "has t, a, b, c; name the channels with --columns" in capsys.readouterr().err
 
 
 def test_init_asks_in_a_terminal(tmp_path, monkeypatch, capsys):
