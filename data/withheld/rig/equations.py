@@ -30,15 +30,19 @@ SPRING_CUBIC, SPRING_BOTTOMING = codes.SPRING_CUBIC, codes.SPRING_BOTTOMING
 COUPLING_BACKLASH, COUPLING_HYSTERESIS = codes.COUPLING_BACKLASH, codes.COUPLING_HYSTERESIS
 STIFFNESS_DRIFT, KNOCK, BASE_MOTION = codes.STIFFNESS_DRIFT, codes.KNOCK, codes.BASE_MOTION
 FLEXIBLE_SHAFT, CLAMP_PLAY = codes.FLEXIBLE_SHAFT, codes.CLAMP_PLAY
+ONE_SIDED_SPRING, STIFFNESS_RIPPLE = codes.ONE_SIDED_SPRING, codes.STIFFNESS_RIPPLE
 BEARING_STRIBECK, QUADRATIC_DRAG = codes.BEARING_STRIBECK, codes.QUADRATIC_DRAG
 MISALIGNMENT_DRAG = codes.MISALIGNMENT_DRAG
 GREASE_THIXOTROPY, BEARING_RUNOUT, WAKE_DRAG = codes.GREASE_THIXOTROPY, codes.BEARING_RUNOUT, codes.WAKE_DRAG
+ONE_WAY_DRAG, RACE_DENT = codes.ONE_WAY_DRAG, codes.RACE_DENT
 STICK_SLIP, FRICTION_DISPLACEMENT, MAGNET_CUBIC = codes.STICK_SLIP, codes.FRICTION_DISPLACEMENT, codes.MAGNET_CUBIC
 EDDY_OVERLAP, MAGNET_FADE, INTERFACE_RELAXATION = codes.EDDY_OVERLAP, codes.MAGNET_FADE, codes.INTERFACE_RELAXATION
 NORMAL_FORCE_LAW, MAGNETIC_COGGING = codes.NORMAL_FORCE_LAW, codes.MAGNETIC_COGGING
 FACE_WOBBLE, ASYMMETRIC_MAGNET = codes.FACE_WOBBLE, codes.ASYMMETRIC_MAGNET
+FACE_STOP, PULL_TILT = codes.FACE_STOP, codes.PULL_TILT
+STRAY_IRON, SECOND_KNOCK, BAR_PADDLE = codes.STRAY_IRON, codes.SECOND_KNOCK, codes.BAR_PADDLE
 UNBALANCED_BAR, GUARD_RUB, CABLE_PULL = codes.UNBALANCED_BAR, codes.GUARD_RUB, codes.CABLE_PULL
-RELEASE_RAMP, RELEASE_DRAG = codes.RELEASE_RAMP, codes.RELEASE_DRAG
+RELEASE_RAMP, RELEASE_DRAG, RELEASE_REBOUND = codes.RELEASE_RAMP, codes.RELEASE_DRAG, codes.RELEASE_REBOUND
 
 
 @njit(cache=True)
@@ -60,6 +64,8 @@ def pull_and_friction(code, t, th1, th2, z0, p0, p1, p2, p3, g):
         return 1.0, 1.0 + p0 * (1.0 - math.exp(-phi / p1))
     if code == MAGNET_FADE:  # pull dies exponentially with the heat z0 (1 = energy at release in case II)
         return math.exp(-p0 * z0), 1.0
+    if code == PULL_TILT:  # faces that close on one side
+        return max(0.0, 1.0 + p0 * math.tanh((th1 - th2) / p1)), 1.0
     if code == FACE_WOBBLE:  # a face that is not square to its shaft
         return max(0.0, 1.0 + p0 * math.sin(p1 * th2 + p2)), 1.0
     return 1.0, 1.0
@@ -94,6 +100,10 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
             return share * (p1 * p1 * reach + 0.1 * p1 * z1 * (1.0 if reach != 0.0 else 0.1)), 0.0
         if code == BASE_MOTION:  # the table swings after the recoil
             return g[K1] * p0 * math.exp(-t / p2) * math.sin(p1 * t), 0.0
+        if code == ONE_SIDED_SPRING:  # stiffer on one side, soft corner of width p1
+            return -p0 * g[K1] * 0.5 * (th1 + math.sqrt(th1 * th1 + p1 * p1) - p1), 0.0
+        if code == STIFFNESS_RIPPLE:  # a machine next to the rig pulls the spring to and fro
+            return -p0 * g[K1] * th1 * math.sin(p1 * t + p2), 0.0
         return 0.0, 0.0
     if code < 40:
         if code == BEARING_STRIBECK:  # Lorentzian hump above the kinetic drag
@@ -116,6 +126,11 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
             )
         if code == WAKE_DRAG:  # air set in motion: drag remembers w abs(w)
             return -p0 * z0, -p0 * z1
+        if code == ONE_WAY_DRAG:  # a seal whose lip drags one way only
+            return -p0 * 0.5 * (1.0 + math.tanh(nu * w1)), -p0 * 0.5 * (1.0 + math.tanh(nu * w2))
+        if code == RACE_DENT:  # balls climb out of a dent at the angle p1, width p2
+            s1, s2 = (th1 - p1) / p2, (th2 - p1) / p2
+            return -p0 * s1 * math.exp(-0.5 * s1 * s1), -p0 * s2 * math.exp(-0.5 * s2 * s2)
         return 0.0, 0.0
     if code < 60:
         if not coupled:  # there is no interface
@@ -137,6 +152,9 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
         if code == ASYMMETRIC_MAGNET:
             q = -p0 * g[K2] * math.sqrt(phi * phi + 1e-6)
             return q, -q
+        if code == FACE_STOP:  # pins between the faces, play p1 either side
+            q = -p0 * (phi - min(max(phi, -p1), p1))
+            return q, -q
         return 0.0, 0.0
     if code == UNBALANCED_BAR:
         return 0.0, p0 * math.sin(th2 + p1)
@@ -145,6 +163,17 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
         return 0.0, -p0 * math.tanh(nu * w2) * 0.5 * (1.0 + math.tanh(s))
     if code == CABLE_PULL:  # the accelerometer's cable, stiffer the more it is bent, with loss
         return 0.0, -p0 * (th2 * abs(th2) / 0.1 + p1 * w2)
+    if code == STRAY_IRON:  # the secondary's magnet and a bolt of the frame at the angle p1
+        s = (th2 - p1) / p2
+        return 0.0, -p0 * s / (1.0 + s * s) ** 2
+    if code == SECOND_KNOCK:
+        s = (t - p1) / p2
+        return 0.0, (p0 * math.sin(math.pi * s) if 0.0 < s < 1.0 else 0.0)
+    if code == BAR_PADDLE:  # the secondary's bar stirs the air
+        return 0.0, -p0 * w2 * abs(w2)
+    if code == RELEASE_REBOUND:  # the pad springs back and touches the bar again
+        s = (t - p1) / p2
+        return (-p0 * math.sin(math.pi * s) ** 2 if 0.0 < s < 1.0 else 0.0), 0.0
     if code == RELEASE_RAMP:  # half a cosine
         if t < p0:
             return g[K1] * g[TH0] * 0.5 * (1.0 + math.cos(math.pi * t / p0)), 0.0

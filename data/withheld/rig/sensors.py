@@ -133,6 +133,12 @@ def readings(
         elif d.code == codes.CROSS_AXIS:
             for c in range(len(channels)):
                 channels[c] = channels[c] + a * (1.0, p2)[c] * speeds[c] ** 2
+        elif d.code == codes.CURVED_GAIN:
+            for c in which:
+                channels[c] = channels[c] * (1.0 + a * (channels[c] / FULL_SCALE) ** 2)
+        elif d.code == codes.SAGGING_GAIN:
+            for c in which:
+                channels[c] = channels[c] * (1.0 - a * (1.0 - np.exp(-np.arange(channels[c].size) * step / p2)))
     since = times - release
     since = since + bend * since * np.abs(since)
     grid = np.arange(motion.shape[0]) * step
@@ -144,4 +150,10 @@ def readings(
         if d.code == codes.MAINS_HUM:
             for c in range(len(channels)):
                 out[c] += d.p[0] * (1.0, d.p[2])[c] * np.sin(2.0 * np.pi * d.p[1] * times + phase + 0.4 * c)
+        for c in [c for c in range(len(channels)) if int(d.p[1]) in (c, 2)]:
+            if d.code == codes.WARMING_OFFSET:
+                out[c] += d.p[0] * (1.0 - np.exp(-times / d.p[2]))
+            elif d.code == codes.LOGGER_HOLD:
+                held = np.flatnonzero((times >= d.p[2]) & (times < d.p[2] + d.p[0]))
+                out[c, held] = np.interp(d.p[2], times, out[c])
     return out
