@@ -661,7 +661,7 @@ KINDS: dict[str, Kind] = {
             "reserved",
             1.0,
             100.0,
-            lambda r: (_flat(r, 0.02, 0.06), 0.0, 0.0),
+            lambda r: (_flat(r, 0.005, 0.03), 0.0, 0.0),
             "N m/rad",
             "stiffness of pins with play p1, rad, between the faces",
         ),
