@@ -303,6 +303,7 @@ def _event_strength(y: Array, noise: Array) -> Array:
         return jump
     second = np.zeros_like(y)
     second[:, 1:-1] = y[:, 2:] - 2.0 * y[:, 1:-1] + y[:, :-2]
+    second[~np.isfinite(second[:, 2:-2]).any(axis=1)] = 0.0  # no three readings in a row
     scale = 1.4826 * np.nanmedian(np.abs(second[:, 2:-2]), axis=1) + 1e-300
     scale = np.maximum(scale, noise)
     hit = np.abs(second) > EVENT_THRESHOLD * scale[:, None]

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
+from small_rig import measured
 
 from bayes_damper.calibration import (
     Experiment,
@@ -395,3 +396,17 @@ def test_a_long_record_is_fitted_from_its_first_periods_on():
     assert grown(replace(experiment, trials=(short,)), problem) == []
     fit = calibrate_nominal(experiment, nominal="linear")
     assert np.sqrt(np.mean(fit.residuals()[0] ** 2)) < 3e-4
+
+
+def test_a_record_without_three_readings_in_a_row_is_fitted_like_any_other():
+    """Every third reading is missing: no second difference is known, so no reading counts as an event, none warns."""
+    experiment = measured(3, repeats=2, duration=0.3)
+    holes = []
+    for t in experiment.trials:
+        y = t.y.copy()
+        y[:, ::3] = np.nan
+        holes.append(replace(t, y=y))
+    problem = Problem(replace(experiment, trials=tuple(holes)))
+    for group in problem.groups:
+        assert np.all(group.weight[:, :, ::3] == 0.0)
+        assert np.all(group.weight[:, :, 4::3] == 1.0)
