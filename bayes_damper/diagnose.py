@@ -16,6 +16,7 @@ from bayes_damper.diagnosis import diagnose as diagnose_campaign
 from bayes_damper.diagnosis.published import diagnose_published
 from bayes_damper.effects import Effect, all_effects
 from bayes_damper.errors import ExitCode, InputError
+from bayes_damper.forecast import forecasts
 from bayes_damper.posterior import Datum
 from bayes_damper.priors import campaign_priors, load_priors
 from bayes_damper.provenance import provenance
@@ -78,7 +79,8 @@ def diagnose(
     )
     folder = Path(out)
     path = found.write(folder)
-    result = found.to_json() | {"campaign_sha256": loaded.sha256, "provenance": provenance()}
+    ahead = forecasts(found.nominal, found.best)
+    result = found.to_json() | {"forecast": ahead} | {"campaign_sha256": loaded.sha256, "provenance": provenance()}
     write_json(path, result)
     _draw(folder, found)
     return Diagnosed(folder, result, tuple(f"warning: {w}" for w in loaded.warnings))
@@ -190,6 +192,7 @@ def _words(result: Mapping[str, Any]) -> list[str]:
         f"Gap on held-out trials: {gap['answer']} (p = {gap['p_value']:.2g}); "
         f"residual {gap['nominal_rms']:.3g} before, {gap['augmented_rms']:.3g} after, noise {gap['noise_rms']:.3g}."
     )
+    lines += _forecast_words(result.get("forecast") or {})
     ranked = sorted(probabilities, key=lambda name: -probabilities[name])[:5]
     lines.append("Answers: " + ", ".join(f"{name} {probabilities[name]:.2f}" for name in ranked))
     sites = sorted(result["sites"], key=lambda s: -result["sites"][s])[:3]
@@ -199,6 +202,17 @@ def _words(result: Mapping[str, Any]) -> list[str]:
             "Not to be told apart by these data: " + "; ".join(" / ".join(g) for g in result["indistinguishable"])
         )
     return lines + [f"note: {note}" for note in result.get("notes", [])]
+
+
+def _forecast_words(ahead: Mapping[str, Any]) -> list[str]:
+    """What held-out trials do after the two periods that their own state is inferred from."""
+    sides = {name: ahead[name] for name in ("before", "after") if name in ahead}
+    if not sides:
+        return []
+    misses = ", ".join(f"{s['rms']:.3g} {name}" for name, s in sides.items())
+    held = ", ".join(f"{s['coverage50']:.0%} and {s['coverage90']:.0%} {name}" for name, s in sides.items())
+    first = f"Held-out trials forecast from their first {ahead['periods']:g} periods: rms miss {misses}; "
+    return [f"{first}50 and 90 % bands hold {held}."]
 
 
 def _draw(folder: Path, found: Diagnosis) -> None:

@@ -21,7 +21,7 @@ LAYERS = (
     {"features", "priors", "likelihood"},
     {"posterior", "calibration"},
     {"noise"},
-    {"record_posterior", "influence", "sensitivity"},
+    {"record_posterior", "influence", "sensitivity", "forecast"},
     {"sampling", "evidence", "arviz_adapter"},
     {"figures", "run", "bench_peers", "check", "summary"},
     {"progress"},

@@ -244,8 +244,13 @@ def test_the_gap_stands_before_and_after_each_effect(tmp_path):
                                  "shift_sigmas": -6.0}}  # fmt: skip
     data["sensitivity"] = [{"choice": "without case IV", "verdict": "none", "probability": 0.4,
                             "probability_of_the_leading_answer": 0.3}]  # fmt: skip
+    sides = {"before": {"rms": 3.4, "coverage50": 0.31, "coverage90": 0.62},
+             "after": {"rms": 2.1, "coverage50": 0.52, "coverage90": 0.91}}  # fmt: skip
+    trial = {"case": "IV", "configuration": "coupled", "trial": 4, "readings": 812}
+    data["forecast"] = {"periods": 2.0, "bands": [0.5, 0.9], "trials": [trial | sides], **sides}
     (tmp_path / "diagnosis" / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
     text = words_of(report(tmp_path / "diagnosis").path.read_text(encoding="utf-8"))
+    assert "case IV, coupled, trial 4 812 3.4 2.1 31 % 52 % 62 % 91 %" in text
     assert "noise alone 2" in text
     assert "nominal model 2.9 0 %" in text
     assert "with stick slip 2.01 97 % (90 to 100 %)" in text

@@ -376,7 +376,7 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
     rest = generic(
         data, "", ("schema", "campaign", "verdict", "credible_set", "probabilities", "sites", "effects", "provenance",
                    "campaign_sha256", "seed", "indistinguishable", "notes", "next_experiment", "gap", "parameters",
-                   "sensitivity", "where"),
+                   "sensitivity", "where", "forecast"),
     )  # fmt: skip
     places = generic({"where": data.get("where") or {}}, "").parts
     section = Section(
@@ -386,6 +386,7 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
             _probability_table("Probability of each answer", probabilities),
             _probability_table("Probability of each site", sites),
             *_gap_tables(gap, data.get("effects", [])),
+            *_forecast_tables(data.get("forecast") or {}),
             _effect_table(data.get("effects", [])),
             *_shift_tables(data.get("parameters") or {}),
             *_choice_tables(data.get("sensitivity") or []),
@@ -466,6 +467,35 @@ def _gap_tables(gap: Mapping[str, Any], effects: Sequence[Mapping[str, Any]]) ->
     columns = ("model", "rms residual", "gap closed (90 %)")
     note = "On held-out trials, in the unit of the readings; only each trial's own nuisances are fitted there."
     return [Table("The gap before and after", columns, tuple(rows), note)]
+
+
+def _forecast_tables(ahead: Mapping[str, Any]) -> list[Table]:
+    """Held-out trials forecast from their first periods: what is missed, and what share the bands hold."""
+    if "before" not in ahead:
+        return []
+    sides = [side for side in ("before", "after") if side in ahead]
+
+    def cells(row: Mapping[str, Any]) -> tuple[str, ...]:
+        found = [row.get(side) for side in sides]
+        return tuple(
+            NOTHING if f is None else number(f["rms"]) if name == "rms" else percent(f[name])
+            for name in ("rms", "coverage50", "coverage90")
+            for f in found
+        )
+
+    rows = [
+        Row((f"case {t['case']}, {t['configuration']}, trial {t['trial']}", str(t["readings"]), *cells(t)))
+        for t in ahead["trials"]
+    ]
+    if len(rows) > 1:
+        rows.append(Row(("all", str(sum(t["readings"] for t in ahead["trials"])), *cells(ahead))))
+    heads = [f"{name}, {side}" for name in ("rms miss", "in the 50 % band", "in the 90 % band") for side in sides]
+    note = (
+        f"Each trial's own state is inferred from its first {ahead['periods']:g} periods, the rest is predicted; before: "
+        "nominal model; after: with the leading effect added. Fewer readings in a band than it should hold: the model "
+        "is surer than it may be."
+    )
+    return [Table("Forecasts of held-out trials", ("trial", "readings", *heads), tuple(rows), note)]
 
 
 def _shift_tables(parameters: Mapping[str, Any]) -> list[Table]:
