@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from bayes_damper.errors import BayesDamperError, ExitCode
+from bayes_damper.memory import seldom_collected
 
 Arguments = argparse.Namespace
 
@@ -363,7 +364,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; its exit code (see --help)."""
     args = _parser().parse_args(argv)
     try:
-        result = args.run(args)
+        with seldom_collected():
+            result = args.run(args)
     except BayesDamperError as error:
         print(f"bayes-damper {args.command}: {error}", file=sys.stderr)
         return int(error.exit_code)

@@ -15,6 +15,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.transforms import blended_transform_factory
 from numpy.typing import NDArray
 
 mpl.use("Agg", force=False)
@@ -80,7 +81,10 @@ def save(figure: Figure, path: Path) -> list[Path]:
     path.parent.mkdir(parents=True, exist_ok=True)
     written = []
     with mpl.rc_context(_RC):
-        for suffix, options in ((".svg", {"metadata": {"Date": None}}), (".png", {"dpi": 150})):
+        for suffix, options in (
+            (".svg", {"metadata": {"Date": None}}),
+            (".png", {"dpi": 150, "pil_kwargs": {"compress_level": 3}}),
+        ):
             target = path.with_name(path.name + suffix)
             figure.savefig(target, **options)
             figure.set_layout_engine("none")  # laid out once: the second time would be as slow
@@ -161,12 +165,18 @@ def trace_figure(
     width, height = 9.0, 1.05 * len(names) + 1.2
     figure = _plain_figure(width, height, converged)
     above = 0.75 if converged else 1.0
-    place = {"left": 0.9 / width, "right": 1.0 - 0.15 / width, "bottom": 0.45 / height, "top": 1.0 - above / height}
+    place = {"left": 1.05 / width, "right": 1.0 - 0.15 / width, "bottom": 0.45 / height, "top": 1.0 - above / height}
     with mpl.rc_context(_RC):
         axes = figure.subplots(
-            len(names), 2, squeeze=False, width_ratios=[3, 2], gridspec_kw=place | {"hspace": 0.3, "wspace": 0.08}
+            len(names),
+            2,
+            squeeze=False,
+            sharex="col",
+            width_ratios=[3, 2],
+            gridspec_kw=place | {"hspace": 0.3, "wspace": 0.08},
         )
         for row, name in zip(axes, names, strict=True):
+            beside = blended_transform_factory(figure.dpi_scale_trans, row[0].transAxes)
             values = np.asarray(draws[name])
             ranks = np.argsort(np.argsort(values.ravel())).reshape(values.shape) / values.size
             for k, (chain, chain_ranks) in enumerate(zip(values, ranks, strict=True)):
@@ -174,7 +184,9 @@ def trace_figure(
                 row[0].plot(np.arange(chain.size) + burn_in, chain, lw=0.4, color=colour, alpha=0.8, rasterized=True)
                 heights, edges = np.histogram(chain_ranks, bins=20, range=(0.0, 1.0), density=True)
                 row[1].stairs(heights, edges, color=colour, lw=1.2, ls=STYLES[k % len(STYLES)])
-            row[0].set_ylabel(labels.get(name, name))
+            row[0].set_ylabel(labels.get(name, name).replace(" [", "\n["))
+            # All at one place: aligning them by what stands beside takes a quarter of the time of drawing.
+            row[0].yaxis.set_label_coords(0.36, 0.5, transform=beside)
             row[1].axhline(1.0, color="#888888", lw=0.8)
             row[1].set_ylim(0.0, None)
             row[1].set_yticks([0, 1])
@@ -182,7 +194,6 @@ def trace_figure(
         axes[-1, 1].set_xlabel("rank among all draws / number of draws")
         axes[0, 0].set_title("trace of each ensemble")
         axes[0, 1].set_title("ranks of each ensemble (flat: they agree)")
-        figure.align_ylabels(axes[:, 0])
         figure.text(0.5, 1.0 - 0.1 / height, title, ha="center", va="top", fontsize=11)
     return figure
 

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from bayes_damper.errors import BayesDamperError, ExitCode, InputError, Interrupted
+from bayes_damper.memory import collect_seldom
 
 _POLL_S = 0.2
 _STATUS_EVERY_S = 0.5
@@ -185,6 +186,7 @@ def _begin_worker() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _stop)
     _end_with_parent()
+    collect_seldom()
 
 
 def _stop(_signal: int, _frame: Any) -> None:

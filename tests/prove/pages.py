@@ -43,7 +43,7 @@ def calibration(found: Mapping[str, Results], settings: Mapping[str, Any]) -> No
         "What to expect of the former: with residuals linear in the unknowns, derivatives J and weights W <= 1 of the",
         "squared residuals, the fit's covariance is (1 + J'WJ)^-1, but its estimates scatter about the truth by",
         "(1 + J'WJ)^-1 (1 + J'W^2 J) (1 + J'WJ)^-1, which is smaller. So intervals are as wide as they need to be or",
-        "wider, and the truth fits the readings better than draws do: the mean rank of its log likelihood is above 0.5.",
+        "wider, and the truth fits the readings better than draws do: its log likelihood has a mean rank above 0.5.",
         "",
         "Made by `make prove`, resumable; campaigns are short and of few trials so that hundreds can be fitted:",
         "",
