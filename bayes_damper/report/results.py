@@ -492,8 +492,8 @@ def _forecast_tables(ahead: Mapping[str, Any]) -> list[Table]:
     heads = [f"{name}, {side}" for name in ("rms miss", "in the 50 % band", "in the 90 % band") for side in sides]
     note = (
         f"Each trial's own state is inferred from its first {ahead['periods']:g} periods, the rest is predicted; "
-        "before: nominal model; after: with the leading effect added. Fewer readings in a band than it should hold: the model "
-        "is surer than it may be."
+        "before: nominal model; after: with the leading effect added. Fewer readings in a band than it should hold: "
+        "the model is surer than it may be."
     )
     return [Table("Forecasts of held-out trials", ("trial", "readings", *heads), tuple(rows), note)]
 
