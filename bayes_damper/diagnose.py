@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayes_damper import figures
+from bayes_damper.calibration import Calibration, predict
 from bayes_damper.campaign import load_campaign
 from bayes_damper.diagnosis import Diagnosis
 from bayes_damper.diagnosis import diagnose as diagnose_campaign
@@ -17,12 +19,15 @@ from bayes_damper.diagnosis.published import diagnose_published
 from bayes_damper.effects import Effect, all_effects
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.forecast import forecasts
+from bayes_damper.parameters import unit_of
 from bayes_damper.posterior import Datum
 from bayes_damper.priors import campaign_priors, load_priors
 from bayes_damper.provenance import provenance
 from bayes_damper.published import load_published
+from bayes_damper.record_posterior import trial_label
 from bayes_damper.run import write_json
 
+Array = NDArray[np.float64]
 NOMINALS = ("nonlinear", "linear")
 
 
@@ -219,6 +224,10 @@ def _draw(folder: Path, found: Diagnosis) -> None:
     probabilities = found.answers.probabilities
     figure = figures.ranking_figure(probabilities, found.sites, title=f"{found.campaign}: what is missing, and where")
     figures.save(figure, folder / "ranking")
+    record = _shown_record(found)
+    if record is not None:
+        title = f"{found.campaign}: what the model misses, and which effect adds it"
+        figures.save(figures.gap_figure(record, probabilities, title=title), folder / "gap")
     torques = found.site_map.torque
     if torques:
         strongest = max(torques, key=lambda found: float(np.abs(found.torque).max()))
@@ -226,3 +235,45 @@ def _draw(folder: Path, found: Diagnosis) -> None:
             figures.missing_torque_figure(strongest, title="torque that the nominal model lacks"),
             folder / "missing_torque",
         )
+
+
+def _shown_record(found: Diagnosis) -> dict[str, Any] | None:
+    """The record that the answer changes most, held-out ones first, as the figure of the gap takes it.
+
+    Where the answer adds nothing ("none", or nothing could be fitted), the record that is explained worst.
+    """
+    experiment = found.nominal.problem.experiment
+    before, after = _residuals(found.nominal), None
+    if found.verdict != "none" and found.best is not None:
+        after = _residuals(found.best)
+    noise = found.nominal.problem.noise.floor
+    sizes = {}
+    for i, residual in before.items():
+        change = residual if after is None else residual - after[i]
+        for channel, row in enumerate(change / np.asarray(noise[: len(change)])[:, None]):
+            sizes[i, channel] = float(np.nansum(row**2))
+    if not sizes:
+        return None
+    i, channel = max(sizes, key=lambda key: sizes[key])
+    trial = experiment.trials[i]
+    added = found.verdict
+    if found.pair is not None and found.answers.pair >= 0.5:
+        added = " and ".join(found.pair.effects)
+    elif added == "unknown" and found.winner is not None:
+        added = f"{found.winner.effect.name}, which does not explain it"
+    return {
+        "label": f"{trial_label(trial)}, channel {channel + 1}" + (", held out" if trial.heldout else ""),
+        "unit": unit_of(f"sigma{channel + 1}", found.kind, experiment.quantity),
+        "times": trial.times,
+        "measured": trial.y[channel],
+        "nominal": trial.y[channel] - before[i][channel],
+        "augmented": None if after is None else trial.y[channel] - after[i][channel],
+        "added": added,
+        "noise": noise[channel],
+    }
+
+
+def _residuals(fit: Calibration) -> dict[int, Array]:
+    """Reading minus model (channels, n) of the held-out trials, of all trials where none is held out."""
+    heldout = fit.problem.experiment.heldout
+    return {i: p.residual for i, p in predict(fit, heldout).items()} if heldout else fit.residuals()

@@ -29,6 +29,7 @@ _RC = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
+    "axes.axisbelow": True,
     "grid.color": "#dddddd",
     "grid.linewidth": 0.6,
     "legend.frameon": False,
@@ -540,23 +541,76 @@ def _draw_counts(axis: Any, counts: Mapping[str, Mapping[str, int]], title: str)
 
 def ranking_figure(probabilities: Mapping[str, float], sites: Mapping[str, float], *, title: str) -> Figure:
     """Probabilities of the answers (those above 0.5 %, at most twelve) and of the sites, as bars."""
-    shown = sorted((n for n in probabilities if probabilities[n] > 0.005), key=lambda n: -probabilities[n])[:12]
-    figure = new_figure(8.0, 0.28 * max(len(shown), len(sites)) + 1.2)
+    shown = {name: p for name, p in _leading(probabilities, 12).items() if p > 0.005}
+    rows = max(len(shown), len(sites))
+    figure = new_figure(8.0, 0.28 * rows + 1.2)
     with mpl.rc_context(_RC):
         left, right = figure.subplots(1, 2)
-        for axis, names, values, heading in (
-            (left, shown, probabilities, "answer"),
-            (right, sorted(sites, key=lambda s: -sites[s]), sites, "site"),
-        ):
-            heights = [values[name] for name in names]
-            axis.barh(range(len(names)), heights, color=COLOURS[0])
-            for y, height in enumerate(heights):
-                axis.text(height + 0.01, y, f"{height:.2f}", va="center")
-            axis.set_yticks(range(len(names)), names)
-            axis.set_ylim(len(names) - 0.5, -0.5)
-            axis.set_xlim(0.0, 1.15)
-            axis.set_xlabel("probability")
-            axis.set_title(heading, loc="left")
+        _draw_probabilities(left, shown, rows, "answer")
+        _draw_probabilities(right, sites, rows, "site")
+        figure.suptitle(title)
+    return figure
+
+
+def _leading(probabilities: Mapping[str, float], most: int) -> dict[str, float]:
+    """The most probable answers."""
+    ranked = sorted(probabilities, key=lambda name: -probabilities[name])
+    return {name: probabilities[name] for name in ranked[:most]}
+
+
+def _draw_probabilities(axis: Any, values: Mapping[str, float], rows: int, heading: str) -> None:
+    """Bars, the longest on top; bars of two figures with as many `rows` are equally thick."""
+    names = sorted(values, key=lambda name: -values[name])
+    heights = [values[name] for name in names]
+    axis.barh(range(len(names)), heights, color=COLOURS[0])
+    for y, height in enumerate(heights):
+        axis.text(height + 0.02, y, f"{height:.2f}" if height >= 0.005 else "< 0.01", va="center")
+    axis.set_yticks(range(len(names)), names)
+    axis.set_ylim(max(rows, len(names)) - 0.5, -0.5)
+    axis.set_xlim(0.0, 1.2)
+    axis.set_xticks([0.0, 0.25, 0.5, 0.75, 1.0])
+    axis.grid(visible=False, axis="y")
+    axis.set_xlabel("probability")
+    axis.set_title(heading, loc="left")
+
+
+def gap_figure(record: Mapping[str, Any], probabilities: Mapping[str, float], *, title: str) -> Figure:
+    """One record under the nominal model, what is left of it before and after the answer is added, and the answers.
+
+    record : label, unit, times (n,) s, measured, nominal (n,), augmented (n,) or None where there is nothing to add,
+    added: name of what is, noise: standard deviation of the readings.
+    """
+    augmented = record["augmented"]
+    rows = ["record", "before"] + (["after"] if augmented is not None else [])
+    figure = new_figure(9.0, 1.2 + 1.2 * len(rows))
+    dots: dict[str, Any] = {"color": "#777777", "ms": 2.0, "rasterized": True}
+    times, measured, nominal = record["times"], np.asarray(record["measured"]), np.asarray(record["nominal"])
+    unit, noise = record["unit"], record["noise"]
+    with mpl.rc_context(_RC):
+        axes = figure.subplot_mosaic([[row, "answers"] for row in rows], width_ratios=[2.6, 1.0])
+        axes["record"].plot(times, measured, ".", label="measured", **dots)
+        axes["record"].plot(times, nominal, color=COLOURS[0], lw=1.0, label="fitted nominal model")
+        axes["record"].set_title(record["label"], loc="left")
+        axes["record"].legend(loc="upper right", ncols=2)
+        axes["record"].set_ylabel(unit)
+        axes["before"].set_title("measured minus nominal model", loc="left")
+        axes["before"].plot(times, measured - nominal, ".", **dots)
+        if augmented is not None:
+            axes["before"].plot(
+                *(times, np.asarray(augmented) - nominal), color=COLOURS[1], lw=1.0, label=f"added by {record['added']}"
+            )
+            axes["before"].legend(loc="upper right")
+            axes["after"].set_title(f"measured minus model with {record['added']}", loc="left")
+            axes["after"].plot(times, measured - augmented, ".", **dots)
+            axes["after"].sharey(axes["before"])
+        for name in rows:
+            if name != "record":
+                axes[name].axhspan(-2.0 * noise, 2.0 * noise, color="#cccccc", alpha=0.5, lw=0, zorder=0)
+                axes[name].set_ylabel(unit)
+            axes[name].sharex(axes["record"])
+            axes[name].tick_params(labelbottom=name == rows[-1])
+        axes[rows[-1]].set_xlabel("time [s]        grey band: two standard deviations of the noise")
+        _draw_probabilities(axes["answers"], _leading(probabilities, 10), 10, "what is missing")
         figure.suptitle(title)
     return figure
 
@@ -616,9 +670,9 @@ def missing_torque_figure(torque: Any, *, title: str) -> Figure:
         over_time.set_ylabel("torque [N m]")
         over_time.legend(loc="upper right")
         phi, slip = np.asarray(torque.th1) - np.asarray(torque.th2), np.asarray(torque.w1) - np.asarray(torque.w2)
-        pairs = ((torque.th1, "th1 [rad]"), (slip if np.any(torque.w2) else torque.w1, "w1 - w2 [rad/s]"))
+        pairs = ((torque.th1, "θ1 [rad]"), (slip if np.any(torque.w2) else torque.w1, "ω1 - ω2 [rad/s]"))
         if np.any(torque.th2):
-            pairs = ((phi, "th1 - th2 [rad]"), pairs[1])
+            pairs = ((phi, "θ1 - θ2 [rad]"), pairs[1])
         for axis, (x, name) in zip((axes["left"], axes["right"]), pairs, strict=True):
             axis.plot(x, torque.torque[0], ".", ms=1.5, color=COLOURS[0])
             axis.set_xlabel(name)

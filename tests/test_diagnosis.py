@@ -11,6 +11,7 @@ import pytest
 from test_calibration import RIG, TRUE, make_experiment
 
 from bayes_damper.calibration import Experiment, Problem, TrialRecord, calibrate, calibrate_nominal, coordinate_of
+from bayes_damper.diagnose import _shown_record
 from bayes_damper.diagnosis import diagnose
 from bayes_damper.diagnosis.lone import corroborated, held_out_gain, left_of_squares
 from bayes_damper.diagnosis.outliers import outlying, told, without
@@ -22,6 +23,7 @@ from bayes_damper.diagnosis.verdict import RULE, Answers, Left, family_evidence,
 from bayes_damper.distributions import LogNormal
 from bayes_damper.effects import EFFECTS
 from bayes_damper.errors import InputError
+from bayes_damper.figures import gap_figure
 from bayes_damper.model import Model
 from bayes_damper.withheld.constants import replay
 
@@ -68,6 +70,24 @@ def test_a_strong_effect_is_named_and_sized(named):
     assert abs(value - 0.8) < 4.0 * sd
     assert found.answers.credible_set() == ["quadratic_drag"]
     assert max(found.sites, key=found.sites.get) == "bearings"
+
+
+def test_the_figure_shows_a_held_out_record_before_and_after_the_effect_is_added(named):
+    """What is left of the record is beyond the noise without the effect, noise with it; so says the figure."""
+    found, _, _ = named
+    record = _shown_record(found)
+    assert "held out" in record["label"]
+    assert record["unit"] == "rad/s^2"
+    assert record["added"] == "quadratic_drag"
+    before = np.std(record["measured"] - record["nominal"])
+    after = np.std(record["measured"] - record["augmented"])
+    assert after == pytest.approx(record["noise"], rel=0.15)
+    assert before > 1.3 * after
+    figure = gap_figure(record, found.answers.probabilities, title="gap")
+    titles = [axis.get_title(loc="left") for axis in figure.axes]
+    assert {"measured minus nominal model", "measured minus model with quadratic_drag"} < set(titles)
+    without_answer = gap_figure(record | {"augmented": None}, found.answers.probabilities, title="gap")
+    assert len(without_answer.axes) == len(figure.axes) - 1
 
 
 @pytest.mark.slow

@@ -46,6 +46,10 @@ _PICTURES = {
     "forest": ("Parameters over the cases", "Median and 90 % interval of each parameter for each case."),
 }
 _MORE = {
+    "gap": (
+        "What the model misses",
+        "One record, what the nominal model leaves of it before and after the answer is added, and all probabilities.",
+    ),
     "ranking": ("Which effect, and where", "Bars: probability of each answer, and of each site of the rig."),
     "missing_torque": (
         "Missing torque",
