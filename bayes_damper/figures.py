@@ -593,7 +593,7 @@ def gap_figure(record: Mapping[str, Any], probabilities: Mapping[str, float], *,
         axes["record"].set_title(record["label"], loc="left")
         axes["record"].legend(loc="upper right", ncols=2)
         axes["record"].set_ylabel(unit)
-        axes["before"].set_title("measured minus nominal model", loc="left")
+        axes["before"].set_title("measured minus nominal model (band: two sd of the noise)", loc="left")
         axes["before"].plot(times, measured - nominal, ".", **dots)
         if augmented is not None:
             axes["before"].plot(
@@ -609,7 +609,7 @@ def gap_figure(record: Mapping[str, Any], probabilities: Mapping[str, float], *,
                 axes[name].set_ylabel(unit)
             axes[name].sharex(axes["record"])
             axes[name].tick_params(labelbottom=name == rows[-1])
-        axes[rows[-1]].set_xlabel("time [s]        grey band: two standard deviations of the noise")
+        axes[rows[-1]].set_xlabel("time [s]")
         _draw_probabilities(axes["answers"], _leading(probabilities, 10), 10, "what is missing")
         figure.suptitle(title)
     return figure

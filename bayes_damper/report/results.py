@@ -73,6 +73,16 @@ _MORE = {
         "Share of plausible sizes of each effect that would be seen, and nats by which it stands out beside rivals.",
     ),
 }
+_SITES = {
+    "ground1": "the primary's spring to ground and what couples it",
+    "bearings": "drag and friction in the bearings",
+    "interface": "what acts between the two bodies: faces, magnet, coupling",
+    "ground2": "the secondary: its inertia, its spring to ground",
+    "release": "how the rig is let go",
+    "sensor": "sensors and logger",
+    "none": "no gap",
+}
+_RIVALS = {"none": "that nothing is missing", "unknown": "a cause outside the library"}
 _KINDS = ("variability", "tune", "plan", "withheld", "comparison", "bench")
 _MAIN = (
     "mu", "friction_torque", "friction_torque_per_inertia", "k2t", "c2t", "drag", "nu", "c1t", "c3t", "k1t", "J1", "J2",
@@ -368,7 +378,7 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
     changes += [_experiment_sentence(e) for e in (data.get("next_experiment") or [])[:1]]
     if len(probabilities) > 1:
         second = next(item for item in probabilities if item[0] != verdict)
-        changes.append(f"The strongest rival is {words(second[0])} ({percent(second[1])}).")
+        changes.append(f"The strongest rival is {_RIVALS.get(second[0], words(second[0]))} ({percent(second[1])}).")
     top = (share or 0.0) > 0.9 and len(credible) <= 1
     tone = "good" if verdict == "none" and top else "bad" if top else "open"
     shown = tuple((words(n), float(p)) for n, p in probabilities if p >= 0.01)[:8]
@@ -382,23 +392,30 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
                    "campaign_sha256", "seed", "indistinguishable", "notes", "next_experiment", "gap", "parameters",
                    "sensitivity", "where", "forecast"),
     )  # fmt: skip
-    places = generic({"where": data.get("where") or {}}, "").parts
+    places = tuple(
+        replace(part, title="Where the model and the rig differ")
+        for part in generic({"where": data.get("where") or {}}, "").parts
+    )
+    every = (_probability_table("Probability of each answer", probabilities), _effect_table(data.get("effects", [])))
+    choices = _choice_tables(data.get("sensitivity") or [])
     section = Section(
         "Diagnosis",
         tuple(data.get("notes", ())),
         (
-            _probability_table("Probability of each answer", probabilities),
-            _probability_table("Probability of each site", sites),
+            _site_table(sites),
             *_gap_tables(gap, data.get("effects", [])),
             *_forecast_tables(data.get("forecast") or {}),
-            _effect_table(data.get("effects", [])),
             *_shift_tables(data.get("parameters") or {}),
-            *_choice_tables(data.get("sensitivity") or []),
             *([_records_table("Next experiment", data["next_experiment"])] if data.get("next_experiment") else []),
         ),
         tuple(c for c in charts if c is not None),
         _pictures(folder, kind="diagnosis"),
-        (*places, *folded(rest)),
+        (
+            *places,
+            Section("Every answer that was tried", tables=every, folded=True),
+            *([Section("How far the verdict hangs on choices", tables=choices, folded=True)] if choices else []),
+            *folded(rest),
+        ),
     )
     return Result(head, section, (), dict(data.get("provenance", {})) | _fingerprint(data))
 
@@ -446,6 +463,11 @@ def _experiment_sentence(e: Mapping[str, Any]) -> str:
 
 def _probability_table(caption: str, items: Sequence[tuple[str, float]]) -> Table:
     return Table(caption, ("answer", "probability"), tuple(Row((words(n), percent(p))) for n, p in items))
+
+
+def _site_table(sites: Sequence[tuple[str, float]]) -> Table:
+    rows = tuple(Row((words(name), percent(p), _SITES.get(name, NOTHING))) for name, p in sites)
+    return Table("Probability of each site", ("site", "probability", "what belongs to it"), rows)
 
 
 def _gap_tables(gap: Mapping[str, Any], effects: Sequence[Mapping[str, Any]]) -> list[Table]:
@@ -516,7 +538,7 @@ def _shift_tables(parameters: Mapping[str, Any]) -> list[Table]:
     return [Table("Parameters before and after", columns, tuple(rows))] if rows else []
 
 
-def _choice_tables(choices: Sequence[Mapping[str, Any]]) -> list[Table]:
+def _choice_tables(choices: Sequence[Mapping[str, Any]]) -> tuple[Table, ...]:
     """What the verdict would be had something been chosen otherwise."""
     rows = tuple(
         Row((
@@ -526,7 +548,7 @@ def _choice_tables(choices: Sequence[Mapping[str, Any]]) -> list[Table]:
         for c in choices
     )  # fmt: skip
     columns = ("had it been otherwise", "verdict", "probability", "today's verdict keeps")
-    return [Table("How far the verdict hangs on choices", columns, rows)] if rows else []
+    return (Table("The verdict under other choices", columns, rows),) if rows else ()
 
 
 def _effect_table(effects: Sequence[Mapping[str, Any]]) -> Table:
