@@ -1,7 +1,8 @@
 """Long proofs in resumable parts: one JSON line per finished task, and a page of results in docs/proof/.
 
 An interrupted proof goes on where it stopped: tasks whose line is there are not run again. Lines that another version
-of the modules in question has written do not count. `PROVE_OUT` names another folder than results/prove.
+of the modules in question has written count only if one in ten of these tasks, spread over all of them, is run again
+and gives the same bit for bit; the page says so. `PROVE_OUT` names another folder than results/prove.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -55,38 +57,95 @@ def _cpu_seconds() -> float:
     return spent.user + spent.system + spent.children_user + spent.children_system
 
 
-def finish(name: str, count: int, task: Callable[[int], dict[str, Any]]) -> list[dict[str, Any]]:
-    """Results of tasks 0 .. count - 1, run here if their line is not in NAME.jsonl yet."""
-    path = out_folder() / f"{name}.jsonl"
-    path.parent.mkdir(parents=True, exist_ok=True)
+def finish(
+    name: str, count: int, task: Callable[[int], dict[str, Any]], *, by_chance: bool = False
+) -> list[dict[str, Any]]:
+    """Results of tasks 0 .. count - 1, run here if their line is not in NAME.jsonl yet.
+
+    by_chance : whether a task gives something else each time, so that nothing of another version can count.
+    """
     done = finished(name)
+    if not by_chance and any(number not in done for number in range(count)):
+        _try_earlier(name, count, task)
+        done = finished(name)
     for number in range(count):
         if number not in done:
-            begun = _cpu_seconds()
-            found = task(number)
-            found |= {"task": number, "cpu_seconds": round(_cpu_seconds() - begun, 2), "commit": commit()}
-            line = json.dumps({"code": _code(name)} | found)
-            cut = path.exists() and not path.read_bytes().endswith(b"\n")  # by a kill
-            with path.open("a", encoding="utf-8") as file:
-                file.write("\n" * cut + line + "\n")
-            done[number] = json.loads(line)
+            done[number] = _run(name, number, task)
     return [done[number] for number in range(count)]
 
 
-def finished(name: str) -> dict[int, dict[str, Any]]:
-    """What is there of a part: task -> its line. A last line cut off by a kill does not count."""
+def _run(name: str, number: int, task: Callable[[int], dict[str, Any]]) -> dict[str, Any]:
+    """Run one task and keep its line."""
+    begun = _cpu_seconds()
+    found = task(number)
+    found |= {"task": number, "cpu_seconds": round(_cpu_seconds() - begun, 2), "commit": commit()}
+    return _keep(name, found)
+
+
+def _keep(name: str, entry: dict[str, Any]) -> dict[str, Any]:
     path = out_folder() / f"{name}.jsonl"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    line = json.dumps({"code": _code(name)} | entry)
+    cut = path.exists() and not path.read_bytes().endswith(b"\n")  # by a kill
+    with path.open("a", encoding="utf-8") as file:
+        file.write("\n" * cut + line + "\n")
+    return dict(json.loads(line))
+
+
+_OF_THE_RUN = ("code", "commit", "cpu_seconds", "seconds")  # what differs between runs of one task
+
+
+def _try_earlier(name: str, count: int, task: Callable[[int], dict[str, Any]]) -> None:
+    """Let lines of an earlier version count if the tasks that are run again give the same."""
+    here, lines_there = _code(name), _lines(name)
+    if any("earlier" in entry and entry["code"] == here for entry in lines_there):
+        return
+    by_code: dict[str, dict[int, dict[str, Any]]] = {}
+    for entry in lines_there:
+        if "task" in entry and entry["task"] < count and entry["code"] != here:
+            by_code.setdefault(entry["code"], {})[entry["task"]] = entry
+    if not by_code:
+        return
+    earlier, lines = max(by_code.items(), key=lambda item: len(item[1]))
+    numbers = sorted(lines)
+    chosen = numbers[:: max(len(numbers) // max(count // 10, 2), 1)]
+    done = finished(name)
+    for number in chosen:
+        again = done.get(number) or _run(name, number, task)
+        if any(again.get(key) != value for key, value in lines[number].items() if key not in _OF_THE_RUN):
+            return
+    commits = sorted({str(line["commit"]) for line in lines.values()})
+    _keep(name, {"earlier": earlier, "repeated": len(chosen), "commit": commit(), "earlier_commits": commits})
+
+
+def repeated(*names: str) -> tuple[int, int]:
+    """Tasks, of the parts whose names begin so, that an earlier version has run, and those run again and the same."""
+    lines, again = 0, 0
+    for path in sorted(out_folder().glob("*.jsonl")):
+        if path.stem.startswith(names):
+            told = [e for e in _lines(path.stem) if "earlier" in e and e["code"] == _code(path.stem)]
+            lines += sum(e["code"] != _code(path.stem) for e in finished(path.stem).values())
+            again += told[-1]["repeated"] if told else 0
+    return lines, again
+
+
+def _lines(name: str) -> list[dict[str, Any]]:
+    """All whole lines of a part, of whatever version; a last one cut off by a kill is none."""
+    path = out_folder() / f"{name}.jsonl"
+    found = []
+    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
+        with suppress(json.JSONDecodeError):
+            found.append(json.loads(line))
+    return found
+
+
+def finished(name: str) -> dict[int, dict[str, Any]]:
+    """What is there of a part: task -> its line."""
     wanted = _code(name)
-    done: dict[int, dict[str, Any]] = {}
-    if path.exists():
-        for line in path.read_text(encoding="utf-8").splitlines():
-            try:
-                entry = json.loads(line)
-            except json.JSONDecodeError:
-                continue
-            if entry["code"] == wanted:
-                done[entry["task"]] = entry
-    return done
+    lines = _lines(name)
+    earlier = {entry["earlier"] for entry in lines if entry["code"] == wanted and "earlier" in entry}
+    done = {entry["task"]: entry for entry in lines if entry["code"] in earlier and "task" in entry}
+    return done | {entry["task"]: entry for entry in lines if entry["code"] == wanted and "task" in entry}
 
 
 def cost(*names: str) -> float:
@@ -116,6 +175,13 @@ def write_page(
     numbers = head | {"commits": commits, "cpu_minutes": round(spent, 1)} | numbers
     (PAGES / f"{name}.json").write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
     text = [f"# {title}", "", f"Run on {date}, commit {', '.join(commits)}. {verdict}", "", *lines]
+    before, again = repeated(*PARTS.get(name, (name,)))
+    if before:
+        text += [
+            "",
+            f"{before} tasks were run by an earlier commit of those named; {again} of them, spread over each part,",
+            "were run again by the latest and gave the same, bit for bit.",
+        ]
     if figure is not None:
         figures.save(figure, PAGES / name)
         text += ["", f"![{title}]({name}.svg)"]

@@ -109,6 +109,26 @@ def test_a_part_goes_on_where_it_stopped(tmp_path, monkeypatch):
     assert called == [0, 1, 2, 2, 3]
 
 
+def test_lines_of_another_version_count_where_tasks_run_again_give_the_same(tmp_path, monkeypatch):
+    monkeypatch.setenv("PROVE_OUT", str(tmp_path))
+    called = []
+
+    def task(number, power=2):
+        called.append(number)
+        return {"value": number**power, "seconds": len(called)}
+
+    monkeypatch.setattr(parts, "_code", lambda name: "first")
+    parts.finish("toy", 30, task)
+    called.clear()
+    monkeypatch.setattr(parts, "_code", lambda name: "second")
+    assert [r["value"] for r in parts.finish("toy", 30, task)] == [n**2 for n in range(30)]
+    assert called == [0, 10, 20]
+    assert parts.repeated("toy") == (27, 3)
+    monkeypatch.setattr(parts, "_code", lambda name: "third")
+    assert [r["value"] for r in parts.finish("toy", 30, partial(task, power=3))] == [n**3 for n in range(30)]
+    assert parts.repeated("toy") == (0, 0)
+
+
 def test_the_plain_log_likelihood_of_a_campaign_peaks_at_its_truth():
     made = synthetic.campaign("repeats", 1, 0)
     truth = {name: np.full(2, value) for name, value in made.truth.items()}

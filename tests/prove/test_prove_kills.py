@@ -100,7 +100,7 @@ def _until_fifty(name: str, task: Callable[[int], dict[str, object]]) -> list[di
     """As many runs as it takes to be killed fifty times."""
     results: list[dict[str, object]] = []
     while sum(len(r["kills"]) for r in results) < KILLS:
-        results = parts.finish(name, len(results) + 1, task)
+        results = parts.finish(name, len(results) + 1, task, by_chance=True)
     return results
 
 
