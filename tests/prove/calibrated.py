@@ -114,7 +114,10 @@ def weighted_draws(posterior: RecordPosterior, rng: np.random.Generator) -> tupl
             power *= 0.7
         centre = weight @ points
         covariance = (points - centre).T * weight @ (points - centre)
-        shape = StudentT(centre, 1.1 * covariance, 5.0)
+        try:
+            shape = StudentT(centre, 1.1 * covariance, 5.0)
+        except np.linalg.LinAlgError:  # too few points bear all the weight
+            return None
     if effective < 500.0:
         return None
     flat = points[rng.choice(len(points), ranks.DRAWS, p=weight)]

@@ -82,9 +82,11 @@ def calibration(found: Mapping[str, Results], settings: Mapping[str, Any]) -> No
     numbers["commits"] = {r["commit"] for results in found.values() for r in results}
     passed = [kind for kind, entry in numbers["kinds"].items() if entry["p_of_all"] > 0.05]
     verdict = (
-        f"{sum(len(results) for results in found.values())} campaigns; all quantities together inside their band for "
-        f"{', '.join(passed) or 'none'}"
-        + "".join(f"; {kind}: outside" for kind in numbers["kinds"] if kind not in passed)
+        f"{sum(len(results) for results in found.values())} campaigns of {len(numbers['kinds'])} kinds; all quantities "
+        f"together inside their band for {len(passed)} of them"
+        + "".join(
+            f"; not for {kind}, p = {e['p_of_all']:.2g}" for kind, e in numbers["kinds"].items() if kind not in passed
+        )
         + "."
     )
     parts.write_page("calibration", verdict, lines, numbers, _ecdf_figure(found))
@@ -176,7 +178,7 @@ def kills() -> None:
             lines.append(f"| {title} | not run yet | | | |")
             continue
         total, same = sum(len(r["kills"]) for r in results), sum(not r["different"] for r in results)
-        after = Counter(name for r in results for name in r["after"])
+        after = Counter(name for r in results for name in r.get("after", ()))
         told = ", ".join(f"{name} {count}" for name, count in after.most_common())
         lines.append(f"| {title} | {total} | {len(results)} | {same} | {told} |")
         verdicts.append(

@@ -229,7 +229,8 @@ def write_index() -> None:
 
 `make prove` runs every proof of the table that names it: statistical checks too long for `make test`, two at a time. It
 works in parts, kept in `results/prove/` (or the folder that `PROVE_OUT` names): stopped at any moment, the same command
-goes on where it was. Parts that another version of the modules in question has written do not count. One proof alone:
+goes on where it was. Parts that another version of the modules in question has written count only where a tenth of
+their tasks, run again, gives the same bit for bit. One proof alone:
 `python -m pytest -m prove tests/prove/test_prove_bugs.py`.
 
 The CPU minutes are those that the parts took, on a machine with other work to do: {total:.0f} together,
