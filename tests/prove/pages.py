@@ -129,29 +129,28 @@ def _ecdf_figure(found: Mapping[str, Results]) -> Figure:
     return figure
 
 
-def bugs(found: Sequence[Mapping[str, Any]], level: float, commits: set[str]) -> None:
+def bugs(found: Sequence[Mapping[str, Any]], level: float) -> None:
     """Page of the planted bugs: what `hunt` gave for each."""
     lines = [
         "Each bug is planted in the fit alone, never in the simulated campaigns, and the calibration of",
         "[its own page](calibration.md) must notice: campaigns are added until the ranks of all quantities",
         f"together are less likely than {level:g} under uniformity. The sound fit is watched by the same rule",
-        "and must not raise it.",
+        "and must not raise it. Kinds of campaigns: lone, an uncoupled and a coupled trial; repeats, two coupled ones.",
+        "The log likelihood of a sound fit is not quite uniform (its page says why), so that what only it gives away, and",
+        "only after dozens of campaigns, is caught less surely than what another quantity gives away.",
         "",
-        "| bug | campaigns | caught after | by | p |",
-        "| --- | --- | --- | --- | --- |",
+        "| bug | campaigns | caught after | by | p | commit |",
+        "| --- | --- | --- | --- | --- | --- |",
     ]
     for row in found:
         after = f"not caught by {row['campaigns']}" if row["caught"] is None else str(row["caught"])
-        lines.append(f"| {row['bug']} | {row['kind']} | {after} | {row['by']} | {row['p']:.1e} |")
+        told = ", ".join(c[:7] for c in row["commits"])
+        lines.append(f"| {row['bug']} | {row['kind']} | {after} | {row['by']} | {row['p']:.1e} | {told} |")
     planted = [row for row in found if not row["bug"].startswith("none")]
     caught = sum(row["caught"] is not None for row in planted)
     verdict = f"{caught} of {len(planted)} planted bugs caught."
-    parts.write_page(
-        "bugs",
-        verdict,
-        lines,
-        {"level": level, "bugs": list(found), "commits": commits},
-    )
+    commits = {c for row in found for c in row["commits"]}
+    parts.write_page("bugs", verdict, lines, {"level": level, "bugs": list(found), "commits": commits})
 
 
 def kills() -> None:
