@@ -248,9 +248,11 @@ def test_the_gap_stands_before_and_after_each_effect(tmp_path):
              "after": {"rms": 2.1, "coverage50": 0.52, "coverage90": 0.91}}  # fmt: skip
     trial = {"case": "IV", "configuration": "coupled", "trial": 4, "readings": 812}
     data["forecast"] = {"periods": 2.0, "bands": [0.5, 0.9], "trials": [trial | sides], **sides}
+    data["pair"] = {"effects": ["stick_slip", "magnet_cubic"], "probability": 0.7}
     (tmp_path / "diagnosis" / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
     text = words_of(report(tmp_path / "diagnosis").path.read_text(encoding="utf-8"))
-    assert "case IV, coupled, trial 4 812 3.4 2.1 31 % 52 % 62 % 91 %" in text
+    assert "with stick slip and magnet cubic 2.01 97 % (90 to 100 %)" in text
+    assert "case IV, coupled, trial 4 812 3.4 → 2.1 31 % → 52 % 62 % → 91 %" in text
     assert "noise alone 2" in text
     assert "nominal model 2.9 0 %" in text
     assert "with stick slip 2.01 97 % (90 to 100 %)" in text

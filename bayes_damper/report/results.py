@@ -403,7 +403,7 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
         tuple(data.get("notes", ())),
         (
             _site_table(sites),
-            *_gap_tables(gap, data.get("effects", [])),
+            *_gap_tables(gap, data.get("effects", []), pair),
             *_forecast_tables(data.get("forecast") or {}),
             *_shift_tables(data.get("parameters") or {}),
             *([_records_table("Next experiment", data["next_experiment"])] if data.get("next_experiment") else []),
@@ -441,7 +441,7 @@ def _closed_sentence(gap: Mapping[str, Any], who: str) -> str:
     if closed is None:
         return ""
     hdi = (gap.get("closed") or {}).get("hdi90")
-    spread = f" (90 %: {interval(100.0 * hdi[0], 100.0 * hdi[1])} %)" if hdi else ""
+    spread = f" (90 %: {100.0 * hdi[0]:.0f} to {100.0 * hdi[1]:.0f} %)" if hdi else ""
     return f"On held-out trials {who} {100.0 * closed:.0f} % of the gap{spread}."
 
 
@@ -470,8 +470,10 @@ def _site_table(sites: Sequence[tuple[str, float]]) -> Table:
     return Table("Probability of each site", ("site", "probability", "what belongs to it"), rows)
 
 
-def _gap_tables(gap: Mapping[str, Any], effects: Sequence[Mapping[str, Any]]) -> list[Table]:
-    """Residuals on held-out trials: the noise, the nominal model, and each effect that was added."""
+def _gap_tables(
+    gap: Mapping[str, Any], effects: Sequence[Mapping[str, Any]], pair: Mapping[str, Any] | None = None
+) -> list[Table]:
+    """Residuals on held-out trials: the noise, the nominal model, each effect that was added, and two that answer."""
     if gap.get("nominal_rms") is None:
         return []
     rows = [
@@ -479,6 +481,9 @@ def _gap_tables(gap: Mapping[str, Any], effects: Sequence[Mapping[str, Any]]) ->
         Row(("nominal model", number(gap["nominal_rms"]), "0 %")),
     ]
     told = [e for e in effects if e.get("augmented_rms") is not None]
+    if pair and gap.get("augmented_rms") is not None:
+        both = " and ".join(str(name) for name in pair["effects"])
+        told.append({"name": both, "augmented_rms": gap["augmented_rms"], "closed": gap.get("closed")})
     if not told and gap.get("augmented_rms") is not None:
         told = [{"name": "most probable cause", "augmented_rms": gap["augmented_rms"], "closed": gap.get("closed")}]
     for e in told:
@@ -502,11 +507,10 @@ def _forecast_tables(ahead: Mapping[str, Any]) -> list[Table]:
     sides = [side for side in ("before", "after") if side in ahead]
 
     def cells(row: Mapping[str, Any]) -> tuple[str, ...]:
-        found = [row.get(side) for side in sides]
+        found = [row[side] for side in sides if row.get(side) is not None]
         return tuple(
-            NOTHING if f is None else number(f["rms"]) if name == "rms" else percent(f[name])
+            " → ".join(number(f["rms"]) if name == "rms" else percent(f[name]) for f in found)
             for name in ("rms", "coverage50", "coverage90")
-            for f in found
         )
 
     rows = [
@@ -515,13 +519,13 @@ def _forecast_tables(ahead: Mapping[str, Any]) -> list[Table]:
     ]
     if len(rows) > 1:
         rows.append(Row(("all", str(sum(t["readings"] for t in ahead["trials"])), *cells(ahead))))
-    heads = [f"{name}, {side}" for name in ("rms miss", "in the 50 % band", "in the 90 % band") for side in sides]
+    heads = ("trial", "readings", "rms miss", "in the 50 % band", "in the 90 % band")
     note = (
         f"Each trial's own state is inferred from its first {ahead['periods']:g} periods, the rest is predicted; "
-        "before: nominal model; after: with the leading effect added. Fewer readings in a band than it should hold: "
+        "by the nominal model → with the leading effect added. Fewer readings in a band than it should hold: "
         "the model is surer than it may be."
     )
-    return [Table("Forecasts of held-out trials", ("trial", "readings", *heads), tuple(rows), note)]
+    return [Table("Forecasts of held-out trials", heads, tuple(rows), note)]
 
 
 def _shift_tables(parameters: Mapping[str, Any]) -> list[Table]:
