@@ -36,6 +36,7 @@ MODULES = {
     "kills-sampler": ("bayes_damper.sampling",),
     "integrator": ("bayes_damper.model",),
     "next": ("bayes_damper.diagnosis",),
+    "rigs": ("bayes_damper.diagnosis", "bayes_damper.campaign", "bayes_damper.forecast"),
 }
 """By the beginning of a part's name, the modules that decide its results, with all that they import; else all."""
 
@@ -197,6 +198,7 @@ QUESTIONS = {
     "kills": "Is anything lost when a run is killed?",
     "integrator": "Is the integrator accurate over the whole prior?",
     "evidence": "Is the evidence right, and what does it cost?",
+    "rigs": "What do measured rigs say?",
     "priors": "Does the table of prior sensitivity tell what a new fit would find?",
 }
 """What each page answers, by its name."""

@@ -1,0 +1,48 @@
+"""The measured rigs: what the diagnosis and its peers say of each, and how well held-out stretches are forecast."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import pages
+import parts
+import pytest
+import rig_peers
+
+from bayes_damper.calibration import experiment_of
+from bayes_damper.campaign import load_campaign
+from bayes_damper.diagnose import diagnose
+from bayes_damper.importer import import_records
+from bayes_damper.priors import campaign_priors
+
+RAW = Path(os.environ.get("BAYES_DAMPER_REALDATA", parts.ROOT.parent / "shared" / "realdata"))
+RIGS = ("rotary_pendulum", "tuned_mass_damper", "double_pendulum")
+KEPT = ("verdict", "probabilities", "credible_set", "pair", "sites", "gap", "forecast", "notes")
+
+
+def studied(name: str, folder: Path) -> dict[str, Any]:
+    """What `diagnose --nominal linear` and the installed peers say of one rig."""
+    home = import_records(parts.ROOT / "data" / "real" / name / "import.toml", folder / name, RAW / name)
+    own = diagnose(home, nominal="linear", out=folder / f"{name}_out").result
+    campaign = load_campaign(home)
+    experiment = experiment_of(campaign, campaign_priors(parts.ROOT / "data" / "real" / name / "priors.toml", campaign))
+    return {"rig": name, "diagnosis": {key: own[key] for key in KEPT}, "peers": rig_peers.all_of(experiment)}
+
+
+@pytest.mark.prove
+@pytest.mark.filterwarnings("ignore")  # the peers' own
+def test_what_measured_rigs_say(tmp_path):
+    if not RAW.is_dir():
+        pytest.skip("the raw files of the measured rigs are not here; set BAYES_DAMPER_REALDATA to their folder")
+    found = parts.finish("rigs", len(RIGS), lambda i: studied(RIGS[i], tmp_path))
+    pages.rigs(found)
+    by_name = {row["rig"]: row["diagnosis"] for row in found}
+    assert by_name["rotary_pendulum"]["verdict"] == "bearing_drag"
+    assert by_name["tuned_mass_damper"]["verdict"] == "none"
+    assert max(by_name["tuned_mass_damper"]["probabilities"].values()) < 0.9
+    assert set(by_name["double_pendulum"]["pair"]["effects"]) == {"bearing_drag", "interface_friction"}
+    for name in ("rotary_pendulum", "double_pendulum"):
+        ahead = by_name[name]["forecast"]
+        assert ahead["after"]["rms"] < ahead["before"]["rms"]
