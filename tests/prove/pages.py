@@ -291,7 +291,7 @@ def rigs(found: Results) -> None:
         "scipy, lmfit and PINTS call our simulation, so that only the inference differs, and begin at our fit; pysindy",
         "regresses smoothed accelerations on a list of terms and keeps those that Schwarz's criterion likes",
         "best. Their bands are what they know of: the spread of the unknowns, and white noise at the level of what",
-        "they leave.",
+        "they leave; so is the noise in their criterion, whatever its correlation.",
         "",
         "| rig | peer, model | left where trained | miss, held out | 50, 90 % bands hold | what it says of the gap |",
         "| --- | --- | --- | --- | --- | --- |",
@@ -312,16 +312,18 @@ def rigs(found: Results) -> None:
         f"{row['rig'].replace('_', ' ')}: {' and '.join(d['pair']['effects']) if d['pair'] else d['verdict']}"
         for row, d in ((row, row["diagnosis"]) for row in found)
     )
-    parts.write_page(
-        "rigs", f"{named[0].upper()}{named[1:]}.", lines, {"rigs": list(found)}, minutes=parts.cost("rigs")
-    )
+    lines += ["", "A peer without a row was not run on that rig."]
+    numbers = {"rigs": list(found), "commits": sorted({row["commit"] for row in found})}
+    minutes = sum(row["cpu_seconds"] for row in found) / 60.0
+    parts.write_page("rigs", f"{named[0].upper()}{named[1:]}.", lines, numbers, minutes=minutes)
 
 
 def _says(peer: str, peers: Mapping[str, Any]) -> str:
     """What a peer's own numbers say of the gap, in words."""
     says = peers[peer]
     if "kept" in says:
-        return "; ".join(f"equation {i + 1} keeps {', '.join(kept)}" for i, kept in enumerate(says["kept"]))
+        told = "; ".join(f"equation {i + 1} keeps {', '.join(kept)}" for i, kept in enumerate(says["kept"]))
+        return told.replace("|", "\\|")
     if "rho" in says:
         loose = "" if says["r_hat"] < 1.05 else f", not converged (R-hat {says['r_hat']:.1f})"
         return f"nothing; lag-one correlation of what is left {says['rho']:.2f}{loose}"

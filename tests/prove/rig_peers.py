@@ -8,6 +8,7 @@ what a peer knows of its own error is white noise at the level of its residuals,
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -110,13 +111,20 @@ def lmfit_squares(fit: Calibration) -> dict[str, Any]:
     return {"rms": level, "bic": float(found.bic), "forecast": ahead(stacked.with_white(x, covariance, level))}
 
 
-def pints_chains(fit: Calibration, iterations: int = 1000) -> dict[str, Any]:
-    """PINTS: an AR(1) likelihood, its adaptive sampler from the best fit, three chains of which two thirds count."""
+def pints_chains(fit: Calibration, iterations: int = 1000, seconds: float = 90.0) -> dict[str, Any]:
+    """PINTS: an AR(1) likelihood, its adaptive sampler from the best fit, three chains of which two thirds count.
+
+    iterations : of each chain, fewer where they would take more than `seconds`.
+    """
     import pints
 
     stacked = Stacked(fit)
     start = least_squares(stacked.misses, stacked.start, x_scale="jac", max_nfev=60, diff_step=1e-4)
     level = float(np.std(start.fun))
+    begun = time.perf_counter()
+    for _ in range(20):
+        stacked.misses(start.x)
+    iterations = min(iterations, max(100, int(20.0 * seconds / 3.0 / (time.perf_counter() - begun))))
 
     class Forward(pints.ForwardModel):  # type: ignore[misc]
         def n_parameters(self) -> int:
