@@ -29,6 +29,7 @@ from bayes_damper.run import write_json
 
 Array = NDArray[np.float64]
 NOMINALS = ("nonlinear", "linear")
+CERTAIN = 0.9  # probability from which an answer is told without doubt
 
 
 @dataclass(frozen=True)
@@ -173,6 +174,10 @@ def _words(result: Mapping[str, Any]) -> list[str]:
     gap = result["gap"]
     if verdict == "none":
         lines = [f"No gap beyond the noise is shown (probability {share:.2f})."]
+        if share < CERTAIN:
+            lines = [
+                f"No cause is shown: that nothing is missing is the most probable answer ({share:.2f}), not a sure one."
+            ]
     elif verdict == "unknown":
         site = max(result["sites"], key=lambda s: result["sites"][s])
         told = (

@@ -575,3 +575,16 @@ def test_axe_finds_no_fault(tmp_path, width, dark):
 def test_an_axis_is_logarithmic_where_only_a_factor_is_known(high, scale):
     figure = forest_figure({"nu": {"I": (5.0, 20.0, high), "II": (5.5, 21.0, high)}}, {}, title="nu")
     assert figure.axes[0].get_xscale() == scale
+
+
+@pytest.mark.parametrize(
+    ("share", "told"),
+    [(0.97, "The nominal model needs no addition (97 %)."),
+     (0.43, "Most probable, but not sure: no addition is needed (43 %).")],
+)  # fmt: skip
+def test_a_doubtful_none_is_told_with_doubt(tmp_path, share, told):
+    write_diagnosis(tmp_path)
+    data = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
+    data |= {"verdict": "none", "probabilities": {"none": share, "unknown": 1.0 - share}}
+    (tmp_path / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
+    assert told in words_of(report(tmp_path).path.read_text(encoding="utf-8"))

@@ -351,7 +351,9 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
     sites = sorted((data.get("sites") or {}).items(), key=lambda item: -item[1])
     sentences = [_gap_sentence(gap)]
     if verdict == "none":
-        sentences.append(f"The nominal model needs no addition ({percent(share)}).")
+        sure = (share or 0.0) >= 0.9
+        told = "The nominal model needs no addition" if sure else "Most probable, but not sure: no addition is needed"
+        sentences.append(f"{told} ({percent(share)}).")
     elif verdict == "unknown":
         place = next((s for s, _ in sites if s != "none"), None)
         sentences.append(f"No effect of the library explains it ({percent(share)}). Most probable place: {place}.")
