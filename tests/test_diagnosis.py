@@ -85,8 +85,8 @@ def test_the_figure_shows_a_held_out_record_before_and_after_the_effect_is_added
     assert before > 1.3 * after
     figure = gap_figure(record, found.answers.probabilities, title="gap")
     titles = [axis.get_title(loc="left") for axis in figure.axes]
-    assert titles[1].startswith("measured minus nominal model")
-    assert titles[2] == "measured minus model with quadratic_drag"
+    assert "measured minus model with quadratic_drag" in titles
+    assert any(title.startswith("measured minus nominal model") for title in titles)
     without_answer = gap_figure(record | {"augmented": None}, found.answers.probabilities, title="gap")
     assert len(without_answer.axes) == len(figure.axes) - 1
 
