@@ -186,7 +186,9 @@ def write_everything(folder: Path) -> Path:
         "effective": {"cases": {"IV": {"energy_j": 0.0343, "k2t": {"median": 1.1, "hdi90": [0.9, 1.4]},
                                        "c2t": {"median": 0.07, "hdi90": [0.05, 0.09]},
                                        "measured": {"k2t": 1.0, "c2t": 0.08}}}},
-        "recycled": {"ess": {"IV": 412.0}, "pareto_k": {"IV": 0.31}},
+        "recycled": {"ess": {"IV": 412.0}, "pareto_k": {"IV": 0.31}, "log_evidence_over_separate": 2.1, "error": 0.2,
+                     "direct_log_evidence_over_separate": 1.8, "direct_error": 0.3, "parameters": {"mu": {
+                         "common": TWO_WAYS, "scatter": TWO_WAYS, "cases": {"IV": TWO_WAYS}}}},
         "sentences": ["The cases do not share one parameter set (2 %)."],
     }  # fmt: skip
     (folder / "variability.json").write_text(json.dumps(shares), encoding="utf-8")
@@ -195,6 +197,9 @@ def write_everything(folder: Path) -> Path:
         {"name": "a1", "verdict": "none", "right": True}]}  # fmt: skip
     (folder / "withheld.json").write_text(json.dumps(scores), encoding="utf-8")
     return folder
+
+
+TWO_WAYS = {way: {"median": 0.31, "hdi90": [0.2, 0.4]} for way in ("recycled", "direct")}
 
 
 def words_of(page: str) -> str:

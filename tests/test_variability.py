@@ -385,6 +385,11 @@ def test_half_shared_campaign_end_to_end(tmp_path):
         assert row["c2t"]["median"] == pytest.approx(row["measured"]["c2t"], rel=0.1)
     parts = result["decomposition"]["c2t"]
     assert parts["expected_total"]["median"] == pytest.approx(parts["measured"], rel=0.3)
+    two_ways = result["recycled"]["parameters"]["c2t"]["cases"]
+    assert set(two_ways) == set(truths)
+    for row in two_ways.values():
+        low, high = row["direct"]["hdi90"]
+        assert abs(row["recycled"]["median"] - row["direct"]["median"]) < high - low
     assert (tmp_path / "fit" / "variability_effective.svg").exists()
     assert "one parameter set for all cases" in found.text()
 

@@ -814,6 +814,13 @@ def _recycled_tables(recycled: Mapping[str, Any]) -> list[Table]:
         note = f"Log evidence over separate cases: {heights[0]} by weights, {heights[1]} directly."
         columns = ("parameter", "common value, by weights", "directly", "scatter, by weights", "directly")
         tables.append(Table("Values scattered about a common mean, found in two ways", columns, tuple(compared), note))
+    cases = [
+        Row((f"{name} of case {case}", _told(ways["recycled"]), _told(ways["direct"])))
+        for name, row in (recycled.get("parameters") or {}).items()
+        for case, ways in row.get("cases", {}).items()
+    ]
+    if cases:
+        tables.append(Table("Each case, found in two ways", ("parameter", "by weights", "directly"), tuple(cases)))
     return tables
 
 

@@ -272,7 +272,7 @@ def _fit_draws(folder: Path, plan: Mapping[str, Any], cases: PublishedCases | Re
 def _agreement(
     recycled: Recycled, direct: Direct, pooled: Sequence[str], priors: Mapping[str, Distribution]
 ) -> dict[str, Any]:
-    """The two ways to the hierarchy beside each other: evidence, common value and scatter of each parameter.
+    """The two ways to the hierarchy beside each other: evidence; common value, scatter, and cases of each parameter.
 
     Differences are those of means, in standard deviations of the direct draws; the common value is that of a case in
     the middle of the population.
@@ -290,6 +290,13 @@ def _agreement(
                 "direct": summary(from_standard(priors[name], _middle(direct)[:, j])),
             },
             "scatter": {"recycled": summary(recycled.scatter[:, j]), "direct": summary(direct.scatter[:, j])},
+            "cases": {
+                case: {
+                    "recycled": summary(from_standard(priors[name], recycled.values[case][:, j])),
+                    "direct": summary(from_standard(priors[name], z[:, j])),
+                }
+                for case, z in direct.values.items()
+            },
         }
     least = min(*recycled.ess.values(), len(recycled.scatter))
     allowed = 0.15 + 4.0 * math.sqrt(1.0 / least + 4.0 / len(direct.scatter))
