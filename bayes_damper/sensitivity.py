@@ -44,7 +44,8 @@ def of_standard_draws(names: Sequence[str], points: Array) -> dict[str, Any]:
                 "moves_most": names[most],
                 "shift_of_that": float(means[most]),
                 "effective_share": effective,
-                "reliable": effective > RELIABLE,
+                # Where the prior decides, no draw lies where a wider one would let them go.
+                "reliable": effective > RELIABLE and (width < 1.0 or share <= PRIOR_DECIDES),
             }
     return out
 

@@ -278,3 +278,12 @@ def test_ranks_of_a_known_gaussian_are_uniform() -> None:
     ranks = ndtr(np.random.default_rng(0).standard_normal(100_000))
     assert share_inside(ranks, 0.9) == pytest.approx(0.9, abs=0.01)
     assert share_inside(ranks, 0.5) == pytest.approx(0.5, abs=0.01)
+
+
+def test_draws_that_the_prior_decides_cannot_tell_what_a_wider_one_would_allow() -> None:
+    points = np.random.default_rng(2).standard_normal((4000, 2)) * [0.3, 0.95]
+    table = of_standard_draws(["measured", "assumed"], points)
+    assert table["measured"]["double"]["reliable"]
+    assert table["measured"]["half"]["reliable"]
+    assert table["assumed"]["half"]["reliable"]
+    assert not table["assumed"]["double"]["reliable"]
