@@ -58,7 +58,7 @@ def held_out_rms(found: Experiment, left_out: int, variant: Variant | None) -> f
             z = [coordinate_of(p.prior, x) for p, x in zip(variant.parameters, values, strict=True)]
             starts.append(np.concatenate([np.zeros(problem.size - len(z)), z]))
     fit = calibrate(problem, starts)
-    return float(np.sqrt(np.mean(predict(fit, [left_out])[left_out].residual ** 2))) * DEGREES
+    return float(np.sqrt(np.nanmean(predict(fit, [left_out])[left_out].residual ** 2))) * DEGREES
 
 
 @pytest.mark.slow
