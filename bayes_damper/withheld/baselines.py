@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import importlib
 import math
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -251,7 +252,10 @@ def forest_out_of_fold(
     for k in range(FOLDS):
         train, test = fold != k, fold == k
         model = forest(n_estimators=trees, min_samples_leaf=2, random_state=seed, n_jobs=1)
-        model.fit(table[train], answers[train])
+        with warnings.catch_warnings():
+            # Many answers with few campaigns each: it asks whether these are numbers. They are names.
+            warnings.filterwarnings("ignore", message="The number of unique classes is greater")
+            model.fit(table[train], answers[train])
         told = model.predict_proba(table[test])
         for name, row in zip(np.array(names)[test], told, strict=True):
             p = dict.fromkeys(every, 0.0) | dict(zip(model.classes_.tolist(), row.tolist(), strict=True))
