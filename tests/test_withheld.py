@@ -464,8 +464,7 @@ def test_a_forest_learns_from_the_other_folds_only():
 @pytest.mark.filterwarnings("error")
 def test_the_forest_takes_many_answers_with_few_campaigns_each_without_a_word():
     rng = np.random.default_rng(4)
-    labels = {f"c{i}": f"answer{i // 2}" for i in range(12)}
-    labels |= {f"more{i}": "answer0" for i in range(3)}
+    labels = {f"c{i}": f"answer{i}" for i in range(30)} | {f"more{i}": "answer0" for i in range(4)}
     told = forest_out_of_fold({name: rng.standard_normal(3) for name in labels}, labels, seed=1, trees=5)
     assert set(told) == set(labels)
     assert all(sum(p.values()) == pytest.approx(1.0) for p in told.values())
