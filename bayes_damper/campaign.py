@@ -24,7 +24,9 @@ from numpy.typing import NDArray
 
 from bayes_damper import readings as look
 from bayes_damper.errors import InputError
+from bayes_damper.parameters import unit_of
 from bayes_damper.records import USUAL_LAG, departure
+from bayes_damper.wording import counted
 
 Array = NDArray[np.float64]
 TomlValue = Any  # whatever a TOML file can hold: checked by those who take it
@@ -195,6 +197,11 @@ class Campaign:
         return tuple(t for t in self.trials if case in (None, t.case) and configuration in (None, t.configuration))
 
     @property
+    def reading_unit(self) -> str:
+        """Unit of a reading, e.g. "rad/s^2"."""
+        return unit_of("sigma1", self.rig.kind, self.measurement.quantity)
+
+    @property
     def heldout(self) -> tuple[Trial, ...]:
         """Trials for held-out figures: the marked ones, or the last of each case and configuration.
 
@@ -217,8 +224,8 @@ class Campaign:
         unit = {"torsional": "deg", "translational": "mm"}[self.rig.kind]
         lines = [
             (
-                f"{self.name}: {len(self.trials)} trials, {len(self.cases)} cases, {self.measurement.quantity}, "
-                f"{self.rig.kind} rig, start {self.measurement.start}"
+                f"{self.name}: {counted(len(self.trials), 'trial')}, {counted(len(self.cases), 'case')}, "
+                f"{self.measurement.quantity}, {self.rig.kind} rig, start {self.measurement.start}"
             )
         ]
         held = {t.key for t in self.heldout}
@@ -226,8 +233,8 @@ class Campaign:
             angle = "free start" if t.theta0 is None else f"{t.theta0.value / _TO_SI[self.rig.kind]:.3g} {unit}"
             noise = ", ".join(f"{x:.2g}" for x in noise_floor(t))
             lines.append(
-                f"  {t.label}: {len(t.times)} readings, {t.times[0]:.4g} to {t.times[-1]:.4g} s, {angle}, "
-                f"noise about {noise}{', held out' if t.key in held else ''}"
+                f"  {t.label}: {counted(len(t.times), 'reading')}, {t.times[0]:.4g} to {t.times[-1]:.4g} s, {angle}, "
+                f"noise about {noise} {self.reading_unit}{', held out' if t.key in held else ''}"
             )
         lines += [f"  warning: {w}" for w in self.warnings]
         return "\n".join(lines)

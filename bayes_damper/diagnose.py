@@ -26,6 +26,8 @@ from bayes_damper.provenance import provenance
 from bayes_damper.published import load_published
 from bayes_damper.record_posterior import trial_label
 from bayes_damper.run import write_json
+from bayes_damper.wording import gap_beside_verdict
+from bayes_damper.wording import p_value as told_p
 
 Array = NDArray[np.float64]
 NOMINALS = ("nonlinear", "linear")
@@ -86,7 +88,14 @@ def diagnose(
     folder = Path(out)
     path = found.write(folder)
     ahead = forecasts(found.nominal, found.best)
-    result = found.to_json() | {"forecast": ahead} | {"campaign_sha256": loaded.sha256, "provenance": provenance()}
+    result = found.to_json() | {
+        "reading_unit": loaded.reading_unit,
+        "forecast": ahead,
+        "campaign_sha256": loaded.sha256,
+        "provenance": provenance(),
+    }
+    for name, row in result["parameters"].items():
+        row["unit"] = unit_of(name, loaded.rig.kind, loaded.measurement.quantity)
     write_json(path, result)
     _draw(folder, found)
     return Diagnosed(folder, result, tuple(f"warning: {w}" for w in loaded.warnings))
@@ -135,7 +144,7 @@ def _published_words(result: Mapping[str, Any]) -> list[str]:
     lines = [first + ("." if share >= 0.9 else "; that is no finding, the numbers leave other answers open.")]
     told = {"gap": "gap", "none": "no gap shown", "cannot tell": "cannot tell"}[gap["answer"]]
     lines.append(
-        f"Gap on the coupled numbers: {told} (p = {gap['p_value']:.2g}). Coupled peaks, each predicted without the "
+        f"Gap on the coupled numbers: {told} ({told_p(gap['p_value'])}). Coupled peaks, each predicted without the "
         f"coupled numbers of its case: the nominal model lies {gap['mean_difference']:+.0f} rad/s^2 off on average, "
         f"{gap['nominal_rms']:.0f} rms; the leading effect {gap['augmented_rms']:.0f} rms; "
         f"standard errors {gap['noise_rms']:.1f}."
@@ -186,7 +195,8 @@ def _words(result: Mapping[str, Any]) -> list[str]:
         lines = [told + f"{site}."]
     else:
         row = next(r for r in result["effects"] if r["name"] == verdict)
-        lines = [f"The missing effect is {verdict} ({row['site']}), probability {share:.2f}: {row['formula']}."]
+        sure = "The missing effect is" if share >= CERTAIN else "Most probable, but not sure:"
+        lines = [f"{sure} {verdict} ({row['site']}), probability {share:.2f}: {row['formula']}."]
         parameters = {verdict: row["parameters"]}
         if result.get("pair"):
             both, p = result["pair"]["effects"], result["pair"]["probability"]
@@ -199,9 +209,15 @@ def _words(result: Mapping[str, Any]) -> list[str]:
             for name, p in those.items()
         ]
     lines.append(
-        f"Gap on held-out trials: {gap['answer']} (p = {gap['p_value']:.2g}); "
-        f"residual {gap['nominal_rms']:.3g} before, {gap['augmented_rms']:.3g} after, noise {gap['noise_rms']:.3g}."
+        f"Gap on held-out trials: {gap['answer']} ({told_p(gap['p_value'])}); "
+        + ("residual" if gap["augmented_rms"] is None else "residual before and after the answer is added")
+        + f" {gap['nominal_rms']:.3g}"
+        + ("" if gap["augmented_rms"] is None else f" and {gap['augmented_rms']:.3g}")
+        + f", noise {gap['noise_rms']:.3g} {result.get('reading_unit', '')}".rstrip()
+        + "."
     )
+    beside = gap_beside_verdict(verdict, share, gap)
+    lines += [beside] if beside else []
     lines += _forecast_words(result.get("forecast") or {})
     ranked = sorted(probabilities, key=lambda name: -probabilities[name])[:5]
     lines.append("Answers: " + ", ".join(f"{name} {probabilities[name]:.2f}" for name in ranked))

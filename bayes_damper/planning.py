@@ -37,6 +37,7 @@ from bayes_damper.parameters import READING_UNITS, TRANSLATIONAL_UNITS, unit_of
 from bayes_damper.priors import PriorSet, campaign_priors
 from bayes_damper.provenance import provenance
 from bayes_damper.run import write_json
+from bayes_damper.wording import counted
 
 Array = NDArray[np.float64]
 
@@ -71,7 +72,8 @@ class Plan:
         """A table of effects, then of parameters, then sentences."""
         r = self.result
         lines = [
-            f"{r['campaign']}: {r['trials']} trials for fitting, noise {', '.join(f'{x:g}' for x in r['noise'])}",
+            f"{r['campaign']}: {counted(r['trials'], 'trial')} for fitting, noise "
+            + ", ".join(f"{x:g}" for x in r["noise"]),
             f"  {'effect':22s}{'seen':>6s}   {'strongest rival':22s}{'nats over it':>13s}   {'trials needed':20s}from",
         ]
         for row in r["effects"]:

@@ -33,6 +33,7 @@ from bayes_damper.model import Model
 from bayes_damper.provenance import provenance
 from bayes_damper.published import load_published
 from bayes_damper.run import read_json, write_json
+from bayes_damper.wording import counted
 
 Array = NDArray[np.float64]
 Draws = Mapping[str, Array]
@@ -635,7 +636,7 @@ class TuneResult:
 
     def text(self) -> str:
         """The result in a few lines."""
-        lines = [f"Case {self.case}, {len(self.draws['J1'])} draws; target {self.target_db:g} dB."]
+        lines = [f"Case {self.case}, {counted(len(self.draws['J1']), 'draw')}; target {self.target_db:g} dB."]
         lines.append(f"linear model: {_sentence(self.linear, self.target_db)}")
         lines += [f"torque {a:g} N m: {_sentence(p, self.target_db)}" for a, p in self.nonlinear.items()]
         if self.optimum is not None:

@@ -129,7 +129,7 @@ def test_logger_files_become_a_campaign_by_options(tmp_path, capsys):
     )
     words = ["init", str(tmp_path / "rig"), "run0.csv", "run1.csv", "--raw", str(tmp_path), *options.split()]
     assert main(words) == 0
-    assert "rig: 2 trials, 1 cases, acceleration" in capsys.readouterr().out
+    assert "rig: 2 trials, 1 case, acceleration" in capsys.readouterr().out
     assert main(words) == 2
     assert "holds a campaign already" in capsys.readouterr().err
     again = ["init", str(tmp_path / "again"), "--table", str(tmp_path / "rig" / "import.toml")]
@@ -155,7 +155,7 @@ def test_init_asks_in_a_terminal(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
     assert main(["init", str(tmp_path / "rig"), str(tmp_path / "a.csv"), "--release", "find"]) == 0
-    assert "1 trials" in capsys.readouterr().out
+    assert "1 trial," in capsys.readouterr().out
 
 
 # Notebooks ----------------------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parent.parent / "bayes_damper"
 
 # A package counts as one module; inside it anything goes that makes no cycle at import time.
 LAYERS = (
-    {"errors", "resources", "distributions", "outcome", "parameters", "checkpoint", "provenance", "memory"},
+    {"errors", "resources", "distributions", "outcome", "parameters", "checkpoint", "provenance", "memory", "wording"},
     {"readings", "logger_files"},
     {"records"},
     {"campaign", "importer", "lanes", "damper", "linear", "published"},

@@ -21,6 +21,7 @@ from scipy.special import ndtr
 from bayes_damper.calibration import Calibration, Group, Problem, calibrate, predict
 from bayes_damper.diagnosis.remainder import own_frequency
 from bayes_damper.diagnosis.response import on_trials
+from bayes_damper.wording import p_value as told_p
 
 Array = NDArray[np.float64]
 
@@ -137,7 +138,7 @@ def measure_gap(
         closed = share_closed(x0, x1, d, count, rng, noise_spread(nominal.problem))
     answer: Literal["none", "gap", "cannot tell"]
     if p_value < size:
-        answer, why = "gap", f"held-out residuals follow what the training trials predict (p = {p_value:.2g})"
+        answer, why = "gap", f"held-out residuals follow what the training trials predict ({told_p(p_value)})"
     elif upper < NEGLIGIBLE:
         answer, why = "none", f"no sign of a gap, and one above {upper:.2f} of the noise is excluded"
     else:

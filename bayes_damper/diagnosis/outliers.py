@@ -56,8 +56,12 @@ def told(experiment: Experiment, far: dict[int, NDArray[np.bool_]]) -> list[str]
     for i, mask in far.items():
         t = experiment.trials[i]
         times = t.times[mask.any(axis=0)]
-        out.append(
-            f"{t.label}: {int(mask.sum())} readings between {times.min():.4g} s and {times.max():.4g} s are far from "
-            "those of its repeats; they were left out as faults of the measurement."
-        )
+        if mask.sum() == 1:
+            told = f"one reading at {times.min():.4g} s is far from those of its repeats; it was left out as a fault"
+        else:
+            told = (
+                f"{int(mask.sum())} readings between {times.min():.4g} s and {times.max():.4g} s are far from those of "
+                "its repeats; they were left out as faults"
+            )
+        out.append(f"{t.label}: {told} of the measurement.")
     return out

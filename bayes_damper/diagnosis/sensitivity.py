@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from bayes_damper.calibration import Calibration, TrialRecord, calibrate
 from bayes_damper.diagnosis.verdict import Answers
+from bayes_damper.wording import counted
 
 Array = NDArray[np.float64]
 
@@ -192,9 +193,8 @@ def in_a_sentence(choices: Sequence[Choice], leading: str) -> str:
     if not choices:
         return "There is nothing to leave out, so how far the verdict hangs on a single trial cannot be told."
     if not other:
-        return (
-            f"The verdict stays the same under all {len(choices)} other choices tried (priors, a case or a trial less)."
-        )
+        tried = "the one other choice" if len(choices) == 1 else f"all {len(choices)} other choices"
+        return f"The verdict stays the same under {tried} tried (priors, a case or a trial less)."
     told = "; ".join(f"{c.what}: {c.verdict} ({c.probability:.2f})" for c in other[:4])
     more = f", and {len(other) - 4} more" if len(other) > 4 else ""
-    return f"The verdict changes under {len(other)} of {len(choices)} other choices: {told}{more}."
+    return f"The verdict changes under {len(other)} of {counted(len(choices), 'other choice')}: {told}{more}."

@@ -30,6 +30,8 @@ from bayes_damper.withheld.sealing import (
     write_freeze,
     write_verdict,
 )
+from bayes_damper.wording import counted
+from bayes_damper.wording import p_value as told_p
 
 SCHEMA = "bayes-damper/withheld/1"
 SHIPPED = "data/withheld/campaigns"
@@ -544,15 +546,18 @@ def table_text(results: Mapping[str, Any]) -> str:
     lines = []
     if results["rehearsal"]:
         lines += ["REHEARSAL, not a proof:", *(f"  {reason}" for reason in results["why_rehearsal"]), ""]
-    lines.append(f"{told['all']['campaigns']} campaigns, chain {results['chain_head'][:16]}")
+    lines.append(f"{counted(told['all']['campaigns'], 'campaign')}, chain {results['chain_head'][:16]}")
     for kind, found in told["by_kind"].items():
-        lines += ["", f"{kind} ({found['campaigns']} campaigns, {found['hidden']} hidden behind the constants)"]
+        lines += [
+            "",
+            f"{kind} ({counted(found['campaigns'], 'campaign')}, {found['hidden']} hidden behind the constants)",
+        ]
         lines += [f"  {words:32s}{_figure(found[name])}" for words, name in _LINES]
         r = told["reliability"][kind]
         if r["n"]:
             lines.append(
                 f"  {'calibration error':32s}{r['error']:.3f}  (calibrated twin: {r['twin_error']['mean']:.3f}, 95 % "
-                f"below {r['twin_error']['upper95']:.3f}; p = {r['p_value']:.2g})"
+                f"below {r['twin_error']['upper95']:.3f}; {told_p(r['p_value'])})"
             )
     if told["by_level"]:
         lines += ["", f"  {'level':>12s}  {'right first':32s}share of gap closed"]

@@ -1,0 +1,49 @@
+"""Sentences for people: counts, p values, and a test of the gap that points another way than the verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+SMALLEST_P = 1e-12
+"""Below this a p value says nothing more: no model of noise holds so far out in its tails."""
+
+
+def counted(n: int, one: str, many: str = "") -> str:
+    """A number with its noun: `1 case`, `3 cases`; `many` where the plural is not made by an s."""
+    return f"{n} {one if n == 1 else many or one + 's'}"
+
+
+def p_value(p: float) -> str:
+    """A p value as people write it: `p = 0.03`, and `p below 1e-12` where digits mean nothing."""
+    return f"p below {SMALLEST_P:.0e}" if p < SMALLEST_P else f"p = {p:.2g}"
+
+
+def gap_beside_verdict(verdict: str, share: float, gap: Mapping[str, Any]) -> str:
+    """Why the test of the gap and the verdict point different ways, in a sentence; "" where they agree.
+
+    verdict, share : the most probable answer and its probability; gap : `gap` of diagnosis.json.
+    """
+    answer, p = gap.get("answer"), gap.get("p_value")
+    if answer == "gap" and verdict == "none":
+        told = "" if p is None else f" ({p_value(p)})"
+        rare = p is not None and p < 0.1 * gap.get("size", 0.05)
+        first = f"The test of the held-out residuals alone says gap{told}"
+        if rare:
+            return (
+                f"{first}, yet no cause explains it better than no cause at all ({share:.2f}): look at the residuals, "
+                "and repeat the trials, before you trust either."
+            )
+        return (
+            f"{first}, as it does for one faultless rig in {1.0 / gap.get('size', 0.05):.0f}; weighed against every "
+            f"cause, that nothing is missing stays the most probable answer ({share:.2f}). Repeats would decide."
+        )
+    if verdict != "none" and answer in ("none", "cannot tell"):
+        if gap.get("augmented_rms") is None and gap.get("closed") is None:
+            return "No trial could be held out, so nothing tests this answer but the trials it was found in."
+        return (
+            "The test of the held-out trials alone does not show it"
+            + ("" if p is None else f" ({p_value(p)})")
+            + "; the answer rests on all trials together. Repeats would confirm it or not."
+        )
+    return ""

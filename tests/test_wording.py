@@ -1,0 +1,42 @@
+"""Counts and p values in sentences."""
+
+import pytest
+
+from bayes_damper.wording import counted, gap_beside_verdict, p_value
+
+
+@pytest.mark.parametrize(
+    ("n", "words", "told"),
+    [
+        (1, ("case",), "1 case"),
+        (0, ("case",), "0 cases"),
+        (3, ("trial",), "3 trials"),
+        (2, ("frequency", "frequencies"), "2 frequencies"),
+    ],
+)
+def test_one_of_a_kind_stands_in_the_singular(n, words, told):
+    assert counted(n, *words) == told
+
+
+@pytest.mark.parametrize(
+    ("p", "told"), [(0.0, "p below 1e-12"), (2.2e-221, "p below 1e-12"), (3.14e-5, "p = 3.1e-05"), (0.25, "p = 0.25")]
+)
+def test_a_p_value_has_no_digits_where_they_mean_nothing(p, told):
+    assert p_value(p) == told
+
+
+@pytest.mark.parametrize(
+    ("verdict", "gap", "told"),
+    [
+        ("none", {"answer": "gap", "p_value": 0.03, "size": 0.05}, "one faultless rig in 20"),
+        ("none", {"answer": "gap", "p_value": 1e-30, "size": 0.05}, "p below 1e-12"),
+        ("stick_slip", {"answer": "none", "p_value": 0.4, "augmented_rms": 1.0}, "rests on all trials together"),
+        ("unknown", {"answer": "cannot tell", "p_value": 1.0, "augmented_rms": None}, "No trial could be held out"),
+        ("none", {"answer": "none", "p_value": 0.4}, ""),
+        ("stick_slip", {"answer": "gap", "p_value": 0.0}, ""),
+    ],
+)
+def test_a_verdict_that_the_test_of_the_gap_does_not_share_is_explained(verdict, gap, told):
+    sentence = gap_beside_verdict(verdict, 0.7, gap)
+    assert told in sentence
+    assert bool(sentence) is bool(told)
