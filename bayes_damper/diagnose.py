@@ -253,9 +253,16 @@ def _draw(folder: Path, found: Diagnosis) -> None:
     if torques:
         strongest = max(torques, key=lambda found: float(np.abs(found.torque).max()))
         figures.save(
-            figures.missing_torque_figure(strongest, title="torque that the nominal model lacks"),
+            figures.missing_torque_figure(strongest, title=_torque_title(found)),
             folder / "missing_torque",
         )
+
+
+def _torque_title(found: Diagnosis) -> str:
+    """What the figure shows, and under which condition where another site is as likely."""
+    place = found.site_map.torque_site
+    title = "torque that the nominal model lacks"
+    return title if place in (None, found.site_map.best) else f"{title}, if the cause lies at {place}"
 
 
 def _shown_record(found: Diagnosis) -> dict[str, Any] | None:

@@ -12,13 +12,16 @@ from bayes_damper.calibration import calibrate_nominal, predict
 from bayes_damper.diagnosis.response import _steps, motions, project
 from bayes_damper.diagnosis.sites import (
     STRENGTHS,
+    _torque_site,
     dense_evidence,
     predicted_gap,
     probabilities_of,
     site_map,
     write_missing_torque,
 )
-from bayes_damper.effects.base import SITES
+from bayes_damper.distributions import HalfNormal
+from bayes_damper.effects.base import SITES, EffectParameter, Variant
+from bayes_damper.lanes import exp, lane, tanh
 from bayes_damper.model import Model
 
 CUBIC = {"effect": variant("magnet_cubic", "cubic"), "values": {"cubic": 200.0}}
@@ -82,8 +85,10 @@ def test_projection_takes_out_what_parameters_can_do(faultless):
         ("bearings", {"effect": variant("quadratic_drag"), "values": {"coefficient": 0.3}}),
         ("sensor", {"sensor": lambda t, y: np.clip(y, -130.0, 130.0)}),
         ("sensor", {"sensor": lambda t, y: y + (np.array([[0.0], [0.12]]) * y[:1])[: len(y)]}),
+        ("sensor", {"sensor": lambda t, y: np.where((t > 0.131) & (t < 0.139), y[:, [131]], y)}),
+        ("release", {"torque": knock(0.004, 0.006, 0.25)}),
     ],
-    ids=["hardening", "knock", "drag", "clipping", "crosstalk"],
+    ids=["hardening", "knock", "drag", "clipping", "crosstalk", "held reading", "second touch"],
 )
 def test_a_cause_is_found_at_its_site(site, cause):
     found = site_map(calibrate_nominal(measured(5, **cause)), torque=False)
@@ -91,6 +96,38 @@ def test_a_cause_is_found_at_its_site(site, cause):
     assert found.probabilities["none"] < 0.01
     assert site in found.credible_set()
     assert abs(sum(found.probabilities.values()) - 1.0) < 1e-12
+
+
+@lane
+def _dent(t, th1, th2, w1, w2, z1, z2, p, rig):
+    """Both shafts rest in a dent of their races 0.02 rad off the middle."""
+    x1, x2 = (th1 - 0.02) / 0.01, (th2 - 0.02) / 0.01
+    return -p[0] * x1 * exp(-0.5 * x1 * x1), -p[0] * x2 * exp(-0.5 * x2 * x2)
+
+
+@lane
+def _one_way(t, th1, th2, w1, w2, z1, z2, p, rig):
+    """Seals that drag in one direction only."""
+    return -p[0] * 0.5 * (1.0 + tanh(rig.nu * w1)), -p[0] * 0.5 * (1.0 + tanh(rig.nu * w2))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", [_dent, _one_way], ids=["dent", "one way"])
+def test_bearings_are_told_from_springs_and_weights(law):
+    """What bearings do depends on the angle or the direction of each shaft, and is the same law on both."""
+    size = EffectParameter("size", "N m", "Torque.", HalfNormal(1.0), "For this test.", 0.0)
+    cause = Variant(name="law", formula="Q = law(th, w)", parameters=(size,), torque=law, couples="bodies")
+    found = site_map(calibrate_nominal(measured(5, effect=cause, values={"size": 0.05}, duration=0.8)))
+    assert found.best == "bearings"
+    assert found.torque_site == "bearings"
+
+
+def test_torque_is_told_where_it_may_be_missing():
+    """A site that is not the likeliest one, but not excluded, has its torque told; beside a sure sensor none has."""
+    some = {"ground1": 0.3, "bearings": 0.05, "sensor": 0.6, "none": 0.05}
+    assert _torque_site(some) == "ground1"
+    assert _torque_site(some | {"ground1": 0.02, "sensor": 0.88}) is None
+    assert _torque_site({"sensor": 0.5, "none": 0.5}) is None
 
 
 def test_interface_torque_is_found_at_the_interface_with_its_shape(interface):

@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 
 DEGREE = 5  # of the polynomials in angle and velocity
 BUMPS = 40  # in time, along a record
+WINDOWS = 40  # of time in which a sensor may misbehave
+PLACES = 12  # on the way of an angle from one end to the other
+CONTACTS = 8  # after the release, each longer than the one before, the last one a quarter of the rig's period long
 HUM = (50.0, 60.0, 100.0, 120.0)  # Hz
 RESONANCES = tuple(1.5 * 1.35**k for k in range(9))  # times the rig's own frequency
 DAMPING = 0.08  # ratio of those resonators: wide enough to meet their neighbours
@@ -148,6 +151,25 @@ def _bumps(motion: Motion, scale: Scale) -> Iterator[Array]:
         yield np.broadcast_to(np.where(np.abs(x) < 1.0, 0.5 + 0.5 * np.cos(np.pi * x), 0.0), motion.th1.shape)
 
 
+def _places(angle: Array, reach: float) -> Iterator[Array]:
+    """Triangles that share out the way of an angle from -reach to reach; they add up to 1 in between."""
+    width = 2.0 * reach / (PLACES - 1)
+    for k in range(PLACES):
+        yield np.maximum(0.0, 1.0 - np.abs(angle + reach - k * width) / width)
+
+
+def _contacts(m: Motion, s: Scale) -> Iterator[Array]:
+    """Half waves that begin at the release or soon after it, the later the longer."""
+    last = 0.5 * np.pi / s.omega
+    first = min(2.0 * float(np.median(np.diff(m.grid))), 0.2 * last)
+    edges = np.concatenate([[0.0], np.geomspace(first, last, CONTACTS + 1)])
+    for k in range(CONTACTS):
+        middle = edges[k + 1]
+        rising = np.clip((m.since - edges[k]) / (middle - edges[k]), 0.0, 1.0)
+        falling = np.clip((edges[k + 2] - m.since) / (edges[k + 2] - middle), 0.0, 1.0)
+        yield np.asarray(np.sin(0.5 * np.pi * np.minimum(rising, falling)) ** 2)
+
+
 def _drags(w: Array, reach: float, nu: Array) -> list[Array]:
     """Odd functions of a velocity: dry, smoother dry, Stribeck humps, square, cube, root."""
     v = w / reach
@@ -167,6 +189,8 @@ def _ground1(m: Motion, s: Scale) -> Iterator[Shape]:
         yield Shape("", "law", f)
     for f in _own_spring(u):
         yield Shape("", "spring", f)
+    for f in _places(m.th1, s.th1):
+        yield Shape("", "place", f)
     for f in (u * t, v * t, u * t * t, np.exp(-5.0 * t) * u, t, t * t):
         yield Shape("", "drift", f)
     for breakaway in (0.02, 0.06, 0.2, 0.6):
@@ -177,6 +201,7 @@ def _ground1(m: Motion, s: Scale) -> Iterator[Shape]:
         yield Shape("", "flexible", f)
     for f in _bumps(m, s):
         yield Shape("", "time", f)
+        yield Shape("", "drift", f * u)
 
 
 def _own_spring(u: Array) -> Iterator[Array]:
@@ -208,6 +233,16 @@ def _bearings(m: Motion, s: Scale) -> Iterator[Shape]:
         yield Shape("", "drift", d1[k] * t, d2[k] * t)
     ratio = s.w2 / s.w1
     yield Shape("", "drift", m.w1 / s.w1 * t, m.w2 / s.w2 * t * ratio if coupled else 0.0 * t)
+    # Drag that is not the same in both directions.
+    v1, v2 = m.w1 / s.w1, m.w2 / s.w1 if coupled else 0.0 * m.w1
+    for a, b in ((np.abs(d1[0]), np.abs(d2[0])), (np.abs(v1), np.abs(v2)), (v1**2, v2**2)):
+        yield Shape("", "one way", a, b)
+    # A dent, or a rough spot, at some angle of the shafts.
+    reach = max(s.th1, s.th2)
+    for a, f in zip(_places(m.th1, reach), _places(m.th2, reach), strict=True):
+        b = f if coupled else 0.0 * f
+        yield Shape("", "dent", a, b)
+        yield Shape("", "spot", a * d1[0], b * d2[0])
 
 
 def _interface(m: Motion, s: Scale) -> Iterator[Shape]:
@@ -241,6 +276,10 @@ def _interface(m: Motion, s: Scale) -> Iterator[Shape]:
     for k in range(1, 9):
         yield pair("poles", np.sin(0.5 * np.pi * k * p))
         yield pair("poles", np.cos(0.5 * np.pi * k * p))
+    for f in (np.abs(dry), np.abs(dry) * pull, dry * pull * np.tanh(p / 0.1), np.abs(v)):
+        yield pair("one way", f)
+    for f in _bumps(m, s):
+        yield pair("time", f)
     for f in _flexible(m, (m.a1 - m.a2) / (s.slip * s.omega), s):
         yield pair("flexible", f)
 
@@ -257,6 +296,8 @@ def _ground2(m: Motion, s: Scale) -> Iterator[Shape]:
         yield own("weight", f)
     for f in _own_spring(u):
         yield own("spring", f)
+    for f in _places(m.th2, s.th2):
+        yield own("place", f)
     for f in _drags(m.w2, s.w2, m.nu):
         yield own("drag", f)
     for f in (u * t, v * t, t, t * t):
@@ -298,6 +339,11 @@ def _release(m: Motion, s: Scale) -> Iterator[Shape]:
         held = np.exp(-m.since / (steps * step)) * reach / s.torque
         yield Shape("", "hold", held)
         yield Shape("", "hold2", None, held if coupled else 0.0 * held)
+    # What held it touches it again.
+    for touch in _contacts(m, s):
+        yield Shape("", "contact", touch * reach / s.torque)
+        yield Shape("", "contact", touch)
+        yield Shape("", "contact2", None, touch if coupled else 0.0 * touch)
 
 
 def _sensor(m: Motion, s: Scale) -> Iterator[Shape]:
@@ -330,7 +376,7 @@ def _sensor(m: Motion, s: Scale) -> Iterator[Shape]:
             yield column("highpass", slow)
         for tau in (3.0, 30.0):
             yield column("highpass", _passed(_passed(y, tau / s.omega, dt), tau / s.omega, dt))
-        for limit in (0.2, 0.35, 0.5, 0.65, 0.8, 0.9):
+        for limit in (0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9):
             yield column("clip", y - np.clip(y, -limit, limit))
         for f in (y**2, y**3, y * np.abs(y), np.abs(y), np.tanh(y / 0.05)):
             yield column("nonlinear", f)
@@ -344,6 +390,11 @@ def _sensor(m: Motion, s: Scale) -> Iterator[Shape]:
             yield column("tilt", f)
         for f in _resonances(y * released, h, s):  # a sensor on an elastic mount
             yield column("mount", f)
+        for start in s.duration * np.arange(WINDOWS) / WINDOWS:
+            inside = ((group.times >= start) & (group.times < start + s.duration / WINDOWS)).astype(float)
+            yield column("moment", np.broadcast_to(inside, (n, size)))
+            yield column("moment", inside * y)
+            yield column("moment", inside * y[:, [int(np.argmax(inside))]])
         for hertz in HUM:
             for wave in (np.sin, np.cos):
                 yield column("hum", np.broadcast_to(wave(2.0 * np.pi * hertz * group.times), (n, size)))

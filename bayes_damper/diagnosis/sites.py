@@ -30,6 +30,7 @@ STRENGTHS = np.geomspace(1.0, 3e4, 19)  # of a column's response, in noise stand
 MOST_SHAPES = 6  # in a sparse hypothesis
 USABLE = 1e-3  # a column of which parameters leave less than this share of its length is not used
 PRIOR_NONE = 0.4
+WORTH_A_TORQUE = 0.1  # probability of a site, given a gap, from which the torque that is missing there is told
 TEMPERING = 0.1  # share of the best evidence by which linear responses and approximate shapes may be wrong
 
 
@@ -89,6 +90,7 @@ class SiteMap:
     scale: Scale
     coefficients: Array
     shift: Array
+    torque_site: str | None = None
 
     @property
     def best(self) -> str:
@@ -112,13 +114,13 @@ class SiteMap:
         return out
 
     def curve(self, bins: int = 25) -> dict[str, Any]:
-        """Missing torque against the coordinates of the best site, averaged in bins.
+        """Missing torque against the coordinates of its site, averaged in bins.
 
         Gives for each coordinate its bin centres, mean torque, band (sd of the mean within the bin, posterior
         included) and the number of instants; names: "th1", "w1" / "phi", "slip" / "th2", "w2".
         """
-        names = {"interface": ("phi", "slip"), "ground2": ("th2", "w2")}.get(self.best, ("th1", "w1"))
-        inertia = 1 if self.best in ("interface", "ground2") else 0
+        names = {"interface": ("phi", "slip"), "ground2": ("th2", "w2")}.get(self.torque_site or "", ("th1", "w1"))
+        inertia = 1 if self.torque_site in ("interface", "ground2") else 0
         out: dict[str, Any] = {}
         used = [m for m in self.torque if inertia == 0 or np.any(m.th2)]
         for name in names:
@@ -147,13 +149,14 @@ class SiteMap:
             "log_evidence": {s: float(v) for s, v in self.log_evidence.items()},
             "credible_set": self.credible_set(),
             "shape": {s: h.group for s, h in self.leaders.items()},
+            "torque_site": self.torque_site,
         }
 
 
 def site_map(fit: Calibration, *, torque: bool = True, prior_none: float = PRIOR_NONE) -> SiteMap:
     """Evidence and probability of every site that the rig has, from what a fit leaves; 1 to 3 s a campaign.
 
-    torque : also estimate the missing torque at the best site; prior_none : prior probability of no gap.
+    torque : also estimate the missing torque; prior_none : prior probability of no gap.
     """
     moved = motions(fit)
     scale = scale_of_motions(moved, peak_of(fit))
@@ -166,12 +169,22 @@ def site_map(fit: Calibration, *, torque: bool = True, prior_none: float = PRIOR
     evidence, leaders = _per_site(hypotheses)
     probabilities = probabilities_of(evidence, prior_none)
     best = max(evidence, key=lambda s: evidence[s])
-    mean, root = _coefficients(judged, leaders[best])
+    mean, _ = _coefficients(judged, leaders[best])
     missing: tuple[MissingTorque, ...] = ()
-    if torque and best != "sensor":
-        missing = _torque(moved, shapes, leaders[best].columns, mean, root)
+    place = _torque_site(probabilities) if torque else None
+    if place is not None:
+        missing = _torque(moved, shapes, leaders[place].columns, *_coefficients(judged, leaders[place]))
     shift = judged.absorbed[:, leaders[best].columns] @ mean
-    return SiteMap(evidence, probabilities, leaders, missing, fit, scale, mean, shift)
+    return SiteMap(evidence, probabilities, leaders, missing, fit, scale, mean, shift, place)
+
+
+def _torque_site(probabilities: Mapping[str, float]) -> str | None:
+    """The most probable site where a torque can be missing, None if the sensors are nearly sure to be the cause."""
+    gap = {s: p for s, p in probabilities.items() if s not in ("sensor", "none") and p > 0.0}
+    place = max(gap, key=lambda s: gap[s], default=None)
+    if place is None or gap[place] < WORTH_A_TORQUE * (1.0 - probabilities["none"]):
+        return None
+    return place
 
 
 def peak_of(fit: Calibration) -> float:
@@ -399,7 +412,7 @@ def _torque(
 
 
 def write_missing_torque(path: str | Path, found: SiteMap) -> None:
-    """The missing torque of every fitted trial as CSV, one row a sample; a header alone if the best site has none."""
+    """The missing torque of every fitted trial as CSV, one row a sample; a header alone if no torque is told."""
     trials = found.fit.problem.experiment.trials
     names = (
         "case", "configuration", "trial", "time_s", "torque1_n_m", "torque1_sd_n_m", "torque2_n_m", "torque2_sd_n_m",
