@@ -64,7 +64,7 @@ EVENT_TIMING = 5e-5  # s, by which the instant of an event may be off without th
 RELEASE_WEIGHT = 0.4  # of the first two readings
 FIRST_STAGE_EVENT_WEIGHT = 0.15
 LONG_PERIODS, FIRST_PERIODS, GROWING_STEPS = 12.0, 3.0, 20  # of records fitted window by window
-WHITE_ENOUGH = 1.3  # ratio of residuals without repeats to the noise of the sensors up to which they are noise
+WHITE_ENOUGH = 1.3  # largest ratio of residuals without repeats to the noise of the sensors up to which they are noise
 FIRST_ERROR = 0.02  # of a channel's reach: noise of the first fit where there are no repeats
 READINGS_PER_PERIOD = 100.0  # of the primary, that displacements and velocities are thinned to
 STEPS_PER_PERIOD = 120.0  # at least, of the primary on its spring
@@ -1318,6 +1318,16 @@ def error_level(residuals: Sequence[Array]) -> float:
     return math.sqrt(0.5 * float(power @ power) / total) if total > 0.0 else 0.0
 
 
+def _white_enough(readings: int) -> float:
+    """Ratio of `error_level` to the noise of the sensors up to which nothing speaks for correlated errors.
+
+    One standard deviation: from n readings the former is known to sqrt(1 / n), the latter, from a median of
+    differences, to sqrt(2 / n). White noise that exceeds it loses some per cent of sharpness; colour taken for white
+    noise would be taken for a gap.
+    """
+    return min(1.0 + math.sqrt(3.0 / max(readings, 1)), WHITE_ENOUGH)
+
+
 def learn_noise(fit: Calibration, colour: bool = True) -> Noise:
     """Noise of each channel from what the repeats do not share; without repeats, from the residuals.
 
@@ -1332,14 +1342,15 @@ def learn_noise(fit: Calibration, colour: bool = True) -> Noise:
         return noise
     found = fit.residuals()
     weights = {i: g.weight[k] for g in problem.groups for k, i in enumerate(g.trials)}
-    levels, sensors = [], []
+    levels, sensors, white = [], [], []
     for c, total in enumerate(noise.total):
         used = [r[c][weights[i][c] > 0.0] for i, r in found.items() if c < r.shape[0]]
         # Lines leak from a large slow error into the fast ones of a short record; differences do not.
         fast = _fast_level(used)
         sensors.append(min(fast, total) if fast > 0.0 else total)
         levels.append(max(sensors[-1], error_level(used)))
-    if all(level < WHITE_ENOUGH * sensor for level, sensor in zip(levels, sensors, strict=True)):
+        white.append(levels[-1] < _white_enough(sum(r.size for r in used)) * sensors[-1])
+    if all(white):
         return noise
     zero = (0.0,) * len(levels)
     return Noise(tuple(levels), zero, zero, sensor=tuple(sensors))

@@ -8,6 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
+from small_rig import NOISE, measured
 from test_calibration import RIG, TRUE, make_experiment
 
 from bayes_damper.calibration import Experiment, Problem, TrialRecord, calibrate, calibrate_nominal, coordinate_of
@@ -449,3 +451,20 @@ def test_the_probabilities_can_be_made_again_from_the_file(named):
     assert replay(table, replace(RULE, unseen=1e6)).probabilities["unknown"] > again.probabilities["unknown"]
     with pytest.raises(InputError, match="older version"):
         replay({k: v for k, v in table.items() if k != "weighed"})
+
+
+@pytest.mark.slow
+def test_slightly_coloured_noise_without_repeats_is_no_gap():
+    """A fifth of the noise's variance is slow. No repeat tells it from a model's error; white noise it must not be."""
+    rng = np.random.default_rng(4)
+
+    def slowly(times, y):
+        kick = rng.standard_normal(y.shape)
+        return y + 0.45 * NOISE * lfilter([math.sqrt(1.0 - 0.9**2)], [1.0, -0.9], kick, axis=1)
+
+    experiment = measured(6, sensor=slowly, repeats=2, noise=0.9 * NOISE, duration=0.8)
+    fit = calibrate_nominal(experiment)
+    assert all(level > sensor for level, sensor in zip(fit.problem.noise.total, fit.problem.noise.sensor, strict=True))
+    found = diagnose(experiment)
+    assert found.verdict == "none"
+    assert found.answers.probabilities["unknown"] < 0.2
