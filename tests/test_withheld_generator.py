@@ -254,6 +254,18 @@ def visible(name, size):
     return left, campaign.TRIALS * sum(float(r @ r) for r in fit.residuals) / gap.NOISE**2
 
 
+def test_innovations_of_the_drawn_noise_are_white():
+    """Unit variance at every frequency, and what is slow counts less than what is fast, as the spectrum of it says."""
+    drawn = np.array([campaign.noise_draw(np.random.default_rng(k), 4000, True, 0) for k in range(40)]) / gap.NOISE
+    white = gap.innovations(drawn)[:, 200:]
+    power = np.mean(np.abs(np.fft.rfft(white, axis=1)) ** 2, axis=0)[1:-1] / white.shape[1]
+    for band in np.array_split(power, 6):
+        assert band.mean() == pytest.approx(1.0, abs=0.06)
+    times = np.arange(4000) * 1e-3
+    slow, fast = (np.sum(gap.innovations(np.sin(2.0 * np.pi * hertz * times)) ** 2) for hertz in (5.0, 300.0))
+    assert slow < 0.3 * fast
+
+
 def test_an_inertia_within_its_declaration_is_told_as_hidden():
     left, exact = visible("inertia_error", 0.02)
     assert exact > 100.0

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import codes
-from .gap import NOISE, Condition, amplitude_for, gap_of, visible_chi2
+from .gap import AR_PHI, AR_SHARE, CHANNEL_2, NOISE, Condition, amplitude_for, gap_of, visible_chi2
 from .kinds import KINDS, Kind
 from .sensors import FULL_SCALE, Disturbance
 from .simulate import FINE_STEP, record
@@ -30,8 +30,6 @@ BEYOND_DECLARED = {"stiffness_error": 3.0 * K1T_SHARE, "inertia_error": 3.0 * HA
 ANGLE_SHARE = 0.01
 TRIALS = 3
 QUANTUM = 0.25  # rad/s^2
-AR_SHARE, AR_PHI = 0.2, 0.9
-CHANNEL_2 = 1.4
 REDRAWS = 3  # of the nominal parameters, where a kind's limit keeps it too weak on the rig drawn first
 
 

@@ -11,6 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from .kinds import Kind, Shape
 from .sensors import Disturbance
@@ -19,6 +20,8 @@ from .simulate import SEARCH_STEP, motion, record
 FITTED = ("mu", "k2t", "c2t", "drag", "nu", "c1t", "c3t")
 FITTED_UNCOUPLED = ("drag", "nu", "c1t")
 NOISE = 2.0  # rad/s^2
+AR_SHARE, AR_PHI = 0.2, 0.9  # hard kind: share of the variance that is an AR(1) process, and its coefficient
+CHANNEL_2 = 1.4  # hard kind: noise of the second channel over that of the first
 
 
 @dataclass(frozen=True)
@@ -152,6 +155,20 @@ def gap_of(
 UNCERTAIN = ("J1", "J2", "R", "r")
 
 
+def innovations(y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Readings (..., n) in a basis where the hard kind's noise of unit variance is white and of unit variance.
+
+    White and AR(1) noise together are an ARMA(1, 1) process, whose moving average follows from its spectrum:
+    s^2 |1 - theta z|^2 = (1 - AR_SHARE) |1 - AR_PHI z|^2 + AR_SHARE (1 - AR_PHI^2).
+    """
+    white = 1.0 - AR_SHARE
+    level = white * (1.0 + AR_PHI**2) + AR_SHARE * (1.0 - AR_PHI**2)
+    half = 0.5 * level / (white * AR_PHI)
+    theta = half - np.sqrt(half**2 - 1.0)
+    out: NDArray[np.float64] = lfilter([1.0, -AR_PHI], [1.0, -theta], y, axis=-1)
+    return out / np.sqrt(white * AR_PHI / theta)
+
+
 def visible_chi2(
     conditions: Sequence[Condition],
     times: NDArray[np.float64],
@@ -167,7 +184,8 @@ def visible_chi2(
 
     The nominal fit is taken up at `fit` and freed in the constants `declared` (their relative sd in `shares`; k1t by
     "k1t", one for each value), and for each condition in the release angle, the friction (3 %) and the start of the
-    logger (0.35 ms), all with their priors. Channel 2 is 1.4 times noisier. An upper bound: the search is local.
+    logger (0.35 ms), all with their priors. The noise is that of the hard kind: coloured, and more of it in channel 2.
+    An upper bound: the search is local.
     About half of it is the log evidence that the true effect can gain over the nominal model.
     """
     n = len(conditions)
@@ -176,7 +194,7 @@ def visible_chi2(
     shift = offsets + len(UNCERTAIN) + len(stiffnesses)
     fine = np.arange(round((float(times[-1]) + late) / SEARCH_STEP) + 30) * SEARCH_STEP
     truth_y = truth(conditions, times, disturbances, late)
-    weights = [np.repeat([1.0, 1.0 / 1.4], times.size) if c.coupled else np.ones(times.size) for c in conditions]
+    noises = NOISE * np.array([1.0, CHANNEL_2])
 
     def one(i: int, x: NDArray[np.float64]) -> NDArray[np.float64]:
         c = conditions[i]
@@ -189,9 +207,9 @@ def visible_chi2(
         path = motion(rig, c.coupled, (), float(fine[-1]), SEARCH_STEP)
         at = np.maximum(times + late + x[shift + n + i], 0.0)
         columns = (4, 5) if c.coupled else (4,)
-        y = np.concatenate([np.interp(at, fine[: path.shape[0]], path[:, k]) for k in columns])
-        error: NDArray[np.float64] = (y - truth_y[i]) * weights[i] * (np.sqrt(trials) / NOISE)
-        return error
+        y = np.stack([np.interp(at, fine[: path.shape[0]], path[:, k]) for k in columns])
+        error = (y - truth_y[i].reshape(y.shape)) / noises[: y.shape[0], None]
+        return np.sqrt(trials) * innovations(error).ravel()
 
     mean = np.zeros(shift + 2 * n)
     sd = np.full(mean.size, np.inf)
