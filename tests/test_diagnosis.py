@@ -453,6 +453,16 @@ def test_the_probabilities_can_be_made_again_from_the_file(named):
         replay({k: v for k, v in table.items() if k != "weighed"})
 
 
+def test_formulas_that_few_readings_show_are_not_told_apart_by_a_few_nats():
+    """A release over half a millisecond and a slow sensor both lower the first reading, and nothing else."""
+    evidence = {"release_ramp": 754.5, "sensor_bandwidth": 751.6, "spring_cubic": 2.0}
+    before, after = Left(700.0, 1.0), Left(0.0, 0.0, readings=1.3)
+    told = weigh(evidence, before, after)
+    assert told.verdict == "release_ramp"
+    assert "sensor_bandwidth" in told.credible_set()
+    assert "sensor_bandwidth" not in weigh(evidence, before, replace(after, readings=300.0)).credible_set()
+
+
 @pytest.mark.slow
 def test_slightly_coloured_noise_without_repeats_is_no_gap():
     """A fifth of the noise's variance is slow. No repeat tells it from a model's error; white noise it must not be."""

@@ -3,7 +3,8 @@
 Naive evidence is overconfident with tens of thousands of samples, because every formula is slightly wrong. So
 
 - the evidence of a family is the mean over its formulas;
-- evidences are tempered by T = 1 + (excess of the winner's mean residual beyond 2 sd) / TEMPERING;
+- evidences are tempered by T = 1 + (excess of the winner's mean residual beyond 2 sd) / TEMPERING, and more where so
+  few readings of a record carry the change that they tell its size but not its shape;
 - a pair must gain more than the share of the stronger one's evidence by which a formula may be wrong;
 - `unknown` competes with each answer through what that answer leaves: the evidence that something is left, and its
   share of the evidence of the gap. A right effect under a slightly wrong formula leaves a small share, and at its own
@@ -64,6 +65,8 @@ class Rule:
     imitated: float = 0.8
     least: float = 0.03
     few_readings: float = 0.8
+    shape_readings: float = 2.0
+    """Readings of a record that it takes to tell one formula's shape from another's."""
 
 
 RULE = Rule()
@@ -196,6 +199,7 @@ def weigh(
     among = max(len(evidence), USUAL)
     each = (1.0 - PRIOR_NONE - PRIOR_UNKNOWN - PRIOR_PAIRS) / among
     temperature = 1.0 + max(0.0, excess) / (rule.tempering * 20.0)
+    temperature *= 1.0 + rule.shape_readings / max(after.readings, 1e-9)
     best = max((evidence[n] for n in names), default=0.0)
     log_w: dict[str | tuple[str, str], float] = {"none": math.log(PRIOR_NONE)}
     log_w |= {n: math.log(each) + evidence[n] / temperature for n in names}
