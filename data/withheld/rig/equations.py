@@ -31,18 +31,23 @@ COUPLING_BACKLASH, COUPLING_HYSTERESIS = codes.COUPLING_BACKLASH, codes.COUPLING
 STIFFNESS_DRIFT, KNOCK, BASE_MOTION = codes.STIFFNESS_DRIFT, codes.KNOCK, codes.BASE_MOTION
 FLEXIBLE_SHAFT, CLAMP_PLAY = codes.FLEXIBLE_SHAFT, codes.CLAMP_PLAY
 ONE_SIDED_SPRING, STIFFNESS_RIPPLE = codes.ONE_SIDED_SPRING, codes.STIFFNESS_RIPPLE
+CLAMP_SLIP, COIL_FRICTION = codes.CLAMP_SLIP, codes.COIL_FRICTION
 BEARING_STRIBECK, QUADRATIC_DRAG = codes.BEARING_STRIBECK, codes.QUADRATIC_DRAG
 MISALIGNMENT_DRAG = codes.MISALIGNMENT_DRAG
 GREASE_THIXOTROPY, BEARING_RUNOUT, WAKE_DRAG = codes.GREASE_THIXOTROPY, codes.BEARING_RUNOUT, codes.WAKE_DRAG
 ONE_WAY_DRAG, RACE_DENT = codes.ONE_WAY_DRAG, codes.RACE_DENT
+DRY_RUNNING, FLUTED_RACE = codes.DRY_RUNNING, codes.FLUTED_RACE
 STICK_SLIP, FRICTION_DISPLACEMENT, MAGNET_CUBIC = codes.STICK_SLIP, codes.FRICTION_DISPLACEMENT, codes.MAGNET_CUBIC
 EDDY_OVERLAP, MAGNET_FADE, INTERFACE_RELAXATION = codes.EDDY_OVERLAP, codes.MAGNET_FADE, codes.INTERFACE_RELAXATION
 NORMAL_FORCE_LAW, MAGNETIC_COGGING = codes.NORMAL_FORCE_LAW, codes.MAGNETIC_COGGING
 FACE_WOBBLE, ASYMMETRIC_MAGNET = codes.FACE_WOBBLE, codes.ASYMMETRIC_MAGNET
 FACE_STOP, PULL_TILT = codes.FACE_STOP, codes.PULL_TILT
+AXIAL_BOUNCE, FACE_GRAIN, REST_ADHESION = codes.AXIAL_BOUNCE, codes.FACE_GRAIN, codes.REST_ADHESION
 STRAY_IRON, SECOND_KNOCK, BAR_PADDLE = codes.STRAY_IRON, codes.SECOND_KNOCK, codes.BAR_PADDLE
 UNBALANCED_BAR, GUARD_RUB, CABLE_PULL = codes.UNBALANCED_BAR, codes.GUARD_RUB, codes.CABLE_PULL
+CABLE_LOOP, FOAM_BUMPER = codes.CABLE_LOOP, codes.FOAM_BUMPER
 RELEASE_RAMP, RELEASE_DRAG, RELEASE_REBOUND = codes.RELEASE_RAMP, codes.RELEASE_DRAG, codes.RELEASE_REBOUND
+SECOND_JAW, LATE_SECONDARY = codes.SECOND_JAW, codes.LATE_SECONDARY
 
 
 @njit(cache=True)
@@ -68,6 +73,8 @@ def pull_and_friction(code, t, th1, th2, z0, p0, p1, p2, p3, g):
         return max(0.0, 1.0 + p0 * math.tanh((th1 - th2) / p1)), 1.0
     if code == FACE_WOBBLE:  # a face that is not square to its shaft
         return max(0.0, 1.0 + p0 * math.sin(p1 * th2 + p2)), 1.0
+    if code == AXIAL_BOUNCE:  # the shafts ring along their axis after the release, and the air gap with them
+        return max(0.0, 1.0 + p0 * math.exp(-t / p2) * math.sin(p1 * t)), 1.0
     return 1.0, 1.0
 
 
@@ -104,6 +111,10 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
             return -p0 * g[K1] * 0.5 * (th1 + math.sqrt(th1 * th1 + p1 * p1) - p1), 0.0
         if code == STIFFNESS_RIPPLE:  # a machine next to the rig pulls the spring to and fro
             return -p0 * g[K1] * th1 * math.sin(p1 * t + p2), 0.0
+        if code == CLAMP_SLIP:  # the spring's clamp slips at the instant p1: another angle of rest from then on
+            return p0 * g[K1] * 0.5 * (1.0 + math.tanh((t - p1) / p2)), 0.0
+        if code == COIL_FRICTION:  # coils rub on each other as hard as the spring is wound
+            return -p0 * g[K1] * abs(th1) * math.tanh(p1 * w1), 0.0
         return 0.0, 0.0
     if code < 40:
         if code == BEARING_STRIBECK:  # Lorentzian hump above the kinetic drag
@@ -131,6 +142,13 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
         if code == RACE_DENT:  # balls climb out of a dent at the angle p1, width p2
             s1, s2 = (th1 - p1) / p2, (th2 - p1) / p2
             return -p0 * s1 * math.exp(-0.5 * s1 * s1), -p0 * s2 * math.exp(-0.5 * s2 * s2)
+        if code == DRY_RUNNING:  # grease wrung out by rolling: dry drag that grows with the angle swept, z
+            return (
+                -p0 * (1.0 - math.exp(-z0 / p1)) * math.tanh(nu * w1),
+                -p0 * (1.0 - math.exp(-z1 / p1)) * math.tanh(nu * w2),
+            )
+        if code == FLUTED_RACE:  # washboard of the races, as stray currents burn it
+            return p0 * math.sin(p1 * th1 + p2), p0 * math.sin(p1 * th2 + p3)
         return 0.0, 0.0
     if code < 60:
         if not coupled:  # there is no interface
@@ -155,6 +173,13 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
         if code == FACE_STOP:  # pins between the faces, play p1 either side
             q = -p0 * (phi - min(max(phi, -p1), p1))
             return q, -q
+        if code == FACE_GRAIN:  # a grain in the Teflon ploughs where it meets the other face
+            v = w1 - w2
+            q = -p0 * math.exp(-(((phi - p1) / p2) ** 2)) * v / math.sqrt(v * v + 9e-4)
+            return q, -q
+        if code == REST_ADHESION:  # faces that cling after a rest, until torn apart (z0 = share torn)
+            q = -p0 * phi * (1.0 - z0)
+            return q, -q
         return 0.0, 0.0
     if code == UNBALANCED_BAR:
         return 0.0, p0 * math.sin(th2 + p1)
@@ -171,6 +196,11 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
         return 0.0, (p0 * math.sin(math.pi * s) if 0.0 < s < 1.0 else 0.0)
     if code == BAR_PADDLE:  # the secondary's bar stirs the air
         return 0.0, -p0 * w2 * abs(w2)
+    if code == CABLE_LOOP:  # strands of the cable slip on each other: two elastic sliders
+        return 0.0, -0.5 * p0 * (z0 + z1)
+    if code == FOAM_BUMPER:  # the far end of the swing meets foam: Hunt and Crossley's contact
+        deep = -p1 - th2
+        return 0.0, (p0 * deep**1.5 * max(0.0, 1.0 - p2 * w2) if deep > 0.0 else 0.0)
     if code == RELEASE_REBOUND:  # the pad springs back and touches the bar again
         s = (t - p1) / p2
         return (-p0 * math.sin(math.pi * s) ** 2 if 0.0 < s < 1.0 else 0.0), 0.0
@@ -180,6 +210,11 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
         return 0.0, 0.0
     if code == RELEASE_DRAG:  # the pad slides along the bar while it retreats
         return -p0 * math.exp(-t / p1) * math.tanh(50.0 * w1), 0.0
+    if code == SECOND_JAW:  # one jaw lets go at once, the other at p1 within p2
+        s = min(max((t - p1) / p2, 0.0), 1.0)
+        return p0 * g[K1] * g[TH0] * 0.5 * (1.0 + math.cos(math.pi * s)), 0.0
+    if code == LATE_SECONDARY:  # the pad still brakes the secondary bar for the time p0
+        return 0.0, (-2.0 * w2 * (1.0 - (t / p0) ** 8) if t < p0 else 0.0)
     return 0.0, 0.0
 
 
@@ -203,6 +238,14 @@ def memory_rates(code, th1, th2, w1, w2, a1, z0, z1, p0, p1, p2, p3, g, friction
     if code == INTERFACE_RELAXATION:
         v = w1 - w2
         return v - z0 / p1, v - z1 / (3.0 * p1)
+    if code == DRY_RUNNING:
+        return abs(w1), abs(w2)
+    if code == REST_ADHESION:
+        return (1.0 - z0) / 1e-3 * 0.5 * (1.0 + math.tanh((abs(th1 - th2) / p1 - 1.0) / 0.05)), 0.0
+    if code == CABLE_LOOP:  # each slider gives way at z = 1; the second needs three times the angle
+        free0 = 0.5 * (1.0 - math.tanh((math.copysign(z0, z0 * w2) - 1.0) / 0.05))
+        free1 = 0.5 * (1.0 - math.tanh((math.copysign(z1, z1 * w2) - 1.0) / 0.05))
+        return w2 * free0 / p1, w2 * free1 / (3.0 * p1)
     return 0.0, 0.0
 
 

@@ -139,8 +139,17 @@ def readings(
         elif d.code == codes.SAGGING_GAIN:
             for c in which:
                 channels[c] = channels[c] * (1.0 - a * (1.0 - np.exp(-np.arange(channels[c].size) * step / p2)))
+        elif d.code == codes.DEAD_BAND:
+            for c in which:
+                channels[c] = channels[c] - np.clip(channels[c], -a, a)
+        elif d.code == codes.UNEQUAL_HALVES:
+            for c in which:
+                channels[c] = channels[c] + a * np.abs(channels[c])
     since = times - release
     since = since + bend * since * np.abs(since)
+    for d in disturbances:
+        if d.code == codes.CLOCK_JUMP:
+            since = np.where(times >= d.p[2], since + d.p[0], since)
     grid = np.arange(motion.shape[0]) * step
     out = np.empty((len(channels), times.size))
     for c, y in enumerate(channels):

@@ -38,6 +38,8 @@ def disturbed_start(
             start[3] += a * p1 if coupled else 0.0
         elif d.code == codes.COUPLING_HYSTERESIS:  # pushed slowly from 0 to theta0
             start[4 + 2 * i] = np.tanh(rig["theta0"] / p1)
+        elif d.code == codes.CABLE_LOOP:
+            start[4 + 2 * i : 6 + 2 * i] = np.minimum(1.0, rig["theta0"] / np.array([p1, 3.0 * p1]))
     return rig, start
 
 
