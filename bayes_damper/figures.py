@@ -237,7 +237,9 @@ def forest_figure(
     columns = min(3, len(names))
     lines = -(-len(names) // columns)
     groups = list(next(iter(intervals.values())))
-    width, height = 3.1 * columns, (0.32 * len(groups) + 0.9) * lines + 0.5
+    longest = max(len(labels.get(name, name)) for name in names)  # a letter takes about 0.08 inches
+    width = max(3.1 * columns, 0.085 * len(title) + 0.3, columns * (0.08 * longest + 0.7))
+    height = (0.32 * len(groups) + 0.9) * lines + 0.5
     figure = _plain_figure(width, height, converged)
     beside = 0.3 + 0.075 * max(len(group) for group in groups)
     above = 0.45 if converged else 0.75
@@ -514,7 +516,10 @@ def withheld_figure(scores: Mapping[str, Any], *, rehearsal: bool = False) -> Fi
             marks: dict[str, Any] = {"color": COLOURS[k], "ls": STYLES[k % len(STYLES)], "marker": "os"[k % 2], "ms": 4}
             axis.errorbar(at, [r["value"] for r in right], np.maximum(reach, 0.0), label=kind, **marks)
             axis.legend(loc="lower right")
+        levels = sorted({float(row["level"]) for row in scores["by_level"]})
         axis.set_xscale("log")
+        axis.set_xticks(levels, [f"{level:g}" for level in levels])
+        axis.set_xticks([], minor=True)
         axis.set_ylim(0.0, 1.05)
         axis.set_xlabel("level: gap after the best nominal fit / noise")
         axis.set_ylabel("right answer first")
@@ -533,7 +538,10 @@ def _draw_counts(axis: Any, counts: Mapping[str, Mapping[str, int]], title: str)
     axis.imshow(share, cmap="Blues", vmin=0.0, vmax=1.4, aspect="auto")
     for (y, x), count in np.ndenumerate(table):
         if count:
-            axis.text(x, y, f"{count:.0f}", ha="center", va="center", fontsize=7)
+            dark = share[y, x] > 0.8
+            axis.text(x, y, f"{count:.0f}", ha="center", va="center", fontsize=7, color="white" if dark else "black")
+    axis.set_xlabel("answer")
+    axis.set_ylabel("truth")
     axis.set_xticks(range(len(columns)), columns, rotation=90, fontsize=7)
     axis.set_yticks(range(len(rows)), rows, fontsize=7)
     axis.set_title(title, loc="left")

@@ -109,8 +109,20 @@ def write_diagnosis(folder: Path) -> None:
         "sites": {"interface": 0.95, "none": 0.01, "bearings": 0.04},
         "gap": {"answer": "gap", "p_value": 1e-9, "size": 0.05, "noise_rms": 2.0, "nominal_rms": 2.9,
                 "augmented_rms": 2.01, "closed": {"median": 0.97, "hdi90": [0.9, 1.0]}},
-        "where": {"time": [{"start_s": 0.3, "end_s": 0.31, "case": "IV", "trial": 1, "channel": 1, "p_value": 1e-5}],
-                  "channel": {"1": {"p_value": 0.01}}},
+        "reading_unit": "rad/s^2",
+        "where": {
+            "time": [{"start_s": 0.3, "end_s": 0.31, "case": "IV", "configuration": "coupled", "trial": 1,
+                      "trials": [1, 2], "channel": 1, "p_value": 2.2e-221}],
+            "frequency": [{"low_hz": 5.5, "high_hz": 10.5, "case": None, "configuration": None, "channel": 2,
+                           "p_value": 3e-5}],
+            "channel": {"1": {"channel": 1, "excess_over_noise": 5.45, "p_value": 0.01}},
+            "case": {"IV coupled": {"case": "IV", "configuration": "coupled", "excess_over_noise": -0.15,
+                                    "p_value": 1.0}},
+            "phase_space": [{"coordinates": ["phi", "slip"], "range": [[0.0, 0.04], [-1.8, 0.0]], "channel": 1,
+                             "excess_over_noise": 25.0, "p_value": 0.0}],
+            "event": {"instant_s": 0.3, "start_s": 0.29, "end_s": 0.31, "site": "ground2", "impulse_n_m_s": -5.5e-4,
+                      "impulse_sd_n_m_s": 7.1e-6, "gain_nats": 30.2, "share": 0.28, "local": False},
+        },
         "effects": [{"name": "stick_slip", "variant": "bristle", "site": "interface", "probability": 0.86,
                      "log_evidence": 812.3, "parameters": {"ratio": {"median": 1.4, "hdi90": [1.2, 1.6], "unit": "1"}},
                      "augmented_rms": 2.01, "closed": {"median": 0.97, "hdi90": [0.9, 1.0]}}],
@@ -217,18 +229,19 @@ def test_everything_a_folder_holds_is_on_the_page(tmp_path):
     assert set(done.results) == {
         "diagnosis/diagnosis.json", "summary.json", "variability.json", "tune.json", "plan.json", "withheld.json",
     }  # fmt: skip
-    assert "Most probable cause: stick slip (86 %), at the site interface (95 %)" in text
+    assert "Most probable, but not sure: stick slip (86 %). Most probable place: interface, what acts" in text
+    assert "The rig and the model differ by more than the noise (p = 1e-09)." in text
     assert "With 90 % probability it is one of stick slip and unknown" in text
     assert "stick slip and bearing stribeck cannot be told apart" in text
     assert "friction displacement and normal force law cannot" not in text
-    assert "Next experiment: coupled, k1t 10.2 N m/rad, released at 2.7 deg (expected gain 1.8 nats)." in text
+    assert "Next experiment: coupled, k1t 10.2 N m/rad, released at 2.7 deg (expected information 1.80 nats; " in text
     assert "closes 97 % of the gap" in text
     assert "Nothing was learnt about nu" in text
     assert "The cases do not share one parameter set (2 %)" in text
     assert "insertion loss 12 dB (90 %: 10.40 to 13.60 dB)" in text
     assert "your design probably misses the target when the exciting torque is 0.02 N m" in text
     assert "synthetic <rig>" in text
-    assert text.index("Most probable cause") < text.index("Case III: parameters")
+    assert text.index("Most probable, but") < text.index("Case III: parameters")
     assert done.to_json()["bytes"] == done.path.stat().st_size
 
 
@@ -258,11 +271,40 @@ def test_the_gap_stands_before_and_after_each_effect(tmp_path):
     text = words_of(report(tmp_path / "diagnosis").path.read_text(encoding="utf-8"))
     assert "with stick slip and magnet cubic 2.01 97 % (90 to 100 %)" in text
     assert "case IV, coupled, trial 4 812 3.4 → 2.1 31 % → 52 % 62 % → 91 %" in text
-    assert "noise alone 2" in text
+    assert "model rms residual [rad/s^2] gap closed (90 %) noise alone 2" in text
     assert "nominal model 2.9 0 %" in text
     assert "with stick slip 2.01 97 % (90 to 100 %)" in text
-    assert "0.0083 ± 0.0001 0.0071 ± 0.0002 -6.0 sd" in text
+    assert "0.00830 ± 0.00010 0.00710 ± 0.00020 1 -6.0 sd" in text
     assert "without case IV none 40 % 30 %" in text
+
+
+def test_where_it_differs_is_told_with_units_and_without_digits_that_mean_nothing(tmp_path):
+    write_diagnosis(tmp_path)
+    text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
+    assert "0.3 to 0.31 1, primary IV coupled 1, 2 below 1e-12" in text
+    assert "5.5 to 10.5 2, secondary all all 3e-05" in text
+    assert "1, primary +5.45 0.01" in text
+    assert "IV coupled -0.15 1" in text
+    assert "phi 0 to 0.04 rad slip -1.8 to 0 rad/s 1, primary +25.00 below 1e-12" in text
+    assert "0.29 to 0.31 ground2 -0.00055 ± 7.1e-06 N m s 30 nats 28 % a law that is wrong everywhere" in text
+    assert "e-221" not in text
+
+
+def test_a_gap_beside_the_verdict_none_is_explained_on_the_first_screen(tmp_path):
+    write_diagnosis(tmp_path)
+    data = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
+    data |= {"verdict": "none", "probabilities": {"none": 0.7, "unknown": 0.3}}
+    data["gap"] |= {"p_value": 0.03}
+    (tmp_path / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
+    text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
+    assert "alone says gap (p = 0.03), as it does for one faultless rig in 20" in text[: text.index("Missing torque")]
+
+
+def test_a_run_that_has_not_ended_is_told_how_to_go_on(tmp_path):
+    (tmp_path / "fit").mkdir()
+    (tmp_path / "fit" / "run.json").write_text("{}", encoding="utf-8")
+    with pytest.raises(InputError, match=r"has not ended; go on with: bayes-damper resume .*fit"):
+        report(tmp_path)
 
 
 def test_a_plan_and_a_decomposition_read_as_tables(tmp_path):
@@ -487,6 +529,12 @@ addEventListener("load", () => setTimeout(() => {
   page.querySelector("button.enlarge").click();
   seen.large = page.querySelectorAll("figure.large").length;
   seen.wideAfter = root.scrollWidth - root.clientWidth;
+  view.dispatchEvent(new view.Event("beforeprint"));
+  seen.unfolded = [...page.querySelectorAll("details.paper")].map((e) => e.open);
+  seen.sharp = [...page.querySelectorAll("canvas")].map((c) => c.width);
+  seen.shown = page.querySelector("figure.chart .on-paper").textContent;
+  view.dispatchEvent(new view.Event("afterprint"));
+  seen.folded = [...page.querySelectorAll("details")].every((e) => !e.open);
   const told = { id: "seen", textContent: JSON.stringify(seen) };
   document.body.append(Object.assign(document.createElement("pre"), told));
 }, 400));
@@ -540,6 +588,26 @@ def test_a_browser_shows_all_of_it_without_fault(tmp_path, width, dark):
     assert seen["faults"] == []
     assert seen["contrast"] == []
     assert seen["readout"].startswith(("th1", "frequency", "time"))
+    assert seen["unfolded"]
+    assert all(seen["unfolded"]), "what is folded would be missing on paper"
+    assert seen["folded"], "after printing the page is as it was"
+    assert seen["sharp"] == [2040, 2040, 2040]
+    assert re.fullmatch(r"Shown: .+, against th1 \[rad\] \(one of \d; .*\)\.", seen["shown"])
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine: the page is not printed")
+def test_it_prints_on_few_full_pages(tmp_path):
+    page = report(write_everything(tmp_path / "results")).path
+    paper = tmp_path / "page.pdf"
+    subprocess.run(
+        [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking",
+         f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=4000", "--no-pdf-header-footer",
+         f"--print-to-pdf={paper}", page.as_uri()],
+        capture_output=True, timeout=120, check=True,
+    )  # fmt: skip
+    sheets = len(re.findall(rb"/Type\s*/Page\b", paper.read_bytes()))
+    assert 5 <= sheets <= 20
 
 
 def axe_source() -> str:
@@ -584,8 +652,8 @@ def test_an_axis_is_logarithmic_where_only_a_factor_is_known(high, scale):
 
 @pytest.mark.parametrize(
     ("share", "told"),
-    [(0.97, "The nominal model needs no addition (97 %)."),
-     (0.43, "Most probable, but not sure: no addition is needed (43 %).")],
+    [(0.97, "Nothing is missing from the model (97 %)."),
+     (0.43, "Most probable, but not sure: nothing is missing (43 %).")],
 )  # fmt: skip
 def test_a_doubtful_none_is_told_with_doubt(tmp_path, share, told):
     write_diagnosis(tmp_path)

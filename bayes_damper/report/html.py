@@ -22,6 +22,7 @@ from bayes_damper.provenance import provenance
 from bayes_damper.report.parts import NOTHING, Picture, Result, Section, percent
 from bayes_damper.report.results import READERS
 from bayes_damper.run import read_json
+from bayes_damper.wording import counted
 
 LARGEST = 5_000_000
 """Bytes that a page may have, so that it can be sent by mail."""
@@ -46,7 +47,9 @@ class Report:
 
     def text(self) -> str:
         """For people."""
-        lines = [f"{self.path}: {listed_results(self.results)}, {self.figures} figures, {self.size / 1e6:.1f} MB"]
+        lines = [
+            f"{self.path}: {listed_results(self.results)}, {counted(self.figures, 'figure')}, {self.size / 1e6:.1f} MB"
+        ]
         lines += [f"  {w}" for w in self.warnings]
         if self.left_out:
             lines.append(f"  Left out because the page would be too large: {', '.join(self.left_out)}")
@@ -107,6 +110,9 @@ def report(folder: str | Path, *, out: str | Path | None = None) -> Report:
         files.append(file)
     if not results:
         hint = f"it holds none of {', '.join(READERS)}"
+        begun = sorted({p.parent for p in (home / "run.json", *home.glob("*/run.json")) if p.is_file()})
+        if begun:
+            hint = f"the run in it has not ended; go on with: bayes-damper resume {begun[0]}"
         raise InputError([f"{home}: there is nothing to report; {hint}", *warnings])
     warnings = [w for r in results for w in r.warnings] + warnings
     names = tuple(str(f.relative_to(home)) for f in files)

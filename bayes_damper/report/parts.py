@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from bayes_damper.wording import p_value
+
 NOTHING = "\N{EN DASH}"
 """What stands where there is no number."""
 
@@ -49,7 +51,7 @@ class Chart:
 
 @dataclass(frozen=True)
 class Section:
-    """One part of the page below the first screen; a folded one is shown when it is asked for."""
+    """One part of the page below the first screen; a folded one is shown when asked for, and if `on_paper` printed."""
 
     title: str
     sentences: tuple[str, ...] = ()
@@ -58,6 +60,7 @@ class Section:
     pictures: tuple[Picture, ...] = ()
     parts: tuple[Section, ...] = ()
     folded: bool = False
+    on_paper: bool = True
 
     @property
     def anchor(self) -> str:
@@ -96,10 +99,19 @@ def number(x: Any, width: float | None = None) -> str:
     if width is None or not math.isfinite(width) or width <= 0.0:
         return f"{x:.4g}"
     digits = 2 - math.floor(math.log10(width))
+    if x:  # a number far below the width of a lopsided interval keeps a digit of its own
+        digits = min(max(digits, -math.floor(math.log10(abs(x)))), digits + 2)
     if -3 <= digits <= 6 and abs(x) < 1e6:
         return f"{round(x, digits):.{max(digits, 0)}f}"
     significant = max(2, math.floor(math.log10(max(abs(x), 1e-300))) + digits + 1)
     return f"{x:.{min(significant, 6)}g}"
+
+
+def plus_minus(x: Any, sd: Any) -> str:
+    """A value and its standard deviation, with the digits that this supports."""
+    if not isinstance(sd, int | float) or not math.isfinite(sd) or sd <= 0.0:
+        return number(x)
+    return f"{number(x, 10.0 * sd)} ± {number(sd, 10.0 * sd)}"
 
 
 def percent(p: Any) -> str:
@@ -145,14 +157,14 @@ def generic(data: Mapping[str, Any], title: str, skip: Sequence[str] = (), depth
                 parts.append(generic(value, words(key), depth=depth + 1))
         elif isinstance(value, Mapping):
             if _flat(value):
-                rows = tuple(Row((words(str(k)), _text(v))) for k, v in value.items())
+                rows = tuple(Row((words(str(k)), _text(v, str(k)))) for k, v in value.items())
                 tables.append(Table(words(key), ("", "value"), rows))
             elif depth < 2:
                 parts.append(generic(value, words(key), depth=depth + 1))
         elif isinstance(value, list) and value and all(isinstance(v, Mapping) and _flat(v) for v in value):
             tables.append(_records(words(key), value))
         elif _is_plain(value):
-            plain.append(Row((words(key), _text(value))))
+            plain.append(Row((words(key), _text(value, key))))
     if plain:
         tables.insert(0, Table("values", ("", "value"), tuple(plain)))
     return Section(title, tables=tuple(tables), parts=tuple(p for p in parts if p.tables or p.parts))
@@ -162,7 +174,9 @@ def folded(rest: Section) -> tuple[Section, ...]:
     """What is left of a file of results, for those who look for it; nothing where nothing is left."""
     if not rest.tables and not rest.parts:
         return ()
-    return (Section("All other numbers of the file", tables=rest.tables, parts=rest.parts, folded=True),)
+    return (
+        Section("All other numbers of the file", tables=rest.tables, parts=rest.parts, folded=True, on_paper=False),
+    )
 
 
 def _is_plain(value: Any) -> bool:
@@ -177,12 +191,15 @@ def _flat(value: Mapping[str, Any]) -> bool:
 
 def _records(caption: str, records: Sequence[Mapping[str, Any]], most: int = 40) -> Table:
     columns = list(dict.fromkeys(key for record in records for key in record))
-    rows = tuple(Row(tuple(_text(record.get(c)) for c in columns)) for record in records[:most])
+    rows = tuple(Row(tuple(_text(record.get(c), c) for c in columns)) for record in records[:most])
     note = f"The first {most} of {len(records)} rows; all are in the JSON file." if len(records) > most else ""
     return Table(caption, tuple(words(c) for c in columns), rows, note)
 
 
-def _text(value: Any) -> str:
+def _text(value: Any, name: str = "") -> str:
+    """A value of a JSON file; the name of its key tells p values."""
+    if name.endswith("p_value") and isinstance(value, int | float) and not isinstance(value, bool):
+        return p_value(value).removeprefix("p ").removeprefix("= ")
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, list):

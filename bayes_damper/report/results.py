@@ -24,8 +24,11 @@ from bayes_damper.report.parts import (
     listed,
     number,
     percent,
+    plus_minus,
     words,
 )
+from bayes_damper.wording import counted, gap_beside_verdict
+from bayes_damper.wording import p_value as told_p
 
 _HEADS = {
     "k1t n m per rad": "k1t [N m/rad]", "k1 n per m": "k1 [N/m]", "theta0 deg": "theta0 [deg]",
@@ -151,8 +154,8 @@ def _fit_headline(campaign: str, groups: Mapping[str, Any], converged: bool) -> 
     tone = "good" if converged else "bad"
     if checks:
         sentences.append(
-            f"{len(outside)} of {len(checks)} measurements lie outside the central 90 % of the prediction; "
-            f"chance alone would put about {0.1 * len(checks):.0f} there."
+            f"{len(outside)} of {counted(len(checks), 'measurement')} {'lies' if len(outside) == 1 else 'lie'} outside "
+            f"the central 90 % of the prediction; chance alone would put about {0.1 * len(checks):.0f} there."
         )
         if outside and len(outside) > max(1.0, 0.2 * len(checks)):
             tone = "bad" if not converged else "open"
@@ -349,25 +352,15 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
     verdict, gap = str(data.get("verdict", "unknown")), data.get("gap") or {}
     share = dict(probabilities).get(verdict)
     sites = sorted((data.get("sites") or {}).items(), key=lambda item: -item[1])
-    sentences = [_gap_sentence(gap)]
-    if verdict == "none":
-        sure = (share or 0.0) >= 0.9
-        told = "The nominal model needs no addition" if sure else "Most probable, but not sure: no addition is needed"
-        sentences.append(f"{told} ({percent(share)}).")
-    elif verdict == "unknown":
-        place = next((s for s, _ in sites if s != "none"), None)
-        sentences.append(f"No effect of the library explains it ({percent(share)}). Most probable place: {place}.")
-    else:
-        place = sites[0] if sites else None
-        where = f", at the site {place[0]} ({percent(place[1])})" if place else ""
-        stronger = "The stronger of two causes" if data.get("pair") else "Most probable cause"
-        sentences.append(f"{stronger}: {words(verdict)} ({percent(share)}){'' if data.get('pair') else where}.")
     pair = data.get("pair")
+    sentences = _verdict_sentences(verdict, share, sites, pair)
     if pair:
         sentences.append(
             f"One effect does not close the gap; {listed([words(e) for e in pair['effects']])} together do "
             f"({percent(pair['probability'])})."
         )
+    sentences.append(_gap_sentence(gap))
+    sentences.append(gap_beside_verdict(verdict, share or 0.0, gap))
     credible = [words(n) for n in data.get("credible_set", [])]
     if len(credible) > 1:
         sentences.append(f"With 90 % probability it is one of {listed(credible)}; the data do not decide which.")
@@ -392,23 +385,20 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
     rest = generic(
         data, "", ("schema", "campaign", "verdict", "credible_set", "probabilities", "sites", "effects", "provenance",
                    "campaign_sha256", "seed", "indistinguishable", "notes", "next_experiment", "gap", "parameters",
-                   "sensitivity", "where", "forecast"),
+                   "sensitivity", "where", "forecast", "reading_unit"),
     )  # fmt: skip
-    places = tuple(
-        replace(part, title="Where the model and the rig differ")
-        for part in generic({"where": data.get("where") or {}}, "").parts
-    )
-    every = (_probability_table("Probability of each answer", probabilities), _effect_table(data.get("effects", [])))
+    places = _where_sections(data.get("where") or {}, _is_translational(data))
+    every = (_effect_table(data.get("effects", []), probabilities),)
     choices = _choice_tables(data.get("sensitivity") or [])
     section = Section(
         "Diagnosis",
         tuple(data.get("notes", ())),
         (
             _site_table(sites),
-            *_gap_tables(gap, data.get("effects", []), pair),
-            *_forecast_tables(data.get("forecast") or {}),
+            *_gap_tables(gap, data.get("effects", []), pair, str(data.get("reading_unit") or "")),
+            *_forecast_tables(data.get("forecast") or {}, str(data.get("reading_unit") or "")),
             *_shift_tables(data.get("parameters") or {}),
-            *([_records_table("Next experiment", data["next_experiment"])] if data.get("next_experiment") else []),
+            *_experiment_tables(data.get("next_experiment") or []),
         ),
         tuple(c for c in charts if c is not None),
         _pictures(folder, kind="diagnosis"),
@@ -422,6 +412,29 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
     return Result(head, section, (), dict(data.get("provenance", {})) | _fingerprint(data))
 
 
+def _verdict_sentences(
+    verdict: str, share: float | None, sites: Sequence[tuple[str, float]], pair: Mapping[str, Any] | None
+) -> list[str]:
+    """The verdict in plain words, with its probability and the most probable place."""
+    sure = (share or 0.0) >= 0.9
+    if verdict == "none":
+        told = "Nothing is missing from the model" if sure else "Most probable, but not sure: nothing is missing"
+        return [f"{told} ({percent(share)})."]
+    place = next(((s, p) for s, p in sites if s != "none"), None)
+    where = [f"Most probable place: {_place(place[0])} ({percent(place[1])})."] if place else []
+    if verdict == "unknown":
+        told = "Something is missing" if sure else "Most probable, but not sure: something is missing"
+        return [f"{told} that no effect of the library explains ({percent(share)}).", *where]
+    if pair:
+        return [f"Two causes; the stronger one is {words(verdict)} ({percent(share)})."]
+    told = "The missing effect is" if sure else "Most probable, but not sure:"
+    return [f"{told} {words(verdict)} ({percent(share)}).", *where]
+
+
+def _place(site: str) -> str:
+    return f"{site}, {_SITES[site]}" if site in _SITES else site
+
+
 def _records_table(caption: str, records: Sequence[Mapping[str, Any]]) -> Table:
     table = generic({caption: list(records)}, "").tables[0]
     return replace(table, columns=tuple(_HEADS.get(c, c) for c in table.columns))
@@ -430,7 +443,7 @@ def _records_table(caption: str, records: Sequence[Mapping[str, Any]]) -> Table:
 def _gap_sentence(gap: Mapping[str, Any]) -> str:
     answer = gap.get("answer")
     p = gap.get("p_value")
-    told = "" if p is None else " (p below 0.001)" if p < 0.001 else f" (p = {number(p)})"
+    told = "" if p is None else f" ({told_p(p)})"
     return {
         "gap": f"The rig and the model differ by more than the noise{told}.",
         "none": f"The rig and the model differ by no more than the noise{told}.",
@@ -453,18 +466,14 @@ def _experiment_sentence(e: Mapping[str, Any]) -> str:
         "theta0_deg": "released at {} deg", "theta0_mm": "released at {} mm",
     }  # fmt: skip
     details = [
-        form.format(number(e[key]) if isinstance(e[key], int | float) else e[key])
+        form.format(f"{e[key]:.3g}" if isinstance(e[key], int | float) else e[key])
         for key, form in forms.items()
         if e.get(key) is not None
     ]
     gain = e.get("expected_information_nats")
     return f"Next experiment: {', '.join(details)}" + (
-        "." if gain is None else f" (expected gain {number(gain)} nats)."
+        "." if gain is None else f" (expected information {gain:.2f} nats; to settle an even choice takes 0.69)."
     )
-
-
-def _probability_table(caption: str, items: Sequence[tuple[str, float]]) -> Table:
-    return Table(caption, ("answer", "probability"), tuple(Row((words(n), percent(p))) for n, p in items))
 
 
 def _site_table(sites: Sequence[tuple[str, float]]) -> Table:
@@ -472,8 +481,101 @@ def _site_table(sites: Sequence[tuple[str, float]]) -> Table:
     return Table("Probability of each site", ("site", "probability", "what belongs to it"), rows)
 
 
+def _experiment_tables(proposals: Sequence[Mapping[str, Any]]) -> list[Table]:
+    """Experiments by the information that they are expected to give."""
+    if not proposals:
+        return []
+    table = _records_table("Next experiment", proposals)
+    note = (
+        "Expected information about which answer is right: 0.69 nats settle an even choice between two. Margin: how "
+        "far apart, in nats, the two answers stand that the experiment splits least; it ranks those that all decide."
+    )
+    return [replace(table, note=note if any("margin" in p for p in proposals) else "")]
+
+
+_COORDINATES = {
+    "th1": ("rad", "m"), "th2": ("rad", "m"), "phi": ("rad", "m"), "w1": ("rad/s", "m/s"), "w2": ("rad/s", "m/s"),
+    "slip": ("rad/s", "m/s"),
+}  # fmt: skip
+_CHANNELS = {1: "1, primary", 2: "2, secondary"}
+
+
+def _is_translational(data: Mapping[str, Any]) -> bool:
+    unit = str(data.get("reading_unit") or "")
+    return unit.startswith("m") or any("k1_n_per_m" in e for e in data.get("next_experiment") or ())
+
+
+def _where_sections(where: Mapping[str, Any], translational: bool) -> tuple[Section, ...]:
+    """Where residuals exceed the noise, one table for each way to look; nothing where nothing does."""
+
+    def cells(row: Mapping[str, Any], *names: str) -> tuple[str, ...]:
+        return tuple(str(row[n]) if row.get(n) is not None else "all" for n in names)
+
+    def channel(row: Mapping[str, Any]) -> str:
+        return _CHANNELS.get(row.get("channel", 0), str(row.get("channel", NOTHING)))
+
+    def p(row: Mapping[str, Any]) -> str:
+        return NOTHING if row.get("p_value") is None else told_p(row["p_value"]).removeprefix("p ").removeprefix("= ")
+
+    def span(low: float, high: float) -> str:
+        return f"{low:.3g} to {high:.3g}"
+
+    tables: list[Table] = []
+
+    def add(caption: str, columns: tuple[str, ...], rows: Sequence[tuple[str, ...]], note: str = "") -> None:
+        if rows:
+            tables.append(Table(caption, columns, tuple(Row(r) for r in rows), note))
+
+    times = "Trials: those repeats whose residuals were taken together."
+    rows = [
+        (span(r["start_s"], r["end_s"]), channel(r), *cells(r, "case", "configuration"),
+         ", ".join(map(str, r.get("trials") or [r.get("trial", NOTHING)])), p(r))
+        for r in where.get("time") or ()
+    ]  # fmt: skip
+    add("In time", ("time [s]", "channel", "case", "configuration", "trials", "p value"), rows, times)
+    rows = [
+        (span(r["low_hz"], r["high_hz"]), channel(r), *cells(r, "case", "configuration"), p(r))
+        for r in where.get("frequency") or ()
+    ]
+    add("In frequency", ("band [Hz]", "channel", "case", "configuration", "p value"), rows)
+    power = "power above the noise"
+    note = (
+        "Power of the residuals above that of the noise, in units of the noise's: 0 is noise alone, 1 is twice as much."
+    )
+    rows = [(channel(r), f"{r['excess_over_noise']:+.2f}", p(r)) for r in (where.get("channel") or {}).values()]
+    add("By channel", ("channel", power, "p value"), rows, note)
+    rows = [
+        (*cells(r, "case", "configuration"), f"{r['excess_over_noise']:+.2f}", p(r))
+        for r in (where.get("case") or {}).values()
+    ]
+    add("By case", ("case", "configuration", power, "p value"), rows, note)
+    rows = []
+    for r in where.get("phase_space") or ():
+        both = [
+            f"{name} {span(*reach)} {_COORDINATES.get(name, ('', ''))[translational]}".rstrip()
+            for name, reach in zip(r["coordinates"], r["range"], strict=True)
+        ]
+        rows.append((both[0], both[1], channel(r), f"{r['excess_over_noise']:+.2f}", p(r)))
+    moves = (
+        "th1, th2 and w1, w2: positions and velocities of primary and secondary; phi: th1 - th2; slip: w1 - w2. " + note
+    )
+    add("In phase space", ("where", "and", "channel", power, "p value"), rows, moves)
+    event = where.get("event")
+    if event:
+        unit = "N s" if translational else "N m s"
+        impulse = f"{event['impulse_n_m_s']:.3g} ± {event['impulse_sd_n_m_s']:.2g} {unit}"
+        told = "a knock explains most of the misfit" if event.get("local") else "a law that is wrong everywhere"
+        row = (
+            span(event["start_s"], event["end_s"]), str(event["site"]), impulse, f"{event['gain_nats']:.0f} nats",
+            percent(event["share"]), told,
+        )  # fmt: skip
+        columns = ("time [s]", "site", "impulse ± sd", "gain", "share of the misfit", "reads as")
+        add("The strongest knock at one instant", columns, [row])
+    return (Section("Where the model and the rig differ", tables=tuple(tables)),) if tables else ()
+
+
 def _gap_tables(
-    gap: Mapping[str, Any], effects: Sequence[Mapping[str, Any]], pair: Mapping[str, Any] | None = None
+    gap: Mapping[str, Any], effects: Sequence[Mapping[str, Any]], pair: Mapping[str, Any] | None = None, unit: str = ""
 ) -> list[Table]:
     """Residuals on held-out trials: the noise, the nominal model, each effect that was added, and two that answer."""
     if gap.get("nominal_rms") is None:
@@ -497,12 +599,15 @@ def _gap_tables(
                 low, high = closed["hdi90"]
                 share += f" ({100.0 * low:.0f} to {100.0 * high:.0f} %)"
         rows.append(Row((f"with {words(str(e['name']))}", number(e["augmented_rms"]), share)))
-    columns = ("model", "rms residual", "gap closed (90 %)")
-    note = "On held-out trials, in the unit of the readings; only each trial's own nuisances are fitted there."
+    columns = ("model", f"rms residual [{unit}]" if unit else "rms residual", "gap closed (90 %)")
+    note = (
+        f"On held-out trials{'' if unit else ', in the unit of the readings'}; only what each trial has for itself "
+        "(release angle, instant) is fitted there."
+    )
     return [Table("The gap before and after", columns, tuple(rows), note)]
 
 
-def _forecast_tables(ahead: Mapping[str, Any]) -> list[Table]:
+def _forecast_tables(ahead: Mapping[str, Any], unit: str = "") -> list[Table]:
     """Held-out trials forecast from their first periods: what is missed, and what share the bands hold."""
     if "before" not in ahead:
         return []
@@ -521,7 +626,7 @@ def _forecast_tables(ahead: Mapping[str, Any]) -> list[Table]:
     ]
     if len(rows) > 1:
         rows.append(Row(("all", str(sum(t["readings"] for t in ahead["trials"])), *cells(ahead))))
-    heads = ("trial", "readings", "rms miss", "in the 50 % band", "in the 90 % band")
+    heads = ("trial", "readings", f"rms miss [{unit}]" if unit else "rms miss", "in the 50 % band", "in the 90 % band")
     note = (
         f"Each trial's own state is inferred from its first {ahead['periods']:g} periods, the rest is predicted; "
         "by the nominal model → with the leading effect added. Fewer readings in a band than it should hold: "
@@ -537,11 +642,13 @@ def _shift_tables(parameters: Mapping[str, Any]) -> list[Table]:
         cells = [_meaning(name)]
         for side in ("before", "after"):
             found = p.get(side)
-            cells.append(NOTHING if not found else f"{number(found['value'])} ± {number(found['sd'])}")
+            cells.append(NOTHING if not found else plus_minus(found["value"], found["sd"]))
+        cells.append(str(p.get("unit") or (PARAMETERS[k].unit if (k := name.partition("[")[0]) in PARAMETERS else "")))
         shift = p.get("shift_sigmas")
         rows.append(Row((*cells, NOTHING if shift is None else f"{shift:+.1f} sd")))
-    columns = ("parameter", "nominal model", "with the leading effect", "shift")
-    return [Table("Parameters before and after", columns, tuple(rows))] if rows else []
+    columns = ("parameter", "nominal model ± sd", "with the leading effect ± sd", "unit", "shift")
+    note = "Shift in standard deviations of the nominal model."
+    return [Table("Parameters before and after", columns, tuple(rows), note)] if rows else []
 
 
 def _choice_tables(choices: Sequence[Mapping[str, Any]]) -> tuple[Table, ...]:
@@ -557,7 +664,11 @@ def _choice_tables(choices: Sequence[Mapping[str, Any]]) -> tuple[Table, ...]:
     return (Table("The verdict under other choices", columns, rows),) if rows else ()
 
 
-def _effect_table(effects: Sequence[Mapping[str, Any]]) -> Table:
+def _effect_table(effects: Sequence[Mapping[str, Any]], probabilities: Sequence[tuple[str, float]]) -> Table:
+    """Every answer, the most probable first; `none` and `unknown` have no formula."""
+    named = {e.get("name") for e in effects}
+    more = [{"name": n, "probability": p} for n, p in probabilities if n not in named]
+    effects = sorted([*effects, *more], key=lambda e: -(e.get("probability") or 0.0))
     rows = []
     for e in effects:
         closed = e.get("closed")
@@ -573,7 +684,7 @@ def _effect_table(effects: Sequence[Mapping[str, Any]]) -> Table:
         )
         rows.append(Row(cells))
     columns = ("effect", "formula", "site", "probability", "log evidence, nats", "parameters", "gap closed")
-    return Table("Effects, best first", columns, tuple(rows))
+    return Table("Answers, the most probable first", columns, tuple(rows))
 
 
 def _parameter(name: str, value: Any) -> str:
@@ -582,7 +693,8 @@ def _parameter(name: str, value: Any) -> str:
         low, high = value.get("hdi90") or (None, None)
         sd = value.get("sd")
         spread = f" ({interval(low, high)})" if low is not None else f" ± {number(sd)}" if sd is not None else ""
-        return f"{name} {number(middle)}{spread} {value.get('unit', '')}".strip()
+        unit = value.get("unit", "")
+        return f"{name} {number(middle)}{spread} {'' if unit == '1' else unit}".strip()
     if isinstance(value, list) and len(value) == 2:
         return f"{name} {number(value[0])} ± {number(value[1])}"
     return f"{name} {number(value)}"
@@ -630,15 +742,23 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
         "design and model",
         "loss, mean [dB]",
         "loss, 90 % [dB]",
-        "resonance [Hz]",
-        "shift [Hz]",
+        "resonance (90 %) [Hz]",
+        "shift (90 %) [Hz]",
         f"P(loss ≥ {target:g} dB)",
     )
-    tables = [Table("Insertion loss and resonance", columns, tuple(rows), str(data.get("definition", "")))]
+    silent = any(row.cells[1] == NOTHING for row in rows)
+    note = f"{data.get('definition', '')}." if data.get("definition") else ""
+    if silent:
+        note += (
+            f" {NOTHING}: at that torque the rig sticks or no steady response was found, so there is no loss to tell."
+        )
+    tables = [Table("Insertion loss and resonance", columns, tuple(rows), note.strip())]
     tables.append(_design_table(designs))
     if data.get("variance_shares"):
         shares = tuple(Row((k, percent(v))) for k, v in data["variance_shares"].items())
-        tables.append(Table("What the insertion loss hangs on", ("parameter", "share of its variance"), shares))
+        tables.append(
+            Table("What the insertion loss hangs on", ("parameter", "share of its variance"), shares, _SHARES)
+        )
     chart = response_chart(data.get("frequency_response", {}))
     p = data["linear"]["probability_of_target"]
     head = Headline(
@@ -647,7 +767,7 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
     )  # fmt: skip
     section = Section(
         "Tuning",
-        (f"From {data.get('draws')} draws.",),
+        (f"From {counted(int(data.get('draws') or 0), 'draw')} of the posterior.",),
         tuple(tables),
         () if chart is None else (chart,),
         _pictures(folder, kind="tune"),
@@ -655,15 +775,29 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
     return Result(head, section, (), dict(data.get("provenance", {})) | _fingerprint(data))
 
 
+_SHARES = (
+    "What each parameter explains by itself. Parameters that the data tie together share what they explain: the shares "
+    "then add up to more than 100 %."
+)
+
+
 def _performance_row(name: str, p: Mapping[str, Any]) -> Row:
     loss = p["insertion_loss_db"]
     low, high = loss["interval90"] or (None, None)
     cells = (
         name, number(loss["mean"], None if low is None else high - low), interval(low, high),
-        number(p["resonance_hz"]["median"]), number(p["resonance_shift_hz"]["median"]),
-        percent(p["probability_of_target"]),
+        *(_told_or_nothing(p[key]) for key in ("resonance_hz", "resonance_shift_hz")),
+        NOTHING if low is None else percent(p["probability_of_target"]),
     )  # fmt: skip
     return Row(cells)
+
+
+def _told_or_nothing(found: Mapping[str, Any]) -> str:
+    """Median and 90 % interval; nothing where no draw has the quantity."""
+    if found.get("median") is None or not found.get("interval90"):
+        return number(found.get("median"))
+    low, high = found["interval90"]
+    return f"{number(found['median'], high - low)} ({interval(low, high)})"
 
 
 def _design_table(designs: Sequence[tuple[str, Mapping[str, Any], Any]]) -> Table:
@@ -791,8 +925,8 @@ def _decomposition_tables(data: Mapping[str, Any]) -> list[Table]:
                 line.append(f"{number(row[name]['median'])} ({interval(*row[name]['hdi90'])})")
                 line.append(number((row.get("measured") or {}).get(name)))
             rows.append(Row(tuple(line)))
-        heads = ("case", "initial energy [mJ]", "effective k2t (90 %) [N m/rad]", "fitted to the measurement",
-                   "effective c2t (90 %) [N m s/rad]", "fitted to the measurement")  # fmt: skip
+        heads = ("case", "initial energy [mJ]", "effective k2t (90 %) [N m/rad]", "fitted to the measurement [N m/rad]",
+                   "effective c2t (90 %) [N m s/rad]", "fitted to the measurement [N m s/rad]")  # fmt: skip
         tables.append(Table("Effective linear stiffness and damping", heads, tuple(rows)))
     return tables
 
@@ -850,7 +984,7 @@ def withheld_result(data: Mapping[str, Any], folder: Path) -> Result:
     scores = (data.get("scores") or {}).get("all") or {}
     count = len(data.get("campaigns") or ())
     rehearsal = bool(data.get("rehearsal"))
-    sentences = [f"{count} campaigns judged, verdicts sealed; the key has not been opened."]
+    sentences = [f"{counted(count, 'campaign')} judged, verdicts sealed; the key has not been opened."]
     rows = []
     for key, what in _SCORES:
         score = scores.get(key) or {}

@@ -34,6 +34,17 @@
     });
   }
 
+  // On paper nothing can be unfolded: what belongs there is opened for as long as it takes.
+  let unfolded = [];
+  addEventListener("beforeprint", () => {
+    unfolded = [...document.querySelectorAll("details.paper:not([open])")];
+    for (const part of unfolded) part.open = true;
+  });
+  addEventListener("afterprint", () => {
+    for (const part of unfolded) part.open = false;
+    unfolded = [];
+  });
+
   const unpack = (packed) => {
     const bytes = Uint8Array.from(atob(packed.data), (c) => c.charCodeAt(0));
     const steps = new DataView(bytes.buffer);
@@ -67,6 +78,7 @@
     constructor(figure) {
       this.canvas = figure.querySelector("canvas");
       this.readout = figure.querySelector(".readout");
+      this.paper = figure.querySelector(".on-paper");
       this.views = JSON.parse(figure.querySelector("script").textContent).views;
       this.printing = false;
       const controls = figure.querySelector(".controls");
@@ -100,6 +112,8 @@
       this.canvas.style.height = `${Math.max(22, 4 + 5.5 * tall)}rem`;
       this.range = [...view.extent];
       this.cursor = null;
+      const more = this.views.length > 1 ? ` (one of ${this.views.length}; the page on a screen shows all)` : "";
+      this.paper.textContent = `Shown: ${view.label}${more}.`;
       this.readout.textContent = "Point at the chart to read values; drag over a stretch to zoom, double-click for all.";
       this.draw();
     }
@@ -197,10 +211,12 @@
     }
 
     draw() {
-      const width = this.canvas.clientWidth;
-      const height = this.canvas.clientHeight;
+      // On paper the style fits the picture to the page, so it is drawn in a size and a sharpness of its own.
+      const tall = this.view.panels.reduce((sum, p) => sum + p.height, 0);
+      const width = this.printing ? 680 : this.canvas.clientWidth;
+      const height = this.printing ? 60 + 62 * tall : this.canvas.clientHeight;
       if (!width || !height) return;
-      const ratio = window.devicePixelRatio || 1;
+      const ratio = this.printing ? 3 : window.devicePixelRatio || 1;
       this.canvas.width = Math.round(width * ratio);
       this.canvas.height = Math.round(height * ratio);
       const g = this.canvas.getContext("2d");
