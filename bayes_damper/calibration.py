@@ -64,6 +64,7 @@ EVENT_TIMING = 5e-5  # s, by which the instant of an event may be off without th
 RELEASE_WEIGHT = 0.4  # of the first two readings
 FIRST_STAGE_EVENT_WEIGHT = 0.15
 LONG_PERIODS, FIRST_PERIODS, GROWING_STEPS = 12.0, 3.0, 20  # of records fitted window by window
+FEW_REPEATS = 4  # repeats beyond the first of their kind, over all kinds, below which they may be late alike by chance
 WHITE_ENOUGH = 1.3  # largest ratio of residuals without repeats to the noise of the sensors up to which they are noise
 FIRST_ERROR = 0.02  # of a channel's reach: noise of the first fit where there are no repeats
 READINGS_PER_PERIOD = 100.0  # of the primary, that displacements and velocities are thinned to
@@ -1475,7 +1476,8 @@ def choose_switches(fit: Calibration) -> Switches:
     Repeats of one case differ only in what is each trial's own, so the spread of the nuisances between repeats, beyond
     their own uncertainty, tells whether release or friction vary, whatever the model leaves out. A release that is late
     by the same time in all of them is left to the effects of release and sensor.
-    Trials without repeats cannot tell: there both stay free.
+    Trials without repeats cannot tell: there both stay free. So does the release where few repeats may be as late as
+    each other by chance: what that does to the first readings looks like an effect.
     Nor can values that a wrong model has pressed against an end of their range other than the nominal one.
     """
     problem = fit.problem
@@ -1483,7 +1485,8 @@ def choose_switches(fit: Calibration) -> Switches:
     normals = fit.linear.normal()
     for name in wanted:
         z: list[float] = []
-        repeated, pressed = False, 0
+        spare, pressed = 0, 0
+        enough = FEW_REPEATS if name == "delay" else 1
         for block, H, _, _ in normals.parts:
             names = [n for n, _, _ in block.group.nuisances]
             if name not in names or not H.shape[1]:
@@ -1495,12 +1498,12 @@ def choose_switches(fit: Calibration) -> Switches:
                 t = problem.experiment.trials[j]
                 same.setdefault((t.case, t.theta0), []).append(k)
             for members in same.values():
-                repeated |= len(members) > 1
+                spare += len(members) - 1
                 values = block.eta[members, i]
                 pressed += _pressed(block.group, i, members, values)
                 pull = sd[members]
                 z += list((values - values.mean()) / pull / math.sqrt(max(1.0 - 1.0 / len(members), 1e-9)))
-        wanted[name] = bool(z) and (not repeated or 2 * pressed >= len(z) or float(np.mean(np.square(z))) > 9.0)
+        wanted[name] = bool(z) and (spare < enough or 2 * pressed >= len(z) or float(np.mean(np.square(z))) > 9.0)
     return Switches(delay=wanted["delay"], friction=wanted["ln_mu"])
 
 

@@ -132,6 +132,16 @@ def test_lone_trials_keep_their_own_release():
     assert max(fit.problem.noise.total) < 2.0 * 5e-3
 
 
+def test_two_repeats_that_agree_do_not_tell_that_releases_never_vary():
+    """Two triggers are as late as each other by chance; with six pairs of trials they are not."""
+    for cases, free in ((1, True), (6, False)):
+        drawn = make_experiment(9, coupled=False)
+        alike = [replace(t, case=f"{t.case}{k}", label=f"{t.label}.{k}") for k in range(3) for t in drawn.trials]
+        few = [t for t in alike if t.case in sorted({t.case for t in alike})[:cases]]
+        fit = calibrate_nominal(replace(drawn, trials=tuple(few)))
+        assert fit.problem.switches.delay is free
+
+
 def test_releases_pressed_against_their_range_stay_free():
     """A harder spring shifts all periods, so that releases of a wrong model end at one bound and look alike."""
     drawn = make_experiment(6, late=True, coupled=False)
