@@ -1223,7 +1223,7 @@ def write_campaign(folder: str | Path, campaign: Campaign, overwrite: bool = Fal
     return folder
 
 
-_COMMENTS = {
+COMMENTS = {
     "kind": "torsional, or translational (m, kg, N)",
     "primary_inertia": "J1, kg m^2 (kg); 1 for a rig known only per unit inertia",
     "secondary_inertia": "J2, kg m^2 (kg)",
@@ -1266,12 +1266,12 @@ def campaign_toml(campaign: Campaign) -> str:
         if key == "inertial_coupling_law" and not campaign.rig.inertial_coupling.value:
             continue
         if value is not None and not (key == "bar_radius" and campaign.rig.kind == "translational"):
-            lines.append(f"{key} = {_toml(value)}  # {_COMMENTS[key]}")
+            lines.append(f"{key} = {_toml(value)}  # {COMMENTS[key]}")
     lines += ["", "[measurement]"]
     for key in ("quantity", "start", *_MEASUREMENT_NUMBERS, *_MEASUREMENT_SPREADS):
         value = getattr(campaign.measurement, key)
         if value is not None:
-            lines.append(f"{key} = {_toml(value)}  # {_COMMENTS[key]}")
+            lines.append(f"{key} = {_toml(value)}  # {COMMENTS[key]}")
     return "\n".join(lines) + "\n"
 
 

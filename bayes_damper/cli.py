@@ -144,8 +144,8 @@ def _init_options(sub: Any) -> list[str]:
     keys = {k: v for table in tables for k, v in table.items() if k not in left_out}
     known = {"name": "of the campaign (default: that of the folder)", "description": "a sentence",
              "source_text": "where the data come from, licence"}  # fmt: skip
-    known |= dict.fromkeys(campaign.Rig.__dataclass_fields__, "of [rig] in campaign.toml")
-    known |= dict.fromkeys(importer.MEASUREMENT, "of [measurement] in campaign.toml")
+    for key in (*campaign.Rig.__dataclass_fields__, *importer.MEASUREMENT):
+        known[key] = campaign.COMMENTS.get(key, "of campaign.toml").replace("%", "%%")
     for key, (types, text) in keys.items():
         flag, told = f"--{key.replace('_', '-')}", text.replace("%", "%%")
         if bool in types:

@@ -77,6 +77,7 @@ INIT: dict[str, tuple[tuple[type, ...], str]] = {
         (str,),
         "what the files' names tell, e.g. 'case{case}_{configuration}_{trial}'; also {theta0} and {k1t}",
     ),
+    "words": ((list,), "what the names call the configurations, e.g. free=uncoupled magnet=coupled"),
     "sheet": ((str,), "a CSV table of the trials: a column file or case, then any of the other keys as columns"),
     "files_per_trial": ((int,), "2 where each channel has a file of its own, the primary's first"),
 }
@@ -257,11 +258,46 @@ def _build(table: Mapping[str, Any], name: str, raw: Path) -> Campaign:
         except InputError as error:
             faults.extend(error.faults)
     if faults:
-        raise InputError(list(dict.fromkeys(faults)))
+        raise InputError(_gathered(faults))
     trials = _with_estimates(trials, head.rig)
     notes = [note for source in files.values() for note in source.notes if note not in head.caveats]
+    notes += _resting(trials, options)
     caveats = (*head.caveats, *notes)
     return Campaign(head.name, head.rig, head.measurement, tuple(trials), head.description, head.source, caveats)
+
+
+_REST = 0.05  # share of a record; one that rests for longer began before the release
+
+
+def _resting(trials: Sequence[Trial], options: Sequence[Mapping[str, Any]]) -> list[str]:
+    """A hint where records taken from their first reading on begin at rest."""
+    found = []
+    for trial, option in zip(trials, options, strict=True):
+        t, y = np.asarray(trial.times), np.asarray(trial.channels[0])
+        if option.get("release", "start") == "start" and len(t) > 20:
+            rest = look.find_release(t, y) - float(t[0])
+            if rest > _REST * float(t[-1] - t[0]):
+                found.append((str(trial.file), rest))
+    if not found:
+        return []
+    name, rest = found[0]
+    more = "" if len(found) == 1 else f" (and {len(found) - 1} more)"
+    return [f"{name}{more} rests for its first {rest:.2g} s: with --release find, t = 0 is the release."]
+
+
+def _gathered(faults: Sequence[str]) -> list[str]:
+    """Faults once each; one that three files or more have in common as one sentence."""
+    files: dict[str, list[str]] = {}
+    for fault in dict.fromkeys(faults):
+        name, mark, rest = fault.partition(": ")
+        files.setdefault(rest if mark else fault, []).append(name if mark else "")
+    out = []
+    for rest, names in files.items():
+        if len(names) > 2:
+            out.append(f"{names[0]} and {len(names) - 1} other files: {rest}")
+        else:
+            out += [f"{name}: {rest}" if name else rest for name in names]
+    return out
 
 
 def _slug(text: str) -> str:
@@ -567,17 +603,24 @@ def _spec_from_options(name: str, sources: Sequence[Path], options: Mapping[str,
             f"files_per_trial = {several} for {len(sources)} files: give 2 where each channel has a file of its own, "
             "and the files in order, the primary before the secondary"
         )
+    words = _words_of(given.pop("words", []))
     groups = [list(sources[i : i + several]) for i in range(0, len(sources), several)]
     caveats = []
     if "primary_inertia" not in given:
         caveats.append("The inertia was not given: everything is per unit inertia (primary_inertia = 1).")
+    pattern = given.get("pattern")
+    told = "configuration" in given or "{configuration}" in str(pattern) or any("configuration" in row for row in rows)
+    own: dict[Path, dict[str, Any]] = {}
     if "columns" not in given and several == 1 and sources[0].is_file():
-        given |= _guessed(sources[0], given, caveats)
+        own = _guessed_all([s for s in sources if s.is_file()], given, caveats, told)
+        given |= own.pop(Path(), {})
+    elif not told and several == 1 and isinstance(named := given.get("columns"), list) and len(named) == 2:
+        own = _configurations([s for s in sources if s.is_file()], given, caveats)
     columns = given.get("columns", [])
     coupled = isinstance(columns, list) and len(columns) > 1
     common: dict[str, Any] = {"case": "A", "configuration": "coupled" if coupled else "uncoupled", "k1t": "estimate"}
     common |= {k: given[k] for k in TRIAL if k in given and k not in ("source", "trial", "file", "sha256")}
-    trials = [_trial_row(group, common, given.get("pattern"), rows) for group in groups]
+    trials = [_trial_row(group, common | own.get(group[0], {}), pattern, rows, words) for group in groups]
     if any(trial["k1t"] == "estimate" for trial in trials):
         caveats.append("k1t was not given: it was estimated from the strongest frequency, uncertain by 20 %.")
     known = all("theta0" in trial for trial in trials)
@@ -595,8 +638,9 @@ def _spec_from_options(name: str, sources: Sequence[Path], options: Mapping[str,
 
 
 def _trial_row(
-    files: Sequence[Path], common: Mapping[str, Any], pattern: object, rows: Sequence[Mapping[str, Any]]
-) -> dict[str, Any]:
+    files: Sequence[Path], common: Mapping[str, Any], pattern: object, rows: Sequence[Mapping[str, Any]],
+    words: Mapping[str, str],
+) -> dict[str, Any]:  # fmt: skip
     """One [[trials]]: what holds for all, over it what the file's name tells, over it what the sheet tells."""
     sums = [_sha256(path) for path in files if path.is_file()]
     single = len(files) == 1
@@ -605,7 +649,7 @@ def _trial_row(
         row["sha256"] = sums[0] if single else sums
     row |= common
     if pattern is not None:
-        row |= _named_in(files[0], str(pattern))
+        row |= _named_in(files[0], str(pattern), words)
     for entry in rows:
         keys = [key for key in ("file", "case", "configuration") if key in entry]
         own = {"file": None, **row}
@@ -620,7 +664,18 @@ def _trial_row(
     return row
 
 
-def _named_in(file: Path, pattern: str) -> dict[str, Any]:
+def _words_of(given: object) -> dict[str, str]:
+    """What the names call the configurations: word -> uncoupled or coupled."""
+    pairs = [str(word).partition("=")[::2] for word in given] if isinstance(given, list | tuple) else []
+    out = {word.lower(): configuration.lower() for word, configuration in pairs}
+    if not isinstance(given, list | tuple) or not set(out.values()) <= {"uncoupled", "coupled"} or "" in out:
+        raise InputError(
+            f"--words {given}: write what the names say and what it means, as in free=uncoupled magnet=coupled"
+        )
+    return out
+
+
+def _named_in(file: Path, pattern: str, words: Mapping[str, str]) -> dict[str, Any]:
     """What a file's name tells by a pattern such as 'case{case}_{configuration}_{trial}'."""
     fields = re.findall(r"\{(\w*)\}", pattern)
     wrong = [f for f in fields if f not in _PATTERN]
@@ -630,18 +685,31 @@ def _named_in(file: Path, pattern: str) -> dict[str, Any]:
             "'case{case}_{configuration}_{trial}'"
         )
     parts = re.split(r"\{\w*\}", pattern)
-    expression = re.escape(parts[0])
-    for field, part in zip(fields, parts[1:], strict=True):
-        expression += f"(?P<{field}>{_PATTERN[field]})" + re.escape(part)
-    found = re.fullmatch(expression, file.stem, re.IGNORECASE) or re.fullmatch(expression, file.name, re.IGNORECASE)
+
+    def read(forms: Mapping[str, str]) -> re.Match[str] | None:
+        expression = re.escape(parts[0])
+        for field, part in zip(fields, parts[1:], strict=True):
+            expression += f"(?P<{field}>{forms[field]})" + re.escape(part)
+        whole = (re.fullmatch(expression, name, re.IGNORECASE) for name in (file.stem, file.name))
+        return next((match for match in whole if match), None)
+
+    known = "|".join([_PATTERN["configuration"], *map(re.escape, words)])
+    found = read(_PATTERN | {"configuration": known})
     if found is None:
+        other = read(_PATTERN | {"configuration": r"[^\W_]+"}) if "configuration" in fields else None
+        if other is not None:
+            word = other["configuration"]
+            raise InputError(
+                f"{file.name}: '{word}' stands where --pattern expects 'uncoupled' or 'coupled'; say what it means, "
+                f"e.g. --words {word}=uncoupled, with every word that the names use"
+            )
         raise InputError(
             f"{file.name}: the name does not follow --pattern '{pattern}'; correct the pattern or the name"
         )
     out: dict[str, Any] = {}
     for field, text in found.groupdict().items():
         if field in ("case", "configuration"):
-            out[field] = text.lower() if field == "configuration" else text
+            out[field] = words.get(text.lower(), text.lower()) if field == "configuration" else text
         elif field == "trial":
             out[field] = int(text)
         else:
@@ -689,8 +757,68 @@ def _sheet_rows(sheet: object, faults: list[str]) -> list[dict[str, Any]]:
     return rows
 
 
-def _guessed(path: Path, given: Mapping[str, Any], caveats: list[str]) -> dict[str, Any]:
-    """Columns of the time and the channels where none were named and only one choice is left; told as a caveat."""
+def _guessed_all(
+    paths: Sequence[Path], given: Mapping[str, Any], caveats: list[str], told: bool
+) -> dict[Path, dict[str, Any]]:
+    """Columns where none were named and only one choice is left, for all files under `Path()`, else for each file.
+
+    told : whether something else says which trials are coupled. Where nothing does and some files hold one channel
+    and others two, the former are uncoupled.
+    """
+    found = {path: _guessed(path, given) for path in paths}
+    first = found[paths[0]]
+    if all(other == first for other in found.values()):
+        columns, words = first
+        caveats.append(f"The columns were not named: taken were {words}.")
+        if len(columns["columns"]) == 2 and not told:
+            caveats.append(_ALL_COUPLED)
+        return {Path(): columns}
+    counts = {len(columns["columns"]) for columns, _ in found.values()}
+    for words in dict.fromkeys(words for _, words in found.values()):
+        where = [path.name for path, (_, other) in found.items() if other == words]
+        caveats.append(f"The columns were not named: taken were {words} in {_files(where)}.")
+    if told or len(counts) == 1:
+        return {path: dict(columns) for path, (columns, _) in found.items()}
+    single = [path.name for path, (columns, _) in found.items() if len(columns["columns"]) == 1]
+    caveats.append(_SINGLE.format(_files(single)))
+    return {
+        path: {**columns, "configuration": "coupled" if len(columns["columns"]) == 2 else "uncoupled"}
+        for path, (columns, _) in found.items()
+    }
+
+
+_SINGLE = "One channel only, so taken as uncoupled: {}. Say otherwise with --pattern or --sheet."
+_ALL_COUPLED = (
+    "Every file has two channels, so all trials were taken as coupled; say otherwise with --configuration, --pattern "
+    "or --sheet."
+)
+
+
+def _files(names: Sequence[str]) -> str:
+    """File names for a sentence, a few at most."""
+    return ", ".join(names) if len(names) < 4 else f"{names[0]} and {len(names) - 1} other files"
+
+
+def _configurations(paths: Sequence[Path], given: Mapping[str, Any], caveats: list[str]) -> dict[Path, dict[str, Any]]:
+    """Files that lack the second of two named columns hold uncoupled trials."""
+    out: dict[Path, dict[str, Any]] = {}
+    for path in paths:
+        source = _read_raw(path, given)
+        try:
+            source.index(given["columns"][1], path.name)
+        except InputError:
+            out[path] = {"configuration": "uncoupled"}
+    if len(out) == len(paths):
+        return {}  # then the name of the column is wrong, which the reader says
+    caveats.append(_SINGLE.format(_files([path.name for path in out])) if out else _ALL_COUPLED)
+    return out
+
+
+def _guessed(path: Path, given: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
+    """Columns of the time and the channels where only one choice is left, and the words for them.
+
+    A column that never changes (a temperature, a counter that stands) is no channel where others are left.
+    """
     source = _read_raw(path, given)
     time = None if "sample_rate" in given else source.time_column()
     if "time" in given:
@@ -698,6 +826,8 @@ def _guessed(path: Path, given: Mapping[str, Any], caveats: list[str]) -> dict[s
     readings = [
         i for i in range(source.table.shape[1]) if i != time and np.mean(np.isfinite(source.table[:, i])) > _LEAST_KNOWN
     ]
+    moving = [i for i in readings if np.nanmax(source.table[:, i]) > np.nanmin(source.table[:, i])]
+    readings = moving or readings
     if len(readings) not in (1, 2) or (time is None and "sample_rate" not in given):
         raise InputError(
             f"{path.name}: has {source.described()}; name the channels with --columns, the primary first, and the time "
@@ -708,8 +838,7 @@ def _guessed(path: Path, given: Mapping[str, Any], caveats: list[str]) -> dict[s
     if time is not None:
         found["time"] = time + 1
         told.append(f"{source.names[time]} ({time + 1}) for the time" if source.names else f"{time + 1} for the time")
-    caveats.append(f"The columns were not named: taken were {', '.join(told)}.")
-    return found
+    return found, ", ".join(told)
 
 
 def _repeated(options: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -245,6 +245,69 @@ def test_channels_in_files_of_their_own(tmp_path: Path) -> None:
         init_campaign(tmp_path / "other", [first], **options)
 
 
+BOTH = {
+    "primary_inertia": 3.015e-3, "secondary_inertia": 2.474e-3, "bar_radius": 0.1, "magnet_radius": 0.0127,
+    "magnet_pull": 100.0, "k1t": 10.2, "theta0": 4.7, "release": "find",
+}  # fmt: skip
+
+
+def mixed_files(folder: Path) -> list[Path]:
+    """Two records of one channel and two of two, each with a temperature that stands still."""
+    out = []
+    for name, channels in (("soft_free_1", 1), ("soft_free_2", 1), ("soft_magnet_1", 2), ("soft_magnet_2", 2)):
+        columns = [TIMES + 5.0, wave(len(out)), 0.3 * wave(len(out) + 9)][: 1 + channels]
+        heads = ["Zeit [s]", "A1 [rad/s^2]", "A2 [rad/s^2]"][: 1 + channels]
+        rows = [",".join(f"{x:.5f}" for x in row) + ",21.4" for row in zip(*columns, strict=True)]
+        out.append(folder / f"{name}.csv")
+        out[-1].write_text("\n".join([",".join([*heads, "Temp"]), *rows]) + "\n", encoding="utf-8")
+    return out
+
+
+@pytest.mark.parametrize("named", [{}, {"time": "Zeit [s]", "columns": ["A1 [rad/s^2]", "A2 [rad/s^2]"]}])
+def test_a_pile_of_coupled_and_uncoupled_records_is_told_apart(tmp_path: Path, named: dict) -> None:
+    campaign = load_campaign(init_campaign(tmp_path / "out", mixed_files(tmp_path), **BOTH, **named))
+    assert [t.coupled for t in campaign.trials] == [False, False, True, True]
+    assert [t.trial for t in campaign.trials] == [1, 2, 1, 2]
+    assert any("One channel only, so taken as uncoupled: soft_free_1.csv, soft_free_2" in w for w in campaign.warnings)
+    assert not any("Temp" in w for w in campaign.warnings)
+
+
+def test_files_that_all_have_two_channels_are_taken_as_coupled_and_told(tmp_path: Path) -> None:
+    campaign = load_campaign(init_campaign(tmp_path / "out", mixed_files(tmp_path)[2:], **BOTH))
+    assert all(t.coupled for t in campaign.trials)
+    assert any("all trials were taken as coupled; say otherwise" in w for w in campaign.warnings)
+
+
+def test_words_of_the_names_say_which_trials_are_coupled(tmp_path: Path) -> None:
+    sources, pattern = mixed_files(tmp_path), "{case}_{configuration}_{trial}"
+    words = ["free=uncoupled", "magnet=coupled"]
+    campaign = load_campaign(init_campaign(tmp_path / "out", sources, **BOTH, pattern=pattern, words=words))
+    assert [(t.case, t.coupled, t.trial) for t in campaign.trials] == [
+        ("soft", False, 1), ("soft", False, 2), ("soft", True, 1), ("soft", True, 2)
+    ]  # fmt: skip
+    told = r"'free' stands where --pattern expects 'uncoupled' or 'coupled'.*--words free="
+    with pytest.raises(InputError, match=told):
+        InputError, match="'free' stands where --pattern expects 'uncoupled' or 'coupled'.*--words free="
+    ):
+        init_campaign(tmp_path / "other", sources, **BOTH, pattern=pattern)
+    with pytest.raises(InputError, match=r"--words \['free=loose'\]: write what the names say"):
+        init_campaign(tmp_path / "other", sources, **BOTH, pattern=pattern, words=["free=loose"])
+
+
+def test_a_fault_of_many_files_is_told_once(tmp_path: Path) -> None:
+    sources = [logger_file(tmp_path / f"run{i}.csv", wave(i)) for i in range(4)]
+    with pytest.raises(InputError) as caught:
+        init_campaign(tmp_path / "out", sources, **{**OPTIONS, "units": ["g"]})
+    assert caught.value.faults == ("run0.csv and 3 other files: 'g' is tangential; give mounting_radius in metres",)
+
+
+def test_a_record_that_rests_first_is_told_how_to_find_its_release(tmp_path: Path) -> None:
+    options = {k: v for k, v in OPTIONS.items() if k not in ("release", "theta0")}
+    source = logger_file(tmp_path / "run.csv", wave())
+    warnings = load_campaign(init_campaign(tmp_path / "out", [source], **options)).warnings
+    assert any("rests for its first 0.2 s: with --release find, t = 0 is the release" in w for w in warnings)
+
+
 def test_names_and_a_sheet_tell_the_trials_apart(tmp_path: Path) -> None:
     sources = []
     for case, k1t, theta0 in (("I", 6.2, 5.7), ("IV", 10.2, 4.7)):
