@@ -287,8 +287,6 @@ def test_words_of_the_names_say_which_trials_are_coupled(tmp_path: Path) -> None
     ]  # fmt: skip
     told = r"'free' stands where --pattern expects 'uncoupled' or 'coupled'.*--words free="
     with pytest.raises(InputError, match=told):
-        InputError, match="'free' stands where --pattern expects 'uncoupled' or 'coupled'.*--words free="
-    ):
         init_campaign(tmp_path / "other", sources, **BOTH, pattern=pattern)
     with pytest.raises(InputError, match=r"--words \['free=loose'\]: write what the names say"):
         init_campaign(tmp_path / "other", sources, **BOTH, pattern=pattern, words=["free=loose"])
