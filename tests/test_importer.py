@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from bayes_damper.campaign import load_campaign
+from bayes_damper.check import check
 from bayes_damper.errors import InputError
 from bayes_damper.importer import convert, import_records, init_campaign
 from bayes_damper.readings import find_first_peak, find_release
@@ -243,6 +244,13 @@ def test_channels_in_files_of_their_own(tmp_path: Path) -> None:
         init_campaign(tmp_path / "other", [first, third], **options)
     with pytest.raises(InputError, match="files_per_trial = 2 for 1 files"):
         init_campaign(tmp_path / "other", [first], **options)
+
+
+def test_a_copied_record_is_told(tmp_path: Path) -> None:
+    sources = [logger_file(tmp_path / f"run{i}.csv", wave(i % 2)) for i in range(3)]
+    told = check(init_campaign(tmp_path / "out", sources, **OPTIONS))
+    assert len(told.warnings) == 1
+    assert "A_uncoupled_3.csv holds the same readings as trials/A_uncoupled_1.csv" in told.text()
 
 
 BOTH = {
