@@ -78,7 +78,7 @@ class Plan:
         ]
         for row in r["effects"]:
             rival = row["rival"] or {"name": "-", "nats": None}
-            over = "" if rival["nats"] is None else f"{rival['nats']:.1f}"
+            over = "" if rival["nats"] is None else "above 100" if rival["nats"] > 100.0 else f"{rival['nats']:.1f}"
             times = "more than 100 x" if row["repeats_needed"] is None else f"{row['repeats_needed']} x"
             least = ", ".join(f"{k} {v['value']:.2g} {v['unit']}".strip() for k, v in (row["smallest"] or {}).items())
             lines.append(
@@ -87,11 +87,19 @@ class Plan:
         lines.append(f"  {'parameter':22s}{'unit':>14s}{'expected 90 % interval':>30s}   sd / prior sd")
         for name, p in r["parameters"].items():
             lines.append(
-                f"  {name:22s}{p['unit']:>14s}{p['expected90'][0]:17.4g} .. {p['expected90'][1]:<10.4g}"
-                f"{p['sd_over_prior']:12.2f}"
+                f"  {name:22s}{p['unit']:>14s}{' to '.join(_digits(*p['expected90'])):>30s}{p['sd_over_prior']:16.2f}"
             )
         lines += [f"  {s}" for s in r["sentences"]]
         return "\n".join([*lines, *([] if self.folder is None else [f"Files: {self.folder}"])])
+
+
+def _digits(low: float, high: float) -> tuple[str, str]:
+    """Both ends of an interval, with two digits of its width."""
+    width = high - low
+    if not (math.isfinite(width) and width > 0.0):
+        return f"{low:.4g}", f"{high:.4g}"
+    digits = max(0, 1 - math.floor(math.log10(width)))
+    return f"{low:.{digits}f}", f"{high:.{digits}f}"
 
 
 def plan(

@@ -290,6 +290,20 @@ def test_where_it_differs_is_told_with_units_and_without_digits_that_mean_nothin
     assert "e-221" not in text
 
 
+def test_a_diagnosis_of_published_numbers_shows_them_beside_the_model(tmp_path):
+    write_diagnosis(tmp_path)
+    data = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
+    feature = {"case": "I", "configuration": "coupled", "feature": "max_acceleration", "unit": "rad/s^2",
+               "measured": 135.7, "standard_error": 2.9, "predicted": 150.2, "predicted_hdi90": [141.0, 159.0],
+               "held_out": True, "p_value": 0.012}  # fmt: skip
+    data["where"] = {"feature": [feature], "case": [{"case": "I", "p_value": 0.3}]}
+    data["gap"] |= {"unit": "rad/s^2", "on": "coupled peaks"}
+    (tmp_path / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
+    text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
+    assert "I, coupled: max acceleration 135.7 ± 2.9 150.2 141.0 to 159.0 rad/s^2 0.012 no" in text
+    assert "On coupled peaks." in text
+
+
 def test_a_gap_beside_the_verdict_none_is_explained_on_the_first_screen(tmp_path):
     write_diagnosis(tmp_path)
     data = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
@@ -297,7 +311,10 @@ def test_a_gap_beside_the_verdict_none_is_explained_on_the_first_screen(tmp_path
     data["gap"] |= {"p_value": 0.03}
     (tmp_path / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
     text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
-    assert "alone says gap (p = 0.03), as it does for one faultless rig in 20" in text[: text.index("Missing torque")]
+    first = text[: text.index("Missing torque")]
+    assert "alone says gap (p = 0.03), as it does for one faultless rig in 20" in first
+    assert "differ by more than the noise" not in first
+    assert "what comes closest to a cause would close 97 % of the gap" in first
 
 
 def test_a_run_that_has_not_ended_is_told_how_to_go_on(tmp_path):

@@ -104,7 +104,7 @@ def report(folder: str | Path, *, out: str | Path | None = None) -> Report:
             continue
         try:
             results.append(read(data, file.parent))
-        except (KeyError, TypeError, ValueError, IndexError) as error:
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
             warnings.append(f"{file.relative_to(home)} is not shown: an entry is missing or malformed ({error!r}).")
             continue
         files.append(file)

@@ -54,6 +54,7 @@ _MORE = {
         "One record, what the nominal model leaves of it before and after the answer is added, and all probabilities.",
     ),
     "ranking": ("Which effect, and where", "Bars: probability of each answer, and of each site of the rig."),
+    "published": ("Published numbers", "Each published number beside what the leading answers predict for it."),
     "missing_torque": (
         "Missing torque",
         "The torque that the nominal model lacks, against time, angle and velocity, with its uncertainty.",
@@ -359,12 +360,15 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
             f"One effect does not close the gap; {listed([words(e) for e in pair['effects']])} together do "
             f"({percent(pair['probability'])})."
         )
-    sentences.append(_gap_sentence(gap))
-    sentences.append(gap_beside_verdict(verdict, share or 0.0, gap))
+    beside = gap_beside_verdict(verdict, share or 0.0, gap)
+    sentences += [beside] if beside and verdict == "none" else [_gap_sentence(gap), beside]
     credible = [words(n) for n in data.get("credible_set", [])]
     if len(credible) > 1:
         sentences.append(f"With 90 % probability it is one of {listed(credible)}; the data do not decide which.")
-    sentences.append(_closed_sentence(gap, "these two together close" if pair else "the most probable cause closes"))
+    who = "these two together close" if pair else "the most probable cause closes"
+    if verdict in ("none", "unknown"):
+        who = "what comes closest to a cause would close"
+    sentences.append(_closed_sentence(gap, who))
     changes = [
         f"{listed([words(n) for n in group])} cannot be told apart by these data."
         for group in data.get("indistinguishable", [])
@@ -456,8 +460,18 @@ def _closed_sentence(gap: Mapping[str, Any], who: str) -> str:
     if closed is None:
         return ""
     hdi = (gap.get("closed") or {}).get("hdi90")
-    spread = f" (90 %: {100.0 * hdi[0]:.0f} to {100.0 * hdi[1]:.0f} %)" if hdi else ""
-    return f"On held-out trials {who} {100.0 * closed:.0f} % of the gap{spread}."
+    spread = f" (90 %: {_whole(hdi[0])} to {_whole(hdi[1])} %)" if hdi else ""
+    where = (
+        "coupled peaks, predicted without the coupled numbers of their case," if gap.get("on") else "held-out trials"
+    )
+    if closed <= 0.0:
+        return f"On {where} nothing that was tried closes any of the gap{spread}."
+    return f"On {where} {who} {_whole(closed)} % of the gap{spread}."
+
+
+def _whole(share: float) -> str:
+    """A share in whole per cent; never -0."""
+    return f"{round(100.0 * share)}"
 
 
 def _experiment_sentence(e: Mapping[str, Any]) -> str:
@@ -493,6 +507,7 @@ def _experiment_tables(proposals: Sequence[Mapping[str, Any]]) -> list[Table]:
     return [replace(table, note=note if any("margin" in p for p in proposals) else "")]
 
 
+_OTHER = {"scale": ("scale of the readings of channel", "1"), "lag": ("lag of the readings of channel", "s")}
 _COORDINATES = {
     "th1": ("rad", "m"), "th2": ("rad", "m"), "phi": ("rad", "m"), "w1": ("rad/s", "m/s"), "w2": ("rad/s", "m/s"),
     "slip": ("rad/s", "m/s"),
@@ -507,6 +522,8 @@ def _is_translational(data: Mapping[str, Any]) -> bool:
 
 def _where_sections(where: Mapping[str, Any], translational: bool) -> tuple[Section, ...]:
     """Where residuals exceed the noise, one table for each way to look; nothing where nothing does."""
+    if "feature" in where:
+        return _published_sections(where["feature"])
 
     def cells(row: Mapping[str, Any], *names: str) -> tuple[str, ...]:
         return tuple(str(row[n]) if row.get(n) is not None else "all" for n in names)
@@ -574,6 +591,27 @@ def _where_sections(where: Mapping[str, Any], translational: bool) -> tuple[Sect
     return (Section("Where the model and the rig differ", tables=tuple(tables)),) if tables else ()
 
 
+def _published_sections(features: Sequence[Mapping[str, Any]]) -> tuple[Section, ...]:
+    """Published numbers beside what the nominal model predicts for them."""
+    rows = []
+    for r in features:
+        low, high = r["predicted_hdi90"]
+        cells = (
+            f"{r['case']}, {r['configuration']}: {words(str(r['feature']))}",
+            plus_minus(r["measured"], r["standard_error"]),
+            number(r["predicted"], high - low),
+            interval(low, high),
+            str(r.get("unit", "")),
+            f"{r['p_value']:.2g}",
+            "no" if r.get("held_out") else "yes",
+        )
+        rows.append(Row(cells, "bad" if r["p_value"] < 0.05 else ""))
+    columns = ("number", "measured ± standard error", "nominal model", "90 %", "unit", "p value", "fitted")
+    note = "Coupled numbers are predicted without those of their own case. Marked: p below 0.05."
+    table = Table("Published numbers beside the nominal model", columns, tuple(rows), note)
+    return (Section("Where the model and the rig differ", tables=(table,)),)
+
+
 def _gap_tables(
     gap: Mapping[str, Any], effects: Sequence[Mapping[str, Any]], pair: Mapping[str, Any] | None = None, unit: str = ""
 ) -> list[Table]:
@@ -594,15 +632,20 @@ def _gap_tables(
         closed = e.get("closed") or {}
         share = NOTHING
         if closed.get("median") is not None:
-            share = f"{100.0 * closed['median']:.0f} %"
+            share = f"{_whole(closed['median'])} %"
             if closed.get("hdi90"):
                 low, high = closed["hdi90"]
-                share += f" ({100.0 * low:.0f} to {100.0 * high:.0f} %)"
+                share += f" ({_whole(low)} to {_whole(high)} %)"
         rows.append(Row((f"with {words(str(e['name']))}", number(e["augmented_rms"]), share)))
+    unit = unit or str(gap.get("unit") or "")
     columns = ("model", f"rms residual [{unit}]" if unit else "rms residual", "gap closed (90 %)")
     note = (
-        f"On held-out trials{'' if unit else ', in the unit of the readings'}; only what each trial has for itself "
-        "(release angle, instant) is fitted there."
+        f"On {gap['on']}."
+        if gap.get("on")
+        else (
+            f"On held-out trials{'' if unit else ', in the unit of the readings'}; only what each trial has for itself "
+            "(release angle, instant) is fitted there."
+        )
     )
     return [Table("The gap before and after", columns, tuple(rows), note)]
 
@@ -639,11 +682,14 @@ def _shift_tables(parameters: Mapping[str, Any]) -> list[Table]:
     """Parameters of the nominal model before and after the leading effect is added."""
     rows = []
     for name, p in parameters.items():
-        cells = [_meaning(name)]
+        meant, unit = _meaning(name), PARAMETERS[k].unit if (k := name.partition("[")[0]) in PARAMETERS else ""
+        if (own := re.fullmatch(r"(scale|lag)(\d)", name)) is not None:
+            meant, unit = f"{name}: {_OTHER[own[1]][0]} {own[2]}", _OTHER[own[1]][1]
+        cells = [meant]
         for side in ("before", "after"):
             found = p.get(side)
             cells.append(NOTHING if not found else plus_minus(found["value"], found["sd"]))
-        cells.append(str(p.get("unit") or (PARAMETERS[k].unit if (k := name.partition("[")[0]) in PARAMETERS else "")))
+        cells.append(str(p.get("unit") or unit))
         shift = p.get("shift_sigmas")
         rows.append(Row((*cells, NOTHING if shift is None else f"{shift:+.1f} sd")))
     columns = ("parameter", "nominal model ± sd", "with the leading effect ± sd", "unit", "shift")
@@ -680,7 +726,7 @@ def _effect_table(effects: Sequence[Mapping[str, Any]], probabilities: Sequence[
             percent(e.get("probability")),
             number(e.get("log_evidence")),
             "; ".join(_parameter(k, v) for k, v in (e.get("parameters") or {}).items()) or NOTHING,
-            NOTHING if closed is None else f"{100.0 * closed:.0f} %",
+            NOTHING if closed is None else f"{_whole(closed)} %",
         )
         rows.append(Row(cells))
     columns = ("effect", "formula", "site", "probability", "log evidence, nats", "parameters", "gap closed")
