@@ -253,7 +253,13 @@ def _draw(folder: Path, found: Diagnosis) -> None:
     if torques:
         strongest = max(torques, key=lambda found: float(np.abs(found.torque).max()))
         figures.save(
-            figures.missing_torque_figure(strongest, title=_torque_title(found)),
+            figures.missing_torque_figure(
+                strongest,
+                found.site_map.curve(),
+                site=str(found.site_map.torque_site),
+                title=_torque_title(found),
+                translational=found.kind == "translational",
+            ),
             folder / "missing_torque",
         )
 
@@ -261,8 +267,8 @@ def _draw(folder: Path, found: Diagnosis) -> None:
 def _torque_title(found: Diagnosis) -> str:
     """What the figure shows, and under which condition where another site is as likely."""
     place = found.site_map.torque_site
-    title = "torque that the nominal model lacks"
-    return title if place in (None, found.site_map.best) else f"{title}, if the cause lies at {place}"
+    where = "at" if place == found.site_map.best else ", if the cause lies at"
+    return f"torque that the nominal laws lack {where} {place}".replace(" ,", ",")
 
 
 def _shown_record(found: Diagnosis) -> dict[str, Any] | None:

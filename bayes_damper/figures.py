@@ -18,6 +18,8 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from matplotlib.transforms import blended_transform_factory
 from numpy.typing import NDArray
 
+from bayes_damper.wording import COORDINATES
+
 mpl.use("Agg", force=False)
 
 Array = NDArray[np.float64]
@@ -658,32 +660,43 @@ def published_figure(rows: Mapping[str, Sequence[Mapping[str, Any]]], *, title: 
     return figure
 
 
-def missing_torque_figure(torque: Any, *, title: str) -> Figure:
-    """Missing torque on each inertia over time with its 90 % band, and against the motion.
+def missing_torque_figure(
+    torque: Any, curve: Mapping[str, Mapping[str, Any]], *, site: str, title: str, translational: bool = False
+) -> Figure:
+    """Missing torque (force) on each inertia over time with its 90 % band, and against the coordinates of its site.
 
-    torque : times (n,), torque and sd (2, n) N m, th1, w1, th2, w2 (n,).
+    torque : of one trial, shown as points where it is known to three times its median sd: times (n,), torque and sd
+    (2, n) N m, th1, w1, th2, w2, phi, slip (n,); curve : coordinate -> its bins over all trials (centre, torque_n_m,
+    sd_n_m), as `SiteMap.curve` gives them.
     """
     figure = new_figure(9.0, 6.0)
+    body = int(site in ("interface", "ground2"))
+    names = ("primary", "secondary")
+    effort = "force [N]" if translational else "torque [N m]"
     with mpl.rc_context(_RC):
         axes = figure.subplot_mosaic([["time", "time"], ["left", "right"]])
         over_time = axes["time"]
-        for body, colour in ((0, COLOURS[0]), (1, COLOURS[1])):
-            value, sd = np.asarray(torque.torque[body]), np.asarray(torque.sd[body])
-            if body == 1 and not np.any(value):
+        for k, colour in ((0, COLOURS[0]), (1, COLOURS[1])):
+            value, sd = np.asarray(torque.torque[k]), np.asarray(torque.sd[k])
+            if not np.any(value):
                 continue
-            name = ("primary", "secondary")[body]
-            over_time.plot(torque.times, value, color=colour, lw=1.0, ls=STYLES[body], label=f"on the {name}")
+            over_time.plot(torque.times, value, color=colour, lw=1.0, ls=STYLES[k], label=f"on the {names[k]}")
             over_time.fill_between(torque.times, value - 1.645 * sd, value + 1.645 * sd, color=colour, alpha=0.25, lw=0)
         over_time.set_xlabel("time since release [s]")
-        over_time.set_ylabel("torque [N m]")
+        over_time.set_ylabel(effort)
         over_time.legend(loc="upper right")
-        phi, slip = np.asarray(torque.th1) - np.asarray(torque.th2), np.asarray(torque.w1) - np.asarray(torque.w2)
-        pairs = ((torque.th1, "θ1 [rad]"), (slip if np.any(torque.w2) else torque.w1, "ω1 - ω2 [rad/s]"))
-        if np.any(torque.th2):
-            pairs = ((phi, "θ1 - θ2 [rad]"), pairs[1])
-        for axis, (x, name) in zip((axes["left"], axes["right"]), pairs, strict=True):
-            axis.plot(x, torque.torque[0], ".", ms=1.5, color=COLOURS[0])
-            axis.set_xlabel(name)
-            axis.set_ylabel("torque on the primary [N m]")
+        known = np.asarray(torque.sd[body]) <= 3.0 * float(np.median(torque.sd[body]))
+        for axis, (name, bins) in zip((axes["left"], axes["right"]), curve.items(), strict=False):
+            points = np.asarray(getattr(torque, name))
+            axis.plot(
+                points[known], np.asarray(torque.torque[body])[known], ".", ms=1.5, color="0.6", label="the trial above"
+            )
+            centre, mean, sd = (np.asarray(bins[key]) for key in ("centre", "torque_n_m", "sd_n_m"))
+            axis.plot(centre, mean, color=COLOURS[body], ls=STYLES[body], label="mean of all trials")
+            axis.fill_between(centre, mean - 1.645 * sd, mean + 1.645 * sd, color=COLOURS[body], alpha=0.25, lw=0)
+            symbol, *units = COORDINATES[name]
+            axis.set_xlabel(f"{symbol} [{units[translational]}]")
+            axis.set_ylabel(f"{effort} on the {names[body]}")
+        axes["left"].legend(loc="best")
         figure.suptitle(title)
     return figure

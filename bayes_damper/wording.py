@@ -1,4 +1,4 @@
-"""Sentences for people: counts, p values, and a test of the gap that points another way than the verdict."""
+"""Words for people: counts, p values, coordinates, and a test of the gap that points another way than the verdict."""
 
 from __future__ import annotations
 
@@ -7,6 +7,12 @@ from typing import Any
 
 SMALLEST_P = 1e-12
 """Below this a p value says nothing more: no model of noise holds so far out in its tails."""
+
+COORDINATES = {
+    "th1": ("θ1", "rad", "m"), "th2": ("θ2", "rad", "m"), "phi": ("θ1 - θ2", "rad", "m"),
+    "w1": ("ω1", "rad/s", "m/s"), "w2": ("ω2", "rad/s", "m/s"), "slip": ("ω1 - ω2", "rad/s", "m/s"),
+}  # fmt: skip
+"""Coordinates of the motion: symbol, unit of a torsional rig and of a translational one."""
 
 
 def counted(n: int, one: str, many: str = "") -> str:

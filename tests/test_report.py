@@ -12,6 +12,7 @@ import subprocess
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 from PIL import Image
@@ -19,7 +20,7 @@ from PIL import Image
 from bayes_damper import report
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.figures import COLOURS, forest_figure, new_figure, save
-from bayes_damper.report.charts import pack, unpack
+from bayes_damper.report.charts import pack, torque_chart, unpack
 from bayes_damper.report.html import LARGEST
 from bayes_damper.report.parts import number, percent
 
@@ -137,6 +138,30 @@ def write_diagnosis(folder: Path) -> None:
     rows = [f"IV,coupled,1,{t:.3f},{0.01 * np.sin(57 * t):.5f},0.001,{-0.01 * np.sin(57 * t):.5f},0.001,"
             f"{0.08 * np.cos(57 * t):.4f},{4.0 * np.sin(57 * t):.4f}" for t in TIMES]  # fmt: skip
     (folder / "missing_torque.csv").write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("torques", "axes"),
+    [((1.0, -1.0), ("θ1 - θ2 [rad]", "ω1 - ω2 [rad/s]")), ((0.0, 1.0), ("θ2 [rad]", "ω2 [rad/s]")),
+     ((1.0, 0.0), ("θ1 [rad]", "ω1 [rad/s]")), ((1.0, 0.5), ("θ1 [rad]", "ω1 [rad/s]"))],
+    ids=["interface", "ground2", "ground1", "bearings"],
+)  # fmt: skip
+def test_missing_torque_is_drawn_against_the_coordinates_of_its_site(tmp_path, torques, axes):
+    x = 0.01 * np.sin(57.0 * TIMES)
+    columns = {
+        "case": ["IV"] * x.size, "configuration": ["coupled"] * x.size, "trial": [1] * x.size, "time_s": TIMES,
+        "torque1_n_m": torques[0] * x, "torque1_sd_n_m": 0.1 + 0.0 * x, "torque2_n_m": torques[1] * x,
+        "torque2_sd_n_m": 0.1 + 0.0 * x, "theta1_rad": 3.0 * x, "omega1_rad_s": 50.0 * x, "theta2_rad": x,
+        "omega2_rad_s": 20.0 * x,
+    }  # fmt: skip
+    pd.DataFrame(columns).to_csv(tmp_path / "missing_torque.csv", index=False)
+    chart = torque_chart(tmp_path / "missing_torque.csv")
+    assert chart is not None
+    views = {view["x"]: view for view in chart.data["views"]}
+    assert set(views) == {"time [s]", *axes}
+    difference = torques[0] == -torques[1]
+    body = 2.0 if difference else 1.0 if torques[0] == 0.0 else 3.0
+    assert np.allclose(unpack(views[axes[0]]["at"]), body * x, atol=1e-5)
 
 
 def write_tuning(folder: Path) -> None:

@@ -154,6 +154,26 @@ def test_interface_torque_is_found_at_the_interface_with_its_shape(interface):
     assert fit.problem.experiment.coupled
 
 
+def test_missing_torque_is_what_the_fitted_laws_lack(interface):
+    """True torque between the bodies less that of the nominal laws at their fitted parameters, along the motion.
+
+    All but the smoothing constant, which belongs to the bearings too.
+    """
+    fit, found = interface
+    fitted = RIG | {name: value for name, (value, _) in fit.parameters.items() if name != "nu"}
+
+    def between(rig, m):
+        pull = np.maximum(0.0, 1.0 - rig["R"] * np.abs(m.phi) / (2.0 * rig["r"]))
+        dry = rig["mu"] * rig["N0"] * rig["R"] * pull * np.tanh(rig["nu"] * m.slip)
+        return rig["k2t"] * m.phi + rig["c2t"] * m.slip + dry
+
+    coupled = [m for m in found.torque if np.any(m.th2)]
+    told = np.concatenate([m.torque[1] for m in coupled])
+    lacking = np.concatenate([between(RIG, m) + 200.0 * m.phi**3 - between(fitted, m) for m in coupled])
+    assert np.corrcoef(told, lacking)[0, 1] > 0.92
+    assert np.std(told) == pytest.approx(np.std(lacking), rel=0.15)
+
+
 def test_without_a_gap_the_map_says_none(faultless):
     found = site_map(faultless)
     assert found.probabilities["none"] > 0.5

@@ -263,7 +263,7 @@ def diagnose(
     drift = evidence.pop(DRIFT.name)
     tell("looking for what the leading effect leaves")
     before_map = site_map(fit)
-    after_map = before_map if winner is None or winner.fit is None else site_map(winner.fit)
+    after_map = before_map if winner is None or winner.fit is None else site_map(winner.fit, torque=False)
     none_left = left_of(before, before_map.strength, before, before_map.strength)
     home = 0.5 if winner is None else _at(after_map, {winner.effect.site})
     readings = math.inf if winner is None or winner.fit is None else readings_of_change(fit, winner.fit)

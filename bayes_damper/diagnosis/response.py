@@ -13,14 +13,14 @@ the jump.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.calibration import Block, Calibration, Group
+from bayes_damper.calibration import Block, Calibration, Experiment, Group
 from bayes_damper.model import Model
 
 Array = NDArray[np.float64]
@@ -170,15 +170,11 @@ def _motion(fit: Calibration, block: Block) -> Motion:
         since = since + 1e-12  # released before the record begins
     coupled = group.coupled
     e = problem.experiment
-    magnet = coupled and e.magnet
-    friction = value("mu") * value("N0") * value("R", 1.0) if magnet else np.zeros(n)
-    linear = e.normal_force == "linear" and magnet
-    slope = value("R", 1.0) / (2.0 * value("r", 1.0)) if linear else np.zeros(n)
-    parts = {name: value(name) for name in ("k3t", "c1t", "c3t", "k2t", "c2t", "drag")}
-    parts |= {"k1t": k1t, "nu": nu, "friction": friction, "slope": slope}
+    parts = _parts(e, value, coupled)
+    friction, slope = parts["friction"], parts["slope"]
     inverse: Array = np.zeros((n, 2, 2))
     if coupled:
-        mass = np.stack([np.stack([j1, value("J12")], -1), np.stack([value("J12"), value("J2")], -1)], -2)
+        mass = _mass(value)
         inverse[:] = np.linalg.inv(mass)
     else:
         inverse[:, 0, 0] = 1.0 / j1
@@ -203,6 +199,50 @@ def _motion(fit: Calibration, block: Block) -> Motion:
         group, grid, at, th[:, 0], th[:, 1], w[:, 0], w[:, 1], a[:, 0], a[:, 1], since, y, friction, slope, nu, k1t,
         theta0, step, push, read_state, read_torque, added,
     )  # fmt: skip
+
+
+def _parts(e: Experiment, value: Callable[[str, float], Array], coupled: bool) -> dict[str, Array]:
+    """What the nominal laws need, by name, (trials,) each."""
+    parts = {name: value(name, 0.0) for name in ("k1t", "k3t", "c1t", "c3t", "k2t", "c2t", "drag", "nu")}
+    nothing = np.zeros_like(parts["nu"])
+    magnet = coupled and e.magnet
+    parts["friction"] = value("mu", 0.0) * value("N0", 0.0) * value("R", 1.0) if magnet else nothing
+    linear = e.normal_force == "linear" and magnet
+    parts["slope"] = value("R", 1.0) / (2.0 * value("r", 1.0)) if linear else nothing
+    return parts
+
+
+def _mass(value: Callable[[str, float], Array]) -> Array:
+    """Mass matrices (trials, 2, 2)."""
+    beside = value("J12", 0.0)
+    return np.stack([np.stack([value("J1", 1.0), beside], -1), np.stack([beside, value("J2", 1.0)], -1)], -2)
+
+
+def nominal_slopes(fit: Calibration, block: Block, motion: Motion, step: float = 1e-3) -> Array:
+    """By how much each parameter q of a nominal fit changes the torques of its laws, (trials, size, 2, N) N m.
+
+    Along the motion as it is; a larger inertia counts as the torque that it takes to move it so.
+    """
+    problem, group = fit.problem, block.group
+    n, size = len(group.trials), problem.size
+    which: Any = np.tile(np.arange(n), size + 1)
+    q = np.tile(fit.q, (size + 1, n, 1))
+    q[np.arange(size), :, np.arange(size)] += step
+    rig, _ = problem._inputs(group, which, q.reshape(-1, size), block.eta[which])  # noqa: SLF001
+
+    def value(name: str, default: float = 0.0) -> Array:
+        return np.broadcast_to(np.asarray(rig.get(name, default), float), which.shape).astype(float)
+
+    th, w, a = (
+        np.stack(pair, axis=1)[which]
+        for pair in ((motion.th1, motion.th2), (motion.w1, motion.w2), (motion.a1, motion.a2))
+    )
+    pendulum = problem.experiment.restoring == "pendulum"
+    parts = _parts(problem.experiment, value, group.coupled)
+    torque = _nominal_torques(th, w, parts, group.coupled, pendulum)
+    mass = _mass(value) if group.coupled else value("J1")[:, None, None] * np.diag([1.0, 0.0])
+    torque = (torque - np.einsum("jkl,jln->jkn", mass, a)).reshape(size + 1, n, 2, -1)
+    return np.asarray(((torque[:-1] - torque[-1]) / step).transpose(1, 0, 2, 3))
 
 
 def _nominal_torques(th: Array, w: Array, p: dict[str, Array], coupled: bool, pendulum: bool) -> Array:

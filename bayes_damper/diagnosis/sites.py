@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaln, logsumexp
 
 from bayes_damper.calibration import Calibration, predict
-from bayes_damper.diagnosis.response import Motion, Projected, motions, on_trials, project, whiten
+from bayes_damper.diagnosis.response import Motion, Projected, motions, nominal_slopes, on_trials, project, whiten
 from bayes_damper.diagnosis.shapes import Scale, Shape, scale_of_motions, shapes_of
 from bayes_damper.effects.base import SITES
 
@@ -31,6 +31,12 @@ MOST_SHAPES = 6  # in a sparse hypothesis
 USABLE = 1e-3  # a column of which parameters leave less than this share of its length is not used
 PRIOR_NONE = 0.4
 WORTH_A_TORQUE = 0.1  # probability of a site, given a gap, from which the torque that is missing there is told
+LAWS = {
+    "ground1": {"k1t", "c1t", "J1"},
+    "bearings": {"drag", "c1t", "c3t"},
+    "interface": {"mu", "N0", "R", "r", "k2t", "c2t"},
+    "ground2": {"k3t", "c3t", "J2"},
+}  # parameters of the nominal laws that act where a torque may be missing, and can stand for it
 TEMPERING = 0.1  # share of the best evidence by which linear responses and approximate shapes may be wrong
 
 
@@ -116,8 +122,9 @@ class SiteMap:
     def curve(self, bins: int = 25) -> dict[str, Any]:
         """Missing torque against the coordinates of its site, averaged in bins.
 
-        Gives for each coordinate its bin centres, mean torque, band (sd of the mean within the bin, posterior
-        included) and the number of instants; names: "th1", "w1" / "phi", "slip" / "th2", "w2".
+        Gives for each coordinate its bin centres, mean torque (weights 1 / sd^2: what is known well counts more), its
+        sd, as of one instant with that weight, and the number of instants.
+        Names: "th1", "w1" / "phi", "slip" / "th2", "w2".
         """
         names = {"interface": ("phi", "slip"), "ground2": ("th2", "w2")}.get(self.torque_site or "", ("th1", "w1"))
         inertia = 1 if self.torque_site in ("interface", "ground2") else 0
@@ -132,9 +139,10 @@ class SiteMap:
             edges = np.linspace(x.min(), x.max() + 1e-300, bins + 1)
             which = np.clip(np.digitize(x, edges) - 1, 0, bins - 1)
             count = np.bincount(which, minlength=bins)
-            some = np.maximum(count, 1)
-            mean = np.bincount(which, y, bins) / some
-            spread = np.bincount(which, sd**2, bins) / some
+            weight = 1.0 / np.maximum(sd, 1e-3 * float(np.median(sd)) + 1e-300) ** 2
+            total = np.maximum(np.bincount(which, weight, bins), 1e-300)
+            mean = np.bincount(which, weight * y, bins) / total
+            spread = np.bincount(which, weight * sd**2, bins) / total
             keep = count > 0
             out[name] = {
                 "centre": (0.5 * (edges[1:] + edges[:-1]))[keep].tolist(), "torque_n_m": mean[keep].tolist(),
@@ -173,7 +181,7 @@ def site_map(fit: Calibration, *, torque: bool = True, prior_none: float = PRIOR
     missing: tuple[MissingTorque, ...] = ()
     place = _torque_site(probabilities) if torque else None
     if place is not None:
-        missing = _torque(moved, shapes, leaders[place].columns, *_coefficients(judged, leaders[place]))
+        missing = _torque(fit, moved, shapes, judged, leaders[place])
     shift = judged.absorbed[:, leaders[best].columns] @ mean
     return SiteMap(evidence, probabilities, leaders, missing, fit, scale, mean, shift, place)
 
@@ -387,16 +395,24 @@ def _coefficients(judged: Projected, hypothesis: Hypothesis) -> tuple[Array, Arr
 
 
 def _torque(
-    moved: Sequence[Motion], shapes: Sequence[Sequence[Shape]], which: NDArray[np.int64], mean: Array, root: Array
+    fit: Calibration, moved: Sequence[Motion], shapes: Sequence[Sequence[Shape]], judged: Projected, leader: Hypothesis
 ) -> tuple[MissingTorque, ...]:
-    """Posterior mean and standard deviation of the torque that the shapes `which` make."""
+    """Posterior mean and standard deviation of the torque that the leading shapes make.
+
+    Less what the site's nominal laws took over of it in the fit: what they lack with their fitted parameters.
+    """
+    which = leader.columns
+    laws = LAWS.get(leader.site, set())
+    theirs = np.array([[c.parameter in laws] for c in fit.problem.coordinates])
+    mean, root = _coefficients(judged, leader)
     out = []
-    for m, own in zip(moved, shapes, strict=True):
+    for m, own, block in zip(moved, shapes, fit.linear.blocks, strict=True):
         zero = np.zeros_like(m.th1)
+        taken = np.einsum("jqbn,qk->jkbn", nominal_slopes(fit, block, m), theirs * judged.absorbed[:, which])
         for k, trial in enumerate(m.group.trials):
             torque, sd = np.zeros((2, m.grid.size)), np.zeros((2, m.grid.size))
             for inertia in (0, 1):
-                features = np.array([
+                features = taken[k, :, inertia] + np.array([
                     (zero if q is None else q)[k]
                     for q in ((own[c].q1 if inertia == 0 else own[c].q2) for c in which)
                 ])  # fmt: skip

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from bayes_damper.campaign import load_campaign
 from bayes_damper.errors import InputError
 from bayes_damper.report.parts import Chart
+from bayes_damper.wording import COORDINATES
 
 Array = NDArray[np.float64]
 MOST_POINTS = 2500
@@ -186,15 +187,15 @@ def torque_chart(file: Path) -> Chart | None:
         head = f"{row.get('case', '')} {row.get('configuration', '')} #{row.get('trial', '')}"
         trials.setdefault(head.strip(), []).append(row)
     views: list[dict[str, Any]] = []
-    axes = (("time_s", "time [s]"), ("theta1_rad", "th1 [rad]"), ("omega1_rad_s", "w1 [rad/s]"))
     for label, part in trials.items():
-        if len(views) + len(axes) > MOST_VIEWS:
+        if len(views) + 3 > MOST_VIEWS:
             break
         every = -(-len(part) // MOST_POINTS)
         column = {
             k: np.array([_float(r.get(k)) for r in part[::every]]) for k in part[0] if k.endswith(("_s", "_rad", "_m"))
         }
-        for axis, name in axes:
+        axes = {"time_s": "time [s]"} | _coordinates(column)
+        for axis, name in axes.items():
             if axis not in column or not np.isfinite(column[axis]).any():
                 continue
             kind = "line" if axis == "time_s" else "points"
@@ -215,6 +216,24 @@ def torque_chart(file: Path) -> Chart | None:
         return None
     text = "The torque that the nominal model would need beside its own to follow the records, with its uncertainty."
     return Chart("Missing torque", text, {"views": views})
+
+
+def _coordinates(column: dict[str, Array]) -> dict[str, str]:
+    """Coordinates of the torque's site, column -> label: between the bodies, of the secondary alone, or of the primary.
+
+    The differences between the bodies are added to the columns where they are asked for.
+    """
+    first, second = (np.nan_to_num(column.get(f"torque{i}_n_m", np.zeros(1))) for i in (1, 2))
+    names, keys = ("th1", "w1"), ("theta1_rad", "omega1_rad_s")
+    if not {"theta2_rad", "omega2_rad_s"} <= column.keys():
+        pass  # nothing but the primary's motion was written
+    elif second.any() and first.shape == second.shape and np.allclose(first, -second, rtol=1e-3, atol=1e-9):
+        names, keys = ("phi", "slip"), ("phi_rad", "slip_rad_s")
+        column["phi_rad"] = column["theta1_rad"] - column["theta2_rad"]
+        column["slip_rad_s"] = column["omega1_rad_s"] - column["omega2_rad_s"]
+    elif second.any() and not first.any():
+        names, keys = ("th2", "w2"), ("theta2_rad", "omega2_rad_s")
+    return {key: "{} [{}]".format(*COORDINATES[name]) for key, name in zip(keys, names, strict=True)}
 
 
 def _float(text: str | None) -> float:

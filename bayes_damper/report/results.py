@@ -27,7 +27,7 @@ from bayes_damper.report.parts import (
     plus_minus,
     words,
 )
-from bayes_damper.wording import counted, gap_beside_verdict
+from bayes_damper.wording import COORDINATES, counted, gap_beside_verdict
 from bayes_damper.wording import p_value as told_p
 
 _HEADS = {
@@ -508,10 +508,6 @@ def _experiment_tables(proposals: Sequence[Mapping[str, Any]]) -> list[Table]:
 
 
 _OTHER = {"scale": ("scale of the readings of channel", "1"), "lag": ("lag of the readings of channel", "s")}
-_COORDINATES = {
-    "th1": ("rad", "m"), "th2": ("rad", "m"), "phi": ("rad", "m"), "w1": ("rad/s", "m/s"), "w2": ("rad/s", "m/s"),
-    "slip": ("rad/s", "m/s"),
-}  # fmt: skip
 _CHANNELS = {1: "1, primary", 2: "2, secondary"}
 
 
@@ -569,7 +565,7 @@ def _where_sections(where: Mapping[str, Any], translational: bool) -> tuple[Sect
     rows = []
     for r in where.get("phase_space") or ():
         both = [
-            f"{name} {span(*reach)} {_COORDINATES.get(name, ('', ''))[translational]}".rstrip()
+            f"{name} {span(*reach)} {COORDINATES.get(name, ('', '', ''))[1 + translational]}".rstrip()
             for name, reach in zip(r["coordinates"], r["range"], strict=True)
         ]
         rows.append((both[0], both[1], channel(r), f"{r['excess_over_noise']:+.2f}", p(r)))
