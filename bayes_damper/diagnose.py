@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -16,6 +16,7 @@ from bayes_damper.campaign import load_campaign
 from bayes_damper.diagnosis import Diagnosis
 from bayes_damper.diagnosis import diagnose as diagnose_campaign
 from bayes_damper.diagnosis.published import diagnose_published
+from bayes_damper.diagnosis.response import Motion, motions
 from bayes_damper.effects import Effect, all_effects
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.forecast import forecasts
@@ -249,6 +250,8 @@ def _draw(folder: Path, found: Diagnosis) -> None:
     if record is not None:
         title = f"{found.campaign}: what the model misses, and which effect adds it"
         figures.save(figures.gap_figure(record, probabilities, title=title), folder / "gap")
+    maps = figures.residual_maps_figure(_maps(found), title=f"{found.campaign}: where the residuals exceed the noise")
+    figures.save(maps, folder / "residuals")
     torques = found.site_map.torque
     if torques:
         strongest = max(torques, key=lambda found: float(np.abs(found.torque).max()))
@@ -271,6 +274,93 @@ def _torque_title(found: Diagnosis) -> str:
     return f"torque that the nominal laws lack {where} {place}".replace(" ,", ",")
 
 
+_CELLS = {"time": 48, "frequency": 24, "plane": 16}  # of the maps of residuals, along each axis
+_FEWEST = 3.0  # readings that a cell needs
+_PLANES = (("th1", "w1", "angle", "velocity"), ("phi", "slip", "relative angle", "relative velocity"))
+
+
+def _maps(found: Diagnosis) -> list[dict[str, Any]]:
+    """Columns of the figure of residuals: each channel under the nominal model, then with the answer added."""
+    sides = [("nominal model", found.nominal)]
+    if found.verdict != "none" and found.best is not None:
+        sides.append((f"with {_added(found)}", found.best))
+    rows = [(name, _whitened(fit)) for name, fit in sides]
+    channels = range(max(len(r) for _, trials in rows for _, _, r, _, _ in trials))
+    return [
+        {"title": f"{name}\n{('primary', 'secondary')[c]}", **_maps_of([t for t in trials if len(t[2]) > c], c, found)}
+        for name, trials in rows
+        for c in channels
+    ]
+
+
+_Whitened = tuple[str, Array, Array, Array, tuple[Motion, int]]
+
+
+def _whitened(fit: Calibration) -> list[_Whitened]:
+    """Of each fitted trial: label, times, residuals over the noise (channels, n), weights, and its motion."""
+    moved = {i: (m, k) for m in motions(fit) for k, i in enumerate(m.group.trials)}
+    out = []
+    for block in fit.linear.blocks:
+        for k, i in enumerate(block.group.trials):
+            trial = fit.problem.experiment.trials[i]
+            r = -block.r[k].reshape(block.group.y.shape[1], -1)
+            out.append((trial_label(trial), trial.times, r, block.group.weight[k], moved[i]))
+    return sorted(out, key=lambda row: row[0])
+
+
+def _maps_of(trials: Sequence[_Whitened], channel: int, found: Diagnosis) -> dict[str, Any]:
+    labels = [label for label, *_ in trials]
+    first, last = min(float(t[0]) for _, t, *_ in trials), max(float(t[-1]) for _, t, *_ in trials)
+    times = np.linspace(first, last * (1.0 + 1e-12), _CELLS["time"] + 1)
+    steps = [float(np.median(np.diff(t))) for _, t, *_ in trials]
+    low = min(1.0 / (len(t) * step) for (_, t, *_), step in zip(trials, steps, strict=True))
+    bands = np.geomspace(low, 0.5 / min(steps), _CELLS["frequency"] + 1)
+    in_time, in_frequency = [], []
+    for (_, t, r, w, _), step in zip(trials, steps, strict=True):
+        in_time.append(_rms(np.digitize(t, times) - 1, r[channel] ** 2, w[channel] ** 2, _CELLS["time"], _FEWEST))
+        power = np.abs(np.fft.rfft(r[channel])) ** 2 / max(float(np.sum(w[channel] ** 2)), 1e-9)
+        cell = np.digitize(np.fft.rfftfreq(len(t), step), bands) - 1
+        in_frequency.append(_rms(cell, power, np.ones_like(power), _CELLS["frequency"], 1.0))
+    x_name, y_name, x_words, y_words = _PLANES[channel]
+    unit = ("m", "m/s") if found.kind == "translational" else ("rad", "rad/s")
+    place = [(getattr(m, x_name)[k, m.at], getattr(m, y_name)[k, m.at]) for *_, (m, k) in trials]
+    x, y = (np.concatenate([p[axis] for p in place]) for axis in (0, 1))
+    edges = [
+        np.linspace(-1.0, 1.0, _CELLS["plane"] + 1) * max(float(np.abs(v).max()), 1e-12) * 1.000001 for v in (x, y)
+    ]
+    cell = (np.digitize(y, edges[1]) - 1) * _CELLS["plane"] + np.digitize(x, edges[0]) - 1
+    squares = np.concatenate([r[channel] ** 2 for _, _, r, _, _ in trials])
+    weights = np.concatenate([w[channel] ** 2 for _, _, _, w, _ in trials])
+    plane = _rms(cell, squares, weights, _CELLS["plane"] ** 2, _FEWEST).reshape(_CELLS["plane"], -1)
+    row_edges = np.arange(len(trials) + 1.0)
+    shared = {"y": row_edges, "labels": labels, "y_label": ""}
+    return {
+        "time": {"x": times, "values": np.array(in_time), "x_label": "time [s]", **shared},
+        "frequency": {"x": bands, "values": np.array(in_frequency), "x_label": "frequency [Hz]", **shared},
+        "plane": {
+            "x": edges[0], "y": edges[1], "values": plane, "labels": None,
+            "x_label": f"{x_words} [{unit[0]}]", "y_label": f"{y_words} [{unit[1]}]",
+        },
+    }  # fmt: skip
+
+
+def _rms(cell: NDArray[np.intp], squares: Array, weights: Array, cells: int, fewest: float) -> Array:
+    """Root of the mean square in each cell, nan in those of fewer than `fewest` readings."""
+    inside = (cell >= 0) & (cell < cells)
+    total = np.bincount(cell[inside], squares[inside], cells)
+    count = np.bincount(cell[inside], weights[inside], cells)
+    return np.sqrt(np.where(count >= fewest, total / np.maximum(count, 1e-9), np.nan))
+
+
+def _added(found: Diagnosis) -> str:
+    """What the answer adds to the nominal model, in words."""
+    if found.pair is not None and found.answers.pair >= 0.5:
+        return " and ".join(found.pair.effects)
+    if found.verdict == "unknown" and found.winner is not None:
+        return f"{found.winner.effect.name}, which does not explain it"
+    return found.verdict
+
+
 def _shown_record(found: Diagnosis) -> dict[str, Any] | None:
     """The record that the answer changes most, held-out ones first, as the figure of the gap takes it.
 
@@ -290,11 +380,6 @@ def _shown_record(found: Diagnosis) -> dict[str, Any] | None:
         return None
     i, channel = max(sizes, key=lambda key: sizes[key])
     trial = experiment.trials[i]
-    added = found.verdict
-    if found.pair is not None and found.answers.pair >= 0.5:
-        added = " and ".join(found.pair.effects)
-    elif added == "unknown" and found.winner is not None:
-        added = f"{found.winner.effect.name}, which does not explain it"
     return {
         "label": f"{trial_label(trial)}, channel {channel + 1}" + (", held out" if trial.heldout else ""),
         "unit": unit_of(f"sigma{channel + 1}", found.kind, experiment.quantity),
@@ -302,7 +387,7 @@ def _shown_record(found: Diagnosis) -> dict[str, Any] | None:
         "measured": trial.y[channel],
         "nominal": trial.y[channel] - before[i][channel],
         "augmented": None if after is None else trial.y[channel] - after[i][channel],
-        "added": added,
+        "added": _added(found),
         "noise": noise[channel],
     }
 

@@ -112,12 +112,12 @@ def corner_figure(
     names = list(next(iter(draws.values())))
     stacked = {group: np.column_stack([values[name] for name in names]) for group, values in draws.items()}
     everything = np.concatenate(list(stacked.values()))
-    low, high = np.quantile(everything, [0.002, 0.998], axis=0)
+    single = len(draws) == 1
+    low, high = np.quantile(everything, [0.002, 0.998] if single else [0.002, 0.985], axis=0)
     span = np.where(high > low, high - low, np.maximum(np.abs(high), 1e-12) * 1e-3)
     ranges = np.stack([low - 0.03 * span, high + 0.03 * span], axis=1)
     wide = np.array([name in _LOGARITHMIC for name in names]) & (everything.min(axis=0) > 0.0) & (high > 10.0 * low)
     ranges[wide] = np.stack([0.9 * low[wide], 1.1 * high[wide]], axis=1)
-    single = len(draws) == 1
     with mpl.rc_context(_RC | {"axes.grid": False, "axes.spines.top": True, "axes.spines.right": True}):
         figure = Figure(figsize=(1.35 * len(names) + 0.8,) * 2)
         for k, (group, table) in enumerate(stacked.items()):
@@ -148,6 +148,11 @@ def corner_figure(
                 figure.text(
                     0.98, 0.97 - 0.035 * k, group, color=colour, ha="right", va="top", weight="bold", fontsize=11
                 )
+        if not single:  # each group was drawn to its own height
+            for axis in figure.axes[:: len(names) + 1]:
+                drawn = [np.asarray(line.get_ydata(), float) for line in axis.lines]
+                tops = [float(np.max(y)) for y in drawn if y.size > 2]
+                axis.set_ylim(0.0, 1.05 * max(tops, default=1.0))
         margin = 1.05 / figure.get_figwidth()  # room for the labels beside the slanted numbers
         figure.subplots_adjust(left=margin, bottom=margin)
         figure.suptitle(title, x=0.98 if single else 0.75, y=0.99, ha="right", va="top", fontsize=12)
@@ -621,6 +626,46 @@ def gap_figure(record: Mapping[str, Any], probabilities: Mapping[str, float], *,
             axes[name].tick_params(labelbottom=name == rows[-1])
         axes[rows[-1]].set_xlabel("time [s]")
         _draw_probabilities(axes["answers"], _leading(probabilities, 10), 10, "what is missing")
+        figure.suptitle(title)
+    return figure
+
+
+def residual_maps_figure(maps: Sequence[Mapping[str, Any]], *, title: str) -> Figure:
+    """Where residuals exceed the noise: over time, over frequency, and over a plane of the motion.
+
+    maps : one mapping for each column with its title and three panels time, frequency, plane: x and y (edges of the
+    cells), values (cells down, cells across), rms residual over noise, nan where there is nothing; labels (of rows, or
+    None), x_label, y_label.
+    """
+    names = ("time", "frequency", "plane")
+    rows = max(len(column[name]["values"]) for column in maps for name in names[:2])
+    figure = new_figure(3.6 * len(maps) + 0.9, 4.6 + 2.0 * min(0.17 * rows, 2.6))
+    known = np.concatenate([column[name]["values"].ravel() for column in maps for name in names])
+    known = known[np.isfinite(known)]
+    most = max(3.0, float(np.quantile(known, 0.995))) if known.size else 3.0
+    shade = mpl.colors.LogNorm(1.0, most)
+    with mpl.rc_context(_RC | {"axes.grid": False}):
+        heights = [min(0.17 * rows, 2.6) + 0.6, min(0.17 * rows, 2.6) + 0.6, 2.6]
+        axes = figure.subplots(3, len(maps), squeeze=False, gridspec_kw={"height_ratios": heights})
+        for column, places in zip(maps, axes.T, strict=True):
+            for axis, name in zip(places, names, strict=True):
+                panel = column[name]
+                values = np.ma.masked_invalid(np.maximum(panel["values"], 1.0))
+                drawn = axis.pcolormesh(panel["x"], panel["y"], values, cmap="Blues", norm=shade, rasterized=True)
+                axis.set_xlabel(panel["x_label"])
+                axis.set_ylabel(panel["y_label"])
+                axis.set_facecolor("#eeeeee")
+                if name == "frequency":
+                    axis.set_xscale("log")
+                if panel["labels"] is not None:
+                    axis.set_yticks(np.arange(len(panel["labels"])) + 0.5, panel["labels"], fontsize=7)
+                    axis.invert_yaxis()
+            places[0].set_title(column["title"], loc="left")
+        bar = figure.colorbar(drawn, ax=axes, shrink=0.5, aspect=30, extend="max")
+        bar.set_label("rms residual / noise (1: noise alone)")
+        told = [x for x in (1, 2, 3, 5, 10, 20, 50, 100, 200, 500, 1000) if x <= most]
+        bar.set_ticks(told, labels=[str(x) for x in told])
+        bar.minorticks_off()
         figure.suptitle(title)
     return figure
 

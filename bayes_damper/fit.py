@@ -765,11 +765,33 @@ def _draw_overview(folder: Path, summary: Mapping[str, Any]) -> None:
     shown = {name: next(iter(cases.values()))["parameters"][name]["unit"] for name in names}
     figure = figures.forest_figure(intervals, _axis_labels(shown), title=title, converged=summary["converged"])
     figures.save(figure, folder / "forest")
+    if len(cases) > 1:
+        _draw_overlaid(folder, cases, names, _axis_labels(shown), summary)
     rows = [row for entry in cases.values() for row in entry.get("predictive", [])]
     if rows:
         title = f"{summary['campaign']}: what was measured, and what the fitted model gives"
         figure = figures.feature_check_figure(rows, title=title, converged=summary["converged"])
         figures.save(figure, folder / "predictive")
+
+
+_OVERLAID = 6  # panels each way of the figure of all cases
+
+
+def _draw_overlaid(
+    folder: Path, cases: Mapping[str, Any], names: Sequence[str], labels: Mapping[str, str], summary: Mapping[str, Any]
+) -> None:
+    """Corner figure of all cases over each other, of the parameters that the data say most about."""
+    shares = {n: min(e["parameters"][n].get("prior_share") or 0.0 for e in cases.values()) for n in names}
+    chosen = [n for n in names if n in sorted(names, key=lambda n: shares[n])[:_OVERLAID]]
+    posterior = arviz_adapter.read(folder / "posterior.nc")["posterior"]
+    chosen = [n for n in chosen if n in posterior and "case" in posterior[n].dims]
+    if not chosen:
+        return
+    draws = {f"case {case}": {n: np.asarray(posterior[n].sel(case=case)).ravel() for n in chosen} for case in cases}
+    known = {case: {n: x[np.isfinite(x)] for n, x in values.items()} for case, values in draws.items()}
+    title = f"{summary['campaign']}: all cases"
+    figure = figures.corner_figure(known, labels, title=title, converged=summary["converged"])
+    figures.save(figure, folder / "corner")
 
 
 def _draw_records(

@@ -6,6 +6,7 @@ import base64
 import html
 import io
 import json
+import math
 import re
 import shutil
 import subprocess
@@ -18,8 +19,10 @@ import xarray as xr
 from PIL import Image
 
 from bayes_damper import report
+from bayes_damper.diagnose import _rms
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.figures import COLOURS, forest_figure, new_figure, save
+from bayes_damper.figures import COLOURS, forest_figure, new_figure, residual_maps_figure, save
+from bayes_damper.fit import _draw_overlaid
 from bayes_damper.report.charts import pack, torque_chart, unpack
 from bayes_damper.report.html import LARGEST
 from bayes_damper.report.parts import number, percent
@@ -223,7 +226,8 @@ def write_everything(folder: Path) -> Path:
         "effective": {"cases": {"IV": {"energy_j": 0.0343, "k2t": {"median": 1.1, "hdi90": [0.9, 1.4]},
                                        "c2t": {"median": 0.07, "hdi90": [0.05, 0.09]},
                                        "measured": {"k2t": 1.0, "c2t": 0.08}}}},
-        "recycled": {"ess": {"IV": 412.0}, "pareto_k": {"IV": 0.31}, "log_evidence_over_separate": 2.1, "error": 0.2,
+        "recycled": {"ess": {"IV": 412.0}, "pareto_k": {"IV": 0.31},
+                     "ess_of_one_population": {"IV": 63.0}, "log_evidence_over_separate": 2.1, "error": 0.2,
                      "direct_log_evidence_over_separate": 1.8, "direct_error": 0.3, "parameters": {"mu": {
                          "common": TWO_WAYS, "scatter": TWO_WAYS, "cases": {"IV": TWO_WAYS}}}},
         "sentences": ["The cases do not share one parameter set (2 %)."],
@@ -329,6 +333,40 @@ def test_a_diagnosis_of_published_numbers_shows_them_beside_the_model(tmp_path):
     assert "On coupled peaks." in text
 
 
+def test_maps_of_residuals_have_a_column_for_each_channel_and_model():
+    cells = np.full((2, 4), 1.0)
+    cells[1, 2] = 7.0
+    rows = {"y": np.arange(3.0), "values": cells, "labels": ["A #1", "A #2"], "y_label": ""}
+    plane = {"x": np.linspace(-1.0, 1.0, 5), "y": np.linspace(-1.0, 1.0, 3), "values": np.full((2, 4), np.nan),
+             "labels": None, "x_label": "angle [rad]", "y_label": "velocity [rad/s]"}  # fmt: skip
+    column = {"time": {"x": np.linspace(0.0, 1.0, 5), "x_label": "time [s]", **rows},
+              "frequency": {"x": np.geomspace(1.0, 500.0, 5), "x_label": "frequency [Hz]", **rows},
+              "plane": plane}  # fmt: skip
+    maps = [{"title": title, **column} for title in ("nominal model", "with stick_slip")]
+    figure = residual_maps_figure(maps, title="rig")
+    assert [a.get_title(loc="left") for a in figure.axes[:2]] == ["nominal model", "with stick_slip"]
+    assert [a.get_xlabel() for a in figure.axes[:6:2]] == ["time [s]", "frequency [Hz]", "angle [rad]"]
+    assert figure.axes[-1].get_ylabel() == "rms residual / noise (1: noise alone)"
+    assert figure.axes[0].collections[0].norm.vmax > 3.0
+
+
+def test_residuals_are_gathered_in_cells():
+    found = _rms(np.array([0, 0, 0, 1, 5, -1]), np.array([1.0, 4.0, 4.0, 9.0, 9.0, 9.0]), np.ones(6), 3, 3.0)
+    assert found[0] == pytest.approx(math.sqrt(3.0))
+    assert np.isnan(found[1:]).all()
+
+
+def test_all_cases_are_drawn_over_each_other(tmp_path):
+    rng = np.random.default_rng(1)
+    draws = {name: (("case", "chain", "draw"), rng.normal(size=(2, 2, 50))) for name in ("mu", "k2t")}
+    posterior = xr.Dataset(draws, coords={"case": ["III", "IV"]})
+    xr.DataTree.from_dict({"posterior": posterior}).to_netcdf(tmp_path / "posterior.nc", engine="h5netcdf")
+    cases = {name: {"parameters": {"mu": parameter(0.0, 0.1), "k2t": parameter(0.0, 0.5)}} for name in ("III", "IV")}
+    _draw_overlaid(tmp_path, cases, ["mu", "k2t"], {}, {"campaign": "rig", "converged": True})
+    assert (tmp_path / "corner.svg").stat().st_size > 5000
+    assert "case III" in (tmp_path / "corner.svg").read_text(encoding="utf-8")
+
+
 def test_a_gap_beside_the_verdict_none_is_explained_on_the_first_screen(tmp_path):
     write_diagnosis(tmp_path)
     data = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
@@ -354,7 +392,7 @@ def test_a_plan_and_a_decomposition_read_as_tables(tmp_path):
     assert "magnet cubic interface 22 % cubic 66 N m/rad^3 interface relaxation 2.4 6 times" in text
     assert "real difference 0.2 0.100 to 0.400 60 % (20 to 90 %)" in text
     assert "IV 34.3 1.1 (0.900 to 1.400) 1" in text
-    assert "IV 412 0.31" in text
+    assert "IV 412 63 0.31" in text
     assert "coupled 14.3 7.4 5 magnet_cubic" in text
 
 

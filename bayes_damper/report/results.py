@@ -53,6 +53,10 @@ _MORE = {
         "What the model misses",
         "One record, what the nominal model leaves of it before and after the answer is added, and all probabilities.",
     ),
+    "residuals": (
+        "Where the residuals lie",
+        "Residuals over the noise, by trial over time and frequency, and over angle and velocity. White: noise alone.",
+    ),
     "ranking": ("Which effect, and where", "Bars: probability of each answer, and of each site of the rig."),
     "published": ("Published numbers", "Each published number beside what the leading answers predict for it."),
     "missing_torque": (
@@ -978,9 +982,14 @@ def _recycled_tables(recycled: Mapping[str, Any]) -> list[Table]:
     if not recycled.get("ess"):
         return []
     tails = recycled.get("pareto_k") or {}
-    rows = tuple(Row((case, f"{ess:.0f}", number(tails.get(case)))) for case, ess in recycled["ess"].items())
-    note = "Weights can be trusted where Pareto k is below 0.7."
-    tables = [Table("Draws of each case, used again by weights", ("case", "effective draws", "Pareto k"), rows, note)]
+    single = recycled.get("ess_of_one_population") or {}
+    rows = tuple(
+        Row((case, f"{ess:.0f}", f"{single[case]:.0f}" if case in single else NOTHING, number(tails.get(case), 1.0)))
+        for case, ess in recycled["ess"].items()
+    )
+    note = "Weights can be trusted where Pareto k is below 0.7 and no single population rests on a few draws."
+    columns: tuple[str, ...] = ("case", "effective draws", "under one population", "Pareto k")
+    tables = [Table("Draws of each case, used again by weights", columns, rows, note)]
     compared = [
         Row((name, *(_told(row[key][way]) for key in ("common", "scatter") for way in ("recycled", "direct"))))
         for name, row in (recycled.get("parameters") or {}).items()

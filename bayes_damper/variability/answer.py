@@ -358,7 +358,10 @@ def _sentences(result: Mapping[str, Any], fit_converged: bool) -> list[str]:
             "factor; raise particles and repeats, and look at the spread."
         )
     worst = max(check["pareto_k"].values())
-    k = f"effective draws {min(check['ess'].values()):.0f} or more, Pareto k at most {worst:.2f}"
+    k = (
+        f"effective draws {min(check['ess'].values()):.0f} or more, {min(check['ess_of_one_population'].values()):.0f} "
+        f"under one population, Pareto k at most {worst:.2f}"
+    )
     if not check["reliable"]:
         out.append(f"The fit's draws used again by weights cannot be trusted here ({k}): the direct runs count.")
     elif check["agree"]:
