@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -274,9 +275,9 @@ def _torque_title(found: Diagnosis) -> str:
     return f"torque that the nominal laws lack {where} {place}".replace(" ,", ",")
 
 
-_CELLS = {"time": 48, "frequency": 24, "plane": 16}  # of the maps of residuals, along each axis
+_CELLS = {"time": 48, "frequency": 24, "plane": 16}  # of the maps of residuals, along each axis, at most
 _FEWEST = 3.0  # readings that a cell needs
-_PLANES = (("th1", "w1", "angle", "velocity"), ("phi", "slip", "relative angle", "relative velocity"))
+_PLANES = (("th1", "w1", "", "velocity"), ("phi", "slip", "relative ", "relative velocity"))
 
 
 def _maps(found: Diagnosis) -> list[dict[str, Any]]:
@@ -311,27 +312,33 @@ def _whitened(fit: Calibration) -> list[_Whitened]:
 def _maps_of(trials: Sequence[_Whitened], channel: int, found: Diagnosis) -> dict[str, Any]:
     labels = [label for label, *_ in trials]
     first, last = min(float(t[0]) for _, t, *_ in trials), max(float(t[-1]) for _, t, *_ in trials)
-    times = np.linspace(first, last * (1.0 + 1e-12), _CELLS["time"] + 1)
+    shortest, all_of_them = min(len(t) for _, t, *_ in trials), sum(len(t) for _, t, *_ in trials)
+    cells = {
+        "time": min(_CELLS["time"], max(8, shortest // 8)),
+        "frequency": min(_CELLS["frequency"], max(8, shortest // 16)),
+        "plane": min(_CELLS["plane"], max(6, round(math.sqrt(all_of_them / 12)))),
+    }
+    times = np.linspace(first, last * (1.0 + 1e-12), cells["time"] + 1)
     steps = [float(np.median(np.diff(t))) for _, t, *_ in trials]
     low = min(1.0 / (len(t) * step) for (_, t, *_), step in zip(trials, steps, strict=True))
-    bands = np.geomspace(low, 0.5 / min(steps), _CELLS["frequency"] + 1)
+    bands = np.geomspace(low, 0.5 / min(steps), cells["frequency"] + 1)
     in_time, in_frequency = [], []
     for (_, t, r, w, _), step in zip(trials, steps, strict=True):
-        in_time.append(_rms(np.digitize(t, times) - 1, r[channel] ** 2, w[channel] ** 2, _CELLS["time"], _FEWEST))
+        in_time.append(_rms(np.digitize(t, times) - 1, r[channel] ** 2, w[channel] ** 2, cells["time"], _FEWEST))
         power = np.abs(np.fft.rfft(r[channel])) ** 2 / max(float(np.sum(w[channel] ** 2)), 1e-9)
         cell = np.digitize(np.fft.rfftfreq(len(t), step), bands) - 1
-        in_frequency.append(_rms(cell, power, np.ones_like(power), _CELLS["frequency"], 1.0))
+        in_frequency.append(_rms(cell, power, np.ones_like(power), cells["frequency"], 1.0))
     x_name, y_name, x_words, y_words = _PLANES[channel]
-    unit = ("m", "m/s") if found.kind == "translational" else ("rad", "rad/s")
+    translational = found.kind == "translational"
+    unit = ("m", "m/s") if translational else ("rad", "rad/s")
+    x_words += "position" if translational else "angle"
     place = [(getattr(m, x_name)[k, m.at], getattr(m, y_name)[k, m.at]) for *_, (m, k) in trials]
     x, y = (np.concatenate([p[axis] for p in place]) for axis in (0, 1))
-    edges = [
-        np.linspace(-1.0, 1.0, _CELLS["plane"] + 1) * max(float(np.abs(v).max()), 1e-12) * 1.000001 for v in (x, y)
-    ]
-    cell = (np.digitize(y, edges[1]) - 1) * _CELLS["plane"] + np.digitize(x, edges[0]) - 1
+    edges = [np.linspace(-1.0, 1.0, cells["plane"] + 1) * max(float(np.abs(v).max()), 1e-12) * 1.000001 for v in (x, y)]
+    cell = (np.digitize(y, edges[1]) - 1) * cells["plane"] + np.digitize(x, edges[0]) - 1
     squares = np.concatenate([r[channel] ** 2 for _, _, r, _, _ in trials])
     weights = np.concatenate([w[channel] ** 2 for _, _, _, w, _ in trials])
-    plane = _rms(cell, squares, weights, _CELLS["plane"] ** 2, _FEWEST).reshape(_CELLS["plane"], -1)
+    plane = _rms(cell, squares, weights, cells["plane"] ** 2, _FEWEST).reshape(cells["plane"], -1)
     row_edges = np.arange(len(trials) + 1.0)
     shared = {"y": row_edges, "labels": labels, "y_label": ""}
     return {
