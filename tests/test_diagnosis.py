@@ -13,7 +13,7 @@ from small_rig import NOISE, measured
 from test_calibration import RIG, TRUE, make_experiment
 
 from bayes_damper.calibration import Experiment, Problem, TrialRecord, calibrate, calibrate_nominal, coordinate_of
-from bayes_damper.diagnose import _shown_record
+from bayes_damper.diagnose import _maps, _shown_record
 from bayes_damper.diagnosis import diagnose
 from bayes_damper.diagnosis.lone import corroborated, held_out_gain, left_of_squares
 from bayes_damper.diagnosis.outliers import outlying, told, without
@@ -128,6 +128,19 @@ def test_the_file_holds_what_the_contract_says(named):
     assert set(table["where"]) >= {"time", "frequency", "channel", "case", "phase_space"}
     assert {"name", "variant", "site", "probability", "log_evidence", "parameters"} <= set(table["effects"][0])
     assert (folder / "missing_torque.csv").stat().st_size > 0
+
+
+def test_the_maps_of_residuals_pale_where_the_effect_is_added(named):
+    """A column for each channel before and after; what is left is noise alone."""
+    maps = _maps(named[0])
+    assert [m["title"] for m in maps] == [
+        "nominal model\nprimary", "nominal model\nsecondary", "with quadratic_drag\nprimary",
+        "with quadratic_drag\nsecondary",
+    ]  # fmt: skip
+    before, after = (np.sqrt(np.nanmean(maps[i]["time"]["values"] ** 2)) for i in (0, 2))
+    assert before > 1.05 * after
+    assert after == pytest.approx(1.0, abs=0.1)
+    assert maps[1]["plane"]["x_label"] == "relative angle [rad]"
 
 
 def test_nothing_wrong_is_called_none():
