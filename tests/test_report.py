@@ -667,12 +667,12 @@ def test_a_browser_shows_all_of_it_without_fault(tmp_path, width, dark):
     assert seen["large"] == 1
     assert seen["faults"] == []
     assert seen["contrast"] == []
-    assert seen["readout"].startswith(("th1", "frequency", "time"))
+    assert seen["readout"].startswith(("θ1", "frequency", "time"))
     assert seen["unfolded"]
     assert all(seen["unfolded"]), "what is folded would be missing on paper"
     assert seen["folded"], "after printing the page is as it was"
     assert seen["sharp"] == [2040, 2040, 2040]
-    assert re.fullmatch(r"Shown: .+, against th1 \[rad\] \(one of \d; .*\)\.", seen["shown"])
+    assert re.fullmatch(r"Shown: .+, against θ1 \[rad\] \(one of \d; .*\)\.", seen["shown"])
 
 
 @pytest.mark.slow
