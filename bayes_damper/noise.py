@@ -40,6 +40,7 @@ Array = NDArray[np.float64]
 Kind = Literal["gaussian", "student", "ar"]
 KINDS = ("auto", "gaussian", "student", "ar")
 CLEARLY = 8.0  # nats by which another noise has to describe the residuals better
+TOLD_CORRELATION = 0.05  # of neighbouring residuals from which it is told
 APART = 1.5  # times the residual power of its repeats from which a trial is unlike them
 SURE = 8.0  # standard errors by which it must be so
 CUT = 4.0  # innovations beyond which a reading counts no further where noise is learnt
@@ -125,10 +126,15 @@ class FittedNoise:
                 cause = (
                     "the model misses something" if c.repeats else "the model misses something, or the noise is slow"
                 )
+                shown = (
+                    f"residuals are correlated by {c.correlation:.2f} from reading to reading"
+                    if abs(c.correlation) >= TOLD_CORRELATION
+                    else "residuals have more slow content than white noise"
+                )
                 out.append(
-                    f"Channel {number}: the fit leaves {c.left:.3g} {unit} where {source} {floor:.3g}; residuals are "
-                    f"correlated by {c.correlation:.2f} from reading to reading: {cause}. The noise was learnt from "
-                    "what is left, which widens all intervals; `diagnose` looks for the cause."
+                    f"Channel {number}: the fit leaves {c.left:.3g} {unit} where {source} {floor:.3g}; {shown}: "
+                    f"{cause}. The noise was learnt from what is left, which widens all intervals; `diagnose` looks "
+                    "for the cause."
                 )
         if self.kind == "student":
             out.append(
