@@ -277,9 +277,7 @@ def finish_fit(
     # The joint fit is the longest: it starts first.
     order = sorted(names, key=lambda name: name != "joint")
     # Processes that cases leave idle share the ensembles of one case; so do those of the joint fit, when all else ends.
-    # Chains on published numbers are long and of very different lengths: there cases take turns, each on all processes.
-    turns = kind == "fit_published_case" and scheduler is None
-    processes = {name: workers if turns or name == "joint" or len(names) < workers else 1 for name in order}
+    processes = {name: workers if name == "joint" or len(names) < workers else 1 for name in order}
     tasks = [
         Task(
             folder_name(name),
@@ -288,8 +286,7 @@ def finish_fit(
         )
         for name in order
     ]
-    at_once = min(1, workers) if turns else workers
-    done = run_tasks(tasks, folder, workers=at_once, scheduler=scheduler, progress=progress)
+    done = run_tasks(tasks, folder, workers=workers, scheduler=scheduler, progress=progress)
     results = {name: done[folder_name(name)] for name in names}
     found = {name: results[name] for name in plan["cases"]}
     summary: dict[str, Any] = {

@@ -6,6 +6,7 @@ import pytest
 from scipy import stats
 
 from bayes_damper.sampling.moves import DifferentialEvolution, Independence, Snooker, StudentT, _distinct, fit_mixture
+from bayes_damper.sampling.nearby import Nearby
 
 
 def mixture(ndim):
@@ -14,11 +15,22 @@ def mixture(ndim):
     return Independence(np.array([0.7, 0.3]), centres, np.array([1.5, 2.5])[:, None, None] * np.eye(ndim), 5.0)
 
 
+def nearby(parts):
+    """Steps within the same bumps."""
+    return Nearby(
+        parts.shares,
+        np.array([s.centre for s in parts.shapes]),
+        np.array([s.covariance for s in parts.shapes]),
+        parts.shapes[0].freedom,
+    )
+
+
 MOVES = {
     "differential_evolution": lambda ndim: DifferentialEvolution(),
     "differential_evolution_spread": lambda ndim: DifferentialEvolution(spread=0.5),
     "snooker": lambda ndim: Snooker(),
     "independence": mixture,
+    "nearby": lambda ndim: nearby(mixture(ndim)),
     "default_mix": lambda ndim: [
         (DifferentialEvolution(), 0.7),
         (DifferentialEvolution(1.0), 0.1),
@@ -162,6 +174,41 @@ def test_a_mixture_proposal_has_the_density_that_it_draws_from():
     marginal = [stats.t(5.0, s.centre[0], np.sqrt(s.covariance[0, 0])) for s in move.shapes]
     mixed = lambda x: sum(w * m.cdf(x) for w, m in zip(move.shares, marginal, strict=True))  # noqa: E731
     assert stats.kstest(points[:, 0], mixed).pvalue > 1e-3
+
+
+def test_steps_within_a_mixture_leave_it_as_it_is_and_are_shorter_than_it():
+    """From draws of the mixture: the ratio is that of its density, the distribution stays, and few draws jump far."""
+    parts = mixture(3)
+    move, random = nearby(parts), np.random.RandomState(11)
+    none = np.zeros((2, 3))
+    points, _ = parts.proposal(np.zeros((20_000, 3)), none, random)
+    moved, ratio = move.proposal(points, none, random)
+    np.testing.assert_allclose(ratio, parts.log_density(points) - parts.log_density(moved), atol=1e-9)
+    for before, after in zip(points.T, moved.T, strict=True):
+        assert stats.ks_2samp(before, after).pvalue > 1e-3
+    assert stats.ks_2samp(parts.log_density(points), parts.log_density(moved)).pvalue > 1e-3
+    assert np.median(np.linalg.norm(moved - points, axis=1)) < 0.5 * np.median(
+        np.linalg.norm(points[1:] - points[:-1], axis=1)
+    )
+    # Reversible: a step from a to b is as likely as one from b to a.
+    a, b = points[:, 0] < -0.5, moved[:, 0] < -0.5
+    there, back = np.count_nonzero(a & ~b), np.count_nonzero(~a & b)
+    assert abs(there - back) < 4.0 * np.sqrt(there + back)
+
+
+def test_steps_within_the_parts_of_thin_modes_are_accepted_where_draws_of_them_are_not():
+    """Two thin crossed needles in six dimensions; the mixture knows the directions but takes them for wider."""
+    widths = np.array([1.0, 0.02, 0.02, 0.02, 0.02, 0.02])
+    needles = np.stack([np.diag(widths**2), np.diag(np.roll(widths, 1) ** 2)])
+    centres = np.array([np.full(6, -1.0), np.full(6, 1.0)])
+    known = (np.full(2, 0.5), centres, 9.0 * needles)
+    target = Independence(np.full(2, 0.5), centres, needles, 30.0)
+    start = target.proposal(np.zeros((64, 6)), np.zeros((2, 6)), np.random.RandomState(1))[0]
+    shares = {}
+    for name, move in {"draws": Independence(*known), "steps": Nearby(*known), "all": DifferentialEvolution()}.items():
+        run(move, target.log_density, start, 200, thin=1)
+        shares[name] = move.taken / move.tried
+    assert shares["steps"] > 3.0 * max(shares["draws"], shares["all"])
 
 
 def two_bumps(count, rng):

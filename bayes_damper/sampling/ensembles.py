@@ -32,6 +32,7 @@ from bayes_damper.checkpoint import Checkpoint
 from bayes_damper.errors import InputError, Interrupted
 from bayes_damper.sampling.convergence import StoppingRule, Verdict, autocorrelation_time, judge, stranded_walkers
 from bayes_damper.sampling.moves import DifferentialEvolution, HalvesMove, Independence, Snooker, fit_mixture
+from bayes_damper.sampling.nearby import Nearby
 from bayes_damper.sampling.start import Start, cloud
 
 Array = NDArray[np.float64]
@@ -42,6 +43,7 @@ _TUNING = 200  # steps of warm-up after an annealed start
 _BLOCK = 25  # stored steps between two states
 _FEWEST_STORED = 75
 _LEARNT_FROM = 4000  # draws of a round
+_ALL_BUT_SURE = 0.8  # weight of draws from the mixture from which on nothing else is needed
 _MEMORY = 96e6  # bytes of draws kept before every second stored step is dropped
 
 
@@ -126,6 +128,7 @@ class _Ensemble:
     warm: bool = False
     weight: float = 0.0  # of the independence proposal
     annealed: bool = False  # began as a sample of the posterior: nothing to forget, only proposals to tune
+    known: int = 0  # members of that sample
     shares: Array = field(default_factory=lambda: np.empty(0))  # of the mixture that was learnt
     centres: Array = field(default_factory=lambda: np.empty(0))
     spreads: Array = field(default_factory=lambda: np.empty(0))
@@ -207,7 +210,8 @@ class _Run:
         self.capacity = 4 * _BLOCK * max(2, int(_MEMORY / (8 * ensembles * walkers * (target.ndim + 1)) / (4 * _BLOCK)))
         saved = checkpoint.load() if checkpoint is not None else None
         if saved is None:
-            self.states = [_begin(target, start, seed, e, walkers) for e in range(ensembles)]
+            learnt = fit_mixture(start.known) if len(start.population) else None
+            self.states = [_begin(target, start, seed, e, walkers, learnt) for e in range(ensembles)]
             self.draws = np.empty((ensembles, 0, walkers, target.ndim))
             self.log_prob = np.empty((ensembles, 0, walkers))
         else:
@@ -333,16 +337,19 @@ class _Run:
             self.save()
 
 
-def _begin(target: Target, start: Start, seed: int, ensemble: int, walkers: int) -> _Ensemble:
-    """An ensemble at its start, with a generator of its own."""
+def _begin(
+    target: Target, start: Start, seed: int, ensemble: int, walkers: int, learnt: tuple[Array, Array, Array] | None
+) -> _Ensemble:
+    """An ensemble at its start, with a generator of its own; `learnt` is a mixture that resembles the target."""
     child = np.random.SeedSequence(seed).spawn(ensemble + 1)[ensemble]
     coords, log_prob = cloud(target, start, walkers, np.random.default_rng(child), ensemble)
     random = np.random.RandomState(np.random.MT19937(child.spawn(1)[0])).get_state(legacy=True)
     state = _Ensemble(coords, log_prob, _packed(random))
-    if not len(start.population):
+    if learnt is None:
         return state
-    shares, centres, spreads = fit_mixture(start.population)
-    return replace(state, annealed=True, shares=shares, centres=centres, spreads=spreads, weight=0.3)
+    shares, centres, spreads = learnt
+    known = len(start.known)
+    return replace(state, annealed=True, known=known, shares=shares, centres=centres, spreads=spreads, weight=0.3)
 
 
 def _advance(target: Target, state: _Ensemble, thin: int) -> tuple[_Ensemble, Array, Array]:
@@ -390,7 +397,9 @@ def _after_round(state: _Ensemble, chain: Array, heights: Array, moves: list[Hal
     if weight > 0:
         own = moves[-1]
         share = own.taken / max(own.tried, 1)
-        weight = 0.9 if share > 0.6 else 0.7 if share > 0.3 else 0.45 if share > 0.1 else 0.15 if share > 0.02 else 0.03
+        weight = (
+            0.9 if share > 0.6 else 0.7 if share > 0.1 else 0.45 if share > 0.05 else 0.15 if share > 0.02 else 0.03
+        )
     elif state.last.size:
         weight = 0.3
     alike = state.last.size > 0 and _alike(state.last, figures)
@@ -399,8 +408,10 @@ def _after_round(state: _Ensemble, chain: Array, heights: Array, moves: list[Hal
     enough = _TUNING / 4 if weight >= 0.7 else _TUNING
     settled = steps >= enough if state.annealed else alike and len(chain) >= 3 * tau
     warm = (settled and state.weight > 0 and not lost) or steps >= _LONGEST_WARM_UP
-    few = flat[:: max(1, len(flat) // _LEARNT_FROM), :ndim]
-    shares, centres, spreads = fit_mixture(few)
+    shares, centres, spreads = state.shares, state.centres, state.spreads
+    if len(flat) / tau > state.known:  # else the start knew more than this round
+        shares, centres, spreads = fit_mixture(flat[:: max(1, len(flat) // _LEARNT_FROM), :ndim])
+        spreads = spreads + np.eye(ndim) * 1e-300
     return replace(
         state,
         coords=coords,
@@ -411,7 +422,7 @@ def _after_round(state: _Ensemble, chain: Array, heights: Array, moves: list[Hal
         weight=weight,
         shares=shares,
         centres=centres,
-        spreads=spreads + np.eye(ndim) * 1e-300,
+        spreads=spreads,
         tau=tau,
         last=figures,
         reseated=state.reseated + len(lost),
@@ -427,7 +438,10 @@ def _alike(before: Array, after: Array) -> bool:
 
 
 def _moves(state: _Ensemble) -> list[tuple[HalvesMove, float]]:
-    """The mix of moves: differential evolution, its mode-jumping variant, snooker, and what was learnt."""
+    """The mix of moves: differential evolution, its mode-jumping variant, snooker, and what was learnt.
+
+    Draws of the learnt mixture come last; where they are seldom accepted, half of their weight goes to steps within it.
+    """
     rest = 1.0 - state.weight
     mix: list[tuple[HalvesMove, float]] = [
         (DifferentialEvolution(spread=0.3), 0.7 * rest),
@@ -435,7 +449,11 @@ def _moves(state: _Ensemble) -> list[tuple[HalvesMove, float]]:
         (Snooker(), 0.2 * rest),
     ]
     if state.weight > 0:
-        mix.append((Independence(state.shares, state.centres, state.spreads), state.weight))
+        learnt = (state.shares, state.centres, state.spreads)
+        near = 0.0 if state.weight > _ALL_BUT_SURE else 0.5 * state.weight
+        if near > 0:
+            mix.append((Nearby(*learnt), near))
+        mix.append((Independence(*learnt), state.weight - near))
     return mix
 
 

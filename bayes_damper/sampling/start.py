@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 
 from bayes_damper.errors import InputError
-from bayes_damper.sampling.moves import DifferentialEvolution, Snooker
+from bayes_damper.sampling.moves import DifferentialEvolution, HalvesMove, Independence, Snooker, fit_mixture
+from bayes_damper.sampling.nearby import Nearby
 
 Array = NDArray[np.float64]
 LogDensity = Callable[[Array], Array]
@@ -35,6 +36,13 @@ class Start:
     evaluations: int
     population: Array = field(default_factory=lambda: np.empty((0, 0)))
     """A sample of the posterior (m, ndim) to take walkers from, where an annealed start found one."""
+    earlier: Array = field(default_factory=lambda: np.empty((0, 0)))
+    """Where that sample was before (k, ndim): more to learn proposals from, but near copies of one another."""
+
+    @property
+    def known(self) -> Array:
+        """All that is known of the posterior, (m + k, ndim)."""
+        return np.concatenate([self.population, self.earlier]) if len(self.earlier) else self.population
 
 
 def find_start(
@@ -75,6 +83,7 @@ def annealed_start(
     *,
     moves: int = 8,
     keep: float = 0.5,
+    rounds: int = 4,
 ) -> Start:
     """A population led from the prior to the posterior by raising the likelihood to powers from 0 to 1.
 
@@ -82,6 +91,10 @@ def annealed_start(
     Sequential Monte Carlo (Del Moral, Doucet & Jasra 2006, J. R. Statist. Soc. B 68, 411): each power is as much above
     the last as leaves `keep` of the effective sample; then the population is resampled and every member moved `moves`
     times by differential evolution and snooker steps. No member stays where the prior put it.
+
+    At the posterior the population goes on for `rounds` of 2 `moves` steps, every other one drawn from a mixture fitted
+    to what is there, which leads from any mode to any other. Where the population was after earlier rounds is kept too:
+    a proposal for the ensembles is learnt from all of it.
 
     Raises InputError when the likelihood is zero at all draws.
     """
@@ -97,6 +110,17 @@ def annealed_start(
     random = np.random.RandomState(rng.integers(2**32, dtype=np.uint64))
     proposals = (DifferentialEvolution(spread=0.3), DifferentialEvolution(0.5, spread=0.5), Snooker())
     power = 0.0
+
+    def stir(move: HalvesMove) -> None:
+        order = random.permutation(n)
+        for moving, resting in ((order[: n // 2], order[n // 2 :]), (order[n // 2 :], order[: n // 2])):
+            tried, ratio = move.proposal(points[moving], points[resting], random)
+            new_like, new_prior = counted(tried), np.asarray(log_prior(tried), dtype=float)
+            gain = ratio + power * (new_like - like[moving]) + new_prior - prior[moving]
+            taken = gain > -random.standard_exponential(len(moving))
+            mine = moving[taken]
+            points[mine], like[mine], prior[mine] = tried[taken], new_like[taken], new_prior[taken]
+
     while power < 1.0:
         step = _next_power(like, 1.0 - power, keep)
         weight = np.exp(step * (like - like.max()))
@@ -104,21 +128,20 @@ def annealed_start(
         chosen = np.searchsorted(np.cumsum(weight / weight.sum()), (rng.random() + np.arange(n)) / n)
         chosen = rng.permutation(np.minimum(chosen, n - 1))
         points, like, prior = points[chosen], like[chosen], prior[chosen]
-        for turn in range(moves if power < 1.0 else 3 * moves):
-            move = proposals[turn % len(proposals)]
-            order = random.permutation(n)
-            for moving, resting in ((order[: n // 2], order[n // 2 :]), (order[n // 2 :], order[: n // 2])):
-                tried, ratio = move.proposal(points[moving], points[resting], random)
-                new_like, new_prior = counted(tried), np.asarray(log_prior(tried), dtype=float)
-                gain = ratio + power * (new_like - like[moving]) + new_prior - prior[moving]
-                taken = gain > -random.standard_exponential(len(moving))
-                mine = moving[taken]
-                points[mine], like[mine], prior[mine] = tried[taken], new_like[taken], new_prior[taken]
+        for turn in range(moves):
+            stir(proposals[turn % len(proposals)])
+    kept = [points.copy()]
+    for _ in range(rounds):
+        learnt = fit_mixture(np.concatenate(kept)[rng.permutation(len(kept) * n)])
+        mix = (Independence(*learnt), Nearby(*learnt))
+        for turn in range(2 * moves):
+            stir(mix[turn % 2] if turn % 4 < 3 else proposals[turn // 4 % len(proposals)])
+        kept.append(points.copy())
     height = like + prior
     best = int(np.argmax(height))
     return Start(
         points[best], np.cov(points.T).reshape(ndim, ndim), float(height[best]), np.empty((0, ndim)),
-        counted.evaluations, points,
+        counted.evaluations, points, np.concatenate(kept[1:-1]) if rounds > 1 else np.empty((0, ndim)),
     )  # fmt: skip
 
 
