@@ -178,6 +178,7 @@ def test_features_drawn_from_the_model_are_recovered_at_the_stated_rate():
             lambda x, p=posterior: p.log_likelihood(x).sum(axis=1),
             coordinates.draw(rng, 512),
             rng,
+            rounds=1,
         )
         z, drawn = coordinates.standard(point)[0], coordinates.standard(start.population)
         low, high = np.quantile(drawn, [0.05, 0.95], axis=0)
