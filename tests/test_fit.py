@@ -196,7 +196,11 @@ def test_ctrl_c_with_two_workers_saves_and_ends(tmp_path):
     """As in a terminal, where all processes get the signal; more tasks than workers, of which none may begin then."""
     campaign = _campaign(tmp_path / "campaign", ("I", "IV"), duration=1.0)
     out = tmp_path / "out"
-    code = "import sys; from bayes_damper.cli import main; sys.exit(main())"
+    # A shell's background jobs ignore Ctrl-C, and so does what they start; here it is to be heard wherever this runs.
+    code = (
+        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
+        "from bayes_damper.cli import main; sys.exit(main())"
+    )
     command = [sys.executable, "-c", code, "fit", str(campaign), "--workers", "2", "--thorough", "--out", str(out)]
     with subprocess.Popen(command, start_new_session=True, stderr=subprocess.PIPE, text=True) as process:
         deadline = time.monotonic() + 120.0

@@ -139,7 +139,8 @@ class SiteMap:
             edges = np.linspace(x.min(), x.max() + 1e-300, bins + 1)
             which = np.clip(np.digitize(x, edges) - 1, 0, bins - 1)
             count = np.bincount(which, minlength=bins)
-            weight = 1.0 / np.maximum(sd, 1e-3 * float(np.median(sd)) + 1e-300) ** 2
+            known = sd / (float(np.max(sd)) or 1.0)
+            weight = 1.0 / np.maximum(known, 1e-3) ** 2
             total = np.maximum(np.bincount(which, weight, bins), 1e-300)
             mean = np.bincount(which, weight * y, bins) / total
             spread = np.bincount(which, weight * sd**2, bins) / total
