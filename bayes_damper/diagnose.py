@@ -271,8 +271,8 @@ def _draw(folder: Path, found: Diagnosis) -> None:
 def _torque_title(found: Diagnosis) -> str:
     """What the figure shows, and under which condition where another site is as likely."""
     place = found.site_map.torque_site
-    where = "at" if place == found.site_map.best else ", if the cause lies at"
-    return f"torque that the nominal laws lack {where} {place}".replace(" ,", ",")
+    where = " at" if place == found.site_map.best else ", if the cause lies at"
+    return f"torque that the nominal laws lack{where} {place}"
 
 
 _CELLS = {"time": 48, "frequency": 24, "plane": 16}  # of the maps of residuals, along each axis, at most

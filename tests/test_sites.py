@@ -128,6 +128,9 @@ def test_torque_is_told_where_it_may_be_missing():
     assert _torque_site(some) == "ground1"
     assert _torque_site(some | {"ground1": 0.02, "sensor": 0.88}) is None
     assert _torque_site({"sensor": 0.5, "none": 0.5}) is None
+    wrong_start = {"release": 0.6, "ground1": 0.3, "sensor": 0.05, "none": 0.05}
+    assert _torque_site(wrong_start) == "release"
+    assert _torque_site(wrong_start, {"release"}) == "ground1"
 
 
 def test_interface_torque_is_found_at_the_interface_with_its_shape(interface):

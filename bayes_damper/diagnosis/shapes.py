@@ -61,6 +61,11 @@ class Shape:
     start: Array | None = None
     reading: Array | None = None
 
+    @property
+    def acts(self) -> bool:
+        """Whether it is a torque."""
+        return self.q1 is not None or self.q2 is not None
+
 
 def scale_of_motions(motions: Sequence[Motion], peak: float = 0.0) -> Scale:
     """The campaign's largest values; peak as in `Scale`."""

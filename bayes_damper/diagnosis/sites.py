@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -180,16 +180,20 @@ def site_map(fit: Calibration, *, torque: bool = True, prior_none: float = PRIOR
     best = max(evidence, key=lambda s: evidence[s])
     mean, _ = _coefficients(judged, leaders[best])
     missing: tuple[MissingTorque, ...] = ()
-    place = _torque_site(probabilities) if torque else None
+    silent = {s for s, leader in leaders.items() if not any(shapes[0][c].acts for c in leader.columns)}
+    place = _torque_site(probabilities, silent) if torque else None
     if place is not None:
         missing = _torque(fit, moved, shapes, judged, leaders[place])
     shift = judged.absorbed[:, leaders[best].columns] @ mean
     return SiteMap(evidence, probabilities, leaders, missing, fit, scale, mean, shift, place)
 
 
-def _torque_site(probabilities: Mapping[str, float]) -> str | None:
-    """The most probable site where a torque can be missing, None if the sensors are nearly sure to be the cause."""
-    gap = {s: p for s, p in probabilities.items() if s not in ("sensor", "none") and p > 0.0}
+def _torque_site(probabilities: Mapping[str, float], silent: Collection[str] = ()) -> str | None:
+    """The most probable site where a torque can be missing, None if it is nearly sure that none is.
+
+    silent : sites whose cause is no torque: a start that is not as declared, say. A sensor never is one.
+    """
+    gap = {s: p for s, p in probabilities.items() if s not in ("sensor", "none", *silent) and p > 0.0}
     place = max(gap, key=lambda s: gap[s], default=None)
     if place is None or gap[place] < WORTH_A_TORQUE * (1.0 - probabilities["none"]):
         return None

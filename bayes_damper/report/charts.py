@@ -225,13 +225,12 @@ def _coordinates(column: dict[str, Array]) -> dict[str, str]:
     """
     first, second = (np.nan_to_num(column.get(f"torque{i}_n_m", np.zeros(1))) for i in (1, 2))
     names, keys = ("th1", "w1"), ("theta1_rad", "omega1_rad_s")
-    if not {"theta2_rad", "omega2_rad_s"} <= column.keys():
-        pass  # nothing but the primary's motion was written
-    elif second.any() and first.shape == second.shape and np.allclose(first, -second, rtol=1e-3, atol=1e-9):
+    told = second.any() and {"theta2_rad", "omega2_rad_s"} <= column.keys()
+    if told and first.shape == second.shape and np.allclose(first, -second, rtol=1e-3, atol=1e-9):
         names, keys = ("phi", "slip"), ("phi_rad", "slip_rad_s")
         column["phi_rad"] = column["theta1_rad"] - column["theta2_rad"]
         column["slip_rad_s"] = column["omega1_rad_s"] - column["omega2_rad_s"]
-    elif second.any() and not first.any():
+    elif told and not first.any():
         names, keys = ("th2", "w2"), ("theta2_rad", "omega2_rad_s")
     return {key: "{} [{}]".format(*COORDINATES[name]) for key, name in zip(keys, names, strict=True)}
 
