@@ -284,7 +284,7 @@ def _maps(found: Diagnosis) -> list[dict[str, Any]]:
     """Columns of the figure of residuals: each channel under the nominal model, then with the answer added."""
     sides = [("nominal model", found.nominal)]
     if found.verdict != "none" and found.best is not None:
-        sides.append((f"with {_added(found)}", found.best))
+        sides.append((f"with {_added(found)}".replace(", ", ",\n"), found.best))
     rows = [(name, _whitened(fit)) for name, fit in sides]
     channels = range(max(len(r) for _, trials in rows for _, _, r, _, _ in trials))
     return [
