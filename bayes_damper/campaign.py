@@ -67,6 +67,7 @@ _MEASUREMENT_SPREADS = ("offset_std", "scale_std", "lag_std")  # may be 0: known
 PLANNED_PERIODS = 8.0
 """Natural periods of the slowest case that a planned record lasts where no duration is declared."""
 _TOP = ("name", "description", "source", "caveats", "rig", "measurement")
+_SHORT = 0.8  # of the longest repeat's end, before which a record counts as ending early
 _SHOWN = 5  # faults of one kind shown for one file
 
 
@@ -658,9 +659,12 @@ def _read_rows(folder: Path, kind: str, start: str, faults: list[str], digest: h
         count += 1
         where = f"{name}, line {reader.line_num}"
         if len(cells) != len(header):
-            faults.append(
-                f"{where}: {len(cells)} fields where the header has {len(header)}; quote or remove the extra comma"
+            hint = (
+                "a field with a comma in it needs quotes, and numbers need decimal points"
+                if len(cells) > len(header)
+                else "fill in what is missing; an empty field needs its comma too"
             )
+            faults.append(f"{where}: {len(cells)} fields where the header has {len(header)}; {hint}")
             continue
         row = _row_from({k: c.strip() for k, c in zip(header, cells, strict=True)}, kind, start, where, faults)
         if row is None:
@@ -1061,7 +1065,9 @@ def _look_at_trial(head: _Head, trial: Trial, warnings: list[str]) -> None:
             some = ", ".join(f"{trial.times[j]:.4g}" for j in spikes[:_SHOWN])
             more = f" and {len(spikes) - _SHOWN} more" if len(spikes) > _SHOWN else ""
             warnings.append(
-                f"{where}: {len(spikes)} single readings stick out, at {some} s{more}; they look like outliers"
+                f"{where}: 1 single reading sticks out, at {some} s; it looks like an outlier"
+                if len(spikes) == 1
+                else f"{where}: {len(spikes)} single readings stick out, at {some} s{more}; they look like outliers"
             )
         offset = look.offset_of(trial.times, y, noise, omega)
         if offset and not (head.rig.restoring == "pendulum" and held):
@@ -1090,7 +1096,8 @@ def _look_at_clock(head: _Head, trial: Trial, warnings: list[str]) -> None:
     if gaps:
         longest = max(gaps, key=lambda g: g[1] - g[0])
         warnings.append(
-            f"{trial.file}: {len(gaps)} gaps in time, the longest from {longest[0]:.4g} to {longest[1]:.4g} s"
+            f"{trial.file}: {counted(len(gaps), 'gap')} in time, {'the longest ' if len(gaps) > 1 else ''}"
+            f"from {longest[0]:.4g} to {longest[1]:.4g} s"
         )
     if times[0] > 1.5 * step:
         warnings.append(f"{trial.file}: late start: the record begins {times[0]:.4g} s after the nominal release")
@@ -1164,9 +1171,36 @@ def _look_at_repeats(head: _Head, trials: Sequence[Trial], warnings: list[str]) 
         )
     if all(t.holdout for t in trials):
         warnings.append("trials.csv: every trial is marked holdout; nothing is left to train on")
+    _look_for_copies(trials, warnings)
     for group in _groups(trials).values():
+        _look_for_short_twin(group, warnings)
         if len(group) > 2 and head.measurement.start == "rest":
             _look_for_odd_twin(group, warnings)
+
+
+def _look_for_copies(trials: Sequence[Trial], warnings: list[str]) -> None:
+    """Names trials whose readings are those of an earlier one: noise never repeats itself."""
+    seen: dict[bytes, Trial] = {}
+    for trial in trials:
+        first = seen.setdefault(np.ascontiguousarray(trial.channels[0]).tobytes(), trial)
+        if first is not trial:
+            warnings.append(
+                f"{trial.file}: holds the same readings as {first.file}: a trial that is there twice counts twice and "
+                "hides how trials scatter; remove one of them"
+            )
+
+
+def _look_for_short_twin(group: Sequence[Trial], warnings: list[str]) -> None:
+    """Names repeats that end much earlier than the longest one."""
+    ends = [float(t.times[-1]) for t in group]
+    short = [f"{t.file} at {end:.4g} s" for t, end in zip(group, ends, strict=True) if end < _SHORT * max(ends)]
+    if short:
+        some = ", ".join(short[:_SHOWN]) + (f" and {len(short) - _SHOWN} more" if len(short) > _SHOWN else "")
+        warnings.append(
+            f"case {group[0].case} {group[0].configuration}: repeats of different length: {some}, the longest at "
+            f"{max(ends):.4g} s; every record is used to its end, but how repeats scatter is seen only where two of "
+            "them last: was one cut off?"
+        )
 
 
 def _look_for_odd_twin(group: Sequence[Trial], warnings: list[str]) -> None:

@@ -260,7 +260,7 @@ def _draw(folder: Path, found: Diagnosis) -> None:
             figures.missing_torque_figure(
                 strongest,
                 found.site_map.curve(),
-                site=str(found.site_map.torque_site),
+                body=found.site_map.torque_body,
                 title=_torque_title(found),
                 translational=found.kind == "translational",
             ),

@@ -706,16 +706,15 @@ def published_figure(rows: Mapping[str, Sequence[Mapping[str, Any]]], *, title: 
 
 
 def missing_torque_figure(
-    torque: Any, curve: Mapping[str, Mapping[str, Any]], *, site: str, title: str, translational: bool = False
+    torque: Any, curve: Mapping[str, Mapping[str, Any]], *, body: int, title: str, translational: bool = False
 ) -> Figure:
     """Missing torque (force) on each inertia over time with its 90 % band, and against the coordinates of its site.
 
     torque : of one trial, shown as points where it is known to three times its median sd: times (n,), torque and sd
     (2, n) N m, th1, w1, th2, w2, phi, slip (n,); curve : coordinate -> its bins over all trials (centre, torque_n_m,
-    sd_n_m), as `SiteMap.curve` gives them.
+    sd_n_m), as `SiteMap.curve` gives them; body : the inertia that the curve is of, 0 or 1.
     """
     figure = new_figure(9.0, 6.0)
-    body = int(site in ("interface", "ground2"))
     names = ("primary", "secondary")
     effort = "force [N]" if translational else "torque [N m]"
     with mpl.rc_context(_RC):

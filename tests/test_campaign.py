@@ -143,7 +143,8 @@ TRIAL_FAULTS = [
     ("4.7,2", "4.7,1", "line 3: case IV, uncoupled, trial 1 is already on line 2"),
     ("10.2,4.7,1", "ten,4.7,1", "line 2, k1t_n_m_per_rad: 'ten' is not a number"),
     ("10.2,4.7,1", "10.2,,1", "line 2: theta0_deg is empty"),
-    ("10.2,4.7,1", "10.2,4,7,1", "line 2: 7 fields where the header has 6"),
+    ("10.2,4.7,1", "10.2,4,7,1", "line 2: 7 fields where the header has 6; a field with a comma in it needs quotes"),
+    ("10.2,4.7,1", "10.2,4.7", "line 2: 5 fields where the header has 6; fill in what is missing"),
     ("10.2,4.7,1", "-10.2,4.7,1", "k1t_n_m_per_rad = -10.2 must be positive"),
     ("10.2,4.7,1", "10.2,nan,1", "'nan' is not finite"),
     ("10.2,4.7,1", "10.2,4.7,1.5", "trial '1.5' is not a whole number"),
@@ -248,9 +249,10 @@ def _spike(columns: list[np.ndarray]) -> list[np.ndarray]:
 ODD = [
     (_clip, "it looks clipped there"),
     (_noisy_clip, "it looks clipped there"),
-    (_spike, "1 single readings stick out, at 0.3 s"),
+    (_spike, "1 single reading sticks out, at 0.3 s"),
     (lambda c: [c[0] + 0.0003 * np.sin(np.arange(len(c[0]))), c[1]], "time is uneven"),
-    (lambda c: [np.delete(x, slice(400, 450)) for x in c], "1 gaps in time, the longest from 0.399 to 0.45 s"),
+    (lambda c: [np.delete(x, slice(400, 450)) for x in c], "1 gap in time, from 0.399 to 0.45 s"),
+    (lambda c: [x[:500] for x in c], "trials/IV_uncoupled_1.csv at 0.499 s, the longest at 1 s"),
     (lambda c: [c[0][80:], c[1][80:]], "late start: the record begins 0.08 s"),
     (lambda c: [c[0][:-80], c[1][80:]], "the record begins after the motion began"),
     (lambda c: [c[0], -c[1]], "the sign of the channel looks reversed"),
@@ -269,6 +271,14 @@ def test_odd_records_are_told_and_read(folder: Path, change: Callable, sentence:
     alter(folder / FIRST, change)
     warnings = load_campaign(folder).warnings
     assert any(sentence in w and FIRST in w for w in warnings), warnings
+
+
+def test_a_copied_record_is_told(folder: Path) -> None:
+    """Noise never repeats itself: two trials of the same readings are one."""
+    (folder / "trials" / "IV_uncoupled_2.csv").write_bytes((folder / FIRST).read_bytes())
+    warnings = load_campaign(folder).warnings
+    assert len(warnings) == 1
+    assert "trials/IV_uncoupled_2.csv: holds the same readings as trials/IV_uncoupled_1.csv" in warnings[0]
 
 
 def test_single_trials_and_caveats_are_told(tmp_path: Path) -> None:

@@ -250,7 +250,7 @@ def test_a_copied_record_is_told(tmp_path: Path) -> None:
     sources = [logger_file(tmp_path / f"run{i}.csv", wave(i % 2)) for i in range(3)]
     told = check(init_campaign(tmp_path / "out", sources, **OPTIONS))
     assert len(told.warnings) == 1
-    assert "A_uncoupled_3.csv holds the same readings as trials/A_uncoupled_1.csv" in told.text()
+    assert "A_uncoupled_3.csv: holds the same readings as trials/A_uncoupled_1.csv" in told.text()
 
 
 BOTH = {

@@ -1,6 +1,7 @@
 """The site map: responses against full simulations, the right site for known causes, honest evidence and torque."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -155,6 +156,16 @@ def test_interface_torque_is_found_at_the_interface_with_its_shape(interface):
     assert np.corrcoef(shape, expected)[0, 1] > 0.9
     assert set(found.curve()) == {"phi", "slip"}
     assert fit.problem.experiment.coupled
+
+
+@pytest.mark.parametrize(("on", "names"), [((1.0, 0.0), {"th1", "w1"}), ((0.0, 1.0), {"th2", "w2"})])
+def test_a_torque_of_the_release_is_shown_on_the_body_that_it_acts_on(interface, on, names):
+    """A release may push either body: the curve takes the coordinates of the one that was pushed."""
+    _, found = interface
+    torque = tuple(replace(m, torque=m.torque * np.array(on)[:, None]) for m in found.torque)
+    pushed = replace(found, torque=torque, torque_site="release")
+    assert names == set(pushed.curve())
+    assert pushed.torque_body == on.index(1.0)
 
 
 def test_missing_torque_is_what_the_fitted_laws_lack(interface):

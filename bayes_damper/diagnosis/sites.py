@@ -119,6 +119,12 @@ class SiteMap:
                 break
         return out
 
+    @property
+    def torque_body(self) -> int:
+        """The inertia that the torque is shown on: 1, the secondary, where it acts on that alone or between both."""
+        on_primary = not self.torque or any(np.any(m.torque[0]) for m in self.torque)
+        return int(self.torque_site in ("interface", "ground2") or not on_primary)
+
     def curve(self, bins: int = 25) -> dict[str, Any]:
         """Missing torque against the coordinates of its site, averaged in bins.
 
@@ -126,8 +132,8 @@ class SiteMap:
         sd, as of one instant with that weight, and the number of instants.
         Names: "th1", "w1" / "phi", "slip" / "th2", "w2".
         """
-        names = {"interface": ("phi", "slip"), "ground2": ("th2", "w2")}.get(self.torque_site or "", ("th1", "w1"))
-        inertia = 1 if self.torque_site in ("interface", "ground2") else 0
+        inertia = self.torque_body
+        names = ("phi", "slip") if self.torque_site == "interface" else (("th1", "w1"), ("th2", "w2"))[inertia]
         out: dict[str, Any] = {}
         used = [m for m in self.torque if inertia == 0 or np.any(m.th2)]
         for name in names:
