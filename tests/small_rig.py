@@ -39,10 +39,12 @@ def measured(
     duration: float = 0.5,
     rate: float = 1000.0,
     noise: float = NOISE,
+    late: float = 0.0,
 ) -> Experiment:
     """Trials of the rig with something unknown in it; the last repeat of each case and configuration is held out.
 
-    torque : (times) -> N m on the primary, which nobody declares; sensor : (times, y (channels, n)) -> what it shows.
+    torque : (times) -> N m on the primary, which nobody declares; sensor : (times, y (channels, n)) -> what it shows;
+    late : s, the most that a trial's trigger misses its release by.
     """
     rng = np.random.default_rng(seed)
     times = np.arange(round(duration * rate)) / rate
@@ -51,8 +53,9 @@ def measured(
         for coupled in configurations:
             for number in range(1, repeats + 1):
                 released = theta0 * (1.0 + 0.01 * rng.standard_normal())
+                delay = {"delay": late * rng.random()} if late else {}
                 y = Model(coupled, effect=effect).simulate(
-                    RIG | {"k1t": STIFFNESSES[k], "theta0": released}, times, effect=values,
+                    RIG | {"k1t": STIFFNESSES[k], "theta0": released} | delay, times, effect=values,
                     torque=None if torque is None else torque(times),
                 ).y[0]  # fmt: skip
                 if sensor is not None:

@@ -19,7 +19,7 @@ from bayes_damper.diagnosis.lone import corroborated, held_out_gain, left_of_squ
 from bayes_damper.diagnosis.outliers import outlying, told, without
 from bayes_damper.diagnosis.pairs import PairProblem
 from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of
-from bayes_damper.diagnosis.search import Candidate, Screen, offered, scales_of, screen_variant
+from bayes_damper.diagnosis.search import Candidate, Screen, fit_variant, offered, scales_of, screen_variant
 from bayes_damper.diagnosis.sensitivity import Quadratic
 from bayes_damper.diagnosis.verdict import RULE, Answers, Left, family_evidence, left_of, weigh
 from bayes_damper.distributions import LogNormal
@@ -170,6 +170,17 @@ def test_the_screening_puts_the_truth_first():
     assert max(gains, key=gains.get) == truth
 
 
+def test_a_lag_of_less_than_a_sample_screens_as_well_as_it_fits():
+    """Where triggers are late, larger lags carry first readings back across the release, where accelerations jump."""
+    delay = EFFECTS["sensor_delay"]
+    formula = delay.variant("channel1")
+    fit = calibrate_nominal(measured(5, effect=formula, values={"time": 3e-4}, late=1e-3, repeats=4))
+    screens = screen_variant(Screen(fit), formula)
+    fitted = fit_variant(fit, delay, formula, screens, 1).log_evidence
+    assert fitted > 40.0
+    assert max(s.gain for s in screens) > 0.8 * fitted
+
+
 def _has(effect: str, parameter: str) -> bool:
     return any(p.name == parameter for v in EFFECTS[effect].variants for p in v.parameters if v.name == "cubic")
 
@@ -252,6 +263,14 @@ def test_a_pair_is_named_where_it_closes_what_one_effect_leaves():
     assert mended.pair < 0.1
     foreign = weigh({"a": 600.0, "b": 100.0}, ALL, half, pairs=[(("a", "b"), 700.0, Left(300.0, 0.3))])
     assert foreign.verdict == "unknown"
+
+
+def test_a_second_effect_away_from_the_first_ones_site_is_not_laid_to_its_formula():
+    """The same gain and the same remainder: a pair where it lies elsewhere, one effect where it lies at home."""
+    pair = [(("a", "b"), 3330.0, QUIET)]
+    away, home = (weigh({"a": 3200.0, "b": 300.0}, ALL, Left(90.0, 0.03, home), pairs=pair) for home in (0.0, 1.0))
+    assert away.pair > 0.9
+    assert home.pair < 0.1
 
 
 def test_what_is_left_counts_against_the_gap_itself():

@@ -42,7 +42,8 @@ class Rule:
     its logarithm with share_width; line : nats of a narrow line that no torque explains, torque_band : frequency above
     which it is one, over the rig's own, smooth_error : share of all that is left by which its smooth spectrum may be
     off; tempering : of the evidences; mismatch : share of the stronger effect's evidence that a second one gains by
-    mending the first one's formula; unseen : nats that may be left without being seen; imitated : exponent of the share
+    mending the first one's formula, where what the first one leaves lies at its own site (less by share_away /
+    share_home where it does not); unseen : nats that may be left without being seen; imitated : exponent of the share
     left by foreign causes, P(share < s) = s^imitated, and least : its smallest value with a meaning; few_readings : of
     a record: a gap that shows in these alone is imitated by any cause that acts there.
     """
@@ -201,13 +202,15 @@ def weigh(
     temperature = 1.0 + max(0.0, excess) / (rule.tempering * 20.0)
     temperature *= 1.0 + rule.shape_readings / max(after.readings, 1e-9)
     best = max((evidence[n] for n in names), default=0.0)
+    # What lies away from an answer's own site is seldom the work of its inexact formula.
+    mending = rule.mismatch * (rule.share_away / rule.share_home) ** (1.0 - after.home)
     log_w: dict[str | tuple[str, str], float] = {"none": math.log(PRIOR_NONE)}
     log_w |= {n: math.log(each) + evidence[n] / temperature for n in names}
     if math.isfinite(generic):
         log_w["unknown"] = math.log(each) + generic / temperature
     left: dict[str | tuple[str, str], Left] = {"none": before}
     for effects, value, remains in pairs:
-        paid = value - rule.mismatch * max(best, 0.0)
+        paid = value - mending * max(best, 0.0)
         prior = each if set(effects) == FRICTIONS else 2.0 * PRIOR_PAIRS / (among * (among - 1.0))
         log_w[effects] = math.log(prior) + paid / temperature
         left[effects] = remains
