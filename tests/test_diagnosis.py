@@ -150,6 +150,20 @@ def test_nothing_wrong_is_called_none():
     assert found.answers.probabilities["none"] > 0.7
 
 
+@pytest.mark.slow
+def test_a_constant_that_the_named_effect_does_not_free_is_told():
+    """Beside a strong effect, a J2 declared a tenth too large with 2 % does not drown: a note says where it wants to be."""
+    experiment = with_effect("quadratic_drag", "alike", {"coefficient": 0.8})
+    declared = 1.1 * RIG["J2"]
+    constants = {**experiment.constants, "J2": (declared, 0.02 * declared)}
+    found = diagnose(replace(experiment, constants=constants), effects=FEW)
+    assert found.verdict == "quadratic_drag"
+    note = next(n for n in found.notes if "still moves" in n)
+    wanted = float(note.split(" to ")[1].split(":")[0])
+    assert "J2" in note
+    assert wanted == pytest.approx(RIG["J2"], rel=0.03)
+
+
 def test_an_effect_outside_the_candidates_is_unknown():
     """When quadratic drag is taken out of the library, no other effect takes its name."""
     others = {name: EFFECTS[name] for name in ("sensor_gain", "inertia_error", "sensor_delay")}

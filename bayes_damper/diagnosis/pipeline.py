@@ -310,10 +310,11 @@ def diagnose(
         {"+".join(p.effects): p.fit for p in pairs[:JUDGED_PAIRS]},
     )
     pair = next((p for p in pairs if p.effects == answers.pair_effects), None)
-    notes += [*_notes(experiment, fit, answers), in_a_sentence(choices, answers.verdict)]
     tell(f"leading answer {answers.verdict}")
     rng = np.random.default_rng(seed)
     best = pair.fit if pair is not None and answers.pair >= 0.5 else None if winner is None else winner.fit
+    named = best if winner is not None and answers.verdict == winner.effect.name else None
+    notes += [*_notes(experiment, fit, named, answers), in_a_sentence(choices, answers.verdict)]
     gap = measure_gap(fit, best, rng=rng)
     leading = sorted(evidence, key=lambda n: -evidence[n])[:TOLD]
     closes = {} if best is None else closing(fit, {n: fits[n][0] for n in leading if n in fits}, best, rng)
@@ -446,8 +447,8 @@ def _indistinct(evidence: Mapping[str, float], effects: Mapping[str, Effect]) ->
     return groups
 
 
-def _notes(experiment: Experiment, fit: Calibration, answers: Answers) -> list[str]:
-    """What could not be told and why, in sentences."""
+def _notes(experiment: Experiment, fit: Calibration, named: Calibration | None, answers: Answers) -> list[str]:
+    """What could not be told and why, in sentences. named : the fit with the effect that the verdict names."""
     notes = []
     if not experiment.coupled:
         notes.append("There are no coupled trials, so nothing can be said about the interface or the secondary.")
@@ -458,10 +459,19 @@ def _notes(experiment: Experiment, fit: Calibration, answers: Answers) -> list[s
         for key in {(t.case, t.coupled) for t in experiment.trials}
     ):
         notes.append("There are no repeats, so the noise is judged by its fast content alone; repeat a case.")
-    for name, z in fit.pulled.items():
+    still = {} if named is None else named.pulled
+    priors = {} if named is None else {c.name: c.prior for c in named.problem.coordinates}
+    for name, z in still.items():
+        value = float(from_standard(priors[name], z))
         notes.append(
-            f"The nominal model moves {name} by {z:+.1f} of its declared standard deviations: an effect, or a typo."
+            f"With {answers.verdict} in the model, {name} still moves by {z:+.1f} of its declared standard deviations, "
+            f"to {value:.4g}: a second cause, or a typo; measure it again."
         )
+    for name, z in fit.pulled.items():
+        if name not in still:
+            notes.append(
+                f"The nominal model moves {name} by {z:+.1f} of its declared standard deviations: an effect, or a typo."
+            )
     if answers.probabilities["none"] > 0.1 and answers.verdict != "none":
         notes.append("The gap is not certain: `none` keeps more than a tenth of the probability.")
     hidden = hidden_by(fit)
