@@ -1,12 +1,15 @@
-"""Readings that one trial does not share with its repeats: bursts and spikes of the measurement, no gap of the model.
+"""What one trial does not share with its repeats: bursts, spikes, a wrong record; no gap of the model.
 
 What the model lacks shows in every repeat. A reading far off in one trial, where the repeats of the same case are all
-within the noise, is the measurement's own; such readings are left out before anything is judged.
+within the noise, is the measurement's own; such readings are left out before anything is judged. So is a whole trial
+that is far from repeats which agree with each other: a record of another case, spring or rig under a wrong name.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +19,10 @@ from bayes_damper.diagnosis.remainder import repeats_of
 
 FAR, NEAR = 7.0, 3.5  # robust standard deviations: of the reading, and of its repeats
 LATE = 2.0  # samples by which the instant of a release or of a friction reversal may differ between repeats
+UNLIKE = 4.0  # times the usual distance between repeats that a trial is away which is none of them
+VISIBLY = 0.1  # of the rms of a record: the least distance that counts as another motion
+SCALES = (0.8, 1.25)  # of a record beside its repeat, by which the release angle may differ
+FEWEST = 32  # readings that two records must share to be compared
 MOST = 0.1  # share of a record beyond which it is not a matter of single readings
 
 
@@ -64,4 +71,135 @@ def told(experiment: Experiment, far: dict[int, NDArray[np.bool_]]) -> list[str]
                 "its repeats; they were left out as faults"
             )
         out.append(f"{t.label}: {told} of the measurement.")
+    return out
+
+
+# Whole trials -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Odd:
+    """A trial unlike its repeats: rms distance to the nearest of them and of these from each other, over their rms.
+
+    like : the trials that it does resemble, in words; empty if none.
+    """
+
+    trial: int
+    away: float
+    usual: float
+    like: str = ""
+
+
+def odd_trials(experiment: Experiment) -> list[Odd]:
+    """Trials that at least two others of the same release agree to be none of theirs: another spring, case or rig.
+
+    Told from the records alone, so that a fit which such a trial has spoilt does not judge it. A trigger that is late
+    within a quarter of a period, and a share of the release angle, are no reason.
+    """
+    if experiment.start != "rest":
+        return []
+    sets: dict[tuple[str, bool, float], list[int]] = {}
+    for i, t in enumerate(experiment.trials):
+        if t.torque is None:
+            sets.setdefault((t.case, t.coupled, t.theta0), []).append(i)
+    found: list[tuple[list[int], Odd]] = []
+    for members in sets.values():
+        left = list(members)
+        # At most half of a set can be odd.
+        for _ in range((len(members) - 1) // 2):
+            odd = _odd_one(experiment, left)
+            if odd is None:
+                break
+            left.remove(odd.trial)
+            found.append((left, odd))
+    bad = {odd.trial for _, odd in found}
+    rest = [[i for i in members if i not in bad] for members in sets.values()]
+    return [replace(odd, like=_resembled(experiment, odd.trial, own, rest)) for own, odd in found]
+
+
+def _odd_one(experiment: Experiment, members: list[int]) -> Odd | None:
+    """The trial farther from every other one than these are from each other, if there is one."""
+    if len(members) < 3:
+        return None
+    away = {i: {j: _distance(experiment, i, j) for j in members if j != i} for i in members}
+    worst = max(members, key=lambda i: min(away[i].values()))
+    others = [d for i in members if i != worst for j, d in away[i].items() if j not in (worst, i)]
+    usual = float(np.median(others))
+    limit = max(UNLIKE * usual, VISIBLY)
+    if not min(away[worst].values()) > limit:
+        return None
+    nearest = min(_distance(experiment, worst, j, shifts=True) for j in away[worst])
+    return Odd(worst, nearest, usual) if nearest > limit else None
+
+
+def _distance(experiment: Experiment, i: int, j: int, swapped: bool = False, shifts: bool = False) -> float:
+    """Smallest rms difference of two records, beyond white noise, over the rms of the second; the larger channel's.
+
+    Over scales of the first. shifts : over shifts in time too; swapped : with the channels of the first exchanged. inf
+    where they cannot be compared.
+    """
+    a, b = experiment.trials[i], experiment.trials[j]
+    omega = math.sqrt(max(experiment.stiffnesses[b.k1t][0], 1e-300) / experiment.constants["J1"][0])
+    if a.y.shape[0] != b.y.shape[0] or min(a.times.size, b.times.size) < FEWEST:
+        return math.inf
+    first = a.y[::-1] if swapped else a.y
+    step = float(np.median(np.diff(b.times)))
+    most = min(int(0.5 * np.pi / omega / step), b.times.size // 4) if shifts else 0
+    best = math.inf
+    for lag in range(-most, most + 1):
+        at = b.times + lag * step
+        inside = (at >= a.times[0]) & (at <= a.times[-1])
+        if inside.sum() < FEWEST:
+            continue
+        x = np.array([np.interp(at[inside], a.times[np.isfinite(r)], r[np.isfinite(r)]) for r in first])
+        y = np.nan_to_num(b.y[:, inside])
+        scale = float(np.clip(np.sum(x * y) / max(float(np.sum(x * x)), 1e-300), *SCALES))
+        d = scale * x - y
+        # Neighbouring differences hold the white noise (von Neumann 1941), with five of its standard errors.
+        fast = 0.5 * np.mean(np.diff(d, axis=1) ** 2, axis=1) * (1.0 + 5.0 * math.sqrt(6.0 / d.shape[1]))
+        off = np.maximum(np.mean(d**2, axis=1) - fast, 0.0) / np.maximum(np.mean(y**2, axis=1), 1e-300)
+        best = min(best, math.sqrt(float(np.max(off))))
+    return best
+
+
+def _resembled(experiment: Experiment, trial: int, own: Sequence[int], sets: Sequence[Sequence[int]]) -> str:
+    """The set to which an odd trial is as near as two of its trials are to each other, channels as they are or not."""
+    told = []
+    for members in sets:
+        if len(members) < 2:
+            continue
+        t = experiment.trials[members[0]]
+        usual = _distance(experiment, members[0], members[1])
+        for swapped in (False, True):
+            if (set(members) == set(own) and not swapped) or (swapped and not t.coupled):
+                continue
+            off = _distance(experiment, trial, members[0], swapped)
+            if off < max(2.0 * usual, VISIBLY):
+                kind = "coupled" if t.coupled else "uncoupled"
+                told.append((off, f"case {t.case} {kind}" + (" with its channels exchanged" if swapped else "")))
+    return min(told)[1] if told else ""
+
+
+def without_trials(experiment: Experiment, odd: Sequence[Odd]) -> Experiment:
+    """The experiment without those trials; a set whose held-out trial is gone holds out its last one."""
+    gone = {o.trial for o in odd}
+    trials = [t for i, t in enumerate(experiment.trials) if i not in gone]
+    for o in odd:
+        t = experiment.trials[o.trial]
+        same = [k for k, u in enumerate(trials) if (u.case, u.coupled, u.theta0) == (t.case, t.coupled, t.theta0)]
+        if t.heldout and len(same) > 1 and not any(trials[k].heldout for k in same):
+            trials[same[-1]] = replace(trials[same[-1]], heldout=True)
+    return replace(experiment, trials=tuple(trials))
+
+
+def told_odd(experiment: Experiment, odd: Sequence[Odd]) -> list[str]:
+    """Which trials were left out as a whole and why, a sentence each."""
+    out = []
+    for o in odd:
+        apart = f"are {o.usual:.0%} from" if o.usual >= 0.005 else "agree with"
+        like = f" It looks like one of {o.like}." if o.like else " Is it of another spring, case or rig?"
+        out.append(
+            f"{experiment.trials[o.trial].label}: unlike its repeats, {o.away:.0%} away from the nearest of them where "
+            f"they {apart} each other; no cause that they share makes that, so it was left out.{like}"
+        )
     return out

@@ -26,7 +26,7 @@ from bayes_damper.diagnosis.gap import Closed, Gap, closing, measure_gap, shifts
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.lone import corroborated, corroborated_pairs, left_alone, with_pairs_noise
 from bayes_damper.diagnosis.next_experiment import Proposal, propose
-from bayes_damper.diagnosis.outliers import outlying, told, without
+from bayes_damper.diagnosis.outliers import odd_trials, outlying, told, told_odd, without, without_trials
 from bayes_damper.diagnosis.pairs import Pair, Second, best_pairs, exactly, seconds_of
 from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of
 from bayes_damper.diagnosis.search import Candidate, offered, scales_of, search
@@ -235,7 +235,9 @@ def diagnose(
     began = time.perf_counter()
     name = getattr(campaign, "name", "campaign")
     experiment = campaign if isinstance(campaign, Experiment) else experiment_of(campaign, priors)
-    notes: list[str] = []
+    odd = odd_trials(experiment)
+    notes = told_odd(experiment, odd)
+    experiment = without_trials(experiment, odd)
     fit = calibrate_nominal(experiment, nominal=nominal, threads=threads, tell=tell)
     for _ in range(CLEANINGS):
         far = outlying(fit)

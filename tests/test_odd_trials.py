@@ -1,0 +1,91 @@
+"""Whole trials under a wrong name: found from the records, told with what they look like, left out; repeats are not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_rig import measured
+
+from bayes_damper.calibration import Experiment
+from bayes_damper.diagnosis import diagnose
+from bayes_damper.diagnosis.outliers import odd_trials, told_odd, without_trials
+from bayes_damper.effects import EFFECTS
+
+
+def place(experiment: Experiment, case: str, coupled: bool, number: int) -> int:
+    """Index of a trial."""
+    wanted = (case, coupled, number)
+    return next(i for i, t in enumerate(experiment.trials) if (t.case, t.coupled, t.number) == wanted)
+
+
+def with_records(experiment: Experiment, records: dict[int, np.ndarray]) -> Experiment:
+    trials = [replace(t, y=records.get(i, t.y)) for i, t in enumerate(experiment.trials)]
+    return replace(experiment, trials=tuple(trials))
+
+
+def exchanged(seed: int = 1, noise: float = 2.0) -> tuple[Experiment, int, int]:
+    """Two coupled records of different springs, each filed as the other."""
+    e = measured(seed, noise=noise)
+    i, j = place(e, "I", True, 2), place(e, "IV", True, 3)
+    return with_records(e, {i: e.trials[j].y, j: e.trials[i].y}), i, j
+
+
+@pytest.mark.parametrize("noise", [0.1, 2.0, 8.0])
+def test_two_records_filed_as_each_other_are_found_and_told(noise):
+    e, i, j = exchanged(noise=noise)
+    found = odd_trials(e)
+    assert {o.trial for o in found} == {i, j}
+    sentences = told_odd(e, found)
+    assert any(e.trials[i].label in s and "case IV coupled" in s for s in sentences)
+    assert any(e.trials[j].label in s and "case I coupled" in s for s in sentences)
+
+
+def test_the_trial_left_out_is_replaced_as_held_out_one():
+    e, i, j = exchanged()
+    clean = without_trials(e, odd_trials(e))
+    assert len(clean.trials) == len(e.trials) - 2
+    assert all(t.label not in (e.trials[i].label, e.trials[j].label) for t in clean.trials)
+    for case in ("I", "IV"):
+        held = [t for t in clean.trials if t.heldout and t.coupled and t.case == case]
+        assert len(held) == 1
+
+
+def test_exchanged_channels_of_one_trial_are_told():
+    e = measured(3)
+    i = place(e, "I", True, 1)
+    found = odd_trials(with_records(e, {i: e.trials[i].y[::-1]}))
+    assert [o.trial for o in found] == [i]
+    assert "channels exchanged" in told_odd(e, found)[0]
+
+
+def test_a_record_of_an_unknown_rig_is_told_without_a_likeness():
+    e = measured(4)
+    i = place(e, "IV", False, 1)
+    t = e.trials[i]
+    found = odd_trials(with_records(e, {i: np.array([np.interp(0.8 * t.times, t.times, r) for r in t.y])}))
+    assert [o.trial for o in found] == [i]
+    assert "another spring, case or rig?" in told_odd(e, found)[0]
+
+
+@pytest.mark.parametrize("noise", [0.1, 2.0, 30.0])
+def test_repeats_that_differ_as_repeats_do_are_none(noise):
+    """Release angles that scatter, one of them by 10 %, one late trigger, and noise as large as the motion."""
+    e = measured(5, noise=noise)
+    larger, late = place(e, "I", True, 1), place(e, "IV", True, 2)
+    y = np.concatenate([e.trials[late].y[:, :1]] * 4 + [e.trials[late].y[:, :-4]], axis=1)
+    assert odd_trials(with_records(e, {larger: 1.1 * e.trials[larger].y, late: y})) == []
+
+
+def test_of_two_repeats_none_is_called_the_odd_one():
+    e = measured(6, repeats=2)
+    i = place(e, "I", True, 1)
+    assert odd_trials(with_records(e, {i: e.trials[i].y[::-1]})) == []
+
+
+@pytest.mark.slow
+def test_the_diagnosis_leaves_such_records_out_and_finds_no_gap():
+    e, _, _ = exchanged()
+    few = {name: EFFECTS[name] for name in ("spring_cubic", "sensor_gain", "quadratic_drag")}
+    found = diagnose(e, effects=few)
+    assert found.verdict == "none"
+    assert sum("unlike its repeats" in note for note in found.notes) == 2
