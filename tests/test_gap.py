@@ -1,11 +1,16 @@
 """The gap on held-out trials: a test of its stated size, with power, and honest shares of what is closed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from small_rig import measured, variant
 
 from bayes_damper.calibration import Problem, Switches, calibrate, calibrate_nominal
 from bayes_damper.diagnosis.gap import (
+    _correlation,
+    _length,
     held_out_test,
     left_out_case,
     measure_gap,
@@ -145,3 +150,48 @@ def test_share_closed_by_hand():
 def test_shortest_interval_of_a_skewed_sample():
     draws = np.sort(np.concatenate([np.linspace(0.0, 1.0, 91), np.full(9, 50.0)]))
     assert shortest_interval(draws) == pytest.approx((0.0, 0.989), abs=0.02)
+
+
+def slow_errors(seed):
+    """Adds noise of a quarter of the rig's period to what the channels show: an error of the model, trial by trial."""
+    rng = np.random.default_rng(seed)
+
+    def sensor(times, y):
+        kernel = np.exp(-0.5 * (np.arange(-60, 61) / 20.0) ** 2)
+        rough = rng.standard_normal((y.shape[0], times.size + 120))
+        return y + 12.0 * np.array([np.convolve(x, kernel, "valid") for x in rough]) / np.linalg.norm(kernel)
+
+    return sensor
+
+
+def test_correlated_errors_of_lone_trials_widen_the_test():
+    """Trials without repeats, slow errors: with those a slow prediction moves far, a fast one hardly."""
+    cases = (("I", 0, 0.1), ("II", 0, 0.13), ("III", 1, 0.08), ("IV", 1, 0.11))
+    found = measured(50, cases=cases, configurations=(False,), repeats=1, sensor=slow_errors(1))
+    trials = tuple(replace(t, heldout=t.case == "II") for t in found.trials)
+    fit = calibrate_nominal(replace(found, trials=trials))
+    assert fit.problem.noise.sensor
+    covariance = _correlation(fit)
+    slow, fast = (_length({1: np.sin(w * np.arange(500))[None]}, covariance) for w in (0.03, 1.5))
+    assert slow > 5.0 * fast
+
+
+def test_the_length_of_a_prediction_is_the_spread_of_its_product_with_correlated_noise():
+    rng = np.random.default_rng(4)
+    phi, n = 0.9, 300
+    noise = lfilter([np.sqrt(1.0 - phi**2)], [1.0, -phi], rng.standard_normal((4000, n + 100)), axis=1)[:, 100:]
+    x = np.sin(0.03 * np.arange(n))
+    found = _length({0: x[None]}, [phi ** np.arange(200)])
+    assert found == pytest.approx(float(np.std(noise @ x)), rel=0.05)
+    assert found > 3.0 * np.linalg.norm(x)
+
+
+def test_a_choice_that_looked_at_the_held_out_trials_is_paid_for(both):
+    nominal, winner = both
+    assert measure_gap(nominal, winner, chosen_from=10**30).p_value > measure_gap(nominal, winner).p_value
+    experiment = nominal.problem.experiment
+    eta = {i: np.zeros(len(g.nuisances)) for g in nominal.problem.grouped(experiment.heldout) for i in g.trials}
+    rng = np.random.default_rng(6)
+    shape = {i: rng.standard_normal(experiment.trials[i].y.shape) for i in experiment.heldout}
+    once = held_out_test(nominal, eta, [shape])
+    assert held_out_test(nominal, eta, [shape], [3]) == pytest.approx(min(1.0, 3.0 * once))

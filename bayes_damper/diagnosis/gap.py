@@ -5,6 +5,10 @@ generic shapes of the site map or the records of a rival model. None of them has
 gap the product of such a prediction with the held-out residuals, both cleared of everything that parameters and the
 trial's own nuisances can do, is a standard Gaussian once divided by the prediction's length: a test of exact size,
 whatever was tried on the training trials. Chi-square alone would have to know the noise to a fraction of a per cent.
+
+Without repeats two things differ. What is left of a trial then counts as noise, and it is correlated: the product's
+variance takes in the correlation of the training residuals. And the held-out readings have had a say in which answer
+leads (lone.py), so its p-value is multiplied by the number of answers that it was chosen from.
 """
 
 from __future__ import annotations
@@ -29,6 +33,7 @@ SIZE = 0.05
 NEGLIGIBLE = 0.25  # of the noise sd: a gap below it adds 3 % to the residuals
 KEPT_WEIGHT = 0.5  # readings that a fit trusts less (release, friction reversals) are left out of sums of squares
 DRAWS = 2000
+_CORRELATED_SHARE = 6  # of a record: the longest lag of which its residuals tell a correlation
 _SLOW = 10.0  # times the rig's own frequency: torques on inertias show below
 
 
@@ -100,11 +105,13 @@ def measure_gap(
     shapes: Mapping[int, Array] | None = None,
     size: float = SIZE,
     rng: np.random.Generator | None = None,
+    chosen_from: int = 1,
 ) -> Gap:
     """The gap of the nominal model on held-out trials, and what is left of it under the winner.
 
     shapes : what the training trials say is missing, held-out trial -> (channels, n), e.g. from `sites.predicted_gap`;
     further predictions come from the repeats and from the winner. `rng` draws the bootstrap (default: seed 0).
+    chosen_from : number of answers from which the held-out readings helped to choose the winner; 1 if they did not.
     """
     experiment = nominal.problem.experiment
     heldout = experiment.heldout
@@ -119,12 +126,16 @@ def measure_gap(
     before = predict(nominal, heldout)
     after = None if winner is None else predict(winner, heldout)
     predictions: list[dict[int, Array]] = []
+    choices: list[int] = []
     if winner is not None and after is not None:
         predictions.append({i: after[i].model - before[i].model for i in heldout})
+        choices.append(chosen_from)
     if shapes:
         predictions.append(dict(shapes))
+        choices.append(1)
     predictions.append(repeats_say(nominal))
-    p_value = held_out_test(nominal, {i: before[i].eta for i in heldout}, predictions)
+    choices.append(1)
+    p_value = held_out_test(nominal, {i: before[i].eta for i in heldout}, predictions, choices)
     masks = _masks(nominal.problem, heldout)
     x0 = _squares({i: before[i].residual for i in heldout}, masks, noise)
     count = np.array([sum(m.sum() for m in masks[i]) for i in heldout], float)
@@ -222,11 +233,17 @@ def repeats_say(fit: Calibration) -> dict[int, Array]:
     return out
 
 
-def held_out_test(fit: Calibration, eta: Mapping[int, Array], predictions: Sequence[Mapping[int, Array]]) -> float:
+def held_out_test(
+    fit: Calibration,
+    eta: Mapping[int, Array],
+    predictions: Sequence[Mapping[int, Array]],
+    choices: Sequence[int] | None = None,
+) -> float:
     """p-value of "no gap": the smallest over the predictions, multiplied by their number.
 
     eta : nuisances fitted to each held-out trial; predictions : held-out trial -> (channels, n) of what the model
-    lacks, made without those trials.
+    lacks, made without those trials; choices : for each, the number of those that it was chosen from with a look at
+    the held-out readings, by which its p-value is multiplied (default: 1, no look).
     """
     if not predictions:
         return 1.0
@@ -259,8 +276,9 @@ def held_out_test(fit: Calibration, eta: Mapping[int, Array], predictions: Seque
 
     basis, s, _ = np.linalg.svd(cleared(J), full_matrices=False)
     basis = basis[:, s > 1e-9 * max(float(s[0]), 1e-300)]
+    correlation = _correlation(fit) if problem.noise.sensor else None
     p_values = []
-    for prediction in predictions:
+    for prediction, tried in zip(predictions, choices or [1] * len(predictions), strict=True):
         x = np.zeros(first)
         for i, shape in prediction.items():
             if i in ranges:
@@ -270,8 +288,39 @@ def held_out_test(fit: Calibration, eta: Mapping[int, Array], predictions: Seque
         x = cleared(x)
         x -= basis @ (basis.T @ x)
         length = float(np.linalg.norm(x))
-        p_values.append(float(ndtr(-(x @ r) / length)) if length > 1e-12 else 1.0)
+        if correlation is not None and length > 1e-12:
+            shapes = {i: x[s].reshape(group.y.shape[1], -1) for i, (group, s) in ranges.items()}
+            length = max(length, _length(shapes, correlation))
+        p_values.append(tried * float(ndtr(-(x @ r) / length)) if length > 1e-12 else 1.0)
     return min(1.0, len(p_values) * min(p_values))
+
+
+def _correlation(fit: Calibration) -> list[Array]:
+    """Autocovariance of each channel's training residuals over lags from 0, in units of the noise's variance.
+
+    Bartlett's window brings it to zero at a sixth of the longest record, beyond which it cannot be told.
+    """
+    problem = fit.problem
+    found = fit.residuals()
+    out = []
+    for c, sd in enumerate(problem.noise.total):
+        rows = [np.nan_to_num(r[c]) / sd for r in found.values() if c < r.shape[0]]
+        lags = max(max((r.size for r in rows), default=0) // _CORRELATED_SHARE, 1)
+        known = sum(int(np.count_nonzero(r)) for r in rows)
+        sums = np.array([sum(float(r[: r.size - k] @ r[k:]) for r in rows if r.size > k) for k in range(lags)])
+        out.append(sums / max(known, 1) * (1.0 - np.arange(lags) / lags))
+    return out
+
+
+def _length(shapes: Mapping[int, Array], correlation: Sequence[Array]) -> float:
+    """Standard deviation of the product of shapes, trial -> (channels, n), with noise of that autocovariance."""
+    variance = 0.0
+    for shape in shapes.values():
+        for x, own in zip(shape, correlation, strict=False):
+            lags = min(own.size, x.size)
+            with_itself = np.array([float(x[: x.size - k] @ x[k:]) for k in range(lags)])
+            variance += float(own[0] * with_itself[0] + 2.0 * own[1:lags] @ with_itself[1:])
+    return math.sqrt(max(variance, 0.0))
 
 
 # Sizes ----------------------------------------------------------------------------------------------------------------

@@ -317,7 +317,8 @@ def diagnose(
     best = pair.fit if pair is not None and answers.pair >= 0.5 else None if winner is None else winner.fit
     named = best if winner is not None and answers.verdict == winner.effect.name else None
     notes += [*_notes(experiment, fit, named, answers), in_a_sentence(choices, answers.verdict)]
-    gap = measure_gap(fit, best, rng=rng)
+    chosen_from = sum(c.fit is not None for c in found) + len(pairs) if alone else 1
+    gap = measure_gap(fit, best, rng=rng, chosen_from=chosen_from)
     leading = sorted(evidence, key=lambda n: -evidence[n])[:TOLD]
     closes = {} if best is None else closing(fit, {n: fits[n][0] for n in leading if n in fits}, best, rng)
     if best is not None and winner is not None and winner.effect is not DRIFT:
