@@ -598,14 +598,14 @@ def _check_rig(folder: Path, rig: Rig, coupled: bool, faults: list[str]) -> None
         faults.append(f"{where}: inertial_coupling must be smaller than sqrt(J1 J2): no rig has such an inertia matrix")
     if _friction_fixed_at_zero(folder):
         return
-    needed = {"bar_radius": "R, m", "magnet_pull": "N0, N"}
+    needed = {"bar_radius": "R, m", "magnet_pull": "N0, N, the force that presses the faces together"}
     if rig.normal_force == "linear":
         needed["magnet_radius"] = "r, m"
     for key, unit in needed.items():
         if getattr(rig, key) is None:
             faults.append(
-                f"{where}: {key} ({unit}) is missing; a coupled trial needs it "
-                "unless mu is fixed at 0 in the campaign's priors.toml"
+                f"{where}: {key} ({unit}) is missing; a coupled trial needs it for the friction between the bodies, "
+                "mu N0 R; where nothing rubs, write mu = 0.0 into a file priors.toml in the campaign's folder"
             )
 
 

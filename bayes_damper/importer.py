@@ -130,22 +130,39 @@ def import_records(
     InputError
         with one sentence for every fault of the table, of the raw files, or of the campaign that comes out.
     """
-    folder = Path(folder)
-    if (folder / "campaign.toml").exists() and not overwrite:
-        raise InputError(f"{folder}: holds a campaign already; give another folder")
     table, name, home = _spec_table(spec)
-    built = _build(table, name, Path(raw) if raw is not None else home)
+    beside = home / "priors.toml"
+    priors = beside.read_bytes() if not isinstance(spec, Mapping) and beside.exists() else None
+    return _write(table, name, Path(folder), Path(raw) if raw is not None else home, priors, overwrite)
+
+
+def _write(
+    table: Mapping[str, Any], name: str, folder: Path, raw: Path, priors: bytes | None, overwrite: bool
+) -> Path:  # fmt: skip
+    """The campaign of an import table with its priors.toml, if it passes the check of every command."""
+    if (folder / "campaign.toml").exists() and not overwrite:
+        raise InputError(f"{folder}: holds a campaign already; give another folder, or --overwrite to replace it")
+    built = _build(table, name, raw)
     with tempfile.TemporaryDirectory() as scratch:
         draft = campaigns.write_campaign(Path(scratch) / "campaign", built)
         text = (draft / "campaign.toml").read_text(encoding="utf-8")
         note = "# Written by `bayes-damper init`; every key may be edited. SI units.\n"
         (draft / "campaign.toml").write_text(note + text, encoding="utf-8")
-        if not isinstance(spec, Mapping) and (home / "priors.toml").exists():
-            shutil.copyfile(home / "priors.toml", draft / "priors.toml")
+        if priors is not None:
+            (draft / "priors.toml").write_bytes(priors)
         campaigns.load_campaign(draft)
         folder.mkdir(parents=True, exist_ok=True)
         shutil.copytree(draft, folder, dirs_exist_ok=True)
     return folder
+
+
+_NOTHING_RUBS = (
+    "No magnet_pull was given: taken was that nothing rubs between the bodies (mu = 0 in priors.toml). If something "
+    "does, give the force that presses the faces together; `diagnose --nominal linear` tells if friction is missing."
+)
+_NO_FRICTION = (
+    b"# Written by `bayes-damper init`: no magnet_pull was given, so nothing rubs between the bodies.\nmu = 0.0\n"
+)
 
 
 def init_campaign(
@@ -155,7 +172,8 @@ def init_campaign(
 
     options : any key of READER and TRIAL (for all files alike), of [rig] and of [measurement] of campaign.toml, and
     name, description, source_text (where the data come from). What is not given is assumed and told as a caveat: an
-    inertia of 1 (all per unit inertia), k1t from the strongest frequency.
+    inertia of 1 (all per unit inertia), k1t from the strongest frequency, no friction between the bodies (mu = 0 in the
+    campaign's priors.toml) where coupled trials come without a magnet_pull.
 
     Raises
     ------
@@ -164,7 +182,12 @@ def init_campaign(
     """
     folder = Path(folder)
     spec = _spec_from_options(folder.name, [Path(s).resolve() for s in sources], options)
-    import_records(spec, folder, overwrite=overwrite)
+    beside = folder / "priors.toml"
+    found = beside.read_bytes() if beside.exists() else None
+    priors = _NO_FRICTION if _NOTHING_RUBS in spec["caveats"] else None
+    _write(spec, "import", folder, Path(), priors if found in (None, _NO_FRICTION) else found, overwrite)
+    if priors is None and found == _NO_FRICTION:  # of an earlier call that knew no magnet
+        beside.unlink()
     (folder / "import.toml").write_text(_spec_text(spec), encoding="utf-8")
     return folder
 
@@ -261,7 +284,7 @@ def _build(table: Mapping[str, Any], name: str, raw: Path) -> Campaign:
         raise InputError(_gathered(faults))
     trials = _with_estimates(trials, head.rig)
     notes = [note for source in files.values() for note in source.notes if note not in head.caveats]
-    notes += _resting(trials, options)
+    notes = _gathered(notes) + _resting(trials, options)
     caveats = (*head.caveats, *notes)
     return Campaign(head.name, head.rig, head.measurement, tuple(trials), head.description, head.source, caveats)
 
@@ -286,7 +309,7 @@ def _resting(trials: Sequence[Trial], options: Sequence[Mapping[str, Any]]) -> l
 
 
 def _gathered(faults: Sequence[str]) -> list[str]:
-    """Faults once each; one that three files or more have in common as one sentence."""
+    """Faults or notes once each; one that three files or more have in common as one sentence."""
     files: dict[str, list[str]] = {}
     for fault in dict.fromkeys(faults):
         name, mark, rest = fault.partition(": ")
@@ -621,6 +644,9 @@ def _spec_from_options(name: str, sources: Sequence[Path], options: Mapping[str,
     common: dict[str, Any] = {"case": "A", "configuration": "coupled" if coupled else "uncoupled", "k1t": "estimate"}
     common |= {k: given[k] for k in TRIAL if k in given and k not in ("source", "trial", "file", "sha256")}
     trials = [_trial_row(group, common | own.get(group[0], {}), pattern, rows, words) for group in groups]
+    rubbing = {"magnet_pull", "magnet_radius"} & given.keys()
+    if not rubbing and any(trial["configuration"] == "coupled" for trial in trials):
+        caveats.append(_NOTHING_RUBS)
     if any(trial["k1t"] == "estimate" for trial in trials):
         caveats.append("k1t was not given: it was estimated from the strongest frequency, uncertain by 20 %.")
     known = all("theta0" in trial for trial in trials)

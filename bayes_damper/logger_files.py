@@ -304,7 +304,7 @@ def _rows(
     notes, rows = [], []
     left = len(found) - last - 1
     if left:
-        what = f"line {found[-1][2]} below the numbers was" if left == 1 else f"{left} lines below the numbers were"
+        what = "the last line, below the numbers, was" if left == 1 else f"{left} lines below the numbers were"
         notes.append(f"{name}: {what} left out.")
     for values, line, number in found[: last + 1]:
         cells = _split(line, mark)

@@ -14,6 +14,7 @@ from bayes_damper.campaign import load_campaign
 from bayes_damper.check import check
 from bayes_damper.errors import InputError
 from bayes_damper.importer import convert, import_records, init_campaign
+from bayes_damper.priors import campaign_priors
 from bayes_damper.readings import find_first_peak, find_release
 from tests.campaigns import decay
 
@@ -251,6 +252,31 @@ def test_a_copied_record_is_told(tmp_path: Path) -> None:
     told = check(init_campaign(tmp_path / "out", sources, **OPTIONS))
     assert len(told.warnings) == 1
     assert "A_uncoupled_3.csv: holds the same readings as trials/A_uncoupled_1.csv" in told.text()
+
+
+def test_what_many_files_have_in_common_is_told_once(tmp_path: Path) -> None:
+    sources = [logger_file(tmp_path / f"run{i}.csv", wave(i)) for i in range(3)]
+    for path in sources:
+        path.write_text(path.read_text() + "end of file\n")
+    campaign = load_campaign(init_campaign(tmp_path / "out", sources, **OPTIONS))
+    assert campaign.warnings == ("run0.csv and 2 other files: the last line, below the numbers, was left out.",)
+
+
+def test_a_rig_without_a_magnet_needs_no_magnet(tmp_path: Path) -> None:
+    """Coupled carts: nothing presses them together, so nothing rubs; told, and undone when a pull is given."""
+    sources = [logger_file(tmp_path / f"cart{i}.csv", 0.01 * (1 - 0.7 * i) * wave(i)) for i in range(2)]
+    options = {"kind": "translational", "files_per_trial": 2, "columns": ["a", "a"], "time": "t", "k1t": 900.0,
+               "primary_inertia": 1.9, "secondary_inertia": 0.6, "release": 5.0}  # fmt: skip
+    folder = init_campaign(tmp_path / "out", sources, **options)
+    campaign = load_campaign(folder)
+    assert campaign.rig.magnet_pull is None
+    assert any("nothing rubs between the bodies" in w for w in campaign.warnings)
+    assert campaign_priors(folder / "priors.toml", campaign).fixed["mu"] == 0.0
+    again = import_records(folder / "import.toml", tmp_path / "again")
+    assert (again / "priors.toml").read_bytes() == (folder / "priors.toml").read_bytes()
+    pressed = {**options, "magnet_pull": 1.0, "normal_force": "constant"}
+    assert load_campaign(init_campaign(folder, sources, overwrite=True, **pressed)).rig.magnet_pull
+    assert not (folder / "priors.toml").exists()
 
 
 BOTH = {
