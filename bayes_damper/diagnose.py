@@ -42,7 +42,6 @@ class Diagnosed:
 
     folder: Path
     result: Mapping[str, Any]
-    warnings: tuple[str, ...] = ()
     exit_code: ExitCode = ExitCode.DONE
 
     def to_json(self) -> dict[str, Any]:
@@ -51,7 +50,8 @@ class Diagnosed:
 
     def text(self) -> str:
         """The verdict in plain words, what speaks for it, and what to do next."""
-        return "\n".join([*_words(self.result), *self.warnings, f"Files: {self.folder}"])
+        warnings = [f"warning: {w}" for w in self.result.get("warnings", ())]
+        return "\n".join([*_words(self.result), *warnings, f"Files: {self.folder}"])
 
 
 def diagnose(
@@ -93,6 +93,7 @@ def diagnose(
     result = found.to_json() | {
         "reading_unit": loaded.reading_unit,
         "forecast": ahead,
+        "warnings": list(loaded.warnings),
         "campaign_sha256": loaded.sha256,
         "provenance": provenance(),
     }
@@ -100,7 +101,7 @@ def diagnose(
         row["unit"] = unit_of(name, loaded.rig.kind, loaded.measurement.quantity)
     write_json(path, result)
     _draw(folder, found)
-    return Diagnosed(folder, result, tuple(f"warning: {w}" for w in loaded.warnings))
+    return Diagnosed(folder, result)
 
 
 def _thesis(

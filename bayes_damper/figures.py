@@ -738,8 +738,8 @@ def missing_torque_figure(
             centre, mean, sd = (np.asarray(bins[key]) for key in ("centre", "torque_n_m", "sd_n_m"))
             axis.plot(centre, mean, color=COLOURS[body], ls=STYLES[body], label="mean of all trials")
             axis.fill_between(centre, mean - 1.645 * sd, mean + 1.645 * sd, color=COLOURS[body], alpha=0.25, lw=0)
-            symbol, *units = COORDINATES[name]
-            axis.set_xlabel(f"{symbol} [{units[translational]}]")
+            symbol, unit = COORDINATES[name][translational]
+            axis.set_xlabel(f"{symbol} [{unit}]")
             axis.set_ylabel(f"{effort} on the {names[body]}")
         axes["left"].legend(loc="best")
         figure.suptitle(title)

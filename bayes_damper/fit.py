@@ -30,7 +30,7 @@ from bayes_damper.calibration import (
     learn_noise,
     middle,
 )
-from bayes_damper.campaign import load_campaign
+from bayes_damper.campaign import Campaign, load_campaign
 from bayes_damper.checkpoint import Checkpoint
 from bayes_damper.effects import all_effects
 from bayes_damper.errors import ExitCode, InputError
@@ -82,7 +82,7 @@ class Fit:
 
     def text(self) -> str:
         """Tables for the terminal, warnings first."""
-        parts = []
+        parts = [f"warning: {w}" for w in self.summary.get("warnings", ())]
         groups = dict(self.summary["cases"]) | ({"joint": self.summary["joint"]} if self.summary.get("joint") else {})
         for name, found in groups.items():
             title = "all cases together" if name == "joint" else f"case {name}"
@@ -271,7 +271,14 @@ def finish_fit(
     scheduler: str | None = None,
     progress: Progress | None = None,
 ) -> Fit:
-    """Run what is missing of a planned fit, then write the files that cover all cases."""
+    """Run what is missing of a planned fit, then write the files that cover all cases.
+
+    Raises
+    ------
+    InputError
+        if the campaign is not the one that the fit was planned for.
+    """
+    warnings = () if plan["campaign"] == "thesis" else _planned_campaign(plan).warnings
     kind = "fit_published_case" if plan["campaign"] == "thesis" else "fit_recorded_cases"
     names = [*plan["cases"], *(["joint"] if plan["joint"] else [])]
     # The joint fit is the longest: it starts first.
@@ -295,6 +302,7 @@ def finish_fit(
         "campaign_sha256": plan["campaign_sha256"],
         "seed": plan["seed"],
         "converged": all(r["converged"] for r in results.values()),
+        "warnings": list(warnings),
         "cases": found,
     }
     if plan["joint"]:
@@ -390,16 +398,22 @@ def _search(posterior: FeaturePosterior, rng: np.random.Generator) -> Start:
 # Recorded trials -----------------------------------------------------------------------------------------------------
 
 
-def recorded_experiment(plan: Mapping[str, Any], case: str | None) -> tuple[Experiment, Units]:
-    """The trials of one case, or of all planned cases, as a calibration takes them; marked trials are left out.
-
-    With it the units of this rig's parameters.
-    """
+def _planned_campaign(plan: Mapping[str, Any]) -> Campaign:
+    """The campaign that a fit was planned for, as it was then."""
     campaign = load_campaign(plan["campaign"])
     if campaign.sha256 != plan["campaign_sha256"]:
         raise InputError(
             f"{plan['campaign']}: the campaign has changed since this run began; start a new run with another --out"
         )
+    return campaign
+
+
+def recorded_experiment(plan: Mapping[str, Any], case: str | None) -> tuple[Experiment, Units]:
+    """The trials of one case, or of all planned cases, as a calibration takes them; marked trials are left out.
+
+    With it the units of this rig's parameters.
+    """
+    campaign = _planned_campaign(plan)
     priors = None if plan["priors"] is None else campaign_priors(plan["priors"], campaign)
     experiment = experiment_of(campaign, priors)
     marked = {t.file for t in campaign.trials if t.holdout}

@@ -9,10 +9,11 @@ SMALLEST_P = 1e-12
 """Below this a p value says nothing more: no model of noise holds so far out in its tails."""
 
 COORDINATES = {
-    "th1": ("θ1", "rad", "m"), "th2": ("θ2", "rad", "m"), "phi": ("θ1 - θ2", "rad", "m"),
-    "w1": ("ω1", "rad/s", "m/s"), "w2": ("ω2", "rad/s", "m/s"), "slip": ("ω1 - ω2", "rad/s", "m/s"),
+    "th1": (("θ1", "rad"), ("x1", "m")), "th2": (("θ2", "rad"), ("x2", "m")),
+    "phi": (("θ1 - θ2", "rad"), ("x1 - x2", "m")), "w1": (("ω1", "rad/s"), ("v1", "m/s")),
+    "w2": (("ω2", "rad/s"), ("v2", "m/s")), "slip": (("ω1 - ω2", "rad/s"), ("v1 - v2", "m/s")),
 }  # fmt: skip
-"""Coordinates of the motion: symbol, unit of a torsional rig and of a translational one."""
+"""Coordinates of the motion: symbol and unit on a torsional rig, and on a translational one."""
 
 
 def counted(n: int, one: str, many: str = "") -> str:

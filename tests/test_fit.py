@@ -18,7 +18,7 @@ from bayes_damper import arviz_adapter
 from bayes_damper.campaign import record_text
 from bayes_damper.effects import EFFECTS
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.fit import fit, plan_fit, published_posterior
+from bayes_damper.fit import fit, plan_fit, published_posterior, start_run
 from bayes_damper.model import Model
 from bayes_damper.posterior import Datum, FeaturePosterior
 from bayes_damper.priors import load_priors
@@ -34,7 +34,7 @@ def _campaign(folder, cases=("IV",), duration=0.3, seed=0, effect=None, values=N
     rng = np.random.default_rng(seed)
     (folder / "trials").mkdir(parents=True)
     (folder / "campaign.toml").write_text(
-        'name = "known"\n[rig]\nprimary_inertia = 3.015e-3\nsecondary_inertia = 2.474e-3\nbar_radius = 0.1\n'
+        'name = "known"\ncaveats = ["Made by a test."]\n[rig]\nprimary_inertia = 3.015e-3\nsecondary_inertia = 2.474e-3\nbar_radius = 0.1\n'
         "magnet_radius = 0.0127\nmagnet_pull = 100.0\n",
         encoding="utf-8",
     )
@@ -72,6 +72,8 @@ def test_a_fit_of_records_converges_and_covers_the_truth(fitted):
         assert p["r_hat"] <= 1.01
         assert min(p["ess_bulk"], p["ess_tail"]) >= 1000
     assert found["sigma1"]["mean"] == pytest.approx(2.0, rel=0.1)
+    assert fitted.summary["warnings"] == ["Made by a test."]
+    assert fitted.text().startswith("warning: Made by a test.\n")
     assert found["friction_torque"]["mean"] == pytest.approx(found["mu"]["mean"] * 10.0, rel=1e-9)
     assert found["c1t"]["prior_share"] < 0.3
 
@@ -149,6 +151,18 @@ def test_bad_arguments_get_a_sentence(arguments, told):
     defaults = dict.fromkeys(("cases", "priors", "normal_force", "most_steps"))
     with pytest.raises(InputError, match=told):
         plan_fit(**(defaults | {"seed": 1, "thorough": False, "joint": True} | arguments))
+
+
+def test_a_campaign_that_has_changed_is_told_before_anything_runs(tmp_path):
+    folder = _campaign(tmp_path / "campaign")
+    plan = plan_fit(str(folder), cases=None, priors=None, normal_force=None, seed=1, thorough=False, most_steps=None,
+                    joint=True)  # fmt: skip
+    start_run(tmp_path / "out", {"command": "fit", "plan": plan, "workers": 1})
+    rows = (folder / "trials.csv").read_text()
+    (folder / "trials.csv").write_text(rows.replace("10.2", "10.3"))
+    with pytest.raises(InputError, match="the campaign has changed since this run began"):
+        resume(tmp_path / "out")
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["run.json"]
 
 
 def test_a_folder_without_a_run_cannot_be_resumed(tmp_path):

@@ -23,7 +23,7 @@ from bayes_damper.diagnose import _rms
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.figures import COLOURS, forest_figure, new_figure, residual_maps_figure, save
 from bayes_damper.fit import _draw_overlaid
-from bayes_damper.report.charts import pack, torque_chart, unpack
+from bayes_damper.report.charts import pack, record_chart, torque_chart, unpack
 from bayes_damper.report.html import LARGEST
 from bayes_damper.report.parts import number, percent
 
@@ -165,6 +165,32 @@ def test_missing_torque_is_drawn_against_the_coordinates_of_its_site(tmp_path, t
     difference = torques[0] == -torques[1]
     body = 2.0 if difference else 1.0 if torques[0] == 0.0 else 3.0
     assert np.allclose(unpack(views[axes[0]]["at"]), body * x, atol=1e-5)
+
+
+def test_charts_of_a_translational_rig_are_in_newtons_and_metres(tmp_path):
+    write_fit(tmp_path)
+    chart = record_chart(tmp_path / "III" / "posterior.nc", "m/s^2")
+    assert [panel["y"] for panel in chart.data["views"][0]["panels"]][:2] == ["primary [m/s²]", "residual [m/s²]"]
+    write_diagnosis(tmp_path)
+    chart = torque_chart(tmp_path / "missing_torque.csv", translational=True)
+    assert chart.title == "Missing force"
+    assert [view["x"] for view in chart.data["views"]] == ["time [s]", "x1 [m]", "v1 [m/s]"]
+    assert {panel["y"] for view in chart.data["views"] for panel in view["panels"]} == {
+        "on the primary [N]", "on the secondary [N]"
+    }  # fmt: skip
+
+
+def test_oddities_of_the_records_stand_on_the_page_once(tmp_path):
+    """Below the answers, not above them; a fit and a diagnosis of one campaign tell the same ones."""
+    write_fit(tmp_path)
+    write_diagnosis(tmp_path)
+    told = "trials/2.csv: holds the same readings as trials/1.csv"
+    for name in ("summary.json", "diagnosis.json"):
+        data = json.loads((tmp_path / name).read_text())
+        (tmp_path / name).write_text(json.dumps(data | {"warnings": [told]}))
+    page = report(tmp_path).path.read_text()
+    assert page.count(told) == 1
+    assert page.index('id="answers"') < page.index('href="#records">1 is listed below') < page.index(told)
 
 
 def write_tuning(folder: Path) -> None:
@@ -314,7 +340,7 @@ def test_where_it_differs_is_told_with_units_and_without_digits_that_mean_nothin
     assert "5.5 to 10.5 2, secondary all all 3e-05" in text
     assert "1, primary +5.45 0.01" in text
     assert "IV coupled -0.15 1" in text
-    assert "phi 0 to 0.04 rad slip -1.8 to 0 rad/s 1, primary +25.00 below 1e-12" in text
+    assert "θ1 - θ2 0 to 0.04 rad ω1 - ω2 -1.8 to 0 rad/s 1, primary +25.00 below 1e-12" in text
     assert "0.29 to 0.31 ground2 -0.00055 ± 7.1e-06 N m s 30 nats 28 % a law that is wrong everywhere" in text
     assert "e-221" not in text
 

@@ -27,11 +27,6 @@ Array = NDArray[np.float64]
 MOST_POINTS = 2500
 MOST_VIEWS = 24
 _MISSING = -32768
-_UNITS = {
-    ("acceleration", "torsional"): "rad/s²", ("velocity", "torsional"): "rad/s", ("displacement", "torsional"): "rad",
-    ("acceleration", "translational"): "m/s²", ("velocity", "translational"): "m/s",
-    ("displacement", "translational"): "m",
-}  # fmt: skip
 
 
 def pack(values: ArrayLike) -> dict[str, Any]:
@@ -57,13 +52,17 @@ def series(name: str, kind: str, colour: int, **values: ArrayLike) -> dict[str, 
     return {"name": name, "kind": kind, "colour": colour} | {key: pack(v) for key, v in values.items()}
 
 
-def record_chart(file: Path, unit_hint: str = "") -> Chart | None:
-    """Records of the trials in a posterior.nc under their posterior band, with residuals; None where it holds none."""
+def record_chart(file: Path, unit: str = "") -> Chart | None:
+    """Records of the trials in a posterior.nc under their posterior band, with residuals; None where it holds none.
+
+    unit : of the readings, as summary.json tells it; "" for one that does not.
+    """
     observed, predicted, times, attributes = _trials_of(file)
     shared = [label for label in observed if label in predicted and predicted[label].ndim >= 3]
     if not shared:
         return None
-    clock, unit = _clock(attributes)
+    clock, told = _clock(attributes)
+    told = (unit or told).replace("^2", "²") or "SI"
     views = []
     for label in shared[:MOST_VIEWS]:
         y, model = np.atleast_2d(observed[label]), predicted[label]
@@ -79,7 +78,7 @@ def record_chart(file: Path, unit_hint: str = "") -> Chart | None:
         for c in range(y.shape[0]):
             who = "primary" if c == 0 else "secondary"
             panels.append({
-                "y": f"{who} [{unit or unit_hint or 'SI'}]",
+                "y": f"{who} [{told}]",
                 "height": 2,
                 "series": [
                     series("model, 90 %", "band", 0, low=low[c, keep], high=high[c, keep]),
@@ -88,7 +87,7 @@ def record_chart(file: Path, unit_hint: str = "") -> Chart | None:
                 ],
             })  # fmt: skip
             panels.append({
-                "y": f"residual, {who}",
+                "y": f"residual [{told}]",
                 "height": 1,
                 "series": [series("measured - median", "points", 1, y=(y - middle)[c, keep])],
             })  # fmt: skip
@@ -139,8 +138,8 @@ def _clock(attributes: Mapping[str, Any]) -> tuple[dict[str, Array], str]:
         return {}, ""
     if campaign.sha256 != plan.get("campaign_sha256"):
         return {}, ""
-    unit = _UNITS[campaign.measurement.quantity, campaign.rig.kind]
-    return {_plain(name): np.asarray(t.times) for t in campaign.trials for name in (str(t.file), t.label)}, unit
+    clock = {_plain(name): np.asarray(t.times) for t in campaign.trials for name in (str(t.file), t.label)}
+    return clock, campaign.reading_unit
 
 
 def _plain(label: str) -> str:
@@ -174,8 +173,8 @@ def response_chart(responses: Mapping[str, Mapping[str, Sequence[float]]]) -> Ch
     return Chart("Frequency response of the primary", text, {"views": out})
 
 
-def torque_chart(file: Path) -> Chart | None:
-    """The missing torque that a diagnosis wrote as CSV, against time, angle and velocity; None if there is none."""
+def torque_chart(file: Path, *, translational: bool = False) -> Chart | None:
+    """The missing torque (force) that a diagnosis wrote as CSV, against time and motion; None if there is none."""
     opener = gzip.open if file.suffix == ".gz" else open
     with opener(file, "rt", encoding="utf-8", newline="") as stream:
         rows = list(csv.DictReader(stream))
@@ -194,7 +193,7 @@ def torque_chart(file: Path) -> Chart | None:
         column = {
             k: np.array([_float(r.get(k)) for r in part[::every]]) for k in part[0] if k.endswith(("_s", "_rad", "_m"))
         }
-        axes = {"time_s": "time [s]"} | _coordinates(column)
+        axes = {"time_s": "time [s]"} | _coordinates(column, translational)
         for axis, name in axes.items():
             if axis not in column or not np.isfinite(column[axis]).any():
                 continue
@@ -208,17 +207,18 @@ def torque_chart(file: Path) -> Chart | None:
                 if kind == "line":
                     band = series("estimate ± 1.64 sd", "band", i - 1, low=torque - 1.64 * sd, high=torque + 1.64 * sd)
                     drawn.insert(0, band)
-                panels.append({"y": f"on the {who} [N m]", "height": 2, "series": drawn})
+                panels.append({"y": f"on the {who} [{'N' if translational else 'N m'}]", "height": 2, "series": drawn})
             if panels:
                 view = {"label": f"{label}, against {name}", "x": name, "at": pack(column[axis]), "panels": panels}
                 views.append(view)
     if not views:
         return None
-    text = "The torque that the nominal model would need beside its own to follow the records, with its uncertainty."
-    return Chart("Missing torque", text, {"views": views})
+    effort = "force" if translational else "torque"
+    text = f"The {effort} that the nominal model would need beside its own to follow the records, with its uncertainty."
+    return Chart(f"Missing {effort}", text, {"views": views})
 
 
-def _coordinates(column: dict[str, Array]) -> dict[str, str]:
+def _coordinates(column: dict[str, Array], translational: bool) -> dict[str, str]:
     """Coordinates of the torque's site, column -> label: between the bodies, of the secondary alone, or of the primary.
 
     The differences between the bodies are added to the columns where they are asked for.
@@ -232,7 +232,8 @@ def _coordinates(column: dict[str, Array]) -> dict[str, str]:
         column["slip_rad_s"] = column["omega1_rad_s"] - column["omega2_rad_s"]
     elif told and not first.any():
         names, keys = ("th2", "w2"), ("theta2_rad", "omega2_rad_s")
-    return {key: "{} [{}]".format(*COORDINATES[name]) for key, name in zip(keys, names, strict=True)}
+    known = (COORDINATES[name][translational] for name in names)
+    return {key: f"{symbol} [{unit}]" for key, (symbol, unit) in zip(keys, known, strict=True)}
 
 
 def _float(text: str | None) -> float:

@@ -155,6 +155,7 @@ def _page(home: Path, names: tuple[str, ...], results: list[Result], warnings: l
         headlines=[(r.headline, s) for r, s in zip(results, sections, strict=True)],
         sections=sections,
         warnings=warnings,
+        oddities=list(dict.fromkeys(o for r in results for o in r.oddities)),
         images=budget.used,
         left_out=budget.left_out,
         origins=[(n, _origin(home / n, r)) for n, r in zip(names, results, strict=True)],

@@ -127,7 +127,8 @@ def fit_result(summary: Mapping[str, Any], folder: Path) -> Result:
     pictures = _pictures(folder)
     section = Section("Fit", (_INTERVALS,), pictures=pictures, parts=tuple(sections))
     head = _fit_headline(str(summary.get("campaign", "")), groups, converged)
-    return Result(head, section, tuple(warnings), dict(summary.get("provenance", {})) | _fingerprint(summary))
+    about = dict(summary.get("provenance", {})) | _fingerprint(summary)
+    return Result(head, section, tuple(warnings), about, tuple(summary.get("warnings", ())))
 
 
 def _folder_name(case: str) -> str:
@@ -246,7 +247,8 @@ def _case_section(name: str, entry: Mapping[str, Any], folder: Path) -> Section:
     if not good:
         sentences = (_UNCONVERGED, *sentences)
     file = folder / "posterior.nc"
-    chart = record_chart(file) if file.is_file() else None
+    unit = entry.get("parameters", {}).get("sigma1", {}).get("unit", "")
+    chart = record_chart(file, unit) if file.is_file() else None
     charts = () if chart is None else (chart,)
     return Section(_title(name), sentences, tuple(tables), charts, _pictures(folder, _title(name)))
 
@@ -389,13 +391,14 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
     head = Headline(
         f"Diagnosis of {name}" if name else "Diagnosis", tone, tuple(s for s in sentences if s), shown, tuple(changes)
     )
-    charts = [torque_chart(f) for f in sorted(folder.glob("*torque*.csv"))]
+    translational = _is_translational(data)
+    charts = [torque_chart(f, translational=translational) for f in sorted(folder.glob("*torque*.csv"))]
     rest = generic(
         data, "", ("schema", "campaign", "verdict", "credible_set", "probabilities", "sites", "effects", "provenance",
                    "campaign_sha256", "seed", "indistinguishable", "notes", "next_experiment", "gap", "parameters",
-                   "sensitivity", "where", "forecast", "reading_unit"),
+                   "sensitivity", "where", "forecast", "reading_unit", "warnings"),
     )  # fmt: skip
-    places = _where_sections(data.get("where") or {}, _is_translational(data))
+    places = _where_sections(data.get("where") or {}, translational)
     every = (_effect_table(data.get("effects", []), probabilities),)
     choices = _choice_tables(data.get("sensitivity") or [])
     section = Section(
@@ -417,7 +420,8 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
             *folded(rest),
         ),
     )
-    return Result(head, section, (), dict(data.get("provenance", {})) | _fingerprint(data))
+    about = dict(data.get("provenance", {})) | _fingerprint(data)
+    return Result(head, section, (), about, tuple(data.get("warnings", ())))
 
 
 def _verdict_sentences(
@@ -566,16 +570,19 @@ def _where_sections(where: Mapping[str, Any], translational: bool) -> tuple[Sect
         for r in (where.get("case") or {}).values()
     ]
     add("By case", ("case", "configuration", power, "p value"), rows, note)
+
+    def named(coordinate: str) -> tuple[str, str]:
+        return COORDINATES[coordinate][translational] if coordinate in COORDINATES else (coordinate, "")
+
     rows = []
     for r in where.get("phase_space") or ():
         both = [
-            f"{name} {span(*reach)} {COORDINATES.get(name, ('', '', ''))[1 + translational]}".rstrip()
-            for name, reach in zip(r["coordinates"], r["range"], strict=True)
+            f"{symbol} {span(*reach)} {unit}".rstrip()
+            for (symbol, unit), reach in zip(map(named, r["coordinates"]), r["range"], strict=True)
         ]
         rows.append((both[0], both[1], channel(r), f"{r['excess_over_noise']:+.2f}", p(r)))
-    moves = (
-        "th1, th2 and w1, w2: positions and velocities of primary and secondary; phi: th1 - th2; slip: w1 - w2. " + note
-    )
+    letters = "x and v" if translational else "θ and ω"
+    moves = f"{letters}: position and velocity of the primary (1) and the secondary (2). {note}"
     add("In phase space", ("where", "and", "channel", power, "p value"), rows, moves)
     event = where.get("event")
     if event:
