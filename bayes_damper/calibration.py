@@ -746,6 +746,10 @@ class Problem:
             if central:
                 backward = y[lanes:] - base
                 bad = ~np.isfinite(backward).all(axis=(2, 3))
+                for k, i in enumerate(moved):
+                    # Beyond the end of a nuisance's range a reading may jump: the release is another sample's.
+                    back = base_eta[:, i] - trial_steps[:, i]
+                    bad[len(together) + k] |= (back < group.lower[:, i]) | (back > group.upper[:, i])
                 backward[bad] = -forward[bad]
                 forward = 0.5 * (forward - backward)
             forward[~np.isfinite(forward).all(axis=(2, 3))] = 0.0

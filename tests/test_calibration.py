@@ -117,6 +117,22 @@ def test_late_triggers_and_uncertain_constants_are_part_of_the_fit():
     assert "k1t[6.2]" in fit.parameters
 
 
+def test_slopes_at_the_end_of_a_range_look_inward():
+    """A trigger at the last instant that its record allows: one step later the first reading would lie before it."""
+    fit = calibrate_nominal(make_experiment(8, late=True))
+    lengths = []
+    for inward in (0.0, 0.01):
+        eta = {}
+        for group in fit.problem.groups:
+            i = [name for name, _, _ in group.nuisances].index("delay")
+            for k, trial in enumerate(group.trials):
+                eta[trial] = fit.eta[trial].copy()
+                eta[trial][i] = group.upper[k, i] - inward
+        blocks = fit.problem.linearise(fit.q, eta, central=True).blocks
+        lengths.append(np.concatenate([np.sum(b.T[:, 1] ** 2, axis=1) for b in blocks]))
+    np.testing.assert_allclose(lengths[0], lengths[1], rtol=0.3)
+
+
 @pytest.mark.parametrize(("quantity", "noise"), [("displacement", 2e-5), ("velocity", 5e-3)])
 def test_a_motion_may_be_released_on_either_side_of_the_first_reading(quantity, noise):
     """Where readings start without a jump the logger may have run before the release, and that is no gap."""

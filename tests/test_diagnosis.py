@@ -19,7 +19,7 @@ from bayes_damper.diagnosis.lone import corroborated, held_out_gain, left_of_squ
 from bayes_damper.diagnosis.outliers import outlying, told, without
 from bayes_damper.diagnosis.pairs import PairProblem
 from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of
-from bayes_damper.diagnosis.search import Candidate, Screen, fit_variant, offered, scales_of, screen_variant
+from bayes_damper.diagnosis.search import Candidate, Screen, fainter, fit_variant, offered, scales_of, screen_variant
 from bayes_damper.diagnosis.sensitivity import Quadratic
 from bayes_damper.diagnosis.verdict import RULE, Answers, Left, family_evidence, left_of, weigh
 from bayes_damper.distributions import LogNormal
@@ -152,7 +152,7 @@ def test_nothing_wrong_is_called_none():
 
 @pytest.mark.slow
 def test_a_constant_that_the_named_effect_does_not_free_is_told():
-    """Beside a strong effect, a J2 declared a tenth too large with 2 % does not drown: a note says where it wants to be."""
+    """Beside a strong effect, a note says where a J2 declared a tenth too large wants to be."""
     experiment = with_effect("quadratic_drag", "alike", {"coefficient": 0.8})
     declared = 1.1 * RIG["J2"]
     constants = {**experiment.constants, "J2": (declared, 0.02 * declared)}
@@ -193,6 +193,22 @@ def test_a_lag_of_less_than_a_sample_screens_as_well_as_it_fits():
     fitted = fit_variant(fit, delay, formula, screens, 1).log_evidence
     assert fitted > 40.0
     assert max(s.gain for s in screens) > 0.8 * fitted
+
+
+def test_a_faint_effect_is_screened_where_it_would_just_be_seen():
+    """A play of a tenth of a milliradian, constants known to 2 %: five times as much tells little of it."""
+    backlash = EFFECTS["coupling_backlash"]
+    formula = backlash.variant("dead_zone")
+    exact = measured(3, effect=formula, values={"play": 1e-4}, late=1e-3, repeats=4)
+    constants = {name: (x, 0.02 * x) for name, (x, _) in exact.constants.items()}
+    springs = tuple((k, 0.02 * k) for k, _ in exact.stiffnesses)
+    fit = calibrate_nominal(replace(exact, constants=constants, stiffnesses=springs))
+    screens = screen_variant(Screen(fit), formula)
+    small = fainter(formula, screens)
+    best = max(s.gain for s in screen_variant(Screen(fit), small))
+    assert len(small.starts) == 1
+    assert best > 10.0
+    assert best > 2.0 * max(s.gain for s in screens)
 
 
 def _has(effect: str, parameter: str) -> bool:

@@ -22,7 +22,16 @@ from bayes_damper.calibration import Calibration, Coordinate, Group, Indices, No
 from bayes_damper.composition import compose
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.remainder import Remainder, remainder_of
-from bayes_damper.diagnosis.search import Candidate, Screen, Screened, bases_of, screen_column, start_points
+from bayes_damper.diagnosis.search import (
+    FAINTER,
+    Candidate,
+    Screen,
+    Screened,
+    bases_of,
+    fainter,
+    screen_column,
+    start_points,
+)
 from bayes_damper.effects.base import Effect, Variant
 
 Array = NDArray[np.float64]
@@ -171,25 +180,26 @@ def seconds_of(
     if first.fit is None:
         return []
     screen = Screen(first.fit)
+    others = [(effect, variant) for effect, variant in pool if effect.name != first.effect.name]
+    rows = [_second(screen, nominal, variant) for _, variant in others]
+    if max((s.gain for row in rows for s in row), default=0.0) < FAINTER:
+        small = [fainter(variant, row) for (_, variant), row in zip(others, rows, strict=True)]
+        rows = [row + ([] if v is None else _second(screen, nominal, v)) for row, v in zip(rows, small, strict=True)]
     out = []
-    for effect, variant in pool:
-        if effect.name == first.effect.name:
-            continue
-        row = _second(screen, nominal, variant)
-        if row is not None:
-            out.append(Second(first, effect, variant, row))
+    for (effect, variant), row in zip(others, rows, strict=True):
+        usable = [r for r in row if r.amplitude > 0.0 and np.isfinite(r.log_evidence)]
+        if usable:
+            out.append(Second(first, effect, variant, max(usable, key=lambda r: r.log_evidence)))
     return sorted(out, key=lambda s: -s.gain)
 
 
-def _second(screen: Screen, nominal: Calibration, variant: Variant) -> Screened | None:
-    """The best start of a second effect at the fit of a first one."""
-    base = screen.fit.q[: nominal.problem.size]
+def _second(screen: Screen, nominal: Calibration, variant: Variant) -> list[Screened]:
+    """Every start of a second effect at the fit of a first one."""
     problem = nominal.problem.with_effect(variant)
     rows = []
-    for point in bases_of(replace(nominal, q=base)):
+    for point in bases_of(replace(nominal, q=screen.fit.q[: nominal.problem.size])):
         rows += screen_column(screen, problem, variant, point, against=nominal.problem)
-    usable = [r for r in rows if r.amplitude > 0.0 and np.isfinite(r.log_evidence)]
-    return max(usable, key=lambda r: r.log_evidence) if usable else None
+    return rows
 
 
 def leaders_of(found: Sequence[Candidate], count: int = LEADERS) -> list[Candidate]:

@@ -38,6 +38,8 @@ FAINT = 8.0  # nats: below, formulas that replace the friction are not tried
 STARTS_OF_LEADERS = 2
 MISSED = 10.0  # nats that a fit may stay behind its screening before other starts are tried
 LOST = -1.2  # prior sds below the median at which a friction counts as given up
+FAINTER = 50.0  # nats: where no start screens above, effects are tried again where they would just be seen
+JUST_SEEN = 30.0  # squared change of the records in noise sds at which an effect is just seen
 SMALLER = 0.1  # of the starts of effects in records that begin in motion: cut from long decays, seen by their sum
 
 
@@ -51,6 +53,8 @@ class Screened:
     log_evidence: float
     base: tuple[float, ...]
     """Nominal coordinates at which the effect was switched on."""
+    length: float = 0.0
+    """Squared change of the records that nothing else can make, in noise sds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,6 +194,32 @@ def screen_variant(screen: Screen, variant: Variant) -> tuple[Screened, ...]:
     return tuple(out)
 
 
+def fainter(variant: Variant, screens: Sequence[Screened]) -> Variant | None:
+    """The variant with starts where its effect would just be seen; None where its own are that small, or have no null.
+
+    The response of a gap, a stop or a lag is anything but linear: what ten times too large a one does to the records
+    says little of the effect that is there.
+    """
+    if variant.null is None or any(isinstance(p.prior, LogUniform) for p in variant.parameters):
+        return None
+    starts: dict[tuple[float, ...], tuple[float, ...]] = {}
+    for s in sorted(screens, key=lambda s: -s.length):
+        if s.length > 4.0 * JUST_SEEN:
+            near = math.sqrt(JUST_SEEN / s.length)
+            away = [0.0 if p.null is None else x - p.null for p, x in zip(variant.parameters, s.start, strict=True)]
+            most = max(map(abs, away)) or 1.0
+            direction = tuple(
+                x if p.null is None else round(d / most, 6)
+                for p, x, d in zip(variant.parameters, s.start, away, strict=True)
+            )
+            # Of starts that differ in size alone the smallest one's response is the most nearly linear.
+            starts[direction] = tuple(
+                x if p.null is None else p.null + near * d
+                for p, x, d in zip(variant.parameters, s.start, away, strict=True)
+            )
+    return replace(variant, starts=tuple(starts.values())) if starts else None
+
+
 def _screen_at(screen: Screen, variant: Variant, base: Array) -> list[Screened]:
     problem = screen.fit.problem.with_effect(variant)
     without = None if base is screen.fit.q or variant.null is None else screen.fit.problem
@@ -219,7 +249,7 @@ def screen_column(
             continue
         if variant.null is None:
             gain = -dr - 0.5 * d2 - 0.5 * float(z[k] @ z[k])
-            out.append(Screened(start, gain, 1.0, gain - 3.0, at))
+            out.append(Screened(start, gain, 1.0, gain - 3.0, at, d2))
             continue
         stiffness = _amplitude_stiffness(variant, start)
         amplitude = -dr / (d2 + stiffness)
@@ -228,7 +258,7 @@ def screen_column(
         if one_sided and amplitude < 0.0:
             gain = 0.0
         occam = 0.5 * math.log1p(d2 / max(stiffness, 1e-12))
-        out.append(Screened(start, gain, amplitude, gain - occam, at))
+        out.append(Screened(start, gain, amplitude, gain - occam, at, d2))
     return out
 
 
@@ -293,6 +323,13 @@ def search(
         return [work(item) for item in items]
 
     screens: list[tuple[Screened, ...]] = run(judge, list(pool))  # type: ignore[assignment]
+    if max((s.gain for row in screens for s in row), default=0.0) < FAINTER:
+
+        def again(item: tuple[Variant, tuple[Screened, ...]]) -> tuple[Screened, ...]:
+            small = fainter(*item)
+            return item[1] + (() if small is None else screen_variant(screen, small))
+
+        screens = run(again, [(v, row) for (_, v), row in zip(pool, screens, strict=True)])  # type: ignore[assignment]
     gains = np.array([max(s.gain for s in row) for row in screens])
     order = np.argsort(-gains)
     best = float(gains[order[0]]) if len(pool) else 0.0
