@@ -34,6 +34,7 @@ from bayes_damper.diagnosis.sensitivity import Choice, in_a_sentence, sensitivit
 from bayes_damper.diagnosis.sites import SiteMap, site_map, write_missing_torque
 from bayes_damper.diagnosis.verdict import RULE, Answers, Left, Rule, family_evidence, left_of, weigh
 from bayes_damper.diagnosis.where import Where, locate
+from bayes_damper.diagnosis.wiring import miswired
 from bayes_damper.distributions import Distribution, from_standard
 from bayes_damper.effects import EFFECTS, Effect, classes, scaled
 from bayes_damper.effects.base import SITES, Variant
@@ -263,6 +264,9 @@ def diagnose(
     after = before if winner is None or winner.fit is None else remainder_of(winner.fit)
     evidence = family_evidence(found)
     drift = evidence.pop(DRIFT.name)
+    wiring = miswired(fit)
+    if wiring is not None and wiring.gain <= max(evidence.values(), default=0.0):
+        wiring = None
     tell("looking for what the leading effect leaves")
     before_map = site_map(fit)
     after_map = before_map if winner is None or winner.fit is None else site_map(winner.fit, torque=False)
@@ -292,11 +296,15 @@ def diagnose(
     def judge(changes: Mapping[str, float], of_pairs: Mapping[str, float]) -> Answers:
         moved = {n: z + changes.get(n, 0.0) for n, z in evidence.items()}
         both = [(e, z + of_pairs.get("+".join(e), 0.0), remains) for e, z, remains in judged]
-        return weigh(moved, none_left, left, excess, rule, both, drift + changes.get(DRIFT.name, 0.0))
+        other = drift + changes.get(DRIFT.name, 0.0)
+        if wiring is not None:
+            other = float(np.logaddexp(other, wiring.gain))
+        return weigh(moved, none_left, left, excess, rule, both, other)
 
     answers = judge({}, {})
     weighed = {
-        "before": asdict(none_left), "after": asdict(left), "excess": excess, "drift": drift,
+        "before": asdict(none_left), "after": asdict(left), "excess": excess,
+        "drift": drift if wiring is None else float(np.logaddexp(drift, wiring.gain)),
         "pairs": [{"effects": list(e), "log_evidence": z, "left": asdict(remains)} for e, z, remains in judged],
     }  # fmt: skip
     fits: dict[str, list[Calibration]] = {}
@@ -316,6 +324,8 @@ def diagnose(
     rng = np.random.default_rng(seed)
     best = pair.fit if pair is not None and answers.pair >= 0.5 else None if winner is None else winner.fit
     named = best if winner is not None and answers.verdict == winner.effect.name else None
+    if wiring is not None:
+        notes.insert(0, wiring.sentence())
     notes += [*_notes(experiment, fit, named, answers), in_a_sentence(choices, answers.verdict)]
     chosen_from = sum(c.fit is not None for c in found) + len(pairs) if alone else 1
     gap = measure_gap(fit, best, rng=rng, chosen_from=chosen_from)
@@ -326,7 +336,8 @@ def diagnose(
         best = widened(best, [effect.site for effect in acting])
     return Diagnosis(
         name, experiment, nominal, fit, tuple(found), winner, answers, before, after, gap, locate(fit), before_map,
-        after_map, tuple(_proposals(fit, found, answers)), _sites(answers, effects, before_map, after_map), evidence,
+        after_map, tuple(_proposals(fit, found, answers)),
+        _sites(answers, effects, before_map, after_map, wiring is not None), evidence,
         tuple(_indistinct(evidence, effects)), pair, tuple(notes), time.perf_counter() - began, {"seed": seed},
         tuple(pairs), tuple(seconds), drift, best, tuple(choices), closes, weighed,
         getattr(getattr(campaign, "rig", None), "kind", "torsional"),
@@ -419,8 +430,13 @@ def _with_winners_noise(fit: Calibration, found: list[Candidate]) -> tuple[Calib
     return fresh, sorted(out, key=lambda c: -c.log_evidence)
 
 
-def _sites(answers: Answers, effects: Mapping[str, Effect], before: SiteMap, after: SiteMap) -> dict[str, float]:
-    """Probability of each site: effects at their own, `unknown` as the site maps of gap and remainder say."""
+def _sites(
+    answers: Answers, effects: Mapping[str, Effect], before: SiteMap, after: SiteMap, miswired: bool = False
+) -> dict[str, float]:
+    """Probability of each site: effects at their own, `unknown` as the site maps of gap and remainder say.
+
+    miswired : channels under a wrong name explain the gap better than any torque, so it lies at the sensors.
+    """
     sites = dict.fromkeys((*SITES, "none"), 0.0)
     for name, p in answers.probabilities.items():
         if name == "none":
@@ -433,6 +449,8 @@ def _sites(answers: Answers, effects: Mapping[str, Effect], before: SiteMap, aft
         sites[here] -= 0.5 * answers.pair
         sites[there] += 0.5 * answers.pair
     weights = {s: before.probabilities.get(s, 0.0) + 0.5 * after.probabilities.get(s, 0.0) + 0.01 for s in SITES}
+    if miswired:
+        weights = {s: float(s == "sensor") + 0.01 for s in SITES}
     total = sum(weights.values())
     for site in SITES:
         sites[site] += answers.probabilities["unknown"] * weights[site] / total
