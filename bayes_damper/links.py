@@ -8,6 +8,9 @@ with the torques of damper.py: Lagrange's equations of a double pendulum in abso
 Safko, Classical Mechanics, 3rd ed., problem 1.22). The integrator has a constant inertia matrix, so what the true one
 adds is written as a torque, in which the accelerations are those of the true matrix: exact, not a correction to first
 order. An effect's own torque takes part.
+
+The second link turns on the first, not on the ground: only the first has a bearing with drag to ground. Dry friction of
+the joint between the links is that of the interface; c3t is what the air adds.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ from functools import cache
 
 from bayes_damper.damper import Rig, friction_torques, smooth_torques
 from bayes_damper.effects.base import Kernel, Variant
-from bayes_damper.lanes import TANH_SCALE, cos, lane, sin
+from bayes_damper.lanes import TANH_SCALE, cos, lane, sin, tanh_scaled
 
 Values = tuple[float, float, float, float]
 
@@ -45,10 +48,11 @@ def _linked_torque(inner: Kernel, pendulum: bool, own_friction: bool) -> Kernel:
         held1, held2 = friction_torques(th1, th2, w1, w2, friction, rig.slope, rig.drag, TANH_SCALE * rig.nu, True)
         tau1 = tau1 - held1
         tau2 = tau2 - held2
+        without = rig.drag * tanh_scaled(TANH_SCALE * rig.nu * w2)  # no bearing to ground there
         across = rig.J12 * cos(th1 - th2)
         turning = rig.J12 * sin(th1 - th2)
         f1 = tau1 + q1 - turning * w2 * w2
-        f2 = tau2 + q2 + turning * w1 * w1
+        f2 = tau2 + without + q2 + turning * w1 * w1
         inverse = 1.0 / (rig.J1 * rig.J2 - across * across)
         a1 = (rig.J2 * f1 - across * f2) * inverse
         a2 = (rig.J1 * f2 - across * f1) * inverse
@@ -64,3 +68,26 @@ def linked(variant: Variant | None, pendulum: bool) -> Variant:
         return Variant("links", "two links in series", (), torque=_linked_torque(_none, pendulum, False))
     inner = _none if variant.torque is None else variant.torque
     return replace(variant, torque=_linked_torque(inner, pendulum, variant.replaces_friction), couples="all")
+
+
+@cache
+def _first_alone(inner: Kernel) -> Kernel:
+    """Torque of a bearing effect on the first link only."""
+
+    @lane
+    def torque(
+        t: float, th1: float, th2: float, w1: float, w2: float, z1: float, z2: float, p: Values, rig: Rig
+    ) -> tuple[float, float]:
+        return inner(t, th1, th2, w1, w2, z1, z2, p, rig)[0], 0.0
+
+    return torque
+
+
+def of_first_bearing(variant: Variant) -> Variant:
+    """The variant of an effect in the bearings on a rig of two links, which has one bearing to ground.
+
+    Drag of the air acts on both links.
+    """
+    if variant.torque is None or variant.in_air:
+        return variant
+    return replace(variant, torque=_first_alone(variant.torque))

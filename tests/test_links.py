@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from bayes_damper.effects import EFFECTS
+from bayes_damper.links import of_first_bearing
 from bayes_damper.model import Model
 
 RIG = {
@@ -18,7 +19,7 @@ TIMES = np.arange(0.0, 3.0, 0.02)
 
 
 def reference(rig, quadratic=0.0):
-    """Lagrange's equations of a double pendulum in absolute angles, by scipy."""
+    """Lagrange's equations of a double pendulum in absolute angles, by scipy; the second link has no bearing to ground."""
 
     def rates(_, state):
         a, b, u, v = state
@@ -29,7 +30,7 @@ def reference(rig, quadratic=0.0):
             [
                 -rig["c1t"] * u - rig["k1t"] * np.sin(a) - rig["drag"] * np.tanh(rig["nu"] * u) - joint
                 - rig["J12"] * np.sin(phi) * v * v - quadratic * rig["J1"] * u * abs(u),
-                -rig["c3t"] * v - rig["k3t"] * np.sin(b) - rig["drag"] * np.tanh(rig["nu"] * v) + joint
+                -rig["c3t"] * v - rig["k3t"] * np.sin(b) + joint
                 + rig["J12"] * np.sin(phi) * u * u - quadratic * rig["J1"] * v * abs(v),
             ]
         )  # fmt: skip
@@ -58,6 +59,18 @@ def test_small_angles_do_not_tell_the_two_laws_apart():
         for law in ("cosine", "constant")
     )
     assert np.abs(cosine - constant).max() < 1e-7
+
+
+@pytest.mark.slow
+def test_an_effect_in_the_bearings_acts_on_the_first_link_only():
+    """Dry drag as an effect is the nominal drag of the same size; drag of the air stays on both links."""
+    found = of_first_bearing(EFFECTS["bearing_drag"].variant("dry"))
+    model = Model(True, "constant", "pendulum", found, "cosine", 4e-3)
+    values = {"drag": RIG["drag"], "smoothing": RIG["nu"]}
+    y = model.simulate(RIG | {"drag": 0.0}, TIMES, effect=values, quantity="displacement").y[0]
+    assert np.abs(y - reference(RIG)).max() < 2e-5
+    air = EFFECTS["quadratic_drag"].variant("alike")
+    assert of_first_bearing(air) is air
 
 
 def test_links_take_no_input_torque():

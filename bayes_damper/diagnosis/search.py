@@ -27,6 +27,7 @@ from bayes_damper.calibration import (
 from bayes_damper.distributions import HalfNormal, LogUniform
 from bayes_damper.effects import REFERENCE, Scales, candidates, scaled
 from bayes_damper.effects.base import Effect, Variant
+from bayes_damper.links import of_first_bearing
 
 Array = NDArray[np.float64]
 
@@ -105,6 +106,8 @@ def offered(
         experiment.coupled, experiment.face, "linear" if nominal == "linear" else "nonlinear", effects, experiment.start
     )
     pool = [(effect, scaled(variant, scales)) for effect in able.values() for variant in effect.variants]
+    if experiment.coupling_law == "cosine":
+        pool = [(effect, of_first_bearing(v) if effect.site == "bearings" else v) for effect, v in pool]
     return [(effect, _with_smaller_starts(v)) for effect, v in pool] if experiment.start == "free" else pool
 
 

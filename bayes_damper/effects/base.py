@@ -73,6 +73,8 @@ class Variant:
     couples: Literal["bodies", "interface", "all"] = "all"
     """What the torque depends on: "bodies": Q1 on th1, w1 and Q2 on th2, w2; "interface": equal and opposite, on
     th1 - th2 and w1 - w2; "all": anything. The narrower, the cheaper the Jacobian."""
+    in_air: bool = False
+    """Whether a drag is that of the air around the bodies, not of bearings in the ground."""
     timed: bool = False
     """Whether torque or rate depend on t."""
     rate: Kernel | None = None

@@ -46,6 +46,7 @@ EFFECT = Effect(
             parameters=PARAMETERS,
             torque=alike,
             couples="bodies",
+            in_air=True,
             starts=((0.02,), (0.2,), (0.8,)),
         ),
         Variant(
@@ -54,6 +55,7 @@ EFFECT = Effect(
             parameters=PARAMETERS,
             torque=by_inertia,
             couples="bodies",
+            in_air=True,
             starts=((0.02,), (0.2,), (0.8,)),
         ),
     ),
