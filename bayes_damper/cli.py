@@ -210,6 +210,7 @@ def _tune(args: Arguments) -> Any:
         R=args.bar_radius,
         magnet_pull=args.magnet_pull,
         target_db=args.target_db,
+        amplitudes=args.torque,
         seed=args.seed,
         out=args.out,
     )
@@ -309,10 +310,12 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("tune", _tune, "insertion loss and resonance shift of a design, with uncertainty", out="results/tune")
     sub.add_argument("folder", type=Path, help="folder of a fit")
     sub.add_argument("--case", default="IV", help="which case of the fit (default: IV; joint: all together)")
-    sub.add_argument("--secondary-inertia", type=float, metavar="J2", help="kg m^2; default: the rig's own")
-    sub.add_argument("--k2t", type=float, help="stiffness of the coupling, N m/rad; default: as fitted")
+    sub.add_argument("--secondary-inertia", type=float, metavar="J2", help="kg m^2 (kg); default: the rig's own")
+    sub.add_argument("--k2t", type=float, help="stiffness of the coupling, N m/rad (N/m); default: as fitted")
     sub.add_argument("--bar-radius", type=float, metavar="R", help="m; scales k2t by R^2 (eq. 21)")
     sub.add_argument("--magnet-pull", type=float, metavar="N0", help="N; default: the rig's own")
+    sub.add_argument("--torque", type=float, nargs="+", metavar="T",
+                     help="exciting torques, N m (forces, N); default: of the size of the rig")  # fmt: skip
     sub.add_argument("--target-db", type=float, default=10.0, metavar="DB", help="loss to reach (default: 10)")
 
     sub = command("bench", _bench, "speed and accuracy on this machine beside the peers installed", out="results/bench")

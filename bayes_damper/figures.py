@@ -391,6 +391,7 @@ def response_figure(result: Mapping[str, Any], *, title: str) -> Figure:
         excited, _, design = name.partition(", ")
         panels.setdefault(excited, []).append((design, band))
     designs = list(dict.fromkeys(design for bands in panels.values() for design, _ in bands))
+    effort = "force" if result.get("kind") == "translational" else "torque"
     columns = min(2, len(panels))
     rows = -(-len(panels) // columns)
     figure = new_figure(4.6 * columns, 2.7 * rows + 0.5)
@@ -404,7 +405,7 @@ def response_figure(result: Mapping[str, Any], *, title: str) -> Figure:
                 axis.plot(frequency, band["median"], ls=STYLES[k % len(STYLES)], label=design, **marks)
                 axis.fill_between(frequency, band["q05"], band["q95"], alpha=0.2, lw=0, **marks)
             axis.set_yscale("log")
-            axis.set_title("linear model" if excited == "linear" else f"nonlinear, torque {excited}", loc="left")
+            axis.set_title("linear model" if excited == "linear" else f"nonlinear, {effort} {excited}", loc="left")
         for axis in axes[len(panels) :]:
             axis.set_visible(False)
         for axis in axes[: len(panels)]:
@@ -412,7 +413,7 @@ def response_figure(result: Mapping[str, Any], *, title: str) -> Figure:
         for axis in axes[: len(panels)][-columns:]:
             axis.set_xlabel("frequency [Hz]")
         for axis in axes[::columns]:
-            axis.set_ylabel("accelerance [1/(kg m²)]")
+            axis.set_ylabel("accelerance [1/kg]" if effort == "force" else "accelerance [1/(kg m²)]")
         axes[0].legend(loc="best", fontsize=8)
         figure.suptitle(title)
     return figure
@@ -427,6 +428,7 @@ def tuning_figure(result: Mapping[str, Any], *, title: str) -> Figure:
     curves = result["curves"]
     driven = {"design": result["nonlinear"], "best design": (result["optimum"] or {}).get("nonlinear", [])}
     first = bool(result["nonlinear"])
+    translational = result.get("kind") == "translational"
     columns = len(curves) + first
     figure = new_figure(3.4 * max(columns, 1) + 0.4, 3.3)
     with mpl.rc_context(_RC):
@@ -443,10 +445,10 @@ def tuning_figure(result: Mapping[str, Any], *, title: str) -> Figure:
             ticks = [r["torque_amplitude_n_m"] for r in result["nonlinear"]]
             axes[0].set_xticks(ticks, [f"{x:g}" for x in ticks])
             axes[0].minorticks_off()
-            axes[0].set_xlabel("exciting torque [N m]")
+            axes[0].set_xlabel("exciting force [N]" if translational else "exciting torque [N m]")
             axes[0].legend(loc="best", fontsize=8)
             axes[0].set_title("with dry friction", loc="left")
-        labels = {"J2": ("J2 [g m²]", 1e3), "R": ("R [mm]", 1e3)}
+        labels = {"J2": ("J2 [kg]", 1.0) if translational else ("J2 [g m²]", 1e3), "R": ("R [mm]", 1e3)}
         for axis, (name, curve) in zip(axes[int(first) :], curves.items(), strict=False):
             words, unit = labels.get(name, (name, 1.0))
             x = unit * np.asarray(curve["value"])

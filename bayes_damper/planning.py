@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from bayes_damper import figures
 from bayes_damper.calibration import Calibration, Noise, Problem, coordinate_of, experiment_of, summarise
-from bayes_damper.campaign import Campaign, load_plan
+from bayes_damper.campaign import Campaign, load_plan, noise_floor
 from bayes_damper.diagnosis.next_experiment import candidate_trials, places_of, with_events
 from bayes_damper.diagnosis.search import offered
 from bayes_damper.distributions import from_standard
@@ -117,8 +117,9 @@ def plan(
     Parameters
     ----------
     campaign : folder with campaign.toml and trials.csv; the records need not exist. [measurement] must declare
-    noise_std and, where records are missing, sample_rate. nominal, effects, priors : as for `diagnose`. out : folder
-    for plan.json and its figure, None to write nothing. seed : of the draws from the priors of the effects.
+    noise_std, unless records that are there tell it, and, where records are missing, sample_rate. nominal, effects,
+    priors : as for `diagnose`. out : folder for plan.json and its figure, None to write nothing. seed : of the draws
+    from the priors of the effects.
 
     Raises
     ------
@@ -132,17 +133,36 @@ def plan(
         raise InputError(
             f'{campaign}: a plan needs a release from rest; with start = "free" nothing tells how large the motion is'
         )
-    if loaded.measurement.noise_std is None:
-        raise InputError(
-            f"{campaign}/campaign.toml [measurement]: noise_std is missing; give the noise of your sensors in the unit "
-            "of the readings (from a record of the rig at rest)"
-        )
+    measured = loaded.measurement.noise_std is None
+    if measured:
+        loaded = replace(loaded, measurement=replace(loaded.measurement, noise_std=_noise_of_records(loaded)))
     result = judge(loaded, all_effects(effects), nominal, chosen, seed, threads)
+    if measured:
+        result["sentences"].append("The noise was taken from the records that are there: noise_std is not declared.")
     result |= {"campaign_sha256": loaded.sha256, "seed": seed, "provenance": provenance()}
     if out is not None:
         write_json(Path(out) / "plan.json", result)
         figures.save(figures.plan_figure(result, title=f"{loaded.name}: what could be told apart"), Path(out) / "plan")
     return Plan(result, None if out is None else Path(out))
+
+
+def _noise_of_records(campaign: Campaign) -> tuple[float, ...]:
+    """Noise of each channel, in the unit of the readings: the median over the records that have been measured.
+
+    Raises
+    ------
+    InputError
+        if there are none.
+    """
+    floors = [noise_floor(t) for t in campaign.trials if np.any(t.channels)]
+    if not floors:
+        raise InputError(
+            f"{campaign.folder}/campaign.toml [measurement]: noise_std is missing; give the noise of your sensors in "
+            f"{campaign.reading_unit} (from a record of the rig at rest)"
+        )
+    channels = range(2 if any(t.coupled for t in campaign.trials) else 1)
+    # Where no record has a second channel, its sensor is taken to be like the first one's.
+    return tuple(float(np.median([f[c] for f in floors if len(f) > c] or [f[0] for f in floors])) for c in channels)
 
 
 def judge(

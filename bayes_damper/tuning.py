@@ -26,10 +26,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
 
 from bayes_damper import figures, linear
-from bayes_damper.campaign import load_campaign
+from bayes_damper.campaign import Campaign, load_campaign
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.linear import LinearRig
 from bayes_damper.model import Model
+from bayes_damper.parameters import unit_of
 from bayes_damper.provenance import provenance
 from bayes_damper.published import load_published
 from bayes_damper.run import read_json, write_json
@@ -46,6 +47,9 @@ NONLINEAR = (*LINEAR, "mu", "drag", "nu", "N0", "R", "r")
 BOUNDS = {"J2": (0.1, 2.0), "k2t": (0.25, 4.0), "R": (0.5, 2.0)}
 """Where the best design is sought by default: factors on the present J2, k2t and R."""
 AMPLITUDES = (0.02, 0.05, 0.1, 0.2)  # N m
+"""Exciting torques of the thesis's rig, and of draws whose campaign is not known."""
+OF_RELEASE = (0.025, 0.06, 0.12, 0.24)
+"""Exciting torques (forces) of another rig, as shares of k1t theta0, which held it before the release."""
 CURVES: Mapping[str, tuple[float, float]] = {"J2": (0.1, 2.0), "R": (0.5, 2.0)}
 """What the tuning curves go over, as factors on the rig's present J2 and R."""
 _CURVE_POINTS = 25
@@ -189,11 +193,21 @@ def posterior_draws(
 
 @dataclass(frozen=True)
 class Origin:
-    """Where draws come from: name of the campaign, its checksum, and the rig's constants that are not among them."""
+    """Where draws come from: name of the campaign, its checksum, and the rig's constants that are not among them.
+
+    kind : of the rig; amplitudes : torques (N m; forces, N) that suit its size.
+    """
 
     campaign: str = ""
     sha256: str | None = None
     constants: Mapping[str, float] = field(default_factory=dict)
+    kind: str = "torsional"
+    amplitudes: tuple[float, ...] = AMPLITUDES
+
+    @property
+    def effort(self) -> tuple[str, str]:
+        """What excites the rig, and its unit."""
+        return ("force", "N") if self.kind == "translational" else ("torque", "N m")
 
 
 def origin_of(source: Mapping[str, ArrayLike] | Path | str, case: str) -> Origin:
@@ -236,8 +250,26 @@ def origin_of(source: Mapping[str, ArrayLike] | Path | str, case: str) -> Origin
         constants["k1t"] = next(iter(springs))
     elif springs:
         listed = ", ".join(f"{k:g}" for k in springs)
-        raise InputError(f"case {case!r} has several springs ({listed} N m/rad): name one case, or give k1t in `rig`")
-    return Origin(**told, constants=constants)
+        unit = unit_of("k1t", rig.kind)
+        raise InputError(f"case {case!r} has several springs ({listed} {unit}): name one case, or give k1t in `rig`")
+    return Origin(**told, constants=constants, kind=rig.kind, amplitudes=_suitable(campaign, case))
+
+
+def _suitable(campaign: Campaign, case: str) -> tuple[float, ...]:
+    """Exciting torques (forces) of the size of this rig: shares of what held it before the release, two digits each.
+
+    Where no release is declared, the largest swing that the readings imply stands in for it.
+    """
+    held = []
+    for t in campaign.trials:
+        if case not in ("joint", t.case):
+            continue
+        pace = math.sqrt(t.k1t.value / campaign.rig.primary_inertia.value)
+        reach = {"acceleration": pace**2, "velocity": pace, "displacement": 1.0}[campaign.measurement.quantity]
+        swing = float(np.quantile(np.abs(t.channels[0]), 0.99)) / reach
+        held.append(t.k1t.value * (abs(t.theta0.value) if t.theta0 is not None and t.theta0.value else swing))
+    largest = float(np.median(held)) if held else 0.0
+    return tuple(float(f"{share * largest:.2g}") for share in OF_RELEASE) if largest > 0.0 else AMPLITUDES
 
 
 def _stored(folder: Path, case: str, n: int, rng: np.random.Generator) -> dict[str, Array]:
@@ -427,6 +459,13 @@ class Optimum:
         return float(np.nanmean(self.performance.insertion_loss))
 
 
+def usual_bounds(draws: Draws, names: Sequence[str] = tuple(BOUNDS)) -> dict[str, tuple[float, float]]:
+    """Where the best design is sought if nothing else is said: `BOUNDS` times the rig's present medians."""
+    low, high = np.transpose([BOUNDS[name] for name in names])
+    middle = np.array([_middle(draws, name) for name in names])
+    return {name: (float(a), float(b)) for name, a, b in zip(names, low * middle, high * middle, strict=True)}
+
+
 def best_design(
     draws: Draws, start: Design | None = None, bounds: Mapping[str, tuple[float, float]] | None = None
 ) -> Optimum:
@@ -437,9 +476,9 @@ def best_design(
     R, only k2t R^2 enters: the radius is then changed only where k2t alone does not reach far enough.
     """
     start = start or Design()
-    now = {name: float(np.median(draws[name])) for name in ("J2", "k2t", "R")}
+    now = {name: _middle(draws, name) for name in ("J2", "k2t", "R")}
     if bounds is None:
-        bounds = {name: (low * now[name], high * now[name]) for name, (low, high) in BOUNDS.items()}
+        bounds = usual_bounds(draws)
     faults = [f"{name}: only J2, k2t and R can be optimised; leave it out" for name in bounds if name not in now]
     faults += [
         f"{name}: its bounds {low:g} and {high:g} must be above zero and rise"
@@ -516,6 +555,10 @@ def shares_of_variance(draws: Draws, answer: Array) -> dict[str, float]:
     return dict(sorted(out.items(), key=lambda item: -item[1]))
 
 
+def _middle(draws: Draws, name: str) -> float:
+    return float(np.median(draws[name]))
+
+
 @dataclass(frozen=True)
 class Curve:
     """Insertion loss of the linear model over one quantity of the design: its values (n,), mean and central 90 % of the
@@ -529,11 +572,14 @@ class Curve:
     probability: Array
 
 
-def tuning_curves(draws: Draws, design: Design, target_db: float) -> dict[str, Curve]:
-    """Insertion loss against J2 and R about a design, all else as in the design."""
+def tuning_curves(
+    draws: Draws, design: Design, target_db: float, over: Sequence[str] = tuple(CURVES)
+) -> dict[str, Curve]:
+    """Insertion loss against J2 and R about a design, all else as in the design; `over` : which of them."""
     out = {}
-    for name, (low, high) in CURVES.items():
-        values = float(np.median(draws[name])) * np.geomspace(low, high, _CURVE_POINTS)
+    for name in over:
+        low, high = CURVES[name]
+        values = _middle(draws, name) * np.geomspace(low, high, _CURVE_POINTS)
         if name == "J2":
             values = values[values >= design.bar_inertia]
         found = [linear_performance(draws, replace(design, **{name: float(x)})) for x in values]
@@ -588,6 +634,7 @@ class TuneResult:
             "campaign_sha256": self.origin.sha256,
             "seed": self.seed,
             "case": self.case,
+            "kind": self.origin.kind,
             "definition": "20 log10 of the highest accelerance without the secondary over the highest with it (eq. 24)",
             "draws": len(self.draws["J1"]),
             "target_db": self.target_db,
@@ -636,15 +683,18 @@ class TuneResult:
 
     def text(self) -> str:
         """The result in a few lines."""
+        effort, unit = self.origin.effort
         lines = [f"Case {self.case}, {counted(len(self.draws['J1']), 'draw')}; target {self.target_db:g} dB."]
         lines.append(f"linear model: {_sentence(self.linear, self.target_db)}")
-        lines += [f"torque {a:g} N m: {_sentence(p, self.target_db)}" for a, p in self.nonlinear.items()]
+        lines += [f"{effort} {a:g} {unit}: {_sentence(p, self.target_db)}" for a, p in self.nonlinear.items()]
         if self.optimum is not None:
             d = self.optimum.design
-            free = ", ".join(f"{k} = {v:.4g}" for k, v in d.to_json().items() if v)
+            units = {"J2": "J2", "k2t": "k2t", "R": "R", "magnet_pull": "N0", "bar_inertia": "J2"}
+            told = {k: f"{v:.4g} {unit_of(units[k], self.origin.kind)}" for k, v in d.to_json().items() if v}
+            free = ", ".join(f"{k} = {v}" for k, v in told.items())
             bound = f" (at the bound: {', '.join(self.optimum.at_bound)})" if self.optimum.at_bound else ""
             lines.append(f"best design: {free}{bound}; {_sentence(self.optimum.performance, self.target_db)}")
-            lines += [f"  at {a:g} N m: {_sentence(p, self.target_db)}" for a, p in self.optimum_nonlinear.items()]
+            lines += [f"  at {a:g} {unit}: {_sentence(p, self.target_db)}" for a, p in self.optimum_nonlinear.items()]
         if self.shares:
             name, share = next(iter(self.shares.items()))
             lines.append(f"The insertion loss hangs most on {name}: {100 * share:.0f} % of its variance.")
@@ -726,7 +776,7 @@ def tune(
     magnet_pull: float | None = None,
     bar_inertia: float = 0.0,
     target_db: float = 10.0,
-    amplitudes: Sequence[float] = AMPLITUDES,
+    amplitudes: Sequence[float] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     optimise: bool = True,
     n_draws: int = 400,
@@ -741,7 +791,8 @@ def tune(
     source : posterior draws, name -> (n,), or the folder of a fit; case : which of its cases ("joint": all together).
     rig : constants that the posterior does not hold (SI); else those of the fitted campaign, else the thesis's.
     J2, k2t, R, magnet_pull, bar_inertia : the design (see `Design`); None keeps the rig as it is.
-    target_db : loss whose probability is given; amplitudes : torques (N m) at which the nonlinear model is driven.
+    target_db : loss whose probability is given; amplitudes : torques (N m; forces, N) at which the nonlinear model is
+    driven, by default of the size of the rig.
     bounds : where the best design is sought, SI (see `best_design`); out : folder for `tune.json` and figures.
     n_draws, n_nonlinear : draws for the linear and, among them, for the nonlinear model.
 
@@ -755,7 +806,14 @@ def tune(
         raise InputError(f"n_draws = {n_draws}, n_nonlinear = {n_nonlinear}: at least one draw of each is needed")
     rng = np.random.default_rng(seed)
     origin = origin_of(source, case) if rig is None or "k1t" not in rig else Origin()
+    if origin.kind == "translational" and R is not None:
+        raise InputError(f"R = {R:g}: a translational rig has no radius; change J2 or k2t")
+    if amplitudes is None:
+        amplitudes = origin.amplitudes
     draws = posterior_draws(source, case, n_draws, rng, {**origin.constants, **(rig or {})})
+    lengths = ("R",) if origin.kind == "torsional" else ()
+    if bounds is None:
+        bounds = usual_bounds(draws, ("J2", "k2t", *lengths))
     performance = linear_performance(draws, design)
     optimum = best_design(draws, design, bounds) if optimise else None
     designs = {"design": design} | ({} if optimum is None else {"best design": optimum.design})
@@ -767,11 +825,12 @@ def tune(
     response = {f"linear, {name}": band for name, band in frequency_responses(draws, with_present).items()}
     fewer = {name: column[:20] for name, column in draws.items()}
     for a in driven:
-        response |= {f"{a:g} N m, {name}": band for name, band in frequency_responses(fewer, designs, a).items()}
+        bands = frequency_responses(fewer, designs, a)
+        response |= {f"{a:g} {origin.effort[1]}, {name}": band for name, band in bands.items()}
     shares = shares_of_variance(draws, performance.insertion_loss)
     result = TuneResult(
         case, design, draws, target_db, performance, nonlinear, optimum, at_optimum, shares, response,
-        tuning_curves(draws, design, target_db), origin, seed, provenance(),
+        tuning_curves(draws, design, target_db, ("J2", *lengths)), origin, seed, provenance(),
     )  # fmt: skip
     if out is not None:
         told = result.to_json()

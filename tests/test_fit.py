@@ -34,8 +34,8 @@ def _campaign(folder, cases=("IV",), duration=0.3, seed=0, effect=None, values=N
     rng = np.random.default_rng(seed)
     (folder / "trials").mkdir(parents=True)
     (folder / "campaign.toml").write_text(
-        'name = "known"\ncaveats = ["Made by a test."]\n[rig]\nprimary_inertia = 3.015e-3\nsecondary_inertia = 2.474e-3\nbar_radius = 0.1\n'
-        "magnet_radius = 0.0127\nmagnet_pull = 100.0\n",
+        'name = "known"\ncaveats = ["Made by a test."]\n[rig]\nprimary_inertia = 3.015e-3\n'
+        "secondary_inertia = 2.474e-3\nbar_radius = 0.1\nmagnet_radius = 0.0127\nmagnet_pull = 100.0\n",
         encoding="utf-8",
     )
     rows = ["file,case,configuration,k1t_n_m_per_rad,theta0_deg,theta0_std_deg,trial"]

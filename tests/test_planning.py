@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from campaigns import CAMPAIGN_TOML
+from campaigns import CAMPAIGN_TOML, write_synthetic
 
 from bayes_damper.campaign import load_plan
 from bayes_damper.cli import main
@@ -16,7 +16,7 @@ from bayes_damper.diagnosis.search import offered
 from bayes_damper.effects import EFFECTS
 from bayes_damper.errors import InputError
 from bayes_damper.model import Model
-from bayes_damper.planning import NATS, Bench, _standard, expected, judge, plan, planned_fit
+from bayes_damper.planning import NATS, Bench, _noise_of_records, _standard, expected, judge, plan, planned_fit
 
 FEW = {name: EFFECTS[name] for name in ("quadratic_drag", "spring_cubic", "sensor_gain")}
 TOML = CAMPAIGN_TOML.replace("noise_std = 2.0", "noise_std = 2.0\nduration = 0.5")
@@ -41,6 +41,19 @@ def write_plan(folder: Path, toml: str = TOML, repeats: int = 3, degrees: tuple[
 def planned(tmp_path_factory):
     campaign = load_plan(write_plan(tmp_path_factory.mktemp("plan")))
     return campaign, judge(campaign, FEW)
+
+
+def test_the_noise_of_records_that_are_there_stands_in_for_a_declared_one(tmp_path):
+    """Half measured: both channels' noise from the coupled trials that exist; the second like the first before that."""
+    folder = write_synthetic(tmp_path, noise=2.0)
+    toml = (folder / "campaign.toml").read_text().replace("noise_std = 2.0\n", "")
+    (folder / "campaign.toml").write_text(toml)
+    (folder / "trials" / "IV_coupled_2.csv").unlink()
+    assert _noise_of_records(load_plan(folder)) == pytest.approx((2.0, 2.0), rel=0.1)
+    for i in (1, 3):
+        (folder / "trials" / f"IV_coupled_{i}.csv").unlink()
+    first, second = _noise_of_records(load_plan(folder))
+    assert first == second == pytest.approx(2.0, rel=0.1)
 
 
 def test_planned_records_last_as_declared_and_hold_nothing(tmp_path):

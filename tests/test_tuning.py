@@ -1,13 +1,14 @@
 """Tuning: time integration against the transfer function, the thesis's designs, the best design, what is refused."""
 
 import json
+import re
 
 import numpy as np
 import pytest
-from campaigns import CAMPAIGN_TOML, write_synthetic
+from campaigns import CAMPAIGN_TOML, write_synthetic, write_table
 from scipy.integrate import solve_ivp
 
-from bayes_damper import figures, linear, tuning
+from bayes_damper import figures, linear, report, tuning
 from bayes_damper.campaign import load_campaign
 from bayes_damper.errors import InputError
 from bayes_damper.run import write_json
@@ -353,3 +354,42 @@ def test_the_same_seed_gives_the_same_answer(result):
 def test_no_draws_are_refused():
     with pytest.raises(InputError, match="at least one draw"):
         tuning.tune(THESIS, n_draws=0)
+
+
+def translational_folder(folder):
+    """A fit of two carts: 1.9 kg at 900 N/m, let go 8 mm from rest, a second cart of 0.6 kg."""
+    rig = folder / "rig"
+    rig.mkdir(parents=True)
+    (rig / "campaign.toml").write_text(
+        'name = "carts"\n[rig]\nkind = "translational"\nprimary_inertia = 1.9\nsecondary_inertia = 0.6\n'
+        '[measurement]\nquantity = "displacement"\n'
+    )
+    (rig / "trials.csv").write_text("file,case,configuration,k1_n_per_m,theta0_mm,trial\nr.csv,A,uncoupled,900,8,1\n")
+    times = np.arange(600) / 300.0
+    x = 8e-3 * np.exp(-0.6 * times) * np.cos(21.76 * times) + 1e-5 * np.random.default_rng(0).standard_normal(600)
+    write_table(rig / "r.csv", ["time_s", "x1_m"], [times, x])
+    plan = {"campaign": str(rig), "name": "carts", "campaign_sha256": load_campaign(rig).sha256, "normal_force": None}
+    write_json(folder / "fit" / "run.json", {"command": "fit", "plan": plan})
+    row = {"sd": 0.01}
+    values = {"k2t": 90.0, "c2t": 1.0, "c1t": 1.1, "c3t": 0.2, "drag": 0.1, "nu": 300.0}
+    table = {name: row | {"mean": value} for name, value in values.items()}
+    write_json(folder / "fit" / "summary.json", {"cases": {"A": {"parameters": table}}})
+    return folder / "fit"
+
+
+def test_carts_are_tuned_in_newtons_and_kilograms(tmp_path):
+    """Forces of the size of the rig (7.2 N held it), no radius among what is free, and units everywhere."""
+    fit = translational_folder(tmp_path)
+    found = tuning.tune(fit, case="A", n_draws=20, n_nonlinear=2, out=tmp_path / "tune")
+    assert list(found.nonlinear) == [0.18, 0.43, 0.86, 1.7]
+    assert found.optimum.design.R is None
+    assert set(found.curves) == {"J2"}
+    assert found.to_json()["kind"] == "translational"
+    assert "force 0.18 N: insertion loss" in found.text()
+    assert " kg, k2t = " in found.text()
+    text = re.sub(r"<[^>]+>|\s+", " ", report(tmp_path / "tune").path.read_text(encoding="utf-8"))
+    assert "your design, force 0.18 N " in text
+    assert "accelerance [dB re 1/kg]" in text
+    assert "N m" not in text
+    with pytest.raises(InputError, match="a translational rig has no radius"):
+        tuning.tune(fit, case="A", R=0.1)

@@ -147,8 +147,11 @@ def _plain(label: str) -> str:
     return re.sub(r"[^A-Za-z0-9]+", " ", label.removesuffix(".gz").removesuffix(".csv")).strip()
 
 
-def response_chart(responses: Mapping[str, Mapping[str, Sequence[float]]]) -> Chart | None:
+def response_chart(
+    responses: Mapping[str, Mapping[str, Sequence[float]]], *, translational: bool = False
+) -> Chart | None:
     """Frequency responses of tune.json, one view for each way of exciting."""
+    effort, unit = ("force", "1/kg") if translational else ("torque", "1/(kg m²)")
     views: dict[str, list[tuple[str, Mapping[str, Any]]]] = {}
     for name, band in responses.items():
         excited, _, design = name.partition(", ")
@@ -164,12 +167,12 @@ def response_chart(responses: Mapping[str, Mapping[str, Sequence[float]]]) -> Ch
             drawn.append(series(f"{design}, 90 %", "band", i, x=x, low=decibels[0], high=decibels[2]))
             drawn.append(series(f"{design}, median", "line", i, x=x, y=decibels[1]))
         at = np.asarray(bands[0][1]["frequency_hz"], dtype=np.float64)
-        label = "linear model" if excited == "linear" else f"nonlinear model, torque {excited}"
-        panel = {"y": "accelerance [dB re 1/(kg m²)]", "height": 3, "series": drawn}
+        label = "linear model" if excited == "linear" else f"nonlinear model, {effort} {excited}"
+        panel = {"y": f"accelerance [dB re {unit}]", "height": 3, "series": drawn}
         out.append({"label": label, "x": "frequency [Hz]", "at": pack(at), "panels": [panel]})
     if not out:
         return None
-    text = "Median and 90 % band of the primary's acceleration per torque, without a secondary and with each design."
+    text = f"Median and 90 % band of the primary's acceleration per {effort}, without a secondary and with each design."
     return Chart("Frequency response of the primary", text, {"views": out})
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from bayes_damper.parameters import PARAMETERS
+from bayes_damper.parameters import PARAMETERS, unit_of
 from bayes_damper.report.charts import record_chart, response_chart, torque_chart
 from bayes_damper.report.parts import (
     NOTHING,
@@ -759,6 +759,8 @@ def _parameter(name: str, value: Any) -> str:
 def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
     """Headline and section of tune.json."""
     target = data["target_db"]
+    translational = data.get("kind") == "translational"
+    effort, newton = ("force", "N") if translational else ("torque", "N m")
     designs = [("your design", data.get("design", {}), data)]
     if data.get("optimum"):
         designs.append(("best design", data["optimum"]["design"], data["optimum"]))
@@ -772,8 +774,10 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
         )
     weak = [row for row in data.get("nonlinear", []) if row["probability_of_target"] < 0.5]
     if weak:
-        at = listed([f"{row['torque_amplitude_n_m']:g} N m" for row in weak])
-        sentences.append(f"With dry friction, your design probably misses the target when the exciting torque is {at}.")
+        at = listed([f"{row['torque_amplitude_n_m']:g} {newton}" for row in weak])
+        sentences.append(
+            f"With dry friction, your design probably misses the target when the exciting {effort} is {at}."
+        )
     changes = []
     if data.get("hangs_most_on"):
         name = data["hangs_most_on"]
@@ -789,7 +793,8 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
     for name, _, found in designs:
         rows.append(_performance_row(f"{name}, linear", found["linear"]))
         rows += [
-            _performance_row(f"{name}, torque {r['torque_amplitude_n_m']:g} N m", r) for r in found.get("nonlinear", [])
+            _performance_row(f"{name}, {effort} {r['torque_amplitude_n_m']:g} {newton}", r)
+            for r in found.get("nonlinear", [])
         ]
     columns = (
         "design and model",
@@ -803,16 +808,16 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
     note = f"{data.get('definition', '')}." if data.get("definition") else ""
     if silent:
         note += (
-            f" {NOTHING}: at that torque the rig sticks or no steady response was found, so there is no loss to tell."
+            f" {NOTHING}: at that {effort} the rig sticks or no steady response was found, so there is no loss to tell."
         )
     tables = [Table("Insertion loss and resonance", columns, tuple(rows), note.strip())]
-    tables.append(_design_table(designs))
+    tables.append(_design_table(designs, "translational" if translational else "torsional"))
     if data.get("variance_shares"):
         shares = tuple(Row((k, percent(v))) for k, v in data["variance_shares"].items())
         tables.append(
             Table("What the insertion loss hangs on", ("parameter", "share of its variance"), shares, _SHARES)
         )
-    chart = response_chart(data.get("frequency_response", {}))
+    chart = response_chart(data.get("frequency_response", {}), translational=translational)
     p = data["linear"]["probability_of_target"]
     head = Headline(
         f"Tuning, case {data.get('case', '')}", "good" if p > 0.9 else "bad" if p < 0.1 else "open", tuple(sentences),
@@ -853,8 +858,11 @@ def _told_or_nothing(found: Mapping[str, Any]) -> str:
     return f"{number(found['median'], high - low)} ({interval(low, high)})"
 
 
-def _design_table(designs: Sequence[tuple[str, Mapping[str, Any], Any]]) -> Table:
-    units = {"J2": "kg m^2", "k2t": "N m/rad", "R": "m", "magnet_pull": "N", "bar_inertia": "kg m^2"}
+def _design_table(designs: Sequence[tuple[str, Mapping[str, Any], Any]], kind: str) -> Table:
+    names = {"J2": "J2", "k2t": "k2t", "R": "R", "magnet_pull": "N0", "bar_inertia": "J2"}
+    if kind == "translational":
+        names = {key: name for key, name in names.items() if key in ("J2", "k2t", "magnet_pull")}
+    units = {key: unit_of(name, kind) for key, name in names.items()}
     rows = tuple(
         Row((words(key), unit, *("as it is" if d.get(key) is None else number(d[key]) for _, d, _ in designs)))
         for key, unit in units.items()
