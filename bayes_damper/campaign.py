@@ -67,6 +67,8 @@ _MEASUREMENT_SPREADS = ("offset_std", "scale_std", "lag_std")  # may be 0: known
 PLANNED_PERIODS = 8.0
 """Natural periods of the slowest case that a planned record lasts where no duration is declared."""
 _TOP = ("name", "description", "source", "caveats", "rig", "measurement")
+_TABLES = {"rig": (*_RIG_NUMBERS, *_RIG_WORDS),
+           "measurement": (*_MEASUREMENT_WORDS, *_MEASUREMENT_NUMBERS, *_MEASUREMENT_SPREADS)}  # fmt: skip
 _SHORT = 0.8  # of the longest repeat's end, before which a record counts as ending early
 _SHOWN = 5  # faults of one kind shown for one file
 
@@ -288,10 +290,11 @@ def load_campaign(folder: str | Path) -> Campaign:
     trials = tuple(t for row in rows if (t := _read_trial(folder, row, head, faults, digest)) is not None)
     _check_rig(folder, head.rig, any(row.configuration == "coupled" for row in rows), faults)
     warnings: list[str] = list(head.notes)
-    for trial in trials:
-        if not head.broken:
-            _check_magnitudes(head, trial, faults, warnings)
-            _look_at_trial(head, trial, warnings)
+    with np.errstate(over="ignore", invalid="ignore"):  # readings beyond reason get their sentence, not a warning
+        for trial in trials:
+            if not head.broken:
+                _check_magnitudes(head, trial, faults, warnings)
+                _look_at_trial(head, trial, warnings)
     if faults:
         if rows and not any((folder / row.file).exists() for row in rows):
             faults.append("none of the records is there: `bayes-damper plan` judges a campaign before it is measured")
@@ -405,7 +408,9 @@ def _read_bytes(path: Path, name: str, faults: list[str], digest: hashlib._Hash)
     try:
         raw = path.read_bytes()
     except FileNotFoundError:
-        faults.append(f"{name}: no such file; put it into the campaign's folder or correct the name")
+        near = _nearest_file(path)
+        hint = f"did you mean {near}?" if near else "put it into the campaign's folder or correct the name"
+        faults.append(f"{name}: no such file; {hint}")
         return None
     except OSError as error:
         faults.append(f"{name}: cannot be read ({error.strerror}); give a readable file")
@@ -417,7 +422,22 @@ def _read_bytes(path: Path, name: str, faults: list[str], digest: hashlib._Hash)
     return raw
 
 
+def _nearest_file(path: Path) -> str | None:
+    """The file that a name may mean: the same with other letters, or with / between the folders."""
+    wanted = PurePosixPath(path.as_posix().replace("\\", "/"))
+    place = Path(wanted.parent)
+    names = sorted(p.name for p in place.iterdir() if p.is_file()) if place.is_dir() else []
+    same = [n for n in names if n.lower() == wanted.name.lower()] or difflib.get_close_matches(
+        wanted.name, names, 1, 0.9
+    )
+    return f"{place.name}/{same[0]}" if same else None
+
+
 def _decode(raw: bytes, name: str, faults: list[str]) -> str | None:
+    if b"\0" in raw[:4096]:
+        kind = "a spreadsheet or an archive" if raw.startswith(b"PK") else "not plain text (it holds bytes of 0)"
+        faults.append(f"{name}: {kind}; save it as plain text in UTF-8, tables as CSV")
+        return None
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -445,7 +465,11 @@ def head_from_table(table: Mapping[str, Any], name: str, faults: list[str]) -> _
     before = len(faults)
     for key in table:
         if key not in _TOP:
-            faults.append(f"{name}: unknown key '{key}'; {_nearest(key, _TOP)}")
+            home = next((table for table, keys in _TABLES.items() if key in keys), None)
+            hint = (
+                _nearest(key, _TOP) if home is None else f"it belongs into the table [{home}]: write it below that line"
+            )
+            faults.append(f"{name}: unknown key '{key}'; {hint}")
     words = {key: _text(table, key, name, faults) for key in ("name", "description", "source")}
     if "name" not in table:
         faults.append(f"{name}: key 'name' is missing; give the campaign a name, name = \"...\"")
@@ -594,7 +618,9 @@ def _check_rig(folder: Path, rig: Rig, coupled: bool, faults: list[str]) -> None
         return
     if rig.secondary_inertia is None:
         faults.append(f"{where}: secondary_inertia is missing; a coupled trial needs J2 in kg m^2 (kg)")
-    elif rig.inertial_coupling.value**2 >= rig.primary_inertia.value * rig.secondary_inertia.value:
+    elif rig.inertial_coupling.value and (
+        rig.inertial_coupling.value**2 >= rig.primary_inertia.value * rig.secondary_inertia.value
+    ):
         faults.append(f"{where}: inertial_coupling must be smaller than sqrt(J1 J2): no rig has such an inertia matrix")
     if _friction_fixed_at_zero(folder):
         return
@@ -898,7 +924,7 @@ def _name_bad_cells(body: str, width: int, header: list[str], name: str, faults:
                 if len(cells) > width
                 else ("complete or remove the line")
             )
-            bad.append(f"{name}, line {line}: {len(cells)} fields where the header has {width}; {hint}")
+            bad.append(f"{name}, line {line}: {counted(len(cells), 'field')} where the header has {width}; {hint}")
             continue
         for column, cell in zip(header, cells, strict=True):
             try:
@@ -962,7 +988,7 @@ def _check_magnitudes(head: _Head, trial: Trial, faults: list[str], warnings: li
     centred = trial.channels[0] - (0.0 if power else float(np.median(trial.channels[0])))
     largest = float(np.quantile(np.abs(centred), 1.0 - min(0.002, 2.0 / len(centred))))
     names = COLUMNS[(head.rig.kind, head.measurement.quantity)]
-    if largest == 0.0:
+    if np.ptp(trial.channels[0]) == 0.0:
         faults.append(f"{trial.file}, column '{names[0]}': every reading is the same; the sensor was not connected?")
         return
     if trial.torque is not None and np.any(trial.torque != 0.0):

@@ -37,7 +37,7 @@ class Check:
 
 
 def check(campaign: str | Path) -> Check:
-    """Read and validate a campaign folder, or ``thesis``, the published measurements.
+    """Read and validate a campaign folder with its priors.toml, or ``thesis``, the published measurements.
 
     Raises
     ------
@@ -50,4 +50,10 @@ def check(campaign: str | Path) -> Check:
         text = f"thesis: cases {cases}; {len(published.measurements)} published measurements (Augustine 2013)"
         return Check("thesis", text, (), published.checksum)
     found = load_campaign(campaign)
+    beside = Path(campaign) / "priors.toml"
+    if beside.exists():
+        from bayes_damper.calibration import experiment_of
+        from bayes_damper.priors import campaign_priors
+
+        experiment_of(found, campaign_priors(beside, found))
     return Check(found.name, found.describe(), found.warnings, found.sha256)

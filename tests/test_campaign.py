@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayes_damper.campaign import Constant, load_campaign, noise_floor, write_campaign
+from bayes_damper.check import check
 from bayes_damper.errors import InputError
 from tests.campaigns import decay, read_table, write_synthetic, write_table
 
@@ -121,6 +122,7 @@ TOML_FAULTS = [
     ('"acceleration"', '"accelration"', "did you mean 'acceleration'?"),
     ('name = "synthetic"', "", "key 'name' is missing"),
     ("[rig]", "[rigg]", "unknown key 'rigg'; did you mean 'rig'?"),
+    ("[rig]", "", "unknown key 'primary_inertia'; it belongs into the table [rig]"),
     ("noise_std = 2.0", "noise_std = -2.0", "noise_std = -2.0 must be positive"),
     ("[rig]", "[rig", "campaign.toml: not valid TOML"),
     ("bar_radius = 0.10", "bar_radius = 0.10\ninertial_coupling = 1.0", "no rig has such an inertia matrix"),
@@ -140,6 +142,8 @@ TRIAL_FAULTS = [
     (FIRST, "../other.csv", "line 2: ../other.csv leaves the campaign's folder"),
     (FIRST, "/etc/hosts", "leaves the campaign's folder"),
     (FIRST, "trials/none.csv", "trials/none.csv (trials.csv, line 2): no such file"),
+    (FIRST, FIRST.replace("/", "\\"), f"no such file; did you mean {FIRST}?"),
+    (FIRST, FIRST.replace("IV", "iv"), f"no such file; did you mean {FIRST}?"),
     ("4.7,2", "4.7,1", "line 3: case IV, uncoupled, trial 1 is already on line 2"),
     ("10.2,4.7,1", "ten,4.7,1", "line 2, k1t_n_m_per_rad: 'ten' is not a number"),
     ("10.2,4.7,1", "10.2,,1", "line 2: theta0_deg is empty"),
@@ -183,6 +187,8 @@ ALTERED = [
     (lambda c: [c[0] * 1000.0, c[1]], "it looks like milliseconds"),
     (lambda c: [c[0][:60], c[1][:60]], "is less than one natural period"),
     (lambda c: [c[0], 0.0 * c[1]], "every reading is the same"),
+    (lambda c: [c[0], 0.0 * c[1] + 0.5], "every reading is the same"),
+    (lambda c: [c[0], 1e300 * c[1]], "check the units of the record"),
 ]
 
 
@@ -201,12 +207,29 @@ def test_a_coupled_trial_needs_its_second_channel(folder: Path) -> None:
     assert "needs its second channel" in faults_of(folder)[0]
 
 
-@pytest.mark.parametrize("content", [b"", b"\n \n", b"time_s;alpha1_rad_s2\n0,0;1,0\n", b"\xff\xfe\x00t"])
+@pytest.mark.parametrize("content", [b"", b"\n \n", b"time_s;alpha1_rad_s2\n0,0;1,0\n", b"\xff\xfe\x00t", b"\0" * 999])
 def test_unreadable_records(folder: Path, content: bytes) -> None:
     (folder / FIRST).write_bytes(content)
     faults = faults_of(folder)
     assert len(faults) == 1
     assert FIRST in faults[0]
+    assert len(faults[0]) < 300
+
+
+def test_a_spreadsheet_is_no_record(folder: Path) -> None:
+    (folder / FIRST).write_bytes(b"PK\x03\x04" + bytes(range(256)))
+    assert faults_of(folder) == [
+        f"{FIRST} (trials.csv, line 2): a spreadsheet or an archive; save it as plain text in UTF-8, tables as CSV"
+    ]
+
+
+def test_check_reads_the_priors_too(folder: Path) -> None:
+    """A fault of priors.toml is told by `check`, not only by the commands that use them."""
+    (folder / "priors.toml").write_text("mu = 0.1\n")
+    assert check(folder).warnings == ()
+    (folder / "priors.toml").write_text("muu = 0.1\n")
+    with pytest.raises(InputError, match=r"priors.toml: 'muu' is no parameter; did you mean 'mu'\?"):
+        check(folder)
 
 
 def test_all_faults_of_all_files_come_at_once(folder: Path) -> None:
