@@ -448,6 +448,9 @@ def _decode(raw: bytes, name: str, faults: list[str]) -> str | None:
 
 def _read_head(folder: Path, faults: list[str], digest: hashlib._Hash) -> _Head | None:
     name = "campaign.toml"
+    if not (folder / name).exists():
+        faults.append(f"{folder}: holds no {name}; `bayes-damper init` makes a campaign from logger files")
+        return None
     raw = _read_bytes(folder / name, name, faults, digest)
     text = None if raw is None else _decode(raw, name, faults)
     if text is None:

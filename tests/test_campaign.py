@@ -245,6 +245,7 @@ def test_no_trials_and_no_folder(folder: Path) -> None:
     (folder / "trials.csv").write_text(header + "\n")
     assert faults_of(folder) == ["trials.csv: no trials; write one row for each record"]
     assert "no such folder" in faults_of(folder / "nowhere")[0]
+    assert "`bayes-damper init` makes a campaign from logger files" in faults_of(folder / "trials")[0]
 
 
 def test_friction_fixed_at_zero_needs_no_magnet(folder: Path) -> None:
