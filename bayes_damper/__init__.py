@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from bayes_damper.report import report as report
     from bayes_damper.resume import resume as resume
     from bayes_damper.simulate import simulate_record as simulate_record
+    from bayes_damper.thesis import recompute as recompute
     from bayes_damper.tuning import tune as tune
     from bayes_damper.variability import variability as variability
     from bayes_damper.withheld import withheld as withheld
@@ -43,6 +44,7 @@ _PLACES = {
     "load_campaign": "campaign",
     "load_published": "published",
     "plan": "planning",
+    "recompute": "thesis",
     "report": "report",
     "resume": "resume",
     "simulate_record": "simulate",
@@ -53,7 +55,7 @@ _PLACES = {
 
 __all__ = [
     "Model", "bench", "check", "compare", "demo", "diagnose", "fit", "import_records", "init_campaign", "load_campaign",
-    "load_published", "plan", "report", "resume", "simulate_record", "tune", "variability", "withheld",
+    "load_published", "plan", "recompute", "report", "resume", "simulate_record", "tune", "variability", "withheld",
 ]  # fmt: skip
 
 

@@ -216,6 +216,10 @@ def _tune(args: Arguments) -> Any:
     )
 
 
+def _thesis(args: Arguments) -> Any:
+    return _call("thesis:recompute")(args.out)
+
+
 def _bench(args: Arguments) -> Any:
     result = _call("bench:bench")(repeats=args.repeats, peers=not args.no_peers)
     _call("bench:save")(result, args.out)
@@ -317,6 +321,9 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--torque", type=float, nargs="+", metavar="T",
                      help="exciting torques, N m (forces, N); default: of the size of the rig")  # fmt: skip
     sub.add_argument("--target-db", type=float, default=10.0, metavar="DB", help="loss to reach (default: 10)")
+
+    command("thesis", _thesis, "every table and figure of the thesis recomputed: printed, computed, verdict",
+            out="results/thesis")  # fmt: skip
 
     sub = command("bench", _bench, "speed and accuracy on this machine beside the peers installed", out="results/bench")
     sub.add_argument("--repeats", type=int, default=7, metavar="N", help="rounds over all rows (default: 7)")

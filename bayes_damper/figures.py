@@ -41,6 +41,8 @@ _RC = {
 }
 _LOGARITHMIC = ("nu",)
 """Parameters that may be known to a factor at best: their axes are logarithmic where a factor of 10 is seen."""
+_SHOWN_HZ = 20.0
+"""Up to where frequency responses of the thesis are drawn."""
 NOT_CONVERGED = "NOT CONVERGED: do not use these numbers"
 
 
@@ -463,6 +465,36 @@ def tuning_figure(result: Mapping[str, Any], *, title: str) -> Figure:
             axis.axhline(result["target_db"], color="#888888", lw=0.9)
         axes[0].set_ylabel("insertion loss [dB]")
         figure.suptitle(title)
+    return figure
+
+
+def thesis_figure(found: Mapping[str, Any]) -> Figure:
+    """The figures of the thesis as its equations and constants give them, a panel each.
+
+    found : name -> thesis.Figure (page, x, y, curves, note).
+    """
+    columns = 2
+    rows = -(-len(found) // columns)
+    figure = new_figure(10.0, 2.9 * rows + 0.4)
+    with mpl.rc_context(_RC):
+        axes = figure.subplots(rows, columns, squeeze=False).ravel()
+        for axis, (name, told) in zip(axes, found.items(), strict=False):
+            response = "frequency" in told.x
+            for k, (words, (x, y)) in enumerate(told.curves.items()):
+                shown = x <= _SHOWN_HZ if response else np.ones(x.size, dtype=bool)
+                axis.plot(
+                    *(x[shown], y[shown]), color=COLOURS[k % len(COLOURS)], ls=STYLES[k % len(STYLES)], lw=1.1,
+                    label=words,
+                )  # fmt: skip
+            if response:
+                axis.set_yscale("log")
+            axis.set_xlabel(told.x.replace("(", "[", 1).replace(")", "]", 1))
+            axis.set_ylabel(told.y.replace("(", "[", 1)[::-1].replace(")", "]", 1)[::-1], fontsize=8)
+            axis.set_title(f"{name} (p. {told.page})", loc="left")
+            axis.legend(loc="best", fontsize=7)
+        for axis in axes[len(found) :]:
+            axis.set_visible(False)
+        figure.suptitle("The figures of the thesis, recomputed from its equations and constants")
     return figure
 
 

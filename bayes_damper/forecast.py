@@ -88,7 +88,8 @@ def forecast(fit: Calibration, trials: Sequence[int], periods: float = PERIODS) 
 def forecasts(before: Calibration, after: Calibration | None, periods: float = PERIODS) -> dict[str, Any]:
     """Entry `forecast` of diagnosis.json: held-out trials by the nominal model and with the answer, one by one and all.
 
-    Empty without a held-out trial that is long enough.
+    Beside each forecast stands `rms_whole`: what is missed where a trial's state is inferred from all of its readings,
+    as by a least-squares fit of that trial. Empty without a held-out trial that is long enough.
     """
     experiment = before.problem.experiment
     found = {
@@ -96,17 +97,26 @@ def forecasts(before: Calibration, after: Calibration | None, periods: float = P
         for name, fit in (("before", before), ("after", after))
         if fit is not None
     }
+    whole = {
+        name: {i: p.residual for i, p in predict(fit, tuple(found[name])).items()}
+        for name, fit in (("before", before), ("after", after))
+        if fit is not None and found[name]
+    }
     rows = []
     for i, first in found["before"].items():
         t = experiment.trials[i]
-        sides = {name: summary([those[i]]) for name, those in found.items()}
+        sides = {name: summary([those[i]]) | {"rms_whole": _rms(whole[name][i])} for name, those in found.items()}
         rows.append({
             "file": t.label, "case": t.case, "configuration": "coupled" if t.coupled else "uncoupled",
             "trial": t.number, "seen_s": first.seen_s, "readings": int(np.isfinite(first.reading).sum()), **sides,
         })  # fmt: skip
     if not rows:
         return {}
-    together = {name: summary(list(those.values())) for name, those in found.items()}
+    together = {
+        name: summary(list(those.values()))
+        | {"rms_whole": _rms(np.concatenate([r.ravel() for r in whole[name].values()]))}
+        for name, those in found.items()
+    }
     return {"periods": periods, "bands": list(BANDS), **together, "trials": rows}
 
 

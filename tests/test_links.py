@@ -19,7 +19,7 @@ TIMES = np.arange(0.0, 3.0, 0.02)
 
 
 def reference(rig, quadratic=0.0):
-    """Lagrange's equations of a double pendulum in absolute angles, by scipy; the second link has no bearing to ground."""
+    """Lagrange's equations of a double pendulum in absolute angles, by scipy; only the first link has bearing drag."""
 
     def rates(_, state):
         a, b, u, v = state

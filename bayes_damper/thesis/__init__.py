@@ -8,21 +8,31 @@ Coupled Mass Damper, The Ohio State University, 2013; tables and pages as printe
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
+from bayes_damper import figures as drawing
+from bayes_damper.errors import ExitCode
+from bayes_damper.provenance import provenance
+from bayes_damper.run import write_json
 from bayes_damper.thesis.contradictions import Contradiction, Needed, contradictions
 from bayes_damper.thesis.figures import Figure, figures
 from bayes_damper.thesis.printed import CASES, printed_case
 from bayes_damper.thesis.rig import effective_coupling, linear_rig, nonlinear_rig, secondary_inertia
 from bayes_damper.thesis.tables import table
+from bayes_damper.wording import counted
 
 __all__ = [
     "CASES", "Contradiction", "Figure", "Needed", "Recomputation", "effective_coupling", "linear_rig",
     "nonlinear_rig", "printed_case", "recompute", "secondary_inertia",
 ]  # fmt: skip
+
+SCHEMA = "bayes-damper/thesis/1"
 
 
 @dataclass(frozen=True)
@@ -30,14 +40,65 @@ class Recomputation:
     """Everything recomputed.
 
     table : where, page, quantity, unit, printed, computed, low, high, difference, verdict, explanation; low and high
-    span what the rounding of the printed inputs allows.
+    span what the rounding of the printed inputs allows. folder : where thesis.csv, thesis.json and the figures are.
     """
 
     table: pd.DataFrame
     contradictions: tuple[Contradiction, ...]
     figures: Mapping[str, Figure]
+    folder: Path | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    exit_code: ExitCode = ExitCode.DONE
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of thesis.json."""
+        rows = [
+            {key: None if isinstance(x, float) and not math.isfinite(x) else x for key, x in row.items()}
+            for row in self.table.to_dict("records")
+        ]
+        return {
+            "schema": SCHEMA,
+            "verdicts": self._counts(),
+            "table": rows,
+            "contradictions": [asdict(c) for c in self.contradictions],
+            "provenance": dict(self.provenance),
+        }
+
+    def _counts(self) -> dict[str, int]:
+        return {str(verdict): int(n) for verdict, n in self.table["verdict"].value_counts().items()}
+
+    def text(self) -> str:
+        """The counts of the verdicts, what contradicts, and each contradiction with what it would need."""
+        lines = [f"{counted(len(self.table), 'printed number')} and statements of the thesis, recomputed:"]
+        lines += [f"  {n:4d}  {verdict}" for verdict, n in self._counts().items()]
+        lines += ["", "Contradictions, with the value that the printed number would need:"]
+        for c in self.contradictions:
+            pages = ", ".join(map(str, c.pages))
+            lines += [f"- {c.name} (p. {pages}): {c.statement}", f"    {c.evidence}"]
+            lines += [f"    needs {needed_in_words(n)}" for n in c.needed]
+        if self.folder is not None:
+            lines.append(f"Files: {self.folder}")
+        return "\n".join(lines)
 
 
-def recompute() -> Recomputation:
-    """Recomputes Tables 1-12 and Figures 2, 6, 8, 10-13, and lists the contradictions; takes seconds."""
-    return Recomputation(table(), contradictions(), figures())
+def needed_in_words(needed: Needed) -> str:
+    """The parameter value that a printed number would need, and how plausible it is, in a sentence."""
+    unit = "" if needed.unit == "1" else f" {needed.unit}"
+    value = "no value" if needed.value is None else f"{needed.value:.4g}{unit}"
+    return f"{needed.parameter} = {value} for the printed {needed.printed}. {needed.plausibility}".replace(
+        "= no value", "of no value"
+    )
+
+
+def recompute(out: Path | str | None = None) -> Recomputation:
+    """Recomputes Tables 1-12 and Figures 2, 6, 8, 10-13, and lists the contradictions; takes seconds.
+
+    out : folder for the table (thesis.csv), all of it (thesis.json) and the figures; None writes nothing.
+    """
+    folder = None if out is None else Path(out)
+    found = Recomputation(table(), contradictions(), figures(), folder, provenance())
+    if folder is not None:
+        write_json(folder / "thesis.json", found.to_json())
+        found.table.to_csv(folder / "thesis.csv", index=False)
+        drawing.save(drawing.thesis_figure(found.figures), folder / "thesis_figures")
+    return found

@@ -20,8 +20,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 from scipy.signal import savgol_filter
 
-from bayes_damper.calibration import Calibration, Experiment, Noise, calibrate_nominal
-from bayes_damper.forecast import PERIODS, Forecast, _ahead, period_of, summary
+from bayes_damper.calibration import Calibration, Experiment, Noise, calibrate_nominal, predict
+from bayes_damper.forecast import PERIODS, _ahead, period_of, summary
 
 Array = NDArray[np.float64]
 
@@ -65,15 +65,16 @@ class Stacked:
 
 def ahead(fit: Calibration) -> dict[str, Any]:
     """Forecasts of the held-out trials with no error of the model allowed for."""
-    heldout = fit.problem.experiment.heldout
-    found = _ahead(fit, heldout, PERIODS, np.zeros(len(fit.problem.noise.phi)))
-    return _told(fit.problem.experiment, found)
-
-
-def _told(experiment: Experiment, found: dict[int, Forecast]) -> dict[str, Any]:
-    return {"trials": {experiment.trials[i].label: summary([f]) for i, f in found.items()}} | (
-        summary(list(found.values())) if found else {}
-    )
+    experiment = fit.problem.experiment
+    found = _ahead(fit, experiment.heldout, PERIODS, np.zeros(len(fit.problem.noise.phi)))
+    if not found:
+        return {"trials": {}}
+    whole = {i: float(np.sqrt(np.nanmean(p.residual**2))) for i, p in predict(fit, tuple(found)).items()}
+    rows = {
+        experiment.trials[i].label: summary([f]) | {"number": experiment.trials[i].number, "rms_whole": whole[i]}
+        for i, f in found.items()
+    }
+    return {"trials": rows} | summary(list(found.values()))
 
 
 def criterion(square: float, n: int, k: int) -> float:
