@@ -244,7 +244,7 @@ def load_priors(
         with every fault of the file.
     """
     path = Path(source)
-    if path.suffix != ".toml" and not path.exists():
+    if path.suffix != ".toml" and not path.is_file():
         shipped = {p.stem: p for p in sorted(shipped_path("priors").glob("*.toml"))}
         if str(source) not in shipped:
             raise InputError(

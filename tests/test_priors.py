@@ -257,3 +257,12 @@ def test_a_missing_file_and_an_unknown_name_are_told(tmp_path):
 def test_nearest_name():
     assert nearest("K2T", PARAMETERS) == "k2t"
     assert nearest("completely_different", PARAMETERS) is None
+
+
+def test_a_folder_of_the_same_name_hides_no_shipped_file(tmp_path, monkeypatch):
+    """Results kept in a folder "thesis" must not take the place of the priors of that name."""
+    (tmp_path / "thesis").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert load_priors("thesis").to_dict()
+    with pytest.raises(InputError, match="none of the shipped"):
+        load_priors(str(tmp_path / "thesis"))
