@@ -471,7 +471,7 @@ def tuning_figure(result: Mapping[str, Any], *, title: str) -> Figure:
 def thesis_figure(found: Mapping[str, Any]) -> Figure:
     """The figures of the thesis as its equations and constants give them, a panel each.
 
-    found : name -> thesis.Figure (page, x, y, curves, note).
+    found : name -> thesis.Figure (page, x, y, curves, note, printed).
     """
     columns = 2
     rows = -(-len(found) // columns)
@@ -486,8 +486,11 @@ def thesis_figure(found: Mapping[str, Any]) -> Figure:
                     *(x[shown], y[shown]), color=COLOURS[k % len(COLOURS)], ls=STYLES[k % len(STYLES)], lw=1.1,
                     label=words,
                 )  # fmt: skip
+            for k, (words, (x, y)) in enumerate(told.printed.items()):
+                axis.plot(x, y, "x^sD"[k % 4], color="#000000", ms=5, mfc="none", label=f"printed: {words}")
             if response:
                 axis.set_yscale("log")
+                axis.set_ylim(bottom=max(axis.get_ylim()[0], 1e-3 * axis.get_ylim()[1]))
             axis.set_xlabel(told.x.replace("(", "[", 1).replace(")", "]", 1))
             axis.set_ylabel(told.y.replace("(", "[", 1)[::-1].replace(")", "]", 1)[::-1], fontsize=8)
             axis.set_title(f"{name} (p. {told.page})", loc="left")

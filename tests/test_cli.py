@@ -8,7 +8,20 @@ import pytest
 
 from bayes_damper.cli import main
 
-COMMANDS = ("demo", "check", "simulate", "fit", "resume", "diagnose", "tune", "bench", "init", "report")
+COMMANDS = (
+    "demo",
+    "check",
+    "simulate",
+    "fit",
+    "resume",
+    "diagnose",
+    "tune",
+    "bench",
+    "init",
+    "report",
+    "thesis",
+    "variability",
+)
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -1,13 +1,17 @@
 """The recomputation of the thesis: each verdict is what the numbers say, and the known contradictions are all found."""
 
+import json
+
 import numpy as np
+import pandas as pd
 import pytest
 
 from bayes_damper import linear, thesis
+from bayes_damper.cli import main
 from bayes_damper.features import features
 from bayes_damper.model import Model
 from bayes_damper.published import load_published
-from bayes_damper.thesis import CASES, printed, printed_case
+from bayes_damper.thesis import CASES, Needed, needed_in_words, printed, printed_case
 from bayes_damper.thesis.printed import half_unit, spread
 from bayes_damper.thesis.rig import J1, solve_for
 from bayes_damper.thesis.tables import AGREES, CONTRADICTION, OPEN, ROUNDING, judge
@@ -246,3 +250,25 @@ def test_constants_are_those_of_the_shipped_data():
     assert [float(texts["IV", f"fitted_mu_{law}_normal_force"]) for law, _ in printed.LAWS] == [
         m for _, m in printed.LAWS
     ]
+
+
+def test_the_command_writes_table_contradictions_and_figures(tmp_path, capsys):
+    assert main(["thesis", "--out", str(tmp_path / "t")]) == 0
+    told = capsys.readouterr().out
+    assert "needs c1t = 0.07723 N m s/rad for the printed 772.1. Implausible" in told
+    kept = json.loads((tmp_path / "t" / "thesis.json").read_text())
+    assert kept["schema"] == "bayes-damper/thesis/1"
+    assert sum(kept["verdicts"].values()) == len(kept["table"]) > 100
+    assert len(kept["contradictions"]) > 15
+    assert len(pd.read_csv(tmp_path / "t" / "thesis.csv")) == len(kept["table"])
+    drawn = (tmp_path / "t" / "thesis_figures.svg").read_text()
+    for name in ("Figure 2", "Figure 6", "Figure 8", "Figure 10", "Figure 11", "Figure 12", "Figure 13"):
+        assert f"{name} (p. " in drawn
+    assert (tmp_path / "t" / "thesis_figures.png").exists()
+
+
+def test_a_printed_number_that_no_value_gives_is_said_so():
+    none = Needed("R / R now", "1", None, "9.3", "No radius does it.")
+    assert needed_in_words(none) == "R / R now: no value gives the printed 9.3. No radius does it."
+    some = Needed("t_min", "s", 5e-4, "199.8", "Plausible: half a millisecond.")
+    assert needed_in_words(some) == "t_min = 0.0005 s for the printed 199.8. Plausible: half a millisecond."

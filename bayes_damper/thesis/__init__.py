@@ -83,11 +83,10 @@ class Recomputation:
 
 def needed_in_words(needed: Needed) -> str:
     """The parameter value that a printed number would need, and how plausible it is, in a sentence."""
+    if needed.value is None:
+        return f"{needed.parameter}: no value gives the printed {needed.printed}. {needed.plausibility}"
     unit = "" if needed.unit == "1" else f" {needed.unit}"
-    value = "no value" if needed.value is None else f"{needed.value:.4g}{unit}"
-    return f"{needed.parameter} = {value} for the printed {needed.printed}. {needed.plausibility}".replace(
-        "= no value", "of no value"
-    )
+    return f"{needed.parameter} = {needed.value:.4g}{unit} for the printed {needed.printed}. {needed.plausibility}"
 
 
 def recompute(out: Path | str | None = None) -> Recomputation:

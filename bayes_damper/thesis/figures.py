@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bayes_damper import linear
 from bayes_damper.linear import LinearRig
 from bayes_damper.model import Model
-from bayes_damper.thesis.printed import CASE_IV_DAMPING, LAWS, printed_case
+from bayes_damper.thesis.printed import CASE_IV_DAMPING, LAWS, printed_case, table_12
 from bayes_damper.thesis.rig import FINE, J1, linear_rig, nonlinear_rig, secondary_inertia
 
 Array = NDArray[np.float64]
@@ -19,13 +19,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Figure:
-    """The data of one figure: label -> (x, y), with the axes' names."""
+    """The data of one figure: label -> (x, y), with the names of the axes; printed: peaks given in numbers."""
 
     page: int
     x: str
     y: str
     curves: Mapping[str, tuple[Array, Array]]
     note: str
+    printed: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
 
 
 def figures() -> dict[str, Figure]:
@@ -45,6 +46,10 @@ def figures() -> dict[str, Figure]:
     }
     spectra = {name: linear.accelerance(rig, f)[0, 0] for name, rig in rigs.items()}
     tuned = linear.accelerance(linear_rig("IV", J2=secondary_inertia() / 8), f)[0, 0]
+    peaks = {
+        name: (np.array([float(f0) for f0, _ in rows]), np.array([float(height) for _, height in rows]))
+        for name, rows in table_12().items()
+    }
     nonlinear = {}
     for law, mu in LAWS:
         y = Model(normal_force=law).simulate(nonlinear_rig(mu), FINE).y[0]
@@ -68,10 +73,12 @@ def figures() -> dict[str, Figure]:
                 "tuned, J2/8": (f, tuned),
             },
             "The thesis's ordinate ends at 800; the uncoupled peak is 5340.",
+            {"uncoupled": peaks["uncoupled"], "untuned": peaks["with effective stiffness"]},
         ),
         "Figure 12": Figure(
             *(31, "frequency (Hz)", "accelerance (1/(kg m^2))", {name: (f, a) for name, a in spectra.items()}),
             "The thesis's ordinate ends at 1200.",
+            peaks,
         ),
         "Figure 13": Figure(
             *(32, time, acceleration),
