@@ -126,6 +126,20 @@ def _answers(given: set[str]) -> dict[str, Any]:
     return found
 
 
+def _at_least(least: int) -> Callable[[str], int]:
+    """A reader of whole numbers that are not too small, for options."""
+
+    def read(text: str) -> int:
+        if not text.strip().lstrip("+-").isdigit() or int(text) < least:
+            raise argparse.ArgumentTypeError(f"{text}: give a whole number, at least {least}")
+        return int(text)
+
+    return read
+
+
+_count, _seed = _at_least(1), _at_least(0)
+
+
 def _number(text: str) -> int | float | str:
     for kind in (int, float):
         try:
@@ -246,13 +260,14 @@ def _parser() -> argparse.ArgumentParser:
         sub.set_defaults(run=run)
         if out is not None:
             sub.add_argument("--out", type=Path, default=Path(out), help=f"folder for the results (default: {out})")
-        sub.add_argument("--seed", type=int, default=1, metavar="N", help="decides every random number (default: 1)")
+        sub.add_argument("--seed", type=_seed, default=1, metavar="N", help="decides every random number (default: 1)")
         sub.add_argument("--quiet", action="store_true", help="no progress, no summary: only errors")
         sub.add_argument("--json", action="store_true", help="print the result as JSON instead of text")
         return sub
 
     def workers(sub: Any) -> None:
-        sub.add_argument("--workers", type=int, default=2, metavar="N", help="processes on this machine (default: 2)")
+        told = "processes on this machine (default: 2)"
+        sub.add_argument("--workers", type=_count, default=2, metavar="N", help=told)
         sub.add_argument("--scheduler", metavar="ADDRESS", help="run on an existing Dask cluster instead")
 
     sub = command("demo", _demo, "the main job on the shipped data, start to report", out="results/demo")
@@ -282,7 +297,7 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--effect", metavar="NAME", help="give the model this effect, e.g. the verdict of a diagnosis")
     sub.add_argument("--effects", type=Path, metavar="DIR", help="a folder with effects of your own")
     sub.add_argument("--thorough", action="store_true", help="50 autocorrelation times instead of 20")
-    sub.add_argument("--most-steps", type=int, metavar="N", help="give up after N steps of each ensemble")
+    sub.add_argument("--most-steps", type=_count, metavar="N", help="give up after N steps of each ensemble")
     workers(sub)
 
     sub = command("diagnose", _diagnose, "the sim-to-real gap: where it lies, what causes it, how far it shrinks",
@@ -292,7 +307,7 @@ def _parser() -> argparse.ArgumentParser:
                      help="linear: a nominal model without dry friction, which is then a candidate")  # fmt: skip
     sub.add_argument("--effects", type=Path, metavar="DIR", help="a folder with effects of your own")
     sub.add_argument("--priors", type=Path, metavar="F.toml", help="priors of the nominal parameters")
-    sub.add_argument("--workers", type=int, default=2, metavar="N", help="simulations side by side (default: 2)")
+    sub.add_argument("--workers", type=_count, default=2, metavar="N", help="simulations side by side (default: 2)")
 
     sub = command("plan", _plan, "before measuring: what the planned trials could tell apart, and with how many",
                   out="results/plan")  # fmt: skip
@@ -301,7 +316,7 @@ def _parser() -> argparse.ArgumentParser:
                      help="linear: a nominal model without dry friction, which is then a candidate")  # fmt: skip
     sub.add_argument("--effects", type=Path, metavar="DIR", help="a folder with effects of your own")
     sub.add_argument("--priors", type=Path, metavar="F.toml", help="priors of the nominal parameters")
-    sub.add_argument("--workers", type=int, default=2, metavar="N", help="simulations side by side (default: 2)")
+    sub.add_argument("--workers", type=_count, default=2, metavar="N", help="simulations side by side (default: 2)")
 
     sub = command("withheld", _withheld, "the check on data whose effect is withheld: sealed verdicts, then scores",
                   out="results/withheld")  # fmt: skip
@@ -326,13 +341,13 @@ def _parser() -> argparse.ArgumentParser:
             out="results/thesis")  # fmt: skip
 
     sub = command("bench", _bench, "speed and accuracy on this machine beside the peers installed", out="results/bench")
-    sub.add_argument("--repeats", type=int, default=7, metavar="N", help="rounds over all rows (default: 7)")
+    sub.add_argument("--repeats", type=_count, default=7, metavar="N", help="rounds over all rows (default: 7)")
     sub.add_argument("--no-peers", action="store_true", help="time only our own kernels")
 
     sub = command("resume", _resume, "go on with an interrupted run; --more extends a finished one")
     sub.add_argument("folder", type=Path, help="the folder that the run writes to")
     sub.add_argument("--more", action="store_true", help="extend a run that has finished")
-    sub.add_argument("--workers", type=int, metavar="N", help="processes on this machine (default: as before)")
+    sub.add_argument("--workers", type=_count, metavar="N", help="processes on this machine (default: as before)")
 
     sub = command("init", _init, "a commented campaign from a pile of logger files")
     sub.add_argument("folder", type=Path, help="the campaign to write")
@@ -345,8 +360,8 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("variability", _variability, "what the cases of a fit share and where they differ")
     sub.add_argument("folder", help="results of `fit`, or `thesis`")
     sub.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default: the folder itself)")
-    sub.add_argument("--particles", type=int, default=256, metavar="N", help="particles of each run (default: 256)")
-    sub.add_argument("--repeats", type=int, default=2, metavar="N", help="runs of each model (default: 2)")
+    sub.add_argument("--particles", type=_count, default=256, metavar="N", help="particles of each run (default: 256)")
+    sub.add_argument("--repeats", type=_count, default=2, metavar="N", help="runs of each model (default: 2)")
     sub.add_argument("--unseen", action=argparse.BooleanOptionalAction, default=True,
                      help="predict each case from the others too (published features: most of the time)")  # fmt: skip
     workers(sub)
@@ -379,6 +394,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BayesDamperError as error:
         print(f"bayes-damper {args.command}: {error}", file=sys.stderr)
         return int(error.exit_code)
+    except OSError as error:  # a folder that cannot be written, a full disk
+        place = f"{error.filename}: " if error.filename else ""
+        told = error.strerror or type(error).__name__
+        print(f"bayes-damper {args.command}: {place}{told}; choose another place, e.g. with --out", file=sys.stderr)
+        return int(ExitCode.BAD_INPUT)
     except KeyboardInterrupt:
         print(f"bayes-damper {args.command}: stopped", file=sys.stderr)
         return int(ExitCode.INTERRUPTED)

@@ -37,7 +37,7 @@ from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.evidence import bridge
 from bayes_damper.influence import comparison, influence, without
 from bayes_damper.noise import KINDS, FittedNoise, fit_with_noise
-from bayes_damper.parameters import PARAMETERS, unit_of
+from bayes_damper.parameters import PARAMETERS, hint, unit_of
 from bayes_damper.posterior import Coordinates, Datum, FeaturePosterior, damping_pairs
 from bayes_damper.priors import PriorSet, campaign_priors, load_priors, priors_from_dict
 from bayes_damper.provenance import code_sha256, provenance
@@ -219,7 +219,7 @@ def plan_fit(
             )
         known_effects = all_effects(effects)
         if effect not in known_effects:
-            raise InputError(f"--effect {effect}: there is none of that name; there are {', '.join(known_effects)}")
+            raise InputError(f"--effect {effect}: there is no such effect; {hint(effect, known_effects)}")
     if noise != "auto" and thesis:
         raise InputError("--noise: the published features have standard errors of their own; leave it out")
     return {
@@ -239,8 +239,29 @@ def plan_fit(
     }
 
 
+_PLANNED = ("campaign", "name", "campaign_sha256", "cases", "joint", "priors", "normal_force", "seed", "thorough",
+           "most_steps")  # fmt: skip
+
+
+def plan_in(record: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """The plan of a fit that run.json holds.
+
+    Raises
+    ------
+    InputError
+        if it holds none, or one of another version.
+    """
+    plan = record.get("plan")
+    missing = [key for key in _PLANNED if not isinstance(plan, Mapping) or key not in plan]
+    if missing or not isinstance(plan, Mapping):
+        raise InputError(f"{folder / 'run.json'}: holds no plan of this version ({missing[0]} is missing); fit anew")
+    return dict(plan)
+
+
 def start_run(folder: Path, record: Mapping[str, Any]) -> None:
     """Note in `folder` what runs there, so that `resume` can go on; refuse a folder that holds another run.
+
+    A run of which nothing was saved is none.
 
     Raises
     ------
@@ -248,7 +269,7 @@ def start_run(folder: Path, record: Mapping[str, Any]) -> None:
         if the folder holds a run with another plan.
     """
     path = folder / "run.json"
-    if path.exists():
+    if path.exists() and any(p.is_dir() for p in folder.iterdir()):
         before = read_json(path)
         if before.get("command") != record["command"] or before.get("plan") != record["plan"]:
             changed = _differences(before.get("plan", {}), record["plan"]) or ["command"]

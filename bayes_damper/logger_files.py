@@ -134,7 +134,8 @@ def read_text(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
     skipped = option.get("skip_lines", 0)
     lines = [(i, x) for i, x in enumerate(_decoded(raw, name).splitlines(), start=1) if i > skipped and x.strip()]
     if len(lines) < 3:
-        raise InputError(f"{name}: no readings after the first {skipped} lines; correct skip_lines")
+        left = f" after the first {skipped} lines; correct skip_lines" if skipped else "; name a file of the logger"
+        raise InputError(f"{name}: holds no row of numbers{left}")
     mark = _mark(lines, option)
     comma = option["decimal"] == "," if "decimal" in option else _has_decimal_commas(lines, mark)
     if comma and mark == "," and not any('"' in x for _, x in lines):

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from bayes_damper.errors import InputError
-from bayes_damper.fit import finish_fit
+from bayes_damper.fit import finish_fit, plan_in
 from bayes_damper.run import Progress, read_json, write_json
 from bayes_damper.variability import finish_variability
 from bayes_damper.withheld.check import finish_withheld
@@ -30,14 +30,16 @@ def resume(
     if pieces is not None and not more:
         return finish_variability(pieces, read_json(pieces / "run.json"), workers=workers, progress=progress)
     record = read_json(path / "run.json")
-    plan = dict(record["plan"])
     if record.get("command") == "withheld" and not more:
-        return finish_withheld(path, plan, workers=workers or record.get("workers", 1), progress=progress)
+        return finish_withheld(
+            path, dict(record["plan"]), workers=workers or record.get("workers", 1), progress=progress
+        )
     if record.get("command") != "fit":
         raise InputError(
             f"{path}: run.json names the command {record.get('command')!r}; fits, variability and withheld "
             "checks can be resumed, and only fits extended; other commands go on when the same command is given again"
         )
+    plan = plan_in(record, path)
     if more:
         plan["thorough"] = True
         plan["most_steps"] = None if plan["most_steps"] is None else 2 * plan["most_steps"]

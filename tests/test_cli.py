@@ -66,6 +66,31 @@ def test_bad_input_is_a_sentence_and_exit_code_2(arguments, capsys, tmp_path, mo
     assert "Traceback" not in told
 
 
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["fit", "thesis", "--out", "file"], "file: File exists; choose another place, e.g. with --out"),
+        (["resume", "old"], "run.json: holds no plan of this version (campaign is missing); fit anew"),
+        (["resume", "old", "--more"], "holds no plan of this version"),
+        (["init", "new", "file"], "file: holds no row of numbers; name a file of the logger"),
+        (["fit", "thesis", "--seed", "-1"], "argument --seed: -1: give a whole number, at least 0"),
+        (["fit", "thesis", "--workers", "0"], "argument --workers: 0: give a whole number, at least 1"),
+        (["bench", "--repeats", "many"], "argument --repeats: many: give a whole number, at least 1"),
+    ],
+)
+def test_what_cannot_be_done_is_told_without_a_traceback(arguments, told, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("x")
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old" / "run.json").write_text('{"command": "fit", "plan": {}}')
+    try:
+        code = main(arguments)
+    except SystemExit as ended:
+        code = ended.code
+    assert code == 2
+    assert told in capsys.readouterr().err
+
+
 def test_an_unknown_command_is_refused():
     with pytest.raises(SystemExit) as ended:
         main(["fly"])
