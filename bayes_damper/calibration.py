@@ -64,6 +64,8 @@ EVENT_TIMING = 5e-5  # s, by which the instant of an event may be off without th
 RELEASE_WEIGHT = 0.4  # of the first two readings
 FIRST_STAGE_EVENT_WEIGHT = 0.15
 LONG_PERIODS, FIRST_PERIODS, GROWING_STEPS = 12.0, 3.0, 20  # of records fitted window by window
+OWN_FRICTION = ("ln_mu", "ln_drag")  # nuisances whose derivative is that of the parameter all trials share
+VARIES = 9.0  # mean square, in variances, of a nuisance's differences between repeats from which it is each trial's own
 FEW_REPEATS = 4  # repeats beyond the first of their kind, over all kinds, below which they may be late alike by chance
 WHITE_ENOUGH = 1.3  # largest ratio of residuals without repeats to the noise of the sensors up to which they are noise
 FIRST_ERROR = 0.02  # of a channel's reach: noise of the first fit where there are no repeats
@@ -271,10 +273,11 @@ class Coordinate:
 
 @dataclass(frozen=True)
 class Switches:
-    """Which nuisances of the trials are free: the instant of release, and each trial's own friction."""
+    """Which nuisances of the trials are free: the instant of release, each trial's own friction, its bearings' drag."""
 
     delay: bool = True
     friction: bool = True
+    drag: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -554,6 +557,9 @@ class Problem:
         if self.switches.friction and trials[0].coupled and any(c.parameter == "mu" for c in self.coordinates):
             out.append(("ln_mu", np.zeros(n), np.full(n, FRICTION_SPREAD)))
             bounds.append(wide)
+        if self.switches.drag and any(c.parameter == "drag" for c in self.coordinates):
+            out.append(("ln_drag", np.zeros(n), np.full(n, FRICTION_SPREAD)))
+            bounds.append(wide)
         out += self._offsets(trials)
         bounds += [wide] * (len(out) - len(bounds))
         if not out:
@@ -712,7 +718,7 @@ class Problem:
             moved = [
                 i
                 for i, name in enumerate(names)
-                if not name.startswith("offset") and (name != "ln_mu" or "mu" not in together)
+                if not name.startswith("offset") and not (name in OWN_FRICTION and name[3:] in together)
             ]
             lanes = 1 + len(together) + len(moved)
             sides = (1.0, -1.0) if central else (1.0,)
@@ -769,11 +775,11 @@ class Problem:
                     shift = np.zeros_like(group.y)
                     shift[:, int(name[6:]) - 1] = group.nuisances[i][2][:, None]
                     own[:, i] = self.whitened(shift, weight)
-            if "ln_mu" in names and "mu" in together:
-                for i in together["mu"]:
+            for name in OWN_FRICTION:
+                for i in together.get(name[3:], ()) if name in names else ():
                     hit = self.touched(self.coordinates[i], group)
                     per_log = math.log(_factor(self.coordinates[i].prior))
-                    own[hit, names.index("ln_mu")] = jac[hit, i] * (FRICTION_SPREAD / per_log)
+                    own[hit, names.index(name)] = jac[hit, i] * (FRICTION_SPREAD / per_log)
             blocks.append(Block(group, r, jac, own, base_eta))
         return Linear(self, q, tuple(blocks))
 
@@ -1507,8 +1513,41 @@ def choose_switches(fit: Calibration) -> Switches:
                 pressed += _pressed(block.group, i, members, values)
                 pull = sd[members]
                 z += list((values - values.mean()) / pull / math.sqrt(max(1.0 - 1.0 / len(members), 1e-9)))
-        wanted[name] = bool(z) and (spare < enough or 2 * pressed >= len(z) or float(np.mean(np.square(z))) > 9.0)
+        wanted[name] = bool(z) and (spare < enough or 2 * pressed >= len(z) or float(np.mean(np.square(z))) > VARIES)
     return Switches(delay=wanted["delay"], friction=wanted["ln_mu"])
+
+
+def drag_varies(fit: Calibration) -> bool:
+    """Whether the drag of the bearings differs between repeats of the primary alone, beyond its uncertainty.
+
+    By the linearised problem of the fit: each trial's own drag beside its other nuisances. Only repeats can tell, and
+    without them one drag for all it is.
+    """
+    problem = fit.problem
+    here = [i for i, c in enumerate(problem.coordinates) if c.parameter == "drag"]
+    if problem.experiment.start != "rest" or not here:
+        return False
+    z: list[float] = []
+    spare = 0
+    for block in fit.linear.blocks:
+        if block.group.coupled:
+            continue
+        m = block.T.shape[1]
+        rows = np.concatenate([block.T, block.J[:, here].sum(axis=1, keepdims=True)], axis=1)
+        H = rows @ rows.transpose(0, 2, 1) + np.diag(np.append(np.ones(m), 1e-12))
+        g = np.einsum("jmd,jd->jm", rows, block.r) + np.pad(block.eta, ((0, 0), (0, 1)))
+        values = -np.linalg.solve(H, g[:, :, None])[:, m, 0]
+        sd = np.sqrt(np.linalg.inv(H)[:, m, m])
+        same: dict[tuple[str, float], list[int]] = {}
+        for k, j in enumerate(block.group.trials):
+            t = problem.experiment.trials[j]
+            same.setdefault((t.case, t.theta0), []).append(k)
+        for members in same.values():
+            spare += len(members) - 1
+            if len(members) > 1:
+                off = (values[members] - values[members].mean()) / sd[members]
+                z += list(off / math.sqrt(1.0 - 1.0 / len(members)))
+    return spare > 1 and float(np.mean(np.square(z))) > VARIES
 
 
 def _pressed(group: Group, i: int, members: Sequence[int], values: Array) -> int:
@@ -1573,6 +1612,10 @@ def calibrate_nominal(
     problem = Problem(experiment, nominal=nominal, noise=learn_noise(fit), switches=chosen, threads=threads)
     starts = [fit.q, *default_starts(problem)]
     fit = calibrate(problem, starts, give_up=300.0)
+    if switches is None and not fit.problem.noise.sensor and drag_varies(fit):
+        chosen = replace(chosen, drag=True)
+        problem = Problem(experiment, nominal=nominal, noise=fit.problem.noise, switches=chosen, threads=threads)
+        fit = calibrate(problem, [fit.q], anneal=False)
     noise = learn_noise(fit)
     tell(f"noise sd {', '.join(f'{s:.3g}' for s in noise.total)}")
     problem = Problem(experiment, nominal=nominal, noise=noise, switches=chosen, threads=threads)

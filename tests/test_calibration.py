@@ -11,6 +11,7 @@ from scipy.linalg import block_diag
 from small_rig import measured
 
 from bayes_damper.calibration import (
+    FRICTION_SPREAD,
     Experiment,
     Noise,
     Problem,
@@ -156,6 +157,27 @@ def test_two_repeats_that_agree_do_not_tell_that_releases_never_vary():
         few = [t for t in alike if t.case in sorted({t.case for t in alike})[:cases]]
         fit = calibrate_nominal(replace(drawn, trials=tuple(few)))
         assert fit.problem.switches.delay is free
+
+
+@pytest.mark.parametrize("scatter", [0.0, 0.05])
+def test_drag_that_differs_between_repeats_is_each_trials_own(scatter):
+    """Quiet sensors see the bearings drag differently from trial to trial; that is no gap, and one drag for all is."""
+    drawn = make_experiment(7, coupled=False)
+    rng = np.random.default_rng(1)
+    trials = []
+    drags = 1.0 + scatter * (-1.0) ** np.arange(len(drawn.trials))
+    for t, factor in zip(drawn.trials, drags, strict=True):
+        own = {"k1t": CASES[t.k1t][1], "theta0": t.theta0, "drag": TRUE["drag"] * factor}
+        y = Model(coupled=False).simulate(RIG | TRUE | own, t.times).y[0]
+        trials.append(replace(t, y=y + 0.3 * rng.standard_normal(y.shape)))
+    fit = calibrate_nominal(replace(drawn, trials=tuple(trials)))
+    assert fit.problem.switches.drag is (scatter > 0.0)
+    assert abs(fit.excess) < 4.0 * math.sqrt(2.0 * fit.problem.n_data)
+    assert max(fit.problem.noise.total) < 0.33
+    if scatter:
+        names = [n for n, _, _ in fit.problem.groups[0].nuisances]
+        found = np.array([fit.eta[i][names.index("ln_drag")] for i in fit.problem.trials]) * FRICTION_SPREAD
+        assert np.corrcoef(found, np.log(drags[list(fit.problem.trials)]))[0, 1] > 0.9
 
 
 def test_releases_pressed_against_their_range_stay_free():

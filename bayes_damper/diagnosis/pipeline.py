@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayes_damper.calibration import (
     Calibration,
@@ -39,6 +40,8 @@ from bayes_damper.distributions import Distribution, from_standard
 from bayes_damper.effects import EFFECTS, Effect, classes, scaled
 from bayes_damper.effects.base import SITES, Variant
 from bayes_damper.priors import PriorSet
+
+Array = NDArray[np.float64]
 
 SCHEMA = "bayes-damper/diagnosis/1"
 CLEANINGS = 2  # times that outlying readings are looked for: the first ones hide others
@@ -480,6 +483,12 @@ def _notes(experiment: Experiment, fit: Calibration, named: Calibration | None, 
         for key in {(t.case, t.coupled) for t in experiment.trials}
     ):
         notes.append("There are no repeats, so the noise is judged by its fast content alone; repeat a case.")
+    drags = own_drags(fit)
+    if drags.size:
+        notes.append(
+            f"The drag of the bearings differs from trial to trial by {100.0 * float(np.std(drags)):.2g} %; each trial "
+            "was given its own. If it grows or falls in the order of the trials, something warms up or wears."
+        )
     still = {} if named is None else named.pulled
     priors = {} if named is None else {c.name: c.prior for c in named.problem.coordinates}
     for name, z in still.items():
@@ -499,6 +508,16 @@ def _notes(experiment: Experiment, fit: Calibration, named: Calibration | None, 
     if answers.probabilities["none"] > 0.5 and hidden:
         notes += hidden
     return notes
+
+
+def own_drags(fit: Calibration) -> Array:
+    """Logarithm of each trial's drag over that of all, where it differs between repeats; else empty."""
+    found = []
+    for group in fit.problem.groups:
+        for k, (name, mean, sd) in enumerate(group.nuisances):
+            if name == "ln_drag":
+                found += [float(mean[j] + sd[j] * fit.eta[i][k]) for j, i in enumerate(group.trials)]
+    return np.array(found)
 
 
 def hidden_by(fit: Calibration) -> list[str]:
