@@ -588,8 +588,8 @@ def _evidence(posterior: RecordPosterior, sampling: Sampling, rng: np.random.Gen
 def _trial_draws(posterior: RecordPosterior, drawn: Mapping[int, Array]) -> dict[int, dict[str, Array]]:
     """What each trial has for itself, from draws of its nuisances in standard coordinates: trial -> name -> (n,).
 
-    Release angle (rad), instant (s), friction relative to that of all trials (ln_mu), and what the prior file gives to
-    trials.
+    Release angle (rad), instant (s), friction and drag relative to those of all trials (ln_mu, ln_drag), and what the
+    prior file gives to trials.
     """
     out: dict[int, dict[str, Array]] = {}
     problem = posterior.problem
