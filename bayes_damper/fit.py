@@ -13,6 +13,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +41,7 @@ from bayes_damper.noise import KINDS, FittedNoise, fit_with_noise
 from bayes_damper.parameters import PARAMETERS, hint, unit_of
 from bayes_damper.posterior import Coordinates, Datum, FeaturePosterior, damping_pairs
 from bayes_damper.priors import PriorSet, campaign_priors, load_priors, priors_from_dict
-from bayes_damper.provenance import code_sha256, provenance
+from bayes_damper.provenance import code_sha256, package_version, provenance
 from bayes_damper.published import load_published
 from bayes_damper.record_posterior import RecordPosterior, trial_label
 from bayes_damper.run import Progress, Task, read_json, run_tasks, write_json
@@ -259,29 +260,57 @@ def plan_in(record: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def start_run(folder: Path, record: Mapping[str, Any]) -> None:
-    """Note in `folder` what runs there, so that `resume` can go on; refuse a folder that holds another run.
+    """Note in `folder` what runs there and what runs it, so that `resume` can go on; refuse a folder of another run.
 
     A run of which nothing was saved is none.
 
     Raises
     ------
     InputError
-        if the folder holds a run with another plan.
+        if the folder holds a run with another plan, or of another version, with every difference.
     """
     path = folder / "run.json"
     if path.exists() and any(p.is_dir() for p in folder.iterdir()):
         before = read_json(path)
-        if before.get("command") != record["command"] or before.get("plan") != record["plan"]:
-            changed = _differences(before.get("plan", {}), record["plan"]) or ["command"]
+        changed = _differences("command", before.get("command"), record["command"])
+        changed += _differences("", before.get("plan", {}), record["plan"])
+        if changed:
             raise InputError(
-                f"{folder}: holds another run (different: {', '.join(changed)}); "
-                "name another --out, or remove the folder"
+                f"{folder}: holds another run: {'; '.join(changed)}. Name another --out, or remove the folder"
             )
-    write_json(path, dict(record))
+        refuse_changes(folder, before)
+    write_json(path, dict(record) | {"made_by": _versions()})
 
 
-def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    return [key for key in dict.fromkeys([*before, *now]) if before.get(key) != now.get(key)]
+def refuse_changes(folder: Path, record: Mapping[str, Any]) -> None:
+    """Refuse to go on with a run (the contents of its run.json) that other code began, before any work.
+
+    Raises
+    ------
+    InputError
+        with every difference.
+    """
+    if changed := _differences("", record.get("made_by", {}), _versions()):
+        raise InputError(
+            f"{folder}: cannot go on, the code is not that of the run: {'; '.join(changed)}. Install again what it "
+            "began with, or start anew with another --out"
+        )
+
+
+def _versions() -> dict[str, str]:
+    """What else than its plan decides the draws of a run, bit for bit."""
+    libraries = {name: version(name) for name in ("numpy", "scipy", "numba", "emcee")}
+    return {"bayes_damper": package_version(), "source files (SHA-256)": code_sha256()[:12]} | libraries
+
+
+def _differences(name: str, before: Any, now: Any) -> list[str]:
+    """Every entry that differs, in words: name was one thing and is another now."""
+    if isinstance(before, Mapping) and isinstance(now, Mapping):
+        keys = dict.fromkeys([*before, *now])
+        parts = [_differences(f"{name}.{key}".lstrip("."), before.get(key), now.get(key)) for key in keys]
+        return [sentence for part in parts for sentence in part]
+    said = ["not set" if x is None else ", ".join(map(str, x)) if isinstance(x, list) else x for x in (before, now)]
+    return [] if before == now else [f"{name} was {said[0]} and is {said[1]} now"]
 
 
 def finish_fit(

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from bayes_damper.errors import InputError
-from bayes_damper.fit import finish_fit, plan_in
+from bayes_damper.fit import finish_fit, plan_in, refuse_changes
 from bayes_damper.run import Progress, read_json, write_json
 from bayes_damper.variability import finish_variability
 from bayes_damper.withheld.check import finish_withheld
@@ -40,6 +40,7 @@ def resume(
             "checks can be resumed, and only fits extended; other commands go on when the same command is given again"
         )
     plan = plan_in(record, path)
+    refuse_changes(path, record)
     if more:
         plan["thorough"] = True
         plan["most_steps"] = None if plan["most_steps"] is None else 2 * plan["most_steps"]

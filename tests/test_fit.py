@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -23,6 +24,7 @@ from bayes_damper.model import Model
 from bayes_damper.posterior import Datum, FeaturePosterior
 from bayes_damper.priors import load_priors
 from bayes_damper.resume import resume
+from bayes_damper.run import write_json
 from bayes_damper.sampling import annealed_start
 
 TRUTH = {"mu": 0.006, "k2t": 1.5, "c2t": 0.05, "drag": 0.004, "nu": 40.0, "c1t": 0.01, "c3t": 0.008}
@@ -168,6 +170,40 @@ def test_a_campaign_that_has_changed_is_told_before_anything_runs(tmp_path):
 def test_a_folder_without_a_run_cannot_be_resumed(tmp_path):
     with pytest.raises(InputError, match=r"run\.json"):
         resume(tmp_path)
+
+
+def _begun(tmp_path, **changes):
+    """A folder in which a fit of the thesis's cases has begun and nothing been done, and its record."""
+    defaults = dict.fromkeys(("cases", "priors", "normal_force", "most_steps"))
+    plan = plan_fit("thesis", **(defaults | {"seed": 1, "thorough": False, "joint": True} | changes))
+    record = {"command": "fit", "plan": plan, "workers": 1}
+    start_run(tmp_path, record)
+    return record
+
+
+@pytest.mark.parametrize("name", ["bayes_damper", "source files (SHA-256)", "numpy", "emcee"])
+def test_a_run_of_another_version_is_refused_before_any_work(tmp_path, name):
+    record = _begun(tmp_path)
+    there = json.loads((tmp_path / "run.json").read_text())
+    now = there["made_by"][name]
+    write_json(tmp_path / "run.json", there | {"made_by": there["made_by"] | {name: "0.0.7"}})
+    said = re.escape(f"{name} was 0.0.7 and is {now} now")
+    with pytest.raises(InputError, match=said):
+        resume(tmp_path)
+    with pytest.raises(InputError, match=said):
+        start_run(tmp_path, record)
+    assert [p.name for p in tmp_path.iterdir()] == ["run.json"]
+
+
+def test_another_plan_is_refused_with_every_difference(tmp_path):
+    before = _begun(tmp_path, cases=["I", "II"])
+    plan = json.loads(json.dumps(before["plan"])) | {"seed": 2, "cases": ["I"]}
+    plan["priors"]["mu"]["median"] = 0.5
+    with pytest.raises(InputError) as raised:
+        start_run(tmp_path, before | {"plan": plan})
+    for said in ("seed was 1 and is 2 now", "cases was I, II and is I now", "priors.mu.median was 0.01 and is 0.5 now"):
+        assert said in str(raised.value)
+    start_run(tmp_path, before | {"workers": 2})  # as many processes as one likes
 
 
 @pytest.mark.slow
