@@ -173,11 +173,12 @@ def test_a_folder_without_a_run_cannot_be_resumed(tmp_path):
 
 
 def _begun(tmp_path, **changes):
-    """A folder in which a fit of the thesis's cases has begun and nothing been done, and its record."""
+    """A folder in which a fit of the thesis's cases has just begun, and its record."""
     defaults = dict.fromkeys(("cases", "priors", "normal_force", "most_steps"))
     plan = plan_fit("thesis", **(defaults | {"seed": 1, "thorough": False, "joint": True} | changes))
     record = {"command": "fit", "plan": plan, "workers": 1}
     start_run(tmp_path, record)
+    (tmp_path / "I").mkdir()
     return record
 
 
@@ -192,7 +193,7 @@ def test_a_run_of_another_version_is_refused_before_any_work(tmp_path, name):
         resume(tmp_path)
     with pytest.raises(InputError, match=said):
         start_run(tmp_path, record)
-    assert [p.name for p in tmp_path.iterdir()] == ["run.json"]
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["I", "run.json"]
 
 
 def test_another_plan_is_refused_with_every_difference(tmp_path):
