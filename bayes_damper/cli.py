@@ -80,6 +80,7 @@ def _variability(args: Arguments) -> Any:
         particles=args.particles,
         repeats=args.repeats,
         unseen=args.unseen,
+        adapt=args.adapt,
         workers=args.workers,
         scheduler=args.scheduler,
         progress=_progress(args),
@@ -364,6 +365,8 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--repeats", type=_count, default=2, metavar="N", help="runs of each model (default: 2)")
     sub.add_argument("--unseen", action=argparse.BooleanOptionalAction, default=True,
                      help="predict each case from the others too (published features: most of the time)")  # fmt: skip
+    sub.add_argument("--adapt", action=argparse.BooleanOptionalAction, default=True,
+                     help="more particles, up to 1024, where repeated runs differ (published features)")  # fmt: skip
     workers(sub)
 
     sub = command("compare", _compare, "results side by side")

@@ -494,7 +494,7 @@ def thesis_figure(found: Mapping[str, Any]) -> Figure:
             axis.set_xlabel(told.x.replace("(", "[", 1).replace(")", "]", 1))
             axis.set_ylabel(told.y.replace("(", "[", 1)[::-1].replace(")", "]", 1)[::-1], fontsize=8)
             axis.set_title(f"{name} (p. {told.page})", loc="left")
-            axis.legend(loc="best", fontsize=7)
+            axis.legend(loc="lower right" if told.printed else "best", fontsize=7)
         for axis in axes[len(found) :]:
             axis.set_visible(False)
         figure.suptitle("The figures of the thesis, recomputed from its equations and constants")

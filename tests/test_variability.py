@@ -15,7 +15,7 @@ from bayes_damper.errors import ExitCode, InputError, Interrupted
 from bayes_damper.model import Model
 from bayes_damper.resume import resume
 from bayes_damper.run import read_json, write_json
-from bayes_damper.variability import variability
+from bayes_damper.variability import answer, variability
 from bayes_damper.variability.decomposition import CaseDraws, Sets, decompose
 from bayes_damper.variability.equivalent import TIMES, bearing_damping, equivalent, fit_linear, linear_record
 from bayes_damper.variability.pooling import (
@@ -541,6 +541,58 @@ def test_thesis_end_to_end_interrupted_and_resumed(tmp_path):
     assert resume(work).result["models"] == first.result["models"]
     with pytest.raises(InputError, match="another run"):
         variability("thesis", out=tmp_path / "a", **(settings | {"particles": 48}))
+
+
+class Apart:
+    """Cases whose partly pooled runs differ until they have enough particles."""
+
+    names = ("I", "II")
+
+    def __init__(self, enough):
+        self.enough = enough
+
+    def apart(self, key, names, work):
+        del work
+        grown = [int(name.split("-")[2]) for name in names if name.count("-") == 3]
+        return 0.9 if key.startswith("partial") and max(grown, default=0) < self.enough else 0.1
+
+
+@pytest.mark.parametrize(
+    ("particles", "enough", "adapt", "last"),
+    [(64, 256, True, "partial-own-256-1"), (64, 10**6, True, "partial-own-1024-1"), (256, 10**6, False, None)],
+)
+def test_runs_whose_repeats_differ_are_made_again_with_more_particles(
+    monkeypatch, tmp_path, particles, enough, adapt, last
+):
+    made = {}
+
+    def run_tasks(tasks, work, **_):
+        del work
+        made.update({task.name: task.arguments for task in tasks})
+        return {task.name: {} for task in tasks}
+
+    monkeypatch.setattr(answer, "run_tasks", run_tasks)
+    settings = {"fit": {}, "seed": 1, "particles": particles, "repeats": 2}
+    runs, chosen = answer._run_published(Apart(enough), settings, tmp_path, False, adapt, 1, None, None)
+    assert set(runs) == set(made)
+    assert chosen["shared-all"] == ["shared-all-0", "shared-all-1"]
+    assert chosen["partial-own"][-1] == (last or "partial-own-1")
+    if last is not None:
+        assert made[last]["own_constants"]
+        assert made[last]["settings"]["particles"] == int(last.split("-")[2])
+    assert not any(name.startswith("shared-all-") and name.count("-") == 3 for name in made)
+
+
+def test_repeats_apart_by_one_standard_deviation_are_found(tmp_path):
+    cases = PublishedCases(PublishedCases.default_plan())
+    hierarchy = cases.hierarchy("shared")
+    points = np.random.default_rng(2).standard_normal((4000, hierarchy.ndim))
+    for name, shift in (("a", 0.0), ("b", 1.0), ("c", 0.0)):
+        (tmp_path / name).mkdir()
+        np.savez(tmp_path / name / "points.npz", points=points[:: -1 if name == "c" else 1] + shift)
+    assert cases.apart("shared-all", ["a", "b"], tmp_path) == pytest.approx(1.0, rel=0.05)
+    assert cases.apart("shared-all", ["a", "c"], tmp_path) < 1e-6
+    assert cases.apart("shared-all", ["a"], tmp_path) == 0.0
 
 
 # Bad input

@@ -32,6 +32,11 @@ _RECYCLED_DRAWS = 100_000
 _WORST_MEMORY = 0.6
 _LARGEST_SPREAD = 1.5
 """Nats by which repeated runs may differ before the evidence is called unconverged."""
+_APART = 0.3
+"""Standard deviations by which the means of repeated runs may differ (root mean square over the unknowns) before they
+are made again with more particles: at this value the two rest on some 20 independent draws each."""
+_MORE, _MOST_PARTICLES = 4, 1024
+"""Factor by which the particles then grow, and up to how many."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +89,7 @@ def variability(
     repeats: int = 2,
     draws: int = 200,
     unseen: bool = True,
+    adapt: bool = True,
     workers: int = 1,
     scheduler: str | None = None,
     progress: Progress | None = None,
@@ -95,9 +101,11 @@ def variability(
     folder : results of `fit` (published features or recorded trials), or "thesis" for the published features without
     a fit: the draws of each case are then made here. out : where to write; default the folder itself
     ("results/variability" for "thesis"). seed : decides every random number. particles : of each run of the tempering.
-    repeats : runs of each answer with all cases; their spread is the error of its evidence. draws : for the effective
-    linear parameters. unseen : False leaves out the predictions of each case from the others, which take two thirds of
-    the time for published features. workers : processes. A run that was stopped goes on when the call is made again.
+    repeats : runs of each answer with all cases; their spread is the error of its evidence. adapt : runs whose repeats
+    differ too much in their means are made again with four times as many particles, up to 1024; False keeps
+    `particles`. draws : for the effective linear parameters. unseen : False leaves out the predictions of each case
+    from the others, which take much of the time for published features. workers : processes. A run that was stopped
+    goes on when the call is made again.
 
     Raises
     ------
@@ -113,14 +121,14 @@ def variability(
     cases = PublishedCases(plan) if plan["campaign"] == "thesis" else RecordedCases(plan)
     rng = np.random.default_rng([seed, 5])
     settings = {"fit": plan, "seed": seed, "particles": particles, "repeats": repeats}
-    _claim(target, settings | {"source": str(folder), "draws": draws, "unseen": unseen}, workers)
+    _claim(target, settings | {"source": str(folder), "draws": draws, "unseen": unseen, "adapt": adapt}, workers)
     if isinstance(cases, PublishedCases):
         work = target / "variability"
-        runs = _run_published(cases, settings, work, unseen, workers, scheduler, progress)
-        models, published_sets = cases.models(runs, work, rng, draws)
+        runs, chosen = _run_published(cases, settings, work, unseen, adapt, workers, scheduler, progress)
+        models, published_sets = cases.models(runs, chosen, work, rng, draws)
         sets: Sets | None = published_sets
         draws_of = _fit_draws(fitted, plan, cases) if fitted is not None else cases.own_draws(work, repeats)
-        direct = cases.direct(runs, work, repeats)
+        direct = cases.direct(runs, chosen, work, repeats)
     else:
         models, sets = cases.models(rng, particles, draws)
         draws_of = {
@@ -199,7 +207,8 @@ def finish_variability(
     plan = record["plan"]
     return variability(
         plan["source"], out=work.parent, seed=plan["seed"], particles=plan["particles"], repeats=plan["repeats"],
-        draws=plan["draws"], unseen=plan["unseen"], workers=workers or record.get("workers", 1), progress=progress,
+        draws=plan["draws"], unseen=plan["unseen"], adapt=plan["adapt"], workers=workers or record.get("workers", 1),
+        progress=progress,
     )  # fmt: skip
 
 
@@ -216,30 +225,34 @@ def _claim(target: Path, plan: Mapping[str, Any], workers: int) -> None:
 
 
 def _run_published(
-    cases: PublishedCases, settings: Mapping[str, Any], work: Path, unseen: bool, workers: int, scheduler: str | None,
-    progress: Progress | None,
-) -> dict[str, Any]:  # fmt: skip
-    """All runs of the tempering: each answer with all cases, and with each case left out."""
-    wanted: list[tuple[str, str | None, int]] = [
-        (pooling, None, k) for pooling in POOLINGS for k in range(settings["repeats"])
-    ]
-    wanted += [(pooling, case, 0) for pooling in POOLINGS for case in cases.names if unseen]
-    tasks = [
-        Task(
-            f"{pooling}-{'all' if case is None else f'without-{case}'}-{k}",
-            "bayes_damper.variability.published:run_pooling",
-            {"settings": dict(settings), "pooling": pooling, "without": case, "repeat": k, "own_constants": False},
-        )
-        for pooling, case, k in wanted
-    ]
+    cases: PublishedCases, settings: Mapping[str, Any], work: Path, unseen: bool, adapt: bool, workers: int,
+    scheduler: str | None, progress: Progress | None,
+) -> tuple[dict[str, Any], dict[str, list[str]]]:  # fmt: skip
+    """All runs of the tempering: each answer with all cases, and with each case left out.
+
+    Returns what each run found, and the runs that count: those of the most particles, key -> names. A key is an answer
+    with "-all", or "partial-own" where each case has constants of the rig of its own.
+    """
     repeats = range(settings["repeats"])
+    keys = [*(f"{pooling}-all" for pooling in POOLINGS), "partial-own"]
+
+    def pooled(name: str, pooling: str, case: str | None, k: int, particles: int, own: bool = False) -> Task:
+        more = {"settings": {**settings, "particles": particles}, "pooling": pooling, "without": case, "repeat": k}
+        return Task(name, "bayes_damper.variability.published:run_pooling", more | {"own_constants": own})
+
+    def with_all(key: str, particles: int) -> list[Task]:
+        pooling, _, kind = key.partition("-")
+        grown = "" if particles == settings["particles"] else f"{particles}-"
+        return [pooled(f"{key}-{grown}{k}", pooling, None, k, particles, kind == "own") for k in repeats]
+
+    base = settings["particles"]
+    tasks = [task for key in keys for task in with_all(key, base)]
+    chosen = {key: [task.name for task in with_all(key, base)] for key in keys}
     tasks += [
-        Task(
-            f"partial-own-{k}",
-            "bayes_damper.variability.published:run_pooling",
-            {"settings": dict(settings), "pooling": "partial", "without": None, "repeat": k, "own_constants": True},
-        )
-        for k in repeats
+        pooled(f"{pooling}-without-{case}-0", pooling, case, 0, base)
+        for pooling in POOLINGS
+        for case in cases.names
+        if unseen
     ]
     tasks += [
         Task(
@@ -251,7 +264,17 @@ def _run_published(
         for k in repeats
     ]
     tasks.sort(key=lambda task: not task.name.startswith("partial"))  # the longest first
-    return run_tasks(tasks, work, workers=workers, scheduler=scheduler, progress=progress)
+    runs = run_tasks(tasks, work, workers=workers, scheduler=scheduler, progress=progress)
+    particles = base
+    while adapt and len(repeats) > 1 and particles * _MORE <= _MOST_PARTICLES:
+        apart = [key for key in keys if cases.apart(key, chosen[key], work) > _APART]
+        particles *= _MORE
+        again = [task for key in apart for task in with_all(key, particles)]
+        if not again:
+            break
+        runs |= run_tasks(again, work, workers=workers, scheduler=scheduler, progress=progress)
+        chosen |= {key: [task.name for task in with_all(key, particles)] for key in apart}
+    return runs, chosen
 
 
 def _fit_draws(folder: Path, plan: Mapping[str, Any], cases: PublishedCases | RecordedCases) -> dict[str, Array]:
@@ -311,6 +334,7 @@ def _agreement(
         "error": recycled.error,
         "direct_log_evidence_over_separate": direct.log_z,
         "direct_error": direct.error,
+        "direct_repeats_apart_sd": direct.apart,
         "parameters": parameters,
         "differences_sd": rows,
         "largest_difference_sd": abs(rows[worst]),
@@ -366,6 +390,11 @@ def _sentences(result: Mapping[str, Any], fit_converged: bool) -> list[str]:
         out.append(f"The fit's draws used again by weights cannot be trusted here ({k}): the direct runs count.")
     elif check["agree"]:
         out.append(f"The fit's draws used again by weights ({k}) agree with the direct way.")
+    elif check["direct_repeats_apart_sd"] > _APART:
+        out.append(
+            f"The fit's draws used again by weights ({k}) cannot be held against the direct way, whose own repeats "
+            f"differ by {check['direct_repeats_apart_sd']:.2f} standard deviations: raise particles."
+        )
     else:
         out.append(
             f"The fit's draws used again by weights ({k}) differ from the direct way by "

@@ -212,7 +212,7 @@ class Direct:
     """Partial pooling without the draws of a fit: what `recycle` is held against.
 
     mean, scatter (n, pooled): draws of m and s; values: case -> (n, pooled); log_z: log evidence of `partial` over that
-    of `separate`, with its error.
+    of `separate`, with its error; apart: standard deviations by which the means of its own repeats differ.
     """
 
     mean: Array
@@ -220,6 +220,7 @@ class Direct:
     values: Mapping[str, Array]
     log_z: float
     error: float
+    apart: float = 0.0
 
 
 # Draws of single cases, used again -----------------------------------------------------------------------------------

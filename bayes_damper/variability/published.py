@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -104,18 +104,40 @@ class PublishedCases:
             for case in self.names
         }
 
-    def direct(self, runs: Mapping[str, Any], work: Path, repeats: int) -> Direct:
+    def apart(self, key: str, names: Sequence[str], work: Path) -> float:
+        """Root mean square difference of the means of two repeats, in standard deviations, over what is pooled.
+
+        key : "shared-all", "separate-all", "partial-all" or "partial-own", of which `names` are the runs.
+        """
+        hierarchy = self._of(key)
+        columns = []
+        for points in (_points(work / name) for name in names):
+            parts = [hierarchy.values(points, i) for i in range(len(self.names))]
+            if hierarchy.pooling == "partial":
+                parts += [hierarchy.means(points), hierarchy.scatter(points)]
+            columns.append(np.concatenate(parts[:1] if hierarchy.pooling == "shared" else parts, axis=1))
+        if len(columns) < 2:
+            return 0.0
+        means = np.array([x.mean(axis=0) for x in columns])
+        within = np.mean([x.var(axis=0) for x in columns], axis=0)
+        return math.sqrt(2.0 * float(np.mean(means.var(axis=0, ddof=1) / np.maximum(within, 1e-300))))
+
+    def _of(self, key: str) -> Hierarchy:
+        pooling, _, kind = key.partition("-")
+        return self.hierarchy(next(p for p in POOLINGS if p == pooling), own_constants=kind == "own")
+
+    def direct(self, runs: Mapping[str, Any], chosen: Mapping[str, Sequence[str]], work: Path, repeats: int) -> Direct:
         """Partial pooling of cases that have constants of the rig of their own each, as single fits have."""
         hierarchy = self.hierarchy("partial", own_constants=True)
-        points = np.concatenate([_points(work / f"partial-own-{k}") for k in range(repeats)])
+        own = list(chosen["partial-own"])
+        points = np.concatenate([_points(work / name) for name in own])
         heights = np.array(
             [
-                runs[f"partial-own-{k}"]["log_z"] - sum(runs[f"alone-{case}-{k}"]["log_z"] for case in self.names)
+                runs[own[k]]["log_z"] - sum(runs[f"alone-{case}-{k}"]["log_z"] for case in self.names)
                 for k in range(repeats)
             ]
         )
-        names = [f"partial-own-{k}" for k in range(repeats)]
-        names += [f"alone-{case}-{k}" for case in self.names for k in range(repeats)]
+        names = own + [f"alone-{case}-{k}" for case in self.names for k in range(repeats)]
         error = math.sqrt(sum(runs[name]["error"] ** 2 for name in names)) / repeats
         return Direct(
             hierarchy.means(points),
@@ -123,15 +145,17 @@ class PublishedCases:
             {case: hierarchy.values(points, i) for i, case in enumerate(self.names)},
             float(heights.mean()),
             max(error, float(np.ptp(heights)) / 2.0),
+            self.apart("partial-own", own, work),
         )
 
     def models(
-        self, runs: Mapping[str, Any], work: Path, rng: np.random.Generator, draws: int
-    ) -> tuple[dict[str, dict[str, Any]], Sets]:
+        self, runs: Mapping[str, Any], chosen: Mapping[str, Sequence[str]], work: Path, rng: np.random.Generator,
+        draws: int,
+    ) -> tuple[dict[str, dict[str, Any]], Sets]:  # fmt: skip
         """What variability.json says of the three answers, and what the decomposition needs."""
         models: dict[str, dict[str, Any]] = {}
         for pooling in POOLINGS:
-            names = [name for name in runs if name.startswith(f"{pooling}-all-")]
+            names = list(chosen[f"{pooling}-all"])
             heights = np.array([runs[name]["log_z"] for name in names])
             error = math.sqrt(float(np.mean([runs[name]["error"] ** 2 for name in names])) / len(names))
             spread = float(np.ptp(heights)) if len(heights) > 1 else 0.0
@@ -151,9 +175,10 @@ class PublishedCases:
                     "cases": unseen,
                 },
                 "memory": max(runs[name]["memory"] for name in names),
+                "particles": len(points) // len(names),
+                "repeats_apart_sd": self.apart(f"{pooling}-all", names, work),
             } | self._described(self.hierarchy(pooling), points)
-        names = [name for name in runs if name.startswith("partial-all-")]
-        points = np.concatenate([_points(work / name) for name in names])
+        points = np.concatenate([_points(work / name) for name in chosen["partial-all"]])
         points = points[rng.permutation(len(points))[:draws]]
         return models, self._sets(self.hierarchy("partial"), points, rng)
 
