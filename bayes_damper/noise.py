@@ -28,6 +28,7 @@ from bayes_damper.calibration import (
     Noise,
     calibrate,
     calibrate_nominal,
+    default_starts,
     evenly_sampled,
     learn_noise,
     rough_noise,
@@ -44,6 +45,7 @@ TOLD_CORRELATION = 0.05  # of neighbouring residuals from which it is told
 APART = 1.5  # times the residual power of its repeats from which a trial is unlike them
 SURE = 8.0  # standard errors by which it must be so
 CUT = 4.0  # innovations beyond which a reading counts no further where noise is learnt
+RESTARTED = 300.0  # by which the cost of a start may exceed another's after its first stage
 ORDERS = (4, 8, 16, 32)  # of autoregressions tried where something is left
 
 
@@ -175,7 +177,7 @@ def fit_with_noise(
         if any(wide):
             tell("the fit leaves more than noise: learning the noise from that")
             for _ in range(2):
-                fit = _again(fit, learnt)
+                fit = _anew(fit, learnt)
                 learnt, _ = _learn_from_what_is_left(fit, always=True, only=wide)
             fit = _again(fit, learnt)
     chosen: Kind = "ar" if any(wide) or kind == "ar" else "student" if heavy else "gaussian"
@@ -320,6 +322,13 @@ def _white(fit: Calibration) -> Noise:
     flat = Noise(noise.total, tuple(0.0 for _ in channels), tuple(0.0 for _ in channels))
     left = [math.sqrt(p) for p in _power(_again(fit, flat))]
     return replace(flat, innovation=tuple(s * x for s, x in zip(noise.total, left, strict=True)))
+
+
+def _anew(fit: Calibration, noise: Noise) -> Calibration:
+    """The fit under a noise of another kind: where the best valley under the one before may be another one."""
+    found = _again(fit, noise)
+    other = calibrate(found.problem, default_starts(found.problem), give_up=RESTARTED, target=found.cost)
+    return other if other.cost < found.cost else found
 
 
 # Outliers -----------------------------------------------------------------------------------------------------------
