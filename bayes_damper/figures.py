@@ -212,7 +212,7 @@ def feature_check_figure(rows: Sequence[Mapping[str, Any]], *, title: str, conve
     """Measured features against what the posterior predicts for them.
 
     rows : one mapping each with name, unit, measured, standard_error, median, hdi50, hdi90, percentile. Values are
-    drawn as distance from the measurement in standard errors of the prediction and the measurement together.
+    drawn as distance from the measurement in its standard errors.
     """
     figure = new_figure(8.0, 0.34 * len(rows) + 1.4, converged)
     with mpl.rc_context(_RC):
@@ -225,10 +225,17 @@ def feature_check_figure(rows: Sequence[Mapping[str, Any]], *, title: str, conve
                 axes.plot([low, high], [y, y], color=COLOURS[0], lw=width, solid_capstyle="butt")
             axes.plot((row["median"] - row["measured"]) / scale, y, "o", color=COLOURS[1], ms=4)
         axes.axvline(0.0, color="black", lw=0.8)
-        axes.set_yticks(range(len(rows)), [f"{row['name']}   {row['percentile']:.0f} %" for row in rows])
+        axes.set_yticks(
+            range(len(rows)), [f"{row['name'].replace('_', ' ')}   {row['percentile']:.0f} %" for row in rows]
+        )
         axes.set_xscale("symlog", linthresh=3.0)
+        low, high = axes.get_xlim()
+        axes.set_xlim(min(1.1 * low, -3.3), max(1.1 * high, 3.3))
+        axes.set_xticks([x for x in (-100, -30, -10, -3, -1, 0, 1, 3, 10, 30, 100) if 1.1 * low <= x <= 1.1 * high])
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter(NullFormatter())
         axes.set_xlabel(
-            "(model - measured) / standard error\ngrey: measured +- 1 standard error, blue: 50 and 90 % of the model"
+            "(model - measured) / standard error\ngrey: measured ± 1 standard error, blue: 50 and 90 % of the model"
         )
         axes.set_ylim(len(rows) - 0.5, -0.5)
         axes.set_title(

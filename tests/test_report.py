@@ -24,7 +24,7 @@ from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.figures import COLOURS, forest_figure, new_figure, residual_maps_figure, save
 from bayes_damper.fit import _draw_overlaid
 from bayes_damper.report.charts import pack, record_chart, torque_chart, unpack
-from bayes_damper.report.html import LARGEST
+from bayes_damper.report.html import LARGEST, typeset
 from bayes_damper.report.parts import number, percent
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -180,6 +180,29 @@ def test_charts_of_a_translational_rig_are_in_newtons_and_metres(tmp_path):
     }  # fmt: skip
 
 
+def test_a_fit_opens_with_what_the_data_determine_and_what_the_model_misses(tmp_path):
+    write_fit(tmp_path)
+    data = json.loads((tmp_path / "summary.json").read_text())
+    data["cases"]["III"]["parameters"]["k2t"]["prior_share"] = 0.1
+    learnt = {"channel": 1, "unit": "rad/s^2", "repeats": 2.0, "left": 5.03, "left_over_floor": 2.5,
+              "learnt_from": "residuals"}  # fmt: skip
+    quiet = learnt | {"channel": 2, "left": 2.1, "left_over_floor": 1.05, "learnt_from": "repeats"}
+    data["cases"]["IV"]["noise"] = {"channels": [learnt, quiet]}
+    (tmp_path / "summary.json").write_text(json.dumps(data))
+    page = report(tmp_path).path.read_text(encoding="utf-8")
+    text = words_of(page)
+    first = "Determined by the data: mu everywhere; k2t in case III. All runs converged. None of 4 measurements lies"
+    assert first in text
+    assert "in case IV, channel 1, it leaves 5 rad/s² where repeats differ by 2. The intervals allow for it." in text
+    assert '<section class="answer open">' in page
+    assert text.index("What would change it") < text.index("Median and 90 % interval")
+
+
+def test_exponents_are_raised_and_formulas_stay():
+    assert typeset("rad/s^2, kg m^-1, th1^3") == "rad/s², kg m⁻¹, th1³"
+    assert typeset("N m s^0.5, x^n, 2^(1/2)") == "N m s^0.5, x^n, 2^(1/2)"
+
+
 def test_oddities_of_the_records_stand_on_the_page_once(tmp_path):
     """Below the answers, not above them; a fit and a diagnosis of one campaign tell the same ones."""
     write_fit(tmp_path)
@@ -326,7 +349,7 @@ def test_the_gap_stands_before_and_after_each_effect(tmp_path):
     text = words_of(report(tmp_path / "diagnosis").path.read_text(encoding="utf-8"))
     assert "with stick slip and magnet cubic 2.01 97 % (90 to 100 %)" in text
     assert "case IV, coupled, trial 4 812 3.4 → 2.1 31 % → 52 % 62 % → 91 %" in text
-    assert "model rms residual [rad/s^2] gap closed (90 %) noise alone 2" in text
+    assert "model rms residual [rad/s²] gap closed (90 %) noise alone 2" in text
     assert "nominal model 2.9 0 %" in text
     assert "with stick slip 2.01 97 % (90 to 100 %)" in text
     assert "0.00830 ± 0.00010 0.00710 ± 0.00020 1 -6.0 sd" in text
@@ -355,7 +378,7 @@ def test_a_diagnosis_of_published_numbers_shows_them_beside_the_model(tmp_path):
     data["gap"] |= {"unit": "rad/s^2", "on": "coupled peaks"}
     (tmp_path / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
     text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
-    assert "I, coupled: max acceleration 135.7 ± 2.9 150.2 141.0 to 159.0 rad/s^2 0.012 no" in text
+    assert "I, coupled: max acceleration 135.7 ± 2.9 150.2 141.0 to 159.0 rad/s² 0.012 no" in text
     assert "On coupled peaks." in text
 
 
@@ -415,7 +438,7 @@ def test_a_run_that_has_not_ended_is_told_how_to_go_on(tmp_path):
 
 def test_a_plan_and_a_decomposition_read_as_tables(tmp_path):
     text = words_of(report(write_everything(tmp_path / "results")).path.read_text(encoding="utf-8"))
-    assert "magnet cubic interface 22 % cubic 66 N m/rad^3 interface relaxation 2.4 6 times" in text
+    assert "magnet cubic interface 22 % cubic 66 N m/rad³ interface relaxation 2.4 6 times" in text
     assert "real difference 0.2 0.100 to 0.400 60 % (20 to 90 %)" in text
     assert "IV 34.3 1.1 (0.900 to 1.400) 1" in text
     assert "IV 412 63 0.31" in text

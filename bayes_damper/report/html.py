@@ -10,6 +10,7 @@ import base64
 import hashlib
 import io
 import json
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -144,7 +145,7 @@ def _page(home: Path, names: tuple[str, ...], results: list[Result], warnings: l
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"json": _json, "percent": percent}
+    environment.filters |= {"json": _json, "percent": percent, "typeset": typeset}
     sections = _numbered([r.section for r in results], names)
     charts = sum(len(_json(c.data)) for s in sections for c in _charts(s))
     budget = _Budget(LARGEST - 150_000 - charts)
@@ -164,6 +165,14 @@ def _page(home: Path, names: tuple[str, ...], results: list[Result], warnings: l
         script=(templates / "report.js").read_text(encoding="utf-8"),
     )
     return page, budget
+
+
+_RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
+
+
+def typeset(text: str) -> str:
+    """Exponents raised: rad/s^2 as rad/s², th1^3 as th1³; powers of more than a number stay as they are."""
+    return re.sub(r"\^(-?\d+)(?![\d.])", lambda found: found[1].translate(_RAISED), text)
 
 
 def _name(results: list[Result]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -36,8 +36,7 @@ _HEADS = {
 }  # fmt: skip
 _OUTSIDE = 5.0  # per cent: a measurement below this percentile, or as far above, counts as outside
 _PICTURES = {
-    "corner": ("Pairs of parameters", "Corner figure: the distribution of each parameter and of each pair of them."),
-    "trace": ("Health of the run", "Traces of each ensemble, and the ranks of its draws, flat where ensembles agree."),
+    "forest": ("Parameters over the cases", "Median and 90 % interval of each parameter for each case."),
     "predictive": (
         "What was measured and what the fitted model gives",
         "Each measured feature with the 50 and 90 % intervals of the model, in standard errors of the measurement.",
@@ -46,7 +45,8 @@ _PICTURES = {
         "Records, band and residuals",
         "Measured records of one trial of each configuration under the model's 90 % band, residuals below.",
     ),
-    "forest": ("Parameters over the cases", "Median and 90 % interval of each parameter for each case."),
+    "corner": ("Pairs of parameters", "Corner figure: the distribution of each parameter and of each pair of them."),
+    "trace": ("Health of the run", "Traces of each ensemble, and the ranks of its draws, flat where ensembles agree."),
 }
 _MORE = {
     "gap": (
@@ -121,10 +121,11 @@ def fit_result(summary: Mapping[str, Any], folder: Path) -> Result:
     failed = [name for name, entry in groups.items() if not entry.get("converged")]
     warnings = [f"{_title(name)} did not converge: do not use its numbers." for name in failed]
     sections = []
+    pictures = _pictures(folder)
+    shown = {Path(p.path).name for p in pictures} & {"predictive"}  # of all cases: what each would show once more
     for name, entry in groups.items():
         place = folder / ("joint" if name == "all cases together" else _folder_name(name))
-        sections.append(_case_section(name, entry, place))
-    pictures = _pictures(folder)
+        sections.append(_case_section(name, entry, place, shown if len(groups) > 1 else set()))
     section = Section("Fit", (_INTERVALS,), pictures=pictures, parts=tuple(sections))
     head = _fit_headline(str(summary.get("campaign", "")), groups, converged)
     about = dict(summary.get("provenance", {})) | _fingerprint(summary)
@@ -150,6 +151,7 @@ def _title(name: str) -> str:
 def _fit_headline(campaign: str, groups: Mapping[str, Any], converged: bool) -> Headline:
     sentences, changes = [], []
     if converged:
+        sentences.append(_determined(groups))
         sentences.append("All runs converged." if len(groups) > 1 else "The run converged.")
     else:
         failed = [_title(n) for n, e in groups.items() if not e.get("converged")]
@@ -159,15 +161,21 @@ def _fit_headline(campaign: str, groups: Mapping[str, Any], converged: bool) -> 
     outside = [row for row in checks if _is_outside(row)]
     tone = "good" if converged else "bad"
     if checks:
+        few = {0: "None", len(checks): "All"}.get(len(outside), str(len(outside)))
         sentences.append(
-            f"{len(outside)} of {counted(len(checks), 'measurement')} {'lies' if len(outside) == 1 else 'lie'} outside "
-            f"the central 90 % of the prediction; chance alone would put about {0.1 * len(checks):.0f} there."
+            f"{few} of {counted(len(checks), 'measurement')} {'lies' if len(outside) < 2 else 'lie'} outside the "
+            f"central 90 % of the prediction; chance alone would put about {0.1 * len(checks):.0f} there."
         )
         if outside and len(outside) > max(1.0, 0.2 * len(checks)):
             tone = "bad" if not converged else "open"
             worst = ", ".join(str(row["name"]) for row in outside[:3])
             sentences.append(f"The model cannot reproduce all of the data, whatever its parameters: {worst}.")
             changes.append("A diagnosis of recorded trials would tell what the model lacks.")
+    missed = _missed(groups)
+    if missed:
+        tone = "open" if converged else "bad"
+        sentences.append(missed)
+        changes.append("A diagnosis (bayes-damper diagnose) looks for what the model misses.")
     by_prior: dict[str, int] = {}
     for entry in groups.values():
         for name, p in entry.get("parameters", {}).items():
@@ -182,6 +190,47 @@ def _fit_headline(campaign: str, groups: Mapping[str, Any], converged: bool) -> 
             changes.append(f"Measuring {listed(able)} directly would replace an assumption by a fact.")
     title = f"Fit of {campaign}" if campaign else "Fit"
     return Headline(title, tone, tuple(sentences), changes=tuple(changes), table=_overview(groups))
+
+
+def _determined(groups: Mapping[str, Any]) -> str:
+    """Which parameters the data decide about, and in which cases, in a sentence."""
+    where: dict[tuple[str, ...], list[str]] = {}
+    for name in _MAIN:
+        found = [g for g, e in groups.items() if decided_by(_share_of(e, name)) == "data"]
+        if found:
+            where.setdefault(tuple(found), []).append(_symbol(name))
+    if not where:
+        return "The data alone determine no parameter: each interval owes something to the prior."
+    parts = []
+    for places, names in sorted(where.items(), key=lambda item: -len(item[0])):
+        fits = listed([place if place.startswith("all") else f"case {place}" for place in places])
+        everywhere = len(places) == len(groups)
+        parts.append(listed(names) + ("" if len(groups) == 1 else " everywhere" if everywhere else f" in {fits}"))
+    return f"Determined by the data: {'; '.join(parts)}."
+
+
+def _share_of(entry: Mapping[str, Any], name: str) -> float | None:
+    share = entry.get("parameters", {}).get(name, {}).get("prior_share")
+    return None if share is None else float(share)
+
+
+def _missed(groups: Mapping[str, Any]) -> str:
+    """The channel of which the fit leaves most beyond the noise, in a sentence; nothing where it leaves noise alone."""
+    rows = [
+        (name, c)
+        for name, entry in groups.items()
+        for c in (entry.get("noise") or {}).get("channels", ())
+        if c.get("learnt_from") == "residuals" and c.get("left_over_floor")
+    ]
+    if not rows:
+        return ""
+    name, worst = max(rows, key=lambda row: float(row[1]["left_over_floor"]))
+    floor = worst.get("repeats") or worst.get("fast_content")
+    source = "repeats differ by" if worst.get("repeats") else "the fast content has"
+    return (
+        f"The model misses something: in {_title(name)[0].lower() + _title(name)[1:]}, channel {worst['channel']}, it "
+        f"leaves {worst['left']:.2g} {worst['unit']} where {source} {floor:.2g}. The intervals allow for it."
+    )
 
 
 def _overview(groups: Mapping[str, Any]) -> Table:
@@ -218,7 +267,8 @@ def _is_outside(row: Mapping[str, Any]) -> bool:
     return not _OUTSIDE <= float(row["percentile"]) <= 100.0 - _OUTSIDE
 
 
-def _case_section(name: str, entry: Mapping[str, Any], folder: Path) -> Section:
+def _case_section(name: str, entry: Mapping[str, Any], folder: Path, shown: Collection[str] = ()) -> Section:
+    """One case of a fit; `shown`: names of the figures that stand elsewhere on the page for all cases together."""
     good = bool(entry.get("converged"))
     rows = []
     for key, p in entry.get("parameters", {}).items():
@@ -250,7 +300,10 @@ def _case_section(name: str, entry: Mapping[str, Any], folder: Path) -> Section:
     unit = entry.get("parameters", {}).get("sigma1", {}).get("unit", "")
     chart = record_chart(file, unit) if file.is_file() else None
     charts = () if chart is None else (chart,)
-    return Section(_title(name), sentences, tuple(tables), charts, _pictures(folder, _title(name)))
+    pictures = [p for p in _pictures(folder, _title(name)) if Path(p.path).name not in shown]
+    traces = tuple(p for p in pictures if Path(p.path).name == "trace")
+    parts = (Section("Health of the run", pictures=traces, folded=True),) if traces else ()
+    return Section(_title(name), sentences, tuple(tables), charts, tuple(p for p in pictures if p not in traces), parts)
 
 
 def _more_tables(name: str, entry: Mapping[str, Any]) -> list[Table]:
@@ -775,9 +828,7 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
     weak = [row for row in data.get("nonlinear", []) if row["probability_of_target"] < 0.5]
     if weak:
         at = listed([f"{row['torque_amplitude_n_m']:g} {newton}" for row in weak])
-        sentences.append(
-            f"With dry friction, your design probably misses the target when the exciting {effort} is {at}."
-        )
+        sentences.append(f"With dry friction, your design probably misses the target where the {effort} is {at}.")
     changes = []
     if data.get("hangs_most_on"):
         name = data["hangs_most_on"]
