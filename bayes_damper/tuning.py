@@ -695,6 +695,8 @@ class TuneResult:
             bound = f" (at the bound: {', '.join(self.optimum.at_bound)})" if self.optimum.at_bound else ""
             lines.append(f"best design: {free}{bound}; {_sentence(self.optimum.performance, self.target_db)}")
             lines += [f"  at {a:g} {unit}: {_sentence(p, self.target_db)}" for a, p in self.optimum_nonlinear.items()]
+        if any("no resonance" in line for line in lines):
+            lines.append("No resonance: dry friction holds the rig, or damps it so much that no peak is left.")
         if self.shares:
             name, share = next(iter(self.shares.items()))
             lines.append(f"The insertion loss hangs most on {name}: {100 * share:.0f} % of its variance.")

@@ -80,6 +80,43 @@ class Recomputation:
             lines.append(f"Files: {self.folder}")
         return "\n".join(lines)
 
+    def markdown(self) -> str:
+        """A page with the whole table and every contradiction: what thesis.md holds."""
+        counts = ", ".join(f"{n} {verdict}" for verdict, n in self._counts().items())
+        lines = [
+            "# The thesis recomputed",
+            "",
+            "Every printed number of Tables 1 to 12, of the figures and of the text that follows from others, beside",
+            "what the thesis's own equations and constants give. Verdicts: *agrees* to the last printed digit;",
+            "*rounding*: inside what rounded inputs allow; *contradiction*: outside; *not determined by what is printed*.",
+            f"Of {len(self.table)}: {counts}.",
+            "",
+            "| where | p. | quantity | unit | printed | computed | difference | verdict | from what |",
+            "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+        ]
+        ordered = self.table.sort_values("page", kind="stable")
+        for row in ordered.to_dict("records"):
+            shown = (row["where"], row["page"], row["quantity"], row["unit"], row["printed"], _digits(row["computed"]),
+                     _digits(row["difference"], 2), row["verdict"], row["explanation"])  # fmt: skip
+            lines.append("| " + " | ".join(str(x).replace("|", "\\|") for x in shown) + " |")
+        lines += ["", "## Where it contradicts itself or leaves a gap", ""]
+        lines.append(
+            "With the evidence, and with what a printed number would need. Nothing is tuned to make numbers meet."
+        )
+        for c in self.contradictions:
+            lines += ["", f"### {c.name[0].upper()}{c.name[1:]} (p. {', '.join(map(str, c.pages))})", ""]
+            lines += [c.statement, "", c.evidence]
+            lines += [("" if k else "\n") + f"- {needed_in_words(n)}" for k, n in enumerate(c.needed)]
+        lines += ["", "## Figures", "", "Curves that were measured were not published, and are left out.", ""]
+        lines += ["![Figures 2, 6, 8 and 10 to 13 recomputed, with the printed peaks](thesis_figures.svg)", ""]
+        lines += [f"- {name} (p. {f.page}): {f.note}" for name, f in self.figures.items()]
+        return "\n".join(lines) + "\n"
+
+
+def _digits(x: float, digits: int = 4) -> str:
+    """A number with so many significant digits; a dash where there is none."""
+    return f"{x:.{digits}g}" if math.isfinite(x) else "-"
+
 
 def needed_in_words(needed: Needed) -> str:
     """The parameter value that a printed number would need, and how plausible it is, in a sentence."""
@@ -92,12 +129,14 @@ def needed_in_words(needed: Needed) -> str:
 def recompute(out: Path | str | None = None) -> Recomputation:
     """Recomputes Tables 1-12 and Figures 2, 6, 8, 10-13, and lists the contradictions; takes seconds.
 
-    out : folder for the table (thesis.csv), all of it (thesis.json) and the figures; None writes nothing.
+    out : folder for the table (thesis.csv), all of it as a page (thesis.md) and as data (thesis.json), and the figures;
+    None writes nothing.
     """
     folder = None if out is None else Path(out)
     found = Recomputation(table(), contradictions(), figures(), folder, provenance())
     if folder is not None:
         write_json(folder / "thesis.json", found.to_json())
+        (folder / "thesis.md").write_text(found.markdown(), encoding="utf-8")
         found.table.to_csv(folder / "thesis.csv", index=False)
         drawing.save(drawing.thesis_figure(found.figures), folder / "thesis_figures")
     return found
