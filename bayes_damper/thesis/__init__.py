@@ -88,7 +88,7 @@ class Recomputation:
             "",
             "Every printed number of Tables 1 to 12, of the figures and of the text that follows from others, beside",
             "what the thesis's own equations and constants give. Verdicts: *agrees* to the last printed digit;",
-            "*rounding*: inside what rounded inputs allow; *contradiction*: outside of it; or *not determined by what is",
+            "*rounding*: inside what rounded inputs allow; *contradiction*: outside; or *not determined by what is",
             f"printed*. Of {len(self.table)}: {counts}.",
             "",
             "| where | p. | quantity | unit | printed | computed | difference | verdict | from what |",
