@@ -7,17 +7,18 @@ from unittest import mock
 
 import numpy as np
 import small_rig
+from draws import sampled, weighted
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 from small_rig import measured
 
+from bayes_damper.calibration import Experiment
 from bayes_damper.distributions import LogNormal, to_standard
 from bayes_damper.noise import fit_with_noise
 from bayes_damper.record_posterior import RecordPosterior
 
 Array = NDArray[np.float64]
 NAMES = ("k2t", "c2t", "c1t", "c3t", "mu", "drag", "nu")
-FREEDOM = 6.0
 
 
 def autoregression(rng: np.random.Generator, shape: tuple[int, ...], phi: float, sd: float) -> Array:
@@ -26,12 +27,13 @@ def autoregression(rng: np.random.Generator, shape: tuple[int, ...], phi: float,
     return np.asarray(sd * np.sqrt(1.0 - phi**2) * lfilter([1.0], [1.0, -phi], raw, axis=-1)[..., 200:])
 
 
-def covered(seed: int, kind: str, repeats: int, mode: str = "auto", phi: float = 0.95, sd: float = 6.0) -> Array:
-    """Probability that the posterior puts below the truth of each nominal parameter, (7,).
+def campaign(
+    seed: int, kind: str, repeats: int, phi: float = 0.95, sd: float = 6.0
+) -> tuple[Experiment, dict[str, float], np.random.Generator]:
+    """A campaign whose truth is drawn from its priors, that truth, and the generator that drew it.
 
-    Truths are drawn from the priors. kind : "white"; "own", an autoregression in each trial beside the white noise;
-    "shared", the same one in all repeats, as a model that is wrong leaves. The posterior is that of RecordPosterior, by
-    weighted draws of a Student t about the best fit.
+    kind : "white"; "own", an autoregression in each trial beside the white noise; "shared", the same one in all
+    repeats, as a model that is wrong leaves.
     """
     rng = np.random.default_rng(seed)
     priors = {name: LogNormal(small_rig.RIG[name], 1.5) for name in NAMES}
@@ -46,19 +48,24 @@ def covered(seed: int, kind: str, repeats: int, mode: str = "auto", phi: float =
 
     with mock.patch.dict(small_rig.RIG, truth):
         experiment = measured(seed, sensor=sensor, cases=[("IV", 1, 0.08)], duration=0.4, repeats=repeats)
-    found = fit_with_noise(replace(experiment, priors=priors), mode)
+    return replace(experiment, priors=priors), truth, rng
+
+
+def covered(seed: int, kind: str, repeats: int, mode: str = "auto") -> Array:
+    """Probability that the posterior puts below the truth of each nominal parameter of a `campaign`, (7,).
+
+    The posterior is that of RecordPosterior, by weighted draws, or by the sampler where too few of them count.
+    """
+    experiment, truth, rng = campaign(seed, kind, repeats)
+    priors = experiment.priors
+    found = fit_with_noise(experiment, mode)
     posterior = RecordPosterior(
         found.fit, power=found.power, freedom=found.freedom if found.kind == "student" else None
     )
-    draws = 1500
-    stretch = np.sqrt(FREEDOM / rng.chisquare(FREEDOM, draws))
-    z = rng.standard_normal((draws, posterior.ndim)) * stretch[:, None]
-    points = posterior.start + 1.2 * z @ np.linalg.cholesky(posterior.covariance).T
-    log_weight = posterior(points) + 0.5 * (FREEDOM + posterior.ndim) * np.log1p(np.sum(z**2, axis=1) / FREEDOM)
-    weight = np.exp(log_weight - log_weight.max())
-    weight /= weight.sum()
+    drawn = weighted(posterior, rng, 2000)
+    points = drawn[0] if drawn is not None else sampled(posterior, rng, seed).flat()
     at = [(posterior.names.index(name), float(to_standard(priors[name], truth[name]))) for name in NAMES]
-    return np.array([float(weight @ (points[:, i] < x)) for i, x in at])
+    return np.array([float(np.mean(points[:, i] < x)) for i, x in at])
 
 
 def share_inside(ranks: Array, share: float) -> float:

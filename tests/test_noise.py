@@ -6,14 +6,15 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
-from coloured import NAMES, autoregression, covered, share_inside
+from coloured import NAMES, autoregression, campaign, covered, share_inside
 from scipy.special import ndtr
 from small_rig import NOISE, RIG, measured
 
-from bayes_damper.calibration import Calibration, Noise, Problem, Switches, calibrate
+from bayes_damper.calibration import Calibration, Noise, Problem, Switches, calibrate, default_starts
 from bayes_damper.distributions import LogNormal
 from bayes_damper.errors import InputError
 from bayes_damper.fit import plan_fit
@@ -260,6 +261,17 @@ def test_shifts_under_other_priors_are_those_of_a_new_fit() -> None:
     sd = math.sqrt(fit.covariance[i, i])
     assert told["shift"] == pytest.approx((0.5 * fits[1].q[i] - fit.q[i]) / sd, abs=0.15)
     assert told["width"] == pytest.approx(0.5 * math.sqrt(fits[1].covariance[i, i]) / sd, abs=0.1)
+
+
+def test_the_best_fit_is_looked_for_anew_under_the_noise_that_was_learnt() -> None:
+    """In this campaign the valley that white noise leads to is not the best one under the noise learnt there."""
+    found = fit_with_noise(campaign(9055, "shared", 3)[0])
+    assert any(c.widened for c in found.channels)
+    best = calibrate(found.fit.problem, default_starts(found.fit.problem))
+    assert found.fit.cost < best.cost + 1.0
+    with mock.patch("bayes_damper.noise.default_starts", return_value=[found.fit.q + 50.0]):  # that leads nowhere
+        left = fit_with_noise(campaign(9055, "shared", 3)[0])
+    assert left.fit.log_evidence < found.fit.log_evidence - 5.0
 
 
 # Coverage -----------------------------------------------------------------------------------------------------------

@@ -20,6 +20,7 @@ import numpy as np
 import parts
 import ranks
 import synthetic
+from draws import SHORT, WALKERS, sampled, weighted
 from numpy.typing import NDArray
 
 from bayes_damper import calibration
@@ -28,13 +29,10 @@ from bayes_damper.fit import published_posterior
 from bayes_damper.posterior import Datum, FeaturePosterior
 from bayes_damper.priors import load_priors
 from bayes_damper.record_posterior import RecordPosterior
-from bayes_damper.sampling import Sampling, StoppingRule, annealed_start, diagnose_draws, resampled_start, sample
-from bayes_damper.sampling.moves import StudentT
+from bayes_damper.sampling import Sampling, annealed_start, diagnose_draws, sample
 
 Array = NDArray[np.float64]
 SEED = 20261
-SHORT = StoppingRule(max_steps=1)
-WALKERS = 64
 POPULATION = 512
 """Members of the annealed start of published features; `fit` takes 2048."""
 CASES = ("I", "II", "III", "IV")
@@ -91,39 +89,6 @@ def _health(sampling: Sampling, draws: Array) -> dict[str, Any]:
     }
 
 
-def weighted_draws(posterior: RecordPosterior, rng: np.random.Generator) -> tuple[Array, dict[str, Any]] | None:
-    """Draws (DRAWS, ndim) of a posterior by weights, and their health; None where too few of them count.
-
-    A Student t about the best fit is drawn from, fitted to its draws by weights that leave a few hundred effective
-    ones, drawn from again, and so on.
-    """
-    shape = StudentT(posterior.start, 1.2 * posterior.covariance, 5.0)
-    effective = 0.0
-    for count in (2048, 2048, 6144):
-        points = shape.draw(rng, count)
-        log_weight = np.nan_to_num(posterior(points), nan=-np.inf) - shape.log_density(points)
-        if not np.isfinite(log_weight).any():
-            return None
-        power = 1.0
-        while True:
-            weight = np.exp(power * (log_weight - log_weight.max()))
-            weight /= weight.sum()
-            effective = 1.0 / float(np.sum(weight**2))
-            if count == 6144 or effective > 300.0 or power < 1e-3:
-                break
-            power *= 0.7
-        centre = weight @ points
-        covariance = (points - centre).T * weight @ (points - centre)
-        try:
-            shape = StudentT(centre, 1.1 * covariance, 5.0)
-        except np.linalg.LinAlgError:  # too few points bear all the weight
-            return None
-    if effective < 500.0:
-        return None
-    flat = points[rng.choice(len(points), ranks.DRAWS, p=weight)]
-    return flat, {"ess": round(effective), "evaluations": 2 * 2048 + 6144}
-
-
 def recorded(
     kind: str,
     number: int,
@@ -141,12 +106,11 @@ def recorded(
         best = calibrate_nominal(mistake(made.experiment), switches=SWITCHES[kind])
         posterior = RecordPosterior(best)
         rng = np.random.default_rng([SEED, number])
-        found = weighted_draws(posterior, rng) if weights else None
+        found = weighted(posterior, rng, ranks.DRAWS) if weights else None
         if found is not None:
             flat, health = found
         else:
-            start = resampled_start(posterior, posterior.start, posterior.covariance, rng)
-            sampling = sample(posterior, start, seed=number, ensembles=1, walkers=WALKERS, rule=SHORT)
+            sampling = sampled(posterior, rng, number)
             flat, health = sampling.flat(ranks.DRAWS), _health(sampling, sampling.draws)
         values = posterior.values(flat)
         nuisances = posterior.nuisances(flat, rng)
