@@ -9,11 +9,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayes_damper.calibration import Experiment, Noise, Problem, calibrate, coordinate_of, experiment_of, predict
+from bayes_damper.calibration import (
+    Experiment,
+    Noise,
+    Problem,
+    calibrate,
+    calibrate_nominal,
+    coordinate_of,
+    experiment_of,
+    predict,
+)
 from bayes_damper.campaign import load_campaign
+from bayes_damper.diagnosis.gap import measure_gap
 from bayes_damper.diagnosis.search import offered
 from bayes_damper.effects import EFFECTS
 from bayes_damper.effects.base import Variant
+from bayes_damper.forecast import forecast
 from bayes_damper.importer import import_records
 from bayes_damper.priors import campaign_priors
 
@@ -72,3 +83,26 @@ def test_dry_friction_closes_the_gap_of_the_pendulum_on_unseen_trials(tmp_path: 
         assert dry < limit
         assert dry < 0.4 * viscous
         assert held_out_rms(found, left_out, pool["quadratic_drag"]) > 0.95 * viscous
+
+
+@pytest.mark.slow
+def test_dry_friction_in_both_joints_forecasts_the_larger_swings(tmp_path: Path) -> None:
+    """mrad at 45 to 55 s: the state from the whole stretch, and from its first two periods, by the nominal model."""
+    fit = calibrate_nominal(experiment(tmp_path, "double_pendulum"), nominal="nonlinear")
+    whole = 1e3 * float(np.sqrt(np.nanmean(predict(fit, [2])[2].residual ** 2)))
+    ahead = 1e3 * float(np.sqrt(np.nanmean(forecast(fit, [2])[2].miss ** 2)))
+    assert whole < 4.2
+    assert ahead < 7.0
+    assert "drag" in fit.parameters
+
+
+def test_the_tuned_mass_damper_shows_no_gap(tmp_path: Path) -> None:
+    """Dry friction beside viscous damping follows its held-out stretch no further than a choice among many would."""
+    fit = calibrate_nominal(experiment(tmp_path, "tuned_mass_damper"), nominal="linear")
+    assert fit.problem.noise.sensor
+    pool = {effect.name: v for effect, v in offered(fit.problem.experiment, "linear", EFFECTS)}
+    variant = pool["interface_friction"]
+    problem = fit.problem.with_effect(variant)
+    start = [coordinate_of(p.prior, x) for p, x in zip(variant.parameters, variant.starts[0], strict=True)]
+    winner = calibrate(problem, [np.concatenate([fit.q, start])])
+    assert measure_gap(fit, winner, chosen_from=len(pool)).p_value > 0.05
