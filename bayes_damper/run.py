@@ -74,7 +74,10 @@ def read_json(path: Path) -> Any:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file; name a folder that bayes-damper has written") from None
+        hint = "name a folder that bayes-damper has written"
+        if path.name != "run.json" and (path.parent / "run.json").is_file():
+            hint = f"the run in that folder has not ended; go on with: bayes-damper resume {path.parent}"
+        raise InputError(f"{path}: there is no such file; {hint}") from None
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: this is not valid JSON ({error}); run the command that wrote it again") from None
 
