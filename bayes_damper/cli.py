@@ -329,7 +329,7 @@ def _parser() -> argparse.ArgumentParser:
 
     sub = command("tune", _tune, "insertion loss and resonance shift of a design, with uncertainty", out="results/tune")
     sub.add_argument("folder", type=Path, help="folder of a fit")
-    sub.add_argument("--case", default="IV", help="which case of the fit (default: IV; joint: all together)")
+    sub.add_argument("--case", help="which case of the fit (default: the only one, else IV; joint: all together)")
     sub.add_argument("--secondary-inertia", type=float, metavar="J2", help="kg m^2 (kg); default: the rig's own")
     sub.add_argument("--k2t", type=float, help="stiffness of the coupling, N m/rad (N/m); default: as fitted")
     sub.add_argument("--bar-radius", type=float, metavar="R", help="m; scales k2t by R^2 (eq. 21)")

@@ -210,6 +210,25 @@ class Origin:
         return ("force", "N") if self.kind == "translational" else ("torque", "N m")
 
 
+def chosen_case(source: Mapping[str, ArrayLike] | Path | str, case: str | None) -> str:
+    """The case to tune: the one that was named, else the only one of the fit, else IV.
+
+    Raises
+    ------
+    InputError
+        if the fit has no such case.
+    """
+    file = None if isinstance(source, Mapping) else Path(source) / "summary.json"
+    summary = read_json(file) if file is not None and file.is_file() else {}
+    cases = dict(summary.get("cases") or {}) if isinstance(summary, Mapping) else {}
+    known = [*cases, *(["joint"] if cases and summary.get("joint") else [])]
+    wanted = case or (next(iter(cases)) if len(cases) == 1 else "IV")
+    if known and wanted not in known:
+        which = f"has no case {wanted!r}" if case else "has several cases"
+        raise InputError(f"{source}: {which}; name one of {', '.join(known)} (--case)")
+    return wanted
+
+
 def origin_of(source: Mapping[str, ArrayLike] | Path | str, case: str) -> Origin:
     """The campaign that a fit's folder belongs to; nothing for arrays.
 
@@ -770,7 +789,7 @@ def frequency_responses(draws: Draws, designs: Mapping[str, Design], amplitude: 
 def tune(
     source: Mapping[str, ArrayLike] | Path | str,
     *,
-    case: str = "IV",
+    case: str | None = None,
     rig: Mapping[str, float] | None = None,
     J2: float | None = None,
     k2t: float | None = None,
@@ -790,7 +809,8 @@ def tune(
 
     Parameters
     ----------
-    source : posterior draws, name -> (n,), or the folder of a fit; case : which of its cases ("joint": all together).
+    source : posterior draws, name -> (n,), or the folder of a fit; case : which of its cases ("joint": all together),
+    by default the only one, else IV.
     rig : constants that the posterior does not hold (SI); else those of the fitted campaign, else the thesis's.
     J2, k2t, R, magnet_pull, bar_inertia : the design (see `Design`); None keeps the rig as it is.
     target_db : loss whose probability is given; amplitudes : torques (N m; forces, N) at which the nonlinear model is
@@ -807,6 +827,7 @@ def tune(
     if min(n_draws, n_nonlinear) < 1:
         raise InputError(f"n_draws = {n_draws}, n_nonlinear = {n_nonlinear}: at least one draw of each is needed")
     rng = np.random.default_rng(seed)
+    case = chosen_case(source, case)
     origin = origin_of(source, case) if rig is None or "k1t" not in rig else Origin()
     if origin.kind == "translational" and R is not None:
         raise InputError(f"R = {R:g}: a translational rig has no radius; change J2 or k2t")

@@ -321,7 +321,7 @@ def fitted_folder(folder, toml=CAMPAIGN_TOML):
     write_json(folder / "fit" / "run.json", {"command": "fit", "plan": plan | {"normal_force": None}})
     row = {"mean": 1.0, "sd": 0.01}
     tables = {case: {"parameters": {"k2t": row, "c2t": row | {"mean": 0.08}}} for case in ("I", "IV")}
-    write_json(folder / "fit" / "summary.json", {"cases": tables})
+    write_json(folder / "fit" / "summary.json", {"cases": tables, "joint": tables["I"]})
     return folder / "fit"
 
 
@@ -338,6 +338,21 @@ def test_a_rig_that_tuning_does_not_know_is_refused(tmp_path):
     toml = CAMPAIGN_TOML.replace("[measurement]", "ground2_stiffness = 1.0\n[measurement]")
     with pytest.raises(InputError, match="no spring from the secondary"):
         tuning.tune(fitted_folder(tmp_path, toml), case="IV")
+
+
+def test_a_fit_is_tuned_in_one_of_its_own_cases(tmp_path):
+    """Never in the thesis's case IV because a fit of another rig has none: the only case, or a question."""
+    fit = translational_folder(tmp_path / "one")
+    assert tuning.chosen_case(fit, None) == "A"
+    with pytest.raises(InputError, match=r"has no case 'IV'; name one of A \(--case\)"):
+        tuning.tune(fit, case="IV")
+    found = json.loads((fit / "summary.json").read_text())
+    cases = {"soft": found["cases"]["A"], "stiff": found["cases"]["A"]}
+    (fit / "summary.json").write_text(json.dumps({"cases": cases, "joint": found["cases"]["A"]}))
+    with pytest.raises(InputError, match="has several cases; name one of soft, stiff, joint"):
+        tuning.tune(fit)
+    assert tuning.chosen_case(THESIS, None) == "IV"
+    assert tuning.chosen_case(fitted_folder(tmp_path / "two"), None) == "IV"
 
 
 def test_several_springs_need_a_case(tmp_path):
