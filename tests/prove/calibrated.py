@@ -51,7 +51,7 @@ SETTINGS = {
     f"2 degrees of freedom), FeaturePosterior; annealed start of {POPULATION} members in place of 2048, then as above",
     "seed": str(SEED),
 }
-SWITCHES = {"lone": None, "repeats": Switches(delay=True, friction=True)}
+SWITCHES = {"lone": None, synthetic.FAINT: None, "repeats": Switches(delay=True, friction=True)}
 
 
 @contextmanager
@@ -132,6 +132,9 @@ def recorded(
     drawn = dict(values)
     drawn["log_likelihood"] = synthetic.log_likelihood(made, values, own)
     drawn["friction_torque"] = values["mu"] * values.get("N0", np.full(len(flat), synthetic.CONSTANTS["N0"][0]))
+    if kind == synthetic.FAINT:  # what tells of the priors where they decide much
+        truth["log_prior"] = float(synthetic.log_prior(made, {n: np.array([x]) for n, x in made.truth.items()})[0])
+        drawn["log_prior"] = synthetic.log_prior(made, values)
     for i, mine in enumerate(made.own):
         truth |= {f"{name}[{i + 1}]": x for name, x in mine.items()}
         drawn |= {f"{name}[{i + 1}]": x for name, x in own[i].items()}

@@ -21,17 +21,19 @@ import reference
 from numpy.typing import NDArray
 
 from bayes_damper.calibration import FRICTION_SPREAD, Experiment, TrialRecord, default_priors
-from bayes_damper.distributions import LogNormal, from_standard
+from bayes_damper.distributions import LogNormal, from_standard, to_standard
 from bayes_damper.model import Model
 
 Array = NDArray[np.float64]
 KINDS = ("lone", "repeats")
+FAINT = "faint"
+"""Lone campaigns of which the noise leaves little: here the priors decide much."""
 RATE = 400.0
 TIMES = np.arange(100) / RATE
 CONSTANTS = {"J1": (3.015e-3, 0.0), "J2": (2.474e-3, 0.0), "R": (0.1, 0.0), "r": (0.0127, 0.0), "N0": (100.0, 3.0)}
 STIFFNESS = (10.2, 0.1)
 ANGLE, ANGLE_SD = math.radians(4.7), 0.004 * math.radians(4.7)
-NOISE = LogNormal(2.0, 1.5)
+NOISE = {**dict.fromkeys(KINDS, LogNormal(2.0, 1.5)), FAINT: LogNormal(40.0, 1.5)}
 """Prior of each channel's noise, rad/s^2."""
 
 
@@ -46,19 +48,20 @@ class Campaign:
 
 def campaign(kind: str, seed: int, number: int) -> Campaign:
     """Synthetic campaign `number` of a kind."""
-    rng = np.random.default_rng([seed, KINDS.index(kind), number])
-    configurations = (False, True) if kind == "lone" else (True, True)
+    rng = np.random.default_rng([seed, (*KINDS, FAINT).index(kind), number])
+    configurations = (True, True) if kind == "repeats" else (False, True)
+    noise = NOISE[kind]
     blank = tuple(
         TrialRecord(f"{kind} {k}", "IV", coupled, k + 1, TIMES, np.ones((1 + coupled, TIMES.size)), 0, ANGLE, ANGLE_SD)
         for k, coupled in enumerate(configurations)
     )
-    experiment = Experiment(CONSTANTS, (STIFFNESS,), blank, priors={"sigma1": NOISE, "sigma2": NOISE})
+    experiment = Experiment(CONSTANTS, (STIFFNESS,), blank, priors={"sigma1": noise, "sigma2": noise})
     truth = {
         name: float(from_standard(prior, rng.standard_normal())) for name, prior in default_priors(experiment).items()
     }
     truth |= {name: value + sd * rng.standard_normal() for name, (value, sd) in CONSTANTS.items()}
     truth["k1t"] = STIFFNESS[0] + STIFFNESS[1] * rng.standard_normal()
-    truth |= {f"sigma{c}": float(from_standard(NOISE, rng.standard_normal())) for c in (1, 2)}
+    truth |= {f"sigma{c}": float(from_standard(noise, rng.standard_normal())) for c in (1, 2)}
     own, trials = [], []
     for trial in blank:
         values = {"theta0": ANGLE + ANGLE_SD * rng.standard_normal(), "delay": _lateness(rng)}
@@ -86,6 +89,15 @@ def record(truth: dict[str, float], own: dict[str, float], coupled: bool) -> Arr
     times = np.concatenate([[own["delay"]], TIMES])
     y = reference.solve(values, times, coupled=coupled)[0, : 1 + coupled]
     return y[:, times.size - TIMES.size :]
+
+
+def log_prior(made: Campaign, values: dict[str, Array]) -> Array:
+    """Log prior density in standard coordinates, (n,), of n sets of values; constants left out."""
+    known = default_priors(made.experiment) | dict(made.experiment.priors)
+    square = sum(to_standard(prior, values[name]) ** 2 for name, prior in known.items() if name in values)
+    declared = CONSTANTS | {"k1t": STIFFNESS}
+    square += sum(((values[n] - x) / sd) ** 2 for n, (x, sd) in declared.items() if sd > 0.0 and n in values)
+    return np.asarray(-0.5 * square)
 
 
 def log_likelihood(made: Campaign, values: dict[str, Array], own: list[dict[str, Array]]) -> Array:

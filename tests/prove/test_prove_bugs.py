@@ -19,7 +19,7 @@ FIRST, MOST = 3, 96
 
 def hunt(bug: Bug) -> dict[str, Any]:
     """How many campaigns it takes until the ranks give a bug away, and which quantity does."""
-    name = "bug-" + "-".join(w for w in bug.name.replace(":", " ").replace(",", " ").split())
+    name = f"bug-{bug.kind}-" + "-".join(w for w in bug.name.replace(":", " ").replace(",", " ").split())
     count = FIRST
     while True:
         task = partial(calibrated.recorded, bug.kind, fault=bug.planted, mistake=bug.mistake, weights=bug.weights)
