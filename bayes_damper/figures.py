@@ -288,10 +288,10 @@ def record_figure(trials: Sequence[Mapping[str, Any]], unit: str, *, title: str,
     trials : one mapping each with label, times (n,) s, measured, low, median, high (channels, n).
     """
     channels = max(np.shape(t["measured"])[0] for t in trials)
-    width, height = 4.6 * channels + 0.2, 2.5 * len(trials) + 0.9
+    width, height = 4.6 * channels + 0.2, 2.5 * len(trials) + 1.15
     figure = _plain_figure(width, height, converged)
     above = 0.65 if converged else 0.95
-    place = {"left": 0.75 / width, "right": 1.0 - 0.15 / width, "bottom": 0.45 / height, "top": 1.0 - above / height}
+    place = {"left": 0.75 / width, "right": 1.0 - 0.15 / width, "bottom": 0.7 / height, "top": 1.0 - above / height}
     with mpl.rc_context(_RC):
         axes = figure.subplots(
             *(2 * len(trials), channels),
@@ -321,7 +321,7 @@ def record_figure(trials: Sequence[Mapping[str, Any]], unit: str, *, title: str,
                 if c == 0:
                     upper.set_ylabel(unit)
                     lower.set_ylabel("residual")
-        axes[0, 0].legend(loc="upper right", ncols=3)
+        figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="lower center", ncols=3, markerscale=4.0)
         for axis in axes[-1]:
             axis.set_xlabel("time [s]")
         figure.text(0.5, 1.0 - (above - 0.53) / height, title, ha="center", va="top", fontsize=11)

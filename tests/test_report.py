@@ -316,7 +316,7 @@ def test_everything_a_folder_holds_is_on_the_page(tmp_path):
     assert "closes 97 % of the gap" in text
     assert "Nothing was learnt about nu" in text
     assert "The cases do not share one parameter set (2 %)" in text
-    assert "insertion loss 12 dB (90 %: 10.40 to 13.60 dB)" in text
+    assert "insertion loss 12.00 dB (90 %: 10.40 to 13.60 dB)" in text
     assert "your design probably misses the target where the torque is 0.02 N m" in text
     assert "synthetic <rig>" in text
     assert text.index("Most probable, but") < text.index("Case III: parameters")

@@ -91,7 +91,7 @@ def record_chart(file: Path, unit: str = "") -> Chart | None:
                 "height": 1,
                 "series": [series("measured - median", "points", 1, y=(y - middle)[c, keep])],
             })  # fmt: skip
-        note = f" (every {every}th reading)" if every > 1 else ""
+        note = f" (one reading in {every})" if every > 1 else ""
         views.append({"label": label + note, "x": x_name, "at": pack(x[keep]), "panels": panels})
     if not views:
         return None

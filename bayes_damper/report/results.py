@@ -145,7 +145,7 @@ def _fingerprint(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _title(name: str) -> str:
-    return name if name.startswith("all") else f"Case {name}"
+    return name[0].upper() + name[1:] if name.startswith("all") else f"Case {name}"
 
 
 def _fit_headline(campaign: str, groups: Mapping[str, Any], converged: bool) -> Headline:
@@ -293,7 +293,7 @@ def _case_section(name: str, entry: Mapping[str, Any], folder: Path, shown: Coll
     evidence = entry.get("log_evidence")
     if evidence:
         error = evidence["error"]
-        sentences += (f"Log evidence {number(evidence['value'], 4.0 * error)} ± {number(error)} nats.",)
+        sentences += (f"Log evidence {plus_minus(evidence['value'], error)} nats.",)
     if not good:
         sentences = (_UNCONVERGED, *sentences)
     file = folder / "posterior.nc"
@@ -820,9 +820,10 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
     sentences = []
     for name, _, found in designs:
         loss, p = found["linear"]["insertion_loss_db"], found["linear"]["probability_of_target"]
+        low, high = loss["interval90"] or (None, None)
         sentences.append(
-            f"{name.capitalize()}, linear model: insertion loss {number(loss['mean'])} dB "
-            f"(90 %: {interval(*(loss['interval90'] or (None, None)))} dB); "
+            f"{name.capitalize()}, linear model: insertion loss "
+            f"{number(loss['mean'], None if low is None else high - low)} dB (90 %: {interval(low, high)} dB); "
             f"it reaches {target:g} dB with probability {percent(p)}."
         )
     weak = [row for row in data.get("nonlinear", []) if row["probability_of_target"] < 0.5]
