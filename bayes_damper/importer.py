@@ -383,7 +383,7 @@ def _trial_from(
         raise InputError(
             f"{where}: the time does not increase after {times[back[0]]:.9g} s; sort the rows, or give sample_rate"
         )
-    keep, zero = _window(times, channels[0], option, measurement.start, where)
+    keep, zero = _window(times, channels[0], option, measurement, where)
     times, channels = np.round(times[keep] - zero, 9), channels[:, keep]
     torque = torque[keep] if torque is not None else None
     channels = _in_si(channels, option, rig.kind, measurement.quantity, where)
@@ -524,7 +524,7 @@ def _offset(y: Array, offset: str | float, where: str) -> float:
 
 
 def _window(
-    times: Array, y: Array, option: Mapping[str, Any], start: str, where: str
+    times: Array, y: Array, option: Mapping[str, Any], measurement: Measurement, where: str
 ) -> tuple[NDArray[np.intp], float]:
     """Indices to keep, and the instant on the raw clock that becomes t = 0."""
     low, high = float(option.get("start", times[0])), float(option.get("end", times[-1]))
@@ -546,6 +546,8 @@ def _window(
                 f"starts in the middle; give "
                 "release in seconds, 'first_peak' with start = 'free', or a record that begins earlier"
             )
+        if measurement.quantity == "acceleration":  # it jumps: somewhere before the first reading that has moved
+            zero = 0.5 * (zero + float(t[np.searchsorted(t, zero, side="right")]))
     elif release == "first_peak":
         peak = look.find_first_peak(t, part)
         zero = float(t[np.searchsorted(t, peak - 1e-9)]) if peak < t[-1] else float(t[0])
@@ -555,7 +557,7 @@ def _window(
         )
     else:
         zero = float(release)
-    before = float(option.get("before", 0.02 if start == "rest" else 0.0))
+    before = float(option.get("before", 0.02 if measurement.start == "rest" else 0.0))
     keep = inside[t >= zero - before - 1e-9]
     return keep[:: option.get("every", 1)], zero
 

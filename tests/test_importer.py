@@ -53,6 +53,15 @@ def test_logger_files_become_a_campaign(tmp_path: Path) -> None:
     assert (again / "trials.csv").read_bytes() == (tmp_path / "out" / "trials.csv").read_bytes()
 
 
+def test_an_acceleration_jumps_between_two_readings(tmp_path: Path) -> None:
+    """The release found in a record of accelerations is the middle between the last reading at rest and the next."""
+    source = logger_file(tmp_path / "run.csv", wave())
+    trial = load_campaign(init_campaign(tmp_path / "out", [source], **OPTIONS)).trials[0]
+    k = int(np.argmax(np.abs(trial.channels[0]) > 100.0))
+    assert trial.times[k] == pytest.approx(5e-4)
+    assert trial.times[k - 1] == pytest.approx(-5e-4)
+
+
 def test_g_at_the_mounting_radius_with_semicolons_and_decimal_commas(tmp_path: Path) -> None:
     source = logger_file(tmp_path / "run.csv", wave() * 0.1 / 9.80665, ";", True)
     options = {**OPTIONS, "decimal": ",", "units": ["g"], "mounting_radius": 0.1}
