@@ -147,9 +147,10 @@ def pints_chains(fit: Calibration, iterations: int = 1000, seconds: float = 90.0
     np.random.seed(1)  # noqa: NPY002 (the only seed that PINTS takes)
     rng = np.random.default_rng(1)
     covariance = np.zeros((centre.size, centre.size))
-    covariance[:-2, :-2] = level**2 * np.linalg.pinv(start.jac.T @ start.jac)
+    # Coordinates have unit Gaussian priors: what the readings do not tell is no wider than that.
+    covariance[:-2, :-2] = np.linalg.inv(start.jac.T @ start.jac / level**2 + np.eye(start.x.size))
     covariance[[-2, -1], [-2, -1]] = 1e-6, (0.01 * level) ** 2
-    root = np.linalg.cholesky(covariance + 1e-12 * np.eye(centre.size) * covariance.diagonal().max())
+    root = np.linalg.cholesky(covariance)
     starts = [np.clip(centre + 0.3 * root @ rng.standard_normal(centre.size), low + 1e-9, high - 1e-9)
               for _ in range(3)]  # fmt: skip
     controller = pints.MCMCController(posterior, 3, starts, sigma0=root @ root.T, method=pints.HaarioBardenetACMC)
