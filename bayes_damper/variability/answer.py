@@ -129,6 +129,7 @@ def variability(
         sets: Sets | None = published_sets
         draws_of = _fit_draws(fitted, plan, cases) if fitted is not None else cases.own_draws(work, repeats)
         direct = cases.direct(runs, chosen, work, repeats)
+        particles = len(direct.mean) // repeats  # the weights deserve as many as what they are held against
     else:
         models, sets = cases.models(rng, particles, draws)
         draws_of = {

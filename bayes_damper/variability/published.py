@@ -161,8 +161,13 @@ class PublishedCases:
             spread = float(np.ptp(heights)) if len(heights) > 1 else 0.0
             height = float(heights.mean())
             without = {case: runs[key] for case in self.names if (key := f"{pooling}-without-{case}-0") in runs}
-            unseen = {case: height - run["log_z"] for case, run in without.items()}
-            unsure = len(without) ** 2 * error**2 + sum(run["error"] ** 2 for run in without.values())
+            # Runs without a case have the first number of particles: set beside runs of the same.
+            first = [run for name, run in runs.items() if name.startswith(f"{pooling}-all-") and name.count("-") == 2]
+            whole = np.array([run["log_z"] for run in first])
+            unseen = {case: float(whole.mean()) - run["log_z"] for case, run in without.items()}
+            own = math.sqrt(float(np.mean([run["error"] ** 2 for run in first])) / len(first))
+            unsure = len(without) ** 2 * max(own, float(np.ptp(whole)) / 2.0) ** 2
+            unsure += sum(run["error"] ** 2 for run in without.values())
             points = np.concatenate([_points(work / name) for name in names])
             models[pooling] = {
                 "log_evidence": height,
