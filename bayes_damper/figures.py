@@ -368,7 +368,8 @@ def variability_figure(result: Mapping[str, Any], *, title: str, converged: bool
                 upper.plot(energy, row[name]["median"], "o", color=COLOURS[0], ms=5, label=told)
                 upper.annotate(case, (energy, row[name]["median"]), xytext=(4, 4), textcoords="offset points")
                 if "measured" in row:
-                    told = "linear fit to the measurements" if i == 0 else None
+                    words = "Table 9 (p. 20)" if result["campaign"] == "thesis" else "linear fit to the measurements"
+                    told = words if i == 0 else None
                     upper.plot(energy, row["measured"][name], "D", color=COLOURS[1], ms=5, label=told)
             upper.set_yscale("log")
             upper.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
