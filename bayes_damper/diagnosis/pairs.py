@@ -40,6 +40,7 @@ LEADERS = 4  # families that are held in turn
 LEAST_GAIN = 8.0  # nats of the second effect by the screening, below which no pair is fitted
 MOST_PAIRS = 4  # pairs fitted in full
 MOST_STEPS = 16
+MOST_STEPS_ALONE = 48  # over the many periods of a record without repeats valleys are long
 
 
 class PairProblem(Problem):
@@ -267,8 +268,12 @@ def _fitted(nominal: Calibration, s: Second, found: Sequence[Candidate], single:
             # Each effect as it is alone, the nominal parameters moved by both moves together, and by none.
             moved = first.q[:n] + c.fit.q[:n] - nominal.q
             starts += [np.concatenate([q, first.q[n:], c.fit.q[n:]]) for q in (moved, nominal.q)]
-    fit = calibrate(problem, starts, eta=first.eta, anneal=False, most=MOST_STEPS)
+    fit = calibrate(problem, starts, eta=first.eta, anneal=False, most=_most_steps(problem))
     return _pair(nominal, ((s.first.effect, s.first.variant), (s.effect, s.variant)), fit, single)
+
+
+def _most_steps(problem: Problem) -> int:
+    return MOST_STEPS_ALONE if problem.noise.sensor else MOST_STEPS
 
 
 def _pair(
@@ -301,6 +306,6 @@ def exactly(nominal: Calibration, pair: Pair, found: Sequence[Candidate]) -> Pai
     if compose(first, second) is None:
         return pair
     exact = ComposedProblem(nominal.problem, first, second)
-    again = calibrate(exact, [pair.fit.q], eta=pair.fit.eta, anneal=False, most=MOST_STEPS)
+    again = calibrate(exact, [pair.fit.q], eta=pair.fit.eta, anneal=False, most=_most_steps(exact))
     single = {c.effect.name: c.log_evidence for c in reversed(leaders_of(found, len(found)))}
     return _pair(nominal, (pair.first, pair.second), again, single) or pair
