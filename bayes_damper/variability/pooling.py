@@ -32,8 +32,8 @@ POOLINGS: tuple[Pooling, ...] = ("shared", "separate", "partial")
 _REFRESHES = 8
 _LEVELS = (1500, 50_000)
 """Draws of a case that are used again: the second number where the weights of the first cannot be trusted."""
-_FEWEST_OF_ONE = 25
-"""Effective draws below which the likelihood of a population is known to no better than a fifth of a nat, 25^-1/2."""
+_FEWEST_OF_ONE = 30
+"""Effective draws below which the likelihood of a population is known to no better than a fifth of a nat."""
 _LARGEST = 100_000
 """Weights that are computed at once."""
 
