@@ -481,10 +481,7 @@ class Problem:
         spread = np.array(self.noise.total[: y.shape[1]])
         weight = np.ones_like(y)
         annealed = np.ones_like(y)
-        cases: dict[tuple[str, float], list[int]] = {}
-        for k, t in enumerate(trials):
-            cases.setdefault((t.case, t.theta0), []).append(k)
-        for same in cases.values():
+        for same in _repeats(trials):
             jump = np.max([_event_strength(raw[k], 2.4 * spread) for k in same], axis=0)
             jump = jump * (first.times > first.times[0])
             rate = 1.0 / max(float(np.median(np.diff(first.times))), 1e-12) if first.times.size > 1 else 0.0
@@ -1503,11 +1500,7 @@ def choose_switches(fit: Calibration) -> Switches:
                 continue
             i = names.index(name)
             sd = np.sqrt(np.linalg.inv(H)[:, i, i])
-            same: dict[tuple[str, float], list[int]] = {}
-            for k, j in enumerate(block.group.trials):
-                t = problem.experiment.trials[j]
-                same.setdefault((t.case, t.theta0), []).append(k)
-            for members in same.values():
+            for members in _repeats([problem.experiment.trials[j] for j in block.group.trials]):
                 spare += len(members) - 1
                 values = block.eta[members, i]
                 pressed += _pressed(block.group, i, members, values)
@@ -1515,6 +1508,14 @@ def choose_switches(fit: Calibration) -> Switches:
                 z += list((values - values.mean()) / pull / math.sqrt(max(1.0 - 1.0 / len(members), 1e-9)))
         wanted[name] = bool(z) and (spare < enough or 2 * pressed >= len(z) or float(np.mean(np.square(z))) > VARIES)
     return Switches(delay=wanted["delay"], friction=wanted["ln_mu"])
+
+
+def _repeats(trials: Sequence[TrialRecord]) -> list[list[int]]:
+    """Positions of the trials of one case and release, a list each."""
+    same: dict[tuple[str, float], list[int]] = {}
+    for k, t in enumerate(trials):
+        same.setdefault((t.case, t.theta0), []).append(k)
+    return list(same.values())
 
 
 def drag_varies(fit: Calibration) -> bool:
@@ -1538,11 +1539,7 @@ def drag_varies(fit: Calibration) -> bool:
         g = np.einsum("jmd,jd->jm", rows, block.r) + np.pad(block.eta, ((0, 0), (0, 1)))
         values = -np.linalg.solve(H, g[:, :, None])[:, m, 0]
         sd = np.sqrt(np.linalg.inv(H)[:, m, m])
-        same: dict[tuple[str, float], list[int]] = {}
-        for k, j in enumerate(block.group.trials):
-            t = problem.experiment.trials[j]
-            same.setdefault((t.case, t.theta0), []).append(k)
-        for members in same.values():
+        for members in _repeats([problem.experiment.trials[j] for j in block.group.trials]):
             spare += len(members) - 1
             if len(members) > 1:
                 off = (values[members] - values[members].mean()) / sd[members]
