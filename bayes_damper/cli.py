@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,18 @@ def _call(name: str) -> Callable[..., Any]:
 
 
 def _progress(args: Arguments) -> Any:
-    return _call("progress:make_progress")(quiet=args.quiet or args.json)
+    args.shown = _call("progress:make_progress")(quiet=args.quiet or args.json)
+    return args.shown
+
+
+@contextlib.contextmanager
+def _closed_afterwards(args: Arguments) -> Iterator[None]:
+    """Closes what shows progress, before anything else is printed and whatever happened."""
+    try:
+        yield
+    finally:
+        if (shown := getattr(args, "shown", None)) is not None:
+            shown.close()
 
 
 def _demo(args: Arguments) -> Any:
@@ -392,7 +404,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; its exit code (see --help)."""
     args = _parser().parse_args(argv)
     try:
-        with seldom_collected():
+        with seldom_collected(), _closed_afterwards(args):
             result = args.run(args)
     except BayesDamperError as error:
         print(f"bayes-damper {args.command}: {error}", file=sys.stderr)

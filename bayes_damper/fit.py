@@ -44,7 +44,7 @@ from bayes_damper.priors import PriorSet, campaign_priors, load_priors, priors_f
 from bayes_damper.provenance import code_sha256, package_version, provenance
 from bayes_damper.published import load_published
 from bayes_damper.record_posterior import RecordPosterior, trial_label
-from bayes_damper.run import Progress, Task, read_json, run_tasks, write_json
+from bayes_damper.run import Progress, Silent, Task, read_json, run_tasks, stopped, write_json
 from bayes_damper.sampling import Progress as Stage
 from bayes_damper.sampling import Sampling, Start, StoppingRule, annealed_start, resampled_start, sample
 from bayes_damper.sensitivity import of_standard_draws
@@ -59,6 +59,8 @@ PROPOSALS = 4000
 """Points of bridge sampling for the evidence."""
 KEPT_DRAWS = 4000
 """Draws of each case that go into posterior.nc: thinned so that they are all but independent."""
+DRAWN = 0.7
+"""Share of a case's time after which its draws are there, as seen in runs of some trials: what follows is told too."""
 
 
 @dataclass(frozen=True)
@@ -358,13 +360,29 @@ def finish_fit(
     if plan["joint"]:
         summary["joint"] = results["joint"]
     summary["provenance"] = provenance()
-    write_json(folder / "summary.json", summary)
+    shown = progress or Silent()
+    shown.update(_OVERVIEW, 0.0, "table, posterior.nc and figures of all cases")
+    try:
+        _write_overview(folder, plan["cases"], summary)
+    except KeyboardInterrupt:
+        raise stopped(folder) from None
+    shown.update(_OVERVIEW, 1.0, "done")
+    return Fit(folder, summary)
+
+
+_OVERVIEW = "overview"
+
+
+def _write_overview(folder: Path, cases: Sequence[str], summary: Mapping[str, Any]) -> None:
+    """The files of all cases together. What other commands look for, summary.json, comes last: until then the run has
+    not ended.
+    """
     write_table(summary, folder / "summary.csv")
     arviz_adapter.combine_cases(
-        {name: folder / folder_name(name) / "posterior.nc" for name in plan["cases"]}, folder / "posterior.nc"
+        {name: folder / folder_name(name) / "posterior.nc" for name in cases}, folder / "posterior.nc"
     )
     _draw_overview(folder, summary)
-    return Fit(folder, summary)
+    write_json(folder / "summary.json", summary)
 
 
 def folder_name(case: str) -> str:
@@ -407,6 +425,7 @@ def fit_published_case(folder: Path, report: Report, *, name: str, plan: Mapping
     flat = sampling.flat()
     draws = {key: _shaped(value, sampling) for key, value in posterior.coordinates.values(flat).items()}
     draws = {key: draws[key] for key in posterior.names} | _derived(draws)
+    report(DRAWN, "drawn; left: predictions, files, figures")
     kept = sampling.flat(KEPT_DRAWS)
     features, likelihood = posterior.predict(kept), posterior.log_likelihood(kept)
     noise = rng.standard_t([d.n - 1.0 for d in posterior.data], size=features.shape)
@@ -432,8 +451,10 @@ def fit_published_case(folder: Path, report: Report, *, name: str, plan: Mapping
     }
     names = {"features": json.dumps([d.name for d in posterior.data])}
     entry = _entry(draws, _shares(posterior.names, standard(flat)), sampling)
+    report(0.8, "predicted; left: files, figures")
     _write_draws(folder, draws, sampling, entry["parameters"], groups, _attributes(plan, name) | names)
     entry["predictive"] = checks
+    report(0.85, "files written; left: figures")
     _draw_case(folder, f"thesis, case {name}", draws, sampling, checks)
     return entry
 
@@ -498,6 +519,7 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
     draws = {key: _shaped(value, sampling) for key, value in posterior.values(sampling.flat()).items()}
     constants = {key: np.full(1, value) for key, (value, _) in experiment.constants.items() if key not in draws}
     draws |= _derived(constants | draws)
+    report(DRAWN, "drawn; left: predictions, evidence, files, figures")
     kept = sampling.flat(KEPT_DRAWS)
     likelihood, drawn = posterior.evaluated(kept, rng)
     nuisances = _trial_draws(posterior, drawn)
@@ -505,11 +527,12 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
     bands = posterior.predictive(few, rng)
     entry = _entry(draws, _shares(posterior.names, sampling.flat()), sampling, units)
     labels = {i: trial_label(experiment.trials[i]) for i in posterior.trials}
-    report(0.97, "evidence, trials left out, priors changed")
+    report(0.76, "predicted; left: trials left out, evidence, files, figures")
     entry["noise"] = noise.to_json(units("sigma1"))
     entry["sentences"] += noise.sentences(units("sigma1"))
     entry |= _trials_apart(experiment, noise, labels, plan.get("noise", "auto"))
     entry["prior_sensitivity"] = of_standard_draws(posterior.names, sampling.flat(4 * KEPT_DRAWS))
+    report(0.8, "trials compared; left: evidence, files, figures")
     entry["log_evidence"] = _evidence(posterior, sampling, rng)
     entry["trials"] = {
         labels[i]: {
@@ -539,8 +562,10 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
         "observed_data": {labels[i]: experiment.trials[i].y for i in posterior.trials},
         "constant_data": {labels[i]: experiment.trials[i].times for i in posterior.trials},
     }
+    report(0.84, "evidence found; left: files, figures")
     names = {"trials": json.dumps([labels[i] for i in posterior.trials])}
     _write_draws(folder, draws, sampling, entry["parameters"], groups, _attributes(plan, name) | names)
+    report(0.87, "files written; left: figures")
     _draw_case(
         folder, f"{plan['name']}, {'all cases' if name == 'joint' else f'case {name}'}", draws, sampling, None, units
     )
@@ -659,8 +684,9 @@ def _sampled(
     rule = stopping_rule(plan)
 
     def tell(stage: Stage) -> None:
-        share = 0.05 if stage.phase == "warm-up" else 0.1 + 0.85 * stage.part
-        report(share, f"{stage.phase}, {stage.steps} steps")
+        share = 0.05 if stage.phase == "warm-up" else 0.1 + (DRAWN - 0.1) * stage.part
+        judged = ", too few to judge" if stage.verdict is None else f", {stage.part:.0%} of the draws asked for"
+        report(share, f"{stage.phase}, {stage.steps} steps" + ("" if stage.phase == "warm-up" else judged))
 
     return sample(
         posterior,

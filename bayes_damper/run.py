@@ -27,6 +27,8 @@ from bayes_damper.memory import collect_seldom
 _POLL_S = 0.2
 _STATUS_EVERY_S = 0.5
 _MOST_BREAKDOWNS = 3
+WAITING = "waiting"
+"""What progress is told of a task that has not begun."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,11 @@ def execute(task: Task, folder: Path) -> Any:
     return result
 
 
+def stopped(folder: Path) -> Interrupted:
+    """What is raised after Ctrl-C in a run that `resume` goes on with: the sentence says how."""
+    return Interrupted(f"stopped, the state is saved; go on with: bayes-damper resume {folder}")
+
+
 def run_tasks(
     tasks: Sequence[Task],
     folder: Path,
@@ -124,6 +131,8 @@ def run_tasks(
         raise InputError(f"--workers {workers}: give at least 1")
     if scheduler is not None:
         return _on_cluster(tasks, folder, scheduler, shown)
+    for task in tasks:
+        shown.update(task.name, 0.0, WAITING)
     if workers == 1:
         return {task.name: _here(task, folder, shown) for task in tasks}
     return _on_processes(tasks, folder, workers, shown)
@@ -143,8 +152,8 @@ def _here(task: Task, folder: Path, progress: Progress) -> Any:
 
     try:
         result = getattr(importlib.import_module(module), function)(own, report, **task.arguments)
-    except KeyboardInterrupt:
-        raise Interrupted(f"stopped; go on with: bayes-damper resume {folder}") from None
+    except (KeyboardInterrupt, Interrupted):
+        raise stopped(folder) from None
     write_json(done, result)
     progress.update(task.name, 1.0, "done")
     return result
@@ -174,7 +183,7 @@ def _on_processes(tasks: Sequence[Task], folder: Path, workers: int, progress: P
         except KeyboardInterrupt:
             for process in list((pool._processes or {}).values()):  # noqa: SLF001 (an executor has no other way)
                 process.terminate()
-            raise Interrupted(f"stopped; go on with: bayes-damper resume {folder}") from None
+            raise stopped(folder) from None
         finally:
             pool.shutdown(cancel_futures=True)
 

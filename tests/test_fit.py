@@ -57,10 +57,38 @@ def _campaign(folder, cases=("IV",), duration=0.3, seed=0, effect=None, values=N
     return folder
 
 
+class Told:
+    """Progress that remembers."""
+
+    def __init__(self):
+        self.updates = []
+
+    def update(self, task, share, text):
+        self.updates.append((task, share, text))
+
+
+TOLD = Told()
+
+
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory):
     home = tmp_path_factory.mktemp("fit")
-    return fit(_campaign(home / "campaign"), out=home / "out", seed=3)
+    return fit(_campaign(home / "campaign"), out=home / "out", seed=3, progress=TOLD)
+
+
+@pytest.mark.slow
+def test_progress_tells_what_is_left_when_all_is_drawn(fitted):
+    """The draws are two thirds of the work; what comes after has shares of its own, and so have the files of all."""
+    assert fitted.converged
+    own = [(share, text) for task, share, text in TOLD.updates if task == "IV"]
+    assert [share for share, _ in own] == sorted(share for share, _ in own)
+    drawing = [share for share, text in own if text.startswith("drawing")]
+    assert max(drawing) <= 0.7
+    left = [text for share, text in own if share >= 0.7 and "left: " in text]
+    assert left[0].endswith("left: predictions, evidence, files, figures")
+    assert left[-1].endswith("left: figures")
+    assert own[-1] == (1.0, "done")
+    assert [task for task, _, _ in TOLD.updates[-2:]] == ["overview", "overview"]
 
 
 @pytest.mark.slow

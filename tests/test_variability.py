@@ -14,7 +14,7 @@ from bayes_damper.distributions import from_standard
 from bayes_damper.errors import ExitCode, InputError, Interrupted
 from bayes_damper.model import Model
 from bayes_damper.resume import resume
-from bayes_damper.run import read_json, write_json
+from bayes_damper.run import WAITING, read_json, write_json
 from bayes_damper.variability import answer, variability
 from bayes_damper.variability.decomposition import CaseDraws, Sets, decompose
 from bayes_damper.variability.equivalent import TIMES, bearing_damping, equivalent, fit_linear, linear_record
@@ -508,8 +508,8 @@ class StopsIn:
         self.number, self.seen = number, []
 
     def update(self, task, share, text):
-        del share, text
-        if task not in self.seen:
+        del share
+        if task not in self.seen and text != WAITING:
             self.seen.append(task)
         if len(self.seen) == self.number:
             raise KeyboardInterrupt
