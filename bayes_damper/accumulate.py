@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from bayes_damper import lanes
+from bayes_damper.kernels import compiled
 
 _PARTS = 16
 
@@ -35,15 +35,7 @@ class Accumulator:
     size: Callable[[int], int]
 
 
-def _compiled(function: Callable[..., None]) -> Callable[..., None]:
-    options: dict[str, Any] = {"nogil": True, "fastmath": lanes.FASTMATH, "error_model": "numpy"}
-    try:
-        return njit(function, cache=True, **options)
-    except RuntimeError:  # nowhere to keep compiled code: compile it in every process
-        return njit(function, **options)
-
-
-@_compiled
+@compiled(fastmath=lanes.FASTMATH)
 def _gaussian(block: Any, skip: int, data: Any, weight: Any, directions: Any, _options: Any, sums: Any) -> None:
     """Sum w r^2, then sum w r T_k for each direction; r = data - y."""
     n = data.shape[1]
@@ -74,7 +66,7 @@ def _gaussian(block: Any, skip: int, data: Any, weight: Any, directions: Any, _o
                 sums[v, c, k] = total
 
 
-@_compiled
+@compiled(fastmath=lanes.FASTMATH)
 def _autoregressive(block: Any, skip: int, data: Any, weight: Any, _directions: Any, _options: Any, sums: Any) -> None:
     """Sum w r_i^2, sum over neighbours of r_(i-1)^2, r_i r_(i-1) and r_i^2, where both are data.
 
@@ -112,7 +104,7 @@ def _autoregressive(block: Any, skip: int, data: Any, weight: Any, _directions: 
                 sums[v, c, k] = total
 
 
-@_compiled
+@compiled(fastmath=lanes.FASTMATH)
 def _student(block: Any, skip: int, data: Any, weight: Any, _directions: Any, options: Any, sums: Any) -> None:
     """Sum w log(1 + r^2 / (dof s_c^2)); options: dof, then the scale s of each channel."""
     n = data.shape[1]

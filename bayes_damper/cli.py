@@ -197,7 +197,7 @@ def _diagnose(args: Arguments) -> Any:
         priors=args.priors,
         out=args.out,
         seed=args.seed,
-        threads=args.workers,
+        workers=args.workers,
         tell=tell,
     )
 
@@ -210,7 +210,7 @@ def _plan(args: Arguments) -> Any:
         priors=args.priors,
         out=args.out,
         seed=args.seed,
-        threads=args.workers,
+        workers=args.workers,
     )
 
 

@@ -62,14 +62,14 @@ def diagnose(
     priors: str | Path | None = None,
     out: str | Path = "results/diagnose",
     seed: int = 1,
-    threads: int = 2,
+    workers: int = 2,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Diagnosed:
     """Where the model and the rig differ, which unmodelled effect causes it, and how far adding it closes the gap.
 
     campaign : folder, or "thesis" for the published measurements; nominal : "linear" leaves dry friction out, which
     then is a candidate; effects : folder with effects of your own; priors : prior file, by default priors.toml in the
-    campaign; threads : simulations side by side.
+    campaign; workers : processes.
 
     Raises
     ------
@@ -79,13 +79,13 @@ def diagnose(
     if nominal not in NOMINALS:
         raise InputError(f"--nominal {nominal}: expected one of {', '.join(NOMINALS)}")
     if str(campaign) == "thesis":
-        return _thesis(nominal, all_effects(effects), priors, Path(out), seed, threads, tell)
+        return _thesis(nominal, all_effects(effects), priors, Path(out), seed, workers, tell)
     loaded = load_campaign(campaign)
     beside = Path(campaign) / "priors.toml"
     file = Path(priors) if priors is not None else beside if beside.exists() else None
     chosen = None if file is None else campaign_priors(file, loaded)
     found = diagnose_campaign(
-        loaded, nominal=nominal, effects=all_effects(effects), priors=chosen, seed=seed, threads=threads, tell=tell
+        loaded, nominal=nominal, effects=all_effects(effects), priors=chosen, seed=seed, workers=workers, tell=tell
     )
     folder = Path(out)
     path = found.write(folder)
@@ -110,7 +110,7 @@ def _thesis(
     priors: str | Path | None,
     folder: Path,
     seed: int,
-    threads: int,
+    workers: int,
     tell: Callable[[str], None],
 ) -> Diagnosed:
     """The same answers from the 24 published numbers."""
@@ -120,7 +120,7 @@ def _thesis(
         for case in published.cases
     }
     found = diagnose_published(
-        data, load_priors(priors or "thesis"), nominal=nominal, effects=effects, seed=seed, threads=threads, tell=tell
+        data, load_priors(priors or "thesis"), nominal=nominal, effects=effects, seed=seed, workers=workers, tell=tell
     )
     path = found.write(folder)
     result = found.to_json() | {"campaign_sha256": published.checksum, "provenance": provenance()}

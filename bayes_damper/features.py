@@ -21,10 +21,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from bayes_damper.errors import InputError
+from bayes_damper.kernels import compiled
 
 Array = NDArray[np.float64]
 SMALLEST_LOBE = 0.002
@@ -81,7 +81,7 @@ def features(times: ArrayLike, alpha1: ArrayLike, t_min: ArrayLike = 0.0, releas
     return Features(out[0], out[1], out[2], out[3], np.isfinite(out).all(axis=0))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled()
 def _parabola(t: Array, y: Array, k: int, sign: float, best: float, period: float) -> tuple[float, float]:
     """Summit of the parabola through sample k and its neighbours: height above that sample, time from it.
 
@@ -101,7 +101,7 @@ def _parabola(t: Array, y: Array, k: int, sign: float, best: float, period: floa
     return min(slope * slope / (4.0 * bend), hidden), min(max(slope / (2.0 * bend), -0.5 * h1), 0.5 * h2)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled()
 def _scan(
     times: Array, records: Array, t_min: Array, release: Array, smallest: float, shortest: float, out: Array
 ) -> None:

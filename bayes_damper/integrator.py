@@ -25,20 +25,20 @@ the user's cache folder, with the effect bound as a global, so that numba's on-d
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import inspect
 import os
 import sys
 import tempfile
-from builtins import compile as builtins_compile
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
+from types import FunctionType, ModuleType
 from typing import Any
 
 import numba
 import numpy as np
-from numba import njit
+from numba import float64, int64, njit
 
 from bayes_damper import damper, lanes
 from bayes_damper.damper import Rig, friction_torques, linearised, smooth_torques
@@ -660,6 +660,13 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
 
 _COUPLES = {"bodies": 0, "interface": 1, "all": 2}
 _NEUTRAL = {"torque": effect_torque, "rate": effect_rate, "start": effect_start, "sense": effect_sense}
+_SIGNATURE = (
+    float64[::1], float64[:, ::1], float64[:, ::1], float64[::1], float64[::1], float64[::1], float64[::1],
+    float64[:, :, ::1], float64[::1], int64[::1],
+)  # fmt: skip
+"""Of the arguments of `advance`."""
+_LOADED: dict[Path, Callable[..., Any]] = {}
+"""Kernels of this process by their file: formulas that differ in what is no matter of the kernel share one."""
 _NUMBA_OPTIONS: dict[str, Any] = {"fastmath": lanes.FASTMATH, "error_model": "numpy", "nogil": True}
 
 
@@ -748,15 +755,29 @@ def specialise(bound: dict[str, Any], compile: bool = True) -> Callable[..., Any
 
     With ``compile=False`` the plain Python function, which tests hold the compiled one against.
     """
-    source = inspect.getsource(advance)
     namespace = dict(globals()) | bound
     if not compile:
-        exec(builtins_compile(source, "advance", "exec"), namespace)  # noqa: S102
-        return namespace["advance"]
-    path = cache_folder() / f"advance_{_fingerprint(bound)}.py"
-    if not path.exists():
-        partial = path.with_suffix(f".{os.getpid()}")
-        partial.write_text(source, encoding="utf-8")
-        partial.replace(path)
-    exec(builtins_compile(source, str(path), "exec"), namespace)  # noqa: S102
-    return njit(cache=True, **_NUMBA_OPTIONS)(namespace["advance"])
+        return FunctionType(advance.__code__, namespace)
+    path = kernel_file(bound)
+    if path not in _LOADED:
+        if not path.exists():
+            partial = path.with_suffix(f".{os.getpid()}")
+            partial.write_text(inspect.getsource(advance), encoding="utf-8")
+            partial.replace(path)
+        # As if it stood in that file, which is where numba looks for machine code of it.
+        code = advance.__code__.replace(co_filename=str(path), co_firstlineno=1)
+        kernel = njit(cache=True, **_NUMBA_OPTIONS)(FunctionType(code, namespace))
+        collecting = gc.isenabled()
+        gc.disable()  # it would go through numba's millions of objects again and again: a third of the time
+        try:
+            kernel.compile(_SIGNATURE)
+        finally:
+            if collecting:
+                gc.enable()
+        _LOADED[path] = kernel
+    return _LOADED[path]
+
+
+def kernel_file(bound: dict[str, Any]) -> Path:
+    """The file in which `advance` bound to these globals stands, or would stand; its stem is theirs alone."""
+    return cache_folder() / f"advance_{_fingerprint(bound)}.py"

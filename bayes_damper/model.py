@@ -50,13 +50,8 @@ class Sums:
 
 
 @cache
-def _kernel(
-    coupled: bool, linear: bool, pendulum: bool, driven: bool, variant: Variant | None, longest_step: float
-) -> Callable[..., None]:
-    bound = integrator.specialised_globals(coupled, linear, pendulum, driven, variant)
-    if longest_step != LONGEST_STEP:
-        bound["LONGEST_STEP"] = longest_step
-    return integrator.specialise(bound)
+def _kernel(model: Model, driven: bool) -> Callable[..., None]:
+    return integrator.specialise(model.bound(driven))
 
 
 @dataclass(frozen=True)
@@ -85,25 +80,31 @@ class Model:
         """The effect, if it acts in this configuration."""
         return self.effect if self.effect is not None and (self.coupled or self.effect.uncoupled) else None
 
-    def compile(self, driven: bool = False) -> Callable[..., None]:
-        """The kernel, for records with (driven) or without an input torque.
+    def bound(self, driven: bool = False) -> dict[str, Any]:
+        """What the kernel's globals are bound to, for records with (driven) or without an input torque.
 
-        From the on-disk cache if it was compiled before (0.1 s), else compiled when first called (seconds).
+        Raises
+        ------
+        ValueError
+            for an input torque on a rig of two links.
         """
         variant = self.acting
         variant = variant if variant is not None and variant.has_kernel else None
+        pendulum = self.restoring == "pendulum"
         if self.coupled and self.coupling_law == "cosine":
             if driven:
                 raise ValueError('an input torque needs coupling_law = "constant"')
-            variant = links.linked(variant, self.restoring == "pendulum")
-        return _kernel(
-            self.coupled,
-            self.normal_force == "linear",
-            self.restoring == "pendulum",
-            driven,
-            variant,
-            self.longest_step,
-        )
+            variant = links.linked(variant, pendulum)
+        linear = self.normal_force == "linear"
+        bound = integrator.specialised_globals(self.coupled, linear, pendulum, driven, variant)
+        return bound if self.longest_step == LONGEST_STEP else bound | {"LONGEST_STEP": self.longest_step}
+
+    def compile(self, driven: bool = False) -> Callable[..., None]:
+        """The kernel, for records with (driven) or without an input torque.
+
+        From the on-disk cache if it was compiled before (0.02 s), else compiled (seconds).
+        """
+        return _kernel(self, driven)
 
     def simulate(
         self,

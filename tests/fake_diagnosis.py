@@ -8,7 +8,7 @@ from pathlib import Path
 SITE = {"spring_cubic": "ground1", "sensor_gain": "sensor", "stick_slip": "interface", "none": "none"}
 
 
-def answer(campaign, *, seed, leave_out, threads):
+def answer(campaign, *, seed, leave_out, workers):
     """The probabilities of answer.json; what is left out of the library goes to `unknown`; each call is logged."""
     folder = Path(campaign)
     with (folder.parent.parent / "calls.log").open("a") as log:
@@ -34,24 +34,24 @@ def answer(campaign, *, seed, leave_out, threads):
     }
 
 
-def dies_once(campaign, *, seed, leave_out, threads):
+def dies_once(campaign, *, seed, leave_out, workers):
     """Kills its own process, as the system does when memory runs out, the first time it sees the marked campaign."""
     marked = Path(campaign).parent.parent / f"{Path(campaign).name}.deadly"
     if marked.exists():
         marked.unlink()
         os.kill(os.getpid(), signal.SIGKILL)
-    return answer(campaign, seed=seed, leave_out=leave_out, threads=threads)
+    return answer(campaign, seed=seed, leave_out=leave_out, workers=workers)
 
 
-def stopped_once(campaign, *, seed, leave_out, threads):
+def stopped_once(campaign, *, seed, leave_out, workers):
     """Is stopped by Ctrl-C the first time it sees the marked campaign."""
     marked = Path(campaign).parent.parent / f"{Path(campaign).name}.deadly"
     if marked.exists():
         marked.unlink()
         raise KeyboardInterrupt
-    return answer(campaign, seed=seed, leave_out=leave_out, threads=threads)
+    return answer(campaign, seed=seed, leave_out=leave_out, workers=workers)
 
 
-def fails(campaign, *, seed, leave_out, threads):
+def fails(campaign, *, seed, leave_out, workers):
     """A diagnosis that cannot be made."""
     raise ZeroDivisionError("no such luck")

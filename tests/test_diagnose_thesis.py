@@ -193,7 +193,7 @@ def test_the_answer_holds_all_that_24_numbers_can_carry(found, tmp_path):
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_answer(found):
     few = {name: EFFECTS[name] for name in ("release_offset", "inertia_error")}
-    again = diagnose_published(published_data(), load_priors("thesis"), effects=few, settings=SMALL, threads=1)
+    again = diagnose_published(published_data(), load_priors("thesis"), effects=few, settings=SMALL, workers=1)
     assert again.answers.probabilities == found.answers.probabilities
 
 

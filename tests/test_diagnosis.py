@@ -74,6 +74,15 @@ def test_a_strong_effect_is_named_and_sized(named):
     assert max(found.sites, key=found.sites.get) == "bearings"
 
 
+def test_two_processes_find_what_one_finds(named):
+    """Screens, fits and pairs shared among processes: the same probabilities and parameters, bit for bit."""
+    found, *_ = named
+    again = diagnose(with_effect("quadratic_drag", "alike", {"coefficient": 0.8}), effects=FEW, workers=2)
+    assert again.answers == found.answers
+    assert again.winner.fit.parameters == found.winner.fit.parameters
+    assert [c.label for c in again.candidates] == [c.label for c in found.candidates]
+
+
 def test_the_figure_shows_a_held_out_record_before_and_after_the_effect_is_added(named):
     """What is left of the record is beyond the noise without the effect, noise with it; so says the figure."""
     found, _, _ = named

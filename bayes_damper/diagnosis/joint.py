@@ -19,7 +19,6 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.special import gammaln, logsumexp
 
@@ -27,6 +26,7 @@ from bayes_damper.distributions import Distribution, from_standard
 from bayes_damper.distributions import median as median_of
 from bayes_damper.effects.base import Variant
 from bayes_damper.errors import InputError
+from bayes_damper.kernels import compiled
 from bayes_damper.posterior import (
     EFFECT_PREFIX,
     FEATURE_TIMES,
@@ -79,7 +79,7 @@ class Formula:
         return own if self.blur is None else own | {BLUR: self.blur}
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled()
 def _integrate(
     centre: Array, springs: Array, angles: Array, measured: Array, scale: Array, dof: float,
     nodes_u: Array, weight_u: Array, nodes_v: Array, weight_v: Array, out: Array,

@@ -10,8 +10,7 @@ that grows with the gap; where a fitted pair still leaves something, its formula
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -28,11 +27,14 @@ from bayes_damper.diagnosis.search import (
     Screen,
     Screened,
     bases_of,
+    essence,
     fainter,
+    restored,
     screen_column,
     start_points,
 )
 from bayes_damper.effects.base import Effect, Variant
+from bayes_damper.forked import forked_map
 
 Array = NDArray[np.float64]
 
@@ -175,17 +177,21 @@ class Pair:
 
 
 def seconds_of(
-    first: Candidate, nominal: Calibration, pool: Sequence[tuple[Effect, Variant]]
+    first: Candidate, nominal: Calibration, pool: Sequence[tuple[Effect, Variant]], workers: int = 1
 ) -> list[Second]:  # fmt: skip
     """Every formula of every other effect, screened against what the first effect's fit leaves, best first."""
     if first.fit is None:
         return []
     screen = Screen(first.fit)
     others = [(effect, variant) for effect, variant in pool if effect.name != first.effect.name]
-    rows = [_second(screen, nominal, variant) for _, variant in others]
+
+    def judge(variant: Variant | None) -> list[Screened]:
+        return [] if variant is None else _second(screen, nominal, variant)
+
+    rows = forked_map(judge, [variant for _, variant in others], workers)
     if max((s.gain for row in rows for s in row), default=0.0) < FAINTER:
         small = [fainter(variant, row) for (_, variant), row in zip(others, rows, strict=True)]
-        rows = [row + ([] if v is None else _second(screen, nominal, v)) for row, v in zip(rows, small, strict=True)]
+        rows = [row + more for row, more in zip(rows, forked_map(judge, small, workers), strict=True)]
     out = []
     for (effect, variant), row in zip(others, rows, strict=True):
         usable = [r for r in row if r.amplitude > 0.0 and np.isfinite(r.log_evidence)]
@@ -218,7 +224,7 @@ def best_pairs(
     pool: Sequence[tuple[Effect, Variant]],
     known: Sequence[Second] = (),
     *,
-    threads: int = 1,
+    workers: int = 1,
     most: int = MOST_PAIRS,
     least: float = LEAST_GAIN,
 ) -> list[Pair]:
@@ -230,13 +236,7 @@ def best_pairs(
     done = {s.first.label for s in known}
     leaders = [c for c in leaders_of(found) if c.log_evidence > LEAST_GAIN and c.label not in done]
 
-    def run(work: Callable[[Candidate], list[Second]], items: Sequence[Candidate]) -> list[list[Second]]:
-        if threads > 1:
-            with ThreadPoolExecutor(threads) as workers:
-                return list(workers.map(work, items))
-        return [work(item) for item in items]
-
-    rows = [*known, *(s for each in run(lambda c: seconds_of(c, nominal, pool), leaders) for s in each)]
+    rows = [*known, *(s for leader in leaders for s in seconds_of(leader, nominal, pool, workers))]
     chosen: dict[frozenset[str], Second] = {}
     for s in sorted(rows, key=lambda s: -s.log_evidence):
         if s.gain > least:
@@ -244,19 +244,16 @@ def best_pairs(
     picked = list(chosen.values())[:most]
     single = {c.effect.name: c.log_evidence for c in reversed(leaders_of(found, len(found)))}
 
-    def refine(s: Second) -> Pair | None:
-        return _fitted(nominal, s, found, single)
-
-    if threads > 1:
-        with ThreadPoolExecutor(threads) as workers:
-            pairs = list(workers.map(refine, picked))
-    else:
-        pairs = [refine(s) for s in picked]
+    essences = forked_map(lambda s: essence(_fitted(nominal, s, found)), picked, workers)
+    pairs = []
+    for s, kept in zip(picked, essences, strict=True):
+        fit = restored(PairProblem(nominal.problem, s.first.variant, s.variant), kept)
+        pairs.append(_pair(nominal, ((s.first.effect, s.first.variant), (s.effect, s.variant)), fit, single))
     return sorted((p for p in pairs if p is not None), key=lambda p: -p.log_evidence)
 
 
-def _fitted(nominal: Calibration, s: Second, found: Sequence[Candidate], single: Mapping[str, float]) -> Pair | None:
-    """Both effects fitted at once, their changes added up; None if that fails."""
+def _fitted(nominal: Calibration, s: Second, found: Sequence[Candidate]) -> Calibration:
+    """Both effects fitted at once, their changes added up."""
     first = s.first.fit
     assert first is not None
     problem = PairProblem(nominal.problem, s.first.variant, s.variant)
@@ -268,8 +265,7 @@ def _fitted(nominal: Calibration, s: Second, found: Sequence[Candidate], single:
             # Each effect as it is alone, the nominal parameters moved by both moves together, and by none.
             moved = first.q[:n] + c.fit.q[:n] - nominal.q
             starts += [np.concatenate([q, first.q[n:], c.fit.q[n:]]) for q in (moved, nominal.q)]
-    fit = calibrate(problem, starts, eta=first.eta, anneal=False, most=_most_steps(problem))
-    return _pair(nominal, ((s.first.effect, s.first.variant), (s.effect, s.variant)), fit, single)
+    return calibrate(problem, starts, eta=first.eta, anneal=False, most=_most_steps(problem))
 
 
 def _most_steps(problem: Problem) -> int:

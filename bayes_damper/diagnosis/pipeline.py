@@ -227,14 +227,14 @@ def diagnose(
     effects: Mapping[str, Effect] = EFFECTS,
     priors: PriorSet | Mapping[str, Distribution | float] | None = None,
     seed: int = 1,
-    threads: int = 2,
+    workers: int = 1,
     rule: Rule = RULE,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Diagnosis:
     """The sim-to-real gap of a campaign (campaign.Campaign, or an Experiment): whether, which, how far it shrinks.
 
     effects : name -> Effect, the candidates; priors : of nominal parameters, in place of the defaults; seed : kept in
-    the record of the run (every step is deterministic); tell : receives a line per stage.
+    the record of the run (every step is deterministic); workers : processes; tell : receives a line per stage.
     """
     began = time.perf_counter()
     name = getattr(campaign, "name", "campaign")
@@ -242,16 +242,16 @@ def diagnose(
     odd = odd_trials(experiment)
     notes = told_odd(experiment, odd)
     experiment = without_trials(experiment, odd)
-    fit = calibrate_nominal(experiment, nominal=nominal, threads=threads, tell=tell)
+    fit = calibrate_nominal(experiment, nominal=nominal, tell=tell)
     for _ in range(CLEANINGS):
         far = outlying(fit)
         if not far:
             break
         notes += told(experiment, far)
         experiment = without(experiment, far)
-        fit = calibrate_nominal(experiment, nominal=nominal, threads=threads, tell=tell)
+        fit = calibrate_nominal(experiment, nominal=nominal, tell=tell)
     pool = offered(experiment, nominal, effects)
-    found = search(fit, [*pool, *_drifts(experiment)], threads=threads, tell=tell)
+    found = search(fit, [*pool, *_drifts(experiment)], workers=workers, tell=tell)
     fit, found = _reseeded(fit, found)
     alone = bool(fit.problem.noise.sensor)
     if alone:
@@ -260,7 +260,7 @@ def diagnose(
     pairs: list[Pair] = []
     if alone:
         found = corroborated(fit, found)
-        pairs = _pairs_alone(fit, found, pool, threads)
+        pairs = _pairs_alone(fit, found, pool, workers)
         fit, found, pairs = with_pairs_noise(fit, found, pairs)
     winner = next((c for c in found if c.fit is not None), None)
     before = remainder_of(fit)
@@ -280,10 +280,10 @@ def diagnose(
     if alone:
         none_left = left_alone(fit, fit)
         left = none_left if winner is None or winner.fit is None else left_alone(fit, winner.fit)
-    seconds = [] if winner is None or winner.effect is DRIFT else seconds_of(winner, fit, pool)
+    seconds = [] if winner is None or winner.effect is DRIFT else seconds_of(winner, fit, pool, workers)
     gain = max((s.gain for s in seconds), default=0.0)
     if not alone and max(left.nats, gain) > PAIR_FROM:
-        pairs = best_pairs(fit, found, pool, seconds, threads=threads)
+        pairs = best_pairs(fit, found, pool, seconds, workers=workers)
     judged = []
     for k, p in enumerate(pairs[:JUDGED_PAIRS]):
         remains = left_alone(fit, p.fit) if alone else _left_by(p, before, before_map)
@@ -360,7 +360,7 @@ def _left_by(pair: Pair, before: Remainder, before_map: SiteMap) -> Left:
 
 
 def _pairs_alone(
-    fit: Calibration, found: Sequence[Candidate], pool: Sequence[tuple[Effect, Variant]], threads: int
+    fit: Calibration, found: Sequence[Candidate], pool: Sequence[tuple[Effect, Variant]], workers: int
 ) -> list[Pair]:
     """Pairs for trials without repeats, whatever the screening promises, where the leading effect leaves enough."""
     leader = next((c for c in found if c.fit is not None), None)
@@ -369,8 +369,8 @@ def _pairs_alone(
     left = left_alone(fit, leader.fit)
     if left.nats < PAIR_FROM or left.share < WORTH_A_PAIR:
         return []
-    seconds = seconds_of(leader, fit, pool)
-    pairs = best_pairs(fit, found, pool, seconds, threads=threads, least=-math.inf)
+    seconds = seconds_of(leader, fit, pool, workers)
+    pairs = best_pairs(fit, found, pool, seconds, workers=workers, least=-math.inf)
     # Over many periods two effects change a record by far more than the sum of what each changes.
     pairs[:JUDGED_PAIRS] = [exactly(fit, p, found) for p in pairs[:JUDGED_PAIRS]]
     return corroborated_pairs(fit, pairs)

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from bayes_damper.ahead import compile_ahead
 from bayes_damper.arviz_adapter import hdi
 from bayes_damper.diagnosis.joint import Formula, Joint, Weighed, beginning, from_prior, learn, weigh_formula
 from bayes_damper.diagnosis.next_experiment import bhattacharyya, expected_information
@@ -290,7 +291,7 @@ def diagnose_published(
     effects: Mapping[str, Effect] = EFFECTS,
     normal_force: str = "linear",
     seed: int = 1,
-    threads: int = 2,
+    workers: int = 2,
     settings: Settings = Settings(),
     tell: Callable[[str], None] = lambda _: None,
 ) -> PublishedDiagnosis:
@@ -308,7 +309,8 @@ def diagnose_published(
         priors = priors.replace(mu=0.0, drag=0.0)
     everything = formulas(nominal, effects)
     joints = [Joint(data, priors, f, normal_force) for f in everything]
-    with ThreadPoolExecutor(max(threads, 1)) as pool:
+    compile_ahead((m for joint in joints for case in joint.models.values() for m in case.models.values()), tell=tell)
+    with ThreadPoolExecutor(max(workers, 1)) as pool:
         seeds = [np.random.default_rng([seed, r]) for r in range(settings.repeats)]
         shapes = list(pool.map(lambda rng: search(joints[0], rng, settings), seeds))
         tell(f"nominal model fitted; weighing {len(everything) - 1} formulas")

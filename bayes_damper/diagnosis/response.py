@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.calibration import Block, Calibration, Experiment, Group
+from bayes_damper.kernels import compiled
 from bayes_damper.model import Model
 
 Array = NDArray[np.float64]
@@ -85,22 +86,56 @@ class Motion:
         shaped = q1 if q1 is not None else q2
         trials = self.th1.shape[0]
         k = shaped.shape[1] if shaped is not None else start.shape[1]  # type: ignore[union-attr]
-        zero = np.zeros((trials, k, self.grid.size))
-        q = np.stack([zero if q1 is None else q1, zero if q2 is None else q2], axis=2)  # (trials, k, 2, N)
-        q = np.ascontiguousarray(q.transpose(3, 0, 2, 1)) * (self.since.T > 0.0)[:, :, None, None]
-        mean = 0.5 * (q[1:] + q[:-1])  # (N - 1, trials, 2, k)
-        drive = np.matmul(self.push.transpose(1, 0, 2, 3), mean)
-        steps = np.ascontiguousarray(self.step.transpose(1, 0, 2, 3))
-        states = np.empty((self.grid.size, trials, 4, k))
-        states[0] = 0.0 if start is None else start.transpose(0, 2, 1)
-        for i in range(self.grid.size - 1):
-            np.matmul(steps[i], states[i], out=states[i + 1])
-            states[i + 1] += drive[i]
-        shown = (self.since[:, self.at] > 0.0).T[:, :, None, None]
-        x = states[self.at] * shown  # (n, trials, 4, k)
-        y = np.matmul(self.read_state.transpose(2, 0, 1, 3), x)
-        y += np.matmul(self.read_torque.transpose(2, 0, 1, 3), q[self.at])
-        return np.asarray(y.transpose(1, 3, 2, 0))
+        moving = self.since > 0.0
+        q = np.zeros((trials, self.grid.size, 2, k))
+        for body, torque in enumerate((q1, q2)):
+            if torque is not None:
+                q[:, :, body] = (torque * moving[:, None]).transpose(0, 2, 1)
+        state = np.zeros((trials, 4, k)) if start is None else np.ascontiguousarray(start.transpose(0, 2, 1))
+        y = np.empty((trials, self.read_state.shape[1], self.at.size, k))
+        _march(self.step, self.push, self.read_state, self.read_torque, self.at, moving, q, state, y)
+        return y.transpose(0, 3, 1, 2)
+
+
+@compiled()
+def _march(
+    step: Array, push: Array, read_state: Array, read_torque: Array, at: NDArray[np.int64],
+    moving: NDArray[np.bool_], q: Array, start: Array, y: Array,
+) -> None:  # fmt: skip
+    """Step the states that k torques q (trials, N, 2, k) make, and read them at the samples.
+
+    start (trials, 4, k): states at the release; moving (trials, N): whether the rig has been let go; y (trials,
+    channels, n, k) receives the changes of the readings; the others as in `Motion`.
+    """
+    trials, channels, n, k = y.shape
+    now, then = np.empty((4, k)), np.empty((4, k))
+    for j in range(trials):
+        now[:] = start[j]
+        sample = 0
+        for i in range(q.shape[1]):
+            if sample < n and at[sample] == i:
+                for c in range(channels):
+                    t0, t1 = read_torque[j, c, sample, 0], read_torque[j, c, sample, 1]
+                    for column in range(k):
+                        y[j, c, sample, column] = t0 * q[j, i, 0, column] + t1 * q[j, i, 1, column]
+                    if moving[j, i]:
+                        for row in range(4):
+                            slope = read_state[j, c, sample, row]
+                            for column in range(k):
+                                y[j, c, sample, column] += slope * now[row, column]
+                sample += 1
+            if i + 1 == q.shape[1]:
+                break
+            for row in range(4):
+                p0, p1 = 0.5 * push[j, i, row, 0], 0.5 * push[j, i, row, 1]
+                a0, a1, a2, a3 = step[j, i, row, 0], step[j, i, row, 1], step[j, i, row, 2], step[j, i, row, 3]
+                for column in range(k):
+                    then[row, column] = (
+                        a0 * now[0, column] + a1 * now[1, column] + a2 * now[2, column] + a3 * now[3, column]
+                        + p0 * (q[j, i, 0, column] + q[j, i + 1, 0, column])
+                        + p1 * (q[j, i, 1, column] + q[j, i + 1, 1, column])
+                    )  # fmt: skip
+            now, then = then, now
 
 
 def motions(fit: Calibration) -> list[Motion]:
@@ -410,9 +445,9 @@ def project(fit: Calibration, columns: Sequence[Array]) -> Projected:
         if m:
             td = cross[:, size : size + m]
             solved = inverse @ td
-            gram -= np.einsum("jmk,jml->kl", td, solved)
-            mixed -= np.einsum("jms,jmk->sk", TJ, solved)
-            product -= np.einsum("jmk,jm->k", solved, gT)
+            gram -= np.tensordot(td, solved, axes=([0, 1], [0, 1]))
+            mixed -= np.tensordot(TJ, solved, axes=([0, 1], [0, 1]))
+            product -= np.tensordot(solved, gT, axes=([0, 1], [0, 1]))
     answer = np.linalg.solve(S, np.column_stack([mixed, g]))
     gram -= mixed.T @ answer[:, :k]
     product -= mixed.T @ answer[:, k]

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayes_damper.ahead import compile_ahead
 from bayes_damper.calibration import (
     Calibration,
     Experiment,
@@ -23,10 +23,12 @@ from bayes_damper.calibration import (
     Problem,
     calibrate,
     coordinate_of,
+    summarise,
 )
 from bayes_damper.distributions import HalfNormal, LogUniform
 from bayes_damper.effects import REFERENCE, Scales, candidates, scaled
 from bayes_damper.effects.base import Effect, Variant
+from bayes_damper.forked import forked_map
 from bayes_damper.links import of_first_bearing
 
 Array = NDArray[np.float64]
@@ -305,34 +307,43 @@ def fit_variant(
     return Candidate(effect, variant, tuple(screens), found, found.log_evidence - fit.log_evidence)
 
 
+def essence(fit: Calibration | None) -> tuple[Array, dict[int, Array], bool, int]:
+    """Of a fit, what has to be sent from one process to another."""
+    assert fit is not None
+    return fit.q, dict(fit.eta), fit.converged, fit.iterations
+
+
+def restored(problem: Problem, found: tuple[Array, dict[int, Array], bool, int]) -> Calibration:
+    """The fit of a problem from its essence."""
+    return summarise(problem, *found)
+
+
 def search(
     nominal: Calibration,
     pool: Sequence[tuple[Effect, Variant]],
     *,
-    threads: int = 2,
+    workers: int = 1,
     full_fits: int = FULL_FITS,
     tell: Callable[[str], None] = lambda _: None,
 ) -> list[Candidate]:
-    """All candidates, best first: screened, and the leading ones fitted."""
+    """All candidates, best first: screened, and the leading ones fitted, by `workers` processes."""
+    groups = nominal.problem.groups
+    models = [nominal.problem.models[coupled] for coupled in {g.coupled for g in groups}]
+    driven = any(g.torque is not None and bool(np.any(g.torque)) for g in groups)
+    compile_ahead((replace(model, effect=variant) for model in models for _, variant in pool), driven, tell)
     screen = Screen(nominal)
 
     def judge(item: tuple[Effect, Variant]) -> tuple[Screened, ...]:
         return screen_variant(screen, item[1])
 
-    def run(work: Callable[..., object], items: Sequence[object]) -> list[object]:
-        if threads > 1:
-            with ThreadPoolExecutor(threads) as workers:
-                return list(workers.map(work, items))
-        return [work(item) for item in items]
-
-    screens: list[tuple[Screened, ...]] = run(judge, list(pool))  # type: ignore[assignment]
+    screens = forked_map(judge, list(pool), workers)
     if max((s.gain for row in screens for s in row), default=0.0) < FAINTER:
 
         def again(item: tuple[Variant, tuple[Screened, ...]]) -> tuple[Screened, ...]:
             small = fainter(*item)
             return item[1] + (() if small is None else screen_variant(screen, small))
 
-        screens = run(again, [(v, row) for (_, v), row in zip(pool, screens, strict=True)])  # type: ignore[assignment]
+        screens = forked_map(again, [(v, row) for (_, v), row in zip(pool, screens, strict=True)], workers)
     gains = np.array([max(s.gain for s in row) for row in screens])
     order = np.argsort(-gains)
     best = float(gains[order[0]]) if len(pool) else 0.0
@@ -351,22 +362,27 @@ def search(
         chosen += sorted(set(leading.values()) - set(chosen))
     tell(f"screened {len(pool)} formulas, fitting {len(chosen)}")
 
-    reached = [nominal.cost]
-
-    def refine(k: int) -> Candidate:
+    def refine(k: int, target: float) -> Candidate:
         effect, variant = pool[k]
         # Without a null the screening cannot set an amplitude, and ranks starts badly: try them all.
         count = len(variant.starts) if variant.null is None else STARTS_OF_LEADERS if gains[k] > 0.5 * best else 1
-        candidate = fit_variant(nominal, effect, variant, screens[k], count, min(reached))
+        candidate = fit_variant(nominal, effect, variant, screens[k], count, target)
         if candidate.log_evidence < max(s.log_evidence for s in screens[k]) - MISSED:
             # The screening promised more than the fit found: it went astray, so try every other start.
-            again = fit_variant(nominal, effect, variant, screens[k], len(variant.starts), min(reached))
+            again = fit_variant(nominal, effect, variant, screens[k], len(variant.starts), target)
             candidate = max(candidate, again, key=lambda c: c.log_evidence)
-        if candidate.fit is not None:
-            reached.append(candidate.fit.cost)
         return candidate
 
-    fitted: dict[int, Candidate] = dict(zip(chosen, run(refine, chosen), strict=True))  # type: ignore[arg-type]
+    fitted: dict[int, Candidate] = {}
+    if chosen:
+        first = refine(chosen[0], nominal.cost)
+        reached = min(nominal.cost, math.inf if first.fit is None else first.fit.cost)
+        essences = forked_map(lambda k: essence(refine(k, reached).fit), chosen[1:], workers)
+        fitted = {chosen[0]: first}
+        for k, found in zip(chosen[1:], essences, strict=True):
+            effect, variant = pool[k]
+            fit = restored(nominal.problem.with_effect(variant), found)
+            fitted[k] = Candidate(effect, variant, screens[k], fit, fit.log_evidence - nominal.log_evidence)
     out = []
     for k, (effect, variant) in enumerate(pool):
         if k in fitted:

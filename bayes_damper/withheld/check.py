@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import inspect
 import math
 import traceback
 from collections.abc import Callable, Mapping, Sequence
@@ -66,7 +65,7 @@ class Withheld:
 
 
 def verdict_of(
-    campaign: str, *, seed: int, leave_out: Sequence[str], threads: int, effects: str | None = None
+    campaign: str, *, seed: int, leave_out: Sequence[str], workers: int, effects: str | None = None
 ) -> dict[str, Any]:
     """The diagnosis of one campaign folder, as diagnosis.json, with what the scores need beyond it.
 
@@ -79,10 +78,7 @@ def verdict_of(
     from bayes_damper.diagnosis import diagnose
 
     offered = {name: effect for name, effect in all_effects(effects).items() if name not in leave_out}
-    options: dict[str, Any] = {"seed": seed, "effects": offered}
-    if "threads" in inspect.signature(diagnose).parameters:
-        options["threads"] = threads
-    found = diagnose(load_campaign(campaign), **options)
+    found = diagnose(load_campaign(campaign), seed=seed, effects=offered, workers=workers)
     told = found.to_json()
     if leave_out:
         return told
@@ -117,7 +113,7 @@ def give_verdict(
     call: str,
     seed: int,
     leave_out: Sequence[str],
-    threads: int,
+    workers: int,
     freeze_seal: str,
     effects: str | None = None,
 ) -> dict[str, Any]:
@@ -133,7 +129,7 @@ def give_verdict(
     own = {} if effects is None else {"effects": effects}
     try:
         verdict = getattr(importlib.import_module(module), function)(
-            campaign, seed=seed, leave_out=list(leave_out), threads=threads, **own
+            campaign, seed=seed, leave_out=list(leave_out), workers=workers, **own
         )
     except Exception as error:  # noqa: BLE001 (whatever a diagnosis dies of, its verdict is "failed")
         told = traceback.format_exception_only(error)[-1].strip()
@@ -325,7 +321,7 @@ class _Run:
                 _THIS + "give_verdict",
                 {
                     "name": name, "campaign": str(self.campaigns[name].resolve()), "call": self.call,
-                    "seed": self.seed_of(name), "leave_out": list(without), "threads": 2 if self.workers == 1 else 1,
+                    "seed": self.seed_of(name), "leave_out": list(without), "workers": 2 if self.workers == 1 else 1,
                     "freeze_seal": seal, **({} if self.effects is None else {"effects": self.effects}),
                 },
             )

@@ -94,9 +94,9 @@ def _told(rivals: str, which: int, number: int) -> dict[str, Any]:
     effects = {name: EFFECTS[name] for name, _, _ in RIVALS[rivals]}
     rng = np.random.default_rng([4711, which, number])
     first = _campaign(rng, truth)
-    before = diagnose(first, effects=effects, threads=1)
-    proposed = diagnose(_more(rng, first, truth, before), effects=effects, threads=1)
-    repeated = diagnose(_again(rng, first, truth), effects=effects, threads=1)
+    before = diagnose(first, effects=effects, workers=1)
+    proposed = diagnose(_more(rng, first, truth, before), effects=effects, workers=1)
+    repeated = diagnose(_again(rng, first, truth), effects=effects, workers=1)
     return {
         "before": before.answers.probabilities[truth[0]], "proposed": proposed.answers.probabilities[truth[0]],
         "repeated": repeated.answers.probabilities[truth[0]], "proposal": before.proposals[0].to_json(),
