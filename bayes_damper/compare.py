@@ -101,7 +101,11 @@ def compare(folders: Sequence[str | Path], *, out: str | Path | None = None, see
         if not path.is_dir():
             faults.append(f"{path}: there is no such folder; name one that bayes-damper has written")
         elif not any((path / file).exists() for file in KINDS):
-            faults.append(f"{path}: holds no results of fit, diagnose or variability ({', '.join(KINDS)})")
+            more = f"; the run in it has not ended, go on with: bayes-damper resume {path}"
+            begun = (path / "run.json").is_file()
+            faults.append(
+                f"{path}: holds no results of fit, diagnose or variability ({', '.join(KINDS)}){more if begun else ''}"
+            )
     if len({path.resolve() for path in paths}) < len(paths):
         faults.append("a folder is named twice; name different folders")
     if faults:

@@ -84,8 +84,9 @@ def diagnose(
     beside = Path(campaign) / "priors.toml"
     file = Path(priors) if priors is not None else beside if beside.exists() else None
     chosen = None if file is None else campaign_priors(file, loaded)
+    library = all_effects(effects)
     found = diagnose_campaign(
-        loaded, nominal=nominal, effects=all_effects(effects), priors=chosen, seed=seed, workers=workers, tell=tell
+        loaded, nominal=nominal, effects=library, priors=chosen, seed=seed, workers=workers, tell=tell
     )
     folder = Path(out)
     path = found.write(folder)
@@ -99,6 +100,7 @@ def diagnose(
     }
     for name, row in result["parameters"].items():
         row["unit"] = unit_of(name, loaded.rig.kind, loaded.measurement.quantity)
+    _tell_meanings(result, library)
     write_json(path, result)
     _draw(folder, found)
     return Diagnosed(folder, result)
@@ -124,6 +126,7 @@ def _thesis(
     )
     path = found.write(folder)
     result = found.to_json() | {"campaign_sha256": published.checksum, "provenance": provenance()}
+    _tell_meanings(result, effects)
     write_json(path, result)
     ranking = figures.ranking_figure(
         found.answers.probabilities, found.sites, title="thesis: what 24 numbers say is missing, and where"
@@ -135,6 +138,13 @@ def _thesis(
         folder / "published",
     )
     return Diagnosed(folder, result)
+
+
+def _tell_meanings(result: Mapping[str, Any], library: Mapping[str, Effect]) -> None:
+    """Adds to each effect of a result the sentence that says what it is."""
+    for row in result["effects"]:
+        if row["name"] in library:
+            row["meaning"] = library[row["name"]].summary
 
 
 def _published_words(result: Mapping[str, Any]) -> list[str]:
@@ -200,6 +210,7 @@ def _words(result: Mapping[str, Any]) -> list[str]:
         row = next(r for r in result["effects"] if r["name"] == verdict)
         sure = "The missing effect is" if share >= CERTAIN else "Most probable, but not sure:"
         lines = [f"{sure} {verdict} ({row['site']}), probability {share:.2f}: {row['formula']}."]
+        lines += [f"  {row['meaning']}"] if row.get("meaning") else []
         parameters = {verdict: row["parameters"]}
         if result.get("pair"):
             both, p = result["pair"]["effects"], result["pair"]["probability"]
@@ -273,7 +284,10 @@ def _torque_title(found: Diagnosis) -> str:
     """What the figure shows, and under which condition where another site is as likely."""
     place = found.site_map.torque_site
     where = " at" if place == found.site_map.best else ", if the cause lies at"
-    return f"torque that the nominal laws lack{where} {place}"
+    return f"torque that the nominal laws lack{where} {'the ' if place in _WITH_ARTICLE else ''}{place}"
+
+
+_WITH_ARTICLE = ("bearings", "interface", "release", "sensor")
 
 
 _CELLS = {"time": 48, "frequency": 24, "plane": 16}  # of the maps of residuals, along each axis, at most

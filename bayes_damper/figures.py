@@ -99,7 +99,12 @@ def save(figure: Figure, path: Path) -> list[Path]:
 
 def label(symbol: str, unit: str) -> str:
     """Axis label: symbol and unit, the unit left out where it is 1."""
-    return symbol if unit in ("", "1") else f"{symbol} [{unit}]"
+    return symbol if unit in ("", "1") else f"{symbol} [{raised(unit)}]"
+
+
+def raised(unit: str) -> str:
+    """A unit with its squares as people write them: rad/s² for rad/s^2."""
+    return unit.replace("^2", "²").replace("^3", "³")
 
 
 def corner_figure(
@@ -319,7 +324,7 @@ def record_figure(trials: Sequence[Mapping[str, Any]], unit: str, *, title: str,
                 lower.axhline(0.0, color="black", lw=0.6)
                 upper.set_title(f"{trial['label']}, channel {c + 1}", loc="left")
                 if c == 0:
-                    upper.set_ylabel(unit)
+                    upper.set_ylabel(raised(unit))
                     lower.set_ylabel("residual")
         figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="lower center", ncols=3, markerscale=4.0)
         for axis in axes[-1]:
@@ -624,7 +629,8 @@ def _draw_probabilities(axis: Any, values: Mapping[str, float], rows: int, headi
     heights = [values[name] for name in names]
     axis.barh(range(len(names)), heights, color=COLOURS[0])
     for y, height in enumerate(heights):
-        axis.text(height + 0.02, y, f"{height:.2f}" if height >= 0.005 else "< 0.01", va="center")
+        told = "< 0.01" if height < 0.005 else "> 0.99" if 0.995 <= height < 1.0 else f"{height:.2f}"
+        axis.text(height + 0.02, y, told, va="center")
     axis.set_yticks(range(len(names)), names)
     axis.set_ylim(max(rows, len(names)) - 0.5, -0.5)
     axis.set_xlim(0.0, 1.2)
@@ -645,7 +651,7 @@ def gap_figure(record: Mapping[str, Any], probabilities: Mapping[str, float], *,
     figure = new_figure(9.0, 1.2 + 1.2 * len(rows))
     dots: dict[str, Any] = {"color": "#777777", "ms": 2.0, "rasterized": True}
     times, measured, nominal = record["times"], np.asarray(record["measured"]), np.asarray(record["nominal"])
-    unit, noise = record["unit"], record["noise"]
+    unit, noise = raised(record["unit"]), record["noise"]
     with mpl.rc_context(_RC):
         axes = figure.subplot_mosaic([[row, "answers"] for row in rows], width_ratios=[2.6, 1.0])
         axes["record"].plot(times, measured, ".", label="measured", **dots)

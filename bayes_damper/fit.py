@@ -451,6 +451,7 @@ def fit_published_case(folder: Path, report: Report, *, name: str, plan: Mapping
     }
     names = {"features": json.dumps([d.name for d in posterior.data])}
     entry = _entry(draws, _shares(posterior.names, standard(flat)), sampling)
+    _tell_priors(entry, groups["prior"])
     report(0.8, "predicted; left: files, figures")
     _write_draws(folder, draws, sampling, entry["parameters"], groups, _attributes(plan, name) | names)
     entry["predictive"] = checks
@@ -562,6 +563,7 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
         "observed_data": {labels[i]: experiment.trials[i].y for i in posterior.trials},
         "constant_data": {labels[i]: experiment.trials[i].times for i in posterior.trials},
     }
+    _tell_priors(entry, groups["prior"], constants)
     report(0.84, "evidence found; left: files, figures")
     names = {"trials": json.dumps([labels[i] for i in posterior.trials])}
     _write_draws(folder, draws, sampling, entry["parameters"], groups, _attributes(plan, name) | names)
@@ -791,6 +793,15 @@ def _entry(
     }
 
 
+def _tell_priors(
+    entry: Mapping[str, Any], draws: Mapping[str, Array], constants: Mapping[str, Array] | None = None
+) -> None:
+    """Adds to each parameter of an entry of summary.json what was assumed about it, from draws of its prior."""
+    for name, values in {**draws, **_derived({**(constants or {}), **draws})}.items():
+        if name in entry["parameters"] and np.isfinite(values).all() and np.ptp(values) > 0.0:
+            entry["parameters"][name]["prior"] = {"median": float(np.median(values)), "hdi90": list(hdi(values))}
+
+
 def _shares(names: Sequence[str], points: Array) -> dict[str, float]:
     """Posterior variance of each standard coordinate: what is left of the prior's own 1."""
     return {name: float(min(1.0, points[:, i].var())) for i, name in enumerate(names)}
@@ -810,7 +821,7 @@ _MAIN = ("mu", "k2t", "c2t", "drag", "nu", "c1t", "c3t", "friction_torque", "sig
 def _axis_labels(units: Mapping[str, str]) -> dict[str, str]:
     """Labels from units by parameter."""
     return {
-        name: figures.label(PARAMETERS[name].symbol if name in PARAMETERS else name, unit)
+        name: figures.label(PARAMETERS[name].symbol if name.startswith("friction") else name, unit)
         for name, unit in units.items()
     }
 

@@ -55,6 +55,9 @@ def write_table(summary: Mapping[str, Any], path: Path) -> None:
         for name, numbers in found["parameters"].items():
             row = {"case": case, "parameter": name, "converged": found["converged"], **numbers}
             row["hdi90_low"], row["hdi90_high"] = row.pop("hdi90")
+            if before := row.pop("prior", None):
+                row["prior_median"] = before["median"]
+                row["prior_hdi90_low"], row["prior_hdi90_high"] = before["hdi90"]
             rows.append(row)
     pd.DataFrame(rows).to_csv(path, index=False)
 
@@ -65,6 +68,6 @@ def table_text(parameters: Mapping[str, Any], title: str) -> str:
     for name, p in parameters.items():
         low, high = p["hdi90"]
         share = p["prior_share"]
-        word = "" if share is None else "data" if share < 0.3 else "data and prior" if share < 0.8 else "prior"
+        word = "(derived)" if share is None else "data" if share < 0.3 else "data and prior" if share < 0.8 else "prior"
         lines.append(f"  {name:28s}{p['median']:11.4g}  {low:11.4g} .. {high:<11.4g} {p['unit']:10s} {word}")
     return "\n".join(lines)

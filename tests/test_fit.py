@@ -106,6 +106,10 @@ def test_a_fit_of_records_converges_and_covers_the_truth(fitted):
     assert fitted.text().startswith("warning: Made by a test.\n")
     assert found["friction_torque"]["mean"] == pytest.approx(found["mu"]["mean"] * 10.0, rel=1e-9)
     assert found["c1t"]["prior_share"] < 0.3
+    low, high = found["friction_torque"]["prior"]["hdi90"]
+    assert low < 0.06 < high, "what was assumed is told of what follows from parameters and constants too"
+    assert found["c1t"]["prior"]["hdi90"][1] > 10.0 * (found["c1t"]["hdi90"][1] - found["c1t"]["hdi90"][0])
+    assert "prior_hdi90_low" in (fitted.folder / "summary.csv").read_text(encoding="utf-8").splitlines()[0]
 
 
 @pytest.mark.slow

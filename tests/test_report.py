@@ -316,7 +316,7 @@ def test_everything_a_folder_holds_is_on_the_page(tmp_path):
     assert "closes 97 % of the gap" in text
     assert "Nothing was learnt about nu" in text
     assert "The cases do not share one parameter set (2 %)" in text
-    assert "insertion loss 12.00 dB (90 %: 10.40 to 13.60 dB)" in text
+    assert "insertion loss 12.0 dB (90 %: 10.4 to 13.6 dB)" in text
     assert "your design probably misses the target where the torque is 0.02 N m" in text
     assert "synthetic <rig>" in text
     assert text.index("Most probable, but") < text.index("Case III: parameters")
@@ -331,6 +331,48 @@ def test_what_a_fit_tells_beside_its_parameters_is_on_the_page(tmp_path):
     assert "nu: smoothing constant of every tanh -0.61 +0.85 ? k2t -0.20" in text
     assert "Log evidence -812.34" in text
     assert "* decided by the prior, not by the data" in text
+
+
+def test_figures_say_how_they_are_read_once_and_words_are_explained(tmp_path):
+    write_fit(tmp_path / "fit")
+    for case in ("III", "IV"):
+        (tmp_path / "fit" / case).mkdir(exist_ok=True)
+        save(forest_figure({"mu": {case: (1.0, 2.0, 3.0)}}, {}, title="mu"), tmp_path / "fit" / case / "corner")
+    page = report(tmp_path / "fit").path.read_text(encoding="utf-8")
+    assert page.count("<figcaption><strong>Pairs of parameters</strong>") == 2
+    assert page.count("contours hold 50 and 90 % of the draws. A slanted one ties the two.</figcaption>") == 1
+    words = re.findall(r"<dt>(.*?)</dt>", page.partition('id="words"')[2].partition("</section>")[0])
+    assert {"prior", "R-hat", "evidence", "nat", "90 % interval"} <= set(words)
+    assert "insertion loss" not in words, "a word that does not stand on the page"
+    assert "drag\nbearing drag torque" not in page
+    assert re.search(r"friction_torque = mu N0 R\s+friction torque between the faces", page)
+
+
+def test_a_verdict_says_what_the_effect_is_and_how_large(tmp_path):
+    write_diagnosis(tmp_path)
+    data = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
+    data["effects"][0] |= {"meaning": "The faces stick.", "formula": "a law"}
+    data["gap"]["closed"]["median"] = 0.94
+    (tmp_path / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
+    text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
+    assert (
+        "stick slip (86 %). The faces stick. Its law: a law, with ratio 1.40 (1.20 to 1.60) (90 % intervals)." in text
+    )
+    assert "closes 94 % of the gap" in text
+    assert "with stick slip 2.01 94 %" in text, "one model has one share, here and on the first screen"
+
+
+def test_the_rig_as_it_is_is_no_design_and_needs_a_resonance(tmp_path):
+    write_tuning(tmp_path)
+    data = json.loads((tmp_path / "tune.json").read_text(encoding="utf-8"))
+    data["design"] = dict.fromkeys(data["design"])
+    nothing = {"mean": None, "median": None, "interval90": None}
+    data["nonlinear"][0] |= {"insertion_loss_db": nothing, "resonance_hz": nothing, "resonance_shift_hz": nothing}
+    (tmp_path / "tune.json").write_text(json.dumps(data), encoding="utf-8")
+    text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
+    assert "The rig as it is, linear model: insertion loss 12.0 dB" in text
+    assert "Where the torque is 0.02 N m, the rig as it is has no resonance left to compare" in text
+    assert "misses the target" not in text
 
 
 def test_the_gap_stands_before_and_after_each_effect(tmp_path):
@@ -364,8 +406,13 @@ def test_where_it_differs_is_told_with_units_and_without_digits_that_mean_nothin
     assert "1, primary +5.45 0.01" in text
     assert "IV coupled -0.15 1" in text
     assert "θ1 - θ2 0 to 0.04 rad ω1 - ω2 -1.8 to 0 rad/s 1, primary +25.00 below 1e-12" in text
-    assert "0.29 to 0.31 ground2 -0.00055 ± 7.1e-06 N m s 30 nats 28 % a law that is wrong everywhere" in text
     assert "e-221" not in text
+    assert "A knock" not in text, "a law that is wrong everywhere is no knock"
+    data = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
+    data["where"]["event"]["local"] = True
+    (tmp_path / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
+    text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
+    assert "0.29 to 0.31 ground2 -0.00055 ± 7.1e-06 N m s 30 nats 28 %" in text
 
 
 def test_a_diagnosis_of_published_numbers_shows_them_beside_the_model(tmp_path):
@@ -440,7 +487,7 @@ def test_a_plan_and_a_decomposition_read_as_tables(tmp_path):
     text = words_of(report(write_everything(tmp_path / "results")).path.read_text(encoding="utf-8"))
     assert "magnet cubic interface 22 % cubic 66 N m/rad³ interface relaxation 2.4 6 times" in text
     assert "real difference 0.2 0.100 to 0.400 60 % (20 to 90 %)" in text
-    assert "IV 34.3 1.1 (0.900 to 1.400) 1" in text
+    assert "IV 34.3 1.1 (0.90 to 1.40) 1" in text
     assert "IV 412 63 0.31" in text
     assert "coupled 14.3 7.4 5 magnet_cubic" in text
 
@@ -465,7 +512,15 @@ def test_numbers_stand_with_unit_and_interval(tmp_path):
     row = re.search(r"<tr[^>]*><th scope=\"row\">k2t: stiffness.*?</tr>", page, re.DOTALL)
     assert row is not None
     cells = re.findall(r"<td>(.*?)</td>", row[0])
-    assert cells[:5] == ["1.300", "0.910", "1.690", "N m/rad", "data and prior"]
+    assert cells[:5] == ["1.30", "0.91", "1.69", "N m/rad", "data and prior"]
+    assert "assumed, 90 %" not in page, "results of before it was told"
+    summary = json.loads((tmp_path / "fit" / "summary.json").read_text(encoding="utf-8"))
+    summary["cases"]["III"]["parameters"]["k2t"]["prior"] = {"median": 1.6, "hdi90": [0.05, 5.4]}
+    (tmp_path / "fit" / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
+    page = report(tmp_path / "fit").path.read_text(encoding="utf-8")
+    row = re.search(r"<tr[^>]*><th scope=\"row\">k2t: stiffness.*?</tr>", page, re.DOTALL)
+    assert row is not None
+    assert re.findall(r"<td>(.*?)</td>", row[0])[5] == "0.05 to 5.4"
     assert '<tr class="prior"><th scope="row">nu:' in page
 
 

@@ -208,7 +208,7 @@ def torque_chart(file: Path, *, translational: bool = False) -> Chart | None:
                     continue
                 drawn = [series("estimate", kind, i - 1, y=torque)]
                 if kind == "line":
-                    band = series("estimate ± 1.64 sd", "band", i - 1, low=torque - 1.64 * sd, high=torque + 1.64 * sd)
+                    band = series("90 % band", "band", i - 1, low=torque - 1.64 * sd, high=torque + 1.64 * sd)
                     drawn.insert(0, band)
                 panels.append({"y": f"on the {who} [{'N' if translational else 'N m'}]", "height": 2, "series": drawn})
             if panels:

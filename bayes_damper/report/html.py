@@ -22,6 +22,7 @@ from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.provenance import provenance
 from bayes_damper.report.parts import NOTHING, Picture, Result, Section, percent
 from bayes_damper.report.results import READERS
+from bayes_damper.report.terms import terms
 from bayes_damper.run import read_json
 from bayes_damper.wording import counted
 
@@ -156,6 +157,7 @@ def _page(home: Path, names: tuple[str, ...], results: list[Result], warnings: l
         headlines=[(r.headline, s) for r, s in zip(results, sections, strict=True)],
         sections=sections,
         warnings=warnings,
+        terms=terms([r.headline for r in results], sections),
         oddities=list(dict.fromkeys(o for r in results for o in r.oddities)),
         images=budget.used,
         left_out=budget.left_out,
@@ -192,7 +194,18 @@ def _numbered(sections: list[Section], names: tuple[str, ...]) -> list[Section]:
         pictures = tuple(p for p in section.pictures if p.path not in shown)
         shown |= {p.path for p in pictures}
         out.append(replace(section, title=title, pictures=pictures))
-    return out
+    said: set[str] = set()
+    return [_explained_once(section, said) for section in out]
+
+
+def _explained_once(section: Section, told: set[str]) -> Section:
+    """The section with each way to read a figure said only where it comes first; adds what it says to `told`."""
+    pictures = []
+    for picture in section.pictures:
+        pictures.append(replace(picture, note="") if picture.note in told else picture)
+        told.add(picture.note)
+    parts = tuple(_explained_once(part, told) for part in section.parts)
+    return replace(section, pictures=tuple(pictures), parts=parts)
 
 
 def _charts(section: Section) -> Iterator[Any]:

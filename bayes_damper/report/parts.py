@@ -11,6 +11,8 @@ from bayes_damper.wording import p_value
 
 NOTHING = "\N{EN DASH}"
 """What stands where there is no number."""
+SDS_WIDE = 3.29
+"""Standard deviations between the ends of a 90 % interval of a normal distribution."""
 
 
 @dataclass(frozen=True)
@@ -33,11 +35,12 @@ class Table:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure: what it shows, the words for those who cannot see it, and its file."""
+    """A figure: its title, the words for those who cannot see it, its file, and how it is read (below its title)."""
 
     title: str
     alt: str
     path: str
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -92,14 +95,16 @@ class Result:
 
 
 def number(x: Any, width: float | None = None) -> str:
-    """A number as text, with the digits that an interval of this width supports, else four; a dash for nothing."""
+    """A number as text, else four digits, with those that a 90 % interval of this width supports: two of its standard
+    deviation; a dash for nothing.
+    """
     if x is None or isinstance(x, bool) or not isinstance(x, int | float) or not math.isfinite(x):
         return NOTHING
     if isinstance(x, int):
         return str(x)
     if width is None or not math.isfinite(width) or width <= 0.0:
         return f"{x:.4g}"
-    digits = 2 - math.floor(math.log10(width))
+    digits = 1 - math.floor(math.log10(width / SDS_WIDE))
     if x:  # a number far below the width of a lopsided interval keeps a digit of its own
         digits = min(max(digits, -math.floor(math.log10(abs(x)))), digits + 2)
     if -3 <= digits <= 6 and abs(x) < 1e6:
@@ -112,7 +117,7 @@ def plus_minus(x: Any, sd: Any) -> str:
     """A value and its standard deviation, with the digits that this supports."""
     if not isinstance(sd, int | float) or not math.isfinite(sd) or sd <= 0.0:
         return number(x)
-    return f"{number(x, 10.0 * sd)} ± {number(sd, 10.0 * sd)}"
+    return f"{number(x, SDS_WIDE * sd)} ± {number(sd, SDS_WIDE * sd)}"
 
 
 def percent(p: Any) -> str:

@@ -12,6 +12,7 @@ from bayes_damper.parameters import PARAMETERS, unit_of
 from bayes_damper.report.charts import record_chart, response_chart, torque_chart
 from bayes_damper.report.parts import (
     NOTHING,
+    SDS_WIDE,
     Headline,
     Picture,
     Result,
@@ -36,17 +37,23 @@ _HEADS = {
 }  # fmt: skip
 _OUTSIDE = 5.0  # per cent: a measurement below this percentile, or as far above, counts as outside
 _PICTURES = {
-    "forest": ("Parameters over the cases", "Median and 90 % interval of each parameter for each case."),
+    "forest": ("Parameters over the cases", "Median (dot) and 90 % interval (line) of each parameter for each case."),
     "predictive": (
         "What was measured and what the fitted model gives",
-        "Each measured feature with the 50 and 90 % intervals of the model, in standard errors of the measurement.",
+        "Every measurement lies at 0, its standard error in grey; the model's median (dot), 50 and 90 % intervals.",
     ),
     "records": (
         "Records, band and residuals",
         "Measured records of one trial of each configuration under the model's 90 % band, residuals below.",
     ),
-    "corner": ("Pairs of parameters", "Corner figure: the distribution of each parameter and of each pair of them."),
-    "trace": ("Health of the run", "Traces of each ensemble, and the ranks of its draws, flat where ensembles agree."),
+    "corner": (
+        "Pairs of parameters",
+        "Each parameter by itself, and each pair: contours hold 50 and 90 % of the draws. A slanted one ties the two.",
+    ),
+    "trace": (
+        "Health of the run",
+        "Left the draws in their order, which should not wander; right their ranks, flat where ensembles agree.",
+    ),
 }
 _MORE = {
     "gap": (
@@ -168,7 +175,7 @@ def _fit_headline(campaign: str, groups: Mapping[str, Any], converged: bool) -> 
         )
         if outside and len(outside) > max(1.0, 0.2 * len(checks)):
             tone = "bad" if not converged else "open"
-            worst = ", ".join(str(row["name"]) for row in outside[:3])
+            worst = ", ".join(words(str(row["name"])) for row in outside[:3])
             sentences.append(f"The model cannot reproduce all of the data, whatever its parameters: {worst}.")
             changes.append("A diagnosis of recorded trials would tell what the model lacks.")
     missed = _missed(groups)
@@ -198,7 +205,7 @@ def _determined(groups: Mapping[str, Any]) -> str:
     for name in _MAIN:
         found = [g for g, e in groups.items() if decided_by(_share_of(e, name)) == "data"]
         if found:
-            where.setdefault(tuple(found), []).append(_symbol(name))
+            where.setdefault(tuple(found), []).append(name)
     if not where:
         return "The data alone determine no parameter: each interval owes something to the prior."
     parts = []
@@ -247,15 +254,20 @@ def _overview(groups: Mapping[str, Any]) -> Table:
             low, high = p["hdi90"]
             star = " *" if (p.get("prior_share") or 0.0) >= 0.8 else ""
             cells.append(f"{number(p['median'], high - low)}{star}\n{interval(low, high)}")
-        rows.append(Row((_symbol(name), unit, *cells)))
+        rows.append(Row((_told_name(name), unit, *cells)))
     columns = ("parameter", "unit", *(n if n.startswith("all") else f"case {n}" for n in groups))
     starred = any("*" in cell for row in rows for cell in row.cells[2:])
     note = "* decided by the prior, not by the data" if starred else ""
     return Table("Median and 90 % interval", columns, tuple(rows), note)
 
 
-def _symbol(name: str) -> str:
-    return PARAMETERS[name].symbol if name in PARAMETERS else name
+def _told_name(name: str) -> str:
+    """A parameter for the first column of a table: its name, and below what it is."""
+    known = PARAMETERS.get(name.partition("[")[0])
+    if known is None:
+        return name
+    formula = f" = {known.symbol}" if " " in known.symbol else ""
+    return f"{name}{formula}\n{known.meaning}"
 
 
 def _meaning(name: str) -> str:
@@ -270,6 +282,7 @@ def _is_outside(row: Mapping[str, Any]) -> bool:
 def _case_section(name: str, entry: Mapping[str, Any], folder: Path, shown: Collection[str] = ()) -> Section:
     """One case of a fit; `shown`: names of the figures that stand elsewhere on the page for all cases together."""
     good = bool(entry.get("converged"))
+    assumed = any(p.get("prior") for p in entry.get("parameters", {}).values())
     rows = []
     for key, p in entry.get("parameters", {}).items():
         low, high = p["hdi90"]
@@ -280,8 +293,12 @@ def _case_section(name: str, entry: Mapping[str, Any], folder: Path, shown: Coll
             *(f"{v:.0f}" if (v := p.get(k)) else NOTHING for k in ("ess_bulk", "ess_tail")),
         )
         cells = (_meaning(key), number(p["median"], width), number(low, width), number(high, width), p["unit"], who)
-        rows.append(Row(cells + health, "bad" if not good else "prior" if who == "prior" else ""))
-    columns = ("parameter", "median", "90 % from", "to", "unit", "decided by", "R-hat", "ESS bulk", "ESS tail")
+        before = (interval(*p["prior"]["hdi90"]) if p.get("prior") else NOTHING,) if assumed else ()
+        rows.append(Row(cells + before + health, "bad" if not good else "prior" if who == "prior" else ""))
+    columns = (
+        "parameter", "median", "90 % from", "to", "unit", "decided by", *(("assumed, 90 %",) if assumed else ()),
+        "R-hat", "ESS bulk", "ESS tail",
+    )  # fmt: skip
     tables = [Table(f"{_title(name)}: parameters", columns, tuple(rows))]
     checks = entry.get("predictive", [])
     if checks:
@@ -292,8 +309,8 @@ def _case_section(name: str, entry: Mapping[str, Any], folder: Path, shown: Coll
     sentences = tuple(entry.get("sentences", ()))
     evidence = entry.get("log_evidence")
     if evidence:
-        error = evidence["error"]
-        sentences += (f"Log evidence {plus_minus(evidence['value'], error)} nats.",)
+        error = max(evidence["error"], 0.01)
+        sentences += (f"Log evidence {plus_minus(evidence['value'], error)} nats, to compare models of these records.",)
     if not good:
         sentences = (_UNCONVERGED, *sentences)
     file = folder / "posterior.nc"
@@ -359,9 +376,9 @@ def _check_table(name: str, checks: Sequence[Mapping[str, Any]]) -> Table:
         error = row["standard_error"]
         outside = _is_outside(row)
         cells = (
-            str(row["name"]).partition(": ")[2] or str(row["name"]),
-            f"{number(row['measured'], 2.0 * error)} ± {number(error, 2.0 * error)}",
-            number(row["median"], 2.0 * error),
+            words(str(row["name"]).partition(": ")[2] or str(row["name"])),
+            plus_minus(row["measured"], error),
+            number(row["median"], error),
             interval(*row["hdi90"]),
             row["unit"],
             f"{row['percentile']:.0f} %",
@@ -399,7 +416,8 @@ def _pictures(folder: Path, group: str = "", *, kind: str = "") -> tuple[Picture
     out = []
     for stem in stems:
         title, alt = (_PICTURES | _MORE).get(stem, (words(stem).capitalize(), f"Figure: {words(stem)}."))
-        out.append(Picture(title, f"{group + ': ' if group else ''}{alt}", str(folder / stem)))
+        note = alt if stem in _PICTURES or stem in _MORE else ""
+        out.append(Picture(title, f"{group + ': ' if group else ''}{alt}", str(folder / stem), note))
     return tuple(out)
 
 
@@ -410,10 +428,17 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
     """Headline and section of diagnosis.json."""
     probabilities = sorted(data.get("probabilities", {}).items(), key=lambda item: -item[1])
     verdict, gap = str(data.get("verdict", "unknown")), data.get("gap") or {}
+    # What is on the first screen is the same model as one of the rows: one model, one number.
+    effects = [
+        {**e, "closed": gap["closed"]}
+        if gap.get("closed") and e.get("augmented_rms") == gap.get("augmented_rms")
+        else e
+        for e in data.get("effects") or ()
+    ]
     share = dict(probabilities).get(verdict)
     sites = sorted((data.get("sites") or {}).items(), key=lambda item: -item[1])
     pair = data.get("pair")
-    sentences = _verdict_sentences(verdict, share, sites, pair)
+    sentences = _verdict_sentences(verdict, share, sites, pair, effects)
     if pair:
         sentences.append(
             f"One effect does not close the gap; {listed([words(e) for e in pair['effects']])} together do "
@@ -452,14 +477,14 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
                    "sensitivity", "where", "forecast", "reading_unit", "warnings"),
     )  # fmt: skip
     places = _where_sections(data.get("where") or {}, translational)
-    every = (_effect_table(data.get("effects", []), probabilities),)
+    every = (_effect_table(effects, probabilities),)
     choices = _choice_tables(data.get("sensitivity") or [])
     section = Section(
         "Diagnosis",
         tuple(data.get("notes", ())),
         (
             _site_table(sites),
-            *_gap_tables(gap, data.get("effects", []), pair, str(data.get("reading_unit") or "")),
+            *_gap_tables(gap, effects, pair, str(data.get("reading_unit") or "")),
             *_forecast_tables(data.get("forecast") or {}, str(data.get("reading_unit") or "")),
             *_shift_tables(data.get("parameters") or {}),
             *_experiment_tables(data.get("next_experiment") or []),
@@ -478,9 +503,13 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
 
 
 def _verdict_sentences(
-    verdict: str, share: float | None, sites: Sequence[tuple[str, float]], pair: Mapping[str, Any] | None
+    verdict: str,
+    share: float | None,
+    sites: Sequence[tuple[str, float]],
+    pair: Mapping[str, Any] | None,
+    effects: Sequence[Mapping[str, Any]] = (),
 ) -> list[str]:
-    """The verdict in plain words, with its probability and the most probable place."""
+    """The verdict in plain words, with its probability, what the effect is, its size, and the most probable place."""
     sure = (share or 0.0) >= 0.9
     if verdict == "none":
         told = "Nothing is missing from the model" if sure else "Most probable, but not sure: nothing is missing"
@@ -493,7 +522,12 @@ def _verdict_sentences(
     if pair:
         return [f"Two causes; the stronger one is {words(verdict)} ({percent(share)})."]
     told = "The missing effect is" if sure else "Most probable, but not sure:"
-    return [f"{told} {words(verdict)} ({percent(share)}).", *where]
+    found: Mapping[str, Any] = next((e for e in effects if e.get("name") == verdict), {})
+    size = "; ".join(_parameter(k, v) for k, v in (found.get("parameters") or {}).items())
+    meant = [str(found["meaning"])] if found.get("meaning") else []
+    if size and found.get("formula"):
+        meant.append(f"Its law: {found['formula']}, with {size} (90 % intervals).")
+    return [f"{told} {words(verdict)} ({percent(share)}).", *meant, *where]
 
 
 def _place(site: str) -> str:
@@ -638,16 +672,15 @@ def _where_sections(where: Mapping[str, Any], translational: bool) -> tuple[Sect
     moves = f"{letters}: position and velocity of the primary (1) and the secondary (2). {note}"
     add("In phase space", ("where", "and", "channel", power, "p value"), rows, moves)
     event = where.get("event")
-    if event:
+    if event and event.get("local"):  # else it only says that a law is wrong everywhere
         unit = "N s" if translational else "N m s"
         impulse = f"{event['impulse_n_m_s']:.3g} ± {event['impulse_sd_n_m_s']:.2g} {unit}"
-        told = "a knock explains most of the misfit" if event.get("local") else "a law that is wrong everywhere"
         row = (
             span(event["start_s"], event["end_s"]), str(event["site"]), impulse, f"{event['gain_nats']:.0f} nats",
-            percent(event["share"]), told,
+            percent(event["share"]),
         )  # fmt: skip
-        columns = ("time [s]", "site", "impulse ± sd", "gain", "share of the misfit", "reads as")
-        add("The strongest knock at one instant", columns, [row])
+        columns = ("time [s]", "site", "impulse ± sd", "gain", "share of the misfit")
+        add("A knock at one instant explains most of the misfit", columns, [row])
     return (Section("Where the model and the rig differ", tables=tuple(tables)),) if tables else ()
 
 
@@ -800,7 +833,8 @@ def _parameter(name: str, value: Any) -> str:
         sd = value.get("sd")
         spread = f" ({interval(low, high)})" if low is not None else f" ± {number(sd)}" if sd is not None else ""
         unit = value.get("unit", "")
-        return f"{name} {number(middle)}{spread} {'' if unit == '1' else unit}".strip()
+        told = number(middle, None if low is None else high - low)
+        return f"{name} {told}{spread} {'' if unit == '1' else unit}".strip()
     if isinstance(value, list) and len(value) == 2:
         return f"{name} {number(value[0])} ± {number(value[1])}"
     return f"{name} {number(value)}"
@@ -814,7 +848,9 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
     target = data["target_db"]
     translational = data.get("kind") == "translational"
     effort, newton = ("force", "N") if translational else ("torque", "N m")
-    designs = [("your design", data.get("design", {}), data)]
+    asked = any(data.get("design", {}).get(key) is not None for key in ("J2", "k2t", "R", "magnet_pull"))
+    own = "your design" if asked else "the rig as it is"
+    designs = [(own, data.get("design", {}), data)]
     if data.get("optimum"):
         designs.append(("best design", data["optimum"]["design"], data["optimum"]))
     sentences = []
@@ -822,14 +858,23 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
         loss, p = found["linear"]["insertion_loss_db"], found["linear"]["probability_of_target"]
         low, high = loss["interval90"] or (None, None)
         sentences.append(
-            f"{name.capitalize()}, linear model: insertion loss "
-            f"{number(loss['mean'], None if low is None else high - low)} dB (90 %: {interval(low, high)} dB); "
+            f"{name[0].upper() + name[1:]}, linear model: insertion loss "
+            f"{number(loss['mean'], None if low is None else _wide(high - low, _DB))} dB (90 %: "
+            f"{_interval(low, high, _DB)} dB); "
             f"it reaches {target:g} dB with probability {percent(p)}."
         )
-    weak = [row for row in data.get("nonlinear", []) if row["probability_of_target"] < 0.5]
+    driven = data.get("nonlinear", [])
+    silent = [row for row in driven if not row["insertion_loss_db"].get("interval90")]
+    weak = [row for row in driven if row not in silent and row["probability_of_target"] < 0.5]
     if weak:
         at = listed([f"{row['torque_amplitude_n_m']:g} {newton}" for row in weak])
-        sentences.append(f"With dry friction, your design probably misses the target where the {effort} is {at}.")
+        sentences.append(f"With dry friction, {own} probably misses the target where the {effort} is {at}.")
+    if silent:
+        at = listed([f"{row['torque_amplitude_n_m']:g} {newton}" for row in silent])
+        sentences.append(
+            f"Where the {effort} is {at}, {own} has no resonance left to compare: dry friction holds it or damps "
+            "it away."
+        )
     changes = []
     if data.get("hangs_most_on"):
         name = data["hangs_most_on"]
@@ -856,14 +901,14 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
         "shift (90 %) [Hz]",
         f"P(loss ≥ {target:g} dB)",
     )
-    silent = any(row.cells[1] == NOTHING for row in rows)
     note = f"{data.get('definition', '')}." if data.get("definition") else ""
-    if silent:
+    if any(row.cells[1] == NOTHING for row in rows):
         note += (
             f" {NOTHING}: at that {effort} the rig sticks or no steady response was found, so there is no loss to tell."
         )
     tables = [Table("Insertion loss and resonance", columns, tuple(rows), note.strip())]
-    tables.append(_design_table(designs, "translational" if translational else "torsional"))
+    described = _design_table(designs, "translational" if translational else "torsional")
+    tables += [described] if described.rows else []
     if data.get("variance_shares"):
         shares = tuple(Row((k, percent(v))) for k, v in data["variance_shares"].items())
         tables.append(
@@ -895,7 +940,7 @@ def _performance_row(name: str, p: Mapping[str, Any]) -> Row:
     loss = p["insertion_loss_db"]
     low, high = loss["interval90"] or (None, None)
     cells = (
-        name, number(loss["mean"], None if low is None else high - low), interval(low, high),
+        name, number(loss["mean"], None if low is None else _wide(high - low, _DB)), _interval(low, high, _DB),
         *(_told_or_nothing(p[key]) for key in ("resonance_hz", "resonance_shift_hz")),
         NOTHING if low is None else percent(p["probability_of_target"]),
     )  # fmt: skip
@@ -907,7 +952,23 @@ def _told_or_nothing(found: Mapping[str, Any]) -> str:
     if found.get("median") is None or not found.get("interval90"):
         return number(found.get("median"))
     low, high = found["interval90"]
-    return f"{number(found['median'], high - low)} ({interval(low, high)})"
+    return f"{number(found['median'], _wide(high - low, _HZ))} ({_interval(low, high, _HZ)})"
+
+
+_DB, _HZ = SDS_WIDE, 0.1 * SDS_WIDE
+"""Widths of intervals below which nobody needs more digits: of a loss in dB, of a resonance in Hz."""
+
+
+def _wide(width: float, least: float) -> float:
+    return max(width, least)
+
+
+def _interval(low: float | None, high: float | None, least: float) -> str:
+    """An interval with no more digits than one of the `least` width would have."""
+    if low is None or high is None:
+        return NOTHING
+    width = _wide(high - low, least)
+    return f"{number(low, width)} to {number(high, width)}"
 
 
 def _design_table(designs: Sequence[tuple[str, Mapping[str, Any], Any]], kind: str) -> Table:
@@ -918,6 +979,7 @@ def _design_table(designs: Sequence[tuple[str, Mapping[str, Any], Any]], kind: s
     rows = tuple(
         Row((words(key), unit, *("as it is" if d.get(key) is None else number(d[key]) for _, d, _ in designs)))
         for key, unit in units.items()
+        if any(d.get(key) not in (None, 0.0) for _, d, _ in designs)
     )
     return Table("Designs", ("quantity", "unit", *(name for name, _, _ in designs)), rows)
 

@@ -74,6 +74,8 @@
   };
   const short = (x) => (Number.isFinite(x) ? Number(x.toPrecision(4)).toString() : "–");
 
+  const LINE = 16;  // pixels, of a legend
+
   class Chart {
     constructor(figure) {
       this.canvas = figure.querySelector("canvas");
@@ -236,7 +238,8 @@
       let top = 0;
       for (const panel of this.view.panels) {
         const share = (room * panel.height) / total;
-        this.panel(g, panel, { X, top: top + 20, bottom: top + share - 4, right, colour, steps });
+        const lines = this.lines(g, panel, right);
+        this.panel(g, panel, { X, top: top + 20 + LINE * lines.length, bottom: top + share - 4, right, colour, steps, lines });
         top += share;
       }
       g.fillStyle = colour.ink;
@@ -259,7 +262,7 @@
       }
     }
 
-    panel(g, panel, { X, top, bottom, right, colour, steps }) {
+    panel(g, panel, { X, top, bottom, right, colour, steps, lines }) {
       const [a, b] = this.range;
       let low = Infinity;
       let high = -Infinity;
@@ -300,8 +303,8 @@
       }
       g.globalAlpha = 1;
       g.textAlign = "left";
-      g.fillText(panel.y, this.left, top - 7);
-      this.legend(g, panel, { top, right, colour, after: this.left + g.measureText(panel.y).width + 16 });
+      g.fillText(panel.y, this.left, top - 7 - LINE * lines.length);
+      this.legend(g, panel, { top, right, colour, lines });
       g.save();
       g.beginPath();
       g.rect(this.left, top, right - this.left, bottom - top);
@@ -310,22 +313,39 @@
       g.restore();
     }
 
-    legend(g, panel, { top, right, colour, after }) {
-      let x = right;
-      g.textAlign = "right";
-      for (const s of [...panel.series].reverse()) {
-        const width = g.measureText(s.name).width;
-        if (x - width - 18 < after) return;
-        g.fillStyle = colour.ink;
-        g.fillText(s.name, x, top - 7);
-        g.fillStyle = colour.c[s.colour % 7];
-        g.globalAlpha = s.kind === "band" ? 0.35 : 1;
-        if (s.kind === "points") { g.beginPath(); g.arc(x - width - 8, top - 11, 2.5, 0, 7); g.fill(); }
-        else g.fillRect(x - width - 15, top - (s.kind === "band" ? 15 : 12), 11, s.kind === "band" ? 9 : 2);
-        g.globalAlpha = 1;
-        x -= width + 26;
+    // Series in lines: one beside the name of the axis where all fit there, else lines of their own below it.
+    lines(g, panel, right) {
+      const wide = (s) => g.measureText(s.name).width + 26;
+      const after = this.left + g.measureText(panel.y).width + 16;
+      const all = panel.series.reduce((sum, s) => sum + wide(s), 0);
+      if (all <= right - after) return [];
+      const out = [[]];
+      let left = right - this.left;
+      for (const s of panel.series) {
+        if (wide(s) > left && out.at(-1).length) { out.push([]); left = right - this.left; }
+        out.at(-1).push(s);
+        left -= wide(s);
       }
-      g.textAlign = "left";
+      return out;
+    }
+
+    legend(g, panel, { top, right, colour, lines }) {
+      const rows = lines.length ? lines : [panel.series];
+      const wide = (s) => g.measureText(s.name).width + 26;
+      rows.forEach((row, k) => {
+        const y = top - 7 - LINE * (rows.length - 1 - k);
+        let x = lines.length ? this.left : right + 8 - row.reduce((sum, s) => sum + wide(s), 0);
+        for (const s of row) {
+          g.fillStyle = colour.c[s.colour % 7];
+          g.globalAlpha = s.kind === "band" ? 0.35 : 1;
+          if (s.kind === "points") { g.beginPath(); g.arc(x + 7, y - 4, 2.5, 0, 7); g.fill(); }
+          else g.fillRect(x, y - (s.kind === "band" ? 8 : 5), 11, s.kind === "band" ? 9 : 2);
+          g.globalAlpha = 1;
+          g.fillStyle = colour.ink;
+          g.fillText(s.name, x + 15, y);
+          x += wide(s);
+        }
+      });
     }
 
     series(g, s, X, Y, colour) {

@@ -1,0 +1,121 @@
+"""The words of statistics that a page uses, in a sentence each, for engineers who have not met them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from bayes_damper.report.parts import Headline, Section, Table
+
+
+@dataclass(frozen=True)
+class _Term:
+    word: str
+    pattern: str
+    meaning: str
+
+
+_TERMS = (
+    _Term(
+        "prior",
+        r"\bpriors?\b|\bassumed\b",
+        "What was known of a parameter before these data, as a distribution: from drawings, catalogues, handbooks.",
+    ),
+    _Term(
+        "posterior, draws",
+        r"\bposterior\b|\bdraws?\b",
+        "What is known after the data: a distribution over all parameters together. Some thousand draws, each a full "
+        "set of values, stand for it.",
+    ),
+    _Term(
+        "90 % interval",
+        r"\b90 %",
+        "The shortest interval that holds 90 % of the draws. Given model, data and prior, the value lies in it with "
+        "probability 0.9.",
+    ),
+    _Term("sd", r"\bsd\b", "Standard deviation: how far a value is typically off."),
+    _Term(
+        "converged",
+        r"\b[Cc]onverge",
+        "The draws represent the posterior well enough. It does not say that the model is right.",
+    ),
+    _Term(
+        "R-hat",
+        r"\bR-hat\b",
+        "Compares independent runs. 1.00: they agree. Above 1.01: they have not seen the same yet.",
+    ),
+    _Term(
+        "effective sample size (ESS)",
+        r"\bESS\b|\beffective sample size\b",
+        "How many independent draws a run is worth: bulk for medians, tail for the ends of intervals. 1000 will do.",
+    ),
+    _Term(
+        "autocorrelation time",
+        r"\bautocorrelation time",
+        "How many steps until a random walk has forgotten where it was; a run should last many of them.",
+    ),
+    _Term(
+        "evidence",
+        r"\bevidence\b",
+        "Probability of the data under a model, all its parameters averaged over. It rewards fit and punishes "
+        "flexibility that is not needed. Only differences between models of the same records mean anything.",
+    ),
+    _Term(
+        "nat",
+        r"\bnats?\b",
+        "Unit of the logarithm of a ratio of probabilities: 0.69 nats are odds of 2 to 1, 3 nats of 20 to 1.",
+    ),
+    _Term(
+        "p value",
+        r"\bp value|\bp below|\bp =",
+        "How often noise alone would look at least as bad. Small: noise alone does not explain the data. It is not the "
+        "probability that nothing is wrong.",
+    ),
+    _Term("residual", r"\b[Rr]esiduals?\b", "Measured minus modelled."),
+    _Term(
+        "held-out trial",
+        r"\b[Hh]eld[- ]out\b",
+        "A trial that the parameters were not fitted to: it shows whether the model predicts.",
+    ),
+    _Term("nominal model", r"\b[Nn]ominal model\b", "The equations of the rig with no effect added."),
+    _Term(
+        "unknown, as an answer",
+        r"outside the library|no effect of the library",
+        "Something is missing that no effect of the library explains.",
+    ),
+    _Term(
+        "insertion loss",
+        r"\b[Ii]nsertion loss\b",
+        "By how many dB the highest acceleration per exciting torque (force) falls when the secondary is added.",
+    ),
+    _Term("accelerance", r"\b[Aa]ccelerance\b", "Acceleration per exciting torque (force), over frequency."),
+)
+
+
+def terms(headlines: Iterable[Headline], sections: Iterable[Section]) -> list[tuple[str, str]]:
+    """(word, meaning) of the terms that these parts of a page use, in the order in which they build on each other."""
+    text = "\n".join([t for h in headlines for t in _of_headline(h)] + [t for s in sections for t in _of_section(s)])
+    return [(term.word, term.meaning) for term in _TERMS if re.search(term.pattern, text)]
+
+
+def _of_headline(headline: Headline) -> Iterator[str]:
+    yield from (headline.title, *headline.sentences, *headline.changes)
+    if headline.table is not None:
+        yield from _of_table(headline.table)
+
+
+def _of_section(section: Section) -> Iterator[str]:
+    yield from (section.title, *section.sentences)
+    for table in section.tables:
+        yield from _of_table(table)
+    yield from (text for chart in section.charts for text in (chart.title, chart.alt))
+    yield from (text for picture in section.pictures for text in (picture.title, picture.alt))
+    for part in section.parts:
+        yield from _of_section(part)
+
+
+def _of_table(table: Table) -> Iterator[str]:
+    yield from (table.caption, table.note, *table.columns)
+    for row in table.rows:
+        yield from row.cells
