@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bayes_damper.errors import ExitCode
-from bayes_damper.fit import Fit, fit
+from bayes_damper.errors import ExitCode, InputError
+from bayes_damper.fit import Fit, OtherRun, fit
 from bayes_damper.report import report
 from bayes_damper.run import Progress
 
@@ -38,9 +38,18 @@ def demo(
     out: str | Path = "results/demo", *, seed: int = 1, workers: int = 2, quick: bool = False,
     scheduler: str | None = None, progress: Progress | None = None,
 ) -> Demo:  # fmt: skip
-    """Fit the four cases of the thesis and write the report. quick : stop early, marked as not converged."""
-    fitted = fit(
-        "thesis", out=out, seed=seed, workers=workers, most_steps=QUICK_STEPS if quick else None, scheduler=scheduler,
-        progress=progress,
-    )  # fmt: skip
+    """Fit the four cases of the thesis and write the report. quick : stop early, marked as not converged.
+
+    Raises
+    ------
+    InputError
+        if `out` holds another run, with what to type.
+    """
+    try:
+        fitted = fit(
+            "thesis", out=out, seed=seed, workers=workers, most_steps=QUICK_STEPS if quick else None,
+            scheduler=scheduler, progress=progress,
+        )  # fmt: skip
+    except OtherRun as error:
+        raise InputError([*error.faults, f"With make, beside it: make demo DEMO_OUT={error.beside}"]) from None
     return Demo(fitted, report(fitted.folder).path)

@@ -7,6 +7,7 @@ side, and an interrupted fit goes on where it stopped.
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import math
 import re
@@ -261,6 +262,18 @@ def plan_in(record: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     return dict(plan)
 
 
+class OtherRun(InputError):
+    """A folder holds what is not to be mixed with the run asked for: nothing was touched, and `beside` is free."""
+
+    def __init__(self, folder: Path, what: str, more: str) -> None:
+        taken = (folder.with_name(f"{folder.name}-{k}") for k in itertools.count(2))
+        self.beside = next(path for path in taken if not path.exists())
+        super().__init__(
+            f"{folder}: {what}. Nothing was touched.{more} For new results beside it, begin with --out {self.beside}; "
+            f"for new ones in its place: mv {folder} {self.beside}, then the same command again"
+        )
+
+
 def start_run(folder: Path, record: Mapping[str, Any]) -> None:
     """Note in `folder` what runs there and what runs it, so that `resume` can go on; refuse a folder of another run.
 
@@ -277,9 +290,7 @@ def start_run(folder: Path, record: Mapping[str, Any]) -> None:
         changed = _differences("command", before.get("command"), record["command"])
         changed += _differences("", before.get("plan", {}), record["plan"])
         if changed:
-            raise InputError(
-                f"{folder}: holds another run: {'; '.join(changed)}. Name another --out, or remove the folder"
-            )
+            raise OtherRun(folder, f"holds another run: {'; '.join(changed)}", "")
         refuse_changes(folder, before)
     write_json(path, dict(record) | {"made_by": _versions()})
 
@@ -293,10 +304,10 @@ def refuse_changes(folder: Path, record: Mapping[str, Any]) -> None:
         with every difference.
     """
     if changed := _differences("", record.get("made_by", {}), _versions()):
-        raise InputError(
-            f"{folder}: cannot go on, the code is not that of the run: {'; '.join(changed)}. Install again what it "
-            "began with, or start anew with another --out"
-        )
+        ended = (folder / "summary.json").exists()
+        what = "results that are complete, made by" if ended else "an unfinished run of"
+        more = "" if ended else " To go on with it, install again what it began with."
+        raise OtherRun(folder, f"holds {what} another version of the code: {'; '.join(changed)}", more)
 
 
 def _versions() -> dict[str, str]:

@@ -91,6 +91,8 @@ _PATTERN = {
 }
 _LEAST_KNOWN = 0.5
 """Share of a file's lines that must hold readings."""
+_STILL = 12.0
+"""Reach of a record that rests, in standard deviations of its noise, at most."""
 _GRAVITY = 9.80665
 _DEGREE = math.pi / 180.0
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
@@ -540,6 +542,11 @@ def _window(
         zero = float(t[0])
     elif release == "find":
         zero = look.find_release(t, part)
+        if zero <= t[4] and np.ptp(part) <= _STILL * look.noise_floor_of(part):
+            raise InputError(
+                f"{where}: no release found: the record rests throughout, nothing in it exceeds the noise; check that "
+                "the column is that of the sensor, and that the trial was recorded"
+            )
         if zero <= t[4]:
             raise InputError(
                 f"{where}: no release found: the record moves from its first reading on, so it "
@@ -797,14 +804,14 @@ def _guessed_all(
     first = found[paths[0]]
     if all(other == first for other in found.values()):
         columns, words = first
-        caveats.append(f"The columns were not named: taken were {words}.")
+        caveats.append(f"The columns were not named; taken: {words}.")
         if len(columns["columns"]) == 2 and not told:
             caveats.append(_ALL_COUPLED)
         return {Path(): columns}
     counts = {len(columns["columns"]) for columns, _ in found.values()}
     for words in dict.fromkeys(words for _, words in found.values()):
         where = [path.name for path, (_, other) in found.items() if other == words]
-        caveats.append(f"The columns were not named: taken were {words} in {_files(where)}.")
+        caveats.append(f"The columns were not named; taken from {_files(where)}: {words}.")
     if told or len(counts) == 1:
         return {path: dict(columns) for path, (columns, _) in found.items()}
     single = [path.name for path, (columns, _) in found.items() if len(columns["columns"]) == 1]
@@ -862,11 +869,16 @@ def _guessed(path: Path, given: Mapping[str, Any]) -> tuple[dict[str, Any], str]
             "with --time (or give --sample-rate)"
         )
     found: dict[str, Any] = {"columns": [i + 1 for i in readings]}
-    told = [f"{source.names[i]} ({i + 1})" if source.names else str(i + 1) for i in readings]
+    told = [f"{_column(source, i)} for the {who}" for i, who in zip(readings, ("primary", "secondary"), strict=False)]
     if time is not None:
         found["time"] = time + 1
-        told.append(f"{source.names[time]} ({time + 1}) for the time" if source.names else f"{time + 1} for the time")
+        told.append(f"{_column(source, time)} for the time")
     return found, ", ".join(told)
+
+
+def _column(source: LoggerFile, i: int) -> str:
+    """A column for a sentence: its number, and its name where it has one."""
+    return f"column {i + 1}" + (f" ({source.names[i]})" if source.names else "")
 
 
 def _repeated(options: Sequence[Mapping[str, Any]]) -> list[str]:

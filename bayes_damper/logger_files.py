@@ -277,16 +277,18 @@ def _begin(lines: Sequence[Line], option: Mapping[str, Any], mark: str, comma: b
     return (first - 1, True) if enough and option.get("header", True) else (first, False)
 
 
+def _is_number(cell: str, comma: bool) -> bool:
+    """Whether a cell holds a number."""
+    try:
+        return math.isfinite(number_of(cell, comma))
+    except ValueError:
+        return False
+
+
 def _half_numbers(line: str, mark: str, comma: bool) -> bool:
     """Whether half of a line's cells are numbers."""
     cells = _split(line, mark)
-    numbers = 0
-    for cell in cells:
-        try:
-            numbers += math.isfinite(number_of(cell, comma))
-        except ValueError:
-            continue
-    return 2 * numbers >= len(cells)
+    return 2 * sum(_is_number(cell, comma) for cell in cells) >= len(cells)
 
 
 def _rows(
@@ -312,7 +314,7 @@ def _rows(
         try:
             row = values if values is not None else [number_of(c, comma) for c in cells]  # all missing
         except ValueError:
-            raise InputError(_bad_line(name, number, line, cells, named)) from None
+            raise InputError(_bad_line(name, number, line, cells, named, comma)) from None
         if len(row) > width and all(math.isnan(v) for v in row[width:]):
             row = row[:width]
         if len(row) != width:
@@ -350,9 +352,21 @@ def _trimmed(cells: Sequence[str]) -> list[str]:
     return kept
 
 
-def _bad_line(name: str, line: int, text: str, cells: Sequence[str], named: bool) -> str:
-    if any(re.fullmatch(r"\s*[-+]?\d+,\d+(e[-+]?\d+)?\s*", c, re.IGNORECASE) for c in cells):
+_THOUSANDS = re.compile(r"\s*[-+]?\d{1,3}(?:(?:\.\d{3})+,\d+|(?:,\d{3})+\.\d+|(?:[ ']\d{3})+(?:[.,]\d+)?)\s*")
+
+
+def _bad_line(name: str, line: int, text: str, cells: Sequence[str], named: bool, comma: bool) -> str:
+    if thousands := next((c.strip() for c in cells if _THOUSANDS.fullmatch(c)), None):
+        return f"{name}, line {line}: '{thousands}' has a mark between thousands; export the numbers without it"
+    if not comma and any(re.fullmatch(r"\s*[-+]?\d+,\d+(e[-+]?\d+)?\s*", c, re.IGNORECASE) for c in cells):
         return f"{name}, line {line}: '{text.strip()[:40]}' has decimal commas; set decimal = ','"
+    numbers = [_is_number(c, comma) for c in cells]
+    if any(numbers) and not all(numbers):
+        odd = cells[numbers.index(False)].strip()
+        return (
+            f"{name}, line {line}: '{odd[:40]}' is no number; where a reading is missing leave the cell empty, or "
+            "remove the line"
+        )
     hint = (
         "set skip_lines to the number of lines before the column names" if named else "set skip_lines, or header = true"
     )

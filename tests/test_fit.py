@@ -17,6 +17,7 @@ from scipy.stats import binom
 
 from bayes_damper import arviz_adapter
 from bayes_damper.campaign import record_text
+from bayes_damper.demo import demo
 from bayes_damper.effects import EFFECTS
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.fit import fit, plan_fit, published_posterior, start_run
@@ -226,6 +227,27 @@ def test_a_run_of_another_version_is_refused_before_any_work(tmp_path, name):
     with pytest.raises(InputError, match=said):
         start_run(tmp_path, record)
     assert sorted(p.name for p in tmp_path.rglob("*")) == ["I", "run.json"]
+
+
+def test_the_demo_after_an_upgrade_says_what_to_type_and_touches_nothing(tmp_path):
+    home = tmp_path / "demo"
+    home.mkdir()
+    _begun(home)
+    there = json.loads((home / "run.json").read_text())
+    write_json(home / "run.json", there | {"made_by": there["made_by"] | {"bayes_damper": "0.0.7"}})
+    with pytest.raises(InputError, match=r"an unfinished run of another version .* install again what it began with"):
+        demo(home)
+    (home / "summary.json").write_text("{}")
+    (tmp_path / "demo-2").mkdir()
+    before = {path: path.read_bytes() for path in home.rglob("*") if path.is_file()}
+    with pytest.raises(InputError) as raised:
+        demo(home)
+    beside = tmp_path / "demo-3"
+    for said in ("holds results that are complete", f"begin with --out {beside}", f"mv {home} {beside}",
+                 f"make demo DEMO_OUT={beside}"):  # fmt: skip
+        assert said in str(raised.value)
+    assert {path: path.read_bytes() for path in home.rglob("*") if path.is_file()} == before
+    assert not beside.exists()
 
 
 def test_another_plan_is_refused_with_every_difference(tmp_path):

@@ -241,6 +241,15 @@ def test_files_of_many_loggers_give_the_same_campaign(tmp_path: Path, style: str
     assert ("below the numbers" in told) == ("foot" in style)
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+def test_a_record_in_which_nothing_moves_is_told_as_such(tmp_path: Path, noise: float) -> None:
+    rest = noise * np.random.default_rng(1).standard_normal(TIMES.size)
+    first = logger_file(tmp_path / "run.csv", rest)
+    told = fault_of(tmp_path, first, release="find")
+    assert "the record rests throughout" in told
+    assert "moves from its first reading" not in told
+
+
 def test_channels_in_files_of_their_own(tmp_path: Path) -> None:
     first = logger_file(tmp_path / "run1_a.csv", wave())
     second = logger_file(tmp_path / "run1_b.csv", 0.3 * wave(1))
@@ -387,7 +396,13 @@ def test_names_and_a_sheet_tell_the_trials_apart(tmp_path: Path) -> None:
         (b"PK\x03\x04" + bytes(range(200)), "an Excel workbook or another archive; save it as CSV"),
         (bytes(range(256)) * 20, "this is no text"),
         (b"hello\nworld\nfoo\nbar\n", "holds no row of numbers"),
-        (table(["t,a"], ["0.0,1.0"] * 3 + ["0.1,bad"] + ["0.2,1.0"] * 9), "line 5: '0.1,bad' is not a row of numbers"),
+        (
+            table(["t,a"], ["0.0,1.0"] * 3 + ["0.1,bad"] + ["0.2,1.0"] * 9),
+            "line 5: 'bad' is no number; where a reading",
+        ),
+        (table(["t,a"], ["0.0,1.0"] * 9 + ["pause,off"] + ["0.2,1.0"] * 9), "'pause,off' is not a row of numbers"),
+        (table(["t;a"], ["0,1;2,5"] * 9 + ["0,2;OVER"] + ["0,3;2,5"] * 9), "line 11: 'OVER' is no number; where"),
+        (table(["t;a"], ["0.1;2.5"] * 9 + ["0.2;1,987.2"] + ["0.3;2.5"] * 9), "'1,987.2' has a mark between thousands"),
         (table(["t,a,a"], ["0.0,1.0,2.0"] * 30), "2 columns are called 'a'; give their numbers"),
         (table(["t,a"], ["0,0,1,5"] * 30), "4 columns"),
         (table(["t,a [mV]"], [f"{i / 1e3:.3f},1.5" for i in range(99)]), "give the sensitivity of each sensor"),
