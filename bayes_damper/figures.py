@@ -409,7 +409,7 @@ def response_figure(result: Mapping[str, Any], *, title: str) -> Figure:
     effort = "force" if result.get("kind") == "translational" else "torque"
     columns = min(2, len(panels))
     rows = -(-len(panels) // columns)
-    figure = new_figure(4.6 * columns, 2.7 * rows + 0.5)
+    figure = new_figure(4.6 * columns, 2.7 * rows + 0.5, result.get("converged", True))
     with mpl.rc_context(_RC):
         axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
         for axis, (excited, bands) in zip(axes, panels.items(), strict=False):
@@ -445,7 +445,7 @@ def tuning_figure(result: Mapping[str, Any], *, title: str) -> Figure:
     first = bool(result["nonlinear"])
     translational = result.get("kind") == "translational"
     columns = len(curves) + first
-    figure = new_figure(3.4 * max(columns, 1) + 0.4, 3.3)
+    figure = new_figure(3.4 * max(columns, 1) + 0.4, 3.3, result.get("converged", True))
     with mpl.rc_context(_RC):
         axes = figure.subplots(1, max(columns, 1), squeeze=False, sharey=True)[0]
         for k, (name, rows) in enumerate(driven.items()):

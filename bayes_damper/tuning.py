@@ -195,7 +195,8 @@ def posterior_draws(
 class Origin:
     """Where draws come from: name of the campaign, its checksum, and the rig's constants that are not among them.
 
-    kind : of the rig; amplitudes : torques (N m; forces, N) that suit its size.
+    kind : of the rig; amplitudes : torques (N m; forces, N) that suit its size; converged : whether the fit of the case
+    did, True where nothing tells; warnings : what is odd in the records that were fitted.
     """
 
     campaign: str = ""
@@ -203,6 +204,8 @@ class Origin:
     constants: Mapping[str, float] = field(default_factory=dict)
     kind: str = "torsional"
     amplitudes: tuple[float, ...] = AMPLITUDES
+    converged: bool = True
+    warnings: tuple[str, ...] = ()
 
     @property
     def effort(self) -> tuple[str, str]:
@@ -245,7 +248,14 @@ def origin_of(source: Mapping[str, ArrayLike] | Path | str, case: str) -> Origin
     if not (folder / "run.json").is_file():
         return Origin()
     plan = read_json(folder / "run.json").get("plan", {})
-    told = {"campaign": str(plan.get("name", "")), "sha256": plan.get("campaign_sha256")}
+    summary = read_json(folder / "summary.json") if (folder / "summary.json").is_file() else {}
+    entry = summary.get("joint") if case == "joint" else (summary.get("cases") or {}).get(case)
+    told = {
+        "campaign": str(plan.get("name", "")),
+        "sha256": plan.get("campaign_sha256"),
+        "converged": bool((entry or {}).get("converged", True)),
+        "warnings": tuple(summary.get("warnings", ())),
+    }
     if plan.get("campaign") in (None, "thesis"):
         return Origin(**told)
     campaign = load_campaign(plan["campaign"])
@@ -642,7 +652,11 @@ class TuneResult:
     origin: Origin = field(default_factory=Origin)
     seed: int = 1
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    exit_code: ExitCode = ExitCode.DONE
+
+    @property
+    def exit_code(self) -> ExitCode:
+        """As that of the fit that the draws come from."""
+        return ExitCode.DONE if self.origin.converged else ExitCode.NOT_CONVERGED
 
     def to_json(self) -> dict[str, Any]:
         """The content of tune.json."""
@@ -654,6 +668,8 @@ class TuneResult:
             "seed": self.seed,
             "case": self.case,
             "kind": self.origin.kind,
+            "converged": self.origin.converged,
+            "warnings": list(self.origin.warnings),
             "definition": "20 log10 of the highest accelerance without the secondary over the highest with it (eq. 24)",
             "draws": len(self.draws["J1"]),
             "target_db": self.target_db,
@@ -703,7 +719,10 @@ class TuneResult:
     def text(self) -> str:
         """The result in a few lines."""
         effort, unit = self.origin.effort
-        lines = [f"Case {self.case}, {counted(len(self.draws['J1']), 'draw')}; target {self.target_db:g} dB."]
+        lines = [f"warning: {w}" for w in self.origin.warnings]
+        if not self.origin.converged:
+            lines.append("*** THE FIT DID NOT CONVERGE: do not use these numbers ***")
+        lines += [f"Case {self.case}, {counted(len(self.draws['J1']), 'draw')}; target {self.target_db:g} dB."]
         lines.append(f"linear model: {_sentence(self.linear, self.target_db)}")
         lines += [f"{effort} {a:g} {unit}: {_sentence(p, self.target_db)}" for a, p in self.nonlinear.items()]
         if self.optimum is not None:

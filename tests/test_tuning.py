@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from bayes_damper import figures, linear, report, tuning
 from bayes_damper.campaign import load_campaign
-from bayes_damper.errors import InputError
+from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.run import write_json
 from bayes_damper.tuning import Design
 
@@ -334,6 +334,28 @@ def test_constants_of_a_fitted_campaign_are_its_own(tmp_path):
     assert len(found.to_json()["campaign_sha256"]) == 64
 
 
+@pytest.mark.parametrize("converged", [True, False])
+def test_a_fit_that_did_not_converge_marks_what_is_tuned_from_it(tmp_path, converged):
+    fit = fitted_folder(tmp_path)
+    summary = json.loads((fit / "summary.json").read_text())
+    summary["warnings"] = ["trials/2.csv: a gap"]
+    for entry in summary["cases"].values():
+        entry["converged"] = converged
+    write_json(fit / "summary.json", summary)
+    found = tuning.tune(fit, case="IV", amplitudes=(), optimise=False, n_draws=10, out=tmp_path / "tune")
+    assert found.exit_code == (ExitCode.DONE if converged else ExitCode.NOT_CONVERGED)
+    told = json.loads((tmp_path / "tune" / "tune.json").read_text())
+    assert told["converged"] is converged
+    assert told["warnings"] == ["trials/2.csv: a gap"]
+    text = found.text()
+    assert text.startswith("warning: trials/2.csv: a gap\n")
+    assert ("DID NOT CONVERGE" in text) is not converged
+    assert ("NOT CONVERGED" in (tmp_path / "tune" / "tune_loss.svg").read_text(encoding="utf-8")) is not converged
+    page = report(tmp_path / "tune").path.read_text(encoding="utf-8")
+    assert ("The tuning rests on a fit that did not converge" in page) is not converged
+    assert "trials/2.csv: a gap" in page
+
+
 def test_a_rig_that_tuning_does_not_know_is_refused(tmp_path):
     toml = CAMPAIGN_TOML.replace("[measurement]", "ground2_stiffness = 1.0\n[measurement]")
     with pytest.raises(InputError, match="no spring from the secondary"):
@@ -403,7 +425,7 @@ def test_carts_are_tuned_in_newtons_and_kilograms(tmp_path):
     assert "force 0.18 N: insertion loss" in found.text()
     assert " kg, k2t = " in found.text()
     text = re.sub(r"<[^>]+>|\s+", " ", report(tmp_path / "tune").path.read_text(encoding="utf-8"))
-    assert "your design, force 0.18 N " in text
+    assert "the rig as it is, force 0.18 N " in text
     assert "accelerance [dB re 1/kg]" in text
     assert "N m" not in text
     with pytest.raises(InputError, match="a translational rig has no radius"):

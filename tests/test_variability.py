@@ -354,7 +354,8 @@ def write_fit(folder, cases, converged=True):
     rng = np.random.default_rng(9)
     folder.mkdir()
     write_json(folder / "run.json", {"command": "fit", "plan": cases.plan, "workers": 1})
-    write_json(folder / "summary.json", {"schema": "bayes-damper/fit/1", "converged": converged, "cases": {}})
+    summary = {"schema": "bayes-damper/fit/1", "converged": converged, "cases": {}, "warnings": ["trials/2.csv: a gap"]}
+    write_json(folder / "summary.json", summary)
     for case, fit in cases.fits.items():
         q = rng.multivariate_normal(fit.q, fit.covariance, 2 * 50 * 8)
         draws = {
@@ -391,6 +392,8 @@ def test_half_shared_campaign_end_to_end(tmp_path):
         low, high = row["direct"]["hdi90"]
         assert abs(row["recycled"]["median"] - row["direct"]["median"]) < high - low
     assert (tmp_path / "fit" / "variability_effective.svg").exists()
+    assert result["warnings"] == ["trials/2.csv: a gap"]
+    assert found.text().startswith("warning: trials/2.csv: a gap\n")
     assert "one parameter set for all cases" in found.text()
 
 

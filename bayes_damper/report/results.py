@@ -853,7 +853,8 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
     designs = [(own, data.get("design", {}), data)]
     if data.get("optimum"):
         designs.append(("best design", data["optimum"]["design"], data["optimum"]))
-    sentences = []
+    converged = bool(data.get("converged", True))
+    sentences = [] if converged else ["The fit that this rests on did not converge: do not use these numbers."]
     for name, _, found in designs:
         loss, p = found["linear"]["insertion_loss_db"], found["linear"]["probability_of_target"]
         low, high = loss["interval90"] or (None, None)
@@ -917,9 +918,10 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
     chart = response_chart(data.get("frequency_response", {}), translational=translational)
     p = data["linear"]["probability_of_target"]
     head = Headline(
-        f"Tuning, case {data.get('case', '')}", "good" if p > 0.9 else "bad" if p < 0.1 else "open", tuple(sentences),
-        changes=tuple(changes),
+        f"Tuning, case {data.get('case', '')}", "bad" if p < 0.1 or not converged else "good" if p > 0.9 else "open",
+        tuple(sentences), changes=tuple(changes),
     )  # fmt: skip
+    warnings = () if converged else ("The tuning rests on a fit that did not converge: do not use its numbers.",)
     section = Section(
         "Tuning",
         (f"From {counted(int(data.get('draws') or 0), 'draw')} of the posterior.",),
@@ -927,7 +929,8 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
         () if chart is None else (chart,),
         _pictures(folder, kind="tune"),
     )
-    return Result(head, section, (), dict(data.get("provenance", {})) | _fingerprint(data))
+    about = dict(data.get("provenance", {})) | _fingerprint(data)
+    return Result(head, section, warnings, about, tuple(data.get("warnings", ())))
 
 
 _SHARES = (
@@ -1062,14 +1065,15 @@ def variability_result(data: Mapping[str, Any], folder: Path) -> Result:
     rest = generic(
         data, "", ("schema", "campaign", "campaign_sha256", "seed", "converged", "sentences", "provenance", "models",
                    "effective", "decomposition", "recycled", "method", "method_of_effective", "cases", "pooled",
-                   "common"),
+                   "common", "warnings"),
     )  # fmt: skip
     pictures = _pictures(folder, kind="variability")
     told = tuple(str(data[key]) for key in ("method", "method_of_effective") if data.get(key))
     tables = (compared, *_decomposition_tables(data), *_recycled_tables(data.get("recycled") or {}))
     section = Section("Variability", told, tables, (), pictures, folded(rest))
     warnings = () if converged else ("The comparison of the cases did not converge: do not use its numbers.",)
-    return Result(head, section, warnings, dict(data.get("provenance", {})) | _fingerprint(data))
+    about = dict(data.get("provenance", {})) | _fingerprint(data)
+    return Result(head, section, warnings, about, tuple(data.get("warnings", ())))
 
 
 def _decomposition_tables(data: Mapping[str, Any]) -> list[Table]:

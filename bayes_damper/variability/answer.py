@@ -62,7 +62,8 @@ class Variability:
     def text(self) -> str:
         """A table for the terminal, warnings first."""
         r = self.result
-        lines = [] if self.converged else ["*** DID NOT CONVERGE: do not use these numbers ***"]
+        lines = [f"warning: {w}" for w in r.get("warnings", ())]
+        lines += [] if self.converged else ["*** DID NOT CONVERGE: do not use these numbers ***"]
         lines.append(f"{r['campaign']}: cases {', '.join(r['cases'])}")
         lines.append(f"  {'':44s}{'log evidence':>14s}{'probability':>13s}{'unseen data':>13s}")
         for name, model in r["models"].items():
@@ -156,6 +157,7 @@ def variability(
         "decomposition": found.parts if found is not None else None,
         "method_of_effective": found.method if found is not None else None,
     }
+    result["warnings"] = [] if fitted is None else list(read_json(fitted / "summary.json").get("warnings", ()))
     result["sentences"] = _sentences(result, fit_converged)
     result["provenance"] = provenance()
     result = _plain(result)
