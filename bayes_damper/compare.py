@@ -24,7 +24,7 @@ from bayes_damper.fit import published_posterior
 from bayes_damper.parameters import PARAMETERS
 from bayes_damper.priors import priors_from_dict
 from bayes_damper.provenance import provenance
-from bayes_damper.run import read_json, write_json
+from bayes_damper.run import folder_name, read_json, write_json
 from bayes_damper.sensitivity import WIDTHS, of_standard_draws
 
 Array = NDArray[np.float64]
@@ -227,7 +227,7 @@ def _fit_pieces(path: Path, summary: Mapping[str, Any], seed: int) -> dict[str, 
     sensitivity: dict[str, Any] = {}
     for case, entry in summary["cases"].items():
         row = f"case {case}"
-        file = path / case / "posterior.nc"
+        file = path / folder_name(case) / "posterior.nc"
         # What the fit has worked out already is not worked out again.
         known = (entry.get("log_evidence") or {}).get("value", entry.get("best_fit", {}).get("log_evidence_laplace"))
         if known is not None:

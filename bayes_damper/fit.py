@@ -10,7 +10,6 @@ import hashlib
 import itertools
 import json
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -45,7 +44,7 @@ from bayes_damper.priors import PriorSet, campaign_priors, load_priors, priors_f
 from bayes_damper.provenance import code_sha256, package_version, provenance
 from bayes_damper.published import load_published
 from bayes_damper.record_posterior import RecordPosterior, trial_label
-from bayes_damper.run import Progress, Silent, Task, read_json, run_tasks, stopped, write_json
+from bayes_damper.run import Progress, Silent, Task, folder_name, read_json, run_tasks, stopped, write_json
 from bayes_damper.sampling import Progress as Stage
 from bayes_damper.sampling import Sampling, Start, StoppingRule, annealed_start, resampled_start, sample
 from bayes_damper.sensitivity import of_standard_draws
@@ -394,13 +393,6 @@ def _write_overview(folder: Path, cases: Sequence[str], summary: Mapping[str, An
     )
     _draw_overview(folder, summary)
     write_json(folder / "summary.json", summary)
-
-
-def folder_name(case: str) -> str:
-    """The folder of a case: its label where that is a plain word, else one that no file system minds."""
-    if re.fullmatch(r"[\w-]+", case):
-        return case
-    return re.sub(r"[^\w-]+", "_", case) + "-" + hashlib.sha256(case.encode()).hexdigest()[:6]
 
 
 def stopping_rule(plan: Mapping[str, Any]) -> StoppingRule:

@@ -7,9 +7,11 @@ depend on the number of workers or on the order, because every task carries its 
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import json
 import os
+import re
 import signal
 import threading
 import time
@@ -55,6 +57,13 @@ class Silent:
 
     def update(self, task: str, share: float, text: str) -> None:
         """Nothing."""
+
+
+def folder_name(case: str) -> str:
+    """The folder of a case: its label where that is a plain word, else one that no file system minds."""
+    if re.fullmatch(r"[\w-]+", case):
+        return case
+    return re.sub(r"[^\w-]+", "_", case) + "-" + hashlib.sha256(case.encode()).hexdigest()[:6]
 
 
 def write_json(path: Path, data: Any) -> None:

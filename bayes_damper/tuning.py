@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,7 @@ from bayes_damper.model import Model
 from bayes_damper.parameters import unit_of
 from bayes_damper.provenance import provenance
 from bayes_damper.published import load_published
-from bayes_damper.run import read_json, write_json
+from bayes_damper.run import folder_name, read_json, write_json
 from bayes_damper.wording import counted
 
 Array = NDArray[np.float64]
@@ -232,10 +232,13 @@ def chosen_case(source: Mapping[str, ArrayLike] | Path | str, case: str | None) 
     return wanted
 
 
-def origin_of(source: Mapping[str, ArrayLike] | Path | str, case: str) -> Origin:
+def origin_of(
+    source: Mapping[str, ArrayLike] | Path | str, case: str, known: Mapping[str, float] | None = None
+) -> Origin:
     """The campaign that a fit's folder belongs to; nothing for arrays.
 
-    The constants of a recorded campaign that were not inferred stand in its files, which must be where they were.
+    The constants of a recorded campaign that were not inferred stand in its files, which must be where they were; those
+    that are `known` (SI) already are taken as they are.
 
     Raises
     ------
@@ -274,8 +277,11 @@ def origin_of(source: Mapping[str, ArrayLike] | Path | str, case: str) -> Origin
         constants = {"R": 1.0} | constants | {"mu": 0.0, "N0": 0.0}
     if (plan.get("normal_force") or rig.normal_force) == "constant":
         constants["r"] = _WITHOUT_LIMIT
+    constants |= known or {}
     springs = dict.fromkeys(t.k1t.value for t in campaign.trials if case in ("joint", t.case))
-    if len(springs) == 1:
+    if "k1t" in constants:
+        pass
+    elif len(springs) == 1:
         constants["k1t"] = next(iter(springs))
     elif springs:
         listed = ", ".join(f"{k:g}" for k in springs)
@@ -302,33 +308,55 @@ def _suitable(campaign: Campaign, case: str) -> tuple[float, ...]:
 
 
 def _stored(folder: Path, case: str, n: int, rng: np.random.Generator) -> dict[str, Array]:
-    for place in (folder / case, folder):
+    """Draws of one case from the files of a fit: its own posterior, else its numbers in summary.json."""
+    for place in (folder / folder_name(case), folder):
         file = place / "posterior.nc"
-        if file.is_file():
-            return _draws_of_file(file)
+        if file.is_file() and (draws := _draws_of_file(file, case)):
+            return draws
     summary = read_json(folder / "summary.json")
     try:
-        table = summary["cases"][case]["parameters"]
+        table = (summary["cases"] | ({"joint": summary["joint"]} if "joint" in summary else {}))[case]["parameters"]
     except (KeyError, TypeError):
         known = ", ".join(summary.get("cases", {})) if isinstance(summary, dict) else ""
         raise InputError(f"{folder / 'summary.json'}: has no case {case!r}; it has {known or 'none'}") from None
     draws = {}
-    for name in NONLINEAR:
-        if name in table:
-            mean, sd = float(table[name]["mean"]), float(table[name]["sd"])
-            s2 = math.log1p((sd / mean) ** 2) if mean > 0.0 else 0.0
-            draws[name] = mean * np.exp(math.sqrt(s2) * rng.standard_normal(n) - 0.5 * s2)
+    for name, stored in _entries(table, case).items():
+        mean, sd = float(table[stored]["mean"]), float(table[stored]["sd"])
+        s2 = math.log1p((sd / mean) ** 2) if mean > 0.0 else 0.0
+        draws[name] = mean * np.exp(math.sqrt(s2) * rng.standard_normal(n) - 0.5 * s2)
     return draws
 
 
-def _draws_of_file(file: Path) -> dict[str, Array]:
-    """The parameters of a posterior in netCDF, chains one after another."""
+def _draws_of_file(file: Path, case: str) -> dict[str, Array]:
+    """The parameters of a posterior in netCDF, chains one after another; nothing where it holds several cases."""
     import h5netcdf
 
     with h5netcdf.File(file, "r") as root:
         group = root["posterior"] if "posterior" in root.groups else root
-        names = [name for name in NONLINEAR if name in group.variables]
-        return {name: np.asarray(group.variables[name][...], dtype=np.float64).ravel() for name in names}
+        if "case" in group.dimensions:
+            return {}
+        names = _entries(group.variables, case)
+        return {name: np.asarray(group.variables[n][...], dtype=np.float64).ravel() for name, n in names.items()}
+
+
+def _entries(stored: Iterable[str], case: str) -> dict[str, str]:
+    """Name of each parameter -> the name under which a fit stored it: one spring of several is `k1t[6.2]`.
+
+    Raises
+    ------
+    InputError
+        if the fit of all cases together has a value of a parameter for each of them.
+    """
+    out = {}
+    for name in NONLINEAR:
+        own = [s for s in stored if s.partition("[")[0] == name]
+        if len(own) == 1:
+            out[name] = own[0]
+        elif own and name != "k1t":
+            raise InputError(
+                f"case {case!r}: the fit has several values of {name} ({', '.join(own)}); name one case (--case)"
+            )
+    return out
 
 
 # The linear model -------------------------------------------------------------------------------------------------
@@ -847,7 +875,7 @@ def tune(
         raise InputError(f"n_draws = {n_draws}, n_nonlinear = {n_nonlinear}: at least one draw of each is needed")
     rng = np.random.default_rng(seed)
     case = chosen_case(source, case)
-    origin = origin_of(source, case) if rig is None or "k1t" not in rig else Origin()
+    origin = origin_of(source, case, rig)
     if origin.kind == "translational" and R is not None:
         raise InputError(f"R = {R:g}: a translational rig has no radius; change J2 or k2t")
     if amplitudes is None:

@@ -8,10 +8,10 @@ import pytest
 from campaigns import CAMPAIGN_TOML, write_synthetic, write_table
 from scipy.integrate import solve_ivp
 
-from bayes_damper import figures, linear, report, tuning
+from bayes_damper import arviz_adapter, figures, linear, report, tuning
 from bayes_damper.campaign import load_campaign
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.run import write_json
+from bayes_damper.run import folder_name, write_json
 from bayes_damper.tuning import Design
 
 THESIS = {"k1t": 10.2, "c1t": 0.0109, "k2t": 1.0, "c2t": 0.08}
@@ -430,3 +430,45 @@ def test_carts_are_tuned_in_newtons_and_kilograms(tmp_path):
     assert "N m" not in text
     with pytest.raises(InputError, match="a translational rig has no radius"):
         tuning.tune(fit, case="A", R=0.1)
+
+
+def store(folder, case, **values):
+    """The posterior of a case as a fit leaves it: name -> draws, in the folder of the case."""
+    place = folder / folder_name(case)
+    place.mkdir(parents=True)
+    draws = {name: np.reshape(x, (2, 10, 5)) for name, x in values.items()}
+    arviz_adapter.write(arviz_adapter.results(draws, log_prob=np.zeros((2, 10, 5))), place / "posterior.nc")
+
+
+def test_a_case_is_tuned_with_its_own_draws_whatever_its_label(tmp_path):
+    """A label with a blank has a folder of another name; the file of all cases together is no substitute."""
+    for case, k2t in (("5.7 deg", 1.0), ("IV", 3.0)):
+        store(tmp_path, case, k2t=np.full(100, k2t))
+    files = {case: tmp_path / folder_name(case) / "posterior.nc" for case in ("5.7 deg", "IV")}
+    arviz_adapter.combine_cases(files, tmp_path / "posterior.nc")
+    rng = np.random.default_rng(0)
+    found = tuning.posterior_draws(tmp_path, "5.7 deg", 50, rng, {"k1t": 6.2})
+    assert found["k2t"] == pytest.approx(np.ones(50))
+    write_json(tmp_path / "summary.json", {"cases": {"5.7 deg": {}, "IV": {}}})
+    with pytest.raises(InputError, match="no case '8 deg'"):
+        tuning.posterior_draws(tmp_path, "8 deg", 50, rng, {"k1t": 6.2})
+
+
+def test_a_spring_that_was_inferred_is_tuned_as_inferred(tmp_path):
+    """Fits of several springs call each after its declared stiffness."""
+    fit = fitted_folder(tmp_path)
+    store(fit, "IV", k2t=np.ones(100), **{"k1t[20.4]": np.linspace(18.0, 19.0, 100)})
+    found = tuning.tune(fit, case="IV", amplitudes=(), optimise=False, n_draws=100)
+    assert found.draws["k1t"].mean() == pytest.approx(18.5)
+    store(fit, "joint", **{"mu[I]": np.ones(100), "mu[IV]": np.ones(100)})
+    with pytest.raises(InputError, match=r"several values of mu \(mu\[I\], mu\[IV\]\); name one case"):
+        tuning.tune(fit, case="joint", rig={"k1t": 10.0}, amplitudes=())
+
+
+def test_a_stiffness_that_is_told_leaves_the_other_constants_as_they_are(tmp_path):
+    toml = CAMPAIGN_TOML.replace("primary_inertia = 3.015e-3", "primary_inertia = 6e-3")
+    fit = fitted_folder(tmp_path, toml)
+    found = tuning.tune(fit, case="joint", rig={"k1t": 12.0}, amplitudes=(), optimise=False, n_draws=10)
+    assert found.draws["J1"] == pytest.approx(np.full(10, 6e-3))
+    assert found.draws["k1t"] == pytest.approx(np.full(10, 12.0))
+    assert found.to_json()["campaign"] == "synthetic"

@@ -28,6 +28,7 @@ from bayes_damper.report.parts import (
     plus_minus,
     words,
 )
+from bayes_damper.run import folder_name
 from bayes_damper.wording import COORDINATES, counted, gap_beside_verdict
 from bayes_damper.wording import p_value as told_p
 
@@ -131,20 +132,12 @@ def fit_result(summary: Mapping[str, Any], folder: Path) -> Result:
     pictures = _pictures(folder)
     shown = {Path(p.path).name for p in pictures} & {"predictive"}  # of all cases: what each would show once more
     for name, entry in groups.items():
-        place = folder / ("joint" if name == "all cases together" else _folder_name(name))
+        place = folder / ("joint" if name == "all cases together" else folder_name(name))
         sections.append(_case_section(name, entry, place, shown if len(groups) > 1 else set()))
     section = Section("Fit", (_INTERVALS,), pictures=pictures, parts=tuple(sections))
     head = _fit_headline(str(summary.get("campaign", "")), groups, converged)
     about = dict(summary.get("provenance", {})) | _fingerprint(summary)
     return Result(head, section, tuple(warnings), about, tuple(summary.get("warnings", ())))
-
-
-def _folder_name(case: str) -> str:
-    if re.fullmatch(r"[\w-]+", case):
-        return case
-    from bayes_damper.fit import folder_name  # only here: it brings the samplers along
-
-    return folder_name(case)
 
 
 def _fingerprint(data: Mapping[str, Any]) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from bayes_damper import arviz_adapter, figures
 from bayes_damper.distributions import Distribution, from_standard, to_standard
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.provenance import code_sha256, provenance
-from bayes_damper.run import Progress, Task, read_json, run_tasks, write_json
+from bayes_damper.run import Progress, Task, folder_name, read_json, run_tasks, write_json
 from bayes_damper.variability.decomposition import Sets, decompose, summary
 from bayes_damper.variability.pooling import POOLINGS, Direct, Recycled, recycle
 from bayes_damper.variability.published import PublishedCases
@@ -284,7 +284,7 @@ def _fit_draws(folder: Path, plan: Mapping[str, Any], cases: PublishedCases | Re
     """The fit's draws of each case in standard coordinates: case -> (n, pooled), spread over the whole chain."""
     out = {}
     for case in plan["cases"]:
-        file = folder / case / "posterior.nc"
+        file = folder / folder_name(case) / "posterior.nc"
         if not file.exists():
             raise InputError(f"{file}: is missing; run `bayes-damper fit` again")
         posterior = arviz_adapter.read(file)["posterior"]
