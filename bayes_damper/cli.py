@@ -6,8 +6,10 @@ import argparse
 import contextlib
 import importlib
 import json
+import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -400,9 +402,14 @@ def _version() -> str:
         return "0 (not installed)"
 
 
+def _written_out(word: str) -> str:
+    """A negative number with an exponent without it: argparse takes -1e-3 for an option, and -0.001 for a number."""
+    return f"{Decimal(word):f}" if re.fullmatch(r"-(\d+\.?\d*|\.\d+)[eE][-+]?\d{1,3}", word) else word
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; its exit code (see --help)."""
-    args = _parser().parse_args(argv)
+    args = _parser().parse_args([_written_out(word) for word in (sys.argv[1:] if argv is None else argv)])
     try:
         with seldom_collected(), _closed_afterwards(args):
             result = args.run(args)

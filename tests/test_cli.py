@@ -21,6 +21,9 @@ COMMANDS = (
     "report",
     "thesis",
     "variability",
+    "compare",
+    "plan",
+    "withheld",
 )
 
 
@@ -90,6 +93,13 @@ def test_what_cannot_be_done_is_told_without_a_traceback(arguments, told, capsys
         code = ended.code
     assert code == 2
     assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("number", ["-1e-3", "-.5E-3", "-2", "0"])
+def test_numbers_below_zero_are_told_in_a_sentence(number, capsys, tmp_path):
+    """However they are written: argparse itself takes -1e-3 for an option."""
+    assert main(["tune", str(tmp_path), "--secondary-inertia", number]) == 2
+    assert capsys.readouterr().err.startswith(f"bayes-damper tune: J2 = {float(number):g}: a design needs a J2 above")
 
 
 def test_an_unknown_command_is_refused():
