@@ -415,10 +415,12 @@ def response_figure(result: Mapping[str, Any], *, title: str) -> Figure:
         for axis, (excited, bands) in zip(axes, panels.items(), strict=False):
             for design, band in bands:
                 k = designs.index(design)
-                frequency = np.asarray(band["frequency_hz"])
+                frequency, low, middle, high = (
+                    np.array(band[key], float) for key in ("frequency_hz", "q05", "median", "q95")
+                )
                 marks: dict[str, Any] = {"color": COLOURS[k % len(COLOURS)]}
-                axis.plot(frequency, band["median"], ls=STYLES[k % len(STYLES)], label=design, **marks)
-                axis.fill_between(frequency, band["q05"], band["q95"], alpha=0.2, lw=0, **marks)
+                axis.plot(frequency, middle, ls=STYLES[k % len(STYLES)], label=design, **marks)
+                axis.fill_between(frequency, low, high, alpha=0.2, lw=0, **marks)
             axis.set_yscale("log")
             axis.set_title("linear model" if excited == "linear" else f"nonlinear, {effort} {excited}", loc="left")
         for axis in axes[len(panels) :]:
@@ -467,8 +469,9 @@ def tuning_figure(result: Mapping[str, Any], *, title: str) -> Figure:
         for axis, (name, curve) in zip(axes[int(first) :], curves.items(), strict=False):
             words, unit = labels.get(name, (name, 1.0))
             x = unit * np.asarray(curve["value"])
-            axis.plot(x, curve["mean"], color=COLOURS[0], label="mean")
-            axis.fill_between(x, curve["q05"], curve["q95"], color=COLOURS[0], alpha=0.2, lw=0, label="90 %")
+            mean, low, high = (np.array(curve[key], float) for key in ("mean", "q05", "q95"))
+            axis.plot(x, mean, color=COLOURS[0], label="mean")
+            axis.fill_between(x, low, high, color=COLOURS[0], alpha=0.2, lw=0, label="90 %")
             for k, place in enumerate((curve["design"], curve["best_design"])):
                 if place is not None:
                     axis.axvline(unit * place, color=COLOURS[k], ls=STYLES[k], lw=1.0)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import importlib
 import json
+import math
 import os
 import re
 import signal
@@ -22,6 +23,8 @@ from dataclasses import dataclass, field
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any, Protocol
+
+import numpy as np
 
 from bayes_damper.errors import BayesDamperError, ExitCode, InputError, Interrupted
 from bayes_damper.memory import collect_seldom
@@ -72,6 +75,19 @@ def write_json(path: Path, data: Any) -> None:
     partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
     partial.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     partial.replace(path)
+
+
+def plain(x: Any) -> Any:
+    """Data as JSON takes it: arrays as lists, and null in place of numbers that are not finite."""
+    if isinstance(x, Mapping):
+        return {str(key): plain(value) for key, value in x.items()}
+    if isinstance(x, list | tuple):
+        return [plain(value) for value in x]
+    if isinstance(x, np.ndarray):
+        return plain(x.tolist())
+    if isinstance(x, np.generic):
+        return plain(x.item())
+    return None if isinstance(x, float) and not math.isfinite(x) else x
 
 
 def read_json(path: Path) -> Any:

@@ -33,7 +33,7 @@ from bayes_damper.model import Model
 from bayes_damper.parameters import unit_of
 from bayes_damper.provenance import provenance
 from bayes_damper.published import load_published
-from bayes_damper.run import folder_name, read_json, write_json
+from bayes_damper.run import folder_name, plain, read_json, write_json
 from bayes_damper.wording import counted
 
 Array = NDArray[np.float64]
@@ -75,11 +75,11 @@ class Design:
 
     def __post_init__(self) -> None:
         faults = []
-        for name, unit in (("J2", "kg m^2"), ("R", "m")):
+        for name, unit in (("J2", "kg m^2 (kg)"), ("R", "m")):
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > 0.0):
                 faults.append(f"{name} = {value:g}: a design needs a {name} above zero; give it in {unit}")
-        for name, unit in (("k2t", "N m/rad"), ("magnet_pull", "N"), ("bar_inertia", "kg m^2")):
+        for name, unit in (("k2t", "N m/rad (N/m)"), ("magnet_pull", "N"), ("bar_inertia", "kg m^2")):
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value >= 0.0):
                 faults.append(f"{name} = {value:g}: a design cannot have a negative {name}; give it in {unit}")
@@ -196,7 +196,8 @@ class Origin:
     """Where draws come from: name of the campaign, its checksum, and the rig's constants that are not among them.
 
     kind : of the rig; amplitudes : torques (N m; forces, N) that suit its size; converged : whether the fit of the case
-    did, True where nothing tells; warnings : what is odd in the records that were fitted.
+    did, True where nothing tells; warnings : what is odd in the records that were fitted; effect : that the fit has
+    beside the nominal model, which tuning leaves out, or "".
     """
 
     campaign: str = ""
@@ -206,6 +207,7 @@ class Origin:
     amplitudes: tuple[float, ...] = AMPLITUDES
     converged: bool = True
     warnings: tuple[str, ...] = ()
+    effect: str = ""
 
     @property
     def effort(self) -> tuple[str, str]:
@@ -278,6 +280,11 @@ def origin_of(
     if (plan.get("normal_force") or rig.normal_force) == "constant":
         constants["r"] = _WITHOUT_LIMIT
     constants |= known or {}
+    if "J2" not in constants:
+        raise InputError(
+            f"{campaign.name}: the rig has no secondary_inertia and no coupled trials, so nothing tells how a second "
+            "body would be coupled; fit coupled trials, or pass draws as arrays"
+        )
     springs = dict.fromkeys(t.k1t.value for t in campaign.trials if case in ("joint", t.case))
     if "k1t" in constants:
         pass
@@ -287,7 +294,13 @@ def origin_of(
         listed = ", ".join(f"{k:g}" for k in springs)
         unit = unit_of("k1t", rig.kind)
         raise InputError(f"case {case!r} has several springs ({listed} {unit}): name one case, or give k1t in `rig`")
-    return Origin(**told, constants=constants, kind=rig.kind, amplitudes=_suitable(campaign, case))
+    return Origin(
+        **told,
+        constants=constants,
+        kind=rig.kind,
+        amplitudes=_suitable(campaign, case),
+        effect=plan.get("effect") or "",
+    )
 
 
 def _suitable(campaign: Campaign, case: str) -> tuple[float, ...]:
@@ -413,8 +426,8 @@ def harmonic_response(
     grow with the square of the frequency, damping and the smoothing constant with the frequency, and all share one
     drive. Displacement is read, because what the samples cannot resolve is smallest there.
     """
-    if not (math.isfinite(amplitude) and amplitude > 0.0):
-        raise InputError(f"amplitude = {amplitude:g}: the exciting torque must be above zero; give it in N m")
+    if not _drives(amplitude):
+        raise InputError(_refused(amplitude))
     n = len(draws["J1"])
     f = np.array(np.broadcast_to(np.asarray(frequency_hz, dtype=np.float64), (n, np.shape(frequency_hz)[-1])))
     if not np.all(f > 0.0):
@@ -439,6 +452,14 @@ def harmonic_response(
     drive = amplitude * np.sinc(1.0 / _PER_CYCLE) ** 2
     omega = 2.0 * np.pi * f
     return np.abs(whole) * omega**2 / drive, change / np.maximum(np.abs(whole), 1e-300)
+
+
+def _drives(amplitude: float) -> bool:
+    return math.isfinite(amplitude) and amplitude > 0.0
+
+
+def _refused(amplitude: float) -> str:
+    return f"amplitude = {amplitude:g}: the exciting torque (force) must be above zero; give it in N m (N)"
 
 
 def _settling(draws: Draws) -> int:
@@ -517,10 +538,9 @@ class Optimum:
 
 
 def usual_bounds(draws: Draws, names: Sequence[str] = tuple(BOUNDS)) -> dict[str, tuple[float, float]]:
-    """Where the best design is sought if nothing else is said: `BOUNDS` times the rig's present medians."""
-    low, high = np.transpose([BOUNDS[name] for name in names])
-    middle = np.array([_middle(draws, name) for name in names])
-    return {name: (float(a), float(b)) for name, a, b in zip(names, low * middle, high * middle, strict=True)}
+    """Where the best design is sought if nothing else is said: `BOUNDS` times the rig's present medians, if not 0."""
+    middle = {name: _middle(draws, name) for name in names}
+    return {name: (BOUNDS[name][0] * x, BOUNDS[name][1] * x) for name, x in middle.items() if x > 0.0}
 
 
 def best_design(
@@ -641,11 +661,11 @@ def tuning_curves(
             values = values[values >= design.bar_inertia]
         found = [linear_performance(draws, replace(design, **{name: float(x)})) for x in values]
         losses = np.array([p.insertion_loss for p in found])
-        known = np.where(np.isfinite(losses), losses, np.nan)
-        out[name] = Curve(
-            values, np.nanmean(known, axis=1), np.nanquantile(known, 0.05, axis=1), np.nanquantile(known, 0.95, axis=1),
-            np.array([_probability(p, target_db) for p in found]),
-        )  # fmt: skip
+        low_loss, _, high_loss = _quantiles(losses)
+        told = np.isfinite(losses)
+        mean = np.where(told, losses, 0.0).sum(axis=1) / np.where(told.any(axis=1), told.sum(axis=1), np.nan)
+        reached = np.array([_probability(p, target_db) for p in found])
+        out[name] = Curve(values, mean, low_loss, high_loss, reached)
     return out
 
 
@@ -719,6 +739,7 @@ class TuneResult:
             },
             "variance_shares": dict(self.shares),
             "hangs_most_on": next(iter(self.shares), None),
+            "notes": [_LEFT_OUT.format(self.origin.effect)] if self.origin.effect else [],
             "frequency_response": {
                 name: {
                     "frequency_hz": band.frequency_hz.tolist(),
@@ -762,11 +783,16 @@ class TuneResult:
             lines.append(f"best design: {free}{bound}; {_sentence(self.optimum.performance, self.target_db)}")
             lines += [f"  at {a:g} {unit}: {_sentence(p, self.target_db)}" for a, p in self.optimum_nonlinear.items()]
         if any("no resonance" in line for line in lines):
-            lines.append("No resonance: dry friction holds the rig, or damps it so much that no peak is left.")
+            lines.append("No resonance: dry friction holds the rig, or damping leaves no peak.")
+        if self.origin.effect:
+            lines.append(_LEFT_OUT.format(self.origin.effect))
         if self.shares:
             name, share = next(iter(self.shares.items()))
             lines.append(f"The insertion loss hangs most on {name}: {100 * share:.0f} % of its variance.")
         return "\n".join(lines)
+
+
+_LEFT_OUT = "The fit has the effect {} too, which is left out here: the design is judged by the nominal model alone."
 
 
 def _sentence(p: Performance, target: float) -> str:
@@ -811,8 +837,15 @@ def _summary(x: Array) -> dict[str, Any]:
 
 
 def _band(frequency: Array, accelerance: Array) -> Band:
-    low, median, high = np.nanquantile(accelerance, [0.05, 0.5, 0.95], axis=0)
-    return Band(frequency, low, median, high)
+    return Band(frequency, *_quantiles(accelerance.T))
+
+
+def _quantiles(x: Array) -> Array:
+    """Quantiles 5, 50 and 95 % over the draws, the last axis: (3, n); nan where no draw has a value."""
+    told = np.isfinite(x)
+    some = told.any(axis=-1)
+    found = np.nanquantile(np.where(told, x, np.where(some[:, None], np.nan, 0.0)), [0.05, 0.5, 0.95], axis=-1)
+    return np.where(some, found, np.nan)
 
 
 def frequency_responses(draws: Draws, designs: Mapping[str, Design], amplitude: float | None = None) -> dict[str, Band]:
@@ -871,8 +904,14 @@ def tune(
         if the design, the draws or the bounds mean nothing physically.
     """
     design = Design(J2, k2t, R, magnet_pull, bar_inertia)
+    faults = []
     if min(n_draws, n_nonlinear) < 1:
-        raise InputError(f"n_draws = {n_draws}, n_nonlinear = {n_nonlinear}: at least one draw of each is needed")
+        faults.append(f"n_draws = {n_draws}, n_nonlinear = {n_nonlinear}: at least one draw of each is needed")
+    if not math.isfinite(target_db):
+        faults.append(f"target_db = {target_db:g}: give the loss to reach as a number of dB")
+    faults += [_refused(a) for a in amplitudes or () if not _drives(a)]
+    if faults:
+        raise InputError(faults)
     rng = np.random.default_rng(seed)
     case = chosen_case(source, case)
     origin = origin_of(source, case, rig)
@@ -886,6 +925,8 @@ def tune(
         bounds = usual_bounds(draws, ("J2", "k2t", *lengths))
     performance = linear_performance(draws, design)
     optimum = best_design(draws, design, bounds) if optimise else None
+    if optimum is not None and not np.isfinite(optimum.performance.insertion_loss).any():
+        optimum = None
     designs = {"design": design} | ({} if optimum is None else {"best design": optimum.design})
     few = {name: column[:n_nonlinear] for name, column in draws.items()}
     driven = {float(a): nonlinear_performances(few, float(a), designs) for a in amplitudes}
@@ -903,7 +944,7 @@ def tune(
         tuning_curves(draws, design, target_db, ("J2", *lengths)), origin, seed, provenance(),
     )  # fmt: skip
     if out is not None:
-        told = result.to_json()
+        told = plain(result.to_json())
         write_json(Path(out) / "tune.json", told)
         about = f"{origin.campaign or 'design'}, case {case}"
         figures.save(figures.response_figure(told, title=f"{about}: frequency response"), Path(out) / "tune_response")

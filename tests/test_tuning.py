@@ -472,3 +472,50 @@ def test_a_stiffness_that_is_told_leaves_the_other_constants_as_they_are(tmp_pat
     assert found.draws["J1"] == pytest.approx(np.full(10, 6e-3))
     assert found.draws["k1t"] == pytest.approx(np.full(10, 12.0))
     assert found.to_json()["campaign"] == "synthetic"
+
+
+def test_a_rig_that_damping_leaves_no_resonance_is_told_not_a_traceback(tmp_path):
+    """Files, figures and report of a rig with zeta above 0.707, whose accelerance has no peak."""
+    found = tuning.tune(THESIS | {"c1t": 0.5, "mu": 0.01}, amplitudes=(0.1,), n_draws=3, out=tmp_path)
+    assert "linear model: no resonance in any draw" in found.text()
+    assert found.optimum is None
+    told = json.loads((tmp_path / "tune.json").read_text())
+    assert set(told["curves"]["J2"]["mean"]) == {None}
+    assert told["linear"]["probability_of_target"] == 0.0
+    assert "damping leaves no resonance" in report(tmp_path).path.read_text(encoding="utf-8")
+
+
+def test_a_coupling_without_stiffness_keeps_its_stiffness_when_the_best_design_is_sought():
+    draws = tuning.complete(THESIS | {"k2t": 0.0})
+    assert list(tuning.usual_bounds(draws)) == ["J2", "R"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [({"amplitudes": (0.1, -1.0)}, "amplitude = -1: .* above zero"), ({"target_db": np.nan}, "target_db = nan")],
+)
+def test_what_cannot_be_driven_or_reached_is_refused_before_any_work(changes, words):
+    with pytest.raises(InputError, match=words):
+        tuning.tune(THESIS, n_draws=10**9, **changes)
+
+
+def test_a_rig_without_a_secondary_is_not_given_the_thesiss(tmp_path):
+    fit = translational_folder(tmp_path)
+    head = (tmp_path / "rig" / "campaign.toml").read_text().replace("secondary_inertia = 0.6\n", "")
+    (tmp_path / "rig" / "campaign.toml").write_text(head)
+    run = json.loads((fit / "run.json").read_text())
+    run["plan"]["campaign_sha256"] = load_campaign(tmp_path / "rig").sha256
+    write_json(fit / "run.json", run)
+    with pytest.raises(InputError, match="no secondary_inertia and no coupled trials"):
+        tuning.tune(fit, case="A", J2=0.5)
+
+
+def test_an_effect_that_tuning_leaves_out_is_told(tmp_path):
+    fit = fitted_folder(tmp_path)
+    run = json.loads((fit / "run.json").read_text())
+    run["plan"]["effect"] = "stick_slip"
+    write_json(fit / "run.json", run)
+    found = tuning.tune(fit, case="IV", amplitudes=(), optimise=False, n_draws=10, out=tmp_path / "tune")
+    sentence = "The fit has the effect stick_slip too, which is left out here"
+    assert sentence in found.text()
+    assert sentence in report(tmp_path / "tune").path.read_text(encoding="utf-8")

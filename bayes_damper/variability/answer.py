@@ -15,7 +15,7 @@ from bayes_damper import arviz_adapter, figures
 from bayes_damper.distributions import Distribution, from_standard, to_standard
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.provenance import code_sha256, provenance
-from bayes_damper.run import Progress, Task, folder_name, read_json, run_tasks, write_json
+from bayes_damper.run import Progress, Task, folder_name, plain, read_json, run_tasks, write_json
 from bayes_damper.variability.decomposition import Sets, decompose, summary
 from bayes_damper.variability.pooling import POOLINGS, Direct, Recycled, recycle
 from bayes_damper.variability.published import PublishedCases
@@ -160,7 +160,7 @@ def variability(
     result["warnings"] = [] if fitted is None else list(read_json(fitted / "summary.json").get("warnings", ()))
     result["sentences"] = _sentences(result, fit_converged)
     result["provenance"] = provenance()
-    result = _plain(result)
+    result = plain(result)
     write_json(target / "variability.json", result)
     if found is not None:
         title = f"{plan['name']}: effective linear stiffness and damping"
@@ -435,16 +435,3 @@ def _scatter_figure(result: Mapping[str, Any]) -> Any:
         title=f"{result['campaign']}: 0 = one value for all cases, 1 = each its own",
         converged=result["converged"],
     )
-
-
-def _plain(x: Any) -> Any:
-    """Data as JSON takes it: numbers that are not finite become null."""
-    if isinstance(x, Mapping):
-        return {str(key): _plain(value) for key, value in x.items()}
-    if isinstance(x, list | tuple):
-        return [_plain(value) for value in x]
-    if isinstance(x, np.ndarray):
-        return _plain(x.tolist())
-    if isinstance(x, np.generic):
-        return _plain(x.item())
-    return None if isinstance(x, float) and not math.isfinite(x) else x

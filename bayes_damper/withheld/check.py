@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import math
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,7 +14,7 @@ from bayes_damper.effects import EFFECTS, Effect, all_effects, classes
 from bayes_damper.errors import ExitCode, InputError, Interrupted, SelfCheckError
 from bayes_damper.provenance import provenance
 from bayes_damper.resources import shipped_path
-from bayes_damper.run import Progress, Task, read_json, run_tasks, write_json
+from bayes_damper.run import Progress, Task, plain, read_json, run_tasks, write_json
 from bayes_damper.withheld import scores
 from bayes_damper.withheld.baselines import baselines_of, forest_out_of_fold
 from bayes_damper.withheld.sealing import (
@@ -135,18 +134,7 @@ def give_verdict(
         told = traceback.format_exception_only(error)[-1].strip()
         verdict = {"verdict": scores.FAILED, "probabilities": {}, "credible_set": [], "sites": {}, "error": told}
     report(1.0, "sealed")
-    return {"seal": write_verdict(path, name, _finite(verdict), freeze_seal)["seal"]}
-
-
-def _finite(x: Any) -> Any:
-    """JSON data with None in place of numbers that JSON cannot hold."""
-    if isinstance(x, Mapping):
-        return {str(k): _finite(v) for k, v in x.items()}
-    if isinstance(x, list | tuple):
-        return [_finite(v) for v in x]
-    if isinstance(x, float) and not math.isfinite(x):
-        return None
-    return x
+    return {"seal": write_verdict(path, name, plain(verdict), freeze_seal)["seal"]}
 
 
 # The run --------------------------------------------------------------------------------------------------------------
@@ -247,7 +235,7 @@ def withheld(
         "provenance": provenance(workers=workers),
     }  # fmt: skip
     results["bound_to_code"] = not reasons and (source == _shipped() or _remember(key_file, now))
-    results = _finite(results)
+    results = plain(results)
     write_json(home / "withheld.json", results)
     (home / "withheld.txt").write_text(table_text(results) + "\n", encoding="utf-8")
     figures.save(figures.withheld_figure(results["scores"], rehearsal=bool(reasons)), home / "withheld")
