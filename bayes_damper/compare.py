@@ -72,12 +72,10 @@ class Comparison:
                 ]
         for label, cases in r["prior_sensitivity"].items():
             lines.append(
-                f"{label}: shift of the mean, in standard deviations, when all priors are half / twice as wide"
+                f"{label}: shift of each mean, in standard deviations, when its own prior is half / twice as wide"
             )
             for case, rows in cases.items():
-                told = ", ".join(
-                    f"{n} {p['half']['shift']:+.2f} / {p['double']['shift']:+.2f}" for n, p in rows.items()
-                )
+                told = ", ".join(f"{n} {' / '.join(_shift(p[w]) for w in WIDTHS)}" for n, p in rows.items())
                 lines.append(f"  case {case}: {told}")
         return "\n".join([*lines, *r["sentences"]])
 
@@ -118,7 +116,8 @@ def compare(folders: Sequence[str | Path], *, out: str | Path | None = None, see
     result: dict[str, Any] = {
         "schema": SCHEMA,
         "folders": {label: str(path) for label, path in where.items()},
-        "campaigns": {label: _campaign(results) for label, results in found.items()},
+        "campaigns": {label: _told_of(results, "campaign") for label, results in found.items()},
+        "campaign_sha256": {label: _told_of(results, "campaign_sha256") for label, results in found.items()},
         "converged": {label: _converged(results) for label, results in found.items()},
         "parameters": _parameters(fits),
         "evidence": _turned({label: piece["evidence"] for label, piece in pieces.items()}),
@@ -166,8 +165,8 @@ def _results(path: Path) -> dict[str, Any]:
     return out
 
 
-def _campaign(results: Mapping[str, Any]) -> str:
-    return str(next(iter(results.values())).get("campaign", ""))
+def _told_of(results: Mapping[str, Any], key: str) -> str:
+    return next((str(content[key]) for content in results.values() if content.get(key)), "")
 
 
 def _converged(results: Mapping[str, Any]) -> bool:
@@ -302,11 +301,16 @@ def _word(value: Any) -> str:
 
 def _sentences(result: Mapping[str, Any]) -> list[str]:
     out = [f"{label}: did not converge; do not use its numbers." for label, ok in result["converged"].items() if not ok]
-    same = len(set(result["campaigns"].values())) == 1
+    named = len(set(result["campaigns"].values())) == 1
+    same = named and len(set(result["campaign_sha256"].values()) - {""}) < 2
     if not same:
-        out.append("The folders belong to different campaigns: evidence and scores are of different data.")
+        which = "different states of one campaign" if named else "different campaigns"
+        out.append(f"The folders belong to {which}: evidence and scores are of different data.")
     total = result["evidence"].get("sum over cases", {})
-    if same and len(total) > 1:
+    alike = {tuple(row for row, found in result["evidence"].items() if label in found) for label in total}
+    if same and len(alike) > 1:
+        out.append("The folders hold different cases: compare the evidence and scores of single cases, not the sums.")
+    elif same and len(total) > 1:
         best = max(total, key=lambda label: total[label])
         lead = total[best] - sorted(total.values())[-2]
         if lead < 1.0:

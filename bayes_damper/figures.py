@@ -253,11 +253,14 @@ def forest_figure(
     intervals: Mapping[str, Mapping[str, tuple[float, float, float]]], labels: Mapping[str, str], *, title: str,
     converged: bool = True,
 ) -> Figure:  # fmt: skip
-    """Median and 90 % interval of each parameter over groups (cases): parameter -> group -> (low, median, high)."""
+    """Median and 90 % interval of each parameter over groups (cases): parameter -> group -> (low, median, high).
+
+    A group may lack a parameter: the fit of all cases has no single value of one that is each case's own.
+    """
     names = list(intervals)
     columns = min(3, len(names))
     lines = -(-len(names) // columns)
-    groups = list(next(iter(intervals.values())))
+    groups = list(dict.fromkeys(group for rows in intervals.values() for group in rows))
     longest = max(len(labels.get(name, name)) for name in names)  # a letter takes about 0.08 inches
     width = max(3.1 * columns, 0.085 * len(title) + 0.3, columns * (0.08 * longest + 0.7))
     height = (0.32 * len(groups) + 0.9) * lines + 0.5
@@ -269,8 +272,8 @@ def forest_figure(
     with mpl.rc_context(_RC):
         axes = np.atleast_1d(figure.subplots(lines, columns, squeeze=False, gridspec_kw=place | gaps)).ravel()
         for axis, name in zip(axes, names, strict=False):
-            for y, group in enumerate(groups):
-                low, median, high = intervals[name][group]
+            for group, (low, median, high) in intervals[name].items():
+                y = groups.index(group)
                 axis.plot([low, high], [y, y], color=COLOURS[0], lw=2.0)
                 axis.plot(median, y, "o", color=COLOURS[1], ms=5)
             axis.set_yticks(range(len(groups)), groups if axis in axes[::columns] else [])

@@ -129,6 +129,27 @@ def test_what_a_fit_has_worked_out_is_taken_from_it(tmp_path):
     assert len(result["prior_sensitivity"]["b"]["IV"]) > 5
 
 
+def test_sums_over_different_cases_and_different_data_are_not_held_against_each_other(tmp_path):
+    write_fit(tmp_path / "a", "linear", np.random.default_rng(1))
+    write_fit(tmp_path / "b", "linear", np.random.default_rng(2))
+    summary = json.loads((tmp_path / "b" / "summary.json").read_text())
+    row = {"shift": 0.25, "width": 0.9, "moves_most": "k2t", "shift_of_that": 0.1, "reliable": False}
+    told = {"mu": {"prior_share": 0.9, "decided_by": "prior", "half": row | {"reliable": True}, "double": row}}
+    more = {"log_evidence": {"value": -5.0}, "prior_sensitivity": told}
+    (tmp_path / "b" / "I").mkdir()
+    (tmp_path / "b" / "I" / "posterior.nc").write_bytes((tmp_path / "b" / "IV" / "posterior.nc").read_bytes())
+    summary["cases"]["I"] = summary["cases"]["IV"] | more
+    write_json(tmp_path / "b" / "summary.json", summary)
+    text = compare([tmp_path / "a", tmp_path / "b"]).text()
+    assert "Evidence is highest" not in text
+    assert "The folders hold different cases" in text
+    assert "case I: mu +0.25 / +0.25?" in text, "what rests on too few draws is marked, as the last sentence says"
+    for name, checksum in (("a", "1"), ("b", "2")):
+        summary = json.loads((tmp_path / name / "summary.json").read_text()) | {"campaign_sha256": checksum}
+        write_json(tmp_path / name / "summary.json", summary)
+    assert "different states of one campaign" in compare([tmp_path / "a", tmp_path / "b"]).text()
+
+
 def test_bad_folders_are_all_named(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError) as caught:

@@ -463,6 +463,16 @@ def test_all_cases_are_drawn_over_each_other(tmp_path):
     assert "case III" in (tmp_path / "corner.svg").read_text(encoding="utf-8")
 
 
+def test_a_forest_leaves_a_gap_where_a_group_lacks_a_parameter():
+    """The fit of all cases together has a value of its own of what the cases share, and none of what is each one's."""
+    both = {"I": (0.0, 1.0, 2.0), "IV": (1.0, 2.0, 3.0)}
+    figure = forest_figure({"mu": both, "k2t": both | {"all": (0.5, 1.0, 1.5)}}, {}, title="cases")
+    left, right = figure.axes[:2]
+    assert [text.get_text() for text in left.get_yticklabels()] == ["I", "IV", "all"]
+    assert len(left.lines) == 4
+    assert len(right.lines) == 6
+
+
 def test_a_gap_beside_the_verdict_none_is_explained_on_the_first_screen(tmp_path):
     write_diagnosis(tmp_path)
     data = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
