@@ -89,6 +89,10 @@ _PATTERN = {
     "theta0": r"[-+]?\d+(?:[.,]\d+)?",
     "k1t": r"\d+(?:[.,]\d+)?",
 }
+_LEAST = {"every": 1, "skip_lines": 0, "before": 0.0}
+"""Smallest values of some keys."""
+_FEWEST = 10
+"""Readings that a record must have."""
 _LEAST_KNOWN = 0.5
 """Share of a file's lines that must hold readings."""
 _STILL = 12.0
@@ -183,7 +187,7 @@ def init_campaign(
         as `import_records`, and for options that do not exist.
     """
     folder = Path(folder)
-    spec = _spec_from_options(folder.name, [Path(s).resolve() for s in sources], options)
+    spec = _spec_from_options(folder.resolve().name, [Path(s).resolve() for s in sources], options)
     beside = folder / "priors.toml"
     found = beside.read_bytes() if beside.exists() else None
     priors = _NO_FRICTION if _NOTHING_RUBS in spec["caveats"] else None
@@ -244,6 +248,10 @@ def _checked_keys(table: Mapping[str, Any], valid: Mapping[str, tuple[tuple[type
             faults.append(f"{where}: unknown key '{key}'; {hint}")
         elif not isinstance(value, valid[key][0]) or (isinstance(value, bool) and bool not in valid[key][0]):
             faults.append(f"{where}: {key} = {value!r} is of the wrong type; it is the {valid[key][1]}")
+        elif key in _LEAST and not value >= _LEAST[key]:
+            faults.append(f"{where}: {key} = {value!r} is too small; give at least {_LEAST[key]}")
+        elif key == "decimal" and value not in (".", ","):
+            faults.append(f"{where}: decimal = {value!r} is none of '.' and ','")
     return faults
 
 
@@ -455,7 +463,7 @@ def _stiffness(option: Mapping[str, Any]) -> Constant:
     k1t = option["k1t"]
     if k1t == "estimate":
         return Constant(0.0)
-    if isinstance(k1t, str) or k1t <= 0.0:
+    if isinstance(k1t, str) or not 0.0 < k1t < math.inf:
         raise InputError(f"{option['where']}: k1t = {k1t!r} must be a positive number or 'estimate'")
     return Constant(float(k1t), float(option.get("k1t_std", 0.0)))
 
@@ -531,11 +539,10 @@ def _window(
     """Indices to keep, and the instant on the raw clock that becomes t = 0."""
     low, high = float(option.get("start", times[0])), float(option.get("end", times[-1]))
     inside = np.flatnonzero((times >= low - 1e-9) & (times <= high + 1e-9))
-    if len(inside) < 10:
+    if len(inside) < _FEWEST:
         raise InputError(
-            f"{where}: only {len(inside)} readings between {low:g} and {high:g} s; the record runs "
-            f"from {times[0]:g} to "
-            f"{times[-1]:g} s: correct start and end"
+            f"{where}: only {len(inside)} readings between {low:g} and {high:g} s; the record runs from {times[0]:g} "
+            f"to {times[-1]:g} s: correct start and end"
         )
     release, t, part = option.get("release", "start"), times[inside], y[inside]
     if release == "start":
@@ -549,9 +556,8 @@ def _window(
             )
         if zero <= t[4]:
             raise InputError(
-                f"{where}: no release found: the record moves from its first reading on, so it "
-                f"starts in the middle; give "
-                "release in seconds, 'first_peak' with start = 'free', or a record that begins earlier"
+                f"{where}: no release found: the record moves from its first reading on, so it starts in the middle; "
+                "give release in seconds, 'first_peak' with start = 'free', or a record that begins earlier"
             )
         if measurement.quantity == "acceleration":  # it jumps: somewhere before the first reading that has moved
             zero = 0.5 * (zero + float(t[np.searchsorted(t, zero, side="right")]))
@@ -565,8 +571,13 @@ def _window(
     else:
         zero = float(release)
     before = float(option.get("before", 0.02 if measurement.start == "rest" else 0.0))
-    keep = inside[t >= zero - before - 1e-9]
-    return keep[:: option.get("every", 1)], zero
+    keep = inside[t >= zero - before - 1e-9][:: option.get("every", 1)]
+    if len(keep) < _FEWEST:
+        raise InputError(
+            f"{where}: only {len(keep)} readings are left of the record, which runs from {times[0]:g} to "
+            f"{times[-1]:g} s; correct release, before or every"
+        )
+    return keep, zero
 
 
 # --- raw files -----------------------------------------------------------------------------------------------------
@@ -581,9 +592,8 @@ def _read_raw(path: Path, option: Mapping[str, Any]) -> LoggerFile:
     found = hashlib.sha256(raw).hexdigest()
     if expected and found != expected.lower():
         raise InputError(
-            f"{path.name}: sha256 is {found[:16]}..., expected {expected[:16]}...: this is not the "
-            f"file that was described; get that "
-            "version, or remove sha256 if the change is meant"
+            f"{path.name}: sha256 is {found[:16]}..., expected {expected[:16]}...: this is not the file that was "
+            "described; get that version, or remove sha256 if the change is meant"
         )
     if not raw.strip():
         raise InputError(f"{path.name}: the file is empty; export it again")
@@ -629,8 +639,8 @@ def _spec_from_options(name: str, sources: Sequence[Path], options: Mapping[str,
     if faults:
         raise InputError(faults)
     given = {key: value for key, value in options.items() if value is not None}
-    several = int(str(given.pop("files_per_trial", 1)))
-    if several not in (1, 2) or len(sources) % several:
+    several = given.pop("files_per_trial", 1)
+    if not isinstance(several, int) or several not in (1, 2) or len(sources) % several:
         raise InputError(
             f"files_per_trial = {several} for {len(sources)} files: give 2 where each channel has a file of its own, "
             "and the files in order, the primary before the secondary"

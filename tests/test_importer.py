@@ -92,6 +92,15 @@ def test_missing_constants_are_assumed_and_told(tmp_path: Path) -> None:
         ({"colums": ["a"]}, "option 'colums' does not exist; did you mean 'columns'?"),
         ({"release": "guess"}, "release = 'guess' is none of"),
         ({"start": 900.0}, "only 0 readings"),
+        ({"release": 900.0}, "only 0 readings are left"),
+        ({"release": math.nan}, "only 0 readings are left"),
+        ({"every": 200}, "readings are left of the record, which runs from 4.8 to 6.199 s; correct release"),
+        ({"every": 0}, "every = 0 is too small; give at least 1"),
+        ({"before": -1.0}, "before = -1.0 is too small"),
+        ({"skip_lines": -3}, "skip_lines = -3 is too small"),
+        ({"decimal": "x"}, "decimal = 'x' is none of"),
+        ({"files_per_trial": "two"}, "files_per_trial = two for 1 files"),
+        ({"k1t": math.nan}, "k1t = nan must be a positive number"),
     ],
 )
 def test_wrong_options(tmp_path: Path, options: dict, sentence: str) -> None:
@@ -111,6 +120,13 @@ def test_wrong_options(tmp_path: Path, options: dict, sentence: str) -> None:
             import_records(spec, tmp_path / "out")
         return
     assert sentence in fault_of(tmp_path, source, **options)
+
+
+def test_the_working_directory_gives_the_campaign_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = logger_file(tmp_path / "run.csv", wave())
+    (tmp_path / "bench rig").mkdir()
+    monkeypatch.chdir(tmp_path / "bench rig")
+    assert load_campaign(init_campaign(".", [source], **OPTIONS)).name == "bench rig"
 
 
 def test_degrees_taken_for_radians(tmp_path: Path) -> None:
