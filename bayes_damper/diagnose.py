@@ -28,6 +28,7 @@ from bayes_damper.provenance import provenance
 from bayes_damper.published import load_published
 from bayes_damper.record_posterior import trial_label
 from bayes_damper.run import write_json
+from bayes_damper.units import effect_unit
 from bayes_damper.wording import gap_beside_verdict
 from bayes_damper.wording import p_value as told_p
 
@@ -98,8 +99,13 @@ def diagnose(
         "campaign_sha256": loaded.sha256,
         "provenance": provenance(),
     }
+    of_rig = loaded.rig.kind, loaded.measurement.quantity
     for name, row in result["parameters"].items():
-        row["unit"] = unit_of(name, loaded.rig.kind, loaded.measurement.quantity)
+        row["unit"] = unit_of(name, *of_rig)
+    both = (result["pair"] or {}).get("parameters", {})
+    for parameters in (*(row["parameters"] for row in result["effects"]), *both.values()):
+        for row in parameters.values():
+            row["unit"] = effect_unit(row["unit"], *of_rig)
     _tell_meanings(result, library)
     write_json(path, result)
     _draw(folder, found)

@@ -50,6 +50,7 @@ from bayes_damper.sampling import Sampling, Start, StoppingRule, annealed_start,
 from bayes_damper.sensitivity import of_standard_draws
 from bayes_damper.sensitivity import text as sensitivity_text
 from bayes_damper.summary import summarise, table_text, write_table
+from bayes_damper.units import effect_unit
 
 Array = NDArray[np.float64]
 Report = Callable[[float, str], None]
@@ -483,10 +484,10 @@ def _planned_campaign(plan: Mapping[str, Any]) -> Campaign:
     return campaign
 
 
-def recorded_experiment(plan: Mapping[str, Any], case: str | None) -> tuple[Experiment, Units]:
+def recorded_experiment(plan: Mapping[str, Any], case: str | None) -> tuple[Experiment, str]:
     """The trials of one case, or of all planned cases, as a calibration takes them; marked trials are left out.
 
-    With it the units of this rig's parameters.
+    With it the kind of the rig.
     """
     campaign = _planned_campaign(plan)
     priors = None if plan["priors"] is None else campaign_priors(plan["priors"], campaign)
@@ -497,23 +498,24 @@ def recorded_experiment(plan: Mapping[str, Any], case: str | None) -> tuple[Expe
         replace(record, heldout=record.label in marked) for record in experiment.trials if record.case in wanted
     )
     law = plan["normal_force"] or experiment.normal_force
-    units = partial(unit_of, kind=campaign.rig.kind, quantity=experiment.quantity)
-    return replace(experiment, trials=trials, normal_force=law), units
+    return replace(experiment, trials=trials, normal_force=law), campaign.rig.kind
 
 
 def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping[str, Any], processes: int = 1) -> Any:
     """Task: fit one case of a campaign, or all together (`name` "joint"); its entry of summary.json."""
-    experiment, units = recorded_experiment(plan, None if name == "joint" else name)
+    experiment, kind = recorded_experiment(plan, None if name == "joint" else name)
     report(0.0, "finding the best fit")
     begin_with = None
     if plan.get("effect") is not None:
         begin_with = fit_with_effect(experiment, plan["effect"], plan["effects"])
     noise = fit_with_noise(experiment, plan.get("noise", "auto"), lambda text: report(0.0, text), begin_with)
     best = noise.fit
-    if best.problem.effect is not None:
-        own = {f"effect.{p.name}": p.unit for p in best.problem.effect.parameters}
-        of_the_rig = units
-        units = lambda name: own.get(name) or of_the_rig(name)  # noqa: E731 (same signature as the partial it wraps)
+    declared = () if best.problem.effect is None else best.problem.effect.parameters
+    own = {f"effect.{p.name}": effect_unit(p.unit, kind, experiment.quantity) for p in declared}
+
+    def units(name: str) -> str:
+        return own.get(name) or unit_of(name, kind, experiment.quantity)
+
     freedom = noise.freedom if noise.kind == "student" else None
     posterior = RecordPosterior(best, power=noise.power, freedom=freedom)
     rng = np.random.default_rng([plan["seed"], _number(name)])

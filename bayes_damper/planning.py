@@ -33,10 +33,11 @@ from bayes_damper.distributions import from_standard
 from bayes_damper.effects import Effect, all_effects, classes
 from bayes_damper.effects.base import Variant
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.parameters import READING_UNITS, TRANSLATIONAL_UNITS, unit_of
+from bayes_damper.parameters import unit_of
 from bayes_damper.priors import PriorSet, campaign_priors
 from bayes_damper.provenance import provenance
 from bayes_damper.run import write_json
+from bayes_damper.units import effect_unit
 from bayes_damper.wording import counted
 
 Array = NDArray[np.float64]
@@ -180,9 +181,7 @@ def judge(
     views = _views(fit, pool, rng)
     kin = {name: group for group in classes({v.effect.name: v.effect for v in views}) for name in group}
     rivals = _rivals(fit, pool, views, kin)
-    reading = READING_UNITS[campaign.measurement.quantity]
-    reading = TRANSLATIONAL_UNITS.get(reading, reading) if campaign.rig.kind == "translational" else reading
-    rows = [_row(view, rivals[view.effect.name], reading) for view in views]
+    rows = [_row(view, rivals[view.effect.name], campaign) for view in views]
     rows.sort(key=lambda row: (-row["chance"], -row["nats"]))
     groups = _alike(rows)
     parameters = _parameters(fit, campaign.rig.kind)
@@ -550,8 +549,9 @@ def _additions(
 # Words ----------------------------------------------------------------------------------------------------------------
 
 
-def _row(view: View, rivals: Rivals, reading: str) -> dict[str, Any]:
-    units = {p.name: {"1": "", "reading": reading}.get(p.unit, p.unit) for p in view.variant.parameters}
+def _row(view: View, rivals: Rivals, campaign: Campaign) -> dict[str, Any]:
+    of_rig = campaign.rig.kind, campaign.measurement.quantity
+    units = {p.name: "" if p.unit == "1" else effect_unit(p.unit, *of_rig) for p in view.variant.parameters}
     strongest = rivals.first
     return {
         "name": view.effect.name,

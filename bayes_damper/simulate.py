@@ -20,6 +20,7 @@ from bayes_damper.outcome import Outcome
 from bayes_damper.parameters import RIG_KEYS, hint, unit_of
 from bayes_damper.priors import load_priors
 from bayes_damper.published import load_published
+from bayes_damper.units import effect_unit
 
 _WORDS = {"normal_force": ("linear", "constant"), "restoring": ("linear", "pendulum")}
 
@@ -100,7 +101,7 @@ def simulate_record(
     lines = [f"{key} = {_toml(value)}{_comment(key)}" for key, value in used.items()]
     if variant is not None:
         lines += ["", "[effect]", f'name = "{str(effect).partition("/")[0]}"', f'variant = "{variant.name}"']
-        lines += [f"{p.name} = {own[p.name]!r}  # {p.unit}" for p in variant.parameters]
+        lines += [f"{p.name} = {own[p.name]!r}  # {effect_unit(p.unit)}" for p in variant.parameters]
     path.with_suffix(".toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
     return SimulatedRecord(path, used | ({"effect": own} if variant is not None else {}))
 

@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parent.parent / "bayes_damper"
 # A package counts as one module; inside it anything goes that makes no cycle at import time.
 LAYERS = (
     {"errors", "resources", "distributions", "outcome", "parameters", "checkpoint", "provenance", "memory", "wording"},
-    {"readings", "logger_files"},
+    {"readings", "logger_files", "units"},
     {"records"},
     {"campaign", "importer", "lanes", "damper", "linear", "published"},
     {"effects"},
