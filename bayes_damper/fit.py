@@ -212,6 +212,10 @@ def plan_fit(
     unknown = [case for case in chosen if case not in known]
     if unknown:
         raise InputError(f"--case {unknown[0]}: there is no such case; {campaign} has {', '.join(known)}")
+    if taken := [case for case in chosen if case in _TAKEN]:
+        raise InputError(
+            f"case {taken[0]!r}: results have a folder of that name; give the case another label in trials.csv"
+        )
     if normal_force not in (None, "linear", "constant"):
         raise InputError(f"normal_force {normal_force!r}: expected linear or constant")
     if noise not in KINDS:
@@ -243,6 +247,8 @@ def plan_fit(
     }
 
 
+_TAKEN = ("joint", "variability")
+"""Folders beside those of the cases: of all cases together, and of the pieces of `variability`."""
 _PLANNED = ("campaign", "name", "campaign_sha256", "cases", "joint", "priors", "normal_force", "seed", "thorough",
            "most_steps")  # fmt: skip
 

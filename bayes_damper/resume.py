@@ -52,7 +52,7 @@ def resume(
 
 def _unfinished_variability(path: Path) -> Path | None:
     """The folder with the pieces of a `variability` run: named itself, or in that of the results it has not written."""
-    if path.name == "variability" and (path / "run.json").exists() and not (path / "summary.json").exists():
+    if (path / "run.json").exists() and read_json(path / "run.json").get("command") == "variability":
         return path
     inside = path / "variability"
     return inside if (inside / "run.json").exists() and not (path / "variability.json").exists() else None

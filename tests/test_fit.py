@@ -188,6 +188,15 @@ def test_bad_arguments_get_a_sentence(arguments, told):
         plan_fit(**(defaults | {"seed": 1, "thorough": False, "joint": True} | arguments))
 
 
+def test_a_case_cannot_be_called_what_results_call_their_own_folders(tmp_path):
+    folder = _campaign(tmp_path / "campaign")
+    rows = (folder / "trials.csv").read_text()
+    (folder / "trials.csv").write_text(rows.replace(",IV,", ",joint,"))
+    plan = dict.fromkeys(("cases", "priors", "normal_force", "most_steps"))
+    with pytest.raises(InputError, match="case 'joint': results have a folder of that name"):
+        plan_fit(str(folder), **plan, seed=1, thorough=False, joint=True)
+
+
 def test_a_campaign_that_has_changed_is_told_before_anything_runs(tmp_path):
     folder = _campaign(tmp_path / "campaign")
     plan = plan_fit(str(folder), cases=None, priors=None, normal_force=None, seed=1, thorough=False, most_steps=None,
@@ -203,6 +212,13 @@ def test_a_campaign_that_has_changed_is_told_before_anything_runs(tmp_path):
 def test_a_folder_without_a_run_cannot_be_resumed(tmp_path):
     with pytest.raises(InputError, match=r"run\.json"):
         resume(tmp_path)
+
+
+def test_a_fit_may_lie_in_a_folder_called_variability(tmp_path):
+    """Which is what the pieces of `variability` are called: told by what runs there, not by the name."""
+    write_json(tmp_path / "variability" / "run.json", {"command": "fit", "plan": {}})
+    with pytest.raises(InputError, match="holds no plan of this version"):
+        resume(tmp_path / "variability")
 
 
 def _begun(tmp_path, **changes):

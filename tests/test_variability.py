@@ -614,6 +614,10 @@ def test_bad_folders_are_refused_with_a_sentence(tmp_path):
     write_json(tmp_path / "run.json", {"command": "fit", "plan": {"campaign": "thesis", "cases": ["I"]}})
     with pytest.raises(InputError, match="one case only"):
         variability(tmp_path)
+    plan = {"campaign": "rig", "cases": ["I", "IV"], "effect": "stick_slip"}
+    write_json(tmp_path / "run.json", {"command": "fit", "plan": plan})
+    with pytest.raises(InputError, match="has the effect stick_slip; variability knows the nominal model only"):
+        variability(tmp_path)
 
 
 def test_bad_arguments_are_refused(tmp_path):

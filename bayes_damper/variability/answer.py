@@ -198,6 +198,11 @@ def _read_fit(folder: str | Path) -> tuple[dict[str, Any], Path | None]:
             f"{folder}: summary.json is of {schema!r}; variability needs the results of `bayes-damper fit`"
         )
     plan = dict(run["plan"]) | {"fit_converged": bool(summary["converged"])}
+    if plan.get("effect"):
+        raise InputError(
+            f"{folder}: the model of this fit has the effect {plan['effect']}; variability knows the nominal model "
+            "only: give it a fit without --effect"
+        )
     if len(plan["cases"]) < 2:
         raise InputError(f"{folder}: holds one case only; fit two cases or more to ask how they differ")
     return plan, path
