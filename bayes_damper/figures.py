@@ -18,6 +18,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from matplotlib.transforms import blended_transform_factory
 from numpy.typing import NDArray
 
+from bayes_damper.parameters import unit_of
 from bayes_damper.wording import COORDINATES
 
 mpl.use("Agg", force=False)
@@ -358,7 +359,7 @@ def variability_figure(result: Mapping[str, Any], *, title: str, converged: bool
     result : what variability.json holds. Above: bands of one and the same rig (median, 90 %), each case with its 90 %
     interval, and the values that linear fits to the measurements gave. Below: shares of the scatter, 90 % intervals.
     """
-    names = {"k2t": "k2t [N m/rad]", "c2t": "c2t [N m s/rad]"}
+    names = {name: label(name, unit_of(name, result.get("kind", "torsional"))) for name in ("k2t", "c2t")}
     figure = new_figure(9.0, 6.2, converged)
     with mpl.rc_context(_RC):
         axes = figure.subplots(2, 2, height_ratios=[2.4, 1.0])
@@ -394,7 +395,8 @@ def variability_figure(result: Mapping[str, Any], *, title: str, converged: bool
             lower.set_xlim(0.0, 1.0)
             lower.set_ylim(len(pieces) - 0.5, -0.5)
             lower.set_xlabel(f"share of the variance of ln {name} over the cases")
-        axes[0, 0].legend(loc="best", fontsize=7)
+        told, words = axes[0, 0].get_legend_handles_labels()
+        figure.legend(told, words, loc="outside upper center", ncols=len(words), fontsize=7)
         figure.suptitle(title)
     return figure
 

@@ -89,7 +89,7 @@ _PATTERN = {
     "theta0": r"[-+]?\d+(?:[.,]\d+)?",
     "k1t": r"\d+(?:[.,]\d+)?",
 }
-_LEAST = {"every": 1, "skip_lines": 0, "before": 0.0}
+_LEAST: dict[str, float] = {"every": 1, "skip_lines": 0, "before": 0.0}
 """Smallest values of some keys."""
 _FEWEST = 10
 """Readings that a record must have."""

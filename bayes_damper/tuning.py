@@ -843,7 +843,7 @@ def _band(frequency: Array, accelerance: Array) -> Band:
 def _quantiles(x: Array) -> Array:
     """Quantiles 5, 50 and 95 % over the draws, the last axis: (3, n); nan where no draw has a value."""
     told = np.isfinite(x)
-    some = told.any(axis=-1)
+    some = np.asarray(told.any(axis=-1))
     found = np.nanquantile(np.where(told, x, np.where(some[:, None], np.nan, 0.0)), [0.05, 0.5, 0.95], axis=-1)
     return np.where(some, found, np.nan)
 

@@ -265,6 +265,17 @@ def test_a_linear_rig_is_its_own_equivalent():
     assert np.exp(direct.log_values) == pytest.approx(np.stack([k2t, c2t], axis=1), rel=1e-3)
 
 
+def test_the_linear_fit_keeps_to_the_pace_of_the_rig():
+    """A rig a hundred times as slow has the same equivalent in its own units of time: drag shows in its decrement."""
+    fast = rigs(2, drag=[0.002, 0.004])
+    powers = {"J1": 2, "J2": 2, "c1t": 1, "c3t": 1, "c2t": 1, "nu": 1}
+    slow = {name: x * 100.0 ** powers.get(name, 0) for name, x in fast.items()}
+    found, expected = equivalent(slow, stretch=100.0), equivalent(fast)
+    assert found.log_values[:, 0] == pytest.approx(expected.log_values[:, 0], abs=1e-3)
+    assert found.log_values[:, 1] == pytest.approx(expected.log_values[:, 1] + math.log(100.0), abs=1e-3)
+    assert bearing_damping(slow, stretch=100.0) == pytest.approx(100.0 * bearing_damping(fast), rel=1e-3)
+
+
 def test_friction_looks_like_damping_that_falls_with_amplitude():
     """Dry friction gives a viscous equivalent in proportion to 1 / amplitude: what the thesis saw (p. 22)."""
     found = equivalent(rigs(3, theta0=np.radians([3.0, 5.0, 9.0])))

@@ -1059,7 +1059,7 @@ def variability_result(data: Mapping[str, Any], folder: Path) -> Result:
     )
     rest = generic(
         data, "", ("schema", "campaign", "campaign_sha256", "seed", "converged", "sentences", "provenance", "models",
-                   "effective", "decomposition", "recycled", "method", "method_of_effective", "cases", "pooled",
+                   "effective", "decomposition", "recycled", "method", "kind", "method_of_effective", "cases", "pooled",
                    "common", "warnings"),
     )  # fmt: skip
     pictures = _pictures(folder, kind="variability")
@@ -1099,9 +1099,11 @@ def _decomposition_tables(data: Mapping[str, Any]) -> list[Table]:
                 line.append(f"{number(row[name]['median'])} ({interval(*row[name]['hdi90'])})")
                 line.append(number((row.get("measured") or {}).get(name)))
             rows.append(Row(tuple(line)))
-        heads = ("case", "initial energy [mJ]", "effective k2t (90 %) [N m/rad]", "fitted to the measurement [N m/rad]",
-                   "effective c2t (90 %) [N m s/rad]", "fitted to the measurement [N m s/rad]")  # fmt: skip
-        tables.append(Table("Effective linear stiffness and damping", heads, tuple(rows)))
+        heads = ["case", "initial energy [mJ]"]
+        for name in ("k2t", "c2t"):
+            unit = unit_of(name, str(data.get("kind", "torsional")))
+            heads += [f"effective {name} (90 %) [{unit}]", f"fitted to the measurement [{unit}]"]
+        tables.append(Table("Effective linear stiffness and damping", tuple(heads), tuple(rows)))
     return tables
 
 

@@ -147,6 +147,7 @@ def variability(
         "campaign_sha256": plan["campaign_sha256"],
         "seed": seed,
         "converged": fit_converged and all(m["spread"] < _LARGEST_SPREAD for m in models.values()),
+        "kind": cases.kind,
         "cases": list(cases.names),
         "pooled": list(cases.pooled),
         "common": list(cases.common),

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from bayes_damper.arviz_adapter import hdi
 from bayes_damper.model import Quantity
-from bayes_damper.variability.equivalent import FIRST, LAST, NAMES, Equivalent, equivalent
+from bayes_damper.variability.equivalent import FIRST, LAST, NAMES, TIMES, Equivalent, equivalent
 
 Array = NDArray[np.float64]
 Values = Mapping[str, Array]
@@ -45,7 +45,8 @@ class Sets:
 
     cases : case -> draws; energies : case -> initial energy, J; measured : case -> (k2t, c2t) that a linear fit to the
     measurements gave, or none; rounding : variance of ln k2t and ln c2t by the rounding of those; measured_variance :
-    (case, effective draws) -> variances (n, 2); curve : label -> (energies (k,), parameters name -> (draws * k,)).
+    (case, effective draws) -> variances (n, 2); curve : label -> (energies (k,), parameters name -> (draws * k,));
+    stretch : of the times of the linear fit (equivalent.py).
     """
 
     cases: Mapping[str, CaseDraws]
@@ -58,6 +59,7 @@ class Sets:
     restoring: Literal["linear", "pendulum"] = "linear"
     quantity: Quantity = "acceleration"
     measurement: str = ""
+    stretch: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ def decompose(sets: Sets) -> Decomposition:
     """The scatter of the effective values over the cases, taken apart."""
 
     def effective(values: Values) -> Equivalent:
-        return equivalent(values, sets.normal_force, sets.restoring, sets.quantity)
+        return equivalent(values, sets.normal_force, sets.restoring, sets.quantity, sets.stretch)
 
     seen = {c: effective(d.values) for c, d in sets.cases.items()}
     total = np.stack([e.log_values for e in seen.values()])  # (cases, n, 2)
@@ -137,8 +139,9 @@ def _effective(sets: Sets, seen: Mapping[str, Equivalent], effective: Any) -> di
 def _method(sets: Sets) -> str:
     return (
         f"Effective k2t and c2t: least squares of the linear 2DOF model (eq. 17) to the primary's coupled record, "
-        f"{1e3 * FIRST:g} to {1e3 * LAST:g} ms after release, every millisecond; c1t = c3t from the uncoupled log "
-        f"decrement (eqs. 11, 12). Variances of their logarithms over the cases. {sets.measurement}"
+        f"{1e3 * sets.stretch * FIRST:.3g} to {1e3 * sets.stretch * LAST:.3g} ms after release, {len(TIMES)} readings; "
+        f"c1t = c3t from the uncoupled log decrement (eqs. 11, 12). Variances of their logarithms over the cases. "
+        f"{sets.measurement}"
     )
 
 

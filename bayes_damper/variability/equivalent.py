@@ -3,12 +3,13 @@
 The recipe: c1t of the linear model is what the log decrement of the uncoupled record gives (eqs. 11 and 12), c3t = c1t;
 then k2t and c2t are those with which the linear 2DOF model (eq. 17), released from the same angle, comes closest to the
 primary's coupled record by least squares, every millisecond from `FIRST` to `LAST` after release, the instant of
-release itself left out. Dry friction and drag have no other way to show than in k2t and c2t.
+release itself left out. Dry friction and drag have no other way to show than in k2t and c2t. On another rig `stretch`
+brings these times to its own pace, so that they stay the first two periods.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -22,7 +23,9 @@ from bayes_damper.model import Model, Quantity
 Array = NDArray[np.float64]
 FIRST, LAST = 1e-3, 0.25
 TIMES: Array = np.asarray(np.arange(round(FIRST * 1e3), round(LAST * 1e3) + 1) * 1e-3, dtype=np.float64)
-"""Sample times of the fit, s: the first two periods, in which all motion is."""
+"""Sample times of the fit, s: the first two periods of the thesis's rig, in which all motion is."""
+PERIOD = 0.1225
+"""Period of the primary of the thesis's rig, s: geometric mean of its two springs."""
 NAMES = ("k2t", "c2t")
 _FEATURE_TIMES: Array = np.concatenate([np.linspace(0.0, 1e-3, 11), np.arange(2, 651) * 1e-3])
 _LOWEST, _HIGHEST = np.log(1e-3), np.log(20.0)
@@ -40,11 +43,16 @@ class Equivalent:
     inside: NDArray[np.bool_]
 
 
-def bearing_damping(values: Mapping[str, Array], normal_force: Literal["linear", "constant"] = "linear",
-                    restoring: Literal["linear", "pendulum"] = "linear") -> Array:  # fmt: skip
+def bearing_damping(
+    values: Mapping[str, Array],
+    normal_force: Literal["linear", "constant"] = "linear",
+    restoring: Literal["linear", "pendulum"] = "linear",
+    stretch: float = 1.0,
+) -> Array:
     """c1t of the linear model, (n,) N m s/rad, by the thesis's recipe: from the uncoupled record's log decrement."""
-    record = Model(False, normal_force, restoring).simulate(_rig(values, False), _FEATURE_TIMES).y[:, 0]
-    decrement = features(_FEATURE_TIMES, record, 6e-4).log_decrement
+    times = stretch * _FEATURE_TIMES
+    record = Model(False, normal_force, restoring).simulate(_rig(values, False), times).y[:, 0]
+    decrement = features(times, record, 6e-4 * stretch).log_decrement
     c1t = damping_coefficient(damping_ratio_of_decrement(decrement), values["k1t"], values["J1"])
     # Where drag stops the rig before a second peak there is no decrement: half critical damping is as good as any.
     return np.where(np.isfinite(c1t), c1t, damping_coefficient(0.5, values["k1t"], values["J1"]))
@@ -55,14 +63,18 @@ def equivalent(
     normal_force: Literal["linear", "constant"] = "linear",
     restoring: Literal["linear", "pendulum"] = "linear",
     quantity: Quantity = "acceleration",
+    stretch: float = 1.0,
 ) -> Equivalent:
     """Effective k2t and c2t of nonlinear rigs: name -> (n,) parameters in SI, theta0 the angle of release in rad."""
-    record = Model(True, normal_force, restoring).simulate(_rig(values, True), TIMES, quantity=quantity).y[:, 0]
-    return fit_linear(record, values, bearing_damping(values, normal_force, restoring), quantity)
+    times = stretch * TIMES
+    record = Model(True, normal_force, restoring).simulate(_rig(values, True), times, quantity=quantity).y[:, 0]
+    return fit_linear(record, values, bearing_damping(values, normal_force, restoring, stretch), quantity, times)
 
 
-def fit_linear(record: Array, values: Mapping[str, Array], c1t: Array, quantity: Quantity) -> Equivalent:
-    """k2t and c2t of the linear rig closest to records (n, len(TIMES)) of the primary, by damped Gauss-Newton steps."""
+def fit_linear(
+    record: Array, values: Mapping[str, Array], c1t: Array, quantity: Quantity, times: Array = TIMES
+) -> Equivalent:
+    """k2t and c2t of the linear rig closest to records (n, n_times) of the primary, by damped Gauss-Newton steps."""
     n = len(record)
     fixed = {name: np.broadcast_to(values[name], (n,)) for name in ("J1", "J2", "k1t", "theta0")}
     fixed["c1t"] = fixed["c3t"] = np.broadcast_to(c1t, (n,))
@@ -70,28 +82,30 @@ def fit_linear(record: Array, values: Mapping[str, Array], c1t: Array, quantity:
         fixed[name] = np.broadcast_to(values.get(name, np.zeros(1)), (n,))
     unit = np.stack([np.log(fixed["k1t"]), 0.5 * np.log(fixed["k1t"] * fixed["J1"])], axis=1)
     starts = np.log(np.array(_STARTS))
-    costs = np.stack([np.sum((_linear(fixed, unit + x, quantity) - record) ** 2, axis=1) for x in starts])
-    best, cost = _descend(record, fixed, unit, starts[np.nan_to_num(costs, nan=np.inf).argmin(axis=0)], quantity)
+
+    def linear(log_values: Array) -> Array:
+        return linear_record(fixed, log_values, times, quantity)
+
+    costs = np.stack([np.sum((linear(unit + x) - record) ** 2, axis=1) for x in starts])
+    best, cost = _descend(record, linear, unit, starts[np.nan_to_num(costs, nan=np.inf).argmin(axis=0)])
     scale = np.sqrt(np.mean(record**2, axis=1))
     inside = np.all((best > _LOWEST + 0.01) & (best < _HIGHEST - 0.01), axis=1)
     return Equivalent(best + unit, np.sqrt(cost / record.shape[1]) / scale, inside & np.isfinite(cost))
 
 
-def _descend(
-    record: Array, fixed: Mapping[str, Array], unit: Array, x: Array, quantity: Quantity
-) -> tuple[Array, Array]:
+def _descend(record: Array, linear: Callable[[Array], Array], unit: Array, x: Array) -> tuple[Array, Array]:
     """Levenberg-Marquardt on all records at once: x (n, 2) in units, and the sum of squares (n,)."""
     damping = np.full(len(x), 1e-2)
-    y = _linear(fixed, x + unit, quantity)
+    y = linear(x + unit)
     cost = np.sum((y - record) ** 2, axis=1)
     for _ in range(_ITERATIONS):
-        J = np.stack([(_linear(fixed, x + unit + 1e-4 * step, quantity) - y) / 1e-4 for step in np.eye(2)], axis=1)
+        J = np.stack([(linear(x + unit + 1e-4 * step) - y) / 1e-4 for step in np.eye(2)], axis=1)
         H = J @ J.transpose(0, 2, 1)
         g = np.einsum("nkt,nt->nk", J, y - record)
         H = H + (damping[:, None, None] * H + 1e-12 * np.trace(H, axis1=1, axis2=2)[:, None, None]) * np.eye(2)
         move = np.clip(-np.linalg.solve(H, g[..., None])[..., 0], -1.0, 1.0)
         trial = np.clip(x + move, _LOWEST, _HIGHEST)
-        y_new = _linear(fixed, trial + unit, quantity)
+        y_new = linear(trial + unit)
         new = np.sum((y_new - record) ** 2, axis=1)
         better = new < cost
         done = np.all(np.where(better, cost - new, 0.0) < 1e-7 * cost)
@@ -114,10 +128,6 @@ def linear_record(fixed: Mapping[str, Array], log_values: Array, times: Array, q
     return {"acceleration": motion.acceleration, "velocity": motion.velocity, "displacement": motion.angle}[quantity][
         :, 0
     ]
-
-
-def _linear(fixed: Mapping[str, Array], log_values: Array, quantity: Quantity) -> Array:
-    return linear_record(fixed, log_values, TIMES, quantity)
 
 
 def _rig(values: Mapping[str, Array], coupled: bool) -> dict[str, Array]:

@@ -30,6 +30,7 @@ _CURVE_POINTS = 8
 class PublishedCases:
     """Published features of several cases under the priors of a fit's plan."""
 
+    kind = "torsional"
     method = (
         "Published features: the joint posterior of all cases by tempering, its evidence beside it; the unseen data "
         "are the features of each case in turn, predicted from the other cases. Parameters of the level "

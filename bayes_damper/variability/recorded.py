@@ -22,9 +22,10 @@ from bayes_damper.calibration import (
 from bayes_damper.campaign import load_campaign
 from bayes_damper.distributions import Distribution, from_standard, to_standard
 from bayes_damper.errors import InputError
+from bayes_damper.parameters import unit_of
 from bayes_damper.priors import campaign_priors
 from bayes_damper.variability.decomposition import CaseDraws, Sets, curve_values, mean_over_cases, summary
-from bayes_damper.variability.equivalent import LAST, NAMES, TIMES, bearing_damping, fit_linear
+from bayes_damper.variability.equivalent import NAMES, PERIOD, TIMES, bearing_damping, fit_linear
 from bayes_damper.variability.pooling import POOLINGS, Direct, GaussianCase, GaussianHierarchy, Pooling
 from bayes_damper.variability.published import describe_scatter
 
@@ -60,6 +61,9 @@ class RecordedCases:
         if plan["normal_force"]:
             whole = replace(whole, normal_force=plan["normal_force"])
         whole = replace(whole, trials=tuple(t for t in whole.trials if t.case in self.names))
+        self.kind = campaign.rig.kind
+        pace = [math.log(whole.stiffnesses[t.k1t][0] / whole.constants["J1"][0]) for t in whole.trials]
+        self.stretch = 2.0 * math.pi * math.exp(-0.5 * float(np.mean(pace))) / PERIOD
         alone = {case: replace(whole, trials=tuple(t for t in whole.trials if t.case == case)) for case in self.names}
         # Default priors follow the amplitude of the trials they are for. The cases are compared under one prior, that
         # of all trials; the fit of one case had its own.
@@ -248,12 +252,13 @@ class RecordedCases:
             {case: (math.exp(m[0][0]), math.exp(m[0][1])) for case, m in found.items() if m is not None},
             (0.0, 0.0),
             {case: _constant(m[1] if m is not None else np.zeros(2)) for case, m in found.items()},
-            {f"k1t = {k:.3g}": (grid, curve_values(reference, k, grid)) for k in springs},
+            {f"k1t = {k:.3g} {unit_of('k1t', self.kind)}": (grid, curve_values(reference, k, grid)) for k in springs},
             first.normal_force,
             first.restoring,
             first.quantity,
             "Measurement scatter: the same linear fit to each coupled trial, its variance from trial to trial over "
             "their number.",
+            self.stretch,
         )
 
     def _prior(self, rng: np.random.Generator, n: int) -> Array:
@@ -267,13 +272,14 @@ class RecordedCases:
         fit = self.fits[case]
         experiment = fit.problem.experiment
         starts = _starts(fit, experiment)
+        times = self.stretch * TIMES
         records, angles = [], []
         for i, t in enumerate(experiment.trials):
             good = np.isfinite(t.y[0])
             angle, delay = starts.get(i, (t.theta0, 0.0))
-            if not t.coupled or t.torque is not None or good.sum() < 20 or t.times[good][-1] < LAST + delay:
+            if not t.coupled or t.torque is not None or good.sum() < 20 or t.times[good][-1] < times[-1] + delay:
                 continue
-            records.append(np.interp(TIMES + delay, t.times[good], t.y[0][good]))
+            records.append(np.interp(times + delay, t.times[good], t.y[0][good]))
             angles.append(angle)
         if not records:
             return None
@@ -281,8 +287,8 @@ class RecordedCases:
             case, fit.q[None, [fit.problem.names.index(n) for n in self.pooled]], self._own_common(fit)
         )
         values = {name: np.repeat(x, len(records)) for name, x in at_best.items()} | {"theta0": np.array(angles)}
-        damping = bearing_damping(values, experiment.normal_force, experiment.restoring)
-        found = fit_linear(np.array(records), values, damping, experiment.quantity)
+        damping = bearing_damping(values, experiment.normal_force, experiment.restoring, self.stretch)
+        found = fit_linear(np.array(records), values, damping, experiment.quantity, times)
         x = found.log_values
         variance = x.var(axis=0, ddof=1) / len(x) if len(x) > 1 else np.zeros(2)
         return x.mean(axis=0), variance
