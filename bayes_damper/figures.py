@@ -395,9 +395,9 @@ def variability_figure(result: Mapping[str, Any], *, title: str, converged: bool
             lower.set_xlim(0.0, 1.0)
             lower.set_ylim(len(pieces) - 0.5, -0.5)
             lower.set_xlabel(f"share of the variance of ln {name} over the cases")
-        told, words = axes[0, 0].get_legend_handles_labels()
-        figure.legend(told, words, loc="outside upper center", ncols=len(words), fontsize=7)
-        figure.suptitle(title)
+        # Above the axes, where it hides no case; a title of the figure would share its place.
+        told = {"loc": "outside upper center", "ncols": 5, "fontsize": 8, "title": title, "title_fontsize": 11}
+        figure.legend(*axes[0, 0].get_legend_handles_labels(), **told)
     return figure
 
 

@@ -8,7 +8,7 @@ import pytest
 from campaigns import CAMPAIGN_TOML, write_table
 from scipy.stats import genpareto
 
-from bayes_damper import arviz_adapter
+from bayes_damper import arviz_adapter, figures
 from bayes_damper.campaign import load_campaign
 from bayes_damper.distributions import from_standard
 from bayes_damper.errors import ExitCode, InputError, Interrupted
@@ -263,6 +263,19 @@ def test_a_linear_rig_is_its_own_equivalent():
     record = linear_record(exact, np.log(np.stack([k2t, c2t], axis=1)), TIMES, "acceleration")
     direct = fit_linear(record, values, values["c1t"], "acceleration")
     assert np.exp(direct.log_values) == pytest.approx(np.stack([k2t, c2t], axis=1), rel=1e-3)
+
+
+def test_the_legend_hides_no_case():
+    """Of the effective values: it stands above the axes, and is the title at once."""
+    cases = {"I": rigs(8), "II": rigs(8, c2t=0.06, theta0=math.radians(7.0))}
+    found = decompose(sets_of(cases, list(cases.values())))
+    result = {"campaign": "rig", "effective": found.effective, "decomposition": found.parts, "kind": "translational"}
+    figure = figures.variability_figure(result, title="effective values")
+    figure.draw_without_rendering()
+    (legend,) = figure.legends
+    assert legend.get_title().get_text() == "effective values"
+    assert all(legend.get_window_extent().y0 >= axes.get_window_extent().y1 for axes in figure.axes[:2])
+    assert [axes.get_ylabel() for axes in figure.axes[:2]] == ["effective k2t [N/m]", "effective c2t [N s/m]"]
 
 
 def test_the_linear_fit_keeps_to_the_pace_of_the_rig():
