@@ -721,6 +721,8 @@ addEventListener("load", () => setTimeout(() => {
   seen.readout = page.querySelector("figure.chart .readout").textContent;
   canvas.dispatchEvent(new view.KeyboardEvent("keydown", { key: "+", bubbles: true }));
   page.querySelector("button.enlarge").click();
+  Object.defineProperty(view.navigator, "clipboard", { value: { writeText: async (text) => { seen.copied = text; } } });
+  [...page.querySelectorAll("button.copy")].find((b) => b.textContent.includes("Median and 90 %")).click();
   seen.large = page.querySelectorAll("figure.large").length;
   seen.wideAfter = root.scrollWidth - root.clientWidth;
   view.dispatchEvent(new view.Event("beforeprint"));
@@ -786,6 +788,11 @@ def test_a_browser_shows_all_of_it_without_fault(tmp_path, width, dark):
     assert all(seen["unfolded"]), "what is folded would be missing on paper"
     assert seen["folded"], "after printing the page is as it was"
     assert seen["sharp"] == [2040, 2040, 2040]
+    head, first, *_ = (line.split("\t") for line in seen["copied"].splitlines())
+    assert head[:4] == ["parameter", "unit", "case III", "90 %"]
+    assert len(first) == len(head)
+    assert re.fullmatch(r"[\d.]+ *\*?", first[2])
+    assert re.fullmatch(r"\([\d.]+ to [\d.]+\)", first[3]), "an interval is copied into a column of its own"
     assert re.fullmatch(r"Shown: .+, against θ1 \[rad\] \(one of \d; .*\)\.", seen["shown"])
 
 

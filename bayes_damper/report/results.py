@@ -246,9 +246,9 @@ def _overview(groups: Mapping[str, Any]) -> Table:
             unit = p.get("unit", "")
             low, high = p["hdi90"]
             star = " *" if (p.get("prior_share") or 0.0) >= 0.8 else ""
-            cells.append(f"{number(p['median'], high - low)}{star}\n{interval(low, high)}")
+            cells.append(f"{number(p['median'], high - low)}{star}\n({interval(low, high)})")
         rows.append(Row((_told_name(name), unit, *cells)))
-    columns = ("parameter", "unit", *(n if n.startswith("all") else f"case {n}" for n in groups))
+    columns = ("parameter", "unit", *((n if n.startswith("all") else f"case {n}") + "\n90 %" for n in groups))
     starred = any("*" in cell for row in rows for cell in row.cells[2:])
     note = "* decided by the prior, not by the data" if starred else ""
     return Table("Median and 90 % interval", columns, tuple(rows), note)

@@ -19,8 +19,12 @@
     button.hidden = false;
     const label = button.innerHTML;
     button.addEventListener("click", async () => {
-      const rows = [...button.closest("figure").querySelectorAll("tr")];
-      const text = rows.map((row) => [...row.cells].map((cell) => cell.textContent.trim().replace(/\s+/g, " ")).join("\t")).join("\n");
+      // What stands on lines of its own in a cell, such as an interval below its median, gets a column of its own.
+      const rows = [...button.closest("figure").querySelectorAll("tr")].map((row) => [...row.cells].map(
+        (cell) => cell.textContent.trim().split("\n").map((line) => line.trim().replace(/\s+/g, " "))));
+      const lines = rows[0].map((_, k) => Math.max(...rows.map((row) => row[k].length)));
+      const text = rows.map((row) => row.flatMap(
+        (cell, k) => [...cell, ...Array(lines[k] - cell.length).fill("")]).join("\t")).join("\n");
       button.textContent = (await copied(text)) ? "Copied" : "Could not copy";
       setTimeout(() => { button.innerHTML = label; }, 1500);
     });
