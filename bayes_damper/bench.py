@@ -8,7 +8,6 @@ bodies at 1001 instants of one second, at an error below 1e-4 of the peak; peers
 from __future__ import annotations
 
 import inspect
-import json
 import math
 import platform
 import time
@@ -29,6 +28,7 @@ from bayes_damper.damper import ROWS
 from bayes_damper.errors import ExitCode
 from bayes_damper.integrator import LANES
 from bayes_damper.model import Model
+from bayes_damper.run import write_json, write_text
 from bayes_damper.sampling.moves import DifferentialEvolution, Snooker
 
 Array = NDArray[np.float64]
@@ -510,8 +510,7 @@ def save(result: Bench, folder: Path) -> list[Path]:
     """Write bench.json, bench.md and the figure of work against precision; gives the files."""
     from bayes_damper import figures
 
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "bench.json").write_text(json.dumps(result.to_json(), indent=1) + "\n", encoding="utf-8")
+    write_json(folder / "bench.json", result.to_json())
     machine = ", ".join(f"{key} {value}" for key, value in result.machine.items())
     share = result.kernel_gflops / result.peak_gflops
     text = [
@@ -533,6 +532,6 @@ def save(result: Bench, folder: Path) -> list[Path]:
     ]
     if result.missing:
         text += ["", f"Not installed: {', '.join(sorted(result.missing))}."]
-    (folder / "bench.md").write_text("\n".join(text) + "\n", encoding="utf-8")
+    write_text(folder / "bench.md", "\n".join(text) + "\n")
     figure = figures.work_precision_figure(result.work_precision, title="Work against precision, nu = 100 s/rad")
     return [folder / "bench.json", folder / "bench.md", *figures.save(figure, folder / "bench")]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import importlib
-import json
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -425,7 +424,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"bayes-damper {args.command}: stopped", file=sys.stderr)
         return int(ExitCode.INTERRUPTED)
     if not args.quiet:
-        print(json.dumps(result.to_json(), indent=1) if args.json else result.text())
+        print(_call("run:json_text")(result.to_json()) if args.json else result.text())
     return int(result.exit_code)
 
 

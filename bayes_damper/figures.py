@@ -396,8 +396,8 @@ def variability_figure(result: Mapping[str, Any], *, title: str, converged: bool
             lower.set_ylim(len(pieces) - 0.5, -0.5)
             lower.set_xlabel(f"share of the variance of ln {name} over the cases")
         # Above the axes, where it hides no case; a title of the figure would share its place.
-        told = {"loc": "outside upper center", "ncols": 5, "fontsize": 8, "title": title, "title_fontsize": 11}
-        figure.legend(*axes[0, 0].get_legend_handles_labels(), **told)
+        drawn = axes[0, 0].get_legend_handles_labels()
+        figure.legend(*drawn, loc="outside upper center", ncols=5, fontsize=8, title=title, title_fontsize=11)
     return figure
 
 

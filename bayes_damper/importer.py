@@ -248,11 +248,13 @@ def _checked_keys(table: Mapping[str, Any], valid: Mapping[str, tuple[tuple[type
             faults.append(f"{where}: unknown key '{key}'; {hint}")
         elif not isinstance(value, valid[key][0]) or (isinstance(value, bool) and bool not in valid[key][0]):
             faults.append(f"{where}: {key} = {value!r} is of the wrong type; it is the {valid[key][1]}")
-        elif key in _LEAST and not value >= _LEAST[key]:
-            faults.append(f"{where}: {key} = {value!r} is too small; give at least {_LEAST[key]}")
         elif key == "decimal" and value not in (".", ","):
             faults.append(f"{where}: decimal = {value!r} is none of '.' and ','")
-    return faults
+    return faults + [
+        f"{where}: {key} = {value!r} is too small; give at least {least}"
+        for key, least in _LEAST.items()
+        if isinstance(value := table.get(key), int | float) and not value >= least
+    ]
 
 
 def _build(table: Mapping[str, Any], name: str, raw: Path) -> Campaign:

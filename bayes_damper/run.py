@@ -69,12 +69,22 @@ def folder_name(case: str) -> str:
     return re.sub(r"[^\w-]+", "_", case) + "-" + hashlib.sha256(case.encode()).hexdigest()[:6]
 
 
-def write_json(path: Path, data: Any) -> None:
-    """Write JSON so that a reader sees either the old or the new file, whole."""
+def write_text(path: Path, text: str) -> None:
+    """Write a text file so that a reader sees either the old or the new one, whole; its folder is made."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
-    partial.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    partial.write_text(text, encoding="utf-8")
     partial.replace(path)
+
+
+def json_text(data: Any) -> str:
+    """JSON as every file and `--json` have it: null in place of numbers that are not finite, which JSON cannot hold."""
+    return json.dumps(plain(data), indent=1, allow_nan=False)
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Write JSON so that a reader sees either the old or the new file, whole."""
+    write_text(path, json_text(data) + "\n")
 
 
 def plain(x: Any) -> Any:

@@ -20,6 +20,7 @@ from bayes_damper.outcome import Outcome
 from bayes_damper.parameters import RIG_KEYS, hint, unit_of
 from bayes_damper.priors import load_priors
 from bayes_damper.published import load_published
+from bayes_damper.run import write_text
 from bayes_damper.units import effect_unit
 
 _WORDS = {"normal_force": ("linear", "constant"), "restoring": ("linear", "pendulum")}
@@ -86,6 +87,8 @@ def simulate_record(
     if faults:
         raise InputError(faults)
     path = Path(out)
+    if path.suffix == ".toml":
+        raise InputError(f"--out {path}: the values used go to that name; give the record another ending, e.g. .csv")
     simulation = Model(coupled, words["normal_force"], words["restoring"], variant).simulate(  # type: ignore[arg-type]
         {name: values[name] for name in ROWS if name in values},
         times := np.arange(round(duration * rate) + 1) / rate,
@@ -94,15 +97,14 @@ def simulate_record(
     outcome = Outcome(int(simulation.outcome[0]))
     if outcome is not Outcome.COMPLETED:
         raise InputError(f"this record cannot be simulated: {outcome.sentence}")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(record_text(times, simulation.y[0], "torsional", "acceleration"), encoding="utf-8")
+    write_text(path, record_text(times, simulation.y[0], "torsional", "acceleration"))
     used = {"case": case, "configuration": "coupled" if coupled else "uncoupled", "rate": rate, "duration": duration}
     used |= words | {name: values[name] for name in ROWS if name in values}
     lines = [f"{key} = {_toml(value)}{_comment(key)}" for key, value in used.items()]
     if variant is not None:
         lines += ["", "[effect]", f'name = "{str(effect).partition("/")[0]}"', f'variant = "{variant.name}"']
         lines += [f"{p.name} = {own[p.name]!r}  # {effect_unit(p.unit)}" for p in variant.parameters]
-    path.with_suffix(".toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(path.with_suffix(".toml"), "\n".join(lines) + "\n")
     return SimulatedRecord(path, used | ({"effect": own} if variant is not None else {}))
 
 

@@ -11,6 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from bayes_damper.arviz_adapter import hdi
+from bayes_damper.run import write_text
 from bayes_damper.sampling.convergence import diagnose_draws
 
 Array = NDArray[np.float64]
@@ -59,7 +60,7 @@ def write_table(summary: Mapping[str, Any], path: Path) -> None:
                 row["prior_median"] = before["median"]
                 row["prior_hdi90_low"], row["prior_hdi90_high"] = before["hdi90"]
             rows.append(row)
-    pd.DataFrame(rows).to_csv(path, index=False)
+    write_text(path, pd.DataFrame(rows).to_csv(index=False, lineterminator="\n"))
 
 
 def table_text(parameters: Mapping[str, Any], title: str) -> str:

@@ -33,7 +33,7 @@ from bayes_damper.model import Model
 from bayes_damper.parameters import unit_of
 from bayes_damper.provenance import provenance
 from bayes_damper.published import load_published
-from bayes_damper.run import folder_name, plain, read_json, write_json
+from bayes_damper.run import folder_name, read_json, write_json
 from bayes_damper.wording import counted
 
 Array = NDArray[np.float64]
@@ -944,7 +944,7 @@ def tune(
         tuning_curves(draws, design, target_db, ("J2", *lengths)), origin, seed, provenance(),
     )  # fmt: skip
     if out is not None:
-        told = plain(result.to_json())
+        told = result.to_json()
         write_json(Path(out) / "tune.json", told)
         about = f"{origin.campaign or 'design'}, case {case}"
         figures.save(figures.response_figure(told, title=f"{about}: frequency response"), Path(out) / "tune_response")

@@ -10,7 +10,10 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from bayes_damper.run import read_json, write_json
 
 ENDLESS = """
 import os, time
@@ -56,6 +59,14 @@ def test_workers_end_when_their_parent_is_killed(tmp_path):
         for name in ("a", "b"):
             with contextlib.suppress(ProcessLookupError):
                 os.kill(int((tmp_path / "out" / name / "pid").read_text()), signal.SIGKILL)
+
+
+def test_files_hold_null_where_a_number_is_not_finite(tmp_path):
+    """Nothing that a long run found is lost to a single number that JSON cannot hold."""
+    found = {"x": np.array([1.0, np.nan]), "y": {"z": (np.float64(np.inf), 2)}, "n": np.int64(3)}
+    write_json(tmp_path / "new" / "a.json", found)
+    assert read_json(tmp_path / "new" / "a.json") == {"x": [1.0, None], "y": {"z": [None, 2]}, "n": 3}
+    assert [p.name for p in (tmp_path / "new").iterdir()] == ["a.json"]
 
 
 def _until(condition, seconds: float) -> None:

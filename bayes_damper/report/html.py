@@ -23,7 +23,7 @@ from bayes_damper.provenance import provenance
 from bayes_damper.report.parts import NOTHING, Picture, Result, Section, percent
 from bayes_damper.report.results import READERS
 from bayes_damper.report.terms import terms
-from bayes_damper.run import read_json
+from bayes_damper.run import read_json, write_text
 from bayes_damper.wording import counted
 
 LARGEST = 5_000_000
@@ -119,8 +119,7 @@ def report(folder: str | Path, *, out: str | Path | None = None) -> Report:
     warnings = [w for r in results for w in r.warnings] + warnings
     names = tuple(str(f.relative_to(home)) for f in files)
     page, budget = _page(home, names, results, warnings)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(page, encoding="utf-8")
+    write_text(path, page)
     shown = sum(bool(v) for v in budget.used.values())
     return Report(path, names, shown, tuple(budget.left_out), tuple(warnings), len(page.encode("utf-8")))
 

@@ -19,7 +19,7 @@ import pandas as pd
 from bayes_damper import figures as drawing
 from bayes_damper.errors import ExitCode
 from bayes_damper.provenance import provenance
-from bayes_damper.run import write_json
+from bayes_damper.run import plain, write_json, write_text
 from bayes_damper.thesis.contradictions import Contradiction, Needed, contradictions
 from bayes_damper.thesis.figures import Figure, figures
 from bayes_damper.thesis.printed import CASES, printed_case
@@ -52,14 +52,10 @@ class Recomputation:
 
     def to_json(self) -> dict[str, Any]:
         """The content of thesis.json."""
-        rows = [
-            {key: None if isinstance(x, float) and not math.isfinite(x) else x for key, x in row.items()}
-            for row in self.table.to_dict("records")
-        ]
         return {
             "schema": SCHEMA,
             "verdicts": self._counts(),
-            "table": rows,
+            "table": plain(self.table.to_dict("records")),
             "contradictions": [asdict(c) for c in self.contradictions],
             "provenance": dict(self.provenance),
         }
@@ -136,7 +132,7 @@ def recompute(out: Path | str | None = None) -> Recomputation:
     found = Recomputation(table(), contradictions(), figures(), folder, provenance())
     if folder is not None:
         write_json(folder / "thesis.json", found.to_json())
-        (folder / "thesis.md").write_text(found.markdown(), encoding="utf-8")
-        found.table.to_csv(folder / "thesis.csv", index=False)
+        write_text(folder / "thesis.md", found.markdown())
+        write_text(folder / "thesis.csv", found.table.to_csv(index=False, lineterminator="\n"))
         drawing.save(drawing.thesis_figure(found.figures), folder / "thesis_figures")
     return found

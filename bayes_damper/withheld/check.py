@@ -14,7 +14,7 @@ from bayes_damper.effects import EFFECTS, Effect, all_effects, classes
 from bayes_damper.errors import ExitCode, InputError, Interrupted, SelfCheckError
 from bayes_damper.provenance import provenance
 from bayes_damper.resources import shipped_path
-from bayes_damper.run import Progress, Task, plain, read_json, run_tasks, write_json
+from bayes_damper.run import Progress, Task, plain, read_json, run_tasks, write_json, write_text
 from bayes_damper.withheld import scores
 from bayes_damper.withheld.baselines import baselines_of, forest_out_of_fold
 from bayes_damper.withheld.sealing import (
@@ -237,7 +237,7 @@ def withheld(
     results["bound_to_code"] = not reasons and (source == _shipped() or _remember(key_file, now))
     results = plain(results)
     write_json(home / "withheld.json", results)
-    (home / "withheld.txt").write_text(table_text(results) + "\n", encoding="utf-8")
+    write_text(home / "withheld.txt", table_text(results) + "\n")
     figures.save(figures.withheld_figure(results["scores"], rehearsal=bool(reasons)), home / "withheld")
     return Withheld(results, home)
 

@@ -19,7 +19,7 @@ from bayes_damper import figures
 from bayes_damper.effects import all_effects, classes
 from bayes_damper.errors import InputError
 from bayes_damper.provenance import provenance
-from bayes_damper.run import read_json, write_json
+from bayes_damper.run import read_json, write_json, write_text
 from bayes_damper.withheld import scores
 from bayes_damper.withheld.check import SCHEMA, baseline_scores, left_out_scores, table_text
 from bayes_damper.withheld.sealing import read_freeze, read_verdict
@@ -88,11 +88,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.write("give OUT, then RUN KEY, once or more often\n")
         return 2
     out = given[0]
-    out.mkdir(parents=True, exist_ok=True)
     results = together(list(zip(given[1::2], given[2::2], strict=True)))
     write_json(out / "withheld.json", results)
     text = table_text(results)
-    (out / "withheld.txt").write_text(text + "\n", encoding="utf-8")
+    write_text(out / "withheld.txt", text + "\n")
     figures.save(figures.withheld_figure(results["scores"], rehearsal=False), out / "withheld")
     sys.stdout.write(text + "\n")
     return 0
