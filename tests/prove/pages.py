@@ -12,6 +12,7 @@ import ranks
 from matplotlib.figure import Figure
 
 from bayes_damper import figures
+from bayes_damper.wording import counted, p_value
 
 Results = Sequence[Mapping[str, Any]]
 
@@ -67,17 +68,16 @@ def calibration(found: Mapping[str, Results], settings: Mapping[str, Any]) -> No
             f"({'passed' if least > 0.05 else '**not passed**'}). Effective draws: median",
             f"{np.median([r['ess'] for r in results]):.0f}, least {min(r['ess'] for r in results)};",
             f"CPU time {np.mean([r['cpu_seconds'] for r in results]):.1f} s a campaign.",
-            "",
-            "| quantity | p | mean rank | truth in the 50 % interval | truth in the 90 % interval |",
-            "| --- | --- | --- | --- | --- |",
         ]
+        rows = []
         for name, row in table.items():
-            cells = [
+            held = [
                 f"{c['rate']:.1%} ({c['interval'][0]:.1%} to {c['interval'][1]:.1%})" for c in (row["50"], row["90"])
             ]
             flag = "" if row["p"] > 0.05 else " **outside**"
-            lines.append(f"| {name} | {row['p']:.3f}{flag} | {row['mean']:.3f} | {cells[0]} | {cells[1]} |")
-        lines.append("")
+            rows.append((name, f"{row['p']:.3f}{flag}", f"{row['mean']:.3f}", *held))
+        columns = ("quantity", "p", "mean rank", "truth in the 50 % interval", "truth in the 90 % interval")
+        lines += [*_table(columns, rows), ""]
         numbers["kinds"][kind] = {"campaigns": n, "inside": inside, "p_of_all": least, "quantities": table}
     numbers["commits"] = {r["commit"] for results in found.values() for r in results}
     passed = [kind for kind, entry in numbers["kinds"].items() if entry["p_of_all"] > 0.05]
@@ -139,14 +139,13 @@ def bugs(found: Sequence[Mapping[str, Any]], level: float) -> None:
         "times the noise, where priors decide much; repeats, two coupled trials.",
         "The log likelihood of a sound fit is not quite uniform (its page says why), so that what it alone gives away,",
         "and only after dozens of campaigns, is caught less surely than what another quantity gives away.",
-        "",
-        "| bug | campaigns | caught after | by | p | commit |",
-        "| --- | --- | --- | --- | --- | --- |",
     ]
+    rows = []
     for row in found:
         after = f"not caught by {row['campaigns']}" if row["caught"] is None else str(row["caught"])
         told = ", ".join(c[:7] for c in row["commits"])
-        lines.append(f"| {row['bug']} | {row['kind']} | {after} | {row['by']} | {row['p']:.1e} | {told} |")
+        rows.append((row["bug"], row["kind"], after, row["by"], f"{row['p']:.1e}", told))
+    lines += _table(("bug", "campaigns", "caught after", "by", "p", "commit"), rows)
     planted = [row for row in found if not row["bug"].startswith("none")]
     caught = sum(row["caught"] is not None for row in planted)
     verdict = f"{caught} of {len(planted)} planted bugs caught."
@@ -165,28 +164,27 @@ def kills() -> None:
         "A run is stopped by SIGKILL at a random moment, gone on with, killed again, up to ten times, until it ends;",
         "what it ends with is compared bit for bit with a run that nothing disturbed. Moments are drawn evenly over a",
         "third of the time that a whole run takes, from each start on: what is resumed takes up late.",
-        "",
-        "| what | kills | runs | the same, bit for bit | last file written before a kill |",
-        "| --- | --- | --- | --- | --- |",
     ]
+    rows: list[tuple[str, ...]] = []
     verdicts: list[str] = []
     numbers: dict[str, Any] = {}
     commits: set[str] = set()
     for name, title in titles.items():
         results = list(parts.finished(name).values())
         if not results:
-            lines.append(f"| {title} | not run yet | | | |")
+            rows.append((title, "not run yet", "", "", ""))
             continue
         total, same = sum(len(r["kills"]) for r in results), sum(not r["different"] for r in results)
         after = Counter(name for r in results for name in r.get("after", ()))
         told = ", ".join(f"{name} {count}" for name, count in after.most_common())
-        lines.append(f"| {title} | {total} | {len(results)} | {same} | {told} |")
+        rows.append((title, str(total), str(len(results)), str(same), told))
         verdicts.append(
             f"{'fit' if name == 'kills' else 'sampler'}: {total} kills, {same} of {len(results)} runs the same"
         )
         numbers[name] = {"kills": total, "runs": len(results), "same": same, "lives": results}
         commits |= {r["commit"] for r in results}
     numbers["commits"] = commits
+    lines += _table(("what", "kills", "runs", "the same, bit for bit", "last file written before a kill"), rows)
     parts.write_page("kills", "; ".join(verdicts) + ".", lines, numbers)
 
 
@@ -196,12 +194,13 @@ def integrator(rows: Results) -> None:
         "Accelerations of both bodies over 1 s at 1 kHz, parameters drawn over the whole prior box (nu from 5 to 3000",
         "s/rad), against the tests' own Runge-Kutta solver: the C library's tanh, steps that keep step times slope",
         "below 0.05, nothing shared with the package, and itself held against scipy's DOP853 at a tolerance of 1e-12.",
+        *_table(
+            ("pull", "vectors", "largest error, share of the peak", "the same at tolerance 0.1"),
+            [(r["law"], str(r["vectors"]), f"{r['error']:.1e}", f"{r['tight']:.1e}") for r in rows],
+        ),
         "",
-        "| pull | vectors | largest error, share of the peak | the same at tolerance 0.1 |",
-        "| --- | --- | --- | --- |",
+        "Bounds: 1e-4 and 1e-5.",
     ]
-    lines += [f"| {r['law']} | {r['vectors']} | {r['error']:.1e} | {r['tight']:.1e} |" for r in rows]
-    lines += ["", "Bounds: 1e-4 and 1e-5."]
     worst, tight = (max(r[key] for r in rows) for key in ("error", "tight"))
     verdict = (
         f"Largest error over {sum(r['vectors'] for r in rows)} vectors: {worst:.1e} of the peak, {tight:.1e} tight."
@@ -218,16 +217,18 @@ def samplers(result: Mapping[str, Any]) -> None:
         + ("." if result["jax_gap"] is None else f" (largest difference {result['jax_gap']:.2g} nats)."),
         "Draws are effective ones of the worst coordinate after warm-up; CPU time on one core, all in one run; means:",
         "largest difference from ours over its Monte-Carlo error; sds: largest ratio.",
-        "",
-        "| sampler | draws | R-hat | evaluations each | warm-up, s | draws, s | each s | ours over it | means | sds |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
-    for r in result["runs"]:
-        r_hat = "-" if r["r_hat"] is None else f"{r['r_hat']:.4f}"
-        lines.append(
-            f"| {r['name']} | {r['ess']:.0f} | {r_hat} | {r['evaluations_each']:.1f} | {r['warm_up']:.2f} | "
-            f"{r['seconds']:.2f} | {r['rate']:.0f} | {r['ratio']:.1f} | {r['means']:.1f} | {r['sds']:.2f} |"
+    columns = ("sampler", "draws", "R-hat", "evaluations each", "warm-up, s", "draws, s", "each s", "ours over it",
+               "means", "sds")  # fmt: skip
+    rows = [
+        (
+            r["name"], f"{r['ess']:.0f}", "-" if r["r_hat"] is None else f"{r['r_hat']:.4f}",
+            f"{r['evaluations_each']:.1f}", f"{r['warm_up']:.2f}", f"{r['seconds']:.2f}", f"{r['rate']:.0f}",
+            f"{r['ratio']:.1f}", f"{r['means']:.1f}", f"{r['sds']:.2f}",
         )
+        for r in result["runs"]
+    ]  # fmt: skip
+    lines += _table(columns, rows)
     stages = result.get("stages")
     if stages:
         lines += [
@@ -260,50 +261,27 @@ REFERENCE = {
 
 def rigs(found: Results) -> None:
     """Page of the measured rigs: the verdicts, the forecasts with the coverage of their bands, and the peers."""
+    columns = ("rig", "verdict", "other answers above 5 %", "gap on held-out trials", "credible set")
     lines = [
         "`diagnose --nominal linear` of three [measured rigs](../rigs/index.md): the nominal model has viscous damping",
         "only. Every held-out trial is forecast from the state that its first two periods give; a miss is the root",
         "mean square of what comes after. Bands that kept their word would hold 50 and 90 % of the readings. Beside",
         "it, the miss where the state is inferred from the whole held-out trial: that is what the reference fits with",
         "dry friction are given for (least squares by others, on the same stretches).",
-        "",
-        "| rig | verdict | other answers above 5 % | gap on held-out trials | credible set |",
-        "| --- | --- | --- | --- | --- |",
+        *_table(columns, [_verdict_cells(row) for row in found]),
     ]
-    for row in found:
-        d = row["diagnosis"]
-        pair = d["pair"]
-        verdict = f"{d['verdict']} {d['probabilities'][d['verdict']]:.2f}"
-        if pair:
-            verdict = f"{' and '.join(pair['effects'])} together {pair['probability']:.2f}"
-        ranked = sorted(d["probabilities"].items(), key=lambda item: -item[1])
-        others = ", ".join(f"{n} {p:.2f}" for n, p in ranked if p > 0.05 and n != d["verdict"])
-        gap = f"{d['gap']['answer']} (p = {d['gap']['p_value']:.2g})"
-        size = len(d["credible_set"])
-        lines.append(f"| {row['rig']} | {verdict} | {others} | {gap} | {size} answer{'s' * (size > 1)} |")
-    lines += [
-        "",
-        "| rig, held-out trial | n | unit | miss, before / after | 50 % band | 90 % band | whole trial | reference |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- |",
-    ]
-    for row in found:
-        unit, times = RIG_UNITS[row["rig"]]
-        trials = [t for d in (row["diagnosis"], *row["others"]) for t in d["forecast"]["trials"]]
-        for t in sorted(trials, key=lambda t: int(t["trial"])):
-            held = [" / ".join(f"{100 * t[s][f'coverage{c}']:.0f} %" for s in ("before", "after")) for c in (50, 90)]
-            ahead, whole = (
-                " / ".join(f"{t[side][key] * times:.3g}" for side in ("before", "after"))
-                for key in ("rms", "rms_whole")
-            )
-            reference = REFERENCE.get((row["rig"], int(t["trial"])), "-")
-            name = f"{row['rig']}, trial {t['trial']}"
-            lines.append(
-                f"| {name} | {t['readings']} | {unit} | {ahead} | {held[0]} | {held[1]} | {whole} | {reference} |"
-            )
+    columns = (
+        "rig, held-out trial", "n", "unit", "miss, before / after", "50 % band", "90 % band", "whole trial",
+        "reference",
+    )  # fmt: skip
+    lines += _table(columns, [cells for row in found for cells in _forecast_cells(row)])
     for row in found:
         for d in row["others"]:
             number = d["forecast"]["trials"][0]["trial"]
             lines += ["", f"With trial {number} of {row['rig']} held out the verdict is {_ranked(d['probabilities'])}."]
+    columns = (
+        "rig", "peer, model", "left where trained", "miss, held out", "50, 90 % bands hold", "what it says of the gap",
+    )  # fmt: skip
     lines += [
         "",
         "## Peers on the same data",
@@ -312,38 +290,17 @@ def rigs(found: Results) -> None:
         "regresses smoothed accelerations on a list of terms and keeps those that Schwarz's criterion likes",
         "best. Their bands are what they know of: the spread of the unknowns, and white noise at the level of what",
         "they leave; so is the noise in their criterion, whatever its correlation.",
-        "",
-        "| rig | peer, model | left where trained | miss, held out | 50, 90 % bands hold | what it says of the gap |",
-        "| --- | --- | --- | --- | --- | --- |",
+        *_table(columns, [_peer_cells(row, peer) for row in found for peer in row["peers"]]),
     ]
-    for row in found:
-        unit, times = RIG_UNITS[row["rig"]]
-        for peer, says in row["peers"].items():
-            ahead = says["forecast"]
-            miss = "diverges" if ahead.get("rms") is None else f"{ahead['rms'] * times:.3g} {unit}"
-            held = (
-                f"{100 * ahead['coverage50']:.0f} and {100 * ahead['coverage90']:.0f} %"
-                if "coverage50" in ahead
-                else "none"
-            )
-            left = f"{says['rms'] * times:.3g} {unit}" if "rms" in says else "-"
-            lines.append(f"| {row['rig']} | {peer} | {left} | {miss} | {held} | {_says(peer, row['peers'])} |")
+    columns = (
+        "rig, held-out trial", "unit", "viscous: first periods / whole", "with dry friction: first periods / whole",
+    )  # fmt: skip
     lines += [
         "",
         "What least squares make of each held-out trial, without any prior: the limit of the equations, whatever the",
         "inference. Its state is inferred from the first two periods, or from the whole trial.",
-        "",
-        "| rig, held-out trial | unit | viscous: first periods / whole | with dry friction: first periods / whole |",
-        "| --- | --- | --- | --- |",
+        *_table(columns, [cells for row in found for cells in _least_squares_cells(row)]),
     ]
-    for row in found:
-        unit, times = RIG_UNITS[row["rig"]]
-        by_model = [row["peers"][f"scipy, {model}"]["forecast"]["trials"] for model in ("viscous", "dry")]
-        for label, first in by_model[0].items():
-            told = [
-                f"{t['rms'] * times:.3g} / {t['rms_whole'] * times:.3g}" for t in (first, by_model[1][label])
-            ]  # fmt: skip
-            lines.append(f"| {row['rig']}, trial {first['number']} | {unit} | {told[0]} | {told[1]} |")
     named = "; ".join(
         f"{row['rig'].replace('_', ' ')}: {' and '.join(d['pair']['effects']) if d['pair'] else d['verdict']}"
         for row, d in ((row, row["diagnosis"]) for row in found)
@@ -352,6 +309,65 @@ def rigs(found: Results) -> None:
     numbers = {"rigs": list(found), "commits": sorted({row["commit"] for row in found})}
     minutes = sum(row["cpu_seconds"] for row in found) / 60.0
     parts.write_page("rigs", f"{named[0].upper()}{named[1:]}.", lines, numbers, minutes=minutes)
+
+
+def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """A table in Markdown, an empty line above it."""
+    marked = [f"| {' | '.join(cells)} |" for cells in (columns, ["---"] * len(columns), *rows)]
+    return ["", *marked]
+
+
+def _verdict_cells(row: Mapping[str, Any]) -> list[str]:
+    """What the diagnosis says of a rig."""
+    d = row["diagnosis"]
+    verdict = f"{d['verdict']} {d['probabilities'][d['verdict']]:.2f}"
+    if d["pair"]:
+        verdict = f"{' and '.join(d['pair']['effects'])} together {d['pair']['probability']:.2f}"
+    others = _ranked({name: p for name, p in d["probabilities"].items() if name != d["verdict"]})
+    gap = f"{d['gap']['answer']} ({p_value(d['gap']['p_value'])})"
+    return [row["rig"], verdict, others, gap, counted(len(d["credible_set"]), "answer")]
+
+
+def _forecast_cells(row: Mapping[str, Any]) -> list[list[str]]:
+    """Each held-out trial of a rig: what is missed, and what share of the readings the bands hold."""
+    unit, times = RIG_UNITS[row["rig"]]
+    trials = [t for d in (row["diagnosis"], *row["others"]) for t in d["forecast"]["trials"]]
+    out = []
+    for t in sorted(trials, key=lambda t: int(t["trial"])):
+        held = [" / ".join(f"{100 * t[s][f'coverage{c}']:.0f} %" for s in ("before", "after")) for c in (50, 90)]
+        ahead, whole = (
+            " / ".join(f"{t[side][key] * times:.3g}" for side in ("before", "after")) for key in ("rms", "rms_whole")
+        )
+        name, reference = f"{row['rig']}, trial {t['trial']}", REFERENCE.get((row["rig"], int(t["trial"])), "-")
+        out.append([name, str(t["readings"]), unit, ahead, *held, whole, str(reference)])
+    return out
+
+
+def _peer_cells(row: Mapping[str, Any], peer: str) -> list[str]:
+    """What a peer leaves, misses and says on a rig."""
+    unit, times = RIG_UNITS[row["rig"]]
+    says = row["peers"][peer]
+    ahead = says["forecast"]
+    miss = "diverges" if ahead.get("rms") is None else f"{ahead['rms'] * times:.3g} {unit}"
+    held = "none"
+    if "coverage50" in ahead:
+        held = f"{100 * ahead['coverage50']:.0f} and {100 * ahead['coverage90']:.0f} %"
+    left = f"{says['rms'] * times:.3g} {unit}" if "rms" in says else "-"
+    return [row["rig"], peer, left, miss, held, _says(peer, row["peers"])]
+
+
+def _least_squares_cells(row: Mapping[str, Any]) -> list[list[str]]:
+    """Each held-out trial of a rig under both models of plain least squares."""
+    unit, times = RIG_UNITS[row["rig"]]
+    viscous, dry = (row["peers"][f"scipy, {model}"]["forecast"]["trials"] for model in ("viscous", "dry"))
+    return [
+        [
+            f"{row['rig']}, trial {first['number']}",
+            unit,
+            *(f"{t['rms'] * times:.3g} / {t['rms_whole'] * times:.3g}" for t in (first, dry[label])),
+        ]
+        for label, first in viscous.items()
+    ]
 
 
 def _ranked(probabilities: Mapping[str, float]) -> str:
