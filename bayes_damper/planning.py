@@ -37,6 +37,7 @@ from bayes_damper.parameters import unit_of
 from bayes_damper.priors import PriorSet, campaign_priors
 from bayes_damper.provenance import provenance
 from bayes_damper.run import write_json
+from bayes_damper.sensitivity import decided_by
 from bayes_damper.units import effect_unit
 from bayes_damper.wording import counted
 
@@ -606,7 +607,7 @@ def _sentences(
         if row["repeats_to_see"] is not None:
             out.append(f"{row['name']} would be seen with {row['repeats_to_see']} times as many trials.")
     out += [f"{a} and {b} could not be told apart." for a, b in groups]
-    unknown = [name for name, p in parameters.items() if p["sd_over_prior"] > 0.8]
+    unknown = [name for name, p in parameters.items() if decided_by(p["sd_over_prior"] ** 2) == "prior"]
     if unknown:
         out.append(f"Nothing would be learnt about {', '.join(unknown)}: the prior would decide.")
     sensor = campaign.measurement.sensor_range

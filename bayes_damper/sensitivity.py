@@ -12,8 +12,15 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 WIDTHS = {"half": 0.5, "double": 2.0}
 """Factors on the width of a prior."""
-PRIOR_DECIDES = 0.5  # share of the prior's variance left from which the prior decides
+DATA_DECIDE, PRIOR_DECIDES = 0.3, 0.8
+"""Shares of the prior's variance that are left: below the first the data decide, from the other on the prior."""
+_REACHED = 0.5  # the same, up to which draws lie where a wider prior would let them go
 RELIABLE = 0.05  # effective share of the draws below which only a new fit can tell
+
+
+def decided_by(share: float) -> str:
+    """Who decided about a parameter of whose prior variance this share is left: data, prior, or both."""
+    return "data" if share < DATA_DECIDE else "data and prior" if share < PRIOR_DECIDES else "prior"
 
 
 def of_standard_draws(names: Sequence[str], points: Array) -> dict[str, Any]:
@@ -29,7 +36,7 @@ def of_standard_draws(names: Sequence[str], points: Array) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for i, name in enumerate(names):
         share = float(min(1.0, sd[i] ** 2))
-        out[name] = {"prior_share": share, "decided_by": "prior" if share > PRIOR_DECIDES else "data"}
+        out[name] = {"prior_share": share, "decided_by": decided_by(share)}
         for word, width in WIDTHS.items():
             log_weights = -0.5 * (width**-2 - 1.0) * points[:, i] ** 2
             weights = np.exp(log_weights - log_weights.max())
@@ -45,7 +52,7 @@ def of_standard_draws(names: Sequence[str], points: Array) -> dict[str, Any]:
                 "shift_of_that": float(means[most]),
                 "effective_share": effective,
                 # Where the prior decides, no draw lies where a wider one would let them go.
-                "reliable": effective > RELIABLE and (width < 1.0 or share <= PRIOR_DECIDES),
+                "reliable": effective > RELIABLE and (width < 1.0 or share <= _REACHED),
             }
     return out
 

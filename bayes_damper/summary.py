@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from bayes_damper.arviz_adapter import hdi
 from bayes_damper.run import write_text
 from bayes_damper.sampling.convergence import diagnose_draws
+from bayes_damper.sensitivity import decided_by
 
 Array = NDArray[np.float64]
 
@@ -68,7 +69,6 @@ def table_text(parameters: Mapping[str, Any], title: str) -> str:
     lines = [title, f"  {'':28s}{'median':>11s}  {'90 % interval':^25s}  {'unit':10s} decided by"]
     for name, p in parameters.items():
         low, high = p["hdi90"]
-        share = p["prior_share"]
-        word = "(derived)" if share is None else "data" if share < 0.3 else "data and prior" if share < 0.8 else "prior"
+        word = "(derived)" if p["prior_share"] is None else decided_by(p["prior_share"])
         lines.append(f"  {name:28s}{p['median']:11.4g}  {low:11.4g} .. {high:<11.4g} {p['unit']:10s} {word}")
     return "\n".join(lines)

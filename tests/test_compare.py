@@ -14,7 +14,7 @@ from bayes_damper.priors import load_priors
 from bayes_damper.published import load_published
 from bayes_damper.run import write_json
 from bayes_damper.sensitivity import of_standard_draws
-from bayes_damper.summary import summarise
+from bayes_damper.summary import summarise, table_text
 from bayes_damper.variability.pooling import Hierarchy
 from bayes_damper.variability.published import PublishedCases
 from bayes_damper.variability.tempering import temper
@@ -113,6 +113,17 @@ def test_prior_sensitivity_of_a_conjugate_posterior():
     assert half["moves_most"] == "mu"
     assert abs(half["shift_of_that"]) < 0.05
     assert found["mu"]["decided_by"] == "prior"
+
+
+def test_tables_and_shifts_agree_on_who_decided():
+    """One word for one share of the prior's variance, in the table of a fit and below it."""
+    rng = np.random.default_rng(3)
+    points = np.column_stack([x * rng.standard_normal(20_000) for x in (0.3, 0.8, 0.95)])
+    found = of_standard_draws(("a", "b", "c"), points)
+    assert [found[name]["decided_by"] for name in "abc"] == ["data", "data and prior", "prior"]
+    row = {"median": 1.0, "hdi90": (0.5, 1.5), "unit": "1"}
+    lines = table_text({n: row | {"prior_share": found[n]["prior_share"]} for n in "abc"}, "case").splitlines()
+    assert [line.rpartition("  ")[2].strip() for line in lines[2:]] == ["data", "data and prior", "prior"]
 
 
 def test_what_a_fit_has_worked_out_is_taken_from_it(tmp_path):

@@ -29,6 +29,7 @@ from bayes_damper.report.parts import (
     words,
 )
 from bayes_damper.run import folder_name
+from bayes_damper.sensitivity import decided_by
 from bayes_damper.wording import COORDINATES, counted, gap_beside_verdict
 from bayes_damper.wording import p_value as told_p
 
@@ -111,11 +112,10 @@ _INTERVALS = (
 _UNCONVERGED = "The run did not converge: do not use these numbers."
 
 
-def decided_by(share: float | None) -> str:
-    """Who decided about a parameter, in the words of the tables."""
-    if share is None:
-        return "derived"
-    return "data" if share < 0.3 else "data and prior" if share < 0.8 else "prior"
+def _decided(p: Mapping[str, Any]) -> str:
+    """Who decided about a parameter of summary.json, in the words of the tables."""
+    share = p.get("prior_share")
+    return "derived" if share is None else decided_by(share)
 
 
 # A fit --------------------------------------------------------------------------------------------------------------
@@ -179,7 +179,7 @@ def _fit_headline(campaign: str, groups: Mapping[str, Any], converged: bool) -> 
     by_prior: dict[str, int] = {}
     for entry in groups.values():
         for name, p in entry.get("parameters", {}).items():
-            if p.get("prior_share") is not None and p["prior_share"] >= 0.8:
+            if _decided(p) == "prior":
                 by_prior.setdefault(name, 0)
                 by_prior[name] += 1
     everywhere = [name for name, count in by_prior.items() if count == len(groups)]
@@ -196,7 +196,7 @@ def _determined(groups: Mapping[str, Any]) -> str:
     """Which parameters the data decide about, and in which cases, in a sentence."""
     where: dict[tuple[str, ...], list[str]] = {}
     for name in _MAIN:
-        found = [g for g, e in groups.items() if decided_by(_share_of(e, name)) == "data"]
+        found = [g for g, e in groups.items() if _decided(e.get("parameters", {}).get(name, {})) == "data"]
         if found:
             where.setdefault(tuple(found), []).append(name)
     if not where:
@@ -207,11 +207,6 @@ def _determined(groups: Mapping[str, Any]) -> str:
         everywhere = len(places) == len(groups)
         parts.append(listed(names) + ("" if len(groups) == 1 else " everywhere" if everywhere else f" in {fits}"))
     return f"Determined by the data: {'; '.join(parts)}."
-
-
-def _share_of(entry: Mapping[str, Any], name: str) -> float | None:
-    share = entry.get("parameters", {}).get(name, {}).get("prior_share")
-    return None if share is None else float(share)
 
 
 def _missed(groups: Mapping[str, Any]) -> str:
@@ -245,7 +240,7 @@ def _overview(groups: Mapping[str, Any]) -> Table:
                 continue
             unit = p.get("unit", "")
             low, high = p["hdi90"]
-            star = " *" if (p.get("prior_share") or 0.0) >= 0.8 else ""
+            star = " *" if _decided(p) == "prior" else ""
             cells.append(f"{number(p['median'], high - low)}{star}\n({interval(low, high)})")
         rows.append(Row((_told_name(name), unit, *cells)))
     columns = ("parameter", "unit", *((n if n.startswith("all") else f"case {n}") + "\n90 %" for n in groups))
@@ -280,7 +275,7 @@ def _case_section(name: str, entry: Mapping[str, Any], folder: Path, shown: Coll
     for key, p in entry.get("parameters", {}).items():
         low, high = p["hdi90"]
         width = high - low
-        who = decided_by(p.get("prior_share"))
+        who = _decided(p)
         health = (
             number(p.get("r_hat")),
             *(f"{v:.0f}" if (v := p.get(k)) else NOTHING for k in ("ess_bulk", "ess_tail")),
@@ -1012,7 +1007,7 @@ def plan_result(data: Mapping[str, Any], folder: Path) -> Result:
     parameters = []
     for name, p in data["parameters"].items():
         low, high = p["expected90"]
-        who = decided_by(p["sd_over_prior"])
+        who = decided_by(p["sd_over_prior"] ** 2)
         cells = (_meaning(name), interval(low, high), p["unit"], number(p["sd_over_prior"], 0.1), who)
         parameters.append(Row(cells, "prior" if who == "prior" else ""))
     columns = ("parameter", "expected 90 %", "unit", "sd / prior sd", "decided by")
