@@ -789,10 +789,10 @@ def test_a_browser_shows_all_of_it_without_fault(tmp_path, width, dark):
     assert seen["folded"], "after printing the page is as it was"
     assert seen["sharp"] == [2040, 2040, 2040]
     head, first, *_ = (line.split("\t") for line in seen["copied"].splitlines())
-    assert head[:4] == ["parameter", "unit", "case III", "90 %"]
+    assert head[:5] == ["parameter", "", "unit", "case III", "90 %"]
     assert len(first) == len(head)
-    assert re.fullmatch(r"[\d.]+ *\*?", first[2])
-    assert re.fullmatch(r"\([\d.]+ to [\d.]+\)", first[3]), "an interval is copied into a column of its own"
+    assert re.fullmatch(r"[\d.]+ *\*?", first[3])
+    assert re.fullmatch(r"\([\d.]+ to [\d.]+\)", first[4]), "an interval is copied into a column of its own"
     assert re.fullmatch(r"Shown: .+, against θ1 \[rad\] \(one of \d; .*\)\.", seen["shown"])
 
 

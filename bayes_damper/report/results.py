@@ -845,13 +845,14 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
     sentences = [] if converged else ["The fit that this rests on did not converge: do not use these numbers."]
     for name, _, found in designs:
         loss, p = found["linear"]["insertion_loss_db"], found["linear"]["probability_of_target"]
+        who = f"{name[0].upper() + name[1:]}, linear model"
         if loss["interval90"] is None:
-            sentences.append(f"{name[0].upper() + name[1:]}, linear model: damping leaves no resonance, so no loss can be told.")
+            sentences.append(f"{who}: damping leaves no resonance, so no loss can be told.")
             continue
         low, high = loss["interval90"]
         sentences.append(
-            f"{name[0].upper() + name[1:]}, linear model: insertion loss {number(loss['mean'], _wide(high - low, _DB))} dB "
-            f"(90 %: {_interval(low, high, _DB)} dB); it reaches {target:g} dB with probability {percent(p)}."
+            f"{who}: insertion loss {number(loss['mean'], _wide(high - low, _DB))} dB (90 %: "
+            f"{_interval(low, high, _DB)} dB); it reaches {target:g} dB with probability {percent(p)}."
         )
     sentences += data.get("notes", ())
     driven = data.get("nonlinear", [])
