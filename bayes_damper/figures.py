@@ -322,10 +322,7 @@ def record_figure(trials: Sequence[Mapping[str, Any]], unit: str, *, title: str,
                 upper.fill_between(
                     *(times, trial["low"][c], trial["high"][c]), color=COLOURS[0], alpha=0.3, lw=0, label="model, 90 %"
                 )
-                lower.plot(
-                    *(times, trial["measured"][c] - trial["median"][c], "."), color=COLOURS[1], ms=1.4, rasterized=True
-                )
-                lower.axhline(0.0, color="black", lw=0.6)
+                _draw_residuals(lower, times, np.asarray(trial["measured"][c]) - np.asarray(trial["median"][c]))
                 upper.set_title(f"{trial['label']}, channel {c + 1}", loc="left")
                 if c == 0:
                     upper.set_ylabel(raised(unit))
@@ -335,6 +332,23 @@ def record_figure(trials: Sequence[Mapping[str, Any]], unit: str, *, title: str,
             axis.set_xlabel("time [s]")
         figure.text(0.5, 1.0 - (above - 0.53) / height, title, ha="center", va="top", fontsize=11)
     return figure
+
+
+def _draw_residuals(axis: Any, times: Array, residuals: Array) -> None:
+    """Residuals about zero. The few that lie ten times as far out as nearly all others would hide these: they stand as
+    triangles at the edge.
+    """
+    finite = np.abs(residuals[np.isfinite(residuals)])
+    reach = float(np.quantile(finite, 0.98)) if finite.size else 0.0
+    far = np.abs(residuals) > 10.0 * reach if reach > 0.0 else np.zeros(residuals.shape, bool)
+    axis.plot(times[~far], residuals[~far], ".", color=COLOURS[1], ms=1.4, rasterized=True)
+    axis.axhline(0.0, color="black", lw=0.6)
+    if far.any():
+        low, high = axis.get_ylim()
+        edge = np.where(residuals[far] > 0.0, high, low)
+        for side, marker in ((high, "^"), (low, "v")):
+            axis.plot(times[far][edge == side], edge[edge == side], marker, color=COLOURS[1], ms=5.0, clip_on=False)
+        axis.set_ylim(low, high)
 
 
 def work_precision_figure(curves: Mapping[str, Sequence[tuple[float, float]]], *, title: str) -> Figure:

@@ -21,7 +21,7 @@ from PIL import Image
 from bayes_damper import report
 from bayes_damper.diagnose import _rms
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.figures import COLOURS, forest_figure, new_figure, residual_maps_figure, save
+from bayes_damper.figures import COLOURS, forest_figure, new_figure, record_figure, residual_maps_figure, save
 from bayes_damper.fit import _draw_overlaid
 from bayes_damper.report.charts import pack, record_chart, torque_chart, unpack
 from bayes_damper.report.html import LARGEST, typeset
@@ -317,7 +317,7 @@ def test_everything_a_folder_holds_is_on_the_page(tmp_path):
     assert "Nothing was learnt about nu" in text
     assert "The cases do not share one parameter set (2 %)" in text
     assert "insertion loss 12.0 dB (90 %: 10.4 to 13.6 dB)" in text
-    assert "your design probably misses the target where the torque is 0.02 N m" in text
+    assert "your design probably has no resonance left" in text, "12 dB where there is one, but few have one"
     assert "synthetic <rig>" in text
     assert text.index("Most probable, but") < text.index("Case III: parameters")
     assert done.to_json()["bytes"] == done.path.stat().st_size
@@ -367,12 +367,20 @@ def test_the_rig_as_it_is_is_no_design_and_needs_a_resonance(tmp_path):
     data = json.loads((tmp_path / "tune.json").read_text(encoding="utf-8"))
     data["design"] = dict.fromkeys(data["design"])
     nothing = {"mean": None, "median": None, "interval90": None}
-    data["nonlinear"][0] |= {"insertion_loss_db": nothing, "resonance_hz": nothing, "resonance_shift_hz": nothing}
+    data["nonlinear"][0] |= {"probability_of_target": 0.0} | {
+        "insertion_loss_db": nothing,
+        "resonance_hz": nothing,
+        "resonance_shift_hz": nothing,
+    }
     (tmp_path / "tune.json").write_text(json.dumps(data), encoding="utf-8")
     text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
     assert "The rig as it is, linear model: insertion loss 12.0 dB" in text
-    assert "Where the torque is 0.02 N m, the rig as it is has no resonance left to compare" in text
+    assert "Where the torque is 0.02 N m, the rig as it is probably has no resonance left to compare" in text
     assert "misses the target" not in text
+    data["nonlinear"][0] |= {"insertion_loss_db": {"mean": 7.0, "median": 7.0, "interval90": [6.0, 8.0]}}
+    (tmp_path / "tune.json").write_text(json.dumps(data), encoding="utf-8")
+    text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
+    assert "the rig as it is probably misses the target where the torque is 0.02 N m" in text
 
 
 def test_the_gap_stands_before_and_after_each_effect(tmp_path):
@@ -444,6 +452,23 @@ def test_maps_of_residuals_have_a_column_for_each_channel_and_model():
     assert [a.get_xlabel() for a in figure.axes[:6:2]] == ["time [s]", "frequency [Hz]", "angle [rad]"]
     assert figure.axes[-1].get_ylabel() == "rms residual / noise (1: noise alone)"
     assert figure.axes[0].collections[0].norm.vmax > 3.0
+
+
+def test_one_reading_far_out_does_not_hide_the_other_residuals():
+    rng = np.random.default_rng(4)
+    measured = rng.normal(size=(1, 400))
+    measured[0, 7] = -90.0
+    zero = np.zeros((1, 400))
+    trial = {"label": "IV", "times": np.arange(400) * 1e-3, "measured": measured, "low": zero, "median": zero,
+             "high": zero}  # fmt: skip
+    axis = record_figure([trial], "rad/s^2", title="rig").axes[1]
+    low, high = axis.get_ylim()
+    assert -6.0 < low < -2.5
+    assert 2.5 < high < 6.0
+    marks = {line.get_marker(): line.get_xydata() for line in axis.lines if len(line.get_xydata())}
+    assert marks["v"].tolist() == [[0.007, low]]
+    assert "^" not in marks
+    assert len(marks["."]) == 399
 
 
 def test_residuals_are_gathered_in_cells():

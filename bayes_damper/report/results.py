@@ -50,7 +50,10 @@ _PICTURES = {
     ),
     "corner": (
         "Pairs of parameters",
-        "Each parameter by itself, and each pair: contours hold 50 and 90 % of the draws. A slanted one ties the two.",
+        (
+            "Each parameter by itself (dashed in a single case: median and ends of the 90 % interval), and each pair: "
+            "contours hold 50 and 90 % of the draws. A slanted one ties the two."
+        ),
     ),
     "trace": (
         "Health of the run",
@@ -855,17 +858,18 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
             f"{_interval(low, high, _DB)} dB); it reaches {target:g} dB with probability {percent(p)}."
         )
     sentences += data.get("notes", ())
-    driven = data.get("nonlinear", [])
-    silent = [row for row in driven if not row["insertion_loss_db"].get("interval90")]
-    weak = [row for row in driven if row not in silent and row["probability_of_target"] < 0.5]
+    weak = [row for row in data.get("nonlinear", []) if row["probability_of_target"] < 0.5]
+    # Draws without a resonance do not reach the target; where there is one they may well.
+    silent = [row for row in weak if (row["insertion_loss_db"]["mean"] or target) >= target]
+    weak = [row for row in weak if row not in silent]
     if weak:
         at = listed([f"{row['torque_amplitude_n_m']:g} {newton}" for row in weak])
         sentences.append(f"With dry friction, {own} probably misses the target where the {effort} is {at}.")
     if silent:
         at = listed([f"{row['torque_amplitude_n_m']:g} {newton}" for row in silent])
         sentences.append(
-            f"Where the {effort} is {at}, {own} has no resonance left to compare: dry friction holds it or damps "
-            "it away."
+            f"Where the {effort} is {at}, {own} probably has no resonance left to compare: dry friction holds it or "
+            "damps it away."
         )
     changes = []
     if data.get("hangs_most_on"):
