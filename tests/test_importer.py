@@ -266,6 +266,15 @@ def test_a_record_in_which_nothing_moves_is_told_as_such(tmp_path: Path, noise: 
     assert "moves from its first reading" not in told
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_sensor_the_other_way_round_is_told_and_turned(tmp_path: Path, sign: int) -> None:
+    source = logger_file(tmp_path / "run.csv", sign * wave())
+    told = " ".join(load_campaign(init_campaign(tmp_path / "out", [source], **OPTIONS)).warnings)
+    assert ("looks reversed; say so with --sign -1" in told) == (sign == -1)
+    turned = load_campaign(init_campaign(tmp_path / "turned", [source], **{**OPTIONS, "sign": [sign]}))
+    assert "reversed" not in " ".join(turned.warnings)
+
+
 def test_channels_in_files_of_their_own(tmp_path: Path) -> None:
     first = logger_file(tmp_path / "run1_a.csv", wave())
     second = logger_file(tmp_path / "run1_b.csv", 0.3 * wave(1))
