@@ -267,10 +267,8 @@ def _reversed(trials: Sequence[Trial], measurement: Measurement) -> list[str]:
     odd = [Path(trial.file).name for trial in trials if _swings_away(trial)]
     if not odd:
         return []
-    return [
-        f"The primary of {_files(odd)} begins to move away from its rest position: the sign of its channel looks "
-        "reversed; say so with --sign -1 (coupled: one for each channel, such as --sign -1 1)."
-    ]
+    told = f"The primary of {_files(odd)} begins to move away from its rest position: the sign of its channel looks"
+    return [f"{told} reversed; say so with --sign -1 (coupled: one for each channel, such as --sign -1 1)."]
 
 
 def _swings_away(trial: Trial) -> bool:
