@@ -279,6 +279,16 @@ def _parser() -> argparse.ArgumentParser:
         sub.add_argument("--json", action="store_true", help="print the result as JSON instead of text")
         return sub
 
+    def own_effects(sub: Any) -> None:
+        sub.add_argument("--effects", type=Path, metavar="DIR", help="a folder with effects of your own")
+
+    def weighing(sub: Any) -> None:
+        told = "linear: a nominal model without dry friction, which is then a candidate"
+        sub.add_argument("--nominal", choices=("nonlinear", "linear"), default="nonlinear", help=told)
+        own_effects(sub)
+        sub.add_argument("--priors", type=Path, metavar="F.toml", help="priors of the nominal parameters")
+        sub.add_argument("--workers", type=_count, default=2, metavar="N", help="simulations side by side (default: 2)")
+
     def workers(sub: Any) -> None:
         told = "processes on this machine (default: 2)"
         sub.add_argument("--workers", type=_count, default=2, metavar="N", help=told)
@@ -296,7 +306,7 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--uncoupled", action="store_true", help="the primary inertia alone")
     sub.add_argument("--set", action="append", metavar="NAME=VALUE", help="a parameter, a rig key, or EFFECT.PARAMETER")
     sub.add_argument("--effect", metavar="NAME", help="an effect of the library, at the first of its typical values")
-    sub.add_argument("--effects", type=Path, metavar="DIR", help="a folder with effects of your own")
+    own_effects(sub)
     sub.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="sample rate (default: 1000)")
     sub.add_argument("--duration", type=float, default=1.0, metavar="S", help="length of the record (default: 1)")
     sub.add_argument("--out", type=Path, required=True, metavar="F.csv", help="the record to write")
@@ -309,7 +319,7 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--noise", choices=("auto", "gaussian", "student", "ar"), default="auto",
                      help="white, with outliers, or correlated by what the fit leaves (default: by data)")  # fmt: skip
     sub.add_argument("--effect", metavar="NAME", help="give the model this effect, e.g. the verdict of a diagnosis")
-    sub.add_argument("--effects", type=Path, metavar="DIR", help="a folder with effects of your own")
+    own_effects(sub)
     sub.add_argument("--thorough", action="store_true", help="50 autocorrelation times instead of 20")
     sub.add_argument("--most-steps", type=_count, metavar="N", help="give up after N steps of each ensemble")
     workers(sub)
@@ -317,27 +327,19 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("diagnose", _diagnose, "the sim-to-real gap: where it lies, what causes it, how far it shrinks",
                   out="results/diagnose")  # fmt: skip
     sub.add_argument("campaign", help="folder of the campaign, or `thesis`")
-    sub.add_argument("--nominal", choices=("nonlinear", "linear"), default="nonlinear",
-                     help="linear: a nominal model without dry friction, which is then a candidate")  # fmt: skip
-    sub.add_argument("--effects", type=Path, metavar="DIR", help="a folder with effects of your own")
-    sub.add_argument("--priors", type=Path, metavar="F.toml", help="priors of the nominal parameters")
-    sub.add_argument("--workers", type=_count, default=2, metavar="N", help="simulations side by side (default: 2)")
+    weighing(sub)
 
     sub = command("plan", _plan, "before measuring: what the planned trials could tell apart, and with how many",
                   out="results/plan")  # fmt: skip
     sub.add_argument("campaign", help="folder with campaign.toml and trials.csv; the records need not exist")
-    sub.add_argument("--nominal", choices=("nonlinear", "linear"), default="nonlinear",
-                     help="linear: a nominal model without dry friction, which is then a candidate")  # fmt: skip
-    sub.add_argument("--effects", type=Path, metavar="DIR", help="a folder with effects of your own")
-    sub.add_argument("--priors", type=Path, metavar="F.toml", help="priors of the nominal parameters")
-    sub.add_argument("--workers", type=_count, default=2, metavar="N", help="simulations side by side (default: 2)")
+    weighing(sub)
 
     sub = command("withheld", _withheld, "the check on data whose effect is withheld: sealed verdicts, then scores",
                   out="results/withheld")  # fmt: skip
     sub.add_argument("folder", nargs="?", type=Path, help="campaigns, one folder each (default: those shipped)")
     sub.add_argument("--full", action="store_true", help="all campaigns, and each again without its effect (hours)")
     sub.add_argument("--key", type=Path, metavar="F.json", help="the key (default: FOLDER_key.json beside the folder)")
-    sub.add_argument("--effects", type=Path, metavar="DIR", help="a folder with effects of your own")
+    own_effects(sub)
     workers(sub)
 
     sub = command("tune", _tune, "insertion loss and resonance shift of a design, with uncertainty", out="results/tune")
