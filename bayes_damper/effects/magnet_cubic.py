@@ -44,7 +44,7 @@ EFFECT = Effect(
     looks_like="A slow swing of both bodies against each other whose period depends on its amplitude.",
     hides_behind=("k2t", "mu"),
     source="Furlani (2001), Permanent Magnet and Electromechanical Devices, sec. 4.7.",
-    needs=("coupled",),
+    needs=("coupled", "magnet"),
     variants=(
         Variant(
             name="cubic",
