@@ -98,6 +98,7 @@ def test_a_stopped_run_leaves_no_process_behind():
     code = (
         "import os, signal, threading, time\n"
         "from bayes_damper.forked import forked_map\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell's background jobs begin deaf to it
         "threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()\n"
         "try:\n"
         "    forked_map(lambda x: (print(os.getpid(), flush=True), time.sleep(30)), range(4), 2)\n"
