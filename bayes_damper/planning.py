@@ -112,7 +112,7 @@ def plan(
     priors: str | Path | None = None,
     out: str | Path | None = None,
     seed: int = 1,
-    threads: int = 2,
+    workers: int = 2,
 ) -> Plan:
     """What a planned campaign could tell apart at all, and with how many trials.
 
@@ -121,7 +121,7 @@ def plan(
     campaign : folder with campaign.toml and trials.csv; the records need not exist. [measurement] must declare
     noise_std, unless records that are there tell it, and, where records are missing, sample_rate. nominal, effects,
     priors : as for `diagnose`. out : folder for plan.json and its figure, None to write nothing. seed : of the draws
-    from the priors of the effects.
+    from the priors of the effects. workers : simulations side by side.
 
     Raises
     ------
@@ -138,7 +138,7 @@ def plan(
     measured = loaded.measurement.noise_std is None
     if measured:
         loaded = replace(loaded, measurement=replace(loaded.measurement, noise_std=_noise_of_records(loaded)))
-    result = judge(loaded, all_effects(effects), nominal, chosen, seed, threads)
+    result = judge(loaded, all_effects(effects), nominal, chosen, seed, workers)
     if measured:
         result["sentences"].append("The noise was taken from the records that are there: noise_std is not declared.")
     result |= {"campaign_sha256": loaded.sha256, "seed": seed, "provenance": provenance()}
