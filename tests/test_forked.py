@@ -93,19 +93,29 @@ def test_a_loop_is_compiled_where_nothing_can_be_kept(tmp_path):
 
 
 @forks
-def test_a_stopped_run_leaves_no_process_behind():
-    """Interrupted while its processes work, it ends, and they with it."""
+def test_a_stopped_run_leaves_no_process_behind(tmp_path):
+    """Interrupted by one of its processes while both work, it ends, and they with it."""
     code = (
-        "import os, signal, threading, time\n"
+        "import os, pathlib, signal, sys, time\n"
         "from bayes_damper.forked import forked_map\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell's background jobs begin deaf to it
-        "threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()\n"
+        "begun = pathlib.Path(sys.argv[1])\n"
+        "def work(x):\n"
+        "    print(os.getpid(), flush=True)\n"
+        "    if x == 0:\n"
+        "        begun.touch()\n"
+        "    while not begun.exists():\n"
+        "        time.sleep(0.01)\n"
+        "    if x == 1:\n"
+        "        os.kill(os.getppid(), signal.SIGINT)\n"
+        "    time.sleep(60)\n"
         "try:\n"
-        "    forked_map(lambda x: (print(os.getpid(), flush=True), time.sleep(30)), range(4), 2)\n"
+        "    forked_map(work, range(4), 2)\n"
         "except KeyboardInterrupt:\n"
         "    print('stopped', flush=True)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=20, check=True)
+    command = [sys.executable, "-c", code, str(tmp_path / "begun")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=50, check=True)
     *pids, last = done.stdout.split()
     assert last == "stopped"
     assert len(pids) == 2
