@@ -40,6 +40,7 @@ from bayes_damper.distributions import Distribution, from_standard
 from bayes_damper.effects import EFFECTS, Effect, classes, scaled
 from bayes_damper.effects.base import SITES, Variant
 from bayes_damper.priors import PriorSet
+from bayes_damper.run import plain
 
 Array = NDArray[np.float64]
 
@@ -151,7 +152,7 @@ class Diagnosis:
             "notes": list(self.notes),
             "seconds": self.seconds,
         }
-        return _plain(out | dict(self.extra))  # type: ignore[no-any-return]
+        return plain(out | dict(self.extra))  # type: ignore[no-any-return]
 
     def write(self, folder: str | Path) -> Path:
         """Write diagnosis.json and missing_torque.csv into the folder (made if absent); returns the former's path."""
@@ -201,23 +202,6 @@ class Diagnosis:
 def _estimate(fit: Calibration, name: str, unit: str) -> dict[str, Any]:
     value, sd = fit.parameters[name]
     return {"unit": unit, "mean": value, "sd": sd, "hdi90": fit.interval(name)}
-
-
-def _plain(x: Any) -> Any:
-    """Numbers that JSON can hold: no numpy types, no nan or infinity."""
-    if isinstance(x, Mapping):
-        return {str(k): _plain(v) for k, v in x.items()}
-    if isinstance(x, list | tuple):
-        return [_plain(v) for v in x]
-    if isinstance(x, np.ndarray):
-        return _plain(x.tolist())
-    if isinstance(x, bool | np.bool_):
-        return bool(x)
-    if isinstance(x, int | np.integer):
-        return int(x)
-    if isinstance(x, float | np.floating):
-        return float(x) if math.isfinite(float(x)) else None
-    return x
 
 
 def diagnose(
