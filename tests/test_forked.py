@@ -101,7 +101,7 @@ def test_a_stopped_run_leaves_no_process_behind(tmp_path):
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell's background jobs begin deaf to it
         "begun = pathlib.Path(sys.argv[1])\n"
         "def work(x):\n"
-        "    print(os.getpid(), flush=True)\n"
+        "    os.write(1, f'{os.getpid()}\\n'.encode())\n"  # at once: two processes write here
         "    if x == 0:\n"
         "        begun.touch()\n"
         "    while not begun.exists():\n"
