@@ -70,7 +70,9 @@ _TOP = ("name", "description", "source", "caveats", "rig", "measurement")
 _TABLES = {"rig": (*_RIG_NUMBERS, *_RIG_WORDS),
            "measurement": (*_MEASUREMENT_WORDS, *_MEASUREMENT_NUMBERS, *_MEASUREMENT_SPREADS)}  # fmt: skip
 _SHORT = 0.8  # of the longest repeat's end, before which a record counts as ending early
+_UNLIKE = 0.3  # rms difference over rms, from which repeats are held to be of different channels
 _SHOWN = 5  # faults of one kind shown for one file
+_FEW = 3  # readings at rest, and in the first swing, that tell which way it goes
 
 
 @dataclass(frozen=True)
@@ -1141,6 +1143,15 @@ def _look_at_release(head: _Head, trial: Trial, omega: float, warnings: list[str
     assert trial.theta0 is not None
     sign = math.copysign(1.0, trial.theta0.value) * (1.0 if power == 0 else -1.0)
     level = abs(trial.theta0.value) if power == 0 else 0.0
+    driven = trial.torque is not None and bool(np.any(trial.torque != 0.0))
+    if not driven and (onset_away := _moves_the_wrong_way(times, sign * y, quantity, omega)) is not None:
+        place = "on the other side of 0 than theta0" if power == 0 else "at rest"
+        then = "" if power == 0 else " and then begins to move away from its rest position, not towards it"
+        warnings.append(
+            f"{trial.file}: the primary is held {place} until {onset_away:.4g} s{then}; the sign of the channel "
+            "looks reversed (or that of theta0 in trials.csv)"
+        )
+        y = -y
     away, bound = departure(y, quantity, trial.theta0.value)
     departed = away > bound
     if not departed.any():
@@ -1175,6 +1186,33 @@ def _look_at_release(head: _Head, trial: Trial, omega: float, warnings: list[str
         )
 
 
+def _moves_the_wrong_way(times: Array, y: Array, quantity: str, omega: float) -> float | None:
+    """When the motion begins, in s, where a primary that is held at first then moves as if released on the other side.
+
+    None where it moves as it should, or where the record holds too little to tell: a rest of less than a radian of the
+    oscillation, which may be a turning point, or fewer than three readings of it or of the first swing.
+
+    y : (n,) the readings, times the sign that they should have at first; omega : rad/s of the primary on its spring
+    """
+    largest = float(np.quantile(np.abs(y), 0.998))
+    held = float(np.median(y[:_FEW])) if quantity == "displacement" else 0.0
+    moving = np.abs(y - held) > max(8.0 * look.noise_floor_of(y), 0.05 * float(np.max(np.abs(y))))
+    lasting = moving[:-2] & moving[1:-1] & moving[2:]
+    k = int(np.argmax(lasting)) if lasting.any() else 0
+    if k < _FEW or times[k] - times[0] < 1.0 / omega:
+        return None
+    if quantity == "displacement":
+        return float(times[k]) if held < -0.3 * largest else None
+    if quantity == "velocity":  # grows for a quarter of a period
+        swing = y[k : k + 1 + int(np.argmax(np.abs(y[k:]) > 0.5 * largest))]
+        soon = times[k + len(swing) - 1] - times[k] < math.pi / omega
+    else:  # jumps at once
+        swing = y[k:][times[k:] <= times[k] + 0.8 / omega]
+        soon = True
+    wrong = soon and len(swing) >= _FEW and bool(np.all(swing < 0.0))
+    return float(times[k]) if wrong and (quantity == "velocity" or np.median(swing) < -0.4 * largest) else None
+
+
 def _groups(trials: Iterable[Trial]) -> dict[tuple[str, str], list[Trial]]:
     groups: dict[tuple[str, str], list[Trial]] = {}
     for trial in trials:
@@ -1203,7 +1241,7 @@ def _look_at_repeats(head: _Head, trials: Sequence[Trial], warnings: list[str]) 
     _look_for_copies(trials, warnings)
     for group in _groups(trials).values():
         _look_for_short_twin(group, warnings)
-        if len(group) > 2 and head.measurement.start == "rest":
+        if head.measurement.start == "rest" and not _look_for_exchanged_twin(group, warnings) and len(group) > 2:
             _look_for_odd_twin(group, warnings)
 
 
@@ -1254,6 +1292,43 @@ def _look_for_odd_twin(group: Sequence[Trial], warnings: list[str]) -> None:
                     f"the nearest, they {usual / scale:.0%} from each other"
                 )
                 break
+
+
+def _look_for_exchanged_twin(group: Sequence[Trial], warnings: list[str]) -> bool:
+    """Names coupled repeats that are like the others only with their channels exchanged; whether there are any."""
+    found = [_apart(group[0], other) for other in group[1:]]
+    crossed = [straight > _UNLIKE and exchanged < 0.25 * straight for straight, exchanged in found]
+    if not any(crossed):
+        return False
+    odd = [other for other, mark in zip(group[1:], crossed, strict=True) if mark]
+    even = [group[0], *(other for other, mark in zip(group[1:], crossed, strict=True) if not mark)]
+    fewer, more = sorted((odd, even), key=len)
+    straight, exchanged = found[crossed.index(True)]
+    told = (
+        f"unlike: {straight:.0%} apart as they are, {exchanged:.0%} with the channels of one exchanged; correct the "
+        "order of the columns"
+    )
+    if len(fewer) == len(more):
+        warnings.append(
+            f"{', '.join(t.file for t in even)} and {', '.join(t.file for t in odd)}: repeats {told} of one"
+        )
+    else:
+        warnings.append(f"{', '.join(t.file for t in fewer)}: channels exchanged? It and its repeats are {told}")
+    return True
+
+
+def _apart(a: Trial, b: Trial) -> tuple[float, float]:
+    """Rms difference of two repeats over the rms of the first, as they are and with the channels of one exchanged.
+
+    (0, 0) where they cannot be compared: one channel only, or hardly any time in common.
+    """
+    inside = (a.times >= b.times[0]) & (a.times <= b.times[-1])
+    if len(a.channels) < 2 or np.count_nonzero(inside) < 8:
+        return 0.0, 0.0
+    x = a.channels[:, inside] / _release(a)
+    y = np.stack([np.interp(a.times[inside], b.times, channel) for channel in b.channels]) / _release(b)
+    size = float(np.sqrt(np.mean(x**2))) or 1.0
+    return float(np.sqrt(np.mean((x - y) ** 2))) / size, float(np.sqrt(np.mean((x - y[::-1]) ** 2))) / size
 
 
 def _release(trial: Trial) -> float:

@@ -290,6 +290,60 @@ ODD = [
 ]
 
 
+RESTS = 0.2  # s before the release
+
+
+def _held(quantity: str, columns: list[np.ndarray], sign: float = 1.0) -> list[np.ndarray]:
+    """Records of a rig of one natural frequency that rests for 0.2 s before it is released at t = 0."""
+    omega, theta0 = math.sqrt(10.2 / 3.015e-3), math.radians(4.7)
+    times = columns[0] - RESTS
+    t = np.maximum(times, 0.0)
+    decaying = theta0 * np.exp(-0.03 * omega * t)
+    waves = {
+        "displacement": decaying * np.cos(omega * t),
+        "velocity": -omega * decaying * np.sin(omega * t),
+        "acceleration": np.where(times < 0.0, 0.0, -(omega**2) * decaying * np.cos(omega * t)),
+    }
+    noise = 0.005 * theta0 * omega ** ("displacement", "velocity", "acceleration").index(quantity)
+    rng = np.random.default_rng(5)
+    return [times, *(sign * waves[quantity] + noise * rng.standard_normal(len(t)) for _ in columns[1:])]
+
+
+@pytest.mark.parametrize("late", [0.0, 0.1])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("quantity", ["displacement", "velocity", "acceleration"])
+def test_a_reversed_channel_is_told_where_the_record_rests_before_the_release(
+    folder: Path, quantity: str, sign: float, late: float
+) -> None:
+    """... whether the clock begins at the release or a little later; never where the sign is right."""
+    columns = {"displacement": "theta", "velocity": "omega", "acceleration": "alpha"}
+    units = {"displacement": "rad", "velocity": "rad_s", "acceleration": "rad_s2"}
+    edit(folder / "campaign.toml", 'quantity = "acceleration"', f'quantity = "{quantity}"')
+    edit(folder / "campaign.toml", "noise_std = 2.0\n", "")
+    for path in sorted(folder.glob("trials/*.csv")):
+        names, table = read_table(path)
+        names = [names[0], *(f"{columns[quantity]}{i}_{units[quantity]}" for i in range(1, len(names)))]
+        times, *channels = _held(quantity, table, sign if path.name == Path(FIRST).name else 1.0)
+        write_table(path, names, [times - late, *channels])
+    told = [w for w in load_campaign(folder).warnings if "reversed" in w]
+    assert len(told) == (sign < 0.0)
+    assert all(FIRST in w for w in told)
+    assert not any("the first readings are not those of a release" in w for w in load_campaign(folder).warnings)
+
+
+@pytest.mark.parametrize("repeats", [2, 3, 4])
+def test_exchanged_channels_of_one_repeat_are_told_once(tmp_path: Path, repeats: int) -> None:
+    folder = write_synthetic(tmp_path, repeats=repeats)
+    assert not any("exchanged" in w for w in load_campaign(folder).warnings)
+    alter(folder / COUPLED, lambda c: [c[0], c[2], c[1]])
+    told = [w for w in load_campaign(folder).warnings if "exchanged" in w]
+    assert len(told) == 1
+    assert told[0].startswith(
+        f"{COUPLED}: channels exchanged?" if repeats > 2 else f"{COUPLED} and trials/IV_coupled_2"
+    )
+    assert not any("unlike its repeats" in w for w in load_campaign(folder).warnings)
+
+
 @pytest.mark.parametrize(("change", "sentence"), ODD)
 def test_odd_records_are_told_and_read(folder: Path, change: Callable, sentence: str) -> None:
     alter(folder / FIRST, change)
