@@ -72,6 +72,7 @@ _TABLES = {"rig": (*_RIG_NUMBERS, *_RIG_WORDS),
 _SHORT = 0.8  # of the longest repeat's end, before which a record counts as ending early
 _UNLIKE = 0.3  # rms difference over rms, from which repeats are held to be of different channels
 _SHOWN = 5  # faults of one kind shown for one file
+_LARGEST = 1e30  # number that a record may hold, in any unit: its powers must not overflow
 _FEW = 3  # readings at rest, and in the first swing, that tell which way it goes
 
 
@@ -292,11 +293,10 @@ def load_campaign(folder: str | Path) -> Campaign:
     trials = tuple(t for row in rows if (t := _read_trial(folder, row, head, faults, digest)) is not None)
     _check_rig(folder, head.rig, any(row.configuration == "coupled" for row in rows), faults)
     warnings: list[str] = list(head.notes)
-    with np.errstate(over="ignore", invalid="ignore"):  # readings beyond reason get their sentence, not a warning
-        for trial in trials:
-            if not head.broken:
-                _check_magnitudes(head, trial, faults, warnings)
-                _look_at_trial(head, trial, warnings)
+    for trial in trials:
+        if not head.broken:
+            _check_magnitudes(head, trial, faults, warnings)
+            _look_at_trial(head, trial, warnings)
     if faults:
         if rows and not any((folder / row.file).exists() for row in rows):
             faults.append("none of the records is there: `bayes-damper plan` judges a campaign before it is measured")
@@ -850,6 +850,8 @@ def _read_trial(folder: Path, row: _Row, head: _Head, faults: list[str], digest:
     if table is None:
         return None
     columns = [np.ascontiguousarray(table[:, i]) for i in wanted]
+    if not _check_sizes(columns, [header.split(",")[i].strip().strip('"') for i in wanted], name, faults):
+        return None
     n_channels = 2 if row.configuration == "coupled" else 1
     times, channels = columns[0], np.stack(columns[1 : 1 + n_channels])
     torque = columns[1 + n_channels] if len(columns) > 1 + n_channels else None
@@ -916,6 +918,21 @@ def _numbers_of(body: str, width: int, header: list[str], name: str, faults: lis
         rows = csv.reader(io.StringIO(body))
         return np.array([[float(cell) for cell in row] for row in rows if row])
     return None
+
+
+def _check_sizes(columns: Sequence[Array], names: Sequence[str], name: str, faults: list[str]) -> bool:
+    """Whether all numbers of a record are such that one can reckon with them; a fault for each column with others."""
+    before = len(faults)
+    for column, values in zip(names, columns, strict=True):
+        beyond = np.flatnonzero(np.abs(values) > _LARGEST)
+        if len(beyond):
+            first = int(beyond[0])
+            faults.append(
+                f"{name}, column '{column}': {counted(len(beyond), 'number')} beyond reason, the first "
+                f"{values[first]:.4g} as reading {first + 1}; remove such lines (gaps are allowed), or check the units "
+                "of the record"
+            )
+    return len(faults) == before
 
 
 def _name_bad_cells(body: str, width: int, header: list[str], name: str, faults: list[str]) -> None:

@@ -189,6 +189,7 @@ ALTERED = [
     (lambda c: [c[0], 0.0 * c[1]], "every reading is the same"),
     (lambda c: [c[0], 0.0 * c[1] + 0.5], "every reading is the same"),
     (lambda c: [c[0], 1e300 * c[1]], "check the units of the record"),
+    (lambda c: [c[0], np.where(c[0] == 0.5, 1e300, c[1])], "1 number beyond reason, the first 1e+300 as reading 501"),
 ]
 
 
@@ -199,6 +200,17 @@ def test_wrong_units_and_short_records(folder: Path, change: Callable, sentence:
     assert len(faults) == 1
     assert sentence in faults[0]
     assert FIRST in faults[0]
+
+
+def test_a_second_channel_beyond_reason_is_refused_and_the_largest_number_allowed_is_read(folder: Path) -> None:
+    """Warnings of numpy are errors here: squares and differences of what is allowed do not overflow."""
+    alter(folder / COUPLED, lambda c: [c[0], c[1], 1e300 * c[2]])
+    faults = faults_of(folder)
+    assert len(faults) == 1
+    assert "column 'alpha2_rad_s2': 1001 numbers beyond reason" in faults[0]
+    alter(folder / COUPLED, lambda c: [c[0], c[1], c[2] / np.max(np.abs(c[2])) * 9e29])
+    alter(folder / FIRST, lambda c: [c[0], np.where(c[0] == 0.5, 9e29, c[1])])
+    assert any("1 single reading sticks out, at 0.5 s" in w for w in load_campaign(folder).warnings)
 
 
 def test_a_coupled_trial_needs_its_second_channel(folder: Path) -> None:
