@@ -985,9 +985,10 @@ def _check_times(trial: Trial, head: _Head, name: str, faults: list[str]) -> boo
         (rate and 300.0 < np.median(steps) * rate < 3000.0) or (not rate and np.median(steps) > 0.5 * period)
     ):
         faults.append(
-            f"{name}: time_s steps by {np.median(steps):.4g} where one natural period is {period:.4g} s"
-            f"{f' and the rate {rate:.6g} Hz' if rate else ''}; it looks "
-            "like milliseconds: give seconds (or correct k1t, J1)"
+            f"{name}: time_s runs from {times[0]:.6g} to {times[-1]:.6g} in steps of {np.median(steps):.4g}, where one "
+            f"natural period is {period:.4g} s{f' and sample_rate {rate:.6g} Hz' if rate else ''}; it looks like "
+            "milliseconds: give seconds, as `bayes-damper init` with --time-unit ms makes them of the logger's file "
+            "(or correct k1t, J1)"
         )
         return False
     duration = times[-1] - max(times[0], 0.0)

@@ -184,7 +184,11 @@ def test_faults_of_a_record(folder: Path, old: str, new: str, sentence: str) -> 
 ALTERED = [
     (lambda c: [c[0], np.degrees(c[1])], "it looks like degrees taken for radians"),
     (lambda c: [c[0], c[1] * 0.1 / 9.81], "it looks like g at the mounting radius"),
-    (lambda c: [c[0] * 1000.0, c[1]], "it looks like milliseconds"),
+    (lambda c: [c[0] * 1000.0, c[1]], "from 0 to 1000 in steps of 1, where one natural period is 0.108 s"),
+    (
+        lambda c: [c[0] * 1000.0, c[1]],
+        "it looks like milliseconds: give seconds, as `bayes-damper init` with --time-unit ms",
+    ),
     (lambda c: [c[0][:60], c[1][:60]], "is less than one natural period"),
     (lambda c: [c[0], 0.0 * c[1]], "every reading is the same"),
     (lambda c: [c[0], 0.0 * c[1] + 0.5], "every reading is the same"),
