@@ -14,7 +14,7 @@ import io
 import math
 import tomllib
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -240,10 +240,17 @@ class Campaign:
             noise = ", ".join(f"{x:.2g}" for x in noise_floor(t))
             lines.append(
                 f"  {t.label}: {counted(len(t.times), 'reading')}, {t.times[0]:.4g} to {t.times[-1]:.4g} s, {angle}, "
-                f"noise about {noise} {self.reading_unit}{', held out' if t.key in held else ''}"
+                f"noise about {noise} {self.reading_unit}{_use_of(t, held)}"
             )
         lines += [f"  warning: {w}" for w in self.warnings]
         return "\n".join(lines)
+
+
+def _use_of(trial: Trial, held: Collection[tuple[str, str, int]]) -> str:
+    """What is told of a trial that not every command fits."""
+    if trial.holdout:
+        return ", held out of every fit"
+    return ", held out by diagnose and variability, fitted by fit" if trial.key in held else ""
 
 
 def noise_floor(trial: Trial) -> Array:

@@ -13,9 +13,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bayes_damper.calibration import experiment_of
 from bayes_damper.campaign import Constant, load_campaign, noise_floor, write_campaign
 from bayes_damper.check import check
 from bayes_damper.errors import InputError
+from bayes_damper.fit import recorded_experiment
 from tests.campaigns import decay, read_table, write_synthetic, write_table
 
 FIRST = "trials/IV_uncoupled_1.csv"
@@ -66,6 +68,27 @@ def test_the_last_trial_of_each_group_is_held_out_unless_marked(folder: Path) ->
     campaign = load_campaign(folder)
     assert [t.key for t in campaign.heldout] == [("IV", "uncoupled", 1)]
     assert len(campaign.training) == 5
+
+
+def test_what_is_said_of_the_use_of_trials_is_what_the_commands_do(folder: Path) -> None:
+    """`fit` uses all trials that are not marked; `diagnose` and `variability` hold out the last of each group."""
+
+    def told() -> list[str]:
+        return [line for line in load_campaign(folder).describe().splitlines() if "held out" in line]
+
+    def fitted() -> int:
+        plan = {"campaign": str(folder), "priors": None, "cases": ["IV"], "normal_force": None}
+        plan["campaign_sha256"] = load_campaign(folder).sha256
+        return len(recorded_experiment(plan, "IV")[0].training)
+
+    assert all("held out by diagnose and variability, fitted by fit" in line for line in told())
+    assert (len(told()), fitted(), len(experiment_of(load_campaign(folder)).training)) == (2, 6, 4)
+    lines = (folder / "trials.csv").read_text().splitlines()
+    (folder / "trials.csv").write_text(
+        "\n".join([lines[0] + ",holdout", lines[1] + ",true", *(x + "," for x in lines[2:])])
+    )
+    assert [line.partition("noise")[2].partition(", ")[2] for line in told()] == ["held out of every fit"]
+    assert (fitted(), len(experiment_of(load_campaign(folder)).training)) == (5, 5)
 
 
 def test_what_is_written_reads_back_the_same(folder: Path, tmp_path: Path) -> None:
