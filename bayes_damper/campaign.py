@@ -1202,8 +1202,9 @@ def _look_at_release(head: _Head, trial: Trial, omega: float, warnings: list[str
         middle = sign * y[soon] < 0.4 * float(np.quantile(np.abs(y), 0.998))
     if power == 2 and abs(first) > 8.0 * noise:
         middle = sign * first < 0.4 * float(np.quantile(np.abs(y), 0.998))
-    if times[0] <= 1.5 * step and not early and middle:
-        reversed_sign = power != 1 and sign * first < -0.3 * largest
+    away_at_once = power == 1 and not driven and _moves_the_wrong_way(times, sign * y, quantity, omega, 0.0) is not None
+    if times[0] <= 1.5 * step and not early and (middle or away_at_once):
+        reversed_sign = away_at_once or (power != 1 and sign * first < -0.3 * largest)
         looks = "the sign of the channel looks reversed, or " if reversed_sign else ""
         warnings.append(
             f"{trial.file}: the first readings are not those of a release; "
@@ -1211,20 +1212,21 @@ def _look_at_release(head: _Head, trial: Trial, omega: float, warnings: list[str
         )
 
 
-def _moves_the_wrong_way(times: Array, y: Array, quantity: str, omega: float) -> float | None:
+def _moves_the_wrong_way(times: Array, y: Array, quantity: str, omega: float, rest: float = 1.0) -> float | None:
     """When the motion begins, in s, where a primary that is held at first then moves as if released on the other side.
 
-    None where it moves as it should, or where the record holds too little to tell: a rest of less than a radian of the
-    oscillation, which may be a turning point, or fewer than three readings of it or of the first swing.
+    None where it moves as it should, or where the record holds too little to tell: a shorter rest (what is shorter than
+    a radian of the oscillation may be a turning point), or fewer than three readings of the first swing.
 
-    y : (n,) the readings, times the sign that they should have at first; omega : rad/s of the primary on its spring
+    y : (n,) the readings, times the sign that they should have at first; omega : rad/s of the primary on its spring;
+    rest : rad of that oscillation
     """
     largest = float(np.quantile(np.abs(y), 0.998))
     held = float(np.median(y[:_FEW])) if quantity == "displacement" else 0.0
     moving = np.abs(y - held) > max(8.0 * look.noise_floor_of(y), 0.05 * float(np.max(np.abs(y))))
     lasting = moving[:-2] & moving[1:-1] & moving[2:]
     k = int(np.argmax(lasting)) if lasting.any() else 0
-    if k < _FEW or times[k] - times[0] < 1.0 / omega:
+    if times[k] - times[0] < rest / omega or (rest > 0.0 and k < _FEW):
         return None
     if quantity == "displacement":
         return float(times[k]) if held < -0.3 * largest else None
@@ -1322,7 +1324,7 @@ def _look_for_odd_twin(group: Sequence[Trial], warnings: list[str]) -> None:
 def _look_for_exchanged_twin(group: Sequence[Trial], warnings: list[str]) -> bool:
     """Names coupled repeats that are like the others only with their channels exchanged; whether there are any."""
     found = [_apart(group[0], other) for other in group[1:]]
-    crossed = [straight > _UNLIKE and exchanged < 0.25 * straight for straight, exchanged in found]
+    crossed = [straight > _UNLIKE and exchanged < 0.5 * straight for straight, exchanged in found]
     if not any(crossed):
         return False
     odd = [other for other, mark in zip(group[1:], crossed, strict=True) if mark]

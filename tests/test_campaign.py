@@ -348,13 +348,8 @@ def _held(quantity: str, columns: list[np.ndarray], sign: float = 1.0) -> list[n
     return [times, *(sign * waves[quantity] + noise * rng.standard_normal(len(t)) for _ in columns[1:])]
 
 
-@pytest.mark.parametrize("late", [0.0, 0.1])
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-@pytest.mark.parametrize("quantity", ["displacement", "velocity", "acceleration"])
-def test_a_reversed_channel_is_told_where_the_record_rests_before_the_release(
-    folder: Path, quantity: str, sign: float, late: float
-) -> None:
-    """... whether the clock begins at the release or a little later; never where the sign is right."""
+def _hold(folder: Path, quantity: str, sign: float, late: float) -> None:
+    """Makes all trials such records, the first of that sign; all clocks `late` by so many seconds."""
     columns = {"displacement": "theta", "velocity": "omega", "acceleration": "alpha"}
     units = {"displacement": "rad", "velocity": "rad_s", "acceleration": "rad_s2"}
     edit(folder / "campaign.toml", 'quantity = "acceleration"', f'quantity = "{quantity}"')
@@ -364,15 +359,35 @@ def test_a_reversed_channel_is_told_where_the_record_rests_before_the_release(
         names = [names[0], *(f"{columns[quantity]}{i}_{units[quantity]}" for i in range(1, len(names)))]
         times, *channels = _held(quantity, table, sign if path.name == Path(FIRST).name else 1.0)
         write_table(path, names, [times - late, *channels])
+
+
+@pytest.mark.parametrize("late", [0.0, 0.1])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("quantity", ["displacement", "velocity", "acceleration"])
+def test_a_reversed_channel_is_told_where_the_record_rests_before_the_release(
+    folder: Path, quantity: str, sign: float, late: float
+) -> None:
+    """... whether the clock begins at the release or a little later; never where the sign is right."""
+    _hold(folder, quantity, sign, late)
     told = [w for w in load_campaign(folder).warnings if "reversed" in w]
     assert len(told) == (sign < 0.0)
     assert all(FIRST in w for w in told)
     assert not any("the first readings are not those of a release" in w for w in load_campaign(folder).warnings)
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_reversed_velocity_is_told_where_the_record_begins_at_the_release(folder: Path, sign: float) -> None:
+    _hold(folder, "velocity", sign, 0.0)
+    for path in sorted(folder.glob("trials/*.csv")):
+        alter(path, lambda c: [x[c[0] >= 0.0] for x in c])
+    told = [w for w in load_campaign(folder).warnings if "the sign of the channel looks reversed" in w]
+    assert [w.partition(":")[0] for w in told] == ([FIRST] if sign < 0.0 else [])
+
+
+@pytest.mark.parametrize("noise", [2.0, 8.0])
 @pytest.mark.parametrize("repeats", [2, 3, 4])
-def test_exchanged_channels_of_one_repeat_are_told_once(tmp_path: Path, repeats: int) -> None:
-    folder = write_synthetic(tmp_path, repeats=repeats)
+def test_exchanged_channels_of_one_repeat_are_told_once(tmp_path: Path, repeats: int, noise: float) -> None:
+    folder = write_synthetic(tmp_path, repeats=repeats, noise=noise)
     assert not any("exchanged" in w for w in load_campaign(folder).warnings)
     alter(folder / COUPLED, lambda c: [c[0], c[2], c[1]])
     told = [w for w in load_campaign(folder).warnings if "exchanged" in w]
