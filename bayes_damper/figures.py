@@ -19,6 +19,7 @@ from matplotlib.transforms import blended_transform_factory
 from numpy.typing import NDArray
 
 from bayes_damper.parameters import unit_of
+from bayes_damper.run import whole
 from bayes_damper.wording import COORDINATES
 
 mpl.use("Agg", force=False)
@@ -83,16 +84,19 @@ def mark(figure: Figure) -> None:
 
 
 def save(figure: Figure, path: Path) -> list[Path]:
-    """Write a figure as SVG and PNG beside each other; `path` without its suffix. The files written."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """Write a figure as SVG and PNG beside each other, each whole or not at all; `path` without its suffix.
+
+    The files written.
+    """
     written = []
     with mpl.rc_context(_RC):
-        for suffix, options in (
-            (".svg", {"metadata": {"Date": None}}),
-            (".png", {"dpi": 150, "pil_kwargs": {"compress_level": 3}}),
+        for kind, options in (
+            ("svg", {"metadata": {"Date": None}}),
+            ("png", {"dpi": 150, "pil_kwargs": {"compress_level": 3}}),
         ):
-            target = path.with_name(path.name + suffix)
-            figure.savefig(target, **options)
+            target = path.with_name(f"{path.name}.{kind}")
+            with whole(target) as partial:
+                figure.savefig(partial, format=kind, **options)
             figure.set_layout_engine("none")  # laid out once: the second time would be as slow
             written.append(target)
     return written

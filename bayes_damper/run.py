@@ -16,9 +16,10 @@ import re
 import signal
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing import get_context, parent_process
 from pathlib import Path
@@ -69,12 +70,25 @@ def folder_name(case: str) -> str:
     return re.sub(r"[^\w-]+", "_", case) + "-" + hashlib.sha256(case.encode()).hexdigest()[:6]
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a text file so that a reader sees either the old or the new one, whole; its folder is made."""
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """Where to write a file so that a reader sees either the old or the new one, whole; its folder is made.
+
+    A file that could not be written to its end is removed and leaves the old one in place.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(path)
+    try:
+        yield partial
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file so that a reader sees either the old or the new one, whole; its folder is made."""
+    with whole(path) as partial:
+        partial.write_text(text, encoding="utf-8")
 
 
 def json_text(data: Any) -> str:
