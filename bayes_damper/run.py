@@ -57,7 +57,7 @@ class Progress(Protocol):
 
 
 class Silent:
-    """Shows nothing: for --quiet and where there is no terminal."""
+    """Shows nothing: for --quiet, and where nobody shows progress."""
 
     def update(self, task: str, share: float, text: str) -> None:
         """Nothing."""
