@@ -190,7 +190,6 @@ def _init_options(sub: Any) -> list[str]:
 
 
 def _diagnose(args: Arguments) -> Any:
-    tell = (lambda _: None) if args.quiet or args.json else (lambda line: print(f"  {line}", file=sys.stderr))
     return _call("diagnose:diagnose")(
         args.campaign,
         nominal=args.nominal,
@@ -199,7 +198,7 @@ def _diagnose(args: Arguments) -> Any:
         out=args.out,
         seed=args.seed,
         workers=args.workers,
-        tell=tell,
+        tell=_call("progress:make_teller")(quiet=args.quiet or args.json),
     )
 
 

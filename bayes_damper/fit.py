@@ -44,7 +44,7 @@ from bayes_damper.priors import PriorSet, campaign_priors, load_priors, priors_f
 from bayes_damper.provenance import code_sha256, package_version, provenance
 from bayes_damper.published import load_published
 from bayes_damper.record_posterior import RecordPosterior, trial_label
-from bayes_damper.run import Progress, Silent, Task, folder_name, read_json, run_tasks, stopped, write_json
+from bayes_damper.run import WAITING, Progress, Silent, Task, folder_name, read_json, run_tasks, stopped, write_json
 from bayes_damper.sampling import Progress as Stage
 from bayes_damper.sampling import Sampling, Start, StoppingRule, annealed_start, resampled_start, sample
 from bayes_damper.sensitivity import of_standard_draws
@@ -362,7 +362,9 @@ def finish_fit(
         )
         for name in order
     ]
-    done = run_tasks(tasks, folder, workers=workers, scheduler=scheduler, progress=progress)
+    shown = progress or Silent()
+    shown.update(_OVERVIEW, 0.0, WAITING)
+    done = run_tasks(tasks, folder, workers=workers, scheduler=scheduler, progress=shown)
     results = {name: done[folder_name(name)] for name in names}
     found = {name: results[name] for name in plan["cases"]}
     summary: dict[str, Any] = {
@@ -377,7 +379,6 @@ def finish_fit(
     if plan["joint"]:
         summary["joint"] = results["joint"]
     summary["provenance"] = provenance()
-    shown = progress or Silent()
     shown.update(_OVERVIEW, 0.0, "table, posterior.nc and figures of all cases")
     try:
         _write_overview(folder, plan["cases"], summary)

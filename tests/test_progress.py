@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import io
+import re
 
 import pytest
 from rich.console import Console
 
 from bayes_damper import cli
 from bayes_damper.errors import ExitCode, InputError, Interrupted
-from bayes_damper.progress import Bars
+from bayes_damper.progress import Bars, Lines
 from bayes_damper.run import WAITING, Task, run_tasks
 
 
@@ -40,6 +41,70 @@ def test_of_many_parts_only_those_at_work_have_a_bar():
     assert "20 of 30 parts done, 9 not begun" in last
     assert "part20" in last
     assert "part19" not in last
+
+
+def lines(updates) -> list[str]:
+    """What a log holds after these updates, each with the seconds since the one before it."""
+    log, now = io.StringIO(), [0.0]
+    told = Lines(log, lambda: now[0])
+    for seconds, *update in updates:
+        now[0] += seconds
+        told.update(*update)
+    told.close()
+    assert "\r" not in log.getvalue()
+    return log.getvalue().splitlines()
+
+
+def test_a_log_has_a_line_for_each_stage_and_each_end_with_what_is_left():
+    assert lines([
+        (0, "joint", 0.0, WAITING),
+        (0, "IV", 0.0, WAITING),
+        (1, "joint", 0.0, "finding the best fit"),
+        (1, "joint", 0.0, "finding the best fit"),
+        (10, "joint", 0.05, "warm-up, 50 steps"),
+        (10, "joint", 0.05, "warm-up, 100 steps"),
+        (10, "joint", 0.12, "drawing, 25 of about 75 steps"),
+        (59, "joint", 0.3, "drawing, 50 of about 75 steps"),
+        (1, "joint", 0.7, "drawing, 75 of about 75 steps"),
+        (3600, "joint", 1.0, "done"),
+        (0, "joint", 1.0, "done"),
+        (1, "IV", 1.0, "done before"),
+    ]) == [
+        "0:00:01  joint, 0% done: finding the best fit",
+        "0:00:12  joint, 5% done: warm-up, 50 steps",
+        "0:00:32  joint, 12% done: drawing, 25 of about 75 steps",
+        "0:01:32  joint, 70% done: drawing, 75 of about 75 steps",
+        "1:01:32  joint: done in 1:01:31; left: 1 of 2 parts, 1 not begun",
+        "1:01:33  IV: done before; left: 0 of 2 parts",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("words", "begins"), [(["fit"], r"0:00:0\d  IV, 0% done: fitting"), (["fit", "--quiet"], ""),
+                                               (["fit", "--json"], ""), (["diagnose"], r"0:00:0\d  screening"),
+                                               (["diagnose", "--quiet"], "")])  # fmt: skip
+def test_commands_without_a_terminal_tell_in_lines_unless_asked_for_quiet(words, begins, monkeypatch, capsys):
+    def run(*_, progress=None, tell=None, **__):
+        if progress is not None:
+            progress.update("IV", 0.0, "fitting")
+        if tell is not None:
+            tell("screening")
+        return FoundPlain()
+
+    real = cli._call
+    monkeypatch.setattr(cli, "_call", lambda name: run if name in ("fit:fit", "diagnose:diagnose") else real(name))
+    assert cli.main([*words, "somewhere"]) == 0
+    told = capsys.readouterr().err
+    assert re.match(begins, told) if begins else told == ""
+
+
+class FoundPlain:
+    exit_code = ExitCode.DONE
+
+    def text(self):
+        return "found"
+
+    def to_json(self):
+        return {}
 
 
 class Shown:
