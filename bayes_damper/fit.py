@@ -47,6 +47,7 @@ from bayes_damper.record_posterior import RecordPosterior, trial_label
 from bayes_damper.run import WAITING, Progress, Silent, Task, folder_name, read_json, run_tasks, stopped, write_json
 from bayes_damper.sampling import Progress as Stage
 from bayes_damper.sampling import Sampling, Start, StoppingRule, annealed_start, resampled_start, sample
+from bayes_damper.sampling.ensembles import _BLOCK, _FEWEST_STORED  # what progress cannot tell otherwise
 from bayes_damper.sensitivity import of_standard_draws
 from bayes_damper.sensitivity import text as sensitivity_text
 from bayes_damper.summary import summarise, table_text, write_table
@@ -696,11 +697,17 @@ def _sampled(
     report(0.01, "finding the start")
     begin = start()
     rule = stopping_rule(plan)
+    drawn, block, share = 0, rule.max_steps, 0.0
 
     def tell(stage: Stage) -> None:
-        share = 0.05 if stage.phase == "warm-up" else 0.1 + (DRAWN - 0.1) * stage.part
-        judged = ", too few to judge" if stage.verdict is None else f", {stage.part:.0%} of the draws asked for"
-        report(share, f"{stage.phase}, {stage.steps} steps" + ("" if stage.phase == "warm-up" else judged))
+        nonlocal drawn, block, share
+        if stage.phase == "warm-up":
+            report(0.05, f"warm-up, {stage.steps} steps")
+            return
+        block, drawn = min(block, stage.steps - drawn), stage.steps
+        expected = expected_steps(stage, rule, block)
+        share = max(share, 0.1 + (DRAWN - 0.1) * drawn / expected)  # waits where more is expected than before
+        report(share, f"drawing, {drawn} of about {expected} steps")
 
     return sample(
         posterior,
@@ -713,6 +720,24 @@ def _sampled(
         workers=processes,
         monitor=monitor,
     )
+
+
+def expected_steps(stage: Stage, rule: StoppingRule, block: int) -> int:
+    """Steps of each ensemble after which a run will have the draws that its rule asks for, or will give up.
+
+    From the latest verdict: effective draws grow with the steps, and what R-hat has above 1 shrinks with them. Before
+    the first, from the steps between two states (`block`), which the autocorrelation of the warm-up has set.
+    """
+    verdict = stage.verdict
+    if verdict is None or not stage.part > 0.0:
+        tau = 8.0 * block / _BLOCK  # the warm-up's, of which a stored step is an eighth
+        needed = max(rule.taus * tau, block * _FEWEST_STORED / _BLOCK)
+    elif verdict.converged:
+        needed = stage.steps
+    else:
+        apart = float(np.nanmax(verdict.r_hat) - 1.0) / (rule.r_hat - 1.0)
+        needed = verdict.steps * max(1.2, 1.0 / stage.part, apart)  # the next verdict comes a fifth later
+    return math.ceil(max(stage.steps, min(needed, rule.max_steps)))
 
 
 def _walkers(ndim: int, known: bool) -> int:

@@ -20,13 +20,14 @@ from bayes_damper.campaign import record_text
 from bayes_damper.demo import demo
 from bayes_damper.effects import EFFECTS
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.fit import fit, plan_fit, published_posterior, start_run
+from bayes_damper.fit import DRAWN, _sampled, expected_steps, fit, plan_fit, published_posterior, start_run
 from bayes_damper.model import Model
 from bayes_damper.posterior import Datum, FeaturePosterior
 from bayes_damper.priors import load_priors
 from bayes_damper.resume import resume
 from bayes_damper.run import write_json
-from bayes_damper.sampling import annealed_start
+from bayes_damper.sampling import Progress, StoppingRule, annealed_start
+from tests.test_sampling import Gaussian, start_of
 
 TRUTH = {"mu": 0.006, "k2t": 1.5, "c2t": 0.05, "drag": 0.004, "nu": 40.0, "c1t": 0.01, "c3t": 0.008}
 RIG = {"J1": 3.015e-3, "J2": 2.474e-3, "R": 0.1, "r": 0.0127, "N0": 100.0}
@@ -90,6 +91,29 @@ def test_progress_tells_what_is_left_when_all_is_drawn(fitted):
     assert left[-1].endswith("left: figures")
     assert own[-1] == (1.0, "done")
     assert [task for task, _, _ in TOLD.updates[-2:]] == ["overview", "overview"]
+
+
+def test_progress_of_the_draws_moves_from_the_first_and_expects_what_it_takes(tmp_path):
+    """Before the first judgement too, which comes after three states; what was expected then holds within a factor."""
+    target = Gaussian(12)
+    plan = {"campaign": "known", "seed": 1, "thorough": True, "most_steps": None}
+    told = []
+    drawn = _sampled(target, tmp_path, lambda *news: told.append(news), plan, 1, lambda: start_of(target))
+    assert drawn.converged
+    shares = [share for share, text in told if text.startswith("drawing")]
+    steps = [tuple(map(int, re.findall(r"\d+", text))) for _, text in told if text.startswith("drawing")]
+    assert 0.1 < shares[0] < shares[1] < shares[2]
+    assert shares == sorted(shares)
+    assert shares[-1] == pytest.approx(DRAWN)
+    assert steps[-1][0] == steps[-1][1] == drawn.verdict.steps
+    assert all(0.5 < expected / drawn.verdict.steps < 2.0 for _, expected in steps)
+
+
+def test_expected_steps_end_with_the_budget():
+    """Where a run gives up after 90 steps, no more are expected, however far off the rule is."""
+    rule = StoppingRule(max_steps=90)
+    assert expected_steps(Progress("drawing", 25, 0.0, 1.0, None), rule, 25) == 90
+    assert expected_steps(Progress("drawing", 100, 0.0, 1.0, None), rule, 25) == 100
 
 
 @pytest.mark.slow
