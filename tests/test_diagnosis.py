@@ -312,6 +312,17 @@ def test_a_second_effect_away_from_the_first_ones_site_is_not_laid_to_its_formul
     assert home.pair < 0.1
 
 
+def test_nothing_is_mended_in_a_formula_that_is_a_definition():
+    """A second effect beside a wrong constant or gain has its gain to itself; it must still be worth its prior."""
+    beside = Left(53.0, 0.002, home=1.0)
+    rows = [(21.0, True), (21.0, False), (1.0, True)]
+    pairs = [(("a", "b"), 5239.0 + gain, Left(0.0, 0.0, exact=exact)) for gain, exact in rows]
+    found = [weigh({"a": 5239.0, "b": 10.0}, ALL, beside, pairs=[pair]) for pair in pairs]
+    assert found[0].pair > 0.9
+    assert found[1].pair < 0.1
+    assert found[2].pair < 0.1
+
+
 def test_what_is_left_counts_against_the_gap_itself():
     """The share is that of the evidence, by the site map or by the smooth residual, whichever shows more."""
     gap = Remainder(500.0, 80.0, 8.0, 2000.0, 70.0, 2000.0)
@@ -322,6 +333,15 @@ def test_what_is_left_counts_against_the_gap_itself():
     assert left_of(gap, 1000.0, gap, 1000.0).share == 1.0
     events = Remainder(-3.0, 10.0, 8.0, -50.0, 70.0, 500.0)
     assert left_of(events, 300.0, gap, 1000.0).share < 0.02
+
+
+def test_what_an_answer_explains_belongs_to_the_gap():
+    """Reversals of a friction are sharp: their formula gains ten times what maps and spectra see of them."""
+    gap = Remainder(138.0, 3.0, 8.0, -20.0, 70.0, 50.0)
+    rest = Remainder(40.0, 0.3, 8.0, -20.0, 70.0, 0.0)
+    assert left_of(rest, 43.0, gap, 130.0).share == pytest.approx(43.0 / 138.0)
+    assert left_of(rest, 43.0, gap, 130.0, explained=1150.0).share == pytest.approx(43.0 / 1193.0)
+    assert left_of(rest, 43.0, gap, 130.0, explained=20.0).share == pytest.approx(43.0 / 138.0)
 
 
 def left_by_trials(before, after, floor):

@@ -1,10 +1,11 @@
 """Two effects at once, where one does not close the gap.
 
 Each of the leading effects is held in turn, at its own fit, and every other effect is screened against what that fit
-leaves: first pick and swap in one sweep. The best few pairs are then fitted with everything free at once, under the
-assumption that two effects change the records by the sum of what each changes alone. What they do to each other beyond
-that grows with the gap; where a fitted pair still leaves something, its formulas are composed into one kernel
-(composition.py; compiled when a pair is met for the first time on a machine) and fitted again.
+leaves: first pick and swap in one sweep. The best few pairs are then fitted with everything free at once. An effect
+without a kernel (a wrong constant, a lag, another start) is composed with any other one, exactly and at no cost. Of two
+with kernels it is assumed that they change the records by the sum of what each changes alone. What they do to each
+other beyond that grows with the gap; where a fitted pair still leaves something, its formulas are composed into one
+kernel (composition.py; compiled when a pair is met for the first time on a machine) and fitted again.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.remainder import Remainder, remainder_of
 from bayes_damper.diagnosis.search import (
     FAINTER,
+    NOTHING,
     Candidate,
     Screen,
     Screened,
@@ -124,6 +126,22 @@ class ComposedProblem(Problem):
         return ComposedProblem(self.base.for_trials(trials), *self.variants)
 
 
+def pair_problem(base: Problem, first: Variant, second: Variant) -> PairProblem | ComposedProblem:
+    """The fit of a campaign with two effects: composed where no kernel has to be compiled for it, else by their sum.
+
+    Its `variants` may come in the other order: one without a kernel of its own stands last.
+    """
+    one, two = (first, second) if first.has_kernel else (second, first)
+    if not two.has_kernel and compose(one, two) is not None:
+        return ComposedProblem(base, one, two)
+    return PairProblem(base, first, second)
+
+
+def _vector(problem: PairProblem | ComposedProblem, nominal: Array, *own: tuple[Variant, Array]) -> Array:
+    """Coordinates of a pair's problem: those of the nominal model, and each variant's own."""
+    return np.concatenate([nominal, *(z for v in problem.variants for w, z in own if w is v)])
+
+
 @dataclass(frozen=True, eq=False)
 class Second:
     """A second effect screened against what a first one leaves; gain: nats of its linearised evidence."""
@@ -164,6 +182,11 @@ class Pair:
         """Names of both, the stronger first."""
         return self.first[0].name, self.second[0].name
 
+    @property
+    def exact(self) -> bool:
+        """Whether one of the formulas is a definition."""
+        return self.first[0].exact or self.second[0].exact
+
     def parameters(self) -> dict[str, dict[str, str]]:
         """Effect -> name of its parameter -> that of the coordinate of `fit`."""
         problem = self.fit.problem
@@ -186,7 +209,7 @@ def seconds_of(
     others = [(effect, variant) for effect, variant in pool if effect.name != first.effect.name]
 
     def judge(variant: Variant | None) -> list[Screened]:
-        return [] if variant is None else _second(screen, nominal, variant)
+        return [] if variant is None else _second(screen, nominal, first.variant, variant)
 
     rows = forked_map(judge, [variant for _, variant in others], workers)
     if max((s.gain for row in rows for s in row), default=0.0) < FAINTER:
@@ -200,12 +223,19 @@ def seconds_of(
     return sorted(out, key=lambda s: -s.gain)
 
 
-def _second(screen: Screen, nominal: Calibration, variant: Variant) -> list[Screened]:
+def _second(screen: Screen, nominal: Calibration, first: Variant, variant: Variant) -> list[Screened]:
     """Every start of a second effect at the fit of a first one."""
-    problem = nominal.problem.with_effect(variant)
+    n = nominal.problem.size
+    alone, own = screen.fit.q[:n], screen.fit.q[n:]
+    both = pair_problem(nominal.problem, first, variant)
     rows = []
-    for point in bases_of(replace(nominal, q=screen.fit.q[: nominal.problem.size])):
-        rows += screen_column(screen, problem, variant, point, against=nominal.problem)
+    for point in bases_of(replace(nominal, q=alone)):
+        if isinstance(both, PairProblem):
+            problem = nominal.problem.with_effect(variant)
+            rows += screen_column(screen, problem, variant, point, against=nominal.problem)
+        else:
+            before, behind = (own, NOTHING) if both.variants[0] is first else (NOTHING, own)
+            rows += screen_column(screen, both, variant, point, screen.fit.problem, before, behind)
     return rows
 
 
@@ -247,7 +277,7 @@ def best_pairs(
     essences = forked_map(lambda s: essence(_fitted(nominal, s, found)), picked, workers)
     pairs = []
     for s, kept in zip(picked, essences, strict=True):
-        fit = restored(PairProblem(nominal.problem, s.first.variant, s.variant), kept)
+        fit = restored(pair_problem(nominal.problem, s.first.variant, s.variant), kept)
         pairs.append(_pair(nominal, ((s.first.effect, s.first.variant), (s.effect, s.variant)), fit, single))
     return sorted((p for p in pairs if p is not None), key=lambda p: -p.log_evidence)
 
@@ -256,15 +286,16 @@ def _fitted(nominal: Calibration, s: Second, found: Sequence[Candidate]) -> Cali
     """Both effects fitted at once, their changes added up."""
     first = s.first.fit
     assert first is not None
-    problem = PairProblem(nominal.problem, s.first.variant, s.variant)
+    problem = pair_problem(nominal.problem, s.first.variant, s.variant)
     n = nominal.problem.size
+    own = (s.first.variant, first.q[n:])
     screened = start_points(s.variant, [replace(s.screened, base=tuple(first.q[:n]))], 1)[0]
-    starts = [np.concatenate([first.q, screened[n:]])]
+    starts = [_vector(problem, first.q[:n], own, (s.variant, screened[n:]))]
     for c in found:
         if c.variant is s.variant and c.fit is not None:
             # Each effect as it is alone, the nominal parameters moved by both moves together, and by none.
             moved = first.q[:n] + c.fit.q[:n] - nominal.q
-            starts += [np.concatenate([q, first.q[n:], c.fit.q[n:]]) for q in (moved, nominal.q)]
+            starts += [_vector(problem, q, own, (s.variant, c.fit.q[n:])) for q in (moved, nominal.q)]
     return calibrate(problem, starts, eta=first.eta, anneal=False, most=_most_steps(problem))
 
 

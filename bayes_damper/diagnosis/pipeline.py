@@ -260,7 +260,10 @@ def diagnose(
     none_left = left_of(before, before_map.strength, before, before_map.strength)
     home = 0.5 if winner is None else _at(after_map, {winner.effect.site})
     readings = math.inf if winner is None or winner.fit is None else readings_of_change(fit, winner.fit)
-    left = left_of(after, after_map.strength, before, before_map.strength, home, readings)
+    left = left_of(
+        after, after_map.strength, before, before_map.strength, home, readings=readings,
+        explained=0.0 if winner is None else winner.log_evidence,
+    )  # fmt: skip
     if alone:
         none_left = left_alone(fit, fit)
         left = none_left if winner is None or winner.fit is None else left_alone(fit, winner.fit)
@@ -270,11 +273,13 @@ def diagnose(
         pairs = best_pairs(fit, found, pool, seconds, workers=workers)
     judged = []
     for k, p in enumerate(pairs[:JUDGED_PAIRS]):
-        remains = left_alone(fit, p.fit) if alone else _left_by(p, before, before_map)
-        if remains.nats > PAIR_FROM and (alone or p.gain > PAIR_FROM):
+        remains = replace(left_alone(fit, p.fit), exact=p.exact) if alone else _left_by(p, before, before_map)
+        # That two effects change the records by the sum of both holds the less, the larger the changes are.
+        promising = alone or p.gain > PAIR_FROM or remains.nats < left.nats - PAIR_FROM
+        if remains.nats > PAIR_FROM and promising:
             tell(f"composing {' and '.join(p.effects)}")
             pairs[k] = exactly(fit, p, found)
-            remains = left_alone(fit, pairs[k].fit) if alone else _left_by(pairs[k], before, before_map)
+            remains = replace(left_alone(fit, pairs[k].fit), exact=p.exact) if alone else _left_by(pairs[k], before, before_map)
         judged.append((pairs[k].effects, pairs[k].log_evidence, remains))
     pairs.sort(key=lambda p: -p.log_evidence)
     best_left = pairs[0].after if pairs and pairs[0].gain > 0.0 else after
@@ -340,7 +345,9 @@ def _left_by(pair: Pair, before: Remainder, before_map: SiteMap) -> Left:
     """What a pair of effects leaves; two have formulas enough, so less of it is laid to them than to one."""
     found = site_map(pair.fit, torque=False)
     home = 0.5 * _at(found, {pair.first[0].site, pair.second[0].site})
-    return left_of(pair.after, found.strength, before, before_map.strength, home)
+    return left_of(
+        pair.after, found.strength, before, before_map.strength, home, explained=pair.log_evidence, exact=pair.exact
+    )
 
 
 def _pairs_alone(

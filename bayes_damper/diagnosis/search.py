@@ -43,6 +43,7 @@ MISSED = 10.0  # nats that a fit may stay behind its screening before other star
 LOST = -1.2  # prior sds below the median at which a friction counts as given up
 FAINTER = 50.0  # nats: where no start screens above, effects are tried again where they would just be seen
 JUST_SEEN = 30.0  # squared change of the records in noise sds at which an effect is just seen
+NOTHING = np.zeros(0)
 SMALLER = 0.1  # of the starts of effects in records that begin in motion: cut from long decays, seen by their sum
 
 
@@ -232,15 +233,20 @@ def _screen_at(screen: Screen, variant: Variant, base: Array) -> list[Screened]:
 
 
 def screen_column(
-    screen: Screen, problem: Problem, variant: Variant, base: Array, against: Problem | None = None
-) -> list[Screened]:
-    """Every start of a variant: `problem` (with it) at `base`, less `against` there (default: the screen's fit)."""
+    screen: Screen, problem: Problem, variant: Variant, base: Array, against: Problem | None = None,
+    before: Array = NOTHING, behind: Array = NOTHING,
+) -> list[Screened]:  # fmt: skip
+    """Every start of a variant: `problem` (with it) at `base`, less `against` there (default: the screen's fit).
+
+    before, behind : coordinates of another effect in both problems, which stand before or behind the variant's.
+    """
     starts = variant.starts
     z = np.array([[coordinate_of(p.prior, x) for p, x in zip(variant.parameters, s, strict=True)] for s in starts])
-    q = np.concatenate([np.tile(base, (len(starts), 1)), z], axis=1)
+    tiled = [np.tile(x, (len(starts), 1)) for x in (np.concatenate([base, before]), behind)]
+    q = np.concatenate([tiled[0], z, tiled[1]], axis=1)
     columns = screen.responses(problem, q)
     if against is not None:
-        without = screen.responses(against, base[None])
+        without = screen.responses(against, np.concatenate([base, before, behind])[None])
         columns = [c - w for c, w in zip(columns, without, strict=True)]
     bad = ~np.all([np.isfinite(c).all(axis=(1, 2)) for c in columns], axis=0)
     columns = [np.where(bad[:, None, None], 0.0, c) for c in columns]

@@ -79,7 +79,8 @@ class Left:
 
     nats : evidence that anything is left; share : of the evidence of the gap, 1 for `none`; home : probability that it
     lies at the answer's own site; line, peak : the strongest narrow line, nats and frequency over the rig's own; lone :
-    told by sums of squares, for trials without repeats; readings : of a record that carry what the answer explains.
+    told by sums of squares, for trials without repeats; readings : of a record that carry what the answer explains;
+    exact : of a pair, whether one of its formulas is a definition, which mends nothing and in which nothing is mended.
     """
 
     nats: float
@@ -89,25 +90,28 @@ class Left:
     peak: float = 0.0
     lone: bool = False
     readings: float = math.inf
+    exact: bool = False
 
 
 def left_of(
-    after: Remainder, mapped: float, before: Remainder, mapped_before: float, home: float = 0.5,
-    readings: float = math.inf,
+    after: Remainder, mapped: float, before: Remainder, mapped_before: float, home: float = 0.5, *,
+    explained: float = 0.0, readings: float = math.inf, exact: bool = False,
 ) -> Left:  # fmt: skip
     """What an answer leaves, by the tests of its residuals and the site map of what is left.
 
     mapped, mapped_before : evidence of the best site in the remainder, and in the gap itself, nats; home : probability
-    that the remainder lies at the answer's own site; readings : as in `Left`. Where the gap shows
-    at low frequencies, the share is at most that of its chi-square there: what is left at sharp events, such as
+    that the remainder lies at the answer's own site; explained : log evidence of the answer over the nominal model; the
+    gap holds what is explained and what is left, more than generic spectra and maps see of sharp events; readings,
+    exact : as in `Left`. Where the gap shows at low frequencies, the share is at most that of its chi-square there: what is left at sharp events, such as
     reversals of a friction whose formula is not quite right, has much evidence but is little of the gap.
     """
     nats = max(after.strength, mapped - math.log(20.0))
-    whole = max(mapped_before, mapped, before.generic, after.generic, 1e-9)
-    share = max(mapped, after.generic, 0.0) / whole
+    remains = max(mapped, after.generic, 0.0)
+    whole = max(mapped_before, before.generic, explained + remains, 1e-9)
+    share = remains / whole
     if before.low_excess > 5.0 * before.low_sd:
         share = min(share, max(after.low_excess + after.low_sd, 0.0) / before.low_excess)
-    return Left(nats, min(share, 1.0), home, after.line, after.peak_hz / after.own_hz, readings=readings)
+    return Left(nats, min(share, 1.0), home, after.line, after.peak_hz / after.own_hz, False, readings, exact)
 
 
 @dataclass(frozen=True)
@@ -210,7 +214,7 @@ def weigh(
         log_w["unknown"] = math.log(each) + generic / temperature
     left: dict[str | tuple[str, str], Left] = {"none": before}
     for effects, value, remains in pairs:
-        paid = value - mending * max(best, 0.0)
+        paid = value - (0.0 if remains.exact else mending * max(best, 0.0))
         prior = each if set(effects) == FRICTIONS else 2.0 * PRIOR_PAIRS / (among * (among - 1.0))
         log_w[effects] = math.log(prior) + paid / temperature
         left[effects] = remains

@@ -29,6 +29,7 @@ EFFECT = Effect(
     hides_behind=("J2", "k2t", "mu"),
     source="Augustine (2013), p. 27 and Table 1, p. 9.",
     needs=("coupled",),
+    exact=True,
     variants=(
         Variant(
             name="factor",
@@ -40,7 +41,7 @@ EFFECT = Effect(
                 ),
             ),
             amend=factor,
-            starts=((0.08,), (-0.08,), (0.003,)),
+            starts=((0.08,), (-0.08,), (0.003,), (0.0003,), (-0.0003,)),
             uncoupled=False,
         ),
     ),

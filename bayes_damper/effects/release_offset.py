@@ -34,6 +34,7 @@ EFFECT = Effect(
     hides_behind=("theta0", "k2t", "mu"),
     source="Augustine (2013), p. 10.",
     needs=("coupled",),
+    exact=True,
     variants=(
         Variant(
             name="offset",

@@ -41,6 +41,7 @@ EFFECT = Effect(
     hides_behind=("delay",),
     source="Wilson (2005), Sensor Technology Handbook, ch. 4.",
     needs=("coupled",),
+    exact=True,
     variants=(
         Variant(
             name="channel1",

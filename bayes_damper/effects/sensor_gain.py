@@ -38,6 +38,7 @@ EFFECT = Effect(
     looks_like="One channel is off by a factor at all times; the other one fits.",
     hides_behind=("theta0", "J2", "mu"),
     source="Augustine (2013), p. 10; Wilson (2005), Sensor Technology Handbook, ch. 5.",
+    exact=True,
     variants=(
         Variant(
             name="channel1",

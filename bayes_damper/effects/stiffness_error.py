@@ -33,6 +33,7 @@ EFFECT = Effect(
     looks_like="All periods are off by one factor from the first to the last, in coupled and uncoupled trials alike.",
     hides_behind=("k1t", "theta0"),
     source="Augustine (2013), Table 4, p. 14.",
+    exact=True,
     variants=(
         Variant(
             name="factor",
@@ -44,7 +45,7 @@ EFFECT = Effect(
                 ),
             ),
             amend=factor,
-            starts=((0.05,), (-0.05,), (0.002,)),
+            starts=((0.05,), (-0.05,), (0.002,), (0.0002,), (-0.0002,)),
         ),
         Variant(
             name="addition",
@@ -56,7 +57,7 @@ EFFECT = Effect(
                 ),
             ),
             amend=addition,
-            starts=((0.4,), (-0.4,), (0.015,)),
+            starts=((0.4,), (-0.4,), (0.015,), (0.0015,), (-0.0015,)),
         ),
     ),
 )  # fmt: skip
