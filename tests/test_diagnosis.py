@@ -12,17 +12,18 @@ from scipy.signal import lfilter
 from small_rig import NOISE, measured
 from test_calibration import RIG, TRUE, make_experiment
 
+from bayes_damper import integrator
 from bayes_damper.calibration import Experiment, Problem, TrialRecord, calibrate, calibrate_nominal, coordinate_of
 from bayes_damper.diagnose import _maps, _shown_record
 from bayes_damper.diagnosis import diagnose
 from bayes_damper.diagnosis.lone import corroborated, held_out_gain, left_of_squares
 from bayes_damper.diagnosis.outliers import outlying, told, without
-from bayes_damper.diagnosis.pairs import PairProblem
+from bayes_damper.diagnosis.pairs import ComposedProblem, PairProblem, pair_problem
 from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of
 from bayes_damper.diagnosis.search import Candidate, Screen, fainter, fit_variant, offered, scales_of, screen_variant
 from bayes_damper.diagnosis.sensitivity import Quadratic
 from bayes_damper.diagnosis.verdict import RULE, Answers, Left, family_evidence, left_of, weigh
-from bayes_damper.distributions import LogNormal
+from bayes_damper.distributions import LogNormal, from_standard
 from bayes_damper.effects import EFFECTS
 from bayes_damper.errors import InputError
 from bayes_damper.figures import gap_figure
@@ -452,6 +453,33 @@ def test_two_effects_change_the_records_by_the_sum_of_their_changes():
     fewer = both.for_trials(coupled)
     assert fewer.names == both.names
     assert fewer.trials == coupled
+
+
+def test_a_wrong_constant_beside_another_effect_is_exact_and_needs_no_kernel_of_its_own():
+    """Whichever comes first: the records are those of a rig that has the constant, under the other effect."""
+    experiment = make_experiment(1, n=80)
+    base = Problem(experiment)
+    spring, inertia = EFFECTS["spring_cubic"].variants[0], EFFECTS["inertia_error"].variants[0]
+    e = 0.2
+    j2, sd = experiment.constants["J2"]
+    heavier = replace(experiment, constants={**experiment.constants, "J2": (j2 * (1.0 + e), sd)})
+    wanted = Problem(heavier).with_effect(spring)
+    own = np.full(len(spring.parameters), 0.5)
+    error = coordinate_of(inertia.parameters[0].prior, e)
+    priors = zip(base.coordinates, wanted.coordinates, strict=False)  # those of the coupling go with J2
+    same = [coordinate_of(there.prior, float(from_standard(here.prior, 0.0))) for here, there in priors]
+    for both in (pair_problem(base, spring, inertia), pair_problem(base, inertia, spring)):
+        assert isinstance(both, ComposedProblem)
+        assert both.variants == (spring, inertia)
+        for group, alike in zip(both.groups, wanted.groups, strict=True):
+            which, eta = np.arange(len(group.trials)), np.zeros((len(group.trials), len(group.nuisances)))
+            q = np.tile(np.concatenate([np.zeros(base.size), own, [error]]), (which.size, 1))
+            known = np.tile(np.concatenate([same, own]), (which.size, 1))
+            found, right = both.simulate(group, which, q, eta), wanted.simulate(alike, which, known, eta)
+            np.testing.assert_allclose(found, right, rtol=0.0, atol=1e-9 * np.abs(right).max())
+            kernel, alone = (integrator.kernel_file(p.models[group.coupled].bound()) for p in (both, wanted))
+            assert kernel == alone
+    assert isinstance(pair_problem(base, spring, EFFECTS["sensor_gain"].variants[0]), PairProblem)
 
 
 def test_the_credible_set_is_the_smallest():

@@ -6,7 +6,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -258,7 +258,9 @@ def diagnose(
     before_map = site_map(fit)
     after_map = before_map if winner is None or winner.fit is None else site_map(winner.fit, torque=False)
     none_left = left_of(before, before_map.strength, before, before_map.strength)
-    home = 0.5 if winner is None else _at(after_map, {winner.effect.site})
+    # In a formula that is a definition nothing is left open, not at its own site either.
+    own_sites = set() if winner is None or winner.effect.exact else {winner.effect.site}
+    home = 0.5 if winner is None else _at(after_map, own_sites)
     readings = math.inf if winner is None or winner.fit is None else readings_of_change(fit, winner.fit)
     left = left_of(
         after, after_map.strength, before, before_map.strength, home, readings=readings,
@@ -272,14 +274,18 @@ def diagnose(
     if not alone and max(left.nats, gain) > PAIR_FROM:
         pairs = best_pairs(fit, found, pool, seconds, workers=workers)
     judged = []
+
+    def left_by(p: Pair) -> Left:
+        return replace(left_alone(fit, p.fit), exact=p.exact) if alone else _left_by(p, before, before_map)
+
     for k, p in enumerate(pairs[:JUDGED_PAIRS]):
-        remains = replace(left_alone(fit, p.fit), exact=p.exact) if alone else _left_by(p, before, before_map)
+        remains = left_by(p)
         # That two effects change the records by the sum of both holds the less, the larger the changes are.
         promising = alone or p.gain > PAIR_FROM or remains.nats < left.nats - PAIR_FROM
         if remains.nats > PAIR_FROM and promising:
             tell(f"composing {' and '.join(p.effects)}")
             pairs[k] = exactly(fit, p, found)
-            remains = replace(left_alone(fit, pairs[k].fit), exact=p.exact) if alone else _left_by(pairs[k], before, before_map)
+            remains = left_by(pairs[k])
         judged.append((pairs[k].effects, pairs[k].log_evidence, remains))
     pairs.sort(key=lambda p: -p.log_evidence)
     best_left = pairs[0].after if pairs and pairs[0].gain > 0.0 else after

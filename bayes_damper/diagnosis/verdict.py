@@ -102,8 +102,9 @@ def left_of(
     mapped, mapped_before : evidence of the best site in the remainder, and in the gap itself, nats; home : probability
     that the remainder lies at the answer's own site; explained : log evidence of the answer over the nominal model; the
     gap holds what is explained and what is left, more than generic spectra and maps see of sharp events; readings,
-    exact : as in `Left`. Where the gap shows at low frequencies, the share is at most that of its chi-square there: what is left at sharp events, such as
-    reversals of a friction whose formula is not quite right, has much evidence but is little of the gap.
+    exact : as in `Left`. Where the gap shows at low frequencies, the share is at most that of its chi-square there:
+    what is left at sharp events, such as reversals of a friction whose formula is not quite right, has much evidence
+    but is little of the gap.
     """
     nats = max(after.strength, mapped - math.log(20.0))
     remains = max(mapped, after.generic, 0.0)

@@ -132,7 +132,7 @@ class Effect:
     needs: tuple[Literal["coupled", "magnet", "linear_nominal"], ...] = ()
     """What a rig must have for the effect to be possible; "linear_nominal": only offered with `--nominal linear`."""
     exact: bool = False
-    """Whether its formula is a definition, such as a factor on a constant, and not one of many that a cause may follow."""
+    """Whether its formula is a definition, such as a factor on a constant, not one of many that a cause may follow."""
     alike: frozenset[str] = field(default_factory=frozenset)
     """Effects that agree with it to first order (a class): a verdict inside the class is right."""
 
