@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,8 +37,10 @@ class Check:
         }
 
 
-def check(campaign: str | Path) -> Check:
+def check(campaign: str | Path, notes: Sequence[str] = ()) -> Check:
     """Read and validate a campaign folder with its priors.toml, or ``thesis``, the published measurements.
+
+    notes : sentences on the folder that its campaign does not tell; they become warnings.
 
     Raises
     ------
@@ -56,4 +59,5 @@ def check(campaign: str | Path) -> Check:
         from bayes_damper.priors import campaign_priors
 
         experiment_of(found, campaign_priors(beside, found))
-    return Check(found.name, found.describe(), found.warnings, found.sha256)
+    told = "\n".join([found.describe(), *(f"  warning: {note}" for note in notes)])
+    return Check(found.name, told, (*found.warnings, *notes), found.sha256)

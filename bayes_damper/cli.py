@@ -117,15 +117,16 @@ _QUESTIONS = (
 
 
 def _init(args: Arguments) -> Any:
+    before = _call("importer:records_in")(args.folder)
     if args.table is not None:
         _call("importer:import_records")(args.table, args.folder, args.raw, args.overwrite)
-        return _call("check:check")(args.folder)
+        return _call("check:check")(args.folder, _call("importer:left_over")(args.folder, before))
     given = {key: value for key, value in vars(args).items() if key in args.options and value is not None}
     if "columns" not in given and sys.stdin.isatty() and sys.stdout.isatty() and not args.quiet:
         given |= _answers(set(given))
     raw = args.raw or Path()
     _call("importer:init_campaign")(args.folder, [raw / f for f in args.files], args.overwrite, **given)
-    return _call("check:check")(args.folder)
+    return _call("check:check")(args.folder, _call("importer:left_over")(args.folder, before))
 
 
 def _answers(given: set[str]) -> dict[str, Any]:
@@ -369,7 +370,11 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("files", nargs="*", type=Path, help="logger files, one trial each")
     sub.add_argument("--table", type=Path, metavar="import.toml", help="an import table in place of files and options")
     sub.add_argument("--raw", type=Path, metavar="DIR", help="where the logger files lie")
-    sub.add_argument("--overwrite", action="store_true", help="replace the campaign that the folder holds")
+    sub.add_argument(
+        "--overwrite",
+        action="store_true",
+        help="replace the campaign that the folder holds; its records that the new one does not name are left and told",
+    )
     sub.set_defaults(options=_init_options(sub))
 
     sub = command("variability", _variability, "what the cases of a fit share and where they differ")

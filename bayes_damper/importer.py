@@ -91,6 +91,8 @@ _PATTERN = {
 }
 _LEAST: dict[str, float] = {"every": 1, "skip_lines": 0, "before": 0.0}
 """Smallest values of some keys."""
+_NAMED = 12
+"""Files that a sentence names one by one."""
 _FEWEST = 10
 """Readings that a record must have."""
 _LEAST_KNOWN = 0.5
@@ -160,6 +162,32 @@ def _write(
         folder.mkdir(parents=True, exist_ok=True)
         shutil.copytree(draft, folder, dirs_exist_ok=True)
     return folder
+
+
+def records_in(folder: str | Path) -> tuple[str, ...]:
+    """The records that are there of those that a folder's trials.csv names, whatever else is wrong with it."""
+    path = Path(folder) / "trials.csv"
+    try:
+        rows = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
+    except (OSError, ValueError, csv.Error):
+        return ()
+    named = dict.fromkeys((row.get("file") or "").strip() for row in rows)
+    return tuple(name for name in named if name and (Path(folder) / name).is_file())
+
+
+def left_over(folder: str | Path, before: Sequence[str]) -> list[str]:
+    """A sentence on records of the former campaign of a folder (`records_in` it) that the new one does not name.
+
+    They stay: only their owner knows whether they are to be had elsewhere.
+    """
+    now = {(Path(folder) / name).resolve() for name in records_in(folder)}
+    stale = [name for name in before if (Path(folder) / name).is_file() and (Path(folder) / name).resolve() not in now]
+    if not stale:
+        return []
+    some = ", ".join(stale[:_NAMED]) + (f" and {len(stale) - _NAMED} more" if len(stale) > _NAMED else "")
+    them = "them" if len(stale) > 1 else "it"
+    told = f"no command reads {them} now, remove {them} or keep {them} elsewhere"
+    return [f"{some}: left over from the campaign that was here before; {told}"]
 
 
 _NOTHING_RUBS = (

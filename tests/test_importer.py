@@ -12,6 +12,7 @@ import pytest
 
 from bayes_damper.campaign import load_campaign
 from bayes_damper.check import check
+from bayes_damper.cli import main
 from bayes_damper.errors import InputError
 from bayes_damper.importer import convert, import_records, init_campaign
 from bayes_damper.priors import campaign_priors
@@ -320,6 +321,27 @@ def test_a_rig_without_a_magnet_needs_no_magnet(tmp_path: Path) -> None:
     pressed = {**options, "magnet_pull": 1.0, "normal_force": "constant"}
     assert load_campaign(init_campaign(folder, sources, overwrite=True, **pressed)).rig.magnet_pull
     assert not (folder / "priors.toml").exists()
+
+
+def test_records_of_the_former_campaign_are_left_and_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Only those that its trials.csv named, and only while they are there; never a file of the user's own."""
+    sources = [str(logger_file(tmp_path / f"run{i}.csv", wave(i))) for i in range(3)]
+    folder = tmp_path / "rig"
+    options = ["--time", "t", "--columns", "a", "--primary-inertia", "3.015e-3", "--k1t", "10.2", "--theta0", "4.7",
+               "--release", "find"]  # fmt: skip
+    assert main(["init", str(folder), *sources, *options, "--case", "old"]) == 0
+    (folder / "trials" / "notes.txt").write_text("mine")
+    assert "left over" not in capsys.readouterr().out
+    (folder / "trials" / "old_uncoupled_3.csv").unlink()
+    assert main(["init", str(folder), sources[0], *options, "--case", "new", "--overwrite"]) == 0
+    told = capsys.readouterr().out
+    assert "warning: trials/old_uncoupled_1.csv, trials/old_uncoupled_2.csv: left over from the campaign" in told
+    assert "notes.txt" not in told
+    there = {"new_uncoupled_1.csv", "notes.txt", "old_uncoupled_1.csv", "old_uncoupled_2.csv"}
+    assert {p.name for p in (folder / "trials").iterdir()} == there
+    table = ["--table", str(folder / "import.toml"), "--raw", str(tmp_path)]
+    assert main(["init", str(folder), *table, "--overwrite"]) == 0
+    assert "left over" not in capsys.readouterr().out
 
 
 BOTH = {
