@@ -6,18 +6,22 @@ styles and markers that differ too), every axis with symbol and unit. Nothing is
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import corner
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from matplotlib.transforms import blended_transform_factory
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
+from bayes_damper.numerals import interval, number
 from bayes_damper.parameters import unit_of
 from bayes_damper.run import whole
 from bayes_damper.wording import COORDINATES
@@ -113,13 +117,16 @@ def raised(unit: str) -> str:
 
 
 def corner_figure(
-    draws: Mapping[str, Mapping[str, Array]], labels: Mapping[str, str], *, title: str, converged: bool = True
-) -> Figure:
-    """Corner plot of one posterior, or of several overlaid.
+    draws: Mapping[str, Mapping[str, Array]], labels: Mapping[str, str], *, title: str, converged: bool = True,
+    told: Mapping[str, tuple[float, float, float]] = MappingProxyType({}),
+    assumed: Mapping[str, Array] = MappingProxyType({}),
+) -> Figure:  # fmt: skip
+    """Corner plot of one posterior, or of several overlaid. The contours hold 50 and 90 % of the draws.
 
     draws : group (e.g. case) -> parameter -> (n_draws,); all groups have the same parameters.
-    labels : parameter -> axis label. The contours hold 50 and 90 % of the draws; the dashed lines are the median and
-    the ends of the central 90 %.
+    labels : parameter -> axis label.
+    told : parameter -> (low, median, high) of its interval, dashed in its own panel and written above it.
+    assumed : parameter -> draws of its prior, (n,); a grey line to the scale of the posterior.
     """
     names = list(next(iter(draws.values())))
     stacked = {group: np.column_stack([values[name] for name in names]) for group, values in draws.items()}
@@ -139,7 +146,7 @@ def corner_figure(
                 fig=figure,
                 range=[tuple(ends) for ends in ranges],
                 axes_scale=["log" if x else "linear" for x in wide],
-                bins=30,
+                bins=_BINS,
                 smooth=1.0,
                 smooth1d=1.0,
                 labels=[labels.get(name, name) for name in names],
@@ -147,7 +154,6 @@ def corner_figure(
                 labelpad=0.22,
                 color=colour,
                 levels=(0.5, 0.9),
-                quantiles=(0.05, 0.5, 0.95) if single else None,
                 plot_datapoints=False,
                 plot_density=single,
                 fill_contours=single,
@@ -165,12 +171,36 @@ def corner_figure(
                 drawn = [np.asarray(line.get_ydata(), float) for line in axis.lines]
                 tops = [float(np.max(y)) for y in drawn if y.size > 2]
                 axis.set_ylim(0.0, 1.05 * max(tops, default=1.0))
+        for axis, name, ends in zip(figure.axes[:: len(names) + 1], names, ranges, strict=True):
+            _tell_of_one(axis, ends, told.get(name), assumed.get(name))
         margin = 1.05 / figure.get_figwidth()  # room for the labels beside the slanted numbers
-        figure.subplots_adjust(left=margin, bottom=margin)
+        above = (0.45 if told else 0.15) / figure.get_figheight()
+        figure.subplots_adjust(left=margin, bottom=margin, top=1.0 - above)
         figure.suptitle(title, x=0.98 if single else 0.75, y=0.99, ha="right", va="top", fontsize=12)
     if not converged:
         mark(figure)
     return figure
+
+
+_BINS = 30
+"""Bars of a histogram in a corner figure."""
+
+
+def _tell_of_one(axis: Axes, ends: Array, told: tuple[float, float, float] | None, assumed: Array | None) -> None:
+    """In the panel of a parameter by itself: its prior in grey, its interval dashed and in numbers."""
+    logarithmic = axis.get_xscale() == "log"
+    edges = (np.geomspace if logarithmic else np.linspace)(float(ends[0]), float(ends[1]), _BINS + 1)
+    if assumed is not None:
+        # Both are shares of draws in each bar, so that the lines compare as they stand.
+        heights = gaussian_filter(np.histogram(assumed, edges)[0] / assumed.size, 1.0)
+        middles = np.sqrt(edges[:-1] * edges[1:]) if logarithmic else 0.5 * (edges[:-1] + edges[1:])
+        axis.plot(middles, heights, color="#888888", lw=1.2, label="prior")
+        axis.set_ylim(0.0, max(axis.get_ylim()[1], 1.1 * float(heights.max())))
+    if told is not None:
+        low, median, high = told
+        for x in told:
+            axis.axvline(x, ls="--", lw=0.9, color=COLOURS[0])
+        axis.set_title(f"{number(median, high - low)}\n({interval(low, high)})", fontsize=8)
 
 
 def trace_figure(
@@ -256,11 +286,12 @@ def feature_check_figure(rows: Sequence[Mapping[str, Any]], *, title: str, conve
 
 def forest_figure(
     intervals: Mapping[str, Mapping[str, tuple[float, float, float]]], labels: Mapping[str, str], *, title: str,
-    converged: bool = True,
+    converged: bool = True, assumed: Mapping[str, Collection[str]] = MappingProxyType({}),
 ) -> Figure:  # fmt: skip
     """Median and 90 % interval of each parameter over groups (cases): parameter -> group -> (low, median, high).
 
-    A group may lack a parameter: the fit of all cases has no single value of one that is each case's own.
+    A group may lack a parameter: the fit of all cases has no single value of one that is each case's own. `assumed`
+    holds, by parameter, the groups in which the prior decided: these are drawn hollow and thin.
     """
     names = list(intervals)
     columns = min(3, len(names))
@@ -279,8 +310,9 @@ def forest_figure(
         for axis, name in zip(axes, names, strict=False):
             for group, (low, median, high) in intervals[name].items():
                 y = groups.index(group)
-                axis.plot([low, high], [y, y], color=COLOURS[0], lw=2.0)
-                axis.plot(median, y, "o", color=COLOURS[1], ms=5)
+                only_assumed = group in assumed.get(name, ())
+                axis.plot([low, high], [y, y], color=COLOURS[0], lw=0.8 if only_assumed else 2.0)
+                axis.plot(median, y, "o", color=COLOURS[1], ms=5, mfc="white" if only_assumed else COLOURS[1])
             axis.set_yticks(range(len(groups)), groups if axis in axes[::columns] else [])
             axis.set_ylim(len(groups) - 0.5, -0.5)
             low, high = min(i[0] for i in intervals[name].values()), max(i[2] for i in intervals[name].values())

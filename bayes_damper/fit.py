@@ -48,7 +48,7 @@ from bayes_damper.run import WAITING, Progress, Silent, Task, folder_name, read_
 from bayes_damper.sampling import Progress as Stage
 from bayes_damper.sampling import Sampling, Start, StoppingRule, annealed_start, resampled_start, sample
 from bayes_damper.sampling.ensembles import _BLOCK, _FEWEST_STORED  # what progress cannot tell otherwise
-from bayes_damper.sensitivity import of_standard_draws
+from bayes_damper.sensitivity import decided_by, of_standard_draws
 from bayes_damper.sensitivity import text as sensitivity_text
 from bayes_damper.summary import summarise, table_text, write_table
 from bayes_damper.units import effect_unit
@@ -463,12 +463,12 @@ def fit_published_case(folder: Path, report: Report, *, name: str, plan: Mapping
     }
     names = {"features": json.dumps([d.name for d in posterior.data])}
     entry = _entry(draws, _shares(posterior.names, standard(flat)), sampling)
-    _tell_priors(entry, groups["prior"])
+    assumed = _tell_priors(entry, groups["prior"])
     report(0.8, "predicted; left: files, figures")
     _write_draws(folder, draws, sampling, entry["parameters"], groups, _attributes(plan, name) | names)
     entry["predictive"] = checks
     report(0.85, "files written; left: figures")
-    _draw_case(folder, f"thesis, case {name}", draws, sampling, checks)
+    _draw_case(folder, f"thesis, case {name}", draws, sampling, entry, assumed)
     return entry
 
 
@@ -576,14 +576,13 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
         "observed_data": {labels[i]: experiment.trials[i].y for i in posterior.trials},
         "constant_data": {labels[i]: experiment.trials[i].times for i in posterior.trials},
     }
-    _tell_priors(entry, groups["prior"], constants)
+    assumed = _tell_priors(entry, groups["prior"], constants)
     report(0.84, "evidence found; left: files, figures")
     names = {"trials": json.dumps([labels[i] for i in posterior.trials])}
     _write_draws(folder, draws, sampling, entry["parameters"], groups, _attributes(plan, name) | names)
     report(0.87, "files written; left: figures")
-    _draw_case(
-        folder, f"{plan['name']}, {'all cases' if name == 'joint' else f'case {name}'}", draws, sampling, None, units
-    )
+    title = f"{plan['name']}, {'all cases' if name == 'joint' else f'case {name}'}"
+    _draw_case(folder, title, draws, sampling, entry, assumed, units)
     _draw_records(folder, experiment, bands, sampling.converged, units("sigma1"))
     return entry
 
@@ -832,11 +831,19 @@ def _entry(
 
 def _tell_priors(
     entry: Mapping[str, Any], draws: Mapping[str, Array], constants: Mapping[str, Array] | None = None
-) -> None:
-    """Adds to each parameter of an entry of summary.json what was assumed about it, from draws of its prior."""
-    for name, values in {**draws, **_derived({**(constants or {}), **draws})}.items():
-        if name in entry["parameters"] and np.isfinite(values).all() and np.ptp(values) > 0.0:
-            entry["parameters"][name]["prior"] = {"median": float(np.median(values)), "hdi90": list(hdi(values))}
+) -> dict[str, Array]:
+    """Adds to each parameter of an entry of summary.json what was assumed about it, from draws of its prior.
+
+    Those draws, by parameter: of what was free and of what derives from it.
+    """
+    before = {
+        name: np.ravel(values)
+        for name, values in {**draws, **_derived({**(constants or {}), **draws})}.items()
+        if name in entry["parameters"] and np.isfinite(values).all() and np.ptp(values) > 0.0
+    }
+    for name, values in before.items():
+        entry["parameters"][name]["prior"] = {"median": float(np.median(values)), "hdi90": list(hdi(values))}
+    return before
 
 
 def _shares(names: Sequence[str], points: Array) -> dict[str, float]:
@@ -852,7 +859,7 @@ def _attributes(plan: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 _TRACED = 2  # of the kept draws, every so many
 _CROWDED = 7  # panels each way of a corner figure; beyond, those that say nothing of their own are left out
-_MAIN = ("mu", "k2t", "c2t", "drag", "nu", "c1t", "c3t", "friction_torque", "sigma1", "sigma2")
+_MAIN = ("k1t", "mu", "k2t", "c2t", "drag", "nu", "c1t", "c3t", "friction_torque", "sigma1", "sigma2")
 
 
 def _axis_labels(units: Mapping[str, str]) -> dict[str, str]:
@@ -868,20 +875,29 @@ def _draw_case(
     title: str,
     draws: Mapping[str, Array],
     sampling: Sampling,
-    checks: Sequence[Mapping[str, Any]] | None,
+    entry: Mapping[str, Any],
+    assumed: Mapping[str, Array],
     units: Units = unit_of,
 ) -> None:
+    """Figures of one case: its entry of summary.json is what they tell, `assumed` draws of the priors."""
     thinned = _thinned(draws, sampling)
     names = [name for main in _MAIN for name in thinned if name.partition("[")[0] == main]
     labels = _axis_labels({name: units(name) for name in draws})
     beside = {"friction_torque", "sigma1", "sigma2"} & set(names) if len(names) > _CROWDED else set()
     flat = {name: thinned[name].ravel() for name in names if name not in beside}
     converged = sampling.converged
-    figures.save(figures.corner_figure({title: flat}, labels, title=title, converged=converged), folder / "corner")
+    told = {name: _told(entry["parameters"][name]) for name in flat}
+    figure = figures.corner_figure({title: flat}, labels, title=title, converged=converged, told=told, assumed=assumed)
+    figures.save(figure, folder / "corner")
     trace = {name: value[:, ::_TRACED] for name, value in thinned.items() if value.std() > 0.0}
     figures.save(figures.trace_figure(trace, labels, title=title, converged=converged), folder / "trace")
-    if checks is not None:
+    if checks := entry.get("predictive"):
         figures.save(figures.feature_check_figure(checks, title=title, converged=converged), folder / "predictive")
+
+
+def _told(numbers: Mapping[str, Any]) -> tuple[float, float, float]:
+    """Low end, median and high end of a parameter's entry."""
+    return numbers["hdi90"][0], numbers["median"], numbers["hdi90"][1]
 
 
 def _draw_overview(folder: Path, summary: Mapping[str, Any]) -> None:
@@ -889,16 +905,18 @@ def _draw_overview(folder: Path, summary: Mapping[str, Any]) -> None:
     names = [name for name in _MAIN if all(name in entry["parameters"] for entry in cases.values())]
     groups = dict(cases) | ({"all": summary["joint"]} if summary.get("joint") else {})
     intervals = {
-        name: {
-            group: (p["hdi90"][0], p["median"], p["hdi90"][1])
-            for group, entry in groups.items()
-            if (p := entry["parameters"].get(name)) is not None
-        }
+        name: {group: _told(p) for group, entry in groups.items() if (p := entry["parameters"].get(name)) is not None}
         for name in names
+    }
+    assumed = {
+        name: [g for g in of if decided_by(groups[g]["parameters"][name].get("prior_share") or 0.0) == "prior"]
+        for name, of in intervals.items()
     }
     title = f"{summary['campaign']}: median and 90 % interval of each case"
     shown = {name: next(iter(cases.values()))["parameters"][name]["unit"] for name in names}
-    figure = figures.forest_figure(intervals, _axis_labels(shown), title=title, converged=summary["converged"])
+    figure = figures.forest_figure(
+        intervals, _axis_labels(shown), title=title, converged=summary["converged"], assumed=assumed
+    )
     figures.save(figure, folder / "forest")
     if len(cases) > 1:
         _draw_overlaid(folder, cases, names, _axis_labels(shown), summary)

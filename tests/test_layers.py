@@ -11,7 +11,18 @@ ROOT = Path(__file__).resolve().parent.parent / "bayes_damper"
 
 # A package counts as one module; inside it anything goes that makes no cycle at import time.
 LAYERS = (
-    {"errors", "resources", "distributions", "outcome", "parameters", "checkpoint", "provenance", "memory", "wording"},
+    {
+        "errors",
+        "resources",
+        "distributions",
+        "outcome",
+        "parameters",
+        "checkpoint",
+        "provenance",
+        "memory",
+        "wording",
+        "numerals",
+    },
     {"readings", "logger_files", "units", "kernels", "forked"},
     {"records"},
     {"campaign", "importer", "lanes", "damper", "linear", "published"},

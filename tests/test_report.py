@@ -21,11 +21,19 @@ from PIL import Image
 from bayes_damper import report
 from bayes_damper.diagnose import _rms
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.figures import COLOURS, forest_figure, new_figure, record_figure, residual_maps_figure, save
+from bayes_damper.figures import (
+    COLOURS,
+    corner_figure,
+    forest_figure,
+    new_figure,
+    record_figure,
+    residual_maps_figure,
+    save,
+)
 from bayes_damper.fit import _draw_overlaid
+from bayes_damper.numerals import number, percent
 from bayes_damper.report.charts import pack, record_chart, torque_chart, unpack
 from bayes_damper.report.html import LARGEST, typeset
-from bayes_damper.report.parts import number, percent
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 TIMES = np.arange(0.0, 0.5, 1e-3)
@@ -496,6 +504,25 @@ def test_a_forest_leaves_a_gap_where_a_group_lacks_a_parameter():
     assert [text.get_text() for text in left.get_yticklabels()] == ["I", "IV", "all"]
     assert len(left.lines) == 4
     assert len(right.lines) == 6
+
+
+def test_a_forest_draws_hollow_what_the_prior_decided():
+    both = {"I": (0.0, 1.0, 2.0), "IV": (1.0, 2.0, 3.0)}
+    figure = forest_figure({"mu": both, "k2t": both}, {}, title="cases", assumed={"mu": ["IV"]})
+    fills = [line.get_markerfacecolor() for axis in figure.axes[:2] for line in axis.lines if line.get_marker() == "o"]
+    assert fills == [COLOURS[1], "white", COLOURS[1], COLOURS[1]]
+
+
+def test_a_corner_figure_tells_each_interval_and_what_was_assumed():
+    """The prior is drawn to the scale of the posterior: the same draws give the same line."""
+    rng = np.random.default_rng(1)
+    draws = {"mu": rng.normal(1.0, 0.1, 4000), "nu": rng.lognormal(4.0, 1.5, 4000)}
+    told = {"mu": (0.84, 1.0, 1.16), "nu": (2.0, 55.0, 400.0)}
+    figure = corner_figure({"I": draws}, {}, title="I", told=told, assumed=draws)
+    for axis, name in zip(figure.axes[::3], draws, strict=True):
+        prior = next(line for line in axis.lines if line.get_label() == "prior")
+        assert np.max(prior.get_ydata()) == pytest.approx(np.max(axis.lines[0].get_ydata()), rel=1e-6), name
+    assert [axis.get_title() for axis in figure.axes[::3]] == ["1.000\n(0.840 to 1.160)", "60\n(2 to 400)"]
 
 
 def test_a_gap_beside_the_verdict_none_is_explained_on_the_first_screen(tmp_path):

@@ -19,8 +19,9 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from bayes_damper.errors import ExitCode, InputError
+from bayes_damper.numerals import NOTHING, percent
 from bayes_damper.provenance import provenance
-from bayes_damper.report.parts import NOTHING, Picture, Result, Section, percent
+from bayes_damper.report.parts import Picture, Result, Section
 from bayes_damper.report.results import READERS
 from bayes_damper.report.terms import terms
 from bayes_damper.run import read_json, write_text

@@ -8,11 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from bayes_damper.numerals import NOTHING, SDS_WIDE, interval, number, percent, plus_minus
 from bayes_damper.parameters import PARAMETERS, unit_of
 from bayes_damper.report.charts import record_chart, response_chart, torque_chart
 from bayes_damper.report.parts import (
-    NOTHING,
-    SDS_WIDE,
     Headline,
     Picture,
     Result,
@@ -21,11 +20,7 @@ from bayes_damper.report.parts import (
     Table,
     folded,
     generic,
-    interval,
     listed,
-    number,
-    percent,
-    plus_minus,
     words,
 )
 from bayes_damper.run import folder_name
@@ -39,7 +34,10 @@ _HEADS = {
 }  # fmt: skip
 _OUTSIDE = 5.0  # per cent: a measurement below this percentile, or as far above, counts as outside
 _PICTURES = {
-    "forest": ("Parameters over the cases", "Median (dot) and 90 % interval (line) of each parameter for each case."),
+    "forest": (
+        "Parameters over the cases",
+        "Median (dot) and 90 % interval (line) for each case. Hollow and thin: the prior decided.",
+    ),
     "predictive": (
         "What was measured and what the fitted model gives",
         "Every measurement lies at 0, its standard error in grey; the model's median (dot), 50 and 90 % intervals.",
@@ -51,8 +49,8 @@ _PICTURES = {
     "corner": (
         "Pairs of parameters",
         (
-            "Each parameter by itself (dashed in a single case: median and ends of the 90 % interval), and each pair: "
-            "contours hold 50 and 90 % of the draws. A slanted one ties the two."
+            "Each parameter by itself (in a single case dashed: the median and the 90 % interval written above; grey: "
+            "what was assumed), and each pair: contours hold 50 and 90 % of the draws. A slanted one ties the two."
         ),
     ),
     "trace": (
