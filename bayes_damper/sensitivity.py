@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayes_damper.arviz_adapter import pareto_k
+
 Array = NDArray[np.float64]
 WIDTHS = {"half": 0.5, "double": 2.0}
 """Factors on the width of a prior."""
@@ -16,6 +18,7 @@ DATA_DECIDE, PRIOR_DECIDES = 0.3, 0.8
 """Shares of the prior's variance that are left: below the first the data decide, from the other on the prior."""
 _REACHED = 0.5  # the same, up to which draws lie where a wider prior would let them go
 RELIABLE = 0.05  # effective share of the draws below which only a new fit can tell
+_TAIL = 0.5  # Pareto k of the weights from which a spread is carried by the few draws that lie farthest out
 
 
 def decided_by(share: float) -> str:
@@ -51,8 +54,8 @@ def of_standard_draws(names: Sequence[str], points: Array) -> dict[str, Any]:
                 "moves_most": names[most],
                 "shift_of_that": float(means[most]),
                 "effective_share": effective,
-                # Where the prior decides, no draw lies where a wider one would let them go.
-                "reliable": effective > RELIABLE and (width < 1.0 or share <= _REACHED),
+                # Where the prior decides, on one side at least, few draws lie where a wider one would let them go.
+                "reliable": effective > RELIABLE and (width < 1.0 or (share <= _REACHED and pareto_k(weights) < _TAIL)),
             }
     return out
 

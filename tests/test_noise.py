@@ -299,3 +299,16 @@ def test_draws_that_the_prior_decides_cannot_tell_what_a_wider_one_would_allow()
     assert table["measured"]["half"]["reliable"]
     assert table["assumed"]["half"]["reliable"]
     assert not table["assumed"]["double"]["reliable"]
+
+
+def test_a_tail_that_only_the_prior_ends_is_told() -> None:
+    """An upper limit says nothing of small values: half of the prior's variance is gone, yet a wider one widens."""
+    rng = np.random.default_rng(4)
+    z = rng.standard_normal(60_000)
+    limited = z[rng.random(z.size) < ndtr((-0.5 - z) / 0.3)][:8000]
+    measured_well = 0.6 * rng.standard_normal(limited.size)
+    table = of_standard_draws(["limited", "measured"], np.column_stack([limited, measured_well]))
+    assert table["limited"]["prior_share"] < 0.5
+    assert not table["limited"]["double"]["reliable"]
+    assert table["limited"]["half"]["reliable"]
+    assert table["measured"]["double"]["reliable"]
