@@ -53,23 +53,65 @@ def test_links_lead_somewhere(page):
 
 
 def commands_of(page: Path) -> list[list[str]]:
-    lines = "\n".join(blocks(page, "console")).replace("\\\n", " ").splitlines()
-    return [
-        shlex.split(line.removeprefix("$ "), comments=True)
-        for line in lines
-        if line.removeprefix("$ ").startswith("bayes-damper")
+    """Every command of a page: in fenced and in indented blocks, and in the running text."""
+    text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+    lines = [
+        *re.findall(r"^ *(?:\$ )?(bayes-damper .*)$", text, re.MULTILINE),
+        *re.findall(r"`(bayes-damper [^`]+)`", text),
     ]
+    return [shlex.split(line, comments=True) for line in lines]
 
 
-COMMANDS = [(page, words) for page in PAGES for words in commands_of(page)]
+COMMANDS = [
+    (page, words)
+    for page in (ROOT / "README.md", *sorted(DOCS.rglob("*.md")), *sorted(ROOT.glob("*/*/README.md")))
+    for words in commands_of(page)
+]
+
+
+def refused(words: list[str]) -> bool:
+    """Whether the command line does not take these words. A command named without any is only named."""
+    try:
+        _parser().parse_args([*words[1:], *(["--help"] if len(words) == 2 else [])])
+    except SystemExit as stopped:
+        return stopped.code != 0
+    return False
 
 
 @pytest.mark.parametrize(("page", "words"), COMMANDS, ids=[" ".join(w[:4]) for _, w in COMMANDS])
 def test_commands_on_the_pages_have_these_arguments(page, words, capsys):
-    try:
-        _parser().parse_args(words[1:])
-    except SystemExit as stopped:
-        assert stopped.code == 0, f"{page}: {' '.join(words)}\n{capsys.readouterr().err}"  # noqa: PT017
+    assert not refused(words), f"{page}: {' '.join(words)}\n{capsys.readouterr().err}"
+
+
+WRONG_COMMANDS = """
+    bayes-damper fit my_rig --ot a   # said
+
+```console
+$ bayes-damper plan my_rig \\
+    --outt b
+bayes-damper simulate --rate fast
+```
+
+Or `bayes-damper resum FOLDER`, or `bayes-damper tune FOLDER
+--case I`, or `bayes-damper fitt`.
+"""
+
+
+def test_a_wrong_command_is_found_wherever_it_stands_on_a_page(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text(WRONG_COMMANDS, encoding="utf-8")
+    found = {" ".join(words[1:3]): refused(words) for words in commands_of(page)}
+    right = found.pop("tune FOLDER")
+    assert found == dict.fromkeys(["fit my_rig", "plan my_rig", "simulate --rate", "resum FOLDER", "fitt"], True)
+    assert not right
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", *PAGES], ids=name_of)
+def test_targets_of_make_on_the_pages_exist(page):
+    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    assert set(re.findall(r"^ *make ([a-z-]+)|`make ([a-z-]+)`", page.read_text(encoding="utf-8"), re.MULTILINE)) <= {
+        pair for target in targets for pair in ((target, ""), ("", target))
+    }
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if blocks(p, "toml")], ids=name_of)
