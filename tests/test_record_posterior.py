@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from bayes_damper.calibration import Experiment, Noise, Problem, Switches, TrialRecord, calibrate
+from bayes_damper.calibration import Experiment, Noise, Problem, Switches, TrialRecord, calibrate, experiment_of
+from bayes_damper.campaign import load_campaign
 from bayes_damper.model import Model
 from bayes_damper.record_posterior import RecordPosterior
+from tests.campaigns import read_table, write_synthetic, write_table
 
 RIG = {"J1": 3.015e-3, "J2": 2.474e-3, "R": 0.1, "r": 0.0127, "N0": 100.0, "k1t": 10.2}
 TRUTH = {"mu": 0.006, "k2t": 1.5, "c2t": 0.05, "drag": 0.004, "nu": 40.0, "c1t": 0.01, "c3t": 0.008}
@@ -17,10 +21,10 @@ TIMES = np.arange(250) * 1e-3
 ANGLE = math.radians(4.7)
 
 
-def _experiment(rng: np.random.Generator, delays: bool) -> Experiment:
+def _experiment(rng: np.random.Generator, delays: bool, repeats: int = 2) -> Experiment:
     trials = []
     for coupled in (False, True):
-        for number in (1, 2):
+        for number in range(1, repeats + 1):
             theta0 = ANGLE * (1.0 + 0.01 * rng.standard_normal())
             start = {"theta0": theta0, "delay": rng.uniform(0, 1e-3) if delays else 0.0}
             record = Model(coupled=coupled).simulate(RIG | TRUTH | start, TIMES).y[0]
@@ -95,3 +99,42 @@ def test_without_data_the_posterior_is_the_prior(posterior: RecordPosterior) -> 
     points = np.random.default_rng(4).standard_normal((5, posterior.ndim))
     expected = -0.5 * np.sum(points**2, axis=1) - 0.5 * posterior.ndim * math.log(2.0 * math.pi)
     np.testing.assert_allclose(posterior.log_prior(points), expected)
+
+
+@pytest.mark.parametrize("repeats", [1, 3])
+def test_repeats_share_what_they_can_of_one_simulation(repeats: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many repeats there are, each configuration is simulated in one call: for all repeats and all points of
+    the posterior, and for all derivatives of a fit. What is each trial's own costs no motion in the posterior, and in a
+    fit one for each nuisance that is not known in closed form.
+    """
+    experiment = _experiment(np.random.default_rng(5), True, repeats)
+    noise = Noise((2.0, 2.0), (0.0, 0.0), (0.0, 0.0))
+    problem = Problem(experiment, noise=noise, switches=Switches(delay=True, friction=True))
+    fit = calibrate(problem, most=2)
+    posterior = RecordPosterior(fit)
+    runs: list[tuple[bool, int]] = []
+    simulate = Model.simulate
+
+    def counted(self: Model, *arguments: Any, **options: Any) -> Any:
+        found = simulate(self, *arguments, **options)
+        runs.append((self.coupled, len(found.y)))
+        return found
+
+    monkeypatch.setattr(Model, "simulate", counted)
+    points = np.tile(np.append(fit.q, np.zeros(posterior.ndim - problem.size)), (5, 1))
+    assert np.isfinite(posterior(points)).all()
+    assert sorted(runs) == [(False, 5 * repeats), (True, 5 * repeats)]
+    runs.clear()
+    linear = problem.linearise(fit.q, fit.eta)
+    assert [block.T.shape[1] for block in linear.blocks] == [2, 3]  # release angle, instant; coupled: friction too
+    # The point itself, then each parameter: of the primary alone drag, nu and c1t, coupled mu, k2t, c2t and c3t too.
+    assert sorted(runs) == [(False, (1 + 3 + 2) * repeats), (True, (1 + 7 + 2) * repeats)]
+
+
+def test_repeats_of_other_lengths_and_with_gaps_share_the_simulation(tmp_path: Path) -> None:
+    folder = write_synthetic(tmp_path, repeats=3)
+    for path, kept in (("IV_coupled_1", np.s_[:800]), ("IV_coupled_2", np.r_[0:300, 340:1001])):
+        names, columns = read_table(folder / "trials" / f"{path}.csv")
+        write_table(folder / "trials" / f"{path}.csv", names, [x[kept] for x in columns])
+    groups = Problem(experiment_of(load_campaign(folder))).grouped(range(6))
+    assert sorted(len(group.trials) for group in groups) == [3, 3]
