@@ -11,7 +11,9 @@ from scipy.stats import genpareto
 from bayes_damper import arviz_adapter, figures
 from bayes_damper.campaign import load_campaign
 from bayes_damper.distributions import from_standard
+from bayes_damper.effects import EFFECTS
 from bayes_damper.errors import ExitCode, InputError, Interrupted
+from bayes_damper.fit import fit as fit_campaign
 from bayes_damper.model import Model
 from bayes_damper.resume import resume
 from bayes_damper.run import WAITING, read_json, write_json
@@ -29,6 +31,7 @@ from bayes_damper.variability.pooling import (
 from bayes_damper.variability.published import PublishedCases, run_pooling
 from bayes_damper.variability.recorded import RecordedCases
 from bayes_damper.variability.tempering import temper
+from tests.test_fit import _campaign
 
 NAMES = ("a", "b", "c", "J", "own")
 POOLED, COMMON = NAMES[:3], ("J",)
@@ -465,6 +468,25 @@ def test_known_pooling_of_campaigns_is_found_at_the_right_rate(tmp_path):
     assert told["half"]["partial"] >= 0.8 * n
     assert told["separate"]["partial"] + told["separate"]["separate"] >= 0.95 * n
     assert above > 0.95
+
+
+@pytest.mark.slow
+def test_a_case_is_as_uncertain_as_in_its_fit_where_the_model_misses_something(tmp_path):
+    """The spring hardens, the model does not know: a case is known no better here than by the draws of its own fit."""
+    spring = EFFECTS["spring_cubic"].variants[0]
+    folder = _campaign(tmp_path / "campaign", effect=spring, values={"k3": 40.0})
+    rows = (folder / "trials.csv").read_text(encoding="utf-8").splitlines()
+    marked = [rows[0] + ",holdout", rows[1] + ",true", *(row + "," for row in rows[2:])]  # the same trials in both
+    (folder / "trials.csv").write_text("\n".join(marked) + "\n", encoding="utf-8")
+    found = fit_campaign(folder, out=tmp_path / "fit", most_steps=100)
+    assert found.summary["cases"]["IV"]["noise"]["channels"][0]["learnt_from"] == "residuals"
+    plan = read_json(tmp_path / "fit" / "run.json")["plan"]
+    cases = RecordedCases(plan)
+    names = cases.fits["IV"].problem.names
+    known = np.sqrt(np.diag(cases.fits["IV"].covariance))[[names.index(name) for name in cases.pooled]]
+    drawn = answer._fit_draws(tmp_path / "fit", plan, cases)["IV"].std(axis=0)
+    ratio = dict(zip(cases.pooled, known / drawn, strict=True))
+    assert all(0.6 < x < 1.7 for x in ratio.values()), ratio
 
 
 def test_the_fit_of_one_case_is_brought_to_the_common_prior(tmp_path):

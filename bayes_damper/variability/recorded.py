@@ -14,7 +14,6 @@ from bayes_damper.calibration import (
     NOMINAL,
     Calibration,
     Experiment,
-    calibrate_nominal,
     default_priors,
     experiment_of,
     predict,
@@ -22,6 +21,7 @@ from bayes_damper.calibration import (
 from bayes_damper.campaign import load_campaign
 from bayes_damper.distributions import Distribution, from_standard, to_standard
 from bayes_damper.errors import InputError
+from bayes_damper.noise import fit_with_noise
 from bayes_damper.parameters import unit_of
 from bayes_damper.priors import campaign_priors
 from bayes_damper.variability.decomposition import CaseDraws, Sets, curve_values, mean_over_cases, summary
@@ -45,8 +45,9 @@ class RecordedCases:
     """Recorded trials of several cases under the priors of a fit's plan; held-out trials are not fitted."""
 
     method = (
-        "Recorded trials: each case is calibrated by least squares and taken as Gaussian around its best fit "
-        "(Laplace); the hierarchy of these is exact. Declared uncertain constants of the rig have one value for all "
+        "Recorded trials: each case is calibrated by least squares under the noise that its fit works with (learnt "
+        "from what is left where the model misses something) and taken as Gaussian around its best fit (Laplace); the "
+        "hierarchy of these is exact. Declared uncertain constants of the rig have one value for all "
         "cases. The unseen data are the held-out trials, of which only each trial's own nuisances are estimated; the "
         "score is minus half their chi-square at the best values."
     )
@@ -70,7 +71,9 @@ class RecordedCases:
         self.fitted_priors = {case: default_priors(e) | _free(e.priors) for case, e in alone.items()}
         one = default_priors(whole) | dict(whole.priors)
         self.experiments = {case: replace(e, priors=one) for case, e in alone.items()}
-        self.fits: dict[str, Calibration] = {case: calibrate_nominal(e) for case, e in self.experiments.items()}
+        kind = plan.get("noise", "auto")
+        self.noises = {case: fit_with_noise(e, kind) for case, e in self.experiments.items()}
+        self.fits: dict[str, Calibration] = {case: found.fit for case, found in self.noises.items()}
         known = [set(fit.problem.names) for fit in self.fits.values()]
         self.pooled = tuple(name for name in NOMINAL if all(name in names for names in known))
         if not self.pooled:
