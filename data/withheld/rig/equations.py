@@ -32,22 +32,25 @@ STIFFNESS_DRIFT, KNOCK, BASE_MOTION = codes.STIFFNESS_DRIFT, codes.KNOCK, codes.
 FLEXIBLE_SHAFT, CLAMP_PLAY = codes.FLEXIBLE_SHAFT, codes.CLAMP_PLAY
 ONE_SIDED_SPRING, STIFFNESS_RIPPLE = codes.ONE_SIDED_SPRING, codes.STIFFNESS_RIPPLE
 CLAMP_SLIP, COIL_FRICTION = codes.CLAMP_SLIP, codes.COIL_FRICTION
+SPRING_CREEP, LEAF_BREAK = codes.SPRING_CREEP, codes.LEAF_BREAK
 BEARING_STRIBECK, QUADRATIC_DRAG = codes.BEARING_STRIBECK, codes.QUADRATIC_DRAG
 MISALIGNMENT_DRAG = codes.MISALIGNMENT_DRAG
 GREASE_THIXOTROPY, BEARING_RUNOUT, WAKE_DRAG = codes.GREASE_THIXOTROPY, codes.BEARING_RUNOUT, codes.WAKE_DRAG
 ONE_WAY_DRAG, RACE_DENT = codes.ONE_WAY_DRAG, codes.RACE_DENT
-DRY_RUNNING, FLUTED_RACE = codes.DRY_RUNNING, codes.FLUTED_RACE
+DRY_RUNNING, FLUTED_RACE, OIL_STARVATION = codes.DRY_RUNNING, codes.FLUTED_RACE, codes.OIL_STARVATION
 STICK_SLIP, FRICTION_DISPLACEMENT, MAGNET_CUBIC = codes.STICK_SLIP, codes.FRICTION_DISPLACEMENT, codes.MAGNET_CUBIC
 EDDY_OVERLAP, MAGNET_FADE, INTERFACE_RELAXATION = codes.EDDY_OVERLAP, codes.MAGNET_FADE, codes.INTERFACE_RELAXATION
 NORMAL_FORCE_LAW, MAGNETIC_COGGING = codes.NORMAL_FORCE_LAW, codes.MAGNETIC_COGGING
 FACE_WOBBLE, ASYMMETRIC_MAGNET = codes.FACE_WOBBLE, codes.ASYMMETRIC_MAGNET
 FACE_STOP, PULL_TILT = codes.FACE_STOP, codes.PULL_TILT
 AXIAL_BOUNCE, FACE_GRAIN, REST_ADHESION = codes.AXIAL_BOUNCE, codes.FACE_GRAIN, codes.REST_ADHESION
+GROOVED_FACES, GAP_CREEP = codes.GROOVED_FACES, codes.GAP_CREEP
 STRAY_IRON, SECOND_KNOCK, BAR_PADDLE = codes.STRAY_IRON, codes.SECOND_KNOCK, codes.BAR_PADDLE
 UNBALANCED_BAR, GUARD_RUB, CABLE_PULL = codes.UNBALANCED_BAR, codes.GUARD_RUB, codes.CABLE_PULL
 CABLE_LOOP, FOAM_BUMPER = codes.CABLE_LOOP, codes.FOAM_BUMPER
+BAR_WHIP, DRAUGHT = codes.BAR_WHIP, codes.DRAUGHT
 RELEASE_RAMP, RELEASE_DRAG, RELEASE_REBOUND = codes.RELEASE_RAMP, codes.RELEASE_DRAG, codes.RELEASE_REBOUND
-SECOND_JAW, LATE_SECONDARY = codes.SECOND_JAW, codes.LATE_SECONDARY
+SECOND_JAW, LATE_SECONDARY, STICKY_PAD = codes.SECOND_JAW, codes.LATE_SECONDARY, codes.STICKY_PAD
 
 
 @njit(cache=True)
@@ -75,6 +78,8 @@ def pull_and_friction(code, t, th1, th2, z0, p0, p1, p2, p3, g):
         return max(0.0, 1.0 + p0 * math.sin(p1 * th2 + p2)), 1.0
     if code == AXIAL_BOUNCE:  # the shafts ring along their axis after the release, and the air gap with them
         return max(0.0, 1.0 + p0 * math.exp(-t / p2) * math.sin(p1 * t)), 1.0
+    if code == GAP_CREEP:  # Teflon that yields under the magnet
+        return 1.0 + p0 * (1.0 - math.exp(-t / p1)), 1.0
     return 1.0, 1.0
 
 
@@ -115,6 +120,10 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
             return p0 * g[K1] * 0.5 * (1.0 + math.tanh((t - p1) / p2)), 0.0
         if code == COIL_FRICTION:  # coils rub on each other as hard as the spring is wound
             return -p0 * g[K1] * abs(th1) * math.tanh(p1 * w1), 0.0
+        if code == SPRING_CREEP:  # the spring's seat relaxes, and had done so while the rig was held
+            return -p0 * g[K1] * z0, 0.0
+        if code == LEAF_BREAK:  # one leaf of the spring breaks at the instant p1
+            return p0 * g[K1] * th1 * 0.5 * (1.0 + math.tanh((t - p1) / p2)), 0.0
         return 0.0, 0.0
     if code < 40:
         if code == BEARING_STRIBECK:  # Lorentzian hump above the kinetic drag
@@ -149,6 +158,10 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
             )
         if code == FLUTED_RACE:  # washboard of the races, as stray currents burn it
             return p0 * math.sin(p1 * th1 + p2), p0 * math.sin(p1 * th2 + p3)
+        if code == OIL_STARVATION:  # the oil's supply fails for a spell
+            s = (t - p1) / p2
+            a = p0 * math.sin(math.pi * s) ** 2 if 0.0 < s < 1.0 else 0.0
+            return -a * math.tanh(nu * w1), -a * math.tanh(nu * w2)
         return 0.0, 0.0
     if code < 60:
         if not coupled:  # there is no interface
@@ -180,6 +193,12 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
         if code == REST_ADHESION:  # faces that cling after a rest, until torn apart (z0 = share torn)
             q = -p0 * phi * (1.0 - z0)
             return q, -q
+        if code == GROOVED_FACES:  # tool marks of both faces that mesh and part as they turn on each other
+            q = -p0 * (1.0 + math.sin(p1 * phi + p2)) * math.tanh(nu * (w1 - w2))
+            return q, -q
+        if code == GAP_CREEP:  # the magnet's stiffness follows its pull
+            q = -p0 * g[K2] * phi * (1.0 - math.exp(-t / p1))
+            return q, -q
         return 0.0, 0.0
     if code == UNBALANCED_BAR:
         return 0.0, p0 * math.sin(th2 + p1)
@@ -201,6 +220,12 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
     if code == FOAM_BUMPER:  # the far end of the swing meets foam: Hunt and Crossley's contact
         deep = -p1 - th2
         return 0.0, (p0 * deep**1.5 * max(0.0, 1.0 - p2 * w2) if deep > 0.0 else 0.0)
+    if code == BAR_WHIP:  # a share of J2 on the bending bar: bend z0, rate z1
+        share = p0 * g[J2] / (1.0 - p0)
+        return 0.0, share * (p1 * p1 * z0 + 2.0 * p2 * p1 * z1)
+    if code == DRAUGHT:  # the room's air blows on the bar in gusts
+        u = p1 * (1.0 + 0.6 * math.sin(p2 * t)) - w2
+        return 0.0, p0 * u * abs(u)
     if code == RELEASE_REBOUND:  # the pad springs back and touches the bar again
         s = (t - p1) / p2
         return (-p0 * math.sin(math.pi * s) ** 2 if 0.0 < s < 1.0 else 0.0), 0.0
@@ -215,11 +240,13 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
         return p0 * g[K1] * g[TH0] * 0.5 * (1.0 + math.cos(math.pi * s)), 0.0
     if code == LATE_SECONDARY:  # the pad still brakes the secondary bar for the time p0
         return 0.0, (-2.0 * w2 * (1.0 - (t / p0) ** 8) if t < p0 else 0.0)
+    if code == STICKY_PAD:  # the pad clings to the bar and is stretched until it tears off (z0 = share torn)
+        return p0 * (g[TH0] - th1) * (1.0 - z0), 0.0
     return 0.0, 0.0
 
 
 @njit(cache=True)
-def memory_rates(code, th1, th2, w1, w2, a1, z0, z1, p0, p1, p2, p3, g, friction):
+def memory_rates(code, th1, th2, w1, w2, a1, a2, z0, z1, p0, p1, p2, p3, g, friction):
     """Rates of the two memories of one disturbance; friction = dry friction torque of the interface, N m."""
     if code == COUPLING_HYSTERESIS:  # Bouc-Wen with n = 2; p1 = angle of yield, p2 = beta of beta + gamma = 1
         return w1 * (1.0 - z0 * z0 * ((1.0 - p2) + math.copysign(p2, w1 * z0))) / p1, 0.0
@@ -246,6 +273,12 @@ def memory_rates(code, th1, th2, w1, w2, a1, z0, z1, p0, p1, p2, p3, g, friction
         free0 = 0.5 * (1.0 - math.tanh((math.copysign(z0, z0 * w2) - 1.0) / 0.05))
         free1 = 0.5 * (1.0 - math.tanh((math.copysign(z1, z1 * w2) - 1.0) / 0.05))
         return w2 * free0 / p1, w2 * free1 / (3.0 * p1)
+    if code == SPRING_CREEP:
+        return w1 - z0 / p1, 0.0
+    if code == BAR_WHIP:
+        return z1, -p1 * p1 * z0 - 2.0 * p2 * p1 * z1 - a2
+    if code == STICKY_PAD:
+        return (1.0 - z0) / 1e-3 * 0.5 * (1.0 + math.tanh(((g[TH0] - th1) / p1 - 1.0) / 0.05)), 0.0
     return 0.0, 0.0
 
 
@@ -296,7 +329,7 @@ def accelerations(t, th1, th2, w1, w2, z, bristle, k, P, g, coupled, rates):
     for i in range(2):
         if k[i] > 0:
             r0, r1 = memory_rates(
-                k[i], th1, th2, w1, w2, a1, z[2 * i], z[2 * i + 1], P[i, 0], P[i, 1], P[i, 2], P[i, 3], g, friction
+                k[i], th1, th2, w1, w2, a1, a2, z[2 * i], z[2 * i + 1], P[i, 0], P[i, 1], P[i, 2], P[i, 3], g, friction
             )
             rates[2 * i] = r0
             rates[2 * i + 1] = r1

@@ -76,6 +76,17 @@ def _resonance(y: NDArray[np.float64], share: float, wn: float, zeta: float, ste
     return y + share * (mount - y)
 
 
+@njit(cache=True)
+def _play(y: NDArray[np.float64], half: float) -> NDArray[np.float64]:
+    """What a follower with the play +-half shows of y, at 0 before the first."""
+    out = np.empty(y.size)
+    at = 0.0
+    for i in range(y.size):
+        at = min(max(at, y[i] - half), y[i] + half)
+        out[i] = at
+    return out
+
+
 def soft_limit(y: NDArray[np.float64], limit: float, sharpness: float) -> NDArray[np.float64]:
     """Readings that bend over to +-limit (rad/s^2)."""
     return y / (1.0 + np.abs(y / limit) ** sharpness) ** (1.0 / sharpness)
@@ -145,6 +156,13 @@ def readings(
         elif d.code == codes.UNEQUAL_HALVES:
             for c in which:
                 channels[c] = channels[c] + a * np.abs(channels[c])
+        elif d.code == codes.ECHO:
+            fine = np.arange(motion.shape[0]) * step
+            for c in which:
+                channels[c] = channels[c] + a * np.interp(fine - p2, fine, channels[c], left=0.0)
+        elif d.code == codes.GAUGE_FRICTION:
+            for c in which:
+                channels[c] = _play(channels[c], a)
     since = times - release
     since = since + bend * since * np.abs(since)
     for d in disturbances:

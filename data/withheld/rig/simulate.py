@@ -11,7 +11,8 @@ from .sensors import Disturbance, readings
 
 FIRST_SENSOR_CODE = 80
 FINE_STEP = 2e-5  # s, of the records that are written
-VANISHING = (codes.FLEXIBLE_SHAFT, codes.CLAMP_PLAY, codes.STICK_SLIP, codes.RELEASE_RAMP)  # nothing at amplitude 0
+# nothing at amplitude 0
+VANISHING = (codes.FLEXIBLE_SHAFT, codes.CLAMP_PLAY, codes.BAR_WHIP, codes.STICK_SLIP, codes.RELEASE_RAMP)
 SEARCH_STEP = 1e-4  # s, of the searches for an amplitude; 0.002 rad/s^2 from the fine one
 
 
@@ -31,6 +32,8 @@ def disturbed_start(
             rig["J2"] *= 1.0 + a
         elif d.code in (codes.FLEXIBLE_SHAFT, codes.CLAMP_PLAY):
             rig["J1"] *= 1.0 - a
+        elif d.code == codes.BAR_WHIP:
+            rig["J2"] *= 1.0 - a
         elif d.code == codes.RELEASE_OFFSET and coupled:
             start[1] += a
         elif d.code == codes.RELEASE_PUSH:
