@@ -525,6 +525,31 @@ def test_a_corner_figure_tells_each_interval_and_what_was_assumed():
     assert [axis.get_title() for axis in figure.axes[::3]] == ["1.000\n(0.840 to 1.160)", "60\n(2 to 400)"]
 
 
+def test_a_diagnosis_shows_the_record_that_proves_it_before_the_missing_torque(tmp_path):
+    write_diagnosis(tmp_path)
+    for stem in ("gap", "ranking"):
+        save(new_figure(2.0, 2.0), tmp_path / stem)
+    report(tmp_path)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    places = [page.index(f"<figcaption><strong>{t}</strong>") for t in ("What the model misses", "Missing torque")]
+    assert places == sorted(places)
+    assert places[1] < page.index("<figcaption><strong>Which effect, and where</strong>")
+    assert page.count("<figcaption><strong>What the model misses</strong>") == 1
+
+
+def test_a_page_of_several_campaigns_bears_the_name_of_the_folder(tmp_path):
+    for name in ("bench", "rig"):
+        (tmp_path / name).mkdir()
+        write_diagnosis(tmp_path / name)
+        file = tmp_path / name / "diagnosis.json"
+        data = json.loads(file.read_text(encoding="utf-8"))
+        file.write_text(json.dumps(data | {"campaign": name}), encoding="utf-8")
+    report(tmp_path)
+    assert f"<h1>Report: {tmp_path.name}</h1>" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    report(tmp_path / "rig")
+    assert "<h1>Report: rig</h1>" in (tmp_path / "rig" / "report.html").read_text(encoding="utf-8")
+
+
 def test_a_gap_beside_the_verdict_none_is_explained_on_the_first_screen(tmp_path):
     write_diagnosis(tmp_path)
     data = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))

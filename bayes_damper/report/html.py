@@ -178,8 +178,9 @@ def typeset(text: str) -> str:
 
 
 def _name(results: list[Result]) -> str:
-    """The campaign that the results are of, if any of them says so."""
-    return next((str(r.provenance["campaign"]) for r in results if r.provenance.get("campaign")), "")
+    """The campaign that the results are of, if they say so and are of one."""
+    names = {str(r.provenance["campaign"]) for r in results if r.provenance.get("campaign")}
+    return names.pop() if len(names) == 1 else ""
 
 
 def _numbered(sections: list[Section], names: tuple[str, ...]) -> list[Section]:

@@ -30,12 +30,16 @@ class Table:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure: its title, the words for those who cannot see it, its file, and how it is read (below its title)."""
+    """A figure: its title, the words for those who cannot see it, its file, and how it is read (below its title).
+
+    One that is `first` stands before the charts of its section.
+    """
 
     title: str
     alt: str
     path: str
     note: str = ""
+    first: bool = False
 
 
 @dataclass(frozen=True)
@@ -49,7 +53,10 @@ class Chart:
 
 @dataclass(frozen=True)
 class Section:
-    """One part of the page below the first screen; a folded one is shown when asked for, and if `on_paper` printed."""
+    """One part of the page below the first screen; a folded one is shown when asked for, and if `on_paper` printed.
+
+    Charts stand before pictures, but for a picture that is `first`.
+    """
 
     title: str
     sentences: tuple[str, ...] = ()
@@ -59,6 +66,11 @@ class Section:
     parts: tuple[Section, ...] = ()
     folded: bool = False
     on_paper: bool = True
+
+    @property
+    def before_charts(self) -> tuple[Picture, ...]:
+        """Pictures that stand before the charts."""
+        return tuple(picture for picture in self.pictures if picture.first)
 
     @property
     def anchor(self) -> str:

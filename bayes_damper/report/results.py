@@ -406,7 +406,9 @@ def _pictures(folder: Path, group: str = "", *, kind: str = "") -> tuple[Picture
     for stem in stems:
         title, alt = (_PICTURES | _MORE).get(stem, (words(stem).capitalize(), f"Figure: {words(stem)}."))
         note = alt if stem in _PICTURES or stem in _MORE else ""
-        out.append(Picture(title, f"{group + ': ' if group else ''}{alt}", str(folder / stem), note))
+        out.append(
+            Picture(title, f"{group + ': ' if group else ''}{alt}", str(folder / stem), note, first=stem == "gap")
+        )
     return tuple(out)
 
 
