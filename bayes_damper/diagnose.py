@@ -193,6 +193,12 @@ def _published_words(result: Mapping[str, Any]) -> list[str]:
     return lines + [f"note: {note}" for note in result["notes"]]
 
 
+def _estimated(p: Mapping[str, Any]) -> str:
+    """A parameter's value, unit (none for a plain number) and interval."""
+    unit = "" if p["unit"] == "1" else f" {p['unit']}"
+    return f"{p['mean']:.4g}{unit}, 90 % interval {p['hdi90'][0]:.4g} to {p['hdi90'][1]:.4g}"
+
+
 def _words(result: Mapping[str, Any]) -> list[str]:
     if "feature" in result["where"]:
         return _published_words(result)
@@ -223,10 +229,7 @@ def _words(result: Mapping[str, Any]) -> list[str]:
             lines.append(f"It does not close the gap alone: {both[0]} and {both[1]} together do (probability {p:.2f}).")
             parameters = result["pair"]["parameters"]
         lines += [
-            f"  {effect}, {name} = {p['mean']:.4g} {p['unit']}, "
-            f"90 % interval {p['hdi90'][0]:.4g} to {p['hdi90'][1]:.4g}"
-            for effect, those in parameters.items()
-            for name, p in those.items()
+            f"  {effect}, {name} = {_estimated(p)}" for effect, those in parameters.items() for name, p in those.items()
         ]
     lines.append(
         f"Gap on held-out trials: {gap['answer']} ({told_p(gap['p_value'])}); "

@@ -14,7 +14,7 @@ from test_calibration import RIG, TRUE, make_experiment
 
 from bayes_damper import integrator
 from bayes_damper.calibration import Experiment, Problem, TrialRecord, calibrate, calibrate_nominal, coordinate_of
-from bayes_damper.diagnose import _maps, _shown_record
+from bayes_damper.diagnose import _estimated, _maps, _shown_record
 from bayes_damper.diagnosis import diagnose
 from bayes_damper.diagnosis.lone import corroborated, held_out_gain, left_of_squares
 from bayes_damper.diagnosis.outliers import outlying, told, without
@@ -480,6 +480,12 @@ def test_a_wrong_constant_beside_another_effect_is_exact_and_needs_no_kernel_of_
             kernel, alone = (integrator.kernel_file(p.models[group.coupled].bound()) for p in (both, wanted))
             assert kernel == alone
     assert isinstance(pair_problem(base, spring, EFFECTS["sensor_gain"].variants[0]), PairProblem)
+
+
+def test_a_share_is_told_without_a_unit():
+    told = {"mean": 0.1463, "sd": 0.02, "hdi90": [0.1125, 0.18]}
+    assert _estimated(told | {"unit": "1"}) == "0.1463, 90 % interval 0.1125 to 0.18"
+    assert _estimated(told | {"unit": "rad"}) == "0.1463 rad, 90 % interval 0.1125 to 0.18"
 
 
 def test_the_credible_set_is_the_smallest():
