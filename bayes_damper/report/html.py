@@ -22,7 +22,7 @@ from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.numerals import NOTHING, percent
 from bayes_damper.provenance import provenance
 from bayes_damper.report.parts import Picture, Result, Section
-from bayes_damper.report.results import READERS
+from bayes_damper.report.sections import READERS
 from bayes_damper.report.terms import terms
 from bayes_damper.run import read_json, write_text
 from bayes_damper.wording import counted

@@ -1,0 +1,439 @@
+"""The section of a diagnosis: diagnosis.json."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from bayes_damper.numerals import NOTHING, interval, number, percent, plus_minus
+from bayes_damper.parameters import PARAMETERS
+from bayes_damper.report.charts import torque_chart
+from bayes_damper.report.parts import Headline, Result, Row, Section, Table, folded, generic, listed, words
+from bayes_damper.report.sections.shared import fingerprint, meaning_of, pictures_of, records_table
+from bayes_damper.wording import COORDINATES, gap_beside_verdict
+from bayes_damper.wording import p_value as told_p
+
+_SITES = {
+    "ground1": "the primary's spring to ground and what couples it",
+    "bearings": "drag and friction in the bearings",
+    "interface": "what acts between the two bodies: faces, magnet, coupling",
+    "ground2": "the secondary: its inertia, its spring to ground",
+    "release": "how the rig is let go",
+    "sensor": "sensors and logger",
+    "none": "no gap",
+}
+_RIVALS = {"none": "that nothing is missing", "unknown": "a cause outside the library"}
+
+
+def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
+    """Headline and section of diagnosis.json."""
+    probabilities = sorted(data.get("probabilities", {}).items(), key=lambda item: -item[1])
+    verdict, gap = str(data.get("verdict", "unknown")), data.get("gap") or {}
+    # What is on the first screen is the same model as one of the rows: one model, one number.
+    effects = [
+        {**e, "closed": gap["closed"]}
+        if gap.get("closed") and e.get("augmented_rms") == gap.get("augmented_rms")
+        else e
+        for e in data.get("effects") or ()
+    ]
+    share = dict(probabilities).get(verdict)
+    sites = sorted((data.get("sites") or {}).items(), key=lambda item: -item[1])
+    pair = data.get("pair")
+    sentences = _verdict_sentences(verdict, share, sites, pair, effects)
+    if pair:
+        sentences.append(
+            f"One effect does not close the gap; {listed([words(e) for e in pair['effects']])} together do "
+            f"({percent(pair['probability'])})."
+        )
+    beside = gap_beside_verdict(verdict, share or 0.0, gap)
+    sentences += [beside] if beside and verdict == "none" else [_gap_sentence(gap), beside]
+    credible = [words(n) for n in data.get("credible_set", [])]
+    if len(credible) > 1:
+        sentences.append(f"With 90 % probability it is one of {listed(credible)}; the data do not decide which.")
+    who = "these two together close" if pair else "the most probable cause closes"
+    if verdict in ("none", "unknown"):
+        who = "what comes closest to a cause would close"
+    sentences.append(_closed_sentence(gap, who))
+    changes = [
+        f"{listed([words(n) for n in group])} cannot be told apart by these data."
+        for group in data.get("indistinguishable", [])
+        if set(group) & set(data.get("credible_set", []))
+    ]
+    changes += [_experiment_sentence(e) for e in (data.get("next_experiment") or [])[:1]]
+    if len(probabilities) > 1:
+        second = next(item for item in probabilities if item[0] != verdict)
+        changes.append(f"The strongest rival is {_RIVALS.get(second[0], words(second[0]))} ({percent(second[1])}).")
+    top = (share or 0.0) > 0.9 and len(credible) <= 1
+    tone = "good" if verdict == "none" and top else "bad" if top else "open"
+    shown = tuple((words(n), float(p)) for n, p in probabilities if p >= 0.01)[:8]
+    name = str(data.get("campaign", ""))
+    head = Headline(
+        f"Diagnosis of {name}" if name else "Diagnosis", tone, tuple(s for s in sentences if s), shown, tuple(changes)
+    )
+    translational = _is_translational(data)
+    charts = [torque_chart(f, translational=translational) for f in sorted(folder.glob("*torque*.csv"))]
+    rest = generic(
+        data, "", ("schema", "campaign", "verdict", "credible_set", "probabilities", "sites", "effects", "provenance",
+                   "campaign_sha256", "seed", "indistinguishable", "notes", "next_experiment", "gap", "parameters",
+                   "sensitivity", "where", "forecast", "reading_unit", "warnings"),
+    )  # fmt: skip
+    places = _where_sections(data.get("where") or {}, translational)
+    every = (_effect_table(effects, probabilities),)
+    choices = _choice_tables(data.get("sensitivity") or [])
+    section = Section(
+        "Diagnosis",
+        tuple(data.get("notes", ())),
+        (
+            _site_table(sites),
+            *_gap_tables(gap, effects, pair, str(data.get("reading_unit") or "")),
+            *_forecast_tables(data.get("forecast") or {}, str(data.get("reading_unit") or "")),
+            *_shift_tables(data.get("parameters") or {}),
+            *_experiment_tables(data.get("next_experiment") or []),
+        ),
+        tuple(c for c in charts if c is not None),
+        pictures_of(folder, kind="diagnosis"),
+        (
+            *places,
+            Section("Every answer that was tried", tables=every, folded=True),
+            *([Section("How far the verdict hangs on choices", tables=choices, folded=True)] if choices else []),
+            *folded(rest),
+        ),
+    )
+    about = dict(data.get("provenance", {})) | fingerprint(data)
+    return Result(head, section, (), about, tuple(data.get("warnings", ())))
+
+
+def _verdict_sentences(
+    verdict: str,
+    share: float | None,
+    sites: Sequence[tuple[str, float]],
+    pair: Mapping[str, Any] | None,
+    effects: Sequence[Mapping[str, Any]] = (),
+) -> list[str]:
+    """The verdict in plain words, with its probability, what the effect is, its size, and the most probable place."""
+    sure = (share or 0.0) >= 0.9
+    if verdict == "none":
+        told = "Nothing is missing from the model" if sure else "Most probable, but not sure: nothing is missing"
+        return [f"{told} ({percent(share)})."]
+    place = next(((s, p) for s, p in sites if s != "none"), None)
+    where = [f"Most probable place: {_place(place[0])} ({percent(place[1])})."] if place else []
+    if verdict == "unknown":
+        told = "Something is missing" if sure else "Most probable, but not sure: something is missing"
+        return [f"{told} that no effect of the library explains ({percent(share)}).", *where]
+    if pair:
+        return [f"Two causes; the stronger one is {words(verdict)} ({percent(share)})."]
+    told = "The missing effect is" if sure else "Most probable, but not sure:"
+    found: Mapping[str, Any] = next((e for e in effects if e.get("name") == verdict), {})
+    size = "; ".join(_parameter(k, v) for k, v in (found.get("parameters") or {}).items())
+    meant = [str(found["meaning"])] if found.get("meaning") else []
+    if size and found.get("formula"):
+        meant.append(f"Its law: {found['formula']}, with {size} (90 % intervals).")
+    return [f"{told} {words(verdict)} ({percent(share)}).", *meant, *where]
+
+
+def _place(site: str) -> str:
+    return f"{site}, {_SITES[site]}" if site in _SITES else site
+
+
+def _gap_sentence(gap: Mapping[str, Any]) -> str:
+    answer = gap.get("answer")
+    p = gap.get("p_value")
+    told = "" if p is None else f" ({told_p(p)})"
+    return {
+        "gap": f"The rig and the model differ by more than the noise{told}.",
+        "none": f"The rig and the model differ by no more than the noise{told}.",
+        "cannot tell": f"These data cannot tell whether the rig and the model differ{told}.",
+    }.get(str(answer), "")
+
+
+def _closed_sentence(gap: Mapping[str, Any], who: str) -> str:
+    closed = (gap.get("closed") or {}).get("median")
+    if closed is None:
+        return ""
+    hdi = (gap.get("closed") or {}).get("hdi90")
+    spread = f" (90 %: {_whole(hdi[0])} to {_whole(hdi[1])} %)" if hdi else ""
+    where = (
+        "coupled peaks, predicted without the coupled numbers of their case," if gap.get("on") else "held-out trials"
+    )
+    if closed <= 0.0:
+        return f"On {where} nothing that was tried closes any of the gap{spread}."
+    return f"On {where} {who} {_whole(closed)} % of the gap{spread}."
+
+
+def _whole(share: float) -> str:
+    """A share in whole per cent; never -0."""
+    return f"{round(100.0 * share)}"
+
+
+def _experiment_sentence(e: Mapping[str, Any]) -> str:
+    forms = {
+        "configuration": "{}", "k1t_n_m_per_rad": "k1t {} N m/rad", "k1_n_per_m": "k1 {} N/m",
+        "theta0_deg": "released at {} deg", "theta0_mm": "released at {} mm",
+    }  # fmt: skip
+    details = [
+        form.format(f"{e[key]:.3g}" if isinstance(e[key], int | float) else e[key])
+        for key, form in forms.items()
+        if e.get(key) is not None
+    ]
+    gain = e.get("expected_information_nats")
+    return f"Next experiment: {', '.join(details)}" + (
+        "." if gain is None else f" (expected information {gain:.2f} nats; to settle an even choice takes 0.69)."
+    )
+
+
+def _site_table(sites: Sequence[tuple[str, float]]) -> Table:
+    rows = tuple(Row((words(name), percent(p), _SITES.get(name, NOTHING))) for name, p in sites)
+    return Table("Probability of each site", ("site", "probability", "what belongs to it"), rows)
+
+
+def _experiment_tables(proposals: Sequence[Mapping[str, Any]]) -> list[Table]:
+    """Experiments by the information that they are expected to give."""
+    if not proposals:
+        return []
+    table = records_table("Next experiment", proposals)
+    note = (
+        "Expected information about which answer is right: 0.69 nats settle an even choice between two. Margin: how "
+        "far apart, in nats, the two answers stand that the experiment splits least; it ranks those that all decide."
+    )
+    return [replace(table, note=note if any("margin" in p for p in proposals) else "")]
+
+
+_OTHER = {"scale": ("scale of the readings of channel", "1"), "lag": ("lag of the readings of channel", "s")}
+_CHANNELS = {1: "1, primary", 2: "2, secondary"}
+
+
+def _is_translational(data: Mapping[str, Any]) -> bool:
+    unit = str(data.get("reading_unit") or "")
+    return unit.startswith("m") or any("k1_n_per_m" in e for e in data.get("next_experiment") or ())
+
+
+def _where_sections(where: Mapping[str, Any], translational: bool) -> tuple[Section, ...]:
+    """Where residuals exceed the noise, one table for each way to look; nothing where nothing does."""
+    if "feature" in where:
+        return _published_sections(where["feature"])
+
+    def cells(row: Mapping[str, Any], *names: str) -> tuple[str, ...]:
+        return tuple(str(row[n]) if row.get(n) is not None else "all" for n in names)
+
+    def channel(row: Mapping[str, Any]) -> str:
+        return _CHANNELS.get(row.get("channel", 0), str(row.get("channel", NOTHING)))
+
+    def p(row: Mapping[str, Any]) -> str:
+        return NOTHING if row.get("p_value") is None else told_p(row["p_value"]).removeprefix("p ").removeprefix("= ")
+
+    def span(low: float, high: float) -> str:
+        return f"{low:.3g} to {high:.3g}"
+
+    tables: list[Table] = []
+
+    def add(caption: str, columns: tuple[str, ...], rows: Sequence[tuple[str, ...]], note: str = "") -> None:
+        if rows:
+            tables.append(Table(caption, columns, tuple(Row(r) for r in rows), note))
+
+    times = "Trials: those repeats whose residuals were taken together."
+    rows = [
+        (span(r["start_s"], r["end_s"]), channel(r), *cells(r, "case", "configuration"),
+         ", ".join(map(str, r.get("trials") or [r.get("trial", NOTHING)])), p(r))
+        for r in where.get("time") or ()
+    ]  # fmt: skip
+    add("In time", ("time [s]", "channel", "case", "configuration", "trials", "p value"), rows, times)
+    rows = [
+        (span(r["low_hz"], r["high_hz"]), channel(r), *cells(r, "case", "configuration"), p(r))
+        for r in where.get("frequency") or ()
+    ]
+    add("In frequency", ("band [Hz]", "channel", "case", "configuration", "p value"), rows)
+    power = "power above the noise"
+    note = (
+        "Power of the residuals above that of the noise, in units of the noise's: 0 is noise alone, 1 is twice as much."
+    )
+    rows = [(channel(r), f"{r['excess_over_noise']:+.2f}", p(r)) for r in (where.get("channel") or {}).values()]
+    add("By channel", ("channel", power, "p value"), rows, note)
+    rows = [
+        (*cells(r, "case", "configuration"), f"{r['excess_over_noise']:+.2f}", p(r))
+        for r in (where.get("case") or {}).values()
+    ]
+    add("By case", ("case", "configuration", power, "p value"), rows, note)
+
+    def named(coordinate: str) -> tuple[str, str]:
+        return COORDINATES[coordinate][translational] if coordinate in COORDINATES else (coordinate, "")
+
+    rows = []
+    for r in where.get("phase_space") or ():
+        both = [
+            f"{symbol} {span(*reach)} {unit}".rstrip()
+            for (symbol, unit), reach in zip(map(named, r["coordinates"]), r["range"], strict=True)
+        ]
+        rows.append((both[0], both[1], channel(r), f"{r['excess_over_noise']:+.2f}", p(r)))
+    letters = "x and v" if translational else "θ and ω"
+    moves = f"{letters}: position and velocity of the primary (1) and the secondary (2). {note}"
+    add("In phase space", ("where", "and", "channel", power, "p value"), rows, moves)
+    event = where.get("event")
+    if event and event.get("local"):  # else it only says that a law is wrong everywhere
+        unit = "N s" if translational else "N m s"
+        impulse = f"{event['impulse_n_m_s']:.3g} ± {event['impulse_sd_n_m_s']:.2g} {unit}"
+        row = (
+            span(event["start_s"], event["end_s"]), str(event["site"]), impulse, f"{event['gain_nats']:.0f} nats",
+            percent(event["share"]),
+        )  # fmt: skip
+        columns = ("time [s]", "site", "impulse ± sd", "gain", "share of the misfit")
+        add("A knock at one instant explains most of the misfit", columns, [row])
+    return (Section("Where the model and the rig differ", tables=tuple(tables)),) if tables else ()
+
+
+def _published_sections(features: Sequence[Mapping[str, Any]]) -> tuple[Section, ...]:
+    """Published numbers beside what the nominal model predicts for them."""
+    rows = []
+    for r in features:
+        low, high = r["predicted_hdi90"]
+        cells = (
+            f"{r['case']}, {r['configuration']}: {words(str(r['feature']))}",
+            plus_minus(r["measured"], r["standard_error"]),
+            number(r["predicted"], high - low),
+            interval(low, high),
+            str(r.get("unit", "")),
+            f"{r['p_value']:.2g}",
+            "no" if r.get("held_out") else "yes",
+        )
+        rows.append(Row(cells, "bad" if r["p_value"] < 0.05 else ""))
+    columns = ("number", "measured ± standard error", "nominal model", "90 %", "unit", "p value", "fitted")
+    note = "Coupled numbers are predicted without those of their own case. Marked: p below 0.05."
+    table = Table("Published numbers beside the nominal model", columns, tuple(rows), note)
+    return (Section("Where the model and the rig differ", tables=(table,)),)
+
+
+def _gap_tables(
+    gap: Mapping[str, Any], effects: Sequence[Mapping[str, Any]], pair: Mapping[str, Any] | None = None, unit: str = ""
+) -> list[Table]:
+    """Residuals on held-out trials: the noise, the nominal model, each effect that was added, and two that answer."""
+    if gap.get("nominal_rms") is None:
+        return []
+    rows = [
+        Row(("noise alone", number(gap.get("noise_rms")), NOTHING)),
+        Row(("nominal model", number(gap["nominal_rms"]), "0 %")),
+    ]
+    told = [e for e in effects if e.get("augmented_rms") is not None]
+    if pair and gap.get("augmented_rms") is not None:
+        both = " and ".join(str(name) for name in pair["effects"])
+        told.append({"name": both, "augmented_rms": gap["augmented_rms"], "closed": gap.get("closed")})
+    if not told and gap.get("augmented_rms") is not None:
+        told = [{"name": "most probable cause", "augmented_rms": gap["augmented_rms"], "closed": gap.get("closed")}]
+    for e in told:
+        closed = e.get("closed") or {}
+        share = NOTHING
+        if closed.get("median") is not None:
+            share = f"{_whole(closed['median'])} %"
+            if closed.get("hdi90"):
+                low, high = closed["hdi90"]
+                share += f" ({_whole(low)} to {_whole(high)} %)"
+        rows.append(Row((f"with {words(str(e['name']))}", number(e["augmented_rms"]), share)))
+    unit = unit or str(gap.get("unit") or "")
+    columns = ("model", f"rms residual [{unit}]" if unit else "rms residual", "gap closed (90 %)")
+    note = (
+        f"On {gap['on']}."
+        if gap.get("on")
+        else (
+            f"On held-out trials{'' if unit else ', in the unit of the readings'}; only what each trial has for itself "
+            "(release angle, instant) is fitted there."
+        )
+    )
+    return [Table("The gap before and after", columns, tuple(rows), note)]
+
+
+def _forecast_tables(ahead: Mapping[str, Any], unit: str = "") -> list[Table]:
+    """Held-out trials forecast from their first periods: what is missed, and what share the bands hold."""
+    if "before" not in ahead:
+        return []
+    sides = [side for side in ("before", "after") if side in ahead]
+
+    def cells(row: Mapping[str, Any]) -> tuple[str, ...]:
+        found = [row[side] for side in sides if row.get(side) is not None]
+        return tuple(
+            " → ".join(number(f["rms"]) if name == "rms" else percent(f[name]) for f in found)
+            for name in ("rms", "coverage50", "coverage90")
+        )
+
+    rows = [
+        Row((f"case {t['case']}, {t['configuration']}, trial {t['trial']}", str(t["readings"]), *cells(t)))
+        for t in ahead["trials"]
+    ]
+    if len(rows) > 1:
+        rows.append(Row(("all", str(sum(t["readings"] for t in ahead["trials"])), *cells(ahead))))
+    heads = ("trial", "readings", f"rms miss [{unit}]" if unit else "rms miss", "in the 50 % band", "in the 90 % band")
+    note = (
+        f"Each trial's own state is inferred from its first {ahead['periods']:g} periods, the rest is predicted; "
+        "by the nominal model → with the leading effect added. Fewer readings in a band than it should hold: "
+        "the model is surer than it may be."
+    )
+    return [Table("Forecasts of held-out trials", heads, tuple(rows), note)]
+
+
+def _shift_tables(parameters: Mapping[str, Any]) -> list[Table]:
+    """Parameters of the nominal model before and after the leading effect is added."""
+    rows = []
+    for name, p in parameters.items():
+        meant, unit = meaning_of(name), PARAMETERS[k].unit if (k := name.partition("[")[0]) in PARAMETERS else ""
+        if (own := re.fullmatch(r"(scale|lag)(\d)", name)) is not None:
+            meant, unit = f"{name}: {_OTHER[own[1]][0]} {own[2]}", _OTHER[own[1]][1]
+        cells = [meant]
+        for side in ("before", "after"):
+            found = p.get(side)
+            cells.append(NOTHING if not found else plus_minus(found["value"], found["sd"]))
+        cells.append(str(p.get("unit") or unit))
+        shift = p.get("shift_sigmas")
+        rows.append(Row((*cells, NOTHING if shift is None else f"{shift:+.1f} sd")))
+    columns = ("parameter", "nominal model ± sd", "with the leading effect ± sd", "unit", "shift")
+    note = "Shift in standard deviations of the nominal model."
+    return [Table("Parameters before and after", columns, tuple(rows), note)] if rows else []
+
+
+def _choice_tables(choices: Sequence[Mapping[str, Any]]) -> tuple[Table, ...]:
+    """What the verdict would be had something been chosen otherwise."""
+    rows = tuple(
+        Row((
+            str(c["choice"]), words(str(c["verdict"])), percent(c["probability"]),
+            percent(c.get("probability_of_the_leading_answer")),
+        ))
+        for c in choices
+    )  # fmt: skip
+    columns = ("had it been otherwise", "verdict", "probability", "today's verdict keeps")
+    return (Table("The verdict under other choices", columns, rows),) if rows else ()
+
+
+def _effect_table(effects: Sequence[Mapping[str, Any]], probabilities: Sequence[tuple[str, float]]) -> Table:
+    """Every answer, the most probable first; `none` and `unknown` have no formula."""
+    named = {e.get("name") for e in effects}
+    more = [{"name": n, "probability": p} for n, p in probabilities if n not in named]
+    effects = sorted([*effects, *more], key=lambda e: -(e.get("probability") or 0.0))
+    rows = []
+    for e in effects:
+        closed = e.get("closed")
+        closed = closed.get("median") if isinstance(closed, Mapping) else closed
+        cells = (
+            words(str(e.get("name", ""))),
+            words(str(e.get("variant") or NOTHING)),
+            str(e.get("site") or NOTHING),
+            percent(e.get("probability")),
+            number(e.get("log_evidence")),
+            "; ".join(_parameter(k, v) for k, v in (e.get("parameters") or {}).items()) or NOTHING,
+            NOTHING if closed is None else f"{_whole(closed)} %",
+        )
+        rows.append(Row(cells))
+    columns = ("effect", "formula", "site", "probability", "log evidence, nats", "parameters", "gap closed")
+    return Table("Answers, the most probable first", columns, tuple(rows))
+
+
+def _parameter(name: str, value: Any) -> str:
+    if isinstance(value, Mapping):
+        middle = value.get("median", value.get("mean", value.get("value")))
+        low, high = value.get("hdi90") or (None, None)
+        sd = value.get("sd")
+        spread = f" ({interval(low, high)})" if low is not None else f" ± {number(sd)}" if sd is not None else ""
+        unit = value.get("unit", "")
+        told = number(middle, None if low is None else high - low)
+        return f"{name} {told}{spread} {'' if unit == '1' else unit}".strip()
+    if isinstance(value, list) and len(value) == 2:
+        return f"{name} {number(value[0])} ± {number(value[1])}"
+    return f"{name} {number(value)}"

@@ -1,0 +1,290 @@
+"""The section of a fit: summary.json."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from bayes_damper.numerals import NOTHING, interval, number, plus_minus
+from bayes_damper.parameters import PARAMETERS
+from bayes_damper.report.charts import record_chart
+from bayes_damper.report.parts import Headline, Result, Row, Section, Table, generic, listed, words
+from bayes_damper.report.sections.shared import UNCONVERGED, fingerprint, meaning_of, pictures_of
+from bayes_damper.run import folder_name
+from bayes_damper.sensitivity import decided_by
+from bayes_damper.wording import counted
+
+_OUTSIDE = 5.0  # per cent: a measurement below this percentile, or as far above, counts as outside
+_MAIN = (
+    "mu", "friction_torque", "friction_torque_per_inertia", "k2t", "c2t", "drag", "nu", "c1t", "c3t", "k1t", "J1", "J2",
+)  # fmt: skip
+_MEASURABLE = ("J1", "J2", "R", "r", "N0", "k1t", "k2t", "theta0", "drag", "mu")
+_INTERVALS = (
+    "Intervals hold 90 % of the posterior probability, given the model, the data and the prior. “Decided by prior” "
+    "means that the measurements said nothing about that parameter: the interval is the one that was assumed."
+)
+
+
+def _decided(p: Mapping[str, Any]) -> str:
+    """Who decided about a parameter of summary.json, in the words of the tables."""
+    share = p.get("prior_share")
+    return "derived" if share is None else decided_by(share)
+
+
+def fit_result(summary: Mapping[str, Any], folder: Path) -> Result:
+    """Headline and section of summary.json."""
+    cases = dict(summary.get("cases", {}))
+    groups = cases | ({"all cases together": summary["joint"]} if summary.get("joint") else {})
+    converged = bool(summary.get("converged"))
+    failed = [name for name, entry in groups.items() if not entry.get("converged")]
+    warnings = [f"{_title(name)} did not converge: do not use its numbers." for name in failed]
+    sections = []
+    pictures = pictures_of(folder)
+    shown = {Path(p.path).name for p in pictures} & {"predictive"}  # of all cases: what each would show once more
+    for name, entry in groups.items():
+        place = folder / ("joint" if name == "all cases together" else folder_name(name))
+        sections.append(_case_section(name, entry, place, shown if len(groups) > 1 else set()))
+    section = Section("Fit", (_INTERVALS,), pictures=pictures, parts=tuple(sections))
+    head = _fit_headline(str(summary.get("campaign", "")), groups, converged)
+    about = dict(summary.get("provenance", {})) | fingerprint(summary)
+    return Result(head, section, tuple(warnings), about, tuple(summary.get("warnings", ())))
+
+
+def _title(name: str) -> str:
+    return name[0].upper() + name[1:] if name.startswith("all") else f"Case {name}"
+
+
+def _fit_headline(campaign: str, groups: Mapping[str, Any], converged: bool) -> Headline:
+    sentences, changes = [], []
+    if converged:
+        sentences.append(_determined(groups))
+        sentences.append("All runs converged." if len(groups) > 1 else "The run converged.")
+    else:
+        failed = [_title(n) for n, e in groups.items() if not e.get("converged")]
+        sentences.append(f"{listed(failed)} did not converge. Do not use these numbers.")
+        changes.append("More steps: bayes-damper resume FOLDER --more. The sentences of each case say what fell short.")
+    checks = [row for entry in groups.values() for row in entry.get("predictive", [])]
+    outside = [row for row in checks if _is_outside(row)]
+    tone = "good" if converged else "bad"
+    if checks:
+        few = {0: "None", len(checks): "All"}.get(len(outside), str(len(outside)))
+        sentences.append(
+            f"{few} of {counted(len(checks), 'measurement')} {'lies' if len(outside) < 2 else 'lie'} outside the "
+            f"central 90 % of the prediction; chance alone would put about {0.1 * len(checks):.0f} there."
+        )
+        if outside and len(outside) > max(1.0, 0.2 * len(checks)):
+            tone = "bad" if not converged else "open"
+            worst = ", ".join(words(str(row["name"])) for row in outside[:3])
+            sentences.append(f"The model cannot reproduce all of the data, whatever its parameters: {worst}.")
+            changes.append("A diagnosis of recorded trials would tell what the model lacks.")
+    missed = _missed(groups)
+    if missed:
+        tone = "open" if converged else "bad"
+        sentences.append(missed)
+        changes.append("A diagnosis (bayes-damper diagnose) looks for what the model misses.")
+    by_prior: dict[str, int] = {}
+    for entry in groups.values():
+        for name, p in entry.get("parameters", {}).items():
+            if _decided(p) == "prior":
+                by_prior.setdefault(name, 0)
+                by_prior[name] += 1
+    everywhere = [name for name, count in by_prior.items() if count == len(groups)]
+    if everywhere:
+        sentences.append(f"Nothing was learnt about {listed(everywhere)}: there the prior decided.")
+        able = [name for name in everywhere if name in _MEASURABLE]
+        if able:
+            changes.append(f"Measuring {listed(able)} directly would replace an assumption by a fact.")
+    title = f"Fit of {campaign}" if campaign else "Fit"
+    return Headline(title, tone, tuple(sentences), changes=tuple(changes), table=_overview(groups))
+
+
+def _determined(groups: Mapping[str, Any]) -> str:
+    """Which parameters the data decide about, and in which cases, in a sentence."""
+    where: dict[tuple[str, ...], list[str]] = {}
+    for name in _MAIN:
+        found = [g for g, e in groups.items() if _decided(e.get("parameters", {}).get(name, {})) == "data"]
+        if found:
+            where.setdefault(tuple(found), []).append(name)
+    if not where:
+        return "The data alone determine no parameter: each interval owes something to the prior."
+    parts = []
+    for places, names in sorted(where.items(), key=lambda item: -len(item[0])):
+        fits = listed([place if place.startswith("all") else f"case {place}" for place in places])
+        everywhere = len(places) == len(groups)
+        parts.append(listed(names) + ("" if len(groups) == 1 else " everywhere" if everywhere else f" in {fits}"))
+    return f"Determined by the data: {'; '.join(parts)}."
+
+
+def _missed(groups: Mapping[str, Any]) -> str:
+    """The channel of which the fit leaves most beyond the noise, in a sentence; nothing where it leaves noise alone."""
+    rows = [
+        (name, c)
+        for name, entry in groups.items()
+        for c in (entry.get("noise") or {}).get("channels", ())
+        if c.get("learnt_from") == "residuals" and c.get("left_over_floor")
+    ]
+    if not rows:
+        return ""
+    name, worst = max(rows, key=lambda row: float(row[1]["left_over_floor"]))
+    floor = worst.get("repeats") or worst.get("fast_content")
+    source = "repeats differ by" if worst.get("repeats") else "the fast content has"
+    return (
+        f"The model misses something: in {_title(name)[0].lower() + _title(name)[1:]}, channel {worst['channel']}, it "
+        f"leaves {worst['left']:.2g} {worst['unit']} where {source} {floor:.2g}. The intervals allow for it."
+    )
+
+
+def _overview(groups: Mapping[str, Any]) -> Table:
+    names = [n for n in _MAIN if any(n in e.get("parameters", {}) for e in groups.values())]
+    rows = []
+    for name in names:
+        cells, unit = [], ""
+        for entry in groups.values():
+            p = entry.get("parameters", {}).get(name)
+            if p is None:
+                cells.append(NOTHING)
+                continue
+            unit = p.get("unit", "")
+            low, high = p["hdi90"]
+            star = " *" if _decided(p) == "prior" else ""
+            cells.append(f"{number(p['median'], high - low)}{star}\n({interval(low, high)})")
+        rows.append(Row((_told_name(name), unit, *cells)))
+    columns = ("parameter", "unit", *((n if n.startswith("all") else f"case {n}") + "\n90 %" for n in groups))
+    starred = any("*" in cell for row in rows for cell in row.cells[2:])
+    note = "* decided by the prior, not by the data" if starred else ""
+    return Table("Median and 90 % interval", columns, tuple(rows), note)
+
+
+def _told_name(name: str) -> str:
+    """A parameter for the first column of a table: its name, and below what it is."""
+    known = PARAMETERS.get(name.partition("[")[0])
+    if known is None:
+        return name
+    formula = f" = {known.symbol}" if " " in known.symbol else ""
+    return f"{name}{formula}\n{known.meaning}"
+
+
+def _is_outside(row: Mapping[str, Any]) -> bool:
+    return not _OUTSIDE <= float(row["percentile"]) <= 100.0 - _OUTSIDE
+
+
+def _case_section(name: str, entry: Mapping[str, Any], folder: Path, shown: Collection[str] = ()) -> Section:
+    """One case of a fit; `shown`: names of the figures that stand elsewhere on the page for all cases together."""
+    good = bool(entry.get("converged"))
+    assumed = any(p.get("prior") for p in entry.get("parameters", {}).values())
+    rows = []
+    for key, p in entry.get("parameters", {}).items():
+        low, high = p["hdi90"]
+        width = high - low
+        who = _decided(p)
+        health = (
+            number(p.get("r_hat")),
+            *(f"{v:.0f}" if (v := p.get(k)) else NOTHING for k in ("ess_bulk", "ess_tail")),
+        )
+        cells = (meaning_of(key), number(p["median"], width), number(low, width), number(high, width), p["unit"], who)
+        before = (interval(*p["prior"]["hdi90"]) if p.get("prior") else NOTHING,) if assumed else ()
+        rows.append(Row(cells + before + health, "bad" if not good else "prior" if who == "prior" else ""))
+    columns = (
+        "parameter", "median", "90 % from", "to", "unit", "decided by", *(("assumed, 90 %",) if assumed else ()),
+        "R-hat", "ESS bulk", "ESS tail",
+    )  # fmt: skip
+    tables = [Table(f"{_title(name)}: parameters", columns, tuple(rows))]
+    checks = entry.get("predictive", [])
+    if checks:
+        tables.append(_check_table(name, checks))
+    if entry.get("trials"):
+        tables.append(_trial_table(name, entry["trials"]))
+    tables += _more_tables(name, entry)
+    sentences = tuple(entry.get("sentences", ()))
+    evidence = entry.get("log_evidence")
+    if evidence:
+        error = max(evidence["error"], 0.01)
+        sentences += (f"Log evidence {plus_minus(evidence['value'], error)} nats, to compare models of these records.",)
+    if not good:
+        sentences = (UNCONVERGED, *sentences)
+    file = folder / "posterior.nc"
+    unit = entry.get("parameters", {}).get("sigma1", {}).get("unit", "")
+    chart = record_chart(file, unit) if file.is_file() else None
+    charts = () if chart is None else (chart,)
+    pictures = [p for p in pictures_of(folder, _title(name)) if Path(p.path).name not in shown]
+    traces = tuple(p for p in pictures if Path(p.path).name == "trace")
+    parts = (Section("Health of the run", pictures=traces, folded=True),) if traces else ()
+    return Section(_title(name), sentences, tuple(tables), charts, tuple(p for p in pictures if p not in traces), parts)
+
+
+def _more_tables(name: str, entry: Mapping[str, Any]) -> list[Table]:
+    """What a fit tells beside its parameters, as far as it is there: noise, odd trials, priors, the best fit."""
+    tables: list[Table] = []
+    columns: tuple[str, ...]
+    apart = entry.get("unlike_repeats") or {}
+    if apart.get("trials"):
+        rows = tuple(Row((str(t["trial"]), f"{number(t['residual_power'])} times"), "bad") for t in apart["trials"])
+        columns = ("trial", "power of its residuals, against its repeats")
+        tables.append(Table(f"{_title(name)}: trials unlike their repeats", columns, rows))
+    if apart.get("answers"):
+        rows = tuple(
+            Row((meaning_of(n), number(p["with"]["value"]), number(p["without"]["value"]), f"{p['shift_sd']:+.1f} sd"))
+            for n, p in apart["answers"].items()
+        )
+        columns = ("parameter", "with them", "without them", "shift")
+        tables.append(Table(f"{_title(name)}: parameters without those trials", columns, rows))
+    if entry.get("influence"):
+        rows = tuple(
+            Row((label, i["moves_most"], f"{i['shift_sd']:+.1f} sd")) for label, i in entry["influence"].items()
+        )
+        columns = ("trial left out", "moves most", "by")
+        tables.append(Table(f"{_title(name)}: what each trial decides", columns, rows))
+    if entry.get("prior_sensitivity"):
+        tables.append(_sensitivity_table(f"{_title(name)}: how the answers hang on the priors",
+                                         entry["prior_sensitivity"]))  # fmt: skip
+    for key in ("noise", "best_fit"):
+        if isinstance(entry.get(key), Mapping):
+            tables += generic({words(key): entry[key]}, "").tables
+    return tables
+
+
+def _sensitivity_table(caption: str, rows: Mapping[str, Any]) -> Table:
+    """Shifts when one prior is half or twice as wide."""
+    out = []
+    for name, p in rows.items():
+        half, double = p["half"], p["double"]
+        cells = [meaning_of(name)]
+        for found in (half, double):
+            cells.append(f"{found['shift']:+.2f}" + ("" if found["reliable"] else " ?"))
+        most = max((half, double), key=lambda found: abs(found["shift_of_that"]))
+        cells.append(f"{most['moves_most']} {most['shift_of_that']:+.2f}")
+        out.append(Row(tuple(cells)))
+    columns = ("parameter", "its prior half as wide", "twice as wide", "moves most among the others")
+    note = "Shifts of the mean in standard deviations. ?: too few draws count to be sure; fit with that prior to know."
+    return Table(caption, columns, tuple(out), note)
+
+
+def _check_table(name: str, checks: Sequence[Mapping[str, Any]]) -> Table:
+    rows = []
+    for row in checks:
+        error = row["standard_error"]
+        outside = _is_outside(row)
+        cells = (
+            words(str(row["name"]).partition(": ")[2] or str(row["name"])),
+            plus_minus(row["measured"], error),
+            number(row["median"], error),
+            interval(*row["hdi90"]),
+            row["unit"],
+            f"{row['percentile']:.0f} %",
+            "outside" if outside else "inside",
+        )
+        rows.append(Row(cells, "bad" if outside else ""))
+    columns = ("feature", "measured ± standard error", "model, median", "model, 90 %", "unit", "percentile", "verdict")
+    note = "Percentile: where the measurement falls in the prediction, noise included. Outside: below 5 or above 95 %."
+    return Table(f"{_title(name)}: what was measured and what the fitted model gives", columns, tuple(rows), note)
+
+
+def _trial_table(name: str, trials: Mapping[str, Any]) -> Table:
+    rows = []
+    for label, nuisances in trials.items():
+        for key, p in nuisances.items():
+            low, high = p["hdi90"]
+            rows.append(Row((label, meaning_of(key), number(p["mean"], high - low), interval(low, high), p["unit"])))
+    columns = ("trial", "unknown", "mean", "90 %", "unit")
+    return Table(f"{_title(name)}: unknowns of each trial", columns, tuple(rows))

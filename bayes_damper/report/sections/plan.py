@@ -1,0 +1,54 @@
+"""The section of a plan: plan.json."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from bayes_damper.numerals import NOTHING, interval, number, percent
+from bayes_damper.report.parts import Headline, Result, Row, Section, Table, words
+from bayes_damper.report.sections.shared import fingerprint, meaning_of, pictures_of, records_table
+from bayes_damper.sensitivity import decided_by
+
+
+def plan_result(data: Mapping[str, Any], folder: Path) -> Result:
+    """Headline and section of plan.json."""
+    columns: tuple[str, ...]
+    cells: tuple[str, ...]
+    rows = []
+    for e in data["effects"]:
+        rival, least = e.get("rival") or {}, e.get("smallest") or {}
+        times = e.get("repeats_needed")
+        cells = (
+            words(e["name"]),
+            e["site"],
+            percent(e["chance"]),
+            "; ".join(f"{k} {number(v['value'])} {v['unit']}".strip() for k, v in least.items()) or NOTHING,
+            words(rival.get("name", NOTHING)),
+            number(rival.get("nats"), 10.0) if (rival.get("nats") or 0.0) < 100.0 else "above 100",
+            "more than 100 times" if times is None else "as planned" if times == 1 else f"{times} times",
+        )
+        rows.append(Row(cells, "bad" if times is None else ""))
+    columns = ("effect", "site", "seen", "smallest seen", "strongest rival", "nats over it", "trials needed")
+    note = (
+        "Seen: share of the sizes and shapes that the library holds plausible. Trials needed: how many times those "
+        "planned until the effect is seen and told from every rival."
+    )
+    tables = [Table("What the planned trials could tell", columns, tuple(rows), note)]
+    parameters = []
+    for name, p in data["parameters"].items():
+        low, high = p["expected90"]
+        who = decided_by(p["sd_over_prior"] ** 2)
+        cells = (meaning_of(name), interval(low, high), p["unit"], number(p["sd_over_prior"], 0.1), who)
+        parameters.append(Row(cells, "prior" if who == "prior" else ""))
+    columns = ("parameter", "expected 90 %", "unit", "sd / prior sd", "decided by")
+    tables.append(Table("What they would teach about each parameter", columns, tuple(parameters)))
+    if data.get("add"):
+        tables.append(records_table("Single trials that would help most", data["add"]))
+    told = sum(e["repeats_needed"] == 1 for e in data["effects"])
+    sentences = (f"{told} of {len(rows)} effects would be seen and told from all others.", *data["sentences"])
+    name = str(data.get("campaign", ""))
+    head = Headline(f"Plan of {name}" if name else "Plan", "open", sentences[:4])
+    section = Section("Plan", sentences[4:], tuple(tables), (), pictures_of(folder, kind="plan"))
+    return Result(head, section, (), dict(data.get("provenance", {})) | fingerprint(data))

@@ -1,0 +1,116 @@
+"""What the sections of several kinds of results show alike: figures, names of parameters, records of proposals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from bayes_damper.parameters import PARAMETERS
+from bayes_damper.report.parts import Picture, Table, generic, words
+
+_HEADS = {
+    "k1t n m per rad": "k1t [N m/rad]", "k1 n per m": "k1 [N/m]", "theta0 deg": "theta0 [deg]",
+    "theta0 mm": "theta0 [mm]", "expected information nats": "expected information [nats]", "nats": "gain [nats]",
+}  # fmt: skip
+_PICTURES = {
+    "forest": (
+        "Parameters over the cases",
+        "Median (dot) and 90 % interval (line) for each case. Hollow and thin: the prior decided.",
+    ),
+    "predictive": (
+        "What was measured and what the fitted model gives",
+        "Every measurement lies at 0, its standard error in grey; the model's median (dot), 50 and 90 % intervals.",
+    ),
+    "records": (
+        "Records, band and residuals",
+        "Measured records of one trial of each configuration under the model's 90 % band, residuals below.",
+    ),
+    "corner": (
+        "Pairs of parameters",
+        (
+            "Each parameter by itself (in a single case dashed: the median and the 90 % interval written above; grey: "
+            "what was assumed), and each pair: contours hold 50 and 90 % of the draws. A slanted one ties the two."
+        ),
+    ),
+    "trace": (
+        "Health of the run",
+        "Left the draws in their order, which should not wander; right their ranks, flat where ensembles agree.",
+    ),
+}
+_MORE = {
+    "gap": (
+        "What the model misses",
+        "One record, what the nominal model leaves of it before and after the answer is added, and all probabilities.",
+    ),
+    "residuals": (
+        "Where the residuals lie",
+        "Residuals over the noise, by trial over time and frequency, and over angle and velocity. White: noise alone.",
+    ),
+    "ranking": ("Which effect, and where", "Bars: probability of each answer, and of each site of the rig."),
+    "published": ("Published numbers", "Each published number beside what the leading answers predict for it."),
+    "missing_torque": (
+        "Missing torque",
+        "The torque that the nominal model lacks, against time, angle and velocity, with its uncertainty.",
+    ),
+    "variability_effective": (
+        "Effective stiffness and damping",
+        "Effective linear stiffness and damping of each case, and what shared friction at another amplitude explains.",
+    ),
+    "variability_scatter": ("Scatter over the cases", "Median and 90 % interval of each part of the scatter."),
+    "tune_response": (
+        "Frequency response",
+        "Acceleration of the primary per exciting torque over frequency, without a secondary and with each design.",
+    ),
+    "tune_loss": (
+        "Insertion loss",
+        "Insertion loss against the exciting torque, and over the inertia and the radius of the secondary.",
+    ),
+    "plan": (
+        "What could be told apart",
+        "Share of plausible sizes of each effect that would be seen, and nats by which it stands out beside rivals.",
+    ),
+}
+_KINDS = ("variability", "tune", "plan", "withheld", "comparison", "bench")
+UNCONVERGED = "The run did not converge: do not use these numbers."
+
+
+def fingerprint(data: Mapping[str, Any]) -> dict[str, Any]:
+    """What tells of which data and seed a result is, as far as it says so."""
+    return {k: data[k] for k in ("campaign", "campaign_sha256", "seed") if k in data}
+
+
+def meaning_of(name: str) -> str:
+    """A parameter's name, with what it means where the library knows it."""
+    known = PARAMETERS.get(name.partition("[")[0])
+    return f"{name}: {known.meaning}" if known else name
+
+
+def pictures_of(folder: Path, group: str = "", *, kind: str = "") -> tuple[Picture, ...]:
+    """Figures that lie in a folder, known ones first; one entry for SVG and PNG of a name.
+
+    Where several results share a folder, figures go by their names: to the `kind` that they begin with, else to the fit
+    if it draws such figures, else to whichever of fit and diagnosis comes first on the page.
+    """
+    stems = sorted({p.stem for s in (".svg", ".png") for p in folder.glob(f"*{s}")})
+    if kind not in ("", "diagnosis"):
+        stems = [s for s in stems if s.startswith(kind)]
+    else:
+        stems = [s for s in stems if not s.startswith(_KINDS) and not (kind == "diagnosis" and s in _PICTURES)]
+    order = list(_PICTURES)
+    stems.sort(key=lambda s: (order.index(s) if s in order else len(order), s))
+    out = []
+    for stem in stems:
+        title, alt = (_PICTURES | _MORE).get(stem, (words(stem).capitalize(), f"Figure: {words(stem)}."))
+        note = alt if stem in _PICTURES or stem in _MORE else ""
+        out.append(
+            Picture(title, f"{group + ': ' if group else ''}{alt}", str(folder / stem), note, first=stem == "gap")
+        )
+    return tuple(out)
+
+
+def records_table(caption: str, records: Sequence[Mapping[str, Any]]) -> Table:
+    """A row for each record, a column for each of their keys, with its unit."""
+    table = generic({caption: list(records)}, "").tables[0]
+    return replace(table, columns=tuple(_HEADS.get(c, c) for c in table.columns))

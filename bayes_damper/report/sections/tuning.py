@@ -1,0 +1,162 @@
+"""The section of a tuning: tune.json."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from bayes_damper.numerals import NOTHING, SDS_WIDE, number, percent
+from bayes_damper.parameters import unit_of
+from bayes_damper.report.charts import response_chart
+from bayes_damper.report.parts import Headline, Result, Row, Section, Table, listed, words
+from bayes_damper.report.sections.shared import fingerprint, pictures_of
+from bayes_damper.wording import counted
+
+
+def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
+    """Headline and section of tune.json."""
+    target = data["target_db"]
+    translational = data.get("kind") == "translational"
+    effort, newton = ("force", "N") if translational else ("torque", "N m")
+    asked = any(data.get("design", {}).get(key) is not None for key in ("J2", "k2t", "R", "magnet_pull"))
+    own = "your design" if asked else "the rig as it is"
+    designs = [(own, data.get("design", {}), data)]
+    if data.get("optimum"):
+        designs.append(("best design", data["optimum"]["design"], data["optimum"]))
+    converged = bool(data.get("converged", True))
+    sentences = [] if converged else ["The fit that this rests on did not converge: do not use these numbers."]
+    for name, _, found in designs:
+        loss, p = found["linear"]["insertion_loss_db"], found["linear"]["probability_of_target"]
+        who = f"{name[0].upper() + name[1:]}, linear model"
+        if loss["interval90"] is None:
+            sentences.append(f"{who}: damping leaves no resonance, so no loss can be told.")
+            continue
+        low, high = loss["interval90"]
+        sentences.append(
+            f"{who}: insertion loss {number(loss['mean'], _wide(high - low, _DB))} dB (90 %: "
+            f"{_interval(low, high, _DB)} dB); it reaches {target:g} dB with probability {percent(p)}."
+        )
+    sentences += data.get("notes", ())
+    weak = [row for row in data.get("nonlinear", []) if row["probability_of_target"] < 0.5]
+    # Draws without a resonance do not reach the target; where there is one they may well.
+    silent = [row for row in weak if (row["insertion_loss_db"]["mean"] or target) >= target]
+    weak = [row for row in weak if row not in silent]
+    if weak:
+        at = listed([f"{row['torque_amplitude_n_m']:g} {newton}" for row in weak])
+        sentences.append(f"With dry friction, {own} probably misses the target where the {effort} is {at}.")
+    if silent:
+        at = listed([f"{row['torque_amplitude_n_m']:g} {newton}" for row in silent])
+        sentences.append(
+            f"Where the {effort} is {at}, {own} probably has no resonance left to compare: dry friction holds it or "
+            "damps it away."
+        )
+    changes = []
+    if data.get("hangs_most_on"):
+        name = data["hangs_most_on"]
+        share = data.get("variance_shares", {}).get(name)
+        changes.append(
+            f"The insertion loss hangs most on {name} ({percent(share)} of its variance): measure that better."
+        )
+    if data.get("optimum") and data["optimum"].get("at_bound"):
+        changes.append(
+            f"The best design lies at the bound of {listed(data['optimum']['at_bound'])}: wider bounds may give more."
+        )
+    rows = []
+    for name, _, found in designs:
+        rows.append(_performance_row(f"{name}, linear", found["linear"]))
+        rows += [
+            _performance_row(f"{name}, {effort} {r['torque_amplitude_n_m']:g} {newton}", r)
+            for r in found.get("nonlinear", [])
+        ]
+    columns = (
+        "design and model",
+        "loss, mean [dB]",
+        "loss, 90 % [dB]",
+        "resonance (90 %) [Hz]",
+        "shift (90 %) [Hz]",
+        f"P(loss ≥ {target:g} dB)",
+    )
+    note = f"{data.get('definition', '')}." if data.get("definition") else ""
+    if any(row.cells[1] == NOTHING for row in rows):
+        note += (
+            f" {NOTHING}: at that {effort} the rig sticks or no steady response was found, so there is no loss to tell."
+        )
+    tables = [Table("Insertion loss and resonance", columns, tuple(rows), note.strip())]
+    described = _design_table(designs, "translational" if translational else "torsional")
+    tables += [described] if described.rows else []
+    if data.get("variance_shares"):
+        shares = tuple(Row((k, percent(v))) for k, v in data["variance_shares"].items())
+        tables.append(
+            Table("What the insertion loss hangs on", ("parameter", "share of its variance"), shares, _SHARES)
+        )
+    chart = response_chart(data.get("frequency_response", {}), translational=translational)
+    p = data["linear"]["probability_of_target"]
+    head = Headline(
+        f"Tuning, case {data.get('case', '')}", "bad" if p < 0.1 or not converged else "good" if p > 0.9 else "open",
+        tuple(sentences), changes=tuple(changes),
+    )  # fmt: skip
+    warnings = () if converged else ("The tuning rests on a fit that did not converge: do not use its numbers.",)
+    section = Section(
+        "Tuning",
+        (f"From {counted(int(data.get('draws') or 0), 'draw')} of the posterior.",),
+        tuple(tables),
+        () if chart is None else (chart,),
+        pictures_of(folder, kind="tune"),
+    )
+    about = dict(data.get("provenance", {})) | fingerprint(data)
+    return Result(head, section, warnings, about, tuple(data.get("warnings", ())))
+
+
+_SHARES = (
+    "What each parameter explains by itself. Parameters that the data tie together share what they explain: the shares "
+    "then add up to more than 100 %."
+)
+
+
+def _performance_row(name: str, p: Mapping[str, Any]) -> Row:
+    loss = p["insertion_loss_db"]
+    low, high = loss["interval90"] or (None, None)
+    cells = (
+        name, number(loss["mean"], None if low is None else _wide(high - low, _DB)), _interval(low, high, _DB),
+        *(_told_or_nothing(p[key]) for key in ("resonance_hz", "resonance_shift_hz")),
+        NOTHING if low is None else percent(p["probability_of_target"]),
+    )  # fmt: skip
+    return Row(cells)
+
+
+def _told_or_nothing(found: Mapping[str, Any]) -> str:
+    """Median and 90 % interval; nothing where no draw has the quantity."""
+    if found.get("median") is None or not found.get("interval90"):
+        return number(found.get("median"))
+    low, high = found["interval90"]
+    return f"{number(found['median'], _wide(high - low, _HZ))} ({_interval(low, high, _HZ)})"
+
+
+_DB, _HZ = SDS_WIDE, 0.1 * SDS_WIDE
+"""Widths of intervals below which nobody needs more digits: of a loss in dB, of a resonance in Hz."""
+
+
+def _wide(width: float, least: float) -> float:
+    return max(width, least)
+
+
+def _interval(low: float | None, high: float | None, least: float) -> str:
+    """An interval with no more digits than one of the `least` width would have."""
+    if low is None or high is None:
+        return NOTHING
+    width = _wide(high - low, least)
+    return f"{number(low, width)} to {number(high, width)}"
+
+
+def _design_table(designs: Sequence[tuple[str, Mapping[str, Any], Any]], kind: str) -> Table:
+    names = {"J2": "J2", "k2t": "k2t", "R": "R", "magnet_pull": "N0", "bar_inertia": "J2"}
+    if kind == "translational":
+        names = {key: name for key, name in names.items() if key in ("J2", "k2t", "magnet_pull")}
+    units = {key: unit_of(name, kind) for key, name in names.items()}
+    rows = tuple(
+        Row((words(key), unit, *("as it is" if d.get(key) is None else number(d[key]) for _, d, _ in designs)))
+        for key, unit in units.items()
+        if any(d.get(key) not in (None, 0.0) for _, d, _ in designs)
+    )
+    return Table("Designs", ("quantity", "unit", *(name for name, _, _ in designs)), rows)

@@ -1,0 +1,128 @@
+"""The section on what the cases share: variability.json."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from bayes_damper.numerals import NOTHING, interval, number, percent
+from bayes_damper.parameters import unit_of
+from bayes_damper.report.parts import Headline, Result, Row, Section, Table, folded, generic, words
+from bayes_damper.report.sections.shared import UNCONVERGED, fingerprint, pictures_of
+
+_SHARING = {
+    "shared": "one parameter set for all cases",
+    "separate": "each case its own parameter set",
+    "partial": "values scattered about a common mean",
+}
+
+
+def variability_result(data: Mapping[str, Any], folder: Path) -> Result:
+    """Headline and section of variability.json."""
+    models = sorted(data["models"].items(), key=lambda item: -item[1]["probability"])
+    converged = bool(data.get("converged"))
+    sentences = [] if converged else [UNCONVERGED]
+    first, p = models[0][0], float(models[0][1]["probability"])
+    sentences.append(f"Most probable: {_SHARING.get(first, first)} ({percent(p)}).")
+    sentences += data.get("sentences", ())
+    rows = []
+    for name, m in models:
+        score = (m.get("heldout") or {}).get("log_score")
+        cells = (_SHARING.get(name, name), percent(m["probability"]), number(m["log_evidence"]), number(m.get("error")))
+        rows.append(Row((*cells, number(score)), "" if converged else "bad"))
+    columns = ("answer", "probability", "log evidence, nats", "its error", "log score on unseen data")
+    compared = Table("Do the cases share their parameters?", columns, tuple(rows))
+    shown = tuple((_SHARING.get(name, name), float(m["probability"])) for name, m in models)
+    tone = "bad" if not converged else "good" if shown[0][1] > 0.9 else "open"
+    name = str(data.get("campaign", ""))
+    head = Headline(
+        f"What the cases of {name} share" if name else "What the cases share", tone, tuple(sentences), shown
+    )
+    rest = generic(
+        data, "", ("schema", "campaign", "campaign_sha256", "seed", "converged", "sentences", "provenance", "models",
+                   "effective", "decomposition", "recycled", "method", "kind", "method_of_effective", "cases", "pooled",
+                   "common", "warnings"),
+    )  # fmt: skip
+    pictures = pictures_of(folder, kind="variability")
+    told = tuple(str(data[key]) for key in ("method", "method_of_effective") if data.get(key))
+    tables = (compared, *_decomposition_tables(data), *_recycled_tables(data.get("recycled") or {}))
+    section = Section("Variability", told, tables, (), pictures, folded(rest))
+    warnings = () if converged else ("The comparison of the cases did not converge: do not use its numbers.",)
+    about = dict(data.get("provenance", {})) | fingerprint(data)
+    return Result(head, section, warnings, about, tuple(data.get("warnings", ())))
+
+
+def _decomposition_tables(data: Mapping[str, Any]) -> list[Table]:
+    """Where the scatter of the effective values comes from, and those values case by case."""
+    tables = []
+    for name, parts in (data.get("decomposition") or {}).items():
+        rows = []
+        for key, row in parts.items():
+            if not isinstance(row, Mapping) or "median" not in row:
+                continue
+            share = row.get("share")
+            told = NOTHING
+            if share:
+                low, high = share["hdi90"]
+                told = f"{100.0 * share['median']:.0f} % ({100.0 * low:.0f} to {100.0 * high:.0f} %)"
+            cells = (words(key), number(row["median"]), interval(*row["hdi90"]), told)
+            rows.append(Row(cells))
+        columns = ("part", f"variance of ln {name}", "90 %", "share (90 %)")
+        tables.append(
+            Table(f"Where the scatter of the effective {name} over the cases comes from", columns, tuple(rows))
+        )
+    cases = (data.get("effective") or {}).get("cases") or {}
+    if cases:
+        rows = []
+        for case, row in cases.items():
+            line = [case, number(1e3 * row["energy_j"])]
+            for name in ("k2t", "c2t"):
+                line.append(f"{number(row[name]['median'])} ({interval(*row[name]['hdi90'])})")
+                line.append(number((row.get("measured") or {}).get(name)))
+            rows.append(Row(tuple(line)))
+        heads = ["case", "initial energy [mJ]"]
+        for name in ("k2t", "c2t"):
+            unit = unit_of(name, str(data.get("kind", "torsional")))
+            heads += [f"effective {name} (90 %) [{unit}]", f"fitted to the measurement [{unit}]"]
+        tables.append(Table("Effective linear stiffness and damping", tuple(heads), tuple(rows)))
+    return tables
+
+
+def _recycled_tables(recycled: Mapping[str, Any]) -> list[Table]:
+    """Partial pooling both ways, and the health of the weights by which the draws of single cases were used again."""
+    if not recycled.get("ess"):
+        return []
+    tails = recycled.get("pareto_k") or {}
+    single = recycled.get("ess_of_one_population") or {}
+    rows = tuple(
+        Row((case, f"{ess:.0f}", f"{single[case]:.0f}" if case in single else NOTHING, number(tails.get(case), 1.0)))
+        for case, ess in recycled["ess"].items()
+    )
+    note = "Weights can be trusted where Pareto k is below 0.7 and no single population rests on a few draws."
+    columns: tuple[str, ...] = ("case", "effective draws", "under one population", "Pareto k")
+    tables = [Table("Draws of each case, used again by weights", columns, rows, note)]
+    compared = [
+        Row((name, *(_told(row[key][way]) for key in ("common", "scatter") for way in ("recycled", "direct"))))
+        for name, row in (recycled.get("parameters") or {}).items()
+    ]
+    if compared:
+        heights = [f"{number(recycled[key], 0.5)} ± {number(recycled[error], 0.5)}" for key, error in _HEIGHTS]
+        note = f"Log evidence over separate cases: {heights[0]} by weights, {heights[1]} directly."
+        columns = ("parameter", "common value, by weights", "directly", "scatter, by weights", "directly")
+        tables.append(Table("Values scattered about a common mean, found in two ways", columns, tuple(compared), note))
+    cases = [
+        Row((f"{name} of case {case}", _told(ways["recycled"]), _told(ways["direct"])))
+        for name, row in (recycled.get("parameters") or {}).items()
+        for case, ways in row.get("cases", {}).items()
+    ]
+    if cases:
+        tables.append(Table("Each case, found in two ways", ("parameter", "by weights", "directly"), tuple(cases)))
+    return tables
+
+
+_HEIGHTS = (("log_evidence_over_separate", "error"), ("direct_log_evidence_over_separate", "direct_error"))
+
+
+def _told(row: Mapping[str, Any]) -> str:
+    return f"{number(row['median'], row['hdi90'][1] - row['hdi90'][0])} ({interval(*row['hdi90'])})"

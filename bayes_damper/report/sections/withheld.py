@@ -1,0 +1,52 @@
+"""The section of a check on withheld causes: withheld.json."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from bayes_damper.report.parts import Headline, Result, Row, Section, Table, folded, generic
+from bayes_damper.report.sections.shared import pictures_of
+from bayes_damper.wording import counted
+
+_SCORES = (
+    ("accepted_first", "right or acceptable first answer"),
+    ("right_first", "right effect first"),
+    ("none_kept", "no gap claimed where there is none"),
+    ("unknown_first", "'unknown' for a cause outside the library"),
+    ("pairs_both_named", "both of two effects named"),
+    ("site", "right site"),
+    ("false_and_confident", "wrong name with more than 90 %"),
+    ("coverage90", "90 % intervals that hold the true parameter"),
+)
+
+
+def withheld_result(data: Mapping[str, Any], folder: Path) -> Result:
+    """Headline and section of withheld.json: sealed verdicts, and their scores once the key was opened."""
+    scores = (data.get("scores") or {}).get("all") or {}
+    count = len(data.get("campaigns") or ())
+    rehearsal = bool(data.get("rehearsal"))
+    sentences = [f"{counted(count, 'campaign')} judged, verdicts sealed; the key has not been opened."]
+    rows = []
+    for key, what in _SCORES:
+        score = scores.get(key) or {}
+        if not score.get("n"):
+            continue
+        low, high = (100.0 * x for x in score.get("interval95") or (float("nan"),) * 2)
+        rows.append(Row((what, f"{score['hits']} of {score['n']}", f"{low:.0f} to {high:.0f} %")))
+    if rows:
+        told = {row.cells[0]: row.cells[1] for row in rows}
+        first = next(iter(told.items()))
+        sentences = [f"{first[0].capitalize()}: {first[1]} campaigns whose causes were withheld."]
+        sentences += [f"{what.capitalize()}: {n}." for what, n in list(told.items())[1:4]]
+    if rehearsal:
+        sentences.insert(
+            0, "A rehearsal: the causes could have been known. " + " ".join(data.get("why_rehearsal") or ())
+        )
+    table = Table("Scores", ("what", "how often", "95 % interval"), tuple(rows)) if rows else None
+    rest = generic(data, "", ("schema", "provenance"))
+    name = "Withheld causes"
+    head = Headline(name, "bad" if rehearsal else "good" if rows else "open", tuple(sentences), table=table)
+    section = Section(name, (), (), (), pictures_of(folder, kind="withheld"), folded(rest))
+    return Result(head, section, (), dict(data.get("provenance", {})))
