@@ -199,6 +199,15 @@ def _estimated(p: Mapping[str, Any]) -> str:
     return f"{p['mean']:.4g}{unit}, 90 % interval {p['hdi90'][0]:.4g} to {p['hdi90'][1]:.4g}"
 
 
+def named_answers(probabilities: Mapping[str, float], pair: Mapping[str, Any] | None) -> dict[str, float]:
+    """Answer -> probability, as it is shown: where two effects are the answer, the stronger one's is that of both.
+
+    pair : as in diagnosis.json: `effects`, the stronger first, and `probability`; None if no pair was considered.
+    """
+    both = tuple(pair["effects"]) if pair and pair["probability"] >= 0.5 else ()
+    return {" + ".join(both) if both and name == both[0] else name: float(p) for name, p in probabilities.items()}
+
+
 def _words(result: Mapping[str, Any]) -> list[str]:
     if "feature" in result["where"]:
         return _published_words(result)
@@ -242,8 +251,9 @@ def _words(result: Mapping[str, Any]) -> list[str]:
     beside = gap_beside_verdict(verdict, share, gap)
     lines += [beside] if beside else []
     lines += _forecast_words(result.get("forecast") or {})
-    ranked = sorted(probabilities, key=lambda name: -probabilities[name])[:5]
-    lines.append("Answers: " + ", ".join(f"{name} {probabilities[name]:.2f}" for name in ranked))
+    answers = named_answers(probabilities, result.get("pair"))
+    ranked = sorted(answers, key=lambda name: -answers[name])[:5]
+    lines.append("Answers: " + ", ".join(f"{name} {answers[name]:.2f}" for name in ranked))
     sites = sorted(result["sites"], key=lambda s: -result["sites"][s])[:3]
     lines.append("Sites: " + ", ".join(f"{site} {result['sites'][site]:.2f}" for site in sites))
     if result["indistinguishable"]:
@@ -265,7 +275,9 @@ def _forecast_words(ahead: Mapping[str, Any]) -> list[str]:
 
 
 def _draw(folder: Path, found: Diagnosis) -> None:
-    probabilities = found.answers.probabilities
+    answers = found.answers
+    pair = {"effects": answers.pair_effects, "probability": answers.pair} if answers.pair_effects else None
+    probabilities = named_answers(answers.probabilities, pair)
     figure = figures.ranking_figure(probabilities, found.sites, title=f"{found.campaign}: what is missing, and where")
     figures.save(figure, folder / "ranking")
     record = _shown_record(found)

@@ -14,7 +14,7 @@ from test_calibration import RIG, TRUE, make_experiment
 
 from bayes_damper import integrator
 from bayes_damper.calibration import Experiment, Problem, TrialRecord, calibrate, calibrate_nominal, coordinate_of
-from bayes_damper.diagnose import _estimated, _maps, _shown_record
+from bayes_damper.diagnose import _estimated, _maps, _shown_record, named_answers
 from bayes_damper.diagnosis import diagnose
 from bayes_damper.diagnosis.lone import corroborated, held_out_gain, left_of_squares
 from bayes_damper.diagnosis.outliers import outlying, told, without
@@ -486,6 +486,14 @@ def test_a_share_is_told_without_a_unit():
     told = {"mean": 0.1463, "sd": 0.02, "hdi90": [0.1125, 0.18]}
     assert _estimated(told | {"unit": "1"}) == "0.1463, 90 % interval 0.1125 to 0.18"
     assert _estimated(told | {"unit": "rad"}) == "0.1463 rad, 90 % interval 0.1125 to 0.18"
+
+
+def test_two_effects_that_are_the_answer_share_one_bar():
+    probabilities = {"a": 0.7, "b": 0.1, "none": 0.2}
+    likely = {"effects": ["a", "b"], "probability": 0.6}
+    assert named_answers(probabilities, likely) == {"a + b": 0.7, "b": 0.1, "none": 0.2}
+    assert named_answers(probabilities, likely | {"probability": 0.3}) == probabilities
+    assert named_answers(probabilities, None) == probabilities
 
 
 def test_the_credible_set_is_the_smallest():

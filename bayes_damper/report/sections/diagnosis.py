@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from bayes_damper.diagnose import named_answers
 from bayes_damper.numerals import NOTHING, interval, number, percent, plus_minus
 from bayes_damper.parameters import PARAMETERS
 from bayes_damper.report.charts import torque_chart
@@ -68,7 +69,8 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
         changes.append(f"The strongest rival is {_RIVALS.get(second[0], words(second[0]))} ({percent(second[1])}).")
     top = (share or 0.0) > 0.9 and len(credible) <= 1
     tone = "good" if verdict == "none" and top else "bad" if top else "open"
-    shown = tuple((words(n), float(p)) for n, p in probabilities if p >= 0.01)[:8]
+    named = named_answers(dict(probabilities), pair)
+    shown = tuple((" + ".join(map(words, n.split(" + "))), p) for n, p in named.items() if p >= 0.01)[:8]
     name = str(data.get("campaign", ""))
     head = Headline(
         f"Diagnosis of {name}" if name else "Diagnosis", tone, tuple(s for s in sentences if s), shown, tuple(changes)
