@@ -646,6 +646,11 @@ def withheld_figure(scores: Mapping[str, Any], *, rehearsal: bool = False) -> Fi
 
 def _draw_counts(axis: Any, counts: Mapping[str, Mapping[str, int]], title: str) -> None:
     """A matrix of counts, rows true, columns answered; shaded by the share of its row."""
+    axis.set_title(title, loc="left")
+    if not counts:
+        axis.text(0.5, 0.5, "no campaign with a single cause", ha="center", va="center", transform=axis.transAxes)
+        axis.set_axis_off()
+        return
     rows = list(counts)
     columns = [*rows, *sorted({name for row in counts.values() for name in row} - set(rows))]
     table = np.array([[counts[row].get(column, 0) for column in columns] for row in rows], float)
@@ -659,7 +664,6 @@ def _draw_counts(axis: Any, counts: Mapping[str, Mapping[str, int]], title: str)
     axis.set_ylabel("truth")
     axis.set_xticks(range(len(columns)), columns, rotation=90, fontsize=7)
     axis.set_yticks(range(len(rows)), rows, fontsize=7)
-    axis.set_title(title, loc="left")
 
 
 def ranking_figure(probabilities: Mapping[str, float], sites: Mapping[str, float], *, title: str) -> Figure:

@@ -86,6 +86,18 @@ def test_a_run_seals_every_verdict_and_scores(tmp_path):
     assert again.results["scores"] == told["scores"]
 
 
+def test_a_set_of_pairs_alone_is_scored_and_drawn(tmp_path):
+    write_set(tmp_path, ["spring_cubic", "stick_slip"])
+    key = json.loads((tmp_path / "set_key.json").read_text())
+    for name in key["campaigns"]:
+        key["campaigns"][name] = entry("pair", effects=["spring_cubic", "stick_slip"], site=["ground1", "interface"])
+    (tmp_path / "set_key.json").write_text(json.dumps(key))
+    found = run(tmp_path)
+    assert found.results["scores"]["all"]["pairs_both_named"]["n"] == 2
+    assert found.results["scores"]["confusion"] == {}
+    assert (tmp_path / "out/withheld.png").stat().st_size > 1000
+
+
 def test_a_verdict_changed_after_its_seal_is_found(tmp_path):
     write_set(tmp_path, ["spring_cubic", "none"])
     run(tmp_path)
