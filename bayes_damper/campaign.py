@@ -919,12 +919,20 @@ def _numbers_of(body: str, width: int, header: list[str], name: str, faults: lis
         table = None
     if table is not None and table.shape[1] == width and np.isfinite(table).all():
         return table
+    try:
+        rows = list(csv.reader(io.StringIO(body, newline=None)))  # a lone carriage return ends a line too
+    except csv.Error as error:
+        faults.append(f"{name}: no table of numbers ({error}); export the record again")
+        return None
     before = len(faults)
-    _name_bad_cells(body, width, header, name, faults)
-    if len(faults) == before:  # quoted numbers and the like: readable cell by cell
-        rows = csv.reader(io.StringIO(body))
-        return np.array([[float(cell) for cell in row] for row in rows if row])
-    return None
+    _name_bad_cells(rows, width, header, name, faults)
+    if len(faults) > before:
+        return None
+    filled = [row for row in rows if any(cell.strip() for cell in row)]
+    if not filled:
+        faults.append(f"{name}: no readings below the header; export the record again")
+        return None
+    return np.array([[float(cell) for cell in row] for row in filled])  # quoted numbers and the like
 
 
 def _check_sizes(columns: Sequence[Array], names: Sequence[str], name: str, faults: list[str]) -> bool:
@@ -942,9 +950,11 @@ def _check_sizes(columns: Sequence[Array], names: Sequence[str], name: str, faul
     return len(faults) == before
 
 
-def _name_bad_cells(body: str, width: int, header: list[str], name: str, faults: list[str]) -> None:
+def _name_bad_cells(
+    rows: Sequence[Sequence[str]], width: int, header: list[str], name: str, faults: list[str]
+) -> None:
     bad: list[str] = []
-    for line, cells in enumerate(csv.reader(io.StringIO(body)), start=2):
+    for line, cells in enumerate(rows, start=2):
         if not cells or not any(c.strip() for c in cells):
             continue
         if len(cells) != width:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from bayes_damper.calibration import experiment_of
@@ -450,6 +450,10 @@ def test_the_noise_floor_is_found_to_a_tenth(tmp_path: Path, sigma: float) -> No
 
 @settings(max_examples=40, deadline=None)
 @given(st.binary(max_size=200))
+@example(b"\r\x01")
+@example(b",\n,\n")
+@example(b"0,1\n , \n")
+@example(b'"' + b"1" * 140_000 + b'",2\n')
 def test_no_content_of_a_record_escapes_as_another_error(content: bytes) -> None:
     import tempfile
 
