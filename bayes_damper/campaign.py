@@ -950,9 +950,7 @@ def _check_sizes(columns: Sequence[Array], names: Sequence[str], name: str, faul
     return len(faults) == before
 
 
-def _name_bad_cells(
-    rows: Sequence[Sequence[str]], width: int, header: list[str], name: str, faults: list[str]
-) -> None:
+def _name_bad_cells(rows: Sequence[Sequence[str]], width: int, header: list[str], name: str, faults: list[str]) -> None:
     bad: list[str] = []
     for line, cells in enumerate(rows, start=2):
         if not cells or not any(c.strip() for c in cells):
