@@ -228,15 +228,16 @@ def _second(screen: Screen, nominal: Calibration, first: Variant, variant: Varia
     n = nominal.problem.size
     alone, own = screen.fit.q[:n], screen.fit.q[n:]
     both = pair_problem(nominal.problem, first, variant)
-    rows = []
-    for point in bases_of(replace(nominal, q=alone)):
-        if isinstance(both, PairProblem):
-            problem = nominal.problem.with_effect(variant)
-            rows += screen_column(screen, problem, variant, point, against=nominal.problem)
-        else:
-            before, behind = (own, NOTHING) if both.variants[0] is first else (NOTHING, own)
-            rows += screen_column(screen, both, variant, point, screen.fit.problem, before, behind)
-    return rows
+    problem: Problem = both
+    against, before, behind = screen.fit.problem, NOTHING, NOTHING
+    if isinstance(both, PairProblem):
+        problem, against = nominal.problem.with_effect(variant), nominal.problem
+    elif both.variants[0] is first:
+        before = own
+    else:
+        behind = own
+    points = bases_of(replace(nominal, q=alone))
+    return [row for at in points for row in screen_column(screen, problem, variant, at, against, before, behind)]
 
 
 def leaders_of(found: Sequence[Candidate], count: int = LEADERS) -> list[Candidate]:
@@ -283,7 +284,7 @@ def best_pairs(
 
 
 def _fitted(nominal: Calibration, s: Second, found: Sequence[Candidate]) -> Calibration:
-    """Both effects fitted at once, their changes added up."""
+    """Both effects fitted at once, as `pair_problem` puts them together."""
     first = s.first.fit
     assert first is not None
     problem = pair_problem(nominal.problem, s.first.variant, s.variant)

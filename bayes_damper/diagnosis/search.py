@@ -43,7 +43,7 @@ MISSED = 10.0  # nats that a fit may stay behind its screening before other star
 LOST = -1.2  # prior sds below the median at which a friction counts as given up
 FAINTER = 50.0  # nats: where no start screens above, effects are tried again where they would just be seen
 JUST_SEEN = 30.0  # squared change of the records in noise sds at which an effect is just seen
-NOTHING = np.zeros(0)
+NOTHING = np.zeros(0)  # coordinates of another effect, where there is none
 SMALLER = 0.1  # of the starts of effects in records that begin in motion: cut from long decays, seen by their sum
 
 
