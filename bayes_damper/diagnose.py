@@ -21,6 +21,7 @@ from bayes_damper.diagnosis.response import Motion, motions
 from bayes_damper.effects import Effect, all_effects
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.forecast import forecasts
+from bayes_damper.forked import forked_map
 from bayes_damper.parameters import unit_of
 from bayes_damper.posterior import Datum
 from bayes_damper.priors import campaign_priors, load_priors
@@ -108,7 +109,7 @@ def diagnose(
             row["unit"] = effect_unit(row["unit"], *of_rig)
     _tell_meanings(result, library)
     write_json(path, result)
-    _draw(folder, found)
+    _draw(folder, found, workers)
     return Diagnosed(folder, result)
 
 
@@ -274,31 +275,34 @@ def _forecast_words(ahead: Mapping[str, Any]) -> list[str]:
     return [f"{first}50 and 90 % bands hold {held}."]
 
 
-def _draw(folder: Path, found: Diagnosis) -> None:
+def _draw(folder: Path, found: Diagnosis, workers: int) -> None:
+    """Every figure of a diagnosis, side by side in `workers` processes."""
     answers = found.answers
     pair = {"effects": answers.pair_effects, "probability": answers.pair} if answers.pair_effects else None
     probabilities = named_answers(answers.probabilities, pair)
-    figure = figures.ranking_figure(probabilities, found.sites, title=f"{found.campaign}: what is missing, and where")
-    figures.save(figure, folder / "ranking")
+    drawn = {
+        "residuals": lambda: figures.residual_maps_figure(
+            _maps(found), title=f"{found.campaign}: where the residuals exceed the noise"
+        ),
+        "ranking": lambda: figures.ranking_figure(
+            probabilities, found.sites, title=f"{found.campaign}: what is missing, and where"
+        ),
+    }
     record = _shown_record(found)
     if record is not None:
-        title = f"{found.campaign}: what the model misses, and which effect adds it"
-        figures.save(figures.gap_figure(record, probabilities, title=title), folder / "gap")
-    maps = figures.residual_maps_figure(_maps(found), title=f"{found.campaign}: where the residuals exceed the noise")
-    figures.save(maps, folder / "residuals")
+        drawn["gap"] = lambda: figures.gap_figure(
+            record, probabilities, title=f"{found.campaign}: what the model misses, and which effect adds it"
+        )
     torques = found.site_map.torque
     if torques:
-        strongest = max(torques, key=lambda found: float(np.abs(found.torque).max()))
-        figures.save(
-            figures.missing_torque_figure(
-                strongest,
-                found.site_map.curve(),
-                body=found.site_map.torque_body,
-                title=_torque_title(found),
-                translational=found.kind == "translational",
-            ),
-            folder / "missing_torque",
+        drawn["missing_torque"] = lambda: figures.missing_torque_figure(
+            max(torques, key=lambda found: float(np.abs(found.torque).max())),
+            found.site_map.curve(),
+            body=found.site_map.torque_body,
+            title=_torque_title(found),
+            translational=found.kind == "translational",
         )
+    forked_map(lambda name: figures.save(drawn[name](), folder / name), list(drawn), workers)
 
 
 def _torque_title(found: Diagnosis) -> str:
