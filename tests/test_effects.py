@@ -129,6 +129,25 @@ def test_one_start_lies_near_the_null(effect, variant):
     assert amplitudes.min() <= 0.2 * amplitudes.max()
 
 
+@of(lambda e, v: v.fades)
+def test_starts_fade_towards_the_null_and_keep_their_shape(effect, variant):
+    for start in variant.starts:
+        for parameter, whole, half, gone in zip(
+            variant.parameters, start, variant.faded(start, 0.5), variant.faded(start, 0.0), strict=True
+        ):
+            if parameter.null is None:
+                assert half == gone == whole
+            else:
+                assert gone == parameter.null
+                assert half == pytest.approx(0.5 * (whole + parameter.null), abs=1e-300)
+
+
+def test_no_factor_leads_to_the_null_of_a_range_or_of_what_replaces_the_friction():
+    rigid = {f"{e.name}/{v.name}" for e in EFFECTS.values() for v in e.variants if not v.fades}
+    assert {"sensor_clipping/channel1", "stick_slip/bristle", "stick_slip/lugre"} <= rigid
+    assert "stick_slip/gaussian" not in rigid
+
+
 # Each variant: its formulas
 
 kernels = of(lambda e, v: any(k is not None for k in (v.torque, v.rate, v.start, v.sense)))

@@ -25,7 +25,7 @@ from bayes_damper.calibration import (
     coordinate_of,
     summarise,
 )
-from bayes_damper.distributions import HalfNormal, LogUniform
+from bayes_damper.distributions import HalfNormal
 from bayes_damper.effects import REFERENCE, Scales, candidates, scaled
 from bayes_damper.effects.base import Effect, Variant
 from bayes_damper.forked import forked_map
@@ -116,16 +116,9 @@ def offered(
 
 def _with_smaller_starts(variant: Variant) -> Variant:
     """The variant with each start also nearer to the null, where its response to a long record is still linear."""
-    if variant.null is None or any(isinstance(p.prior, LogUniform) for p in variant.parameters):
+    if not variant.fades:
         return variant
-    nearer = tuple(
-        tuple(
-            x if p.null is None else p.null + SMALLER * (x - p.null)
-            for p, x in zip(variant.parameters, start, strict=True)
-        )
-        for start in variant.starts
-    )
-    return replace(variant, starts=variant.starts + nearer)
+    return replace(variant, starts=variant.starts + tuple(variant.faded(start, SMALLER) for start in variant.starts))
 
 
 # Screening ----------------------------------------------------------------------------------------------------------
@@ -206,23 +199,18 @@ def fainter(variant: Variant, screens: Sequence[Screened]) -> Variant | None:
     The response of a gap, a stop or a lag is anything but linear: what ten times too large a one does to the records
     says little of the effect that is there.
     """
-    if variant.null is None or any(isinstance(p.prior, LogUniform) for p in variant.parameters):
+    if not variant.fades:
         return None
     starts: dict[tuple[float, ...], tuple[float, ...]] = {}
     for s in sorted(screens, key=lambda s: -s.length):
         if s.length > 4.0 * JUST_SEEN:
-            near = math.sqrt(JUST_SEEN / s.length)
-            away = [0.0 if p.null is None else x - p.null for p, x in zip(variant.parameters, s.start, strict=True)]
-            most = max(map(abs, away)) or 1.0
+            most = max(abs(x - p.null) for p, x in zip(variant.parameters, s.start, strict=True) if p.null is not None)
             direction = tuple(
-                x if p.null is None else round(d / most, 6)
-                for p, x, d in zip(variant.parameters, s.start, away, strict=True)
+                x if p.null is None else round((x - p.null) / (most or 1.0), 6)
+                for p, x in zip(variant.parameters, s.start, strict=True)
             )
             # Of starts that differ in size alone the smallest one's response is the most nearly linear.
-            starts[direction] = tuple(
-                x if p.null is None else p.null + near * d
-                for p, x, d in zip(variant.parameters, s.start, away, strict=True)
-            )
+            starts[direction] = variant.faded(s.start, math.sqrt(JUST_SEEN / s.length))
     return replace(variant, starts=tuple(starts.values())) if starts else None
 
 
@@ -288,13 +276,9 @@ def start_points(variant: Variant, screens: Sequence[Screened], count: int) -> l
     ranked = sorted(screens, key=lambda s: -s.gain)[:count]
     points = []
     for s in ranked:
-        z = []
         amplitude = float(np.clip(s.amplitude, 0.02, 1.5)) if s.amplitude > 0.0 else 0.05
-        for p, x in zip(variant.parameters, s.start, strict=True):
-            # On a logarithmic scale (a sensor's range, say) the null is far away and no amplitude leads there.
-            free = p.null is None or variant.null is None or isinstance(p.prior, LogUniform)
-            scaled_x = x if free or p.null is None else p.null + amplitude * (x - p.null)
-            z.append(coordinate_of(p.prior, scaled_x))
+        start = s.start if variant.null is None else variant.faded(s.start, amplitude)
+        z = [coordinate_of(p.prior, x) for p, x in zip(variant.parameters, start, strict=True)]
         points.append(np.concatenate([s.base, z]))
     return points
 

@@ -15,14 +15,14 @@ Nothing else has to be edited: registry, kernels, priors, ranking, tests and rep
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.distributions import Distribution
+from bayes_damper.distributions import Distribution, LogUniform
 
 Site = Literal["ground1", "bearings", "interface", "ground2", "release", "sensor"]
 SITES: tuple[Site, ...] = ("ground1", "bearings", "interface", "ground2", "release", "sensor")
@@ -109,6 +109,21 @@ class Variant:
         return tuple(
             float(parameter.prior.ppf(0.5)) if parameter.null is None else parameter.null
             for parameter in self.parameters
+        )
+
+    @property
+    def fades(self) -> bool:
+        """Whether a factor on the distance from the null makes the effect smaller, down to nothing.
+
+        On a logarithmic scale (a sensor's range, say) the null is far away and no factor leads there.
+        """
+        return self.null is not None and not any(isinstance(p.prior, LogUniform) for p in self.parameters)
+
+    def faded(self, point: Sequence[float], share: float) -> tuple[float, ...]:
+        """A point brought to `share` of its distance from the null; what only sets the shape stays as it is."""
+        return tuple(
+            x if p.null is None or isinstance(p.prior, LogUniform) else p.null + share * (x - p.null)
+            for p, x in zip(self.parameters, point, strict=True)
         )
 
     @property
