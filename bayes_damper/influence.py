@@ -1,6 +1,6 @@
 """How far a fit hangs on each trial, and what it would be without some.
 
-The former comes from the linearised problem of a best fit (calibration.py), at the price of small matrices: with S the
+The former comes from the linearised problem of a best fit (calibration), at the price of small matrices: with S the
 precision of all unknowns and S_j, g_j what trial j (its nuisances eliminated) adds to it and to the gradient, the best
 fit without that trial lies (S - S_j)^-1 g_j away.
 """

@@ -9,7 +9,7 @@ derivatives by the nuisances, and a unit Gaussian prior of the nuisances (their 
     log L = -(w'w + eta'eta - b' A^-1 b + log |A|) / 2 - n log s,
 
 where channel c enters with w / s_c and T / s_c; s_c, the noise relative to its estimate, is sampled. With q, J, T0
-and eta0 those of calibration.py's best fit, eta follows the parameters to where the linearised problem has its best
+and eta0 those of the calibration's best fit, eta follows the parameters to where the linearised problem has its best
 nuisances, eta = eta0 - (1 + T0'T0)^-1 T0'J (q' - q) at q', so that only their spread given the parameters has to be
 small. T is T0, but for the column of a nuisance ln x: that grows in proportion to x. An evaluation costs one simulation
 per trial and no more dimensions; tests hold this against sampling the nuisances one by one. Given a draw, a trial's

@@ -1,0 +1,95 @@
+"""Fitting a campaign by least squares, with everything that is uncertain about the rig and about each trial.
+
+How to use it::
+
+    experiment = experiment_of(campaign)              # a campaign.Campaign, or build an Experiment by hand
+    problem = Problem(experiment)                     # nominal model; effect=variant adds one effect
+    fit = calibrate(problem)                          # noise is learnt from the repeats on the way
+    fit.parameters                                    # {"mu": (value, sd), ...}
+    fit.log_evidence                                  # Laplace; comparable between Problems that share `noise`
+    rival = calibrate(Problem(experiment, effect=variant, noise=fit.problem.noise), starts=[fit.q])
+    predict(fit, experiment.heldout)                  # held-out trials: only their own nuisances are fitted
+
+Every unknown has a coordinate in which its prior is a standard Gaussian: `q` holds those of the whole campaign
+(nominal parameters, constants declared with a standard deviation, parameters of the effect), `eta` those of each trial
+(release angle, instant of release, its own friction). With r the whitened residuals, J = dr/dq and T = dr/d eta the
+cost  |r|^2 + |q|^2 + sum |eta_j|^2  is minimised by damped Gauss-Newton steps in which each trial's nuisances are
+eliminated by a Schur complement,
+
+    H_j = 1 + T_j' T_j,    S = 1 + sum_j J_j' J_j - J_j' T_j H_j^-1 T_j' J_j,
+    log Z = -(cost + log |S| + sum_j log |H_j|) / 2      (Laplace, up to the constant of the noise).
+
+All vectors of a Jacobian, of all trials that share their sample times, go through one call of Model.simulate.
+"""
+
+from __future__ import annotations
+
+from bayes_damper.calibration.experiment import (
+    Experiment,
+    TrialRecord,
+    default_priors,
+    experiment_of,
+    longest_step,
+    thinned,
+    with_priors,
+)
+from bayes_damper.calibration.heldout import predict
+from bayes_damper.calibration.least_squares import Calibration, calibrate, default_starts, summarise
+from bayes_damper.calibration.noise_level import (
+    Noise,
+    error_level,
+    evenly_sampled,
+    learn_noise,
+    rough_noise,
+    spectrum_bins,
+    whittle,
+)
+from bayes_damper.calibration.nominal import calibrate_nominal, grown
+from bayes_damper.calibration.normal_equations import Block, Linear, Normals
+from bayes_damper.calibration.problem import (
+    FRICTION_SPREAD,
+    NOMINAL,
+    Coordinate,
+    Group,
+    Indices,
+    Problem,
+    Switches,
+    coordinate_of,
+    middle,
+)
+
+__all__ = [
+    "FRICTION_SPREAD",
+    "NOMINAL",
+    "Block",
+    "Calibration",
+    "Coordinate",
+    "Experiment",
+    "Group",
+    "Indices",
+    "Linear",
+    "Noise",
+    "Normals",
+    "Problem",
+    "Switches",
+    "TrialRecord",
+    "calibrate",
+    "calibrate_nominal",
+    "coordinate_of",
+    "default_priors",
+    "default_starts",
+    "error_level",
+    "evenly_sampled",
+    "experiment_of",
+    "grown",
+    "learn_noise",
+    "longest_step",
+    "middle",
+    "predict",
+    "rough_noise",
+    "spectrum_bins",
+    "summarise",
+    "thinned",
+    "whittle",
+    "with_priors",
+]

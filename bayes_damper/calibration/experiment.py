@@ -1,0 +1,320 @@
+"""What is fitted: the trials of a campaign with what is declared of the rig, as the calibration sees them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper.distributions import (
+    Distribution,
+    LogNormal,
+    Normal,
+)
+from bayes_damper.errors import InputError
+from bayes_damper.integrator import LONGEST_STEP
+from bayes_damper.model import Quantity
+from bayes_damper.priors import PriorSet
+from bayes_damper.records import common_grid, release_of
+
+Array = NDArray[np.float64]
+READINGS_PER_PERIOD = 100.0  # of the primary, that displacements and velocities are thinned to
+STEPS_PER_PERIOD = 120.0  # at least, of the primary on its spring
+
+
+@dataclass(frozen=True)
+class TrialRecord:
+    """One measured trial, as the calibration sees it.
+
+    times (n,) s; y (channels, n), nan where a reading is missing; k1t: index into Experiment.stiffnesses;
+    theta0, theta0_sd: nominal release angle (rad) and its standard uncertainty.
+    """
+
+    label: str
+    case: str
+    coupled: bool
+    number: int
+    times: Array
+    y: Array
+    k1t: int
+    theta0: float = 0.0
+    theta0_sd: float = 0.0
+    torque: Array | None = None
+    heldout: bool = False
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Trials of one rig, with what is declared about it.
+
+    constants: name (J1 J2 J12 k3t R r N0) -> (value, standard deviation or 0); stiffnesses: (k1t, sd) per declared
+    value; start: "rest" from theta0, or "free": angles and velocities at the first sample are inferred.
+
+    priors: parameter -> distribution, or number where it is fixed, in place of the default; levels: parameter ->
+    "campaign" (one value for all trials, the default), "case" or "trial"; case_priors: parameter -> case -> prior where
+    cases differ; ties: parameter -> the one whose value it takes.
+    """
+
+    constants: Mapping[str, tuple[float, float]]
+    stiffnesses: tuple[tuple[float, float], ...]
+    trials: tuple[TrialRecord, ...]
+    quantity: Quantity = "acceleration"
+    normal_force: Literal["linear", "constant"] = "linear"
+    restoring: Literal["linear", "pendulum"] = "linear"
+    start: Literal["rest", "free"] = "rest"
+    noise_sd: tuple[float, ...] = ()
+    priors: Mapping[str, Distribution | float] = field(default_factory=dict)
+    levels: Mapping[str, str] = field(default_factory=dict)
+    case_priors: Mapping[str, Mapping[str, Distribution | float]] = field(default_factory=dict)
+    ties: Mapping[str, str] = field(default_factory=dict)
+    offset_sd: tuple[float, ...] | None = None
+    scale_sd: tuple[float, ...] = ()
+    lag_sd: tuple[float, ...] = ()
+    coupling_law: Literal["constant", "cosine"] = "constant"
+
+    @property
+    def coupled(self) -> bool:
+        """Whether any trial is coupled."""
+        return any(trial.coupled for trial in self.trials)
+
+    @property
+    def magnet(self) -> bool:
+        """Whether friction at the interface is possible."""
+        return self.coupled and self.constants.get("N0", (0.0, 0.0))[0] > 0.0
+
+    @property
+    def face(self) -> bool:
+        """Whether a magnet with a face is declared, so that effects of a magnet are possible."""
+        return self.magnet and "r" in self.constants
+
+    @property
+    def training(self) -> tuple[int, ...]:
+        """Indices of the trials that fits may use."""
+        return tuple(i for i, trial in enumerate(self.trials) if not trial.heldout)
+
+    @property
+    def heldout(self) -> tuple[int, ...]:
+        """Indices of the trials on which only their own nuisances are ever fitted."""
+        return tuple(i for i, trial in enumerate(self.trials) if trial.heldout)
+
+
+def default_priors(experiment: Experiment) -> dict[str, Distribution]:
+    """Priors of the nominal parameters, scaled to the rig; with the thesis's rig their medians are the thesis's values.
+
+    Wide (a factor of 2.7 each way for stiffness and damping, 3 for friction) because a campaign decides, not the prior.
+    """
+    j1 = experiment.constants["J1"][0]
+    j2 = experiment.constants.get("J2", (j1, 0.0))[0]
+    k1 = float(np.median([k for k, _ in experiment.stiffnesses]))
+    omega = math.sqrt(k1 / j1)
+    angles = [abs(t.theta0) for t in experiment.trials if t.theta0]
+    if not angles:
+        reach = {"acceleration": omega**2, "velocity": omega, "displacement": 1.0}[experiment.quantity]
+        angles = [float(np.nanmax(np.abs(t.y[0]))) / reach for t in experiment.trials] or [0.1]
+    angle = max(float(np.median(angles)), 1e-9)
+    viscous = 0.06 * math.sqrt(k1 * j1)  # damping ratio 0.03
+    return {
+        "mu": LogNormal(0.007, 2.7),
+        "k2t": LogNormal(1.5 * k1 / 8.2 * j2 / 2.474e-3 * 3.015e-3 / j1, 2.7),
+        "c2t": LogNormal(0.48 * math.sqrt(k1 * j2) * 1.2, 2.7),
+        "drag": LogNormal(0.0065 * k1 * angle, 3.0),
+        "nu": LogNormal(200.0 / (omega * angle * 52.0) * 50.0 / 40.0 * 12.0, 2.5),
+        "c1t": LogNormal(viscous, 2.7),
+        "c3t": LogNormal(viscous * j2 / j1, 2.7),
+    }
+
+
+def longest_step(experiment: Experiment) -> float:
+    """Longest time step, s: 1 ms times a power of 2, and at least 120 to a period of the fastest primary."""
+    omega = max(math.sqrt(max(k, 1e-300) / experiment.constants["J1"][0]) for k, _ in experiment.stiffnesses)
+    return LONGEST_STEP * 2.0 ** max(0, math.floor(math.log2(2.0 * math.pi / omega / STEPS_PER_PERIOD / LONGEST_STEP)))
+
+
+def release_window(trial: TrialRecord, quantity: str) -> tuple[float, float]:
+    """Earliest and latest instant of release that the first readings allow, s.
+
+    Accelerations jump at the release: a first reading near 0 while the next ones are at the peak means that the logger
+    ran before it, any other that it came later, and the window is one sample wide. Velocities and displacements start
+    without a jump, so the logger may have started up to a sample before or after.
+    """
+    n = min(trial.times.size - 1, 400)
+    dt = float(np.median(np.diff(trial.times[: n + 1]))) if n > 0 else 1e-3
+    if quantity != "acceleration":
+        return -dt, (dt if trial.times[0] <= 0.0 else 0.0)
+    if trial.times[0] > 0.0 or trial.times.size < 4:
+        return -dt, 0.0
+    y = np.abs(np.nan_to_num(trial.y[0]))
+    peak = float(np.max(y[1:6]))
+    held = 0
+    while held < y.size - 2 and y[held] < 0.3 * peak and held < 3:
+        held += 1
+    if held == 0:
+        return float(trial.times[0]) - dt, float(trial.times[0])
+    return float(trial.times[held - 1]), float(trial.times[held])
+
+
+def lone(experiment: Experiment, trials: Sequence[int]) -> bool:
+    """Whether no two of the trials are repeats: one initial state and record length twice. Free starts never repeat."""
+    keys = [(t.case, t.coupled, t.theta0, t.times.size) for t in (experiment.trials[i] for i in trials)]
+    return experiment.start == "free" or len(set(keys)) == len(keys)
+
+
+def repeats(trials: Sequence[TrialRecord]) -> list[list[int]]:
+    """Positions of the trials of one case and release, a list each."""
+    same: dict[tuple[str, float], list[int]] = {}
+    for k, t in enumerate(trials):
+        same.setdefault((t.case, t.theta0), []).append(k)
+    return list(same.values())
+
+
+def with_priors(experiment: Experiment, priors: PriorSet) -> Experiment:
+    """The experiment under the priors of a campaign's file: values, levels, and ties.
+
+    Raises
+    ------
+    InputError
+        for entries that contradict each other or the campaign.
+    """
+    faults = []
+    levels: dict[str, str] = {}
+    values: dict[str, Distribution | float] = {}
+    own: dict[str, dict[str, Distribution | float]] = {}
+    ties = priors.tied
+    known = set(dict.fromkeys(t.case for t in experiment.trials))
+    for name, entry in priors.entries.items():
+        told = f"priors {priors.name!r}: {name}"
+        if name in ties:
+            if name in ("theta0", "delay"):
+                faults.append(f"{told} cannot be tied; give it a level, a number or a prior")
+            continue
+        if name in ("theta0", "delay") and experiment.start == "free":
+            faults.append(f'{told} has no meaning where start is "free"; leave it out')
+        levels[name] = entry.level
+        if entry.cases:
+            own[name] = {case: value for case, value in entry.cases.items() if case in known}
+            levels[name] = "case" if entry.level == "campaign" else entry.level
+        if entry.value is not None and not isinstance(entry.value, str):
+            values[name] = entry.value
+        elif entry.value == "" and known - set(entry.cases):
+            missing = ", ".join(sorted(known - set(entry.cases)))
+            faults.append(f"{told} has numbers for some cases only; add those of {missing}")
+        elif entry.value is None and name == "theta0" and entry.level != "trial":
+            angles = {(t.theta0, t.theta0_sd) for t in experiment.trials}
+            if entry.level == "campaign" and len(angles) > 1:
+                faults.append(
+                    f"{told} is one for the campaign, but trials.csv has several angles; give it a level of case"
+                )
+            own[name] = {t.case: Normal(t.theta0, max(t.theta0_sd, 1e-12)) for t in experiment.trials}
+        elif entry.value is None and name == "theta0":
+            levels.pop(name)
+        elif entry.value is None and name == "delay":
+            rate = float(
+                np.median([float(np.median(np.diff(t.times))) for t in experiment.trials if t.times.size > 1] or [1e-3])
+            )
+            values[name] = Normal(0.0, rate)
+    if faults:
+        raise InputError(faults)
+    return replace(
+        experiment, priors={**experiment.priors, **values}, levels={**experiment.levels, **levels},
+        case_priors={**experiment.case_priors, **own}, ties={**experiment.ties, **ties},
+    )  # fmt: skip
+
+
+def gridded(experiment: Experiment) -> Experiment:
+    """The experiment with repeats on one even grid of times, nan where a reading is missing, where there is one."""
+    trials = list(experiment.trials)
+    sets: dict[tuple[str, bool, float], list[int]] = {}
+    for i, t in enumerate(trials):
+        sets.setdefault((t.case, t.coupled, t.theta0), []).append(i)
+    for members in sets.values():
+        found = common_grid([trials[i].times for i in members])
+        if found is None:
+            continue
+        grid, places = found
+        for i, place in zip(members, places, strict=True):
+            t = trials[i]
+            y = np.full((t.y.shape[0], grid.size), np.nan)
+            y[:, place] = t.y
+            torque = None if t.torque is None else np.interp(grid, t.times, t.torque)
+            trials[i] = replace(t, times=grid, y=y, torque=torque)
+    return replace(experiment, trials=tuple(trials))
+
+
+def thinned(experiment: Experiment) -> Experiment:
+    """The experiment with displacements and velocities of free starts thinned to some 100 readings a period.
+
+    Such records hold nothing faster that a torque could have made, and their errors, that of the model first, are the
+    same over many readings. Readings are picked, not averaged: an average would shrink fast swings.
+    """
+    if experiment.quantity == "acceleration" or experiment.start != "free":
+        return experiment
+    omega = max(math.sqrt(max(k, 1e-300) / experiment.constants["J1"][0]) for k, _ in experiment.stiffnesses)
+    wanted = 2.0 * math.pi / omega / READINGS_PER_PERIOD
+    trials = []
+    for t in experiment.trials:
+        every = max(1, math.floor(wanted / float(np.median(np.diff(t.times))))) if t.times.size > 1 else 1
+        torque = None if t.torque is None else t.torque[::every]
+        trials.append(t if every == 1 else replace(t, times=t.times[::every], y=t.y[:, ::every], torque=torque))
+    return replace(experiment, trials=tuple(trials))
+
+
+def experiment_of(campaign: Any, priors: PriorSet | Mapping[str, Distribution | float] | None = None) -> Experiment:
+    """A campaign.Campaign as an Experiment; priors override those of `default_priors`.
+
+    Where no trial is marked as held out, the last one of each case and configuration that has repeats is.
+    """
+    rig, measurement = campaign.rig, campaign.measurement
+    fields = {
+        "J1": "primary_inertia", "J2": "secondary_inertia", "R": "bar_radius", "r": "magnet_radius",
+        "N0": "magnet_pull", "k3t": "ground2_stiffness", "J12": "inertial_coupling",
+    }  # fmt: skip
+    constants: dict[str, tuple[float, float]] = {}
+    for name, field_name in fields.items():
+        value = getattr(rig, field_name, None)
+        if value is not None:
+            constants[name] = (float(getattr(value, "value", value)), float(getattr(value, "std", 0.0) or 0.0))
+    stiffnesses: list[tuple[float, float]] = []
+    records = []
+    heldout = {id(t) for t in campaign.heldout}
+    for t in campaign.trials:
+        key = (float(getattr(t.k1t, "value", t.k1t)), float(getattr(t.k1t, "std", 0.0) or 0.0))
+        if key not in stiffnesses:
+            stiffnesses.append(key)
+        angle = t.theta0
+        theta0 = 0.0 if angle is None else float(getattr(angle, "value", angle))
+        first, shift = 0, 0.0
+        if measurement.start == "rest" and t.torque is None:
+            omega = math.sqrt(max(key[0], 1e-300) / constants["J1"][0])
+            primary = np.atleast_2d(np.array(t.channels, float))[0]
+            first, shift = release_of(np.array(t.times, float), primary, measurement.quantity, theta0, omega)
+        records.append(
+            TrialRecord(
+                label=str(t.file),
+                case=t.case,
+                coupled=t.configuration == "coupled",
+                number=int(t.trial),
+                times=np.array(t.times, float)[first:] - shift,
+                y=np.atleast_2d(np.array(t.channels, float))[:, first:],
+                k1t=stiffnesses.index(key),
+                theta0=theta0,
+                theta0_sd=0.0 if angle is None else float(getattr(angle, "std", 0.0) or 0.0),
+                torque=None if t.torque is None else np.array(t.torque, float)[first:],
+                heldout=id(t) in heldout,
+            )
+        )
+    sd = getattr(measurement, "noise_std", None)
+    given = () if sd is None else tuple(float(x) for x in np.atleast_1d(np.asarray(sd, float)))
+    experiment = Experiment(
+        constants, tuple(stiffnesses), tuple(records), measurement.quantity, rig.normal_force, rig.restoring,
+        measurement.start, given, offset_sd=measurement.offset_std, scale_sd=measurement.scale_std or (),
+        lag_sd=measurement.lag_std or (),
+        coupling_law=rig.inertial_coupling_law,
+    )  # fmt: skip
+    experiment = thinned(gridded(experiment))
+    if isinstance(priors, PriorSet):
+        return with_priors(experiment, priors)
+    return replace(experiment, priors=dict(priors or {}))

@@ -1,0 +1,94 @@
+"""Trials that no fit has seen: only their own nuisances are fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper.calibration.least_squares import Calibration
+from bayes_damper.calibration.problem import Group, Indices
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """What a fit says about a trial that it has not seen, its own nuisances fitted.
+
+    model (channels, n), residual (channels, n) = reading - model, eta (m,), chi2: whitened and weighted; n_data:
+    weighted number of readings.
+    """
+
+    trial: int
+    model: Array
+    residual: Array
+    eta: Array
+    chi2: float
+    n_data: float
+
+
+def predict(fit: Calibration, trials: Sequence[int], rounds: int = 12) -> dict[int, Prediction]:
+    """Predictions for trials that the fit has not used: only their own nuisances are estimated, from several starts."""
+    problem = fit.problem
+    out: dict[int, Prediction] = {}
+    for group in problem.grouped(tuple(trials)):
+        n, m = len(group.trials), len(group.nuisances)
+        names = [name for name, _, _ in group.nuisances]
+        starts = [np.zeros(m)]
+        if "delay" in names:
+            for value in (-1.2, -0.8, -0.4, 0.4, 0.8, 1.2):
+                point = np.zeros(m)
+                point[names.index("delay")] = value
+                starts.append(point)
+        k = len(starts)
+        which = np.repeat(np.arange(n), k)
+        eta = np.tile(np.array(starts).reshape(k, m), (n, 1))
+        low, high = group.lower[which], group.upper[which]
+        eta = np.clip(eta, low, high)
+        weight = group.weight[which]
+
+        def evaluate(
+            values: Array, which: Indices = which, weight: Array = weight, group: Group = group
+        ) -> tuple[Array, Array]:
+            y = problem.simulate(group, which, np.tile(fit.q, (which.size, 1)), values)
+            r = problem.whitened(y - group.y[which], weight)
+            total = np.einsum("ij,ij->i", r, r) + np.sum(values**2, axis=1)
+            return r, np.where(np.isfinite(total), total, np.inf)
+
+        r, cost = evaluate(eta)
+        damping = np.full(n * k, 1e-2)
+        for _ in range(rounds if m else 0):
+            T = np.empty((n * k, m, r.shape[1]))
+            for i, name in enumerate(names):
+                step = np.full(n * k, 2e-3) if name != "delay" else 1e-6 / group.nuisances[i][2][which]
+                step = np.where(eta[:, i] + step > high[:, i], -step, step)
+                moved = eta.copy()
+                moved[:, i] += step
+                T[:, i] = (evaluate(moved)[0] - r) / step[:, None]
+            T = np.nan_to_num(T)
+            H = T @ T.transpose(0, 2, 1) + np.eye(m)
+            H += damping[:, None, None] * H * np.eye(m)
+            g = np.einsum("imd,id->im", T, np.nan_to_num(r)) + eta
+            move = -np.linalg.solve(H, g[:, :, None])[:, :, 0]
+            move *= np.minimum(1.0, 1.5 / np.maximum(np.abs(move).max(axis=1), 1e-12))[:, None]
+            candidate = np.clip(eta + move, low, high)
+            r_new, cost_new = evaluate(candidate)
+            better = cost_new < cost
+            done = np.all(~better | (cost - cost_new < 0.01)) and np.all(damping < 1e3)
+            eta = np.where(better[:, None], candidate, eta)
+            r = np.where(better[:, None], r_new, r)
+            damping = np.where(better, damping * 0.1, damping * 30.0)
+            cost = np.where(better, cost_new, cost)
+            if done:
+                break
+        winner = cost.reshape(n, k).argmin(axis=1) + np.arange(n) * k
+        chosen = eta[winner]
+        y = problem.simulate(group, np.arange(n), np.tile(fit.q, (n, 1)), chosen)
+        r = problem.whitened(y - group.y, group.weight)
+        for j, i in enumerate(group.trials):
+            residual = problem.experiment.trials[i].y - y[j]
+            out[i] = Prediction(i, y[j], residual, chosen[j], float(r[j] @ r[j]), float(np.sum(group.weight[j] ** 2)))
+    return out

@@ -1,0 +1,205 @@
+"""The fit: damped Gauss-Newton steps from several starts, and the Laplace evidence at the end of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.special import ndtri
+
+from bayes_damper.calibration.normal_equations import Linear
+from bayes_damper.calibration.problem import Problem, coordinate_of
+from bayes_damper.distributions import (
+    from_standard,
+    median,
+)
+
+Array = NDArray[np.float64]
+HOPELESS, HURRY = 60.0, 6.0  # cost above a target, and in how many such steps it must be reachable, to go on
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A fitted model.
+
+    q (size,), covariance (size, size) in coordinates with standard Gaussian priors; eta: trial -> (m,);
+    chi2: sum of squared whitened residuals; cost: chi2 and the priors' share; n_data: weighted number of readings.
+    """
+
+    problem: Problem
+    q: Array
+    eta: Mapping[int, Array]
+    covariance: Array
+    cost: float
+    chi2: float
+    log_evidence: float
+    converged: bool
+    linear: Linear
+    iterations: int
+
+    @property
+    def parameters(self) -> dict[str, tuple[float, float]]:
+        """Value and standard deviation of every unknown of the campaign."""
+        out = {}
+        for i, c in enumerate(self.problem.coordinates):
+            x = float(from_standard(c.prior, self.q[i]))
+            sd = math.sqrt(max(self.covariance[i, i], 0.0))
+            up, down = from_standard(c.prior, self.q[i] + sd), from_standard(c.prior, self.q[i] - sd)
+            out[c.name] = (x, 0.5 * abs(float(up - down)))
+        return out
+
+    @property
+    def excess(self) -> float:
+        """Chi-square beyond what noise alone would leave."""
+        return self.chi2 - self.problem.n_data
+
+    @property
+    def pulled(self) -> dict[str, float]:
+        """Declared constants that the fit moved by more than 3 of their standard deviations."""
+        return {
+            c.name: float(self.q[i])
+            for i, c in enumerate(self.problem.coordinates)
+            if c.role in ("constant", "stiffness") and abs(self.q[i]) > 3.0
+        }
+
+    def interval(self, name: str, share: float = 0.9) -> tuple[float, float]:
+        """Central interval of one unknown, holding `share` of its probability."""
+        i = self.problem.names.index(name)
+        reach = float(ndtri(0.5 + 0.5 * share)) * math.sqrt(max(self.covariance[i, i], 0.0))
+        prior = self.problem.coordinates[i].prior
+        low, high = float(from_standard(prior, self.q[i] - reach)), float(from_standard(prior, self.q[i] + reach))
+        return (low, high) if low <= high else (high, low)
+
+    def residuals(self) -> dict[int, Array]:
+        """Reading minus model of each fitted trial, (channels, n); nan where the reading is missing."""
+        out = {}
+        for group in self.problem.groups:
+            n = len(group.trials)
+            values = np.array([self.eta[i] for i in group.trials]).reshape(n, -1)
+            y = self.problem.simulate(group, np.arange(n), np.tile(self.q, (n, 1)), values)
+            for k, i in enumerate(group.trials):
+                out[i] = self.problem.experiment.trials[i].y - y[k]
+        return out
+
+
+def calibrate(
+    problem: Problem,
+    starts: Iterable[ArrayLike] = (),
+    *,
+    eta: Mapping[int, Array] | None = None,
+    most: int = 25,
+    finish: bool = True,
+    anneal: bool = True,
+    give_up: float = math.inf,
+    target: float = -math.inf,
+) -> Calibration:
+    """The best fit over the starts, each by annealed, damped Gauss-Newton steps.
+
+    starts : points (size,) in q; default the prior medians, with smoothing constants below and above;
+    eta : nuisances to start from; most : iterations per stage; finish : central differences at the end;
+    give_up : a start whose cost after the first stage exceeds the best by more is not followed; target : a cost that
+    another model has reached: a descend that gets nowhere near it ends early.
+
+    A fit in which every simulation fails has cost inf and log_evidence -inf.
+    """
+    points = [np.asarray(s, float) for s in starts] or default_starts(problem)
+    best: tuple[float, Array, dict[int, Array], bool, int] | None = None
+    for point in points:
+        own = {i: v.copy() for i, v in (eta or problem.no_nuisance()).items()}
+        q = point
+        used = 0
+        if anneal:
+            q, own, cost, _, used = _descend(problem, q, own, most, annealed=True, tolerance=0.5)
+            if best is not None and cost > best[0] + give_up:
+                continue
+        goal = target if best is None else max(target, best[0])
+        q, own, cost, converged, more = _descend(problem, q, own, most, annealed=False, tolerance=0.02, target=goal)
+        if best is None or cost < best[0]:
+            best = (cost, q, own, converged, used + more)
+    assert best is not None
+    cost, q, own, converged, used = best
+    return summarise(problem, q, own, converged, used, central=finish)
+
+
+def default_starts(problem: Problem) -> list[Array]:
+    """Prior medians, with a smooth and a sharp friction."""
+    start = problem.prior_mean()
+    if "nu" not in problem.names:
+        return [start]
+    i = problem.names.index("nu")
+    prior = problem.coordinates[i].prior
+    out = []
+    for factor in (0.6, 1.8):
+        point = start.copy()
+        point[i] = coordinate_of(prior, factor * median(prior))
+        out.append(point)
+    return out
+
+
+def summarise(
+    problem: Problem, q: Array, eta: Mapping[int, Array], converged: bool, iterations: int, central: bool = True
+) -> Calibration:
+    """Covariance, evidence and the rest at a point that a fit has reached."""
+    linear = problem.linearise(q, eta, central=central)
+    normals = linear.normal()
+    S, _, _ = normals.reduced()
+    try:
+        covariance = cho_solve(cho_factor(S), np.eye(problem.size))
+        evidence = normals.log_evidence()
+    except (np.linalg.LinAlgError, ValueError):
+        covariance, evidence = np.full((problem.size, problem.size), np.nan), -math.inf
+    prior = float(q @ q) + sum(float(v @ v) for v in eta.values())
+    cost = normals.cost if math.isfinite(normals.cost) else math.inf
+    return Calibration(problem, q, dict(eta), covariance, cost, cost - prior, evidence, converged, linear, iterations)
+
+
+def _descend(
+    problem: Problem, q: Array, eta: dict[int, Array], most: int, annealed: bool, tolerance: float,
+    target: float = -math.inf,
+) -> tuple[Array, dict[int, Array], float, bool, int]:  # fmt: skip
+    """Levenberg-Marquardt from one start: q, eta, cost, whether it converged, Jacobians used."""
+    damping = 1e-2
+    cost = float(problem.costs(q[None], {i: v[None] for i, v in eta.items()}, annealed)[0])
+    if not math.isfinite(cost):
+        return q, eta, cost, False, 0
+    bounds = {i: (g.lower[k], g.upper[k]) for g in problem.groups for k, i in enumerate(g.trials)}
+    for iteration in range(1, most + 1):
+        normals = problem.linearise(q, eta, annealed=annealed).normal()
+        accepted = False
+        gained = 0.0
+        for _ in range(3):
+            candidates = []
+            for factor in (0.03, 0.3, 3.0, 30.0):
+                try:
+                    dq, deta = normals.step(damping * factor)
+                except np.linalg.LinAlgError:
+                    continue
+                shrink = min(1.0, 1.5 / max(float(np.max(np.abs(dq), initial=0.0)), 1e-12))
+                moved = {i: np.clip(eta[i] + shrink * deta[i], *bounds[i]) for i in eta}
+                candidates.append((damping * factor, q + shrink * dq, moved))
+            if not candidates:
+                damping *= 100.0
+                continue
+            trial_costs = problem.costs(
+                np.array([c[1] for c in candidates]),
+                {i: np.array([c[2][i] for c in candidates]) for i in eta},
+                annealed,
+            )
+            k = int(np.argmin(trial_costs))
+            if trial_costs[k] < cost:
+                gained = cost - float(trial_costs[k])
+                cost = float(trial_costs[k])
+                damping, q, eta = candidates[k]
+                damping = max(damping, 1e-7)
+                accepted = True
+                break
+            damping *= 300.0
+        if not accepted or gained < tolerance:
+            return q, eta, cost, True, iteration
+        if math.isfinite(target) and iteration >= 3 and cost - target > HOPELESS and HURRY * gained < cost - target:
+            return q, eta, cost, False, iteration
+    return q, eta, cost, False, most

@@ -1,0 +1,270 @@
+"""The noise of the sensors, by channel: its level and its colour, from what repeats do not share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.signal import lfilter
+
+from bayes_damper.calibration.experiment import Experiment, lone
+
+if TYPE_CHECKING:
+    from bayes_damper.calibration.least_squares import Calibration
+
+Array = NDArray[np.float64]
+WHITE_ENOUGH = 1.3  # largest ratio of residuals without repeats to the noise of the sensors up to which they are noise
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of each channel: an ARMA(1, 1) process (a white one plus an AR(1) one); phi = theta = 0 is white.
+
+    innovation: sd of the innovations, the channel's unit; total: sd of the noise itself; longer: for each channel the
+    coefficients of a longer autoregression that takes the place of phi and theta, empty where there is none.
+    Without repeats the noise stands for the model's own error too (`error_level`); sensor is then the sd of the
+    readings' noise alone.
+    """
+
+    innovation: tuple[float, ...]
+    phi: tuple[float, ...]
+    theta: tuple[float, ...]
+    longer: tuple[tuple[float, ...], ...] = ()
+    sensor: tuple[float, ...] = ()
+
+    @property
+    def floor(self) -> tuple[float, ...]:
+        """Standard deviation of what no model could explain, each channel."""
+        return self.sensor or self.total
+
+    def filter(self, channel: int) -> tuple[list[float], list[float]]:
+        """Numerator and denominator of the filter that turns the noise into its innovations."""
+        if self.longer and self.longer[channel]:
+            return [1.0, *(-a for a in self.longer[channel])], [1.0]
+        return [1.0, -self.phi[channel]], [1.0, -self.theta[channel]]
+
+    @property
+    def total(self) -> tuple[float, ...]:
+        """Standard deviation of the noise of each channel."""
+        out = []
+        for channel, (s, p, t) in enumerate(zip(self.innovation, self.phi, self.theta, strict=True)):
+            if self.longer and self.longer[channel]:
+                impulse = np.zeros(20_000)
+                impulse[0] = 1.0
+                ahead, back = self.filter(channel)
+                out.append(s * math.sqrt(float(np.sum(np.square(lfilter(back, ahead, impulse))))))
+            else:
+                out.append(s * math.sqrt((1.0 + t * t - 2.0 * p * t) / (1.0 - p * p)))
+        return tuple(out)
+
+    def density(self, channel: int, omega: Array) -> Array:
+        """Spectral density at angular frequencies omega (rad per sample), the channel's unit squared."""
+        ahead, back = self.filter(channel)
+        z = np.exp(-1j * omega)
+        gain = np.polyval(back[::-1], z) / np.polyval(ahead[::-1], z)
+        return np.asarray(self.innovation[channel] ** 2 * np.abs(gain) ** 2)
+
+    def coloured(self, channel: int) -> bool:
+        """Whether the noise of a channel is correlated."""
+        ahead, back = self.filter(channel)
+        return any(ahead[1:]) or any(back[1:])
+
+    def whiten(self, channel: int, r: Array) -> Array:
+        """Innovations of residuals r (..., n), in units of their standard deviation."""
+        s = self.innovation[channel]
+        ahead, back = self.filter(channel)
+        if not self.coloured(channel):
+            return r / s
+        return np.asarray(lfilter(ahead, back, r, axis=-1)) / s
+
+
+def rough_noise(experiment: Experiment, trials: Sequence[int]) -> Noise:
+    """White noise per channel from the fast content of the readings: for a first fit."""
+    channels = 1 + int(any(experiment.trials[i].coupled for i in trials))
+    sds = []
+    for c in range(channels):
+        pieces = []
+        for i in trials:
+            y = experiment.trials[i].y
+            if c < y.shape[0] and y.shape[1] > 12:
+                pieces.append(y[c])
+        sd = _fast_level(pieces)
+        declared = experiment.noise_sd[min(c, len(experiment.noise_sd) - 1)] if experiment.noise_sd else 0.0
+        scale = max((float(np.nanmax(np.abs(experiment.trials[i].y))) for i in trials), default=1.0)
+        sds.append(max(sd if sd > 0.0 else declared, 1e-6 * scale, 1e-300))
+    return Noise(tuple(sds), (0.0,) * channels, (0.0,) * channels)
+
+
+def _fast_level(series: Sequence[Array]) -> float:
+    """Standard deviation of the white noise in series, from their fourth differences; 0 where there is too little."""
+    fast = [np.diff(x, n=4)[4:] for x in series if x.size > 12]
+    kept = np.concatenate([f[np.isfinite(f)] for f in fast]) if fast else np.zeros(0)
+    return 1.4826 * float(np.median(np.abs(kept))) / math.sqrt(70.0) if kept.size else 0.0
+
+
+def error_level(residuals: Sequence[Array]) -> float:
+    """Level, as of white noise, at which residuals with correlated errors carry the information that they do carry.
+
+    Half of sum P^2 / sum P over the lines P of the periodograms: the variance times the sum of all squared
+    autocorrelations (Bayley and Hammersley, 1946, J. R. Stat. Soc. Suppl. 8, 184: n readings tell as much of a variance
+    as n over that sum independent ones do). For white residuals it is their standard deviation.
+    """
+    lines = [np.abs(np.fft.rfft(r - r.mean())[1:-1]) ** 2 / r.size for r in residuals if r.size > 8]
+    if not lines:
+        return 0.0
+    power = np.concatenate(lines)
+    total = float(power.sum())
+    return math.sqrt(0.5 * float(power @ power) / total) if total > 0.0 else 0.0
+
+
+def _white_enough(readings: int) -> float:
+    """Ratio of `error_level` to the noise of the sensors up to which nothing speaks for correlated errors.
+
+    One standard deviation: from n readings the former is known to sqrt(1 / n), the latter, from a median of
+    differences, to sqrt(2 / n). White noise that exceeds it loses some per cent of sharpness; colour taken for white
+    noise would be taken for a gap.
+    """
+    return min(1.0 + math.sqrt(3.0 / max(readings, 1)), WHITE_ENOUGH)
+
+
+def learn_noise(fit: Calibration, colour: bool = True) -> Noise:
+    """Noise of each channel from what the repeats do not share; without repeats, from the residuals.
+
+    What the repeats share is the model's fault, not noise: it drops out of the differences. Colour is only claimed
+    where it raises the likelihood by more than 3 nats. Without repeats the residuals' fast content is the noise of the
+    sensors, and nothing tells the rest from a model that is wrong in a way that would repeat. Posteriors and evidences
+    must allow for that error, so the noise is then white at the `error_level` of the residuals.
+    """
+    noise = _unshared_noise(fit, colour)
+    problem = fit.problem
+    if not lone(problem.experiment, problem.trials):
+        return noise
+    found = fit.residuals()
+    weights = {i: g.weight[k] for g in problem.groups for k, i in enumerate(g.trials)}
+    levels, sensors, white = [], [], []
+    for c, total in enumerate(noise.total):
+        used = [r[c][weights[i][c] > 0.0] for i, r in found.items() if c < r.shape[0]]
+        # Lines leak from a large slow error into the fast ones of a short record; differences do not.
+        fast = _fast_level(used)
+        sensors.append(min(fast, total) if fast > 0.0 else total)
+        levels.append(max(sensors[-1], error_level(used)))
+        white.append(levels[-1] < _white_enough(sum(r.size for r in used)) * sensors[-1])
+    if all(white):
+        return noise
+    zero = (0.0,) * len(levels)
+    return Noise(tuple(levels), zero, zero, sensor=tuple(sensors))
+
+
+def _unshared_noise(fit: Calibration, colour: bool) -> Noise:
+    problem = fit.problem
+    e = problem.experiment
+    residuals = fit.residuals()
+    channels = len(problem.noise.innovation)
+    sets: dict[tuple[str, bool, float], list[int]] = {}
+    for i in problem.trials:
+        t = e.trials[i]
+        sets.setdefault((t.case, t.coupled, t.theta0), []).append(i)
+    weights = {i: g.weight[k] for g in problem.groups for k, i in enumerate(g.trials)}
+    innovation: list[float] = []
+    phis: list[float] = []
+    thetas: list[float] = []
+    for c in range(channels):
+        spectra: dict[int, list[Array]] = {}
+        counts: dict[int, float] = {}
+        lone: dict[int, list[Array]] = {}
+        for members in sets.values():
+            usable = [i for i in members if c < residuals[i].shape[0] and weights[i][c].max(initial=0.0) > 0.9]
+            lengths = {residuals[i].shape[1] for i in usable}
+            if not usable:
+                continue
+            stack = [np.nan_to_num(residuals[i][c]) for i in usable]
+            if len(usable) > 1 and len(lengths) == 1:
+                deviation = np.array(stack) - np.mean(stack, axis=0)
+                keep = np.min([weights[i][c] for i in usable], axis=0) > 0.9
+                deviation = deviation[:, keep] * math.sqrt(len(usable) / (len(usable) - 1.0))
+                for d in deviation:
+                    power = np.abs(np.fft.rfft(d)) ** 2 / d.size
+                    spectra.setdefault(d.size, []).append(power[1:])
+                    counts[d.size] = counts.get(d.size, 0.0) + (len(usable) - 1.0) / len(usable)
+            else:
+                for d in stack:
+                    power = np.abs(np.fft.rfft(d)) ** 2 / d.size
+                    lone.setdefault(d.size, []).append(power[power.size // 3 :])
+        if spectra and sum(len(v) for v in spectra.values()) > 1:
+            a, p, theta = _fit_spectrum(
+                spectra, counts, colour and all(evenly_sampled(e.trials[i].times) for i in problem.trials)
+            )
+        elif lone:
+            values = np.concatenate([x for v in lone.values() for x in v])
+            a, p, theta = math.sqrt(float(np.mean(np.minimum(values, 12.0 * np.median(values))))), 0.0, 0.0
+        else:
+            a, p, theta = problem.noise.innovation[c], 0.0, 0.0
+        innovation.append(max(a, 1e-300))
+        phis.append(p)
+        thetas.append(theta)
+    return Noise(tuple(innovation), tuple(phis), tuple(thetas))
+
+
+def evenly_sampled(times: Array) -> bool:
+    """Whether the samples are evenly spaced, to 2 %."""
+    gaps = np.diff(times)
+    return bool(gaps.size > 0 and gaps.max() < 1.02 * gaps.min() + 1e-12)
+
+
+def _fit_spectrum(
+    spectra: Mapping[int, list[Array]], counts: Mapping[int, float], colour: bool
+) -> tuple[float, float, float]:
+    """Whittle fit of a white plus an AR(1) process: sd of the innovations, phi, theta of the ARMA(1, 1) they form."""
+    omega, power, count = spectrum_bins(spectra, counts)
+    white = float(np.sum(count * power) / np.sum(count))
+    if not colour or omega.size < 50:
+        return math.sqrt(white), 0.0, 0.0
+    return whittle(omega, power, count)
+
+
+def spectrum_bins(spectra: Mapping[int, list[Array]], counts: Mapping[int, float]) -> tuple[Array, Array, Array]:
+    """Angular frequency, mean power and count of every bin of spectra by record length (without their mean)."""
+    bins = []
+    for n, powers in spectra.items():
+        mean = np.mean(powers, axis=0)
+        omega = 2.0 * np.pi * np.arange(1, mean.size + 1) / n
+        bins.append((omega[:-1], mean[:-1], counts[n]))
+    omega = np.concatenate([b[0] for b in bins])
+    power = np.concatenate([b[1] for b in bins])
+    count = np.concatenate([np.full(b[0].size, b[2]) for b in bins])
+    return omega, power, count
+
+
+def whittle(
+    omega: Array, power: Array, count: Array, farthest: float = 0.99, starts: Sequence[float] = (2.0,)
+) -> tuple[float, float, float]:
+    """Whittle fit of a white plus an AR(1) process to power at omega: innovation, phi, theta of their ARMA(1, 1).
+
+    White where colour raises the likelihood by less than 3 nats. farthest : largest phi; starts : logits of phi.
+    """
+    white = float(np.sum(count * power) / np.sum(count))
+
+    def minus_log(x: Array) -> float:
+        a, b, phi = math.exp(x[0]), math.exp(x[1]), farthest / (1.0 + math.exp(-x[2]))
+        s = a + b / (1.0 + phi * phi - 2.0 * phi * np.cos(omega))
+        return float(np.sum(count * (np.log(s) + power / s)))
+
+    flat = float(np.sum(count * (math.log(white) + power / white)))
+    begun = [np.array([math.log(0.8 * white), math.log(0.04 * white), x]) for x in starts]
+    options = {"maxiter": 400, "xatol": 1e-3, "fatol": 1e-3}
+    tried = [minimize(minus_log, start, method="Nelder-Mead", options=options) for start in begun]
+    found = min(tried, key=lambda t: float(t.fun))
+    if flat - float(found.fun) < 3.0:
+        return math.sqrt(white), 0.0, 0.0
+    a, b, phi = math.exp(found.x[0]), math.exp(found.x[1]), farthest / (1.0 + math.exp(-found.x[2]))
+    # a |1 - phi z|^2 + b = s^2 |1 - theta z|^2
+    if a * phi <= 0.0:
+        return math.sqrt(white), 0.0, 0.0
+    half = (a * (1.0 + phi * phi) + b) / (2.0 * a * phi)
+    inverse = half + math.sqrt(max(half * half - 1.0, 0.0))
+    return math.sqrt(a * phi * inverse), phi, 1.0 / inverse

@@ -1,0 +1,160 @@
+"""From the first fit of the nominal model to the noise, and to the nuisances that the trials ask for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper.calibration.experiment import Experiment, lone, repeats
+from bayes_damper.calibration.least_squares import Calibration, calibrate, default_starts
+from bayes_damper.calibration.noise_level import learn_noise, rough_noise
+from bayes_damper.calibration.problem import Group, Problem, Switches
+
+Array = NDArray[np.float64]
+VARIES = 9.0  # mean square, in variances, of a nuisance's differences between repeats from which it is each trial's own
+FEW_REPEATS = 4  # repeats beyond the first of their kind, over all kinds, below which they may be late alike by chance
+LONG_PERIODS, FIRST_PERIODS, GROWING_STEPS = 12.0, 3.0, 20  # of records fitted window by window
+FIRST_ERROR = 0.02  # of a channel's reach: noise of the first fit where there are no repeats
+
+
+def choose_switches(fit: Calibration) -> Switches:
+    """Which nuisances the repeats call for, from a fit in which all are free.
+
+    Repeats of one case differ only in what is each trial's own, so the spread of the nuisances between repeats, beyond
+    their own uncertainty, tells whether release or friction vary, whatever the model leaves out. A release that is late
+    by the same time in all of them is left to the effects of release and sensor.
+    Trials without repeats cannot tell: there both stay free. So does the release where few repeats may be as late as
+    each other by chance: what that does to the first readings looks like an effect.
+    Nor can values that a wrong model has pressed against an end of their range other than the nominal one.
+    """
+    problem = fit.problem
+    wanted = {"delay": False, "ln_mu": False}
+    normals = fit.linear.normal()
+    for name in wanted:
+        z: list[float] = []
+        spare, pressed = 0, 0
+        enough = FEW_REPEATS if name == "delay" else 1
+        for block, H, _, _ in normals.parts:
+            names = [n for n, _, _ in block.group.nuisances]
+            if name not in names or not H.shape[1]:
+                continue
+            i = names.index(name)
+            sd = np.sqrt(np.linalg.inv(H)[:, i, i])
+            for members in repeats([problem.experiment.trials[j] for j in block.group.trials]):
+                spare += len(members) - 1
+                values = block.eta[members, i]
+                pressed += _pressed(block.group, i, members, values)
+                pull = sd[members]
+                z += list((values - values.mean()) / pull / math.sqrt(max(1.0 - 1.0 / len(members), 1e-9)))
+        wanted[name] = bool(z) and (spare < enough or 2 * pressed >= len(z) or float(np.mean(np.square(z))) > VARIES)
+    return Switches(delay=wanted["delay"], friction=wanted["ln_mu"])
+
+
+def drag_varies(fit: Calibration) -> bool:
+    """Whether the drag of the bearings differs between repeats of the primary alone, beyond its uncertainty.
+
+    By the linearised problem of the fit: each trial's own drag beside its other nuisances. Only repeats can tell, and
+    without them one drag for all it is.
+    """
+    problem = fit.problem
+    here = [i for i, c in enumerate(problem.coordinates) if c.parameter == "drag"]
+    if problem.experiment.start != "rest" or not here:
+        return False
+    z: list[float] = []
+    spare = 0
+    for block in fit.linear.blocks:
+        if block.group.coupled:
+            continue
+        m = block.T.shape[1]
+        rows = np.concatenate([block.T, block.J[:, here].sum(axis=1, keepdims=True)], axis=1)
+        H = rows @ rows.transpose(0, 2, 1) + np.diag(np.append(np.ones(m), 1e-12))
+        g = np.einsum("jmd,jd->jm", rows, block.r) + np.pad(block.eta, ((0, 0), (0, 1)))
+        values = -np.linalg.solve(H, g[:, :, None])[:, m, 0]
+        sd = np.sqrt(np.linalg.inv(H)[:, m, m])
+        for members in repeats([problem.experiment.trials[j] for j in block.group.trials]):
+            spare += len(members) - 1
+            if len(members) > 1:
+                off = (values[members] - values[members].mean()) / sd[members]
+                z += list(off / math.sqrt(1.0 - 1.0 / len(members)))
+    return spare > 1 and float(np.mean(np.square(z))) > VARIES
+
+
+def _pressed(group: Group, i: int, members: Sequence[int], values: Array) -> int:
+    """How many values of nuisance i lie at an end of their range that is not the nominal value 0."""
+    _, mean, sd = group.nuisances[i]
+    low, high = group.lower[members, i], group.upper[members, i]
+    near = 0.02 * (high - low)
+    off_low = np.abs(mean[members] / sd[members] + low) > near
+    off_high = np.abs(mean[members] / sd[members] + high) > near
+    return int(np.sum((values - low < near) & off_low) + np.sum((high - values < near) & off_high))
+
+
+def grown(experiment: Experiment, problem: Problem) -> list[Array]:
+    """Starts for long records: fits to their first few periods, carried on over windows twice as long each time.
+
+    Over many periods an error of the frequency by one part in as many puts the model out of phase, and the cost has a
+    valley for every cycle; over the first periods it has one. Empty for short records, which need none of it.
+    """
+    trials = [experiment.trials[i] for i in problem.trials]
+    omega = max(math.sqrt(max(k, 1e-300) / experiment.constants["J1"][0]) for k, _ in experiment.stiffnesses)
+    period = 2.0 * math.pi / omega
+    span = max(float(t.times[-1] - t.times[0]) for t in trials)
+    window = FIRST_PERIODS * period
+    if span < LONG_PERIODS * period:
+        return []
+    starts: list[Array] = default_starts(problem)
+    while window < span:
+        cut = []
+        for t in experiment.trials:
+            keep = t.times <= t.times[0] + window
+            torque = None if t.torque is None else t.torque[keep]
+            cut.append(replace(t, times=t.times[keep], y=t.y[:, keep], torque=torque))
+        shorter = replace(experiment, trials=tuple(cut))
+        part = Problem(
+            shorter, nominal=problem.nominal, noise=problem.noise, switches=problem.switches, threads=problem.threads,
+            trials=problem.trials,
+        )  # fmt: skip
+        starts = [calibrate(part, starts, most=GROWING_STEPS, finish=False, give_up=300.0).q]
+        window *= 2.0
+    return starts
+
+
+def calibrate_nominal(
+    experiment: Experiment,
+    *,
+    nominal: Literal["nonlinear", "linear"] = "nonlinear",
+    threads: int = 1,
+    switches: Switches | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Calibration:
+    """The nominal model fitted to the training trials: roughly, then with the nuisances and noise that they show."""
+    first = rough_noise(experiment, experiment.training)
+    if lone(experiment, experiment.training):
+        # The error of the model is not known yet, and may be a thousand times the noise: begin with a broad valley.
+        trials = [experiment.trials[i] for i in experiment.training]
+        reach = [max(float(np.nanmax(np.abs(t.y[c]))) for t in trials if c < len(t.y)) for c in range(len(first.phi))]
+        level = tuple(max(s, FIRST_ERROR * r) for s, r in zip(first.innovation, reach, strict=True))
+        first = replace(first, innovation=level, sensor=first.total)
+    problem = Problem(experiment, nominal=nominal, noise=first, threads=threads, switches=switches or Switches())
+    fit = calibrate(problem, [*grown(experiment, problem), *default_starts(problem)], most=15, finish=False)
+    chosen = switches or choose_switches(fit)
+    problem = Problem(experiment, nominal=nominal, noise=learn_noise(fit), switches=chosen, threads=threads)
+    starts = [fit.q, *default_starts(problem)]
+    fit = calibrate(problem, starts, give_up=300.0)
+    if switches is None and not fit.problem.noise.sensor and drag_varies(fit):
+        chosen = replace(chosen, drag=True)
+        problem = Problem(experiment, nominal=nominal, noise=fit.problem.noise, switches=chosen, threads=threads)
+        fit = calibrate(problem, [fit.q], anneal=False)
+    noise = learn_noise(fit)
+    tell(f"noise sd {', '.join(f'{s:.3g}' for s in noise.total)}")
+    problem = Problem(experiment, nominal=nominal, noise=noise, switches=chosen, threads=threads)
+    fit = calibrate(problem, [fit.q], eta=fit.eta, anneal=False)
+    if noise.sensor:
+        # A better fit leaves less error, which again sharpens the fit.
+        fit = calibrate(problem.with_noise(learn_noise(fit)), [fit.q], eta=fit.eta, anneal=False)
+    return fit

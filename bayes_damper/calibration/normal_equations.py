@@ -1,0 +1,131 @@
+"""Residuals linearised at a point, and the normal equations with each trial's nuisances eliminated."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from bayes_damper.calibration.problem import Group, Problem
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Whitened residuals r (trials, data), J (trials, size, data) and T (trials, m, data) of one group."""
+
+    group: Group
+    r: Array
+    J: Array
+    T: Array
+    eta: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """The problem linearised at q: what steps, covariance, evidence and screening are computed from."""
+
+    problem: Problem
+    q: Array
+    blocks: tuple[Block, ...]
+
+    def normal(self, extra: Sequence[Array] | None = None) -> Normals:
+        """Normal equations with the nuisances eliminated.
+
+        extra: for each block further columns (trials, k, data) to carry along, such as an effect to be screened.
+        """
+        k = 0 if extra is None else extra[0].shape[1]
+        size = self.problem.size
+        S = np.eye(size + k)
+        S[size:, size:] = 0.0
+        g = np.concatenate([self.q, np.zeros(k)])
+        cost = float(self.q @ self.q)
+        parts = []
+        for b, block in enumerate(self.blocks):
+            J = block.J if extra is None else np.concatenate([block.J, extra[b]], axis=1)
+            m = block.eta.shape[1]
+            full = np.concatenate([J, block.T, block.r[:, None, :]], axis=1)
+            gram = np.matmul(full, full.transpose(0, 2, 1))
+            p = size + k
+            H = gram[:, p : p + m, p : p + m] + np.eye(m)
+            TJ = gram[:, p : p + m, :p]
+            gT = gram[:, p : p + m, -1] + block.eta
+            S += gram[:, :p, :p].sum(axis=0)
+            g += gram[:, :p, -1].sum(axis=0)
+            cost += float(gram[:, -1, -1].sum() + np.sum(block.eta**2))
+            parts.append((block, H, TJ, gT))
+        return Normals(self, S, g, cost, tuple(parts), size, k)
+
+    def pinned(self) -> Linear:
+        """The same with nuisances held that are pressed against an end of their range: they can take nothing up."""
+        blocks = []
+        for b in self.blocks:
+            low, high = b.group.lower, b.group.upper
+            gradient = np.einsum("jmd,jd->jm", b.T, b.r) + b.eta
+            near = 1e-6 * (high - low)
+            held = ((b.eta - low < near) & (gradient > 0.0)) | ((high - b.eta < near) & (gradient < 0.0))
+            blocks.append(replace(b, T=np.where(held[:, :, None], 0.0, b.T)) if held.any() else b)
+        return replace(self, blocks=tuple(blocks))
+
+
+@dataclass(frozen=True, eq=False)
+class Normals:
+    """S and g before the elimination, and each trial's H, T'J and nuisance gradient."""
+
+    linear: Linear
+    S: Array
+    g: Array
+    cost: float
+    parts: tuple[tuple[Block, Array, Array, Array], ...]
+    size: int
+    extra: int
+
+    def reduced(self, damping: float = 0.0) -> tuple[Array, Array, list[Array]]:
+        """S and g with the nuisances eliminated, and H_j^-1 of each block."""
+        S, g = self.S.copy(), self.g.copy()
+        inverses = []
+        for _, H, TJ, gT in self.parts:
+            if H.shape[1] == 0:
+                inverses.append(H)
+                continue
+            m = H.shape[1]
+            damped = H + damping * H * np.eye(m)
+            inverse = np.linalg.inv(damped)
+            S -= np.sum(TJ.transpose(0, 2, 1) @ (inverse @ TJ), axis=0)
+            g -= np.sum(TJ.transpose(0, 2, 1) @ (inverse @ gT[:, :, None]), axis=0)[:, 0]
+            inverses.append(np.asarray(inverse, float))
+        return S, g, inverses
+
+    def step(self, damping: float) -> tuple[Array, dict[int, Array]]:
+        """Damped Gauss-Newton step in q and in each trial's eta."""
+        S, g, inverses = self.reduced(damping)
+        S[np.diag_indices_from(S)] *= 1.0 + damping
+        dq = -np.linalg.solve(S, g)
+        deta: dict[int, Array] = {}
+        for (block, _, TJ, gT), inverse in zip(self.parts, inverses, strict=True):
+            move = -np.einsum("jmn,jn->jm", inverse, gT + TJ @ dq) if inverse.shape[1] else gT
+            for k, i in enumerate(block.group.trials):
+                deta[i] = move[k]
+        return np.asarray(dq, float), deta
+
+    def log_evidence(self) -> float:
+        """Laplace evidence without the constant of the noise; -inf if a matrix is not positive definite."""
+        S, _, _ = self.reduced()
+        total = -0.5 * self.cost
+        sign, log_det = np.linalg.slogdet(S)
+        if sign <= 0 or not np.isfinite(log_det):
+            return -math.inf
+        total -= 0.5 * log_det
+        for _, H, _, _ in self.parts:
+            if H.shape[1]:
+                signs, log_dets = np.linalg.slogdet(H)
+                if np.any(signs <= 0):
+                    return -math.inf
+                total -= 0.5 * float(np.sum(log_dets))
+        return total if math.isfinite(total) else -math.inf

@@ -1,0 +1,663 @@
+"""What the fit of one model to one experiment needs: unknowns in standard coordinates, trials in groups, weights."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper.calibration.experiment import (
+    Experiment,
+    TrialRecord,
+    default_priors,
+    longest_step,
+    release_window,
+    repeats,
+)
+from bayes_damper.calibration.noise_level import Noise, rough_noise
+from bayes_damper.calibration.normal_equations import Block, Linear
+from bayes_damper.distributions import (
+    Distribution,
+    HalfNormal,
+    LogNormal,
+    LogUniform,
+    Normal,
+    Uniform,
+    from_standard,
+    median,
+    to_standard,
+)
+from bayes_damper.effects.base import Variant
+from bayes_damper.model import Model
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.signedinteger[Any]]
+NOMINAL = ("k2t", "c2t", "c1t", "c3t", "mu", "drag", "nu")
+FRICTION_SPREAD = 0.04  # prior sd of ln mu from trial to trial, where the repeats show that it varies
+EVENT_THRESHOLD = 4.5  # robust sds of the second difference beyond which a sample counts as an event
+EVENT_TIMING = 5e-5  # s, by which the instant of an event may be off without the model being wrong
+RELEASE_WEIGHT = 0.4  # of the first two readings
+FIRST_STAGE_EVENT_WEIGHT = 0.15
+OWN_FRICTION = ("ln_mu", "ln_drag")  # nuisances whose derivative is that of the parameter all trials share
+OFFSET_SHARE = 0.05  # of a channel's reach: prior sd of its unknown offset, where the campaign does not say
+_FARTHEST = 37.0  # standard deviations beyond which a coordinate is not followed
+
+
+def coordinate_of(distribution: Distribution, x: float) -> float:
+    """The standard Gaussian coordinate of the value `x`, cut to +-8."""
+    return float(np.clip(to_standard(distribution, x), -8.0, 8.0))
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """One unknown of the whole campaign, or of one `case` if that is given.
+
+    role: "nominal", "release" (angle or instant), "constant", "stiffness" (k1t number `index`), "sensor" (scale of
+    channel `index`), "lag" (of its readings, s) or "effect".
+    """
+
+    name: str
+    role: Literal["nominal", "release", "constant", "stiffness", "sensor", "lag", "effect"]
+    prior: Distribution
+    index: int = 0
+    case: str | None = None
+
+    @property
+    def parameter(self) -> str:
+        """The name without its case."""
+        return self.name.partition("[")[0]
+
+
+@dataclass(frozen=True)
+class Switches:
+    """Which nuisances of the trials are free: the instant of release, each trial's own friction, its bearings' drag."""
+
+    delay: bool = True
+    friction: bool = True
+    drag: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Training trials that can share one simulation: same configuration, times and torque."""
+
+    coupled: bool
+    trials: tuple[int, ...]
+    times: Array
+    torque: Array | None
+    y: Array  # (trials, channels, n), missing readings 0
+    weight: Array  # the same shape; 0 where missing
+    first_weight: Array
+    nuisances: tuple[tuple[str, Array, Array], ...]  # name, prior mean and sd for each trial
+    lower: Array  # (trials, m) bounds of eta
+    upper: Array
+
+    def weights(self, annealed: bool) -> Array:
+        """Weights of the residuals; annealed: samples beside friction reversals count little, for a smoother cost."""
+        return self.first_weight if annealed else self.weight
+
+
+def _event_strength(y: Array, noise: Array) -> Array:
+    """How far each sample's neighbourhood jumps, in the unit of y: 0 away from events. y (channels, n)."""
+    jump = np.zeros_like(y)
+    if y.shape[1] < 8:
+        return jump
+    second = np.zeros_like(y)
+    second[:, 1:-1] = y[:, 2:] - 2.0 * y[:, 1:-1] + y[:, :-2]
+    second[~np.isfinite(second[:, 2:-2]).any(axis=1)] = 0.0  # no three readings in a row
+    scale = 1.4826 * np.nanmedian(np.abs(second[:, 2:-2]), axis=1) + 1e-300
+    scale = np.maximum(scale, noise)
+    hit = np.abs(second) > EVENT_THRESHOLD * scale[:, None]
+    step = np.zeros_like(y)
+    step[:, 1:] = np.abs(np.diff(y, axis=1))
+    step[:, :-1] = np.maximum(step[:, :-1], step[:, 1:])
+    for shift in (-1, 0, 1):
+        rolled = np.roll(np.where(hit, step, 0.0), shift, axis=1)
+        jump = np.maximum(jump, rolled)
+    return np.asarray(np.nan_to_num(jump))
+
+
+class Problem:
+    """Everything that the fit of one model to one experiment needs: coordinates, trials in groups, weights, noise."""
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        effect: Variant | None = None,
+        *,
+        nominal: Literal["nonlinear", "linear"] = "nonlinear",
+        noise: Noise | None = None,
+        switches: Switches | None = None,
+        threads: int = 1,
+        tolerance: float = 1.0,
+        trials: Sequence[int] | None = None,
+        factors: Mapping[int, Array] | None = None,
+    ) -> None:
+        """`trials`: indices of those to fit, default all that are not held out; `noise` is estimated if absent;
+        factors: trial -> what multiplies the weights of its readings, (channels, n) or a number.
+        """
+        self.experiment = experiment
+        self.effect = effect
+        self.nominal = nominal
+        self.threads = threads
+        self.tolerance = tolerance
+        self.trials = tuple(experiment.training if trials is None else trials)
+        self.switches = switches or Switches()
+        self.factors = dict(factors or {})
+        self.noise = noise or rough_noise(experiment, self.trials)
+        self._defaults = default_priors(experiment)
+        self._cases = tuple(dict.fromkeys(t.case for t in experiment.trials))
+        self._medians = {
+            name: {case: middle(self.prior(name, case)) for case in self._cases} for name in NOMINAL
+        }  # of each case
+        self.coordinates = self._coordinates()
+        self.names = tuple(c.name for c in self.coordinates)
+        self.size = len(self.coordinates)
+        self.models = {coupled: _model(experiment, coupled, effect) for coupled in (False, True)}
+        self._groups: dict[tuple[int, ...], list[Group]] = {}
+        self.groups = self.grouped(self.trials)
+
+    def with_noise(self, noise: Noise) -> Problem:
+        """The same problem under another noise."""
+        return Problem(
+            self.experiment, self.effect, nominal=self.nominal, noise=noise, switches=self.switches,
+            threads=self.threads, tolerance=self.tolerance, trials=self.trials, factors=self.factors,
+        )  # fmt: skip
+
+    def reweighted(self, factors: Mapping[int, Array]) -> Problem:
+        """The same problem with weights of readings multiplied: trial -> (channels, n) or a number."""
+        both = {i: f * self.factors[i] if i in self.factors else f for i, f in factors.items()}
+        return Problem(
+            self.experiment, self.effect, nominal=self.nominal, noise=self.noise, switches=self.switches,
+            threads=self.threads, tolerance=self.tolerance, trials=self.trials, factors={**self.factors, **both},
+        )  # fmt: skip
+
+    def for_trials(self, trials: Sequence[int]) -> Problem:
+        """The same problem for other trials of the experiment."""
+        return Problem(
+            self.experiment, self.effect, nominal=self.nominal, noise=self.noise, switches=self.switches,
+            threads=self.threads, tolerance=self.tolerance, trials=trials,
+        )  # fmt: skip
+
+    def with_effect(self, effect: Variant | None) -> Problem:
+        """The same data, noise and nuisances under another effect; groups are shared."""
+        other = Problem.__new__(Problem)
+        other.__dict__.update(self.__dict__)
+        other.effect = effect
+        other.coordinates = other._coordinates()  # noqa: SLF001 (the same class)
+        other.names = tuple(c.name for c in other.coordinates)
+        other.size = len(other.coordinates)
+        other.models = {coupled: _model(self.experiment, coupled, effect) for coupled in (False, True)}
+        return other
+
+    @property
+    def n_data(self) -> float:
+        """Number of readings, weighted."""
+        return float(sum(np.sum(g.weight**2) for g in self.groups))
+
+    # Set-up
+
+    def prior(self, name: str, case: str) -> Distribution | float:
+        """Prior of a parameter for the trials of a case: a distribution, or a number where it is fixed."""
+        e = self.experiment
+        own = e.case_priors.get(name, {})
+        return own[case] if case in own else e.priors[name] if name in e.priors else self._defaults[name]
+
+    def _coordinates(self) -> tuple[Coordinate, ...]:
+        e = self.experiment
+        used = [e.trials[i] for i in self.trials] or list(e.trials)
+        coupled = any(t.coupled for t in used)
+        names = ["k2t", "c2t", "c1t", "c3t"] if coupled else ["c1t"]
+        if self.nominal == "nonlinear":
+            names += ["mu", "drag", "nu"] if coupled and e.magnet else ["drag", "nu"]
+        out = []
+        for name in dict.fromkeys(e.ties.get(n, n) for n in names):
+            out += self._shared(name, "nominal", [t for t in used if t.coupled or name in self._alone()])
+        for name in ("theta0", "delay"):
+            if e.start == "rest" and e.levels.get(name, "trial") != "trial":
+                out += self._shared(name, "release", used)
+        for name, (value, sd) in e.constants.items():
+            if sd > 0.0 and (coupled or name == "J1"):
+                out.append(Coordinate(name, "constant", Normal(value, sd)))
+        for i, (value, sd) in enumerate(e.stiffnesses):
+            if sd > 0.0 and any(t.k1t == i for t in used):
+                label = "k1t" if len(e.stiffnesses) == 1 else f"k1t[{value:g}]"
+                out.append(Coordinate(label, "stiffness", Normal(value, sd), i))
+        for c, sd in enumerate(e.scale_sd[: 1 + int(coupled)]):
+            if sd > 0.0:
+                out.append(Coordinate(f"scale{c + 1}", "sensor", Normal(1.0, sd), c))
+        for c, sd in enumerate(e.lag_sd[: 1 + int(coupled)]):
+            if sd > 0.0:
+                out.append(Coordinate(f"lag{c + 1}", "lag", Normal(0.0, sd), c))
+        if self.effect is not None:
+            out += [Coordinate(f"effect.{p.name}", "effect", p.prior) for p in self.effect.parameters]
+        return tuple(out)
+
+    def _shared(
+        self, name: str, role: Literal["nominal", "release"], trials: Sequence[TrialRecord]
+    ) -> list[Coordinate]:
+        """The unknowns that a parameter has at its level: one, or one for each case; none if it is each trial's own."""
+        e = self.experiment
+        cases = list(dict.fromkeys(t.case for t in trials))
+        level = e.levels.get(name, "campaign")
+        free = {
+            case: p for case in cases if not isinstance(p := self.prior(name, case), float | int) and _spread(p) > 0
+        }
+        if level == "trial" or not free:
+            return []
+        if len(cases) > 1 and (level == "case" or name in e.case_priors):
+            return [Coordinate(f"{name}[{case}]", role, p, case=case) for case, p in free.items()]
+        return [Coordinate(name, role, next(iter(free.values())))]
+
+    def _alone(self) -> set[str]:
+        """Parameters that act on trials of the primary alone."""
+        alone = {"J1", "c1t", "drag", "nu", "theta0", "delay"}
+        return alone | {other for name, other in self.experiment.ties.items() if name in alone}
+
+    def grouped(self, trials: Sequence[int]) -> list[Group]:
+        """The trials in groups that share a simulation."""
+        known = self._groups.get(tuple(trials))
+        if known is not None:
+            return known
+        e = self.experiment
+        keyed: dict[tuple[Any, ...], list[int]] = {}
+        for i in trials:
+            t = e.trials[i]
+            driven = None if t.torque is None or not np.any(t.torque) else t.torque.tobytes()
+            keyed.setdefault((t.coupled, t.times.tobytes(), driven), []).append(i)
+        groups = [self._group(members) for members in keyed.values()]
+        self._groups[tuple(trials)] = groups
+        return groups
+
+    def _group(self, members: list[int]) -> Group:
+        e = self.experiment
+        trials = [e.trials[i] for i in members]
+        first = trials[0]
+        raw = np.array([t.y for t in trials])
+        y = np.nan_to_num(raw)
+        spread = np.array(self.noise.total[: y.shape[1]])
+        weight = np.ones_like(y)
+        annealed = np.ones_like(y)
+        for same in repeats(trials):
+            jump = np.max([_event_strength(raw[k], 2.4 * spread) for k in same], axis=0)
+            jump = jump * (first.times > first.times[0])
+            rate = 1.0 / max(float(np.median(np.diff(first.times))), 1e-12) if first.times.size > 1 else 0.0
+            extra = (jump * rate * EVENT_TIMING / spread[:, None]) ** 2
+            for k in same:
+                weight[k] /= np.sqrt(1.0 + extra)
+                annealed[k] = np.where(jump > 0.0, FIRST_STAGE_EVENT_WEIGHT, 1.0)
+        nuisances, lower, upper = self._nuisances(trials)
+        if e.start == "rest" and first.times.size > 2 and e.quantity == "acceleration":
+            # The release itself: what rig and sensor do within a sample of it is told by no formula exactly.
+            early = first.times <= first.times[0] + 1.5 * float(np.median(np.diff(first.times)))
+            for k, t in enumerate(trials):
+                if t.times[0] <= 0.0:
+                    weight[k][:, early] *= RELEASE_WEIGHT
+        for k, i in enumerate(members):
+            weight[k] *= self.factors.get(i, 1.0)
+        missing = ~np.isfinite(raw)
+        weight[missing] = 0.0
+        annealed = np.minimum(annealed, weight)
+        return Group(
+            first.coupled, tuple(members), first.times, first.torque, y, weight, annealed, nuisances, lower, upper
+        )
+
+    def _nuisances(self, trials: list[TrialRecord]) -> tuple[tuple[tuple[str, Array, Array], ...], Array, Array]:
+        e = self.experiment
+        n = len(trials)
+        out: list[tuple[str, Array, Array]] = []
+        bounds: list[tuple[Array, Array]] = []
+        wide = (np.full(n, -_FARTHEST), np.full(n, _FARTHEST))
+        if e.start == "free":
+            omega = math.sqrt(e.stiffnesses[0][0] / e.constants["J1"][0])
+            for name, order in (("theta0", 0), ("omega1_0", 1), ("theta2_0", 0), ("omega2_0", 1)):
+                if name in ("theta2_0", "omega2_0") and not trials[0].coupled:
+                    continue
+                channel = 1 if "2_0" in name else 0
+                power = order - {"displacement": 0, "velocity": 1, "acceleration": 2}[e.quantity]
+                reach = np.array([float(np.nanmax(np.abs(t.y[channel]))) for t in trials]) * omega**power
+                guess = np.zeros(n)
+                if power == 0:
+                    guess = np.array([float(np.nan_to_num(t.y[channel][0])) for t in trials])
+                elif power == 1 and e.quantity == "displacement":
+                    guess = np.array([_first_slope(t.times, t.y[channel], 1.0 / omega) for t in trials])
+                elif power == -2:
+                    guess = -np.array([float(np.nan_to_num(t.y[channel][0])) for t in trials]) / omega**2
+                out.append((name, guess, 1.5 * reach + 1e-9))
+                bounds.append(wide)
+            out += self._offsets(trials)
+            bounds += [wide] * (len(out) - len(bounds))
+            return tuple(out), np.array([b[0] for b in bounds]).T, np.array([b[1] for b in bounds]).T
+        mean = np.array([t.theta0 for t in trials])
+        sd = np.array([t.theta0_sd for t in trials])
+        if np.any(sd > 0.0) and "theta0" not in e.levels:
+            out.append(("theta0", mean, np.maximum(sd, 1e-12)))
+            bounds.append(wide)
+        absent = {"mu"} if not e.magnet else set()
+        absent |= {"mu", "drag"} if self.nominal == "linear" else set()
+        for name in (*NOMINAL, "theta0", "delay"):
+            if e.levels.get(name) == "trial" and name not in absent and (trials[0].coupled or name in self._alone()):
+                found = _own_value(name, [self.prior(name, t.case) for t in trials])
+                if found is not None:
+                    out.append(found[0])
+                    bounds.append(found[1])
+        if self.switches.delay and "delay" not in e.levels:
+            low, high = np.array([release_window(t, e.quantity) for t in trials]).T
+            middle, half = 0.5 * (low + high), 0.35 * (high - low)
+            out.append(("delay", middle, half))
+            # A rig seen held at the first reading bounds the release from below; else the logger may be later yet.
+            slack = np.where(low >= np.array([t.times[0] for t in trials]), -1e-6, 0.4)
+            bounds.append(((low - middle) / half - slack, (high - middle) / half * (1.0 - 1e-9)))
+        if self.switches.friction and trials[0].coupled and any(c.parameter == "mu" for c in self.coordinates):
+            out.append(("ln_mu", np.zeros(n), np.full(n, FRICTION_SPREAD)))
+            bounds.append(wide)
+        if self.switches.drag and any(c.parameter == "drag" for c in self.coordinates):
+            out.append(("ln_drag", np.zeros(n), np.full(n, FRICTION_SPREAD)))
+            bounds.append(wide)
+        out += self._offsets(trials)
+        bounds += [wide] * (len(out) - len(bounds))
+        if not out:
+            return (), np.zeros((n, 0)), np.zeros((n, 0))
+        return tuple(out), np.array([b[0] for b in bounds]).T, np.array([b[1] for b in bounds]).T
+
+    def _offsets(self, trials: list[TrialRecord]) -> list[tuple[str, Array, Array]]:
+        """Reading of each channel at rest, unknown for each trial; its prior is a share of the channel's reach."""
+        e = self.experiment
+        out = []
+        for c in range(1 + int(trials[0].coupled)):
+            if e.offset_sd is not None:
+                sd = np.full(len(trials), e.offset_sd[min(c, len(e.offset_sd) - 1)])
+            elif e.quantity == "displacement":
+                sd = OFFSET_SHARE * np.array([float(np.nanmax(np.abs(t.y[c]))) for t in trials])
+            else:
+                continue
+            if np.any(sd > 0.0):
+                out.append((f"offset{c + 1}", np.zeros(len(trials)), np.maximum(sd, 1e-12)))
+        return out
+
+    # Simulation
+
+    def prior_mean(self) -> Array:
+        """The start at the prior medians, (size,)."""
+        return np.zeros(self.size)
+
+    def no_nuisance(self) -> dict[int, Array]:
+        """Nuisances at their prior means: trial -> (m,)."""
+        return {i: np.zeros(len(g.nuisances)) for g in self.groups for i in g.trials}
+
+    def parameters(self, q: Array) -> dict[str, Array]:
+        """Values of the coordinates q (..., size) by name."""
+        return {c.name: from_standard(c.prior, q[..., i]) for i, c in enumerate(self.coordinates)}
+
+    def _inputs(self, group: Group, which: Indices, q: Array, eta: Array) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Arguments of Model.simulate for vectors q (n, size), eta (n, m) on the group's trials `which` (n,)."""
+        e = self.experiment
+        rig: dict[str, Any] = {name: value for name, (value, _) in e.constants.items()}
+        rig["k1t"] = np.array([e.stiffnesses[e.trials[i].k1t][0] for i in group.trials])[which]
+        rig["theta0"] = np.array([e.trials[i].theta0 for i in group.trials])[which]
+        cases = [e.trials[i].case for i in group.trials]
+        for name, middles in self._medians.items():
+            own = [middles[case] for case in cases]
+            rig[name] = own[0] if len(set(own)) == 1 else np.array(own)[which]
+        if self.nominal == "linear":
+            rig |= {"mu": 0.0, "drag": 0.0}
+        for name in ("theta0", "delay"):
+            if name in e.levels and e.start == "rest":
+                rig[name] = np.array([middle(self.prior(name, case)) for case in cases])[which]
+        rig = {
+            "N0": 0.0,
+            "R": 1.0,
+            "r": 1.0,
+        } | rig  # a rig without magnet, or with a constant pull, has no use for them
+        if not e.magnet:
+            rig["mu"] = 0.0
+        effect: dict[str, Any] = {}
+        for i, c in enumerate(self.coordinates):
+            x = from_standard(c.prior, q[:, i])
+            if c.role == "effect":
+                effect[c.name.removeprefix("effect.")] = x
+            elif c.role in ("sensor", "lag"):
+                continue
+            elif c.role == "stiffness" or c.case is not None:
+                hit = self.touched(c, group)[which]
+                rig[c.parameter] = np.where(hit, x, rig[c.parameter])
+            else:
+                rig[c.name] = x
+        for i, (name, mean, sd) in enumerate(group.nuisances):
+            x = mean[which] + sd[which] * eta[:, i]
+            if name.startswith("ln_"):
+                rig[name[3:]] = rig[name[3:]] * np.exp(x)
+            elif not name.startswith("offset"):
+                rig[name] = x
+        for name, other in e.ties.items():
+            if name in NOMINAL:
+                rig[name] = rig[other]
+        if e.start == "free":
+            rig["delay"] = float(group.times[0])
+        return {"theta2_0": rig["theta0"]} | rig, effect
+
+    def _read(self, y: Array, group: Group, which: Indices, q: Array, eta: Array) -> Array:
+        """Motions y (n, channels, n_times) as the sensors show them: each channel's scale and offset, in place."""
+        for i, c in enumerate(self.coordinates):
+            if c.role == "sensor" and c.index < y.shape[1]:
+                y[:, c.index] *= from_standard(c.prior, q[:, i])[:, None]
+        for i, (name, mean, sd) in enumerate(group.nuisances):
+            if name.startswith("offset"):
+                y[:, int(name[6:]) - 1] += (mean[which] + sd[which] * eta[:, i])[:, None]
+        return y
+
+    def simulate(self, group: Group, which: Indices, q: Array, eta: Array) -> Array:
+        """Readings (n, channels, n_times) of vectors q (n, size), eta (n, m) on the group's trials `which` (n,)."""
+        rig, effect = self._inputs(group, which, q, eta)
+
+        def readings(rig: dict[str, Any]) -> Array:
+            return (
+                self.models[group.coupled]
+                .simulate(
+                    rig,
+                    group.times,
+                    effect=effect if self.effect is not None else None,
+                    torque=group.torque,
+                    quantity=self.experiment.quantity,
+                    tolerance=self.tolerance,
+                    threads=self.threads,
+                )
+                .y
+            )
+
+        y = readings(rig)
+        for i, c in enumerate(self.coordinates):
+            if c.role == "lag" and c.index < y.shape[1]:
+                late = rig | {"delay": rig.get("delay", 0.0) + from_standard(c.prior, q[:, i])}
+                y[:, c.index] = readings(late)[:, c.index]
+        return self._read(y, group, which, q, eta)
+
+    def whitened(self, r: Array, weight: Array) -> Array:
+        """Weighted innovations, (..., channels * n), of residuals r (..., channels, n)."""
+        scaled = r * weight
+        parts = [self.noise.whiten(c, scaled[..., c, :]) for c in range(r.shape[-2])]
+        return np.concatenate(parts, axis=-1)
+
+    def costs(self, q: Array, eta: Mapping[int, Array], annealed: bool = False) -> Array:
+        """Cost of k candidates: q (k, size), eta: trial -> (k, m). inf where a simulation failed."""
+        k = q.shape[0]
+        total = np.sum(q**2, axis=1)
+        for group in self.groups:
+            n = len(group.trials)
+            which = np.tile(np.arange(n), k)
+            values = np.stack([eta[i] for i in group.trials], axis=1).reshape(k * n, -1)
+            y = self.simulate(group, which, np.repeat(q, n, axis=0), values)
+            r = y - group.y[which]
+            w = self.whitened(r, group.weights(annealed)[which])
+            chi2 = np.einsum("ij,ij->i", w, w)
+            total = total + (chi2 + np.sum(values**2, axis=1)).reshape(k, n).sum(axis=1)
+        return np.where(np.isfinite(total), total, np.inf)
+
+    def linearise(
+        self, q: Array, eta: Mapping[int, Array], *, annealed: bool = False, central: bool = False,
+        steps: Array | None = None,
+    ) -> Linear:  # fmt: skip
+        """Whitened residuals and their derivatives at one point. steps (size,) of the differences in q."""
+        blocks = []
+        steps = np.full(self.size, 2e-3) if steps is None else steps
+        for group in self.groups:
+            # Unknowns of different cases or springs never meet in a trial: they share a simulation.
+            together: dict[str, list[int]] = {}
+            for i, c in enumerate(self.coordinates):
+                if self._acts(c, group):
+                    together.setdefault(c.name if c.role == "effect" else c.parameter, []).append(i)
+            n = len(group.trials)
+            m = len(group.nuisances)
+            names = [name for name, _, _ in group.nuisances]
+            moved = [
+                i
+                for i, name in enumerate(names)
+                if not name.startswith("offset") and not (name in OWN_FRICTION and name[3:] in together)
+            ]
+            lanes = 1 + len(together) + len(moved)
+            sides = (1.0, -1.0) if central else (1.0,)
+            base_q = np.tile(q, (n, 1))
+            base_eta = np.array([eta[i] for i in group.trials]).reshape(n, m)
+            rows_q = [base_q]
+            rows_eta = [base_eta]
+            trial_steps = np.full((n, m), 2e-3)
+            for i, name in enumerate(names):
+                if name == "delay":
+                    trial_steps[:, i] = 1e-6 / group.nuisances[i][2]
+                trial_steps[:, i] *= np.where(base_eta[:, i] + trial_steps[:, i] > group.upper[:, i], -1.0, 1.0)
+            for side in sides:
+                for members in together.values():
+                    moved_q = base_q.copy()
+                    for i in members:
+                        moved_q[:, i] += side * steps[i]
+                    rows_q.append(moved_q)
+                    rows_eta.append(base_eta)
+                for i in moved:
+                    moved_eta = base_eta.copy()
+                    moved_eta[:, i] += side * trial_steps[:, i]
+                    rows_q.append(base_q)
+                    rows_eta.append(moved_eta)
+            copies = len(rows_q)
+            y = self.simulate(
+                group, np.tile(np.arange(n), copies), np.concatenate(rows_q), np.concatenate(rows_eta)
+            ).reshape(copies, n, -1, group.times.size)
+            base = y[0]
+            forward = y[1:lanes] - base
+            if central:
+                backward = y[lanes:] - base
+                bad = ~np.isfinite(backward).all(axis=(2, 3))
+                for k, i in enumerate(moved):
+                    # Beyond the end of a nuisance's range a reading may jump: the release is another sample's.
+                    back = base_eta[:, i] - trial_steps[:, i]
+                    bad[len(together) + k] |= (back < group.lower[:, i]) | (back > group.upper[:, i])
+                backward[bad] = -forward[bad]
+                forward = 0.5 * (forward - backward)
+            forward[~np.isfinite(forward).all(axis=(2, 3))] = 0.0
+            weight = group.weights(annealed)
+            r = self.whitened(base - group.y, weight)
+            w = self.whitened(forward, weight)  # (lanes - 1, n, data)
+            jac = np.zeros((n, self.size, w.shape[-1]))
+            for k, members in enumerate(together.values()):
+                for i in members:
+                    hit = self.touched(self.coordinates[i], group)
+                    jac[hit, i] = w[k][hit] / steps[i]
+            own = np.zeros((n, m, w.shape[-1]))
+            for k, i in enumerate(moved):
+                own[:, i] = w[len(together) + k] / trial_steps[:, i, None]
+            for i, name in enumerate(names):
+                if name.startswith("offset"):
+                    shift = np.zeros_like(group.y)
+                    shift[:, int(name[6:]) - 1] = group.nuisances[i][2][:, None]
+                    own[:, i] = self.whitened(shift, weight)
+            for name in OWN_FRICTION:
+                for i in together.get(name[3:], ()) if name in names else ():
+                    hit = self.touched(self.coordinates[i], group)
+                    per_log = math.log(_factor(self.coordinates[i].prior))
+                    own[hit, names.index(name)] = jac[hit, i] * (FRICTION_SPREAD / per_log)
+            blocks.append(Block(group, r, jac, own, base_eta))
+        return Linear(self, q, tuple(blocks))
+
+    def touched(self, c: Coordinate, group: Group) -> NDArray[np.bool_]:
+        """Which trials of a group a coordinate belongs to, (trials,)."""
+        trials = [self.experiment.trials[i] for i in group.trials]
+        if c.role == "stiffness":
+            return np.array([t.k1t == c.index for t in trials])
+        return np.array([c.case is None or t.case == c.case for t in trials])
+
+    def _acts(self, c: Coordinate, group: Group) -> bool:
+        """Whether a coordinate can change the records of a group."""
+        if c.role == "effect":
+            return self.effect is not None and (group.coupled or self.effect.uncoupled)
+        if c.role in ("sensor", "lag"):
+            return group.coupled or c.index == 0
+        free = group.coupled or c.role == "stiffness" or c.parameter in self._alone()
+        return free and bool(self.touched(c, group).any())
+
+
+def middle(prior: Distribution | float) -> float:
+    """The median of a prior, or the number it is fixed at."""
+    return float(prior) if isinstance(prior, float | int) else median(prior)
+
+
+def _own_value(
+    name: str, priors: Sequence[Distribution | float]
+) -> tuple[tuple[str, Array, Array], tuple[Array, Array]] | None:
+    """Nuisance of a parameter that each trial has for itself, with its bounds; None if it is fixed.
+
+    Scales are followed by their logarithm, relative to the median. What is not Gaussian there already (uniform,
+    half-normal) gets the Gaussian of the same middle and spread, cut where the prior ends.
+    """
+    if all(isinstance(p, float | int) for p in priors):
+        return None
+    means, sds, lows, highs = [], [], [], []
+    log = all(isinstance(p, float | int | LogNormal | LogUniform) for p in priors) and name not in ("theta0", "delay")
+    for p in priors:
+        value = middle(p)
+        if isinstance(p, float | int):
+            spread, low, high = 1e-12, -math.inf, math.inf
+        elif isinstance(p, LogNormal):
+            spread, low, high = math.log(p.factor) * (1.0 if log else value), -math.inf, math.inf
+        else:
+            (low, high), edge = p.support, (float(p.ppf(0.16)), float(p.ppf(0.84)))
+            spread = 0.5 * (math.log(edge[1] / edge[0]) if log else edge[1] - edge[0])
+            if log:
+                low, high = math.log(low / value), math.log(high / value)
+        centre = 0.0 if log else value
+        means.append(centre)
+        sds.append(spread)
+        lows.append(max((low - centre) / spread, -_FARTHEST))
+        highs.append(min((high - centre) / spread, _FARTHEST))
+    label = f"ln_{name}" if log else name
+    return (label, np.array(means), np.array(sds)), (np.array(lows), np.array(highs))
+
+
+def _model(experiment: Experiment, coupled: bool, effect: Variant | None) -> Model:
+    """The model of one configuration."""
+    law = experiment.coupling_law if coupled else "constant"
+    return Model(coupled, experiment.normal_force, experiment.restoring, effect, law, longest_step(experiment))
+
+
+def _first_slope(times: Array, y: Array, within: float) -> float:
+    """Rate of change at the first reading, from a parabola through the readings `within` so many seconds."""
+    near = (times <= times[0] + within) & np.isfinite(y)
+    if np.count_nonzero(near) < 4:
+        return 0.0
+    return float(np.polynomial.polynomial.polyfit(times[near] - times[0], y[near], 2)[1])
+
+
+def _spread(distribution: Distribution) -> float:
+    return float(distribution.ppf(0.84) - distribution.ppf(0.16))
+
+
+def _factor(distribution: Distribution) -> float:
+    """Local factor per unit of z of a scale parameter at its median (exact for a LogNormal)."""
+    if isinstance(distribution, LogNormal):
+        return distribution.factor
+    if isinstance(distribution, LogUniform | Uniform | HalfNormal | Normal):
+        low, high = float(from_standard(distribution, -0.1)), float(from_standard(distribution, 0.1))
+        return (high / low) ** 5.0 if low > 0.0 else math.e
+    return math.e
