@@ -1,0 +1,92 @@
+"""What the tuning figures show: the loss over J2 and R, and frequency responses, with bands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper import linear
+from bayes_damper.tuning.draws import Draws
+from bayes_damper.tuning.optimum import middle_of
+from bayes_damper.tuning.performance import Design, harmonic_response, linear_performance, linear_rig, probability_of
+
+Array = NDArray[np.float64]
+CURVES: Mapping[str, tuple[float, float]] = {"J2": (0.1, 2.0), "R": (0.5, 2.0)}
+"""What the tuning curves go over, as factors on the rig's present J2 and R."""
+_CURVE_POINTS = 25
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Insertion loss of the linear model over one quantity of the design: its values (n,), mean and central 90 % of the
+    loss in dB, and the probability of the target, each (n,).
+    """
+
+    values: Array
+    mean: Array
+    low: Array
+    high: Array
+    probability: Array
+
+
+def tuning_curves(
+    draws: Draws, design: Design, target_db: float, over: Sequence[str] = tuple(CURVES)
+) -> dict[str, Curve]:
+    """Insertion loss against J2 and R about a design, all else as in the design; `over` : which of them."""
+    out = {}
+    for name in over:
+        low, high = CURVES[name]
+        values = middle_of(draws, name) * np.geomspace(low, high, _CURVE_POINTS)
+        if name == "J2":
+            values = values[values >= design.bar_inertia]
+        found = [linear_performance(draws, replace(design, **{name: float(x)})) for x in values]
+        losses = np.array([p.insertion_loss for p in found])
+        low_loss, _, high_loss = quantiles(losses)
+        told = np.isfinite(losses)
+        mean = np.where(told, losses, 0.0).sum(axis=1) / np.where(told.any(axis=1), told.sum(axis=1), np.nan)
+        reached = np.array([probability_of(p, target_db) for p in found])
+        out[name] = Curve(values, mean, low_loss, high_loss, reached)
+    return out
+
+
+@dataclass(frozen=True)
+class Band:
+    """Quantiles 5, 50 and 95 % of an accelerance over the posterior; each (n_frequencies,)."""
+
+    frequency_hz: Array
+    low: Array
+    median: Array
+    high: Array
+
+
+def _band(frequency: Array, accelerance: Array) -> Band:
+    return Band(frequency, *quantiles(accelerance.T))
+
+
+def quantiles(x: Array) -> Array:
+    """Quantiles 5, 50 and 95 % over the draws, the last axis: (3, n); nan where no draw has a value."""
+    told = np.isfinite(x)
+    some = np.asarray(told.any(axis=-1))
+    found = np.nanquantile(np.where(told, x, np.where(some[:, None], np.nan, 0.0)), [0.05, 0.5, 0.95], axis=-1)
+    return np.where(some, found, np.nan)
+
+
+def frequency_responses(draws: Draws, designs: Mapping[str, Design], amplitude: float | None = None) -> dict[str, Band]:
+    """Bands of the accelerance without a secondary ("uncoupled") and with each design.
+
+    By the linear model, or by the nonlinear one at an `amplitude` (N m).
+    """
+    own = float(np.median(linear.natural_frequency(draws["k1t"], draws["J1"])))
+    frequency = own * np.linspace(0.3, 2.0, 171 if amplitude is None else 35)
+
+    def response(values: Draws, coupled: bool) -> Array:
+        if amplitude is not None:
+            return harmonic_response(values, frequency, amplitude, coupled)[0]
+        without = dict(values) if coupled else dict(values) | {k: np.zeros_like(values[k]) for k in ("k2t", "c2t")}
+        return linear.accelerance(linear_rig(without), frequency)[:, 0]
+
+    bands = {"uncoupled": _band(frequency, response(draws, coupled=False))}
+    return bands | {name: _band(frequency, response(d.apply(draws), coupled=True)) for name, d in designs.items()}

@@ -1,0 +1,280 @@
+"""Draws of the rig's parameters for a tuning: from a fit's folder, a published case or anyone's numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bayes_damper.campaign import Campaign, load_campaign
+from bayes_damper.errors import InputError
+from bayes_damper.parameters import unit_of
+from bayes_damper.published import load_published
+from bayes_damper.run import folder_name, read_json
+
+Array = NDArray[np.float64]
+Draws = Mapping[str, Array]
+SETUP = {"J1": 3.015e-3, "J2": 2.474e-3, "R": 0.10, "r": 0.0127, "N0": 100.0, "mu": 0.0, "drag": 0.0, "nu": 50.0}
+"""What stands in where the posterior has no such parameter (thesis, pp. 9, 24, 27; R and r are working values)."""
+LINEAR = ("J1", "J2", "k1t", "c1t", "c3t", "k2t", "c2t")
+NONLINEAR = (*LINEAR, "mu", "drag", "nu", "N0", "R", "r")
+AMPLITUDES = (0.02, 0.05, 0.1, 0.2)  # N m
+"""Exciting torques of the thesis's rig, and of draws whose campaign is not known."""
+OF_RELEASE = (0.025, 0.06, 0.12, 0.24)
+"""Exciting torques (forces) of another rig, as shares of k1t theta0, which held it before the release."""
+_WITHOUT_LIMIT = 1e9  # m: a face so large that the pull does not fall with the overlap
+
+
+def complete(
+    draws: Mapping[str, ArrayLike], case: str = "IV", rig: Mapping[str, float] | None = None
+) -> dict[str, Array]:
+    """Draws of every parameter that the models need, each (n,).
+
+    What the draws do not hold comes from `rig` (constants of a rig of one's own, SI), else from the published set-up:
+    k1t from the thesis's `case`, c3t from c1t.
+
+    Raises
+    ------
+    InputError
+        if a value has no physical meaning, lengths differ, or nothing tells k1t.
+    """
+    constants = dict(rig or {})
+    unknown = sorted(set(constants) - set(NONLINEAR))
+    if unknown:
+        raise InputError(f"rig: {unknown[0]!r} is no constant of the rig; it may hold {', '.join(NONLINEAR)}")
+    if "k1t" not in draws and "k1t" not in constants:
+        cases = load_published().cases
+        if case not in cases:
+            raise InputError(
+                f"case {case!r}: the draws hold no k1t, and the thesis has no such case (it has {', '.join(cases)}); "
+                "give k1t among the constants of the rig"
+            )
+        constants["k1t"] = cases[case].k1t
+    c1t = draws.get("c1t", constants.get("c1t", 0.0109))
+    given: dict[str, ArrayLike] = {**SETUP, "c1t": c1t, "c3t": c1t, "k2t": 0.0, "c2t": 0.0, **constants}
+    given |= {name: draws[name] for name in NONLINEAR if name in draws}
+    try:
+        columns = np.broadcast_arrays(*(np.atleast_1d(np.asarray(given[name], dtype=np.float64)) for name in NONLINEAR))
+    except ValueError:
+        lengths = ", ".join(f"{k} {np.size(v)}" for k, v in given.items() if np.size(v) > 1)
+        raise InputError(
+            f"the draws have different lengths ({lengths}); give one value of every parameter per draw"
+        ) from None
+    out = {name: column.ravel().copy() for name, column in zip(NONLINEAR, columns, strict=True)}
+    positive = ("J1", "J2", "k1t", "nu", "R", "r")
+    faults = [
+        f"{name}: the posterior holds values down to {out[name].min():g}; they must be "
+        f"{'above zero' if name in positive else 'at least zero'}"
+        for name in NONLINEAR
+        if not np.all((out[name] > 0.0) if name in positive else (out[name] >= 0.0))
+    ]
+    if faults:
+        raise InputError(faults)
+    return out
+
+
+def posterior_draws(
+    source: Mapping[str, ArrayLike] | Path | str,
+    case: str,
+    n: int,
+    rng: np.random.Generator,
+    rig: Mapping[str, float] | None = None,
+) -> dict[str, Array]:
+    """`n` draws of one case from arrays, from the `posterior.nc` of a fit, or from its `summary.json`.
+
+    A summary knows no correlations: each parameter is then drawn by itself, log-normal with its mean and sd.
+    """
+    if isinstance(source, Mapping):
+        full = complete(source, case, rig)
+    else:
+        full = complete(_stored(Path(source), case, n, rng), case, rig)
+    size = len(full["J1"])
+    pick = rng.permutation(size)[:n] if size >= n else rng.integers(size, size=n)
+    if size == 1:
+        pick = np.zeros(1, int)
+    return {name: column[pick] for name, column in full.items()}
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where draws come from: name of the campaign, its checksum, and the rig's constants that are not among them.
+
+    kind : of the rig; amplitudes : torques (N m; forces, N) that suit its size; converged : whether the fit of the case
+    did, True where nothing tells; warnings : what is odd in the records that were fitted; effect : that the fit has
+    beside the nominal model, which tuning leaves out, or "".
+    """
+
+    campaign: str = ""
+    sha256: str | None = None
+    constants: Mapping[str, float] = field(default_factory=dict)
+    kind: str = "torsional"
+    amplitudes: tuple[float, ...] = AMPLITUDES
+    converged: bool = True
+    warnings: tuple[str, ...] = ()
+    effect: str = ""
+
+    @property
+    def effort(self) -> tuple[str, str]:
+        """What excites the rig, and its unit."""
+        return ("force", "N") if self.kind == "translational" else ("torque", "N m")
+
+
+def chosen_case(source: Mapping[str, ArrayLike] | Path | str, case: str | None) -> str:
+    """The case to tune: the one that was named, else the only one of the fit, else IV.
+
+    Raises
+    ------
+    InputError
+        if the fit has no such case.
+    """
+    file = None if isinstance(source, Mapping) else Path(source) / "summary.json"
+    summary = read_json(file) if file is not None and file.is_file() else {}
+    cases = dict(summary.get("cases") or {}) if isinstance(summary, Mapping) else {}
+    known = [*cases, *(["joint"] if cases and summary.get("joint") else [])]
+    wanted = case or (next(iter(cases)) if len(cases) == 1 else "IV")
+    if known and wanted not in known:
+        which = f"has no case {wanted!r}" if case else "has several cases"
+        raise InputError(f"{source}: {which}; name one of {', '.join(known)} (--case)")
+    return wanted
+
+
+def origin_of(
+    source: Mapping[str, ArrayLike] | Path | str, case: str, known: Mapping[str, float] | None = None
+) -> Origin:
+    """The campaign that a fit's folder belongs to; nothing for arrays.
+
+    The constants of a recorded campaign that were not inferred stand in its files, which must be where they were; those
+    that are `known` (SI) already are taken as they are.
+
+    Raises
+    ------
+    InputError
+        if the campaign has changed, or its rig is one that the equations of tuning do not know.
+    """
+    if isinstance(source, Mapping):
+        return Origin()
+    folder = Path(source)
+    if not (folder / "run.json").is_file():
+        return Origin()
+    plan = read_json(folder / "run.json").get("plan", {})
+    summary = read_json(folder / "summary.json") if (folder / "summary.json").is_file() else {}
+    entry = summary.get("joint") if case == "joint" else (summary.get("cases") or {}).get(case)
+    told = {
+        "campaign": str(plan.get("name", "")),
+        "sha256": plan.get("campaign_sha256"),
+        "converged": bool((entry or {}).get("converged", True)),
+        "warnings": tuple(summary.get("warnings", ())),
+    }
+    if plan.get("campaign") in (None, "thesis"):
+        return Origin(**told)
+    campaign = load_campaign(plan["campaign"])
+    if campaign.sha256 != plan["campaign_sha256"]:
+        raise InputError(f"{plan['campaign']}: the campaign has changed since it was fitted; fit it again")
+    rig = campaign.rig
+    if rig.ground2_stiffness.value or rig.inertial_coupling.value or rig.restoring != "linear":
+        raise InputError(
+            f"{campaign.name}: tune knows no spring from the secondary to ground, no inertial coupling and no "
+            "pendulum, but this rig has one of them; pass draws as arrays if it can be neglected"
+        )
+    fields = {"J1": rig.primary_inertia, "J2": rig.secondary_inertia, "R": rig.bar_radius, "r": rig.magnet_radius,
+              "N0": rig.magnet_pull}  # fmt: skip
+    constants = {name: constant.value for name, constant in fields.items() if constant is not None}
+    if not rig.has_magnet:
+        constants = {"R": 1.0} | constants | {"mu": 0.0, "N0": 0.0}
+    if (plan.get("normal_force") or rig.normal_force) == "constant":
+        constants["r"] = _WITHOUT_LIMIT
+    constants |= known or {}
+    if "J2" not in constants:
+        raise InputError(
+            f"{campaign.name}: the rig has no secondary_inertia and no coupled trials, so nothing tells how a second "
+            "body would be coupled; fit coupled trials, or pass draws as arrays"
+        )
+    springs = dict.fromkeys(t.k1t.value for t in campaign.trials if case in ("joint", t.case))
+    if "k1t" in constants:
+        pass
+    elif len(springs) == 1:
+        constants["k1t"] = next(iter(springs))
+    elif springs:
+        listed = ", ".join(f"{k:g}" for k in springs)
+        unit = unit_of("k1t", rig.kind)
+        raise InputError(f"case {case!r} has several springs ({listed} {unit}): name one case, or give k1t in `rig`")
+    return Origin(
+        **told,
+        constants=constants,
+        kind=rig.kind,
+        amplitudes=_suitable(campaign, case),
+        effect=plan.get("effect") or "",
+    )
+
+
+def _suitable(campaign: Campaign, case: str) -> tuple[float, ...]:
+    """Exciting torques (forces) of the size of this rig: shares of what held it before the release, two digits each.
+
+    Where no release is declared, the largest swing that the readings imply stands in for it.
+    """
+    held = []
+    for t in campaign.trials:
+        if case not in ("joint", t.case):
+            continue
+        pace = math.sqrt(t.k1t.value / campaign.rig.primary_inertia.value)
+        reach = {"acceleration": pace**2, "velocity": pace, "displacement": 1.0}[campaign.measurement.quantity]
+        swing = float(np.quantile(np.abs(t.channels[0]), 0.99)) / reach
+        held.append(t.k1t.value * (abs(t.theta0.value) if t.theta0 is not None and t.theta0.value else swing))
+    largest = float(np.median(held)) if held else 0.0
+    return tuple(float(f"{share * largest:.2g}") for share in OF_RELEASE) if largest > 0.0 else AMPLITUDES
+
+
+def _stored(folder: Path, case: str, n: int, rng: np.random.Generator) -> dict[str, Array]:
+    """Draws of one case from the files of a fit: its own posterior, else its numbers in summary.json."""
+    for place in (folder / folder_name(case), folder):
+        file = place / "posterior.nc"
+        if file.is_file() and (draws := _draws_of_file(file, case)):
+            return draws
+    summary = read_json(folder / "summary.json")
+    try:
+        table = (summary["cases"] | ({"joint": summary["joint"]} if "joint" in summary else {}))[case]["parameters"]
+    except (KeyError, TypeError):
+        known = ", ".join(summary.get("cases", {})) if isinstance(summary, dict) else ""
+        raise InputError(f"{folder / 'summary.json'}: has no case {case!r}; it has {known or 'none'}") from None
+    draws = {}
+    for name, stored in _entries(table, case).items():
+        mean, sd = float(table[stored]["mean"]), float(table[stored]["sd"])
+        s2 = math.log1p((sd / mean) ** 2) if mean > 0.0 else 0.0
+        draws[name] = mean * np.exp(math.sqrt(s2) * rng.standard_normal(n) - 0.5 * s2)
+    return draws
+
+
+def _draws_of_file(file: Path, case: str) -> dict[str, Array]:
+    """The parameters of a posterior in netCDF, chains one after another; nothing where it holds several cases."""
+    import h5netcdf
+
+    with h5netcdf.File(file, "r") as root:
+        group = root["posterior"] if "posterior" in root.groups else root
+        if "case" in group.dimensions:
+            return {}
+        names = _entries(group.variables, case)
+        return {name: np.asarray(group.variables[n][...], dtype=np.float64).ravel() for name, n in names.items()}
+
+
+def _entries(stored: Iterable[str], case: str) -> dict[str, str]:
+    """Name of each parameter -> the name under which a fit stored it: one spring of several is `k1t[6.2]`.
+
+    Raises
+    ------
+    InputError
+        if the fit of all cases together has a value of a parameter for each of them.
+    """
+    out = {}
+    for name in NONLINEAR:
+        own = [s for s in stored if s.partition("[")[0] == name]
+        if len(own) == 1:
+            out[name] = own[0]
+        elif own and name != "k1t":
+            raise InputError(
+                f"case {case!r}: the fit has several values of {name} ({', '.join(own)}); name one case (--case)"
+            )
+    return out

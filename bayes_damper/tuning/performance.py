@@ -1,0 +1,228 @@
+"""What a design does, draw by draw: insertion loss and resonance shift, by the linear model and the nonlinear one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bayes_damper import linear
+from bayes_damper.errors import InputError
+from bayes_damper.linear import LinearRig
+from bayes_damper.model import Model
+from bayes_damper.tuning.draws import LINEAR, NONLINEAR, Draws
+
+Array = NDArray[np.float64]
+_COMMON_HZ = 10.0  # every drive is brought to this frequency by scaling time
+_PER_CYCLE = 24
+_MEASURED_CYCLES = 4
+
+
+@dataclass(frozen=True)
+class Design:
+    """A secondary: J2 (kg m^2), k2t (N m/rad, at the present radius), R (m), N0 (N); None leaves the posterior's.
+
+    bar_inertia : the part of J2 that grows with R^3, kg m^2 (the thesis's bar: 2.146e-3); 0 keeps J2 whatever R.
+    """
+
+    J2: float | None = None
+    k2t: float | None = None
+    R: float | None = None
+    magnet_pull: float | None = None
+    bar_inertia: float = 0.0
+
+    def __post_init__(self) -> None:
+        faults = []
+        for name, unit in (("J2", "kg m^2 (kg)"), ("R", "m")):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value > 0.0):
+                faults.append(f"{name} = {value:g}: a design needs a {name} above zero; give it in {unit}")
+        for name, unit in (("k2t", "N m/rad (N/m)"), ("magnet_pull", "N"), ("bar_inertia", "kg m^2")):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value >= 0.0):
+                faults.append(f"{name} = {value:g}: a design cannot have a negative {name}; give it in {unit}")
+        if not faults and self.J2 is not None and self.bar_inertia > self.J2:
+            faults.append(f"bar_inertia = {self.bar_inertia:g}: the bar cannot weigh more than J2 = {self.J2:g} in all")
+        if faults:
+            raise InputError(faults)
+
+    def apply(self, draws: Draws) -> dict[str, Array]:
+        """The draws with this secondary.
+
+        Raises
+        ------
+        InputError
+            if the bar's part of the inertia exceeds a draw's J2.
+        """
+        out = dict(draws)
+        ratio = np.ones_like(draws["R"]) if self.R is None else self.R / draws["R"]
+        if self.J2 is not None:
+            out["J2"] = np.full_like(draws["J2"], self.J2)
+        if np.any(out["J2"] < self.bar_inertia):
+            raise InputError(
+                f"bar_inertia = {self.bar_inertia:g}: the posterior has J2 down to {out['J2'].min():g}; the bar is a "
+                "part of it"
+            )
+        out["J2"] = out["J2"] + self.bar_inertia * (ratio**3 - 1.0)
+        if self.k2t is not None:
+            out["k2t"] = np.full_like(draws["k2t"], self.k2t)
+        out["k2t"] = out["k2t"] * ratio**2
+        out["R"] = draws["R"] * ratio
+        if self.magnet_pull is not None:
+            out["N0"] = np.full_like(draws["N0"], self.magnet_pull)
+        return out
+
+    def to_json(self) -> dict[str, float | None]:
+        return asdict(self)
+
+
+def linear_rig(draws: Draws) -> LinearRig:
+    """The linear rig of every draw: friction and drag left out."""
+    return LinearRig(**{name: draws[name] for name in LINEAR})
+
+
+@dataclass(frozen=True)
+class Performance:
+    """What a design does, per draw, each (n,): dB, Hz; NaN where damping leaves no resonance or nothing moves."""
+
+    insertion_loss: Array
+    resonance: Array
+    resonance_without: Array
+
+    @property
+    def shift(self) -> Array:
+        """Resonance with the secondary minus resonance without, Hz."""
+        return self.resonance - self.resonance_without
+
+
+def linear_performance(draws: Draws, design: Design | None = None) -> Performance:
+    """Insertion loss and resonances of the linear model (eqs. 23 and 24)."""
+    rig = linear_rig((design or Design()).apply(draws))
+    frequency, _ = linear.uncoupled_resonance(draws["J1"], draws["k1t"], draws["c1t"])
+    return Performance(linear.insertion_loss(rig), linear.resonances(rig).peak_frequency_hz, frequency)
+
+
+def harmonic_response(
+    draws: Draws, frequency_hz: ArrayLike, amplitude: float, coupled: bool = True, settle_cycles: int | None = None
+) -> tuple[Array, Array]:
+    """Accelerance of the nonlinear rig under a harmonic torque on the primary, by time integration from rest.
+
+    Parameters
+    ----------
+    draws : complete draws, each (n,); frequency_hz : (n_frequencies,), or (n, n_frequencies) for a grid per draw.
+    amplitude : of the torque, N m.
+    settle_cycles : cycles left out before the fundamental component is taken over four; by default six time constants
+        of the slowest decay.
+
+    Returns
+    -------
+    accelerance : (n, n_frequencies), 1/(kg m^2), the primary's fundamental acceleration over the torque; NaN where the
+        integration failed. unsettled : same shape, relative change of the fundamental between the first and last two of
+        the measured cycles.
+
+    Every draw and frequency becomes one vector of one simulation: with time counted in cycles of the drive, inertias
+    grow with the square of the frequency, damping and the smoothing constant with the frequency, and all share one
+    drive. Displacement is read, because what the samples cannot resolve is smallest there.
+    """
+    if not drives(amplitude):
+        raise InputError(refused(amplitude))
+    n = len(draws["J1"])
+    f = np.array(np.broadcast_to(np.asarray(frequency_hz, dtype=np.float64), (n, np.shape(frequency_hz)[-1])))
+    if not np.all(f > 0.0):
+        raise InputError("frequency_hz: a frequency of excitation must be above zero; give it in Hz")
+    cycles = (_settling(draws) if settle_cycles is None else settle_cycles) + _MEASURED_CYCLES
+    times = np.arange(cycles * _PER_CYCLE) / (_PER_CYCLE * _COMMON_HZ)
+    torque = amplitude * np.cos(2.0 * np.pi * _COMMON_HZ * times)
+    scale = f / _COMMON_HZ
+    powers = {"J1": 2, "J2": 2, "c1t": 1, "c3t": 1, "c2t": 1, "nu": 1}
+    parameters: dict[str, ArrayLike] = {
+        name: (np.broadcast_to(draws[name][:, None], f.shape) * scale ** powers.get(name, 0)).ravel()
+        for name in NONLINEAR
+    }
+    parameters |= {"theta0": 0.0, "delay": 0.0}
+    run = Model(coupled=coupled).simulate(parameters, times, torque=torque, quantity="displacement", threads=2)
+    y = run.y[:, 0].reshape(*f.shape, -1)
+    turn = np.exp(-2j * np.pi * np.arange(_MEASURED_CYCLES * _PER_CYCLE) / _PER_CYCLE)
+    last = y[..., -turn.size :] * turn
+    whole, half = 2.0 * last.mean(-1), turn.size // 2
+    change = np.abs(last[..., :half].mean(-1) - last[..., half:].mean(-1)) * 2.0
+    # Between samples the torque is linear, so its fundamental is a little below that of the cosine.
+    drive = amplitude * np.sinc(1.0 / _PER_CYCLE) ** 2
+    omega = 2.0 * np.pi * f
+    return np.abs(whole) * omega**2 / drive, change / np.maximum(np.abs(whole), 1e-300)
+
+
+def drives(amplitude: float) -> bool:
+    """Whether an exciting torque moves anything: finite and above zero."""
+    return math.isfinite(amplitude) and amplitude > 0.0
+
+
+def refused(amplitude: float) -> str:
+    """Why an amplitude that drives nothing is refused."""
+    return f"amplitude = {amplitude:g}: the exciting torque (force) must be above zero; give it in N m (N)"
+
+
+def _settling(draws: Draws) -> int:
+    """Cycles in which a transient of the primary's own damping falls to exp(-7), within 20 and 150."""
+    zeta = float(np.quantile(linear.damping_ratio(draws["c1t"], draws["k1t"], draws["J1"]), 0.1))
+    return int(np.clip(math.ceil(7.0 / (2.0 * math.pi * max(zeta, 1e-3))), 20, 150))
+
+
+def _grid(draws: Draws, coupled: bool) -> tuple[Array, float]:
+    """Frequencies (n, m) among which a draw's highest accelerance is sought first, and their largest logarithmic step.
+
+    Besides an even grid: where the linear model has its resonances, and that of both inertias stuck together.
+    """
+    own = linear.natural_frequency(draws["k1t"], draws["J1"])[:, None]
+    low, high, points = (0.4, 2.0, 29) if coupled else (0.8, 1.2, 13)
+    even = own * np.geomspace(low, high, points)
+    if not coupled:
+        return even, math.log(high / low) / (points - 1)
+    likely = linear.resonances(linear_rig(draws)).frequency_hz
+    stuck = linear.natural_frequency(draws["k1t"], draws["J1"] + draws["J2"])[:, None]
+    extra = np.concatenate([np.where(np.isfinite(likely), likely, own), stuck], axis=1)
+    return np.sort(np.concatenate([even, extra], axis=1), axis=1), math.log(high / low) / (points - 1)
+
+
+def _peak(draws: Draws, amplitude: float, coupled: bool) -> tuple[Array, Array]:
+    """Frequency and height of the highest accelerance of every draw: a grid, then two finer ones about its best."""
+    grid, step = _grid(draws, coupled)
+    edge = grid[:, -1]
+    for _ in range(2):
+        height, _ = harmonic_response(draws, grid, amplitude, coupled)
+        best = np.take_along_axis(grid, np.argmax(np.nan_to_num(height), axis=1)[:, None], 1)
+        grid = best * np.exp(np.linspace(-step, step, 9))
+        step /= 4.0
+    height, _ = harmonic_response(draws, grid, amplitude, coupled)
+    k = np.clip(np.argmax(np.nan_to_num(height), axis=1), 1, grid.shape[1] - 2)[:, None]
+    a, b, c = (np.take_along_axis(height, k + i, 1)[:, 0] for i in (-1, 0, 1))
+    bend = a - 2.0 * b + c
+    x = np.where(bend < 0.0, np.clip(0.5 * (a - c) / np.where(bend < 0.0, bend, -1.0), -1.0, 1.0), 0.0)
+    frequency = np.take_along_axis(grid, k, 1)[:, 0] * np.exp(x * step)
+    # Faces and bearings that stick leave a mass that follows the torque: highest at the end, wherever that is.
+    inside = frequency < 0.98 * edge
+    return np.where(inside, frequency, np.nan), np.where(inside, b - 0.25 * (a - c) * x, np.nan)
+
+
+def nonlinear_performances(draws: Draws, amplitude: float, designs: Mapping[str, Design]) -> dict[str, Performance]:
+    """Insertion loss and resonances of the nonlinear model of each design, under a torque of this amplitude (N m)."""
+    without_frequency, without = _peak(draws, amplitude, coupled=False)
+    out = {}
+    for name, design in designs.items():
+        frequency, height = _peak(design.apply(draws), amplitude, coupled=True)
+        moving = (height > 0.0) & (without > 0.0)  # nowhere true of nan
+        loss = 20.0 * np.log10(np.where(moving, without, 1.0) / np.where(moving, height, 1.0))
+        out[name] = Performance(
+            np.where(moving, loss, np.nan),
+            np.where(moving, frequency, np.nan),
+            np.where(moving, without_frequency, np.nan),
+        )
+    return out
+
+
+def probability_of(p: Performance, target: float) -> float:
+    """Share of all draws that reach the target; a draw without a loss does not."""
+    return float(np.mean(np.nan_to_num(p.insertion_loss, nan=-np.inf) >= target))

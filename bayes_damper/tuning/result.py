@@ -1,0 +1,267 @@
+"""`tune`: from draws to designs judged, sentences, tables and figures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bayes_damper import figures
+from bayes_damper.errors import ExitCode, InputError
+from bayes_damper.parameters import unit_of
+from bayes_damper.provenance import provenance
+from bayes_damper.run import write_json
+from bayes_damper.tuning.curves import Band, Curve, frequency_responses, tuning_curves
+from bayes_damper.tuning.draws import Draws, Origin, chosen_case, origin_of, posterior_draws
+from bayes_damper.tuning.optimum import Optimum, best_design, shares_of_variance, usual_bounds
+from bayes_damper.tuning.performance import (
+    Design,
+    Performance,
+    drives,
+    linear_performance,
+    nonlinear_performances,
+    probability_of,
+    refused,
+)
+from bayes_damper.wording import counted
+
+Array = NDArray[np.float64]
+SCHEMA = "bayes-damper/tune/1"
+_LEFT_OUT = "The fit has the effect {} too, which is left out here: the design is judged by the nominal model alone."
+
+
+@dataclass(frozen=True)
+class TuneResult:
+    """What `tune` found; `linear` and `nonlinear` belong to `design`, and `optimum` to the best one within bounds."""
+
+    case: str
+    design: Design
+    draws: Draws
+    target_db: float
+    linear: Performance
+    nonlinear: Mapping[float, Performance]
+    optimum: Optimum | None
+    optimum_nonlinear: Mapping[float, Performance]
+    shares: Mapping[str, float]
+    response: Mapping[str, Band]
+    curves: Mapping[str, Curve] = field(default_factory=dict)
+    origin: Origin = field(default_factory=Origin)
+    seed: int = 1
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def exit_code(self) -> ExitCode:
+        """As that of the fit that the draws come from."""
+        return ExitCode.DONE if self.origin.converged else ExitCode.NOT_CONVERGED
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of tune.json."""
+        best = self.optimum
+        return {
+            "schema": SCHEMA,
+            "campaign": self.origin.campaign,
+            "campaign_sha256": self.origin.sha256,
+            "seed": self.seed,
+            "case": self.case,
+            "kind": self.origin.kind,
+            "converged": self.origin.converged,
+            "warnings": list(self.origin.warnings),
+            "definition": "20 log10 of the highest accelerance without the secondary over the highest with it (eq. 24)",
+            "draws": len(self.draws["J1"]),
+            "target_db": self.target_db,
+            "design": self.design.to_json(),
+            "linear": _performance_json(self.linear, self.target_db),
+            "nonlinear": [
+                {"torque_amplitude_n_m": a} | _performance_json(p, self.target_db) for a, p in self.nonlinear.items()
+            ],
+            "optimum": None
+            if best is None
+            else {
+                "design": best.design.to_json(),
+                "at_bound": list(best.at_bound),
+                "linear": _performance_json(best.performance, self.target_db),
+                "nonlinear": [
+                    {"torque_amplitude_n_m": a} | _performance_json(p, self.target_db)
+                    for a, p in self.optimum_nonlinear.items()
+                ],
+            },
+            "variance_shares": dict(self.shares),
+            "hangs_most_on": next(iter(self.shares), None),
+            "notes": [_LEFT_OUT.format(self.origin.effect)] if self.origin.effect else [],
+            "frequency_response": {
+                name: {
+                    "frequency_hz": band.frequency_hz.tolist(),
+                    "q05": band.low.tolist(),
+                    "median": band.median.tolist(),
+                    "q95": band.high.tolist(),
+                }
+                for name, band in self.response.items()
+            },
+            "curves": {
+                name: {
+                    "design": self._place(self.design, name),
+                    "best_design": None if best is None else self._place(best.design, name),
+                    "value": c.values.tolist(), "mean": c.mean.tolist(), "q05": c.low.tolist(), "q95": c.high.tolist(),
+                    "probability_of_target": c.probability.tolist(),
+                }
+                for name, c in self.curves.items()
+            },
+            "provenance": dict(self.provenance),
+        }  # fmt: skip
+
+    def _place(self, design: Design, name: str) -> float:
+        given = getattr(design, name)
+        return float(np.median(self.draws[name]) if given is None else given)
+
+    def text(self) -> str:
+        """The result in a few lines."""
+        effort, unit = self.origin.effort
+        lines = [f"warning: {w}" for w in self.origin.warnings]
+        if not self.origin.converged:
+            lines.append("*** THE FIT DID NOT CONVERGE: do not use these numbers ***")
+        lines += [f"Case {self.case}, {counted(len(self.draws['J1']), 'draw')}; target {self.target_db:g} dB."]
+        lines.append(f"linear model: {_sentence(self.linear, self.target_db)}")
+        lines += [f"{effort} {a:g} {unit}: {_sentence(p, self.target_db)}" for a, p in self.nonlinear.items()]
+        if self.optimum is not None:
+            d = self.optimum.design
+            units = {"J2": "J2", "k2t": "k2t", "R": "R", "magnet_pull": "N0", "bar_inertia": "J2"}
+            told = {k: f"{v:.4g} {unit_of(units[k], self.origin.kind)}" for k, v in d.to_json().items() if v}
+            free = ", ".join(f"{k} = {v}" for k, v in told.items())
+            bound = f" (at the bound: {', '.join(self.optimum.at_bound)})" if self.optimum.at_bound else ""
+            lines.append(f"best design: {free}{bound}; {_sentence(self.optimum.performance, self.target_db)}")
+            lines += [f"  at {a:g} {unit}: {_sentence(p, self.target_db)}" for a, p in self.optimum_nonlinear.items()]
+        if any("no resonance" in line for line in lines):
+            lines.append("No resonance: dry friction holds the rig, or damping leaves no peak.")
+        if self.origin.effect:
+            lines.append(_LEFT_OUT.format(self.origin.effect))
+        if self.shares:
+            name, share = next(iter(self.shares.items()))
+            lines.append(f"The insertion loss hangs most on {name}: {100 * share:.0f} % of its variance.")
+        return "\n".join(lines)
+
+
+def _sentence(p: Performance, target: float) -> str:
+    known = p.insertion_loss[np.isfinite(p.insertion_loss)]
+    if known.size == 0:
+        return "no resonance in any draw"
+    low, high = np.quantile(known, [0.05, 0.95])
+    gone = 1.0 - known.size / p.insertion_loss.size
+    none = f", no resonance in {100 * gone:.0f} % of the draws" if gone > 0.005 else ""
+    return (
+        f"insertion loss {known.mean():.1f} dB (90 %: {low:.1f} to {high:.1f}), resonance moves by "
+        f"{np.nanmedian(p.shift):+.2f} Hz, P(loss >= {target:g} dB) = {probability_of(p, target):.2f}{none}"
+    )
+
+
+def _performance_json(p: Performance, target: float) -> dict[str, Any]:
+    return {
+        "insertion_loss_db": _summary(p.insertion_loss),
+        "resonance_hz": _summary(p.resonance),
+        "resonance_without_hz": _summary(p.resonance_without),
+        "resonance_shift_hz": _summary(p.shift),
+        "probability_of_target": probability_of(p, target),
+    }
+
+
+def _summary(x: Array) -> dict[str, Any]:
+    known = x[np.isfinite(x)]
+    if known.size == 0:
+        return {"mean": None, "sd": None, "median": None, "interval90": None, "without": int(x.size)}
+    return {
+        "mean": float(known.mean()),
+        "sd": float(known.std()),
+        "median": float(np.median(known)),
+        "interval90": [float(q) for q in np.quantile(known, [0.05, 0.95])],
+        "without": int(x.size - known.size),
+    }
+
+
+def tune(
+    source: Mapping[str, ArrayLike] | Path | str,
+    *,
+    case: str | None = None,
+    rig: Mapping[str, float] | None = None,
+    J2: float | None = None,
+    k2t: float | None = None,
+    R: float | None = None,
+    magnet_pull: float | None = None,
+    bar_inertia: float = 0.0,
+    target_db: float = 10.0,
+    amplitudes: Sequence[float] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    optimise: bool = True,
+    n_draws: int = 400,
+    n_nonlinear: int = 50,
+    seed: int = 1,
+    out: Path | str | None = None,
+) -> TuneResult:
+    """Insertion loss and resonance shift of a design over a posterior, and the design of highest expected loss.
+
+    Parameters
+    ----------
+    source : posterior draws, name -> (n,), or the folder of a fit; case : which of its cases ("joint": all together),
+    by default the only one, else IV.
+    rig : constants that the posterior does not hold (SI); else those of the fitted campaign, else the thesis's.
+    J2, k2t, R, magnet_pull, bar_inertia : the design (see `Design`); None keeps the rig as it is.
+    target_db : loss whose probability is given; amplitudes : torques (N m; forces, N) at which the nonlinear model is
+    driven, by default of the size of the rig.
+    bounds : where the best design is sought, SI (see `best_design`); out : folder for `tune.json` and figures.
+    n_draws, n_nonlinear : draws for the linear and, among them, for the nonlinear model.
+
+    Raises
+    ------
+    InputError
+        if the design, the draws or the bounds mean nothing physically.
+    """
+    design = Design(J2, k2t, R, magnet_pull, bar_inertia)
+    faults = []
+    if min(n_draws, n_nonlinear) < 1:
+        faults.append(f"n_draws = {n_draws}, n_nonlinear = {n_nonlinear}: at least one draw of each is needed")
+    if not math.isfinite(target_db):
+        faults.append(f"target_db = {target_db:g}: give the loss to reach as a number of dB")
+    faults += [refused(a) for a in amplitudes or () if not drives(a)]
+    if faults:
+        raise InputError(faults)
+    rng = np.random.default_rng(seed)
+    case = chosen_case(source, case)
+    origin = origin_of(source, case, rig)
+    if origin.kind == "translational" and R is not None:
+        raise InputError(f"R = {R:g}: a translational rig has no radius; change J2 or k2t")
+    if amplitudes is None:
+        amplitudes = origin.amplitudes
+    draws = posterior_draws(source, case, n_draws, rng, {**origin.constants, **(rig or {})})
+    lengths = ("R",) if origin.kind == "torsional" else ()
+    if bounds is None:
+        bounds = usual_bounds(draws, ("J2", "k2t", *lengths))
+    performance = linear_performance(draws, design)
+    optimum = best_design(draws, design, bounds) if optimise else None
+    if optimum is not None and not np.isfinite(optimum.performance.insertion_loss).any():
+        optimum = None
+    designs = {"design": design} | ({} if optimum is None else {"best design": optimum.design})
+    few = {name: column[:n_nonlinear] for name, column in draws.items()}
+    driven = {float(a): nonlinear_performances(few, float(a), designs) for a in amplitudes}
+    nonlinear = {a: found["design"] for a, found in driven.items()}
+    at_optimum = {a: found["best design"] for a, found in driven.items() if "best design" in found}
+    with_present = designs if design == Design() else {"present": Design()} | designs
+    response = {f"linear, {name}": band for name, band in frequency_responses(draws, with_present).items()}
+    fewer = {name: column[:20] for name, column in draws.items()}
+    for a in driven:
+        bands = frequency_responses(fewer, designs, a)
+        response |= {f"{a:g} {origin.effort[1]}, {name}": band for name, band in bands.items()}
+    shares = shares_of_variance(draws, performance.insertion_loss)
+    result = TuneResult(
+        case, design, draws, target_db, performance, nonlinear, optimum, at_optimum, shares, response,
+        tuning_curves(draws, design, target_db, ("J2", *lengths)), origin, seed, provenance(),
+    )  # fmt: skip
+    if out is not None:
+        told = result.to_json()
+        write_json(Path(out) / "tune.json", told)
+        about = f"{origin.campaign or 'design'}, case {case}"
+        figures.save(figures.response_figure(told, title=f"{about}: frequency response"), Path(out) / "tune_response")
+        figures.save(figures.tuning_figure(told, title=f"{about}: insertion loss"), Path(out) / "tune_loss")
+    return result
