@@ -72,6 +72,7 @@ _TABLES = {"rig": (*_RIG_NUMBERS, *_RIG_WORDS),
 _SHORT = 0.8  # of the longest repeat's end, before which a record counts as ending early
 _UNLIKE = 0.3  # rms difference over rms, from which repeats are held to be of different channels
 _SHOWN = 5  # faults of one kind shown for one file
+_TURNED = "; where `init` made the campaign, run it again with --sign -1 (coupled: one for each channel, such as -1 1)"
 _LARGEST = 1e30  # number that a record may hold, in any unit: its powers must not overflow
 _FEW = 3  # readings at rest, and in the first swing, that tell which way it goes
 
@@ -1120,7 +1121,8 @@ def _look_at_trial(head: _Head, trial: Trial, warnings: list[str]) -> None:
             continue
         if step > noise:
             warnings.append(f"{where}: quantised in steps of {step:.3g}; noise below that cannot be seen")
-        for level in look.flat_tops_of(trial.times, y, noise, omega, held):
+        slowest = 2.0 * math.pi * look.dominant_frequency(trial.times, y)  # of a coupled rig's slow mode: round tops
+        for level in look.flat_tops_of(trial.times, y, noise, min(omega, max(slowest, 0.25 * omega)), held):
             warnings.append(f"{where}: flat tops at {level:.4g}; it looks clipped there")
         if limits is not None and np.max(np.abs(y)) > 0.98 * limits[i]:
             warnings.append(f"{where}: readings reach the sensor's range of {limits[i]:.4g}; it may be clipped")
@@ -1182,7 +1184,7 @@ def _look_at_release(head: _Head, trial: Trial, omega: float, warnings: list[str
         then = "" if power == 0 else " and then begins to move away from its rest position, not towards it"
         warnings.append(
             f"{trial.file}: the primary is held {place} until {onset_away:.4g} s{then}; the sign of the channel "
-            "looks reversed (or that of theta0 in trials.csv)"
+            f"looks reversed (or that of theta0 in trials.csv){_TURNED}"
         )
         y = -y
     away, bound = departure(y, quantity, trial.theta0.value)
@@ -1216,7 +1218,7 @@ def _look_at_release(head: _Head, trial: Trial, omega: float, warnings: list[str
         looks = "the sign of the channel looks reversed, or " if reversed_sign else ""
         warnings.append(
             f"{trial.file}: the first readings are not those of a release; "
-            f"{looks}the record begins after the motion began"
+            f"{looks}the record begins after the motion began{_TURNED if reversed_sign else ''}"
         )
 
 
@@ -1277,7 +1279,7 @@ def _look_at_repeats(head: _Head, trials: Sequence[Trial], warnings: list[str]) 
     for group in _groups(trials).values():
         _look_for_short_twin(group, warnings)
         if head.measurement.start == "rest" and not _look_for_exchanged_twin(group, warnings) and len(group) > 2:
-            _look_for_odd_twin(group, warnings)
+            _look_for_odd_twin(group, head.measurement.quantity, warnings)
 
 
 def _look_for_copies(trials: Sequence[Trial], warnings: list[str]) -> None:
@@ -1305,15 +1307,23 @@ def _look_for_short_twin(group: Sequence[Trial], warnings: list[str]) -> None:
         )
 
 
-def _look_for_odd_twin(group: Sequence[Trial], warnings: list[str]) -> None:
-    """Compares repeats of equal release with each other; one that is four times as far off as the rest is named."""
-    start, end = max(t.times[0] for t in group), min(t.times[-1] for t in group)
-    grid = group[0].times[(group[0].times >= start) & (group[0].times <= end)]
+def _look_for_odd_twin(group: Sequence[Trial], quantity: str, warnings: list[str]) -> None:
+    """Compares repeats of equal release with each other; one that is four times as far off as the rest is named.
+
+    Each runs from the onset of its own motion, and the jump there is left out: a late trigger is no other motion.
+    """
+    clocks = [t.times - _onset(t, quantity) for t in group]
+    steps = [float(np.median(np.diff(t.times))) for t in group]
+    start, end = max(c[0] for c in clocks), min(c[-1] for c in clocks)
+    inside = (clocks[0] >= max(start, 2.0 * max(steps))) & (clocks[0] <= end)
+    grid = clocks[0][inside]
     if len(grid) < 8:
         warnings.append(f"{group[0].file} and its repeats hardly overlap in time; they cannot be compared")
         return
     for channel in range(len(group[0].channels)):
-        curves = np.stack([np.interp(grid, t.times, t.channels[channel]) / _release(t) for t in group])
+        curves = np.stack(
+            [np.interp(grid, c, t.channels[channel]) / _release(t) for c, t in zip(clocks, group, strict=True)]
+        )
         distance = np.sqrt(np.mean((curves[:, None] - curves[None]) ** 2, axis=-1))
         noise = max(look.noise_floor_of(c) for c in curves)
         scale = float(np.sqrt(np.median(np.mean(curves**2, axis=-1))))
@@ -1364,6 +1374,14 @@ def _apart(a: Trial, b: Trial) -> tuple[float, float]:
     y = np.stack([np.interp(a.times[inside], b.times, channel) for channel in b.channels]) / _release(b)
     size = float(np.sqrt(np.mean(x**2))) or 1.0
     return float(np.sqrt(np.mean((x - y) ** 2))) / size, float(np.sqrt(np.mean((x - y[::-1]) ** 2))) / size
+
+
+def _onset(trial: Trial, quantity: str) -> float:
+    """Time of the first reading that has left the held rig, in s; that of the first reading where none has."""
+    if trial.theta0 is None:
+        return 0.0
+    away, bound = departure(trial.channels[0], quantity, trial.theta0.value)
+    return float(trial.times[int(np.argmax(away > bound))])
 
 
 def _release(trial: Trial) -> float:

@@ -285,30 +285,6 @@ def _checked_keys(table: Mapping[str, Any], valid: Mapping[str, tuple[tuple[type
     ]
 
 
-def _reversed(trials: Sequence[Trial], measurement: Measurement) -> list[str]:
-    """A note on trials whose primary begins to swing away from its rest position: its sensor sits the other way round.
-
-    Only accelerations of a release from rest tell it: they jump to -k1t theta0 / J1 within the first readings.
-    """
-    if measurement.start != "rest" or measurement.quantity != "acceleration":
-        return []
-    odd = [Path(trial.file).name for trial in trials if _swings_away(trial)]
-    if not odd:
-        return []
-    told = f"The primary of {_files(odd)} begins to move away from its rest position: the sign of its channel looks"
-    return [f"{told} reversed; say so with --sign -1 (coupled: one for each channel, such as --sign -1 1)."]
-
-
-def _swings_away(trial: Trial) -> bool:
-    """Whether the first readings after the release have the sign of its angle, and half the largest reading."""
-    y = trial.channels[0]
-    first = y[trial.times > 0.0][:3]
-    if trial.theta0 is None or len(first) < 3:
-        return False
-    along = math.copysign(1.0, trial.theta0.value) * float(np.median(first))
-    return along > 0.5 * float(np.quantile(np.abs(y), 0.998))
-
-
 def _build(table: Mapping[str, Any], name: str, raw: Path) -> Campaign:
     """The campaign in memory, all conversions done."""
     faults: list[str] = []
@@ -348,7 +324,7 @@ def _build(table: Mapping[str, Any], name: str, raw: Path) -> Campaign:
         raise InputError(_gathered(faults))
     trials = _with_estimates(trials, head.rig)
     notes = [note for source in files.values() for note in source.notes if note not in head.caveats]
-    notes = _gathered(notes) + _resting(trials, options) + _reversed(trials, head.measurement)
+    notes = _gathered(notes) + _resting(trials, options)
     caveats = (*head.caveats, *notes)
     return Campaign(head.name, head.rig, head.measurement, tuple(trials), head.description, head.source, caveats)
 

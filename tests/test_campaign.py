@@ -384,6 +384,31 @@ def test_a_reversed_velocity_is_told_where_the_record_begins_at_the_release(fold
     assert [w.partition(":")[0] for w in told] == ([FIRST] if sign < 0.0 else [])
 
 
+def test_a_late_trigger_alone_makes_no_trial_unlike_its_repeats(folder: Path) -> None:
+    """The jump of an acceleration, two readings late, is a sixth of the rms of a whole record that decays soon."""
+    times = read_table(folder / COUPLED)[1][0]
+    for trial, late in ((1, 0.0), (2, 0.0), (3, 0.002)):
+        path = folder / f"trials/IV_coupled_{trial}.csv"
+        clean = decay(times - late, math.radians(4.7), 10.2, 0.19)
+        noise = 0.3 * np.random.default_rng(trial).standard_normal((2, times.size))
+        alter(path, lambda c, y=clean, e=noise: [c[0], y + e[0], 0.3 * y + e[1]])
+    assert not any("unlike its repeats" in w for w in load_campaign(folder).warnings)
+    alter(path, lambda c: [c[0], decay(c[0] - 0.002, math.radians(4.7), 12.5, 0.19), c[2]])
+    assert any(w.startswith("trials/IV_coupled_3.csv: unlike its repeats") for w in load_campaign(folder).warnings)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_round_tops_of_a_slow_channel_are_not_taken_for_clipping(folder: Path, seed: int) -> None:
+    """The second body swings at half the frequency of the first, so its turns last twice as long."""
+    rng = np.random.default_rng(seed)
+    for path in sorted(folder.glob("trials/IV_coupled_*.csv")):
+        slow = 0.3 * decay(read_table(path)[1][0], math.radians(4.7), 0.3 * 10.2, 0.05)
+        alter(path, lambda c, y=slow: [c[0], c[1], y + 0.08 * rng.standard_normal(y.size)])
+    assert not any("clipped" in w for w in load_campaign(folder).warnings)
+    alter(path, lambda c: [c[0], c[1], np.clip(c[2], -10.0, 10.0)])
+    assert any("clipped" in w for w in load_campaign(folder).warnings)
+
+
 @pytest.mark.parametrize("noise", [2.0, 8.0])
 @pytest.mark.parametrize("repeats", [2, 3, 4])
 def test_exchanged_channels_of_one_repeat_are_told_once(tmp_path: Path, repeats: int, noise: float) -> None:

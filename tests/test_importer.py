@@ -268,11 +268,15 @@ def test_a_record_in_which_nothing_moves_is_told_as_such(tmp_path: Path, noise: 
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_sensor_the_other_way_round_is_told_and_turned(tmp_path: Path, sign: int) -> None:
-    source = logger_file(tmp_path / "run.csv", sign * wave())
-    told = " ".join(load_campaign(init_campaign(tmp_path / "out", [source], **OPTIONS)).warnings)
-    assert ("looks reversed; say so with --sign -1" in told) == (sign == -1)
-    turned = load_campaign(init_campaign(tmp_path / "turned", [source], **{**OPTIONS, "sign": [sign]}))
+@pytest.mark.parametrize("release", ["find", "start", 5.0])
+def test_a_sensor_the_other_way_round_is_told_and_turned(tmp_path: Path, sign: int, release: str | float) -> None:
+    held = (0.0 if release == "start" else TIMES[0]) <= TIMES
+    source = logger_file(tmp_path / "run.csv", sign * wave()[held], times=TIMES[held])
+    told = load_campaign(init_campaign(tmp_path / "out", [source], **{**OPTIONS, "release": release})).warnings
+    assert sum("looks reversed" in w and "run it again with --sign -1" in w for w in told) == (sign == -1)
+    assert sum("revers" in w or "--sign" in w for w in told) == (sign == -1), "told once"
+    options = {**OPTIONS, "release": release, "sign": [sign]}
+    turned = load_campaign(init_campaign(tmp_path / "turned", [source], **options))
     assert "reversed" not in " ".join(turned.warnings)
 
 
