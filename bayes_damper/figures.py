@@ -287,11 +287,13 @@ def feature_check_figure(rows: Sequence[Mapping[str, Any]], *, title: str, conve
 def forest_figure(
     intervals: Mapping[str, Mapping[str, tuple[float, float, float]]], labels: Mapping[str, str], *, title: str,
     converged: bool = True, assumed: Mapping[str, Collection[str]] = MappingProxyType({}),
+    quartiles: Mapping[str, Mapping[str, tuple[float, float]]] = MappingProxyType({}),
 ) -> Figure:  # fmt: skip
     """Median and 90 % interval of each parameter over groups (cases): parameter -> group -> (low, median, high).
 
     A group may lack a parameter: the fit of all cases has no single value of one that is each case's own. `assumed`
-    holds, by parameter, the groups in which the prior decided: these are drawn hollow and thin.
+    holds, by parameter, the groups in which the prior decided: these are drawn hollow and thin. `quartiles` holds, like
+    `intervals`, the ends of the middle half: a thicker bar.
     """
     names = list(intervals)
     columns = min(3, len(names))
@@ -311,7 +313,9 @@ def forest_figure(
             for group, (low, median, high) in intervals[name].items():
                 y = groups.index(group)
                 only_assumed = group in assumed.get(name, ())
-                axis.plot([low, high], [y, y], color=COLOURS[0], lw=0.8 if only_assumed else 2.0)
+                axis.plot([low, high], [y, y], color=COLOURS[0], lw=0.8 if only_assumed else 1.5)
+                if half := quartiles.get(name, {}).get(group):
+                    axis.plot(half, [y, y], color=COLOURS[0], lw=2.0 if only_assumed else 4.0, solid_capstyle="butt")
                 axis.plot(median, y, "o", color=COLOURS[1], ms=5, mfc="white" if only_assumed else COLOURS[1])
             axis.set_yticks(range(len(groups)), groups if axis in axes[::columns] else [])
             axis.set_ylim(len(groups) - 0.5, -0.5)

@@ -912,10 +912,14 @@ def _draw_overview(folder: Path, summary: Mapping[str, Any]) -> None:
         name: [g for g in of if decided_by(groups[g]["parameters"][name].get("prior_share") or 0.0) == "prior"]
         for name, of in intervals.items()
     }
-    title = f"{summary['campaign']}: median and 90 % interval of each case"
+    halves = {
+        name: {group: (q[0], q[1]) for group in of if (q := groups[group]["parameters"][name].get("quartiles"))}
+        for name, of in intervals.items()
+    }
+    title = f"{summary['campaign']}: median, middle half and 90 % interval of each case"
     shown = {name: next(iter(cases.values()))["parameters"][name]["unit"] for name in names}
     figure = figures.forest_figure(
-        intervals, _axis_labels(shown), title=title, converged=summary["converged"], assumed=assumed
+        intervals, _axis_labels(shown), title=title, converged=summary["converged"], assumed=assumed, quartiles=halves
     )
     figures.save(figure, folder / "forest")
     if len(cases) > 1:

@@ -37,6 +37,7 @@ def summarise(
             "sd": float(flat.std(ddof=1)),
             "median": float(np.median(flat)),
             "hdi90": list(hdi(flat)),
+            "quartiles": np.quantile(flat, (0.25, 0.75)).tolist(),
             "r_hat": _finite(told.r_hat),
             "ess_bulk": _finite(told.ess_bulk),
             "ess_tail": _finite(told.ess_tail),
@@ -57,6 +58,8 @@ def write_table(summary: Mapping[str, Any], path: Path) -> None:
         for name, numbers in found["parameters"].items():
             row = {"case": case, "parameter": name, "converged": found["converged"], **numbers}
             row["hdi90_low"], row["hdi90_high"] = row.pop("hdi90")
+            if quartiles := row.pop("quartiles", None):
+                row["quartile_low"], row["quartile_high"] = quartiles
             if before := row.pop("prior", None):
                 row["prior_median"] = before["median"]
                 row["prior_hdi90_low"], row["prior_hdi90_high"] = before["hdi90"]

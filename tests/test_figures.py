@@ -30,3 +30,16 @@ def test_a_figure_that_is_interrupted_leaves_the_former_one(tmp_path: Path) -> N
     with pytest.raises(KeyboardInterrupt):
         figures.save(figure, tmp_path / "new" / "record")
     assert {p: p.read_bytes() for p in sorted(written[0].parent.iterdir())} == before
+
+
+def test_a_forest_shows_the_middle_half_inside_the_interval() -> None:
+    """Two bars a group, the inner one thicker; a group whose quartiles are not known has the outer one alone."""
+    intervals = {"mu": {"I": (0.1, 0.3, 0.8), "II": (0.2, 0.4, 0.5)}}
+    figure = figures.forest_figure(intervals, {}, title="", quartiles={"mu": {"I": (0.2, 0.5)}})
+    bars = [line for line in figure.axes[0].lines if len(line.get_xdata()) == 2]
+    assert [(list(b.get_xdata()), b.get_ydata()[0]) for b in bars] == [
+        ([0.1, 0.8], 0),
+        ([0.2, 0.5], 0),
+        ([0.2, 0.5], 1),
+    ]
+    assert bars[1].get_linewidth() > 2.0 * bars[0].get_linewidth()

@@ -12,6 +12,7 @@ import sys
 import time
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.stats import binom
 
@@ -134,7 +135,10 @@ def test_a_fit_of_records_converges_and_covers_the_truth(fitted):
     low, high = found["friction_torque"]["prior"]["hdi90"]
     assert low < 0.06 < high, "what was assumed is told of what follows from parameters and constants too"
     assert found["c1t"]["prior"]["hdi90"][1] > 10.0 * (found["c1t"]["hdi90"][1] - found["c1t"]["hdi90"][0])
-    assert "prior_hdi90_low" in (fitted.folder / "summary.csv").read_text(encoding="utf-8").splitlines()[0]
+    table = pd.read_csv(fitted.folder / "summary.csv")
+    assert "prior_hdi90_low" in table
+    assert (table["quartile_low"] <= table["median"]).all()
+    assert (table["median"] <= table["quartile_high"]).all()
 
 
 @pytest.mark.slow

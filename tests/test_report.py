@@ -617,6 +617,7 @@ def test_a_run_that_did_not_converge_is_marked_first(tmp_path):
     text = words_of(done.path.read_text(encoding="utf-8"))
     assert done.warnings == ("Case III did not converge: do not use its numbers.",)
     assert text.index("Do not use these numbers") < text.index("Median and 90 % interval")
+    assert "case III: median (90 %)" in text, "what stands in a column of the overview"
     assert "The effective sample size of nu is 200" in text
 
 
@@ -866,7 +867,7 @@ def test_a_browser_shows_all_of_it_without_fault(tmp_path, width, dark):
     assert seen["folded"], "after printing the page is as it was"
     assert seen["sharp"] == [2040, 2040, 2040]
     head, first, *_ = (line.split("\t") for line in seen["copied"].splitlines())
-    assert head[:5] == ["parameter", "", "unit", "case III", "90 %"]
+    assert head[:5] == ["parameter", "", "unit", "case III: median", "(90 %)"]
     assert len(first) == len(head)
     assert re.fullmatch(r"[\d.]+ *\*?", first[3])
     assert re.fullmatch(r"\([\d.]+ to [\d.]+\)", first[4]), "an interval is copied into a column of its own"

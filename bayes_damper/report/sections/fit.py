@@ -150,7 +150,7 @@ def _overview(groups: Mapping[str, Any]) -> Table:
             star = " *" if _decided(p) == "prior" else ""
             cells.append(f"{number(p['median'], high - low)}{star}\n({interval(low, high)})")
         rows.append(Row((_told_name(name), unit, *cells)))
-    columns = ("parameter", "unit", *((n if n.startswith("all") else f"case {n}") + "\n90 %" for n in groups))
+    columns = ("parameter", "unit", *((n if n.startswith("all") else f"case {n}") + ": median\n(90 %)" for n in groups))
     starred = any("*" in cell for row in rows for cell in row.cells[2:])
     note = "* decided by the prior, not by the data" if starred else ""
     return Table("Median and 90 % interval", columns, tuple(rows), note)

@@ -17,7 +17,7 @@ _HEADS = {
 _PICTURES = {
     "forest": (
         "Parameters over the cases",
-        "Median (dot) and 90 % interval (line) for each case. Hollow and thin: the prior decided.",
+        "Median (dot), middle half (bar) and 90 % interval (line) for each case. Hollow and thin: the prior decided.",
     ),
     "predictive": (
         "What was measured and what the fitted model gives",
