@@ -711,7 +711,7 @@ def _sampled(
     return sample(
         posterior,
         begin,
-        walkers=_walkers(posterior.ndim, len(begin.population) > 0 and plan["campaign"] != "thesis"),
+        walkers=_walkers(posterior.ndim, 0 if plan["campaign"] == "thesis" else len(begin.population)),
         seed=int(np.random.SeedSequence([plan["seed"], _number(folder.name)]).generate_state(1)[0]),
         rule=rule,
         checkpoint=Checkpoint(folder / "state", fingerprint),
@@ -739,11 +739,13 @@ def expected_steps(stage: Stage, rule: StoppingRule, block: int) -> int:
     return math.ceil(max(stage.steps, min(needed, rule.max_steps)))
 
 
-def _walkers(ndim: int, known: bool) -> int:
-    """Walkers of an ensemble, a multiple of 32 to fill the lanes of the kernel; fewer where the best fit is already
-    known to resemble the posterior: most moves are then drawn from that, not from other walkers.
+def _walkers(ndim: int, known: int) -> int:
+    """Walkers of an ensemble, a multiple of 32 to fill the lanes of the kernel; fewer where independent draws of the
+    posterior are known, the more of them the more coordinates: most moves are then drawn from what they tell, not from
+    other walkers.
     """
-    return 32 if known and ndim <= 12 else 64 * math.ceil(ndim / 32)
+    few = (known > 0 and ndim <= 12) or (known >= 512 and ndim <= 16)
+    return 32 if few else 64 * math.ceil(ndim / 32)
 
 
 def _number(name: str) -> int:

@@ -8,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.special import digamma, polygamma
 
 from bayes_damper.checkpoint import Checkpoint
 from bayes_damper.errors import InputError, Interrupted
 from bayes_damper.sampling import StoppingRule, diagnose_draws, find_start, sample
 from bayes_damper.sampling.convergence import stranded_walkers
-from bayes_damper.sampling.start import annealed_start, cloud
+from bayes_damper.sampling.moves import fit_mixture
+from bayes_damper.sampling.start import annealed_start, cloud, resampled_start
 
 
 class Gaussian:
@@ -114,6 +116,67 @@ def test_annealing_passes_a_likelihood_that_is_zero_over_most_of_the_prior():
     mills = np.exp(-2.0) / np.sqrt(2.0 * np.pi) / 0.0227501319
     assert start.population[:, 0].mean() == pytest.approx(mills, abs=0.05)
     assert start.population[:, 1].std() == pytest.approx(1.0, abs=0.1)
+
+
+def skewed(points):
+    """Three coordinates: a normal of sd 0.5 about 1, a log-gamma (skewed to the left), and a normal that follows the
+    second; normalised up to a constant.
+    """
+    x, y, z = points.T
+    return -2.0 * (x - 1.0) ** 2 + 4.0 * y - np.exp(y) - 0.5 * ((z - 0.3 * y) / 0.2) ** 2
+
+
+def resampled(seed):
+    """A start from a best fit that is off by two standard deviations and half as wide again."""
+    at = np.array([0.0, np.log(4.0), 0.3 * np.log(4.0)])
+    slope = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.3, 1.0]])
+    covariance = 2.25 * slope @ np.diag([0.25, 0.25, 0.04]) @ slope.T
+    return resampled_start(skewed, at, covariance, np.random.default_rng(seed))
+
+
+def test_a_resampled_population_is_a_sample_of_the_posterior():
+    populations = [resampled(seed).population for seed in range(4)]
+    x, y, z = np.concatenate(populations).T
+    assert x.mean() == pytest.approx(1.0, abs=0.04)
+    assert x.std() == pytest.approx(0.5, rel=0.06)
+    assert y.mean() == pytest.approx(digamma(4.0), abs=0.04)
+    assert y.std() == pytest.approx(np.sqrt(polygamma(1, 4.0)), rel=0.06)
+    assert (z - 0.3 * y).std() == pytest.approx(0.2, rel=0.06)
+
+
+def test_a_resampled_population_has_few_copies_and_they_stand_together():
+    """Else a mixture that knows single members by heart would be thought the best likeness of the posterior."""
+    start = resampled(1)
+    population = start.population
+    distinct, first, count = np.unique(population[:, 0], return_index=True, return_counts=True)
+    assert len(distinct) > 0.85 * len(population)
+    assert all(np.all(population[i : i + n, 0] == x) for x, i, n in zip(distinct, first, count, strict=True))
+    shares, _, _ = fit_mixture(start.known)
+    assert len(shares) < 12
+
+
+def test_a_best_fit_unlike_the_posterior_is_no_sample_of_it():
+    """A thin shell: too few draws of any Student t count. And a density that is nought."""
+
+    def shell(points):
+        return -0.5 * ((np.linalg.norm(points[:, :5], axis=1) - 1.0) / 1e-4) ** 2
+
+    start = resampled_start(shell, np.r_[1.0, np.zeros(4)], 1e-4 * np.eye(5), np.random.default_rng(0))
+    assert len(start.population) == 0
+    empty = resampled_start(lambda x: np.full(len(x), -np.inf), np.zeros(2), np.eye(2), np.random.default_rng(0))
+    assert len(empty.population) == 0
+
+
+def test_where_most_moves_are_independent_draws_every_step_is_stored():
+    """The warm-up's own moves are mostly others, with a longer autocorrelation: that would thin what need not be."""
+    target = Gaussian(6)
+    rng = np.random.default_rng(0)
+    start = resampled_start(target, np.zeros(6), 1.3 * target.covariance, rng)
+    result = sample(target, start, seed=3, walkers=32)
+    assert result.converged
+    assert result.thin == 1
+    assert result.verdict.tau.max() < 5.0
+    assert result.evaluations < 20_000
 
 
 class ThinSheets:

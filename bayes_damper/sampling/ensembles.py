@@ -43,6 +43,10 @@ _TUNING = 200  # steps of warm-up after an annealed start
 _BLOCK = 25  # stored steps between two states
 _FEWEST_STORED = 75
 _LEARNT_FROM = 4000  # draws of a round
+_EARNED = ((0.45, 0.9), (0.1, 0.7), (0.05, 0.45), (0.02, 0.15), (0.0, 0.03))
+"""Weight of the learnt mixture in the mix of moves, by the least share of its draws that is accepted. Where nearly half
+are, two draws of it are worth more than two steps of any other move: all but a tenth are then drawn from it.
+"""
 _ALL_BUT_SURE = 0.8  # weight of draws from the mixture from which on nothing else is needed
 _MEMORY = 96e6  # bytes of draws kept before every second stored step is dropped
 
@@ -132,7 +136,7 @@ class _Ensemble:
     shares: Array = field(default_factory=lambda: np.empty(0))  # of the mixture that was learnt
     centres: Array = field(default_factory=lambda: np.empty(0))
     spreads: Array = field(default_factory=lambda: np.empty(0))
-    tau: float = 1.0
+    tau: float = 1.0  # what is to be expected of the draws
     last: Array = field(default_factory=lambda: np.empty(0))  # (2, ndim + 1): mean and standard deviation last round
     tried: int = 0
     taken: int = 0
@@ -393,17 +397,17 @@ def _after_round(state: _Ensemble, chain: Array, heights: Array, moves: list[Hal
         coords[walker], log_prob[walker] = coords[other], log_prob[other]
     flat = np.column_stack([chain[:, fine].reshape(-1, ndim), heights[:, fine].reshape(-1)])
     figures = np.stack([flat.mean(axis=0), flat.std(axis=0)])
-    weight = state.weight
+    tau = max(float(np.nanmax(autocorrelation_time(chain[None, ..., i]))) for i in range(ndim))
+    weight, ahead = state.weight, tau
     if weight > 0:
         own = moves[-1]
         share = own.taken / max(own.tried, 1)
-        weight = (
-            0.9 if share > 0.6 else 0.7 if share > 0.1 else 0.45 if share > 0.05 else 0.15 if share > 0.02 else 0.03
-        )
+        weight = next(given for least, given in _EARNED if share >= least)
+        if weight > _ALL_BUT_SURE:  # most of this round's steps were of the other moves, which take longer
+            ahead = min(tau, 3.0 / share)
     elif state.last.size:
         weight = 0.3
     alike = state.last.size > 0 and _alike(state.last, figures)
-    tau = max(float(np.nanmax(autocorrelation_time(chain[None, ..., i]))) for i in range(ndim))
     # A proposal that is often accepted has no more to learn.
     enough = _TUNING / 4 if weight >= 0.7 else _TUNING
     settled = steps >= enough if state.annealed else alike and len(chain) >= 3 * tau
@@ -423,7 +427,7 @@ def _after_round(state: _Ensemble, chain: Array, heights: Array, moves: list[Hal
         shares=shares,
         centres=centres,
         spreads=spreads,
-        tau=tau,
+        tau=ahead,
         last=figures,
         reseated=state.reseated + len(lost),
     )

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 
 from bayes_damper.errors import InputError
-from bayes_damper.sampling.moves import DifferentialEvolution, HalvesMove, Independence, Snooker, fit_mixture
+from bayes_damper.sampling.moves import DifferentialEvolution, HalvesMove, Independence, Snooker, StudentT, fit_mixture
 from bayes_damper.sampling.nearby import Nearby
 
 Array = NDArray[np.float64]
@@ -146,28 +146,58 @@ def annealed_start(
 
 
 def resampled_start(
-    target: LogDensity, point: Array, covariance: Array, rng: np.random.Generator, *, draws: int = 1024
+    target: LogDensity, point: Array, covariance: Array, rng: np.random.Generator, *, draws: int = 1024, rounds: int = 4
 ) -> Start:
     """A sample of a posterior that is nearly the Gaussian of a best fit: weighted draws about it, resampled.
 
-    Where the weights of fewer than a tenth of the draws count, the start is the cloud about the optimum instead.
+    In each round `draws` come from a Student t: first that of the best fit, then one with the mean and the covariance
+    that the draws so far have by their weights. A draw's weight is its density over that of all proposals together, so
+    that draws of every round count (Veach and Guibas 1995). It ends when as many count as one round has.
+
+    As many members are taken as draws count, so that few are copies of one another, and copies stand together: a
+    mixture learnt from one half of the population must not know single members of the other half (`fit_mixture`).
+
+    Where fewer than a tenth of all draws count, the start is the cloud about the optimum instead.
     """
     ndim, freedom = len(point), 6.0
-    root = np.linalg.cholesky(covariance)
-    stretch = np.sqrt(freedom / rng.chisquare(freedom, draws))
-    z = rng.standard_normal((draws, ndim)) * stretch[:, None]
-    points = point + 1.1 * z @ root.T
-    height = np.nan_to_num(np.asarray(target(points), dtype=float), nan=-np.inf)
-    best = float(target(point[None])[0])
-    start = Start(point, covariance, best, np.empty((0, ndim)), draws + 1)
-    log_weight = height + 0.5 * (freedom + ndim) * np.log1p(np.sum(z**2, axis=1) / freedom)
-    if not np.any(np.isfinite(log_weight)):
+    enough = draws // 4  # that a covariance is learnt from
+    counted = _Counted(target)
+    best = float(counted(point[None])[0])
+    start = Start(point, covariance, best, np.empty((0, ndim)), counted.evaluations)
+    shapes = [StudentT(point, 1.21 * covariance, freedom)]
+    points, height = np.empty((0, ndim)), np.empty(0)
+    for turn in range(rounds):
+        fresh = shapes[-1].draw(rng, draws)
+        points = np.concatenate([points, fresh])
+        height = np.concatenate([height, counted(fresh)])
+        start = replace(start, evaluations=counted.evaluations)
+        if np.count_nonzero(np.isfinite(height)) < enough:
+            return start
+        log_weight = height - np.logaddexp.reduce([shape.log_density(points) for shape in shapes], axis=0)
+        weight, count = _normalised(log_weight)
+        if count >= draws or turn == rounds - 1:
+            break
+        known = weight
+        power = 1.0
+        while count < enough and power > 1e-3:  # weights drawn together until they tell a shape
+            power *= 0.7
+            known, count = _normalised(power * log_weight)
+        centre = known @ points
+        white = (points - centre) * np.sqrt(known)[:, None]
+        shapes.append(StudentT(centre, white.T @ white, freedom))
+    weight, count = _normalised(log_weight)
+    if count < 0.1 * len(points):
         return start
+    members = min(int(count), draws)
+    at = np.searchsorted(np.cumsum(weight), (rng.random() + np.arange(members)) / members)
+    return replace(start, population=points[np.minimum(at, len(points) - 1)])
+
+
+def _normalised(log_weight: Array) -> tuple[Array, float]:
+    """Weights that sum to 1, and how many draws of equal weight would tell as much."""
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()
-    if 1.0 / np.sum(weight**2) < 0.1 * draws:
-        return start
-    return replace(start, population=points[rng.choice(draws, draws // 2, p=weight)])
+    return weight, float(1.0 / np.sum(weight**2))
 
 
 def _next_power(like: Array, most: float, keep: float) -> float:
