@@ -47,7 +47,6 @@ from bayes_damper.record_posterior import RecordPosterior, trial_label
 from bayes_damper.run import WAITING, Progress, Silent, Task, folder_name, read_json, run_tasks, stopped, write_json
 from bayes_damper.sampling import Progress as Stage
 from bayes_damper.sampling import Sampling, Start, StoppingRule, annealed_start, resampled_start, sample
-from bayes_damper.sampling.ensembles import _BLOCK, _FEWEST_STORED  # what progress cannot tell otherwise
 from bayes_damper.sensitivity import decided_by, of_standard_draws
 from bayes_damper.sensitivity import text as sensitivity_text
 from bayes_damper.summary import summarise, table_text, write_table
@@ -61,6 +60,8 @@ PROPOSALS = 4000
 """Points of bridge sampling for the evidence."""
 KEPT_DRAWS = 4000
 """Draws of each case that go into posterior.nc: thinned so that they are all but independent."""
+WARM = 0.15
+"""Share of a case's time after which the warm-up is over."""
 DRAWN = 0.7
 """Share of a case's time after which its draws are there, as seen in runs of some trials: what follows is told too."""
 
@@ -696,17 +697,17 @@ def _sampled(
     report(0.01, "finding the start")
     begin = start()
     rule = stopping_rule(plan)
-    drawn, block, share = 0, rule.max_steps, 0.0
+    share = 0.0
 
     def tell(stage: Stage) -> None:
-        nonlocal drawn, block, share
+        nonlocal share
         if stage.phase == "warm-up":
-            report(0.05, f"warm-up, {stage.steps} steps")
+            share = max(share, 0.01 + (WARM - 0.01) * stage.part)  # waits where more is expected than before
+            report(share, f"warm-up, {stage.steps} steps")
             return
-        block, drawn = min(block, stage.steps - drawn), stage.steps
-        expected = expected_steps(stage, rule, block)
-        share = max(share, 0.1 + (DRAWN - 0.1) * drawn / expected)  # waits where more is expected than before
-        report(share, f"drawing, {drawn} of about {expected} steps")
+        expected = expected_steps(stage, rule)
+        share = max(share, WARM + (DRAWN - WARM) * stage.steps / expected)
+        report(share, f"drawing, {stage.steps} of about {expected} steps")
 
     return sample(
         posterior,
@@ -721,16 +722,15 @@ def _sampled(
     )
 
 
-def expected_steps(stage: Stage, rule: StoppingRule, block: int) -> int:
+def expected_steps(stage: Stage, rule: StoppingRule) -> int:
     """Steps of each ensemble after which a run will have the draws that its rule asks for, or will give up.
 
     From the latest verdict: effective draws grow with the steps, and what R-hat has above 1 shrinks with them. Before
-    the first, from the steps between two states (`block`), which the autocorrelation of the warm-up has set.
+    the first, from what the warm-up lets expect.
     """
     verdict = stage.verdict
     if verdict is None or not stage.part > 0.0:
-        tau = 8.0 * block / _BLOCK  # the warm-up's, of which a stored step is an eighth
-        needed = max(rule.taus * tau, block * _FEWEST_STORED / _BLOCK)
+        needed = max(rule.taus * stage.tau, stage.least)
     elif verdict.converged:
         needed = stage.steps
     else:

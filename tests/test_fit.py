@@ -21,7 +21,7 @@ from bayes_damper.campaign import record_text
 from bayes_damper.demo import demo
 from bayes_damper.effects import EFFECTS
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.fit import DRAWN, _sampled, expected_steps, fit, plan_fit, published_posterior, start_run
+from bayes_damper.fit import DRAWN, WARM, _sampled, expected_steps, fit, plan_fit, published_posterior, start_run
 from bayes_damper.model import Model
 from bayes_damper.posterior import Datum, FeaturePosterior
 from bayes_damper.priors import load_priors
@@ -103,18 +103,22 @@ def test_progress_of_the_draws_moves_from_the_first_and_expects_what_it_takes(tm
     assert drawn.converged
     shares = [share for share, text in told if text.startswith("drawing")]
     steps = [tuple(map(int, re.findall(r"\d+", text))) for _, text in told if text.startswith("drawing")]
-    assert 0.1 < shares[0] < shares[1] < shares[2]
+    assert WARM < shares[0] < shares[1] < shares[2]
     assert shares == sorted(shares)
     assert shares[-1] == pytest.approx(DRAWN)
     assert steps[-1][0] == steps[-1][1] == drawn.verdict.steps
     assert all(0.5 < expected / drawn.verdict.steps < 2.0 for _, expected in steps)
+    warming = [share for share, text in told if text.startswith("warm-up")]
+    assert len(set(warming)) > 4, "after each ensemble's round"
+    assert warming == sorted(warming)
+    assert 0.01 < warming[0] < 0.1 < warming[-1] == pytest.approx(WARM)
 
 
 def test_expected_steps_end_with_the_budget():
     """Where a run gives up after 90 steps, no more are expected, however far off the rule is."""
     rule = StoppingRule(max_steps=90)
-    assert expected_steps(Progress("drawing", 25, 0.0, 1.0, None), rule, 25) == 90
-    assert expected_steps(Progress("drawing", 100, 0.0, 1.0, None), rule, 25) == 100
+    assert expected_steps(Progress("drawing", 25, 0.0, 1.0, None, 8.0, 75), rule) == 90
+    assert expected_steps(Progress("drawing", 100, 0.0, 1.0, None, 8.0, 75), rule) == 100
 
 
 @pytest.mark.slow

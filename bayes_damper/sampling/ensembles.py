@@ -18,7 +18,7 @@ import threading
 import time
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -71,8 +71,10 @@ class Target(Protocol):
 
 @dataclass(frozen=True)
 class Progress:
-    """What a progress display is told: phase "warm-up" or "drawing", steps of each ensemble so far, part done (0..1),
-    seconds since the start of this process's work, and the latest verdict.
+    """What a progress display is told: phase "warm-up" or "drawing", steps of each ensemble so far, part done of the
+    phase (0..1), seconds since the start of this process's work, the latest verdict; and what is known before the
+    first: tau, the autocorrelation time in steps that the warm-up lets expect (0 during it), and least, the steps after
+    which that verdict comes.
     """
 
     phase: str
@@ -80,6 +82,8 @@ class Progress:
     part: float
     seconds: float
     verdict: Verdict | None
+    tau: float = 0.0
+    least: int = 0
 
 
 @dataclass(frozen=True)
@@ -144,6 +148,10 @@ class _Ensemble:
     reseated: int = 0
     drawn: int = 0
     outcomes: dict[str, int] = field(default_factory=dict)  # of the target's simulations
+
+
+_Advance = Callable[[list[tuple[_Ensemble, int]]], Iterable[Any]]
+"""Takes ensembles on, each by a round (0) or by 25 stored steps of so many each; gives them one by one as they end."""
 
 
 def sample(
@@ -221,23 +229,25 @@ class _Run:
         else:
             self._restore(*saved)
 
-    def warm_up(self, advance: Callable[[list[tuple[_Ensemble, int]]], list[Any]]) -> None:
+    def warm_up(self, advance: _Advance) -> None:
         """Runs warm-up rounds, each ensemble its own number, until all are warm; then fixes the common thinning."""
         while not all(s.warm for s in self.states):
             cold = [i for i, s in enumerate(self.states) if not s.warm]
             for i, (state, _, _) in zip(cold, advance([(self.states[i], 0) for i in cold]), strict=True):
                 self.states[i] = state
-            self._tell("warm-up", max(s.steps for s in self.states), 0.0)
-            self._save_if_due()
+                ahead = sum(_warm_up_ahead(s) for s in self.states)
+                done = sum(s.steps for s in self.states)
+                self._tell("warm-up", max(s.steps for s in self.states), done / (done + ahead))
+                self._save_if_due()
         if self.thin == 0:
             self.thin = max(1, int(max(s.tau for s in self.states) / 8))
 
-    def draw(self, advance: Callable[[list[tuple[_Ensemble, int]]], list[Any]]) -> None:
+    def draw(self, advance: _Advance) -> None:
         """Draws block by block until the rule holds or the budget is spent."""
         if self.judged > 0 and self.judged == self.draws.shape[1] * self.thin:
             self._judge()  # finished, perhaps under a new rule; elsewhere an early look would change the end
         while not self._finished():
-            parts = advance([(s, self.thin) for s in self.states])
+            parts = list(advance([(s, self.thin) for s in self.states]))
             self.states = [p[0] for p in parts]
             self.draws = np.concatenate([self.draws, np.stack([p[1] for p in parts])], axis=1)
             self.log_prob = np.concatenate([self.log_prob, np.stack([p[2] for p in parts])], axis=1)
@@ -334,7 +344,9 @@ class _Run:
 
     def _tell(self, phase: str, steps: int, part: float) -> None:
         if self.progress is not None:
-            self.progress(Progress(phase, steps, part, time.monotonic() - self.begun, self.verdict))
+            tau = max(s.tau for s in self.states) if self.thin else 0.0
+            seconds = time.monotonic() - self.begun
+            self.progress(Progress(phase, steps, part, seconds, self.verdict, tau, self.thin * _FEWEST_STORED))
 
     def _save_if_due(self) -> None:
         if self.checkpoint is not None and self.checkpoint.due():
@@ -408,9 +420,7 @@ def _after_round(state: _Ensemble, chain: Array, heights: Array, moves: list[Hal
     elif state.last.size:
         weight = 0.3
     alike = state.last.size > 0 and _alike(state.last, figures)
-    # A proposal that is often accepted has no more to learn.
-    enough = _TUNING / 4 if weight >= 0.7 else _TUNING
-    settled = steps >= enough if state.annealed else alike and len(chain) >= 3 * tau
+    settled = steps >= _tuning(weight) if state.annealed else alike and len(chain) >= 3 * tau
     warm = (settled and state.weight > 0 and not lost) or steps >= _LONGEST_WARM_UP
     shares, centres, spreads = state.shares, state.centres, state.spreads
     if len(flat) / tau > state.known:  # else the start knew more than this round
@@ -431,6 +441,20 @@ def _after_round(state: _Ensemble, chain: Array, heights: Array, moves: list[Hal
         last=figures,
         reseated=state.reseated + len(lost),
     )
+
+
+def _tuning(weight: float) -> float:
+    """Steps of warm-up of an ensemble that began as a sample: a proposal often accepted has no more to learn."""
+    return _TUNING / 4 if weight >= 0.7 else _TUNING
+
+
+def _warm_up_ahead(state: _Ensemble) -> float:
+    """Steps of warm-up that an ensemble still has before it, as far as can be told: a round or more."""
+    if state.warm:
+        return 0.0
+    if state.annealed:
+        return max(state.length, _tuning(state.weight if state.steps else 1.0) - state.steps)
+    return max(state.length, 3 * _FIRST_ROUND - state.steps)  # two alike, and one with what they taught
 
 
 def _alike(before: Array, after: Array) -> bool:
@@ -504,21 +528,21 @@ _TARGET: list[Target] = []  # in a worker process: the target, received once
 
 
 @contextmanager
-def _workers(target: Target, count: int) -> Iterator[Callable[[list[tuple[_Ensemble, int]]], list[Any]]]:
+def _workers(target: Target, count: int) -> Iterator[_Advance]:
     """A function that advances ensembles, in this process or spread over `count` others."""
     if count <= 1:
-        yield lambda tasks: [_advance(target, state, thin) for state, thin in tasks]
+        yield lambda tasks: (_advance(target, state, thin) for state, thin in tasks)
         return
     # A fork hands compiled kernels over as they are; where there is none the target has to be picklable.
     method = "fork" if sys.platform.startswith("linux") else "spawn"
     context = multiprocessing.get_context(method)
     pool = ProcessPoolExecutor(count, mp_context=context, initializer=_receive, initargs=(target, os.getpid()))
 
-    def advance(tasks: list[tuple[_Ensemble, int]]) -> list[Any]:
+    def advance(tasks: list[tuple[_Ensemble, int]]) -> Iterator[Any]:
         with warnings.catch_warnings():
             # Threads beside us only wait for a signal or for the end of a process: they hold no lock.
             warnings.filterwarnings("ignore", ".*fork.*", DeprecationWarning)
-            return list(pool.map(_advance_here, tasks))
+            return pool.map(_advance_here, tasks)
 
     try:
         yield advance
