@@ -1,0 +1,63 @@
+"""Files of a campaign as bytes and text, with what to tell when one is absent or no text."""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+from collections.abc import Iterable
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def nearest_name(word: str, names: Iterable[str]) -> str:
+    """A hint for a word that is none of the names: the one that was meant, or all of them."""
+    found = difflib.get_close_matches(word, list(names), 1, 0.5)
+    return f"did you mean '{found[0]}'?" if found else f"valid names: {', '.join(names)}"
+
+
+def read_bytes(path: Path, name: str, faults: list[str], digest: hashlib._Hash) -> bytes | None:
+    """The bytes of a file, unpacked, with `digest` fed; None, and a fault, if it cannot be read."""
+    try:
+        raw = path.read_bytes()
+    except FileNotFoundError:
+        near = _nearest_file(path)
+        hint = f"did you mean {near}?" if near else "put it into the campaign's folder or correct the name"
+        faults.append(f"{name}: no such file; {hint}")
+        return None
+    except OSError as error:
+        faults.append(f"{name}: cannot be read ({error.strerror}); give a readable file")
+        return None
+    digest.update(raw)
+    if not raw.strip():
+        faults.append(f"{name}: the file is empty; export it again")
+        return None
+    return raw
+
+
+def _nearest_file(path: Path) -> str | None:
+    """The file that a name may mean: the same with other letters, or with / between the folders."""
+    wanted = PurePosixPath(path.as_posix().replace("\\", "/"))
+    place = Path(wanted.parent)
+    names = sorted(p.name for p in place.iterdir() if p.is_file()) if place.is_dir() else []
+    same = [n for n in names if n.lower() == wanted.name.lower()] or difflib.get_close_matches(
+        wanted.name, names, 1, 0.9
+    )
+    return f"{place.name}/{same[0]}" if same else None
+
+
+def decoded(raw: bytes, name: str, faults: list[str]) -> str | None:
+    """The text of a file; None, and a fault, if it is no text."""
+    if b"\0" in raw[:4096]:
+        kind = "a spreadsheet or an archive" if raw.startswith(b"PK") else "not plain text (it holds bytes of 0)"
+        faults.append(f"{name}: {kind}; save it as plain text in UTF-8, tables as CSV")
+        return None
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw[: error.start].count(b"\n") + 1
+        faults.append(f"{name}, line {line}: not UTF-8 text; save the file as plain text in UTF-8")
+        return None

@@ -1,0 +1,259 @@
+"""campaign.toml: the rig and the measurement, checked."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper.campaign.files import decoded, nearest_name, read_bytes
+from bayes_damper.campaign.structure import (
+    MEASUREMENT_NUMBERS,
+    MEASUREMENT_SPREADS,
+    MEASUREMENT_WORDS,
+    RIG_NUMBERS,
+    RIG_WORDS,
+    Constant,
+    Measurement,
+    Rig,
+)
+
+Array = NDArray[np.float64]
+TomlValue = Any  # whatever a TOML file can hold: checked by those who take it
+_SINGLE = {"sample_rate": "Hz", "duration": "s"}
+_TOP = ("name", "description", "source", "caveats", "rig", "measurement")
+_TABLES = {"rig": (*RIG_NUMBERS, *RIG_WORDS),
+           "measurement": (*MEASUREMENT_WORDS, *MEASUREMENT_NUMBERS, *MEASUREMENT_SPREADS)}  # fmt: skip
+
+
+@dataclass
+class Head:
+    """What campaign.toml says; `broken` when a fault leaves its numbers without meaning."""
+
+    name: str
+    description: str
+    source: str
+    caveats: tuple[str, ...]
+    rig: Rig
+    measurement: Measurement
+    broken: bool
+    notes: list[str] = field(default_factory=list)
+
+
+def read_head(folder: Path, faults: list[str], digest: hashlib._Hash) -> Head | None:
+    """campaign.toml, read and checked; None, and a fault, if it cannot be read at all."""
+    name = "campaign.toml"
+    if not (folder / name).exists():
+        faults.append(f"{folder}: holds no {name}; `bayes-damper init` makes a campaign from logger files")
+        return None
+    raw = read_bytes(folder / name, name, faults, digest)
+    text = None if raw is None else decoded(raw, name, faults)
+    if text is None:
+        return None
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        faults.append(f"{name}: not valid TOML: {error}; correct that line")
+        return None
+    return head_from_table(table, name, faults)
+
+
+def head_from_table(table: Mapping[str, Any], name: str, faults: list[str]) -> Head:
+    """Checks the keys of a campaign.toml that was read into `table`; faults are appended."""
+    before = len(faults)
+    for key in table:
+        if key not in _TOP:
+            home = next((table for table, keys in _TABLES.items() if key in keys), None)
+            hint = (
+                nearest_name(key, _TOP)
+                if home is None
+                else f"it belongs into the table [{home}]: write it below that line"
+            )
+            faults.append(f"{name}: unknown key '{key}'; {hint}")
+    words = {key: _text(table, key, name, faults) for key in ("name", "description", "source")}
+    if "name" not in table:
+        faults.append(f"{name}: key 'name' is missing; give the campaign a name, name = \"...\"")
+    caveats = table.get("caveats", [])
+    if not isinstance(caveats, list) or not all(isinstance(c, str) for c in caveats):
+        faults.append(f"{name}: 'caveats' must be a list of sentences in quotes")
+        caveats = []
+    rig = _read_rig(_subtable(table, "rig", name, faults), name, faults)
+    measurement = _read_measurement(_subtable(table, "measurement", name, faults), name, faults)
+    broken = len(faults) > before
+    return Head(words["name"], words["description"], words["source"], tuple(caveats), rig, measurement, broken)
+
+
+def _text(table: Mapping[str, Any], key: str, name: str, faults: list[str]) -> str:
+    value = table.get(key, "")
+    if not isinstance(value, str) or (key == "name" and key in table and not value.strip()):
+        faults.append(f"{name}: '{key}' must be text in quotes, not {value!r}")
+        return ""
+    return value
+
+
+def _subtable(table: Mapping[str, Any], key: str, name: str, faults: list[str]) -> Mapping[str, Any]:
+    value = table.get(key, {})
+    if key == "rig" and key not in table:
+        faults.append(f"{name}: table [rig] is missing; it must give at least primary_inertia")
+    if not isinstance(value, dict):
+        faults.append(f"{name}: '{key}' must be a table, [{key}], not {value!r}")
+        return {}
+    return value
+
+
+def _read_words(
+    table: Mapping[str, Any], words: Mapping[str, tuple[str, ...]], where: str, faults: list[str]
+) -> dict[str, str]:
+    found = {}
+    for key, valid in words.items():
+        value = table.get(key, valid[0])
+        if value not in valid:
+            faults.append(
+                f"{where}: {key} = {value!r} is not one of {', '.join(valid)}; {nearest_name(str(value), valid)}"
+            )
+            value = valid[0]
+        found[key] = value
+    return found
+
+
+def _read_rig(table: Mapping[str, Any], name: str, faults: list[str]) -> Rig:
+    where = f"{name} [rig]"
+    for key in table:
+        if key not in (*RIG_WORDS, *RIG_NUMBERS):
+            faults.append(f"{where}: unknown key '{key}'; {nearest_name(key, (*RIG_WORDS, *RIG_NUMBERS))}")
+    words = _read_words(table, RIG_WORDS, where, faults)
+    numbers = {
+        key: constant
+        for key in RIG_NUMBERS
+        if key in table and (constant := constant_from(table[key], f"{where}: {key}", faults)) is not None
+    }
+    for key, constant in numbers.items():
+        _check_constant(key, constant, words["kind"], where, faults)
+    if table and "primary_inertia" not in table:
+        faults.append(
+            f"{where}: key 'primary_inertia' is missing; give J1 in kg m^2 (kg), or 1 when all is per unit inertia"
+        )
+    if words["kind"] == "translational":
+        numbers.setdefault("bar_radius", Constant(1.0))
+        if numbers["bar_radius"] != Constant(1.0):
+            faults.append(f"{where}: bar_radius is 1 on a translational rig; remove the key")
+    numbers.setdefault("primary_inertia", Constant(1.0))
+    return Rig(**numbers, **words)  # type: ignore[arg-type]
+
+
+def constant_from(value: TomlValue, where: str, faults: list[str]) -> Constant | None:
+    """A `Constant` from a number or a table {value, std}; None, and a fault, when it is neither."""
+    std: Any = 0.0
+    if isinstance(value, dict):
+        for key in value:
+            if key not in ("value", "std"):
+                faults.append(f"{where}: unknown key '{key}'; {nearest_name(key, ('value', 'std'))}")
+        if "value" not in value:
+            faults.append(f"{where}: key 'value' is missing; write {{ value = ..., std = ... }}")
+            return None
+        value, std = value["value"], value.get("std", 0.0)
+    for number in (value, std):
+        if isinstance(number, bool) or not isinstance(number, int | float):
+            faults.append(f"{where} must be a number or {{ value = ..., std = ... }}, not {number!r}")
+            return None
+    if not (math.isfinite(value) and math.isfinite(std)):
+        faults.append(f"{where} must be finite, not {value!r} with std {std!r}")
+        return None
+    if std < 0.0:
+        faults.append(f"{where}: std = {std!r} is negative; give a standard uncertainty of 0 or more")
+        return None
+    return Constant(float(value), float(std))
+
+
+def _check_constant(key: str, constant: Constant, kind: str, where: str, faults: list[str]) -> None:
+    value = constant.value
+    if key in ("primary_inertia", "secondary_inertia", "bar_radius", "magnet_radius") and value <= 0.0:
+        faults.append(f"{where}: {key} = {value!r} must be positive; give it in SI units")
+    if key in ("magnet_pull", "ground2_stiffness") and value < 0.0:
+        faults.append(f"{where}: {key} = {value!r} must not be negative; give it in SI units")
+    if key in ("bar_radius", "magnet_radius") and value > 10.0 and kind == "torsional":
+        faults.append(f"{where}: {key} = {value!r} m is not a laboratory rig; it looks like millimetres, give metres")
+
+
+def _read_measurement(table: Mapping[str, Any], name: str, faults: list[str]) -> Measurement:
+    where = f"{name} [measurement]"
+    valid = (*MEASUREMENT_WORDS, *MEASUREMENT_NUMBERS, *MEASUREMENT_SPREADS)
+    for key in table:
+        if key not in valid:
+            faults.append(f"{where}: unknown key '{key}'; {nearest_name(key, valid)}")
+    words = _read_words(table, MEASUREMENT_WORDS, where, faults)
+    tuples = {k: _positives(table[k], f"{where}: {k}", faults) for k in MEASUREMENT_NUMBERS if k in table}
+    tuples |= {k: _positives(table[k], f"{where}: {k}", faults, zero=True) for k in MEASUREMENT_SPREADS if k in table}
+    single: dict[str, float | None] = {}
+    for key, unit in _SINGLE.items():
+        found = tuples.pop(key, None)
+        if found is not None and len(found) != 1:
+            faults.append(f"{where}: {key} must be one number, in {unit}")
+        single[key] = found[0] if found else None
+    return Measurement(**words, **tuples, **single)  # type: ignore[arg-type]
+
+
+def _positives(value: TomlValue, where: str, faults: list[str], zero: bool = False) -> tuple[float, ...] | None:
+    values = value if isinstance(value, list) else [value]
+    for number in values:
+        if isinstance(number, bool) or not isinstance(number, int | float):
+            faults.append(f"{where} must be a number, or one number per channel, not {number!r}")
+            return None
+        if not (math.isfinite(number) and (number > 0.0 or (zero and number == 0.0))):
+            faults.append(f"{where} = {number!r} must be {'0 or more' if zero else 'positive'} and finite")
+            return None
+    if not 1 <= len(values) <= 2:
+        faults.append(f"{where} has {len(values)} entries; give one number, or one per channel")
+        return None
+    return tuple(float(v) for v in values)
+
+
+def per_channel(values: tuple[float, ...] | None, coupled: bool) -> tuple[float, ...] | None:
+    """Values for both channels: one given stands for both where there are two."""
+    if values is None or len(values) == 2 or not coupled:
+        return values
+    return values * 2
+
+
+def check_rig(folder: Path, rig: Rig, coupled: bool, faults: list[str]) -> None:
+    """Adds as faults what rig and trials need and the file lacks."""
+    where = "campaign.toml [rig]"
+    if not coupled:
+        return
+    if rig.secondary_inertia is None:
+        faults.append(f"{where}: secondary_inertia is missing; a coupled trial needs J2 in kg m^2 (kg)")
+    elif rig.inertial_coupling.value and (
+        rig.inertial_coupling.value**2 >= rig.primary_inertia.value * rig.secondary_inertia.value
+    ):
+        faults.append(f"{where}: inertial_coupling must be smaller than sqrt(J1 J2): no rig has such an inertia matrix")
+    if _friction_fixed_at_zero(folder):
+        return
+    needed = {"bar_radius": "R, m", "magnet_pull": "N0, N, the force that presses the faces together"}
+    if rig.normal_force == "linear":
+        needed["magnet_radius"] = "r, m"
+    for key, unit in needed.items():
+        if getattr(rig, key) is None:
+            faults.append(
+                f"{where}: {key} ({unit}) is missing; a coupled trial needs it for the friction between the bodies, "
+                "mu N0 R; where nothing rubs, write mu = 0.0 into a file priors.toml in the campaign's folder"
+            )
+
+
+def _friction_fixed_at_zero(folder: Path) -> bool:
+    """Whether the campaign's own priors.toml fixes mu at 0; a file that cannot be read is told by the prior reader."""
+    try:
+        table = tomllib.loads((folder / "priors.toml").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    for found in (table.get("mu"), *(t.get("mu") for t in table.values() if isinstance(t, dict))):
+        value = found.get("value") if isinstance(found, dict) else found
+        if isinstance(value, int | float) and not isinstance(value, bool) and value == 0:
+            return True
+    return False

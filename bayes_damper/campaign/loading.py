@@ -1,0 +1,134 @@
+"""A campaign from its folder, with records or, as a plan, without."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper.campaign.head import check_rig, per_channel, read_head
+from bayes_damper.campaign.magnitudes import check_magnitudes
+from bayes_damper.campaign.oddities import look_at_repeats, look_at_trial
+from bayes_damper.campaign.record_files import read_trial
+from bayes_damper.campaign.structure import Campaign, Trial
+from bayes_damper.campaign.trials_table import read_rows
+from bayes_damper.errors import InputError
+
+Array = NDArray[np.float64]
+PLANNED_PERIODS = 8.0
+"""Natural periods of the slowest case that a planned record lasts where no duration is declared."""
+
+
+def load_campaign(folder: str | Path) -> Campaign:
+    """Reads and checks a campaign.
+
+    Raises
+    ------
+    InputError
+        with one sentence for every fault of every file.
+    """
+    folder = Path(folder)
+    faults: list[str] = []
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; give the folder that holds campaign.toml")
+    digest = hashlib.sha256()
+    head = read_head(folder, faults, digest)
+    if head is None:
+        raise InputError(faults)
+    rows = read_rows(folder, head.rig.kind, head.measurement.start, faults, digest)
+    trials = tuple(t for row in rows if (t := read_trial(folder, row, head, faults, digest)) is not None)
+    check_rig(folder, head.rig, any(row.configuration == "coupled" for row in rows), faults)
+    warnings: list[str] = list(head.notes)
+    for trial in trials:
+        if not head.broken:
+            check_magnitudes(head, trial, faults, warnings)
+            look_at_trial(head, trial, warnings)
+    if faults:
+        if rows and not any((folder / row.file).exists() for row in rows):
+            faults.append("none of the records is there: `bayes-damper plan` judges a campaign before it is measured")
+        raise InputError(faults)
+    look_at_repeats(head, trials, warnings)
+    both = any(t.coupled for t in trials)
+    declared = head.measurement
+    measurement = replace(
+        declared,
+        noise_std=per_channel(declared.noise_std, both),
+        offset_std=per_channel(declared.offset_std, both),
+        scale_std=per_channel(declared.scale_std, both),
+        lag_std=per_channel(declared.lag_std, both),
+    )
+    return Campaign(
+        head.name,
+        head.rig,
+        measurement,
+        trials,
+        head.description,
+        head.source,
+        head.caveats,
+        folder,
+        (*head.caveats, *warnings),
+        digest.hexdigest(),
+    )
+
+
+def load_plan(folder: str | Path) -> Campaign:
+    """A campaign of which nothing, or only a part, has been measured yet.
+
+    The files that trials.csv names may be missing: such a trial has readings of zero at the sample times that
+    [measurement] declares (`sample_rate`, `duration`; by default eight natural periods of the slowest case). Records
+    that are there are read and checked as ever.
+
+    Raises
+    ------
+    InputError
+        with one sentence for every fault of every file.
+    """
+    folder = Path(folder)
+    faults: list[str] = []
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; give the folder that holds campaign.toml")
+    digest = hashlib.sha256()
+    head = read_head(folder, faults, digest)
+    if head is None:
+        raise InputError(faults)
+    rows = read_rows(folder, head.rig.kind, head.measurement.start, faults, digest)
+    check_rig(folder, head.rig, any(row.configuration == "coupled" for row in rows), faults)
+    missing = [row for row in rows if not (folder / row.file).exists()]
+    rate = head.measurement.sample_rate
+    if missing and rate is None:
+        faults.append("campaign.toml [measurement]: sample_rate is missing; a plan without records needs it, in Hz")
+    if faults or head.broken:
+        raise InputError(faults)
+    planned = []
+    slowest = min((row.k1t.value for row in missing), default=1.0)
+    period = 2.0 * math.pi * math.sqrt(head.rig.primary_inertia.value / slowest)
+    duration = head.measurement.duration or PLANNED_PERIODS * period
+    if missing and rate is not None and duration * rate < 16.0:
+        raise InputError(
+            f"campaign.toml [measurement]: {duration:.3g} s at {rate:g} Hz are fewer than 16 readings; raise "
+            "sample_rate or duration"
+        )
+    for row in rows:
+        if row in missing and rate is not None:
+            times = np.arange(round(duration * rate) + 1) / rate
+            channels = np.zeros((2 if row.configuration == "coupled" else 1, times.size))
+            planned.append(
+                Trial(row.file, row.case, row.configuration, row.trial, row.k1t, row.theta0, times, channels,
+                      holdout=row.holdout)
+            )  # fmt: skip
+            continue
+        trial = read_trial(folder, row, head, faults, digest)
+        if trial is not None:
+            planned.append(trial)
+    if faults:
+        raise InputError(faults)
+    noise = per_channel(head.measurement.noise_std, any(t.coupled for t in planned))
+    measurement = replace(head.measurement, noise_std=noise, duration=duration if missing else None)
+    return Campaign(
+        head.name, head.rig, measurement, tuple(planned), head.description, head.source, head.caveats, folder,
+        (*head.caveats, *head.notes), digest.hexdigest(),
+    )  # fmt: skip

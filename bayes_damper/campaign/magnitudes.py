@@ -1,0 +1,94 @@
+"""Wrong units, caught by the orders of magnitude of a record."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper.campaign.head import Head
+from bayes_damper.campaign.structure import COLUMNS, Rig, Trial, natural_period
+
+Array = NDArray[np.float64]
+
+
+def check_magnitudes(head: Head, trial: Trial, faults: list[str], warnings: list[str]) -> None:
+    """Compares each channel with what the declared release can produce: wrong units show as factors of 57, 1000, R."""
+    omega = 2.0 * math.pi / natural_period(head.rig, trial)
+    power = {"displacement": 0, "velocity": 1, "acceleration": 2}[head.measurement.quantity]
+    centred = trial.channels[0] - (0.0 if power else float(np.median(trial.channels[0])))
+    largest = float(np.quantile(np.abs(centred), 1.0 - min(0.002, 2.0 / len(centred))))
+    names = COLUMNS[(head.rig.kind, head.measurement.quantity)]
+    if np.ptp(trial.channels[0]) == 0.0:
+        faults.append(f"{trial.file}, column '{names[0]}': every reading is the same; the sensor was not connected?")
+        return
+    if trial.torque is not None and np.any(trial.torque != 0.0):
+        return
+    if trial.theta0 is None:
+        _check_free_magnitude(head, trial, largest / omega**power, names[0], faults, warnings)
+        return
+    if trial.theta0.value == 0.0:
+        faults.append(f"{trial.file}: released from 0 without a torque, nothing can move; correct theta0 in trials.csv")
+        return
+    largest = (
+        float(np.quantile(np.abs(trial.channels[0]), 1.0 - min(0.002, 2.0 / len(centred)))) if not power else largest
+    )
+    bound = abs(trial.theta0.value) * omega**power
+    formula = {0: "theta0", 1: "theta0 sqrt(k1t/J1)", 2: "k1t theta0/J1"}[power]
+    ratio = largest / bound
+    unit = names[0].partition("1_")[2].replace("_", "/")
+    sentence = (
+        f"{trial.file}, column '{names[0]}': the largest reading, {largest:.4g} {unit}, is {ratio:.3g} times "
+        f"{formula} = {bound:.4g} {unit}, the most that this release can give"
+    )
+    if ratio > 10.0 or ratio < 0.03:
+        faults.append(f"{sentence}; {_unit_guess(head.rig, ratio, power)}")
+    elif ratio > 2.0 or ratio < 0.2:
+        warnings.append(f"{sentence}; {_unit_guess(head.rig, ratio, power)}")
+
+
+def _unit_guess(rig: Rig, ratio: float, power: int) -> str:
+    """Which confusion of units a ratio far from one looks like, as advice."""
+    radius = rig.bar_radius.value if rig.bar_radius is not None else 0.1
+    torsional = rig.kind == "torsional"
+    guesses: dict[str, float] = {"k1t, the inertia or the release are in another unit than declared": 1e6}
+    if torsional:
+        guesses["it looks like degrees taken for radians: give radians in the record, degrees in theta0_deg"] = 57.3
+        if power == 2:
+            guesses[
+                "it looks like g at the mounting radius: convert to rad/s^2, or import it with `bayes-damper init`"
+            ] = radius / 9.81
+            guesses[
+                "it looks like m/s^2 at the mounting radius: convert to rad/s^2, or import it with `bayes-damper init`"
+            ] = radius
+            guesses["it looks like g at the mounting radius: convert to rad/s^2 with `bayes-damper init`"] = (
+                radius / 9.81
+            )
+    else:
+        guesses["it looks like millimetres taken for metres: give SI units in the record, mm in theta0_mm"] = 1000.0
+        guesses["it looks like metres given as theta0_mm, or the like: theta0_mm is in millimetres"] = 1e-3
+        if power == 2:
+            guesses["it looks like g: give m/s^2"] = 1.0 / 9.81
+    best = min(guesses, key=lambda text: abs(math.log(0.8 * guesses[text] / ratio)))
+    near = abs(math.log(0.8 * guesses[best] / ratio)) < math.log(4.0)
+    return best if near else "check the units of the record, of theta0, k1t and primary_inertia"
+
+
+def _check_free_magnitude(
+    head: Head, trial: Trial, swing: float, column: str, faults: list[str], warnings: list[str]
+) -> None:
+    """Without a declared release: the swing that the readings imply, rad or m, must be possible."""
+    where = f"{trial.file}, column '{column}': the readings imply a swing of {swing:.4g}"
+    if head.rig.kind == "translational":
+        if swing > 10.0:
+            faults.append(f"{where} m; it looks like millimetres taken for metres: give SI units in the record")
+        elif swing > 1.0:
+            warnings.append(f"{where} m; if these are millimetres, give metres")
+        return
+    y = trial.channels[0] - np.median(trial.channels[0])
+    to_and_fro = int(np.count_nonzero(np.diff(np.sign(y)) != 0)) >= 4
+    if swing > 20.0 or (swing > 3.5 and to_and_fro):
+        faults.append(f"{where} rad to and fro; it looks like degrees taken for radians: give radians in the record")
+    elif swing > 1.6 and head.rig.restoring == "linear":
+        warnings.append(f'{where} rad; if these are degrees, give radians; if it hangs, set restoring = "pendulum"')

@@ -1,0 +1,207 @@
+"""The records: one file a trial, every cell a number, times that rise."""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import gzip
+import hashlib
+import io
+import math
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper.campaign.files import decoded, read_bytes
+from bayes_damper.campaign.head import Head
+from bayes_damper.campaign.structure import COLUMNS, INPUT_COLUMN, SHOWN, Trial, natural_period, record_columns
+from bayes_damper.campaign.trials_table import Row
+from bayes_damper.wording import counted
+
+Array = NDArray[np.float64]
+_LARGEST = 1e30  # number that a record may hold, in any unit: its powers must not overflow
+
+
+def read_trial(folder: Path, row: Row, head: Head, faults: list[str], digest: hashlib._Hash) -> Trial | None:
+    """A trial with its record, read and checked; None, and faults, if it cannot be used."""
+    name = f"{row.file} (trials.csv, line {row.line})"
+    raw = read_bytes(folder / row.file, name, faults, digest)
+    if raw is None:
+        return None
+    if row.file.endswith(".gz"):
+        try:
+            raw = gzip.decompress(raw)
+        except (OSError, EOFError, zlib.error):
+            faults.append(f"{name}: not a whole gzip file; compress it again or give it uncompressed")
+            return None
+    text = decoded(raw, name, faults)
+    if text is None:
+        return None
+    header, _, body = text.partition("\n")
+    wanted = _columns_of(header, row, head, name, faults)
+    if wanted is None:
+        return None
+    table = _numbers_of(body, len(header.split(",")), header.split(","), name, faults)
+    if table is None:
+        return None
+    columns = [np.ascontiguousarray(table[:, i]) for i in wanted]
+    if not _check_sizes(columns, [header.split(",")[i].strip().strip('"') for i in wanted], name, faults):
+        return None
+    n_channels = 2 if row.configuration == "coupled" else 1
+    times, channels = columns[0], np.stack(columns[1 : 1 + n_channels])
+    torque = columns[1 + n_channels] if len(columns) > 1 + n_channels else None
+    trial = Trial(
+        row.file, row.case, row.configuration, row.trial, row.k1t, row.theta0, times, channels, torque, row.holdout
+    )
+    for array in (times, channels, *(() if torque is None else (torque,))):
+        array.setflags(write=False)
+    return trial if _check_times(trial, head, name, faults) else None
+
+
+def _columns_of(header: str, row: Row, head: Head, name: str, faults: list[str]) -> list[int] | None:
+    """Indices of time, channels and, where there is one, the input."""
+    kind, quantity, coupled = head.rig.kind, head.measurement.quantity, row.configuration == "coupled"
+    names = [cell.strip().strip('"') for cell in header.split(",")]
+    if len(names) == 1 and any(mark in header for mark in ";\t"):
+        faults.append(
+            f"{name}: columns are not separated by commas; write commas and "
+            "decimal points, or import it with `bayes-damper init`"
+        )
+        return None
+    needed = list(record_columns(kind, quantity, coupled))
+    missing = [column for column in needed if column not in names]
+    source = INPUT_COLUMN[kind]
+    spare = record_columns(kind, quantity, True, True)
+    for column in missing:
+        reason = f"expected {', '.join(needed)}, found {', '.join(names)}"
+        other = [f'{k}, quantity = "{q}"' for (k, q), pair in COLUMNS.items() if set(pair) & set(names)]
+        if coupled and column == COLUMNS[(kind, quantity)][1] and len(missing) == 1:
+            hint = "a coupled trial needs its second channel: add it or call the trial uncoupled"
+        elif other and column != "time_s":
+            hint = f"these are the columns of kind = {other[0]}: correct campaign.toml or the names"
+        else:
+            hint = "name the columns so, or import the file with `bayes-damper init`"
+        faults.append(f"{name}, line 1: column '{column}' is missing ({reason}); {hint}")
+    for column in names:
+        if column not in spare and column not in missing and difflib.get_close_matches(column, [source], 1, 0.8):
+            faults.append(f"{name}, line 1: column '{column}' is not known; did you mean '{source}'?")
+        elif column not in (*needed, source) and not missing:
+            head.notes.append(
+                f"{row.file}: column '{column}' is not used; remove it, or correct its name if it should be"
+            )
+    repeated = [c for c in (*needed, source) if names.count(c) > 1]
+    faults.extend(f"{name}, line 1: column '{c}' appears twice; remove one" for c in repeated)
+    if missing or repeated:
+        return None
+    return [names.index(c) for c in (*needed, *((source,) if source in names else ()))]
+
+
+def _numbers_of(body: str, width: int, header: list[str], name: str, faults: list[str]) -> Array | None:
+    """The table of numbers below the header, (n, width); None when any cell is not a finite number."""
+    if not body.strip():
+        faults.append(f"{name}: no readings below the header; export the record again")
+        return None
+    try:
+        table = np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2, comments=None)
+    except ValueError:
+        table = None
+    if table is not None and table.shape[1] == width and np.isfinite(table).all():
+        return table
+    try:
+        rows = list(csv.reader(io.StringIO(body, newline=None)))  # a lone carriage return ends a line too
+    except csv.Error as error:
+        faults.append(f"{name}: no table of numbers ({error}); export the record again")
+        return None
+    before = len(faults)
+    _name_bad_cells(rows, width, header, name, faults)
+    if len(faults) > before:
+        return None
+    filled = [row for row in rows if any(cell.strip() for cell in row)]
+    if not filled:
+        faults.append(f"{name}: no readings below the header; export the record again")
+        return None
+    return np.array([[float(cell) for cell in row] for row in filled])  # quoted numbers and the like
+
+
+def _check_sizes(columns: Sequence[Array], names: Sequence[str], name: str, faults: list[str]) -> bool:
+    """Whether all numbers of a record are such that one can reckon with them; a fault for each column with others."""
+    before = len(faults)
+    for column, values in zip(names, columns, strict=True):
+        beyond = np.flatnonzero(np.abs(values) > _LARGEST)
+        if len(beyond):
+            first = int(beyond[0])
+            faults.append(
+                f"{name}, column '{column}': {counted(len(beyond), 'number')} beyond reason, the first "
+                f"{values[first]:.4g} as reading {first + 1}; remove such lines (gaps are allowed), or check the units "
+                "of the record"
+            )
+    return len(faults) == before
+
+
+def _name_bad_cells(rows: Sequence[Sequence[str]], width: int, header: list[str], name: str, faults: list[str]) -> None:
+    bad: list[str] = []
+    for line, cells in enumerate(rows, start=2):
+        if not cells or not any(c.strip() for c in cells):
+            continue
+        if len(cells) != width:
+            hint = (
+                "decimal commas? write decimal points, or import it with `bayes-damper init`"
+                if len(cells) > width
+                else ("complete or remove the line")
+            )
+            bad.append(f"{name}, line {line}: {counted(len(cells), 'field')} where the header has {width}; {hint}")
+            continue
+        for column, cell in zip(header, cells, strict=True):
+            try:
+                finite = math.isfinite(float(cell))
+            except ValueError:
+                what = f"'{cell.strip()}' is not a number" if cell.strip() else "the cell is empty"
+                bad.append(f"{name}, line {line}, column '{column.strip()}': {what}; correct it or remove the line")
+            else:
+                if not finite:
+                    bad.append(
+                        f"{name}, line {line}, column '{column.strip()}': {cell.strip()} "
+                        "is no reading; remove the line (gaps are allowed)"
+                    )
+    faults.extend(bad[:SHOWN])
+    if len(bad) > SHOWN:
+        faults.append(f"{name}: {len(bad) - SHOWN} more such faults; correct the export")
+
+
+def _check_times(trial: Trial, head: Head, name: str, faults: list[str]) -> bool:
+    times = trial.times
+    back = np.flatnonzero(np.diff(times) <= 0.0)
+    if len(back):
+        i = int(back[0])
+        faults.append(
+            f"{name}, line {i + 3}: time_s does not increase ({times[i]:.9g} s, then {times[i + 1]:.9g} s"
+            f"{f', and {len(back) - 1} more places' if len(back) > 1 else ''}); "
+            "sort the rows, or write the time with more digits"
+        )
+        return False
+    if head.broken:
+        return True
+    period = natural_period(head.rig, trial)
+    steps = np.diff(times)
+    rate = head.measurement.sample_rate
+    if len(steps) and (
+        (rate and 300.0 < np.median(steps) * rate < 3000.0) or (not rate and np.median(steps) > 0.5 * period)
+    ):
+        faults.append(
+            f"{name}: time_s runs from {times[0]:.6g} to {times[-1]:.6g} in steps of {np.median(steps):.4g}, where one "
+            f"natural period is {period:.4g} s{f' and sample_rate {rate:.6g} Hz' if rate else ''}; it looks like "
+            "milliseconds: give seconds, as `bayes-damper init` with --time-unit ms makes them of the logger's file "
+            "(or correct k1t, J1)"
+        )
+        return False
+    duration = times[-1] - max(times[0], 0.0)
+    if duration < period:
+        faults.append(
+            f"{name}: {duration:.4g} s of motion is less than one natural period, {period:.4g} s (2 pi sqrt(J1/k1t)); "
+            "record longer, or correct the unit of time, k1t or primary_inertia"
+        )
+        return False
+    return True

@@ -1,0 +1,262 @@
+"""What a campaign is: rig, measurement, trials, and the names of its columns."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper import readings as look
+from bayes_damper.parameters import unit_of
+from bayes_damper.wording import counted
+
+Array = NDArray[np.float64]
+COLUMNS = {
+    ("torsional", "acceleration"): ("alpha1_rad_s2", "alpha2_rad_s2"),
+    ("torsional", "velocity"): ("omega1_rad_s", "omega2_rad_s"),
+    ("torsional", "displacement"): ("theta1_rad", "theta2_rad"),
+    ("translational", "acceleration"): ("a1_m_s2", "a2_m_s2"),
+    ("translational", "velocity"): ("v1_m_s", "v2_m_s"),
+    ("translational", "displacement"): ("x1_m", "x2_m"),
+}
+INPUT_COLUMN = {"torsional": "torque1_n_m", "translational": "force1_n"}
+TRIAL_COLUMNS = {
+    "torsional": ("k1t_n_m_per_rad", "k1t_std_n_m_per_rad", "theta0_deg", "theta0_std_deg"),
+    "translational": ("k1_n_per_m", "k1_std_n_per_m", "theta0_mm", "theta0_std_mm"),
+}
+TO_SI = {"torsional": math.pi / 180.0, "translational": 1e-3}
+RIG_NUMBERS = (
+    "primary_inertia",
+    "secondary_inertia",
+    "bar_radius",
+    "magnet_radius",
+    "magnet_pull",
+    "ground2_stiffness",
+    "inertial_coupling",
+)
+RIG_WORDS = {
+    "kind": ("torsional", "translational"),
+    "normal_force": ("linear", "constant"),
+    "restoring": ("linear", "pendulum"),
+    "inertial_coupling_law": ("constant", "cosine"),
+}
+MEASUREMENT_WORDS = {"quantity": ("acceleration", "velocity", "displacement"), "start": ("rest", "free")}
+MEASUREMENT_NUMBERS = ("sample_rate", "duration", "noise_std", "sensor_range", "sensor_bandwidth")
+MEASUREMENT_SPREADS = ("offset_std", "scale_std", "lag_std")  # may be 0: known
+SHOWN = 5  # faults of one kind shown for one file
+
+
+@dataclass(frozen=True)
+class Constant:
+    """A declared number with its standard uncertainty (0: taken as known)."""
+
+    value: float
+    std: float = 0.0
+
+    @property
+    def uncertain(self) -> bool:
+        """Whether it is to be inferred, with this Gaussian as prior."""
+        return self.std > 0.0
+
+
+@dataclass(frozen=True)
+class Rig:
+    """The rig's own constants, SI: kg m^2, N m/rad, m, N (torsional) or kg, N/m, m, N (translational)."""
+
+    primary_inertia: Constant
+    secondary_inertia: Constant | None = None
+    bar_radius: Constant | None = None
+    magnet_radius: Constant | None = None
+    magnet_pull: Constant | None = None
+    ground2_stiffness: Constant = Constant(0.0)
+    inertial_coupling: Constant = Constant(0.0)
+    kind: str = "torsional"
+    normal_force: str = "linear"
+    restoring: str = "linear"
+    inertial_coupling_law: str = "constant"
+
+    @property
+    def has_magnet(self) -> bool:
+        """Whether pull and face of a magnet are declared, so that effects of a magnet are possible."""
+        return self.magnet_pull is not None and self.magnet_radius is not None and self.magnet_pull.value > 0.0
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What was measured and how. Tuples hold one number per channel, in the unit of `quantity` (bandwidth: Hz).
+
+    offset_std : standard uncertainty of what a channel reads at rest, each trial its own; None: a share of the reach
+    of displacement channels, and none of others. scale_std : relative, of each channel's scale. lag_std : s, by which a
+    channel may have been read before or after its time stamp, as where a logger reads one sensor after the other.
+    """
+
+    quantity: str = "acceleration"
+    sample_rate: float | None = None
+    start: str = "rest"
+    noise_std: tuple[float, ...] | None = None
+    sensor_range: tuple[float, ...] | None = None
+    sensor_bandwidth: tuple[float, ...] | None = None
+    duration: float | None = None
+    """Length of a record that is planned, s; of measured ones the time column decides."""
+    offset_std: tuple[float, ...] | None = None
+    scale_std: tuple[float, ...] | None = None
+    lag_std: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One record and what was declared about it.
+
+    times : (n,) s, 0 = nominal release; channels : (n_channels, n), SI; torque : (n,) N m (N) or None;
+    theta0 : rad (m), None when the start is free; k1t : N m/rad (N/m)
+    """
+
+    file: str
+    case: str
+    configuration: str
+    trial: int
+    k1t: Constant
+    theta0: Constant | None
+    times: Array
+    channels: Array
+    torque: Array | None = None
+    holdout: bool = False
+
+    @property
+    def coupled(self) -> bool:
+        """Whether the secondary is attached."""
+        return self.configuration == "coupled"
+
+    @property
+    def key(self) -> tuple[str, str, int]:
+        """Case, configuration and number: unique within a campaign."""
+        return self.case, self.configuration, self.trial
+
+    @property
+    def label(self) -> str:
+        """Words that name the trial."""
+        return f"{self.case} {self.configuration} #{self.trial}"
+
+
+@dataclass(frozen=True, eq=False)
+class Campaign:
+    """The measured trials of one rig. `sha256` covers every byte that was read, in order."""
+
+    name: str
+    rig: Rig
+    measurement: Measurement
+    trials: tuple[Trial, ...]
+    description: str = ""
+    source: str = ""
+    caveats: tuple[str, ...] = ()
+    folder: Path | None = None
+    warnings: tuple[str, ...] = ()
+    sha256: str = ""
+
+    @property
+    def cases(self) -> tuple[str, ...]:
+        """Labels of the cases, in order of appearance."""
+        return tuple(dict.fromkeys(t.case for t in self.trials))
+
+    @property
+    def k1t_values(self) -> tuple[Constant, ...]:
+        """The declared stiffnesses, each once: one parameter each."""
+        return tuple(dict.fromkeys(t.k1t for t in self.trials))
+
+    @property
+    def coupled(self) -> bool:
+        """Whether any trial is coupled."""
+        return any(t.coupled for t in self.trials)
+
+    def select(self, case: str | None = None, configuration: str | None = None) -> tuple[Trial, ...]:
+        """The trials of a case, of a configuration, or of both."""
+        return tuple(t for t in self.trials if case in (None, t.case) and configuration in (None, t.configuration))
+
+    @property
+    def reading_unit(self) -> str:
+        """Unit of a reading, e.g. "rad/s^2"."""
+        return unit_of("sigma1", self.rig.kind, self.measurement.quantity)
+
+    @property
+    def heldout(self) -> tuple[Trial, ...]:
+        """Trials for held-out figures: the marked ones, or the last of each case and configuration.
+
+        A case and configuration of one single trial keeps it for training: nothing would be left to learn from.
+        """
+        if any(t.holdout for t in self.trials):
+            return tuple(t for t in self.trials if t.holdout)
+        groups = groups_of(self.trials).values()
+        last = {max(group, key=lambda t: t.trial).key for group in groups if len(group) > 1}
+        return tuple(t for t in self.trials if t.key in last)
+
+    @property
+    def training(self) -> tuple[Trial, ...]:
+        """The trials that are not held out."""
+        held = {t.key for t in self.heldout}
+        return tuple(t for t in self.trials if t.key not in held)
+
+    def describe(self) -> str:
+        """A few lines for `check`: what was read, trial by trial, and the warnings."""
+        unit = {"torsional": "deg", "translational": "mm"}[self.rig.kind]
+        lines = [
+            (
+                f"{self.name}: {counted(len(self.trials), 'trial')}, {counted(len(self.cases), 'case')}, "
+                f"{self.measurement.quantity}, {self.rig.kind} rig, start {self.measurement.start}"
+            )
+        ]
+        held = {t.key for t in self.heldout}
+        for t in self.trials:
+            angle = "free start" if t.theta0 is None else f"{t.theta0.value / TO_SI[self.rig.kind]:.3g} {unit}"
+            noise = ", ".join(f"{x:.2g}" for x in noise_floor(t))
+            lines.append(
+                f"  {t.label}: {counted(len(t.times), 'reading')}, {t.times[0]:.4g} to {t.times[-1]:.4g} s, {angle}, "
+                f"noise about {noise} {self.reading_unit}{_use_of(t, held)}"
+            )
+        lines += [f"  warning: {w}" for w in self.warnings]
+        return "\n".join(lines)
+
+
+def _use_of(trial: Trial, held: Collection[tuple[str, str, int]]) -> str:
+    """What is told of a trial that not every command fits."""
+    if trial.holdout:
+        return ", held out of every fit"
+    return ", held out by diagnose and variability, fitted by fit" if trial.key in held else ""
+
+
+def noise_floor(trial: Trial) -> Array:
+    """Standard deviation of the white noise of each channel of a trial, in its unit; (n_channels,).
+
+    From differences of order six, see `readings.noise_floor_of`.
+    """
+    return np.array([look.noise_floor_of(channel) for channel in trial.channels])
+
+
+def natural_period(rig: Rig, trial: Trial) -> float:
+    """Period of the primary alone on its spring, 2 pi sqrt(J1 / k1t), in seconds."""
+    return 2.0 * math.pi * math.sqrt(rig.primary_inertia.value / trial.k1t.value)
+
+
+def record_columns(kind: str, quantity: str, coupled: bool, torque: bool = False) -> tuple[str, ...]:
+    """Column names of a record, the time first."""
+    first, second = COLUMNS[(kind, quantity)]
+    return ("time_s", first, *((second,) if coupled else ()), *((INPUT_COLUMN[kind],) if torque else ()))
+
+
+def record_text(times: Array, channels: Array, kind: str, quantity: str, torque: Array | None = None) -> str:
+    """A record as CSV text, every number so that it reads back exactly; channels : (n_channels, n)."""
+    names = record_columns(kind, quantity, len(channels) > 1, torque is not None)
+    table = np.column_stack([times, *channels, *(() if torque is None else (torque,))])
+    rows = [",".join(map(repr, row)) for row in table.tolist()]
+    return "\n".join([",".join(names), *rows]) + "\n"
+
+
+def groups_of(trials: Iterable[Trial]) -> dict[tuple[str, str], list[Trial]]:
+    """Trials by case and configuration, in the order in which they come."""
+    groups: dict[tuple[str, str], list[Trial]] = {}
+    for trial in trials:
+        groups.setdefault((trial.case, trial.configuration), []).append(trial)
+    return groups

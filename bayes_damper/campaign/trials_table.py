@@ -1,0 +1,189 @@
+"""trials.csv: one row a trial, checked."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper.campaign.files import decoded, nearest_name, read_bytes
+from bayes_damper.campaign.structure import TO_SI, TRIAL_COLUMNS, Constant
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of trials.csv that could be read."""
+
+    file: str
+    case: str
+    configuration: str
+    trial: int
+    k1t: Constant
+    theta0: Constant | None
+    holdout: bool
+    line: int
+
+
+def read_rows(folder: Path, kind: str, start: str, faults: list[str], digest: hashlib._Hash) -> list[Row]:
+    """The rows of trials.csv, read and checked."""
+    name = "trials.csv"
+    raw = read_bytes(folder / name, name, faults, digest)
+    text = None if raw is None else decoded(raw, name, faults)
+    if text is None:
+        return []
+    reader = csv.reader(io.StringIO(text))
+    header = [cell.strip() for cell in next(reader, [])]
+    if not _check_header(header, kind, start, name, faults):
+        return []
+    rows: list[Row] = []
+    seen: dict[tuple[str, str, int], int] = {}
+    files: dict[str, int] = {}
+    count = 0
+    for cells in reader:
+        if not any(cell.strip() for cell in cells):
+            continue
+        count += 1
+        where = f"{name}, line {reader.line_num}"
+        if len(cells) != len(header):
+            hint = (
+                "a field with a comma in it needs quotes, and numbers need decimal points"
+                if len(cells) > len(header)
+                else "fill in what is missing; an empty field needs its comma too"
+            )
+            faults.append(f"{where}: {len(cells)} fields where the header has {len(header)}; {hint}")
+            continue
+        row = _row_from({k: c.strip() for k, c in zip(header, cells, strict=True)}, kind, start, where, faults)
+        if row is None:
+            continue
+        row = replace(row, line=reader.line_num)
+        key = (row.case, row.configuration, row.trial)
+        if key in seen:
+            faults.append(
+                f"{where}: case {key[0]}, {key[1]}, trial {key[2]} is already on line {seen[key]}; number it anew"
+            )
+        if row.file in files:
+            faults.append(f"{where}: {row.file} is already the record of line {files[row.file]}; a record counts once")
+        seen.setdefault(key, row.line)
+        files.setdefault(row.file, row.line)
+        rows.append(row)
+    if count == 0:
+        faults.append(f"{name}: no trials; write one row for each record")
+    return rows
+
+
+def _check_header(header: list[str], kind: str, start: str, name: str, faults: list[str]) -> bool:
+    k1t, k1t_std, theta0, theta0_std = TRIAL_COLUMNS[kind]
+    needed = ["file", "case", "configuration", k1t, "trial", *([theta0] if start == "rest" else [])]
+    valid = (*dict.fromkeys([*needed, k1t_std, theta0, theta0_std, "holdout"]),)
+    if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
+        faults.append(f"{name}: columns are not separated by commas; save it with commas and decimal points")
+        return False
+    other = TRIAL_COLUMNS["translational" if kind == "torsional" else "torsional"]
+    for column in header:
+        if column in other:
+            right = TRIAL_COLUMNS[kind][other.index(column)]
+            faults.append(f"{name}: column '{column}' does not belong to a {kind} rig; use '{right}', or change kind")
+        elif column not in valid:
+            faults.append(f"{name}: unknown column '{column}'; {nearest_name(column, valid)}")
+    for column in {c for c in header if header.count(c) > 1}:
+        faults.append(f"{name}: column '{column}' appears twice; remove one")
+    missing = [column for column in needed if column not in header]
+    faults.extend(f"{name}: column '{column}' is missing; add it" for column in missing)
+    return not missing
+
+
+def _row_from(cells: Mapping[str, str], kind: str, start: str, where: str, faults: list[str]) -> Row | None:
+    before = len(faults)
+    k1t_name, k1t_std_name, theta0_name, theta0_std_name = TRIAL_COLUMNS[kind]
+    for key in ("file", "case"):
+        if not cells[key]:
+            faults.append(f"{where}: '{key}' is empty; fill it in")
+    if cells["file"] and not _inside(cells["file"]):
+        faults.append(f"{where}: {cells['file']} leaves the campaign's folder; give a relative path inside it")
+    configuration = cells["configuration"]
+    if configuration not in ("uncoupled", "coupled"):
+        hint = nearest_name(configuration, ("uncoupled", "coupled"))
+        faults.append(f"{where}: configuration '{configuration}' is not uncoupled or coupled; {hint}")
+    number = _number(cells["trial"], f"{where}, trial", faults)
+    if number is not None and (number != int(number) or number < 0):
+        faults.append(f"{where}: trial '{cells['trial']}' is not a whole number; count from 1")
+    k1t = _number(cells[k1t_name], f"{where}, {k1t_name}", faults)
+    if k1t is not None and k1t <= 0.0:
+        faults.append(f"{where}: {k1t_name} = {k1t!r} must be positive; give it in N m/rad (N/m)")
+    k1t_std = _number(cells.get(k1t_std_name, "") or "0", f"{where}, {k1t_std_name}", faults)
+    theta0 = _theta0_from(cells, theta0_name, theta0_std_name, kind, start, where, faults)
+    if k1t_std is not None and k1t_std < 0.0:
+        faults.append(f"{where}: {k1t_std_name} = {k1t_std!r} is negative; give a standard uncertainty of 0 or more")
+    mark = cells.get("holdout", "").lower()
+    if mark not in ("", "true", "false", "0", "1"):
+        faults.append(f"{where}: holdout '{mark}' is not true or false; write one of them")
+    if len(faults) > before or number is None or k1t is None or k1t_std is None:
+        return None
+    return Row(
+        cells["file"],
+        cells["case"],
+        configuration,
+        int(number),
+        Constant(k1t, k1t_std),
+        theta0,
+        mark in ("true", "1"),
+        0,
+    )
+
+
+def _theta0_from(
+    cells: Mapping[str, str], name: str, std_name: str, kind: str, start: str, where: str, faults: list[str]
+) -> Constant | None:
+    text, std_text = cells.get(name, ""), cells.get(std_name, "")
+    if start == "free":
+        if text:
+            faults.append(f'{where}: {name} is given but start = "free"; leave it empty or set start = "rest"')
+        return None
+    if not text:
+        faults.append(f'{where}: {name} is empty; give the release angle, or set start = "free" in campaign.toml')
+        return None
+    value = _number(text, f"{where}, {name}", faults)
+    std = _number(std_text, f"{where}, {std_name}", faults) if std_text else None
+    if value is None:
+        return None
+    if kind == "torsional" and abs(value) > 360.0:
+        faults.append(f"{where}: {name} = {value!r} is more than a turn; give degrees")
+    if std is not None and std <= 0.0:
+        faults.append(f"{where}: {std_name} = {std!r} must be positive; leave it empty for the larger of 0.1 and 2 %")
+        return None
+    if std is None:
+        std = max(0.1, 0.02 * abs(value))
+    return Constant(value * TO_SI[kind], std * TO_SI[kind])
+
+
+def _number(text: str, where: str, faults: list[str]) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        faults.append(f"{where}: '{text}' is not a number; write digits with a decimal point")
+        return None
+    if not math.isfinite(value):
+        faults.append(f"{where}: '{text}' is not finite; give the number")
+        return None
+    return value
+
+
+def _inside(name: str) -> bool:
+    path = PurePosixPath(name.replace("\\", "/"))
+    if path.is_absolute() or ":" in path.parts[0]:
+        return False
+    depth = 0
+    for part in path.parts:
+        depth += -1 if part == ".." else 1
+        if depth < 0:
+            return False
+    return True

@@ -1,0 +1,152 @@
+"""A campaign into a folder, and its files as text."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper.campaign.structure import (
+    MEASUREMENT_NUMBERS,
+    MEASUREMENT_SPREADS,
+    RIG_NUMBERS,
+    TO_SI,
+    TRIAL_COLUMNS,
+    Campaign,
+    Constant,
+    record_text,
+)
+from bayes_damper.errors import InputError
+
+Array = NDArray[np.float64]
+COMMENTS = {
+    "kind": "torsional, or translational (m, kg, N)",
+    "primary_inertia": "J1, kg m^2 (kg); 1 for a rig known only per unit inertia",
+    "secondary_inertia": "J2, kg m^2 (kg)",
+    "bar_radius": "R, m",
+    "magnet_radius": "r, m",
+    "magnet_pull": "N0, N",
+    "ground2_stiffness": "k3t, N m/rad (N/m), spring from the secondary to ground",
+    "inertial_coupling": "J12, kg m^2 (kg)",
+    "inertial_coupling_law": "constant, or cosine: J12 cos(th1 - th2), as of two links",
+    "normal_force": "linear in the overlap of the faces, or constant",
+    "restoring": "linear spring, or pendulum",
+    "quantity": "acceleration, velocity or displacement",
+    "start": "rest: released at rest from theta0; free: initial angles and velocities are inferred",
+    "sample_rate": "Hz; the time column decides",
+    "duration": "s, of a record that is planned; the time column decides",
+    "noise_std": "prior value of the noise, one per channel",
+    "sensor_range": "largest reading, one per channel",
+    "sensor_bandwidth": "Hz, one per channel",
+    "offset_std": "standard uncertainty of the reading at rest, one per channel, in SI units",
+    "scale_std": "relative standard uncertainty of the scale, one per channel",
+    "lag_std": "s, standard uncertainty of the instant of reading against the time stamp, one per channel",
+}
+
+
+def write_campaign(folder: str | Path, campaign: Campaign, overwrite: bool = False) -> Path:
+    """Writes campaign.toml, trials.csv and the records so that `load_campaign` gives the same campaign back.
+
+    Raises
+    ------
+    InputError
+        if the folder already holds a campaign and `overwrite` is not set.
+    """
+    folder = Path(folder)
+    if (folder / "campaign.toml").exists() and not overwrite:
+        raise InputError(f"{folder}: holds a campaign already; give another folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "campaign.toml").write_text(campaign_toml(campaign), encoding="utf-8")
+    (folder / "trials.csv").write_text(trials_csv(campaign), encoding="utf-8")
+    for trial in campaign.trials:
+        path = folder / trial.file
+        path.parent.mkdir(parents=True, exist_ok=True)
+        text = record_text(trial.times, trial.channels, campaign.rig.kind, campaign.measurement.quantity, trial.torque)
+        raw = text.encode()
+        path.write_bytes(gzip.compress(raw, mtime=0) if trial.file.endswith(".gz") else raw)
+    return folder
+
+
+def campaign_toml(campaign: Campaign) -> str:
+    """campaign.toml as text, each key with what it means."""
+    lines = [f"name = {quoted(campaign.name)}"]
+    for key in ("description", "source"):
+        if getattr(campaign, key):
+            lines.append(f"{key} = {quoted(getattr(campaign, key))}")
+    if campaign.caveats:
+        lines += [
+            "caveats = [  # told as warnings by every command",
+            *(f"    {quoted(c)}," for c in campaign.caveats),
+            "]",
+        ]
+    lines += ["", "[rig]"]
+    for key in ("kind", *RIG_NUMBERS, "normal_force", "restoring", "inertial_coupling_law"):
+        value = getattr(campaign.rig, key)
+        if key == "inertial_coupling_law" and not campaign.rig.inertial_coupling.value:
+            continue
+        if value is not None and not (key == "bar_radius" and campaign.rig.kind == "translational"):
+            lines.append(f"{key} = {_toml(value)}  # {COMMENTS[key]}")
+    lines += ["", "[measurement]"]
+    for key in ("quantity", "start", *MEASUREMENT_NUMBERS, *MEASUREMENT_SPREADS):
+        value = getattr(campaign.measurement, key)
+        if value is not None:
+            lines.append(f"{key} = {_toml(value)}  # {COMMENTS[key]}")
+    return "\n".join(lines) + "\n"
+
+
+def quoted(text: str) -> str:
+    """A TOML string."""
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    for mark, name in (("\n", "\\n"), ("\r", "\\r"), ("\t", "\\t")):
+        escaped = escaped.replace(mark, name)
+    return '"' + "".join(c if c >= " " and c != "\x7f" else f"\\u{ord(c):04x}" for c in escaped) + '"'
+
+
+def _toml(value: Constant | str | float | tuple[float, ...]) -> str:
+    if isinstance(value, Constant):
+        return f"{{ value = {value.value!r}, std = {value.std!r} }}" if value.uncertain else repr(value.value)
+    if isinstance(value, tuple):
+        return "[" + ", ".join(map(repr, value)) + "]"
+    return quoted(value) if isinstance(value, str) else repr(value)
+
+
+def trials_csv(campaign: Campaign) -> str:
+    """trials.csv as text; columns that no trial needs are left out."""
+    kind = campaign.rig.kind
+    k1t, k1t_std, theta0, theta0_std = TRIAL_COLUMNS[kind]
+    uncertain = any(t.k1t.uncertain for t in campaign.trials)
+    marked = any(t.holdout for t in campaign.trials)
+    rest = campaign.measurement.start == "rest"
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    names = ["file", "case", "configuration", k1t, *([k1t_std] if uncertain else [])]
+    names += [*([theta0, theta0_std] if rest else []), "trial", *(["holdout"] if marked else [])]
+    writer.writerow(names)
+    for t in campaign.trials:
+        cells: list[Any] = [
+            t.file,
+            t.case,
+            t.configuration,
+            repr(t.k1t.value),
+            *([repr(t.k1t.std)] if uncertain else []),
+        ]
+        if rest and t.theta0 is not None:
+            cells += [_declared(t.theta0.value, TO_SI[kind]), _declared(t.theta0.std, TO_SI[kind])]
+        cells += [t.trial, *([str(t.holdout).lower()] if marked else [])]
+        writer.writerow(cells)
+    return out.getvalue()
+
+
+def _declared(value: float, unit: float) -> str:
+    """A number in degrees (mm), as short as reads back to the same SI value."""
+    scaled = value / unit
+    for digits in range(1, 18):
+        text = f"{scaled:.{digits}g}"
+        if float(text) * unit == value:
+            return text
+    return repr(scaled)
