@@ -17,7 +17,8 @@ from bayes_damper.forked import can_fork, cores, forked_map
 from bayes_damper.model import Model
 
 FEWEST = 4  # kernels for which it pays to start processes
-_SECONDS = 3.5  # that a kernel takes, about
+_SECONDS_SHARED = 7.0  # that what all kernels share takes, about
+_SECONDS = 0.7  # that each of them takes then
 
 
 def compile_ahead(models: Iterable[Model], driven: bool = False, tell: Callable[[str], None] = lambda _: None) -> int:
@@ -35,8 +36,9 @@ def compile_ahead(models: Iterable[Model], driven: bool = False, tell: Callable[
     with _alone(integrator.cache_folder() / "compiling.lock"):
         names = _missing(bounds)  # another process may have compiled them while this one waited
         if names:
-            minutes = len(names) * _SECONDS / count / 60.0
-            tell(f"compiling {len(names)} kernels, once on this machine: about {minutes:.1f} minutes")
+            seconds = _SECONDS_SHARED + len(names) * _SECONDS / count
+            tell(f"compiling {len(names)} kernels, once on this machine: about {seconds:.0f} seconds")
+            integrator.compile_common()  # before the processes part, or each would
             forked_map(lambda name: integrator.specialise(bounds[name]) is None, names, count)
     return len(names)
 

@@ -19,8 +19,10 @@ How it is laid out, and why:
 - The Jacobian of the nominal rig is exact; that of an effect is a difference quotient along the directions that the
   effect declares (8 digits, more than a Rosenbrock method needs).
 
-The source of `advance` is compiled anew for each combination of rig options and effect: into a file of its own in
-the user's cache folder, with the effect bound as a global, so that numba's on-disk cache serves a second start.
+There is a kernel for each combination of rig options and effect. What differs between them are small functions that
+`advance` calls and that linking.py brings together with it, so that numba works through `advance` once and LLVM alone
+once for each kernel: half a second instead of three. Each has a file of its own in the user's cache folder, so that
+numba's on-disk cache serves a second start.
 """
 
 from __future__ import annotations
@@ -32,15 +34,16 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any
 
 import numba
 import numpy as np
-from numba import float64, int64, njit
+from numba import float64, int64, njit, types
 
-from bayes_damper import damper, lanes
+from bayes_damper import damper, lanes, linking
 from bayes_damper.damper import Rig, friction_torques, linearised, smooth_torques
 from bayes_damper.effects.base import Variant
 from bayes_damper.lanes import TANH_SCALE, fourth_root_of_inverse
@@ -77,20 +80,33 @@ TH1, TH2, W1, W2, Z1, Z2, HTRY, REST, TIME, Y1, Y2, U1, U2, S1, S2, HLAST, FIRST
 SAMPLE, SLOT, ATTEMPTS, GIVEN_UP, DRIVE, DRIVE_NEXT, RAMP = range(56, 63)
 BLOCK_ROWS = 63
 
-# What `advance` is specialised in: these are the values for the bare coupled rig.
-COUPLED = True
-PENDULUM = False
-LINEAR_NORMAL_FORCE = True
-FRICTIONLESS = False
-DRIVEN = False
-TORQUE = False
-COUPLES = 2
-TIMED = False
-SENSES = False
-STARTS = False
-MEMORY = 0
-memory_scale1 = 1.0
-memory_scale2 = 1.0
+
+@lru_cache(maxsize=None, typed=True)  # True, 1 and 1.0 are equal, but different constants
+def constant(value):
+    """A kernel without arguments that gives this number or truth value."""
+
+    @lanes.lane
+    def given():
+        return value
+
+    return given
+
+
+# What `advance` is specialised in, all of it functions: these are those of the bare coupled rig.
+coupled = constant(True)
+pendulum = constant(False)
+linear_normal_force = constant(True)
+frictionless = constant(False)
+driven = constant(False)
+acts = constant(False)  # whether the effect has a torque
+couples = constant(2)
+timed = constant(False)
+senses = constant(False)
+starts = constant(False)
+memory = constant(0)
+memory_scale1 = constant(1.0)
+memory_scale2 = constant(1.0)
+longest_step = constant(LONGEST_STEP)
 
 
 @lanes.lane
@@ -142,7 +158,7 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
         clock[i] = times[min(i, n - 1)]
     drive = 0.0
     torques = np.zeros(n + 3)
-    if DRIVEN:
+    if driven():
         for i in range(n + 3):
             torques[i] = torque[min(i, n - 1)]
             drive = max(drive, abs(torques[i]))
@@ -153,14 +169,14 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             block[EXTRA + row, lane] = extras[row, lane]
         j1 = block[J1, lane]
         j2 = block[J2, lane]
-        j12 = block[J12, lane] if COUPLED else 0.0
+        j12 = block[J12, lane] if coupled() else 0.0
         block[J12, lane] = j12
         block[FRICTION, lane] = block[MU, lane] * block[N0, lane] * block[R_BAR, lane]
         determinant = j1 * j2 - j12 * j12
-        block[MI11, lane] = j2 / determinant if COUPLED else 1.0 / j1
-        block[MI12, lane] = -j12 / determinant if COUPLED else 0.0
-        block[MI22, lane] = j1 / determinant if COUPLED else 0.0
-        block[SLOPE, lane] = block[R_BAR, lane] / (2.0 * block[R_FACE, lane]) if LINEAR_NORMAL_FORCE else 0.0
+        block[MI11, lane] = j2 / determinant if coupled() else 1.0 / j1
+        block[MI12, lane] = -j12 / determinant if coupled() else 0.0
+        block[MI22, lane] = j1 / determinant if coupled() else 0.0
+        block[SLOPE, lane] = block[R_BAR, lane] / (2.0 * block[R_FACE, lane]) if linear_normal_force() else 0.0
         omega = np.sqrt(abs(block[K1, lane]) / j1) + 1e-6
         angle = max(abs(block[THETA0, lane]), abs(block[TH20, lane]), drive / (j1 * omega * omega))
         speed = max(angle * omega, abs(block[W10, lane]), abs(block[W20, lane])) + 1e-9
@@ -178,7 +194,7 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
         block[HELD2, lane] = read_displacement * block[TH20, lane]
         block[HTRY, lane] = 1e-5
         block[FIRST, lane] = 1.0
-        if STARTS:
+        if starts():
             rig = Rig(
                 j1, j2, j12, block[K1, lane], block[K3, lane], block[C1, lane], block[C3, lane], block[K2, lane],
                 block[C2, lane], block[MU, lane], block[N0, lane], block[R_BAR, lane], block[R_FACE, lane],
@@ -191,7 +207,7 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
         block[NOW, lane] = clock[0]
         block[AFTER, lane] = clock[1]
         block[NEXT, lane] = clock[2]
-        if DRIVEN:
+        if driven():
             block[DRIVE, lane] = torques[1]
             block[DRIVE_NEXT, lane] = torques[2]
             block[RAMP, lane] = (torques[1] - torques[0]) / (clock[1] - clock[0]) if n > 1 else 0.0
@@ -211,7 +227,7 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             c3t = block[C3, lane]
             k2t = block[K2, lane]
             c2t = block[C2, lane]
-            friction = 0.0 if FRICTIONLESS else block[FRICTION, lane]
+            friction = 0.0 if frictionless() else block[FRICTION, lane]
             slope = block[SLOPE, lane]
             drag = block[DRAG, lane]
             nu = block[NU, lane]
@@ -236,10 +252,10 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
 
             # Stage 1: torques, Jacobian, and the reading of this instant.
             tau1, tau2, a1, a2, t_phi, b1, b2, t_slip = linearised(
-                th1, th2, w1, w2, k1t, k3t, c1t, c3t, k2t, c2t, friction, slope, drag, nu, COUPLED, PENDULUM
+                th1, th2, w1, w2, k1t, k3t, c1t, c3t, k2t, c2t, friction, slope, drag, nu, coupled(), pendulum()
             )
             rate1 = 0.0
-            if DRIVEN:
+            if driven():
                 rate1 = block[RAMP, lane]
                 tau1 = tau1 + (block[DRIVE, lane] - rate1 * rest)
             rate2 = 0.0
@@ -259,20 +275,20 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             v12 = t_slip
             v21 = t_slip
             v22 = b2 - t_slip
-            if TORQUE:
+            if acts():
                 q1, q2 = effect_torque(t, th1, th2, w1, w2, z1, z2, p, rig)
                 eps = block[EPS_TH, lane]
                 per = 1.0 / eps
                 epw = block[EPS_W, lane]
                 pew = 1.0 / epw
-                if COUPLES == 0:
+                if couples() == 0:
                     m1, m2 = effect_torque(t, th1 + eps, th2 + eps, w1, w2, z1, z2, p, rig)
                     n1, n2 = effect_torque(t, th1, th2, w1 + epw, w2 + epw, z1, z2, p, rig)
                     d11 = d11 + (m1 - q1) * per
                     d22 = d22 + (m2 - q2) * per
                     v11 = v11 + (n1 - q1) * pew
                     v22 = v22 + (n2 - q2) * pew
-                elif COUPLES == 1:
+                elif couples() == 1:
                     m1, m2 = effect_torque(t, th1 + eps, th2, w1, w2, z1, z2, p, rig)
                     n1, n2 = effect_torque(t, th1, th2, w1 + epw, w2, z1, z2, p, rig)
                     across = (m1 - q1) * per
@@ -292,14 +308,14 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
                     d21 = d21 + (m2 - q2) * per
                     v11 = v11 + (n1 - q1) * pew
                     v21 = v21 + (n2 - q2) * pew
-                    if COUPLED:
+                    if coupled():
                         m1, m2 = effect_torque(t, th1, th2 + eps, w1, w2, z1, z2, p, rig)
                         n1, n2 = effect_torque(t, th1, th2, w1, w2 + epw, z1, z2, p, rig)
                         d12 = d12 + (m1 - q1) * per
                         d22 = d22 + (m2 - q2) * per
                         v12 = v12 + (n1 - q1) * pew
                         v22 = v22 + (n2 - q2) * pew
-                if TIMED:
+                if timed():
                     ept = 1e-8 * (eps / epw)
                     m1, m2 = effect_torque(t + ept, th1, th2, w1, w2, z1, z2, p, rig)
                     rate1 = rate1 + (m1 - q1) / ept
@@ -311,7 +327,7 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             y2 = read_acceleration * (block[MI12, lane] * tau1 + block[MI22, lane] * tau2)
             y1 = y1 + read_velocity * w1 + read_displacement * th1
             y2 = y2 + read_velocity * w2 + read_displacement * th2
-            if SENSES:
+            if senses():
                 # Everything is loaded before anything is chosen: a load that only one side needs would be a branch.
                 first = block[FIRST, lane]
                 rest1 = block[HELD1, lane]
@@ -357,7 +373,7 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             g12 = 0.0
             g21 = 0.0
             g22 = 0.0
-            if MEMORY > 0:
+            if memory() > 0:
                 f1, f2 = effect_rate(t, th1, th2, w1, w2, z1, z2, p, rig)
                 eps = block[EPS_TH, lane]
                 per = 1.0 / eps
@@ -369,33 +385,33 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
                 m1, m2 = effect_rate(t, th1, th2, w1 + epw, w2, z1, z2, p, rig)
                 o11 = (m1 - f1) * pew
                 o21 = (m2 - f2) * pew
-                if COUPLED:
+                if coupled():
                     m1, m2 = effect_rate(t, th1, th2 + eps, w1, w2, z1, z2, p, rig)
                     x12 = (m1 - f1) * per
                     x22 = (m2 - f2) * per
                     m1, m2 = effect_rate(t, th1, th2, w1, w2 + epw, z1, z2, p, rig)
                     o12 = (m1 - f1) * pew
                     o22 = (m2 - f2) * pew
-                epz = 1e-8 * memory_scale1
+                epz = 1e-8 * memory_scale1()
                 pez = 1.0 / epz
                 m1, m2 = effect_rate(t, th1, th2, w1, w2, z1 + epz, z2, p, rig)
                 g11 = (m1 - f1) * pez
                 g21 = (m2 - f2) * pez
-                if TORQUE:
+                if acts():
                     m1, m2 = effect_torque(t, th1, th2, w1, w2, z1 + epz, z2, p, rig)
                     y11 = (m1 - q1) * pez
                     y21 = (m2 - q2) * pez
-                if MEMORY > 1:
-                    epz = 1e-8 * memory_scale2
+                if memory() > 1:
+                    epz = 1e-8 * memory_scale2()
                     pez = 1.0 / epz
                     m1, m2 = effect_rate(t, th1, th2, w1, w2, z1, z2 + epz, p, rig)
                     g12 = (m1 - f1) * pez
                     g22 = (m2 - f2) * pez
-                    if TORQUE:
+                    if acts():
                         m1, m2 = effect_torque(t, th1, th2, w1, w2, z1, z2 + epz, p, rig)
                         y12 = (m1 - q1) * pez
                         y22 = (m2 - q2) * pez
-                if TIMED:
+                if timed():
                     ept = 1e-8 * (eps / epw)
                     m1, m2 = effect_rate(t + ept, th1, th2, w1, w2, z1, z2, p, rig)
                     grow1 = (m1 - f1) / ept
@@ -411,7 +427,7 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             s12 = 0.0
             s21 = 0.0
             s22 = 1.0
-            if COUPLED:
+            if coupled():
                 s12 = j12 * (1.0 / GAMMA) - h * (v12 + gd12)
                 s21 = j12 * (1.0 / GAMMA) - h * (v21 + gd21)
                 s22 = j2 * (1.0 / GAMMA) - h * (v22 + gd22)
@@ -427,7 +443,7 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             l12 = 0.0
             l21 = 0.0
             l22 = 0.0
-            if MEMORY > 0:
+            if memory() > 0:
                 e11 = 1.0 / GAMMA - h * g11
                 e22 = 1.0 / GAMMA - h * g22
                 e12 = -h * g12
@@ -446,7 +462,7 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
                 l21 = h * (y21 * i11 + y22 * i21)
                 l22 = h * (y21 * i12 + y22 * i22)
                 s11 = s11 - (l11 * h11 + l12 * h21)
-                if COUPLED:
+                if coupled():
                     s12 = s12 - (l11 * h12 + l12 * h22)
                     s21 = s21 - (l21 * h11 + l22 * h21)
                     s22 = s22 - (l21 * h12 + l22 * h22)
@@ -464,18 +480,18 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             rhs2 = h * tau2 + (gd21 * hw1 + gd22 * hw2) + (hh * G1) * rate2
             rz1 = 0.0
             rz2 = 0.0
-            if MEMORY > 0:
+            if memory() > 0:
                 rz1 = h * f1 + gh * (x11 * hw1 + x12 * hw2) + (hh * G1) * grow1
                 rz2 = h * f2 + gh * (x21 * hw1 + x22 * hw2) + (hh * G1) * grow2
                 rhs1 = rhs1 + l11 * rz1 + l12 * rz2
                 rhs2 = rhs2 + l21 * rz1 + l22 * rz2
             r11 = n11 * rhs1 + n12 * rhs2
-            r12 = n21 * rhs1 + n22 * rhs2 if COUPLED else 0.0
+            r12 = n21 * rhs1 + n22 * rhs2 if coupled() else 0.0
             p11 = gh * r11 + GAMMA * hw1
             p12 = gh * r12 + GAMMA * hw2
             m11 = 0.0
             m12 = 0.0
-            if MEMORY > 0:
+            if memory() > 0:
                 rz1 = rz1 + h11 * r11 + h12 * r12
                 rz2 = rz2 + h21 * r11 + h22 * r12
                 m11 = i11 * rz1 + i12 * rz2
@@ -486,11 +502,11 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             ath2 = th2 + A21 * p12
             aw1 = w1 + A21 * r11
             aw2 = w2 + A21 * r12
-            tau1, tau2 = smooth_torques(ath1, ath2, aw1, aw2, k1t, k3t, c1t, c3t, k2t, c2t, COUPLED, PENDULUM)
-            held1, held2 = friction_torques(ath1, ath2, aw1, aw2, friction, slope, drag, sharpness, COUPLED)
-            if DRIVEN:
+            tau1, tau2 = smooth_torques(ath1, ath2, aw1, aw2, k1t, k3t, c1t, c3t, k2t, c2t, coupled(), pendulum())
+            held1, held2 = friction_torques(ath1, ath2, aw1, aw2, friction, slope, drag, sharpness, coupled())
+            if driven():
                 tau1 = tau1 + (block[DRIVE, lane] - block[RAMP, lane] * (rest - T2 * h))
-            if TORQUE:
+            if acts():
                 q1, q2 = effect_torque(t + T2 * h, ath1, ath2, aw1, aw2, z1 + A21 * m11, z2 + A21 * m12, p, rig)
                 tau1 = tau1 + q1
                 tau2 = tau2 + q2
@@ -502,19 +518,19 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             hw2 = h * aw2 + c_2
             rhs1 = h * tau1 + (j1 * e_1 + j12 * e_2) + (gd11 * hw1 + gd12 * hw2) + (hh * G2) * rate1 - h * held1
             rhs2 = h * tau2 + (j12 * e_1 + j2 * e_2) + (gd21 * hw1 + gd22 * hw2) + (hh * G2) * rate2 - h * held2
-            if MEMORY > 0:
+            if memory() > 0:
                 f1, f2 = effect_rate(t + T2 * h, ath1, ath2, aw1, aw2, z1 + A21 * m11, z2 + A21 * m12, p, rig)
                 rz1 = h * f1 + C21 * m11 + gh * (x11 * hw1 + x12 * hw2) + (hh * G2) * grow1
                 rz2 = h * f2 + C21 * m12 + gh * (x21 * hw1 + x22 * hw2) + (hh * G2) * grow2
                 rhs1 = rhs1 + l11 * rz1 + l12 * rz2
                 rhs2 = rhs2 + l21 * rz1 + l22 * rz2
             r21 = n11 * rhs1 + n12 * rhs2
-            r22 = n21 * rhs1 + n22 * rhs2 if COUPLED else 0.0
+            r22 = n21 * rhs1 + n22 * rhs2 if coupled() else 0.0
             p21 = gh * r21 + GAMMA * hw1
             p22 = gh * r22 + GAMMA * hw2
             m21 = 0.0
             m22 = 0.0
-            if MEMORY > 0:
+            if memory() > 0:
                 rz1 = rz1 + h11 * r21 + h12 * r22
                 rz2 = rz2 + h21 * r21 + h22 * r22
                 m21 = i11 * rz1 + i12 * rz2
@@ -527,11 +543,11 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             aw2 = w2 + A31 * r12 + A32 * r22
             az1 = z1 + A31 * m11 + A32 * m21
             az2 = z2 + A31 * m12 + A32 * m22
-            tau1, tau2 = smooth_torques(ath1, ath2, aw1, aw2, k1t, k3t, c1t, c3t, k2t, c2t, COUPLED, PENDULUM)
-            held1, held2 = friction_torques(ath1, ath2, aw1, aw2, friction, slope, drag, sharpness, COUPLED)
-            if DRIVEN:
+            tau1, tau2 = smooth_torques(ath1, ath2, aw1, aw2, k1t, k3t, c1t, c3t, k2t, c2t, coupled(), pendulum())
+            held1, held2 = friction_torques(ath1, ath2, aw1, aw2, friction, slope, drag, sharpness, coupled())
+            if driven():
                 tau1 = tau1 + (block[DRIVE, lane] - block[RAMP, lane] * (rest - T3 * h))
-            if TORQUE:
+            if acts():
                 q1, q2 = effect_torque(t + T3 * h, ath1, ath2, aw1, aw2, az1, az2, p, rig)
                 tau1 = tau1 + q1
                 tau2 = tau2 + q2
@@ -541,19 +557,19 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             hw2 = h * aw2 + (C31 * p12 + C32 * p22)
             rhs1 = h * tau1 + (j1 * e_1 + j12 * e_2) + (gd11 * hw1 + gd12 * hw2) + (hh * G3) * rate1 - h * held1
             rhs2 = h * tau2 + (j12 * e_1 + j2 * e_2) + (gd21 * hw1 + gd22 * hw2) + (hh * G3) * rate2 - h * held2
-            if MEMORY > 0:
+            if memory() > 0:
                 f1, f2 = effect_rate(t + T3 * h, ath1, ath2, aw1, aw2, az1, az2, p, rig)
                 rz1 = h * f1 + (C31 * m11 + C32 * m21) + gh * (x11 * hw1 + x12 * hw2) + (hh * G3) * grow1
                 rz2 = h * f2 + (C31 * m12 + C32 * m22) + gh * (x21 * hw1 + x22 * hw2) + (hh * G3) * grow2
                 rhs1 = rhs1 + l11 * rz1 + l12 * rz2
                 rhs2 = rhs2 + l21 * rz1 + l22 * rz2
             r31 = n11 * rhs1 + n12 * rhs2
-            r32 = n21 * rhs1 + n22 * rhs2 if COUPLED else 0.0
+            r32 = n21 * rhs1 + n22 * rhs2 if coupled() else 0.0
             p31 = gh * r31 + GAMMA * hw1
             p32 = gh * r32 + GAMMA * hw2
             m31 = 0.0
             m32 = 0.0
-            if MEMORY > 0:
+            if memory() > 0:
                 rz1 = rz1 + h11 * r31 + h12 * r32
                 rz2 = rz2 + h21 * r31 + h22 * r32
                 m31 = i11 * rz1 + i12 * rz2
@@ -566,7 +582,7 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             hw2 = h * aw2 + (C41 * p12 + C42 * p22 + C43 * p32)
             rhs1 = h * tau1 + (j1 * e_1 + j12 * e_2) + (gd11 * hw1 + gd12 * hw2) + (hh * G4) * rate1 - h * held1
             rhs2 = h * tau2 + (j12 * e_1 + j2 * e_2) + (gd21 * hw1 + gd22 * hw2) + (hh * G4) * rate2 - h * held2
-            if MEMORY > 0:
+            if memory() > 0:
                 rz1 = h * f1 + (C41 * m11 + C42 * m21 + C43 * m31) + gh * (x11 * hw1 + x12 * hw2)
                 rz2 = h * f2 + (C41 * m12 + C42 * m22 + C43 * m32) + gh * (x21 * hw1 + x22 * hw2)
                 rz1 = rz1 + (hh * G4) * grow1
@@ -574,7 +590,7 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
                 rhs1 = rhs1 + l11 * rz1 + l12 * rz2
                 rhs2 = rhs2 + l21 * rz1 + l22 * rz2
             r41 = n11 * rhs1 + n12 * rhs2
-            r42 = n21 * rhs1 + n22 * rhs2 if COUPLED else 0.0
+            r42 = n21 * rhs1 + n22 * rhs2 if coupled() else 0.0
             p41 = gh * r41 + GAMMA * hw1
             p42 = gh * r42 + GAMMA * hw2
 
@@ -585,7 +601,7 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             error = error + block[PER_ACC2, lane] * (abs(v21) * err1 + abs(v22) * err2)
             nz1 = z1
             nz2 = z2
-            if MEMORY > 0:
+            if memory() > 0:
                 rz1 = rz1 + h11 * r41 + h12 * r42
                 rz2 = rz2 + h21 * r41 + h22 * r42
                 m41 = i11 * rz1 + i12 * rz2
@@ -598,10 +614,10 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             factor = min(max(0.9 * fourth_root_of_inverse(max(error, 1e-8)), 0.2), 5.0)
             proposal = h * factor
             proposal = max(proposal, block[HTRY, lane]) if accepted and factor >= 1.0 else proposal
-            block[HTRY, lane] = min(proposal, LONGEST_STEP) if rest > 0.0 else block[HTRY, lane]
+            block[HTRY, lane] = min(proposal, longest_step()) if rest > 0.0 else block[HTRY, lane]
             block[TH1, lane] = th1 + B1 * p11 + B2 * p21 + B3 * p31 + B4 * p41 if accepted else th1
             block[W1, lane] = w1 + B1 * r11 + B2 * r21 + B3 * r31 + B4 * r41 if accepted else w1
-            if COUPLED:
+            if coupled():
                 block[TH2, lane] = th2 + B1 * p12 + B2 * p22 + B3 * p32 + B4 * p42 if accepted else th2
                 block[W2, lane] = w2 + B1 * r12 + B2 * r22 + B3 * r32 + B4 * r42 if accepted else w2
             block[Z1, lane] = nz1 if accepted else z1
@@ -625,7 +641,7 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             after = coming if landed else after
             delay = block[DELAY, lane]
             next_rest = max(after - delay, 0.0) - max(now - delay, 0.0)
-            if DRIVEN:
+            if driven():
                 ramp = block[RAMP, lane]
                 drive_after = block[DRIVE, lane]
                 drive_coming = block[DRIVE_NEXT, lane]
@@ -649,7 +665,7 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             out[lane, 1, slot] = block[Y2, lane]
             i = int(block[SAMPLE, lane]) + 2
             block[NEXT, lane] = clock[i]
-            if DRIVEN:
+            if driven():
                 block[DRIVE_NEXT, lane] = torques[i]
     for lane in range(width):
         final[lane] = block[TH1, lane] + block[TH2, lane] + block[W1, lane] + block[W2, lane] + block[Y1, lane]
@@ -658,13 +674,34 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
     return passes
 
 
+def linked(times, parameters, extras, torque, weights, memory_weights, read, out, final, status):
+    """`advance` with what `define` says: the source of every kernel."""
+    define()
+    return advance(times, parameters, extras, torque, weights, memory_weights, read, out, final, status)
+
+
+@lanes.lane
+def define():
+    """Nothing: what stands here in the plain functions of this module."""
+
+
 _COUPLES = {"bodies": 0, "interface": 1, "all": 2}
-_NEUTRAL = {"torque": effect_torque, "rate": effect_rate, "start": effect_start, "sense": effect_sense}
-_SIGNATURE = (
-    float64[::1], float64[:, ::1], float64[:, ::1], float64[::1], float64[::1], float64[::1], float64[::1],
-    float64[:, :, ::1], float64[::1], int64[::1],
-)  # fmt: skip
+_ROW, _TABLE, _CUBE = float64[::1], float64[:, ::1], float64[:, :, ::1]
+_SIGNATURE = (_ROW, _TABLE, _TABLE, _ROW, _ROW, _ROW, _ROW, _CUBE, _ROW, int64[::1])
 """Of the arguments of `advance`."""
+_P, _RIG = types.UniTuple(float64, 4), types.NamedUniTuple(float64, len(Rig._fields), Rig)
+_TWO, _FOUR, _MOTION = types.UniTuple(float64, 2), types.UniTuple(float64, 4), (float64,) * 7
+_SPECIAL: dict[str, Any] = {
+    "effect_torque": _TWO(*_MOTION, _P, _RIG),
+    "effect_rate": _TWO(*_MOTION, _P, _RIG),
+    "effect_start": _TWO(_P, _RIG),
+    "effect_sense": _FOUR(*_MOTION, _P, float64),
+    **dict.fromkeys(("coupled", "pendulum", "linear_normal_force", "frictionless", "driven"), types.boolean()),
+    **dict.fromkeys(("acts", "timed", "senses", "starts"), types.boolean()),
+    **dict.fromkeys(("couples", "memory"), int64()),
+    **dict.fromkeys(("memory_scale1", "memory_scale2", "longest_step"), float64()),
+}
+"""Signatures of what `advance` is specialised in."""
 _LOADED: dict[Path, Callable[..., Any]] = {}
 """Kernels of this process by their file: formulas that differ in what is no matter of the kernel share one."""
 _NUMBA_OPTIONS: dict[str, Any] = {"fastmath": lanes.FASTMATH, "error_model": "numpy", "nogil": True}
@@ -689,26 +726,25 @@ def specialised_globals(
 ) -> dict[str, Any]:
     """The globals that `advance` reads, for one combination of rig options and effect."""
     bound: dict[str, Any] = {
-        "COUPLED": coupled,
-        "LINEAR_NORMAL_FORCE": linear_normal_force,
-        "PENDULUM": pendulum,
-        "DRIVEN": driven,
+        "coupled": constant(coupled),
+        "linear_normal_force": constant(linear_normal_force),
+        "pendulum": constant(pendulum),
+        "driven": constant(driven),
     }
-    for hook, neutral in _NEUTRAL.items():
-        kernel = getattr(variant, hook) if variant is not None else None
-        bound[f"effect_{hook}"] = neutral if kernel is None else kernel
     if variant is not None:
+        hooks = {f"effect_{name}": getattr(variant, name) for name in ("torque", "rate", "start", "sense")}
         scales = (*variant.memory_scale, 1.0, 1.0)
+        bound |= {name: hook for name, hook in hooks.items() if hook is not None}
         bound |= {
-            "FRICTIONLESS": variant.replaces_friction,
-            "TORQUE": variant.torque is not None,
-            "COUPLES": _COUPLES[variant.couples],
-            "TIMED": variant.timed,
-            "SENSES": variant.sense is not None,
-            "STARTS": variant.start is not None,
-            "MEMORY": variant.memory,
-            "memory_scale1": float(scales[0]),
-            "memory_scale2": float(scales[1]),
+            "frictionless": constant(variant.replaces_friction),
+            "acts": constant(variant.torque is not None),
+            "couples": constant(_COUPLES[variant.couples]),
+            "timed": constant(variant.timed),
+            "senses": constant(variant.sense is not None),
+            "starts": constant(variant.start is not None),
+            "memory": constant(variant.memory),
+            "memory_scale1": constant(float(scales[0])),
+            "memory_scale2": constant(float(scales[1])),
         }
     return bound
 
@@ -743,7 +779,7 @@ def _ingredients(name: str, value: Any, files: set[Path], callers: tuple[Any, ..
 def _fingerprint(bound: dict[str, Any]) -> str:
     """A checksum of everything that the machine code depends on, the same for every copy of the package."""
     parts = [numba.__version__, np.__version__]
-    files = {Path(__file__), Path(inspect.getfile(lanes)), Path(inspect.getfile(damper))}
+    files = {Path(__file__), *(Path(inspect.getfile(module)) for module in (damper, lanes, linking))}
     for name in sorted(bound):
         parts += _ingredients(name, bound[name], files)
     parts += sorted(f"{path.name}\0{path.read_text(encoding='utf-8')}" for path in files)
@@ -755,29 +791,54 @@ def specialise(bound: dict[str, Any], compile: bool = True) -> Callable[..., Any
 
     With ``compile=False`` the plain Python function, which tests hold the compiled one against.
     """
-    namespace = dict(globals()) | bound
     if not compile:
-        return FunctionType(advance.__code__, namespace)
+        return FunctionType(advance.__code__, globals() | bound)
     path = kernel_file(bound)
     if path not in _LOADED:
-        if not path.exists():
-            partial = path.with_suffix(f".{os.getpid()}")
-            partial.write_text(inspect.getsource(advance), encoding="utf-8")
-            partial.replace(path)
-        # As if it stood in that file, which is where numba looks for machine code of it.
-        code = advance.__code__.replace(co_filename=str(path), co_firstlineno=1)
-        kernel = njit(cache=True, **_NUMBA_OPTIONS)(FunctionType(code, namespace))
-        collecting = gc.isenabled()
-        gc.disable()  # it would go through numba's millions of objects again and again: a third of the time
+        special = {name: (bound.get(name, globals()[name]), signature) for name, signature in _SPECIAL.items()}
+        parts = {"advance": _common(), "define": linking.definitions(special)}
         try:
-            kernel.compile(_SIGNATURE)
-        finally:
-            if collecting:
-                gc.enable()
-        _LOADED[path] = kernel
+            _LOADED[path] = _compiled(_in_file(linked, parts, path))
+        except Exception:  # noqa: BLE001 (whatever numba cannot link it compiles as one, or says what is wrong)
+            _LOADED[path] = _compiled(_in_file(advance, bound, path))
     return _LOADED[path]
 
 
+def compile_common() -> None:
+    """Compile what all kernels share (seconds, once on a machine): for who compiles many in several processes."""
+    _compiled(_common())
+
+
 def kernel_file(bound: dict[str, Any]) -> Path:
-    """The file in which `advance` bound to these globals stands, or would stand; its stem is theirs alone."""
+    """The file in which the kernel bound to these globals stands, or would stand; its stem is theirs alone."""
     return cache_folder() / f"advance_{_fingerprint(bound)}.py"
+
+
+def _common() -> Any:
+    """`advance` with nothing said yet, for `linked` to call; compiled when one does that is not on disk."""
+    path = cache_folder() / f"common_{_fingerprint({})}.py"
+    if path not in _LOADED:
+        special = {name: linking.declared(name, signature) for name, signature in _SPECIAL.items()}
+        _LOADED[path] = _in_file(advance, special, path, forceinline=True)
+    return _LOADED[path]
+
+
+def _in_file(function: Callable[..., Any], bound: dict[str, Any], path: Path, **options: Any) -> Any:
+    """A function of this module for numba to compile, as if it stood in that file: there numba keeps machine code."""
+    if not path.exists():
+        partial = path.with_suffix(f".{os.getpid()}")
+        partial.write_text(inspect.getsource(function), encoding="utf-8")
+        partial.replace(path)
+    code = function.__code__.replace(co_filename=str(path), co_firstlineno=1)
+    return njit(cache=True, **_NUMBA_OPTIONS, **options)(FunctionType(code, globals() | bound))
+
+
+def _compiled(kernel: Any) -> Any:
+    collecting = gc.isenabled()
+    gc.disable()  # it would go through numba's millions of objects again and again: a third of the time
+    try:
+        kernel.compile(_SIGNATURE)
+    finally:
+        if collecting:
+            gc.enable()
+    return kernel

@@ -10,6 +10,7 @@ import sys
 import time
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 import reference
@@ -373,6 +374,58 @@ def test_a_home_that_cannot_be_written_falls_back(tmp_path):
     blocked.write_text("not a folder")
     assert _probe({"BAYES_DAMPER_CACHE": str(blocked), "TMPDIR": str(tmp_path)})[:2] == (0, 1)
     assert list(tmp_path.glob("bayes_damper-*/advance_*.py"))
+
+
+def _block(parameters):
+    rows = np.array([np.full(LANES, parameters.get(name, 0.0)) for name in integrator.damper.ROWS])
+    n = SHORT.size
+    return (
+        *(SHORT, rows, np.full((4, LANES), 0.5), np.zeros(n), np.ones(LANES), np.ones(2), np.array([1.0, 0.0, 0.0])),
+        *(np.zeros((LANES, 2, n + 1)), np.zeros(LANES), np.zeros(LANES, np.int64)),
+    )
+
+
+def _record(kernel):
+    block = _block(reference.BASE | {"theta2_0": reference.BASE["theta0"]})
+    kernel(*block)
+    return block[7][:, :, :-1]
+
+
+@pytest.mark.slow
+def test_a_kernel_that_is_linked_is_the_one_compiled_as_a_whole(tmp_path, monkeypatch):
+    for variant in (None, CUBIC, ARM):
+        bound = integrator.specialised_globals(True, True, False, False, variant)
+        linked = integrator.specialise(bound)
+        assert linked.py_func.__name__ == "linked"
+        with monkeypatch.context() as broken:
+            broken.setenv("BAYES_DAMPER_CACHE", str(tmp_path))
+            broken.setattr(integrator.linking, "definitions", lambda _: None)
+            whole = integrator.specialise(bound)
+        assert whole.py_func.__name__ == "advance"
+        np.testing.assert_allclose(_record(linked), _record(whole), rtol=0.0, atol=1e-9 * np.abs(_record(whole)).max())
+
+
+@lanes.lane
+def _whole_numbers(t, th1, th2, w1, w2, z1, z2, p, rig):
+    return 1, 0
+
+
+@lanes.lane
+def _of_no_use(t, th1, th2, w1, w2, z1, z2, p, rig):
+    return th1.nothing, 0.0
+
+
+def test_a_torque_in_whole_numbers_is_that_torque():
+    one = Variant("toy_one", "1 N m", (COEFFICIENT,), torque=_whole_numbers)
+    model, driven = Model(coupled=False, effect=one), Model(coupled=False)
+    p = {"J1": 3e-3, "k1t": 8.0, "c1t": 0.01, "drag": 0.0, "nu": 50.0, "theta0": 0.08}
+    y = model.simulate(p, SHORT, effect={"k": 0.0}).y
+    assert np.abs(y - driven.simulate(p, SHORT, torque=np.ones(SHORT.size)).y).max() < 1e-4 * np.abs(y).max()
+
+
+def test_what_is_wrong_with_a_hook_is_told():
+    with pytest.raises(numba.TypingError, match="nothing"):
+        Model(effect=Variant("toy_wrong", "?", (COEFFICIENT,), torque=_of_no_use)).compile()
 
 
 HELPER = """

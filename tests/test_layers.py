@@ -23,7 +23,7 @@ LAYERS = (
         "wording",
         "numerals",
     },
-    {"readings", "logger_files", "units", "kernels", "forked"},
+    {"readings", "logger_files", "units", "kernels", "forked", "linking"},
     {"records"},
     {"campaign", "importer", "lanes", "damper", "linear", "published"},
     {"effects"},
