@@ -17,8 +17,7 @@ from bayes_damper.forked import can_fork, cores, forked_map
 from bayes_damper.model import Model
 
 FEWEST = 4  # kernels for which it pays to start processes
-_SECONDS_SHARED = 7.0  # that what all kernels share takes, about
-_SECONDS = 0.7  # that each of them takes then
+_SECONDS = 0.65  # that a kernel takes, about, after what all of them share (6 s, mostly done by the first simulation)
 
 
 def compile_ahead(models: Iterable[Model], driven: bool = False, tell: Callable[[str], None] = lambda _: None) -> int:
@@ -36,9 +35,9 @@ def compile_ahead(models: Iterable[Model], driven: bool = False, tell: Callable[
     with _alone(integrator.cache_folder() / "compiling.lock"):
         names = _missing(bounds)  # another process may have compiled them while this one waited
         if names:
-            seconds = _SECONDS_SHARED + len(names) * _SECONDS / count
-            tell(f"compiling {len(names)} kernels, once on this machine: about {seconds:.0f} seconds")
-            integrator.compile_common()  # before the processes part, or each would
+            seconds = max(1.0, len(names) * _SECONDS / count)
+            tell(f"compiling {len(names)} kernels, once on this machine: about {seconds:.0f} s")
+            integrator.compile_common()  # else each process would
             forked_map(lambda name: integrator.specialise(bounds[name]) is None, names, count)
     return len(names)
 
