@@ -97,11 +97,7 @@ class Model:
             variant = links.linked(variant, pendulum)
         linear = self.normal_force == "linear"
         bound = integrator.specialised_globals(self.coupled, linear, pendulum, driven, variant)
-        return (
-            bound
-            if self.longest_step == LONGEST_STEP
-            else bound | {"longest_step": integrator.constant(self.longest_step)}
-        )
+        return bound | {"longest_step": integrator.constant(float(self.longest_step))}
 
     def compile(self, driven: bool = False) -> Callable[..., None]:
         """The kernel, for records with (driven) or without an input torque.
