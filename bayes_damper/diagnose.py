@@ -30,7 +30,7 @@ from bayes_damper.published import load_published
 from bayes_damper.record_posterior import trial_label
 from bayes_damper.run import write_json
 from bayes_damper.units import effect_unit
-from bayes_damper.wording import gap_beside_verdict
+from bayes_damper.wording import gap_beside_verdict, gathered
 from bayes_damper.wording import p_value as told_p
 
 Array = NDArray[np.float64]
@@ -52,7 +52,7 @@ class Diagnosed:
 
     def text(self) -> str:
         """The verdict in plain words, what speaks for it, and what to do next."""
-        warnings = [f"warning: {w}" for w in self.result.get("warnings", ())]
+        warnings = [f"warning: {w}" for w in gathered(self.result.get("warnings", ()))]
         return "\n".join([*_words(self.result), *warnings, f"Files: {self.folder}"])
 
 

@@ -51,6 +51,7 @@ from bayes_damper.sensitivity import decided_by, of_standard_draws
 from bayes_damper.sensitivity import text as sensitivity_text
 from bayes_damper.summary import summarise, table_text, write_table
 from bayes_damper.units import effect_unit
+from bayes_damper.wording import gathered
 
 Array = NDArray[np.float64]
 Report = Callable[[float, str], None]
@@ -88,7 +89,7 @@ class Fit:
 
     def text(self) -> str:
         """Tables for the terminal, warnings first."""
-        parts = [f"warning: {w}" for w in self.summary.get("warnings", ())]
+        parts = [f"warning: {w}" for w in gathered(self.summary.get("warnings", ()))]
         groups = dict(self.summary["cases"]) | ({"joint": self.summary["joint"]} if self.summary.get("joint") else {})
         for name, found in groups.items():
             title = "all cases together" if name == "joint" else f"case {name}"

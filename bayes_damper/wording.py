@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 SMALLEST_P = 1e-12
 """Below this a p value says nothing more: no model of noise holds so far out in its tails."""
+
+_ALIKE = 3  # records of which the same is said, from which on it is said once
 
 COORDINATES = {
     "th1": (("θ1", "rad"), ("x1", "m")), "th2": (("θ2", "rad"), ("x2", "m")),
@@ -24,6 +27,36 @@ def counted(n: int, one: str, many: str = "") -> str:
 def p_value(p: float) -> str:
     """A p value as people write it: `p = 0.03`, and `p below 1e-12` where digits mean nothing."""
     return f"p below {SMALLEST_P:.0e}" if p < SMALLEST_P else f"p = {p:.2g}"
+
+
+_NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.])")
+
+
+def gathered(warnings: Iterable[str]) -> list[str]:
+    """Warnings for reading: what is said of three records or more, alike but for its numbers, is said once.
+
+    warnings : `FILE: sentence` or `FILE, column 'NAME': sentence`; others stay as they are, each in its place.
+    """
+    alike: dict[tuple[str, ...], list[tuple[str, str, str]]] = {}
+    for warning in warnings:
+        place, mark, sentence = warning.partition(": ")
+        file, comma, column = place.partition(", column ")
+        if mark and ".csv" in file:
+            key = (column, _NUMBER.sub("#", sentence))
+            alike.setdefault(key, []).append((file, comma + column, sentence))
+        else:
+            alike.setdefault((warning,), []).append(("", "", warning))
+    out = []
+    for found in alike.values():
+        file, column, sentence = found[0]
+        if not file:
+            out.append(sentence)
+        elif len(found) < _ALIKE:
+            out += [f"{name}{column}: {said}" for name, column, said in found]
+        else:
+            same = "" if all(said == sentence for _, _, said in found) else " (numbers of the first)"
+            out.append(f"{file} and {len(found) - 1} others{column}: {sentence}{same}")
+    return out
 
 
 def gap_beside_verdict(verdict: str, share: float, gap: Mapping[str, Any]) -> str:

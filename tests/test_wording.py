@@ -2,7 +2,7 @@
 
 import pytest
 
-from bayes_damper.wording import counted, gap_beside_verdict, p_value
+from bayes_damper.wording import counted, gap_beside_verdict, gathered, p_value
 
 
 @pytest.mark.parametrize(
@@ -40,3 +40,19 @@ def test_a_verdict_that_the_test_of_the_gap_does_not_share_is_explained(verdict,
     sentence = gap_beside_verdict(verdict, 0.7, gap)
     assert told in sentence
     assert bool(sentence) is bool(told)
+
+
+def test_what_is_said_of_three_records_is_said_once():
+    late = [f"trials/A_{i}.csv: motion begins {t} s after the release; it stuck" for i, t in ((1, 0.001), (2, 0.002))]
+    steps = [f"trials/A_{i}.csv, column 'theta1_rad': quantised in steps of 0.1" for i in (1, 2, 3, 4)]
+    twins = [f"trials/A_{i}.csv: holds the same readings as trials/A_{i + 1}.csv" for i in (1, 2, 3)]
+    told = ["Friction was not given.", *late, *steps, *twins]
+    assert gathered(told) == [
+        "Friction was not given.",
+        *late,
+        "trials/A_1.csv and 3 others, column 'theta1_rad': quantised in steps of 0.1",
+        *twins,
+    ]
+    assert gathered([*late, late[0].replace("A_1", "A_3")]) == [
+        "trials/A_1.csv and 2 others: motion begins 0.001 s after the release; it stuck (numbers of the first)"
+    ]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bayes_damper import readings as look
 from bayes_damper.parameters import unit_of
-from bayes_damper.wording import counted
+from bayes_damper.wording import counted, gathered
 
 Array = NDArray[np.float64]
 COLUMNS = {
@@ -216,7 +216,7 @@ class Campaign:
                 f"  {t.label}: {counted(len(t.times), 'reading')}, {t.times[0]:.4g} to {t.times[-1]:.4g} s, {angle}, "
                 f"noise about {noise} {self.reading_unit}{_use_of(t, held)}"
             )
-        lines += [f"  warning: {w}" for w in self.warnings]
+        lines += [f"  warning: {w}" for w in gathered(self.warnings)]
         return "\n".join(lines)
 
 

@@ -28,7 +28,7 @@ from bayes_damper.tuning.performance import (
     probability_of,
     refused,
 )
-from bayes_damper.wording import counted
+from bayes_damper.wording import counted, gathered
 
 Array = NDArray[np.float64]
 SCHEMA = "bayes-damper/tune/1"
@@ -121,7 +121,7 @@ class TuneResult:
     def text(self) -> str:
         """The result in a few lines."""
         effort, unit = self.origin.effort
-        lines = [f"warning: {w}" for w in self.origin.warnings]
+        lines = [f"warning: {w}" for w in gathered(self.origin.warnings)]
         if not self.origin.converged:
             lines.append("*** THE FIT DID NOT CONVERGE: do not use these numbers ***")
         lines += [f"Case {self.case}, {counted(len(self.draws['J1']), 'draw')}; target {self.target_db:g} dB."]

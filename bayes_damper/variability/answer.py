@@ -20,6 +20,7 @@ from bayes_damper.variability.decomposition import Sets, decompose, summary
 from bayes_damper.variability.pooling import POOLINGS, Direct, Recycled, recycle
 from bayes_damper.variability.published import PublishedCases
 from bayes_damper.variability.recorded import RecordedCases
+from bayes_damper.wording import gathered
 
 Array = NDArray[np.float64]
 SCHEMA = "bayes-damper/variability/1"
@@ -62,7 +63,7 @@ class Variability:
     def text(self) -> str:
         """A table for the terminal, warnings first."""
         r = self.result
-        lines = [f"warning: {w}" for w in r.get("warnings", ())]
+        lines = [f"warning: {w}" for w in gathered(r.get("warnings", ()))]
         lines += [] if self.converged else ["*** DID NOT CONVERGE: do not use these numbers ***"]
         lines.append(f"{r['campaign']}: cases {', '.join(r['cases'])}")
         lines.append(f"  {'':44s}{'log evidence':>14s}{'probability':>13s}{'unseen data':>13s}")

@@ -14,7 +14,7 @@ from bayes_damper.parameters import PARAMETERS
 from bayes_damper.report.charts import torque_chart
 from bayes_damper.report.parts import Headline, Result, Row, Section, Table, folded, generic, listed, words
 from bayes_damper.report.sections.shared import fingerprint, meaning_of, pictures_of, records_table
-from bayes_damper.wording import COORDINATES, gap_beside_verdict
+from bayes_damper.wording import COORDINATES, gap_beside_verdict, gathered
 from bayes_damper.wording import p_value as told_p
 
 _SITES = {
@@ -105,7 +105,7 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
         ),
     )
     about = dict(data.get("provenance", {})) | fingerprint(data)
-    return Result(head, section, (), about, tuple(data.get("warnings", ())))
+    return Result(head, section, (), about, tuple(gathered(data.get("warnings", ()))))
 
 
 def _verdict_sentences(

@@ -13,7 +13,7 @@ from bayes_damper.report.parts import Headline, Result, Row, Section, Table, gen
 from bayes_damper.report.sections.shared import UNCONVERGED, fingerprint, meaning_of, pictures_of
 from bayes_damper.run import folder_name
 from bayes_damper.sensitivity import decided_by
-from bayes_damper.wording import counted
+from bayes_damper.wording import counted, gathered
 
 _OUTSIDE = 5.0  # per cent: a measurement below this percentile, or as far above, counts as outside
 _MAIN = (
@@ -48,7 +48,7 @@ def fit_result(summary: Mapping[str, Any], folder: Path) -> Result:
     section = Section("Fit", (_INTERVALS,), pictures=pictures, parts=tuple(sections))
     head = _fit_headline(str(summary.get("campaign", "")), groups, converged)
     about = dict(summary.get("provenance", {})) | fingerprint(summary)
-    return Result(head, section, tuple(warnings), about, tuple(summary.get("warnings", ())))
+    return Result(head, section, tuple(warnings), about, tuple(gathered(summary.get("warnings", ()))))
 
 
 def _title(name: str) -> str:

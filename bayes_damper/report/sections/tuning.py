@@ -11,7 +11,7 @@ from bayes_damper.parameters import unit_of
 from bayes_damper.report.charts import response_chart
 from bayes_damper.report.parts import Headline, Result, Row, Section, Table, listed, words
 from bayes_damper.report.sections.shared import fingerprint, pictures_of
-from bayes_damper.wording import counted
+from bayes_damper.wording import counted, gathered
 
 
 def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
@@ -105,7 +105,7 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
         pictures_of(folder, kind="tune"),
     )
     about = dict(data.get("provenance", {})) | fingerprint(data)
-    return Result(head, section, warnings, about, tuple(data.get("warnings", ())))
+    return Result(head, section, warnings, about, tuple(gathered(data.get("warnings", ()))))
 
 
 _SHARES = (

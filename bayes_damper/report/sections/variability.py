@@ -10,6 +10,7 @@ from bayes_damper.numerals import NOTHING, interval, number, percent
 from bayes_damper.parameters import unit_of
 from bayes_damper.report.parts import Headline, Result, Row, Section, Table, folded, generic, words
 from bayes_damper.report.sections.shared import UNCONVERGED, fingerprint, pictures_of
+from bayes_damper.wording import gathered
 
 _SHARING = {
     "shared": "one parameter set for all cases",
@@ -50,7 +51,7 @@ def variability_result(data: Mapping[str, Any], folder: Path) -> Result:
     section = Section("Variability", told, tables, (), pictures, folded(rest))
     warnings = () if converged else ("The comparison of the cases did not converge: do not use its numbers.",)
     about = dict(data.get("provenance", {})) | fingerprint(data)
-    return Result(head, section, warnings, about, tuple(data.get("warnings", ())))
+    return Result(head, section, warnings, about, tuple(gathered(data.get("warnings", ()))))
 
 
 def _decomposition_tables(data: Mapping[str, Any]) -> list[Table]:
