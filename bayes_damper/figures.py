@@ -731,7 +731,7 @@ def gap_figure(record: Mapping[str, Any], probabilities: Mapping[str, float], *,
             axes["before"].plot(
                 *(times, np.asarray(augmented) - nominal), color=COLOURS[1], lw=1.0, label=f"added by {record['added']}"
             )
-            axes["before"].legend(loc="upper right")
+            axes["before"].legend(loc="best")
             axes["after"].set_title(f"measured minus model with {record['added']}", loc="left")
             axes["after"].plot(times, measured - augmented, ".", **dots)
             axes["after"].sharey(axes["before"])

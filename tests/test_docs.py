@@ -221,3 +221,13 @@ def test_notebooks_tell_a_story_with_public_calls_only(path):
 
 def test_there_are_at_most_five_notebooks():
     assert 1 <= len(NOTEBOOKS) <= 5
+
+
+def test_the_campaign_of_the_first_figure_is_shipped_and_its_cause_is_the_one_that_is_told():
+    """Campaigns are replaced whole now and then; the figure on the first page has to go with them."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    told = re.search(r"campaign (\w{12}) of `data/withheld`", text)
+    assert told
+    assert (ROOT / "data" / "withheld" / "campaigns" / told[1] / "campaign.toml").is_file()
+    key = json.loads((ROOT / "data" / "withheld" / "campaigns_key.json").read_text(encoding="utf-8"))["campaigns"]
+    assert f"before and after {key[told[1]]['truth']} is added" in (DOCS / "how-to" / "verdict.md").read_text("utf-8")
