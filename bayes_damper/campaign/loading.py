@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.campaign.head import check_rig, per_channel, read_head
+from bayes_damper.campaign.head import Head, check_rig, per_channel, read_head
 from bayes_damper.campaign.magnitudes import check_magnitudes
 from bayes_damper.campaign.oddities import look_at_repeats, look_at_trial
 from bayes_damper.campaign.record_files import read_trial
-from bayes_damper.campaign.structure import Campaign, Trial
-from bayes_damper.campaign.trials_table import read_rows
+from bayes_damper.campaign.structure import Campaign, Measurement, Trial
+from bayes_damper.campaign.trials_table import Row, read_rows
 from bayes_damper.errors import InputError
 
 Array = NDArray[np.float64]
@@ -33,13 +34,8 @@ def load_campaign(folder: str | Path) -> Campaign:
     """
     folder = Path(folder)
     faults: list[str] = []
-    if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder; give the folder that holds campaign.toml")
     digest = hashlib.sha256()
-    head = read_head(folder, faults, digest)
-    if head is None:
-        raise InputError(faults)
-    rows = read_rows(folder, head.rig.kind, head.measurement.start, faults, digest)
+    head, rows = _head_and_rows(folder, faults, digest)
     trials = tuple(t for row in rows if (t := read_trial(folder, row, head, faults, digest)) is not None)
     check_rig(folder, head.rig, any(row.configuration == "coupled" for row in rows), faults)
     warnings: list[str] = list(head.notes)
@@ -61,18 +57,7 @@ def load_campaign(folder: str | Path) -> Campaign:
         scale_std=per_channel(declared.scale_std, both),
         lag_std=per_channel(declared.lag_std, both),
     )
-    return Campaign(
-        head.name,
-        head.rig,
-        measurement,
-        trials,
-        head.description,
-        head.source,
-        head.caveats,
-        folder,
-        (*head.caveats, *warnings),
-        digest.hexdigest(),
-    )
+    return _campaign(folder, head, measurement, trials, (*head.caveats, *warnings), digest)
 
 
 def load_plan(folder: str | Path) -> Campaign:
@@ -89,13 +74,8 @@ def load_plan(folder: str | Path) -> Campaign:
     """
     folder = Path(folder)
     faults: list[str] = []
-    if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder; give the folder that holds campaign.toml")
     digest = hashlib.sha256()
-    head = read_head(folder, faults, digest)
-    if head is None:
-        raise InputError(faults)
-    rows = read_rows(folder, head.rig.kind, head.measurement.start, faults, digest)
+    head, rows = _head_and_rows(folder, faults, digest)
     check_rig(folder, head.rig, any(row.configuration == "coupled" for row in rows), faults)
     missing = [row for row in rows if not (folder / row.file).exists()]
     rate = head.measurement.sample_rate
@@ -128,7 +108,25 @@ def load_plan(folder: str | Path) -> Campaign:
         raise InputError(faults)
     noise = per_channel(head.measurement.noise_std, any(t.coupled for t in planned))
     measurement = replace(head.measurement, noise_std=noise, duration=duration if missing else None)
+    return _campaign(folder, head, measurement, planned, (*head.caveats, *head.notes), digest)
+
+
+def _head_and_rows(folder: Path, faults: list[str], digest: hashlib._Hash) -> tuple[Head, list[Row]]:
+    """campaign.toml and trials.csv of a folder; InputError where there is no folder or no head to go on with."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; give the folder that holds campaign.toml")
+    head = read_head(folder, faults, digest)
+    if head is None:
+        raise InputError(faults)
+    return head, read_rows(folder, head.rig.kind, head.measurement.start, faults, digest)
+
+
+def _campaign(
+    folder: Path, head: Head, measurement: Measurement, trials: Sequence[Trial], warnings: tuple[str, ...],
+    digest: hashlib._Hash,
+) -> Campaign:  # fmt: skip
+    """The campaign of a folder that has been read."""
     return Campaign(
-        head.name, head.rig, measurement, tuple(planned), head.description, head.source, head.caveats, folder,
-        (*head.caveats, *head.notes), digest.hexdigest(),
+        head.name, head.rig, measurement, tuple(trials), head.description, head.source, head.caveats, folder, warnings,
+        digest.hexdigest(),
     )  # fmt: skip
