@@ -188,6 +188,28 @@ def find_release(times: Array, readings: Array) -> float:
     return float(times[max(first - 1, 0)])
 
 
+def carried_back(times: Array, readings: Array, seen: float, quantity: str) -> float:
+    """Instant of a release whose motion was first seen after the reading at `seen`, s on the clock of the record.
+
+    At first a velocity grows in proportion to the time, a displacement as A (1 - cos(omega t)) with half the reach for
+    A: a line through the velocities, or through the phases omega t of the displacements, is followed back to nothing.
+    `seen` is returned where too few readings lie in the first fifth of the reach, or where they do not grow.
+
+    times : (n,) s; readings : (n,), displacement or velocity in any unit
+    """
+    after = int(np.searchsorted(times, seen, side="right"))
+    away = np.abs(readings - np.median(readings[:after]))
+    reach = float(np.ptp(readings))
+    end = after + int(np.argmax(away[after:] > 0.2 * reach))
+    if after < 3 or end - after < 3:
+        return seen
+    grown = np.arccos(1.0 - 2.0 * away[after:end] / reach) if quantity == "displacement" else away[after:end]
+    slope, rest = np.polyfit(times[after:end] - seen, grown, 1)
+    if not slope > 0.0:
+        return seen
+    return seen + float(np.clip(-rest / slope, times[0] - seen, times[after] - seen))
+
+
 def find_first_peak(times: Array, readings: Array, omega: float | None = None) -> float:
     """Instant of the first turning point of an oscillation, in seconds on the clock of the record.
 

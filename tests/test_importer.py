@@ -63,6 +63,27 @@ def test_an_acceleration_jumps_between_two_readings(tmp_path: Path) -> None:
     assert trial.times[k - 1] == pytest.approx(-5e-4)
 
 
+@pytest.mark.parametrize("quantity", ["displacement", "velocity"])
+@pytest.mark.parametrize("rate", [200.0, 1000.0])
+def test_a_release_found_is_that_of_the_rig_not_of_the_first_reading_beyond_the_noise(
+    tmp_path: Path, quantity: str, rate: float
+) -> None:
+    """Slow rigs stay within the noise for several readings; the instant is found to about one of them."""
+    omega, release = 8.0, 0.4031
+    times = np.arange(round(6.0 * rate)) / rate
+    phase = omega * np.maximum(times - release, 0.0)
+    motion = np.cos(phase) + 0.02 * np.sin(phase) if quantity == "displacement" else -omega * np.sin(phase)
+    y = 0.03 * motion * np.exp(-0.02 * phase)
+    for seed in range(5):
+        readings = y + 0.003 * np.ptp(y) * np.random.default_rng(seed).standard_normal(y.size)
+        source = logger_file(tmp_path / f"run{seed}.csv", readings, times=times)
+        options = {**OPTIONS, "quantity": quantity, "theta0": 1.7, "k1t": 3.015e-3 * omega**2}
+        campaign = load_campaign(init_campaign(tmp_path / str(seed), [source], **options))
+        begun = campaign.trials[0].times[0] - times[0]
+        kept = times.size - campaign.trials[0].times.size
+        assert abs(kept / rate - begun - release) < max(1.2 / rate, 0.03 / omega)
+
+
 def test_g_at_the_mounting_radius_with_semicolons_and_decimal_commas(tmp_path: Path) -> None:
     source = logger_file(tmp_path / "run.csv", wave() * 0.1 / 9.80665, ";", True)
     options = {**OPTIONS, "decimal": ",", "units": ["g"], "mounting_radius": 0.1}
