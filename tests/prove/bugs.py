@@ -10,11 +10,12 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 from unittest import mock
 
 import numpy as np
-from calibrated import without_allowance
+from calibrated import recorded, without_allowance
 from synthetic import FAINT
 
 from bayes_damper.calibration import Experiment, Problem
@@ -32,8 +33,14 @@ class Bug:
     kind: str
     fault: Fault = nullcontext
     mistake: Callable[[Experiment], Experiment] = lambda e: e
+
     weights: bool = True
     """Whether draws by weights will do; a bug of the sampler shows in its own draws only."""
+
+    @property
+    def task(self) -> Callable[[int], dict[str, Any]]:
+        """One campaign, fitted with the bug: by number, its ranks."""
+        return partial(recorded, self.kind, fault=self.planted, mistake=self.mistake, weights=self.weights)
 
     @contextmanager
     def planted(self) -> Iterator[None]:
@@ -108,6 +115,6 @@ BUGS = (
     Bug("channels swapped", "repeats", mistake=_swapped),
     Bug("wrong sign of the delay", "repeats", _rig(lambda rig: {"delay": -np.asarray(rig["delay"])})),
     Bug("release angle taken as exact", "repeats", mistake=_angles(1e-9)),
-    Bug("degrees for radians in the angle's uncertainty", "repeats", mistake=_angles(180.0 / math.pi)),
+    Bug("degrees for radians in the angle's uncertainty", FAINT, mistake=_angles(180.0 / math.pi)),
 )
-SOUND = (Bug("none, lone", "lone"), Bug("none, faint", FAINT), Bug("none, repeats", "repeats"))
+SOUND = tuple(Bug(f"none, {kind}", kind) for kind in ("lone", FAINT, "repeats"))

@@ -23,8 +23,7 @@ import synthetic
 from draws import SHORT, WALKERS, sampled, weighted
 from numpy.typing import NDArray
 
-from bayes_damper import calibration
-from bayes_damper.calibration import Experiment, Switches, calibrate_nominal
+from bayes_damper.calibration import Experiment, Switches, calibrate_nominal, problem
 from bayes_damper.fit import published_posterior
 from bayes_damper.posterior import Datum, FeaturePosterior
 from bayes_damper.priors import load_priors
@@ -57,7 +56,7 @@ SWITCHES = {"lone": None, synthetic.FAINT: None, "repeats": Switches(delay=True,
 @contextmanager
 def without_allowance() -> Iterator[None]:
     """A fit that trusts the release and the reversals of friction to the microsecond."""
-    with mock.patch.object(calibration, "EVENT_TIMING", 0.0), mock.patch.object(calibration, "RELEASE_WEIGHT", 1.0):
+    with mock.patch.object(problem, "EVENT_TIMING", 0.0), mock.patch.object(problem, "RELEASE_WEIGHT", 1.0):
         yield
 
 
@@ -135,6 +134,9 @@ def recorded(
     if kind == synthetic.FAINT:  # what tells of the priors where they decide much
         truth["log_prior"] = float(synthetic.log_prior(made, {n: np.array([x]) for n, x in made.truth.items()})[0])
         drawn["log_prior"] = synthetic.log_prior(made, values)
+        known = [{n: np.array([x]) for n, x in mine.items()} for mine in made.own]
+        truth["log_prior_own"] = float(synthetic.log_prior_own(known)[0])
+        drawn["log_prior_own"] = synthetic.log_prior_own(own)
     for i, mine in enumerate(made.own):
         truth |= {f"{name}[{i + 1}]": x for name, x in mine.items()}
         drawn |= {f"{name}[{i + 1}]": x for name, x in own[i].items()}
@@ -172,6 +174,8 @@ def published(case: str, number: int) -> dict[str, Any]:
     standard = coordinates.standard(sampling.flat()).reshape(sampling.draws.shape)
     truth = {name: float(x) for name, x in zip(posterior.names, coordinates.standard(point)[0], strict=True)}
     drawn = dict(zip(posterior.names, coordinates.standard(flat).T, strict=True))
+    truth["log_prior"] = float(-0.5 * np.sum(coordinates.standard(point) ** 2))
+    drawn["log_prior"] = -0.5 * np.sum(coordinates.standard(flat) ** 2, axis=1)
     truth["log_likelihood"] = float(posterior.log_likelihood(point).sum())
     drawn["log_likelihood"] = posterior.log_likelihood(flat).sum(axis=1)
     return {"ranks": _ranks(truth, drawn)} | _health(sampling, standard)

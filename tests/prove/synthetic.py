@@ -100,6 +100,16 @@ def log_prior(made: Campaign, values: dict[str, Array]) -> Array:
     return np.asarray(-0.5 * square)
 
 
+def log_prior_own(own: list[dict[str, Array]]) -> Array:
+    """The same of what each trial has for itself, but for the instants of release: those of a campaign lie within a
+    sample, to the fit they are normal.
+    """
+    square = sum(
+        ((mine["theta0"] - ANGLE) / ANGLE_SD) ** 2 + (mine.get("ln_mu", 0.0) / FRICTION_SPREAD) ** 2 for mine in own
+    )
+    return np.asarray(-0.5 * square)
+
+
 def log_likelihood(made: Campaign, values: dict[str, Array], own: list[dict[str, Array]]) -> Array:
     """Log density of all readings, (n,), for n sets of values and of each trial's own: written out, no fit involved."""
     total = np.zeros(len(values["mu"]))

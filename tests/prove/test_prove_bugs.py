@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
-import calibrated
 import pages
 import parts
 import pytest
@@ -22,8 +20,7 @@ def hunt(bug: Bug) -> dict[str, Any]:
     name = f"bug-{bug.kind}-" + "-".join(w for w in bug.name.replace(":", " ").replace(",", " ").split())
     count = FIRST
     while True:
-        task = partial(calibrated.recorded, bug.kind, fault=bug.planted, mistake=bug.mistake, weights=bug.weights)
-        results = parts.finish(name, count, task)
+        results = parts.finish(name, count, bug.task)
         p_values = {q: ranks.p_value(values) for q, values in pages.collected(results).items()}
         by = min(p_values, key=lambda q: p_values[q])
         least = ranks.least_of(list(p_values.values()))

@@ -140,3 +140,13 @@ def test_the_plain_log_likelihood_of_a_campaign_peaks_at_its_truth():
     expected -= synthetic.TIMES.size * np.sum(np.log(sigma))
     assert abs(at_truth - expected) < 50.0
     assert beside < at_truth
+
+
+def test_the_log_prior_of_what_a_trial_has_for_itself_by_hand():
+    """Moving one angle to three standard deviations from where it is declared costs what a normal density says."""
+    made = synthetic.campaign("lone", 1, 0)
+    own = [{name: np.array([value]) for name, value in mine.items()} for mine in made.own]
+    z = (made.own[1]["theta0"] - synthetic.ANGLE) / synthetic.ANGLE_SD
+    moved = [own[0], own[1] | {"theta0": np.array([synthetic.ANGLE + 3.0 * synthetic.ANGLE_SD])}]
+    change = synthetic.log_prior_own(moved)[0] - synthetic.log_prior_own(own)[0]
+    assert change == pytest.approx(0.5 * z**2 - 4.5)
