@@ -591,8 +591,8 @@ def _window(
             )
         if measurement.quantity == "acceleration":  # it jumps: somewhere before the first reading that has moved
             zero = 0.5 * (zero + float(t[np.searchsorted(t, zero, side="right")]))
-        else:  # it stays within the noise for some readings more
-            zero = look.carried_back(t, part, zero, measurement.quantity)
+        else:  # it stays within the noise for some readings more; at a reading, a sample of doubt is left on each side
+            zero = float(t[np.argmin(np.abs(t - look.carried_back(t, part, zero, measurement.quantity)))])
     elif release == "first_peak":
         peak = look.find_first_peak(t, part)
         zero = float(t[np.searchsorted(t, peak - 1e-9)]) if peak < t[-1] else float(t[0])

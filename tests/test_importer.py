@@ -82,6 +82,7 @@ def test_a_release_found_is_that_of_the_rig_not_of_the_first_reading_beyond_the_
         begun = campaign.trials[0].times[0] - times[0]
         kept = times.size - campaign.trials[0].times.size
         assert abs(kept / rate - begun - release) < max(1.2 / rate, 0.03 / omega)
+        assert np.min(np.abs(campaign.trials[0].times)) < 1e-9, "it lies at a reading"
 
 
 def test_g_at_the_mounting_radius_with_semicolons_and_decimal_commas(tmp_path: Path) -> None:
