@@ -21,7 +21,7 @@ from bayes_damper.campaign import record_text
 from bayes_damper.demo import demo
 from bayes_damper.effects import EFFECTS
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.fit import DRAWN, WARM, _sampled, expected_steps, fit, plan_fit, published_posterior, start_run
+from bayes_damper.fit import DRAWN, WARM, expected_steps, fit, plan_fit, published_posterior, sampled, start_run
 from bayes_damper.model import Model
 from bayes_damper.posterior import Datum, FeaturePosterior
 from bayes_damper.priors import load_priors
@@ -99,7 +99,7 @@ def test_progress_of_the_draws_moves_from_the_first_and_expects_what_it_takes(tm
     target = Gaussian(12)
     plan = {"campaign": "known", "seed": 1, "thorough": True, "most_steps": None}
     told = []
-    drawn = _sampled(target, tmp_path, lambda *news: told.append(news), plan, 1, lambda: start_of(target))
+    drawn = sampled(target, tmp_path, lambda *news: told.append(news), plan, 1, lambda: start_of(target))
     assert drawn.converged
     shares = [share for share, text in told if text.startswith("drawing")]
     steps = [tuple(map(int, re.findall(r"\d+", text))) for _, text in told if text.startswith("drawing")]

@@ -30,7 +30,7 @@ from bayes_damper.figures import (
     residual_maps_figure,
     save,
 )
-from bayes_damper.fit import _draw_overlaid
+from bayes_damper.fit.drawings import draw_overlaid
 from bayes_damper.numerals import number, percent
 from bayes_damper.report.charts import pack, record_chart, torque_chart, unpack
 from bayes_damper.report.html import LARGEST, typeset
@@ -491,7 +491,7 @@ def test_all_cases_are_drawn_over_each_other(tmp_path):
     posterior = xr.Dataset(draws, coords={"case": ["III", "IV"]})
     xr.DataTree.from_dict({"posterior": posterior}).to_netcdf(tmp_path / "posterior.nc", engine="h5netcdf")
     cases = {name: {"parameters": {"mu": parameter(0.0, 0.1), "k2t": parameter(0.0, 0.5)}} for name in ("III", "IV")}
-    _draw_overlaid(tmp_path, cases, ["mu", "k2t"], {}, {"campaign": "rig", "converged": True})
+    draw_overlaid(tmp_path, cases, ["mu", "k2t"], {}, {"campaign": "rig", "converged": True})
     assert (tmp_path / "corner.svg").stat().st_size > 5000
     assert "case III" in (tmp_path / "corner.svg").read_text(encoding="utf-8")
 

@@ -1,0 +1,207 @@
+"""What a fit is to do, kept in its folder, so that it can be resumed and a changed one is refused."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper.calibration import (
+    Experiment,
+    experiment_of,
+)
+from bayes_damper.campaign import Campaign, load_campaign
+from bayes_damper.effects import all_effects
+from bayes_damper.errors import InputError
+from bayes_damper.noise import KINDS
+from bayes_damper.parameters import hint
+from bayes_damper.priors import PriorSet, campaign_priors, load_priors
+from bayes_damper.provenance import code_sha256, package_version
+from bayes_damper.published import load_published
+from bayes_damper.run import read_json, write_json
+
+Array = NDArray[np.float64]
+_TAKEN = ("joint", "variability")
+"""Folders beside those of the cases: of all cases together, and of the pieces of `variability`."""
+_PLANNED = ("campaign", "name", "campaign_sha256", "cases", "joint", "priors", "normal_force", "seed", "thorough",
+           "most_steps")  # fmt: skip
+
+
+def plan_fit(
+    campaign: str,
+    *,
+    cases: Sequence[str] | None,
+    priors: str | None,
+    normal_force: str | None,
+    noise: str = "auto",
+    effect: str | None = None,
+    effects: str | None = None,
+    seed: int,
+    thorough: bool,
+    most_steps: int | None,
+    joint: bool,
+) -> dict[str, Any]:
+    """Everything that decides the results of a fit, as plain data."""
+    thesis = campaign == "thesis"
+    prior_set: PriorSet | None
+    if thesis:
+        published = load_published()
+        known: Sequence[str] = tuple(published.cases)
+        checksum, name = published.checksum, "thesis"
+        prior_set = load_priors(priors or "thesis")
+    else:
+        loaded = load_campaign(campaign)
+        known, checksum, name = loaded.cases, loaded.sha256, loaded.name
+        beside = Path(campaign) / "priors.toml"
+        file = Path(priors) if priors is not None else beside if beside.exists() else None
+        prior_set = None if file is None else campaign_priors(file, loaded)
+        experiment_of(loaded, prior_set)  # tells what the file and the campaign contradict each other in
+    chosen = list(known) if cases is None else list(dict.fromkeys(cases))
+    unknown = [case for case in chosen if case not in known]
+    if unknown:
+        raise InputError(f"--case {unknown[0]}: there is no such case; {campaign} has {', '.join(known)}")
+    if taken := [case for case in chosen if case in _TAKEN]:
+        raise InputError(
+            f"case {taken[0]!r}: results have a folder of that name; give the case another label in trials.csv"
+        )
+    if normal_force not in (None, "linear", "constant"):
+        raise InputError(f"normal_force {normal_force!r}: expected linear or constant")
+    if noise not in KINDS:
+        raise InputError(f"--noise {noise}: expected one of {', '.join(KINDS)}")
+    if effect is not None:
+        if thesis:
+            raise InputError(
+                "--effect: `diagnose thesis` weighs effects by the published features; a fit needs records"
+            )
+        known_effects = all_effects(effects)
+        if effect not in known_effects:
+            raise InputError(f"--effect {effect}: there is no such effect; {hint(effect, known_effects)}")
+    if noise != "auto" and thesis:
+        raise InputError("--noise: the published features have standard errors of their own; leave it out")
+    return {
+        "campaign": campaign if thesis else str(Path(campaign).resolve()),
+        "name": name,
+        "campaign_sha256": checksum,
+        "cases": chosen,
+        "joint": joint and not thesis and len(chosen) > 1,
+        "priors": None if prior_set is None else prior_set.to_dict(),
+        "normal_force": normal_force,
+        "noise": noise,
+        "effect": effect,
+        "effects": None if effects is None else str(Path(effects).resolve()),
+        "seed": seed,
+        "thorough": thorough,
+        "most_steps": most_steps,
+    }
+
+
+def plan_in(record: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """The plan of a fit that run.json holds.
+
+    Raises
+    ------
+    InputError
+        if it holds none, or one of another version.
+    """
+    plan = record.get("plan")
+    missing = [key for key in _PLANNED if not isinstance(plan, Mapping) or key not in plan]
+    if missing or not isinstance(plan, Mapping):
+        raise InputError(f"{folder / 'run.json'}: holds no plan of this version ({missing[0]} is missing); fit anew")
+    return dict(plan)
+
+
+class OtherRun(InputError):
+    """A folder holds what is not to be mixed with the run asked for: nothing was touched, and `beside` is free."""
+
+    def __init__(self, folder: Path, what: str, more: str) -> None:
+        taken = (folder.with_name(f"{folder.name}-{k}") for k in itertools.count(2))
+        self.beside = next(path for path in taken if not path.exists())
+        super().__init__(
+            f"{folder}: {what}. Nothing was touched.{more} For new results beside it, begin with --out {self.beside}; "
+            f"for new ones in its place: mv {folder} {self.beside}, then the same command again"
+        )
+
+
+def start_run(folder: Path, record: Mapping[str, Any]) -> None:
+    """Note in `folder` what runs there and what runs it, so that `resume` can go on; refuse a folder of another run.
+
+    A run of which nothing was saved is none.
+
+    Raises
+    ------
+    InputError
+        if the folder holds a run with another plan, or of another version, with every difference.
+    """
+    path = folder / "run.json"
+    if path.exists() and any(p.is_dir() for p in folder.iterdir()):
+        before = read_json(path)
+        changed = _differences("command", before.get("command"), record["command"])
+        changed += _differences("", before.get("plan", {}), record["plan"])
+        if changed:
+            raise OtherRun(folder, f"holds another run: {'; '.join(changed)}", "")
+        refuse_changes(folder, before)
+    write_json(path, dict(record) | {"made_by": _versions()})
+
+
+def refuse_changes(folder: Path, record: Mapping[str, Any]) -> None:
+    """Refuse to go on with a run (the contents of its run.json) that other code began, before any work.
+
+    Raises
+    ------
+    InputError
+        with every difference.
+    """
+    if changed := _differences("", record.get("made_by", {}), _versions()):
+        ended = (folder / "summary.json").exists()
+        what = "results that are complete, made by" if ended else "an unfinished run of"
+        more = "" if ended else " To go on with it, install again what it began with."
+        raise OtherRun(folder, f"holds {what} another version of the code: {'; '.join(changed)}", more)
+
+
+def _versions() -> dict[str, str]:
+    """What else than its plan decides the draws of a run, bit for bit."""
+    libraries = {name: version(name) for name in ("numpy", "scipy", "numba", "emcee")}
+    return {"bayes_damper": package_version(), "source files (SHA-256)": code_sha256()[:12]} | libraries
+
+
+def _differences(name: str, before: Any, now: Any) -> list[str]:
+    """Every entry that differs, in words: name was one thing and is another now."""
+    if isinstance(before, Mapping) and isinstance(now, Mapping):
+        keys = dict.fromkeys([*before, *now])
+        parts = [_differences(f"{name}.{key}".lstrip("."), before.get(key), now.get(key)) for key in keys]
+        return [sentence for part in parts for sentence in part]
+    said = ["not set" if x is None else ", ".join(map(str, x)) if isinstance(x, list) else x for x in (before, now)]
+    return [] if before == now else [f"{name} was {said[0]} and is {said[1]} now"]
+
+
+def planned_campaign(plan: Mapping[str, Any]) -> Campaign:
+    """The campaign that a fit was planned for, as it was then."""
+    campaign = load_campaign(plan["campaign"])
+    if campaign.sha256 != plan["campaign_sha256"]:
+        raise InputError(
+            f"{plan['campaign']}: the campaign has changed since this run began; start a new run with another --out"
+        )
+    return campaign
+
+
+def recorded_experiment(plan: Mapping[str, Any], case: str | None) -> tuple[Experiment, str]:
+    """The trials of one case, or of all planned cases, as a calibration takes them; marked trials are left out.
+
+    With it the kind of the rig.
+    """
+    campaign = planned_campaign(plan)
+    priors = None if plan["priors"] is None else campaign_priors(plan["priors"], campaign)
+    experiment = experiment_of(campaign, priors)
+    marked = {t.file for t in campaign.trials if t.holdout}
+    wanted = [case] if case is not None else plan["cases"]
+    trials = tuple(
+        replace(record, heldout=record.label in marked) for record in experiment.trials if record.case in wanted
+    )
+    law = plan["normal_force"] or experiment.normal_force
+    return replace(experiment, trials=trials, normal_force=law), campaign.rig.kind

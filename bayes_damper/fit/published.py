@@ -1,0 +1,84 @@
+"""The posterior of a case from its published features."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper.arviz_adapter import hdi
+from bayes_damper.fit.draw import DRAWN, Report, number_of, sampled, search, shaped
+from bayes_damper.fit.drawings import draw_case
+from bayes_damper.fit.entry import (
+    KEPT_DRAWS,
+    as_chains,
+    attributes_of,
+    derived,
+    entry_of,
+    one_chain,
+    shares_left,
+    tell_priors,
+    write_draws,
+)
+from bayes_damper.posterior import Coordinates, Datum, FeaturePosterior, damping_pairs
+from bayes_damper.priors import PriorSet, priors_from_dict
+from bayes_damper.published import load_published
+
+Array = NDArray[np.float64]
+
+
+def published_posterior(case: str, priors: PriorSet, normal_force: str = "linear") -> FeaturePosterior:
+    """The posterior of one thesis case: six published numbers, priors of the thesis's rig."""
+    published = load_published()
+    data = [Datum(m.configuration, m.quantity, m.value, m.standard_error, m.n) for m in published.of_case(case)]
+    own = priors.for_case(case)
+    coordinates = Coordinates(own.free, own.fixed, own.tied, damping_pairs(own.medians()))
+    return FeaturePosterior(data, coordinates, normal_force, case)
+
+
+def fit_published_case(folder: Path, report: Report, *, name: str, plan: Mapping[str, Any], processes: int = 1) -> Any:
+    """Task: fit one thesis case and write its files; its entry of summary.json."""
+    posterior = published_posterior(name, priors_from_dict(plan["priors"]), plan["normal_force"] or "linear")
+    rng = np.random.default_rng([plan["seed"], number_of(name)])
+    standard = posterior.coordinates.standard
+    sampling = sampled(posterior, folder, report, plan, processes, lambda: search(posterior, rng), standard)
+    flat = sampling.flat()
+    draws = {key: shaped(value, sampling) for key, value in posterior.coordinates.values(flat).items()}
+    draws = {key: draws[key] for key in posterior.names} | derived(draws)
+    report(DRAWN, "drawn; left: predictions, files, figures")
+    kept = sampling.flat(KEPT_DRAWS)
+    features, likelihood = posterior.predict(kept), posterior.log_likelihood(kept)
+    noise = rng.standard_t([d.n - 1.0 for d in posterior.data], size=features.shape)
+    replicated = features + noise * [d.standard_error for d in posterior.data]
+    checks = [
+        {
+            "name": f"case {name}: {d.name}",
+            "unit": {"log_decrement": "1", "period": "s", "max_acceleration": "rad/s^2"}[d.quantity],
+            "measured": d.value,
+            "standard_error": d.standard_error,
+            "median": float(np.nanmedian(features[:, i])),
+            "hdi50": list(hdi(features[:, i], 0.5)),
+            "hdi90": list(hdi(features[:, i], 0.9)),
+            "percentile": float(100.0 * np.mean(replicated[:, i] < d.value)),
+        }
+        for i, d in enumerate(posterior.data)
+    ]
+    groups = {
+        "prior": one_chain(posterior.coordinates.values(posterior.coordinates.draw(rng, 2000))),
+        "posterior_predictive": {"features": as_chains(replicated, sampling)},
+        "log_likelihood": {"features": as_chains(likelihood, sampling)},
+        "observed_data": {"features": np.array([d.value for d in posterior.data])},
+    }
+    names = {"features": json.dumps([d.name for d in posterior.data])}
+    entry = entry_of(draws, shares_left(posterior.names, standard(flat)), sampling)
+    assumed = tell_priors(entry, groups["prior"])
+    report(0.8, "predicted; left: files, figures")
+    write_draws(folder, draws, sampling, entry["parameters"], groups, attributes_of(plan, name) | names)
+    entry["predictive"] = checks
+    report(0.85, "files written; left: figures")
+    draw_case(folder, f"thesis, case {name}", draws, sampling, entry, assumed)
+    return entry

@@ -1,0 +1,216 @@
+"""The posterior of one case, or of all together, from recorded trials."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper.arviz_adapter import hdi
+from bayes_damper.calibration import (
+    Calibration,
+    Experiment,
+    calibrate,
+    calibrate_nominal,
+    learn_noise,
+    middle,
+)
+from bayes_damper.effects import all_effects
+from bayes_damper.errors import InputError
+from bayes_damper.evidence import bridge
+from bayes_damper.fit.draw import DRAWN, Report, number_of, sampled, shaped
+from bayes_damper.fit.drawings import draw_case, draw_records
+from bayes_damper.fit.entry import (
+    KEPT_DRAWS,
+    as_chains,
+    attributes_of,
+    derived,
+    entry_of,
+    one_chain,
+    shares_left,
+    tell_priors,
+    write_draws,
+)
+from bayes_damper.fit.plan import recorded_experiment
+from bayes_damper.influence import comparison, influence, without
+from bayes_damper.noise import FittedNoise, fit_with_noise
+from bayes_damper.parameters import unit_of
+from bayes_damper.record_posterior import RecordPosterior, trial_label
+from bayes_damper.sampling import Sampling, resampled_start
+from bayes_damper.sensitivity import of_standard_draws
+from bayes_damper.units import effect_unit
+
+Array = NDArray[np.float64]
+PROPOSALS = 4000
+"""Points of bridge sampling for the evidence."""
+
+
+def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping[str, Any], processes: int = 1) -> Any:
+    """Task: fit one case of a campaign, or all together (`name` "joint"); its entry of summary.json."""
+    experiment, kind = recorded_experiment(plan, None if name == "joint" else name)
+    report(0.0, "finding the best fit")
+    begin_with = None
+    if plan.get("effect") is not None:
+        begin_with = fit_with_effect(experiment, plan["effect"], plan["effects"])
+    noise = fit_with_noise(experiment, plan.get("noise", "auto"), lambda text: report(0.0, text), begin_with)
+    best = noise.fit
+    declared = () if best.problem.effect is None else best.problem.effect.parameters
+    own = {f"effect.{p.name}": effect_unit(p.unit, kind, experiment.quantity) for p in declared}
+
+    def units(name: str) -> str:
+        return own.get(name) or unit_of(name, kind, experiment.quantity)
+
+    freedom = noise.freedom if noise.kind == "student" else None
+    posterior = RecordPosterior(best, power=noise.power, freedom=freedom)
+    rng = np.random.default_rng([plan["seed"], number_of(name)])
+
+    begin = partial(resampled_start, posterior, posterior.start, posterior.covariance, rng)
+    sampling = sampled(posterior, folder, report, plan, processes, begin)
+    draws = {key: shaped(value, sampling) for key, value in posterior.values(sampling.flat()).items()}
+    constants = {key: np.full(1, value) for key, (value, _) in experiment.constants.items() if key not in draws}
+    draws |= derived(constants | draws)
+    report(DRAWN, "drawn; left: predictions, evidence, files, figures")
+    kept = sampling.flat(KEPT_DRAWS)
+    likelihood, drawn = posterior.evaluated(kept, rng)
+    nuisances = _trial_draws(posterior, drawn)
+    few = sampling.flat(60)
+    bands = posterior.predictive(few, rng)
+    entry = entry_of(draws, shares_left(posterior.names, sampling.flat()), sampling, units)
+    labels = {i: trial_label(experiment.trials[i]) for i in posterior.trials}
+    report(0.76, "predicted; left: trials left out, evidence, files, figures")
+    entry["noise"] = noise.to_json(units("sigma1"))
+    entry["sentences"] += noise.sentences(units("sigma1"))
+    entry |= _trials_apart(experiment, noise, labels, plan.get("noise", "auto"))
+    entry["prior_sensitivity"] = of_standard_draws(posterior.names, sampling.flat(4 * KEPT_DRAWS))
+    report(0.8, "trials compared; left: evidence, files, figures")
+    entry["log_evidence"] = _evidence(posterior, sampling, rng)
+    entry["trials"] = {
+        labels[i]: {
+            key: {"mean": float(x.mean()), "sd": float(x.std()), "hdi90": list(hdi(x)), "unit": units(key)}
+            for key, x in values.items()
+        }
+        for i, values in nuisances.items()
+    }
+    entry["best_fit"] = {
+        "chi2": best.chi2,
+        "readings": best.problem.n_data,
+        "log_evidence_laplace": best.log_evidence,
+        "noise_learnt": list(best.problem.noise.total),
+        "noise_correlation": list(best.problem.noise.phi),
+        "constants_pulled": best.pulled,
+        "effect": plan.get("effect"),
+        "formula": None if best.problem.effect is None else best.problem.effect.formula,
+    }
+    per_trial = {
+        f"{key}[{labels[i]}]": as_chains(x, sampling) for i, values in nuisances.items() for key, x in values.items()
+    }
+    groups: dict[str, Mapping[str, Array]] = {
+        "trial_posterior": per_trial,
+        "prior": one_chain(posterior.values(rng.standard_normal((2000, posterior.ndim)))),
+        "posterior_predictive": {labels[i]: y[None] for i, y in bands.items()},
+        "log_likelihood": {"trials": as_chains(likelihood + posterior.constant, sampling)},
+        "observed_data": {labels[i]: experiment.trials[i].y for i in posterior.trials},
+        "constant_data": {labels[i]: experiment.trials[i].times for i in posterior.trials},
+    }
+    assumed = tell_priors(entry, groups["prior"], constants)
+    report(0.84, "evidence found; left: files, figures")
+    names = {"trials": json.dumps([labels[i] for i in posterior.trials])}
+    write_draws(folder, draws, sampling, entry["parameters"], groups, attributes_of(plan, name) | names)
+    report(0.87, "files written; left: figures")
+    title = f"{plan['name']}, {'all cases' if name == 'joint' else f'case {name}'}"
+    draw_case(folder, title, draws, sampling, entry, assumed, units)
+    draw_records(folder, experiment, bands, sampling.converged, units("sigma1"))
+    return entry
+
+
+def fit_with_effect(experiment: Experiment, effect: str, folder: str | None = None) -> Calibration:
+    """The best fit of the model with one effect, in the formula with the largest evidence.
+
+    Raises
+    ------
+    InputError
+        if these trials cannot show the effect.
+    """
+    from bayes_damper.diagnosis.search import Screen, fit_variant, offered, screen_variant
+
+    pool = [(e, v) for e, v in offered(experiment, "nonlinear", all_effects(folder)) if e.name == effect]
+    if not pool:
+        raise InputError(
+            f"--effect {effect}: the rig of these trials cannot have it (see docs, Effects: what each needs)"
+        )
+    nominal = calibrate_nominal(experiment)
+    screen = Screen(nominal)
+    found = [fit_variant(nominal, e, v, screen_variant(screen, v), len(v.starts)) for e, v in pool]
+    best = max((c.fit for c in found if c.fit is not None), key=lambda f: f.log_evidence)
+    again = best.problem.with_noise(learn_noise(best))
+    return calibrate(again, [best.q], eta=best.eta, anneal=False)
+
+
+def _trials_apart(experiment: Experiment, noise: FittedNoise, labels: Mapping[int, str], kind: str) -> dict[str, Any]:
+    """Entries `influence` and `unlike_repeats` of summary.json."""
+    names = noise.fit.problem.names
+    moved = {labels[i]: shift for i, shift in influence(noise.fit).items()}
+    found = noise.unlike
+    entry: dict[str, Any] = {
+        "influence": {
+            label: {
+                "moves_most": names[k],
+                "shift_sd": float(shift[k]),
+                "shifts_sd": {n: float(x) for n, x in zip(names, shift, strict=True)},
+            }
+            for label, shift in moved.items()
+            if len(shift)
+            for k in [int(np.argmax(np.abs(shift)))]
+        },
+        "unlike_repeats": None,
+    }
+    if found:
+        other = without(experiment, tuple(u.trial for u in found), kind)
+        entry["unlike_repeats"] = {
+            "trials": [
+                {"trial": labels[u.trial], "residual_power": u.power, "or_its_only_repeat": u.alone} for u in found
+            ],
+            "answers": None if other is None else comparison(noise.fit, other.fit),
+        }
+    return entry
+
+
+def _evidence(posterior: RecordPosterior, sampling: Sampling, rng: np.random.Generator) -> dict[str, Any]:
+    """Entry `log_evidence` of summary.json: of the readings, all unknowns integrated out, in nats."""
+    found = bridge(posterior, sampling.draws, sampling.log_prob, rng, proposals=PROPOSALS)
+    constant = float(posterior.constant.sum())
+    return {
+        "value": found.log_z + constant,
+        "error": found.error,
+        "health": found.health,
+        "spread_of_halves": found.spread,
+        "evaluations": found.evaluations,
+        "sentence": found.words(constant),
+    }
+
+
+def _trial_draws(posterior: RecordPosterior, drawn: Mapping[int, Array]) -> dict[int, dict[str, Array]]:
+    """What each trial has for itself, from draws of its nuisances in standard coordinates: trial -> name -> (n,).
+
+    Release angle (rad), instant (s), friction and drag relative to those of all trials (ln_mu, ln_drag), and what the
+    prior file gives to trials.
+    """
+    out: dict[int, dict[str, Array]] = {}
+    problem = posterior.problem
+    for part in posterior.parts:
+        for k, i in enumerate(part.group.trials):
+            out[i] = {}
+            for m, (name, mean, sd) in enumerate(part.group.nuisances):
+                value = mean[k] + sd[k] * drawn[i][:, m]
+                own = name.removeprefix("ln_")
+                if own != name and problem.experiment.levels.get(own) == "trial":
+                    case = problem.experiment.trials[i].case
+                    out[i][own] = middle(problem.prior(own, case)) * np.exp(value)
+                else:
+                    out[i][name] = value
+    return {i: values for i, values in out.items() if values}

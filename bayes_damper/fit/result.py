@@ -1,0 +1,209 @@
+"""`fit`: from a plan to posteriors of all cases, tables, overview."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper import arviz_adapter
+from bayes_damper.errors import ExitCode
+from bayes_damper.fit.drawings import draw_overview
+from bayes_damper.fit.plan import plan_fit, planned_campaign, start_run
+from bayes_damper.provenance import provenance
+from bayes_damper.run import WAITING, Progress, Silent, Task, folder_name, run_tasks, stopped, write_json
+from bayes_damper.sensitivity import text as sensitivity_text
+from bayes_damper.summary import table_text, write_table
+from bayes_damper.wording import gathered
+
+Array = NDArray[np.float64]
+SCHEMA = "bayes-damper/fit/1"
+_OVERVIEW = "overview"
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Posteriors of a campaign: `summary` is what summary.json holds, `folder` where all files are."""
+
+    folder: Path
+    summary: Mapping[str, Any]
+
+    @property
+    def converged(self) -> bool:
+        """Whether every run met the stopping rule."""
+        return bool(self.summary["converged"])
+
+    @property
+    def exit_code(self) -> ExitCode:
+        return ExitCode.DONE if self.converged else ExitCode.NOT_CONVERGED
+
+    def to_json(self) -> dict[str, Any]:
+        """What summary.json holds."""
+        return dict(self.summary)
+
+    def text(self) -> str:
+        """Tables for the terminal, warnings first."""
+        parts = [f"warning: {w}" for w in gathered(self.summary.get("warnings", ()))]
+        groups = dict(self.summary["cases"]) | ({"joint": self.summary["joint"]} if self.summary.get("joint") else {})
+        for name, found in groups.items():
+            title = "all cases together" if name == "joint" else f"case {name}"
+            if not found["converged"]:
+                title += "   *** DID NOT CONVERGE: do not use these numbers ***"
+            parts.append(table_text(found["parameters"], title))
+            parts += [f"  {sentence}" for sentence in found["sentences"]]
+            parts += _more_text(found)
+        parts.append(f"Files: {self.folder}")
+        return "\n".join(parts)
+
+
+def _more_text(found: Mapping[str, Any]) -> list[str]:
+    """Lines on trials apart, priors and evidence of one entry of summary.json."""
+    lines = []
+    apart = found.get("unlike_repeats")
+    if apart:
+        for row in apart["trials"]:
+            more = " (or its only repeat is the odd one)" if row["or_its_only_repeat"] else ""
+            lines.append(
+                f"  Trial {row['trial']} is unlike its repeats{more}: its residuals have {row['residual_power']:.1f} "
+                "times their power. Look at the record; set holdout = true in trials.csv to fit without it."
+            )
+        if apart["answers"]:
+            shifts = {n: p["shift_sd"] for n, p in apart["answers"].items() if not math.isclose(p["shift_sd"], 0.0)}
+            worst = sorted(shifts, key=lambda n: -abs(shifts[n]))[:4]
+            told = ", ".join(
+                f"{n} {apart['answers'][n]['with']['value']:.4g} -> {apart['answers'][n]['without']['value']:.4g} "
+                f"({shifts[n]:+.1f} sd)"
+                for n in worst
+            )
+            lines.append(f"  Without: {told}.")
+        else:
+            lines.append("  Without it a configuration would have no trial left: no answer without it.")
+    if found.get("prior_sensitivity"):
+        lines += sensitivity_text(found["prior_sensitivity"])
+    if found.get("log_evidence"):
+        e = found["log_evidence"]
+        lines.append(
+            f"  Log evidence {e['value']:.2f} +- {e['error']:.2f} nats ({e['health']:.0%} of proposals count)."
+        )
+    return lines
+
+
+def fit(
+    campaign: str | Path,
+    *,
+    cases: Sequence[str] | None = None,
+    priors: str | Path | None = None,
+    normal_force: str | None = None,
+    noise: str = "auto",
+    effect: str | None = None,
+    effects: str | Path | None = None,
+    out: str | Path = "results/fit",
+    seed: int = 1,
+    workers: int = 1,
+    scheduler: str | None = None,
+    thorough: bool = False,
+    most_steps: int | None = None,
+    joint: bool = True,
+    progress: Progress | None = None,
+) -> Fit:
+    """Posterior of each case, and of all cases together for a campaign; all files are written to `out`.
+
+    Parameters
+    ----------
+    campaign : folder of a campaign, or "thesis" for the published measurements.
+    cases : only these; default all. priors : prior file in place of the shipped one. normal_force : "linear" or
+    "constant" (eq. 20), overrides the campaign's. noise : "gaussian" (white), "student" (outliers), "ar" (correlated,
+    learnt from what the fit leaves) or "auto", by the data. effect : name of one effect of the library that the model
+    gets, in the formula that fits best, e.g. the verdict of a diagnosis; effects : folder with effects of your own.
+    seed : decides every random number. workers : processes. thorough : 50 autocorrelation times in place of 20.
+    most_steps : give up after so many steps of each ensemble. joint : whether to fit all cases of a campaign
+    together too.
+
+    Raises
+    ------
+    InputError
+        if the campaign, a prior or an argument cannot be used, or `out` holds another run.
+    Interrupted
+        after Ctrl-C; `resume` goes on.
+    """
+    folder = Path(out)
+    plan = plan_fit(
+        str(campaign), cases=cases, priors=None if priors is None else str(priors), normal_force=normal_force,
+        noise=noise, effect=effect, effects=None if effects is None else str(effects), seed=seed,
+        thorough=thorough, most_steps=most_steps, joint=joint,
+    )  # fmt: skip
+    start_run(folder, {"command": "fit", "plan": plan, "workers": workers})
+    return finish_fit(folder, plan, workers=workers, scheduler=scheduler, progress=progress)
+
+
+def finish_fit(
+    folder: Path,
+    plan: Mapping[str, Any],
+    *,
+    workers: int,
+    scheduler: str | None = None,
+    progress: Progress | None = None,
+) -> Fit:
+    """Run what is missing of a planned fit, then write the files that cover all cases.
+
+    Raises
+    ------
+    InputError
+        if the campaign is not the one that the fit was planned for.
+    """
+    warnings = () if plan["campaign"] == "thesis" else planned_campaign(plan).warnings
+    kind = "fit_published_case" if plan["campaign"] == "thesis" else "fit_recorded_cases"
+    names = [*plan["cases"], *(["joint"] if plan["joint"] else [])]
+    # The joint fit is the longest: it starts first.
+    order = sorted(names, key=lambda name: name != "joint")
+    # Processes that cases leave idle share the ensembles of one case; so do those of the joint fit, when all else ends.
+    processes = {name: workers if name == "joint" or len(names) < workers else 1 for name in order}
+    tasks = [
+        Task(
+            folder_name(name),
+            f"bayes_damper.fit:{kind}",
+            {"name": name, "plan": dict(plan), "processes": processes[name]},
+        )
+        for name in order
+    ]
+    shown = progress or Silent()
+    shown.update(_OVERVIEW, 0.0, WAITING)
+    done = run_tasks(tasks, folder, workers=workers, scheduler=scheduler, progress=shown)
+    results = {name: done[folder_name(name)] for name in names}
+    found = {name: results[name] for name in plan["cases"]}
+    summary: dict[str, Any] = {
+        "schema": SCHEMA,
+        "campaign": plan["name"],
+        "campaign_sha256": plan["campaign_sha256"],
+        "seed": plan["seed"],
+        "converged": all(r["converged"] for r in results.values()),
+        "warnings": list(warnings),
+        "cases": found,
+    }
+    if plan["joint"]:
+        summary["joint"] = results["joint"]
+    summary["provenance"] = provenance()
+    shown.update(_OVERVIEW, 0.0, "table, posterior.nc and figures of all cases")
+    try:
+        _write_overview(folder, plan["cases"], summary)
+    except KeyboardInterrupt:
+        raise stopped(folder) from None
+    shown.update(_OVERVIEW, 1.0, "done")
+    return Fit(folder, summary)
+
+
+def _write_overview(folder: Path, cases: Sequence[str], summary: Mapping[str, Any]) -> None:
+    """The files of all cases together. What other commands look for, summary.json, comes last: until then the run has
+    not ended.
+    """
+    write_table(summary, folder / "summary.csv")
+    arviz_adapter.combine_cases(
+        {name: folder / folder_name(name) / "posterior.nc" for name in cases}, folder / "posterior.nc"
+    )
+    draw_overview(folder, summary)
+    write_json(folder / "summary.json", summary)
