@@ -32,12 +32,13 @@ STIFFNESS_DRIFT, KNOCK, BASE_MOTION = codes.STIFFNESS_DRIFT, codes.KNOCK, codes.
 FLEXIBLE_SHAFT, CLAMP_PLAY = codes.FLEXIBLE_SHAFT, codes.CLAMP_PLAY
 ONE_SIDED_SPRING, STIFFNESS_RIPPLE = codes.ONE_SIDED_SPRING, codes.STIFFNESS_RIPPLE
 CLAMP_SLIP, COIL_FRICTION = codes.CLAMP_SLIP, codes.COIL_FRICTION
-SPRING_CREEP, LEAF_BREAK = codes.SPRING_CREEP, codes.LEAF_BREAK
+SPRING_CREEP, LEAF_BREAK, SNAPPING_LEAF = codes.SPRING_CREEP, codes.LEAF_BREAK, codes.SNAPPING_LEAF
 BEARING_STRIBECK, QUADRATIC_DRAG = codes.BEARING_STRIBECK, codes.QUADRATIC_DRAG
 MISALIGNMENT_DRAG = codes.MISALIGNMENT_DRAG
 GREASE_THIXOTROPY, BEARING_RUNOUT, WAKE_DRAG = codes.GREASE_THIXOTROPY, codes.BEARING_RUNOUT, codes.WAKE_DRAG
 ONE_WAY_DRAG, RACE_DENT = codes.ONE_WAY_DRAG, codes.RACE_DENT
 DRY_RUNNING, FLUTED_RACE, OIL_STARVATION = codes.DRY_RUNNING, codes.FLUTED_RACE, codes.OIL_STARVATION
+THIN_FILM, LOOSE_RING = codes.THIN_FILM, codes.LOOSE_RING
 STICK_SLIP, FRICTION_DISPLACEMENT, MAGNET_CUBIC = codes.STICK_SLIP, codes.FRICTION_DISPLACEMENT, codes.MAGNET_CUBIC
 EDDY_OVERLAP, MAGNET_FADE, INTERFACE_RELAXATION = codes.EDDY_OVERLAP, codes.MAGNET_FADE, codes.INTERFACE_RELAXATION
 NORMAL_FORCE_LAW, MAGNETIC_COGGING = codes.NORMAL_FORCE_LAW, codes.MAGNETIC_COGGING
@@ -45,12 +46,16 @@ FACE_WOBBLE, ASYMMETRIC_MAGNET = codes.FACE_WOBBLE, codes.ASYMMETRIC_MAGNET
 FACE_STOP, PULL_TILT = codes.FACE_STOP, codes.PULL_TILT
 AXIAL_BOUNCE, FACE_GRAIN, REST_ADHESION = codes.AXIAL_BOUNCE, codes.FACE_GRAIN, codes.REST_ADHESION
 GROOVED_FACES, GAP_CREEP = codes.GROOVED_FACES, codes.GAP_CREEP
+COMBED_TEFLON, FLOATING_WASHER = codes.COMBED_TEFLON, codes.FLOATING_WASHER
 STRAY_IRON, SECOND_KNOCK, BAR_PADDLE = codes.STRAY_IRON, codes.SECOND_KNOCK, codes.BAR_PADDLE
 UNBALANCED_BAR, GUARD_RUB, CABLE_PULL = codes.UNBALANCED_BAR, codes.GUARD_RUB, codes.CABLE_PULL
 CABLE_LOOP, FOAM_BUMPER = codes.CABLE_LOOP, codes.FOAM_BUMPER
 BAR_WHIP, DRAUGHT = codes.BAR_WHIP, codes.DRAUGHT
+FRAME_EDDIES, SLIDING_RIDER = codes.FRAME_EDDIES, codes.SLIDING_RIDER
 RELEASE_RAMP, RELEASE_DRAG, RELEASE_REBOUND = codes.RELEASE_RAMP, codes.RELEASE_DRAG, codes.RELEASE_REBOUND
 SECOND_JAW, LATE_SECONDARY, STICKY_PAD = codes.SECOND_JAW, codes.LATE_SECONDARY, codes.STICKY_PAD
+SOLENOID_PULL = codes.SOLENOID_PULL
+RING_SMOOTH = 0.01  # rad/s, over which the friction of a loose ring turns
 
 
 @njit(cache=True)
@@ -59,6 +64,12 @@ def lens_area(x: float) -> float:
     if x >= 1.0:
         return 0.0
     return 2.0 / math.pi * (math.acos(x) - x * math.sqrt(1.0 - x * x))
+
+
+@njit(cache=True)
+def washer_free(z, v):
+    """1 while a washer at z of its play (-1 to 1) moves with the face that slides at v, 0 once it is at its pin."""
+    return 0.5 * (1.0 - math.tanh((math.copysign(z, z * v) - 1.0) / 0.05))
 
 
 @njit(cache=True)
@@ -124,6 +135,8 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
             return -p0 * g[K1] * z0, 0.0
         if code == LEAF_BREAK:  # one leaf of the spring breaks at the instant p1
             return p0 * g[K1] * th1 * 0.5 * (1.0 + math.tanh((t - p1) / p2)), 0.0
+        if code == SNAPPING_LEAF:  # a leaf buckles on the way out and springs back on the way in (z0 = share buckled)
+            return p0 * z0, 0.0
         return 0.0, 0.0
     if code < 40:
         if code == BEARING_STRIBECK:  # Lorentzian hump above the kinetic drag
@@ -162,6 +175,14 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
             s = (t - p1) / p2
             a = p0 * math.sin(math.pi * s) ** 2 if 0.0 < s < 1.0 else 0.0
             return -a * math.tanh(nu * w1), -a * math.tanh(nu * w2)
+        if code == THIN_FILM:  # dry drag as far as the oil's film, z, is missing
+            return -p0 * (1.0 - z0) * math.tanh(nu * w1), -p0 * (1.0 - z1) * math.tanh(nu * w2)
+        if code == LOOSE_RING:  # a share of each inertia slides on its shaft above the acceleration p1; its speed is z
+            share = p0 * p1 / (1.0 - p0)
+            return (
+                -share * g[J1] * math.tanh((w1 - z0) / RING_SMOOTH),
+                -share * g[J2] * math.tanh((w2 - z1) / RING_SMOOTH),
+            )
         return 0.0, 0.0
     if code < 60:
         if not coupled:  # there is no interface
@@ -199,6 +220,14 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
         if code == GAP_CREEP:  # the magnet's stiffness follows its pull
             q = -p0 * g[K2] * phi * (1.0 - math.exp(-t / p1))
             return q, -q
+        if code == COMBED_TEFLON:  # a nap that resists one way of sliding more than the other
+            v = w1 - w2
+            q = -p0 * g[MU] * pull * g[BAR] * math.tanh(nu * v) * v / math.sqrt(v * v + p1 * p1)
+            return q, -q
+        if code == FLOATING_WASHER:  # a washer rubs too, once it has met its pin (z0 = -1 or 1)
+            v = w1 - w2
+            q = -p0 * g[MU] * pull * g[BAR] * math.tanh(nu * v) * (1.0 - washer_free(z0, v))
+            return q, -q
         return 0.0, 0.0
     if code == UNBALANCED_BAR:
         return 0.0, p0 * math.sin(th2 + p1)
@@ -226,6 +255,11 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
     if code == DRAUGHT:  # the room's air blows on the bar in gusts
         u = p1 * (1.0 + 0.6 * math.sin(p2 * t)) - w2
         return 0.0, p0 * u * abs(u)
+    if code == FRAME_EDDIES:  # currents in a plate of the frame that the secondary's magnet passes at the angle p1
+        s = (th2 - p1) / p2
+        return 0.0, -p0 * w2 / (1.0 + s * s) ** 2
+    if code == SLIDING_RIDER:  # takes up angular momentum while it moves outwards (z0 = share of its way)
+        return 0.0, -p0 * g[J2] * (1.0 - z0) * w2**3 / p1
     if code == RELEASE_REBOUND:  # the pad springs back and touches the bar again
         s = (t - p1) / p2
         return (-p0 * math.sin(math.pi * s) ** 2 if 0.0 < s < 1.0 else 0.0), 0.0
@@ -242,6 +276,8 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
         return 0.0, (-2.0 * w2 * (1.0 - (t / p0) ** 8) if t < p0 else 0.0)
     if code == STICKY_PAD:  # the pad clings to the bar and is stretched until it tears off (z0 = share torn)
         return p0 * (g[TH0] - th1) * (1.0 - z0), 0.0
+    if code == SOLENOID_PULL:  # remanent iron of the actuator draws the bar back to where it was held
+        return p0 / (1.0 + max(0.0, g[TH0] - th1) / p1) ** 2, 0.0
     return 0.0, 0.0
 
 
@@ -279,6 +315,18 @@ def memory_rates(code, th1, th2, w1, w2, a1, a2, z0, z1, p0, p1, p2, p3, g, fric
         return z1, -p1 * p1 * z0 - 2.0 * p2 * p1 * z1 - a2
     if code == STICKY_PAD:
         return (1.0 - z0) / 1e-3 * 0.5 * (1.0 + math.tanh(((g[TH0] - th1) / p1 - 1.0) / 0.05)), 0.0
+    if code == SNAPPING_LEAF:  # within a millisecond, beyond p1 or below p1 - p2
+        out = 0.5 * (1.0 + math.tanh((th1 - p1) / 1e-3))
+        back = 0.5 * (1.0 - math.tanh((th1 - p1 + p2) / 1e-3))
+        return (out * (1.0 - z0) - back * z0) / 1e-3, 0.0
+    if code == THIN_FILM:
+        return (1.0 - z0) * abs(w1) / p1 - z0 / p2, (1.0 - z1) * abs(w2) / p1 - z1 / p2
+    if code == LOOSE_RING:
+        return p1 * math.tanh((w1 - z0) / RING_SMOOTH), p1 * math.tanh((w2 - z1) / RING_SMOOTH)
+    if code == FLOATING_WASHER:
+        return (w1 - w2) / p1 * washer_free(z0, w1 - w2), 0.0
+    if code == SLIDING_RIDER:
+        return (1.0 - z0) * w2 * w2 / p1, 0.0
     return 0.0, 0.0
 
 
@@ -326,6 +374,9 @@ def accelerations(t, th1, th2, w1, w2, z, bristle, k, P, g, coupled, rates):
             m2 += q2
     a1 = m1 / g[J1]
     a2 = m2 / g[J2] if coupled else 0.0
+    for i in range(2):
+        if k[i] == SLIDING_RIDER:
+            a2 /= 1.0 + P[i, 0] * z[2 * i]
     for i in range(2):
         if k[i] > 0:
             r0, r1 = memory_rates(

@@ -87,6 +87,14 @@ def _play(y: NDArray[np.float64], half: float) -> NDArray[np.float64]:
     return out
 
 
+def _quiet(y: NDArray[np.float64], threshold: float, hold: float, step: float) -> NDArray[np.bool_]:
+    """Where y has stayed within +-threshold for longer than `hold`, s; the time runs from the first reading on."""
+    at = np.arange(y.size)
+    last = np.maximum.accumulate(np.where(np.abs(y) > threshold, at, 0))
+    out: NDArray[np.bool_] = (at - last) * step > hold
+    return out
+
+
 def soft_limit(y: NDArray[np.float64], limit: float, sharpness: float) -> NDArray[np.float64]:
     """Readings that bend over to +-limit (rad/s^2)."""
     return y / (1.0 + np.abs(y / limit) ** sharpness) ** (1.0 / sharpness)
@@ -163,6 +171,9 @@ def readings(
         elif d.code == codes.GAUGE_FRICTION:
             for c in which:
                 channels[c] = _play(channels[c], a)
+        elif d.code == codes.RANGE_SWITCH:
+            for c in which:
+                channels[c] = channels[c] * (1.0 + a * _quiet(channels[c], p2, p3, step))
     since = times - release
     since = since + bend * since * np.abs(since)
     for d in disturbances:
@@ -183,4 +194,6 @@ def readings(
             elif d.code == codes.LOGGER_HOLD:
                 held = np.flatnonzero((times >= d.p[2]) & (times < d.p[2] + d.p[0]))
                 out[c, held] = np.interp(d.p[2], times, out[c])
+            elif d.code == codes.CONVERTER_PAIR:
+                out[c] *= 1.0 + 0.5 * d.p[0] * np.where(np.arange(times.size) % 2, -1.0, 1.0)
     return out

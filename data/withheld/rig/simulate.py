@@ -9,7 +9,7 @@ from . import codes
 from .equations import integrate, rig_array
 from .sensors import Disturbance, readings
 
-FIRST_SENSOR_CODE = 80
+SENSOR_CODES = range(80, 120)
 FINE_STEP = 2e-5  # s, of the records that are written
 # nothing at amplitude 0
 VANISHING = (codes.FLEXIBLE_SHAFT, codes.CLAMP_PLAY, codes.BAR_WHIP, codes.STICK_SLIP, codes.RELEASE_RAMP)
@@ -32,6 +32,9 @@ def disturbed_start(
             rig["J2"] *= 1.0 + a
         elif d.code in (codes.FLEXIBLE_SHAFT, codes.CLAMP_PLAY):
             rig["J1"] *= 1.0 - a
+        elif d.code == codes.LOOSE_RING:
+            rig["J1"] *= 1.0 - a
+            rig["J2"] *= 1.0 - a
         elif d.code == codes.BAR_WHIP:
             rig["J2"] *= 1.0 - a
         elif d.code == codes.RELEASE_OFFSET and coupled:
@@ -43,6 +46,8 @@ def disturbed_start(
             start[4 + 2 * i] = np.tanh(rig["theta0"] / p1)
         elif d.code == codes.CABLE_LOOP:
             start[4 + 2 * i : 6 + 2 * i] = np.minimum(1.0, rig["theta0"] / np.array([p1, 3.0 * p1]))
+        elif d.code == codes.SNAPPING_LEAF:  # wound beyond p1, it has buckled
+            start[4 + 2 * i] = 1.0 if rig["theta0"] > p1 else 0.0
     return rig, start
 
 
@@ -62,7 +67,7 @@ def motion(
         numbers[i] = d.p
         least = {codes.RELEASE_RAMP: step}.get(d.code, 0.0)  # a ramp shorter than a step is none
         fading = d.code in VANISHING and d.p[0] <= least
-        acting[i] = 0 if d.code >= FIRST_SENSOR_CODE or fading else d.code
+        acting[i] = 0 if d.code in SENSOR_CODES or fading else d.code
     path: NDArray[np.float64] = integrate(
         rig_array(rig), acting, numbers, start, coupled, step, round(duration / step), keep
     )
