@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import ndtri
 
-from bayes_damper.calibration.normal_equations import Linear
+from bayes_damper.calibration.normal_equations import Linear, Normals
 from bayes_damper.calibration.problem import Problem, coordinate_of
 from bayes_damper.distributions import (
     from_standard,
@@ -19,6 +19,7 @@ from bayes_damper.distributions import (
 )
 
 Array = NDArray[np.float64]
+GAINED = 0.02  # of the cost by a step, below which a descent has ended
 HOPELESS, HURRY = 60.0, 6.0  # cost above a target, and in how many such steps it must be reachable, to go on
 
 
@@ -100,7 +101,8 @@ def calibrate(
     """The best fit over the starts, each by annealed, damped Gauss-Newton steps.
 
     starts : points (size,) in q; default the prior medians, with smoothing constants below and above;
-    eta : nuisances to start from; most : iterations per stage; finish : central differences at the end;
+    eta : nuisances to start from; most : iterations per stage; finish : central differences at the end, and steps by
+    them for as long as they gain;
     give_up : a start whose cost after the first stage exceeds the best by more is not followed; target : a cost that
     another model has reached: a descend that gets nowhere near it ends early.
 
@@ -117,12 +119,20 @@ def calibrate(
             if best is not None and cost > best[0] + give_up:
                 continue
         goal = target if best is None else max(target, best[0])
-        q, own, cost, converged, more = _descend(problem, q, own, most, annealed=False, tolerance=0.02, target=goal)
+        q, own, cost, converged, more = _descend(problem, q, own, most, annealed=False, tolerance=GAINED, target=goal)
         if best is None or cost < best[0]:
             best = (cost, q, own, converged, used + more)
     assert best is not None
     cost, q, own, converged, used = best
-    return summarise(problem, q, own, converged, used, central=finish)
+    linear = problem.linearise(q, own, central=finish)
+    damping = 1e-4
+    for _ in range(most if finish and converged else 0):
+        tried, moved_q, moved, moved_cost = _tried(problem, linear.normal(), damping, q, own, annealed=False)
+        if not moved_cost < cost - GAINED:
+            break
+        damping, q, own, cost, used = max(tried, 1e-7), moved_q, moved, moved_cost, used + 1
+        linear = problem.linearise(q, own, central=True)
+    return summarise(problem, q, own, converged, used, linear=linear)
 
 
 def default_starts(problem: Problem) -> list[Array]:
@@ -141,10 +151,11 @@ def default_starts(problem: Problem) -> list[Array]:
 
 
 def summarise(
-    problem: Problem, q: Array, eta: Mapping[int, Array], converged: bool, iterations: int, central: bool = True
-) -> Calibration:
-    """Covariance, evidence and the rest at a point that a fit has reached."""
-    linear = problem.linearise(q, eta, central=central)
+    problem: Problem, q: Array, eta: Mapping[int, Array], converged: bool, iterations: int, central: bool = True,
+    linear: Linear | None = None,
+) -> Calibration:  # fmt: skip
+    """Covariance, evidence and the rest at a point that a fit has reached; linear : the problem there, if known."""
+    linear = problem.linearise(q, eta, central=central) if linear is None else linear
     normals = linear.normal()
     S, _, _ = normals.reduced()
     try:
@@ -166,40 +177,47 @@ def _descend(
     cost = float(problem.costs(q[None], {i: v[None] for i, v in eta.items()}, annealed)[0])
     if not math.isfinite(cost):
         return q, eta, cost, False, 0
-    bounds = {i: (g.lower[k], g.upper[k]) for g in problem.groups for k, i in enumerate(g.trials)}
     for iteration in range(1, most + 1):
         normals = problem.linearise(q, eta, annealed=annealed).normal()
         accepted = False
         gained = 0.0
         for _ in range(3):
-            candidates = []
-            for factor in (0.03, 0.3, 3.0, 30.0):
-                try:
-                    dq, deta = normals.step(damping * factor)
-                except np.linalg.LinAlgError:
-                    continue
-                shrink = min(1.0, 1.5 / max(float(np.max(np.abs(dq), initial=0.0)), 1e-12))
-                moved = {i: np.clip(eta[i] + shrink * deta[i], *bounds[i]) for i in eta}
-                candidates.append((damping * factor, q + shrink * dq, moved))
-            if not candidates:
-                damping *= 100.0
-                continue
-            trial_costs = problem.costs(
-                np.array([c[1] for c in candidates]),
-                {i: np.array([c[2][i] for c in candidates]) for i in eta},
-                annealed,
-            )
-            k = int(np.argmin(trial_costs))
-            if trial_costs[k] < cost:
-                gained = cost - float(trial_costs[k])
-                cost = float(trial_costs[k])
-                damping, q, eta = candidates[k]
-                damping = max(damping, 1e-7)
+            tried, moved_q, moved, moved_cost = _tried(problem, normals, damping, q, eta, annealed)
+            if moved_cost < cost:
+                gained = cost - moved_cost
+                cost, q, eta = moved_cost, moved_q, moved
+                damping = max(tried, 1e-7)
                 accepted = True
                 break
-            damping *= 300.0
+            damping *= 300.0 if math.isfinite(moved_cost) else 100.0
         if not accepted or gained < tolerance:
             return q, eta, cost, True, iteration
         if math.isfinite(target) and iteration >= 3 and cost - target > HOPELESS and HURRY * gained < cost - target:
             return q, eta, cost, False, iteration
     return q, eta, cost, False, most
+
+
+def _tried(
+    problem: Problem, normals: Normals, damping: float, q: Array, eta: Mapping[int, Array], annealed: bool
+) -> tuple[float, Array, dict[int, Array], float]:
+    """The best of four steps, damped by about `damping`: its damping, where it leads, and the cost there.
+
+    The cost is inf where no step can be made.
+    """
+    bounds = {i: (g.lower[k], g.upper[k]) for g in problem.groups for k, i in enumerate(g.trials)}
+    steps = []
+    for factor in (0.03, 0.3, 3.0, 30.0):
+        try:
+            dq, deta = normals.step(damping * factor)
+        except np.linalg.LinAlgError:
+            continue
+        shrink = min(1.0, 1.5 / max(float(np.max(np.abs(dq), initial=0.0)), 1e-12))
+        moved = {i: np.clip(eta[i] + shrink * deta[i], *bounds[i]) for i in eta}
+        steps.append((damping * factor, q + shrink * dq, moved))
+    if not steps:
+        return damping, q, dict(eta), math.inf
+    costs = problem.costs(
+        np.array([s[1] for s in steps]), {i: np.array([s[2][i] for s in steps]) for i in eta}, annealed
+    )
+    k = int(np.argmin(costs))
+    return *steps[k], float(costs[k])

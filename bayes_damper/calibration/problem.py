@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -43,6 +44,7 @@ EVENT_TIMING = 5e-5  # s, by which the instant of an event may be off without th
 RELEASE_WEIGHT = 0.4  # of the first two readings
 FIRST_STAGE_EVENT_WEIGHT = 0.15
 OWN_FRICTION = ("ln_mu", "ln_drag")  # nuisances whose derivative is that of the parameter all trials share
+FINER = 0.01  # factor on the integrator's tolerance where records are subtracted from each other
 OFFSET_SHARE = 0.05  # of a channel's reach: prior sd of its unknown offset, where the campaign does not say
 _FARTHEST = 37.0  # standard deviations beyond which a coordinate is not followed
 
@@ -476,6 +478,12 @@ class Problem:
                 y[:, c.index] = readings(late)[:, c.index]
         return self._read(y, group, which, q, eta)
 
+    def finer(self) -> Problem:
+        """The same problem with records integrated more finely, for differences between them."""
+        out = copy(self)
+        out.tolerance = FINER * self.tolerance
+        return out
+
     def whitened(self, r: Array, weight: Array) -> Array:
         """Weighted innovations, (..., channels * n), of residuals r (..., channels, n)."""
         scaled = r * weight
@@ -501,8 +509,14 @@ class Problem:
         self, q: Array, eta: Mapping[int, Array], *, annealed: bool = False, central: bool = False,
         steps: Array | None = None,
     ) -> Linear:  # fmt: skip
-        """Whitened residuals and their derivatives at one point. steps (size,) of the differences in q."""
+        """Whitened residuals and their derivatives at one point. steps (size,) of the differences in q.
+
+        central : differences to both sides, of records integrated more finely: what a common factor on all inertias,
+        stiffnesses and frictions does to a record of many periods cancels out of columns of thousands of noise sds,
+        so that a few digits of them would pretend to know that factor.
+        """
         blocks = []
+        differences = self.finer() if central else self
         steps = np.full(self.size, 2e-3) if steps is None else steps
         for group in self.groups:
             # Unknowns of different cases or springs never meet in a trial: they share a simulation.
@@ -542,10 +556,11 @@ class Problem:
                     rows_q.append(base_q)
                     rows_eta.append(moved_eta)
             copies = len(rows_q)
-            y = self.simulate(
+            y = differences.simulate(
                 group, np.tile(np.arange(n), copies), np.concatenate(rows_q), np.concatenate(rows_eta)
             ).reshape(copies, n, -1, group.times.size)
             base = y[0]
+            shown = self.simulate(group, np.arange(n), base_q, base_eta) if central else base
             forward = y[1:lanes] - base
             if central:
                 backward = y[lanes:] - base
@@ -558,7 +573,7 @@ class Problem:
                 forward = 0.5 * (forward - backward)
             forward[~np.isfinite(forward).all(axis=(2, 3))] = 0.0
             weight = group.weights(annealed)
-            r = self.whitened(base - group.y, weight)
+            r = self.whitened(shown - group.y, weight)
             w = self.whitened(forward, weight)  # (lanes - 1, n, data)
             jac = np.zeros((n, self.size, w.shape[-1]))
             for k, members in enumerate(together.values()):

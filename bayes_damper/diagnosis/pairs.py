@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -76,6 +77,12 @@ class PairProblem(Problem):
     def for_trials(self, trials: Sequence[int]) -> PairProblem:
         """The same problem for other trials of the experiment."""
         return PairProblem(self.base.for_trials(trials), *self.variants)
+
+    def finer(self) -> PairProblem:
+        """The same problem with records integrated more finely, for differences between them."""
+        out = copy(self)
+        out.base, out.parts = self.base.finer(), (self.parts[0].finer(), self.parts[1].finer())
+        return out
 
     def _inputs(self, group: Group, which: Indices, q: Array, eta: Array) -> tuple[dict[str, Any], dict[str, Any]]:
         # Whoever asks for the motion gets that of the first effect, about which the second one is a small change.
