@@ -223,11 +223,10 @@ def _words(result: Mapping[str, Any]) -> list[str]:
                 f"No cause is shown: that nothing is missing is the most probable answer ({share:.2f}), not a sure one."
             ]
     elif verdict == "unknown":
-        site = max(result["sites"], key=lambda s: result["sites"][s])
-        told = (
-            f"There is a gap that no effect of the library explains (probability {share:.2f}); it lies most likely at: "
-        )
-        lines = [told + f"{site}."]
+        site = max((s for s in result["sites"] if s != "none"), key=lambda s: result["sites"][s])
+        sure = "There is" if share >= CERTAIN else "Most probable, but not sure:"
+        told = f"{sure} a gap that no effect of the library explains (probability {share:.2f}); "
+        lines = [f"{told}it lies most likely at: {site}."]
     else:
         row = next(r for r in result["effects"] if r["name"] == verdict)
         sure = "The missing effect is" if share >= CERTAIN else "Most probable, but not sure:"

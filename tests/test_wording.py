@@ -2,6 +2,7 @@
 
 import pytest
 
+from bayes_damper.diagnose import Diagnosed
 from bayes_damper.wording import counted, gap_beside_verdict, gathered, p_value
 
 
@@ -56,3 +57,19 @@ def test_what_is_said_of_three_records_is_said_once():
     assert gathered([*late, late[0].replace("A_1", "A_3")]) == [
         "trials/A_1.csv and 2 others: motion begins 0.001 s after the release; it stuck (numbers of the first)"
     ]
+
+
+@pytest.mark.parametrize(("share", "begins"), [(0.5, "Most probable, but not sure: a gap"), (0.96, "There is a gap")])
+def test_an_unknown_cause_is_told_at_a_place_and_as_surely_as_it_is_known(tmp_path, share, begins):
+    """Where nothing may be missing too, "none" is the most probable place, and no place for a cause."""
+    result = {
+        "where": {},
+        "verdict": "unknown",
+        "probabilities": {"unknown": share, "none": 1.0 - share},
+        "sites": {"none": 1.0 - share, "sensor": 0.3, "ground1": 0.2},
+        "gap": {"answer": "gap", "p_value": 0.01, "nominal_rms": 2.0, "augmented_rms": None, "noise_rms": 1.0},
+        "indistinguishable": [],
+    }
+    first = Diagnosed(tmp_path, result).text().splitlines()[0]
+    assert first.startswith(begins)
+    assert first.endswith("most likely at: sensor.")
