@@ -284,6 +284,24 @@ def test_the_fainter_the_gap_the_less_an_effect_is_believed():
     assert believed[2] > 0.97
 
 
+def test_what_imitates_easily_is_never_quite_sure():
+    """A wrong constant looks like whatever acts on its term, however large the gap; two effects bend far."""
+    formula, definition = (
+        weigh({"a": 3000.0, "b": 10.0}, ALL, QUIET, definitions=those) for those in (("b",), ("a", "b"))
+    )
+    assert formula.probabilities["a"] > 0.97
+    assert definition.verdict == "a"
+    assert definition.probabilities["a"] < 0.9
+    assert definition.probabilities["unknown"] > 0.1
+    pair = weigh({"a": 3000.0, "b": 10.0}, ALL, Left(400.0, 0.4), pairs=[(("a", "b"), 3900.0, QUIET)])
+    assert 0.8 < pair.pair < 0.9
+    usual = ("bearing_drag", "interface_friction")  # the usual nonlinear model beside a linear one: one answer, not two
+    both = weigh(dict.fromkeys(usual, 3000.0), ALL, Left(400.0, 0.4), pairs=[(usual, 3900.0, QUIET)])
+    assert both.pair > 0.97
+    faint = [weigh({"a": 15.0}, Left(15.0, 1.0), QUIET, definitions=those).probabilities["a"] for those in ((), ("a",))]
+    assert faint[0] == pytest.approx(faint[1])  # where a remainder would go unseen anyhow, nothing is paid twice
+
+
 def test_what_is_left_at_its_own_site_is_laid_to_the_formula():
     """The same share left elsewhere speaks for another cause."""
     there, elsewhere = (weigh({"a": 900.0}, ALL, Left(80.0, 0.09, home)) for home in (1.0, 0.0))
@@ -296,7 +314,7 @@ def test_a_pair_is_named_where_it_closes_what_one_effect_leaves():
     half = Left(400.0, 0.4, line=50.0, peak=1.0)
     named = weigh({"a": 600.0, "b": 100.0}, ALL, half, pairs=[(("a", "b"), 950.0, QUIET)])
     assert named.verdict == "a"
-    assert named.pair > 0.9
+    assert named.pair > 0.8
     assert named.pair_effects == ("a", "b")
     mended = weigh({"a": 940.0, "b": 100.0}, ALL, QUIET, pairs=[(("a", "b"), 955.0, QUIET)])
     assert mended.verdict == "a"
@@ -309,7 +327,7 @@ def test_a_second_effect_away_from_the_first_ones_site_is_not_laid_to_its_formul
     """The same gain and the same remainder: a pair where it lies elsewhere, one effect where it lies at home."""
     pair = [(("a", "b"), 3330.0, QUIET)]
     away, home = (weigh({"a": 3200.0, "b": 300.0}, ALL, Left(90.0, 0.03, home), pairs=pair) for home in (0.0, 1.0))
-    assert away.pair > 0.9
+    assert away.pair > 0.8
     assert home.pair < 0.1
 
 
@@ -319,7 +337,7 @@ def test_nothing_is_mended_in_a_formula_that_is_a_definition():
     rows = [(21.0, True), (21.0, False), (1.0, True)]
     pairs = [(("a", "b"), 5239.0 + gain, Left(0.0, 0.0, exact=exact)) for gain, exact in rows]
     found = [weigh({"a": 5239.0, "b": 10.0}, ALL, beside, pairs=[pair]) for pair in pairs]
-    assert found[0].pair > 0.9
+    assert found[0].pair > 0.8
     assert found[1].pair < 0.1
     assert found[2].pair < 0.1
 

@@ -290,6 +290,7 @@ def diagnose(
     pairs.sort(key=lambda p: -p.log_evidence)
     best_left = pairs[0].after if pairs and pairs[0].gain > 0.0 else after
     excess = best_left.low_excess - 2.0 * best_left.low_sd
+    definitions = sorted({c.effect.name for c in found if c.effect.exact})
 
     def judge(changes: Mapping[str, float], of_pairs: Mapping[str, float]) -> Answers:
         moved = {n: z + changes.get(n, 0.0) for n, z in evidence.items()}
@@ -297,13 +298,14 @@ def diagnose(
         other = drift + changes.get(DRIFT.name, 0.0)
         if wiring is not None:
             other = float(np.logaddexp(other, wiring.gain))
-        return weigh(moved, none_left, left, excess, rule, both, other)
+        return weigh(moved, none_left, left, excess, rule, both, other, definitions)
 
     answers = judge({}, {})
     weighed = {
         "before": asdict(none_left), "after": asdict(left), "excess": excess,
         "drift": drift if wiring is None else float(np.logaddexp(drift, wiring.gain)),
         "pairs": [{"effects": list(e), "log_evidence": z, "left": asdict(remains)} for e, z, remains in judged],
+        "definitions": definitions,
     }  # fmt: skip
     fits: dict[str, list[Calibration]] = {}
     for c in found:

@@ -16,7 +16,7 @@ Naive evidence is overconfident with tens of thousands of samples, because every
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,6 +65,10 @@ class Rule:
     unseen: float = 30.0
     imitated: float = 0.8
     least: float = 0.03
+    least_easy: float = 0.5
+    """As `least`, for answers that imitate easily. A definition, such as a wrong constant, is the first order of
+    whatever acts in proportion to its term: a spring that creeps or breaks looks like another stiffness. And two
+    formulas at once bend further than one."""
     few_readings: float = 0.8
     shape_readings: float = 2.0
     """Readings of a record that it takes to tell one formula's shape from another's."""
@@ -165,12 +169,12 @@ def _logistic(x: float) -> float:
     return 1.0 / (1.0 + math.exp(-max(min(x, 60.0), -60.0)))
 
 
-def foreign(left: Left, evidence: float, rule: Rule = RULE) -> float:
+def foreign(left: Left, evidence: float, rule: Rule = RULE, easy: bool = False) -> float:
     """Probability that what an answer explains is the work of a cause outside the library.
 
     By what it leaves; and, because a remainder of some nats goes unseen, by how often a foreign cause would be imitated
     well enough for that: the fainter the gap and the fewer the readings that show it, the easier. evidence : of the
-    answer over the nominal model, nats.
+    answer over the nominal model, nats; easy : whether the answer is one of those that imitate easily.
     """
     seen = _logistic((left.nats - rule.strength) / rule.strength_width)
     log_share = math.log(max(left.share, 1e-6))
@@ -180,7 +184,8 @@ def foreign(left: Left, evidence: float, rule: Rule = RULE) -> float:
     if left.peak > rule.torque_band:
         lined = _logistic((left.line - rule.smooth_error * left.nats - rule.line) / rule.strength_width)
         large = max(large, lined * _logistic((log_share - math.log(0.3 * limit)) / rule.share_width))
-    unnoticed = max(rule.unseen / max(evidence, 1e-9), rule.least, rule.few_readings / max(left.readings, 1e-9))
+    least = rule.least_easy if easy else rule.least
+    unnoticed = max(rule.unseen / max(evidence, 1e-9), least, rule.few_readings / max(left.readings, 1e-9))
     base = float(PRIOR_UNKNOWN / (1.0 - PRIOR_NONE) * min(1.0, unnoticed) ** rule.imitated)
     return 1.0 - (1.0 - base) * (1.0 - seen * large)
 
@@ -193,13 +198,14 @@ def weigh(
     rule: Rule = RULE,
     pairs: Sequence[tuple[tuple[str, str], float, Left]] = (),
     generic: float = -math.inf,
+    definitions: Collection[str] = (),
 ) -> Answers:
     """Probabilities of all answers.
 
     evidence : family -> log Z relative to the nominal model; before, after : what `none` and the leading effect leave;
     excess : chi-square of the best answer's mean residuals at low frequency beyond 2 sd; pairs : effects (the stronger
     first), log Z of both, and what they leave; generic : log Z of a drift of the nominal laws (generic.py), which
-    counts for `unknown`.
+    counts for `unknown`; definitions : families whose formulas are.
     """
     names = [n for n, z in evidence.items() if math.isfinite(z)]
     among = max(len(evidence), USUAL)
@@ -233,7 +239,8 @@ def weigh(
         if answer == "none":
             lost = _logistic((remains.nats - rule.strength) / rule.strength_width)
         else:
-            lost = foreign(remains, log_evidence_of(answer, evidence, pairs), rule)
+            easy = set(answer) != FRICTIONS if isinstance(answer, tuple) else answer in definitions
+            lost = foreign(remains, log_evidence_of(answer, evidence, pairs), rule, easy)
         probabilities["unknown"] += p * lost
         unknown += p * lost
         if isinstance(answer, tuple):

@@ -89,7 +89,8 @@ def replay(verdict: Mapping[str, Any], rule: Rule = RULE) -> Answers:
         for p in told["pairs"]
     ]
     drift = _number(told["drift"], -math.inf)
-    return weigh(evidence, _left(told["before"]), _left(told["after"]), float(told["excess"]), rule, pairs, drift)
+    left = _left(told["before"]), _left(told["after"])
+    return weigh(evidence, *left, float(told["excess"]), rule, pairs, drift, told.get("definitions", ()))
 
 
 def _number(x: Any, missing: float) -> float:
