@@ -1,6 +1,6 @@
 """What the readings of one channel look like, before any model: noise floor, resolution, gaps, flat tops, spikes.
 
-Pure functions of arrays; campaign.py makes sentences of what they find. Nothing here alters a reading.
+Pure functions of arrays; the campaign makes sentences of what they find. Nothing here alters a reading.
 """
 
 from __future__ import annotations

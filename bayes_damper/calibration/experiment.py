@@ -10,11 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.distributions import (
-    Distribution,
-    LogNormal,
-    Normal,
-)
+from bayes_damper.distributions import Distribution, LogNormal, Normal
 from bayes_damper.errors import InputError
 from bayes_damper.integrator import LONGEST_STEP
 from bayes_damper.model import Quantity

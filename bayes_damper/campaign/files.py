@@ -7,11 +7,6 @@ import hashlib
 from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
-
 
 def nearest_name(word: str, names: Iterable[str]) -> str:
     """A hint for a word that is none of the names: the one that was meant, or all of them."""

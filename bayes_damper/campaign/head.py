@@ -10,9 +10,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from bayes_damper.campaign.files import decoded, nearest_name, read_bytes
 from bayes_damper.campaign.structure import (
     MEASUREMENT_NUMBERS,
@@ -25,7 +22,6 @@ from bayes_damper.campaign.structure import (
     Rig,
 )
 
-Array = NDArray[np.float64]
 TomlValue = Any  # whatever a TOML file can hold: checked by those who take it
 _SINGLE = {"sample_rate": "Hz", "duration": "s"}
 _TOP = ("name", "description", "source", "caveats", "rig", "measurement")

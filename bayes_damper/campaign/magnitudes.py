@@ -5,12 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayes_damper.campaign.head import Head
 from bayes_damper.campaign.structure import COLUMNS, Rig, Trial, natural_period
-
-Array = NDArray[np.float64]
 
 
 def check_magnitudes(head: Head, trial: Trial, faults: list[str], warnings: list[str]) -> None:

@@ -10,13 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
-import numpy as np
-from numpy.typing import NDArray
-
 from bayes_damper.campaign.files import decoded, nearest_name, read_bytes
 from bayes_damper.campaign.structure import TO_SI, TRIAL_COLUMNS, Constant
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,6 @@ import io
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from bayes_damper.campaign.structure import (
     MEASUREMENT_NUMBERS,
     MEASUREMENT_SPREADS,
@@ -23,7 +20,6 @@ from bayes_damper.campaign.structure import (
 )
 from bayes_damper.errors import InputError
 
-Array = NDArray[np.float64]
 COMMENTS = {
     "kind": "torsional, or translational (m, kg, N)",
     "primary_inertia": "J1, kg m^2 (kg); 1 for a rig known only per unit inertia",

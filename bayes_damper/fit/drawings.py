@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper import arviz_adapter, figures
-from bayes_damper.calibration import (
-    Experiment,
-)
+from bayes_damper.calibration import Experiment
 from bayes_damper.fit.entry import Units, thinned_draws
 from bayes_damper.parameters import PARAMETERS, unit_of
 from bayes_damper.record_posterior import trial_label

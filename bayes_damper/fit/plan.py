@@ -9,13 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from bayes_damper.calibration import (
-    Experiment,
-    experiment_of,
-)
+from bayes_damper.calibration import Experiment, experiment_of
 from bayes_damper.campaign import Campaign, load_campaign
 from bayes_damper.effects import all_effects
 from bayes_damper.errors import InputError
@@ -26,7 +20,6 @@ from bayes_damper.provenance import code_sha256, package_version
 from bayes_damper.published import load_published
 from bayes_damper.run import read_json, write_json
 
-Array = NDArray[np.float64]
 _TAKEN = ("joint", "variability")
 """Folders beside those of the cases: of all cases together, and of the pieces of `variability`."""
 _PLANNED = ("campaign", "name", "campaign_sha256", "cases", "joint", "priors", "normal_force", "seed", "thorough",

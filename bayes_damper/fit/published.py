@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayes_damper.arviz_adapter import hdi
 from bayes_damper.fit.draw import DRAWN, Report, number_of, sampled, search, shaped
@@ -27,8 +26,6 @@ from bayes_damper.fit.entry import (
 from bayes_damper.posterior import Coordinates, Datum, FeaturePosterior, damping_pairs
 from bayes_damper.priors import PriorSet, priors_from_dict
 from bayes_damper.published import load_published
-
-Array = NDArray[np.float64]
 
 
 def published_posterior(case: str, priors: PriorSet, normal_force: str = "linear") -> FeaturePosterior:

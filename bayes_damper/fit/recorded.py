@@ -12,14 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.arviz_adapter import hdi
-from bayes_damper.calibration import (
-    Calibration,
-    Experiment,
-    calibrate,
-    calibrate_nominal,
-    learn_noise,
-    middle,
-)
+from bayes_damper.calibration import Calibration, Experiment, calibrate, calibrate_nominal, learn_noise, middle
 from bayes_damper.effects import all_effects
 from bayes_damper.errors import InputError
 from bayes_damper.evidence import bridge

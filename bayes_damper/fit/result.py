@@ -8,9 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from bayes_damper import arviz_adapter
 from bayes_damper.errors import ExitCode
 from bayes_damper.fit.drawings import draw_overview
@@ -21,7 +18,6 @@ from bayes_damper.sensitivity import text as sensitivity_text
 from bayes_damper.summary import table_text, write_table
 from bayes_damper.wording import gathered
 
-Array = NDArray[np.float64]
 SCHEMA = "bayes-damper/fit/1"
 _OVERVIEW = "overview"
 
