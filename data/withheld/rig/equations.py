@@ -33,12 +33,14 @@ FLEXIBLE_SHAFT, CLAMP_PLAY = codes.FLEXIBLE_SHAFT, codes.CLAMP_PLAY
 ONE_SIDED_SPRING, STIFFNESS_RIPPLE = codes.ONE_SIDED_SPRING, codes.STIFFNESS_RIPPLE
 CLAMP_SLIP, COIL_FRICTION = codes.CLAMP_SLIP, codes.COIL_FRICTION
 SPRING_CREEP, LEAF_BREAK, SNAPPING_LEAF = codes.SPRING_CREEP, codes.LEAF_BREAK, codes.SNAPPING_LEAF
+VIRGIN_RUBBER, BREATHING_COIL = codes.VIRGIN_RUBBER, codes.BREATHING_COIL
 BEARING_STRIBECK, QUADRATIC_DRAG = codes.BEARING_STRIBECK, codes.QUADRATIC_DRAG
 MISALIGNMENT_DRAG = codes.MISALIGNMENT_DRAG
 GREASE_THIXOTROPY, BEARING_RUNOUT, WAKE_DRAG = codes.GREASE_THIXOTROPY, codes.BEARING_RUNOUT, codes.WAKE_DRAG
 ONE_WAY_DRAG, RACE_DENT = codes.ONE_WAY_DRAG, codes.RACE_DENT
 DRY_RUNNING, FLUTED_RACE, OIL_STARVATION = codes.DRY_RUNNING, codes.FLUTED_RACE, codes.OIL_STARVATION
 THIN_FILM, LOOSE_RING = codes.THIN_FILM, codes.LOOSE_RING
+SEAL_FLUTTER, ROLLING_JOURNAL = codes.SEAL_FLUTTER, codes.ROLLING_JOURNAL
 STICK_SLIP, FRICTION_DISPLACEMENT, MAGNET_CUBIC = codes.STICK_SLIP, codes.FRICTION_DISPLACEMENT, codes.MAGNET_CUBIC
 EDDY_OVERLAP, MAGNET_FADE, INTERFACE_RELAXATION = codes.EDDY_OVERLAP, codes.MAGNET_FADE, codes.INTERFACE_RELAXATION
 NORMAL_FORCE_LAW, MAGNETIC_COGGING = codes.NORMAL_FORCE_LAW, codes.MAGNETIC_COGGING
@@ -47,15 +49,18 @@ FACE_STOP, PULL_TILT = codes.FACE_STOP, codes.PULL_TILT
 AXIAL_BOUNCE, FACE_GRAIN, REST_ADHESION = codes.AXIAL_BOUNCE, codes.FACE_GRAIN, codes.REST_ADHESION
 GROOVED_FACES, GAP_CREEP = codes.GROOVED_FACES, codes.GAP_CREEP
 COMBED_TEFLON, FLOATING_WASHER = codes.COMBED_TEFLON, codes.FLOATING_WASHER
+SHORTED_LOOP, CHARGED_TEFLON = codes.SHORTED_LOOP, codes.CHARGED_TEFLON
 STRAY_IRON, SECOND_KNOCK, BAR_PADDLE = codes.STRAY_IRON, codes.SECOND_KNOCK, codes.BAR_PADDLE
 UNBALANCED_BAR, GUARD_RUB, CABLE_PULL = codes.UNBALANCED_BAR, codes.GUARD_RUB, codes.CABLE_PULL
 CABLE_LOOP, FOAM_BUMPER = codes.CABLE_LOOP, codes.FOAM_BUMPER
 BAR_WHIP, DRAUGHT = codes.BAR_WHIP, codes.DRAUGHT
-FRAME_EDDIES, SLIDING_RIDER = codes.FRAME_EDDIES, codes.SLIDING_RIDER
+FRAME_EDDIES, SLIDING_RIDER, LEAKY_BELLOWS = codes.FRAME_EDDIES, codes.SLIDING_RIDER, codes.LEAKY_BELLOWS
 RELEASE_RAMP, RELEASE_DRAG, RELEASE_REBOUND = codes.RELEASE_RAMP, codes.RELEASE_DRAG, codes.RELEASE_REBOUND
 SECOND_JAW, LATE_SECONDARY, STICKY_PAD = codes.SECOND_JAW, codes.LATE_SECONDARY, codes.STICKY_PAD
-SOLENOID_PULL = codes.SOLENOID_PULL
+SOLENOID_PULL, TRAILING_THREAD = codes.SOLENOID_PULL, codes.TRAILING_THREAD
 RING_SMOOTH = 0.01  # rad/s, over which the friction of a loose ring turns
+FLUTTER_SMOOTH = 0.05  # rad/s, over which a seal begins or ends to flutter
+FOLLOW = 5e-4  # s, within which a farthest point is taken over
 
 
 @njit(cache=True)
@@ -70,6 +75,20 @@ def lens_area(x: float) -> float:
 def washer_free(z, v):
     """1 while a washer at z of its play (-1 to 1) moves with the face that slides at v, 0 once it is at its pin."""
     return 0.5 * (1.0 - math.tanh((math.copysign(z, z * v) - 1.0) / 0.05))
+
+
+@njit(cache=True)
+def flux_slope(s):
+    """Slope of the flux through a loop at s widths from its middle, 0 there."""
+    return s * math.exp(-0.5 * s * s)
+
+
+@njit(cache=True)
+def flutter_rate(z, speed, begin, end):
+    """Rate of the share z of a lip that beats: from the speed `begin` on, until it falls below `end`, within 1 ms."""
+    on = 0.5 * (1.0 + math.tanh((speed - begin) / FLUTTER_SMOOTH))
+    off = 0.5 * (1.0 - math.tanh((speed - end) / FLUTTER_SMOOTH))
+    return (on * (1.0 - z) - off * z) / 1e-3
 
 
 @njit(cache=True)
@@ -137,6 +156,11 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
             return p0 * g[K1] * th1 * 0.5 * (1.0 + math.tanh((t - p1) / p2)), 0.0
         if code == SNAPPING_LEAF:  # a leaf buckles on the way out and springs back on the way in (z0 = share buckled)
             return p0 * z0, 0.0
+        if code == VIRGIN_RUBBER:  # stiffer where it has not been stretched yet: Mullins (z = farthest, either side)
+            slack = (z0 if th1 < 0.0 else z1) - abs(th1)
+            return -p0 * g[K1] * th1 * math.exp(-max(0.0, slack) / p1), 0.0
+        if code == BREATHING_COIL:  # the coil shortens as it is wound, bounces along its axis and softens (z0, z1)
+            return p0 * g[K1] * th1 * z0, 0.0
         return 0.0, 0.0
     if code < 40:
         if code == BEARING_STRIBECK:  # Lorentzian hump above the kinetic drag
@@ -183,6 +207,13 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
                 -share * g[J1] * math.tanh((w1 - z0) / RING_SMOOTH),
                 -share * g[J2] * math.tanh((w2 - z1) / RING_SMOOTH),
             )
+        if code == SEAL_FLUTTER:  # a lip beats on its shaft from one speed on, until a lower one (z = share that beats)
+            return -p0 * z0 * math.tanh(nu * w1), -p0 * z1 * math.tanh(nu * w2)
+        if code == ROLLING_JOURNAL:  # half the slope of an inertia that depends on the angle, times the squared speed
+            return (
+                -0.5 * p0 * g[J1] * p1 * math.cos(p1 * th1 + p2) * w1 * w1,
+                -0.5 * p0 * g[J2] * p1 * math.cos(p1 * th2 + p3) * w2 * w2,
+            )
         return 0.0, 0.0
     if code < 60:
         if not coupled:  # there is no interface
@@ -228,6 +259,9 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
             v = w1 - w2
             q = -p0 * g[MU] * pull * g[BAR] * math.tanh(nu * v) * (1.0 - washer_free(z0, v))
             return q, -q
+        if code == SHORTED_LOOP:  # current z0 of a closed turn whose flux is largest at phi = 0
+            q = -p0 * z0 * flux_slope(phi / p1)
+            return q, -q
         return 0.0, 0.0
     if code == UNBALANCED_BAR:
         return 0.0, p0 * math.sin(th2 + p1)
@@ -260,6 +294,13 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
         return 0.0, -p0 * w2 / (1.0 + s * s) ** 2
     if code == SLIDING_RIDER:  # takes up angular momentum while it moves outwards (z0 = share of its way)
         return 0.0, -p0 * g[J2] * (1.0 - z0) * w2**3 / p1
+    if code == LEAKY_BELLOWS:  # a dust bellows pumps air through a hole and a valve (z0 = how far it is compressed)
+        return 0.0, -p0 * z0
+    if code == CHARGED_TEFLON:  # rubbing charges the Teflon, the charge z0 draws the faces together
+        if not coupled:
+            return 0.0, 0.0
+        q = -p0 * z0 * z0 * lens_area(g[BAR] * abs(th1 - th2) / (2.0 * g[FACE])) * math.tanh(nu * (w1 - w2))
+        return q, -q
     if code == RELEASE_REBOUND:  # the pad springs back and touches the bar again
         s = (t - p1) / p2
         return (-p0 * math.sin(math.pi * s) ** 2 if 0.0 < s < 1.0 else 0.0), 0.0
@@ -278,6 +319,9 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
         return p0 * (g[TH0] - th1) * (1.0 - z0), 0.0
     if code == SOLENOID_PULL:  # remanent iron of the actuator draws the bar back to where it was held
         return p0 / (1.0 + max(0.0, g[TH0] - th1) / p1) ** 2, 0.0
+    if code == TRAILING_THREAD:  # the cut thread is drawn through its eye, taut only beyond the farthest point, z0
+        inside = 0.5 * (1.0 - math.tanh((g[TH0] - th1 - p1) / 2e-3))
+        return p0 * math.tanh(max(0.0, z0 - th1) / 1e-4) * inside, 0.0
     return 0.0, 0.0
 
 
@@ -327,6 +371,20 @@ def memory_rates(code, th1, th2, w1, w2, a1, a2, z0, z1, p0, p1, p2, p3, g, fric
         return (w1 - w2) / p1 * washer_free(z0, w1 - w2), 0.0
     if code == SLIDING_RIDER:
         return (1.0 - z0) * w2 * w2 / p1, 0.0
+    if code == VIRGIN_RUBBER:
+        return max(0.0, -th1 - z0) / FOLLOW, max(0.0, th1 - z1) / FOLLOW
+    if code == BREATHING_COIL:
+        return z1, p1 * p1 * ((th1 / 0.1) ** 2 - z0) - 2.0 * p2 * p1 * z1
+    if code == SEAL_FLUTTER:
+        return flutter_rate(z0, abs(w1), p1, p1 * p2), flutter_rate(z1, abs(w2), p1, p1 * p2)
+    if code == SHORTED_LOOP:
+        return (w1 - w2) * flux_slope((th1 - th2) / p1) - z0 / p2, 0.0
+    if code == CHARGED_TEFLON:
+        return (1.0 - z0) * abs(w1 - w2) / p1 - z0 / p2, 0.0
+    if code == LEAKY_BELLOWS:  # flow as the root of the pressure, in through the valve p2 times as easily as out
+        return w2 - p1 * (p2 if z0 < 0.0 else 1.0) * z0 / math.sqrt(math.sqrt(z0 * z0 + 1e-6)), 0.0
+    if code == TRAILING_THREAD:
+        return -max(0.0, z0 - th1) / FOLLOW, 0.0
     return 0.0, 0.0
 
 
@@ -377,6 +435,9 @@ def accelerations(t, th1, th2, w1, w2, z, bristle, k, P, g, coupled, rates):
     for i in range(2):
         if k[i] == SLIDING_RIDER:
             a2 /= 1.0 + P[i, 0] * z[2 * i]
+        elif k[i] == ROLLING_JOURNAL:
+            a1 /= 1.0 + P[i, 0] * math.sin(P[i, 1] * th1 + P[i, 2])
+            a2 /= 1.0 + P[i, 0] * math.sin(P[i, 1] * th2 + P[i, 3])
     for i in range(2):
         if k[i] > 0:
             r0, r1 = memory_rates(

@@ -4,6 +4,7 @@ Filters are linear state-space systems advanced exactly for readings that are li
 grid, at rest before the release; delays and clock errors read the fine grid between its points.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -95,6 +96,46 @@ def _quiet(y: NDArray[np.float64], threshold: float, hold: float, step: float) -
     return out
 
 
+WAX_STRENGTH = 300.0  # rad/s^2, more than any record of the thesis's rig asks of the wax
+
+
+@njit(cache=True)
+def _on_wax(y: NDArray[np.float64], limit: float, pace: float, step: float) -> NDArray[np.float64]:
+    """What an accelerometer on wax reads of y: all of it within +-limit, then it slides until it has caught up.
+
+    While it slides at the speed v the wax bears limit + pace |v| in the direction of v; v' = y - what it bears.
+    """
+    out = np.empty(y.size)
+    v = 0.0
+    way = 0.0
+    for i in range(y.size):
+        if i > 0 and way != 0.0:
+            drive = 0.5 * (y[i - 1] + y[i]) - way * limit
+            v = (v * (1.0 - 0.5 * step * pace) + step * drive) / (1.0 + 0.5 * step * pace)
+            if v * way <= 0.0:
+                v = 0.0
+                way = 0.0
+        if way == 0.0 and abs(y[i]) > limit:
+            way = 1.0 if y[i] > 0.0 else -1.0
+        out[i] = y[i] if way == 0.0 else way * limit + pace * v
+    return out
+
+
+SHIFT_TIME = 0.02  # s, within which an overload of one unit moves the zero by one unit
+
+
+@njit(cache=True)
+def _zero_shift(y: NDArray[np.float64], threshold: float, tau: float, step: float) -> NDArray[np.float64]:
+    """How far the zero has moved: what exceeds the threshold either way, summed up and forgotten within tau, s."""
+    out = np.empty(y.size)
+    out[0] = 0.0
+    keep = math.exp(-step / tau)
+    for i in range(1, y.size):
+        before, now = max(0.0, abs(y[i - 1]) - threshold), max(0.0, abs(y[i]) - threshold)
+        out[i] = keep * out[i - 1] + 0.5 * step * (keep * before + now) / SHIFT_TIME
+    return out
+
+
 def soft_limit(y: NDArray[np.float64], limit: float, sharpness: float) -> NDArray[np.float64]:
     """Readings that bend over to +-limit (rad/s^2)."""
     return y / (1.0 + np.abs(y / limit) ** sharpness) ** (1.0 / sharpness)
@@ -174,6 +215,12 @@ def readings(
         elif d.code == codes.RANGE_SWITCH:
             for c in which:
                 channels[c] = channels[c] * (1.0 + a * _quiet(channels[c], p2, p3, step))
+        elif d.code == codes.SLIPPING_WAX and a > 0.0:
+            for c in which:
+                channels[c] = _on_wax(channels[c], WAX_STRENGTH / (1.0 + a), p2, step)
+        elif d.code == codes.ZERO_SHIFT:
+            for c in which:
+                channels[c] = channels[c] + a * _zero_shift(channels[c], p2, p3, step)
     since = times - release
     since = since + bend * since * np.abs(since)
     for d in disturbances:

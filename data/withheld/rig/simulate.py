@@ -48,6 +48,12 @@ def disturbed_start(
             start[4 + 2 * i : 6 + 2 * i] = np.minimum(1.0, rig["theta0"] / np.array([p1, 3.0 * p1]))
         elif d.code == codes.SNAPPING_LEAF:  # wound beyond p1, it has buckled
             start[4 + 2 * i] = 1.0 if rig["theta0"] > p1 else 0.0
+        elif d.code == codes.VIRGIN_RUBBER:  # wound once to theta0, never the other way
+            start[5 + 2 * i] = rig["theta0"]
+        elif d.code == codes.BREATHING_COIL:  # held at rest, as short as the angle makes it
+            start[4 + 2 * i] = (rig["theta0"] / 0.1) ** 2
+        elif d.code == codes.TRAILING_THREAD:
+            start[4 + 2 * i] = rig["theta0"]
     return rig, start
 
 
