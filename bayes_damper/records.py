@@ -20,6 +20,10 @@ Array = NDArray[np.float64]
 TOLERANCE = 0.02  # share of a step by which readings may lie beside a common grid
 LARGEST_GRID = 3.0  # times the readings of the longest record; beyond, gaps are longer than what was read
 STEPS_OF_DOUBT = 1.5  # sampling steps between nominal and real release that are left to the fit
+LARGE = 200_000
+"""Readings of a campaign beyond which one in so many is picked, where they come faster than the motion needs."""
+READINGS_PER_PERIOD = 150.0  # of the primary, that the readings of a large campaign are picked down to
+READINGS_PER_SWING = 100.0  # the same of displacements and velocities of free starts, however few they are
 USUAL_LAG = {"displacement": 0.5, "velocity": 0.2, "acceleration": 0.02}
 """Radians of the oscillation after which the motion stands out from its noise."""
 
@@ -80,6 +84,21 @@ def _beginning(times: Array, away: Array, quantity: str, theta0: float, omega: f
         return float(times[0]) - step
     slope, rest = np.polyfit(t, x, 1)
     return float(-rest / slope) if slope > 0.0 else float(times[0]) - step
+
+
+def picks(sizes: Sequence[int], steps: Sequence[float], period: float, swings: bool) -> list[int]:
+    """Of how many readings of each record one is picked for fits.
+
+    Readings are picked, not averaged: an average would shrink fast swings and blur the reversals of dry friction.
+
+    sizes : readings of each record, all channels; steps : s, its sampling step; period : s, of the fastest primary;
+    swings : displacements or velocities of free starts, which hold nothing faster that a torque could have made, and
+    whose errors, that of the model first, are the same over many readings
+    """
+    if not swings and sum(sizes) <= LARGE:
+        return [1] * len(sizes)
+    wanted = period / (READINGS_PER_SWING if swings else READINGS_PER_PERIOD)
+    return [max(1, math.floor(wanted / step * (1.0 + 1e-9))) if step > 0.0 else 1 for step in steps]
 
 
 def common_grid(clocks: Sequence[Array]) -> tuple[Array, list[NDArray[np.intp]]] | None:

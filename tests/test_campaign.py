@@ -60,6 +60,28 @@ def test_a_sound_campaign_gives_no_warning(folder: Path) -> None:
     assert len(campaign.sha256) == 64
 
 
+def test_of_very_many_readings_fits_use_some_and_say_so(tmp_path: Path) -> None:
+    """20 kHz for two seconds: `every` under [measurement] decides; without it one reading in so many, and a warning."""
+    folder = write_synthetic(tmp_path / "fast", rate=20000.0, duration=2.0, repeats=2)
+    edit(folder / "campaign.toml", "sample_rate = 1000.0", "sample_rate = 20000.0")
+    campaign = load_campaign(folder)
+    assert campaign.trials[0].times.size == 40001
+    (told,) = campaign.warnings
+    assert "240006 readings" in told
+    assert "one in 14" in told
+    kept = experiment_of(campaign).trials[0]
+    assert np.array_equal(kept.times, campaign.trials[0].times[::14])
+    assert np.array_equal(kept.y, campaign.trials[0].channels[:, ::14])
+    edit(folder / "campaign.toml", "[measurement]", "[measurement]\nevery = 1")
+    whole = load_campaign(folder)
+    assert whole.warnings == ()
+    assert experiment_of(whole).trials[0].y.shape == (1, 40001)
+    edit(folder / "campaign.toml", "every = 1", "every = 40")
+    assert experiment_of(load_campaign(folder)).trials[0].y.shape == (1, 1001)
+    edit(folder / "campaign.toml", "every = 40", "every = 2.5")
+    assert faults_of(folder) == ["campaign.toml [measurement]: every must be one whole number"]
+
+
 def test_the_last_trial_of_each_group_is_held_out_unless_marked(folder: Path) -> None:
     assert {t.key for t in load_campaign(folder).heldout} == {("IV", "uncoupled", 3), ("IV", "coupled", 3)}
     lines = (folder / "trials.csv").read_text().splitlines()

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from bayes_damper.records import common_grid, release_of
+from bayes_damper.records import LARGE, common_grid, picks, release_of
 
 OMEGA, ANGLE, STEP = 45.0, 0.1, 1e-3
 READ = {
@@ -87,3 +87,11 @@ def test_no_grid_is_made_up():
     assert common_grid([np.sort(rng.uniform(0.0, 0.2, 200)), even]) is None
     assert common_grid([even[:10], np.r_[even[:10], 5.0 + even[:10]]]) is None
     assert math.isclose(common_grid([even, even[:150]])[0][-1], even[-1])
+
+
+def test_readings_are_picked_only_where_there_are_many_and_they_come_fast():
+    """Six natural periods a second: 20 kHz are 3300 readings a period, of which 150 are left in a large campaign."""
+    period = 1.0 / 6.0
+    assert picks([LARGE // 2, LARGE // 2], [5e-5, 5e-5], period, False) == [1, 1]
+    assert picks([LARGE, LARGE], [5e-5, 1e-3], period, False) == [22, 1]
+    assert picks([200, 200], [5e-5, 1e-3], period, True) == [33, 1]

@@ -15,10 +15,9 @@ from bayes_damper.errors import InputError
 from bayes_damper.integrator import LONGEST_STEP
 from bayes_damper.model import Quantity
 from bayes_damper.priors import PriorSet
-from bayes_damper.records import common_grid, release_of
+from bayes_damper.records import common_grid, picks, release_of
 
 Array = NDArray[np.float64]
-READINGS_PER_PERIOD = 100.0  # of the primary, that displacements and velocities are thinned to
 STEPS_PER_PERIOD = 120.0  # at least, of the primary on its spring
 
 
@@ -240,22 +239,22 @@ def gridded(experiment: Experiment) -> Experiment:
     return replace(experiment, trials=tuple(trials))
 
 
-def thinned(experiment: Experiment) -> Experiment:
-    """The experiment with displacements and velocities of free starts thinned to some 100 readings a period.
-
-    Such records hold nothing faster that a torque could have made, and their errors, that of the model first, are the
-    same over many readings. Readings are picked, not averaged: an average would shrink fast swings.
-    """
-    if experiment.quantity == "acceleration" or experiment.start != "free":
-        return experiment
+def thinned(experiment: Experiment, every: int | None = None) -> Experiment:
+    """The experiment with one reading in `every` of each record; without a number as `records.picks` decides."""
+    trials = experiment.trials
     omega = max(math.sqrt(max(k, 1e-300) / experiment.constants["J1"][0]) for k, _ in experiment.stiffnesses)
-    wanted = 2.0 * math.pi / omega / READINGS_PER_PERIOD
-    trials = []
-    for t in experiment.trials:
-        every = max(1, math.floor(wanted / float(np.median(np.diff(t.times))))) if t.times.size > 1 else 1
-        torque = None if t.torque is None else t.torque[::every]
-        trials.append(t if every == 1 else replace(t, times=t.times[::every], y=t.y[:, ::every], torque=torque))
-    return replace(experiment, trials=tuple(trials))
+    steps = [float(np.median(np.diff(t.times))) if t.times.size > 1 else 0.0 for t in trials]
+    swings = experiment.quantity != "acceleration" and experiment.start == "free"
+    decided = picks([t.y.size for t in trials], steps, 2.0 * math.pi / omega, swings)
+    return replace(experiment, trials=tuple(_one_in(t, every or n) for t, n in zip(trials, decided, strict=True)))
+
+
+def _one_in(trial: TrialRecord, n: int) -> TrialRecord:
+    """The trial with one reading in n, from the first on."""
+    if n == 1:
+        return trial
+    torque = None if trial.torque is None else trial.torque[::n]
+    return replace(trial, times=trial.times[::n], y=trial.y[:, ::n], torque=torque)
 
 
 def experiment_of(campaign: Any, priors: PriorSet | Mapping[str, Distribution | float] | None = None) -> Experiment:
@@ -310,7 +309,7 @@ def experiment_of(campaign: Any, priors: PriorSet | Mapping[str, Distribution | 
         lag_sd=measurement.lag_std or (),
         coupling_law=rig.inertial_coupling_law,
     )  # fmt: skip
-    experiment = thinned(gridded(experiment))
+    experiment = thinned(gridded(experiment), measurement.every)
     if isinstance(priors, PriorSet):
         return with_priors(experiment, priors)
     return replace(experiment, priors=dict(priors or {}))

@@ -23,7 +23,7 @@ from bayes_damper.campaign.structure import (
 )
 
 TomlValue = Any  # whatever a TOML file can hold: checked by those who take it
-_SINGLE = {"sample_rate": "Hz", "duration": "s"}
+_SINGLE = {"sample_rate": "one number, in Hz", "duration": "one number, in s", "every": "one whole number"}
 _TOP = ("name", "description", "source", "caveats", "rig", "measurement")
 _TABLES = {"rig": (*RIG_NUMBERS, *RIG_WORDS),
            "measurement": (*MEASUREMENT_WORDS, *MEASUREMENT_NUMBERS, *MEASUREMENT_SPREADS)}  # fmt: skip
@@ -188,12 +188,13 @@ def _read_measurement(table: Mapping[str, Any], name: str, faults: list[str]) ->
     tuples = {k: _positives(table[k], f"{where}: {k}", faults) for k in MEASUREMENT_NUMBERS if k in table}
     tuples |= {k: _positives(table[k], f"{where}: {k}", faults, zero=True) for k in MEASUREMENT_SPREADS if k in table}
     single: dict[str, float | None] = {}
-    for key, unit in _SINGLE.items():
+    for key, wanted in _SINGLE.items():
         found = tuples.pop(key, None)
-        if found is not None and len(found) != 1:
-            faults.append(f"{where}: {key} must be one number, in {unit}")
+        if found is not None and (len(found) != 1 or (key == "every" and found[0] != round(found[0]))):
+            faults.append(f"{where}: {key} must be {wanted}")
         single[key] = found[0] if found else None
-    return Measurement(**words, **tuples, **single)  # type: ignore[arg-type]
+    every = single.pop("every")
+    return Measurement(**words, **tuples, **single, every=None if every is None else round(every))  # type: ignore[arg-type]
 
 
 def _positives(value: TomlValue, where: str, faults: list[str], zero: bool = False) -> tuple[float, ...] | None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from bayes_damper.campaign.head import Head, check_rig, per_channel, read_head
 from bayes_damper.campaign.magnitudes import check_magnitudes
-from bayes_damper.campaign.oddities import look_at_repeats, look_at_trial
+from bayes_damper.campaign.oddities import look_at_rates, look_at_repeats, look_at_trial
 from bayes_damper.campaign.record_files import read_trial
 from bayes_damper.campaign.structure import Campaign, Measurement, Trial
 from bayes_damper.campaign.trials_table import Row, read_rows
@@ -46,6 +46,7 @@ def load_campaign(folder: str | Path) -> Campaign:
             faults.append("none of the records is there: `bayes-damper plan` judges a campaign before it is measured")
         raise InputError(faults)
     look_at_repeats(head, trials, warnings)
+    look_at_rates(head, trials, warnings)
     both = any(t.coupled for t in trials)
     declared = head.measurement
     measurement = replace(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bayes_damper import readings as look
 from bayes_damper.campaign.head import Head, per_channel
 from bayes_damper.campaign.structure import COLUMNS, SHOWN, Trial, groups_of, natural_period
-from bayes_damper.records import USUAL_LAG, departure
+from bayes_damper.records import USUAL_LAG, departure, picks
 from bayes_damper.wording import counted
 
 Array = NDArray[np.float64]
@@ -165,6 +165,26 @@ def _moves_the_wrong_way(times: Array, y: Array, quantity: str, omega: float, re
         soon = True
     wrong = soon and len(swing) >= _FEW and bool(np.all(swing < 0.0))
     return float(times[k]) if wrong and (quantity == "velocity" or np.median(swing) < -0.4 * largest) else None
+
+
+def look_at_rates(head: Head, trials: Sequence[Trial], warnings: list[str]) -> None:
+    """Whether fits pick readings of their own accord, because there are very many of them."""
+    measurement = head.measurement
+    if measurement.every is not None or not trials:
+        return
+    swings = measurement.quantity != "acceleration" and measurement.start == "free"
+    steps = [float(np.median(np.diff(t.times))) for t in trials]
+    period = min(natural_period(head.rig, t) for t in trials)
+    picked = picks([t.channels.size for t in trials], steps, period, swings)
+    if swings or max(picked) == 1:
+        return
+    few, most = min(picked), max(picked)
+    told = f"{most}" if few == most else f"{few} to {most}"
+    warnings.append(
+        f"{sum(t.channels.size for t in trials)} readings, {period / min(steps):.0f} in a period: fits use one in "
+        f"{told}, enough to show the motion, for less time and memory; `every = 1` under [measurement] of "
+        "campaign.toml uses all"
+    )
 
 
 def look_at_repeats(head: Head, trials: Sequence[Trial], warnings: list[str]) -> None:

@@ -45,7 +45,7 @@ RIG_WORDS = {
     "inertial_coupling_law": ("constant", "cosine"),
 }
 MEASUREMENT_WORDS = {"quantity": ("acceleration", "velocity", "displacement"), "start": ("rest", "free")}
-MEASUREMENT_NUMBERS = ("sample_rate", "duration", "noise_std", "sensor_range", "sensor_bandwidth")
+MEASUREMENT_NUMBERS = ("sample_rate", "duration", "noise_std", "sensor_range", "sensor_bandwidth", "every")
 MEASUREMENT_SPREADS = ("offset_std", "scale_std", "lag_std")  # may be 0: known
 SHOWN = 5  # faults of one kind shown for one file
 
@@ -102,6 +102,8 @@ class Measurement:
     sensor_bandwidth: tuple[float, ...] | None = None
     duration: float | None = None
     """Length of a record that is planned, s; of measured ones the time column decides."""
+    every: int | None = None
+    """One reading in so many is used by fits; None: all, or fewer where a large campaign was sampled very fast."""
     offset_std: tuple[float, ...] | None = None
     scale_std: tuple[float, ...] | None = None
     lag_std: tuple[float, ...] | None = None

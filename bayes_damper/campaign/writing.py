@@ -39,6 +39,7 @@ COMMENTS = {
     "noise_std": "prior value of the noise, one per channel",
     "sensor_range": "largest reading, one per channel",
     "sensor_bandwidth": "Hz, one per channel",
+    "every": "fits use one reading in so many; absent: all, unless there are very many",
     "offset_std": "standard uncertainty of the reading at rest, one per channel, in SI units",
     "scale_std": "relative standard uncertainty of the scale, one per channel",
     "lag_std": "s, standard uncertainty of the instant of reading against the time stamp, one per channel",
