@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
-from bayes_damper.distributions import Distribution, LogNormal, from_standard, to_standard
+from bayes_damper.distributions import Distribution, LogNormal, Normal, from_standard, to_standard
 from bayes_damper.effects.base import Variant
 from bayes_damper.errors import InputError
 from bayes_damper.features import features
@@ -26,6 +27,8 @@ from bayes_damper.outcome import Outcome
 
 Array = NDArray[np.float64]
 _LOG_2PI = math.log(2.0 * math.pi)
+_FARTHEST = 40.0
+"""From a sheet, in its coordinate: where no prior leaves any density, and sinh is still finite."""
 
 
 @dataclass(frozen=True)
@@ -43,17 +46,47 @@ class Shared:
 
 
 @dataclass(frozen=True)
+class Sheet:
+    """A parameter of normal prior that one measured number fixes, given all others, far better than the prior does.
+
+    The posterior is then a thin sheet, curved where `centre` is no linear function of the others, with the heavy tails
+    of the number's error about it. Sampled is y in x = centre + width sinh(y): the sheet is flat and about as thick as
+    other coordinates are wide. centre : all parameters by name -> (n,), independent of this one; width : in its unit.
+    Where the prior is cut, x is what an uncut one would have in its place.
+    """
+
+    name: str
+    width: float
+    centre: Callable[[Mapping[str, Array]], Array]
+
+
+def _spring(period: float, values: Mapping[str, Array]) -> Array:
+    """The spring that gives an undamped period, N m/rad."""
+    return np.asarray(values["J1"] * (2.0 * math.pi / period) ** 2)
+
+
+def _angle(acceleration: float, values: Mapping[str, Array]) -> Array:
+    """The release angle that gives the coupled rig an acceleration when t_min has passed, rad."""
+    speed = acceleration * values["t_min"]
+    dry = (values["drag"] + values["mu"] * values["N0"] * values["R"]) * np.tanh(values["nu"] * speed)
+    viscous = (values["c1t"] + values["c2t"]) * speed
+    return np.asarray((acceleration * values["J1"] + dry + viscous) / values["k1t"])
+
+
+@dataclass(frozen=True)
 class Coordinates:
     """Free parameters with their priors, fixed ones, and ones tied to another.
 
     free : name -> prior; fixed : name -> value; tied : name -> name of a free or fixed parameter whose value it takes;
-    shared : pairs of lognormal free parameters that are sampled as sum and ratio.
+    shared : pairs of lognormal free parameters that are sampled as sum and ratio; sheets : what is sampled as its
+    distance from where the other parameters put it; one may depend on those before it.
     """
 
     free: Mapping[str, Distribution]
     fixed: Mapping[str, float] = field(default_factory=dict)
     tied: Mapping[str, str] = field(default_factory=dict)
     shared: tuple[Shared, ...] = ()
+    sheets: tuple[Sheet, ...] = ()
 
     def __post_init__(self) -> None:
         for name, other in self.tied.items():
@@ -82,33 +115,53 @@ class Coordinates:
                           math.log(y.median_value / pair.y_unit), math.log(y.factor)))  # fmt: skip
         return lines
 
+    def _sheets(self) -> list[tuple[int, Sheet, Normal]]:
+        """Of each sheet: its column, itself, and its prior; those that are not free or not normal are left out."""
+        found = []
+        for sheet in self.sheets:
+            prior = self.free.get(sheet.name)
+            if isinstance(prior, Normal):  # another prior: leave it as it is
+                found.append((self.names.index(sheet.name), sheet, prior))
+        return found
+
     def standard(self, points: Array) -> Array:
-        """Standard coordinates (n, ndim) of points as they are sampled: shared pairs taken apart."""
+        """Standard coordinates (n, ndim) of points as they are sampled: shared pairs taken apart, sheets put back."""
         points = np.atleast_2d(points)
-        lines = self._lines()
-        if not lines:
+        lines, sheets = self._lines(), self._sheets()
+        if not lines and not sheets:
             return points
         z = points.copy()
         for i, j, a, b, c, d in lines:
             first = points[:, i] - np.logaddexp(0.0, points[:, j])  # ln(x / x_unit)
             z[:, i] = (first - a) / b
             z[:, j] = (first + points[:, j] - c) / d
+        given = self._of_standard(z) if sheets else {}
+        for i, sheet, prior in sheets:
+            away = sheet.width * np.sinh(np.clip(points[:, i], -_FARTHEST, _FARTHEST))
+            z[:, i] = (sheet.centre(given) + away - prior.mean) / prior.sd
+            given[sheet.name] = from_standard(prior, z[:, i])
         return z
 
     def sampled(self, z: Array) -> Array:
         """Points as they are sampled (n, ndim) from standard coordinates: the inverse of `standard`."""
         points = np.atleast_2d(z).copy()
+        sheets = self._sheets()
+        given = self._of_standard(points) if sheets else {}
+        for i, sheet, prior in sheets:
+            points[:, i] = np.arcsinh((prior.mean + prior.sd * points[:, i] - sheet.centre(given)) / sheet.width)
         for i, j, a, b, c, d in self._lines():
-            first, second = a + b * z[:, i], c + d * z[:, j]
+            first, second = a + b * points[:, i], c + d * points[:, j]
             points[:, i] = np.logaddexp(first, second)
             points[:, j] = second - first
         return points
 
     def values(self, points: Array) -> dict[str, Array]:
         """All parameters at points (n, ndim) as they are sampled: name -> (n,)."""
-        points = self.standard(points)
-        given = {name: from_standard(prior, points[:, i]) for i, (name, prior) in enumerate(self.free.items())}
-        given |= {name: np.full(len(points), value) for name, value in self.fixed.items()}
+        return self._of_standard(self.standard(points))
+
+    def _of_standard(self, z: Array) -> dict[str, Array]:
+        given = {name: from_standard(prior, z[:, i]) for i, (name, prior) in enumerate(self.free.items())}
+        given |= {name: np.full(len(z), value) for name, value in self.fixed.items()}
         return given | {name: given[other] for name, other in self.tied.items()}
 
     def points(self, values: Mapping[str, Any]) -> Array:
@@ -120,7 +173,11 @@ class Coordinates:
         """Log prior density in the sampled coordinates, (n,)."""
         value: Array = -0.5 * (np.sum(self.standard(points) ** 2, axis=1) + self.ndim * _LOG_2PI)
         # ln x and ln y in terms of sum and ratio have Jacobian 1; z in terms of ln x has 1 / b.
-        return value - sum(math.log(b * d) for _, _, _, b, _, d in self._lines())
+        value = value - sum(math.log(b * d) for _, _, _, b, _, d in self._lines())
+        for i, sheet, prior in self._sheets():
+            y = np.atleast_2d(points)[:, i]
+            value = value + np.logaddexp(y, -y) + math.log(0.5 * sheet.width / prior.sd)  # ln cosh
+        return value
 
     def draw(self, rng: np.random.Generator, n: int) -> Array:
         """Points drawn from the prior, (n, ndim)."""
@@ -208,15 +265,23 @@ class FeaturePosterior:
             found[name] = features(self.times, simulation.y[:, 0], t_min)
         return np.stack([getattr(found[d.configuration], d.quantity) for d in self.data], axis=1)
 
-    def log_likelihood(self, points: Array) -> Array:
-        """Log density of each datum, (n, n_data); -inf where the simulated record has no such feature."""
+    def misfits(self, points: Array) -> Array:
+        """Distances of the features from the data in standard errors, (n, n_data); nan where the record has none."""
         value = np.array([d.value for d in self.data])
         error = np.array([d.standard_error for d in self.data])
+        return np.asarray((self.predict(points) - value) / error)
+
+    def densities(self, misfits: Array, width: float = 1.0) -> Array:
+        """Log density of each datum at such distances, (n, n_data), if all errors were `width` times as large."""
+        error = np.array([d.standard_error for d in self.data])
         dof = np.array([d.n - 1.0 for d in self.data])
-        t = (self.predict(points) - value) / error
-        norm = gammaln((dof + 1.0) / 2.0) - gammaln(dof / 2.0) - 0.5 * np.log(dof * math.pi) - np.log(error)
-        density = norm - 0.5 * (dof + 1.0) * np.log1p(t**2 / dof)
+        norm = gammaln((dof + 1.0) / 2.0) - gammaln(dof / 2.0) - 0.5 * np.log(dof * math.pi) - np.log(error * width)
+        density = norm - 0.5 * (dof + 1.0) * np.log1p((misfits / width) ** 2 / dof)
         return np.where(np.isfinite(density), density, -np.inf)
+
+    def log_likelihood(self, points: Array) -> Array:
+        """Log density of each datum, (n, n_data); -inf where the simulated record has no such feature."""
+        return self.densities(self.misfits(points))
 
     def __call__(self, points: Array) -> Array:
         """Log posterior density (normalised prior times likelihood) in standard coordinates, (n,)."""
@@ -236,3 +301,22 @@ def damping_pairs(values: Mapping[str, float]) -> tuple[Shared, ...]:
         Shared("c1t", "drag", viscous, dry),
         Shared("c2t", "mu", viscous, dry / (values["N0"] * values["R"])),
     )
+
+
+def feature_sheets(data: Sequence[Datum], values: Mapping[str, float]) -> tuple[Sheet, ...]:
+    """The spring as the uncoupled period tells it, the release angle as the coupled rig's highest acceleration does.
+
+    values : typical ones, for the widths. With the error of two degrees of freedom that three trials leave, the density
+    of y falls as cosh^-2 if the width is that of sqrt(2) standard errors.
+    """
+    known = {d.name: d for d in data}
+    found = []
+    spring = values["k1t"]
+    if (period := known.get("period (uncoupled)")) is not None:
+        spring = values["J1"] * (2.0 * math.pi / period.value) ** 2
+        width = math.sqrt(8.0) * spring * period.standard_error / period.value
+        found.append(Sheet("k1t", width, partial(_spring, period.value)))
+    if (peak := known.get("max_acceleration (coupled)")) is not None:
+        width = math.sqrt(2.0) * values["J1"] * peak.standard_error / spring
+        found.append(Sheet("theta0", width, partial(_angle, peak.value)))
+    return tuple(found)

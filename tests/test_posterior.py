@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayes_damper.distributions import HalfNormal, LogNormal, Uniform
+from bayes_damper.distributions import HalfNormal, LogNormal, Normal, Uniform
 from bayes_damper.effects import EFFECTS
 from bayes_damper.errors import InputError
 from bayes_damper.fit import published_posterior
-from bayes_damper.posterior import EFFECT_PREFIX, Coordinates, Datum, FeaturePosterior, Shared
+from bayes_damper.posterior import EFFECT_PREFIX, Coordinates, Datum, FeaturePosterior, Shared, Sheet
 from bayes_damper.priors import load_priors
 from bayes_damper.sampling import annealed_start
 
@@ -83,6 +83,80 @@ def test_a_pair_with_another_prior_is_left_as_it_is():
 def test_a_parameter_tied_to_nothing_is_refused():
     with pytest.raises(InputError, match="neither a free nor a fixed parameter"):
         Coordinates(FREE, tied={"c3t": "c1t"})
+
+
+def _product(values):
+    return values["mu"] * values["k2t"]
+
+
+SHEETS = Coordinates(
+    {"mu": LogNormal(0.5, 1.5), "k2t": Uniform(1.0, 3.0), "k1t": Normal(1.0, 0.4, lower=-4.0), "c": Normal(0.0, 1.0)},
+    sheets=(Sheet("k1t", 0.01, _product), Sheet("c", 0.3, lambda v: v["k1t"] ** 2), Sheet("k2t", 0.1, _product)),
+)
+"""Of the three sheets the last is left out, its parameter not being normal."""
+
+
+def test_a_sheet_is_sampled_as_the_distance_from_where_the_others_put_it():
+    points = SHEETS.draw(np.random.default_rng(3), 300)
+    values = SHEETS.values(points)
+    np.testing.assert_allclose(SHEETS.sampled(SHEETS.standard(points)), points, rtol=1e-9, atol=1e-9)
+    z = np.random.default_rng(4).standard_normal((300, 4))
+    np.testing.assert_allclose(SHEETS.standard(SHEETS.sampled(z)), z, rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(points[:, 1], SHEETS.standard(points)[:, 1])  # k2t, as if it were no sheet
+    for column, name, width, centre in ((2, "k1t", 0.01, _product(values)), (3, "c", 0.3, values["k1t"] ** 2)):
+        away = (values[name] - centre) / width
+        np.testing.assert_allclose(np.sinh(points[:, column]), away, rtol=1e-9, atol=1e-9)
+
+
+def test_the_prior_density_of_sheets_is_that_of_the_standard_coordinates_times_the_jacobian():
+    points = SHEETS.draw(np.random.default_rng(5), 40)
+    step = 1e-6
+    for point in points:
+        shifts = step * np.eye(4)
+        jacobian = (SHEETS.standard(point + shifts) - SHEETS.standard(point - shifts)).T / (2.0 * step)
+        z = SHEETS.standard(point[None])[0]
+        expected = stats.norm.logpdf(z).sum() + np.linalg.slogdet(jacobian)[1]
+        assert SHEETS.log_prior(point[None])[0] == pytest.approx(expected, abs=1e-5)
+
+
+def test_sheets_leave_the_posterior_of_published_numbers_as_it_is():
+    """The same values have the same density in both coordinates, but for the Jacobian that the prior shows."""
+    for case in ("II", "III"):
+        thin = published_posterior(case, load_priors("thesis"))
+        own = thin.coordinates
+        plain = FeaturePosterior(thin.data, Coordinates(own.free, own.fixed, own.tied, own.shared), case=case)
+        z = np.random.default_rng(6).standard_normal((50, thin.ndim))
+        here, there = own.sampled(z), plain.coordinates.sampled(z)
+        assert {s.name for s in own.sheets} == {"k1t", "theta0"}
+        ratio = own.log_prior(here) - plain.coordinates.log_prior(there)
+        with_sheets, without = thin(here), plain(there)
+        both = np.isfinite(without)
+        assert both.sum() > 20
+        np.testing.assert_array_equal(np.isfinite(with_sheets), both)
+        np.testing.assert_allclose(with_sheets[both] - without[both], ratio[both], atol=1e-6)
+
+
+def test_the_sheets_of_a_case_lie_where_its_numbers_are():
+    """A spring and an angle on their sheets give the measured period and acceleration within their errors or so."""
+    posterior = published_posterior("II", load_priors("thesis"))
+    names = posterior.names
+    points = posterior.coordinates.sampled(np.zeros((1, posterior.ndim)))
+    points[:, [names.index("k1t"), names.index("theta0")]] = 0.0
+    away = dict(zip([d.name for d in posterior.data], posterior.misfits(points)[0], strict=True))
+    assert abs(away["period (uncoupled)"]) < 2.0
+    assert abs(away["max_acceleration (coupled)"]) < 5.0
+    plain = posterior.misfits(posterior.coordinates.sampled(np.zeros((1, posterior.ndim))))[0]
+    assert max(abs(plain)) > 20.0  # where the middle of the prior is
+
+
+def test_densities_with_wider_errors_are_those_of_the_wider_distribution():
+    posterior = published_posterior("II", load_priors("thesis"))
+    misfits = np.array([[0.0, 1.0, -2.0, 30.0, 0.3, np.nan]])
+    found = posterior.densities(misfits, 4.0)[0]
+    scale = 4.0 * np.array([d.standard_error for d in posterior.data])
+    expected = stats.t.logpdf(misfits[0] * scale / 4.0, 2.0, scale=scale)
+    np.testing.assert_allclose(found[:5], expected[:5])
+    assert found[5] == -np.inf
 
 
 def test_with_data_that_say_nothing_the_posterior_is_the_prior():

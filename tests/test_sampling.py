@@ -15,7 +15,7 @@ from bayes_damper.errors import InputError, Interrupted
 from bayes_damper.sampling import StoppingRule, diagnose_draws, find_start, sample
 from bayes_damper.sampling.convergence import stranded_walkers
 from bayes_damper.sampling.moves import fit_mixture
-from bayes_damper.sampling.start import annealed_start, cloud, resampled_start
+from bayes_damper.sampling.start import Annealing, annealed_start, cloud, resampled_start
 
 
 class Gaussian:
@@ -96,6 +96,30 @@ def test_an_annealed_population_has_the_weights_and_shapes_of_both_modes():
     walkers, heights = cloud(lambda x: unit_normal(x) + two_narrow_modes(x), start, 64, np.random.default_rng(0))
     assert np.isfinite(heights).all()
     assert {tuple(w) for w in walkers} <= {tuple(p) for p in start.population}
+
+
+def test_annealing_by_shrinking_errors_has_the_share_of_a_narrow_mode_among_heavy_tails():
+    """Two coordinates, each measured with contradicting results and errors of Student's t: four modes."""
+    values, errors = np.array([1.0, -1.0, -1.2]), np.array([0.01, 0.3, 0.3])
+
+    def measure(points):
+        return ((points[:, :, None] - values) / errors).reshape(len(points), 6)
+
+    def height(misfits, part):
+        return -1.5 * np.log1p((part * misfits) ** 2 / 2.0).sum(axis=1)
+
+    x = np.linspace(-4.0, 4.0, 80001)[:, None]
+    density = np.exp(-0.5 * x[:, 0] ** 2 - 1.5 * np.log1p(((x - values) / errors) ** 2 / 2.0).sum(axis=1))
+    narrow = density[x[:, 0] > 0.9].sum() / density.sum()
+    shares = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        start = annealed_start(unit_normal, Annealing(measure, height), rng.standard_normal((1000, 2)), rng)
+        shares.append((start.population > 0.9).mean(axis=0))
+    error = np.std(shares, axis=0, ddof=1) / np.sqrt(len(shares))
+    assert 0.05 < narrow < 0.95
+    assert (error < 0.03).all()
+    assert (np.abs(np.mean(shares, axis=0) - narrow) < 4.0 * np.maximum(error, 0.01)).all()
 
 
 def test_annealing_without_any_finite_point_says_so():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from bayes_damper.fit.entry import (
     tell_priors,
     write_draws,
 )
-from bayes_damper.posterior import Coordinates, Datum, FeaturePosterior, damping_pairs
+from bayes_damper.posterior import Coordinates, Datum, FeaturePosterior, damping_pairs, feature_sheets
 from bayes_damper.priors import PriorSet, priors_from_dict
 from bayes_damper.published import load_published
 
@@ -32,8 +32,16 @@ def published_posterior(case: str, priors: PriorSet, normal_force: str = "linear
     """The posterior of one thesis case: six published numbers, priors of the thesis's rig."""
     published = load_published()
     data = [Datum(m.configuration, m.quantity, m.value, m.standard_error, m.n) for m in published.of_case(case)]
+    return feature_posterior(data, case, priors, normal_force)
+
+
+def feature_posterior(
+    data: Sequence[Datum], case: str, priors: PriorSet, normal_force: str = "linear"
+) -> FeaturePosterior:
+    """The posterior of one thesis case from any numbers in place of the published."""
     own = priors.for_case(case)
-    coordinates = Coordinates(own.free, own.fixed, own.tied, damping_pairs(own.medians()))
+    typical = own.medians()
+    coordinates = Coordinates(own.free, own.fixed, own.tied, damping_pairs(typical), feature_sheets(data, typical))
     return FeaturePosterior(data, coordinates, normal_force, case)
 
 

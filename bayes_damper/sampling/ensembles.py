@@ -40,6 +40,7 @@ Array = NDArray[np.float64]
 _FIRST_ROUND = 50  # steps
 _LONGEST_WARM_UP = 4000  # steps
 _TUNING = 200  # steps of warm-up after an annealed start
+_TAUS = 6  # of the latest round, that such a warm-up takes at least: a sample may have too much or too little of a mode
 _BLOCK = 25  # stored steps between two states
 _FEWEST_STORED = 75
 _LEARNT_FROM = 4000  # draws of a round
@@ -135,7 +136,7 @@ class _Ensemble:
     length: int = _FIRST_ROUND
     warm: bool = False
     weight: float = 0.0  # of the independence proposal
-    annealed: bool = False  # began as a sample of the posterior: nothing to forget, only proposals to tune
+    annealed: bool = False  # began as a sample of the posterior: little to forget, proposals to tune
     known: int = 0  # members of that sample
     shares: Array = field(default_factory=lambda: np.empty(0))  # of the mixture that was learnt
     centres: Array = field(default_factory=lambda: np.empty(0))
@@ -420,7 +421,7 @@ def _after_round(state: _Ensemble, chain: Array, heights: Array, moves: list[Hal
     elif state.last.size:
         weight = 0.3
     alike = state.last.size > 0 and _alike(state.last, figures)
-    settled = steps >= _tuning(weight) if state.annealed else alike and len(chain) >= 3 * tau
+    settled = steps >= max(_tuning(weight), _TAUS * ahead) if state.annealed else alike and len(chain) >= 3 * tau
     warm = (settled and state.weight > 0 and not lost) or steps >= _LONGEST_WARM_UP
     shares, centres, spreads = state.shares, state.centres, state.spreads
     if len(flat) / tau > state.known:  # else the start knew more than this round

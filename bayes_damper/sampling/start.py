@@ -7,7 +7,7 @@ here compares values about one nat apart and takes no derivative, so that a ragg
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from bayes_damper.sampling.moves import DifferentialEvolution, HalvesMove, Indep
 from bayes_damper.sampling.nearby import Nearby
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 LogDensity = Callable[[Array], Array]
 _PASSES = 3
 
@@ -75,9 +76,30 @@ def find_start(
     return Start(point, covariance, best, np.array(others).reshape(-1, ndim), counted.evaluations)
 
 
+@dataclass(frozen=True)
+class Annealing:
+    """How a likelihood comes to bear little by little.
+
+    measure : points (n, ndim) -> (n, k), what it takes to know of each point, computed once; height : that and a number
+    from 0 to 1 -> (n,), the log likelihood at 1, and up to a constant nothing but where it vanishes at 0.
+    """
+
+    measure: Callable[[Array], Array]
+    height: Callable[[Array, float], Array]
+
+    @staticmethod
+    def of_powers(log_likelihood: LogDensity) -> Annealing:
+        """The usual one: powers of the likelihood."""
+
+        def height(like: Array, power: float) -> Array:
+            return np.where(like[:, 0] > -np.inf, power * np.maximum(like[:, 0], -1e300), -np.inf)
+
+        return Annealing(lambda points: np.asarray(log_likelihood(points), dtype=float)[:, None], height)
+
+
 def annealed_start(
     log_prior: LogDensity,
-    log_likelihood: LogDensity,
+    likelihood: LogDensity | Annealing,
     draws: Array,
     rng: np.random.Generator,
     *,
@@ -85,12 +107,14 @@ def annealed_start(
     keep: float = 0.5,
     rounds: int = 4,
 ) -> Start:
-    """A population led from the prior to the posterior by raising the likelihood to powers from 0 to 1.
+    """A population led from the prior to the posterior by a likelihood that comes to bear little by little.
 
     For posteriors with several modes or long arms, where a cloud about one optimum would take long to find the rest.
-    Sequential Monte Carlo (Del Moral, Doucet & Jasra 2006, J. R. Statist. Soc. B 68, 411): each power is as much above
-    the last as leaves `keep` of the effective sample; then the population is resampled and every member moved `moves`
-    times by differential evolution and snooker steps. No member stays where the prior put it.
+    Sequential Monte Carlo (Del Moral, Doucet & Jasra 2006, J. R. Statist. Soc. B 68, 411): each step along the path
+    (powers of the likelihood from 0 to 1, unless another is given) is as long as leaves `keep` of the effective sample;
+    then the population is resampled and every member moved `moves` times, half of them by differential evolution and
+    snooker steps, half by a mixture fitted to the other half of the population, which leads from mode to mode and
+    steps as wide as a mode is. No member stays where the prior put it.
 
     At the posterior the population goes on for `rounds` of 2 `moves` steps, every other one drawn from a mixture fitted
     to what is there, which leads from any mode to any other. Where the population was after earlier rounds is kept too:
@@ -98,10 +122,21 @@ def annealed_start(
 
     Raises InputError when the likelihood is zero at all draws.
     """
-    counted = _Counted(log_likelihood)
+    path = likelihood if isinstance(likelihood, Annealing) else Annealing.of_powers(likelihood)
     points = np.array(draws, dtype=float)
     n, ndim = points.shape
-    like, prior = counted(points), np.asarray(log_prior(points), dtype=float)
+    known, prior = np.asarray(path.measure(points), dtype=float), np.asarray(log_prior(points), dtype=float)
+    evaluations, power = n, 0.0
+
+    def height(known: Array, power: float) -> Array:
+        value = path.height(known, power)
+        return np.where(np.isnan(value), -np.inf, value)
+
+    def gain(power: float) -> Array:
+        with np.errstate(invalid="ignore"):  # where the likelihood vanishes before and after
+            return height(known, power) - like
+
+    like = height(known, power)
     if not np.any(np.isfinite(like)):
         raise InputError(
             f"The likelihood is zero at all {n} points drawn from the prior: widen the prior, or look whether units or "
@@ -109,39 +144,54 @@ def annealed_start(
         )
     random = np.random.RandomState(rng.integers(2**32, dtype=np.uint64))
     proposals = (DifferentialEvolution(spread=0.3), DifferentialEvolution(0.5, spread=0.5), Snooker())
-    power = 0.0
 
-    def stir(move: HalvesMove) -> None:
+    def halves() -> tuple[tuple[Index, Index], tuple[Index, Index]]:
         order = random.permutation(n)
-        for moving, resting in ((order[: n // 2], order[n // 2 :]), (order[n // 2 :], order[: n // 2])):
+        first, second = order[: n // 2], order[n // 2 :]
+        return (first, second), (second, first)
+
+    def stir(move: HalvesMove, pairs: Iterable[tuple[Index, Index]]) -> None:
+        nonlocal evaluations
+        for moving, resting in pairs:
             tried, ratio = move.proposal(points[moving], points[resting], random)
-            new_like, new_prior = counted(tried), np.asarray(log_prior(tried), dtype=float)
-            gain = ratio + power * (new_like - like[moving]) + new_prior - prior[moving]
-            taken = gain > -random.standard_exponential(len(moving))
+            found, new_prior = np.asarray(path.measure(tried), dtype=float), np.asarray(log_prior(tried), dtype=float)
+            new_like = height(found, power)
+            evaluations += len(moving)
+            higher = ratio + new_like - like[moving] + new_prior - prior[moving]
+            taken = higher > -random.standard_exponential(len(moving))
             mine = moving[taken]
-            points[mine], like[mine], prior[mine] = tried[taken], new_like[taken], new_prior[taken]
+            points[mine], known[mine], like[mine], prior[mine] = (
+                tried[taken],
+                found[taken],
+                new_like[taken],
+                new_prior[taken],
+            )
 
     while power < 1.0:
-        step = _next_power(like, 1.0 - power, keep)
-        weight = np.exp(step * (like - like.max()))
-        power += step
+        power = _next_power(gain, power, keep)
+        risen, weight = height(known, power), _weights(gain(power))
         chosen = np.searchsorted(np.cumsum(weight / weight.sum()), (rng.random() + np.arange(n)) / n)
         chosen = rng.permutation(np.minimum(chosen, n - 1))
-        points, like, prior = points[chosen], like[chosen], prior[chosen]
-        for turn in range(moves):
-            stir(proposals[turn % len(proposals)])
+        points, known, like, prior = points[chosen], known[chosen], risen[chosen], prior[chosen]
+        for turn in range(moves // 2):
+            stir(proposals[turn % len(proposals)], halves())
+        for pair in halves():  # one that had learnt from the half it moves would leave the target
+            learnt = fit_mixture(points[pair[1]])
+            mix = (Nearby(*learnt), Independence(*learnt))
+            for turn in range(moves - moves // 2):
+                stir(mix[turn % 2], [pair])
     kept = [points.copy()]
     for _ in range(rounds):
         learnt = fit_mixture(np.concatenate(kept)[rng.permutation(len(kept) * n)])
         mix = (Independence(*learnt), Nearby(*learnt))
         for turn in range(2 * moves):
-            stir(mix[turn % 2] if turn % 4 < 3 else proposals[turn // 4 % len(proposals)])
+            stir(mix[turn % 2] if turn % 4 < 3 else proposals[turn // 4 % len(proposals)], halves())
         kept.append(points.copy())
-    height = like + prior
-    best = int(np.argmax(height))
+    total = like + prior
+    best = int(np.argmax(total))
     return Start(
-        points[best], np.cov(points.T).reshape(ndim, ndim), float(height[best]), np.empty((0, ndim)),
-        counted.evaluations, points, np.concatenate(kept[1:-1]) if rounds > 1 else np.empty((0, ndim)),
+        points[best], np.cov(points.T).reshape(ndim, ndim), float(total[best]), np.empty((0, ndim)),
+        evaluations, points, np.concatenate(kept[1:-1]) if rounds > 1 else np.empty((0, ndim)),
     )  # fmt: skip
 
 
@@ -200,21 +250,29 @@ def _normalised(log_weight: Array) -> tuple[Array, float]:
     return weight, float(1.0 / np.sum(weight**2))
 
 
-def _next_power(like: Array, most: float, keep: float) -> float:
-    """The step in the power of the likelihood that leaves a share `keep` of the effective sample."""
+def _weights(gain: Array) -> Array:
+    """exp(gain), the largest 1; 0 where the likelihood vanishes before and after."""
+    gain = np.where(np.isnan(gain), -np.inf, gain)
+    return np.asarray(np.exp(gain - gain.max()))
 
-    def share(step: float) -> float:
-        weight = np.exp(step * (like - like.max()))
-        return float(weight.sum() ** 2 / (weight**2).sum() / len(like))
 
-    if share(most) >= keep:
-        return most
-    low, high = 0.0, most
+def _next_power(gain: Callable[[float], Array], power: float, keep: float) -> float:
+    """The place on the path, from 0 to 1, that leaves a share `keep` of the effective sample, by what each member's
+    log likelihood gains on the way there.
+    """
+
+    def share(to: float) -> float:
+        weight = _weights(gain(to))
+        return float(weight.sum() ** 2 / (weight**2).sum() / len(weight))
+
+    if share(1.0) >= keep:
+        return 1.0
+    low, high = power, 1.0
     for _ in range(50):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if share(middle) > keep else (low, middle)
     # Where the likelihood vanishes for more than 1 - keep of the members no step is small enough: take a small one.
-    return max(low, min(most, 1e-6))
+    return min(1.0, max(low, power + 1e-6))
 
 
 def cloud(

@@ -24,11 +24,12 @@ from draws import SHORT, WALKERS, sampled, weighted
 from numpy.typing import NDArray
 
 from bayes_damper.calibration import Experiment, Switches, calibrate_nominal, problem
-from bayes_damper.fit import published_posterior
-from bayes_damper.posterior import Datum, FeaturePosterior
+from bayes_damper.fit.draw import search
+from bayes_damper.fit.published import feature_posterior, published_posterior
+from bayes_damper.posterior import Datum
 from bayes_damper.priors import load_priors
 from bayes_damper.record_posterior import RecordPosterior
-from bayes_damper.sampling import Sampling, annealed_start, diagnose_draws, sample
+from bayes_damper.sampling import Sampling, diagnose_draws, sample
 
 Array = NDArray[np.float64]
 SEED = 20261
@@ -148,34 +149,30 @@ def published(case: str, number: int) -> dict[str, Any]:
 
     Truths whose record lacks a feature are drawn again: the posterior gives them no weight either.
     """
-    base = published_posterior(case, load_priors("thesis"))
-    coordinates = base.coordinates
+    priors = load_priors("thesis")
+    base = published_posterior(case, priors)
     rng = np.random.default_rng([SEED, *case.encode(), number])
     while True:
-        point = coordinates.draw(rng, 1)
-        exact = base.predict(point)[0]
+        point = rng.standard_normal((1, base.ndim))
+        exact = base.predict(base.coordinates.sampled(point))[0]
         if np.isfinite(exact).all():
             break
     data = [
         Datum(d.configuration, d.quantity, float(x + d.standard_error * rng.standard_t(d.n - 1)), d.standard_error, d.n)
         for d, x in zip(base.data, exact, strict=True)
     ]
-    posterior = FeaturePosterior(data, coordinates, case=case)
-    start = annealed_start(
-        coordinates.log_prior,
-        lambda x: posterior.log_likelihood(x).sum(axis=1),
-        coordinates.draw(rng, POPULATION),
-        rng,
-    )
+    posterior = feature_posterior(data, case, priors)
+    coordinates = posterior.coordinates
+    start = search(posterior, rng, POPULATION)
     sampling = sample(
         posterior, start, seed=number, ensembles=1, walkers=WALKERS, rule=SHORT, monitor=coordinates.standard
     )
     flat = sampling.flat(ranks.DRAWS)
     standard = coordinates.standard(sampling.flat()).reshape(sampling.draws.shape)
-    truth = {name: float(x) for name, x in zip(posterior.names, coordinates.standard(point)[0], strict=True)}
+    truth = {name: float(x) for name, x in zip(posterior.names, point[0], strict=True)}
     drawn = dict(zip(posterior.names, coordinates.standard(flat).T, strict=True))
-    truth["log_prior"] = float(-0.5 * np.sum(coordinates.standard(point) ** 2))
+    truth["log_prior"] = float(-0.5 * np.sum(point**2))
     drawn["log_prior"] = -0.5 * np.sum(coordinates.standard(flat) ** 2, axis=1)
-    truth["log_likelihood"] = float(posterior.log_likelihood(point).sum())
+    truth["log_likelihood"] = float(posterior.log_likelihood(coordinates.sampled(point)).sum())
     drawn["log_likelihood"] = posterior.log_likelihood(flat).sum(axis=1)
     return {"ranks": _ranks(truth, drawn)} | _health(sampling, standard)
