@@ -10,7 +10,14 @@ adds is written as a torque, in which the accelerations are those of the true ma
 order. An effect's own torque takes part.
 
 The second link turns on the first, not on the ground: only the first has a bearing with drag to ground. Dry friction of
-the joint between the links is that of the interface; c3t is what the air adds.
+the joint between the links is that of the interface; c3t is what the air adds. The air feels the speed with which the
+second link moves through it, and the first one carries it:
+
+    v = w2 + b w1,    Q2 = -c3t v,    Q1 = -b c3t v,    b = (J12 / J2) cos(phi)
+
+J12 / J2 is the length of the first link over the distance of the second one's centre of percussion from its joint: v is
+the speed of that centre, across the link, over this distance. A drag along the link in proportion to its mass has
+exactly this Q2 and this cross term; what it adds to Q1 beyond is in proportion to w1 and belongs to c1t.
 """
 
 from __future__ import annotations
@@ -51,8 +58,9 @@ def _linked_torque(inner: Kernel, pendulum: bool, own_friction: bool) -> Kernel:
         without = rig.drag * tanh_scaled(TANH_SCALE * rig.nu * w2)  # no bearing to ground there
         across = rig.J12 * cos(th1 - th2)
         turning = rig.J12 * sin(th1 - th2)
-        f1 = tau1 + q1 - turning * w2 * w2
-        f2 = tau2 + without + q2 + turning * w1 * w1
+        lever = across / rig.J2
+        f1 = tau1 + q1 - turning * w2 * w2 - lever * rig.c3t * (w2 + lever * w1)
+        f2 = tau2 + without + q2 + turning * w1 * w1 - rig.c3t * lever * w1
         inverse = 1.0 / (rig.J1 * rig.J2 - across * across)
         a1 = (rig.J2 * f1 - across * f2) * inverse
         a2 = (rig.J1 * f2 - across * f1) * inverse
@@ -83,11 +91,29 @@ def _first_alone(inner: Kernel) -> Kernel:
     return torque
 
 
-def of_first_bearing(variant: Variant) -> Variant:
-    """The variant of an effect in the bearings on a rig of two links, which has one bearing to ground.
+@cache
+def _carried(inner: Kernel) -> Kernel:
+    """Torques of a drag of the air, the second link's at the speed that the first one adds to."""
 
-    Drag of the air acts on both links.
+    @lane
+    def torque(
+        t: float, th1: float, th2: float, w1: float, w2: float, z1: float, z2: float, p: Values, rig: Rig
+    ) -> tuple[float, float]:
+        lever = rig.J12 / rig.J2 * cos(th1 - th2)
+        q1, q2 = inner(t, th1, th2, w1, w2 + lever * w1, z1, z2, p, rig)
+        return q1 + lever * q2, q2
+
+    return torque
+
+
+def of_links(variant: Variant) -> Variant:
+    """The variant of an effect in the bearings on a rig of two links.
+
+    There is one bearing to ground, the first link's. Drag of the air acts on both links, and the first one carries the
+    second through it.
     """
-    if variant.torque is None or variant.in_air:
+    if variant.torque is None:
         return variant
+    if variant.in_air:
+        return replace(variant, torque=_carried(variant.torque), couples="all")
     return replace(variant, torque=_first_alone(variant.torque))

@@ -29,7 +29,7 @@ from bayes_damper.distributions import HalfNormal
 from bayes_damper.effects import REFERENCE, Scales, candidates, scaled
 from bayes_damper.effects.base import Effect, Variant
 from bayes_damper.forked import forked_map
-from bayes_damper.links import of_first_bearing
+from bayes_damper.links import of_links
 
 Array = NDArray[np.float64]
 
@@ -110,7 +110,7 @@ def offered(
     )
     pool = [(effect, scaled(variant, scales)) for effect in able.values() for variant in effect.variants]
     if experiment.coupling_law == "cosine":
-        pool = [(effect, of_first_bearing(v) if effect.site == "bearings" else v) for effect, v in pool]
+        pool = [(effect, of_links(v) if effect.site == "bearings" else v) for effect, v in pool]
     return [(effect, _with_smaller_starts(v)) for effect, v in pool] if experiment.start == "free" else pool
 
 
