@@ -87,12 +87,13 @@ def test_dry_friction_closes_the_gap_of_the_pendulum_on_unseen_trials(tmp_path: 
 
 @pytest.mark.slow
 def test_dry_friction_in_both_joints_forecasts_the_larger_swings(tmp_path: Path) -> None:
-    """mrad at 45 to 55 s: the state from the whole stretch, and from its first two periods, by the nominal model."""
+    """By the nominal model: at most what reference fits miss with the state of the whole stretch; mrad."""
     fit = calibrate_nominal(experiment(tmp_path, "double_pendulum"), nominal="nonlinear")
-    whole = 1e3 * float(np.sqrt(np.nanmean(predict(fit, [2])[2].residual ** 2)))
+    for stretch, reference in ((1, 1.09), (2, 3.1), (3, 30.5)):
+        assert 1e3 * float(np.sqrt(np.nanmean(predict(fit, [stretch])[stretch].residual ** 2))) < reference
+    assert 1e3 * float(np.sqrt(np.nanmean(predict(fit, [2])[2].residual ** 2))) < 2.3
     ahead = 1e3 * float(np.sqrt(np.nanmean(forecast(fit, [2])[2].miss ** 2)))
-    assert whole < 4.2
-    assert ahead < 7.0
+    assert ahead < 4.2
     assert "drag" in fit.parameters
 
 
