@@ -370,9 +370,9 @@ def _pairs_alone(
         return []
     seconds = seconds_of(leader, fit, pool, workers)
     pairs = best_pairs(fit, found, pool, seconds, workers=workers, least=-math.inf)
-    # Over many periods two effects change a record by far more than the sum of what each changes.
-    pairs[:JUDGED_PAIRS] = [exactly(fit, p, found) for p in pairs[:JUDGED_PAIRS]]
-    return corroborated_pairs(fit, pairs)
+    # Over many periods two effects change a record by far more than the sum of what each changes, and fits of the sum
+    # do not even tell the best pair.
+    return corroborated_pairs(fit, [exactly(fit, p, found) for p in pairs])
 
 
 def _at(found: SiteMap, sites: Collection[str]) -> float:
