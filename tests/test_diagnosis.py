@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from test_calibration import RIG, TRUE, make_experiment
 from bayes_damper import integrator
 from bayes_damper.calibration import Experiment, Problem, TrialRecord, calibrate, calibrate_nominal, coordinate_of
 from bayes_damper.diagnose import _estimated, _maps, _shown_record, named_answers
-from bayes_damper.diagnosis import diagnose
+from bayes_damper.diagnosis import diagnose, pipeline
 from bayes_damper.diagnosis.lone import corroborated, held_out_gain, left_of_squares
 from bayes_damper.diagnosis.outliers import outlying, told, without
 from bayes_damper.diagnosis.pairs import ComposedProblem, PairProblem, pair_problem
@@ -437,6 +437,27 @@ def test_an_effect_counts_no_more_than_held_out_readings_gain():
     best, other = corroborated(nominal, rows)
     assert best.fit is fit
     assert other.log_evidence < 0.0
+
+
+def test_without_repeats_the_third_pair_by_its_sum_may_be_the_first_by_its_composed_formula(monkeypatch):
+    """Over many periods the sum of two changes ranks pairs wrongly, so all that are fitted are composed."""
+
+    @dataclass
+    class Stub:
+        fit: object
+        effect: object = None
+        log_evidence: float = 0.0
+
+    by_sum, composed = (31.0, 29.0, 28.0, 27.0), (31.0, 29.0, 37.0, 27.5)
+    pairs = [Stub(k, log_evidence=z) for k, z in enumerate(by_sum)]
+    monkeypatch.setattr(pipeline, "left_alone", lambda *_: Left(100.0, 0.5, lone=True))
+    monkeypatch.setattr(pipeline, "seconds_of", lambda *_: [])
+    monkeypatch.setattr(pipeline, "best_pairs", lambda *_, **__: list(pairs))
+    monkeypatch.setattr(pipeline, "exactly", lambda _, p, __: replace(p, log_evidence=composed[p.fit]))
+    monkeypatch.setattr(pipeline, "corroborated_pairs", lambda _, rows: sorted(rows, key=lambda p: -p.log_evidence))
+    found = pipeline._pairs_alone(None, [Stub("a fit")], [], 1)
+    assert [p.fit for p in found] == [2, 0, 1, 3]
+    assert found[0].log_evidence == 37.0
 
 
 def test_records_that_begin_in_motion_try_weak_effects_too():
