@@ -205,6 +205,17 @@ def test_a_lag_of_less_than_a_sample_screens_as_well_as_it_fits():
     assert max(s.gain for s in screens) > 0.8 * fitted
 
 
+def test_a_late_primary_from_which_the_release_was_read_is_an_early_secondary():
+    """Triggers up to 1 ms late, the primary 0.4 ms behind: the first reading of some is "not released yet"."""
+    delay = EFFECTS["sensor_delay"]
+    fit = calibrate_nominal(measured(5, effect=delay.variant("channel1"), values={"time": 4e-4}, late=1e-3, repeats=4))
+    found = {}
+    for name in ("channel1", "channel2_early"):
+        formula = delay.variant(name)
+        found[name] = fit_variant(fit, delay, formula, screen_variant(Screen(fit), formula), 1).log_evidence
+    assert found["channel2_early"] > max(40.0, found["channel1"] + 20.0)
+
+
 def test_a_faint_effect_is_screened_where_it_would_just_be_seen():
     """A play of a tenth of a milliradian, constants known to 2 %: five times as much tells little of it."""
     backlash = EFFECTS["coupling_backlash"]

@@ -1,6 +1,7 @@
 """One channel lags behind the other.
 
     m(t) = y(t - T)    on channel 1 or on channel 2
+    m2(t) = y2(t + T)  where the instant of the release is told by a late channel 1
 
 Source: Wilson (2005), Sensor Technology Handbook, ch. 4 (a multiplexed converter reads one channel after the other).
 """
@@ -22,6 +23,11 @@ def channel1(p: Mapping[str, Any]) -> tuple[Any, Any]:
 def channel2(p: Mapping[str, Any]) -> tuple[Any, Any]:
     """The secondary's channel is late."""
     return 0.0, p["time"]
+
+
+def channel2_early(p: Mapping[str, Any]) -> tuple[Any, Any]:
+    """The primary's channel is late, and the instant of the release was read from it: so the secondary's is early."""
+    return 0.0, -p["time"]
 
 
 PARAMETERS = (
@@ -55,6 +61,14 @@ EFFECT = Effect(
             formula="m2(t) = y2(t - T)",
             parameters=PARAMETERS,
             lag=channel2,
+            starts=STARTS,
+            uncoupled=False,
+        ),
+        Variant(
+            name="channel2_early",
+            formula="m2(t) = y2(t + T)",
+            parameters=PARAMETERS,
+            lag=channel2_early,
             starts=STARTS,
             uncoupled=False,
         ),
