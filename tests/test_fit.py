@@ -22,12 +22,14 @@ from bayes_damper.demo import demo
 from bayes_damper.effects import EFFECTS
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.fit import DRAWN, WARM, expected_steps, fit, plan_fit, published_posterior, sampled, start_run
+from bayes_damper.fit.draw import search
+from bayes_damper.fit.published import feature_posterior
 from bayes_damper.model import Model
-from bayes_damper.posterior import Datum, FeaturePosterior
+from bayes_damper.posterior import Datum
 from bayes_damper.priors import load_priors
 from bayes_damper.resume import resume
 from bayes_damper.run import write_json
-from bayes_damper.sampling import Progress, StoppingRule, annealed_start
+from bayes_damper.sampling import Progress, StoppingRule
 from tests.test_sampling import Gaussian, start_of
 
 TRUTH = {"mu": 0.006, "k2t": 1.5, "c2t": 0.05, "drag": 0.004, "nu": 40.0, "c1t": 0.01, "c3t": 0.008}
@@ -312,33 +314,26 @@ def test_another_plan_is_refused_with_every_difference(tmp_path):
 @pytest.mark.slow
 def test_features_drawn_from_the_model_are_recovered_at_the_stated_rate():
     """Parameters drawn from the prior lie in their 90 % intervals nine times in ten, over many synthetic theses."""
-    base = published_posterior("IV", load_priors("thesis"))
-    coordinates = base.coordinates
+    priors = load_priors("thesis")
+    base = published_posterior("IV", priors)
     rng = np.random.default_rng(11)
-    hits, trials = np.zeros(coordinates.ndim), 0
+    hits, trials = np.zeros(base.ndim), 0
     while trials < 24:
-        point = coordinates.draw(rng, 1)
-        truth = base.predict(point)[0]
+        z = rng.standard_normal(base.ndim)
+        truth = base.predict(base.coordinates.sampled(z[None]))[0]
         if not np.isfinite(truth).all():
             continue
         data = [
             Datum(d.configuration, d.quantity, float(m + d.standard_error * rng.standard_t(2)), d.standard_error)
             for d, m in zip(base.data, truth, strict=True)
         ]
-        posterior = FeaturePosterior(data, coordinates)
-        start = annealed_start(
-            coordinates.log_prior,
-            lambda x, p=posterior: p.log_likelihood(x).sum(axis=1),
-            coordinates.draw(rng, 512),
-            rng,
-            rounds=1,
-        )
-        z, drawn = coordinates.standard(point)[0], coordinates.standard(start.population)
+        posterior = feature_posterior(data, "IV", priors)
+        drawn = posterior.coordinates.standard(search(posterior, rng, 512).population)
         low, high = np.quantile(drawn, [0.05, 0.95], axis=0)
         hits += (z >= low) & (z <= high)
         trials += 1
     total = hits.sum()
-    n = trials * coordinates.ndim
+    n = trials * base.ndim
     # Parameters of one posterior are not independent: half of the trials is taken as the effective number.
     assert binom.ppf(0.001, n // 2, 0.9) / (n // 2) <= total / n <= binom.ppf(0.999, n // 2, 0.9) / (n // 2)
 
