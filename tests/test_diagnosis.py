@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,10 +16,10 @@ from test_calibration import RIG, TRUE, make_experiment
 from bayes_damper import integrator
 from bayes_damper.calibration import Experiment, Problem, TrialRecord, calibrate, calibrate_nominal, coordinate_of
 from bayes_damper.diagnose import _estimated, _maps, _shown_record, named_answers
-from bayes_damper.diagnosis import diagnose, pipeline
+from bayes_damper.diagnosis import diagnose, pairs, pipeline
 from bayes_damper.diagnosis.lone import corroborated, held_out_gain, left_of_squares
 from bayes_damper.diagnosis.outliers import outlying, told, without
-from bayes_damper.diagnosis.pairs import ComposedProblem, PairProblem, pair_problem
+from bayes_damper.diagnosis.pairs import ComposedProblem, PairProblem, Second, best_pairs, pair_problem
 from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of
 from bayes_damper.diagnosis.search import Candidate, Screen, fainter, fit_variant, offered, scales_of, screen_variant
 from bayes_damper.diagnosis.sensitivity import Quadratic
@@ -460,15 +461,43 @@ def test_without_repeats_the_third_pair_by_its_sum_may_be_the_first_by_its_compo
         log_evidence: float = 0.0
 
     by_sum, composed = (31.0, 29.0, 28.0, 27.0), (31.0, 29.0, 37.0, 27.5)
-    pairs = [Stub(k, log_evidence=z) for k, z in enumerate(by_sum)]
+    rows = [Stub(k, log_evidence=z) for k, z in enumerate(by_sum)]
     monkeypatch.setattr(pipeline, "left_alone", lambda *_: Left(100.0, 0.5, lone=True))
     monkeypatch.setattr(pipeline, "seconds_of", lambda *_: [])
-    monkeypatch.setattr(pipeline, "best_pairs", lambda *_, **__: list(pairs))
+    monkeypatch.setattr(pipeline, "best_pairs", lambda *_, **__: list(rows))
     monkeypatch.setattr(pipeline, "exactly", lambda _, p, __: replace(p, log_evidence=composed[p.fit]))
-    monkeypatch.setattr(pipeline, "corroborated_pairs", lambda _, rows: sorted(rows, key=lambda p: -p.log_evidence))
+    monkeypatch.setattr(pipeline, "corroborated_pairs", lambda _, found: sorted(found, key=lambda p: -p.log_evidence))
     found = pipeline._pairs_alone(None, [Stub("a fit")], [], 1)
     assert [p.fit for p in found] == [2, 0, 1, 3]
     assert found[0].log_evidence == 37.0
+
+
+def test_pairs_are_fitted_in_the_order_of_evidence_and_prior(monkeypatch):
+    """Both dry frictions at once are the usual nonlinear model, and as likely beforehand as a single effect."""
+
+    def second(name, gain):
+        fit = Candidate(EFFECTS["interface_friction"], EFFECTS["interface_friction"].variants[0], (), None, 30.0)
+        row = SimpleNamespace(log_evidence=gain)
+        return Second(fit, EFFECTS[name], EFFECTS[name].variants[0], row)
+
+    fitted = []
+
+    def record(_, rows, __):
+        fitted.extend(s.effect.name for s in rows)
+        return [None for _ in rows]
+
+    monkeypatch.setattr(pairs, "forked_map", record)
+    monkeypatch.setattr(pairs, "pair_problem", lambda *_: None)
+    monkeypatch.setattr(pairs, "restored", lambda *_: None)
+    monkeypatch.setattr(pairs, "_pair", lambda *_: None)
+    known = [second("inertia_error", 3.0), second("sensor_gain", 2.0), second("bearing_drag", -1.0)]
+    nominal = SimpleNamespace(problem=None)
+    assert best_pairs(nominal, [], [], known, most=2, least=-math.inf) == []
+    assert fitted == ["bearing_drag", "inertia_error"]
+    fitted.clear()
+    known[2] = second("bearing_drag", -3.0)
+    best_pairs(nominal, [], [], known, most=2, least=-math.inf)
+    assert fitted == ["inertia_error", "sensor_gain"]
 
 
 def test_records_that_begin_in_motion_try_weak_effects_too():

@@ -36,6 +36,7 @@ from bayes_damper.diagnosis.search import (
     screen_column,
     start_points,
 )
+from bayes_damper.diagnosis.verdict import pair_log_prior
 from bayes_damper.effects.base import Effect, Variant
 from bayes_damper.forked import forked_map
 
@@ -266,7 +267,7 @@ def best_pairs(
     most: int = MOST_PAIRS,
     least: float = LEAST_GAIN,
 ) -> list[Pair]:
-    """Pairs fitted in full, best first.
+    """Pairs fitted in full, the most probable first: by evidence and prior.
 
     known : second effects screened already, against one of the leaders; most : pairs that are fitted; least : nats that
     the screening must promise of the second effect.
@@ -276,7 +277,7 @@ def best_pairs(
 
     rows = [*known, *(s for leader in leaders for s in seconds_of(leader, nominal, pool, workers))]
     chosen: dict[frozenset[str], Second] = {}
-    for s in sorted(rows, key=lambda s: -s.log_evidence):
+    for s in sorted(rows, key=lambda s: -s.log_evidence - pair_log_prior((s.first.effect.name, s.effect.name))):
         if s.gain > least:
             chosen.setdefault(frozenset((s.first.effect.name, s.effect.name)), s)
     picked = list(chosen.values())[:most]
@@ -287,7 +288,7 @@ def best_pairs(
     for s, kept in zip(picked, essences, strict=True):
         fit = restored(pair_problem(nominal.problem, s.first.variant, s.variant), kept)
         pairs.append(_pair(nominal, ((s.first.effect, s.first.variant), (s.effect, s.variant)), fit, single))
-    return sorted((p for p in pairs if p is not None), key=lambda p: -p.log_evidence)
+    return sorted((p for p in pairs if p is not None), key=lambda p: -p.log_evidence - pair_log_prior(p.effects))
 
 
 def _fitted(nominal: Calibration, s: Second, found: Sequence[Candidate]) -> Calibration:

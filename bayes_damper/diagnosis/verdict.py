@@ -169,6 +169,17 @@ def _logistic(x: float) -> float:
     return 1.0 / (1.0 + math.exp(-max(min(x, 60.0), -60.0)))
 
 
+def _prior_of_one(among: int) -> float:
+    """Prior probability of one effect among so many candidates."""
+    return (1.0 - PRIOR_NONE - PRIOR_UNKNOWN - PRIOR_PAIRS) / among
+
+
+def pair_log_prior(effects: Collection[str], among: int = USUAL) -> float:
+    """Logarithm of the prior probability of a pair of effects among so many candidates."""
+    one = set(effects) == FRICTIONS
+    return math.log(_prior_of_one(among) if one else 2.0 * PRIOR_PAIRS / (among * (among - 1.0)))
+
+
 def foreign(left: Left, evidence: float, rule: Rule = RULE, easy: bool = False) -> float:
     """Probability that what an answer explains is the work of a cause outside the library.
 
@@ -209,7 +220,7 @@ def weigh(
     """
     names = [n for n, z in evidence.items() if math.isfinite(z)]
     among = max(len(evidence), USUAL)
-    each = (1.0 - PRIOR_NONE - PRIOR_UNKNOWN - PRIOR_PAIRS) / among
+    each = _prior_of_one(among)
     temperature = 1.0 + max(0.0, excess) / (rule.tempering * 20.0)
     temperature *= 1.0 + rule.shape_readings / max(after.readings, 1e-9)
     best = max((evidence[n] for n in names), default=0.0)
@@ -222,8 +233,7 @@ def weigh(
     left: dict[str | tuple[str, str], Left] = {"none": before}
     for effects, value, remains in pairs:
         paid = value - (0.0 if remains.exact else mending * max(best, 0.0))
-        prior = each if set(effects) == FRICTIONS else 2.0 * PRIOR_PAIRS / (among * (among - 1.0))
-        log_w[effects] = math.log(prior) + paid / temperature
+        log_w[effects] = pair_log_prior(effects, among) + paid / temperature
         left[effects] = remains
     top = max(log_w.values())
     weights = {n: math.exp(v - top) for n, v in log_w.items()}
