@@ -20,17 +20,19 @@ from bayes_damper.run import WAITING, read_json, write_json
 from bayes_damper.variability import answer, variability
 from bayes_damper.variability.decomposition import CaseDraws, Sets, decompose
 from bayes_damper.variability.equivalent import TIMES, bearing_damping, equivalent, fit_linear, linear_record
+from bayes_damper.variability.guide import Guide
 from bayes_damper.variability.pooling import (
     POOLINGS,
     CaseLikelihood,
     GaussianCase,
     GaussianHierarchy,
     Hierarchy,
+    Tilted,
     recycle,
 )
 from bayes_damper.variability.published import PublishedCases, run_pooling
 from bayes_damper.variability.recorded import RecordedCases
-from bayes_damper.variability.tempering import temper
+from bayes_damper.variability.tempering import move_on, temper
 from tests.test_fit import _campaign
 
 NAMES = ("a", "b", "c", "J", "own")
@@ -156,6 +158,51 @@ def test_refresh_of_the_prior_gives_the_prior():
     assert points.std(axis=0) == pytest.approx(np.ones(hierarchy.ndim), abs=0.06)
 
 
+def test_guided_steps_keep_a_bent_ridge():
+    """Steps in x given y, learnt from other places of a banana, leave its conditional moments as they are."""
+    rng = np.random.default_rng(14)
+
+    def places(n):
+        y, x = rng.standard_normal(n), rng.standard_normal(n)
+        return np.stack([x, x**2 + 0.5 * y + 0.1 * rng.standard_normal(n), y], axis=1)
+
+    def log_density(p):
+        return -0.5 * (p[:, 0] ** 2 + ((p[:, 1] - p[:, 0] ** 2 - 0.5 * p[:, 2]) / 0.1) ** 2)
+
+    guide, points = Guide(places(4000), 2), places(4000)
+    begin, accepted = points.copy(), []
+    for i in range(40):
+        there, correction = (guide.step if i % 2 else guide.draw)(points[:, :2], points[:, 2:], rng)
+        new = np.concatenate([there, points[:, 2:]], axis=1)
+        taken = np.log(rng.random(len(points))) < log_density(new) - log_density(points) + correction
+        points = np.where(taken[:, None], new, points)
+        accepted.append(taken.mean())
+    assert np.mean(accepted) > 0.25
+    assert abs(np.corrcoef(begin[:, 0], points[:, 0])[0, 1]) < 0.2
+    assert points[:, 0].mean() == pytest.approx(0.0, abs=0.07)
+    assert points[:, 0].std() == pytest.approx(1.0, abs=0.06)
+    left = points[:, 1] - points[:, 0] ** 2 - 0.5 * points[:, 2]
+    assert left.mean() == pytest.approx(0.0, abs=0.01)
+    assert left.std() == pytest.approx(0.1, rel=0.06)
+
+
+def test_repeats_of_a_sharp_hierarchy_agree_within_their_error():
+    """Four sharp readings of five unknowns a case, so that the posterior is thin: the rule for repeats is kept."""
+    rng = np.random.default_rng(21)
+    _, likelihoods, _ = linear_cases(rng, "half", sharpness=20.0, readings=4)
+    hierarchy = Hierarchy(likelihoods, "partial", POOLED, COMMON)
+    found = [temper(hierarchy, np.random.default_rng(k), 96, kept=16) for k in range(2)]
+    unknowns = [hierarchy.unknowns(f.points) for f in found]
+    assert unknowns[0].shape == (96 * 16, 4 * 3 + 2 * 3 + 1) == (len(found[0].log_likelihood), len(hierarchy.labels))
+    means = np.array([x.mean(axis=0) for x in unknowns])
+    apart = np.abs(means[0] - means[1]) / np.sqrt(np.mean([x.var(axis=0) for x in unknowns], axis=0))
+    assert np.sqrt(np.mean(apart**2)) < answer._APART
+    assert abs(found[0].log_z - found[1].log_z) < 5.0 * (found[0].error + found[1].error)
+    alone = temper(hierarchy, np.random.default_rng(0), 96, settle=False)
+    assert alone.log_z == found[0].log_z
+    assert alone.stages == found[0].stages - 1
+
+
 def test_recycled_draws_agree_with_direct_sampling():
     rng = np.random.default_rng(7)
     _, likelihoods, draws = linear_cases(rng, "separate", sharpness=1.5)
@@ -183,6 +230,43 @@ def test_more_draws_are_taken_where_few_cannot_be_trusted():
     assert found.reliable
     assert found.used == 1500
     assert min(found.ess.values()) > 10.0 * min(few.ess.values())
+
+
+def test_draws_that_are_too_few_are_moved_on_towards_the_populations():
+    """Of draws that hold next to none of a narrow population, none of what they lack is made up: the case is asked."""
+    rng = np.random.default_rng(12)
+    gaussians, likelihoods, draws = linear_cases(rng, "shared", sharpness=0.5, cases=6)
+    draws = {name: np.repeat(z[:100], 3, axis=0) for name, z in draws.items()}  # as of a chain that stays
+    own = {c.name: Hierarchy([c], "separate", POOLED) for c in likelihoods}
+
+    def again(case, tilt):
+        g = gaussians[int(case)]
+        whole = rng.multivariate_normal(g.mean, g.covariance, 4000)
+        share = np.exp(tilt(whole[:, :3]))
+        start = whole[rng.choice(4000, 400, p=share / share.sum())]
+        return own[case].values(move_on(Tilted(own[case], tilt), start, whole, rng), 0)
+
+    few = recycle(draws, np.random.default_rng(2), 96)
+    found = recycle(draws, np.random.default_rng(2), 96, again=again)
+    assert not few.reliable
+    assert not few.moved
+    assert found.reliable
+    assert found.moved
+    assert min(found.ess_of_one.values()) > 5.0 * min(few.ess_of_one.values())
+    exact = GaussianHierarchy(gaussians, POOLED).direct(rng, 512)
+    assert found.log_z == pytest.approx(exact.log_z, abs=0.6)
+    assert found.scatter.mean(axis=0) == pytest.approx(exact.scatter.mean(axis=0), abs=0.1)
+    for case, z in found.values.items():
+        assert z.mean(axis=0) == pytest.approx(exact.values[case].mean(axis=0), abs=0.4 * z.std(axis=0).max())
+
+
+def test_a_place_that_a_chain_does_not_leave_is_one_draw():
+    rng = np.random.default_rng(9)
+    draws = {str(i): 0.7 * rng.standard_normal((200, 2)) for i in range(3)}
+    once = recycle(draws, np.random.default_rng(1), 64)
+    often = recycle({name: np.repeat(z, 5, axis=0) for name, z in draws.items()}, np.random.default_rng(1), 64)
+    assert often.ess_of_one == pytest.approx(once.ess_of_one, rel=1e-9)
+    assert often.log_z == pytest.approx(once.log_z, abs=1e-9)
 
 
 def test_weights_that_rest_on_few_draws_are_called_unreliable():
@@ -484,7 +568,7 @@ def test_a_case_is_as_uncertain_as_in_its_fit_where_the_model_misses_something(t
     cases = RecordedCases(plan)
     names = cases.fits["IV"].problem.names
     known = np.sqrt(np.diag(cases.fits["IV"].covariance))[[names.index(name) for name in cases.pooled]]
-    drawn = answer._fit_draws(tmp_path / "fit", plan, cases)["IV"].std(axis=0)
+    drawn = answer._fit_draws(tmp_path / "fit", plan, cases, lambda _: cases.pooled)["IV"].std(axis=0)
     ratio = dict(zip(cases.pooled, known / drawn, strict=True))
     assert all(0.6 < x < 1.7 for x in ratio.values()), ratio
 
@@ -548,6 +632,31 @@ def test_hierarchy_gives_each_case_the_likelihood_of_its_posterior():
         assert values["mu"] == pytest.approx(first["mu"])
         assert values["J1"] == pytest.approx(first["J1"])
     assert np.std(found, axis=1).min() > 0.0
+
+
+@pytest.mark.parametrize("pooling", POOLINGS)
+@pytest.mark.parametrize("own", [False, True])
+def test_scalings_change_no_reading_and_keep_the_prior(pooling, own):
+    """All torques with the inertias, and friction as a product: the likelihood stays, the prior is kept."""
+    cases = PublishedCases(PublishedCases.default_plan())
+    hierarchy = cases.hierarchy(pooling, own_constants=own)
+    assert len(hierarchy.scalings) == (0 if own and pooling == "shared" else 3)
+    rng = np.random.default_rng(15)
+    points = rng.standard_normal((24, hierarchy.ndim)) * 0.4
+    moved = points
+    for each in hierarchy.scalings:
+        for together in [range(4)] if not own else [[c] for c in range(4)]:
+            moved = hierarchy._scaled(moved, each, 0.05, together, rng)
+    before, after = (hierarchy.log_likelihood(x, np.arange(4)) for x in (points, moved))
+    assert after == pytest.approx(before, rel=1e-6, abs=1e-6)
+    if hierarchy.scalings:
+        assert np.mean(np.any(moved != points, axis=1)) > 0.5
+    points = rng.standard_normal((3000, hierarchy.ndim))
+    moved = points
+    for _ in range(4):
+        moved = hierarchy.refresh(moved, rng)
+    assert np.abs(moved.mean(axis=0)).max() < 0.1
+    assert moved.std(axis=0) == pytest.approx(np.ones(hierarchy.ndim), abs=0.07)
 
 
 class StopsIn:

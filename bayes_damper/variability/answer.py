@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,7 @@ _LARGEST_SPREAD = 1.5
 _APART = 0.3
 """Standard deviations by which the means of repeated runs may differ (root mean square over the unknowns) before they
 are made again with more particles: at this value the two rest on some 20 independent draws each."""
+_FEWEST_PARTICLES = 32
 _MORE, _MOST_PARTICLES = 4, 1024
 """Factor by which the particles then grow, and up to how many."""
 
@@ -116,7 +117,7 @@ def variability(
     Interrupted
         after Ctrl-C.
     """
-    if particles < 32 or repeats < 1 or draws < 8:
+    if particles < _FEWEST_PARTICLES or repeats < 1 or draws < 8:
         raise InputError("variability needs at least 32 particles, 1 repeat and 8 draws; raise those that are below")
     plan, fitted = _read_fit(folder)
     target = Path(out) if out is not None else fitted or Path("results/variability")
@@ -129,16 +130,26 @@ def variability(
         runs, chosen = _run_published(cases, settings, work, unseen, adapt, workers, scheduler, progress)
         models, published_sets = cases.models(runs, chosen, work, rng, draws)
         sets: Sets | None = published_sets
-        draws_of = _fit_draws(fitted, plan, cases) if fitted is not None else cases.own_draws(work, repeats)
+        whole = (
+            _fit_draws(fitted, plan, cases, lambda case: cases.posteriors[case].names)
+            if fitted is not None
+            else cases.own_draws(work, repeats)
+        )
+        draws_of = {case: z[:, cases.columns(case)] for case, z in whole.items()}
+        again = cases.again(whole, rng)
         direct = cases.direct(runs, chosen, work, repeats)
-        particles = len(direct.mean) // repeats  # the weights deserve as many as what they are held against
+        particles = runs[chosen["partial-own"][0]]["particles"]  # as many as what they are held against
     else:
         models, sets = cases.models(rng, particles, draws)
         draws_of = {
-            case: cases.reweighted(case, z, rng) for case, z in _fit_draws(fitted or target, plan, cases).items()
+            case: cases.reweighted(case, z, rng)
+            for case, z in _fit_draws(fitted or target, plan, cases, lambda _: cases.pooled).items()
         }
+        again = None
         direct = cases.direct(rng, particles)
-    check = _agreement(recycle(draws_of, rng, particles), direct, cases.pooled, cases.priors(cases.names[0]))
+    check = _agreement(
+        recycle(draws_of, rng, particles, again=again), direct, cases.pooled, cases.priors(cases.names[0])
+    )
     found = None if sets is None else decompose(sets)
     _add_probabilities(models)
     fit_converged = bool(plan.get("fit_converged", True))
@@ -259,7 +270,7 @@ def _run_published(
     tasks = [task for key in keys for task in with_all(key, base)]
     chosen = {key: [task.name for task in with_all(key, base)] for key in keys}
     tasks += [
-        pooled(f"{pooling}-without-{case}-0", pooling, case, 0, base)
+        pooled(f"{pooling}-without-{case}-0", pooling, case, 0, max(base // 2, _FEWEST_PARTICLES))
         for pooling in POOLINGS
         for case in cases.names
         if unseen
@@ -287,8 +298,10 @@ def _run_published(
     return runs, chosen
 
 
-def _fit_draws(folder: Path, plan: Mapping[str, Any], cases: PublishedCases | RecordedCases) -> dict[str, Array]:
-    """The fit's draws of each case in standard coordinates: case -> (n, pooled), spread over the whole chain."""
+def _fit_draws(
+    folder: Path, plan: Mapping[str, Any], cases: PublishedCases | RecordedCases, names: Callable[[str], Sequence[str]]
+) -> dict[str, Array]:
+    """The fit's draws of some parameters in standard coordinates: case -> (n, names), spread over the whole chain."""
     out = {}
     for case in plan["cases"]:
         file = folder / folder_name(case) / "posterior.nc"
@@ -296,7 +309,7 @@ def _fit_draws(folder: Path, plan: Mapping[str, Any], cases: PublishedCases | Re
             raise InputError(f"{file}: is missing; run `bayes-damper fit` again")
         posterior = arviz_adapter.read(file)["posterior"]
         priors = cases.priors(case)
-        columns = [to_standard(priors[name], np.asarray(posterior[name].values).ravel()) for name in cases.pooled]
+        columns = [to_standard(priors[name], np.asarray(posterior[name].values).ravel()) for name in names(case)]
         z = np.stack(columns, axis=1)
         out[case] = z[np.linspace(0, len(z) - 1, min(len(z), _RECYCLED_DRAWS)).round().astype(int)]
     return out
@@ -339,6 +352,7 @@ def _agreement(
         "pareto_k": dict(recycled.pareto_k),
         "ess_of_one_population": dict(recycled.ess_of_one),
         "draws": recycled.used,
+        "drawn_again": recycled.moved,
         "reliable": recycled.reliable,
         "log_evidence_over_separate": recycled.log_z,
         "error": recycled.error,
@@ -391,23 +405,33 @@ def _sentences(result: Mapping[str, Any], fit_converged: bool) -> list[str]:
             f"Particles moved slowly ({', '.join(slow)}): the errors of the evidence are too small by an unknown "
             "factor; raise particles and repeats, and look at the spread."
         )
+    known = [m["repeats_apart_sd"] for m in models.values() if m.get("repeats_apart_sd") is not None]
+    if known:
+        one = models["partial"]
+        out.append(
+            f"Means of repeated runs differ by {max(known):.2f} of their standard deviations at most (root mean square "
+            f"over the unknowns); those of {MEANING['partial']} have a Monte Carlo error of "
+            f"{one['monte_carlo_error_sd']:.2f} standard deviations (at most "
+            f"{one['largest_monte_carlo_error_sd']:.2f}, {one['largest_monte_carlo_error_at']})."
+        )
     worst = max(check["pareto_k"].values())
     k = (
         f"effective draws {min(check['ess'].values()):.0f} or more, {min(check['ess_of_one_population'].values()):.0f} "
         f"under one population, Pareto k at most {worst:.2f}"
     )
+    again = "moved on towards the populations and used" if check["drawn_again"] else "used again"
     if not check["reliable"]:
-        out.append(f"The fit's draws used again by weights cannot be trusted here ({k}): the direct runs count.")
+        out.append(f"The fit's draws {again} by weights cannot be trusted here ({k}): the direct runs count.")
     elif check["agree"]:
-        out.append(f"The fit's draws used again by weights ({k}) agree with the direct way.")
+        out.append(f"The fit's draws {again} by weights ({k}) agree with the direct way.")
     elif check["direct_repeats_apart_sd"] > _APART:
         out.append(
-            f"The fit's draws used again by weights ({k}) cannot be held against the direct way, whose own repeats "
+            f"The fit's draws {again} by weights ({k}) cannot be held against the direct way, whose own repeats "
             f"differ by {check['direct_repeats_apart_sd']:.2f} standard deviations: raise particles."
         )
     else:
         out.append(
-            f"The fit's draws used again by weights ({k}) differ from the direct way by "
+            f"The fit's draws {again} by weights ({k}) differ from the direct way by "
             f"{check['largest_difference_sd']:.2f} standard deviations in {check['largest_at']}."
         )
     decomposition: Mapping[str, Any] = result["decomposition"] or {}

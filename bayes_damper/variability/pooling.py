@@ -13,8 +13,8 @@ have one value for all cases in each of the three; what belongs to one case (rel
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -22,16 +22,26 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp, ndtr
 
 from bayes_damper.arviz_adapter import pareto_k
+from bayes_damper.distributions import Distribution, LogNormal, from_standard, to_standard
 from bayes_damper.errors import InputError
+from bayes_damper.sampling.moves import Independence, fit_mixture
 from bayes_damper.variability.tempering import Block, temper
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Pooling = Literal["shared", "separate", "partial"]
+Tilt = Callable[[Array], Array]
+"""Log of a density over that of the unit Gaussian, at points (n, pooled): (n,)."""
 POOLINGS: tuple[Pooling, ...] = ("shared", "separate", "partial")
 _REFRESHES = 8
+_SCALES = (0.02, 0.1, 0.4)
+"""Sizes of the steps along a scaling, in ln f."""
 _LEVELS = (1500, 50_000)
 """Draws of a case that are used again: the second number where the weights of the first cannot be trusted."""
+_ROUNDS = 2
+"""How often the draws are moved on at most, each time towards what the last ones found."""
+_EACH = 16
+"""Values drawn from each population to describe where the populations are."""
 _FEWEST_OF_ONE = 30
 """Effective draws below which the likelihood of a population is known to no better than a fifth of a nat."""
 _LARGEST = 100_000
@@ -58,6 +68,18 @@ class CaseLikelihood:
     straightener: Straightener | None = None
 
 
+@dataclass(frozen=True)
+class Scaling:
+    """A change that no reading shows: each named parameter x becomes x f^power, whatever f.
+
+    A free decay gives torques per inertia and friction as mu N0 R only, so there are directions in which the posterior
+    is the prior: steps along them cost no simulation. priors : of the named parameters.
+    """
+
+    powers: Mapping[str, float]
+    priors: Mapping[str, Distribution]
+
+
 class _Plain:
     """Blocks are moved in their own coordinates, and nothing is refreshed."""
 
@@ -78,18 +100,25 @@ class _Plain:
         del rng
         return points
 
+    def unknowns(self, points: Array) -> Array:
+        """All coordinates."""
+        return points
+
 
 class Hierarchy:
     """The joint posterior of several cases under one pooling: a target for `temper`.
 
     pooled : parameters that the pooling is about; common : those with one value for all cases; all others of a case
-    are its own. Columns: m (pooled), s (as Phi^-1(s), only `partial`), common, then for each case e and its own.
+    are its own; scalings : changes of a case's parameters that its likelihood does not see, each for every case.
+    Columns: m (pooled), s (as Phi^-1(s), only `partial`), common, then for each case e and its own.
     """
 
     def __init__(
-        self, cases: Sequence[CaseLikelihood], pooling: Pooling, pooled: Sequence[str], common: Sequence[str] = ()
-    ) -> None:
+        self, cases: Sequence[CaseLikelihood], pooling: Pooling, pooled: Sequence[str], common: Sequence[str] = (),
+        scalings: Sequence[Sequence[Scaling]] = (),
+    ) -> None:  # fmt: skip
         self.cases, self.pooling = tuple(cases), pooling
+        self.scalings = [tuple(each) for each in scalings]
         self.pooled, self.common = tuple(pooled), tuple(common)
         for case in self.cases:
             missing = [name for name in (*self.pooled, *self.common) if name not in case.names]
@@ -111,15 +140,31 @@ class Hierarchy:
             self._e.append(take(p if pooling != "shared" else 0))
             self._own.append(take(len(case.names) - p - len(self.common)))
         self.ndim, self.parts = start, len(self.cases)
-        everything, carried = np.arange(self.parts), np.concatenate(self._own)
+        everything = np.arange(self.parts)
+        population = np.concatenate([self._m, self._s])
+        own = [np.concatenate([e, rest]) for e, rest in zip(self._e, self._own, strict=True)]
         # What all cases hang on, then each case's own; beside each block the case whose values it holds.
-        population = Block(np.concatenate([self._m, self._s]), everything, carried)
-        moved = [(population, self.parts // 2 if pooling == "shared" else -1)]
-        moved.append((Block(self._common, everything, carried), -1))
-        for c, (e, own) in enumerate(zip(self._e, self._own, strict=True)):
-            moved.append((Block(np.concatenate([e, own]), np.array([c])), c if pooling != "shared" else -1))
-        moved = [(block, case) for block, case in moved if len(block.columns)]
-        self.blocks, self._holds = [b for b, _ in moved], [c for _, c in moved]
+        columns = [population, self._common, *own]
+        holds = [self.parts // 2 if pooling == "shared" else -1, -1]
+        holds += [c if pooling != "shared" else -1 for c in range(self.parts)]
+        kept = [k for k, x in enumerate(columns) if len(x)]
+        place = {k: i for i, k in enumerate(kept)}
+        followers = [place[k] for k in range(2, len(columns)) if k in place]
+        first = [place[0]] if pooling == "shared" else []
+        self.blocks = []
+        for k in kept:
+            if k == 0 and pooling == "partial":
+                # Values move with the population; what is only a case's own follows.
+                block = Block(columns[k], everything, np.concatenate(self._own))
+            elif k == 0:
+                block = Block(columns[k], everything, followers=tuple(followers), given=self._common)
+            elif k == 1:
+                block = Block(columns[k], everything, followers=(*first, *followers))
+            else:
+                rest = np.concatenate([self._common, population])
+                block = Block(columns[k], np.array([k - 2]), given=rest)
+            self.blocks.append(block)
+        self._holds = [holds[k] for k in kept]
 
     def straight(self, points: Array, block: int) -> Array:
         """A block's coordinates with the case's values in straight form."""
@@ -173,15 +218,39 @@ class Hierarchy:
         known |= dict(zip(rest, points[:, self._own[case]].T, strict=True))
         return np.stack([known[name] for name in names], axis=1)
 
+    def unknowns(self, points: Array) -> Array:
+        """What is pooled: the cases' values, mean and scatter of a population, and what is common."""
+        if self.pooling == "shared":
+            return points[:, np.concatenate([self._m, self._common])]
+        columns = [self.values(points, case) for case in range(self.parts)]
+        if self.pooling == "partial":
+            columns += [self.means(points), self.scatter(points)]
+        return np.concatenate([*columns, points[:, self._common]], axis=1)
+
+    @property
+    def labels(self) -> list[str]:
+        """What `unknowns` are, in words."""
+        if self.pooling == "shared":
+            return [*self.pooled, *self.common]
+        labels = [f"{name} of case {case.name}" for case in self.cases for name in self.pooled]
+        if self.pooling == "partial":
+            labels += [f"{what} of {name}" for what in ("mean", "scatter") for name in self.pooled]
+        return [*labels, *self.common]
+
     def log_likelihood(self, points: Array, parts: Index) -> Array:
         """Log likelihood of the chosen cases, (n, len(parts))."""
         return np.stack([self.cases[c].log_likelihood(self.coordinates(points, c)) for c in parts], axis=1)
 
     def refresh(self, points: Array, rng: np.random.Generator) -> Array:
-        """New m and s of each parameter, the cases' values held: no likelihood changes, so this costs nothing.
+        """Points moved where no likelihood changes, so that this costs nothing.
 
-        e = (z - sqrt(1 - s^2) m) / s follows; the volume factor is s^-cases.
+        Along the scalings; then new m and s of each parameter, the cases' values held: e = (z - sqrt(1 - s^2) m) / s
+        follows, the volume factor is s^-cases.
         """
+        for each in self.scalings:
+            together = any(name in self.common for name in each[0].powers)
+            for cases in [range(self.parts)] if together else [[c] for c in range(self.parts)]:
+                points = self._scaled(points, each, rng.choice(_SCALES, len(points)), cases, rng)
         if self.pooling != "partial":
             return points
         points = points.copy()
@@ -205,6 +274,52 @@ class Hierarchy:
         for c, columns in enumerate(self._e):
             points[:, columns] = (z[c] - np.sqrt(1.0 - s**2) * m) / s
         return points
+
+    def _scaled(
+        self,
+        points: Array,
+        each: Sequence[Scaling],
+        size: float | Array,
+        cases: Iterable[int],
+        rng: np.random.Generator,
+    ) -> Array:
+        """One Metropolis step of some cases together along a scaling, given for each: prior and volume decide."""
+        new, step, gain = points.copy(), size * rng.standard_normal(len(points)), np.zeros(len(points))
+        moved: set[int] = set()
+        s = self.scatter(points)
+        for c in cases:
+            places = self._places(c)
+            for name, power in each[c].powers.items():
+                prior, column = each[c].priors[name], places[name]
+                if column in moved:
+                    continue
+                moved.add(column)
+                if name in self.pooled and isinstance(prior, LogNormal):
+                    shift = power * step / math.log(prior.factor)
+                    if self.pooling == "partial":
+                        # All cases: their mean moves. One: its own deviation.
+                        own = s[:, self.pooled.index(name)]
+                        shift = shift / (np.sqrt(1.0 - own**2) if column in self._m else own)
+                    new[:, column] += shift
+                    gain += 0.5 * (points[:, column] ** 2 - new[:, column] ** 2)
+                else:
+                    x = from_standard(prior, points[:, column])
+                    scaled = x * np.exp(power * step)
+                    with np.errstate(invalid="ignore", divide="ignore"):
+                        new[:, column] = to_standard(prior, scaled)
+                        gain += prior.logpdf(scaled) - prior.logpdf(x) + power * step
+        gain = np.where(np.all(np.isfinite(new), axis=1), gain, -np.inf)
+        taken = np.log(rng.random(len(points))) < gain
+        return np.where(taken[:, None], new, points)
+
+    def _places(self, case: int) -> dict[str, int]:
+        """The column that moves each parameter of a case, and only that: name -> column."""
+        together = any(name in self.common for each in self.scalings for name in each[case].powers)
+        values = self._m if self.pooling == "shared" or (self.pooling == "partial" and together) else self._e[case]
+        places = dict(zip(self.pooled, values.tolist(), strict=True))
+        places |= dict(zip(self.common, self._common.tolist(), strict=True))
+        rest = [name for name in self.cases[case].names if name not in places]
+        return places | dict(zip(rest, self._own[case].tolist(), strict=True))
 
 
 @dataclass(frozen=True)
@@ -233,8 +348,9 @@ class Recycled:
     mean, scatter (n, pooled): draws of m and s; values: case -> (n, pooled); ess, pareto_k: case -> effective number
     of its draws and shape of the tail of their weights, averaged over all populations: what the posterior of the
     case's values rests on; ess_of_one: case -> effective number of its draws under a single population (median over
-    populations); used: largest number of draws of a case; log_z: log evidence of `partial` over that of
-    `separate`, with its error.
+    populations); in both a place that a chain did not leave for a while is one draw; used: largest number of draws of a
+    case; log_z: log evidence of `partial` over that of `separate`, with its error; moved: whether the draws had to be
+    moved towards the populations first, with new simulations.
     """
 
     mean: Array
@@ -246,6 +362,7 @@ class Recycled:
     used: int
     log_z: float
     error: float
+    moved: bool = False
 
     @property
     def reliable(self) -> bool:
@@ -253,81 +370,151 @@ class Recycled:
         return min(self.ess_of_one.values()) >= _FEWEST_OF_ONE and all(k < 0.7 for k in self.pareto_k.values())
 
 
+@dataclass(frozen=True)
+class _Draws:
+    """Draws of one case, none twice: z (n, pooled), how often each was drawn, and what they are draws under.
+
+    tilt : (n,) log of the density of the case's values that they were drawn under, over the unit Gaussian; scale : log
+    of the case's evidence under that density over that under the unit Gaussian, with its error.
+    """
+
+    z: Array
+    times: Array
+    tilt: Array
+    scale: float = 0.0
+    error: float = 0.0
+
+
+def _distinct(z: Array, tilt: Tilt | None = None, scale: float = 0.0, error: float = 0.0) -> _Draws:
+    places, times = np.unique(z, axis=0, return_counts=True)
+    return _Draws(places, times.astype(float), np.zeros(len(places)) if tilt is None else tilt(places), scale, error)
+
+
 class _Population(_Plain):
     """m and s alone: the cases' values are summed over their draws."""
 
-    def __init__(self, draws: Sequence[Array]) -> None:
-        self.draws = [np.asarray(z, float) for z in draws]
-        self.powers = [np.concatenate([(z**2).T, z.T, np.ones((1, len(z)))]) for z in self.draws]
-        self.pooled = self.draws[0].shape[1]
-        self.ndim, self.parts = 2 * self.pooled, len(self.draws)
+    def __init__(self, draws: Sequence[_Draws]) -> None:
+        self.draws = draws
+        self.powers = [np.concatenate([(d.z**2).T, d.z.T, np.ones((1, len(d.z)))]) for d in draws]
+        self.shift = [np.log(d.times / d.times.sum()) - d.tilt + d.scale for d in draws]
+        self.pooled = draws[0].z.shape[1]
+        self.ndim, self.parts = 2 * self.pooled, len(draws)
         everything = np.arange(self.parts)
         pairs = [Block(np.array([i, self.pooled + i]), everything) for i in range(self.pooled)]
         self.blocks = [Block(np.arange(self.ndim), everything), *pairs]
 
     def log_weights(self, points: Array, part: int) -> Array:
-        """Log density of each draw of a case under each population over that under the prior, (n, draws)."""
+        """Log of what each draw of a case adds to the likelihood of each population, (n, draws)."""
         m = points[:, : self.pooled]
         s = np.clip(ndtr(points[:, self.pooled :]), 1e-6, 1.0 - 1e-12)
         a, precision = np.sqrt(1.0 - s**2) * m, s**-2
         height = -0.5 * np.sum(a**2 * precision, axis=1) - np.log(s).sum(axis=1)
         factors = np.concatenate([0.5 * (1.0 - precision), a * precision, height[:, None]], axis=1)
-        return np.asarray(factors @ self.powers[part])
+        return np.asarray(factors @ self.powers[part] + self.shift[part])
 
     def log_likelihood(self, points: Array, parts: Index) -> Array:
-        """Log of the mean weight of each case's draws, (n, len(parts)); a few populations at a time."""
+        """Log of the sum of each case's weights, (n, len(parts)); a few populations at a time."""
         out = np.empty((len(points), len(parts)))
         for k, c in enumerate(parts):
-            size = max(1, _LARGEST // len(self.draws[c]))
+            size = max(1, _LARGEST // len(self.draws[c].z))
             for i in range(0, len(points), size):
                 weights = self.log_weights(points[i : i + size], c)
                 top = weights.max(axis=1)
                 weights -= top[:, None]
                 # Single precision: six digits of a weight are enough, and four times as fast.
                 total = np.exp(weights.astype(np.float32)).sum(axis=1, dtype=np.float64)
-                out[i : i + size, k] = top + np.log(total / len(self.draws[c]))
+                out[i : i + size, k] = top + np.log(total)
         return out
 
 
 def recycle(
-    draws: Mapping[str, Array], rng: np.random.Generator, particles: int = 256, levels: Sequence[int] = _LEVELS
-) -> Recycled:
-    """Partial pooling from each case's own draws (n, pooled) in standard coordinates, without a new simulation.
+    draws: Mapping[str, Array], rng: np.random.Generator, particles: int = 256, levels: Sequence[int] = _LEVELS,
+    again: Callable[[str, Tilt], Array] | None = None,
+) -> Recycled:  # fmt: skip
+    """Partial pooling from each case's own draws (n, pooled) in standard coordinates.
 
     A case's draws belong to its posterior under the unit Gaussian prior; under a population (m, s) each counts by the
     ratio of the population's density to that prior's (Hogg, Myers and Bovy 2010, ApJ 725:2166). A narrow population in
     p dimensions holds a share of about s^p of the draws: where the weights of a few draws cannot be trusted, more are
-    taken, as `levels` says, up to all there are.
+    taken, as `levels` says, up to all there are. So far nothing is simulated anew.
+
+    Where all of them are still too few, and `again` is given, the draws are moved on under another prior, half the unit
+    Gaussian and half a likeness of the populations found (a defensive mixture; Hesterberg 1995, Technometrics 37:185),
+    so that no weight exceeds twice what it was and most draws lie where the populations are. again(case, tilt) gives
+    draws (n, pooled) of the case under the prior whose log density over the unit Gaussian `tilt` gives.
     """
     found = None
     for level in levels:
         some = {name: z[np.linspace(0, len(z) - 1, min(len(z), level)).astype(int)] for name, z in draws.items()}
-        found = _recycled(some, rng, particles)
+        found = _recycled({name: _distinct(z) for name, z in some.items()}, rng, particles)
         if found.reliable or all(len(z) <= level for z in draws.values()):
             break
     if found is None:
         raise InputError("recycle needs at least one level of draws")
+    for _ in range(_ROUNDS if again is not None else 0):
+        if found.reliable or again is None:
+            break
+        tilt = _towards(found, rng)
+        moved = {}
+        for name, z in draws.items():
+            weights = np.exp(tilt(z))
+            share = weights / weights.sum()
+            error = math.sqrt(float(np.sum(share**2)) - 1.0 / len(z))
+            moved[name] = _distinct(again(name, tilt), tilt, float(np.log(weights.mean())), error)
+        found = replace(_recycled(moved, rng, particles), moved=True)
     return found
 
 
-def _recycled(draws: Mapping[str, Array], rng: np.random.Generator, particles: int) -> Recycled:
+def _towards(found: Recycled, rng: np.random.Generator) -> Tilt:
+    """Log of half the unit Gaussian and half a likeness of the populations, over the unit Gaussian."""
+    mean = np.repeat(np.sqrt(1.0 - found.scatter**2) * found.mean, _EACH, axis=0)
+    scatter = np.repeat(found.scatter, _EACH, axis=0)
+    values = mean + scatter * rng.standard_normal(mean.shape)
+    likeness = Independence(*fit_mixture(rng.permutation(values)))
+
+    def tilt(z: Array) -> Array:
+        unit = -0.5 * (np.sum(z**2, axis=1) + z.shape[1] * math.log(2.0 * math.pi))
+        return np.asarray(np.logaddexp(0.0, likeness.log_density(z) - unit) - math.log(2.0))
+
+    return tilt
+
+
+class Tilted:
+    """One case by itself under another prior of what is pooled: a target for `move_on`."""
+
+    def __init__(self, alone: Hierarchy, tilt: Tilt) -> None:
+        self._alone, self._tilt = alone, tilt
+        self.ndim, self.parts, self.blocks = alone.ndim, alone.parts, alone.blocks
+        self.straight, self.bent, self.refresh, self.unknowns = (
+            alone.straight, alone.bent, alone.refresh, alone.unknowns,
+        )  # fmt: skip
+
+    def log_likelihood(self, points: Array, parts: Index) -> Array:
+        """Log likelihood times the other prior over the unit Gaussian, (n, 1)."""
+        return self._alone.log_likelihood(points, parts) + self._tilt(self._alone.values(points, 0))[:, None]
+
+
+def _recycled(draws: Mapping[str, _Draws], rng: np.random.Generator, particles: int) -> Recycled:
     target = _Population(list(draws.values()))
     found = temper(target, rng, particles)
     values: dict[str, Array] = {}
     ess: dict[str, float] = {}
     of_one: dict[str, float] = {}
     tails: dict[str, float] = {}
-    for c, (name, z) in enumerate(draws.items()):
-        picked, alone, whole = np.empty(len(found.points), dtype=np.intp), np.empty(len(found.points)), np.zeros(len(z))
+    for c, (name, case) in enumerate(draws.items()):
+        n = len(case.z)
+        picked, alone, whole = np.empty(len(found.points), dtype=np.intp), np.empty(len(found.points)), np.zeros(n)
         for i, point in enumerate(found.points):
             log_weights = target.log_weights(point[None], c)[0]
             share = np.exp(log_weights - logsumexp(log_weights))
             whole += share / len(found.points)
             alone[i] = 1.0 / float(np.sum(share**2))
             # One draw of the case for each population, by its weights.
-            picked[i] = min(int(np.searchsorted(np.cumsum(share), rng.random())), len(z) - 1)
+            picked[i] = min(int(np.searchsorted(np.cumsum(share), rng.random())), n - 1)
         ess[name], of_one[name] = 1.0 / float(np.sum(whole**2)), float(np.median(alone))
-        tails[name], values[name] = pareto_k(whole), z[picked]
+        # The tail is that of the weights, which how long a chain stayed at a place has no part in.
+        each = np.repeat(whole / case.times, case.times.astype(int))
+        tails[name], values[name] = pareto_k(each), case.z[picked]
     return Recycled(
         found.points[:, : target.pooled],
         np.clip(ndtr(found.points[:, target.pooled :]), 1e-6, 1.0 - 1e-12),
@@ -335,9 +522,9 @@ def _recycled(draws: Mapping[str, Array], rng: np.random.Generator, particles: i
         ess,
         tails,
         of_one,
-        max(map(len, draws.values())),
+        round(max(float(case.times.sum()) for case in draws.values())),
         found.log_z,
-        math.sqrt(found.error**2 + sum(1.0 / x for x in of_one.values())),
+        math.sqrt(found.error**2 + sum(1.0 / x for x in of_one.values()) + sum(d.error**2 for d in draws.values())),
     )
 
 

@@ -19,12 +19,22 @@ from bayes_damper.priors import load_priors, priors_from_dict
 from bayes_damper.published import load_published
 from bayes_damper.variability.decomposition import CaseDraws, Sets, curve_values, mean_over_cases, summary
 from bayes_damper.variability.equivalent import NAMES, bearing_damping, feature_scatter
-from bayes_damper.variability.pooling import POOLINGS, CaseLikelihood, Direct, Hierarchy, Pooling
-from bayes_damper.variability.tempering import temper
+from bayes_damper.variability.pooling import POOLINGS, CaseLikelihood, Direct, Hierarchy, Pooling, Scaling, Tilt, Tilted
+from bayes_damper.variability.tempering import move_on, temper
 
 Array = NDArray[np.float64]
 _CURVE_DRAWS = 48
 _CURVE_POINTS = 8
+_SCALINGS: tuple[Mapping[str, float], ...] = (
+    dict.fromkeys(("J1", "J2", "k1t", "k2t", "c1t", "c3t", "c2t", "drag", "mu"), 1.0),
+    {"N0": 1.0, "mu": -1.0},
+    {"R": 1.0, "r": 1.0, "mu": -1.0},
+)
+"""Changes that leave the motion as it is: all torques with the inertias, and friction mu N0 R as a product."""
+_KEPT = 16
+"""Places of a particle that are kept of each run."""
+_AGAIN = 1024
+"""Draws of a case that are moved on where its draws are too few."""
 
 
 class PublishedCases:
@@ -90,38 +100,95 @@ class PublishedCases:
     def hierarchy(self, pooling: Pooling, without: str | None = None, own_constants: bool = False) -> Hierarchy:
         """The joint posterior of all cases but one."""
         cases = [self.likelihood(case) for case in self.names if case != without]
-        return Hierarchy(cases, pooling, self.pooled, () if own_constants else self.common)
+        common = () if own_constants else self.common
+        return Hierarchy(cases, pooling, self.pooled, common, self._scalings([c.name for c in cases], pooling, common))
 
     def alone(self, case: str) -> Hierarchy:
         """The posterior of one case by itself."""
-        return Hierarchy([self.likelihood(case)], "separate", self.pooled)
+        scalings = self._scalings([case], "separate", ())
+        return Hierarchy([self.likelihood(case)], "separate", self.pooled, (), scalings)
+
+    def _scalings(self, cases: Sequence[str], pooling: Pooling, common: Sequence[str]) -> list[list[Scaling]]:
+        """What a free decay does not show, each for every case, as far as the priors leave it free."""
+        if pooling == "shared" and not common:
+            return []
+        found = []
+        for powers in _SCALINGS:
+            each = []
+            for case in cases:
+                own, free = self.prior_set.for_case(case), self.priors(case)
+                kept = {name: power for name, power in powers.items() if name in free}
+                bound = {name: own.tied.get(name) for name in powers if name not in free}
+                fits = all(other in kept and powers[other] == powers[name] for name, other in bound.items())
+                level = {name in common for name in kept if name in self.common}
+                lognormal = all(isinstance(free[name], LogNormal) for name in kept if name in self.pooled)
+                if fits and lognormal and len(level) == 1:
+                    each.append(Scaling(kept, {name: free[name] for name in kept}))
+            if len(each) == len(cases):
+                found.append(each)
+        return found
 
     def own_draws(self, work: Path, repeats: int) -> dict[str, Array]:
-        """Draws of each case by itself from the runs in a folder: case -> (n, pooled) standard coordinates."""
+        """Draws of each case by itself from the runs in a folder: case -> (n, all its parameters), standard."""
         return {
             case: np.concatenate(
-                [self.alone(case).values(_points(work / f"alone-{case}-{k}"), 0) for k in range(repeats)]
+                [self.alone(case).coordinates(_points(work / f"alone-{case}-{k}"), 0) for k in range(repeats)]
             )
             for case in self.names
         }
 
+    def columns(self, case: str) -> list[int]:
+        """Where the pooled parameters stand among those of a case."""
+        return [self.posteriors[case].names.index(name) for name in self.pooled]
+
+    def again(self, draws: Mapping[str, Array], rng: np.random.Generator) -> Callable[[str, Tilt], Array]:
+        """What `recycle` takes to move draws of the cases (n, all parameters) on under another prior."""
+
+        def moved(case: str, tilt: Tilt) -> Array:
+            pooled = self.columns(case)
+            rest = [i for i in range(draws[case].shape[1]) if i not in pooled]
+            places = draws[case][:, pooled + rest]
+            weights = np.exp(tilt(draws[case][:, pooled]))
+            chosen = rng.choice(len(places), (2, _AGAIN), p=weights / weights.sum())
+            hierarchy = self.alone(case)
+            # The values of one case by itself stand before what is only its own.
+            found = move_on(Tilted(hierarchy, tilt), places[chosen[0]], places[np.unique(chosen)], rng)
+            return hierarchy.values(found, 0)
+
+        return moved
+
     def apart(self, key: str, names: Sequence[str], work: Path) -> float:
-        """Root mean square difference of the means of two repeats, in standard deviations, over what is pooled.
+        """Root mean square difference of the means of two repeats, in standard deviations, over the unknowns.
 
         key : "shared-all", "separate-all", "partial-all" or "partial-own", of which `names` are the runs.
         """
+        spread = self._spread(key, names, work)
+        return math.sqrt(2.0 * float(np.mean(list(spread.values())))) if spread else 0.0
+
+    def _spread(self, key: str, names: Sequence[str], work: Path) -> dict[str, float]:
+        """Variance of the means of repeats over that of the draws, of each unknown; empty for one run."""
+        if len(names) < 2:
+            return {}
         hierarchy = self._of(key)
-        columns = []
-        for points in (_points(work / name) for name in names):
-            parts = [hierarchy.values(points, i) for i in range(len(self.names))]
-            if hierarchy.pooling == "partial":
-                parts += [hierarchy.means(points), hierarchy.scatter(points)]
-            columns.append(np.concatenate(parts[:1] if hierarchy.pooling == "shared" else parts, axis=1))
-        if len(columns) < 2:
-            return 0.0
+        columns = [hierarchy.unknowns(_points(work / name)) for name in names]
         means = np.array([x.mean(axis=0) for x in columns])
         within = np.mean([x.var(axis=0) for x in columns], axis=0)
-        return math.sqrt(2.0 * float(np.mean(means.var(axis=0, ddof=1) / np.maximum(within, 1e-300))))
+        ratio = means.var(axis=0, ddof=1) / np.maximum(within, 1e-300)
+        return dict(zip(hierarchy.labels, ratio.tolist(), strict=True))
+
+    def _errors(self, key: str, names: Sequence[str], work: Path) -> dict[str, Any]:
+        """How far apart the means of the repeats are, and the standard error of all of them together."""
+        spread = self._spread(key, names, work)
+        if not spread:
+            return {"repeats_apart_sd": None}
+        error = {name: math.sqrt(x / len(names)) for name, x in spread.items()}
+        worst = max(error, key=lambda name: error[name])
+        return {
+            "repeats_apart_sd": self.apart(key, names, work),
+            "monte_carlo_error_sd": math.sqrt(float(np.mean(np.square(list(error.values()))))),
+            "largest_monte_carlo_error_sd": error[worst],
+            "largest_monte_carlo_error_at": worst,
+        }
 
     def _of(self, key: str) -> Hierarchy:
         pooling, _, kind = key.partition("-")
@@ -162,28 +229,28 @@ class PublishedCases:
             spread = float(np.ptp(heights)) if len(heights) > 1 else 0.0
             height = float(heights.mean())
             without = {case: runs[key] for case in self.names if (key := f"{pooling}-without-{case}-0") in runs}
-            # Runs without a case have the first number of particles: set beside runs of the same.
-            first = [run for name, run in runs.items() if name.startswith(f"{pooling}-all-") and name.count("-") == 2]
-            whole = np.array([run["log_z"] for run in first])
-            unseen = {case: float(whole.mean()) - run["log_z"] for case, run in without.items()}
-            own = math.sqrt(float(np.mean([run["error"] ** 2 for run in first])) / len(first))
-            unsure = len(without) ** 2 * max(own, float(np.ptp(whole)) / 2.0) ** 2
+            unseen = {case: height - run["log_z"] for case, run in without.items()}
+            unsure = len(without) ** 2 * max(error, spread / 2.0) ** 2
             unsure += sum(run["error"] ** 2 for run in without.values())
             points = np.concatenate([_points(work / name) for name in names])
-            models[pooling] = {
-                "log_evidence": height,
-                "error": max(error, spread / 2.0),
-                "spread": spread,
-                "heldout": {
-                    "what": "Each case's features, predicted from the other cases",
-                    "log_score": float(sum(unseen.values())) if unseen else None,
-                    "error": math.sqrt(unsure) if unseen else None,
-                    "cases": unseen,
-                },
-                "memory": max(runs[name]["memory"] for name in names),
-                "particles": len(points) // len(names),
-                "repeats_apart_sd": self.apart(f"{pooling}-all", names, work),
-            } | self._described(self.hierarchy(pooling), points)
+            models[pooling] = (
+                {
+                    "log_evidence": height,
+                    "error": max(error, spread / 2.0),
+                    "spread": spread,
+                    "heldout": {
+                        "what": "Each case's features, predicted from the other cases",
+                        "log_score": float(sum(unseen.values())) if unseen else None,
+                        "error": math.sqrt(unsure) if unseen else None,
+                        "cases": unseen,
+                    },
+                    "memory": max(runs[name]["memory"] for name in names),
+                    "last_memory": max(runs[name]["last_memory"] for name in names),
+                    "particles": runs[names[0]]["particles"],
+                }
+                | self._errors(f"{pooling}-all", names, work)
+                | self._described(self.hierarchy(pooling), points)
+            )
         points = np.concatenate([_points(work / name) for name in chosen["partial-all"]])
         points = points[rng.permutation(len(points))[:draws]]
         return models, self._sets(self.hierarchy("partial"), points, rng)
@@ -294,7 +361,7 @@ def run_pooling(
     which = 0 if without is None else 1 + cases.names.index(without)
     seed = [settings["seed"], POOLINGS.index(pooling), which, repeat, int(own_constants)]
     hierarchy = cases.hierarchy(pooling, without, own_constants)
-    return _tempered(folder, hierarchy, seed, settings["particles"], report)
+    return _tempered(folder, hierarchy, seed, settings["particles"], report, settle=without is None)
 
 
 def run_alone(
@@ -303,12 +370,20 @@ def run_alone(
     """Task: one run of the tempering with one case; its draws go to points.npz."""
     cases = PublishedCases(settings["fit"])
     seed = [settings["seed"], len(POOLINGS), cases.names.index(case), repeat]
-    return _tempered(folder, cases.alone(case), seed, 4 * settings["particles"], report)
+    return _tempered(folder, cases.alone(case), seed, settings["particles"], report)
 
 
 def _tempered(
-    folder: Path, hierarchy: Hierarchy, seed: list[int], particles: int, report: Callable[[float, str], None]
-) -> dict[str, Any]:
-    found = temper(hierarchy, np.random.default_rng(seed), particles, report)
+    folder: Path, hierarchy: Hierarchy, seed: list[int], particles: int, report: Callable[[float, str], None],
+    settle: bool = True,
+) -> dict[str, Any]:  # fmt: skip
+    found = temper(hierarchy, np.random.default_rng(seed), particles, report, _KEPT, settle)
     np.savez_compressed(folder / "points.npz", points=found.points, log_likelihood=found.log_likelihood)
-    return {"log_z": found.log_z, "error": found.error, "stages": found.stages, "memory": found.forgotten}
+    return {
+        "log_z": found.log_z,
+        "error": found.error,
+        "stages": found.stages,
+        "memory": found.forgotten,
+        "last_memory": found.last,
+        "particles": particles,
+    }

@@ -101,6 +101,8 @@ def _recycled_tables(recycled: Mapping[str, Any]) -> list[Table]:
         for case, ess in recycled["ess"].items()
     )
     note = "Weights can be trusted where Pareto k is below 0.7 and no single population rests on a few draws."
+    if recycled.get("drawn_again"):
+        note += " The fit's draws were too few: they were moved on towards the populations by new simulations."
     columns: tuple[str, ...] = ("case", "effective draws", "under one population", "Pareto k")
     tables = [Table("Draws of each case, used again by weights", columns, rows, note)]
     compared = [
