@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ from bayes_damper.variability.pooling import (
     GaussianCase,
     GaussianHierarchy,
     Hierarchy,
+    Powers,
     Tilted,
     recycle,
 )
@@ -58,7 +60,9 @@ def linear_cases(rng, kind, *, cases=4, sharpness=3.0, readings=8):
             CaseLikelihood(
                 str(i),
                 NAMES,
-                lambda x, a=a, y=y: -0.5 * np.sum((x @ a.T - y) ** 2, axis=1) - 0.5 * len(y) * math.log(2 * math.pi),
+                Powers(
+                    lambda x, a=a, y=y: -0.5 * np.sum((x @ a.T - y) ** 2, axis=1) - 0.5 * len(y) * math.log(2 * math.pi)
+                ),
             )
         )
         draws[str(i)] = rng.multivariate_normal(mean, covariance, 1500)[:, :3]
@@ -116,23 +120,65 @@ def test_tempering_agrees_with_the_closed_form(kind, common):
             assert np.all(np.abs(mean - given.mean) < 0.6 * sd + 0.02)
 
 
-def test_straight_coordinates_leave_the_posterior_as_it_is():
-    """A change of volume-keeping coordinates changes how steps are taken, not where the particles end."""
+class Bent:
+    """A shear of what is pooled, and a sheet of what is a case's own: straight coordinates of another volume."""
 
-    class Shear:
-        def sampled(self, z):
-            return np.stack([z[:, 0], z[:, 1] + z[:, 0] ** 2, z[:, 2]], axis=1)
+    def __init__(self, width=0.3):
+        self.width = width
 
-        def standard(self, points):
-            return np.stack([points[:, 0], points[:, 1] - points[:, 0] ** 2, points[:, 2]], axis=1)
+    def at(self, power):
+        return Bent(0.3 / max(power, 0.1))
 
+    def sampled(self, z):
+        points = z.copy()
+        points[:, 1] += z[:, 0] ** 2
+        points[:, 4] = np.arcsinh((z[:, 4] - z[:, 0] * z[:, 3]) / self.width)
+        return points
+
+    def standard(self, points):
+        z = points.copy()
+        z[:, 1] -= points[:, 0] ** 2
+        z[:, 4] = points[:, 0] * points[:, 3] + self.width * np.sinh(points[:, 4])
+        return z
+
+    def log_volume(self, points):
+        return np.logaddexp(points[:, 4], -points[:, 4])
+
+
+@pytest.mark.parametrize("pooling", POOLINGS)
+def test_straight_coordinates_leave_the_posterior_as_it_is(pooling):
+    """A change of coordinates changes how steps are taken, not where the particles end."""
     rng = np.random.default_rng(5)
     gaussians, likelihoods, _ = linear_cases(rng, "half", cases=3, sharpness=1.0)
-    bent = [CaseLikelihood(c.name, c.names, c.log_likelihood, Shear()) for c in likelihoods]
+    bent = [replace(c, straightener=Bent()) for c in likelihoods]
     exact = GaussianHierarchy(gaussians, POOLED, COMMON)
-    for pooling in ("shared", "separate"):
-        found = temper(Hierarchy(bent, pooling, POOLED, COMMON), rng, 384)
-        assert found.log_z == pytest.approx(exact.given(FIXED[pooling]).log_z, abs=5 * found.error)
+    found = temper(Hierarchy(bent, pooling, POOLED, COMMON), rng, 256, kept=8)
+    if pooling == "partial":
+        plain = temper(Hierarchy(likelihoods, pooling, POOLED, COMMON), rng, 256, kept=8)
+        assert found.log_z == pytest.approx(plain.log_z, abs=5 * (found.error + plain.error))
+        assert found.points.mean(axis=0) == pytest.approx(plain.points.mean(axis=0), abs=0.35)
+        assert found.points.std(axis=0) == pytest.approx(plain.points.std(axis=0), rel=0.3)
+    else:
+        given = exact.given(FIXED[pooling])
+        hierarchy = Hierarchy(likelihoods, pooling, POOLED, COMMON)
+        assert found.log_z == pytest.approx(given.log_z, abs=5 * found.error)
+        for case in range(3):
+            z = hierarchy.values(found.points, case)
+            assert z.mean(axis=0) == pytest.approx(given.mean[case], abs=0.25)
+
+
+def test_straight_coordinates_lead_back():
+    rng = np.random.default_rng(6)
+    _, likelihoods, _ = linear_cases(rng, "half", cases=3, sharpness=1.0)
+    bent = [replace(c, straightener=Bent()) for c in likelihoods]
+    for pooling in POOLINGS:
+        hierarchy = Hierarchy(bent, pooling, POOLED, COMMON)
+        points = rng.standard_normal((20, hierarchy.ndim))
+        for view in range(len(hierarchy._views)):
+            steps = hierarchy.straight(points, view)
+            assert hierarchy.bent(points, view, steps) == pytest.approx(points, abs=1e-9)
+            other = hierarchy.bent(points, view, steps + 0.1)
+            assert hierarchy.straight(other, view) == pytest.approx(steps + 0.1, abs=1e-9)
 
 
 def test_refresh_keeps_the_values_of_the_cases():

@@ -13,9 +13,11 @@ have one value for all cases in each of the three; what belongs to one case (rel
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
+from typing import Literal, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +51,10 @@ _LARGEST = 100_000
 
 
 class Straightener(Protocol):
-    """A change of the pooled coordinates (n, pooled) of constant volume that makes bent ridges straight."""
+    """A change of a case's coordinates (n, len(names)) that makes bent ridges straight; what is common stays."""
+
+    def at(self, power: float) -> Straightener:
+        """The one that suits a likelihood that bears so far."""
 
     def sampled(self, z: Array) -> Array:
         """Straight coordinates of standard ones."""
@@ -57,14 +62,46 @@ class Straightener(Protocol):
     def standard(self, points: Array) -> Array:
         """The inverse."""
 
+    def log_volume(self, points: Array) -> Array:
+        """Log of the volume of standard coordinates over that of straight ones at these, (n,), up to a constant."""
+
+
+class Path(Protocol):
+    """How a case's likelihood comes to bear little by little."""
+
+    def measure(self, z: Array) -> Array:
+        """What it takes to know of points (n, len(names)), computed once: (n, k)."""
+
+    def height(self, measured: Array, power: float) -> Array:
+        """Log likelihood (n,) of what was measured, from 0 (the likelihood does not bear) to 1."""
+
+
+@dataclass(frozen=True)
+class Powers:
+    """The usual path: powers of the likelihood."""
+
+    log_likelihood: Callable[[Array], Array]
+
+    def measure(self, z: Array) -> Array:
+        """The log likelihood itself."""
+        return np.asarray(self.log_likelihood(z), float)[:, None]
+
+    def height(self, measured: Array, power: float) -> Array:
+        """Its power."""
+        return _power(measured[:, 0], power)
+
+
+def _power(value: Array, power: float) -> Array:
+    return np.where(value > -np.inf, power * np.maximum(value, -1e300), -np.inf)
+
 
 @dataclass(frozen=True)
 class CaseLikelihood:
-    """One case: names of its coordinates, and the log likelihood (n,) of points (n, len(names)) in them."""
+    """One case: names of its coordinates, and its likelihood in them."""
 
     name: str
     names: tuple[str, ...]
-    log_likelihood: Callable[[Array], Array]
+    path: Path
     straightener: Straightener | None = None
 
 
@@ -80,10 +117,43 @@ class Scaling:
     priors: Mapping[str, Distribution]
 
 
-class _Plain:
+@dataclass(frozen=True)
+class _View:
+    """Coordinates that are moved together: as they are, or `pooled` and `own` ones of a case in its straight form."""
+
+    columns: Index
+    case: int = -1
+    pooled: bool = False
+    own: bool = False
+
+
+class _Plain(ABC):
     """Blocks are moved in their own coordinates, and nothing is refreshed."""
 
     blocks: list[Block]
+
+    @abstractmethod
+    def log_likelihood(self, points: Array, parts: Index) -> Array:
+        """Log likelihood of the chosen parts at points (n, ndim): (n, len(parts))."""
+
+    def measure(self, points: Array, parts: Index) -> Array:
+        """The log likelihood itself, of which powers are taken."""
+        return self.log_likelihood(points, parts)[:, :, None]
+
+    def height(self, measured: Array, parts: Index, power: float) -> Array:
+        """Its power."""
+        del parts
+        return _power(measured[:, :, 0], power)
+
+    def at(self, power: float) -> Self:
+        """Itself."""
+        del power
+        return self
+
+    def log_volume(self, points: Array, block: int) -> Array:
+        """Nothing changes volume."""
+        del block
+        return np.zeros(len(points))
 
     def straight(self, points: Array, block: int) -> Array:
         """The block's columns."""
@@ -142,52 +212,85 @@ class Hierarchy:
         self.ndim, self.parts = start, len(self.cases)
         everything = np.arange(self.parts)
         population = np.concatenate([self._m, self._s])
-        own = [np.concatenate([e, rest]) for e, rest in zip(self._e, self._own, strict=True)]
-        # What all cases hang on, then each case's own; beside each block the case whose values it holds.
-        columns = [population, self._common, *own]
-        holds = [self.parts // 2 if pooling == "shared" else -1, -1]
-        holds += [c if pooling != "shared" else -1 for c in range(self.parts)]
+        numbers = range(self.parts)
+        # What all cases hang on, then each case's own.
+        columns = [population, self._common, *(np.concatenate([self._e[c], self._own[c]]) for c in numbers)]
+        views = [_View(population, self.parts // 2, pooled=True) if pooling == "shared" else _View(population)]
+        views += [_View(self._common)]
+        views += [_View(columns[2 + c], c, pooled=pooling != "shared", own=True) for c in numbers]
         kept = [k for k, x in enumerate(columns) if len(x)]
         place = {k: i for i, k in enumerate(kept)}
-        followers = [place[k] for k in range(2, len(columns)) if k in place]
-        first = [place[0]] if pooling == "shared" else []
-        self.blocks = []
+        followers = tuple(place[k] for k in range(2, len(columns)) if k in place)
+        self.blocks: list[Block] = []
+        self._views = [views[k] for k in kept]
+        if pooling == "partial":
+            # Values move with the population; what is only a case's own follows.
+            alone = tuple(len(kept) + c for c in numbers)
+            self._views += [_View(self._own[c], c, own=True) for c in numbers]
         for k in kept:
-            if k == 0 and pooling == "partial":
-                # Values move with the population; what is only a case's own follows.
-                block = Block(columns[k], everything, np.concatenate(self._own))
-            elif k == 0:
-                block = Block(columns[k], everything, followers=tuple(followers), given=self._common)
+            if k == 0:
+                given = self._common if pooling == "shared" else None
+                moving = alone if pooling == "partial" else followers
+                block = Block(columns[k], everything, followers=moving, given=given)
             elif k == 1:
+                first = (place[0],) if pooling == "shared" else ()
                 block = Block(columns[k], everything, followers=(*first, *followers))
             else:
-                rest = np.concatenate([self._common, population])
-                block = Block(columns[k], np.array([k - 2]), given=rest)
+                block = Block(columns[k], np.array([k - 2]), given=np.concatenate([self._common, population]))
             self.blocks.append(block)
-        self._holds = [holds[k] for k in kept]
+
+    def at(self, power: float) -> Hierarchy:
+        """The same with coordinates that are straight where the likelihood bears so far."""
+        found = copy(self)
+        found.cases = tuple(
+            case if case.straightener is None else replace(case, straightener=case.straightener.at(power))
+            for case in self.cases
+        )
+        return found
+
+    def _places_of(self, view: _View) -> list[int]:
+        """Where a view's coordinates stand among those of its case."""
+        names = self.cases[view.case].names
+        places = [names.index(name) for name in self.pooled] if view.pooled else []
+        if view.own:
+            places += [i for i, name in enumerate(names) if name not in self.pooled and name not in self.common]
+        return places
 
     def straight(self, points: Array, block: int) -> Array:
         """A block's coordinates with the case's values in straight form."""
-        case = self._holds[block]
-        x = points[:, self.blocks[block].columns]
-        curve = self.cases[case].straightener if case >= 0 else None
-        if curve is not None:
-            x[:, : len(self.pooled)] = curve.sampled(self.values(points, case))
-        return x
+        view = self._views[block]
+        curve = self.cases[view.case].straightener if view.case >= 0 else None
+        if curve is None:
+            return points[:, view.columns]
+        return curve.sampled(self.coordinates(points, view.case))[:, self._places_of(view)]
 
     def bent(self, points: Array, block: int, steps: Array) -> Array:
         """The points with a block's coordinates replaced."""
-        case = self._holds[block]
-        points, steps = points.copy(), steps.copy()
-        curve = self.cases[case].straightener if case >= 0 else None
-        if curve is not None:
-            p = len(self.pooled)
-            steps[:, :p] = curve.standard(steps[:, :p])
-            if self.pooling == "partial":
-                s = self.scatter(points)
-                steps[:, :p] = (steps[:, :p] - np.sqrt(1.0 - s**2) * points[:, self._m]) / s
-        points[:, self.blocks[block].columns] = steps
+        view = self._views[block]
+        points = points.copy()
+        curve = self.cases[view.case].straightener if view.case >= 0 else None
+        if curve is None:
+            points[:, view.columns] = steps
+            return points
+        places = self._places_of(view)
+        whole = self.coordinates(points, view.case)
+        if not view.pooled:
+            whole = curve.sampled(whole)
+        whole[:, places] = steps
+        z = curve.standard(whole)[:, places]
+        if view.pooled and self.pooling == "partial":
+            p, s = len(self.pooled), self.scatter(points)
+            z[:, :p] = (z[:, :p] - np.sqrt(1.0 - s**2) * points[:, self._m]) / s
+        points[:, view.columns] = z
         return points
+
+    def log_volume(self, points: Array, block: int) -> Array:
+        """Log of the volume of a block's coordinates over that of its straight ones, (n,), up to a constant."""
+        view = self._views[block]
+        curve = self.cases[view.case].straightener if view.case >= 0 else None
+        if curve is None or not view.own:
+            return np.zeros(len(points))
+        return curve.log_volume(curve.sampled(self.coordinates(points, view.case)))
 
     def scatter(self, points: Array) -> Array:
         """Scatter s of each pooled parameter, (n, pooled)."""
@@ -237,9 +340,17 @@ class Hierarchy:
             labels += [f"{what} of {name}" for what in ("mean", "scatter") for name in self.pooled]
         return [*labels, *self.common]
 
+    def measure(self, points: Array, parts: Index) -> Array:
+        """What it takes to know of the chosen cases, (n, len(parts), k)."""
+        return np.stack([self.cases[c].path.measure(self.coordinates(points, c)) for c in parts], axis=1)
+
+    def height(self, measured: Array, parts: Index, power: float) -> Array:
+        """Log likelihood of the chosen cases as far as it bears, (n, len(parts))."""
+        return np.stack([self.cases[c].path.height(measured[:, k], power) for k, c in enumerate(parts)], axis=1)
+
     def log_likelihood(self, points: Array, parts: Index) -> Array:
         """Log likelihood of the chosen cases, (n, len(parts))."""
-        return np.stack([self.cases[c].log_likelihood(self.coordinates(points, c)) for c in parts], axis=1)
+        return self.height(self.measure(points, parts), parts, 1.0)
 
     def refresh(self, points: Array, rng: np.random.Generator) -> Array:
         """Points moved where no likelihood changes, so that this costs nothing.
@@ -485,13 +596,26 @@ class Tilted:
     def __init__(self, alone: Hierarchy, tilt: Tilt) -> None:
         self._alone, self._tilt = alone, tilt
         self.ndim, self.parts, self.blocks = alone.ndim, alone.parts, alone.blocks
-        self.straight, self.bent, self.refresh, self.unknowns = (
-            alone.straight, alone.bent, alone.refresh, alone.unknowns,
-        )  # fmt: skip
+        self.straight, self.bent, self.log_volume = alone.straight, alone.bent, alone.log_volume
+        self.unknowns = alone.unknowns
 
-    def log_likelihood(self, points: Array, parts: Index) -> Array:
+    def at(self, power: float) -> Tilted:
+        """The same with coordinates that are straight where the likelihood bears so far."""
+        return Tilted(self._alone.at(power), self._tilt)
+
+    def measure(self, points: Array, parts: Index) -> Array:
+        """Those of the case, and the other prior over the unit Gaussian, (n, 1, k + 1)."""
+        tilt = self._tilt(self._alone.values(points, 0))
+        return np.concatenate([self._alone.measure(points, parts), tilt[:, None, None]], axis=2)
+
+    def height(self, measured: Array, parts: Index, power: float) -> Array:
         """Log likelihood times the other prior over the unit Gaussian, (n, 1)."""
-        return self._alone.log_likelihood(points, parts) + self._tilt(self._alone.values(points, 0))[:, None]
+        return self._alone.height(measured[:, :, :-1], parts, power) + measured[:, :, -1]
+
+    def refresh(self, points: Array, rng: np.random.Generator) -> Array:
+        """The points as they are: what the likelihood does not see the other prior does."""
+        del rng
+        return points
 
 
 def _recycled(draws: Mapping[str, _Draws], rng: np.random.Generator, particles: int) -> Recycled:

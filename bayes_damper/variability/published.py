@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.calibration import NOMINAL
-from bayes_damper.distributions import Distribution, LogNormal
+from bayes_damper.distributions import Distribution, LogNormal, Normal
 from bayes_damper.errors import InputError
 from bayes_damper.fit import published_posterior
 from bayes_damper.posterior import Coordinates, FeaturePosterior
@@ -35,6 +36,50 @@ _KEPT = 16
 """Places of a particle that are kept of each run."""
 _AGAIN = 1024
 """Draws of a case that are moved on where its draws are too few."""
+
+
+@dataclass(frozen=True)
+class _ShrinkingErrors:
+    """A path from no likelihood to all of it: standard errors that shrink from infinite to what they are.
+
+    Powers of a likelihood with heavy tails leave narrow peaks as narrow, with little mass until the last.
+    """
+
+    posterior: FeaturePosterior
+
+    def measure(self, z: Array) -> Array:
+        """Distances from the data in standard errors."""
+        return self.posterior.misfits(z)
+
+    def height(self, measured: Array, power: float) -> Array:
+        """Log density at such distances if errors were 1 / power times as large."""
+        return np.asarray(self.posterior.densities(measured, 1.0 / max(power, 1e-9)).sum(axis=1))
+
+
+@dataclass(frozen=True)
+class _Flat:
+    """A case's coordinates as its fit samples them."""
+
+    coordinates: Coordinates
+
+    def at(self, power: float) -> _Flat:
+        """Sheets as thick as errors that are 1 / power times as large make them."""
+        sheets = tuple(replace(s, width=s.width / max(power, 1e-6)) for s in self.coordinates.sheets)
+        return _Flat(replace(self.coordinates, sheets=sheets))
+
+    def sampled(self, z: Array) -> Array:
+        """Sums and ratios of pairs, distances from sheets."""
+        return self.coordinates.sampled(z)
+
+    def standard(self, points: Array) -> Array:
+        """The inverse."""
+        return self.coordinates.standard(points)
+
+    def log_volume(self, points: Array) -> Array:
+        """A sheet's x goes with sinh y."""
+        free, names = self.coordinates.free, self.coordinates.names
+        flat = [names.index(s.name) for s in self.coordinates.sheets if isinstance(free.get(s.name), Normal)]
+        return np.asarray(np.logaddexp(points[:, flat], -points[:, flat]).sum(axis=1))
 
 
 class PublishedCases:
@@ -87,15 +132,12 @@ class PublishedCases:
     def likelihood(self, case: str) -> CaseLikelihood:
         """The case as the hierarchy takes it."""
         posterior = self.posteriors[case]
-        pairs = published_posterior(case, self.prior_set, self.normal_force).coordinates.shared
-        free = self.priors(case)
-        kept = tuple(pair for pair in pairs if pair.x in self.pooled and pair.y in self.pooled)
-        curve = Coordinates({name: free[name] for name in self.pooled}, shared=kept)
-
-        def log_likelihood(points: Array) -> Array:
-            return np.asarray(posterior.log_likelihood(points).sum(axis=1))
-
-        return CaseLikelihood(case, posterior.names, log_likelihood, curve)
+        fitted = published_posterior(case, self.prior_set, self.normal_force).coordinates
+        pairs = tuple(pair for pair in fitted.shared if pair.x in self.pooled and pair.y in self.pooled)
+        moved = tuple(sheet for sheet in fitted.sheets if sheet.name not in self.pooled + self.common)
+        return CaseLikelihood(
+            case, posterior.names, _ShrinkingErrors(posterior), _Flat(replace(fitted, shared=pairs, sheets=moved))
+        )
 
     def hierarchy(self, pooling: Pooling, without: str | None = None, own_constants: bool = False) -> Hierarchy:
         """The joint posterior of all cases but one."""

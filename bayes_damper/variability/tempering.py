@@ -1,12 +1,13 @@
-"""Sequential Monte Carlo: draws of a posterior and its evidence at once, by raising the likelihood from power 0 to 1.
+"""Sequential Monte Carlo: draws of a posterior and its evidence at once, by a likelihood that bears little by little.
 
 All coordinates have unit Gaussian priors. The particles start as draws of the prior; at each stage the power of the
-likelihood is raised until half of the places count, particles are drawn anew by their weights, and moved by Metropolis
-steps block by block until they have forgotten where they stood. The product of the mean weights is the evidence. Every
-place that a particle went through on its way counts in the next stage, not the last alone (waste-free; Dau and Chopin
-2022, J. R. Statist. Soc. B 84:114): where steps are short, as on a thin and bent posterior, that is what keeps places
-apart. At the full power the particles go on until each unknown by itself is forgotten. Unlike a chain this needs no
-start, finds several modes, and works for a hierarchy of forty unknowns.
+likelihood, or what else leads from nothing to all of it, is raised until half of the places count, particles are drawn
+anew by their weights, and moved by Metropolis steps block by block until they have forgotten where they stood. The
+product of the mean weights is the evidence. Every place that a particle went through on its way counts in the next
+stage, not the last alone (waste-free; Dau and Chopin 2022, J. R. Statist. Soc. B 84:114): where steps are short, as on
+a thin and bent posterior, that is what keeps places apart. At the full power the particles go on until each unknown by
+itself is forgotten. Unlike a chain this needs no start, finds several modes, and works for a hierarchy of forty
+unknowns.
 """
 
 from __future__ import annotations
@@ -46,15 +47,15 @@ _MOST_STAGES = 400
 class Block:
     """Coordinates that are moved together, and the parts of the likelihood that they change.
 
-    carried : coordinates that follow along the regression line of the particles. followers : blocks whose straight
-    coordinates follow in that way, such as each case's own when the inertia that divides all of them moves. given :
+    followers : blocks (or other sets of coordinates that the target counts after its blocks) whose straight
+    coordinates follow along the regression line of the particles, such as each case's own when the inertia that divides
+    all of them moves. given :
     coordinates at rest on which the block's place hangs: most steps are then those of a `Guide` learnt from both, for
     what those leave of the block can be far thinner than the block's own cloud, and bent.
     """
 
     columns: Index
     parts: Index
-    carried: Index | None = None
     followers: tuple[int, ...] = ()
     given: Index | None = None
 
@@ -74,11 +75,20 @@ class Target(Protocol):
     def blocks(self) -> Sequence[Block]:
         """How the coordinates are moved."""
 
-    def log_likelihood(self, points: Array, parts: Index) -> Array:
-        """Log likelihood of the chosen parts at points (n, ndim): (n, len(parts))."""
+    def measure(self, points: Array, parts: Index) -> Array:
+        """What it takes to know of the chosen parts at points (n, ndim), computed once: (n, len(parts), k)."""
+
+    def height(self, measured: Array, parts: Index, power: float) -> Array:
+        """Log likelihood (n, len(parts)) of what was measured as far as it bears, from 0 (not at all) to 1."""
+
+    def at(self, power: float) -> Target:
+        """The same with coordinates that are straight at this power."""
 
     def straight(self, points: Array, block: int) -> Array:
-        """A block's coordinates (n, k) in which steps are taken: bent ridges made straight, with constant volume."""
+        """A block's coordinates (n, k) in which steps are taken: bent ridges made straight."""
+
+    def log_volume(self, points: Array, block: int) -> Array:
+        """Log of the volume of a block's coordinates over that of its straight ones, (n,), up to a constant."""
 
     def bent(self, points: Array, block: int, steps: Array) -> Array:
         """The points with a block's coordinates replaced by what `straight` gives as `steps` (n, k)."""
@@ -126,40 +136,43 @@ def temper(
     InputError
         if the likelihood is zero at all draws of the prior, or its peak is too narrow to be reached.
     """
+    everything = np.arange(target.parts)
     trail = rng.standard_normal((1, _FIRST * particles, target.ndim))
-    heights = _clean(target.log_likelihood(trail[0], np.arange(target.parts)))[None]
+    known = target.measure(trail[0], everything)[None]
     power, log_z, variance, stages, worst, left = 0.0, 0.0, 0.0, 0, 0.0, 1.0
     steps = dict.fromkeys(range(len(target.blocks)), 0.6)
     last = False
     while not last:
-        total = heights.sum(axis=2)  # (times, chains)
-        if not np.any(np.isfinite(total)):
+        shape = trail.shape[:2]  # (times, chains)
+        places, measured = trail.reshape(-1, target.ndim), known.reshape(-1, *known.shape[2:])
+        now = _height(target, measured, everything, power).sum(axis=1) if power else np.zeros(len(places))
+        if not np.any(np.isfinite(_height(target, measured, everything, 1.0).sum(axis=1))):
             raise InputError("the likelihood is zero at all draws of the prior: widen the priors, or check the units")
         stages += 1
         if stages > _MOST_STAGES:
             raise InputError("the posterior is too narrow for tempering; use the records' Laplace version")
         last = power == 1.0
-        rise = 1.0 if last else _next_power(total.ravel(), power)
-        weights = np.zeros(total.shape) if last else (rise - power) * np.where(np.isfinite(total), total, -np.inf)
+        rise = 1.0 if last else _next_power(target, measured, now, power)
+        weights = np.zeros(len(places)) if last else _gain(_height(target, measured, everything, rise), now)
         whole = float(logsumexp(weights))
-        log_z += whole - math.log(weights.size)
+        log_z += whole - math.log(len(places))
         share = np.exp(weights - whole)
         # Places of one particle resemble each other: the error is that of independent particles.
-        chains = total.shape[1]
-        variance += max(float(chains * np.sum(share.sum(axis=0) ** 2)) - 1.0, 0.0) / chains
-        places, depths = trail.reshape(-1, target.ndim), heights.reshape(-1, target.parts)
-        chosen = _systematic(share.ravel(), particles, rng)
-        points, value = places[chosen], depths[chosen]
-        known = places[_systematic(share.ravel(), min(_LEARNT, len(places)), rng)]
+        chains = share.reshape(shape).sum(axis=0)
+        variance += max(float(len(chains) * np.sum(chains**2)) - 1.0, 0.0) / len(chains)
+        chosen = _systematic(share, particles, rng)
+        lessons = places[_systematic(share, min(_LEARNT, len(places)), rng)]
         power = rise
-        learnt = _learn(target, known, _PARTS_AT_LAST if power == 1.0 else _PARTS)
-        trail, heights, mean, left = _move(target, points, value, power, steps, learnt, last, rng)
+        target = target.at(power)
+        learnt = _learn(target, lessons, _PARTS_AT_LAST if power == 1.0 else _PARTS)
+        trail, known, mean, left = _move(target, places[chosen], measured[chosen], power, steps, learnt, last, rng)
         worst = max(worst, mean)
         last = last or (power == 1.0 and not settle)
         if tell is not None:
             tell(power, "moving on at full power" if last else f"likelihood at power {power:.3g}")
     times = np.linspace(0, len(trail) - 1, min(kept, len(trail)) + 1).round().astype(int)[1:]
-    points, value = trail[times].reshape(-1, target.ndim), heights[times].reshape(-1, target.parts)
+    points, measured = trail[times].reshape(-1, target.ndim), known[times].reshape(-1, *known.shape[2:])
+    value = _height(target, measured, everything, 1.0)
     return Tempered(points, value, log_z, math.sqrt(variance), stages, worst, left)
 
 
@@ -168,35 +181,43 @@ def move_on(target: Target, points: Array, known: Array, rng: np.random.Generato
 
     known : places (m, ndim) that resemble draws, to learn steps from.
     """
-    value = _clean(target.log_likelihood(points, np.arange(target.parts)))
+    measured = target.measure(points, np.arange(target.parts))
     steps = dict.fromkeys(range(len(target.blocks)), 0.3)
     learnt = _learn(target, known[-_LEARNT:], _PARTS_AT_LAST)
-    trail, _, _, _ = _move(target, points, value, 1.0, steps, learnt, True, rng)
+    trail, _, _, _ = _move(target, points, measured, 1.0, steps, learnt, True, rng)
     return trail.reshape(-1, target.ndim)
 
 
-def _clean(value: Array) -> Array:
+def _height(target: Target, measured: Array, parts: Index, power: float) -> Array:
+    value = target.height(measured, parts, power)
     return np.where(np.isnan(value), -np.inf, value)
 
 
-def _next_power(total: Array, power: float) -> float:
-    """The power at which half of the particles count, at most 1."""
+def _gain(risen: Array, now: Array) -> Array:
+    """How much higher the sum of parts (n, parts) is than before (n,); -inf where it vanishes."""
+    total = risen.sum(axis=1)
+    return np.where(np.isfinite(total), total - np.where(np.isfinite(now), now, 0.0), -np.inf)
+
+
+def _next_power(target: Target, measured: Array, now: Array, power: float) -> float:
+    """The power at which half of the places that can count do, at most 1."""
+    some = np.linspace(0, len(now) - 1, min(len(now), _LEARNT)).astype(int)
+    measured, now, everything = measured[some], now[some], np.arange(target.parts)
 
     def count(rise: float) -> float:
-        w = (rise - power) * total
-        w = np.exp(w - w.max())
+        gain = _gain(_height(target, measured, everything, rise), now)
+        if not np.any(np.isfinite(gain)):
+            return 0.0
+        w = np.exp(gain - gain.max())
         return float(w.sum() ** 2 / (w**2).sum())
 
-    finite = np.where(np.isfinite(total), total, -np.inf)
-    total = np.where(np.isfinite(finite), finite, finite[np.isfinite(finite)].min() - 1e6)
-    goal = 0.5 * len(total)
+    goal = 0.5 * np.isfinite(_gain(_height(target, measured, everything, 1.0), now)).sum()
     if count(1.0) >= goal:
         return 1.0
     low, high = power, 1.0
-    for _ in range(60):
+    for _ in range(40):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if count(middle) >= goal else (low, middle)
-    # A few points of zero likelihood may already be more than half: go on with what there is.
     return max(low, power + 1e-12)
 
 
@@ -206,27 +227,27 @@ def _systematic(share: Array, n: int, rng: np.random.Generator) -> Index:
 
 
 def _move(
-    target: Target, points: Array, value: Array, power: float, steps: dict[int, float], learnt: _Learnt,
+    target: Target, points: Array, measured: Array, power: float, steps: dict[int, float], learnt: _Learnt,
     last: bool, rng: np.random.Generator,
 ) -> tuple[Array, Array, float, float]:  # fmt: skip
     """Metropolis sweeps over all blocks until the particles have forgotten their places.
 
-    Returns their places (times, n, ndim) and log likelihoods (times, n, parts), and the mean and the largest
+    Returns their places (times, n, ndim) and what was measured (times, n, parts, k), and the mean and the largest
     correlation of an unknown with its place at the start.
     """
     begin = target.unknowns(points)
-    trail, heights = [], []
+    trail, known = [], []
     mean = largest = 1.0
     for sweep in range(_LAST_SWEEPS if last else _MOST_SWEEPS):
         for i in range(len(target.blocks)):
             # In turn; a block has either a guide or a Gaussian of the cloud's shape.
             kind = ("draw", "near", "along")[sweep % 3] if i in learnt.guides else ("cloud", "along")[sweep % 2]
-            points, value, accepted = _step(target, i, points, value, power, kind, steps[i], learnt, rng)
+            points, measured, accepted = _step(target, i, points, measured, power, kind, steps[i], learnt, rng)
             if kind == "cloud":
                 steps[i] = float(np.clip(steps[i] * math.exp(0.6 * (accepted - 0.3)), 0.03, 1.0))
         points = target.refresh(points, rng)
         trail.append(points)
-        heights.append(value)
+        known.append(measured)
         if sweep + 1 >= _FEWEST_SWEEPS:
             left = _memory(begin, target.unknowns(points))
             mean, largest = float(left.mean()), float(left.max())
@@ -236,7 +257,7 @@ def _move(
     # At the full power the first half leads away from where the particles began, which few of them may have shared.
     first = len(trail) // 2 if last else 0
     some = np.linspace(first, len(trail) - 1, min(_KEPT, len(trail) - first)).round().astype(int)
-    return np.stack([trail[i] for i in some]), np.stack([heights[i] for i in some]), mean, largest
+    return np.stack([trail[i] for i in some]), np.stack([known[i] for i in some]), mean, largest
 
 
 def _memory(before: Array, now: Array) -> Array:
@@ -249,8 +270,7 @@ def _memory(before: Array, now: Array) -> Array:
 class _Learnt:
     """What is learnt from places before a stage, and fixed in it.
 
-    guides : of the blocks that hang on others; slopes : of what moves along with a block, its carried coordinates (-1)
-    or another block, on its own.
+    guides : of the blocks that hang on others; slopes : of what moves along with a block on its own coordinates.
     """
 
     guides: Mapping[int, Guide]
@@ -259,20 +279,19 @@ class _Learnt:
 
 def _learn(target: Target, known: Array, most: int) -> _Learnt:
     """From places (n, ndim)."""
-    guides, slopes = {}, {}
-    straight = [target.straight(known, i) for i in range(len(target.blocks))]
+    guides: dict[int, Guide] = {}
+    slopes: dict[tuple[int, int], Array] = {}
     for i, block in enumerate(target.blocks):
+        straight = target.straight(known, i)
         if block.given is not None:
-            places = np.concatenate([straight[i], known[:, block.given]], axis=1)
+            places = np.concatenate([straight, known[:, block.given]], axis=1)
             guides[i] = Guide(places, len(block.columns), most)
-        if block.carried is not None and len(block.carried):
-            slopes[i, -1] = _slopes(straight[i], known[:, block.carried])
-        slopes |= {(i, j): _slopes(straight[i], straight[j]) for j in block.followers}
+        slopes |= {(i, j): _slopes(straight, target.straight(known, j)) for j in block.followers}
     return _Learnt(guides, slopes)
 
 
 def _step(
-    target: Target, which: int, points: Array, value: Array, power: float, kind: str, size: float,
+    target: Target, which: int, points: Array, measured: Array, power: float, kind: str, size: float,
     learnt: _Learnt, rng: np.random.Generator,
 ) -> tuple[Array, Array, float]:  # fmt: skip
     """One Metropolis step of a block for all particles, half after half: each half moves by the shape of the other.
@@ -282,33 +301,36 @@ def _step(
     """
     block = target.blocks[which]
     n = len(points)
-    points, value = points.copy(), value.copy()
+    points, measured = points.copy(), measured.copy()
     halves = np.array_split(rng.permutation(n), 2)
     accepted = 0
     for own, other in (halves, halves[::-1]):
-        x, reference = target.straight(points[own], which), target.straight(points[other], which)
+        here = points[own]
+        x = target.straight(here, which)
         if kind in ("draw", "near") and block.given is not None:
-            guide, given = learnt.guides[which], points[np.ix_(own, block.given)]
-            proposed, correction = (guide.draw if kind == "draw" else guide.step)(x, given, rng)
+            guide, given = learnt.guides[which], here[:, block.given]
+            proposed, gain = (guide.draw if kind == "draw" else guide.step)(x, given, rng)
         elif kind == "along":
-            proposed, correction = x + _difference(reference, len(own), rng), np.zeros(len(own))
+            proposed = x + _difference(target.straight(points[other], which), len(own), rng)
+            gain = np.zeros(len(own))
         else:
-            proposed, correction = _about(reference, x, size, rng)
-        candidate = target.bent(points[own], which, proposed)
-        # What moves along is sheared: volume is kept, and the way back is the same.
-        if (which, -1) in learnt.slopes:
-            candidate[:, block.carried] += (proposed - x) @ learnt.slopes[which, -1]
+            proposed, gain = _about(target.straight(points[other], which), x, size, rng)
+        there = target.bent(here, which, proposed)
+        # What moves along is sheared: volume is kept in straight coordinates, and the way back is the same.
         for follower in block.followers:
-            moved = target.straight(points[own], follower) + (proposed - x) @ learnt.slopes[which, follower]
-            candidate = target.bent(candidate, follower, moved)
-        fresh = _clean(target.log_likelihood(candidate, block.parts))
-        gain = power * (fresh.sum(axis=1) - value[np.ix_(own, block.parts)].sum(axis=1))
-        gain = gain + correction + 0.5 * (np.sum(points[own] ** 2, axis=1) - np.sum(candidate**2, axis=1))
+            moved = target.straight(here, follower) + (proposed - x) @ learnt.slopes[which, follower]
+            there = target.bent(there, follower, moved)
+        for k in (which, *block.followers):
+            gain = gain + target.log_volume(there, k) - target.log_volume(here, k)
+        fresh = target.measure(there, block.parts)
+        gain += _height(target, fresh, block.parts, power).sum(axis=1)
+        gain -= _height(target, measured[np.ix_(own, block.parts)], block.parts, power).sum(axis=1)
+        gain += 0.5 * (np.sum(here**2, axis=1) - np.sum(there**2, axis=1))
         taken = np.log(rng.random(len(own))) < gain
-        points[own[taken]] = candidate[taken]
-        value[np.ix_(own[taken], block.parts)] = fresh[taken]
+        points[own[taken]] = there[taken]
+        measured[np.ix_(own[taken], block.parts)] = fresh[taken]
         accepted += int(taken.sum())
-    return points, value, accepted / n
+    return points, measured, accepted / n
 
 
 def _difference(reference: Array, n: int, rng: np.random.Generator) -> Array:
