@@ -244,9 +244,14 @@ def test_repeats_of_a_sharp_hierarchy_agree_within_their_error():
     apart = np.abs(means[0] - means[1]) / np.sqrt(np.mean([x.var(axis=0) for x in unknowns], axis=0))
     assert np.sqrt(np.mean(apart**2)) < answer._APART
     assert abs(found[0].log_z - found[1].log_z) < 5.0 * (found[0].error + found[1].error)
-    alone = temper(hierarchy, np.random.default_rng(0), 96, settle=False)
-    assert alone.log_z == found[0].log_z
-    assert alone.stages == found[0].stages - 1
+
+
+def test_evidence_alone_needs_no_settling():
+    _, likelihoods, _ = linear_cases(np.random.default_rng(21), "half")
+    hierarchy = Hierarchy(likelihoods, "partial", POOLED, COMMON)
+    whole, alone = (temper(hierarchy, np.random.default_rng(0), 32, settle=settle) for settle in (True, False))
+    assert alone.log_z == whole.log_z
+    assert alone.stages == whole.stages - 1
 
 
 def test_recycled_draws_agree_with_direct_sampling():
