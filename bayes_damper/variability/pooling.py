@@ -119,12 +119,17 @@ class Scaling:
 
 @dataclass(frozen=True)
 class _View:
-    """Coordinates that are moved together: as they are, or `pooled` and `own` ones of a case in its straight form."""
+    """Coordinates that are moved together: as they are, or `pooled` and `own` ones of a case in its straight form.
+
+    middle : the mean of the cases' values, which they all follow (m moves, e rests); scatter : s, that mean at rest.
+    """
 
     columns: Index
     case: int = -1
     pooled: bool = False
     own: bool = False
+    middle: bool = False
+    scatter: bool = False
 
 
 class _Plain(ABC):
@@ -214,29 +219,31 @@ class Hierarchy:
         population = np.concatenate([self._m, self._s])
         numbers = range(self.parts)
         # What all cases hang on, then each case's own.
-        columns = [population, self._common, *(np.concatenate([self._e[c], self._own[c]]) for c in numbers)]
-        views = [_View(population, self.parts // 2, pooled=True) if pooling == "shared" else _View(population)]
-        views += [_View(self._common)]
-        views += [_View(columns[2 + c], c, pooled=pooling != "shared", own=True) for c in numbers]
+        columns = [self._m, self._s, self._common]
+        columns += [np.concatenate([self._e[c], self._own[c]]) for c in numbers]
+        middle = _View(self._m, self.parts // 2, pooled=True, middle=pooling == "partial")
+        views = [middle, _View(self._s, scatter=True), _View(self._common)]
+        views += [_View(columns[3 + c], c, pooled=pooling != "shared", own=True) for c in numbers]
         kept = [k for k, x in enumerate(columns) if len(x)]
         place = {k: i for i, k in enumerate(kept)}
-        followers = tuple(place[k] for k in range(2, len(columns)) if k in place)
-        self.blocks: list[Block] = []
+        of_cases = tuple(place[k] for k in range(3, len(columns)) if k in place)
         self._views = [views[k] for k in kept]
+        own = of_cases
         if pooling == "partial":
-            # Values move with the population; what is only a case's own follows.
-            alone = tuple(len(kept) + c for c in numbers)
+            own = tuple(len(kept) + c for c in numbers)
             self._views += [_View(self._own[c], c, own=True) for c in numbers]
+        self.blocks: list[Block] = []
         for k in kept:
             if k == 0:
-                given = self._common if pooling == "shared" else None
-                moving = alone if pooling == "partial" else followers
-                block = Block(columns[k], everything, followers=moving, given=given)
+                given = np.concatenate([self._common, self._s])
+                block = Block(columns[k], everything, followers=own, given=given)
             elif k == 1:
-                first = (place[0],) if pooling == "shared" else ()
-                block = Block(columns[k], everything, followers=(*first, *followers))
+                block = Block(columns[k], everything, followers=own)
+            elif k == 2:
+                first = (place[0],) if 0 in place else ()
+                block = Block(columns[k], everything, followers=(*first, *of_cases))
             else:
-                block = Block(columns[k], np.array([k - 2]), given=np.concatenate([self._common, population]))
+                block = Block(columns[k], np.array([k - 3]), given=np.concatenate([self._common, population]))
             self.blocks.append(block)
 
     def at(self, power: float) -> Hierarchy:
@@ -260,6 +267,11 @@ class Hierarchy:
         """A block's coordinates with the case's values in straight form."""
         view = self._views[block]
         curve = self.cases[view.case].straightener if view.case >= 0 else None
+        if view.middle:
+            middle = self._middle(points)
+            return (
+                middle if curve is None else curve.sampled(self._with(points, view, middle))[:, self._places_of(view)]
+            )
         if curve is None:
             return points[:, view.columns]
         return curve.sampled(self.coordinates(points, view.case))[:, self._places_of(view)]
@@ -269,6 +281,18 @@ class Hierarchy:
         view = self._views[block]
         points = points.copy()
         curve = self.cases[view.case].straightener if view.case >= 0 else None
+        if view.middle:
+            if curve is not None:
+                steps = curve.standard(self._with(points, view, steps))[:, self._places_of(view)]
+            s = self.scatter(points)
+            points[:, view.columns] += (steps - self._middle(points)) / np.sqrt(1.0 - s**2)
+            return points
+        if view.scatter:
+            middle = self._middle(points)
+            points[:, view.columns] = steps
+            s = self.scatter(points)
+            points[:, self._m] = (middle - s * np.mean([points[:, e] for e in self._e], axis=0)) / np.sqrt(1.0 - s**2)
+            return points
         if curve is None:
             points[:, view.columns] = steps
             return points
@@ -284,9 +308,21 @@ class Hierarchy:
         points[:, view.columns] = z
         return points
 
+    def _middle(self, points: Array) -> Array:
+        """The mean of the cases' values, (n, pooled)."""
+        return np.asarray(np.mean([self.values(points, c) for c in range(self.parts)], axis=0))
+
+    def _with(self, points: Array, view: _View, values: Array) -> Array:
+        """Coordinates of a view's case with other pooled values."""
+        whole = self.coordinates(points, view.case)
+        whole[:, self._places_of(view)] = values
+        return whole
+
     def log_volume(self, points: Array, block: int) -> Array:
         """Log of the volume of a block's coordinates over that of its straight ones, (n,), up to a constant."""
         view = self._views[block]
+        if view.scatter:  # m goes with the mean of the values over sqrt(1 - s^2)
+            return np.asarray(-0.5 * np.log1p(-(self.scatter(points) ** 2)).sum(axis=1))
         curve = self.cases[view.case].straightener if view.case >= 0 else None
         if curve is None or not view.own:
             return np.zeros(len(points))
