@@ -59,6 +59,14 @@ def gaps_of(times: Array) -> list[tuple[float, float]]:
     return [(float(times[i]), float(times[i + 1])) for i in where]
 
 
+def within_gaps(at: Array, times: Array) -> NDArray[np.bool_]:
+    """Which instants `at` lie in a gap of the readings at `times`, where nothing was read."""
+    out = np.zeros(at.shape, dtype=np.bool_)
+    for start, end in gaps_of(times) if times.size > 1 else []:
+        out |= (at > start) & (at < end)
+    return out
+
+
 def unevenness_of(times: Array) -> float:
     """Largest departure of a time step from the median step, as a share of it; gaps are left out."""
     steps = np.diff(times)

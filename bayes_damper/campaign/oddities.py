@@ -248,6 +248,7 @@ def _look_for_odd_twin(group: Sequence[Trial], quantity: str, warnings: list[str
     start, end = max(c[0] for c in clocks), min(c[-1] for c in clocks)
     inside = (clocks[0] >= max(start, 2.0 * max(steps))) & (clocks[0] <= end)
     grid = clocks[0][inside]
+    grid = grid[~np.any([look.within_gaps(grid, c) for c in clocks], axis=0)]
     if len(grid) < 8:
         warnings.append(f"{group[0].file} and its repeats hardly overlap in time; they cannot be compared")
         return
@@ -298,7 +299,7 @@ def _apart(a: Trial, b: Trial) -> tuple[float, float]:
 
     (0, 0) where they cannot be compared: one channel only, or hardly any time in common.
     """
-    inside = (a.times >= b.times[0]) & (a.times <= b.times[-1])
+    inside = (a.times >= b.times[0]) & (a.times <= b.times[-1]) & ~look.within_gaps(a.times, b.times)
     if len(a.channels) < 2 or np.count_nonzero(inside) < 8:
         return 0.0, 0.0
     x = a.channels[:, inside] / _release(a)
