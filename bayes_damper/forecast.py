@@ -231,8 +231,7 @@ def _begun(problem: Problem, seen: dict[int, float]) -> Problem:
     for i, end in seen.items():
         t = trials[i]
         keep = t.times <= end
-        torque = None if t.torque is None else t.torque[keep]
-        trials[i] = replace(t, times=t.times[keep], y=t.y[:, keep], torque=torque)
+        trials[i] = t.at(keep)
         if i in factors and np.ndim(factors[i]) > 0:
             factors[i] = factors[i][..., keep]
     out = copy(problem)

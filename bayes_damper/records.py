@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 TOLERANCE = 0.02  # share of a step by which readings may lie beside a common grid
 LARGEST_GRID = 3.0  # times the readings of the longest record; beyond, gaps are longer than what was read
 STEPS_OF_DOUBT = 1.5  # sampling steps between nominal and real release that are left to the fit
+FLICKER = 0.05  # share of a rounded channel's changes that are undone at once, beyond which its noise sets it moving
+ROUNDED = 1.3  # noise of a rounded channel, over that of its rounding alone, beyond which it averages like any other
 LARGE = 200_000
 """Readings of a campaign beyond which one in so many is picked, where they come faster than the motion needs."""
 READINGS_PER_PERIOD = 150.0  # of the primary, that the readings of a large campaign are picked down to
@@ -99,6 +101,54 @@ def picks(sizes: Sequence[int], steps: Sequence[float], period: float, swings: b
         return [1] * len(sizes)
     wanted = period / (READINGS_PER_SWING if swings else READINGS_PER_PERIOD)
     return [max(1, math.floor(wanted / step * (1.0 + 1e-9))) if step > 0.0 else 1 for step in steps]
+
+
+def rounding_of(readings: Array) -> float:
+    """Step of one channel whose readings err by their rounding and hardly by anything else; 0 where noise moves them to
+    and fro between steps, so that they average like any other.
+
+    readings : (n,); nan where missing
+    """
+    y = readings[np.isfinite(readings)]
+    step = look.resolution_of(y) if y.size >= 4 else 0.0
+    if step == 0.0 or look.noise_floor_of(y) > ROUNDED * step / math.sqrt(12.0):
+        return 0.0
+    changes = np.diff(y) != 0.0
+    back = changes[:-1] & changes[1:] & (y[2:] == y[:-2])
+    return 0.0 if np.count_nonzero(back) > FLICKER * np.count_nonzero(changes) else step
+
+
+def crossings(times: Array, readings: Array, step: float, period: float) -> tuple[Array, Array]:
+    """What the readings of a rounded channel tell: values (n,), nan where nothing, and their weights (n,).
+
+    Equal readings share one error of rounding: all of a run tell no more than that a step was passed when it began. So
+    the first reading of each run is kept, at the value to be expected there: where a run lasts k readings, 1 / k of a
+    step beyond the edge between the two, give or take half of that; a swing is not flattened at its ends, as it is
+    where the middles of steps stand for all that is rounded to them. Of a run that lasts longer than a period one
+    reading is kept for each, so that a model that still moves there is seen; together these count as one.
+
+    times : (n,) s; readings : (n,), nan where missing; step : of the readings; period : s, of the rig's own oscillation
+    """
+    values, weights = np.full(readings.size, np.nan), np.zeros(readings.size)
+    here = np.flatnonzero(np.isfinite(readings))
+    t, y = times[here], readings[here]
+    if y.size == 0:
+        return values, weights
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(y) != 0.0) + 1])
+    lengths = np.diff(np.concatenate([starts, [y.size]]))
+    rise = np.sign(np.diff(y[starts]))  # into each run but the first
+    passed = np.concatenate([[False], rise[1:] == rise[:-1], [False]])  # runs that lead on, neither first nor last
+    for k in range(1, starts.size):
+        near = [lengths[i] for i in (k - 1, k) if passed[i]] or [min(lengths[k - 1], lengths[k])]
+        at = here[starts[k]]
+        values[at] = y[starts[k]] - 0.5 * step * rise[k - 1] * (1.0 - 1.0 / np.mean(near))
+        weights[at] = 1.0
+    for first, length in zip(starts, lengths, strict=True):
+        parts = int((t[first + length - 1] - t[first]) / period)
+        if parts:
+            middles = here[first + (length * (np.arange(parts) + 0.5) / parts).astype(np.intp)]
+            values[middles], weights[middles] = y[first], 1.0 / math.sqrt(parts)
+    return values, weights
 
 
 def common_grid(clocks: Sequence[Array]) -> tuple[Array, list[NDArray[np.intp]]] | None:

@@ -27,9 +27,12 @@ from bayes_damper.calibration import (
     predict,
     thinned,
 )
+from bayes_damper.calibration.experiment import unrounded
+from bayes_damper.diagnosis.remainder import remainder_of
 from bayes_damper.distributions import HalfNormal, LogNormal, LogUniform, Normal, Uniform, from_standard
 from bayes_damper.effects import EFFECTS
 from bayes_damper.model import Model
+from bayes_damper.records import crossings
 
 RIG = {"J1": 3.015e-3, "J2": 2.474e-3, "R": 0.10, "r": 0.0127, "N0": 100.0}
 TRUE = {"mu": 0.006, "k2t": 1.4, "c2t": 0.07, "drag": 0.005, "nu": 40.0, "c1t": 0.011, "c3t": 0.009}
@@ -489,3 +492,85 @@ def test_a_record_without_three_readings_in_a_row_is_fitted_like_any_other():
     for group in problem.groups:
         assert np.all(group.weight[:, :, ::3] == 0.0)
         assert np.all(group.weight[:, :, 4::3] == 1.0)
+
+
+STEP = 2.0 * math.pi / 2000.0  # rad, of an encoder
+ENCODED = {"J1": 8e-4, "c1t": 4e-4, "k1t": 0.9, "drag": 0.004, "nu": 1000.0, "omega1_0": 0.0}
+
+
+def encoded(angles: dict[str, tuple[float, ...]], duration: float) -> Experiment:
+    """A disc with dry friction, read by an encoder of 2000 steps a turn, released from these angles, rad, by case."""
+    times = np.arange(0.0, duration, 4e-3)
+    trials = []
+    for case, releases in angles.items():
+        for number, theta0 in enumerate(releases, 1):
+            y = Model(False).simulate(ENCODED | {"theta0": theta0}, times, quantity="displacement").y[0]
+            trials.append(TrialRecord(f"{case}{number}", case, False, number, times, np.round(y / STEP) * STEP, 0))
+    constants: dict[str, tuple[float, float]] = {"J1": (8e-4, 0.0)}
+    return Experiment(constants, ((0.9, 0.009),), tuple(trials), quantity="displacement", start="free")
+
+
+def test_an_encoder_at_rest_is_no_finer_than_its_step():
+    """Records that mostly rest are rounded alike there: differences vanish, and would tell of a noise of nothing."""
+    fit = calibrate_nominal(unrounded(encoded({"a": (0.21, 0.207, 0.214)}, 6.0)))
+    assert fit.problem.noise.floor[0] > 0.99 * STEP / math.sqrt(12.0)
+
+
+def test_a_run_of_equal_readings_counts_once():
+    whole = encoded({"a": (0.21,)}, 6.0).trials[0]
+    told = unrounded(encoded({"a": (0.21,)}, 6.0))
+    assert told.rounding == (pytest.approx(STEP),)
+    trial = told.trials[0]
+    assert trial.weight is not None
+    assert np.array_equal(trial.weight > 0.0, np.isfinite(trial.y))
+    changes = np.flatnonzero(np.diff(whole.y[0]) != 0.0)
+    rest = slice(changes[-1] + 2, None)
+    assert 5 < np.count_nonzero(trial.weight[0, rest]) < 40  # one for each period
+    assert np.sum(trial.weight[0, rest] ** 2) == pytest.approx(1.0)
+    ends = np.concatenate([changes, [whole.times.size - 1]])
+    lasting = np.diff(whole.times[ends]) - 4e-3 >= 2.0 * math.pi * math.sqrt(8e-4 / 0.9)
+    assert np.sum(trial.weight[0] ** 2) == pytest.approx(changes.size + np.count_nonzero(lasting))
+
+
+def test_what_is_told_of_rounded_readings_is_nearer_to_the_motion():
+    """Where steps take long: half as far as the readings, and not nearer to rest at the ends of a swing."""
+    rng = np.random.default_rng(0)
+    times = np.arange(0.0, 60.0, 2e-3)
+    motion = rng.uniform(9.0, 11.0) * np.exp(-0.01 * times) * np.cos(2.0 * math.pi * 0.4 * times)
+    values, weights = crossings(times, np.round(motion), 1.0, 2.5)
+    assert np.array_equal(weights > 0.0, np.isfinite(values))
+    off = (values - motion)[weights == 1.0]
+    assert math.sqrt(np.mean(off**2)) < 0.05
+    outward = off * np.sign(motion[weights == 1.0])
+    assert abs(np.mean(outward)) < 4.0 * np.std(outward) / math.sqrt(outward.size)
+
+
+@pytest.mark.parametrize("apart", [0.002, 0.0])
+def test_values_from_an_encoder_stay_within_their_intervals(apart: float):
+    """Repeats released from nearly the same angle are rounded alike, which is neither a gap nor more knowledge."""
+    angles = {"a": (0.2087, 0.2087 - apart, 0.2087 + 2.0 * apart), "b": (0.4449, 0.4449 + apart, 0.4449 - apart)}
+    fit = calibrate_nominal(unrounded(encoded(angles, 3.0)))
+    for name in ("c1t", "drag", "k1t"):
+        value, sd = fit.parameters[name]
+        assert abs(value - ENCODED[name]) < 4.0 * sd
+    assert remainder_of(fit).strength < 8.0
+    alike = fit.problem.noise.floor[0] / (STEP / math.sqrt(12.0))
+    assert alike == pytest.approx(math.sqrt(3.0), rel=0.05) if apart == 0.0 else alike < 1.3
+
+
+def test_readings_whose_noise_exceeds_their_step_all_count():
+    fine = make_experiment(2, n=50, repeats=2)
+    assert unrounded(fine) is fine
+    coarse = replace(fine, trials=tuple(replace(t, y=np.round(t.y)) for t in fine.trials))  # half the noise's sd
+    assert unrounded(coarse) is coarse
+
+
+def test_missing_readings_neither_hide_nor_feign_a_remainder():
+    experiment = make_experiment(3, coupled=False)
+    holes = []
+    for t in experiment.trials:
+        y = t.y.copy()
+        y[:, 150:350] = np.nan
+        holes.append(replace(t, y=y))
+    left = remainder_of(calibrate_nominal(replace(experiment, trials=tuple(holes))))
+    assert abs(left.low_excess) < 4.0 * left.low_sd

@@ -76,6 +76,19 @@ def test_repeats_that_differ_as_repeats_do_are_none(noise):
     assert odd_trials(with_records(e, {larger: 1.1 * e.trials[larger].y, late: y})) == []
 
 
+@pytest.mark.parametrize("cut", [False, True])
+def test_readings_that_are_missing_make_no_trial_odd(cut):
+    """A gap of a third of a period and an early end, as readings left out or as none known there."""
+    e = measured(7)
+    i = place(e, "I", True, 3)
+    t = e.trials[i]
+    lost = ((t.times > 0.03) & (t.times < 0.07)) | (t.times > 0.7 * t.times[-1])
+    short = replace(t, times=t.times[~lost], y=t.y[:, ~lost]) if cut else replace(t, y=np.where(lost, np.nan, t.y))
+    assert odd_trials(replace(e, trials=(*e.trials[:i], short, *e.trials[i + 1 :]))) == []
+    exchanged = replace(short, y=short.y[::-1])
+    assert [o.trial for o in odd_trials(replace(e, trials=(*e.trials[:i], exchanged, *e.trials[i + 1 :])))] == [i]
+
+
 def test_of_two_repeats_none_is_called_the_odd_one():
     e = measured(6, repeats=2)
     i = place(e, "I", True, 1)

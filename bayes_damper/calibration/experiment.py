@@ -15,7 +15,7 @@ from bayes_damper.errors import InputError
 from bayes_damper.integrator import LONGEST_STEP
 from bayes_damper.model import Quantity
 from bayes_damper.priors import PriorSet
-from bayes_damper.records import common_grid, picks, release_of
+from bayes_damper.records import common_grid, crossings, picks, release_of, rounding_of
 
 Array = NDArray[np.float64]
 STEPS_PER_PERIOD = 120.0  # at least, of the primary on its spring
@@ -26,7 +26,8 @@ class TrialRecord:
     """One measured trial, as the calibration sees it.
 
     times (n,) s; y (channels, n), nan where a reading is missing; k1t: index into Experiment.stiffnesses;
-    theta0, theta0_sd: nominal release angle (rad) and its standard uncertainty.
+    theta0, theta0_sd: nominal release angle (rad) and its standard uncertainty; weight (channels, n): what multiplies
+    the residuals of readings that do not count fully.
     """
 
     label: str
@@ -40,6 +41,13 @@ class TrialRecord:
     theta0_sd: float = 0.0
     torque: Array | None = None
     heldout: bool = False
+    weight: Array | None = None
+
+    def at(self, which: NDArray[np.bool_] | slice) -> TrialRecord:
+        """The trial with these of its readings only."""
+        torque = None if self.torque is None else self.torque[which]
+        weight = None if self.weight is None else self.weight[:, which]
+        return replace(self, times=self.times[which], y=self.y[:, which], torque=torque, weight=weight)
 
 
 @dataclass(frozen=True)
@@ -51,7 +59,8 @@ class Experiment:
 
     priors: parameter -> distribution, or number where it is fixed, in place of the default; levels: parameter ->
     "campaign" (one value for all trials, the default), "case" or "trial"; case_priors: parameter -> case -> prior where
-    cases differ; ties: parameter -> the one whose value it takes.
+    cases differ; ties: parameter -> the one whose value it takes; rounding: step of each channel whose readings err by
+    their rounding alone, 0 for the others.
     """
 
     constants: Mapping[str, tuple[float, float]]
@@ -70,6 +79,7 @@ class Experiment:
     scale_sd: tuple[float, ...] = ()
     lag_sd: tuple[float, ...] = ()
     coupling_law: Literal["constant", "cosine"] = "constant"
+    rounding: tuple[float, ...] = ()
 
     @property
     def coupled(self) -> bool:
@@ -245,16 +255,34 @@ def thinned(experiment: Experiment, every: int | None = None) -> Experiment:
     omega = max(math.sqrt(max(k, 1e-300) / experiment.constants["J1"][0]) for k, _ in experiment.stiffnesses)
     steps = [float(np.median(np.diff(t.times))) if t.times.size > 1 else 0.0 for t in trials]
     swings = experiment.quantity != "acceleration" and experiment.start == "free"
-    decided = picks([t.y.size for t in trials], steps, 2.0 * math.pi / omega, swings)
-    return replace(experiment, trials=tuple(_one_in(t, every or n) for t, n in zip(trials, decided, strict=True)))
+    decided = [every or n for n in picks([t.y.size for t in trials], steps, 2.0 * math.pi / omega, swings)]
+    kept = tuple(t if n == 1 else t.at(slice(None, None, n)) for t, n in zip(trials, decided, strict=True))
+    return replace(experiment, trials=kept)
 
 
-def _one_in(trial: TrialRecord, n: int) -> TrialRecord:
-    """The trial with one reading in n, from the first on."""
-    if n == 1:
-        return trial
-    torque = None if trial.torque is None else trial.torque[::n]
-    return replace(trial, times=trial.times[::n], y=trial.y[:, ::n], torque=torque)
+def unrounded(experiment: Experiment) -> Experiment:
+    """The experiment with what rounded channels tell in place of their readings, and with their steps told.
+
+    A channel counts as rounded where most of its records do (`records.rounding_of`).
+    """
+    trials = list(experiment.trials)
+    omegas = [math.sqrt(max(k, 1e-300) / experiment.constants["J1"][0]) for k, _ in experiment.stiffnesses]
+    rounding = []
+    for c in range(max(t.y.shape[0] for t in trials)):
+        having = [i for i, t in enumerate(trials) if c < t.y.shape[0]]
+        steps = [rounding_of(trials[i].y[c]) for i in having]
+        coarse = [step for step in steps if step > 0.0]
+        if 2 * len(coarse) <= len(having):
+            rounding.append(0.0)
+            continue
+        rounding.append(float(np.median(coarse)))
+        for i in having:
+            t = trials[i]
+            y = t.y.copy()
+            weight = np.ones_like(y) if t.weight is None else t.weight.copy()
+            y[c], weight[c] = crossings(t.times, y[c], rounding[c], 2.0 * math.pi / omegas[t.k1t])
+            trials[i] = replace(t, y=y, weight=weight)
+    return replace(experiment, trials=tuple(trials), rounding=tuple(rounding)) if any(rounding) else experiment
 
 
 def experiment_of(campaign: Any, priors: PriorSet | Mapping[str, Distribution | float] | None = None) -> Experiment:
@@ -309,7 +337,7 @@ def experiment_of(campaign: Any, priors: PriorSet | Mapping[str, Distribution | 
         lag_sd=measurement.lag_std or (),
         coupling_law=rig.inertial_coupling_law,
     )  # fmt: skip
-    experiment = thinned(gridded(experiment), measurement.every)
+    experiment = unrounded(thinned(gridded(experiment), measurement.every))
     if isinstance(priors, PriorSet):
         return with_priors(experiment, priors)
     return replace(experiment, priors=dict(priors or {}))

@@ -96,7 +96,7 @@ def rough_noise(experiment: Experiment, trials: Sequence[int]) -> Noise:
         sd = _fast_level(pieces)
         declared = experiment.noise_sd[min(c, len(experiment.noise_sd) - 1)] if experiment.noise_sd else 0.0
         scale = max((float(np.nanmax(np.abs(experiment.trials[i].y))) for i in trials), default=1.0)
-        sds.append(max(sd if sd > 0.0 else declared, 1e-6 * scale, 1e-300))
+        sds.append(max(sd if sd > 0.0 else declared, _rounding(experiment, c), 1e-6 * scale, 1e-300))
     return Noise(tuple(sds), (0.0,) * channels, (0.0,) * channels)
 
 
@@ -105,6 +105,41 @@ def _fast_level(series: Sequence[Array]) -> float:
     fast = [np.diff(x, n=4)[4:] for x in series if x.size > 12]
     kept = np.concatenate([f[np.isfinite(f)] for f in fast]) if fast else np.zeros(0)
     return 1.4826 * float(np.median(np.abs(kept))) / math.sqrt(70.0) if kept.size else 0.0
+
+
+def _rounding(experiment: Experiment, channel: int) -> float:
+    """Standard deviation of the rounding of a channel that errs by nothing else, else 0."""
+    return experiment.rounding[channel] / math.sqrt(12.0) if channel < len(experiment.rounding) else 0.0
+
+
+def _rounding_alike(fit: Calibration, channel: int) -> float:
+    """How much more the mean of repeats errs by rounding, as variance, than if each of them were rounded at random.
+
+    Repeats released from nearly the same angle pass each step at nearly the same instants, so that their errors of
+    rounding are nearly the same; differences of repeats do not show them, and what repeats share looks like a gap.
+    The errors are those that the model's own motion would have, read from the same zero in all of them; 1 for
+    independent ones, n for n repeats alike.
+    """
+    problem = fit.problem
+    step = problem.experiment.rounding[channel]
+    alike = alone = 0.0
+    for group in problem.groups:
+        n = len(group.trials)
+        values = np.array([fit.eta[i] for i in group.trials]).reshape(n, -1)
+        simulated = problem.simulate(group, np.arange(n), np.tile(fit.q, (n, 1)), values)
+        if channel >= simulated.shape[1]:
+            continue
+        sets: dict[tuple[str, float], list[int]] = {}
+        for k, i in enumerate(group.trials):
+            t = problem.experiment.trials[i]
+            sets.setdefault((t.case, t.theta0), []).append(k)
+        for members in sets.values():
+            known = (group.weight[members, channel] > 0.0).any(axis=0)
+            y = simulated[members, channel][:, known] / step
+            error = y - np.round(y)
+            alike += float(np.sum(error.sum(axis=0) ** 2))
+            alone += float(np.sum(error**2))
+    return max(1.0, alike / alone) if alone > 0.0 else 1.0
 
 
 def error_level(residuals: Sequence[Array]) -> float:
@@ -139,8 +174,12 @@ def learn_noise(fit: Calibration, colour: bool = True) -> Noise:
     where it raises the likelihood by more than 3 nats. Without repeats the residuals' fast content is the noise of the
     sensors, and nothing tells the rest from a model that is wrong in a way that would repeat. Posteriors and evidences
     must allow for that error, so the noise is then white at the `error_level` of the residuals.
+
+    A channel that errs by its rounding alone has at least the noise of that, as far as repeats share it.
     """
     noise = _unshared_noise(fit, colour)
+    least = _rounding_floors(fit)
+    noise = _not_below(noise, least)
     problem = fit.problem
     if not lone(problem.experiment, problem.trials):
         return noise
@@ -151,13 +190,28 @@ def learn_noise(fit: Calibration, colour: bool = True) -> Noise:
         used = [r[c][weights[i][c] > 0.0] for i, r in found.items() if c < r.shape[0]]
         # Lines leak from a large slow error into the fast ones of a short record; differences do not.
         fast = _fast_level(used)
-        sensors.append(min(fast, total) if fast > 0.0 else total)
+        sensors.append(max(min(fast, total) if fast > 0.0 else total, least[c]))
         levels.append(max(sensors[-1], error_level(used)))
         white.append(levels[-1] < _white_enough(sum(r.size for r in used)) * sensors[-1])
     if all(white):
         return noise
     zero = (0.0,) * len(levels)
     return Noise(tuple(levels), zero, zero, sensor=tuple(sensors))
+
+
+def _rounding_floors(fit: Calibration) -> list[float]:
+    """Least noise of each channel, (channels,): 0 where it errs by more than its rounding."""
+    floors = [_rounding(fit.problem.experiment, c) for c in range(len(fit.problem.noise.innovation))]
+    return [sd * math.sqrt(_rounding_alike(fit, c)) if sd > 0.0 else 0.0 for c, sd in enumerate(floors)]
+
+
+def _not_below(noise: Noise, least: Sequence[float]) -> Noise:
+    """The noise with white noise of the least level where a channel has less."""
+    innovation, phi, theta = list(noise.innovation), list(noise.phi), list(noise.theta)
+    for c, (total, floor) in enumerate(zip(noise.total, least, strict=True)):
+        if total < floor:
+            innovation[c], phi[c], theta[c] = floor, 0.0, 0.0
+    return Noise(tuple(innovation), tuple(phi), tuple(theta))
 
 
 def _unshared_noise(fit: Calibration, colour: bool) -> Noise:

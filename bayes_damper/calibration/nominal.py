@@ -109,12 +109,8 @@ def grown(experiment: Experiment, problem: Problem) -> list[Array]:
         return []
     starts: list[Array] = default_starts(problem)
     while window < span:
-        cut = []
-        for t in experiment.trials:
-            keep = t.times <= t.times[0] + window
-            torque = None if t.torque is None else t.torque[keep]
-            cut.append(replace(t, times=t.times[keep], y=t.y[:, keep], torque=torque))
-        shorter = replace(experiment, trials=tuple(cut))
+        cut = tuple(t.at(t.times <= t.times[0] + window) for t in experiment.trials)
+        shorter = replace(experiment, trials=cut)
         part = Problem(
             shorter, nominal=problem.nominal, noise=problem.noise, switches=problem.switches, threads=problem.threads,
             trials=problem.trials,

@@ -301,6 +301,9 @@ class Problem:
                     weight[k][:, early] *= RELEASE_WEIGHT
         for k, i in enumerate(members):
             weight[k] *= self.factors.get(i, 1.0)
+            own = trials[k].weight
+            if own is not None:
+                weight[k] *= own
         missing = ~np.isfinite(raw)
         weight[missing] = 0.0
         annealed = np.minimum(annealed, weight)

@@ -14,9 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from bayes_damper import readings as look
 from bayes_damper.calibration import Calibration, Experiment
 from bayes_damper.diagnosis.remainder import repeats_of
 
+Array = NDArray[np.float64]
 FAR, NEAR = 7.0, 3.5  # robust standard deviations: of the reading, and of its repeats
 LATE = 2.0  # samples by which the instant of a release or of a friction reversal may differ between repeats
 UNLIKE = 4.0  # times the usual distance between repeats that a trial is away which is none of them
@@ -142,17 +144,25 @@ def _distance(experiment: Experiment, i: int, j: int, swapped: bool = False, shi
     omega = math.sqrt(max(experiment.stiffnesses[b.k1t][0], 1e-300) / experiment.constants["J1"][0])
     if a.y.shape[0] != b.y.shape[0] or min(a.times.size, b.times.size) < FEWEST:
         return math.inf
-    first = a.y[::-1] if swapped else a.y
+    first = [_known(a.times, y) for y in (a.y[::-1] if swapped else a.y)]
+    second = [_known(b.times, y) for y in b.y]
+    if min(t.size for t, _ in (*first, *second)) < FEWEST:
+        return math.inf
+    rounded = [c < len(experiment.rounding) and experiment.rounding[c] > 0.0 for c in range(len(second))]
     step = float(np.median(np.diff(b.times)))
     most = min(int(0.5 * np.pi / omega / step), b.times.size // 4) if shifts else 0
     best = math.inf
     for lag in range(-most, most + 1):
         at = b.times + lag * step
-        inside = (at >= a.times[0]) & (at <= a.times[-1])
+        inside = np.ones(at.shape, dtype=np.bool_)
+        for (here, _), (there, _), alike in zip(first, second, rounded, strict=True):
+            inside &= (at >= here[0]) & (at <= here[-1]) & (b.times >= there[0]) & (b.times <= there[-1])
+            if not alike:  # nothing can be compared where one of them has a gap; runs of a rounded channel are none
+                inside &= ~look.within_gaps(at, here) & ~look.within_gaps(b.times, there)
         if inside.sum() < FEWEST:
             continue
-        x = np.array([np.interp(at[inside], a.times[np.isfinite(r)], r[np.isfinite(r)]) for r in first])
-        y = np.nan_to_num(b.y[:, inside])
+        x = np.array([np.interp(at[inside], t, r) for t, r in first])
+        y = np.array([np.interp(b.times[inside], t, r) for t, r in second])
         scale = float(np.clip(np.sum(x * y) / max(float(np.sum(x * x)), 1e-300), *SCALES))
         d = scale * x - y
         # Neighbouring differences hold the white noise (von Neumann 1941), with five of its standard errors.
@@ -160,6 +170,12 @@ def _distance(experiment: Experiment, i: int, j: int, swapped: bool = False, shi
         off = np.maximum(np.mean(d**2, axis=1) - fast, 0.0) / np.maximum(np.mean(y**2, axis=1), 1e-300)
         best = min(best, math.sqrt(float(np.max(off))))
     return best
+
+
+def _known(times: Array, readings: Array) -> tuple[Array, Array]:
+    """Times and values of the readings of one channel that are there."""
+    there = np.isfinite(readings)
+    return times[there], readings[there]
 
 
 def _resembled(experiment: Experiment, trial: int, own: Sequence[int], sets: Sequence[Sequence[int]]) -> str:

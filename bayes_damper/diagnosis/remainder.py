@@ -97,6 +97,7 @@ def readings_of_change(before: Calibration, after: Calibration) -> float:
 def remainder_of(fit: Calibration) -> Remainder:
     """Tests of what a fit leaves."""
     records = whitened_records(fit)
+    known = {i: b.group.weight[k] > 0.0 for b in fit.linear.blocks for k, i in enumerate(b.group.trials)}
     own = own_frequency(fit.problem.experiment)
     power: list[tuple[Array, Array]] = []
     shared: list[tuple[Array, Array]] = []
@@ -105,12 +106,13 @@ def remainder_of(fit: Calibration) -> Remainder:
         mean = stack.sum(axis=0) / math.sqrt(len(members))
         times = fit.problem.experiment.trials[members[0]].times
         dt = float(np.median(np.diff(times))) if times.size > 1 else 1.0
-        n = mean.shape[1]
-        f = np.asarray(np.fft.rfftfreq(n, dt)[1:-1], float)
+        f = np.asarray(np.fft.rfftfreq(mean.shape[1], dt)[1:-1], float)
         for channel in range(mean.shape[0]):
-            shared.append((f, np.abs(np.fft.rfft(mean[channel])[1:-1]) ** 2 / n))
+            # Missing readings bring no power: without them a gap would drown in what they should have brought.
+            kept = [max(int(np.count_nonzero(known[i][channel])), 1) for i in members]
+            shared.append((f, np.abs(np.fft.rfft(mean[channel])[1:-1]) ** 2 / np.mean(kept)))
             for k in range(len(members)):
-                power.append((f, np.abs(np.fft.rfft(stack[k, channel])[1:-1]) ** 2 / n))
+                power.append((f, np.abs(np.fft.rfft(stack[k, channel])[1:-1]) ** 2 / kept[k]))
     if not shared or shared[0][0].size < 8:
         return Remainder(0.0, 0.0, 0.0, 0.0, 1.0, fit.excess, own)
     generic, level, corner = _generic(shared, own)

@@ -77,7 +77,12 @@ def miswired(nominal: Calibration) -> Wiring | None:
 def _fitted(nominal: Calibration, change: Callable[[Array], Array]) -> Calibration:
     problem = nominal.problem
     experiment: Experiment = problem.experiment
-    trials = tuple(replace(t, y=np.ascontiguousarray(change(t.y))) for t in experiment.trials)
+    trials = tuple(
+        replace(
+            t, y=np.ascontiguousarray(change(t.y)), weight=None if t.weight is None else np.abs(change(t.weight))
+        )
+        for t in experiment.trials
+    )  # fmt: skip
     again = Problem(
         replace(experiment, trials=trials), nominal=problem.nominal, noise=problem.noise, switches=problem.switches,
         threads=problem.threads, tolerance=problem.tolerance, trials=problem.trials,
