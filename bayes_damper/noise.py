@@ -29,6 +29,7 @@ from bayes_damper.calibration import (
     calibrate,
     calibrate_nominal,
     default_starts,
+    drawn_starts,
     evenly_sampled,
     learn_noise,
     rough_noise,
@@ -327,7 +328,8 @@ def _white(fit: Calibration) -> Noise:
 def _anew(fit: Calibration, noise: Noise) -> Calibration:
     """The fit under a noise of another kind: where the best valley under the one before may be another one."""
     found = _again(fit, noise)
-    other = calibrate(found.problem, default_starts(found.problem), give_up=RESTARTED, target=found.cost)
+    starts = [*default_starts(found.problem), *drawn_starts(found.problem)]
+    other = calibrate(found.problem, starts, give_up=RESTARTED, target=found.cost)
     return other if other.cost < found.cost else found
 
 

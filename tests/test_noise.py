@@ -15,7 +15,7 @@ from scipy.special import ndtr
 from small_rig import NOISE, RIG, measured
 
 from bayes_damper.calibration import Calibration, Noise, Problem, Switches, calibrate, default_starts
-from bayes_damper.distributions import LogNormal
+from bayes_damper.distributions import LogNormal, to_standard
 from bayes_damper.errors import InputError
 from bayes_damper.fit import plan_fit
 from bayes_damper.influence import comparison, influence, without
@@ -269,12 +269,28 @@ def test_the_best_fit_is_looked_for_anew_under_the_noise_that_was_learnt() -> No
     assert any(c.widened for c in found.channels)
     best = calibrate(found.fit.problem, default_starts(found.fit.problem))
     assert found.fit.cost < best.cost + 1.0
-    with mock.patch("bayes_damper.noise.default_starts", return_value=[found.fit.q + 50.0]):  # that leads nowhere
+    nowhere = [found.fit.q + 50.0]
+    with (
+        mock.patch("bayes_damper.noise.default_starts", return_value=nowhere),
+        mock.patch("bayes_damper.noise.drawn_starts", return_value=[]),
+    ):
         left = fit_with_noise(campaign(9055, "shared", 3)[0])
     assert left.fit.log_evidence < found.fit.log_evidence - 5.0
 
 
 # Coverage -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("seed", "kind", "repeats"), [(9011, "shared", 1), (9039, "own", 3)])
+def test_no_valley_near_the_truth_is_deeper_than_the_fit(seed: int, kind: str, repeats: int) -> None:
+    """Few trials with correlated errors: their cost has many valleys, and prior medians lead to another one."""
+    experiment, truth, _ = campaign(seed, kind, repeats)
+    fit = fit_with_noise(experiment).fit
+    start = fit.q.copy()
+    for name in NAMES:
+        start[fit.problem.names.index(name)] = to_standard(experiment.priors[name], truth[name])
+    near = min(calibrate(fit.problem, [start], finish=False, anneal=anneal).cost for anneal in (True, False))
+    assert fit.cost < near + 1.0
 
 
 @pytest.mark.slow

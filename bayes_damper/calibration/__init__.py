@@ -34,7 +34,7 @@ from bayes_damper.calibration.experiment import (
     with_priors,
 )
 from bayes_damper.calibration.heldout import predict
-from bayes_damper.calibration.least_squares import Calibration, calibrate, default_starts, summarise
+from bayes_damper.calibration.least_squares import Calibration, calibrate, default_starts, drawn_starts, summarise
 from bayes_damper.calibration.noise_level import (
     Noise,
     error_level,
@@ -78,6 +78,7 @@ __all__ = [
     "coordinate_of",
     "default_priors",
     "default_starts",
+    "drawn_starts",
     "error_level",
     "evenly_sampled",
     "experiment_of",

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.calibration.experiment import Experiment, lone, repeats
-from bayes_damper.calibration.least_squares import Calibration, calibrate, default_starts
+from bayes_damper.calibration.least_squares import Calibration, calibrate, default_starts, drawn_starts
 from bayes_damper.calibration.noise_level import learn_noise, rough_noise
 from bayes_damper.calibration.problem import Group, Problem, Switches
 
@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 VARIES = 9.0  # mean square, in variances, of a nuisance's differences between repeats from which it is each trial's own
 FEW_REPEATS = 4  # repeats beyond the first of their kind, over all kinds, below which they may be late alike by chance
 LONG_PERIODS, FIRST_PERIODS, GROWING_STEPS = 12.0, 3.0, 20  # of records fitted window by window
+FEW_TRIALS = 8  # trained on, up to which the cost may have more valleys than the prior medians lead to
 FIRST_ERROR = 0.02  # of a channel's reach: noise of the first fit where there are no repeats
 
 
@@ -137,10 +138,13 @@ def calibrate_nominal(
         level = tuple(max(s, FIRST_ERROR * r) for s, r in zip(first.innovation, reach, strict=True))
         first = replace(first, innovation=level, sensor=first.total)
     problem = Problem(experiment, nominal=nominal, noise=first, threads=threads, switches=switches or Switches())
-    fit = calibrate(problem, [*grown(experiment, problem), *default_starts(problem)], most=15, finish=False)
+    long = grown(experiment, problem)
+    fit = calibrate(problem, [*long, *default_starts(problem)], most=15, finish=False)
     chosen = switches or choose_switches(fit)
     problem = Problem(experiment, nominal=nominal, noise=learn_noise(fit), switches=chosen, threads=threads)
     starts = [fit.q, *default_starts(problem)]
+    if len(problem.trials) <= FEW_TRIALS and not long:
+        starts += drawn_starts(problem)
     fit = calibrate(problem, starts, give_up=300.0)
     if switches is None and not fit.problem.noise.sensor and drag_varies(fit):
         chosen = replace(chosen, drag=True)
