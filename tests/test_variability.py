@@ -254,6 +254,22 @@ def test_evidence_alone_needs_no_settling():
     assert alone.stages == whole.stages - 1
 
 
+def test_coordinates_are_straight_for_the_power_of_the_stage_alone():
+    """Not for those of all stages before it, one upon the other."""
+    powers = []
+
+    class Thick(Bent):
+        def at(self, power):
+            powers.append((self.width, power))
+            return Thick(0.3 / power)
+
+    _, likelihoods, _ = linear_cases(np.random.default_rng(25), "half", cases=2, sharpness=1.0)
+    bent = [replace(c, straightener=Thick()) for c in likelihoods]
+    temper(Hierarchy(bent, "shared", POOLED, COMMON), np.random.default_rng(0), 64)
+    assert len({power for _, power in powers}) > 2
+    assert {width for width, _ in powers} == {0.3}
+
+
 def test_recycled_draws_agree_with_direct_sampling():
     rng = np.random.default_rng(7)
     _, likelihoods, draws = linear_cases(rng, "separate", sharpness=1.5)
@@ -685,6 +701,37 @@ def test_hierarchy_gives_each_case_the_likelihood_of_its_posterior():
     assert np.std(found, axis=1).min() > 0.0
 
 
+def _total(heights):
+    return np.where(np.isnan(heights), -np.inf, heights).sum(axis=1)
+
+
+@pytest.mark.parametrize("power", [0.2, 1.0])
+def test_what_is_refused_before_it_is_simulated_would_have_been_refused(power, monkeypatch):
+    cases = PublishedCases(PublishedCases.default_plan())
+    hierarchy, parts = cases.hierarchy("shared"), np.arange(4)
+    rng = np.random.default_rng(16)
+    points = 0.5 * rng.standard_normal((64, hierarchy.ndim))
+    measured = hierarchy.measure(points, parts)
+    height = _total(hierarchy.height(measured, parts, power))
+    least = np.quantile(height, 0.8) + rng.standard_normal(64)
+    simulated = []
+    run = Model._run
+
+    def counted(self, rows, *more):
+        simulated.append((self.coupled, rows.shape[1]))
+        return run(self, rows, *more)
+
+    monkeypatch.setattr(Model, "_run", counted)
+    found = hierarchy.tried(points, parts, power, least)
+    tried = _total(hierarchy.height(found, parts, power))
+    assert np.array_equal(tried > least, height > least)
+    assert 5 < np.sum(tried > least) < 30
+    assert tried[tried > least] == pytest.approx(height[tried > least], rel=1e-12)
+    whole = 4 * len(points)
+    assert sum(n for coupled, n in simulated if coupled) < 0.9 * whole
+    assert sum(n for coupled, n in simulated if not coupled) < whole
+
+
 @pytest.mark.parametrize("pooling", POOLINGS)
 @pytest.mark.parametrize("own", [False, True])
 def test_scalings_change_no_reading_and_keep_the_prior(pooling, own):
@@ -724,7 +771,7 @@ class StopsIn:
             raise KeyboardInterrupt
 
 
-@pytest.mark.slow
+@pytest.mark.prove  # takes longer than all other slow tests of this file together
 def test_thesis_end_to_end_interrupted_and_resumed(tmp_path):
     """Stopped in its third piece, and gone on with by `resume`: as one run, with pieces that any order would give."""
     settings = {"particles": 32, "repeats": 1, "draws": 16, "unseen": False}

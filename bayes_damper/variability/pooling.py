@@ -72,6 +72,12 @@ class Path(Protocol):
     def measure(self, z: Array) -> Array:
         """What it takes to know of points (n, len(names)), computed once: (n, k)."""
 
+    def highest(self, power: float) -> float:
+        """What `height` never exceeds; inf if that is not known."""
+
+    def tried(self, z: Array, power: float, least: Array) -> Array:
+        """As `measure`, but nan may stand at points whose height is below `least` (n,) for certain."""
+
     def height(self, measured: Array, power: float) -> Array:
         """Log likelihood (n,) of what was measured, from 0 (the likelihood does not bear) to 1."""
 
@@ -85,6 +91,16 @@ class Powers:
     def measure(self, z: Array) -> Array:
         """The log likelihood itself."""
         return np.asarray(self.log_likelihood(z), float)[:, None]
+
+    def highest(self, power: float) -> float:
+        """Not known."""
+        del power
+        return math.inf
+
+    def tried(self, z: Array, power: float, least: Array) -> Array:
+        """All of it."""
+        del power, least
+        return self.measure(z)
 
     def height(self, measured: Array, power: float) -> Array:
         """Its power."""
@@ -149,6 +165,11 @@ class _Plain(ABC):
         """Its power."""
         del parts
         return _power(measured[:, :, 0], power)
+
+    def tried(self, points: Array, parts: Index, power: float, least: Array) -> Array:
+        """All of it."""
+        del power, least
+        return self.measure(points, parts)
 
     def at(self, power: float) -> Self:
         """Itself."""
@@ -379,6 +400,25 @@ class Hierarchy:
     def measure(self, points: Array, parts: Index) -> Array:
         """What it takes to know of the chosen cases, (n, len(parts), k)."""
         return np.stack([self.cases[c].path.measure(self.coordinates(points, c)) for c in parts], axis=1)
+
+    def tried(self, points: Array, parts: Index, power: float, least: Array) -> Array:
+        """As `measure`, case after case: a point is left where the best that is to come cannot reach `least`."""
+        paths = [self.cases[c].path for c in parts]
+        # What is still missing, if all that is to come were as high as it can be.
+        highest = [path.highest(power) for path in paths]
+        short = least - sum(highest)
+        found: list[Array] = []
+        for c, path, best in zip(parts, paths, highest, strict=True):
+            if math.isinf(best):
+                return self.measure(points, parts)
+            alive = np.flatnonzero(short < 0.0)
+            some = path.tried(self.coordinates(points[alive], c), power, short[alive] + best)
+            measured = np.full((len(points), some.shape[1]), np.nan)
+            measured[alive] = some
+            found.append(measured)
+            height = path.height(some, power)
+            short[alive] += best - np.where(np.isnan(height), -np.inf, height)
+        return np.stack(found, axis=1)
 
     def height(self, measured: Array, parts: Index, power: float) -> Array:
         """Log likelihood of the chosen cases as far as it bears, (n, len(parts))."""
@@ -643,6 +683,12 @@ class Tilted:
         """Those of the case, and the other prior over the unit Gaussian, (n, 1, k + 1)."""
         tilt = self._tilt(self._alone.values(points, 0))
         return np.concatenate([self._alone.measure(points, parts), tilt[:, None, None]], axis=2)
+
+    def tried(self, points: Array, parts: Index, power: float, least: Array) -> Array:
+        """As `measure`; the other prior is known before anything is simulated."""
+        tilt = self._tilt(self._alone.values(points, 0))
+        found = self._alone.tried(points, parts, power, least - tilt)
+        return np.concatenate([found, tilt[:, None, None]], axis=2)
 
     def height(self, measured: Array, parts: Index, power: float) -> Array:
         """Log likelihood times the other prior over the unit Gaussian, (n, 1)."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -47,9 +48,37 @@ class _ShrinkingErrors:
 
     posterior: FeaturePosterior
 
+    @cached_property
+    def _steps(self) -> tuple[tuple[list[int], FeaturePosterior], ...]:
+        """One configuration after the other, the uncoupled rig first: it takes a fifth of the time."""
+        p = self.posterior
+        return tuple(
+            (places, FeaturePosterior([p.data[i] for i in places], p.coordinates, model.normal_force, p.case))
+            for name, model in sorted(p.models.items(), reverse=True)
+            if (places := [i for i, datum in enumerate(p.data) if datum.configuration == name])
+        )
+
     def measure(self, z: Array) -> Array:
         """Distances from the data in standard errors."""
         return self.posterior.misfits(z)
+
+    def highest(self, power: float) -> float:
+        """Where all data are met."""
+        return float(self.height(np.zeros((1, len(self.posterior.data))), power)[0])
+
+    def tried(self, z: Array, power: float, least: Array) -> Array:
+        """As `measure`; the coupled rig is left where what the uncoupled one gives is too low already."""
+        found = np.full((len(z), len(self.posterior.data)), np.nan)
+        best = np.zeros_like(found)
+        alive = np.arange(len(z))
+        for places, posterior in self._steps:
+            if not alive.size:
+                break
+            values = posterior.misfits(z[alive])
+            found[alive[:, None], places] = best[alive[:, None], places] = values
+            height = self.height(best[alive], power)
+            alive = alive[height >= least[alive]]
+        return found
 
     def height(self, measured: Array, power: float) -> Array:
         """Log density at such distances if errors were 1 / power times as large."""

@@ -78,6 +78,11 @@ class Target(Protocol):
     def measure(self, points: Array, parts: Index) -> Array:
         """What it takes to know of the chosen parts at points (n, ndim), computed once: (n, len(parts), k)."""
 
+    def tried(self, points: Array, parts: Index, power: float, least: Array) -> Array:
+        """As `measure`, but nan may stand at points whose height at this power, summed over these parts, is below
+        `least` (n,) for certain: what is found out before all is simulated need not be simulated to the end.
+        """
+
     def height(self, measured: Array, parts: Index, power: float) -> Array:
         """Log likelihood (n, len(parts)) of what was measured as far as it bears, from 0 (not at all) to 1."""
 
@@ -136,7 +141,7 @@ def temper(
     InputError
         if the likelihood is zero at all draws of the prior, or its peak is too narrow to be reached.
     """
-    everything = np.arange(target.parts)
+    nominal, everything = target, np.arange(target.parts)
     trail = rng.standard_normal((1, _FIRST * particles, target.ndim))
     known = target.measure(trail[0], everything)[None]
     power, log_z, variance, stages, worst, left = 0.0, 0.0, 0.0, 0, 0.0, 1.0
@@ -163,7 +168,7 @@ def temper(
         chosen = _systematic(share, particles, rng)
         lessons = places[_systematic(share, min(_LEARNT, len(places)), rng)]
         power = rise
-        target = target.at(power)
+        target = nominal.at(power)
         learnt = _learn(target, lessons, _PARTS_AT_LAST if power == 1.0 else _PARTS)
         trail, known, mean, left = _move(target, places[chosen], measured[chosen], power, steps, learnt, last, rng)
         worst = max(worst, mean)
@@ -322,11 +327,13 @@ def _step(
             there = target.bent(there, follower, moved)
         for k in (which, *block.followers):
             gain = gain + target.log_volume(there, k) - target.log_volume(here, k)
-        fresh = target.measure(there, block.parts)
-        gain += _height(target, fresh, block.parts, power).sum(axis=1)
-        gain -= _height(target, measured[np.ix_(own, block.parts)], block.parts, power).sum(axis=1)
         gain += 0.5 * (np.sum(here**2, axis=1) - np.sum(there**2, axis=1))
-        taken = np.log(rng.random(len(own))) < gain
+        # The random number first: most steps that are refused show it before they are simulated to the end.
+        now = _height(target, measured[np.ix_(own, block.parts)], block.parts, power).sum(axis=1)
+        least = np.log(rng.random(len(own))) - gain + now
+        least = np.where(np.isnan(least), np.inf, least)
+        fresh = target.tried(there, block.parts, power, least)
+        taken = _height(target, fresh, block.parts, power).sum(axis=1) > least
         points[own[taken]] = there[taken]
         measured[np.ix_(own[taken], block.parts)] = fresh[taken]
         accepted += int(taken.sum())
