@@ -105,14 +105,22 @@ def _compare(args: Arguments) -> Any:
 
 
 _QUESTIONS = (
-    ("columns", "Columns of the channels, primary first, by name or number from 1, with spaces between"),
-    ("time", "Column of the time, by name or number (empty: the sample rate makes it)"),
+    (
+        "columns",
+        "Columns of the channels, primary first, by number or name, with spaces between (empty: all but the time)",
+    ),
+    ("time", "Column of the time, by number or name (empty: the one that is called so, or none)"),
     ("sample_rate", "Sample rate in Hz (empty: the time column decides)"),
-    ("units", "Their units, e.g. g, m/s^2, rad/s^2, with spaces between (empty: SI)"),
+    ("units", "Their units, e.g. g, m/s^2, rad/s^2, with spaces between (empty: as the file names them, else SI)"),
     ("mounting_radius", "Distance of the sensors from the axis in m (empty: they read angles)"),
     ("primary_inertia", "Inertia J1 in kg m^2 (empty: everything per unit inertia)"),
+    ("secondary_inertia", "Inertia J2 in kg m^2 (empty: no second body)"),
+    ("bar_radius", "Radius R at which the magnets sit in m (empty: no magnets)"),
+    ("magnet_radius", "Radius r of the magnet's face in m (empty: no magnets)"),
+    ("magnet_pull", "Pull N0 of the magnet in N (empty: nothing rubs between the bodies)"),
     ("k1t", "Stiffness k1t in N m/rad (empty: from the strongest frequency)"),
     ("theta0", "Release angle in degrees (empty: not released at rest, it is inferred)"),
+    ("release", "Release: start (of the record), find (in it), first_peak, or s on its clock (empty: start)"),
 )
 
 
@@ -122,9 +130,11 @@ def _init(args: Arguments) -> Any:
         _call("importer:import_records")(args.table, args.folder, args.raw, args.overwrite)
         return _call("check:check")(args.folder, _call("importer:left_over")(args.folder, before))
     given = {key: value for key, value in vars(args).items() if key in args.options and value is not None}
-    if "columns" not in given and sys.stdin.isatty() and sys.stdout.isatty() and not args.quiet:
-        given |= _answers(set(given))
     raw = args.raw or Path()
+    if "columns" not in given and sys.stdin.isatty() and sys.stdout.isatty() and not args.quiet:
+        if args.files:
+            print(_call("importer:columns_of")(raw / args.files[0]))
+        given |= _answers(set(given))
     _call("importer:init_campaign")(args.folder, [raw / f for f in args.files], args.overwrite, **given)
     return _call("check:check")(args.folder, _call("importer:left_over")(args.folder, before))
 

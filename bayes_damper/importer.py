@@ -130,8 +130,8 @@ def import_records(
     """Writes the campaign that an import table describes; gives its folder.
 
     spec : path of an import.toml, or its content as a mapping; raw : folder of the raw files, by default that of the
-    table. A priors.toml beside the table goes along. Nothing is written unless the result passes the check of
-    every command.
+    table; overwrite : replace the campaign that `folder` holds. A priors.toml beside the table goes along. Nothing is
+    written unless the result passes the check of every command.
 
     Raises
     ------
@@ -204,6 +204,7 @@ def init_campaign(
 ) -> Path:
     """A commented campaign from logger files, one trial a file; gives its folder, which also gets import.toml.
 
+    sources : the logger's files, in the order of the trials; overwrite : replace the campaign that `folder` holds.
     options : any key of READER and TRIAL (for all files alike), of [rig] and of [measurement] of campaign.toml, and
     name, description, source_text (where the data come from). What is not given is assumed and told as a caveat: an
     inertia of 1 (all per unit inertia), k1t from the strongest frequency, no friction between the bodies (mu = 0 in the
@@ -242,7 +243,9 @@ def convert(readings: Array, unit: str, kind: str, quantity: str, radius: float 
     else:
         valid = {**_ANGULAR[quantity], **tangential}
     if unit not in valid:
-        raise InputError(f"{where}: '{unit}' is no unit of {quantity}; valid units: {', '.join(valid)}")
+        other = next((q for q in _TANGENTIAL if unit in _TANGENTIAL[q] or unit in _ANGULAR[q]), None)
+        told = f", but of {other}, and a campaign holds readings of one quantity" if other else ""
+        raise InputError(f"{where}: '{unit}' is no unit of {quantity}{told}; valid units: {', '.join(valid)}")
     if kind == "translational" or unit in _ANGULAR[quantity]:
         return readings * valid[unit]
     if radius is None:
@@ -275,7 +278,10 @@ def _checked_keys(table: Mapping[str, Any], valid: Mapping[str, tuple[tuple[type
             hint = f"did you mean '{near[0]}'?" if near else f"valid keys: {', '.join(valid)}"
             faults.append(f"{where}: unknown key '{key}'; {hint}")
         elif not isinstance(value, valid[key][0]) or (isinstance(value, bool) and bool not in valid[key][0]):
-            faults.append(f"{where}: {key} = {value!r} is of the wrong type; it is the {valid[key][1]}")
+            types, meaning = valid[key]
+            numbers = float in types and list not in types
+            wanted = "a number with a decimal point" if numbers else "of another type"
+            faults.append(f"{where}: {key} = {value!r}, which must be {wanted}: {meaning}")
         elif key == "decimal" and value not in (".", ","):
             faults.append(f"{where}: decimal = {value!r} is none of '.' and ','")
     return faults + [
@@ -306,8 +312,9 @@ def _build(table: Mapping[str, Any], name: str, raw: Path) -> Campaign:
         faults += found
         options.append({**reader, **row, "where": where})
     if faults:
-        raise InputError(faults)
+        raise InputError(_gathered(faults))
     trials: list[Trial] = []
+    contradicted: list[str] = []
     files: dict[Path, LoggerFile] = {}
     faults += _repeated(options)
     counts: dict[tuple[str, str], int] = {}
@@ -317,14 +324,14 @@ def _build(table: Mapping[str, Any], name: str, raw: Path) -> Campaign:
         option.setdefault("trial", counts[group])
         option.setdefault("file", f"trials/{_slug(group[0])}_{group[1]}_{option['trial']}.csv")
         try:
-            trials.append(_trial_from(option, head.rig, head.measurement, raw, files))
+            trials.append(_trial_from(option, head.rig, head.measurement, raw, files, contradicted))
         except InputError as error:
             faults.extend(error.faults)
     if faults:
         raise InputError(_gathered(faults))
     trials = _with_estimates(trials, head.rig)
     notes = [note for source in files.values() for note in source.notes if note not in head.caveats]
-    notes = _gathered(notes) + _resting(trials, options)
+    notes = _gathered([*notes, *contradicted]) + _resting(trials, options)
     caveats = (*head.caveats, *notes)
     return Campaign(head.name, head.rig, head.measurement, tuple(trials), head.description, head.source, caveats)
 
@@ -384,8 +391,10 @@ def _with_estimates(trials: list[Trial], rig: Rig) -> list[Trial]:
 
 
 def _trial_from(
-    option: Mapping[str, Any], rig: Rig, measurement: Measurement, raw: Path, files: dict[Path, LoggerFile]
-) -> Trial:
+    option: Mapping[str, Any], rig: Rig, measurement: Measurement, raw: Path, files: dict[Path, LoggerFile],
+    contradicted: list[str],
+) -> Trial:  # fmt: skip
+    """One trial in SI units; adds to `contradicted` what its file says otherwise than the options."""
     source, where, option = _source_of(option, raw, files)
     times = _times_of(source, option, where)
     wanted = option.get("columns")
@@ -406,6 +415,7 @@ def _trial_from(
     n_channels = 2 if coupled else 1
     places = [source.index(c, where) for c in wanted[:n_channels]]
     channels = source.table[:, places].T
+    contradicted += _other_units(source, places, option.get("units", []), where)
     option = {"units": _told_units(source, places, rig.kind, measurement.quantity), **option}
     torque = source.table[:, source.index(option["torque"], where)] if "torque" in option else None
     known = np.isfinite(times) & np.isfinite(channels).all(axis=0)
@@ -487,6 +497,15 @@ def _told_units(source: LoggerFile, places: Sequence[int], kind: str, quantity: 
     """Units that the file gives for its channels; those of SI where it gives none."""
     default = next(iter({"torsional": _ANGULAR, "translational": _TANGENTIAL}[kind][quantity]))
     return [source.unit(i) or default for i in places]
+
+
+def _other_units(source: LoggerFile, places: Sequence[int], given: Sequence[str], where: str) -> list[str]:
+    """Notes where a file names another unit for a channel than `units` does."""
+    return [
+        f"{where}: the file gives {_column(source, place)} in {told}, 'units' in {unit}; {unit} was taken."
+        for place, unit in zip(places, given, strict=False)
+        if (told := source.unit(place)) is not None and told != unit
+    ]
 
 
 def _stiffness(option: Mapping[str, Any]) -> Constant:
@@ -612,6 +631,19 @@ def _window(
     return keep, zero
 
 
+def columns_of(path: str | Path) -> str:
+    """A sentence that numbers the columns of a logger's file, for whoever has to name them.
+
+    Raises
+    ------
+    InputError
+        if it cannot be read.
+    """
+    source = _read_raw(Path(path), {})
+    told = [f"{i} {name}".strip() for i, name in enumerate(source.names or ("",) * source.table.shape[1], start=1)]
+    return f"{Path(path).name} has the columns: {', '.join(told)}"
+
+
 # --- raw files -----------------------------------------------------------------------------------------------------
 
 
@@ -666,6 +698,7 @@ def _spec_from_options(name: str, sources: Sequence[Path], options: Mapping[str,
     folder = Path(str(options["sheet"])).resolve().parent if rows else Path()
     if not sources:
         sources = [folder / str(row["file"]) for row in rows if "file" in row]
+    faults += [f"{path}: there is no such file; correct the name or --raw" for path in sources if not path.is_file()]
     if not sources:
         faults.append("no logger files were given; name at least one, or a --sheet with a column 'file'")
     if faults:
@@ -690,11 +723,15 @@ def _spec_from_options(name: str, sources: Sequence[Path], options: Mapping[str,
         given |= own.pop(Path(), {})
     elif not told and several == 1 and isinstance(named := given.get("columns"), list) and len(named) == 2:
         own = _configurations([s for s in sources if s.is_file()], given, caveats)
+    if "columns" in given and several == 1 and not {"time", "sample_rate"} & given.keys():
+        given |= _guessed_time(sources, given, caveats)
     columns = given.get("columns", [])
     coupled = isinstance(columns, list) and len(columns) > 1
     common: dict[str, Any] = {"case": "A", "configuration": "coupled" if coupled else "uncoupled", "k1t": "estimate"}
     common |= {k: given[k] for k in TRIAL if k in given and k not in ("source", "trial", "file", "sha256")}
     trials = [_trial_row(group, common | own.get(group[0], {}), pattern, rows, words) for group in groups]
+    if "case" not in given and "{case}" not in str(pattern) and not any("case" in row for row in rows):
+        _name_cases(trials, str(pattern))
     rubbing = {"magnet_pull", "magnet_radius"} & given.keys()
     if not rubbing and any(trial["configuration"] == "coupled" for trial in trials):
         caveats.append(_NOTHING_RUBS)
@@ -702,6 +739,8 @@ def _spec_from_options(name: str, sources: Sequence[Path], options: Mapping[str,
         caveats.append("k1t was not given: it was estimated from the strongest frequency, uncertain by 20 %.")
     known = all("theta0" in trial for trial in trials)
     start = "rest" if known and not given.get("free_start") else "free"
+    if start == "rest" and not all("theta0_std" in trial for trial in trials):
+        caveats.append(_ANGLE_ASSUMED)
     spec: dict[str, Any] = {"name": given.get("name", name), "description": given.get("description", "")}
     spec["source"] = given.get("source_text", "")
     spec["caveats"] = caveats
@@ -739,6 +778,14 @@ def _trial_row(
             row |= {key: value for key, value in entry.items() if key != "file"}
     row["case"] = str(row["case"])
     return row
+
+
+def _name_cases(trials: Sequence[dict[str, Any]], pattern: str) -> None:
+    """Cases after the springs or angles in the names, where these number the trials of each and nothing names cases."""
+    keys = [key for key in ("k1t", "theta0") if "{" + key + "}" in pattern and "{trial}" in pattern]
+    keys = [key for key in keys if len({trial[key] for trial in trials}) > 1]
+    for trial in trials if keys else ():
+        trial["case"] = ", ".join(f"{key} {trial[key]:g}" for key in keys)
 
 
 def _words_of(given: object) -> dict[str, str]:
@@ -864,6 +911,28 @@ def _guessed_all(
     }
 
 
+def _guessed_time(paths: Sequence[Path], given: Mapping[str, Any], caveats: list[str]) -> dict[str, Any]:
+    """The column of the time where none was named and all files have the same one, beside the named channels."""
+    found, told = set(), ""
+    for path in paths:
+        source = _read_raw(path, given)
+        time = source.time_column()
+        try:
+            taken = [source.index(c, path.name) for c in given["columns"]]
+        except InputError:
+            taken = []  # a channel that this file lacks: the reader says so, or the trial is uncoupled
+        found.add(None if time is None or time in taken else time + 1)
+        told = told or ("" if time is None else _column(source, time))
+    if len(found) != 1 or None in found:
+        return {}
+    caveats.append(f"The time was not named; taken: {told}.")
+    return {"time": found.pop()}
+
+
+_ANGLE_ASSUMED = (
+    "How sure the release angle is was not given: 0.1 deg (mm), or 2 % of it where that is more, was assumed "
+    "(theta0_std_deg, theta0_std_mm in trials.csv)."
+)
 _SINGLE = "One channel only, so taken as uncoupled: {}. Say otherwise with --pattern or --sheet."
 _ALL_COUPLED = (
     "Every file has two channels, so all trials were taken as coupled; say otherwise with --configuration, --pattern "

@@ -6,6 +6,7 @@ import hashlib
 import math
 import os
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,7 +23,15 @@ from tests.campaigns import decay
 ROOT = Path(__file__).resolve().parent.parent
 RAW = Path(os.environ.get("BAYES_DAMPER_REALDATA", ROOT.parent / "shared" / "realdata"))
 TIMES = np.arange(-200, 1200) / 1000.0
-OPTIONS = {"primary_inertia": 3.015e-3, "k1t": 10.2, "theta0": 4.7, "time": "t", "columns": ["a"], "release": "find"}
+OPTIONS = {
+    "primary_inertia": 3.015e-3,
+    "k1t": 10.2,
+    "theta0": 4.7,
+    "theta0_std": 0.1,
+    "time": "t",
+    "columns": ["a"],
+    "release": "find",
+}
 
 
 def wave(seed: int = 0) -> np.ndarray:
@@ -103,6 +112,71 @@ def test_missing_constants_are_assumed_and_told(tmp_path: Path) -> None:
     assert any("k1t was not given" in w for w in campaign.warnings)
 
 
+def test_the_uncertainty_of_the_angle_is_told_where_it_was_assumed(tmp_path: Path) -> None:
+    source = logger_file(tmp_path / "run.csv", wave())
+    options = {key: value for key, value in OPTIONS.items() if key != "theta0_std"}
+    campaign = load_campaign(init_campaign(tmp_path / "out", [source], **options))
+    assert any("0.1 deg (mm), or 2 % of it" in w for w in campaign.warnings)
+
+
+def test_a_unit_that_contradicts_the_file_is_told(tmp_path: Path) -> None:
+    """At a mounting radius of 0.1 m, g taken for m/s^2 gives a tenth, as a missing radius does."""
+    head, *body = logger_file(tmp_path / "run.csv", wave() * 0.1 / 9.80665).read_text().splitlines()
+    source = tmp_path / "run.csv"
+    source.write_text("\n".join([head.replace(",a", ",a [g]"), *body]) + "\n")
+    told = "the file gives column 2 (a [g]) in g, 'units' in m/s^2; m/s^2 was taken."
+    for unit, count in (("m/s^2", 1), ("g", 0)):
+        options = {**OPTIONS, "units": [unit], "mounting_radius": 0.1}
+        campaign = load_campaign(init_campaign(tmp_path / f"out {count}", [source], **options))
+        assert sum(told in w for w in campaign.warnings) == count
+
+
+def test_the_time_need_not_be_named_beside_the_channels(tmp_path: Path) -> None:
+    source = logger_file(tmp_path / "run.csv", wave())
+    options = {key: value for key, value in OPTIONS.items() if key != "time"}
+    campaign = load_campaign(init_campaign(tmp_path / "out", [source], **options))
+    named = load_campaign(init_campaign(tmp_path / "named", [source], **OPTIONS))
+    assert np.array_equal(campaign.trials[0].times, named.trials[0].times)
+    assert campaign.warnings == ("The time was not named; taken: column 1 (t).", *named.warnings)
+
+
+def test_in_a_terminal_it_shows_the_columns_and_asks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = logger_file(tmp_path / "run.csv", wave())
+    answers = {"Inertia J1": "3.015e-3", "Stiffness k1t": "10.2", "Release angle": "4.7", "Release: start": "find"}
+    asked: list[str] = []
+
+    def reply(question: str) -> str:
+        asked.append(question)
+        return next((answer for key, answer in answers.items() if question.startswith(key)), "")
+
+    monkeypatch.setattr("builtins.input", reply)
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: True))
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    assert main(["init", str(tmp_path / "out"), str(source)]) == 0
+    trial = load_campaign(tmp_path / "out").trials[0]
+    assert (trial.k1t.value, trial.configuration) == (10.2, "uncoupled")
+    assert trial.theta0 is not None
+    assert abs(trial.times[np.argmax(np.abs(trial.channels[0]))]) < 0.005
+    assert "run.csv has the columns: 1 t, 2 a" in capsys.readouterr().out
+    assert len(asked) == 13
+
+
+def test_a_file_that_is_not_there_is_told_before_its_name_is_read(tmp_path: Path) -> None:
+    missing = tmp_path / "x.csv"
+    with pytest.raises(InputError, match=r"x\.csv: there is no such file"):
+        init_campaign(tmp_path / "out", [missing], pattern="{case}_{trial}", **OPTIONS)
+
+
+def test_a_number_in_other_words_is_refused_once_for_all_files(tmp_path: Path) -> None:
+    sources = [logger_file(tmp_path / f"run{i}.csv", wave(i)) for i in range(3)]
+    with pytest.raises(InputError) as caught:
+        init_campaign(tmp_path / "out", sources, **{**OPTIONS, "theta0": "4,7"})
+    assert len(caught.value.faults) == 1
+    assert "and 2 other files: theta0 = '4,7', which must be a number with a decimal point" in caught.value.faults[0]
+
+
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
@@ -111,7 +185,8 @@ def test_missing_constants_are_assumed_and_told(tmp_path: Path) -> None:
         ({"sha256": "0" * 64}, "expected 0000000000000000"),
         ({"units": ["deg/s^2"]}, "it looks like"),
         ({"units": ["m/s^2"]}, "give mounting_radius in metres"),
-        ({"units": ["furlong"]}, "'furlong' is no unit of acceleration"),
+        ({"units": ["furlong"]}, "'furlong' is no unit of acceleration;"),
+        ({"units": ["mm"]}, "but of displacement, and a campaign holds readings of one quantity"),
         ({"colums": ["a"]}, "option 'colums' does not exist; did you mean 'columns'?"),
         ({"release": "guess"}, "release = 'guess' is none of"),
         ({"start": 900.0}, "only 0 readings"),
@@ -461,6 +536,23 @@ def test_names_and_a_sheet_tell_the_trials_apart(tmp_path: Path) -> None:
         init_campaign(tmp_path / "wrong", sources, **options)
     sheet.write_text("file,case,trial,k1t,theta0\ncaseI_uncoupled_1.csv,I,1,6.2,5.7\n", encoding="utf-8")
     assert len(load_campaign(init_campaign(tmp_path / "sheet", [], **options)).trials) == 1
+
+
+@pytest.mark.parametrize(
+    ("pattern", "names", "cases"),
+    [
+        ("k{k1t}_{trial}", ("k6.2_1", "k6.2_2", "k10.2_1"), ["k1t 6.2", "k1t 6.2", "k1t 10.2"]),
+        ("rel{theta0}_{trial}", ("rel5_1", "rel4_1", "rel4_2"), ["theta0 5", "theta0 4", "theta0 4"]),
+        ("run{theta0}", ("run4.71", "run4.68"), ["A", "A"]),  # angles as they were measured, trial by trial
+    ],
+)
+def test_springs_and_angles_in_the_names_tell_the_cases(
+    tmp_path: Path, pattern: str, names: tuple[str, ...], cases: list[str]
+) -> None:
+    sources = [logger_file(tmp_path / f"{name}.csv", wave(i)) for i, name in enumerate(names)]
+    options = {k: v for k, v in OPTIONS.items() if "{" + k + "}" not in pattern}
+    campaign = load_campaign(init_campaign(tmp_path / "out", sources, pattern=pattern, **options))
+    assert [t.case for t in campaign.trials] == cases
 
 
 @pytest.mark.parametrize(
