@@ -38,7 +38,11 @@ def demo(
     out: str | Path = "results/demo", *, seed: int = 1, workers: int = 2, quick: bool = False,
     scheduler: str | None = None, progress: Progress | None = None,
 ) -> Demo:  # fmt: skip
-    """Fit the four cases of the thesis and write the report. quick : stop early, marked as not converged.
+    """Fit the four cases of the thesis and write the report.
+
+    out : folder for all files; seed : decides every random number; workers : processes; quick : stop early, marked as
+    not converged; scheduler : address of a Dask cluster that works in place of processes; progress : told how far it
+    is, as `fit` does.
 
     Raises
     ------

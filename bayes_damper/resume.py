@@ -18,7 +18,7 @@ def resume(
     """Go on with what `folder` holds; the result is what the uninterrupted command would have given.
 
     more : extend a finished run: four times the autocorrelation times, and twice the most steps if those were given.
-    workers : processes; default as before.
+    workers : processes; default as before. progress : told how far it is, as in `fit`.
 
     Raises
     ------

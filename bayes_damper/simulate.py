@@ -61,7 +61,8 @@ def simulate_record(
     case : thesis case, which gives k1t and theta0. Everything else starts at the prior medians of the thesis's rig.
     settings : "NAME=VALUE" each: a parameter, a rig key of campaign.toml, or EFFECT.PARAMETER. SI units.
     effect : name of an effect, or NAME/VARIANT; at the first of its starts where `settings` say nothing else.
-    rate : Hz; duration : s; out : the CSV file to write.
+    rate : Hz; duration : s; out : the CSV file to write. coupled : False for the primary alone.
+    effects_folder : folder with effects of your own.
 
     Raises
     ------

@@ -7,8 +7,10 @@ A line `<!-- generated: NAME -->` in a page is replaced by what the function of 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import inspect
 import re
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -51,12 +53,24 @@ def python() -> str:
         if callable(value):
             text = _docstring(inspect.getdoc(value) or "")
             body = f"```python\n{name}{_signature(value)}\n```\n\n{text}"
-            if inspect.isclass(value):
-                body += _methods(value)
+            body += _methods(value) if inspect.isclass(value) else _result(value)
         else:
             body = f"`{value!r}`"
         parts.append(f"## {name}\n\n`from bayes_damper import {name}`\n\n{body}")
     return "\n\n".join(parts)
+
+
+def _result(function: Any) -> str:
+    """What a function gives, where that is a record of the package: its fields and its methods."""
+    name = str(inspect.signature(function).return_annotation)
+    kind = getattr(sys.modules[function.__module__], name, None)
+    if not dataclasses.is_dataclass(kind):
+        return ""
+    fields = ", ".join(f"`{f.name}`: {f.type}" for f in dataclasses.fields(kind))
+    own = [n for n, x in vars(kind).items() if not n.startswith("_") and (inspect.isfunction(x) or n == "exit_code")]
+    methods = ", ".join(f"`{n}`" if n == "exit_code" else f"`{n}()`" for n in own)
+    text = _docstring(inspect.getdoc(kind) or "")
+    return f"\n\n**Gives** `{name}`: {text}\n\nFields: {fields}." + (f" Also: {methods}." if methods else "")
 
 
 def parameters() -> str:

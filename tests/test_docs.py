@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import inspect
 import json
 import re
 import shlex
@@ -17,6 +18,7 @@ import yaml
 import bayes_damper
 from bayes_damper.cli import _parser, main
 from bayes_damper.effects import EFFECTS, load_effects
+from bayes_damper.report.terms import _TERMS
 from tests.campaigns import decay
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -192,7 +194,7 @@ def test_init_asks_in_a_terminal(tmp_path, monkeypatch, capsys):
     y = decay(times, 0.082, 10.2, 0.031) + np.random.default_rng(3).standard_normal(times.size)
     rows = [f"{t:.3f},{v:.5f}" for t, v in zip(times, y, strict=True)]
     (tmp_path / "a.csv").write_text("\n".join(["t,a", *rows]) + "\n", encoding="utf-8")
-    answers = iter(["a", "t", "rad/s^2", "", "3.015e-3", "10.2", "4.7"])
+    answers = iter(["a", "t", "rad/s^2", "", "3.015e-3", "", "", "", "", "10.2", "4.7"])
     monkeypatch.setattr("builtins.input", lambda _: next(answers))
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
@@ -217,6 +219,32 @@ def test_notebooks_tell_a_story_with_public_calls_only(path):
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.module == "bayes_damper":
             assert {a.name for a in node.names} <= set(bayes_damper.__all__)
+
+
+def test_the_glossary_has_every_word_that_a_report_explains():
+    glossary = (DOCS / "glossary.md").read_text(encoding="utf-8")
+    entries = " ".join(re.findall(r"^(\S.*)\n:   ", glossary, re.MULTILINE)).lower()
+    wanted = {part for term in _TERMS for part in term.word.removesuffix(", as an answer").split(", ")}
+    missing = [word for word in wanted if word.lower().rstrip("s") not in entries and f"`{word}`" not in glossary]
+    assert not missing
+
+
+@pytest.mark.parametrize("name", bayes_damper.__all__)
+def test_the_reference_explains_every_argument_of_a_public_function(name):
+    """By name, in the docstring, unless it is the only one. Methods of a public class as well."""
+    value = getattr(bayes_damper, name)
+    methods = [f for n, f in vars(value).items() if inspect.isfunction(f) and not n.startswith("_")]
+    for function in (value, *(methods if inspect.isclass(value) else ())):
+        text = inspect.getdoc(function) or ""
+        names = [p for p in inspect.signature(function).parameters if p not in ("self", "options")]
+        assert len(names) == 1 or [p for p in names if not re.search(rf"\b{p}\b", text)] == [], function
+
+
+def test_the_reference_tells_what_a_function_gives():
+    text = generator().python()
+    for name, told in (("Fit", "`summary`: Mapping"), ("TuneResult", "`target_db`: float"), ("Campaign", "`trials`")):
+        assert f"**Gives** `{name}`: " in text
+        assert told in text.partition(f"**Gives** `{name}`: ")[2].partition("\n## ")[0]
 
 
 def test_there_are_at_most_five_notebooks():

@@ -211,7 +211,8 @@ def tune(
     target_db : loss whose probability is given; amplitudes : torques (N m; forces, N) at which the nonlinear model is
     driven, by default of the size of the rig.
     bounds : where the best design is sought, SI (see `best_design`); out : folder for `tune.json` and figures.
-    n_draws, n_nonlinear : draws for the linear and, among them, for the nonlinear model.
+    n_draws, n_nonlinear : draws for the linear and, among them, for the nonlinear model; seed : picks them.
+    optimise : False leaves out the search for the best design.
 
     Raises
     ------

@@ -107,8 +107,9 @@ def variability(
     repeats : runs of each answer with all cases; their spread is the error of its evidence. adapt : runs whose repeats
     differ too much in their means are made again with four times as many particles, up to 1024; False keeps
     `particles`. draws : for the effective linear parameters. unseen : False leaves out the predictions of each case
-    from the others, which take much of the time for published features. workers : processes. A run that was stopped
-    goes on when the call is made again.
+    from the others, which take much of the time for published features. workers : processes; scheduler :
+    address of a Dask cluster in their place; progress : told how far it is, as in `fit`. A run that was stopped goes
+    on when the call is made again.
 
     Raises
     ------

@@ -175,7 +175,9 @@ def withheld(
     library; otherwise the first 24 by name, which are hashes. out : where the run keeps its state; the same call goes
     on with a run that was stopped. diagnose_with : "module:function" that gives a verdict, called as `verdict_of` is.
     effects : folder with effects of your own, candidates beside those of the library and of installed packages; in the
-    key they are effects of the library.
+    key they are effects of the library. leave_one_out : whether campaigns are judged again without the effect that they
+    have; None: as `full`. workers : processes; scheduler : address of a Dask cluster in their place; seed : decides
+    every random number; progress : told how far it is, as in `fit`.
 
     Raises
     ------
