@@ -71,7 +71,8 @@ def diagnose(
 
     campaign : folder, or "thesis" for the published measurements; nominal : "linear" leaves dry friction out, which
     then is a candidate; effects : folder with effects of your own; priors : prior file, by default priors.toml in the
-    campaign; workers : processes.
+    campaign; out : folder for all files; seed : decides every random number; workers : processes; tell : called with a
+    sentence for each step.
 
     Raises
     ------
@@ -250,7 +251,7 @@ def _words(result: Mapping[str, Any]) -> list[str]:
     )
     beside = gap_beside_verdict(verdict, share, gap)
     lines += [beside] if beside else []
-    lines += _forecast_words(result.get("forecast") or {})
+    lines += _forecast_words(result.get("forecast") or {}, str(result.get("reading_unit") or ""))
     answers = named_answers(probabilities, result.get("pair"))
     ranked = sorted(answers, key=lambda name: -answers[name])[:5]
     lines.append("Answers: " + ", ".join(f"{name} {answers[name]:.2f}" for name in ranked))
@@ -263,12 +264,12 @@ def _words(result: Mapping[str, Any]) -> list[str]:
     return lines + [f"note: {note}" for note in result.get("notes", [])]
 
 
-def _forecast_words(ahead: Mapping[str, Any]) -> list[str]:
-    """What held-out trials do after the two periods that their own state is inferred from."""
+def _forecast_words(ahead: Mapping[str, Any], unit: str) -> list[str]:
+    """What held-out trials do after the two periods that their own state is inferred from; `unit`: of readings."""
     sides = {name: ahead[name] for name in ("before", "after") if name in ahead}
     if not sides:
         return []
-    misses = ", ".join(f"{s['rms']:.3g} {name}" for name, s in sides.items())
+    misses = ", ".join(f"{s['rms']:.3g}{f' {unit}' if unit else ''} {name}" for name, s in sides.items())
     held = ", ".join(f"{s['coverage50']:.0%} and {s['coverage90']:.0%} {name}" for name, s in sides.items())
     first = f"Held-out trials forecast from their first {ahead['periods']:g} periods: rms miss {misses}; "
     return [f"{first}50 and 90 % bands hold {held}."]
@@ -294,11 +295,13 @@ def _draw(folder: Path, found: Diagnosis, workers: int) -> None:
         )
     torques = found.site_map.torque
     if torques:
+        shown = max(torques, key=lambda found: float(np.abs(found.torque).max()))
         drawn["missing_torque"] = lambda: figures.missing_torque_figure(
-            max(torques, key=lambda found: float(np.abs(found.torque).max())),
+            shown,
             found.site_map.curve(),
             body=found.site_map.torque_body,
             title=_torque_title(found),
+            record=trial_label(found.nominal.problem.experiment.trials[shown.trial]),
             translational=found.kind == "translational",
         )
     forked_map(lambda name: figures.save(drawn[name](), folder / name), list(drawn), workers)

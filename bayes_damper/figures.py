@@ -16,7 +16,8 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FixedLocator, LogLocator, MaxNLocator, NullFormatter
 from matplotlib.transforms import blended_transform_factory
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
@@ -139,7 +140,7 @@ def corner_figure(
     ranges[wide] = np.stack([0.9 * low[wide], 1.1 * high[wide]], axis=1)
     with mpl.rc_context(_RC | {"axes.grid": False, "axes.spines.top": True, "axes.spines.right": True}):
         figure = Figure(figsize=(1.35 * len(names) + 0.8,) * 2)
-        for k, (group, table) in enumerate(stacked.items()):
+        for k, table in enumerate(stacked.values()):
             colour = COLOURS[k % len(COLOURS)]
             corner.corner(
                 *(table,),
@@ -162,15 +163,17 @@ def corner_figure(
                 hist_kwargs={"linestyle": STYLES[k % len(STYLES)]},
                 contour_kwargs={"linestyles": STYLES[k % len(STYLES)]},
             )
-            if not single:
-                figure.text(
-                    0.98, 0.97 - 0.035 * k, group, color=colour, ha="right", va="top", weight="bold", fontsize=11
-                )
         if not single:  # each group was drawn to its own height
+            kinds = [
+                Line2D([], [], color=COLOURS[k % len(COLOURS)], linestyle=STYLES[k % len(STYLES)], label=group)
+                for k, group in enumerate(stacked)
+            ]
+            figure.legend(handles=kinds, loc="upper right", bbox_to_anchor=(0.99, 0.96), fontsize=11, handlelength=3.0)
             for axis in figure.axes[:: len(names) + 1]:
                 drawn = [np.asarray(line.get_ydata(), float) for line in axis.lines]
                 tops = [float(np.max(y)) for y in drawn if y.size > 2]
                 axis.set_ylim(0.0, 1.05 * max(tops, default=1.0))
+        _keep_numbers_apart(figure)
         for axis, name, ends in zip(figure.axes[:: len(names) + 1], names, ranges, strict=True):
             _tell_of_one(axis, ends, told.get(name), assumed.get(name))
         margin = 1.05 / figure.get_figwidth()  # room for the labels beside the slanted numbers
@@ -184,6 +187,19 @@ def corner_figure(
 
 _BINS = 30
 """Bars of a histogram in a corner figure."""
+
+
+def _keep_numbers_apart(figure: Figure) -> None:
+    """No number at the very end of an axis of a corner figure, where it would run into that of the next panel."""
+    for axis in figure.axes:
+        for line in (axis.xaxis, axis.yaxis):
+            locator = line.get_major_locator()
+            if not isinstance(locator, MaxNLocator):
+                continue
+            low, high = sorted(map(float, line.get_view_interval()))
+            inside = [x for x in locator.tick_values(low, high) if 0.1 < (x - low) / (high - low) < 0.9]
+            if len(inside) > 1:
+                line.set_major_locator(FixedLocator(inside))
 
 
 def _tell_of_one(axis: Axes, ends: Array, told: tuple[float, float, float] | None, assumed: Array | None) -> None:
@@ -215,7 +231,7 @@ def trace_figure(
     width, height = 9.0, 1.05 * len(names) + 1.2
     figure = _plain_figure(width, height, converged)
     above = 0.75 if converged else 1.0
-    place = {"left": 1.05 / width, "right": 1.0 - 0.15 / width, "bottom": 0.45 / height, "top": 1.0 - above / height}
+    place = {"left": 1.05 / width, "right": 1.0 - 0.3 / width, "bottom": 0.45 / height, "top": 1.0 - above / height}
     with mpl.rc_context(_RC):
         axes = figure.subplots(
             len(names),
@@ -823,13 +839,15 @@ def published_figure(rows: Mapping[str, Sequence[Mapping[str, Any]]], *, title: 
 
 
 def missing_torque_figure(
-    torque: Any, curve: Mapping[str, Mapping[str, Any]], *, body: int, title: str, translational: bool = False
-) -> Figure:
+    torque: Any, curve: Mapping[str, Mapping[str, Any]], *, body: int, title: str, record: str = "",
+    translational: bool = False,
+) -> Figure:  # fmt: skip
     """Missing torque (force) on each inertia over time with its 90 % band, and against the coordinates of its site.
 
     torque : of one trial, shown as points where it is known to three times its median sd: times (n,), torque and sd
     (2, n) N m, th1, w1, th2, w2, phi, slip (n,); curve : coordinate -> its bins over all trials (centre, torque_n_m,
-    sd_n_m), as `SiteMap.curve` gives them; body : the inertia that the curve is of, 0 or 1.
+    sd_n_m), as `SiteMap.curve` gives them; body : the inertia that the curve is of, 0 or 1;
+    record : the name of that trial.
     """
     figure = new_figure(9.0, 6.0)
     names = ("primary", "secondary")
@@ -845,6 +863,7 @@ def missing_torque_figure(
             over_time.fill_between(torque.times, value - 1.645 * sd, value + 1.645 * sd, color=colour, alpha=0.25, lw=0)
         over_time.set_xlabel("time since release [s]")
         over_time.set_ylabel(effort)
+        over_time.set_title(record, loc="left")
         over_time.legend(loc="upper right")
         known = np.asarray(torque.sd[body]) <= 3.0 * float(np.median(torque.sd[body]))
         for axis, (name, bins) in zip((axes["left"], axes["right"]), curve.items(), strict=False):

@@ -5,12 +5,14 @@ from __future__ import annotations
 import base64
 import html
 import io
+import itertools
 import json
 import math
 import re
 import shutil
 import subprocess
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -19,12 +21,13 @@ import xarray as xr
 from PIL import Image
 
 from bayes_damper import report
-from bayes_damper.diagnose import _rms
+from bayes_damper.diagnose import _forecast_words, _rms
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.figures import (
     COLOURS,
     corner_figure,
     forest_figure,
+    missing_torque_figure,
     new_figure,
     record_figure,
     residual_maps_figure,
@@ -55,7 +58,7 @@ def case(converged: bool = True, outside: bool = False) -> dict:
             "k2t": parameter(1.3, 0.5, "N m/rad"),
             "friction_torque": parameter(0.081, None, "N m"),
         },
-        "sentences": [] if converged else ["The effective sample size of nu is 200, below 1000."],
+        "sentences": [] if converged else ["The effective sample size of nu is 200, below 1000.", "Let it go on."],
         "predictive": [
             {
                 "name": f"case IV: period ({c})", "unit": "s", "measured": 0.11, "standard_error": 0.001,
@@ -103,6 +106,7 @@ def write_posterior(path: Path) -> None:
     wave = -250.0 * np.exp(-9.0 * TIMES) * np.cos(57.0 * TIMES)
     y = np.stack([wave, 0.3 * wave]) + 2.0 * rng.standard_normal((2, TIMES.size))
     y[0, 100:104] = np.nan  # a gap
+    y[0, 50] += 400.0  # a reading far out
     model = np.stack([wave, 0.3 * wave])[None, None] * (1.0 + 0.01 * rng.standard_normal((1, 40, 1, 1)))
     tree = {
         "observed_data": xr.Dataset({"coupled_1": (("channel", "time"), y)}),
@@ -199,11 +203,48 @@ def test_a_fit_opens_with_what_the_data_determine_and_what_the_model_misses(tmp_
     (tmp_path / "summary.json").write_text(json.dumps(data))
     page = report(tmp_path).path.read_text(encoding="utf-8")
     text = words_of(page)
-    first = "Determined by the data: mu everywhere; k2t in case III. All runs converged. None of 4 measurements lies"
+    first = (
+        "Determined by the data: the coefficient of friction at the magnetic interface (mu, ±30 %) in every case; the "
+        "stiffness of the magnetic coupling (k2t, ±30 %) in case III. All runs converged. None of 4 measurements lies"
+    )
     assert first in text
     assert "in case IV, channel 1, it leaves 5 rad/s² where repeats differ by 2. The intervals allow for it." in text
     assert '<section class="answer open">' in page
+    assert "Whether the model itself is right" not in text, "something else would change it"
     assert text.index("What would change it") < text.index("Median and 90 % interval")
+    data["cases"]["IV"]["noise"] = {"channels": [quiet]}
+    data["cases"]["IV"]["trials"] = {"IV coupled #1": {
+        "ln_mu": {"mean": 0.0104, "sd": 0.02, "hdi90": [-0.03, 0.047], "unit": ""}}}  # fmt: skip
+    (tmp_path / "summary.json").write_text(json.dumps(data))
+    text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
+    assert "as large as their noise: at worst, in case IV, channel 2, it leaves 2.1 rad/s² where repeats differ" in text
+    assert "IV coupled #1 mu of this trial over that of all 1.010 0.970 to 1.048 1" in text
+
+
+def test_parameters_on_the_first_screen_are_told_in_words_with_how_well_they_are_known(tmp_path):
+    write_fit(tmp_path)
+    text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
+    assert "Nothing was learnt about the smoothing constant of every tanh (nu): its number repeats what was" in text
+    data = json.loads((tmp_path / "summary.json").read_text())
+    for entry in data["cases"].values():  # many at once stay names; what may be 0 or twice as much has no percentage
+        for name in ("k2t", "c2t", "drag", "c1t", "c3t", "k1t", "J1", "J2"):
+            entry["parameters"][name] = parameter(2.0, 0.05) | ({"hdi90": [0.0, 4.4]} if name == "drag" else {})
+    (tmp_path / "summary.json").write_text(json.dumps(data))
+    text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
+    assert "Determined by the data: mu (±30 %), k2t (±30 %), c2t (±30 %), drag, c1t (±30 %), c3t" in text
+    for entry in data["cases"].values():
+        entry["parameters"].pop("nu")
+    (tmp_path / "summary.json").write_text(json.dumps(data))
+    assert "Whether the model itself is right, on which every" in words_of(report(tmp_path).path.read_text("utf-8"))
+
+
+def test_the_legend_of_a_corner_figure_shows_the_line_of_each_case():
+    """On a grey printout only the style of a line tells the cases apart."""
+    rng = np.random.default_rng(1)
+    figure = corner_figure({k: {"mu": rng.normal(size=500)} for k in ("case I", "case IV")}, {}, title="all cases")
+    lines = figure.legends[0].get_lines()
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["case I", "case IV"]
+    assert [line.get_linestyle() for line in lines] == ["-", "--"]
 
 
 def test_exponents_are_raised_and_formulas_stay():
@@ -263,7 +304,8 @@ def write_plan(folder: Path) -> None:
                               "sd_over_prior": 0.02}},
         "add": [{"configuration": "coupled", "k1t_n_m_per_rad": 14.3, "theta0_deg": 7.4, "nats": 5.0,
                  "helps": ["magnet_cubic"]}],
-        "sentences": ["0 of 1 effects would be seen at their typical size."],
+        "sentences": ["0 of 1 effects would be seen at their typical size.",
+                      "magnet_cubic would be seen with 6 times as many trials."],
     }  # fmt: skip
     (folder / "plan.json").write_text(json.dumps(data), encoding="utf-8")
 
@@ -297,6 +339,29 @@ def write_everything(folder: Path) -> Path:
     return folder
 
 
+def test_what_the_cases_share_opens_with_the_answer_and_leaves_the_method_below(tmp_path):
+    write_everything(tmp_path)
+    (tmp_path / "summary.json").unlink()
+    file = tmp_path / "variability.json"
+    data = json.loads(file.read_text(encoding="utf-8"))
+    told = "The fit's draws used again by weights (Pareto k at most 0.31) agree with the direct way."
+    slow = "Particles moved slowly (shared): the errors are too small; raise particles and repeats."
+    data["sentences"] += [told, slow]
+    for (name, model), p in zip(data["models"].items(), (0.49, 0.5, 0.01), strict=True):
+        data["models"][name] = model | {"probability": p}
+    file.write_text(json.dumps(data), encoding="utf-8")
+    text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
+    first = (
+        "Not settled: values scattered about a common mean (50 %) or one parameter set for all cases (49 %). The cases"
+    )
+    answers = text[: text.index("Variability Particles") if "Variability Particles" in text else text.index(told)]
+    assert first in answers
+    assert "More data of each case" in answers
+    assert "more --particles and --repeats" in answers
+    assert told not in answers
+    assert slow in text
+
+
 TWO_WAYS = {way: {"median": 0.31, "hdi90": [0.2, 0.4]} for way in ("recycled", "direct")}
 
 
@@ -322,9 +387,10 @@ def test_everything_a_folder_holds_is_on_the_page(tmp_path):
     assert "friction displacement and normal force law cannot" not in text
     assert "Next experiment: coupled, k1t 10.2 N m/rad, released at 2.7 deg (expected information 1.80 nats; " in text
     assert "closes 97 % of the gap" in text
-    assert "Nothing was learnt about nu" in text
+    assert "Nothing was learnt about the smoothing constant of every tanh (nu)" in text
     assert "The cases do not share one parameter set (2 %)" in text
     assert "insertion loss 12.0 dB (90 %: 10.4 to 13.6 dB)" in text
+    assert "hangs most on c2t: damping of the magnetic coupling (70 % of its variance): measure that better." in text
     assert "your design probably has no resonance left" in text, "12 dB where there is one, but few have one"
     assert "synthetic <rig>" in text
     assert text.index("Most probable, but") < text.index("Case III: parameters")
@@ -353,7 +419,7 @@ def test_figures_say_how_they_are_read_once_and_words_are_explained(tmp_path):
     assert {"prior", "R-hat", "evidence", "nat", "90 % interval"} <= set(words)
     assert "insertion loss" not in words, "a word that does not stand on the page"
     assert "drag\nbearing drag torque" not in page
-    assert re.search(r"friction_torque = mu N0 R\s+friction torque between the faces", page)
+    assert re.search(r'friction_torque = mu N0 R<span class="meaning">\s+friction torque between the faces', page)
 
 
 def test_a_verdict_says_what_the_effect_is_and_how_large(tmp_path):
@@ -366,8 +432,37 @@ def test_a_verdict_says_what_the_effect_is_and_how_large(tmp_path):
     assert (
         "stick slip (86 %). The faces stick. Its law: a law, with ratio 1.40 (1.20 to 1.60) (90 % intervals)." in text
     )
-    assert "closes 94 % of the gap" in text
+    assert (
+        "On held-out trials (kept apart from the fit) the most probable cause closes 94 % of the gap (90 % interval"
+        in text
+    )
     assert "with stick slip 2.01 94 %" in text, "one model has one share, here and on the first screen"
+
+
+def test_the_parameters_of_an_effect_of_the_library_are_explained(tmp_path):
+    write_diagnosis(tmp_path)
+    data = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
+    value = {"median": 0.3, "hdi90": [0.2, 0.4], "unit": "rad/s"}
+    data["effects"][0] |= {"variant": "gaussian", "formula": "a law", "parameters": {"speed": value, "other": value}}
+    (tmp_path / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
+    text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
+    assert "rad/s (90 % intervals). Speed: Sliding speed over which the excess is lost. Most probable place" in text
+
+
+def test_the_figure_of_the_missing_torque_names_its_record():
+    ramp = np.linspace(0.0, 1.0, 9)
+    names = ("times", "th1", "w1", "th2", "w2", "phi", "slip")
+    torque = SimpleNamespace(**dict.fromkeys(names, ramp), torque=np.stack([ramp, -ramp]), sd=np.full((2, 9), 0.1))
+    bins = {"centre": ramp, "torque_n_m": ramp, "sd_n_m": ramp}
+    curve = {"phi": bins, "slip": bins}
+    figure = missing_torque_figure(torque, curve, body=0, title="torque", record="IV coupled #2")
+    assert figure.axes[0].get_title(loc="left") == "IV coupled #2"
+
+
+def test_a_forecast_is_told_with_the_unit_of_the_readings():
+    side = {"rms": 2.1, "coverage50": 0.5, "coverage90": 0.9}
+    (told,) = _forecast_words({"periods": 2.0, "before": side}, "rad/s^2")
+    assert told.startswith("Held-out trials forecast from their first 2 periods: rms miss 2.1 rad/s^2 before; 50 and")
 
 
 def test_the_rig_as_it_is_is_no_design_and_needs_a_resonance(tmp_path):
@@ -496,6 +591,19 @@ def test_all_cases_are_drawn_over_each_other(tmp_path):
     assert "case III" in (tmp_path / "corner.svg").read_text(encoding="utf-8")
 
 
+def test_numbers_of_neighbouring_panels_of_a_corner_figure_stay_apart():
+    rng = np.random.default_rng(1)
+    draws = {name: rng.normal(1.0, 0.1 * k, 4000) for k, name in enumerate(("mu", "k2t", "c2t"), start=1)}
+    figure = corner_figure({"I": draws}, {}, title="I")
+    figure.canvas.draw()
+    boxes = [
+        text.get_window_extent() for axis in figure.axes[-3:] for text in axis.get_xticklabels() if text.get_text()
+    ]
+    boxes = [box for box in boxes if box.width > 0.0]
+    assert len(boxes) >= 6
+    assert not any(one.overlaps(other) for one, other in itertools.pairwise(boxes))
+
+
 def test_a_forest_leaves_a_gap_where_a_group_lacks_a_parameter():
     """The fit of all cases together has a value of its own of what the cases share, and none of what is each one's."""
     both = {"I": (0.0, 1.0, 2.0), "IV": (1.0, 2.0, 3.0)}
@@ -573,8 +681,12 @@ def test_a_run_that_has_not_ended_is_told_how_to_go_on(tmp_path):
 def test_a_plan_and_a_decomposition_read_as_tables(tmp_path):
     text = words_of(report(write_everything(tmp_path / "results")).path.read_text(encoding="utf-8"))
     assert "magnet cubic interface 22 % cubic 66 N m/rad³ interface relaxation 2.4 6 times" in text
-    assert "real difference 0.2 0.100 to 0.400 60 % (20 to 90 %)" in text
-    assert "IV 34.3 1.1 (0.90 to 1.40) 1" in text
+    assert (
+        "typical size. What would change it magnet cubic would be seen with 6 times as many trials. One more trial "
+        "helps most if coupled, k1t 14.3 N m/rad, released at 7.4 deg: to tell magnet cubic." in text
+    )
+    assert "real difference 0.200 0.100 to 0.400 60 % (20 to 90 %)" in text
+    assert "IV 34.3 1.10 (0.90 to 1.40) 1" in text
     assert "IV 412 63 0.31" in text
     assert "coupled 14.3 7.4 5 magnet_cubic" in text
 
@@ -617,8 +729,11 @@ def test_a_run_that_did_not_converge_is_marked_first(tmp_path):
     text = words_of(done.path.read_text(encoding="utf-8"))
     assert done.warnings == ("Case III did not converge: do not use its numbers.",)
     assert text.index("Do not use these numbers") < text.index("Median and 90 % interval")
-    assert "case III: median (90 %)" in text, "what stands in a column of the overview"
+    assert "case III: median (90 %) NOT CONVERGED case IV: median (90 %) mu" in text, "heads of the overview"
+    assert "Nothing was learnt" not in text, "what such numbers say is not told"
+    assert "central 90 %" not in text
     assert "The effective sample size of nu is 200" in text
+    assert "--more. Let it go on. The sentences of each case" in text
 
 
 def test_a_model_that_cannot_reproduce_the_data_is_said_so(tmp_path):
@@ -737,6 +852,7 @@ addEventListener("load", () => setTimeout(() => {
   seen.charts = Number(root.dataset.drawn || -1);
   seen.images = [...page.images].map((i) => i.complete && i.naturalWidth > 20);
   seen.dark = view.matchMedia("(prefers-color-scheme: dark)").matches;
+  seen.beyond = [...page.querySelectorAll("canvas")].map((c) => Number(c.dataset.beyond));
   seen.canvases = [...page.querySelectorAll("canvas")].map((c) => {
     const pixels = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
     const colours = new Set();
@@ -856,6 +972,7 @@ def test_a_browser_shows_all_of_it_without_fault(tmp_path, width, dark):
     assert all(seen["images"])
     assert len(seen["canvases"]) == 3
     assert min(seen["canvases"]) > 20, "a canvas was left empty"
+    assert sum(seen["beyond"]) == 1, "a reading far out stands at the edge of its residuals, and hides no other"
     assert seen["wide"] <= 0
     assert seen["wideAfter"] <= 0, "an enlarged figure widens the page"
     assert seen["large"] == 1

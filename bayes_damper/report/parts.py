@@ -106,9 +106,9 @@ def words(name: str) -> str:
     return name.replace("_", " ")
 
 
-def listed(names: Sequence[str]) -> str:
-    """Names as a list in a sentence."""
-    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1] if names else "none"
+def listed(names: Sequence[str], last: str = "and") -> str:
+    """Names as a list in a sentence, the word `last` before the last of them."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {last} {names[-1]}" if names else "none"
 
 
 def generic(data: Mapping[str, Any], title: str, skip: Sequence[str] = (), depth: int = 0) -> Section:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from bayes_damper.diagnose import named_answers
+from bayes_damper.effects import EFFECTS
 from bayes_damper.numerals import NOTHING, interval, number, percent, plus_minus
 from bayes_damper.parameters import PARAMETERS
 from bayes_damper.report.charts import torque_chart
@@ -132,8 +133,16 @@ def _verdict_sentences(
     size = "; ".join(_parameter(k, v) for k, v in (found.get("parameters") or {}).items())
     meant = [str(found["meaning"])] if found.get("meaning") else []
     if size and found.get("formula"):
-        meant.append(f"Its law: {found['formula']}, with {size} (90 % intervals).")
+        meant.append(f"Its law: {found['formula']}, with {size} (90 % intervals). {_meanings(found)}".strip())
     return [f"{told} {words(verdict)} ({percent(share)}).", *meant, *where]
+
+
+def _meanings(found: Mapping[str, Any]) -> str:
+    """What the parameters of an effect are, in sentences; nothing for effects that are none of the library's."""
+    known = EFFECTS.get(str(found["name"]))
+    variants = [v for v in known.variants if v.name == found.get("variant")] if known else []
+    told = {p.name: p.meaning for v in variants for p in v.parameters}
+    return " ".join(f"{name[0].upper() + name[1:]}: {told[name]}" for name in found["parameters"] if name in told)
 
 
 def _place(site: str) -> str:
@@ -156,9 +165,11 @@ def _closed_sentence(gap: Mapping[str, Any], who: str) -> str:
     if closed is None:
         return ""
     hdi = (gap.get("closed") or {}).get("hdi90")
-    spread = f" (90 %: {_whole(hdi[0])} to {_whole(hdi[1])} %)" if hdi else ""
+    spread = f" (90 % interval {_whole(hdi[0])} to {_whole(hdi[1])} %)" if hdi else ""
     where = (
-        "coupled peaks, predicted without the coupled numbers of their case," if gap.get("on") else "held-out trials"
+        "coupled peaks, predicted without the coupled numbers of their case,"
+        if gap.get("on")
+        else "held-out trials (kept apart from the fit)"
     )
     if closed <= 0.0:
         return f"On {where} nothing that was tried closes any of the gap{spread}."

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from bayes_damper.numerals import NOTHING, interval, number, plus_minus
@@ -19,6 +21,8 @@ _OUTSIDE = 5.0  # per cent: a measurement below this percentile, or as far above
 _MAIN = (
     "mu", "friction_torque", "friction_torque_per_inertia", "k2t", "c2t", "drag", "nu", "c1t", "c3t", "k1t", "J1", "J2",
 )  # fmt: skip
+_SPELT_OUT = 7  # parameters in a sentence; of more, the names alone
+_SPELT_FIRST = 4  # the same in the first sentence
 _MEASURABLE = ("J1", "J2", "R", "r", "N0", "k1t", "k2t", "theta0", "drag", "mu")
 _INTERVALS = (
     "Intervals hold 90 % of the posterior probability, given the model, the data and the prior. “Decided by prior” "
@@ -57,16 +61,23 @@ def _title(name: str) -> str:
 
 def _fit_headline(campaign: str, groups: Mapping[str, Any], converged: bool) -> Headline:
     sentences, changes = [], []
-    if converged:
-        sentences.append(_determined(groups))
-        sentences.append("All runs converged." if len(groups) > 1 else "The run converged.")
-    else:
+    if not converged:
         failed = [_title(n) for n, e in groups.items() if not e.get("converged")]
-        sentences.append(f"{listed(failed)} did not converge. Do not use these numbers.")
-        changes.append("More steps: bayes-damper resume FOLDER --more. The sentences of each case say what fell short.")
+        sentences.append(
+            f"{listed(failed)} did not converge: the run was too short to trust. Do not use these numbers."
+        )
+        longer = {s for e in groups.values() for s in e.get("sentences", ()) if s.startswith("Let it go on")}
+        told = f" {longer.pop()}" if len(longer) == 1 else ""
+        changes.append(
+            f"More steps: bayes-damper resume FOLDER --more.{told} The sentences of each case say what fell short."
+        )
+        title = f"Fit of {campaign}" if campaign else "Fit"
+        return Headline(title, "bad", tuple(sentences), changes=tuple(changes), table=_overview(groups))
+    sentences.append(_determined(groups))
+    sentences.append("All runs converged." if len(groups) > 1 else "The run converged.")
     checks = [row for entry in groups.values() for row in entry.get("predictive", [])]
     outside = [row for row in checks if _is_outside(row)]
-    tone = "good" if converged else "bad"
+    tone = "good"
     if checks:
         few = {0: "None", len(checks): "All"}.get(len(outside), str(len(outside)))
         sentences.append(
@@ -74,15 +85,17 @@ def _fit_headline(campaign: str, groups: Mapping[str, Any], converged: bool) -> 
             f"central 90 % of the prediction; chance alone would put about {0.1 * len(checks):.0f} there."
         )
         if outside and len(outside) > max(1.0, 0.2 * len(checks)):
-            tone = "bad" if not converged else "open"
+            tone = "open"
             worst = ", ".join(words(str(row["name"])) for row in outside[:3])
             sentences.append(f"The model cannot reproduce all of the data, whatever its parameters: {worst}.")
             changes.append("A diagnosis of recorded trials would tell what the model lacks.")
     missed = _missed(groups)
     if missed:
-        tone = "open" if converged else "bad"
+        tone = "open"
         sentences.append(missed)
         changes.append("A diagnosis (bayes-damper diagnose) looks for what the model misses.")
+    elif noise := _left(groups, ("repeats", "fast content")):
+        sentences.append(f"What the model leaves of the records is about as large as their noise: at worst, {noise}.")
     by_prior: dict[str, int] = {}
     for entry in groups.values():
         for name, p in entry.get("parameters", {}).items():
@@ -91,10 +104,17 @@ def _fit_headline(campaign: str, groups: Mapping[str, Any], converged: bool) -> 
                 by_prior[name] += 1
     everywhere = [name for name, count in by_prior.items() if count == len(groups)]
     if everywhere:
-        sentences.append(f"Nothing was learnt about {listed(everywhere)}: there the prior decided.")
+        repeat = "its number repeats" if len(everywhere) == 1 else "their numbers repeat"
+        sentences.append(
+            f"Nothing was learnt about {_in_words(everywhere)}: {repeat} what was assumed beforehand (the prior)."
+        )
         able = [name for name in everywhere if name in _MEASURABLE]
         if able:
             changes.append(f"Measuring {listed(able)} directly would replace an assumption by a fact.")
+    if not changes:
+        changes.append(
+            "Whether the model itself is right, on which every number rests, a diagnosis tells (bayes-damper diagnose)."
+        )
     title = f"Fit of {campaign}" if campaign else "Fit"
     return Headline(title, tone, tuple(sentences), changes=tuple(changes), table=_overview(groups))
 
@@ -112,17 +132,51 @@ def _determined(groups: Mapping[str, Any]) -> str:
     for places, names in sorted(where.items(), key=lambda item: -len(item[0])):
         fits = listed([place if place.startswith("all") else f"case {place}" for place in places])
         everywhere = len(places) == len(groups)
-        parts.append(listed(names) + ("" if len(groups) == 1 else " everywhere" if everywhere else f" in {fits}"))
+        known = {name: _precision(name, [groups[place] for place in places]) for name in names}
+        told = _in_words(names, known, _SPELT_FIRST)
+        parts.append(told + ("" if len(groups) == 1 else " in every case" if everywhere else f" in {fits}"))
     return f"Determined by the data: {'; '.join(parts)}."
+
+
+def _precision(name: str, entries: Sequence[Mapping[str, Any]]) -> str:
+    """How well a parameter is known: half its 90 % interval over its median, the worst of these cases; "" if none."""
+    halves = []
+    for entry in entries:
+        p = entry["parameters"][name]
+        low, high = p["hdi90"]
+        halves.append(0.5 * (high - low) / abs(p["median"]) if p["median"] else math.inf)
+    worst = max(halves)
+    return f"±{float(f'{100.0 * worst:.2g}'):g} %" if worst < 1.0 else ""
+
+
+def _in_words(
+    names: Sequence[str], more: Mapping[str, str] = MappingProxyType({}), most: int = _SPELT_OUT
+) -> str:  # fmt: skip
+    """Parameters in a sentence, each with what it is, unless they are more than `most`; `more` stands behind each."""
+    told = []
+    for name in names:
+        known = PARAMETERS.get(name.partition("[")[0]) if len(names) <= most else None
+        beside = more.get(name, "")
+        if known is None:
+            told.append(f"{name} ({beside})" if beside else name)
+        else:
+            told.append(f"the {known.meaning} ({name}{', ' if beside else ''}{beside})")
+    return listed(told)
 
 
 def _missed(groups: Mapping[str, Any]) -> str:
     """The channel of which the fit leaves most beyond the noise, in a sentence; nothing where it leaves noise alone."""
+    told = _left(groups, ("residuals",))
+    return f"The model misses something: {told}. The intervals allow for it." if told else ""
+
+
+def _left(groups: Mapping[str, Any], learnt_from: Collection[str]) -> str:
+    """What the fit leaves of the channel where it is most against the noise, of those whose noise was learnt so."""
     rows = [
         (name, c)
         for name, entry in groups.items()
         for c in (entry.get("noise") or {}).get("channels", ())
-        if c.get("learnt_from") == "residuals" and c.get("left_over_floor")
+        if c.get("learnt_from") in learnt_from and c.get("left_over_floor")
     ]
     if not rows:
         return ""
@@ -130,8 +184,8 @@ def _missed(groups: Mapping[str, Any]) -> str:
     floor = worst.get("repeats") or worst.get("fast_content")
     source = "repeats differ by" if worst.get("repeats") else "the fast content has"
     return (
-        f"The model misses something: in {_title(name)[0].lower() + _title(name)[1:]}, channel {worst['channel']}, it "
-        f"leaves {worst['left']:.2g} {worst['unit']} where {source} {floor:.2g}. The intervals allow for it."
+        f"in {_title(name)[0].lower() + _title(name)[1:]}, channel {worst['channel']}, it "
+        f"leaves {worst['left']:.2g} {worst['unit']} where {source} {floor:.2g}"
     )
 
 
@@ -150,7 +204,12 @@ def _overview(groups: Mapping[str, Any]) -> Table:
             star = " *" if _decided(p) == "prior" else ""
             cells.append(f"{number(p['median'], high - low)}{star}\n({interval(low, high)})")
         rows.append(Row((_told_name(name), unit, *cells)))
-    columns = ("parameter", "unit", *((n if n.startswith("all") else f"case {n}") + ": median\n(90 %)" for n in groups))
+    heads = [
+        (name if name.startswith("all") else f"case {name}")
+        + (": median\n(90 %)" if entry.get("converged") else ": median\n(90 %) NOT CONVERGED")
+        for name, entry in groups.items()
+    ]
+    columns = ("parameter", "unit", *heads)
     starred = any("*" in cell for row in rows for cell in row.cells[2:])
     note = "* decided by the prior, not by the data" if starred else ""
     return Table("Median and 90 % interval", columns, tuple(rows), note)
@@ -284,7 +343,10 @@ def _trial_table(name: str, trials: Mapping[str, Any]) -> Table:
     rows = []
     for label, nuisances in trials.items():
         for key, p in nuisances.items():
-            low, high = p["hdi90"]
-            rows.append(Row((label, meaning_of(key), number(p["mean"], high - low), interval(low, high), p["unit"])))
+            middle, (low, high), unit, what = p["mean"], p["hdi90"], p["unit"], meaning_of(key)
+            if key.startswith("ln_"):  # readers think in factors
+                middle, low, high, unit = math.exp(middle), math.exp(low), math.exp(high), "1"
+                what = f"{key.removeprefix('ln_')} of this trial over that of all"
+            rows.append(Row((label, what, number(middle, high - low), interval(low, high), unit)))
     columns = ("trial", "unknown", "mean", "90 %", "unit")
     return Table(f"{_title(name)}: unknowns of each trial", columns, tuple(rows))

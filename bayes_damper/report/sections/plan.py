@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from bayes_damper.numerals import NOTHING, interval, number, percent
-from bayes_damper.report.parts import Headline, Result, Row, Section, Table, words
+from bayes_damper.report.parts import Headline, Result, Row, Section, Table, listed, words
 from bayes_damper.report.sections.shared import fingerprint, meaning_of, pictures_of, records_table
 from bayes_damper.sensitivity import decided_by
 
@@ -47,8 +48,32 @@ def plan_result(data: Mapping[str, Any], folder: Path) -> Result:
     if data.get("add"):
         tables.append(records_table("Single trials that would help most", data["add"]))
     told = sum(e["repeats_needed"] == 1 for e in data["effects"])
-    sentences = (f"{told} of {len(rows)} effects would be seen and told from all others.", *data["sentences"])
+    given = [_in_words(s, [e["name"] for e in data["effects"]]) for s in data["sentences"]]
+    changes = [s for s in given if "times as many trials" in s] + _best_trial(data.get("add") or [])
+    sentences = (
+        f"{told} of {len(rows)} effects would be seen and told from all others.",
+        *(s for s in given if s not in changes),
+    )
     name = str(data.get("campaign", ""))
-    head = Headline(f"Plan of {name}" if name else "Plan", "open", sentences[:4])
+    head = Headline(f"Plan of {name}" if name else "Plan", "open", sentences[:4], changes=tuple(changes))
     section = Section("Plan", sentences[4:], tuple(tables), (), pictures_of(folder, kind="plan"))
     return Result(head, section, (), dict(data.get("provenance", {})) | fingerprint(data))
+
+
+def _in_words(sentence: str, names: Sequence[str]) -> str:
+    """A sentence with the names of effects as words."""
+    for name in names:
+        sentence = re.sub(rf"\b{re.escape(name)}\b", words(name), sentence)
+    return sentence
+
+
+def _best_trial(proposals: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The single trial that would help most, in a sentence; nothing where none would."""
+    if not proposals or not proposals[0].get("helps"):
+        return []
+    best = proposals[0]
+    forms = {"k1t_n_m_per_rad": "k1t {} N m/rad", "k1_n_per_m": "k1 {} N/m",
+             "theta0_deg": "released at {} deg", "theta0_mm": "released at {} mm"}  # fmt: skip
+    details = [form.format(f"{best[key]:.3g}") for key, form in forms.items() if best.get(key) is not None]
+    helps = listed([words(n) for n in best["helps"]])
+    return [f"One more trial helps most if {', '.join([best['configuration'], *details])}: to tell {helps}."]

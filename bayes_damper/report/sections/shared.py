@@ -59,6 +59,11 @@ _MORE = {
         "Effective linear stiffness and damping of each case, and what shared friction at another amplitude explains.",
     ),
     "variability_scatter": ("Scatter over the cases", "Median and 90 % interval of each part of the scatter."),
+    "withheld": (
+        "What was taken for what",
+        "Cause (row) against answer (column), counts; the same by site; share of right answers by their probability.",
+    ),
+    "comparison": ("Parameters side by side", "Median and 90 % interval of each parameter in each folder."),
     "tune_response": (
         "Frequency response",
         "Acceleration of the primary per exciting torque over frequency, without a secondary and with each design.",

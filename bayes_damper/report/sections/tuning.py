@@ -10,7 +10,7 @@ from bayes_damper.numerals import NOTHING, SDS_WIDE, number, percent
 from bayes_damper.parameters import unit_of
 from bayes_damper.report.charts import response_chart
 from bayes_damper.report.parts import Headline, Result, Row, Section, Table, listed, words
-from bayes_damper.report.sections.shared import fingerprint, pictures_of
+from bayes_damper.report.sections.shared import fingerprint, meaning_of, pictures_of
 from bayes_damper.wording import counted, gathered
 
 
@@ -55,9 +55,8 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
     if data.get("hangs_most_on"):
         name = data["hangs_most_on"]
         share = data.get("variance_shares", {}).get(name)
-        changes.append(
-            f"The insertion loss hangs most on {name} ({percent(share)} of its variance): measure that better."
-        )
+        told = f"{meaning_of(name)} ({percent(share)} of its variance)"
+        changes.append(f"The insertion loss hangs most on {told}: measure that better.")
     if data.get("optimum") and data["optimum"].get("at_bound"):
         changes.append(
             f"The best design lies at the bound of {listed(data['optimum']['at_bound'])}: wider bounds may give more."

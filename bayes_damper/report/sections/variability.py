@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bayes_damper.numerals import NOTHING, interval, number, percent
+from bayes_damper.numerals import NOTHING, interval, number, percent, plus_minus
 from bayes_damper.parameters import unit_of
-from bayes_damper.report.parts import Headline, Result, Row, Section, Table, folded, generic, words
+from bayes_damper.report.parts import Headline, Result, Row, Section, Table, folded, generic, listed, words
 from bayes_damper.report.sections.shared import UNCONVERGED, fingerprint, pictures_of
 from bayes_damper.wording import gathered
 
@@ -17,36 +18,56 @@ _SHARING = {
     "separate": "each case its own parameter set",
     "partial": "values scattered about a common mean",
 }
+_SURE = 0.9
+_METHOD = re.compile(r"\bnats\b|\b[Pp]articles\b|\bdraws\b|\bMonte Carlo\b")
+"""Sentences on how the answer was computed: they stand below it."""
+
+
+def _answer(shown: Sequence[tuple[str, float]]) -> str:
+    """What the cases share, in a sentence: the most probable answer, with every other that is not ruled out."""
+    first, p = shown[0]
+    if p >= _SURE:
+        return f"{first[0].upper() + first[1:]} ({percent(p)})."
+    return f"Not settled: {listed([f'{what} ({percent(q)})' for what, q in shown if q >= _OPEN], 'or')}."
+
+
+_OPEN = 0.1  # an answer with less is as good as ruled out
 
 
 def variability_result(data: Mapping[str, Any], folder: Path) -> Result:
     """Headline and section of variability.json."""
     models = sorted(data["models"].items(), key=lambda item: -item[1]["probability"])
     converged = bool(data.get("converged"))
+    shown = tuple((_SHARING.get(name, name), float(m["probability"])) for name, m in models)
+    method = [s for s in data.get("sentences", ()) if _METHOD.search(s)]
     sentences = [] if converged else [UNCONVERGED]
-    first, p = models[0][0], float(models[0][1]["probability"])
-    sentences.append(f"Most probable: {_SHARING.get(first, first)} ({percent(p)}).")
-    sentences += data.get("sentences", ())
+    sentences.append(_answer(shown))
+    sentences += [s for s in data.get("sentences", ()) if s not in method]
+    changes = []
+    if shown[0][1] < _SURE:
+        changes.append("More data of each case, recorded trials with repeats best of all.")
+    if any("raise particles" in s for s in method):
+        changes.append("Sharper probabilities from the same data: more --particles and --repeats (see below why).")
     rows = []
     for name, m in models:
         score = (m.get("heldout") or {}).get("log_score")
-        cells = (_SHARING.get(name, name), percent(m["probability"]), number(m["log_evidence"]), number(m.get("error")))
-        rows.append(Row((*cells, number(score)), "" if converged else "bad"))
-    columns = ("answer", "probability", "log evidence, nats", "its error", "log score on unseen data")
+        cells = (_SHARING.get(name, name), percent(m["probability"]), plus_minus(m["log_evidence"], m.get("error")))
+        rows.append(Row((*cells, number(score, 1.0)), "" if converged else "bad"))
+    columns = ("answer", "probability", "log evidence, nats", "log score on unseen data, nats")
     compared = Table("Do the cases share their parameters?", columns, tuple(rows))
-    shown = tuple((_SHARING.get(name, name), float(m["probability"])) for name, m in models)
-    tone = "bad" if not converged else "good" if shown[0][1] > 0.9 else "open"
+    tone = "bad" if not converged else "good" if shown[0][1] >= _SURE else "open"
     name = str(data.get("campaign", ""))
     head = Headline(
-        f"What the cases of {name} share" if name else "What the cases share", tone, tuple(sentences), shown
-    )
+        f"What the cases of {name} share" if name else "What the cases share", tone, tuple(sentences), shown,
+        tuple(changes),
+    )  # fmt: skip
     rest = generic(
         data, "", ("schema", "campaign", "campaign_sha256", "seed", "converged", "sentences", "provenance", "models",
                    "effective", "decomposition", "recycled", "method", "kind", "method_of_effective", "cases", "pooled",
                    "common", "warnings"),
     )  # fmt: skip
     pictures = pictures_of(folder, kind="variability")
-    told = tuple(str(data[key]) for key in ("method", "method_of_effective") if data.get(key))
+    told = (*method, *(str(data[key]) for key in ("method", "method_of_effective") if data.get(key)))
     tables = (compared, *_decomposition_tables(data), *_recycled_tables(data.get("recycled") or {}))
     section = Section("Variability", told, tables, (), pictures, folded(rest))
     warnings = () if converged else ("The comparison of the cases did not converge: do not use its numbers.",)
@@ -67,7 +88,8 @@ def _decomposition_tables(data: Mapping[str, Any]) -> list[Table]:
             if share:
                 low, high = share["hdi90"]
                 told = f"{100.0 * share['median']:.0f} % ({100.0 * low:.0f} to {100.0 * high:.0f} %)"
-            cells = (words(key), number(row["median"]), interval(*row["hdi90"]), told)
+            width = row["hdi90"][1] - row["hdi90"][0]
+            cells = (words(key), number(row["median"], width), interval(*row["hdi90"]), told)
             rows.append(Row(cells))
         columns = ("part", f"variance of ln {name}", "90 %", "share (90 %)")
         tables.append(
@@ -79,7 +101,7 @@ def _decomposition_tables(data: Mapping[str, Any]) -> list[Table]:
         for case, row in cases.items():
             line = [case, number(1e3 * row["energy_j"])]
             for name in ("k2t", "c2t"):
-                line.append(f"{number(row[name]['median'])} ({interval(*row[name]['hdi90'])})")
+                line.append(_told(row[name]))
                 line.append(number((row.get("measured") or {}).get(name)))
             rows.append(Row(tuple(line)))
         heads = ["case", "initial energy [mJ]"]

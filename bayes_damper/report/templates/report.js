@@ -240,12 +240,14 @@
       const room = height - 40;
       const steps = ticks(a, b, Math.max(2, (right - this.left) / 90));
       let top = 0;
+      this.beyond = 0;
       for (const panel of this.view.panels) {
         const share = (room * panel.height) / total;
         const lines = this.lines(g, panel, right);
         this.panel(g, panel, { X, top: top + 20 + LINE * lines.length, bottom: top + share - 4, right, colour, steps, lines });
         top += share;
       }
+      this.canvas.dataset.beyond = String(this.beyond);
       g.fillStyle = colour.ink;
       g.textAlign = "center";
       const step = steps.length > 1 ? steps[1] - steps[0] : 1;
@@ -270,11 +272,12 @@
       const [a, b] = this.range;
       let low = Infinity;
       let high = -Infinity;
+      const most = this.reach(panel);
       for (const s of panel.series) {
         const x = s.x || this.view.points;
         for (const values of s.kind === "band" ? [s.low, s.high] : [s.y]) {
           for (let i = 0; i < x.length; i += 1) {
-            if (x[i] >= a && x[i] <= b && Number.isFinite(values[i])) {
+            if (x[i] >= a && x[i] <= b && Math.abs(values[i]) <= most) {
               low = Math.min(low, values[i]);
               high = Math.max(high, values[i]);
             }
@@ -285,7 +288,7 @@
       const margin = (high - low || Math.abs(high) || 1) * 0.06;
       [low, high] = [low - margin, high + margin];
       const Y = (y) => bottom - ((y - low) / (high - low)) * (bottom - top);
-      const rows = ticks(low, high, Math.max(2, (bottom - top) / 36));
+      const rows = ticks(low, high, Math.max(4, (bottom - top) / 36));
       const step = rows.length > 1 ? rows[1] - rows[0] : 1;
       g.lineWidth = 1;
       g.strokeStyle = colour.line;
@@ -313,8 +316,31 @@
       g.beginPath();
       g.rect(this.left, top, right - this.left, bottom - top);
       g.clip();
-      for (const s of panel.series) this.series(g, s, X, Y, colour);
+      this.edges = { top, bottom };
+      for (const s of panel.series) this.series(g, s, X, Y, colour, most);
       g.restore();
+    }
+
+    // Where points are alone, as residuals are: the few that lie ten times as far out as nearly all others would hide
+    // these. How far out points count for the axis; those beyond are triangles at its edge.
+    reach(panel) {
+      if (panel.series.some((s) => s.kind !== "points")) return Infinity;
+      const [a, b] = this.range;
+      const sizes = panel.series.flatMap((s) => [...s.y].filter(
+        (y, i) => Number.isFinite(y) && (s.x || this.view.points)[i] >= a && (s.x || this.view.points)[i] <= b)).map(Math.abs);
+      sizes.sort((one, other) => one - other);
+      return 10 * sizes[Math.floor(0.98 * (sizes.length - 1))] || Infinity;
+    }
+
+    far(g, x, up) {
+      this.beyond += 1;
+      const edge = up ? this.edges.top : this.edges.bottom;
+      const base = edge + (up ? 8 : -8);
+      g.beginPath();
+      g.moveTo(x, edge);
+      g.lineTo(x - 5, base);
+      g.lineTo(x + 5, base);
+      g.fill();
     }
 
     // Series in lines: one beside the name of the axis where all fit there, else lines of their own below it.
@@ -352,7 +378,7 @@
       });
     }
 
-    series(g, s, X, Y, colour) {
+    series(g, s, X, Y, colour, most) {
       const x = s.x || this.view.points;
       const [a, b] = this.range;
       const pad = (b - a) * 0.02;
@@ -362,7 +388,9 @@
       if (s.kind === "points") {
         const size = x.length > 800 ? 1.2 : 2;
         for (let i = 0; i < x.length; i += 1) {
-          if (inside(i) && Number.isFinite(s.y[i])) g.fillRect(X(x[i]) - size, Y(s.y[i]) - size, 2 * size, 2 * size);
+          if (!inside(i) || !Number.isFinite(s.y[i])) continue;
+          if (Math.abs(s.y[i]) <= most) g.fillRect(X(x[i]) - size, Y(s.y[i]) - size, 2 * size, 2 * size);
+          else this.far(g, X(x[i]), s.y[i] > 0);
         }
       } else if (s.kind === "line") {
         g.lineWidth = 1.6;
