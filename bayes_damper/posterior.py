@@ -11,17 +11,24 @@ import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
-from bayes_damper.distributions import Distribution, LogNormal, Normal, from_standard, to_standard
+from bayes_damper.distributions import (
+    Distribution,
+    LogNormal,
+    Normal,
+    columns_from_standard,
+    from_standard,
+    to_standard,
+)
 from bayes_damper.effects.base import Variant
 from bayes_damper.errors import InputError
-from bayes_damper.features import features
+from bayes_damper.features import Features, features
 from bayes_damper.model import Model
 from bayes_damper.outcome import Outcome
 
@@ -93,7 +100,7 @@ class Coordinates:
             if other not in self.free and other not in self.fixed:
                 raise InputError(f"{name} is tied to {other!r}, which is neither a free nor a fixed parameter")
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the free parameters, in the order of the coordinates."""
         return tuple(self.free)
@@ -103,6 +110,7 @@ class Coordinates:
         """Number of free parameters."""
         return len(self.free)
 
+    @cached_property
     def _lines(self) -> list[tuple[int, int, float, float, float, float]]:
         """Of each shared pair: its two columns, and the constants of ln(x / x_unit) = a + b z for both."""
         lines = []
@@ -115,6 +123,7 @@ class Coordinates:
                           math.log(y.median_value / pair.y_unit), math.log(y.factor)))  # fmt: skip
         return lines
 
+    @cached_property
     def _sheets(self) -> list[tuple[int, Sheet, Normal]]:
         """Of each sheet: its column, itself, and its prior; those that are not free or not normal are left out."""
         found = []
@@ -127,7 +136,7 @@ class Coordinates:
     def standard(self, points: Array) -> Array:
         """Standard coordinates (n, ndim) of points as they are sampled: shared pairs taken apart, sheets put back."""
         points = np.atleast_2d(points)
-        lines, sheets = self._lines(), self._sheets()
+        lines, sheets = self._lines, self._sheets
         if not lines and not sheets:
             return points
         z = points.copy()
@@ -145,11 +154,11 @@ class Coordinates:
     def sampled(self, z: Array) -> Array:
         """Points as they are sampled (n, ndim) from standard coordinates: the inverse of `standard`."""
         points = np.atleast_2d(z).copy()
-        sheets = self._sheets()
+        sheets = self._sheets
         given = self._of_standard(points) if sheets else {}
         for i, sheet, prior in sheets:
             points[:, i] = np.arcsinh((prior.mean + prior.sd * points[:, i] - sheet.centre(given)) / sheet.width)
-        for i, j, a, b, c, d in self._lines():
+        for i, j, a, b, c, d in self._lines:
             first, second = a + b * points[:, i], c + d * points[:, j]
             points[:, i] = np.logaddexp(first, second)
             points[:, j] = second - first
@@ -160,7 +169,7 @@ class Coordinates:
         return self._of_standard(self.standard(points))
 
     def _of_standard(self, z: Array) -> dict[str, Array]:
-        given = {name: from_standard(prior, z[:, i]) for i, (name, prior) in enumerate(self.free.items())}
+        given = dict(zip(self.names, columns_from_standard(tuple(self.free.values()), z), strict=True))
         given |= {name: np.full(len(z), value) for name, value in self.fixed.items()}
         return given | {name: given[other] for name, other in self.tied.items()}
 
@@ -173,8 +182,8 @@ class Coordinates:
         """Log prior density in the sampled coordinates, (n,)."""
         value: Array = -0.5 * (np.sum(self.standard(points) ** 2, axis=1) + self.ndim * _LOG_2PI)
         # ln x and ln y in terms of sum and ratio have Jacobian 1; z in terms of ln x has 1 / b.
-        value = value - sum(math.log(b * d) for _, _, _, b, _, d in self._lines())
-        for i, sheet, prior in self._sheets():
+        value = value - sum(math.log(b * d) for _, _, _, b, _, d in self._lines)
+        for i, sheet, prior in self._sheets:
             y = np.atleast_2d(points)[:, i]
             value = value + np.logaddexp(y, -y) + math.log(0.5 * sheet.width / prior.sd)  # ln cosh
         return value
@@ -253,17 +262,19 @@ class FeaturePosterior:
 
     def predict_from(self, parameters: Mapping[str, Array]) -> Array:
         """The features that the model gives for parameter values (n,) by name: (n, n_data), nan if none."""
+        found = {name: self.features_of(name, parameters) for name in self.models}
+        return np.stack([getattr(found[d.configuration], d.quantity) for d in self.data], axis=1)
+
+    def features_of(self, configuration: str, parameters: Mapping[str, Array]) -> Features:
+        """All features of the records of one configuration for parameter values (n,) by name, each (n,)."""
         values = dict(parameters)
         t_min = values.pop("t_min")
         changes = {name: values.pop(name) for name in list(values) if name.startswith(EFFECT_PREFIX)}
         effect = {name.removeprefix(EFFECT_PREFIX): x for name, x in changes.items()}
-        found = {}
-        for name, model in self.models.items():
-            simulation = model.simulate(values, self.times, effect=effect)
-            number, count = np.unique(simulation.outcome, return_counts=True)
-            self.outcomes.update({Outcome(int(o)).name: int(c) for o, c in zip(number, count, strict=True)})
-            found[name] = features(self.times, simulation.y[:, 0], t_min)
-        return np.stack([getattr(found[d.configuration], d.quantity) for d in self.data], axis=1)
+        simulation = self.models[configuration].simulate(values, self.times, effect=effect)
+        number, count = np.unique(simulation.outcome, return_counts=True)
+        self.outcomes.update({Outcome(int(o)).name: int(c) for o, c in zip(number, count, strict=True)})
+        return features(self.times, simulation.y[:, 0], t_min)
 
     def misfits(self, points: Array) -> Array:
         """Distances of the features from the data in standard errors, (n, n_data); nan where the record has none."""

@@ -12,6 +12,7 @@ from bayes_damper.distributions import (
     LogUniform,
     Normal,
     Uniform,
+    columns_from_standard,
     from_standard,
     median,
     sample,
@@ -66,3 +67,20 @@ def test_standard_coordinates_go_there_and_back(ours, theirs):
     x = from_standard(ours, z)
     np.testing.assert_allclose(theirs.cdf(x), stats.norm.cdf(z), rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(to_standard(ours, x), z, atol=1e-5)
+
+
+def test_many_columns_at_once_are_those_of_one_at_a_time():
+    distributions = [pair.values[0] for pair in PAIRS]
+    z = np.random.default_rng(3).standard_normal((50, len(distributions))) * 3.0
+    z[0], z[1] = 30.0, -30.0
+    found = columns_from_standard(distributions, z)
+    for i, ours in enumerate(distributions):
+        np.testing.assert_array_equal(found[i], from_standard(ours, z[:, i]))
+
+
+@pytest.mark.parametrize(("ours", "theirs"), PAIRS)
+def test_standard_coordinates_beyond_the_support_are_the_farthest(ours, theirs):
+    low, high = ours.support
+    for end, sign in ((low, -1.0), (high, 1.0)):
+        if math.isfinite(end) and not (isinstance(ours, LogNormal) and sign < 0.0):
+            assert sign * to_standard(ours, end + sign * 1e-3) >= 8.0

@@ -34,7 +34,7 @@ from bayes_damper.variability.pooling import (
 )
 from bayes_damper.variability.published import PublishedCases, run_pooling
 from bayes_damper.variability.recorded import RecordedCases
-from bayes_damper.variability.tempering import move_on, temper
+from bayes_damper.variability.tempering import Block, _groups, move_on, temper
 from tests.test_fit import _campaign
 
 NAMES = ("a", "b", "c", "J", "own")
@@ -722,7 +722,7 @@ def test_what_is_refused_before_it_is_simulated_would_have_been_refused(power, m
         return run(self, rows, *more)
 
     monkeypatch.setattr(Model, "_run", counted)
-    found = hierarchy.tried(points, parts, power, least)
+    found = hierarchy.tried([points] * 4, parts, power, least)
     tried = _total(hierarchy.height(found, parts, power))
     assert np.array_equal(tried > least, height > least)
     assert 5 < np.sum(tried > least) < 30
@@ -730,6 +730,36 @@ def test_what_is_refused_before_it_is_simulated_would_have_been_refused(power, m
     whole = 4 * len(points)
     assert sum(n for coupled, n in simulated if coupled) < 0.9 * whole
     assert sum(n for coupled, n in simulated if not coupled) < whole
+
+
+def test_cases_moved_at_once_are_judged_each_by_itself():
+    """At points of their own: as if each had been measured alone, or left where it could not reach what it must."""
+    cases = PublishedCases(PublishedCases.default_plan())
+    hierarchy, parts = cases.hierarchy("separate"), np.arange(4)
+    rng = np.random.default_rng(17)
+    points = [0.5 * rng.standard_normal((16, hierarchy.ndim)) for _ in parts]
+    alone = np.concatenate([hierarchy.measure(x, parts[[k]]) for k, x in enumerate(points)], axis=1)
+    height = hierarchy.height(alone, parts, 0.5)
+    height = np.where(np.isnan(height), -np.inf, height)
+    least = np.quantile(height, 0.6, axis=0) + rng.standard_normal(height.shape)
+    found = hierarchy.height(hierarchy.tried(points, parts, 0.5, least), parts, 0.5)
+    found = np.where(np.isnan(found), -np.inf, found)
+    assert np.array_equal(found > least, height > least)
+    assert 8 < np.sum(found > least) < 40
+    assert found[found > least] == pytest.approx(height[found > least], rel=1e-12)
+
+
+def test_only_blocks_that_have_nothing_to_do_with_each_other_move_at_once():
+    def groups(pooling, common):
+        _, likelihoods, _ = linear_cases(np.random.default_rng(2), "half", cases=3)
+        return _groups(Hierarchy(likelihoods, pooling, POOLED, common).blocks)
+
+    assert groups("partial", COMMON) == [[0], [1], [2], [3, 4, 5]]
+    assert groups("separate", COMMON) == [[0], [1, 2, 3]]
+    assert groups("separate", ()) == [[0, 1, 2]]
+    first, second = Block(np.arange(2), np.array([0])), Block(np.arange(2, 4), np.array([1]), given=np.array([1]))
+    assert _groups([first, second]) == [[0], [1]]  # one hangs on the other
+    assert _groups([first, replace(second, given=None, parts=np.array([0]))]) == [[0], [1]]  # one part bears on both
 
 
 @pytest.mark.parametrize("pooling", POOLINGS)

@@ -72,14 +72,12 @@ class Path(Protocol):
     def measure(self, z: Array) -> Array:
         """What it takes to know of points (n, len(names)), computed once: (n, k)."""
 
-    def highest(self, power: float) -> float:
-        """What `height` never exceeds; inf if that is not known."""
-
-    def tried(self, z: Array, power: float, least: Array) -> Array:
-        """As `measure`, but nan may stand at points whose height is below `least` (n,) for certain."""
-
     def height(self, measured: Array, power: float) -> Array:
         """Log likelihood (n,) of what was measured, from 0 (the likelihood does not bear) to 1."""
+
+
+Trial = Callable[[Sequence[Array], Index, float, Array], Array]
+"""Measures several cases in one go: `tried` of a `Target`, but with each case's coordinates (n, len(names))."""
 
 
 @dataclass(frozen=True)
@@ -91,16 +89,6 @@ class Powers:
     def measure(self, z: Array) -> Array:
         """The log likelihood itself."""
         return np.asarray(self.log_likelihood(z), float)[:, None]
-
-    def highest(self, power: float) -> float:
-        """Not known."""
-        del power
-        return math.inf
-
-    def tried(self, z: Array, power: float, least: Array) -> Array:
-        """All of it."""
-        del power, least
-        return self.measure(z)
 
     def height(self, measured: Array, power: float) -> Array:
         """Its power."""
@@ -166,10 +154,10 @@ class _Plain(ABC):
         del parts
         return _power(measured[:, :, 0], power)
 
-    def tried(self, points: Array, parts: Index, power: float, least: Array) -> Array:
+    def tried(self, points: Sequence[Array], parts: Index, power: float, least: Array) -> Array:
         """All of it."""
         del power, least
-        return self.measure(points, parts)
+        return np.concatenate([self.measure(x, parts[[k]]) for k, x in enumerate(points)], axis=1)
 
     def at(self, power: float) -> Self:
         """Itself."""
@@ -205,15 +193,16 @@ class Hierarchy:
     """The joint posterior of several cases under one pooling: a target for `temper`.
 
     pooled : parameters that the pooling is about; common : those with one value for all cases; all others of a case
-    are its own; scalings : changes of a case's parameters that its likelihood does not see, each for every case.
+    are its own; scalings : changes of a case's parameters that its likelihood does not see, each for every case;
+    trial : measures several cases at once, in place of their paths one by one.
     Columns: m (pooled), s (as Phi^-1(s), only `partial`), common, then for each case e and its own.
     """
 
     def __init__(
         self, cases: Sequence[CaseLikelihood], pooling: Pooling, pooled: Sequence[str], common: Sequence[str] = (),
-        scalings: Sequence[Sequence[Scaling]] = (),
+        scalings: Sequence[Sequence[Scaling]] = (), trial: Trial | None = None,
     ) -> None:  # fmt: skip
-        self.cases, self.pooling = tuple(cases), pooling
+        self.cases, self.pooling, self._trial = tuple(cases), pooling, trial
         self.scalings = [tuple(each) for each in scalings]
         self.pooled, self.common = tuple(pooled), tuple(common)
         for case in self.cases:
@@ -236,6 +225,14 @@ class Hierarchy:
             self._e.append(take(p if pooling != "shared" else 0))
             self._own.append(take(len(case.names) - p - len(self.common)))
         self.ndim, self.parts = start, len(self.cases)
+        # Of each case: where what is pooled stands among its names, and the rest, and the columns of the latter.
+        self._sources: list[tuple[Index, Index, Index]] = []
+        for case, own_columns in zip(self.cases, self._own, strict=True):
+            places = [case.names.index(name) for name in self.pooled]
+            constants = [case.names.index(name) for name in self.common]
+            rest = [i for i in range(len(case.names)) if i not in (*places, *constants)]
+            columns_of = np.concatenate([self._common, own_columns])
+            self._sources.append((np.array(places), np.array([*constants, *rest]), columns_of))
         everything = np.arange(self.parts)
         population = np.concatenate([self._m, self._s])
         numbers = range(self.parts)
@@ -354,7 +351,7 @@ class Hierarchy:
         fixed = {"shared": 0.0, "separate": 1.0}
         if self.pooling in fixed:
             return np.full((len(points), len(self.pooled)), fixed[self.pooling])
-        return np.asarray(np.clip(ndtr(points[:, self._s]), 1e-6, 1.0 - 1e-12))
+        return np.asarray(np.minimum(np.maximum(ndtr(points[:, self._s]), 1e-6), 1.0 - 1e-12))
 
     def means(self, points: Array) -> Array:
         """Common mean m of each pooled parameter of a `shared` or `partial` hierarchy, (n, pooled)."""
@@ -371,12 +368,10 @@ class Hierarchy:
 
     def coordinates(self, points: Array, case: int) -> Array:
         """Standard coordinates of everything that one case depends on, in the order of its names."""
-        known = dict(zip(self.pooled, self.values(points, case).T, strict=True))
-        known |= dict(zip(self.common, points[:, self._common].T, strict=True))
-        names = self.cases[case].names
-        rest = [name for name in names if name not in known]
-        known |= dict(zip(rest, points[:, self._own[case]].T, strict=True))
-        return np.stack([known[name] for name in names], axis=1)
+        z = np.empty((len(points), len(self.cases[case].names)))
+        pooled, rest, columns = self._sources[case]
+        z[:, pooled], z[:, rest] = self.values(points, case), points[:, columns]
+        return z
 
     def unknowns(self, points: Array) -> Array:
         """What is pooled: the cases' values, mean and scatter of a population, and what is common."""
@@ -401,24 +396,12 @@ class Hierarchy:
         """What it takes to know of the chosen cases, (n, len(parts), k)."""
         return np.stack([self.cases[c].path.measure(self.coordinates(points, c)) for c in parts], axis=1)
 
-    def tried(self, points: Array, parts: Index, power: float, least: Array) -> Array:
-        """As `measure`, case after case: a point is left where the best that is to come cannot reach `least`."""
-        paths = [self.cases[c].path for c in parts]
-        # What is still missing, if all that is to come were as high as it can be.
-        highest = [path.highest(power) for path in paths]
-        short = least - sum(highest)
-        found: list[Array] = []
-        for c, path, best in zip(parts, paths, highest, strict=True):
-            if math.isinf(best):
-                return self.measure(points, parts)
-            alive = np.flatnonzero(short < 0.0)
-            some = path.tried(self.coordinates(points[alive], c), power, short[alive] + best)
-            measured = np.full((len(points), some.shape[1]), np.nan)
-            measured[alive] = some
-            found.append(measured)
-            height = path.height(some, power)
-            short[alive] += best - np.where(np.isnan(height), -np.inf, height)
-        return np.stack(found, axis=1)
+    def tried(self, points: Sequence[Array], parts: Index, power: float, least: Array) -> Array:
+        """As `measure`, each case at points of its own; nan may stand where the height is below `least` for certain."""
+        z = [self.coordinates(x, c) for x, c in zip(points, parts, strict=True)]
+        if self._trial is not None:
+            return self._trial(z, parts, power, least)
+        return np.stack([self.cases[c].path.measure(x) for x, c in zip(z, parts, strict=True)], axis=1)
 
     def height(self, measured: Array, parts: Index, power: float) -> Array:
         """Log likelihood of the chosen cases as far as it bears, (n, len(parts))."""
@@ -684,9 +667,9 @@ class Tilted:
         tilt = self._tilt(self._alone.values(points, 0))
         return np.concatenate([self._alone.measure(points, parts), tilt[:, None, None]], axis=2)
 
-    def tried(self, points: Array, parts: Index, power: float, least: Array) -> Array:
+    def tried(self, points: Sequence[Array], parts: Index, power: float, least: Array) -> Array:
         """As `measure`; the other prior is known before anything is simulated."""
-        tilt = self._tilt(self._alone.values(points, 0))
+        tilt = self._tilt(self._alone.values(points[0], 0))
         found = self._alone.tried(points, parts, power, least - tilt)
         return np.concatenate([found, tilt[:, None, None]], axis=2)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -25,6 +24,7 @@ from bayes_damper.variability.pooling import POOLINGS, CaseLikelihood, Direct, H
 from bayes_damper.variability.tempering import move_on, temper
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 _CURVE_DRAWS = 48
 _CURVE_POINTS = 8
 _SCALINGS: tuple[Mapping[str, float], ...] = (
@@ -35,6 +35,8 @@ _SCALINGS: tuple[Mapping[str, float], ...] = (
 """Changes that leave the motion as it is: all torques with the inertias, and friction mu N0 R as a product."""
 _KEPT = 16
 """Places of a particle that are kept of each run."""
+_ROWS = 64
+"""Records that are simulated in one go at least, where points are judged by several cases."""
 _AGAIN = 1024
 """Draws of a case that are moved on where its draws are too few."""
 
@@ -48,41 +50,54 @@ class _ShrinkingErrors:
 
     posterior: FeaturePosterior
 
-    @cached_property
-    def _steps(self) -> tuple[tuple[list[int], FeaturePosterior], ...]:
-        """One configuration after the other, the uncoupled rig first: it takes a fifth of the time."""
-        p = self.posterior
-        return tuple(
-            (places, FeaturePosterior([p.data[i] for i in places], p.coordinates, model.normal_force, p.case))
-            for name, model in sorted(p.models.items(), reverse=True)
-            if (places := [i for i, datum in enumerate(p.data) if datum.configuration == name])
-        )
-
     def measure(self, z: Array) -> Array:
         """Distances from the data in standard errors."""
         return self.posterior.misfits(z)
 
-    def highest(self, power: float) -> float:
-        """Where all data are met."""
-        return float(self.height(np.zeros((1, len(self.posterior.data))), power)[0])
-
-    def tried(self, z: Array, power: float, least: Array) -> Array:
-        """As `measure`; the coupled rig is left where what the uncoupled one gives is too low already."""
-        found = np.full((len(z), len(self.posterior.data)), np.nan)
-        best = np.zeros_like(found)
-        alive = np.arange(len(z))
-        for places, posterior in self._steps:
-            if not alive.size:
-                break
-            values = posterior.misfits(z[alive])
-            found[alive[:, None], places] = best[alive[:, None], places] = values
-            height = self.height(best[alive], power)
-            alive = alive[height >= least[alive]]
-        return found
-
     def height(self, measured: Array, power: float) -> Array:
         """Log density at such distances if errors were 1 / power times as large."""
         return np.asarray(self.posterior.densities(measured, 1.0 / max(power, 1e-9)).sum(axis=1))
+
+
+class _Together:
+    """Measures several cases in one go: their uncoupled records first, which take a third of the time.
+
+    Points that these show to be too low already are left, however well what is to come would fit.
+    """
+
+    def __init__(self, posteriors: Sequence[FeaturePosterior]) -> None:
+        self._posteriors = list(posteriors)
+        self._paths = [_ShrinkingErrors(p) for p in posteriors]
+        self._configurations = sorted({name for p in posteriors for name in p.models}, reverse=True)
+
+    def __call__(self, z: Sequence[Array], parts: Index, power: float, least: Array) -> Array:
+        """Distances (n, len(parts), data) as `Target.tried` asks for them."""
+        chosen = [self._posteriors[c] for c in parts]
+        values = [p.coordinates.values(x) for p, x in zip(chosen, z, strict=True)]
+        n, apart = len(z[0]), least.ndim == 2
+        found = np.full((n, len(parts), len(chosen[0].data)), np.nan)
+        best = np.zeros_like(found)  # what is not known yet may fit as well as can be
+        heights = np.stack([self._paths[c].height(best[:, k], power) for k, c in enumerate(parts)], axis=1)
+        # Cases that are judged together show one after the other what need not be simulated, unless points are few.
+        size = len(parts) if apart else max(1, _ROWS // max(n, 1))
+        for i in range(0, len(parts), size):
+            some = range(i, min(i + size, len(parts)))
+            for configuration in self._configurations:
+                alive = heights >= least if apart else np.tile(heights.sum(axis=1) >= least, (len(parts), 1)).T
+                rows = [np.flatnonzero(alive[:, k]) for k in some]
+                ends = np.cumsum([len(r) for r in rows])
+                if ends[-1] == 0:
+                    continue
+                table = {name: np.concatenate([values[k][name][r] for k, r in zip(some, rows, strict=True)])
+                         for name in values[0]}  # fmt: skip
+                records = self._posteriors[0].features_of(configuration, table)
+                for k, r, end in zip(some, rows, ends, strict=True):
+                    for j, d in enumerate(chosen[k].data):
+                        if d.configuration == configuration:
+                            value = getattr(records, d.quantity)[end - len(r) : end]
+                            found[r, k, j] = best[r, k, j] = (value - d.value) / d.standard_error
+                    heights[:, k] = self._paths[parts[k]].height(best[:, k], power)
+        return found
 
 
 @dataclass(frozen=True)
@@ -171,13 +186,17 @@ class PublishedCases:
     def hierarchy(self, pooling: Pooling, without: str | None = None, own_constants: bool = False) -> Hierarchy:
         """The joint posterior of all cases but one."""
         cases = [self.likelihood(case) for case in self.names if case != without]
-        common = () if own_constants else self.common
-        return Hierarchy(cases, pooling, self.pooled, common, self._scalings([c.name for c in cases], pooling, common))
+        names, common = [c.name for c in cases], () if own_constants else self.common
+        scalings = self._scalings(names, pooling, common)
+        return Hierarchy(cases, pooling, self.pooled, common, scalings, self._together(names))
 
     def alone(self, case: str) -> Hierarchy:
         """The posterior of one case by itself."""
         scalings = self._scalings([case], "separate", ())
-        return Hierarchy([self.likelihood(case)], "separate", self.pooled, (), scalings)
+        return Hierarchy([self.likelihood(case)], "separate", self.pooled, (), scalings, self._together([case]))
+
+    def _together(self, cases: Sequence[str]) -> _Together:
+        return _Together([self.posteriors[case] for case in cases])
 
     def _scalings(self, cases: Sequence[str], pooling: Pooling, common: Sequence[str]) -> list[list[Scaling]]:
         """What a free decay does not show, each for every case, as far as the priors leave it free."""

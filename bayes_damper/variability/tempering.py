@@ -78,9 +78,12 @@ class Target(Protocol):
     def measure(self, points: Array, parts: Index) -> Array:
         """What it takes to know of the chosen parts at points (n, ndim), computed once: (n, len(parts), k)."""
 
-    def tried(self, points: Array, parts: Index, power: float, least: Array) -> Array:
-        """As `measure`, but nan may stand at points whose height at this power, summed over these parts, is below
-        `least` (n,) for certain: what is found out before all is simulated need not be simulated to the end.
+    def tried(self, points: Sequence[Array], parts: Index, power: float, least: Array) -> Array:
+        """As `measure`, each part at points of its own (n, ndim) or all at the same ones: (n, len(parts), k).
+
+        nan may stand where the height at this power is below `least` for certain: that of each part if `least` is (n,
+        len(parts)), that of their sum if it is (n,). What is found out before all is simulated need not be simulated to
+        the end.
         """
 
     def height(self, measured: Array, parts: Index, power: float) -> Array:
@@ -243,13 +246,16 @@ def _move(
     begin = target.unknowns(points)
     trail, known = [], []
     mean = largest = 1.0
+    groups = _groups(target.blocks)
     for sweep in range(_LAST_SWEEPS if last else _MOST_SWEEPS):
-        for i in range(len(target.blocks)):
+        for group in groups:
             # In turn; a block has either a guide or a Gaussian of the cloud's shape.
-            kind = ("draw", "near", "along")[sweep % 3] if i in learnt.guides else ("cloud", "along")[sweep % 2]
-            points, measured, accepted = _step(target, i, points, measured, power, kind, steps[i], learnt, rng)
-            if kind == "cloud":
-                steps[i] = float(np.clip(steps[i] * math.exp(0.6 * (accepted - 0.3)), 0.03, 1.0))
+            kinds = [("draw", "near", "along")[sweep % 3] if i in learnt.guides else ("cloud", "along")[sweep % 2]
+                     for i in group]  # fmt: skip
+            points, measured, accepted = _step(target, group, points, measured, power, kinds, steps, learnt, rng)
+            for i, kind, share in zip(group, kinds, accepted, strict=True):
+                if kind == "cloud":
+                    steps[i] = float(np.clip(steps[i] * math.exp(0.6 * (share - 0.3)), 0.03, 1.0))
         points = target.refresh(points, rng)
         trail.append(points)
         known.append(measured)
@@ -295,49 +301,87 @@ def _learn(target: Target, known: Array, most: int) -> _Learnt:
     return _Learnt(guides, slopes)
 
 
+def _groups(blocks: Sequence[Block]) -> list[list[int]]:
+    """Blocks that follow each other and have nothing to do with each other, so that they can be moved at once."""
+    groups: list[list[int]] = []
+    for i, block in enumerate(blocks):
+        apart = not block.followers and groups and all(_apart(block, blocks[j]) for j in groups[-1])
+        groups = [*groups[:-1], [*groups[-1], i]] if apart else [*groups, [i]]
+    return groups
+
+
+def _apart(a: Block, b: Block) -> bool:
+    given = [x.given if x.given is not None else np.zeros(0, np.intp) for x in (a, b)]
+    shared = (np.intersect1d(a.parts, b.parts), np.intersect1d(a.columns, b.columns),
+              np.intersect1d(a.columns, given[1]), np.intersect1d(b.columns, given[0]))  # fmt: skip
+    return not a.followers and not b.followers and len(a.parts) == len(b.parts) == 1 and not any(map(len, shared))
+
+
 def _step(
-    target: Target, which: int, points: Array, measured: Array, power: float, kind: str, size: float,
-    learnt: _Learnt, rng: np.random.Generator,
-) -> tuple[Array, Array, float]:  # fmt: skip
-    """One Metropolis step of a block for all particles, half after half: each half moves by the shape of the other.
+    target: Target, group: Sequence[int], points: Array, measured: Array, power: float, kinds: Sequence[str],
+    sizes: Mapping[int, float], learnt: _Learnt, rng: np.random.Generator,
+) -> tuple[Array, Array, list[float]]:  # fmt: skip
+    """One Metropolis step for all particles in each block of a group, half after half.
+
+    kinds : see `_proposed`. Returns the points, what was measured, and the share of steps taken of each block.
+    """
+    points, measured = points.copy(), measured.copy()
+    halves = np.array_split(rng.permutation(len(points)), 2)
+    blocks = [target.blocks[i] for i in group]
+    accepted = np.zeros(len(group))
+    # Blocks of one part each are judged apart, a single one by the sum of its parts.
+    judged = [np.array([k]) for k in range(len(group))] if len(group) > 1 else [np.arange(len(blocks[0].parts))]
+    parts = np.concatenate([block.parts for block in blocks])
+    for own, other in (halves, halves[::-1]):
+        steps = [
+            _proposed(target, i, points[own], points[other], kind, sizes[i], learnt, rng)
+            for i, kind in zip(group, kinds, strict=True)
+        ]
+        there = [x for block, (x, _) in zip(blocks, steps, strict=True) for _ in block.parts]
+        heights = _height(target, measured[np.ix_(own, parts)], parts, power)
+        now = np.stack([heights[:, k].sum(axis=1) for k in judged], axis=1)
+        gain = np.stack([gain for _, gain in steps], axis=1)
+        # The random number first: most steps that are refused show it before they are simulated to the end.
+        least = np.log(rng.random(gain.shape)) - gain + now
+        least = np.where(np.isnan(least), np.inf, least)
+        fresh = target.tried(there, parts, power, least if len(group) > 1 else least[:, 0])
+        heights = _height(target, fresh, parts, power)
+        for j, (block, (moved, _), k) in enumerate(zip(blocks, steps, judged, strict=True)):
+            taken = heights[:, k].sum(axis=1) > least[:, j]
+            columns = np.arange(target.ndim) if block.followers else block.columns
+            points[np.ix_(own[taken], columns)] = moved[np.ix_(taken, columns)]
+            measured[np.ix_(own[taken], block.parts)] = fresh[np.ix_(taken, k)]
+            accepted[j] += int(taken.sum())
+    return points, measured, (accepted / len(points)).tolist()
+
+
+def _proposed(
+    target: Target, which: int, here: Array, others: Array, kind: str, size: float, learnt: _Learnt,
+    rng: np.random.Generator,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Where a step of one block leads from `here`, by the shape of `others`, and what its acceptance owes to that.
 
     kind : "draw" and "near", a fresh draw and a step of the block's guide; "cloud", a step that keeps a Gaussian of the
-    other half's mean and covariance, as `size` allows; "along", one along the difference of two particles of that half.
+    others' mean and covariance, as `size` allows; "along", one along the difference of two of them.
     """
     block = target.blocks[which]
-    n = len(points)
-    points, measured = points.copy(), measured.copy()
-    halves = np.array_split(rng.permutation(n), 2)
-    accepted = 0
-    for own, other in (halves, halves[::-1]):
-        here = points[own]
-        x = target.straight(here, which)
-        if kind in ("draw", "near") and block.given is not None:
-            guide, given = learnt.guides[which], here[:, block.given]
-            proposed, gain = (guide.draw if kind == "draw" else guide.step)(x, given, rng)
-        elif kind == "along":
-            proposed = x + _difference(target.straight(points[other], which), len(own), rng)
-            gain = np.zeros(len(own))
-        else:
-            proposed, gain = _about(target.straight(points[other], which), x, size, rng)
-        there = target.bent(here, which, proposed)
-        # What moves along is sheared: volume is kept in straight coordinates, and the way back is the same.
-        for follower in block.followers:
-            moved = target.straight(here, follower) + (proposed - x) @ learnt.slopes[which, follower]
-            there = target.bent(there, follower, moved)
-        for k in (which, *block.followers):
-            gain = gain + target.log_volume(there, k) - target.log_volume(here, k)
-        gain += 0.5 * (np.sum(here**2, axis=1) - np.sum(there**2, axis=1))
-        # The random number first: most steps that are refused show it before they are simulated to the end.
-        now = _height(target, measured[np.ix_(own, block.parts)], block.parts, power).sum(axis=1)
-        least = np.log(rng.random(len(own))) - gain + now
-        least = np.where(np.isnan(least), np.inf, least)
-        fresh = target.tried(there, block.parts, power, least)
-        taken = _height(target, fresh, block.parts, power).sum(axis=1) > least
-        points[own[taken]] = there[taken]
-        measured[np.ix_(own[taken], block.parts)] = fresh[taken]
-        accepted += int(taken.sum())
-    return points, measured, accepted / n
+    x = target.straight(here, which)
+    if kind in ("draw", "near") and block.given is not None:
+        guide, given = learnt.guides[which], here[:, block.given]
+        proposed, gain = (guide.draw if kind == "draw" else guide.step)(x, given, rng)
+    elif kind == "along":
+        proposed = x + _difference(target.straight(others, which), len(here), rng)
+        gain = np.zeros(len(here))
+    else:
+        proposed, gain = _about(target.straight(others, which), x, size, rng)
+    there = target.bent(here, which, proposed)
+    # What moves along is sheared: volume is kept in straight coordinates, and the way back is the same.
+    for follower in block.followers:
+        moved = target.straight(here, follower) + (proposed - x) @ learnt.slopes[which, follower]
+        there = target.bent(there, follower, moved)
+    for k in (which, *block.followers):
+        gain = gain + target.log_volume(there, k) - target.log_volume(here, k)
+    return there, gain + 0.5 * (np.sum(here**2, axis=1) - np.sum(there**2, axis=1))
 
 
 def _difference(reference: Array, n: int, rng: np.random.Generator) -> Array:
