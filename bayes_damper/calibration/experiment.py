@@ -82,6 +82,15 @@ class Experiment:
     rounding: tuple[float, ...] = ()
 
     @property
+    def omegas(self) -> tuple[float, ...]:
+        """Angular frequency of the primary on each of the springs, rad/s."""
+        return tuple(_omega(k, self.constants["J1"][0]) for k, _ in self.stiffnesses)
+
+    def rounding_step(self, channel: int) -> float:
+        """Step of a channel that errs by its rounding alone, else 0."""
+        return self.rounding[channel] if channel < len(self.rounding) else 0.0
+
+    @property
     def coupled(self) -> bool:
         """Whether any trial is coupled."""
         return any(trial.coupled for trial in self.trials)
@@ -135,7 +144,7 @@ def default_priors(experiment: Experiment) -> dict[str, Distribution]:
 
 def longest_step(experiment: Experiment) -> float:
     """Longest time step, s: 1 ms times a power of 2, and at least 120 to a period of the fastest primary."""
-    omega = max(math.sqrt(max(k, 1e-300) / experiment.constants["J1"][0]) for k, _ in experiment.stiffnesses)
+    omega = max(experiment.omegas)
     return LONGEST_STEP * 2.0 ** max(0, math.floor(math.log2(2.0 * math.pi / omega / STEPS_PER_PERIOD / LONGEST_STEP)))
 
 
@@ -166,6 +175,10 @@ def lone(experiment: Experiment, trials: Sequence[int]) -> bool:
     """Whether no two of the trials are repeats: one initial state and record length twice. Free starts never repeat."""
     keys = [(t.case, t.coupled, t.theta0, t.times.size) for t in (experiment.trials[i] for i in trials)]
     return experiment.start == "free" or len(set(keys)) == len(keys)
+
+
+def _omega(stiffness: float, inertia: float) -> float:
+    return math.sqrt(max(stiffness, 1e-300) / inertia)
 
 
 def repeats(trials: Sequence[TrialRecord]) -> list[list[int]]:
@@ -252,10 +265,10 @@ def gridded(experiment: Experiment) -> Experiment:
 def thinned(experiment: Experiment, every: int | None = None) -> Experiment:
     """The experiment with one reading in `every` of each record; without a number as `records.picks` decides."""
     trials = experiment.trials
-    omega = max(math.sqrt(max(k, 1e-300) / experiment.constants["J1"][0]) for k, _ in experiment.stiffnesses)
     steps = [float(np.median(np.diff(t.times))) if t.times.size > 1 else 0.0 for t in trials]
     swings = experiment.quantity != "acceleration" and experiment.start == "free"
-    decided = [every or n for n in picks([t.y.size for t in trials], steps, 2.0 * math.pi / omega, swings)]
+    period = 2.0 * math.pi / max(experiment.omegas)
+    decided = [every or n for n in picks([t.y.size for t in trials], steps, period, swings)]
     kept = tuple(t if n == 1 else t.at(slice(None, None, n)) for t, n in zip(trials, decided, strict=True))
     return replace(experiment, trials=kept)
 
@@ -266,7 +279,6 @@ def unrounded(experiment: Experiment) -> Experiment:
     A channel counts as rounded where most of its records do (`records.rounding_of`).
     """
     trials = list(experiment.trials)
-    omegas = [math.sqrt(max(k, 1e-300) / experiment.constants["J1"][0]) for k, _ in experiment.stiffnesses]
     rounding = []
     for c in range(max(t.y.shape[0] for t in trials)):
         having = [i for i, t in enumerate(trials) if c < t.y.shape[0]]
@@ -280,7 +292,7 @@ def unrounded(experiment: Experiment) -> Experiment:
             t = trials[i]
             y = t.y.copy()
             weight = np.ones_like(y) if t.weight is None else t.weight.copy()
-            y[c], weight[c] = crossings(t.times, y[c], rounding[c], 2.0 * math.pi / omegas[t.k1t])
+            y[c], weight[c] = crossings(t.times, y[c], rounding[c], 2.0 * math.pi / experiment.omegas[t.k1t])
             trials[i] = replace(t, y=y, weight=weight)
     return replace(experiment, trials=tuple(trials), rounding=tuple(rounding)) if any(rounding) else experiment
 
@@ -311,7 +323,7 @@ def experiment_of(campaign: Any, priors: PriorSet | Mapping[str, Distribution | 
         theta0 = 0.0 if angle is None else float(getattr(angle, "value", angle))
         first, shift = 0, 0.0
         if measurement.start == "rest" and t.torque is None:
-            omega = math.sqrt(max(key[0], 1e-300) / constants["J1"][0])
+            omega = _omega(key[0], constants["J1"][0])
             primary = np.atleast_2d(np.array(t.channels, float))[0]
             first, shift = release_of(np.array(t.times, float), primary, measurement.quantity, theta0, omega)
         records.append(

@@ -75,13 +75,16 @@ class Calibration:
 
     def residuals(self) -> dict[int, Array]:
         """Reading minus model of each fitted trial, (channels, n); nan where the reading is missing."""
-        out = {}
+        return {i: self.problem.experiment.trials[i].y - y for i, y in self.simulated().items()}
+
+    def simulated(self) -> dict[int, Array]:
+        """What the model gives for each fitted trial, (channels, n)."""
+        out: dict[int, Array] = {}
         for group in self.problem.groups:
             n = len(group.trials)
             values = np.array([self.eta[i] for i in group.trials]).reshape(n, -1)
             y = self.problem.simulate(group, np.arange(n), np.tile(self.q, (n, 1)), values)
-            for k, i in enumerate(group.trials):
-                out[i] = self.problem.experiment.trials[i].y - y[k]
+            out |= dict(zip(group.trials, y, strict=True))
         return out
 
 

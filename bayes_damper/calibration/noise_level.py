@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.signal import lfilter
 
-from bayes_damper.calibration.experiment import Experiment, lone
+from bayes_damper.calibration.experiment import Experiment, lone, repeats
 
 if TYPE_CHECKING:
     from bayes_damper.calibration.least_squares import Calibration
@@ -109,7 +109,7 @@ def _fast_level(series: Sequence[Array]) -> float:
 
 def _rounding(experiment: Experiment, channel: int) -> float:
     """Standard deviation of the rounding of a channel that errs by nothing else, else 0."""
-    return experiment.rounding[channel] / math.sqrt(12.0) if channel < len(experiment.rounding) else 0.0
+    return experiment.rounding_step(channel) / math.sqrt(12.0)
 
 
 def _rounding_alike(fit: Calibration, channel: int) -> float:
@@ -121,21 +121,15 @@ def _rounding_alike(fit: Calibration, channel: int) -> float:
     independent ones, n for n repeats alike.
     """
     problem = fit.problem
-    step = problem.experiment.rounding[channel]
+    step = problem.experiment.rounding_step(channel)
+    simulated = fit.simulated()
     alike = alone = 0.0
     for group in problem.groups:
-        n = len(group.trials)
-        values = np.array([fit.eta[i] for i in group.trials]).reshape(n, -1)
-        simulated = problem.simulate(group, np.arange(n), np.tile(fit.q, (n, 1)), values)
-        if channel >= simulated.shape[1]:
+        if channel >= group.y.shape[1]:
             continue
-        sets: dict[tuple[str, float], list[int]] = {}
-        for k, i in enumerate(group.trials):
-            t = problem.experiment.trials[i]
-            sets.setdefault((t.case, t.theta0), []).append(k)
-        for members in sets.values():
+        for members in repeats([problem.experiment.trials[i] for i in group.trials]):
             known = (group.weight[members, channel] > 0.0).any(axis=0)
-            y = simulated[members, channel][:, known] / step
+            y = np.array([simulated[group.trials[k]][channel] for k in members])[:, known] / step
             error = y - np.round(y)
             alike += float(np.sum(error.sum(axis=0) ** 2))
             alone += float(np.sum(error**2))

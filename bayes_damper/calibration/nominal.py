@@ -102,8 +102,7 @@ def grown(experiment: Experiment, problem: Problem) -> list[Array]:
     valley for every cycle; over the first periods it has one. Empty for short records, which need none of it.
     """
     trials = [experiment.trials[i] for i in problem.trials]
-    omega = max(math.sqrt(max(k, 1e-300) / experiment.constants["J1"][0]) for k, _ in experiment.stiffnesses)
-    period = 2.0 * math.pi / omega
+    period = 2.0 * math.pi / max(experiment.omegas)
     span = max(float(t.times[-1] - t.times[0]) for t in trials)
     window = FIRST_PERIODS * period
     if span < LONG_PERIODS * period:

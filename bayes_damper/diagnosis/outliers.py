@@ -141,16 +141,15 @@ def _distance(experiment: Experiment, i: int, j: int, swapped: bool = False, shi
     where they cannot be compared.
     """
     a, b = experiment.trials[i], experiment.trials[j]
-    omega = math.sqrt(max(experiment.stiffnesses[b.k1t][0], 1e-300) / experiment.constants["J1"][0])
     if a.y.shape[0] != b.y.shape[0] or min(a.times.size, b.times.size) < FEWEST:
         return math.inf
     first = [_known(a.times, y) for y in (a.y[::-1] if swapped else a.y)]
     second = [_known(b.times, y) for y in b.y]
     if min(t.size for t, _ in (*first, *second)) < FEWEST:
         return math.inf
-    rounded = [c < len(experiment.rounding) and experiment.rounding[c] > 0.0 for c in range(len(second))]
+    rounded = [experiment.rounding_step(c) > 0.0 for c in range(len(second))]
     step = float(np.median(np.diff(b.times)))
-    most = min(int(0.5 * np.pi / omega / step), b.times.size // 4) if shifts else 0
+    most = min(int(0.5 * np.pi / experiment.omegas[b.k1t] / step), b.times.size // 4) if shifts else 0
     best = math.inf
     for lag in range(-most, most + 1):
         at = b.times + lag * step
