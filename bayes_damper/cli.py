@@ -331,7 +331,12 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--effect", metavar="NAME", help="give the model this effect, e.g. the verdict of a diagnosis")
     own_effects(sub)
     sub.add_argument("--thorough", action="store_true", help="50 autocorrelation times instead of 20")
-    sub.add_argument("--most-steps", type=_count, metavar="N", help="give up after N steps of each ensemble")
+    sub.add_argument(
+        "--most-steps",
+        type=_count,
+        metavar="N",
+        help="give up after N steps of each ensemble, or after the fewest that can be judged, beside the warm-up",
+    )
     workers(sub)
 
     sub = command("diagnose", _diagnose, "the sim-to-real gap: where it lies, what causes it, how far it shrinks",

@@ -701,6 +701,20 @@ def test_withheld_scores_open_the_page(tmp_path):
     words = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
     assert "Right or acceptable first answer: 62 of 65 campaigns whose causes were withheld." in words
     assert "No gap claimed where there is none: 19 of 20." in words
+    judged = {"what": "site", "where": "hard, level 1", "least": 0.98, "most": None, "value": 0.9, "n": 30}
+    data["scores"]["targets"] = [
+        {**judged, "enough": True, "status": "missed"},
+        {**judged, "enough": False, "status": "met"},
+        {**judged, "value": None, "n": 0, "enough": False, "status": "not tested"},
+    ]
+    (tmp_path / "withheld.json").write_text(json.dumps(data), encoding="utf-8")
+    words = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
+    assert "What would change it Targets missed: site, hard, level 1: 0.9 (at least 0.98 asked for)." in words
+    assert "of 3 targets 1 could not be tested and 1 rest on fewer campaigns than they are meant for" in words
+    data |= {"rehearsal": True, "why_rehearsal": ["The code changed."]}
+    (tmp_path / "withheld.json").write_text(json.dumps(data), encoding="utf-8")
+    words = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
+    assert "from seeds never used before: these scores are a rehearsal." in words
     (tmp_path / "withheld.json").write_text(json.dumps({**data, "scores": None}), encoding="utf-8")
     assert "71 campaigns judged, verdicts sealed" in words_of(report(tmp_path).path.read_text(encoding="utf-8"))
 

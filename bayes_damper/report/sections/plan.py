@@ -48,7 +48,7 @@ def plan_result(data: Mapping[str, Any], folder: Path) -> Result:
     if data.get("add"):
         tables.append(records_table("Single trials that would help most", data["add"]))
     told = sum(e["repeats_needed"] == 1 for e in data["effects"])
-    given = [_in_words(s, [e["name"] for e in data["effects"]]) for s in data["sentences"]]
+    given = [_spelt_out(s, [e["name"] for e in data["effects"]]) for s in data["sentences"]]
     changes = [s for s in given if "times as many trials" in s] + _best_trial(data.get("add") or [])
     sentences = (
         f"{told} of {len(rows)} effects would be seen and told from all others.",
@@ -60,7 +60,7 @@ def plan_result(data: Mapping[str, Any], folder: Path) -> Result:
     return Result(head, section, (), dict(data.get("provenance", {})) | fingerprint(data))
 
 
-def _in_words(sentence: str, names: Sequence[str]) -> str:
+def _spelt_out(sentence: str, names: Sequence[str]) -> str:
     """A sentence with the names of effects as words."""
     for name in names:
         sentence = re.sub(rf"\b{re.escape(name)}\b", words(name), sentence)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from bayes_damper.numerals import number
 from bayes_damper.report.parts import Headline, Result, Row, Section, Table, folded, generic
 from bayes_damper.report.sections.shared import pictures_of
 from bayes_damper.wording import counted
@@ -47,6 +48,33 @@ def withheld_result(data: Mapping[str, Any], folder: Path) -> Result:
     table = Table("Scores", ("what", "how often", "95 % interval"), tuple(rows)) if rows else None
     rest = generic(data, "", ("schema", "provenance"))
     name = "Withheld causes"
-    head = Headline(name, "bad" if rehearsal else "good" if rows else "open", tuple(sentences), table=table)
+    tone = "bad" if rehearsal else "good" if rows else "open"
+    head = Headline(name, tone, tuple(sentences), changes=tuple(_changes(data, bool(rows), rehearsal)), table=table)
     section = Section(name, (), (), (), pictures_of(folder, kind="withheld"), folded(rest))
     return Result(head, section, (), dict(data.get("provenance", {})))
+
+
+def _changes(data: Mapping[str, Any], opened: bool, rehearsal: bool) -> list[str]:
+    """What would make more of these scores: fresh campaigns, the targets missed, and how many are known too roughly."""
+    if not opened:
+        return ["The same call again goes on to the end and then opens the key."]
+    fresh = "Campaigns generated after the code was frozen, from seeds never used before"
+    changes = [f"{fresh}: these scores are a rehearsal."] if rehearsal else []
+    targets = (data.get("scores") or {}).get("targets") or ()
+    missed = [_target(t) for t in targets if t["status"] == "missed"]
+    if missed:
+        changes.append(f"Targets missed: {'; '.join(missed)}.")
+    few = [t for t in targets if t["status"] != "not tested" and not t["enough"]]
+    untested = [t for t in targets if t["status"] == "not tested"]
+    if few or untested:
+        changes.append(
+            f"More campaigns (bayes-damper withheld FOLDER --full): of {counted(len(targets), 'target')} "
+            f"{len(untested)} could not be tested and {len(few)} rest on fewer campaigns than they are meant for."
+        )
+    return changes
+
+
+def _target(judged: Mapping[str, Any]) -> str:
+    """A target that was missed: what, where, what came out and what was asked for."""
+    asked = [f"at {word} {judged[word]:g}" for word in ("least", "most") if judged.get(word) is not None]
+    return f"{judged['what']}, {judged['where']}: {number(judged['value'])} ({' and '.join(asked)} asked for)"
