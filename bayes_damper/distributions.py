@@ -280,7 +280,9 @@ def to_standard(distribution: Distribution, x: ArrayLike) -> Array:
         low, high = ndtr(a), ndtr(b)
         share = (ndtr(u) - low) / (high - low)
     elif isinstance(distribution, LogUniform):
-        share = np.log(x / distribution.lower) / math.log(distribution.upper / distribution.lower)
+        share = np.log(np.maximum(x, distribution.lower) / distribution.lower) / math.log(
+            distribution.upper / distribution.lower
+        )
     else:
         low, high = distribution.support
         share = (x - low) / (high - low)

@@ -84,3 +84,7 @@ def test_standard_coordinates_beyond_the_support_are_the_farthest(ours, theirs):
     for end, sign in ((low, -1.0), (high, 1.0)):
         if math.isfinite(end) and not (isinstance(ours, LogNormal) and sign < 0.0):
             assert sign * to_standard(ours, end + sign * 1e-3) >= 8.0
+
+
+def test_what_no_loguniform_reaches_is_the_farthest_without_a_warning():
+    assert to_standard(LogUniform(5.0, 3000.0), [-1.0, 0.0, 4.0, 4000.0]).tolist() == [-8.0, -8.0, -8.0, 8.0]
