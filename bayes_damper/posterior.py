@@ -213,8 +213,19 @@ FEATURE_QUANTITIES = ("log_decrement", "period", "max_acceleration")
 FEATURE_TIMES: Array = np.concatenate([np.linspace(0.0, 1e-3, 21), np.arange(2, 451) * 1e-3])
 """Sample times of a simulated record from which features are taken, s: fine where the first peak is, then 1 kHz."""
 
+
 EFFECT_PREFIX = "effect."
 """Begins the name of a coordinate that belongs to an effect."""
+
+
+def feature_times(data: Sequence[Datum]) -> Array:
+    """Sample times that the features of these data need, s: twice the longest measured period.
+
+    A record's second lobe ends after one and a quarter of its own periods; one that takes half as long again as any
+    measured record has no features.
+    """
+    periods = [d.value for d in data if d.quantity == "period"]
+    return FEATURE_TIMES[2.0 * max(periods) >= FEATURE_TIMES] if periods else FEATURE_TIMES
 
 
 class FeaturePosterior:
@@ -225,7 +236,7 @@ class FeaturePosterior:
     features.py, so that they share the first peak as the measured ones do.
 
     effect : a formula that the rig follows beside the nominal ones; its parameters are among the coordinates as
-    "effect.NAME". times : of the simulated records, s.
+    "effect.NAME". times : of the simulated records, s; by default those that the data need.
     """
 
     def __init__(
@@ -236,12 +247,12 @@ class FeaturePosterior:
         case: str = "",
         *,
         effect: Variant | None = None,
-        times: Array = FEATURE_TIMES,
+        times: Array | None = None,
     ) -> None:
         self.data = tuple(data)
         self.coordinates = coordinates
         self.case = case
-        self.times = times
+        self.times = feature_times(self.data) if times is None else times
         self.models = {
             name: Model(coupled=name == "coupled", normal_force=normal_force, effect=effect)  # type: ignore[arg-type]
             for name in dict.fromkeys(d.configuration for d in self.data)

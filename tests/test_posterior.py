@@ -8,7 +8,16 @@ from bayes_damper.distributions import HalfNormal, LogNormal, Normal, Uniform
 from bayes_damper.effects import EFFECTS
 from bayes_damper.errors import InputError
 from bayes_damper.fit import published_posterior
-from bayes_damper.posterior import EFFECT_PREFIX, Coordinates, Datum, FeaturePosterior, Shared, Sheet
+from bayes_damper.posterior import (
+    EFFECT_PREFIX,
+    FEATURE_TIMES,
+    Coordinates,
+    Datum,
+    FeaturePosterior,
+    Shared,
+    Sheet,
+    feature_times,
+)
 from bayes_damper.priors import load_priors
 from bayes_damper.sampling import annealed_start
 
@@ -207,3 +216,22 @@ def test_a_posterior_with_an_effect_takes_its_parameters_as_coordinates():
     assert (found[1, peaks] < 0.999 * without[peaks]).all()
     values = changed.coordinates.values(z)
     np.testing.assert_allclose(changed.predict_from(values), found)
+
+
+@pytest.mark.parametrize("case", ["I", "III"])
+def test_records_are_long_enough_for_their_features(case):
+    """Longer ones give the same wherever there is a period; what has one in these only is far from any measured."""
+    posterior = published_posterior(case, load_priors("thesis"))
+    longest = FeaturePosterior(posterior.data, posterior.coordinates, case=case, times=FEATURE_TIMES)
+    assert posterior.times[-1] < 0.7 * FEATURE_TIMES[-1]
+    points = posterior.coordinates.draw(np.random.default_rng(5), 800)
+    found, more = posterior.predict(points), longest.predict(points)
+    for configuration in ("uncoupled", "coupled"):
+        own = [i for i, d in enumerate(posterior.data) if d.configuration == configuration]
+        period = next(i for i in own if posterior.data[i].quantity == "period")
+        there = np.isfinite(found[:, period])
+        assert np.mean(there) > 0.7
+        np.testing.assert_allclose(found[np.ix_(there, own)], more[np.ix_(there, own)], rtol=1e-9)
+        late = more[~there, period]
+        assert np.all(late[np.isfinite(late)] > 1.25 * posterior.data[period].value)
+    assert feature_times([d for d in posterior.data if d.quantity != "period"]) is FEATURE_TIMES

@@ -15,7 +15,7 @@ from bayes_damper.calibration import NOMINAL
 from bayes_damper.distributions import Distribution, LogNormal, Normal
 from bayes_damper.errors import InputError
 from bayes_damper.fit import published_posterior
-from bayes_damper.posterior import Coordinates, FeaturePosterior
+from bayes_damper.posterior import Coordinates, FeaturePosterior, feature_times
 from bayes_damper.priors import load_priors, priors_from_dict
 from bayes_damper.published import load_published
 from bayes_damper.variability.decomposition import CaseDraws, Sets, curve_values, mean_over_cases, summary
@@ -148,7 +148,10 @@ class PublishedCases:
             raise InputError(
                 "the priors leave no parameter to the cases: give some of mu, k2t, c2t ... the level 'case'"
             )
-        self.posteriors = {case: self._posterior(case) for case in self.names}
+        fitted = {case: published_posterior(case, self.prior_set, self.normal_force) for case in self.names}
+        # The same times for all cases, whose records are simulated together.
+        times = feature_times([datum for posterior in fitted.values() for datum in posterior.data])
+        self.posteriors = {case: self._posterior(case, fitted[case], times) for case in self.names}
 
     @staticmethod
     def default_plan() -> dict[str, Any]:
@@ -167,11 +170,11 @@ class PublishedCases:
         """Distributions of the free parameters of one case."""
         return self.prior_set.for_case(case).free
 
-    def _posterior(self, case: str) -> FeaturePosterior:
+    def _posterior(self, case: str, fitted: FeaturePosterior, times: Array) -> FeaturePosterior:
         """The fit's posterior, in plain standard coordinates."""
-        fitted = published_posterior(case, self.prior_set, self.normal_force)
         own = self.prior_set.for_case(case)
-        return FeaturePosterior(fitted.data, Coordinates(own.free, own.fixed, own.tied), self.normal_force, case)
+        plain = Coordinates(own.free, own.fixed, own.tied)
+        return FeaturePosterior(fitted.data, plain, self.normal_force, case, times=times)
 
     def likelihood(self, case: str) -> CaseLikelihood:
         """The case as the hierarchy takes it."""

@@ -41,6 +41,9 @@ _LEARNT = 4000
 _PARTS, _PARTS_AT_LAST = 4, 12
 """Most parts of a guide's mixture, on the way and at the full power."""
 _MOST_STAGES = 400
+_GUIDED = ("draw", "near", "along", "near", "along")
+_SHAPED = ("cloud", "along")
+"""Kinds of steps, in turn, of a block that has a guide, and of one that has a Gaussian of the cloud's shape."""
 
 
 @dataclass(frozen=True)
@@ -249,9 +252,7 @@ def _move(
     groups = _groups(target.blocks)
     for sweep in range(_LAST_SWEEPS if last else _MOST_SWEEPS):
         for group in groups:
-            # In turn; a block has either a guide or a Gaussian of the cloud's shape.
-            kinds = [("draw", "near", "along")[sweep % 3] if i in learnt.guides else ("cloud", "along")[sweep % 2]
-                     for i in group]  # fmt: skip
+            kinds = [ways[sweep % len(ways)] for ways in (_GUIDED if i in learnt.guides else _SHAPED for i in group)]
             points, measured, accepted = _step(target, group, points, measured, power, kinds, steps, learnt, rng)
             for i, kind, share in zip(group, kinds, accepted, strict=True):
                 if kind == "cloud":
