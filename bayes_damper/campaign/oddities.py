@@ -252,6 +252,7 @@ def _look_for_odd_twin(group: Sequence[Trial], quantity: str, warnings: list[str
     if len(grid) < 8:
         warnings.append(f"{group[0].file} and its repeats hardly overlap in time; they cannot be compared")
         return
+    worst: dict[str, tuple[float, float]] = {}
     for channel in range(len(group[0].channels)):
         curves = np.stack(
             [np.interp(grid, c, t.channels[channel]) / _release(t) for c, t in zip(clocks, group, strict=True)]
@@ -264,11 +265,12 @@ def _look_for_odd_twin(group: Sequence[Trial], quantity: str, warnings: list[str
             usual = float(np.median(others[np.triu_indices(len(group) - 1, 1)]))
             nearest = float(np.min(np.delete(distance[i], i)))
             if nearest > 4.0 * usual and nearest > max(0.1 * scale, 4.0 * noise):
-                warnings.append(
-                    f"{trial.file}: unlike its repeats: {nearest / scale:.0%} away from "
-                    f"the nearest, they {usual / scale:.0%} from each other"
-                )
+                worst[trial.file] = max(worst.get(trial.file, (0.0, 0.0)), (nearest / scale, usual / scale))
                 break
+    for file, (nearest, usual) in worst.items():
+        warnings.append(
+            f"{file}: unlike its repeats: {nearest:.0%} away from the nearest, they {usual:.0%} from each other"
+        )
 
 
 def _look_for_exchanged_twin(group: Sequence[Trial], warnings: list[str]) -> bool:
