@@ -77,7 +77,7 @@ types: $(VENV)/.dev ## mypy
 notebooks: $(VENV)/.dev ## run every notebook
 	@notebooks=$$(find notebooks -name '*.ipynb' -not -path '*/.*' | sort); \
 	if [ -z "$$notebooks" ]; then echo "There are no notebooks in notebooks/"; \
-	else $(RUN) -m pytest --numprocesses $(JOBS) --nbmake --nbmake-timeout=600 --import-mode=prepend -W default $$notebooks; fi
+	else $(RUN) -m pytest --nbmake --nbmake-timeout=600 --import-mode=prepend -W default $$notebooks; fi
 
 docs: $(VENV)/.docs ## build the documentation, warnings are errors
 	@$(RUN) -m mkdocs build --strict --quiet

@@ -294,7 +294,14 @@ def test_no_valley_near_the_truth_is_deeper_than_the_fit(seed: int, kind: str, r
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "repeats"), [("own", 3), ("shared", 3), ("shared", 1)])
+@pytest.mark.parametrize(
+    ("kind", "repeats"),
+    [  # those of repeats take long, and the proof counts them on more campaigns
+        pytest.param("own", 3, marks=pytest.mark.prove),
+        pytest.param("shared", 3, marks=pytest.mark.prove),
+        ("shared", 1),
+    ],
+)
 def test_intervals_cover_under_coloured_noise(kind: str, repeats: int) -> None:
     """A few campaigns each; tests/prove holds many against binomial bounds."""
     ranks = np.concatenate([covered(500 + seed, kind, repeats) for seed in range(8)])
