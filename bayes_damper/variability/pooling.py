@@ -76,7 +76,7 @@ class Path(Protocol):
         """Log likelihood (n,) of what was measured, from 0 (the likelihood does not bear) to 1."""
 
 
-Trial = Callable[[Sequence[Array], Index, float, Array], Array]
+Together = Callable[[Sequence[Array], Index, float, Array], Array]
 """Measures several cases in one go: `tried` of a `Target`, but with each case's coordinates (n, len(names))."""
 
 
@@ -194,15 +194,15 @@ class Hierarchy:
 
     pooled : parameters that the pooling is about; common : those with one value for all cases; all others of a case
     are its own; scalings : changes of a case's parameters that its likelihood does not see, each for every case;
-    trial : measures several cases at once, in place of their paths one by one.
+    together : measures several cases at once, in place of their paths one by one.
     Columns: m (pooled), s (as Phi^-1(s), only `partial`), common, then for each case e and its own.
     """
 
     def __init__(
         self, cases: Sequence[CaseLikelihood], pooling: Pooling, pooled: Sequence[str], common: Sequence[str] = (),
-        scalings: Sequence[Sequence[Scaling]] = (), trial: Trial | None = None,
+        scalings: Sequence[Sequence[Scaling]] = (), together: Together | None = None,
     ) -> None:  # fmt: skip
-        self.cases, self.pooling, self._trial = tuple(cases), pooling, trial
+        self.cases, self.pooling, self._together = tuple(cases), pooling, together
         self.scalings = [tuple(each) for each in scalings]
         self.pooled, self.common = tuple(pooled), tuple(common)
         for case in self.cases:
@@ -399,8 +399,8 @@ class Hierarchy:
     def tried(self, points: Sequence[Array], parts: Index, power: float, least: Array) -> Array:
         """As `measure`, each case at points of its own; nan may stand where the height is below `least` for certain."""
         z = [self.coordinates(x, c) for x, c in zip(points, parts, strict=True)]
-        if self._trial is not None:
-            return self._trial(z, parts, power, least)
+        if self._together is not None:
+            return self._together(z, parts, power, least)
         return np.stack([self.cases[c].path.measure(x) for x, c in zip(z, parts, strict=True)], axis=1)
 
     def height(self, measured: Array, parts: Index, power: float) -> Array:

@@ -306,7 +306,7 @@ def _groups(blocks: Sequence[Block]) -> list[list[int]]:
     """Blocks that follow each other and have nothing to do with each other, so that they can be moved at once."""
     groups: list[list[int]] = []
     for i, block in enumerate(blocks):
-        apart = not block.followers and groups and all(_apart(block, blocks[j]) for j in groups[-1])
+        apart = groups and all(_apart(block, blocks[j]) for j in groups[-1])
         groups = [*groups[:-1], [*groups[-1], i]] if apart else [*groups, [i]]
     return groups
 
