@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from scipy.linalg import expm
 
 from bayes_damper.calibration import experiment_of
 from bayes_damper.campaign import Constant, load_campaign, noise_floor, write_campaign
@@ -39,6 +40,12 @@ def edit(path: Path, old: str, new: str) -> None:
     text = path.read_text(encoding="utf-8")
     assert old in text
     path.write_text(text.replace(old, new, 1), encoding="utf-8")
+
+
+def edit_all(path: Path, old: str, new: str) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), encoding="utf-8")
 
 
 def alter(path: Path, change: Callable[[list[np.ndarray]], list[np.ndarray]]) -> None:
@@ -469,6 +476,87 @@ def test_odd_records_are_told_and_read(folder: Path, change: Callable, sentence:
     alter(folder / FIRST, change)
     warnings = load_campaign(folder).warnings
     assert any(sentence in w and FIRST in w for w in warnings), warnings
+
+
+def _contradictions(folder: Path) -> list[str]:
+    return [w for w in load_campaign(folder).warnings if w.startswith("trials.csv: uncoupled, ")]
+
+
+CASES = (("I", 6.2, 9.0), ("II", 6.2, 4.7), ("IV", 10.2, 4.7))
+
+
+def test_a_case_that_swings_at_another_frequency_than_declared_is_told(tmp_path: Path) -> None:
+    """The spring of case IV typed over from case II: the closed form gives the stiffness that would do."""
+    folder = write_synthetic(tmp_path, CASES)
+    assert _contradictions(folder) == []
+    edit_all(folder / "trials.csv", "10.2,4.7", "6.2,4.7")
+    (told,) = _contradictions(folder)
+    assert "case IV at 9.2" in told
+    assert "case II at" not in told
+    found = float(told.partition("k1t of ")[2].partition(" ")[0])
+    assert found == pytest.approx(10.2, rel=0.02)
+
+
+def test_an_inertia_that_no_case_swings_with_is_told_as_one(tmp_path: Path) -> None:
+    folder = write_synthetic(tmp_path, CASES)
+    edit(folder / "campaign.toml", "primary_inertia = 3.015e-3", "primary_inertia = 2.0e-3")
+    (told,) = _contradictions(folder)
+    found = float(told.partition("one primary_inertia of ")[2].partition(" ")[0])
+    assert found == pytest.approx(3.015e-3, rel=0.02)
+    edit(folder / "campaign.toml", "primary_inertia = 2.0e-3", "primary_inertia = { value = 2.0e-3, std = 0.6e-3 }")
+    assert _contradictions(folder) == []
+
+
+def test_a_case_released_from_another_angle_than_declared_is_told(tmp_path: Path) -> None:
+    folder = write_synthetic(tmp_path, CASES)
+    edit_all(folder / "trials.csv", "6.2,9.0", "6.2,5.0")
+    (told,) = _contradictions(folder)
+    assert "another release than declared: case I 1." in told
+    assert "case II" not in told.partition("(other cases")[0]
+
+
+@pytest.mark.parametrize("quantity", ["acceleration", "velocity", "displacement"])
+def test_a_secondary_that_goes_the_wrong_way_and_exchanged_channels_are_told(tmp_path: Path, quantity: str) -> None:
+    """The two inertias of a rig that two springs and dashpots hold, by matrix exponentials."""
+    folder = write_synthetic(tmp_path, repeats=2)
+    edit(folder / "campaign.toml", '"acceleration"', f'"{quantity}"')
+    edit(folder / "campaign.toml", "noise_std = 2.0\n", "")
+    motion = {q: np.stack(y) for q, y in two_inertias(np.arange(1001) / 1000.0).items()}[quantity]
+    names = {"acceleration": "alpha{}_rad_s2", "velocity": "omega{}_rad_s", "displacement": "theta{}_rad"}[quantity]
+    for path in sorted(folder.glob("trials/*.csv")):
+        _, (times, *channels) = read_table(path)
+        small = 3e-4 * np.max(np.abs(motion)) * np.random.default_rng(len(path.name)).standard_normal((2, times.size))
+        columns = [times, *(motion + small)[: len(channels)]]
+        write_table(path, ["time_s", *(names.format(k + 1) for k in range(len(channels)))], columns)
+    wiring = ("look exchanged", "goes the other way")
+
+    def told() -> list[str]:
+        found = load_campaign(folder).warnings
+        return [mark for mark in wiring for w in found if mark in w and w.startswith(COUPLED)]
+
+    assert told() == []
+    alter(folder / COUPLED, lambda c: [c[0], c[1], -c[2]])
+    assert told() == ["goes the other way"]
+    alter(folder / COUPLED, lambda c: [c[0], c[1], -c[2]])
+    for path in sorted(folder.glob("trials/*_coupled_*.csv")):
+        alter(path, lambda c: [c[0], c[2], c[1]])
+    assert told() == ["look exchanged"]
+
+
+def two_inertias(times: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Both channels of each quantity, both released at rest from 4.7 deg, by the matrix exponential."""
+    J1, J2, k1, k2, c = 3.015e-3, 2.474e-3, 10.2, 1.2, 0.02
+    A = np.zeros((4, 4))
+    A[:2, 2:] = np.eye(2)
+    A[2] = np.array([-(k1 + k2), k2, -c, c]) / J1
+    A[3] = np.array([k2, -k2, c, -c]) / J2
+    step, state = expm(A * (times[1] - times[0])), np.array([math.radians(4.7), math.radians(4.7), 0.0, 0.0])
+    states = [state]
+    for _ in times[1:]:
+        states.append(step @ states[-1])
+    y = np.array(states).T
+    a = A @ y
+    return {"displacement": (y[0], y[1]), "velocity": (y[2], y[3]), "acceleration": (a[2], a[3])}
 
 
 def test_a_copied_record_is_told(folder: Path) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bayes_damper.campaign.declarations import look_at_declarations
 from bayes_damper.campaign.head import Head, check_rig, per_channel, read_head
 from bayes_damper.campaign.magnitudes import check_magnitudes
 from bayes_damper.campaign.oddities import look_at_rates, look_at_repeats, look_at_trial
@@ -45,6 +46,7 @@ def load_campaign(folder: str | Path) -> Campaign:
         if rows and not any((folder / row.file).exists() for row in rows):
             faults.append("none of the records is there: `bayes-damper plan` judges a campaign before it is measured")
         raise InputError(faults)
+    look_at_declarations(head, trials, warnings)
     look_at_repeats(head, trials, warnings)
     look_at_rates(head, trials, warnings)
     both = any(t.coupled for t in trials)

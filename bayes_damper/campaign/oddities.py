@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper import readings as look
+from bayes_damper.campaign.declarations import channels_look_exchanged, secondary_looks_reversed
 from bayes_damper.campaign.head import Head, per_channel
 from bayes_damper.campaign.structure import COLUMNS, SHOWN, Trial, groups_of, natural_period
 from bayes_damper.records import USUAL_LAG, departure, picks
@@ -59,6 +60,13 @@ def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
             warnings.append(
                 f"{where}: noise is about {noise:.3g}, noise_std says {given[i]:.3g}; check unit and sensor"
             )
+    if channels_look_exchanged(head, trial):
+        return  # told with its repeats
+    if secondary_looks_reversed(head, trial):
+        warnings.append(
+            f"{trial.file}: at the release the second channel goes the other way than the primary, which drags the "
+            f"secondary along; its sign looks reversed{_TURNED}"
+        )
     if head.measurement.start == "rest" and trial.theta0 is not None:
         _look_at_release(head, trial, omega, warnings)
 
@@ -209,7 +217,15 @@ def look_at_repeats(head: Head, trials: Sequence[Trial], warnings: list[str]) ->
     _look_for_copies(trials, warnings)
     for group in groups_of(trials).values():
         _look_for_short_twin(group, warnings)
-        if head.measurement.start == "rest" and not _look_for_exchanged_twin(group, warnings) and len(group) > 2:
+        if head.measurement.start != "rest" or _look_for_exchanged_twin(group, warnings):
+            continue
+        warnings += [
+            f"{trial.file}: the second channel begins as the released primary must, and the first does not; the "
+            "channels look exchanged: correct the order of the columns"
+            for trial in group
+            if channels_look_exchanged(head, trial)
+        ]
+        if len(group) > 2:
             _look_for_odd_twin(group, head.measurement.quantity, warnings)
 
 

@@ -1,0 +1,184 @@
+"""What records show of what is declared: stiffness and inertia by their frequency, release by its swing, channels.
+
+A primary alone on a linear spring swings at sqrt(k1t/J1), whatever dry friction takes from it, and its first swing
+shows the angle of its release. A secondary that is dragged along moves as the primary does at first, and less.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper import readings as look
+from bayes_damper.campaign.head import Head
+from bayes_damper.campaign.structure import Trial, natural_period
+from bayes_damper.records import departure
+
+Array = NDArray[np.float64]
+_OFF = 0.1  # of the frequency: nonlinear springs and viscous damping of a free decay stay below it, as a rule
+_HIGHER, _LOWER = 1.25, 0.6  # first swing over the declared one: friction makes it smaller
+_STILL = 0.1  # of the largest reading, below which a rig is held to have come to rest
+_FEWEST = 3.0  # swings that tell a frequency
+_FIRST = 0.5  # rad of the primary's oscillation, in which the release shows and nothing has turned round
+_POWER = {"displacement": 0, "velocity": 1, "acceleration": 2}
+
+
+def look_at_declarations(head: Head, trials: Sequence[Trial], warnings: list[str]) -> None:
+    """Adds as warnings the cases whose uncoupled trials contradict what is declared of spring, inertia or release."""
+    if head.rig.restoring != "linear":
+        return
+    cases: dict[str, list[Trial]] = {}
+    for trial in trials:
+        if not trial.coupled and not _driven(trial):
+            cases.setdefault(trial.case, []).append(trial)
+    found = {case: f for case, own in cases.items() if (f := _frequency(own)) is not None}
+    _look_at_springs(head, {case: cases[case][0] for case in found}, found, warnings)
+    swings = {
+        case: float(np.median([_first_swing(t, _POWER[head.measurement.quantity], f) for t in cases[case]]))
+        for case, f in found.items()
+        if all(t.theta0 is not None and t.theta0.value != 0.0 for t in cases[case])
+    }
+    _look_at_releases({case: cases[case][0] for case in swings}, swings, warnings)
+
+
+def channels_look_exchanged(head: Head, trial: Trial) -> bool:
+    """Whether the secondary moves at the release as the primary must, and the primary less."""
+    found = _drives(head, trial)
+    return (
+        found is not None and head.rig.ground2_stiffness.value == 0.0 and found[1] > 0.5 and found[0] < 0.6 * found[1]
+    )
+
+
+def secondary_looks_reversed(head: Head, trial: Trial) -> bool:
+    """Whether the secondary moves away at the release, where the primary that drags it along moves back."""
+    found = _drives(head, trial)
+    if found is None:
+        return False
+    first, second, noise = found
+    return first > 0.3 and second < -max(0.02, 6.0 * noise)
+
+
+def _driven(trial: Trial) -> bool:
+    return trial.torque is not None and bool(np.any(trial.torque != 0.0))
+
+
+def _moving(trial: Trial) -> tuple[float, float]:
+    """When the primary begins to move and when it has come to rest, s; equal where it never moves."""
+    y = trial.channels[0] - np.median(trial.channels[0])
+    large = np.flatnonzero(np.abs(y) > max(_STILL * float(np.max(np.abs(y))), 8.0 * look.noise_floor_of(y)))
+    if large.size == 0:
+        return float(trial.times[0]), float(trial.times[0])
+    return float(trial.times[large[0]]), float(trial.times[large[-1]])
+
+
+def _frequency(trials: Sequence[Trial]) -> tuple[float, float] | None:
+    """Frequency of the swings of a case, Hz, and how finely its records tell it; None where they hold too few."""
+    told = []
+    for trial in trials:
+        start, end = _moving(trial)
+        inside = (trial.times >= start) & (trial.times <= end)
+        frequency = look.dominant_frequency(trial.times[inside], trial.channels[0][inside])
+        if frequency * (end - start) >= _FEWEST:
+            told.append((frequency, 0.3 / (end - start)))
+    if not told:
+        return None
+    return float(np.median([f for f, _ in told])), float(np.median([error for _, error in told]))
+
+
+def _look_at_springs(
+    head: Head, first: Mapping[str, Trial], found: Mapping[str, tuple[float, float]], warnings: list[str]
+) -> None:
+    """Names the cases that swing at another frequency than sqrt(k1t/J1)."""
+    inertia = head.rig.primary_inertia
+    name, unit = ("k1t", "N m/rad") if head.rig.kind == "torsional" else ("k1", "N/m")
+    off: dict[str, float] = {}
+    for case, (frequency, error) in found.items():
+        trial = first[case]
+        ratio = frequency * natural_period(head.rig, trial)
+        known = 0.5 * math.hypot(trial.k1t.std / trial.k1t.value, inertia.std / inertia.value)
+        if abs(ratio - 1.0) > max(_OFF, 5.0 * known, error / frequency):
+            off[case] = ratio
+    if not off:
+        return
+    listed = "; ".join(
+        f"case {case} at {found[case][0]:.4g} Hz for {1.0 / natural_period(head.rig, first[case]):.4g} Hz"
+        for case in off
+    )
+    ratios = np.array(list(off.values()))
+    common = len(off) == len(found) > 1 and float(np.ptp(np.log(ratios))) < 0.05
+    cure = (
+        f"one primary_inertia of {inertia.value / float(np.median(ratios)) ** 2:.3g} would do for all of them"
+        if common
+        else ", ".join(f"{name} of {first[c].k1t.value * r**2:.4g} {unit} would do in case {c}" for c, r in off.items())
+    )
+    warnings.append(
+        f"trials.csv: uncoupled, the primary swings at another frequency than sqrt({name}/primary_inertia)/(2 pi): "
+        f"{listed}; {cure}: correct {name}, primary_inertia or the time column, if no other spring acts"
+    )
+
+
+def _first_swing(trial: Trial, power: int, found: tuple[float, float]) -> float:
+    """Half the range of the readings in the first period of the motion, over that of the declared release."""
+    assert trial.theta0 is not None
+    frequency = found[0]
+    start, _ = _moving(trial)
+    y = trial.channels[0][(trial.times >= start) & (trial.times <= start + 1.0 / frequency)]
+    noise = look.noise_floor_of(trial.channels[0]) * math.sqrt(2.0 * math.log(max(y.size, 2)))
+    half = max(0.5 * float(np.ptp(y)) - noise, 0.0)
+    return half / (abs(trial.theta0.value) * (2.0 * math.pi * frequency) ** power)
+
+
+def _look_at_releases(first: Mapping[str, Trial], swings: Mapping[str, float], warnings: list[str]) -> None:
+    """Names the cases whose first swing is larger than that of the declared release, or smaller than that of others."""
+    most = max((r for r in swings.values() if r <= _HIGHER), default=0.0)
+    off = []
+    for case, ratio in swings.items():
+        theta0 = first[case].theta0
+        assert theta0 is not None
+        known = 5.0 * theta0.std / abs(theta0.value)
+        if ratio > max(_HIGHER, 1.0 + known) or ratio < min(_LOWER * most, 1.0 - known):
+            off.append(f"case {case} {ratio:.2g} times the declared one")
+    if off:
+        rest = [f"{r:.2g}" for case, r in swings.items() if not any(o.startswith(f"case {case} ") for o in off)]
+        warnings.append(
+            f"trials.csv: uncoupled, the first swing is that of another release than declared: {'; '.join(off)}"
+            + (f" (other cases {', '.join(rest)})" if rest else "")
+            + "; correct theta0 there, or see whether the sensor's scale is right and it does not saturate"
+        )
+
+
+def _drives(head: Head, trial: Trial) -> tuple[float, float, float] | None:
+    """How far each channel has gone after the release, over what a free primary does; and what noise makes of it.
+
+    1, 0: a primary without friction and a secondary that stays. None where that cannot be told: an unknown release,
+    a torque, inertias that are coupled, a record that begins too late or holds too few readings.
+    """
+    if len(trial.channels) < 2 or trial.theta0 is None or trial.theta0.value == 0.0 or _driven(trial):
+        return None
+    if head.measurement.start != "rest" or head.rig.inertial_coupling.value != 0.0 or head.rig.restoring != "linear":
+        return None
+    omega = 2.0 * math.pi / natural_period(head.rig, trial)
+    power = _POWER[head.measurement.quantity]
+    reach = abs(trial.theta0.value) * omega**power
+    held = [float(np.median(c[:3])) if power == 0 else 0.0 for c in trial.channels]
+    onset = math.inf
+    for channel, level in zip(trial.channels, held, strict=True):
+        start = math.copysign(trial.theta0.value, level) if power == 0 else trial.theta0.value
+        away, bound = departure(channel, head.measurement.quantity, start)
+        if np.any(away > bound):
+            share = min(bound / reach, 1.0)
+            before = (math.acos(1.0 - share), math.asin(share), 0.0)[power] / omega  # it has moved unseen for so long
+            onset = min(onset, float(trial.times[int(np.argmax(away > bound))]) - before)
+    inside = (trial.times >= onset) & (trial.times <= onset + _FIRST / omega)
+    if np.count_nonzero(inside) < 3:
+        return None
+    phase = omega * (trial.times[inside] - onset)
+    expected = (1.0 - np.cos(phase), np.sin(phase), np.cos(phase))[power] * reach
+    size = float(np.mean(expected))
+    sign = math.copysign(1.0, trial.theta0.value)
+    gone = [-sign * float(np.mean(c[inside] - h)) / size for c, h in zip(trial.channels, held, strict=True)]
+    noise = look.noise_floor_of(trial.channels[1]) / size / math.sqrt(float(np.count_nonzero(inside)))
+    return gone[0], gone[1], noise
