@@ -10,13 +10,13 @@ from scipy.stats import multivariate_normal
 from small_rig import RIG, knock, measured, variant
 
 from bayes_damper.calibration import calibrate_nominal, predict
-from bayes_damper.diagnosis.response import _steps, motions, project
+from bayes_damper.diagnosis.response import _steps, motions, project, project_parts
 from bayes_damper.diagnosis.sites import (
     STRENGTHS,
     _torque_site,
     dense_evidence,
     predicted_gap,
-    probabilities_of,
+    shares_of,
     site_map,
     write_missing_torque,
 )
@@ -237,12 +237,57 @@ def test_evidence_equals_the_ratio_of_densities():
 
 def test_probabilities_share_what_surrogates_cannot_tell():
     """Differences of a few per cent of a large evidence leave both sites possible; a small gap is told from none."""
-    close = probabilities_of({"ground1": 3000.0, "sensor": 2990.0, "interface": 900.0})
-    assert 0.3 < close["sensor"] < close["ground1"] < 0.7
-    assert close["none"] < 1e-9
-    assert close["interface"] < 0.01
-    assert close["release"] == 0.0
-    assert probabilities_of({"ground1": -3.0, "sensor": -3.0})["none"] > 0.9
+    everywhere = {None: 1.0}
+    close = shares_of({("ground1", None): 3000.0, ("sensor", None): 2990.0, ("interface", None): 900.0}, everywhere)
+    assert 0.3 < close["sensor", None] < close["ground1", None] < 0.7
+    assert sum(close.values()) == pytest.approx(1.0, abs=1e-9)
+    assert close["interface", None] < 0.01
+    assert sum(shares_of({("ground1", None): -3.0, ("sensor", None): -3.0}, everywhere).values()) < 0.1
+
+
+def test_what_acts_in_one_case_only_must_explain_more_than_what_acts_in_all():
+    """Equal evidence leaves the prior's odds, however large the gap is."""
+    priors = {None: 0.9, "case I": 0.1}
+    for gap in (10.0, 3000.0):
+        equal = shares_of({("ground1", None): gap, ("sensor", "case I"): gap}, priors)
+        assert equal["ground1", None] == pytest.approx(9.0 * equal["sensor", "case I"])
+        more = shares_of({("ground1", None): gap, ("sensor", "case I"): 2.0 * gap}, priors)
+        assert more["sensor", "case I"] > more["ground1", None]
+
+
+def test_columns_on_a_part_of_the_trials_are_columns_that_are_nothing_elsewhere():
+    """Projected piece by piece, as at once."""
+    fit = calibrate_nominal(measured(4, configurations=(False,)))
+    rng = np.random.default_rng(1)
+    cases = [fit.problem.experiment.trials[i].case for b in fit.linear.blocks for i in b.group.trials]
+    columns = [rng.standard_normal((b.r.shape[0], 5, b.r.shape[1])) for b in fit.linear.blocks]
+    assert len(columns) == 1
+    assert set(cases) == {"I", "IV"}
+    pieces = project_parts(fit, columns, lambda i: fit.problem.experiment.trials[i].case)
+    inside = np.array([case == "IV" for case in cases])[:, None, None]
+    for found, given in ((pieces.on(), columns[0]), (pieces.on({"IV"}), columns[0] * inside)):
+        expected = project(fit, [given])
+        for name in ("gram", "product", "raw", "absorbed"):
+            assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-9, abs=1e-9)
+
+
+def test_a_sensor_that_lags_in_one_case_is_found_there_and_said_to_lag_in_that_case():
+    """In other cases nothing is missing, on held-out trials either."""
+    made = measured(3, cases=(("I", 0, 0.1), ("II", 0, 0.06), ("IV", 1, 0.08)))
+
+    def read(t):
+        late = np.interp(t.times - 1e-3, t.times, t.y[-1])
+        return replace(t, y=np.stack([t.y[0], late])) if t.coupled and t.case == "II" else t
+
+    found = site_map(calibrate_nominal(replace(made, trials=tuple(read(t) for t in made.trials))))
+    assert found.best == "sensor"
+    assert found.only == "case II"
+    assert found.to_json()["only"]["sensor"] == "case II"
+    sizes = {True: [], False: []}
+    for i, change in predicted_gap(found).items():
+        trial = made.trials[i]
+        sizes[trial.coupled and trial.case == "II"].append(float(np.sqrt(np.mean(change**2))))
+    assert min(sizes[True]) > 3.0 * max(sizes[False])
 
 
 def test_a_sharp_friction_does_not_ring_from_sample_to_sample():

@@ -326,7 +326,7 @@ def diagnose(
     named = best if winner is not None and answers.verdict == winner.effect.name else None
     if wiring is not None:
         notes.insert(0, wiring.sentence())
-    notes += [*_notes(experiment, fit, named, answers), in_a_sentence(choices, answers.verdict)]
+    notes += [*_notes(experiment, fit, named, answers, before_map), in_a_sentence(choices, answers.verdict)]
     chosen_from = sum(c.fit is not None for c in found) + len(pairs) if alone else 1
     gap = measure_gap(fit, best, rng=rng, chosen_from=chosen_from)
     leading = sorted(evidence, key=lambda n: -evidence[n])[:TOLD]
@@ -470,8 +470,13 @@ def _indistinct(evidence: Mapping[str, float], effects: Mapping[str, Effect]) ->
     return groups
 
 
-def _notes(experiment: Experiment, fit: Calibration, named: Calibration | None, answers: Answers) -> list[str]:
-    """What could not be told and why, in sentences. named : the fit with the effect that the verdict names."""
+def _notes(
+    experiment: Experiment, fit: Calibration, named: Calibration | None, answers: Answers, place: SiteMap
+) -> list[str]:
+    """What could not be told and why, in sentences.
+
+    named : the fit with the effect that the verdict names; place : where the nominal model's gap lies.
+    """
     notes = []
     if not experiment.coupled:
         notes.append("There are no coupled trials, so nothing can be said about the interface or the secondary.")
@@ -501,6 +506,11 @@ def _notes(experiment: Experiment, fit: Calibration, named: Calibration | None, 
             notes.append(
                 f"The nominal model moves {name} by {z:+.1f} of its declared standard deviations: an effect, or a typo."
             )
+    if answers.verdict == "unknown" and place.only is not None:
+        trials = f"the trials of {place.only}" if place.only.startswith("case ") else f"{place.only} trials"
+        notes.append(
+            f"What is missing looks like a cause at {place.best} that acts in {trials} alone: what was different there?"
+        )
     if answers.probabilities["none"] > 0.1 and answers.verdict != "none":
         notes.append("The gap is not certain: `none` keeps more than a tenth of the probability.")
     hidden = hidden_by(fit)

@@ -13,7 +13,7 @@ the jump.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -422,8 +422,47 @@ def whiten(fit: Calibration, group: Group, y: Array) -> Array:
     return fit.problem.whitened(y, group.weight[:, None])
 
 
-def project(fit: Calibration, columns: Sequence[Array]) -> Projected:
-    """Columns (trials, k, data), one array per block, after all that parameters and nuisances can do is taken out.
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    """What columns do on one part of the trials, nuisances taken out.
+
+    gram (k, k), mixed (size, k), product (k,), raw (k,)
+    """
+
+    gram: Array
+    mixed: Array
+    product: Array
+    raw: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """Columns on each part of the trials, for all that they can do on some of the parts only.
+
+    names: of the parts, as `project_parts` was given them, hashable.
+    """
+
+    names: tuple[Any, ...]
+    pieces: tuple[_Piece, ...]
+    S: Array
+    g: Array
+
+    def on(self, names: Collection[Any] | None = None) -> Projected:
+        """The columns, zero on all parts but the named ones, after all that parameters can do is taken out."""
+        chosen = [p for name, p in zip(self.names, self.pieces, strict=True) if names is None or name in names]
+        gram = np.sum([p.gram for p in chosen], axis=0)
+        mixed = np.sum([p.mixed for p in chosen], axis=0)
+        product = np.sum([p.product for p in chosen], axis=0)
+        raw = np.sum([p.raw for p in chosen], axis=0)
+        k = len(raw)
+        answer = np.linalg.solve(self.S, np.column_stack([mixed, self.g]))
+        gram = gram - mixed.T @ answer[:, :k]
+        product = product - mixed.T @ answer[:, k]
+        return Projected(0.5 * (gram + gram.T), -product, raw, np.asarray(-answer[:, :k]))
+
+
+def project_parts(fit: Calibration, columns: Sequence[Array], part: Callable[[int], Any]) -> Pieces:
+    """Columns (trials, k, data), one array per block, for each part of the trials: `part` names that of a trial.
 
     The product's sign is that of "reading minus model": a coefficient c > 0 of a column adds it to the model.
     """
@@ -431,27 +470,40 @@ def project(fit: Calibration, columns: Sequence[Array]) -> Projected:
     S, g, inverses = normals.reduced()
     size = fit.problem.size
     k = columns[0].shape[1]
-    gram, mixed, product, raw = np.zeros((k, k)), np.zeros((size, k)), np.zeros(k), np.zeros(k)
-    for (block, H, TJ, gT), inverse, d in zip(normals.parts, inverses, columns, strict=True):
-        flat = d.transpose(1, 0, 2).reshape(k, -1)
-        own = flat @ flat.T
-        raw += np.diag(own)
+    pieces: dict[Any, _Piece] = {}
+    for (block, H, TJ, gT), inverse, every in zip(normals.parts, inverses, columns, strict=True):
         full = np.concatenate([block.J, block.T, block.r[:, None, :]], axis=1)
-        cross = full @ d.transpose(0, 2, 1)  # (trials, size + m + 1, k)
-        m = H.shape[1]
-        gram += own
-        mixed += cross[:, :size].sum(axis=0)
-        product += cross[:, -1].sum(axis=0)
-        if m:
-            td = cross[:, size : size + m]
-            solved = inverse @ td
-            gram -= np.tensordot(td, solved, axes=([0, 1], [0, 1]))
-            mixed -= np.tensordot(TJ, solved, axes=([0, 1], [0, 1]))
-            product -= np.tensordot(solved, gT, axes=([0, 1], [0, 1]))
-    answer = np.linalg.solve(S, np.column_stack([mixed, g]))
-    gram -= mixed.T @ answer[:, :k]
-    product -= mixed.T @ answer[:, k]
-    return Projected(0.5 * (gram + gram.T), -product, raw, np.asarray(-answer[:, :k]))
+        names = [part(i) for i in block.group.trials]
+        for name in dict.fromkeys(names):
+            own = np.array([n == name for n in names])
+            d = every[own]
+            flat = d.transpose(1, 0, 2).reshape(k, -1)
+            gram = flat @ flat.T
+            raw = np.diag(gram).copy()
+            cross = full[own] @ d.transpose(0, 2, 1)  # (trials, size + m + 1, k)
+            m = H.shape[1]
+            mixed = cross[:, :size].sum(axis=0)
+            product = cross[:, -1].sum(axis=0)
+            if m:
+                td = cross[:, size : size + m]
+                solved = inverse[own] @ td
+                gram -= np.tensordot(td, solved, axes=([0, 1], [0, 1]))
+                mixed -= np.tensordot(TJ[own], solved, axes=([0, 1], [0, 1]))
+                product -= np.tensordot(solved, gT[own], axes=([0, 1], [0, 1]))
+            last = pieces.get(name)
+            if last is not None:
+                gram, mixed = gram + last.gram, mixed + last.mixed
+                product, raw = product + last.product, raw + last.raw
+            pieces[name] = _Piece(gram, mixed, product, raw)
+    return Pieces(tuple(pieces), tuple(pieces.values()), S, g)
+
+
+def project(fit: Calibration, columns: Sequence[Array]) -> Projected:
+    """Columns (trials, k, data), one array per block, after all that parameters and nuisances can do is taken out.
+
+    The product's sign is that of "reading minus model": a coefficient c > 0 of a column adds it to the model.
+    """
+    return project_parts(fit, columns, lambda _: None).on()
 
 
 def scale_of(values: Sequence[Array]) -> float:

@@ -4,6 +4,7 @@ Along the motion of a fit, the rig's response to generic torques of each site (s
 dynamics (response.py), everything that parameters and nuisances can do is taken out, and what is left of the residuals
 is explained by a Gaussian prior on the coefficients: within one group of shapes, over all shapes of the site, or by a
 few shapes only. The evidence of a site is the mean over these hypotheses, so a site with many shapes pays for them.
+Where there is a gap, causes that act in one case or in one configuration only are hypotheses too.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln, logsumexp
 
-from bayes_damper.calibration import Calibration, predict
-from bayes_damper.diagnosis.response import Motion, Projected, motions, nominal_slopes, on_trials, project, whiten
+from bayes_damper.calibration import Calibration, TrialRecord, predict
+from bayes_damper.diagnosis.response import Motion, Projected, motions, nominal_slopes, on_trials, project_parts, whiten
 from bayes_damper.diagnosis.shapes import Scale, Shape, scale_of_motions, shapes_of
 from bayes_damper.effects.base import SITES
 
@@ -30,6 +31,7 @@ STRENGTHS = np.geomspace(1.0, 3e4, 19)  # of a column's response, in noise stand
 MOST_SHAPES = 6  # in a sparse hypothesis
 USABLE = 1e-3  # a column of which parameters leave less than this share of its length is not used
 PRIOR_NONE = 0.4
+CONFIGURATIONS = {False: "uncoupled", True: "coupled"}
 WORTH_A_TORQUE = 0.1  # probability of a site, given a gap, from which the torque that is missing there is told
 LAWS = {
     "ground1": {"k1t", "c1t", "J1"},
@@ -37,18 +39,26 @@ LAWS = {
     "interface": {"mu", "N0", "R", "r", "k2t", "c2t"},
     "ground2": {"k3t", "c3t", "J2"},
 }  # parameters of the nominal laws that act where a torque may be missing, and can stand for it
+PRIOR_CASE = 0.1  # that a cause acts in one case only
+PRIOR_CONFIGURATION = 0.02  # in one configuration only, whose own inertia and couplings are no explanation
+PARTS_FROM = 3.0  # nats of a gap, from which that is asked
+MOST_CASES = 12  # of which one is asked for by itself
 TEMPERING = 0.1  # share of the best evidence by which linear responses and approximate shapes may be wrong
 
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """One way to explain residuals at one site: columns, strength of their prior, evidence in nats over none."""
+    """One way to explain residuals at one site: columns, strength of their prior, evidence in nats over none.
+
+    only : the part of the trials in which it acts, as "case IV" or "coupled"; None: in all of them.
+    """
 
     site: str
     group: str
     columns: NDArray[np.int64]
     strength: float
     log_evidence: float
+    only: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +92,8 @@ class MissingTorque:
 class SiteMap:
     """Where a gap lies.
 
-    log_evidence: of each site over no gap, nats; probabilities: of the sites and "none", sum 1; leaders: the leading
+    log_evidence: of each site over no gap, nats; strength: that of the best site, as far as its cause acts in all
+    trials; probabilities: of the sites and "none", sum 1; leaders: the leading
     hypothesis of each site; torque: what is missing at the best site (empty for a sensor: no torque is wrong there);
     coefficients: of the best site's leading hypothesis, in the units of its shapes; shift: what the parameters q of the
     fit give way to it.
@@ -96,17 +107,18 @@ class SiteMap:
     scale: Scale
     coefficients: Array
     shift: Array
+    strength: float
     torque_site: str | None = None
 
     @property
     def best(self) -> str:
         """The most probable site, "none" left out."""
-        return max(self.log_evidence, key=lambda s: self.log_evidence[s])
+        return max(self.leaders, key=lambda s: self.probabilities[s])
 
     @property
-    def strength(self) -> float:
-        """Evidence of the best site, nats."""
-        return self.log_evidence[self.best]
+    def only(self) -> str | None:
+        """The part of the trials, as "case IV" or "coupled", in which alone the best site's leading cause acts."""
+        return self.leaders[self.best].only
 
     def credible_set(self, share: float = 0.9) -> list[str]:
         """The smallest set of sites that holds at least `share` of the probability of a gap."""
@@ -165,6 +177,7 @@ class SiteMap:
             "credible_set": self.credible_set(),
             "shape": {s: h.group for s, h in self.leaders.items()},
             "torque_site": self.torque_site,
+            "only": {s: h.only for s, h in self.leaders.items() if h.only is not None},
         }
 
 
@@ -178,20 +191,66 @@ def site_map(fit: Calibration, *, torque: bool = True, prior_none: float = PRIOR
     coupled = any(m.group.coupled for m in moved)
     shapes = [list(shapes_of(m, scale, coupled)) for m in moved]
     columns = [_columns(fit, m, s) for m, s in zip(moved, shapes, strict=True)]
-    judged = project(fit, columns)
     labels = [(s.site, s.group) for s in shapes[0]]
-    hypotheses = hypotheses_of(judged, labels)
-    evidence, leaders = _per_site(hypotheses)
-    probabilities = probabilities_of(evidence, prior_none)
-    best = max(evidence, key=lambda s: evidence[s])
-    mean, _ = _coefficients(judged, leaders[best])
+    judged, found, priors = _per_part(fit, columns, labels)
+    strength = max(found[None][0].values())
+    by_part = {(site, name): v for name, (evidence, _) in found.items() for site, v in evidence.items()}
+    shares = shares_of(by_part, priors, prior_none)
+    leaders: dict[str, Hypothesis] = {}
+    for site in found[None][0]:
+        only = max((name for name in found if (site, name) in by_part), key=lambda n: shares[site, n])
+        leaders[site] = found[only][1][site]
+    probabilities: dict[str, float] = {s: math.fsum(p for (site, _), p in shares.items() if site == s) for s in SITES}
+    probabilities["none"] = max(1.0 - math.fsum(probabilities.values()), 0.0)
+    evidence = {
+        s: float(logsumexp([v + math.log(priors[n]) for (site, n), v in by_part.items() if site == s])) for s in leaders
+    }
+    best = max(leaders, key=lambda s: probabilities[s])
+    mean, _ = _coefficients(judged[leaders[best].only], leaders[best])
     missing: tuple[MissingTorque, ...] = ()
     silent = {s for s, leader in leaders.items() if not any(shapes[0][c].acts for c in leader.columns)}
     place = _torque_site(probabilities, silent) if torque else None
     if place is not None:
-        missing = _torque(fit, moved, shapes, judged, leaders[place])
-    shift = judged.absorbed[:, leaders[best].columns] @ mean
-    return SiteMap(evidence, probabilities, leaders, missing, fit, scale, mean, shift, place)
+        missing = _torque(fit, moved, shapes, judged[leaders[place].only], leaders[place])
+    shift = judged[leaders[best].only].absorbed[:, leaders[best].columns] @ mean
+    return SiteMap(evidence, probabilities, leaders, missing, fit, scale, mean, shift, strength, place)
+
+
+_Sites = tuple[dict[str, float], dict[str, Hypothesis]]
+
+
+def _per_part(
+    fit: Calibration, columns: Sequence[Array], labels: Sequence[tuple[str, str]]
+) -> tuple[dict[str | None, Projected], dict[str | None, _Sites], dict[str | None, float]]:
+    """Columns, evidence and leaders of each site, and prior: of causes that act in all trials (None), or in a part.
+
+    Parts are asked for where there is a gap: each case and each configuration of a campaign of several.
+    """
+    trials = [fit.problem.experiment.trials[i] for block in fit.linear.blocks for i in block.group.trials]
+    cases = list(dict.fromkeys(t.case for t in trials))
+    by_case = 1 < len(cases) <= MOST_CASES
+    every = fit.problem.experiment.trials
+    pieces = project_parts(fit, columns, lambda i: (every[i].case if by_case else "", every[i].coupled))
+    judged: dict[str | None, Projected] = {None: pieces.on()}
+    found: dict[str | None, _Sites] = {None: _per_site(hypotheses_of(judged[None], labels))}
+    parts: dict[str, tuple[float, int, str | bool]] = {}
+    if max(found[None][0].values()) > PARTS_FROM:
+        if by_case:
+            parts |= {f"case {case}": (PRIOR_CASE / len(cases), 0, case) for case in cases}
+        if len({t.coupled for t in trials}) == 2:
+            parts |= {name: (PRIOR_CONFIGURATION / 2.0, 1, coupled) for coupled, name in CONFIGURATIONS.items()}
+    for name, (_, place, value) in parts.items():
+        judged[name] = pieces.on([key for key in pieces.names if key[place] == value])
+        elsewhere = judged[name].raw < 0.999 * judged[None].raw  # what acts there alone is in the first answer
+        own = hypotheses_of(judged[name], labels, elsewhere)
+        found[name] = _per_site([replace(h, only=name) for h in own])
+    priors: dict[str | None, float] = {name: prior for name, (prior, _, _) in parts.items()}
+    return judged, found, priors | {None: 1.0 - sum(priors.values())}
+
+
+def _acts_in(only: str | None, trial: TrialRecord) -> bool:
+    """Whether a cause that acts in one part of the trials acts in this one."""
+    return only in (None, f"case {trial.case}", CONFIGURATIONS[trial.coupled])
 
 
 def _torque_site(probabilities: Mapping[str, float], silent: Collection[str] = ()) -> str | None:
@@ -239,12 +298,14 @@ def predicted_gap(found: SiteMap) -> dict[int, Array]:
     keep = [fit.problem.names.index(name) for name in unseen.problem.names]
     shift = found.shift[keep]
     coupled = any(t.coupled for t in fit.problem.experiment.trials)
-    columns = found.leaders[found.best].columns
+    leader = found.leaders[found.best]
+    trials = unseen.problem.experiment.trials
     out = {}
     for motion, block in zip(motions(unseen), unseen.linear.blocks, strict=True):
         group = motion.group
         every = list(shapes_of(motion, found.scale, coupled))
-        y = np.einsum("jkcn,k->jcn", _changes(motion, [every[c] for c in columns]), found.coefficients)
+        y = np.einsum("jkcn,k->jcn", _changes(motion, [every[c] for c in leader.columns]), found.coefficients)
+        y *= np.array([[[_acts_in(leader.only, trials[i])]] for i in group.trials])
         d = whiten(fit, group, y[:, None])[:, 0] + np.einsum("jqd,q->jd", block.J, shift)
         H = block.T @ block.T.transpose(0, 2, 1) + np.eye(block.T.shape[1])
         own = -np.linalg.solve(H, np.einsum("jmd,jd->jm", block.T, d)[:, :, None])[:, :, 0]
@@ -303,10 +364,17 @@ def _or(shape: Array | None, zero: Array) -> Array:
 # Evidence -------------------------------------------------------------------------------------------------------------
 
 
-def hypotheses_of(judged: Projected, labels: Sequence[tuple[str, str]]) -> list[Hypothesis]:
-    """All hypotheses of all sites. Each group, the whole site, and the best few shapes of it."""
+def hypotheses_of(
+    judged: Projected, labels: Sequence[tuple[str, str]], allowed: NDArray[np.bool_] | None = None
+) -> list[Hypothesis]:
+    """All hypotheses of all sites: each group, the whole site, and the best few shapes of it.
+
+    allowed (k,) : columns that count; None: all.
+    """
     left = np.diag(judged.gram)
     usable = left > np.maximum(USABLE**2 * judged.raw, 1e-12)
+    if allowed is not None:
+        usable &= allowed
     size = np.sqrt(np.where(usable, left, 1.0))
     gram = judged.gram / size[:, None] / size[None, :]
     product = judged.product / size
@@ -373,22 +441,23 @@ def _per_site(hypotheses: Sequence[Hypothesis]) -> tuple[dict[str, float], dict[
     return evidence, leaders
 
 
-def probabilities_of(evidence: Mapping[str, float], prior_none: float = PRIOR_NONE) -> dict[str, float]:
-    """Probabilities of the sites and "none".
+def shares_of(
+    evidence: Mapping[tuple[str, str | None], float], priors: Mapping[str | None, float], prior_none: float = PRIOR_NONE
+) -> dict[tuple[str, str | None], float]:
+    """Probability of each site and part of the trials; what is missing to 1 is that of no gap.
 
-    Surrogates are linear and their shapes approximate, so differences between sites count less the larger the gap is;
-    against "none" they count in full.
+    Surrogates are linear and their shapes approximate, so differences between sites and parts count less the larger the
+    gap is; against "none" they count in full.
+
+    evidence : of (site, part), nats; priors : of the parts, sum 1
     """
     best = max(evidence.values(), default=0.0)
     temperature = 1.0 + TEMPERING * max(best, 0.0)
-    logs = {s: max((v - best) / temperature, -700.0) for s, v in evidence.items()}
+    logs = {key: max((v - best) / temperature, -700.0) + math.log(priors[key[1]]) for key, v in evidence.items()}
     norm = float(logsumexp(list(logs.values())))
-    log_gap = math.log(1.0 - prior_none) + best + norm - math.log(len(logs))
-    log_none = math.log(prior_none)
-    total = float(np.logaddexp(log_gap, log_none))
-    gap = math.exp(log_gap - total)
-    out = {site: gap * math.exp(logs[site] - norm) if site in logs else 0.0 for site in SITES}
-    return out | {"none": math.exp(log_none - total)}
+    log_gap = math.log(1.0 - prior_none) + best + norm - math.log(len({site for site, _ in logs}))
+    gap = math.exp(log_gap - float(np.logaddexp(log_gap, math.log(prior_none))))
+    return {key: gap * math.exp(value - norm) for key, value in logs.items()}
 
 
 # Missing torque -------------------------------------------------------------------------------------------------------
@@ -422,8 +491,9 @@ def _torque(
         taken = np.einsum("jqbn,qk->jkbn", nominal_slopes(fit, block, m), theirs * judged.absorbed[:, which])
         for k, trial in enumerate(m.group.trials):
             torque, sd = np.zeros((2, m.grid.size)), np.zeros((2, m.grid.size))
+            acts = _acts_in(leader.only, fit.problem.experiment.trials[trial])
             for inertia in (0, 1):
-                features = taken[k, :, inertia] + np.array([
+                features = taken[k, :, inertia] + acts * np.array([
                     (zero if q is None else q)[k]
                     for q in ((own[c].q1 if inertia == 0 else own[c].q2) for c in which)
                 ])  # fmt: skip
