@@ -14,7 +14,15 @@ from small_rig import NOISE, measured
 from test_calibration import RIG, TRUE, make_experiment
 
 from bayes_damper import integrator
-from bayes_damper.calibration import Experiment, Problem, TrialRecord, calibrate, calibrate_nominal, coordinate_of
+from bayes_damper.calibration import (
+    Experiment,
+    Problem,
+    Switches,
+    TrialRecord,
+    calibrate,
+    calibrate_nominal,
+    coordinate_of,
+)
 from bayes_damper.diagnose import _estimated, _maps, _shown_record, named_answers
 from bayes_damper.diagnosis import diagnose, pairs, pipeline
 from bayes_damper.diagnosis.lone import corroborated, held_out_gain, left_of_squares
@@ -690,3 +698,12 @@ def test_slightly_coloured_noise_without_repeats_is_no_gap():
     found = diagnose(experiment)
     assert found.verdict == "none"
     assert found.answers.probabilities["unknown"] < 0.2
+
+
+def test_drags_of_single_trials_are_told_only_where_the_drag_itself_is_known():
+    """A friction that hardly acts differs from trial to trial by any factor, which means nothing."""
+    fit = calibrate_nominal(measured(5), switches=Switches(drag=True))
+    drags = pipeline.own_drags(fit)
+    assert drags.size > 2
+    assert np.std(drags) < 0.1
+    assert pipeline.own_drags(replace(fit, covariance=1e4 * fit.covariance)).size == 0

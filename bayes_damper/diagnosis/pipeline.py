@@ -520,7 +520,16 @@ def _notes(
 
 
 def own_drags(fit: Calibration) -> Array:
-    """Logarithm of each trial's drag over that of all, where it differs between repeats; else empty."""
+    """Logarithm of each trial's drag over that of all, where it differs between repeats; else empty.
+
+    Empty too where the drag itself is not known to a quarter: a friction that hardly acts differs by any factor.
+    """
+    for i, c in enumerate(fit.problem.coordinates):
+        if c.parameter == "drag":
+            own_sd = math.sqrt(max(float(fit.covariance[i, i]), 0.0))
+            low, high = (float(from_standard(c.prior, float(fit.q[i]) + step)) for step in (-own_sd, own_sd))
+            if high - low > 0.25 * (high + low):
+                return np.zeros(0)
     found = []
     for group in fit.problem.groups:
         for k, (name, mean, sd) in enumerate(group.nuisances):
