@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
+from types import SimpleNamespace
 from typing import Any
 from unittest import mock
 
@@ -20,6 +21,7 @@ from synthetic import FAINT
 
 from bayes_damper.calibration import Experiment, Problem
 from bayes_damper.record_posterior import RecordPosterior
+from bayes_damper.sampling import ensembles
 from bayes_damper.sampling.moves import Snooker
 
 Fault = Callable[[], AbstractContextManager[Any]]
@@ -82,9 +84,17 @@ def _prior_twice() -> Iterator[None]:
 
 
 @contextmanager
+def _nothing_learnt() -> Iterator[None]:
+    """The moves of a sampler that has learnt no proposals yet: a fifth of them are snooker moves, not one in fifty."""
+    moves = ensembles._moves(SimpleNamespace(weight=0.0))
+    with mock.patch.object(ensembles, "_moves", return_value=moves):
+        yield
+
+
+@contextmanager
 def _snooker_without_its_factor() -> Iterator[None]:
     genuine = Snooker.proposal
-    with mock.patch.object(Snooker, "proposal", lambda self, *a: (genuine(self, *a)[0], 0.0)):
+    with _nothing_learnt(), mock.patch.object(Snooker, "proposal", lambda self, *a: (genuine(self, *a)[0], 0.0)):
         yield
 
 
@@ -110,11 +120,14 @@ BUGS = (
     Bug("k1t of another case", "lone", mistake=lambda e: replace(e, stiffnesses=((6.2, 0.1),))),
     Bug("noise normalisation: half of the readings counted", "lone", _readings_halved),
     Bug("prior counted twice", FAINT, _prior_twice),
-    Bug("snooker move without its volume factor", "lone", _snooker_without_its_factor, weights=False),
+    Bug("snooker move without its volume factor, nothing learnt", "lone", _snooker_without_its_factor, weights=False),
     Bug("a trial lost", "repeats", mistake=_without_the_last),
     Bug("channels swapped", "repeats", mistake=_swapped),
     Bug("wrong sign of the delay", "repeats", _rig(lambda rig: {"delay": -np.asarray(rig["delay"])})),
     Bug("release angle taken as exact", "repeats", mistake=_angles(1e-9)),
     Bug("degrees for radians in the angle's uncertainty", FAINT, mistake=_angles(180.0 / math.pi)),
 )
-SOUND = tuple(Bug(f"none, {kind}", kind) for kind in ("lone", FAINT, "repeats"))
+SOUND = (
+    *(Bug(f"none, {kind}", kind) for kind in ("lone", FAINT, "repeats")),
+    Bug("none, nothing learnt", "lone", _nothing_learnt, weights=False),
+)

@@ -140,7 +140,9 @@ def bugs(found: Sequence[Mapping[str, Any]], level: float) -> None:
         "too, that of the rig's parameters and that of each trial's own angle and friction (a prior much too wide",
         "shows there alone: the posterior under it is as uniform in the parameter itself as one without a prior).",
         "Of the draws from a record's posterior one in fifty is a snooker move's, and what it does wrong is undone at",
-        "once: on normal densities of 9 to 28 unknowns it moved the mean log density by 0.01 to 0.05 of its spread.",
+        "once (on normal densities of 9 to 28 unknowns it moved the mean log density by 0.01 to 0.05 of its spread),",
+        "so it is looked for in a sampler that has learnt no proposals yet, of whose moves it is one in five; a sound",
+        "sampler of that kind is watched too.",
         "The log likelihood of a sound fit is not quite uniform (its page says why), so that what it alone gives away,",
         "and only after dozens of campaigns, is caught less surely than what another quantity gives away.",
     ]
