@@ -497,6 +497,38 @@ def test_a_case_that_swings_at_another_frequency_than_declared_is_told(tmp_path:
     assert found == pytest.approx(10.2, rel=0.02)
 
 
+def test_a_spring_in_another_unit_is_no_sensor_in_another_unit(tmp_path: Path) -> None:
+    """Ten times the stiffness makes readings a tenth of what is expected, as m/s^2 at 0.1 m would."""
+    folder = write_synthetic(tmp_path)
+    edit_all(folder / "trials.csv", ",10.2,", ",102,")
+    told = [w for w in load_campaign(folder).warnings if "the largest reading" in w]
+    assert told
+    assert all("the record swings at 9." in w and "m/s^2 at the mounting" not in w for w in told)
+
+
+def test_trials_filed_under_each_other_s_case_are_told_with_the_case_that_they_are_like(tmp_path: Path) -> None:
+    folder = write_synthetic(tmp_path, CASES)
+    for a, b in (("I_uncoupled_2", "IV_uncoupled_1"), ("II_coupled_1", "IV_coupled_3")):
+        first, second = (folder / f"trials/{name}.csv" for name in (a, b))
+        one, other = first.read_text(encoding="utf-8"), second.read_text(encoding="utf-8")
+        first.write_text(other, encoding="utf-8")
+        second.write_text(one, encoding="utf-8")
+    told = {w.partition(":")[0]: w for w in load_campaign(folder).warnings if "unlike its repeats" in w}
+    for name, case in (
+        ("I_uncoupled_2", "IV"),
+        ("IV_uncoupled_1", "I"),
+        ("II_coupled_1", "IV"),
+        ("IV_coupled_3", "II"),
+    ):
+        assert f"like the trials of case {case}: a wrong name?" in told[f"trials/{name}.csv"]
+
+
+def test_a_file_of_a_campaign_in_place_of_its_folder_is_told_as_one(folder: Path) -> None:
+    assert faults_of(folder / "trials.csv") == [
+        f"{folder / 'trials.csv'}: a file; give the folder that holds it, {folder}"
+    ]
+
+
 def test_an_inertia_that_no_case_swings_with_is_told_as_one(tmp_path: Path) -> None:
     folder = write_synthetic(tmp_path, CASES)
     edit(folder / "campaign.toml", "primary_inertia = 3.015e-3", "primary_inertia = 2.0e-3")

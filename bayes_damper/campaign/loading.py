@@ -114,6 +114,8 @@ def load_plan(folder: str | Path) -> Campaign:
 
 def _head_and_rows(folder: Path, faults: list[str], digest: hashlib._Hash) -> tuple[Head, list[Row]]:
     """campaign.toml and trials.csv of a folder; InputError where there is no folder or no head to go on with."""
+    if folder.is_file():
+        raise InputError(f"{folder}: a file; give the folder that holds it, {folder.parent}")
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; give the folder that holds campaign.toml")
     head = read_head(folder, faults, digest)

@@ -226,7 +226,7 @@ def look_at_repeats(head: Head, trials: Sequence[Trial], warnings: list[str]) ->
             if channels_look_exchanged(head, trial)
         ]
         if len(group) > 2:
-            _look_for_odd_twin(group, head.measurement.quantity, warnings)
+            _look_for_odd_twin(group, head.measurement.quantity, warnings, trials)
 
 
 def _look_for_copies(trials: Sequence[Trial], warnings: list[str]) -> None:
@@ -254,8 +254,10 @@ def _look_for_short_twin(group: Sequence[Trial], warnings: list[str]) -> None:
         )
 
 
-def _look_for_odd_twin(group: Sequence[Trial], quantity: str, warnings: list[str]) -> None:
+def _look_for_odd_twin(group: Sequence[Trial], quantity: str, warnings: list[str], trials: Sequence[Trial]) -> None:
     """Compares repeats of equal release with each other; one that is four times as far off as the rest is named.
+
+    trials : of the whole campaign, among whose other cases the odd one may belong.
 
     Each runs from the onset of its own motion, and the jump there is left out: a late trigger is no other motion.
     """
@@ -284,9 +286,32 @@ def _look_for_odd_twin(group: Sequence[Trial], quantity: str, warnings: list[str
                 worst[trial.file] = max(worst.get(trial.file, (0.0, 0.0)), (nearest / scale, usual / scale))
                 break
     for file, (nearest, usual) in worst.items():
+        odd = next(t for t in group if t.file == file)
+        home = _looks_like(odd, quantity, nearest, trials)
         warnings.append(
             f"{file}: unlike its repeats: {nearest:.0%} away from the nearest, they {usual:.0%} from each other"
+            + ("; see what was different" if home is None else f"; it is like the trials of case {home}: a wrong name?")
         )
+
+
+def _looks_like(odd: Trial, quantity: str, away: float, trials: Sequence[Trial]) -> str | None:
+    """The other case that an odd trial is like: near one of its trials, measured alike, a quarter of `away` or less."""
+    found = []
+    for other in trials:
+        if other.case == odd.case or len(other.channels) != len(odd.channels):
+            continue
+        clocks = odd.times - _onset(odd, quantity), other.times - _onset(other, quantity)
+        grid = clocks[0][(clocks[0] > 0.0) & (clocks[0] <= clocks[1][-1])]
+        if len(grid) < 8:
+            continue
+        y, x = (
+            np.stack([np.interp(grid, clock, channel) for channel in trial.channels])
+            for clock, trial in zip(clocks, (odd, other), strict=True)
+        )
+        size = float(np.sqrt(np.mean(x**2))) or 1.0
+        found.append((float(np.sqrt(np.mean((x - y) ** 2))) / size, other.case))
+    nearest, case = min(found, default=(math.inf, ""))
+    return case if nearest < 0.25 * away else None
 
 
 def _look_for_exchanged_twin(group: Sequence[Trial], warnings: list[str]) -> bool:

@@ -42,6 +42,7 @@ BLUR_PRIOR: Distribution = LogNormal(0.1, 2.0)
 SIZE = 0.05  # of the test for a gap
 LOOSE, FEW_DRAWS = 1.5, 30.0  # nats between repeats, effective draws: from which an evidence is poorly known
 _DRAWS = 240
+_TOLD_OF_WEIGHING = 20  # times
 _LEADING = 4  # answers between which the next experiment is to decide
 _NOISE = 2.0  # rad/s^2, of the records that a next experiment would take
 _COMPONENTS = 12
@@ -325,8 +326,10 @@ def diagnose_published(
             return weigh_formula(joints[i], beginning(shapes[r], joints[i]), rng, count=count, sweeps=settings.sweeps)
 
         found: dict[int, list[Weighed]] = {}
-        for (i, _), weighed in zip(jobs, pool.map(run, jobs), strict=True):
+        for done, ((i, _), weighed) in enumerate(zip(jobs, pool.map(run, jobs), strict=True), 1):
             found.setdefault(i, []).append(weighed)
+            if done % max(1, len(jobs) // _TOLD_OF_WEIGHING) == 0:
+                tell(f"{done} of {len(jobs)} weighings done, each formula {settings.repeats} times where it acts")
     base, base_error = _pooled(found[0])
     results = []
     for i, formula in enumerate(everything):
