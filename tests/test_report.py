@@ -385,7 +385,7 @@ def test_everything_a_folder_holds_is_on_the_page(tmp_path):
     assert "With 90 % probability it is one of stick slip and unknown" in text
     assert "stick slip and bearing stribeck cannot be told apart" in text
     assert "friction displacement and normal force law cannot" not in text
-    assert "Next experiment: coupled, k1t 10.2 N m/rad, released at 2.7 deg (expected information 1.80 nats; " in text
+    assert "Next experiment: coupled, k1t 10.2 N m/rad, released at 2.7 deg (expected to tell 1.80 nats about " in text
     assert "closes 97 % of the gap" in text
     assert "Nothing was learnt about the smoothing constant of every tanh (nu)" in text
     assert "The cases do not share one parameter set (2 %)" in text

@@ -22,7 +22,7 @@ _SITES = {
     "ground1": "the primary's spring to ground and what couples it",
     "bearings": "drag and friction in the bearings",
     "interface": "what acts between the two bodies: faces, magnet, coupling",
-    "ground2": "the secondary: its inertia, its spring to ground",
+    "ground2": "what acts on the secondary alone: its inertia, a spring to ground if it has one",
     "release": "how the rig is let go",
     "sensor": "sensors and logger",
     "none": "no gap",
@@ -122,7 +122,11 @@ def _verdict_sentences(
         told = "Nothing is missing from the model" if sure else "Most probable, but not sure: nothing is missing"
         return [f"{told} ({percent(share)})."]
     place = next(((s, p) for s, p in sites if s != "none"), None)
-    where = [f"Most probable place: {_place(place[0])} ({percent(place[1])})."] if place else []
+    where = []
+    if place:
+        likely = [(s, p) for s, p in sites if s != "none" and (s == place[0] or p > 0.5 * place[1])][:2]
+        told = " and ".join(f"{_place(s)} ({percent(p)})" for s, p in likely)
+        where = [f"Most probable place{'s' if len(likely) > 1 else ''}: {told}."]
     if verdict == "unknown":
         told = "Something is missing" if sure else "Most probable, but not sure: something is missing"
         return [f"{told} that no effect of the library explains ({percent(share)}).", *where]
@@ -191,10 +195,12 @@ def _experiment_sentence(e: Mapping[str, Any]) -> str:
         for key, form in forms.items()
         if e.get(key) is not None
     ]
+    told = f"Next experiment: {', '.join(details)}"
     gain = e.get("expected_information_nats")
-    return f"Next experiment: {', '.join(details)}" + (
-        "." if gain is None else f" (expected information {gain:.2f} nats; to settle an even choice takes 0.69)."
-    )
+    if gain is None:
+        return f"{told}."
+    among = "about which of the leading answers it is, if it is one of them; to settle an even choice takes 0.69"
+    return f"{told} (expected to tell {gain:.2f} nats {among})."
 
 
 def _site_table(sites: Sequence[tuple[str, float]]) -> Table:
@@ -208,7 +214,8 @@ def _experiment_tables(proposals: Sequence[Mapping[str, Any]]) -> list[Table]:
         return []
     table = records_table("Next experiment", proposals)
     note = (
-        "Expected information about which answer is right: 0.69 nats settle an even choice between two. Margin: how "
+        "Expected information about which of the leading answers is right, if one of them is: 0.69 nats settle an even "
+        "choice between two. Margin: how "
         "far apart, in nats, the two answers stand that the experiment splits least; it ranks those that all decide."
     )
     return [replace(table, note=note if any("margin" in p for p in proposals) else "")]
@@ -332,7 +339,8 @@ def _gap_tables(
         both = " and ".join(str(name) for name in pair["effects"])
         told.append({"name": both, "augmented_rms": gap["augmented_rms"], "closed": gap.get("closed")})
     if not told and gap.get("augmented_rms") is not None:
-        told = [{"name": "most probable cause", "augmented_rms": gap["augmented_rms"], "closed": gap.get("closed")}]
+        leader = str(effects[0]["name"]) if effects else "the leading effect"
+        told = [{"name": leader, "augmented_rms": gap["augmented_rms"], "closed": gap.get("closed")}]
     for e in told:
         closed = e.get("closed") or {}
         share = NOTHING
