@@ -1,6 +1,7 @@
 """Hook of mkdocs: fills the reference pages from the code, so that they cannot fall behind it.
 
-A line `<!-- generated: NAME -->` in a page is replaced by what the function of that name below returns.
+A line `<!-- generated: NAME -->`, and the line after it that tells readers of the repository where to look, give place
+to what the function of that name below returns.
 """
 # ruff: noqa: INP001 (docs is no package)
 
@@ -14,7 +15,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-_MARK = re.compile(r"<!-- generated: (\w+) -->")
+_MARK = re.compile(r"<!-- generated: (\w+) -->(?:\n\*In the repository[^\n]*\*)?")
 _HEADINGS = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
 
 

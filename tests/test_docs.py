@@ -16,6 +16,7 @@ import pytest
 import yaml
 
 import bayes_damper
+from bayes_damper.calibration import Experiment, TrialRecord, default_priors
 from bayes_damper.cli import _parser, main
 from bayes_damper.effects import EFFECTS, load_effects
 from bayes_damper.report.terms import _TERMS
@@ -145,6 +146,29 @@ def test_the_reference_holds_every_command_name_and_effect():
     effects = made.effects()
     assert all(f"### {name}\n" in effects and EFFECTS[name].summary in effects for name in EFFECTS)
     assert "`friction_torque`" in made.parameters()
+
+
+def test_the_table_of_default_priors_is_that_of_the_code():
+    """Of a rig whose inertias, spring and angle are 1, the medians are the numbers of the table."""
+    page = (DOCS / "how-to" / "priors.md").read_text(encoding="utf-8")
+    times = np.arange(100) / 100.0
+    trial = TrialRecord("a", "I", True, 1, times, np.zeros((2, 100)), 0, 1.0, 0.01)
+    found = default_priors(Experiment({"J1": (1.0, 0.0), "J2": (1.0, 0.0)}, ((1.0, 0.0),), (trial,)))
+    for name, prior in found.items():
+        if name != "c3t":  # told as a multiple of c1t
+            number, factor = re.search(rf"^\| `{name}` \| ([\d.]+)[^|]*\| ([\d.]+) \|$", page, re.MULTILINE).groups()
+            assert float(number) == pytest.approx(prior.median_value, rel=0.02), name
+            assert float(factor) == prior.factor, name
+
+
+def test_what_readers_of_the_repository_are_told_does_not_reach_the_pages():
+    made = generator()
+    marked = [p for p in DOCS.rglob("*.md") if "<!-- generated: " in p.read_text(encoding="utf-8")]
+    assert len(marked) == 5
+    for page in marked:
+        text = page.read_text(encoding="utf-8")
+        assert "\n*In the repository this stays empty: `make docs`" in text, page
+        assert "In the repository" not in made.on_page_markdown(text), page
 
 
 def test_every_public_name_can_be_had_and_is_documented():

@@ -35,7 +35,7 @@ def check_magnitudes(head: Head, trial: Trial, faults: list[str], warnings: list
     bound = abs(trial.theta0.value) * omega**power
     formula = {0: "theta0", 1: "theta0 sqrt(k1t/J1)", 2: "k1t theta0/J1"}[power]
     ratio = largest / bound
-    unit = names[0].partition("1_")[2].replace("_", "/")
+    unit = names[0].partition("1_")[2].replace("_", "/").replace("s2", "s^2")
     sentence = (
         f"{trial.file}, column '{names[0]}': the largest reading, {largest:.4g} {unit}, is {ratio:.3g} times "
         f"{formula} = {bound:.4g} {unit}, the most that this release can give"
