@@ -34,7 +34,7 @@ from bayes_damper.figures import (
     save,
 )
 from bayes_damper.fit.drawings import draw_overlaid
-from bayes_damper.numerals import number, percent
+from bayes_damper.numerals import NOTHING, number, percent
 from bayes_damper.report.charts import pack, record_chart, torque_chart, unpack
 from bayes_damper.report.html import LARGEST, typeset
 
@@ -437,6 +437,15 @@ def test_a_verdict_says_what_the_effect_is_and_how_large(tmp_path):
         in text
     )
     assert "with stick slip 2.01 94 %" in text, "one model has one share, here and on the first screen"
+    data["gap"]["closed"] = {"median": 0.8, "hdi90": [-45.6, 45.3]}
+    data["effects"][0]["closed"] = {"median": 0.8, "hdi90": [-45.6, 45.3]}
+    data["sites"] = {"interface": 0.46, "ground2": 0.4, "sensor": 0.14}
+    (tmp_path / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
+    text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
+    assert "there is too little of a gap to say which share of it anything closes" in text
+    assert f"with stick slip 2.01 {NOTHING}" in text
+    assert re.search(r"Most probable places: interface, .* \(46 %\) and ground2, .* \(40 %\)\.", text)
+    assert "4530" not in text
 
 
 def test_the_parameters_of_an_effect_of_the_library_are_explained(tmp_path):

@@ -151,10 +151,13 @@ def _sentence(p: Performance, target: float) -> str:
         return "no resonance in any draw"
     low, high = np.quantile(known, [0.05, 0.95])
     gone = 1.0 - known.size / p.insertion_loss.size
-    none = f", no resonance in {100 * gone:.0f} % of the draws" if gone > 0.005 else ""
+    where, among = "", ""
+    if gone > 0.005:
+        where = f"no resonance in {100 * gone:.0f} % of the draws; in the others "
+        among = " among all of them"
     return (
-        f"insertion loss {known.mean():.1f} dB (90 %: {low:.1f} to {high:.1f}), resonance moves by "
-        f"{np.nanmedian(p.shift):+.2f} Hz, P(loss >= {target:g} dB) = {probability_of(p, target):.2f}{none}"
+        f"{where}insertion loss {known.mean():.1f} dB (90 %: {low:.1f} to {high:.1f}), resonance moves by "
+        f"{np.nanmedian(p.shift):+.2f} Hz, P(loss >= {target:g} dB){among} = {probability_of(p, target):.2f}"
     )
 
 

@@ -164,20 +164,32 @@ def _gap_sentence(gap: Mapping[str, Any]) -> str:
     }.get(str(answer), "")
 
 
+_WIDEST = 4.0
+"""Width of the interval of a share of the gap, from which on there is no gap of which a share could be told."""
+
+
+def _share_of(closed: Mapping[str, Any] | None) -> float | None:
+    """Share of the gap that is closed; None where none can be told."""
+    median, hdi = (closed or {}).get("median"), (closed or {}).get("hdi90")
+    return None if median is None or (hdi and hdi[1] - hdi[0] > _WIDEST) else float(median)
+
+
 def _closed_sentence(gap: Mapping[str, Any], who: str) -> str:
-    closed = (gap.get("closed") or {}).get("median")
-    if closed is None:
+    closed = gap.get("closed") or {}
+    if closed.get("median") is None:
         return ""
-    hdi = (gap.get("closed") or {}).get("hdi90")
-    spread = f" (90 % interval {_whole(hdi[0])} to {_whole(hdi[1])} %)" if hdi else ""
     where = (
         "coupled peaks, predicted without the coupled numbers of their case,"
         if gap.get("on")
         else "held-out trials (kept apart from the fit)"
     )
-    if closed <= 0.0:
-        return f"On {where} nothing that was tried closes any of the gap{spread}."
-    return f"On {where} {who} {_whole(closed)} % of the gap{spread}."
+    share, hdi = _share_of(closed), closed.get("hdi90")
+    if share is None:
+        return f"On {where} there is too little of a gap to say which share of it anything closes."
+    spread = f" (90 % interval {_whole(hdi[0])} to {_whole(hdi[1])} %)" if hdi else ""
+    if share <= 0.0:
+        return f"On {where} nothing that was tried is shown to close any of the gap{spread}."
+    return f"On {where} {who} {_whole(share)} % of the gap{spread}."
 
 
 def _whole(share: float) -> str:
@@ -344,7 +356,7 @@ def _gap_tables(
     for e in told:
         closed = e.get("closed") or {}
         share = NOTHING
-        if closed.get("median") is not None:
+        if _share_of(closed) is not None:
             share = f"{_whole(closed['median'])} %"
             if closed.get("hdi90"):
                 low, high = closed["hdi90"]
@@ -431,7 +443,7 @@ def _effect_table(effects: Sequence[Mapping[str, Any]], probabilities: Sequence[
     rows = []
     for e in effects:
         closed = e.get("closed")
-        closed = closed.get("median") if isinstance(closed, Mapping) else closed
+        closed = _share_of(closed) if isinstance(closed, Mapping) else closed
         cells = (
             words(str(e.get("name", ""))),
             words(str(e.get("variant") or NOTHING)),
