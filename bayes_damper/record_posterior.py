@@ -360,7 +360,11 @@ class RecordPosterior:
         return self.evaluated(points, rng)[1]
 
     def predictive(self, points: Array, rng: np.random.Generator) -> dict[int, Array]:
-        """Noise-free records of each trial under draws of parameters and nuisances: trial -> (n, channels, n_times)."""
+        """Noise-free records of each trial under draws of parameters and nuisances: trial -> (n, channels, n_times).
+
+        An acceleration jumps at the release, whose instant is known to a fraction of a sample: a reading before the
+        release of some draws and after that of others is NaN in the former.
+        """
         points = np.atleast_2d(points)
         drawn = self.nuisances(points, rng)
         out: dict[int, Array] = {}
@@ -370,4 +374,7 @@ class RecordPosterior:
                 out[i] = self.problem.simulate(
                     part.group, np.full(len(points), k), points[:, : self.problem.size], np.atleast_2d(eta)
                 )
+                if self.problem.experiment.quantity == "acceleration":
+                    held = np.logical_and.accumulate(np.all(out[i] == 0.0, axis=1), axis=1)
+                    out[i][np.broadcast_to((held & ~held.all(axis=0))[:, None], out[i].shape)] = np.nan
         return out

@@ -138,3 +138,21 @@ def test_repeats_of_other_lengths_and_with_gaps_share_the_simulation(tmp_path: P
         write_table(folder / "trials" / f"{path}.csv", names, [x[kept] for x in columns])
     groups = Problem(experiment_of(load_campaign(folder))).grouped(range(6))
     assert sorted(len(group.trials) for group in groups) == [3, 3]
+
+
+def test_a_prediction_is_either_of_the_motion_or_of_nothing_where_the_release_lies() -> None:
+    """A band that reaches from the held rig to the peak would say that anything may be read there."""
+    problem = Problem(
+        _experiment(np.random.default_rng(5), delays=False),
+        noise=Noise((2.0, 2.0), (0.0, 0.0), (0.0, 0.0)), switches=Switches(delay=True, friction=False),
+    )  # fmt: skip
+    posterior = RecordPosterior(calibrate(problem))
+    rng = np.random.default_rng(1)
+    found = posterior.predictive(rng.multivariate_normal(posterior.start, posterior.covariance, size=60), rng)
+    unsaid = 0
+    for i, y in found.items():
+        assert np.isfinite(y[:, :, 2:]).all()
+        first = y[:, 0, 0][np.isfinite(y[:, 0, 0])]
+        unsaid += len(y) - len(first)
+        assert np.ptp(first) < 0.2 * np.abs(problem.experiment.trials[i].y[0, 0])
+    assert unsaid > 10
