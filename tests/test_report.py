@@ -367,7 +367,7 @@ TWO_WAYS = {way: {"median": 0.31, "hdi90": [0.2, 0.4]} for way in ("recycled", "
 
 def words_of(page: str) -> str:
     body = re.sub(r"<(script|style)\b.*?</\1>", " ", page, flags=re.DOTALL)
-    return re.sub(r"\s+", " ", html.unescape(re.sub(r"<[^>]+>", " ", body)))
+    return re.sub(r"\s+", " ", html.unescape(re.sub(r"<[^>]+>", " ", body.replace("<wbr>", ""))))
 
 
 # What it says -------------------------------------------------------------------------------------------------------
