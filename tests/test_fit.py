@@ -311,7 +311,7 @@ def test_another_plan_is_refused_with_every_difference(tmp_path):
     start_run(tmp_path, before | {"workers": 2})  # as many processes as one likes
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_features_drawn_from_the_model_are_recovered_at_the_stated_rate():
     """Parameters drawn from the prior lie in their 90 % intervals nine times in ten, over many synthetic theses."""
     priors = load_priors("thesis")
