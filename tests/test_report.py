@@ -419,7 +419,7 @@ def test_figures_say_how_they_are_read_once_and_words_are_explained(tmp_path):
     assert {"prior", "R-hat", "evidence", "nat", "90 % interval"} <= set(words)
     assert "insertion loss" not in words, "a word that does not stand on the page"
     assert "drag\nbearing drag torque" not in page
-    assert re.search(r'friction_torque = mu N0 R<span class="meaning">\s+friction torque between the faces', page)
+    assert re.search(r'friction_<wbr>torque = mu N0 R<span class="meaning">\s+friction torque between the faces', page)
 
 
 def test_a_verdict_says_what_the_effect_is_and_how_large(tmp_path):
