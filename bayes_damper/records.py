@@ -26,6 +26,7 @@ LARGE = 200_000
 """Readings of a campaign beyond which one in so many is picked, where they come faster than the motion needs."""
 READINGS_PER_PERIOD = 150.0  # of the primary, that the readings of a large campaign are picked down to
 READINGS_PER_SWING = 100.0  # the same of displacements and velocities of free starts, however few they are
+DERIVATIVE = {"displacement": 0, "velocity": 1, "acceleration": 2}  # order in time of a quantity that is read
 USUAL_LAG = {"displacement": 0.5, "velocity": 0.2, "acceleration": 0.02}
 """Radians of the oscillation after which the motion stands out from its noise."""
 

@@ -34,6 +34,7 @@ from bayes_damper.distributions import (
 )
 from bayes_damper.effects.base import Variant
 from bayes_damper.model import Model
+from bayes_damper.records import DERIVATIVE
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.signedinteger[Any]]
@@ -323,7 +324,7 @@ class Problem:
                 if name in ("theta2_0", "omega2_0") and not trials[0].coupled:
                     continue
                 channel = 1 if "2_0" in name else 0
-                power = order - {"displacement": 0, "velocity": 1, "acceleration": 2}[e.quantity]
+                power = order - DERIVATIVE[e.quantity]
                 reach = np.array([float(np.nanmax(np.abs(t.y[channel]))) for t in trials]) * omega**power
                 guess = np.zeros(n)
                 if power == 0:

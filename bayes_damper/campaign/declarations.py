@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from bayes_damper import readings as look
 from bayes_damper.campaign.head import Head
 from bayes_damper.campaign.structure import Trial, natural_period
-from bayes_damper.records import departure
+from bayes_damper.records import DERIVATIVE, departure
 
 Array = NDArray[np.float64]
 _OFF = 0.1  # of the frequency: nonlinear springs and viscous damping of a free decay stay below it, as a rule
@@ -23,7 +24,6 @@ _HIGHER, _LOWER = 1.25, 0.6  # first swing over the declared one: friction makes
 _STILL = 0.1  # of the largest reading, below which a rig is held to have come to rest
 _FEWEST = 3.0  # swings that tell a frequency
 _FIRST = 0.5  # rad of the primary's oscillation, in which the release shows and nothing has turned round
-_POWER = {"displacement": 0, "velocity": 1, "acceleration": 2}
 
 
 def look_at_declarations(head: Head, trials: Sequence[Trial], warnings: list[str]) -> None:
@@ -32,37 +32,31 @@ def look_at_declarations(head: Head, trials: Sequence[Trial], warnings: list[str
         return
     cases: dict[str, list[Trial]] = {}
     for trial in trials:
-        if not trial.coupled and not _driven(trial):
+        if not trial.coupled and not trial.driven:
             cases.setdefault(trial.case, []).append(trial)
     found = {case: f for case, own in cases.items() if (f := _frequency(own)) is not None}
     _look_at_springs(head, {case: cases[case][0] for case in found}, found, warnings)
     swings = {
-        case: float(np.median([_first_swing(t, _POWER[head.measurement.quantity], f) for t in cases[case]]))
+        case: float(np.median([_first_swing(t, DERIVATIVE[head.measurement.quantity], f) for t in cases[case]]))
         for case, f in found.items()
         if all(t.theta0 is not None and t.theta0.value != 0.0 for t in cases[case])
     }
     _look_at_releases({case: cases[case][0] for case in swings}, swings, warnings)
 
 
-def channels_look_exchanged(head: Head, trial: Trial) -> bool:
-    """Whether the secondary moves at the release as the primary must, and the primary less."""
-    found = _drives(head, trial)
-    return (
-        found is not None and head.rig.ground2_stiffness.value == 0.0 and found[1] > 0.5 and found[0] < 0.6 * found[1]
-    )
+def wiring_of(head: Head, trial: Trial) -> Literal["exchanged", "reversed"] | None:
+    """What the first moments after the release say of the channels: exchanged, the second one reversed, or nothing.
 
-
-def secondary_looks_reversed(head: Head, trial: Trial) -> bool:
-    """Whether the secondary moves away at the release, where the primary that drags it along moves back."""
+    Exchanged: the secondary moves as the primary must, and the primary less. Reversed: the secondary moves away, where
+    the primary that drags it along moves back.
+    """
     found = _drives(head, trial)
     if found is None:
-        return False
+        return None
     first, second, noise = found
-    return first > 0.3 and second < -max(0.02, 6.0 * noise)
-
-
-def _driven(trial: Trial) -> bool:
-    return trial.torque is not None and bool(np.any(trial.torque != 0.0))
+    if head.rig.ground2_stiffness.value == 0.0 and second > 0.5 and first < 0.6 * second:
+        return "exchanged"
+    return "reversed" if first > 0.3 and second < -max(0.02, 6.0 * noise) else None
 
 
 def _moving(trial: Trial) -> tuple[float, float]:
@@ -134,20 +128,22 @@ def _first_swing(trial: Trial, power: int, found: tuple[float, float]) -> float:
 def _look_at_releases(first: Mapping[str, Trial], swings: Mapping[str, float], warnings: list[str]) -> None:
     """Names the cases whose first swing is larger than that of the declared release, or smaller than that of others."""
     most = max((r for r in swings.values() if r <= _HIGHER), default=0.0)
-    off = []
+    off: dict[str, float] = {}
     for case, ratio in swings.items():
         theta0 = first[case].theta0
         assert theta0 is not None
         known = 5.0 * theta0.std / abs(theta0.value)
         if ratio > max(_HIGHER, 1.0 + known) or ratio < min(_LOWER * most, 1.0 - known):
-            off.append(f"case {case} {ratio:.2g} times the declared one")
-    if off:
-        rest = [f"{r:.2g}" for case, r in swings.items() if not any(o.startswith(f"case {case} ") for o in off)]
-        warnings.append(
-            f"trials.csv: uncoupled, the first swing is that of another release than declared: {'; '.join(off)}"
-            + (f" (other cases {', '.join(rest)})" if rest else "")
-            + "; correct theta0 there, or see whether the sensor's scale is right and it does not saturate"
-        )
+            off[case] = ratio
+    if not off:
+        return
+    told = "; ".join(f"case {case} {ratio:.2g} times the declared one" for case, ratio in off.items())
+    rest = ", ".join(f"{ratio:.2g}" for case, ratio in swings.items() if case not in off)
+    warnings.append(
+        f"trials.csv: uncoupled, the first swing is that of another release than declared: {told}"
+        + (f" (other cases {rest})" if rest else "")
+        + "; correct theta0 there, or see whether the sensor's scale is right and it does not saturate"
+    )
 
 
 def _drives(head: Head, trial: Trial) -> tuple[float, float, float] | None:
@@ -156,12 +152,12 @@ def _drives(head: Head, trial: Trial) -> tuple[float, float, float] | None:
     1, 0: a primary without friction and a secondary that stays. None where that cannot be told: an unknown release,
     a torque, inertias that are coupled, a record that begins too late or holds too few readings.
     """
-    if len(trial.channels) < 2 or trial.theta0 is None or trial.theta0.value == 0.0 or _driven(trial):
+    if len(trial.channels) < 2 or trial.theta0 is None or trial.theta0.value == 0.0 or trial.driven:
         return None
     if head.measurement.start != "rest" or head.rig.inertial_coupling.value != 0.0 or head.rig.restoring != "linear":
         return None
     omega = 2.0 * math.pi / natural_period(head.rig, trial)
-    power = _POWER[head.measurement.quantity]
+    power = DERIVATIVE[head.measurement.quantity]
     reach = abs(trial.theta0.value) * omega**power
     held = [float(np.median(c[:3])) if power == 0 else 0.0 for c in trial.channels]
     onset = math.inf

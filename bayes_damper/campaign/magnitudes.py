@@ -9,19 +9,20 @@ import numpy as np
 from bayes_damper import readings as look
 from bayes_damper.campaign.head import Head
 from bayes_damper.campaign.structure import COLUMNS, Rig, Trial, natural_period
+from bayes_damper.records import DERIVATIVE
 
 
 def check_magnitudes(head: Head, trial: Trial, faults: list[str], warnings: list[str]) -> None:
     """Compares each channel with what the declared release can produce: wrong units show as factors of 57, 1000, R."""
     omega = 2.0 * math.pi / natural_period(head.rig, trial)
-    power = {"displacement": 0, "velocity": 1, "acceleration": 2}[head.measurement.quantity]
+    power = DERIVATIVE[head.measurement.quantity]
     centred = trial.channels[0] - (0.0 if power else float(np.median(trial.channels[0])))
     largest = float(np.quantile(np.abs(centred), 1.0 - min(0.002, 2.0 / len(centred))))
     names = COLUMNS[(head.rig.kind, head.measurement.quantity)]
     if np.ptp(trial.channels[0]) == 0.0:
         faults.append(f"{trial.file}, column '{names[0]}': every reading is the same; the sensor was not connected?")
         return
-    if trial.torque is not None and np.any(trial.torque != 0.0):
+    if trial.driven:
         return
     if trial.theta0 is None:
         _check_free_magnitude(head, trial, largest / omega**power, names[0], faults, warnings)

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper import readings as look
-from bayes_damper.campaign.declarations import channels_look_exchanged, secondary_looks_reversed
+from bayes_damper.campaign.declarations import wiring_of
 from bayes_damper.campaign.head import Head, per_channel
 from bayes_damper.campaign.structure import COLUMNS, SHOWN, Trial, groups_of, natural_period
-from bayes_damper.records import USUAL_LAG, departure, picks
+from bayes_damper.records import DERIVATIVE, USUAL_LAG, departure, picks
 from bayes_damper.wording import counted
 
 Array = NDArray[np.float64]
@@ -60,9 +60,10 @@ def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
             warnings.append(
                 f"{where}: noise is about {noise:.3g}, noise_std says {given[i]:.3g}; check unit and sensor"
             )
-    if channels_look_exchanged(head, trial):
+    wiring = wiring_of(head, trial)
+    if wiring == "exchanged":
         return  # told with its repeats
-    if secondary_looks_reversed(head, trial):
+    if wiring == "reversed":
         warnings.append(
             f"{trial.file}: at the release the second channel goes the other way than the primary, which drags the "
             f"secondary along; its sign looks reversed{_TURNED}"
@@ -99,12 +100,11 @@ def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]
     y, times = trial.channels[0], trial.times
     noise = look.noise_floor_of(y)
     quantity = head.measurement.quantity
-    power = {"displacement": 0, "velocity": 1, "acceleration": 2}[quantity]
+    power = DERIVATIVE[quantity]
     assert trial.theta0 is not None
     sign = math.copysign(1.0, trial.theta0.value) * (1.0 if power == 0 else -1.0)
     level = abs(trial.theta0.value) if power == 0 else 0.0
-    driven = trial.torque is not None and bool(np.any(trial.torque != 0.0))
-    if not driven and (onset_away := _moves_the_wrong_way(times, sign * y, quantity, omega)) is not None:
+    if not trial.driven and (onset_away := _moves_the_wrong_way(times, sign * y, quantity, omega)) is not None:
         place = "on the other side of 0 than theta0" if power == 0 else "at rest"
         then = "" if power == 0 else " and then begins to move away from its rest position, not towards it"
         warnings.append(
@@ -137,7 +137,9 @@ def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]
         middle = sign * y[soon] < 0.4 * float(np.quantile(np.abs(y), 0.998))
     if power == 2 and abs(first) > 8.0 * noise:
         middle = sign * first < 0.4 * float(np.quantile(np.abs(y), 0.998))
-    away_at_once = power == 1 and not driven and _moves_the_wrong_way(times, sign * y, quantity, omega, 0.0) is not None
+    away_at_once = (
+        power == 1 and not trial.driven and _moves_the_wrong_way(times, sign * y, quantity, omega, 0.0) is not None
+    )
     if times[0] <= 1.5 * step and not early and (middle or away_at_once):
         reversed_sign = away_at_once or (power != 1 and sign * first < -0.3 * largest)
         looks = "the sign of the channel looks reversed, or " if reversed_sign else ""
@@ -223,7 +225,7 @@ def look_at_repeats(head: Head, trials: Sequence[Trial], warnings: list[str]) ->
             f"{trial.file}: the second channel begins as the released primary must, and the first does not; the "
             "channels look exchanged: correct the order of the columns"
             for trial in group
-            if channels_look_exchanged(head, trial)
+            if wiring_of(head, trial) == "exchanged"
         ]
         if len(group) > 2:
             _look_for_odd_twin(group, head.measurement.quantity, warnings, trials)

@@ -134,6 +134,11 @@ class Trial:
         return self.configuration == "coupled"
 
     @property
+    def driven(self) -> bool:
+        """Whether a torque acts on the primary at some time."""
+        return self.torque is not None and bool(np.any(self.torque != 0.0))
+
+    @property
     def key(self) -> tuple[str, str, int]:
         """Case, configuration and number: unique within a campaign."""
         return self.case, self.configuration, self.trial

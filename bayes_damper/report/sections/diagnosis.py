@@ -121,12 +121,10 @@ def _verdict_sentences(
     if verdict == "none":
         told = "Nothing is missing from the model" if sure else "Most probable, but not sure: nothing is missing"
         return [f"{told} ({percent(share)})."]
-    place = next(((s, p) for s, p in sites if s != "none"), None)
-    where = []
-    if place:
-        likely = [(s, p) for s, p in sites if s != "none" and (s == place[0] or p > 0.5 * place[1])][:2]
-        told = " and ".join(f"{_place(s)} ({percent(p)})" for s, p in likely)
-        where = [f"Most probable place{'s' if len(likely) > 1 else ''}: {told}."]
+    places = [(s, p) for s, p in sites if s != "none"]
+    likely = [(s, p) for s, p in places[:2] if p > 0.5 * places[0][1]] or places[:1]
+    told = " and ".join(f"{_place(s)} ({percent(p)})" for s, p in likely)
+    where = [f"Most probable place{'s' if len(likely) > 1 else ''}: {told}."] if likely else []
     if verdict == "unknown":
         told = "Something is missing" if sure else "Most probable, but not sure: something is missing"
         return [f"{told} that no effect of the library explains ({percent(share)}).", *where]
