@@ -331,7 +331,7 @@ def _build(table: Mapping[str, Any], name: str, raw: Path) -> Campaign:
         raise InputError(_gathered(faults))
     trials = _with_estimates(trials, head.rig)
     notes = [note for source in files.values() for note in source.notes if note not in head.caveats]
-    notes = _gathered([*notes, *contradicted]) + _resting(trials, options)
+    notes = _gathered([*notes, *contradicted]) + _resting(trials, options) + _idle(trials)
     caveats = (*head.caveats, *notes)
     return Campaign(head.name, head.rig, head.measurement, tuple(trials), head.description, head.source, caveats)
 
@@ -353,6 +353,22 @@ def _resting(trials: Sequence[Trial], options: Sequence[Mapping[str, Any]]) -> l
     name, rest = found[0]
     more = "" if len(found) == 1 else f" (and {len(found) - 1} more)"
     return [f"{name}{more} rests for its first {rest:.2g} s: with --release find, t = 0 is the release."]
+
+
+def _idle(trials: Sequence[Trial]) -> list[str]:
+    """A hint where the secondary of a coupled trial never moves, as it does where nothing couples it."""
+    found = []
+    for trial in trials:
+        if trial.configuration == "coupled":
+            primary, secondary = (np.asarray(y) for y in trial.channels)
+            if not _still(primary) and _still(secondary):
+                found.append(str(trial.file))
+    return [_IDLE.format(_files(found))] if found else []
+
+
+def _still(y: Array) -> bool:
+    """Whether nothing in these readings exceeds their noise."""
+    return bool(np.ptp(y) <= _STILL * look.noise_floor_of(y))
 
 
 def _gathered(faults: Sequence[str]) -> list[str]:
@@ -598,7 +614,7 @@ def _window(
         zero = float(t[0])
     elif release == "find":
         zero = look.find_release(t, part)
-        if zero <= t[4] and np.ptp(part) <= _STILL * look.noise_floor_of(part):
+        if zero <= t[4] and _still(part):
             raise InputError(
                 f"{where}: no release found: the record rests throughout, nothing in it exceeds the noise; check that "
                 "the column is that of the sensor, and that the trial was recorded"
@@ -934,6 +950,10 @@ _ANGLE_ASSUMED = (
     "(theta0_std_deg, theta0_std_mm in trials.csv)."
 )
 _SINGLE = "One channel only, so taken as uncoupled: {}. Say otherwise with --pattern or --sheet."
+_IDLE = (
+    "{}: the secondary rests throughout. If nothing coupled it to the primary, these trials are uncoupled: say so with "
+    "--configuration, --pattern or --sheet."
+)
 _ALL_COUPLED = (
     "Every file has two channels, so all trials were taken as coupled; say otherwise with --configuration, --pattern "
     "or --sheet."

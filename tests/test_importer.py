@@ -478,6 +478,20 @@ def test_files_that_all_have_two_channels_are_taken_as_coupled_and_told(tmp_path
     assert any("all trials were taken as coupled; say otherwise" in w for w in campaign.warnings)
 
 
+def test_a_secondary_that_never_moves_is_told(tmp_path: Path) -> None:
+    """Both sensors are logged in every trial, and in the uncoupled ones the second only hums."""
+    sources = mixed_files(tmp_path)[2:]
+    rng = np.random.default_rng(5)
+    rows = np.column_stack([TIMES, wave(3), 0.02 * rng.standard_normal(TIMES.size)])
+    head = "Zeit [s],A1 [rad/s^2],A2 [rad/s^2]"
+    np.savetxt(sources[0], rows, delimiter=",", header=head, comments="", fmt="%.6f")
+    campaign = load_campaign(init_campaign(tmp_path / "out", sources, **BOTH))
+    (told,) = [w for w in campaign.warnings if "the secondary rests throughout" in w]
+    assert told.startswith("trials/A_coupled_1.csv: ")
+    again = load_campaign(init_campaign(tmp_path / "both", mixed_files(tmp_path)[2:], **BOTH))
+    assert not any("rests throughout" in w for w in again.warnings)
+
+
 def test_words_of_the_names_say_which_trials_are_coupled(tmp_path: Path) -> None:
     sources, pattern = mixed_files(tmp_path), "{case}_{configuration}_{trial}"
     words = ["free=uncoupled", "magnet=coupled"]
