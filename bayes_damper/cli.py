@@ -133,7 +133,7 @@ def _init(args: Arguments) -> Any:
     raw = args.raw or Path()
     if "columns" not in given and sys.stdin.isatty() and sys.stdout.isatty() and not args.quiet:
         if args.files:
-            print(_call("importer:columns_of")(raw / args.files[0]))
+            print(_call("import_options:columns_of")(raw / args.files[0]))
         given |= _answers(set(given))
     _call("importer:init_campaign")(args.folder, [raw / f for f in args.files], args.overwrite, **given)
     return _call("check:check")(args.folder, _call("importer:left_over")(args.folder, before))
@@ -175,15 +175,14 @@ def _number(text: str) -> int | float | str:
 
 
 def _init_options(sub: Any) -> list[str]:
-    """An option for every key of the importer's tables, and of [rig] and [measurement]; their names."""
-    importer = importlib.import_module("bayes_damper.importer")
+    """An option for every key of the import's tables, and of [rig] and [measurement]; their names."""
+    tables = importlib.import_module("bayes_damper.import_options")
     campaign = importlib.import_module("bayes_damper.campaign")
     left_out = {"source", "sha256", "file", "trial", "holdout"}
-    tables = (importer.INIT, importer.TRIAL, importer.READER)
-    keys = {k: v for table in tables for k, v in table.items() if k not in left_out}
+    keys = {k: v for table in (tables.INIT, tables.TRIAL, tables.READER) for k, v in table.items() if k not in left_out}
     known = {"name": "of the campaign (default: that of the folder)", "description": "a sentence",
              "source_text": "where the data come from, licence"}  # fmt: skip
-    for key in (*campaign.Rig.__dataclass_fields__, *importer.MEASUREMENT):
+    for key in (*campaign.Rig.__dataclass_fields__, *tables.MEASUREMENT):
         known[key] = campaign.COMMENTS.get(key, "of campaign.toml").replace("%", "%%")
     for key, (types, text) in keys.items():
         flag, told = f"--{key.replace('_', '-')}", text.replace("%", "%%")

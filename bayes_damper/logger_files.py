@@ -10,12 +10,14 @@ from __future__ import annotations
 import csv
 import datetime as dt
 import difflib
+import hashlib
 import io
 import math
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -105,6 +107,10 @@ class LoggerFile:
         found = re.search(r"[\[(]([^\[\]()]+(?:\([^()]*\))?)[\])]\s*$", self.names[column]) if self.names else None
         return unit_of(found[1]) if found else None
 
+    def column(self, i: int) -> str:
+        """A column for a sentence: its number, and its name where it has one."""
+        return f"column {i + 1}" + (f" ({self.names[i]})" if self.names else "")
+
     def time_column(self) -> int | None:
         """The column (from 0) that is called after the time, or the first if it alone rises steadily; else None."""
         called = [i for i, name in enumerate(self.names) if _TIME_NAMES.fullmatch(name.strip().strip('"'))]
@@ -123,8 +129,32 @@ def unit_of(text: str) -> str | None:
     return plain if plain.lower() in _UNITS else None
 
 
+def read_file(path: Path, option: Mapping[str, Any]) -> LoggerFile:
+    """A logger's file of either form; option: as for `read_text` and `read_matlab`, and sha256, which must be its own.
+
+    Raises
+    ------
+    InputError
+        if it cannot be read, is empty, or is not the file that was described.
+    """
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); say where the raw files are") from error
+    expected = option.get("sha256")
+    found = hashlib.sha256(raw).hexdigest()
+    if expected and found != expected.lower():
+        raise InputError(
+            f"{path.name}: sha256 is {found[:16]}..., expected {expected[:16]}...: this is not the file that was "
+            "described; get that version, or remove sha256 if the change is meant"
+        )
+    if not raw.strip():
+        raise InputError(f"{path.name}: the file is empty; export it again")
+    return (read_matlab if path.suffix.lower() == ".mat" else read_text)(raw, path.name, option)
+
+
 def read_text(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
-    """A file of delimited text; option: delimiter, decimal, skip_lines, header (see importer.READER).
+    """A file of delimited text; option: delimiter, decimal, skip_lines, header (see import_options.READER).
 
     Raises
     ------

@@ -114,7 +114,7 @@ def effects() -> str:
 
 def reader() -> str:
     """The keys of an import table."""
-    from bayes_damper.importer import READER, TRIAL
+    from bayes_damper.import_options import READER, TRIAL
 
     rows = ["| key | meaning |", "| --- | --- |"]
     rows += [f"| `{key}` | {_cell(text)} |" for table in (TRIAL, READER) for key, (_, text) in table.items()]

@@ -25,7 +25,7 @@ LAYERS = (
     },
     {"readings", "logger_files", "units", "kernels", "forked", "linking"},
     {"records"},
-    {"campaign", "importer", "lanes", "damper", "linear", "published"},
+    {"campaign", "import_options", "importer", "lanes", "damper", "linear", "published"},
     {"effects"},
     {"integrator", "accumulate", "composition", "links"},
     {"model"},
