@@ -75,6 +75,9 @@ def variability_result(data: Mapping[str, Any], folder: Path) -> Result:
     return Result(head, section, warnings, about, tuple(gathered(data.get("warnings", ()))))
 
 
+_MEDIANS = "In every draw the shares add up to 100 %; their medians, each taken by itself, need not."
+
+
 def _decomposition_tables(data: Mapping[str, Any]) -> list[Table]:
     """Where the scatter of the effective values comes from, and those values case by case."""
     tables = []
@@ -92,9 +95,8 @@ def _decomposition_tables(data: Mapping[str, Any]) -> list[Table]:
             cells = (words(key), number(row["median"], width), interval(*row["hdi90"]), told)
             rows.append(Row(cells))
         columns = ("part", f"variance of ln {name}", "90 %", "share (90 %)")
-        tables.append(
-            Table(f"Where the scatter of the effective {name} over the cases comes from", columns, tuple(rows))
-        )
+        caption = f"Where the scatter of the effective {name} over the cases comes from"
+        tables.append(Table(caption, columns, tuple(rows), _MEDIANS))
     cases = (data.get("effective") or {}).get("cases") or {}
     if cases:
         rows = []
