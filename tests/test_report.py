@@ -694,7 +694,7 @@ def test_a_plan_and_a_decomposition_read_as_tables(tmp_path):
         "typical size. What would change it magnet cubic would be seen with 6 times as many trials. One more trial "
         "helps most if coupled, k1t 14.3 N m/rad, released at 7.4 deg: to tell magnet cubic." in text
     )
-    assert "real difference 0.200 0.100 to 0.400 60 % (20 to 90 %)" in text
+    assert "real difference 0.200 0.100 to 0.400 60 % (20 to 90 %) In every draw the shares add up to 100 %" in text
     assert "IV 34.3 1.10 (0.90 to 1.40) 1" in text
     assert "IV 412 63 0.31" in text
     assert "coupled 14.3 7.4 5 magnet_cubic" in text
