@@ -33,7 +33,7 @@ FLEXIBLE_SHAFT, CLAMP_PLAY = codes.FLEXIBLE_SHAFT, codes.CLAMP_PLAY
 ONE_SIDED_SPRING, STIFFNESS_RIPPLE = codes.ONE_SIDED_SPRING, codes.STIFFNESS_RIPPLE
 CLAMP_SLIP, COIL_FRICTION = codes.CLAMP_SLIP, codes.COIL_FRICTION
 SPRING_CREEP, LEAF_BREAK, SNAPPING_LEAF = codes.SPRING_CREEP, codes.LEAF_BREAK, codes.SNAPPING_LEAF
-VIRGIN_RUBBER, BREATHING_COIL = codes.VIRGIN_RUBBER, codes.BREATHING_COIL
+VIRGIN_RUBBER, BREATHING_COIL, HEALING_RUBBER = codes.VIRGIN_RUBBER, codes.BREATHING_COIL, codes.HEALING_RUBBER
 BEARING_STRIBECK, QUADRATIC_DRAG = codes.BEARING_STRIBECK, codes.QUADRATIC_DRAG
 MISALIGNMENT_DRAG = codes.MISALIGNMENT_DRAG
 GREASE_THIXOTROPY, BEARING_RUNOUT, WAKE_DRAG = codes.GREASE_THIXOTROPY, codes.BEARING_RUNOUT, codes.WAKE_DRAG
@@ -41,6 +41,7 @@ ONE_WAY_DRAG, RACE_DENT = codes.ONE_WAY_DRAG, codes.RACE_DENT
 DRY_RUNNING, FLUTED_RACE, OIL_STARVATION = codes.DRY_RUNNING, codes.FLUTED_RACE, codes.OIL_STARVATION
 THIN_FILM, LOOSE_RING = codes.THIN_FILM, codes.LOOSE_RING
 SEAL_FLUTTER, ROLLING_JOURNAL = codes.SEAL_FLUTTER, codes.ROLLING_JOURNAL
+AIR_HAMMER, SKIDDING_BALLS = codes.AIR_HAMMER, codes.SKIDDING_BALLS
 STICK_SLIP, FRICTION_DISPLACEMENT, MAGNET_CUBIC = codes.STICK_SLIP, codes.FRICTION_DISPLACEMENT, codes.MAGNET_CUBIC
 EDDY_OVERLAP, MAGNET_FADE, INTERFACE_RELAXATION = codes.EDDY_OVERLAP, codes.MAGNET_FADE, codes.INTERFACE_RELAXATION
 NORMAL_FORCE_LAW, MAGNETIC_COGGING = codes.NORMAL_FORCE_LAW, codes.MAGNETIC_COGGING
@@ -50,17 +51,22 @@ AXIAL_BOUNCE, FACE_GRAIN, REST_ADHESION = codes.AXIAL_BOUNCE, codes.FACE_GRAIN, 
 GROOVED_FACES, GAP_CREEP = codes.GROOVED_FACES, codes.GAP_CREEP
 COMBED_TEFLON, FLOATING_WASHER = codes.COMBED_TEFLON, codes.FLOATING_WASHER
 SHORTED_LOOP, CHARGED_TEFLON = codes.SHORTED_LOOP, codes.CHARGED_TEFLON
+SIDEWAYS_SHAKE, WORN_THROUGH = codes.SIDEWAYS_SHAKE, codes.WORN_THROUGH
 STRAY_IRON, SECOND_KNOCK, BAR_PADDLE = codes.STRAY_IRON, codes.SECOND_KNOCK, codes.BAR_PADDLE
 UNBALANCED_BAR, GUARD_RUB, CABLE_PULL = codes.UNBALANCED_BAR, codes.GUARD_RUB, codes.CABLE_PULL
 CABLE_LOOP, FOAM_BUMPER = codes.CABLE_LOOP, codes.FOAM_BUMPER
 BAR_WHIP, DRAUGHT = codes.BAR_WHIP, codes.DRAUGHT
 FRAME_EDDIES, SLIDING_RIDER, LEAKY_BELLOWS = codes.FRAME_EDDIES, codes.SLIDING_RIDER, codes.LEAKY_BELLOWS
+DROPPED_NUT, HANGING_WEIGHT = codes.DROPPED_NUT, codes.HANGING_WEIGHT
 RELEASE_RAMP, RELEASE_DRAG, RELEASE_REBOUND = codes.RELEASE_RAMP, codes.RELEASE_DRAG, codes.RELEASE_REBOUND
 SECOND_JAW, LATE_SECONDARY, STICKY_PAD = codes.SECOND_JAW, codes.LATE_SECONDARY, codes.STICKY_PAD
-SOLENOID_PULL, TRAILING_THREAD = codes.SOLENOID_PULL, codes.TRAILING_THREAD
+SOLENOID_PULL, TRAILING_THREAD, VENTING_CYLINDER = codes.SOLENOID_PULL, codes.TRAILING_THREAD, codes.VENTING_CYLINDER
 RING_SMOOTH = 0.01  # rad/s, over which the friction of a loose ring turns
 FLUTTER_SMOOTH = 0.05  # rad/s, over which a seal begins or ends to flutter
 FOLLOW = 5e-4  # s, within which a farthest point is taken over
+SKID_TIME = 2e-3  # s, within which balls begin or cease to skid
+WEAR_EDGE = 0.004  # rad of sliding, over which the last of the Teflon goes
+CORD_LOSS = 0.05  # damping ratio of a weight on its cord
 
 
 @njit(cache=True)
@@ -89,6 +95,18 @@ def flutter_rate(z, speed, begin, end):
     on = 0.5 * (1.0 + math.tanh((speed - begin) / FLUTTER_SMOOTH))
     off = 0.5 * (1.0 - math.tanh((speed - end) / FLUTTER_SMOOTH))
     return (on * (1.0 - z) - off * z) / 1e-3
+
+
+@njit(cache=True)
+def skid_rate(z, a, begin):
+    """Rate of the share z of the balls that skid: those that the acceleration a, beyond `begin`, leaves behind."""
+    return (0.5 * (1.0 + math.tanh((abs(a) - begin) / (0.1 * begin))) - z) / SKID_TIME
+
+
+@njit(cache=True)
+def cord_tension(stretch, speed, wn, weight):
+    """Tension of a cord over the weight that hangs on it: 1 at rest, never below 0; weight as an acceleration."""
+    return max(0.0, 1.0 + (wn * wn * stretch + 2.0 * CORD_LOSS * wn * speed) / weight)
 
 
 @njit(cache=True)
@@ -214,6 +232,11 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
                 -0.5 * p0 * g[J1] * p1 * math.cos(p1 * th1 + p2) * w1 * w1,
                 -0.5 * p0 * g[J2] * p1 * math.cos(p1 * th2 + p3) * w2 * w2,
             )
+        if code == AIR_HAMMER:  # the film of air collapses again and again, and the shafts touch
+            a = p0 * math.sin(0.5 * p1 * t + p2) ** 4
+            return -a * math.tanh(nu * w1), -a * math.tanh(nu * w2)
+        if code == SKIDDING_BALLS:  # balls that cannot follow the acceleration skid (z = share that does)
+            return -p0 * z0 * math.tanh(nu * w1), -p0 * z1 * math.tanh(nu * w2)
         return 0.0, 0.0
     if code < 60:
         if not coupled:  # there is no interface
@@ -296,6 +319,24 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
         return 0.0, -p0 * g[J2] * (1.0 - z0) * w2**3 / p1
     if code == LEAKY_BELLOWS:  # a dust bellows pumps air through a hole and a valve (z0 = how far it is compressed)
         return 0.0, -p0 * z0
+    if code == HANGING_WEIGHT:  # a weight on a cord draws the secondary to one side and bounces (z0 = cord's stretch)
+        return 0.0, -p3 * p0 * cord_tension(z0, p3 * w2 - z1, p1, p2)
+    if code == HEALING_RUBBER:  # the coupling's rubber softens as it is worked and hardens at rest (z0 = bonds broken)
+        return p0 * g[K1] * th1 * z0 / (1.0 + z0), 0.0
+    if code == SIDEWAYS_SHAKE:  # the faces shake across their sliding too, so friction points elsewhere
+        if not coupled:
+            return 0.0, 0.0
+        v = w1 - w2
+        speed = math.hypot(v, p0 * math.sin(p1 * t) * math.exp(-t / p2))
+        lost = 1.0 - abs(v) / speed if speed > 0.0 else 0.0
+        q = g[MU] * pull * g[BAR] * math.tanh(nu * v) * lost
+        return q, -q
+    if code == WORN_THROUGH:  # after so much sliding the Teflon is gone and metal rubs (z0 = way slid)
+        if not coupled:
+            return 0.0, 0.0
+        gone = 0.5 * (1.0 + math.tanh((z0 - p1) / WEAR_EDGE))
+        q = -p0 * gone * g[MU] * pull * g[BAR] * math.tanh(nu * (w1 - w2))
+        return q, -q
     if code == CHARGED_TEFLON:  # rubbing charges the Teflon, the charge z0 draws the faces together
         if not coupled:
             return 0.0, 0.0
@@ -322,6 +363,9 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
     if code == TRAILING_THREAD:  # the cut thread is drawn through its eye, taut only beyond the farthest point, z0
         inside = 0.5 * (1.0 - math.tanh((g[TH0] - th1 - p1) / 2e-3))
         return p0 * math.tanh(max(0.0, z0 - th1) / 1e-4) * inside, 0.0
+    if code == VENTING_CYLINDER:  # the actuator's air blows on the bars until its cylinder is empty
+        jet = p0 * max(0.0, 1.0 - t / p1) ** 2
+        return jet, p2 * jet
     return 0.0, 0.0
 
 
@@ -385,6 +429,15 @@ def memory_rates(code, th1, th2, w1, w2, a1, a2, z0, z1, p0, p1, p2, p3, g, fric
         return w2 - p1 * (p2 if z0 < 0.0 else 1.0) * z0 / math.sqrt(math.sqrt(z0 * z0 + 1e-6)), 0.0
     if code == TRAILING_THREAD:
         return -max(0.0, z0 - th1) / FOLLOW, 0.0
+    if code == HEALING_RUBBER:
+        return abs(w1) / p1 - z0 / p2, 0.0
+    if code == SKIDDING_BALLS:
+        return skid_rate(z0, a1, p1), skid_rate(z1, a2, p1)
+    if code == WORN_THROUGH:
+        return abs(w1 - w2), 0.0
+    if code == HANGING_WEIGHT:  # the weight, at the speed z1, falls freely while the cord is slack
+        stretching = p3 * w2 - z1
+        return stretching, p2 * (cord_tension(z0, stretching, p1, p2) - 1.0)
     return 0.0, 0.0
 
 
@@ -438,6 +491,8 @@ def accelerations(t, th1, th2, w1, w2, z, bristle, k, P, g, coupled, rates):
         elif k[i] == ROLLING_JOURNAL:
             a1 /= 1.0 + P[i, 0] * math.sin(P[i, 1] * th1 + P[i, 2])
             a2 /= 1.0 + P[i, 0] * math.sin(P[i, 1] * th2 + P[i, 3])
+        elif k[i] == DROPPED_NUT:  # a share of J2 falls off at an instant
+            a2 /= 1.0 - P[i, 0] * 0.5 * (1.0 + math.tanh((t - P[i, 1]) / P[i, 2]))
     for i in range(2):
         if k[i] > 0:
             r0, r1 = memory_rates(

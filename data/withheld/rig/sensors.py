@@ -136,6 +136,22 @@ def _zero_shift(y: NDArray[np.float64], threshold: float, tau: float, step: floa
     return out
 
 
+GRAVITY = 98.1  # rad/s^2, over the radius of 0.1 m at which the accelerometers sit
+
+
+def _lean(angle: NDArray[np.float64], heading: float) -> NDArray[np.float64]:
+    """Gravity along the sensor's axis on a bar at this angle, where down is `heading` away; zeroed while held."""
+    out: NDArray[np.float64] = GRAVITY * (np.sin(angle + heading) - np.sin(angle[0] + heading))
+    return out
+
+
+def _induced(motion: NDArray[np.float64], at: float, reach: float) -> NDArray[np.float64]:
+    """Voltage of a loop of cable that the magnet passes at phi = at, over that at the relative speed of 1 rad/s."""
+    s = (motion[:, 0] - motion[:, 1] - at) / reach
+    out: NDArray[np.float64] = (motion[:, 2] - motion[:, 3]) / (1.0 + s * s) ** 1.5
+    return out
+
+
 def soft_limit(y: NDArray[np.float64], limit: float, sharpness: float) -> NDArray[np.float64]:
     """Readings that bend over to +-limit (rad/s^2)."""
     return y / (1.0 + np.abs(y / limit) ** sharpness) ** (1.0 / sharpness)
@@ -221,6 +237,11 @@ def readings(
         elif d.code == codes.ZERO_SHIFT:
             for c in which:
                 channels[c] = channels[c] + a * _zero_shift(channels[c], p2, p3, step)
+        elif d.code == codes.LEANING_AXIS:
+            channels = [y + a * _lean(motion[:, c], p2) for c, y in enumerate(channels)]
+        elif d.code == codes.FIELD_PICKUP and coupled:
+            for c in which:
+                channels[c] = channels[c] + a * _induced(motion, p2, p3)
     since = times - release
     since = since + bend * since * np.abs(since)
     for d in disturbances:
