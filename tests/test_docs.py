@@ -20,6 +20,8 @@ from bayes_damper.calibration import Experiment, TrialRecord, default_priors
 from bayes_damper.cli import _parser, main
 from bayes_damper.effects import EFFECTS, load_effects
 from bayes_damper.report.terms import _TERMS
+from bayes_damper.run import read_json
+from bayes_damper.withheld import page as proof_page
 from tests.campaigns import decay
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -159,6 +161,14 @@ def test_the_table_of_default_priors_is_that_of_the_code():
             number, factor = re.search(rf"^\| `{name}` \| ([\d.]+)[^|]*\| ([\d.]+) \|$", page, re.MULTILINE).groups()
             assert float(number) == pytest.approx(prior.median_value, rel=0.02), name
             assert float(factor) == prior.factor, name
+
+
+def test_the_tables_of_the_withheld_proof_are_those_of_its_results():
+    easy, hard = (read_json(DOCS / "proof" / f"withheld_{kind}.json") for kind in ("easy", "hard"))
+    page = (DOCS / "proof" / "withheld.md").read_text(encoding="utf-8")
+    assert proof_page.table(easy, hard) in page
+    assert proof_page.misses(easy, hard) in page
+    assert proof_page.short_table(easy, hard) in (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def test_what_readers_of_the_repository_are_told_does_not_reach_the_pages():

@@ -25,6 +25,11 @@ def table(easy: Mapping[str, Any], hard: Mapping[str, Any]) -> str:
     return "\n".join((*_rows(easy, hard, PLACES), "", *_rows(easy, hard, KINDS)))
 
 
+def misses(easy: Mapping[str, Any], hard: Mapping[str, Any]) -> str:
+    """Markdown: what was taken for what, a line each."""
+    return "\n".join(f"- {miss}" for d in (easy, hard) for miss in d["scores"]["misses"])
+
+
 def short_table(easy: Mapping[str, Any], hard: Mapping[str, Any]) -> str:
     """Markdown for the README: counts alone."""
     lines = [
@@ -113,8 +118,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.write("give the withheld.json of the easy set and that of the hard one\n")
         return 2
     easy, hard = (read_json(path) for path in given)
-    told = "\n".join(f"- {miss}" for d in (easy, hard) for miss in d["scores"]["misses"])
-    sys.stdout.write(f"{table(easy, hard)}\n\n{told}\n\n{short_table(easy, hard)}\n")
+    sys.stdout.write("\n\n".join(part(easy, hard) for part in (table, misses, short_table)) + "\n")
     return 0
 
 
