@@ -313,7 +313,7 @@ def _idle(trials: Sequence[Trial]) -> list[str]:
     """A hint where the secondary of a coupled trial never moves, as it does where nothing couples it."""
     found = []
     for trial in trials:
-        if trial.configuration == "coupled":
+        if trial.coupled:
             primary, secondary = (np.asarray(y) for y in trial.channels)
             if not _still(primary) and _still(secondary):
                 found.append(str(trial.file))

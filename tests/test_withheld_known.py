@@ -477,6 +477,6 @@ def test_an_overload_moves_the_zero_and_is_forgotten():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "sign"), [(n, s) for n in (*MOTIONS, *READINGS) for s in kinds.KINDS[n].signs])
-def test_level_one_is_reached(name, sign):
-    """By late loggers; both ways were tried while a kind was kept for a proof."""
-    assert_level_one_is_reached(name, sign, 5e-4)
+@pytest.mark.parametrize("late", [pytest.param(0.0, marks=pytest.mark.prove), 5e-4])
+def test_level_one_is_reached(name, sign, late):
+    assert_level_one_is_reached(name, sign, late)

@@ -15,9 +15,8 @@ from typing import Any
 
 from bayes_damper.run import read_json
 
-PLACES = {"easy, level 0.15-2": "easy", "hard, level 1": "hard, level 1", "hard, level 0.5": "hard, level 0.5",
-          "hard, level 0.15": "hard, level 0.15"}  # fmt: skip
-KINDS = {"easy": "easy", "hard": "hard"}
+PLACES = ("easy, level 0.15-2", "hard, level 1", "hard, level 0.5", "hard, level 0.15")
+KINDS = ("easy", "hard")
 
 
 def table(easy: Mapping[str, Any], hard: Mapping[str, Any]) -> str:
@@ -32,45 +31,36 @@ def misses(easy: Mapping[str, Any], hard: Mapping[str, Any]) -> str:
 
 def short_table(easy: Mapping[str, Any], hard: Mapping[str, Any]) -> str:
     """Markdown for the README: counts alone."""
-    lines = [
-        "| | rig constants exact | constants 1-2 % off, late triggers, coloured noise |",
-        "| --- | --- | --- |",
-        _line("right effect named", *(_count(d["scores"]["all"]["right_first"]) for d in (easy, hard))),
-        _line(
-            "no false alarm where nothing is wrong", *(_count(d["scores"]["all"]["none_kept"]) for d in (easy, hard))
-        ),
-    ]
-    levels = sorted({level for d in (easy, hard) for level in _unknown_by_level(d)}, reverse=True)
-    words = f"`unknown` for a cause of a kind never seen before (gap {', '.join(f'{x:g}' for x in levels)})"
-    lines += [
-        _line(words, *(", ".join(_unknown_by_level(d).get(x, "-") for x in levels) for d in (easy, hard))),
-        _line(
-            "`unknown` for an effect that was taken out of the library",
-            *(_count(d["leave_one_out"]["unknown_first"]) for d in (easy, hard)),
-        ),
-        _line(
-            "a wrong effect named with p > 0.9",
-            *(_count(d["scores"]["all"]["false_and_confident"]) for d in (easy, hard)),
-        ),
-        _line(
-            "two effects at once, both named", *(_count(d["scores"]["all"]["pairs_both_named"]) for d in (easy, hard))
-        ),
-        _line("best baseline (BIC weights), right answer", *(_beaten(d) for d in (easy, hard))),
-    ]
-    return "\n".join(lines)
+    both = (easy, hard)
+    levels = sorted({level for d in both for level in _unknown_by_level(d)}, reverse=True)
+    gaps = ", ".join(f"{level:g}" for level in levels)
+    counted = {
+        "right effect named": [_overall(d, "right_first") for d in both],
+        "no false alarm where nothing is wrong": [_overall(d, "none_kept") for d in both],
+        f"`unknown` for a cause of a kind never seen before (gap {gaps})": [
+            ", ".join(_unknown_by_level(d).get(level, "-") for level in levels) for d in both
+        ],
+        "`unknown` for an effect that was taken out of the library": [
+            _count(d["leave_one_out"]["unknown_first"]) for d in both
+        ],
+        "a wrong effect named with p > 0.9": [_overall(d, "false_and_confident") for d in both],
+        "two effects at once, both named": [_overall(d, "pairs_both_named") for d in both],
+        "best baseline (BIC weights), right answer": [_beaten(d) for d in both],
+    }
+    head = ("", "rig constants exact", "constants 1-2 % off, late triggers, coloured noise")
+    return "\n".join([_line(head), _line(["---"] * 3), *(_line([what, *cells]) for what, cells in counted.items())])
 
 
-def _rows(easy: Mapping[str, Any], hard: Mapping[str, Any], places: Mapping[str, str]) -> list[str]:
-    targets = [
-        t for d in (easy, hard) for t in d["scores"]["targets"] if t["where"] in places and t["value"] is not None
-    ]
-    names = dict.fromkeys(_name(t) for d in (easy, hard) for t in d["scores"]["targets"] if t["where"] in places)
-    lines = [_line("what", *places.values()), _line("---", *("---" for _ in places))]
-    for name in names:
-        cells = [next((_cell(t) for t in targets if _name(t) == name and t["where"] == where), "") for where in places]
-        if any(cells):
-            lines.append(_line(name, *cells))
-    return lines
+def _rows(easy: Mapping[str, Any], hard: Mapping[str, Any], places: Sequence[str]) -> list[str]:
+    """A line for each target that these places have and that was tested; both results hold all targets."""
+    tested: dict[str, dict[str, str]] = {}
+    for target in (t for d in (easy, hard) for t in d["scores"]["targets"] if t["where"] in places):
+        cells = tested.setdefault(_name(target), {})
+        if target["value"] is not None:
+            cells[target["where"]] = _cell(target)
+    head = ["what", *(place.removesuffix(", level 0.15-2") for place in places)]
+    lines = [[name, *(cells.get(place, "") for place in places)] for name, cells in tested.items() if cells]
+    return [_line(cells) for cells in (head, ["---"] * len(head), *lines)]
 
 
 def _name(target: Mapping[str, Any]) -> str:
@@ -87,8 +77,12 @@ def _cell(target: Mapping[str, Any]) -> str:
     return f"{target['value']:.2g} ({low:.2g} .. {high:.2g}) of {target['n']}; {asked}{missed}"
 
 
-def _line(*cells: str) -> str:
-    return f"| {' | '.join(cells)} |".replace("|  |", "| |").replace("|  |", "| |")
+def _line(cells: Sequence[str]) -> str:
+    return "|" + "|".join(f" {cell} " if cell else " " for cell in cells) + "|"
+
+
+def _overall(results: Mapping[str, Any], rate: str) -> str:
+    return _count(results["scores"]["all"][rate])
 
 
 def _count(rate: Mapping[str, Any]) -> str:
@@ -97,13 +91,11 @@ def _count(rate: Mapping[str, Any]) -> str:
 
 def _unknown_by_level(results: Mapping[str, Any]) -> dict[float, str]:
     """Of causes of kinds kept for the proof, and to be seen: how often `unknown` came first, by level."""
-    rows = [c["score"] for c in results["campaigns"].values()]
-    seen = [r for r in rows if r["standing"] == "reserved" and r["accepted"] == ["unknown"]]
-    found = {}
-    for level in {r["level"] for r in seen}:
-        here = [r["right"] for r in seen if r["level"] == level]
-        found[float(level)] = f"{sum(here)} of {len(here)}"
-    return found
+    found: dict[float, list[bool]] = {}
+    for row in (campaign["score"] for campaign in results["campaigns"].values()):
+        if row["standing"] == "reserved" and row["accepted"] == ["unknown"]:
+            found.setdefault(float(row["level"]), []).append(row["right"])
+    return {level: f"{sum(right)} of {len(right)}" for level, right in found.items()}
 
 
 def _beaten(results: Mapping[str, Any]) -> str:
