@@ -34,6 +34,7 @@ ONE_SIDED_SPRING, STIFFNESS_RIPPLE = codes.ONE_SIDED_SPRING, codes.STIFFNESS_RIP
 CLAMP_SLIP, COIL_FRICTION = codes.CLAMP_SLIP, codes.COIL_FRICTION
 SPRING_CREEP, LEAF_BREAK, SNAPPING_LEAF = codes.SPRING_CREEP, codes.LEAF_BREAK, codes.SNAPPING_LEAF
 VIRGIN_RUBBER, BREATHING_COIL, HEALING_RUBBER = codes.VIRGIN_RUBBER, codes.BREATHING_COIL, codes.HEALING_RUBBER
+HOOKED_COIL, YIELDING_ANCHOR = codes.HOOKED_COIL, codes.YIELDING_ANCHOR
 BEARING_STRIBECK, QUADRATIC_DRAG = codes.BEARING_STRIBECK, codes.QUADRATIC_DRAG
 MISALIGNMENT_DRAG = codes.MISALIGNMENT_DRAG
 GREASE_THIXOTROPY, BEARING_RUNOUT, WAKE_DRAG = codes.GREASE_THIXOTROPY, codes.BEARING_RUNOUT, codes.WAKE_DRAG
@@ -41,7 +42,7 @@ ONE_WAY_DRAG, RACE_DENT = codes.ONE_WAY_DRAG, codes.RACE_DENT
 DRY_RUNNING, FLUTED_RACE, OIL_STARVATION = codes.DRY_RUNNING, codes.FLUTED_RACE, codes.OIL_STARVATION
 THIN_FILM, LOOSE_RING = codes.THIN_FILM, codes.LOOSE_RING
 SEAL_FLUTTER, ROLLING_JOURNAL = codes.SEAL_FLUTTER, codes.ROLLING_JOURNAL
-AIR_HAMMER, SKIDDING_BALLS = codes.AIR_HAMMER, codes.SKIDDING_BALLS
+AIR_HAMMER, SKIDDING_BALLS, GREASE_WALLS = codes.AIR_HAMMER, codes.SKIDDING_BALLS, codes.GREASE_WALLS
 STICK_SLIP, FRICTION_DISPLACEMENT, MAGNET_CUBIC = codes.STICK_SLIP, codes.FRICTION_DISPLACEMENT, codes.MAGNET_CUBIC
 EDDY_OVERLAP, MAGNET_FADE, INTERFACE_RELAXATION = codes.EDDY_OVERLAP, codes.MAGNET_FADE, codes.INTERFACE_RELAXATION
 NORMAL_FORCE_LAW, MAGNETIC_COGGING = codes.NORMAL_FORCE_LAW, codes.MAGNETIC_COGGING
@@ -52,12 +53,14 @@ GROOVED_FACES, GAP_CREEP = codes.GROOVED_FACES, codes.GAP_CREEP
 COMBED_TEFLON, FLOATING_WASHER = codes.COMBED_TEFLON, codes.FLOATING_WASHER
 SHORTED_LOOP, CHARGED_TEFLON = codes.SHORTED_LOOP, codes.CHARGED_TEFLON
 SIDEWAYS_SHAKE, WORN_THROUGH = codes.SIDEWAYS_SHAKE, codes.WORN_THROUGH
+IRON_WHISKERS, TURNED_MAGNET = codes.IRON_WHISKERS, codes.TURNED_MAGNET
 STRAY_IRON, SECOND_KNOCK, BAR_PADDLE = codes.STRAY_IRON, codes.SECOND_KNOCK, codes.BAR_PADDLE
 UNBALANCED_BAR, GUARD_RUB, CABLE_PULL = codes.UNBALANCED_BAR, codes.GUARD_RUB, codes.CABLE_PULL
 CABLE_LOOP, FOAM_BUMPER = codes.CABLE_LOOP, codes.FOAM_BUMPER
 BAR_WHIP, DRAUGHT = codes.BAR_WHIP, codes.DRAUGHT
 FRAME_EDDIES, SLIDING_RIDER, LEAKY_BELLOWS = codes.FRAME_EDDIES, codes.SLIDING_RIDER, codes.LEAKY_BELLOWS
 DROPPED_NUT, HANGING_WEIGHT = codes.DROPPED_NUT, codes.HANGING_WEIGHT
+RINGING_COIL, DRIPPING_HOSE, RIDING_ARM = codes.RINGING_COIL, codes.DRIPPING_HOSE, codes.RIDING_ARM
 RELEASE_RAMP, RELEASE_DRAG, RELEASE_REBOUND = codes.RELEASE_RAMP, codes.RELEASE_DRAG, codes.RELEASE_REBOUND
 SECOND_JAW, LATE_SECONDARY, STICKY_PAD = codes.SECOND_JAW, codes.LATE_SECONDARY, codes.STICKY_PAD
 SOLENOID_PULL, TRAILING_THREAD, VENTING_CYLINDER = codes.SOLENOID_PULL, codes.TRAILING_THREAD, codes.VENTING_CYLINDER
@@ -67,6 +70,11 @@ FOLLOW = 5e-4  # s, within which a farthest point is taken over
 SKID_TIME = 2e-3  # s, within which balls begin or cease to skid
 WEAR_EDGE = 0.004  # rad of sliding, over which the last of the Teflon goes
 CORD_LOSS = 0.05  # damping ratio of a weight on its cord
+HOOK_TIME = 1e-3  # s, within which coils hook or come loose
+WALL_EDGE = 5e-4  # rad, over which a wall of grease begins to resist
+TEAR_TIME = 5e-4  # s, within which torn whiskers shorten
+COIL_REACH = 0.03  # rad, over which a magnet's flux passes a coil
+DROP_TIME = 4e-3  # s, for which a falling drop pushes
 
 
 @njit(cache=True)
@@ -107,6 +115,25 @@ def skid_rate(z, a, begin):
 def cord_tension(stretch, speed, wn, weight):
     """Tension of a cord over the weight that hangs on it: 1 at rest, never below 0; weight as an acceleration."""
     return max(0.0, 1.0 + (wn * wn * stretch + 2.0 * CORD_LOSS * wn * speed) / weight)
+
+
+@njit(cache=True)
+def hooked(t, begin, span):
+    """1 from the instant `begin` on for the time `span`, else 0."""
+    return 0.5 * (math.tanh((t - begin) / HOOK_TIME) - math.tanh((t - begin - span) / HOOK_TIME))
+
+
+@njit(cache=True)
+def wall_drag(beyond, speed, nu):
+    """Drag of a wall of grease, over its largest, where a shaft ploughs `beyond` its channel."""
+    return math.tanh(max(0.0, beyond) / WALL_EDGE) * math.tanh(nu * speed)
+
+
+@njit(cache=True)
+def coil_flux(th, at):
+    """Slope of the flux through a coil at the angle `at`, over its largest, as the magnet stands at th."""
+    s = (th - at) / COIL_REACH
+    return math.exp(-0.5 * s * s)
 
 
 @njit(cache=True)
@@ -237,6 +264,10 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
             return -a * math.tanh(nu * w1), -a * math.tanh(nu * w2)
         if code == SKIDDING_BALLS:  # balls that cannot follow the acceleration skid (z = share that does)
             return -p0 * z0 * math.tanh(nu * w1), -p0 * z1 * math.tanh(nu * w2)
+        if (
+            code == GREASE_WALLS
+        ):  # grease pushed aside stands at the channel's ends (z = its half length) and flows back
+            return -p0 * wall_drag(abs(th1) - z0, w1, nu), -p0 * wall_drag(abs(th2) - z1, w2, nu)
         return 0.0, 0.0
     if code < 60:
         if not coupled:  # there is no interface
@@ -323,6 +354,29 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
         return 0.0, -p3 * p0 * cord_tension(z0, p3 * w2 - z1, p1, p2)
     if code == HEALING_RUBBER:  # the coupling's rubber softens as it is worked and hardens at rest (z0 = bonds broken)
         return p0 * g[K1] * th1 * z0 / (1.0 + z0), 0.0
+    if code == HOOKED_COIL:  # two coils hook for a while: one more spring, at rest where they met (z0 = its twist)
+        return -p0 * g[K1] * z0, 0.0
+    if code == YIELDING_ANCHOR:  # the spring's far end slides in its clamp under too much torque (z0 = its angle)
+        return g[K1] * z0, 0.0
+    if code == IRON_WHISKERS:  # filings bridge the gap, tear, and bridge it anew (z0 = stretch, z1 = share torn)
+        if not coupled:
+            return 0.0, 0.0
+        q = -p0 * z0 / p1
+        return q, -q
+    if code == TURNED_MAGNET:  # the magnet turns in its seat: another middle of its pull and its stiffness
+        if not coupled:
+            return 0.0, 0.0
+        phi = th1 - th2
+        moved = p0 * 0.5 * (1.0 + math.tanh((t - p1) / p2))
+        near, now = abs(phi), abs(phi - moved)
+        gained = max(0.0, 1.0 - g[BAR] * now / (2.0 * g[FACE])) - max(0.0, 1.0 - g[BAR] * near / (2.0 * g[FACE]))
+        q = g[K2] * moved - g[MU] * g[N0] * gained * g[BAR] * math.tanh(nu * (w1 - w2))
+        return q, -q
+    if code == RINGING_COIL:  # the secondary's magnet passes a coil with a capacitor (z0 = its charge, z1 = current)
+        return 0.0, -p0 * coil_flux(th2, p3) * z1
+    if code == DRIPPING_HOSE:  # drops fall on the secondary, one every p1 from p2 on
+        s = ((t - p2) % p1) / DROP_TIME if t > p2 else 0.0
+        return 0.0, (p0 * math.sin(math.pi * s) ** 2 if s < 1.0 else 0.0)
     if code == SIDEWAYS_SHAKE:  # the faces shake across their sliding too, so friction points elsewhere
         if not coupled:
             return 0.0, 0.0
@@ -370,7 +424,7 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
 
 
 @njit(cache=True)
-def memory_rates(code, th1, th2, w1, w2, a1, a2, z0, z1, p0, p1, p2, p3, g, friction):
+def memory_rates(code, t, th1, th2, w1, w2, a1, a2, z0, z1, p0, p1, p2, p3, g, friction):
     """Rates of the two memories of one disturbance; friction = dry friction torque of the interface, N m."""
     if code == COUPLING_HYSTERESIS:  # Bouc-Wen with n = 2; p1 = angle of yield, p2 = beta of beta + gamma = 1
         return w1 * (1.0 - z0 * z0 * ((1.0 - p2) + math.copysign(p2, w1 * z0))) / p1, 0.0
@@ -438,6 +492,23 @@ def memory_rates(code, th1, th2, w1, w2, a1, a2, z0, z1, p0, p1, p2, p3, g, fric
     if code == HANGING_WEIGHT:  # the weight, at the speed z1, falls freely while the cord is slack
         stretching = p3 * w2 - z1
         return stretching, p2 * (cord_tension(z0, stretching, p1, p2) - 1.0)
+    if code == HOOKED_COIL:
+        share = hooked(t, p1, p2)
+        return share * w1 - (1.0 - share) * z0 / HOOK_TIME, 0.0
+    if code == YIELDING_ANCHOR:
+        load = g[K1] * (th1 - z0)
+        return p0 * math.copysign(max(0.0, abs(load) - p1), load), 0.0
+    if code == GREASE_WALLS:
+        return (
+            max(0.0, abs(th1) - z0) / FOLLOW - z0 / p1,
+            max(0.0, abs(th2) - z1) / FOLLOW - z1 / p1,
+        )
+    if code == IRON_WHISKERS:  # torn beyond the stretch p1 until three tenths of it are left
+        return (1.0 - z1) * (w1 - w2) - z1 * z0 / TEAR_TIME, flutter_rate(z1, abs(z0) / p1, 1.0, 0.3)
+    if code == RINGING_COIL:
+        return z1, coil_flux(th2, p3) * w2 - p1 * p1 * z0 - 2.0 * p2 * p1 * z1
+    if code == RIDING_ARM:
+        return (1.0 - z0) / 1e-3 * 0.5 * (1.0 + math.tanh(((g[TH0] - th1) / p1 - 1.0) / 0.05)), 0.0
     return 0.0, 0.0
 
 
@@ -493,10 +564,27 @@ def accelerations(t, th1, th2, w1, w2, z, bristle, k, P, g, coupled, rates):
             a2 /= 1.0 + P[i, 0] * math.sin(P[i, 1] * th2 + P[i, 3])
         elif k[i] == DROPPED_NUT:  # a share of J2 falls off at an instant
             a2 /= 1.0 - P[i, 0] * 0.5 * (1.0 + math.tanh((t - P[i, 1]) / P[i, 2]))
+        elif k[i] == RIDING_ARM:  # the release's arm rides on the primary until it falls off (z = share that has)
+            a1 /= 1.0 + P[i, 0] * (1.0 - z[2 * i])
     for i in range(2):
         if k[i] > 0:
             r0, r1 = memory_rates(
-                k[i], th1, th2, w1, w2, a1, a2, z[2 * i], z[2 * i + 1], P[i, 0], P[i, 1], P[i, 2], P[i, 3], g, friction
+                k[i],
+                t,
+                th1,
+                th2,
+                w1,
+                w2,
+                a1,
+                a2,
+                z[2 * i],
+                z[2 * i + 1],
+                P[i, 0],
+                P[i, 1],
+                P[i, 2],
+                P[i, 3],
+                g,
+                friction,
             )
             rates[2 * i] = r0
             rates[2 * i + 1] = r1

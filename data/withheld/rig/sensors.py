@@ -152,6 +152,31 @@ def _induced(motion: NDArray[np.float64], at: float, reach: float) -> NDArray[np
     return out
 
 
+@njit(cache=True)
+def _envelope(y: NDArray[np.float64], tau: float, step: float) -> NDArray[np.float64]:
+    """How large y has been of late: mean of its size over the past tau, s, 0 before the release."""
+    out = np.empty(y.size)
+    out[0] = 0.0
+    keep = math.exp(-step / tau)
+    for i in range(1, y.size):
+        out[i] = keep * out[i - 1] + (1.0 - keep) * 0.5 * (abs(y[i - 1]) + abs(y[i]))
+    return out
+
+
+SLOPE = 1e5  # rad/s^3, of an amplifier of unit slowness
+
+
+@njit(cache=True)
+def _slewed(y: NDArray[np.float64], slope: float, step: float) -> NDArray[np.float64]:
+    """What an amplifier shows of y that can change by `slope` a second at most, from the first reading on."""
+    out = np.empty(y.size)
+    out[0] = y[0]
+    most = slope * step
+    for i in range(1, y.size):
+        out[i] = min(max(y[i], out[i - 1] - most), out[i - 1] + most)
+    return out
+
+
 def soft_limit(y: NDArray[np.float64], limit: float, sharpness: float) -> NDArray[np.float64]:
     """Readings that bend over to +-limit (rad/s^2)."""
     return y / (1.0 + np.abs(y / limit) ** sharpness) ** (1.0 / sharpness)
@@ -242,6 +267,12 @@ def readings(
         elif d.code == codes.FIELD_PICKUP and coupled:
             for c in which:
                 channels[c] = channels[c] + a * _induced(motion, p2, p3)
+        elif d.code == codes.AUTO_GAIN:
+            for c in which:
+                channels[c] = channels[c] / (1.0 + a * _envelope(channels[c], p2, step) / FULL_SCALE)
+        elif d.code == codes.SLOW_AMPLIFIER and a > 0.0:
+            for c in which:
+                channels[c] = _slewed(channels[c], SLOPE / a, step)
     since = times - release
     since = since + bend * since * np.abs(since)
     for d in disturbances:

@@ -54,6 +54,8 @@ def disturbed_start(
             start[4 + 2 * i] = (rig["theta0"] / 0.1) ** 2
         elif d.code == codes.TRAILING_THREAD:
             start[4 + 2 * i] = rig["theta0"]
+        elif d.code == codes.GREASE_WALLS:  # ploughed once, up to where the rig is held
+            start[4 + 2 * i : 6 + 2 * i] = rig["theta0"]
     return rig, start
 
 
