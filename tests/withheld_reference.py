@@ -50,6 +50,12 @@ def opposite(q):
     return q, -q
 
 
+def fine_record():
+    """Instants and readings of the nominal record on the fine grid, first and second channel."""
+    at = np.arange(50 * TIMES.size) * simulate.FINE_STEP
+    return at, simulate.record(RIG, True, at)
+
+
 def assert_motion_agrees(name, size, shape, extra, start, **other):
     """The fine motion within 0.02 rad/s^2 of the adaptive one, that of the searches within 0.1, both disturbed."""
     d = [kinds.KINDS[name].at(size, shape)]
