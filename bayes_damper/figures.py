@@ -665,14 +665,15 @@ def withheld_figure(scores: Mapping[str, Any], *, rehearsal: bool = False) -> Fi
 
 
 def _draw_counts(axis: Any, counts: Mapping[str, Mapping[str, int]], title: str) -> None:
-    """A matrix of counts, rows true, columns answered; shaded by the share of its row."""
+    """Counts, shaded by the share of their row: rows true, those that were answered first; columns answered."""
     axis.set_title(title, loc="left")
     if not counts:
         axis.text(0.5, 0.5, "no campaign with a single cause", ha="center", va="center", transform=axis.transAxes)
         axis.set_axis_off()
         return
-    rows = list(counts)
-    columns = [*rows, *sorted({name for row in counts.values() for name in row} - set(rows))]
+    given = {name for row in counts.values() for name in row}
+    rows = sorted(counts, key=lambda name: name not in given)
+    columns = [*(name for name in rows if name in given), *sorted(given - set(rows))]
     table = np.array([[counts[row].get(column, 0) for column in columns] for row in rows], float)
     share = table / np.maximum(table.sum(axis=1, keepdims=True), 1.0)
     axis.imshow(share, cmap="Blues", vmin=0.0, vmax=1.4, aspect="auto")

@@ -43,3 +43,12 @@ def test_a_forest_shows_the_middle_half_inside_the_interval() -> None:
         ([0.2, 0.5], 1),
     ]
     assert bars[1].get_linewidth() > 2.0 * bars[0].get_linewidth()
+
+
+def test_a_matrix_of_answers_has_the_diagonal_first_and_no_column_that_was_never_given() -> None:
+    counts = {"grit": {"unknown": 2}, "mass": {"mass": 3, "none": 1}, "stop": {"stop": 2, "grit's twin": 1}}
+    empty = {"n": 0, "bins": [], "error": None, "p_value": None}
+    scores = {"confusion": counts, "sites": {}, "reliability": {"all": empty}, "by_level": []}
+    matrix = figures.withheld_figure(scores).axes[0]
+    assert [t.get_text() for t in matrix.get_yticklabels()] == ["mass", "stop", "grit"]
+    assert [t.get_text() for t in matrix.get_xticklabels()] == ["mass", "stop", "grit's twin", "none", "unknown"]
