@@ -2,6 +2,7 @@
 
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -120,9 +121,9 @@ def test_a_run_is_held_against_its_key(run, capsys):
     assert rows["a"]["cosine"] == pytest.approx(1.0)
     assert rows["b"]["cosine"] is None  # drawn on the other inertia
     assert rows["c"]["cosine"] is None  # nothing drawn
-    assert told["summary"]["all"]["campaigns"] == 3
-    assert told["summary"]["all"]["drawn"] == told["summary"]["all"]["same"] == 1
-    assert "1 of 1 from 0.8" in capsys.readouterr().out
+    for group in ("library", "library, ground1", "`spring_cubic`"):
+        assert (told["summary"][group]["campaigns"], told["summary"][group]["same"]) == (3, 1)
+    assert "| library | 3 | 1 | 1.00 (1.00 .. 1.00) | 1 of 1 |" in capsys.readouterr().out
 
 
 def test_a_folder_without_verdicts_and_a_key_of_other_campaigns_are_told(run):
@@ -140,3 +141,11 @@ def test_medians_have_an_interval_over_campaigns():
     assert told["interval95"][0] < 0.7 < told["interval95"][1]
     assert (told["campaigns"], told["drawn"], told["same"]) == (5, 4, 2)
     assert math.isclose(torque.summary([{"cosine": None}])["drawn"], 0)
+
+
+def test_the_page_of_the_proof_repeats_the_table():
+    proof = Path(__file__).resolve().parents[1] / "docs" / "proof"
+    told = json.loads((proof / "withheld_torque.json").read_text(encoding="utf-8"))
+    assert told["summary"] == torque.grouped(told["campaigns"])
+    places = {name: part for name, part in told["summary"].items() if not name.startswith("`")}
+    assert torque.table(places) in (proof / "withheld.md").read_text(encoding="utf-8")

@@ -15,7 +15,7 @@ from typing import Any
 
 from bayes_damper.run import read_json
 
-PLACES = ("easy, level 0.15-2", "hard, level 1", "hard, level 0.5", "hard, level 0.15")
+PLACES = ("easy, level 0.15-2", "easy, level 0.05", "hard, level 1", "hard, level 0.5", "hard, level 0.15")
 KINDS = ("easy", "hard")
 
 

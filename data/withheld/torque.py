@@ -167,25 +167,52 @@ def summary(rows: list[dict[str, Any]], seed: int = 1) -> dict[str, Any]:
     return out
 
 
+def table(told: Mapping[str, Mapping[str, Any]]) -> str:
+    """Markdown: a line for each group of campaigns."""
+    lines = [
+        f"| cause | campaigns | torque drawn | cosine, median | from {SAME:g} |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for name, part in told.items():
+        cells = [name, str(part["campaigns"]), str(part["drawn"]), "", ""]
+        if part["drawn"]:
+            low, high = part["interval95"]
+            cells[3:] = [f"{part['median']:.2f} ({low:.2f} .. {high:.2f})", f"{part['same']} of {part['drawn']}"]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def grouped(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Summaries: effects of the library and causes outside it, each by site, then every cause."""
+    out = {}
+    for words, own in (
+        ("library", [r for r in rows if r["standing"] == "library"]),
+        ("outside it", [r for r in rows if r["standing"] != "library"]),
+    ):
+        out |= {words: summary(own)} if own else {}
+        out |= {
+            f"{words}, {s}": summary([r for r in own if r["site"] == s])
+            for s in BODY
+            if any(r["site"] == s for r in own)
+        }
+    return out | {f"`{t}`": summary([r for r in rows if r["truth"] == t]) for t in sorted({r["truth"] for r in rows})}
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("runs", nargs="+", type=Path, metavar="RUN KEY")
     parser.add_argument("--left-out", action="store_true", help="verdicts without the true effect in the library")
-    parser.add_argument("--out", type=Path, help="write all rows as JSON")
+    parser.add_argument("--out", type=Path, help="write the table's numbers and all rows as JSON")
     given = parser.parse_args(arguments)
     if len(given.runs) % 2:
         parser.error("give RUN and KEY, once or more often")
     pairs = zip(given.runs[::2], given.runs[1::2], strict=True)
     rows = [row for run, key in pairs for row in rows_of(run, key, given.left_out)]
-    told = {"all": summary(rows)}
-    for field in ("site", "truth"):
-        told |= {value: summary([r for r in rows if r[field] == value]) for value in sorted({r[field] for r in rows})}
-    for name, part in told.items():
-        median = f"{part['median']:6.2f}  {part['same']} of {part['drawn']} from {SAME:g}" if part["drawn"] else ""
-        print(f"{name:24s}{part['campaigns']:4d} campaigns, drawn {part['drawn']:4d}  {median}")
+    told = grouped(rows)
+    print(table(told))
     if given.out is not None:
-        given.out.write_text(json.dumps({"summary": told, "campaigns": rows}, indent=1) + "\n", encoding="utf-8")
+        given.out.write_text(json.dumps({"summary": told, "campaigns": rows}) + "\n", encoding="utf-8")
     return 0
 
 
