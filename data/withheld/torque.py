@@ -27,6 +27,7 @@ if str(HERE) not in sys.path:
     sys.path.insert(0, str(HERE))
 
 from rig.campaign import CASES  # noqa: E402
+from rig.equations import accelerations, rig_array  # noqa: E402
 from rig.kinds import KINDS  # noqa: E402
 from rig.simulate import SEARCH_STEP, motion  # noqa: E402
 
@@ -46,21 +47,17 @@ SAME = 0.8
 """Cosine from which two shapes are called the same."""
 
 
-def missing(x: Array, p: Mapping[str, float], body: int, coupled: bool) -> Array:
+def missing(x: Array, p: dict[str, float], body: int, coupled: bool) -> Array:
     """Torque (n,), N m, that balances the nominal equation of one inertia along a motion (n, 6) of `rig.simulate`.
 
     p : constants and nominal parameters; positive: it accelerates the inertia.
     """
-    inertia, damping = (p["J1"], p["c1t"]) if body == 0 else (p["J2"], p["c3t"])
-    w = x[:, 2 + body]
-    balance = inertia * x[:, 4 + body] + damping * w + p["drag"] * np.tanh(p["nu"] * w)
-    if body == 0:
-        balance = balance + p["k1t"] * x[:, 0]
-    if coupled:
-        phi, slip = COORDINATES["phi"](x), COORDINATES["slip"](x)
-        held = p["mu"] * p["R"] * _pull(phi, p) * np.tanh(p["nu"] * slip)
-        balance = balance + (1.0 if body == 0 else -1.0) * (p["k2t"] * phi + p["c2t"] * slip + held)
-    return np.asarray(balance)
+    constants, none, still = rig_array(p), np.zeros(2, np.int64), np.zeros(4)
+    nominal = [
+        accelerations(0.0, *state, still, 0.0, none, np.zeros((2, 4)), constants, coupled, still)[body]
+        for state in x[:, :4]
+    ]
+    return np.asarray((p["J1"], p["J2"])[body] * (x[:, 4 + body] - nominal))
 
 
 def laws(x: Array, p: Mapping[str, float], body: int, coupled: bool) -> Array:
@@ -71,13 +68,9 @@ def laws(x: Array, p: Mapping[str, float], body: int, coupled: bool) -> Array:
     out[:, 0], out[:, 1], out[:, 2] = w, dry, w * (1.0 - dry**2)
     if coupled:
         phi, slip = COORDINATES["phi"](x), COORDINATES["slip"](x)
-        pull, held = _pull(phi, p), np.tanh(p["nu"] * slip)
+        pull, held = np.maximum(0.0, 1.0 - p["R"] * np.abs(phi) / (2.0 * p["r"])), np.tanh(p["nu"] * slip)
         out[:, 3], out[:, 4], out[:, 5], out[:, 6] = phi, slip, pull * held, pull * slip * (1.0 - held**2)
     return out
-
-
-def _pull(phi: Array, p: Mapping[str, float]) -> Array:
-    return np.asarray(p["N0"] * np.maximum(0.0, 1.0 - p["R"] * np.abs(phi) / (2.0 * p["r"])))
 
 
 def true_motion(entry: Mapping[str, Any], body: int) -> list[tuple[Array, dict[str, float], bool]]:
@@ -148,10 +141,9 @@ def rows_of(run: Path, key: Path, left_out: bool = False) -> Iterator[dict[str, 
             "left_out": left_out, "level": entry["level_wanted"], "visible_chi2": entry["visible_chi2"],
             "site": entry["site"], "drawn_at": placed.get("torque_site"), "cosine": None,
         }  # fmt: skip
-        if row["drawn_at"] is not None and BODY.get(row["drawn_at"]) == BODY[entry["site"]] and placed.get("curve"):
-            own = {"phi", "slip"} if row["drawn_at"] == "interface" else {("th1", "th2")[BODY[entry["site"]]]}
-            if own <= set(placed["curve"]):
-                row["cosine"], row["size"], row["beyond_laws"] = compared(entry, placed["curve"])
+        curve = placed.get("curve")
+        if curve and BODY.get(row["drawn_at"]) == BODY[entry["site"]] == int("th1" not in curve):
+            row["cosine"], row["size"], row["beyond_laws"] = compared(entry, curve)
         yield row
 
 

@@ -264,9 +264,7 @@ def torques(code, t, th1, th2, w1, w2, z0, z1, p0, p1, p2, p3, g, pull, coupled)
             return -a * math.tanh(nu * w1), -a * math.tanh(nu * w2)
         if code == SKIDDING_BALLS:  # balls that cannot follow the acceleration skid (z = share that does)
             return -p0 * z0 * math.tanh(nu * w1), -p0 * z1 * math.tanh(nu * w2)
-        if (
-            code == GREASE_WALLS
-        ):  # grease pushed aside stands at the channel's ends (z = its half length) and flows back
+        if code == GREASE_WALLS:  # grease stands at the ends of the channel (z = its half length) and flows back
             return -p0 * wall_drag(abs(th1) - z0, w1, nu), -p0 * wall_drag(abs(th2) - z1, w2, nu)
         return 0.0, 0.0
     if code < 60:
