@@ -11,46 +11,46 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from bayes_damper.bench import bench as bench
     from bayes_damper.campaign import load_campaign as load_campaign
-    from bayes_damper.check import check as check
-    from bayes_damper.compare import compare as compare
-    from bayes_damper.demo import demo as demo
-    from bayes_damper.diagnose import diagnose as diagnose
+    from bayes_damper.campaign.importer import import_records as import_records
+    from bayes_damper.campaign.importer import init_campaign as init_campaign
+    from bayes_damper.commands.check import check as check
+    from bayes_damper.commands.compare import compare as compare
+    from bayes_damper.commands.demo import demo as demo
+    from bayes_damper.commands.diagnose import diagnose as diagnose
+    from bayes_damper.commands.plan import plan as plan
+    from bayes_damper.commands.resume import resume as resume
+    from bayes_damper.commands.simulate import simulate_record as simulate_record
     from bayes_damper.fit import fit as fit
-    from bayes_damper.importer import import_records as import_records
-    from bayes_damper.importer import init_campaign as init_campaign
-    from bayes_damper.model import Model as Model
-    from bayes_damper.planning import plan as plan
-    from bayes_damper.published import load_published as load_published
+    from bayes_damper.published.measurements import load_published as load_published
     from bayes_damper.report import report as report
-    from bayes_damper.resume import resume as resume
-    from bayes_damper.simulate import simulate_record as simulate_record
+    from bayes_damper.simulation.model import Model as Model
     from bayes_damper.thesis import recompute as recompute
     from bayes_damper.tuning import tune as tune
+    from bayes_damper.validation.bench import bench as bench
+    from bayes_damper.validation.withheld import withheld as withheld
     from bayes_damper.variability import variability as variability
-    from bayes_damper.withheld import withheld as withheld
 
 _PLACES = {
-    "Model": "model",
-    "bench": "bench",
-    "check": "check",
-    "compare": "compare",
-    "demo": "demo",
-    "diagnose": "diagnose",
+    "Model": "simulation.model",
+    "bench": "validation.bench",
+    "check": "commands.check",
+    "compare": "commands.compare",
+    "demo": "commands.demo",
+    "diagnose": "commands.diagnose",
     "fit": "fit",
-    "import_records": "importer",
-    "init_campaign": "importer",
+    "import_records": "campaign.importer",
+    "init_campaign": "campaign.importer",
     "load_campaign": "campaign",
-    "load_published": "published",
-    "plan": "planning",
+    "load_published": "published.measurements",
+    "plan": "commands.plan",
     "recompute": "thesis",
     "report": "report",
-    "resume": "resume",
-    "simulate_record": "simulate",
+    "resume": "commands.resume",
+    "simulate_record": "commands.simulate",
     "tune": "tuning",
     "variability": "variability",
-    "withheld": "withheld",
+    "withheld": "validation.withheld",
 }
 
 __all__ = [

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from bayes_damper.errors import BayesDamperError, ExitCode
-from bayes_damper.memory import seldom_collected
+from bayes_damper.runs.memory import seldom_collected
 
 Arguments = argparse.Namespace
 
@@ -25,7 +25,7 @@ def _call(name: str) -> Callable[..., Any]:
 
 
 def _progress(args: Arguments) -> Any:
-    args.shown = _call("progress:make_progress")(quiet=args.quiet or args.json)
+    args.shown = _call("runs.progress:make_progress")(quiet=args.quiet or args.json)
     return args.shown
 
 
@@ -40,17 +40,17 @@ def _closed_afterwards(args: Arguments) -> Iterator[None]:
 
 
 def _demo(args: Arguments) -> Any:
-    return _call("demo:demo")(
+    return _call("commands.demo:demo")(
         out=args.out, seed=args.seed, workers=args.workers, quick=args.quick, progress=_progress(args)
     )
 
 
 def _check(args: Arguments) -> Any:
-    return _call("check:check")(args.campaign)
+    return _call("commands.check:check")(args.campaign)
 
 
 def _simulate(args: Arguments) -> Any:
-    return _call("simulate:simulate_record")(
+    return _call("commands.simulate:simulate_record")(
         case=args.case,
         coupled=not args.uncoupled,
         settings=args.set or [],
@@ -82,7 +82,7 @@ def _fit(args: Arguments) -> Any:
 
 
 def _resume(args: Arguments) -> Any:
-    return _call("resume:resume")(args.folder, more=args.more, workers=args.workers, progress=_progress(args))
+    return _call("commands.resume:resume")(args.folder, more=args.more, workers=args.workers, progress=_progress(args))
 
 
 def _variability(args: Arguments) -> Any:
@@ -101,7 +101,7 @@ def _variability(args: Arguments) -> Any:
 
 
 def _compare(args: Arguments) -> Any:
-    return _call("compare:compare")(args.folders, out=args.out, seed=args.seed)
+    return _call("commands.compare:compare")(args.folders, out=args.out, seed=args.seed)
 
 
 _QUESTIONS = (
@@ -125,18 +125,18 @@ _QUESTIONS = (
 
 
 def _init(args: Arguments) -> Any:
-    before = _call("importer:records_in")(args.folder)
+    before = _call("campaign.importer:records_in")(args.folder)
     if args.table is not None:
-        _call("importer:import_records")(args.table, args.folder, args.raw, args.overwrite)
-        return _call("check:check")(args.folder, _call("importer:left_over")(args.folder, before))
+        _call("campaign.importer:import_records")(args.table, args.folder, args.raw, args.overwrite)
+        return _call("commands.check:check")(args.folder, _call("campaign.importer:left_over")(args.folder, before))
     given = {key: value for key, value in vars(args).items() if key in args.options and value is not None}
     raw = args.raw or Path()
     if "columns" not in given and sys.stdin.isatty() and sys.stdout.isatty() and not args.quiet:
         if args.files:
-            print(_call("import_options:columns_of")(raw / args.files[0]))
+            print(_call("campaign.import_options:columns_of")(raw / args.files[0]))
         given |= _answers(set(given))
-    _call("importer:init_campaign")(args.folder, [raw / f for f in args.files], args.overwrite, **given)
-    return _call("check:check")(args.folder, _call("importer:left_over")(args.folder, before))
+    _call("campaign.importer:init_campaign")(args.folder, [raw / f for f in args.files], args.overwrite, **given)
+    return _call("commands.check:check")(args.folder, _call("campaign.importer:left_over")(args.folder, before))
 
 
 def _answers(given: set[str]) -> dict[str, Any]:
@@ -176,7 +176,7 @@ def _number(text: str) -> int | float | str:
 
 def _init_options(sub: Any) -> list[str]:
     """An option for every key of the import's tables, and of [rig] and [measurement]; their names."""
-    tables = importlib.import_module("bayes_damper.import_options")
+    tables = importlib.import_module("bayes_damper.campaign.import_options")
     campaign = importlib.import_module("bayes_damper.campaign")
     left_out = {"source", "sha256", "file", "trial", "holdout"}
     keys = {k: v for table in (tables.INIT, tables.TRIAL, tables.READER) for k, v in table.items() if k not in left_out}
@@ -200,7 +200,7 @@ def _init_options(sub: Any) -> list[str]:
 
 
 def _diagnose(args: Arguments) -> Any:
-    return _call("diagnose:diagnose")(
+    return _call("commands.diagnose:diagnose")(
         args.campaign,
         nominal=args.nominal,
         effects=args.effects,
@@ -208,12 +208,12 @@ def _diagnose(args: Arguments) -> Any:
         out=args.out,
         seed=args.seed,
         workers=args.workers,
-        tell=_call("progress:make_teller")(quiet=args.quiet or args.json),
+        tell=_call("runs.progress:make_teller")(quiet=args.quiet or args.json),
     )
 
 
 def _plan(args: Arguments) -> Any:
-    return _call("planning:plan")(
+    return _call("commands.plan:plan")(
         args.campaign,
         nominal=args.nominal,
         effects=args.effects,
@@ -225,7 +225,7 @@ def _plan(args: Arguments) -> Any:
 
 
 def _withheld(args: Arguments) -> Any:
-    return _call("withheld:withheld")(
+    return _call("validation.withheld:withheld")(
         args.folder,
         full=args.full,
         key=args.key,
@@ -258,8 +258,8 @@ def _thesis(args: Arguments) -> Any:
 
 
 def _bench(args: Arguments) -> Any:
-    result = _call("bench:bench")(repeats=args.repeats, peers=not args.no_peers)
-    _call("bench:save")(result, args.out)
+    result = _call("validation.bench:bench")(repeats=args.repeats, peers=not args.no_peers)
+    _call("validation.bench:save")(result, args.out)
     return result
 
 
@@ -444,7 +444,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"bayes-damper {args.command}: stopped", file=sys.stderr)
         return int(ExitCode.INTERRUPTED)
     if not args.quiet:
-        print(_call("run:json_text")(result.to_json()) if args.json else result.text())
+        print(_call("runs.execution:json_text")(result.to_json()) if args.json else result.text())
     return int(result.exit_code)
 
 

@@ -76,7 +76,7 @@ def _result(function: Any) -> str:
 
 def parameters() -> str:
     """The registry of parameters as a table."""
-    from bayes_damper.parameters import PARAMETERS, unit_of
+    from bayes_damper.rig.parameters import PARAMETERS, unit_of
 
     rows = ["| name | symbol | unit | on a translational rig | meaning |", "| --- | --- | --- | --- | --- |"]
     rows += [
@@ -114,7 +114,7 @@ def effects() -> str:
 
 def reader() -> str:
     """The keys of an import table."""
-    from bayes_damper.import_options import READER, TRIAL
+    from bayes_damper.campaign.import_options import READER, TRIAL
 
     rows = ["| key | meaning |", "| --- | --- |"]
     rows += [f"| `{key}` | {_cell(text)} |" for table in (TRIAL, READER) for key, (_, text) in table.items()]

@@ -13,9 +13,9 @@ from scipy.signal import lfilter
 from small_rig import measured
 
 from bayes_damper.calibration import Experiment
-from bayes_damper.distributions import LogNormal, to_standard
-from bayes_damper.noise import fit_with_noise
-from bayes_damper.record_posterior import RecordPosterior
+from bayes_damper.calibration.correlated_noise import fit_with_noise
+from bayes_damper.calibration.posterior import RecordPosterior
+from bayes_damper.priors.distributions import LogNormal, to_standard
 
 Array = NDArray[np.float64]
 NAMES = ("k2t", "c2t", "c1t", "c3t", "mu", "drag", "nu")

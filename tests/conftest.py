@@ -13,7 +13,9 @@ if not os.environ.get("FUZZ"):
     settings.load_profile("fixed")
 
 os.environ.setdefault("MPLBACKEND", "Agg")
-sys.path.insert(0, str(Path(__file__).parent))  # helpers of tests/, e.g. campaigns.py
+HERE = Path(__file__).parent
+# Helpers of tests/, e.g. campaigns.py, and test modules that lend others their campaigns.
+sys.path[:0] = [str(HERE / folder) for folder in ("", "calibration", "diagnosis", "fit", "sampling", "validation")]
 
 
 def pytest_collection_modifyitems(config, items):

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.record_posterior import RecordPosterior
+from bayes_damper.calibration.posterior import RecordPosterior
 from bayes_damper.sampling import Sampling, StoppingRule, resampled_start, sample
 from bayes_damper.sampling.moves import StudentT
 

@@ -10,7 +10,7 @@ import numpy as np
 from bayes_damper.calibration import Experiment, TrialRecord
 from bayes_damper.effects import EFFECTS
 from bayes_damper.effects.base import Variant
-from bayes_damper.model import Model
+from bayes_damper.simulation.model import Model
 
 RIG = {
     "J1": 3.015e-3, "J2": 2.474e-3, "R": 0.1, "r": 0.0127, "N0": 100.0, "k2t": 1.2, "c2t": 0.06, "c1t": 0.011,

@@ -14,15 +14,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from campaigns import decay
 
 import bayes_damper
 from bayes_damper.calibration import Experiment, TrialRecord, default_priors
 from bayes_damper.cli import _parser, main
 from bayes_damper.effects import EFFECTS, load_effects
 from bayes_damper.report.terms import _TERMS
-from bayes_damper.run import read_json
-from bayes_damper.withheld import page as proof_page
-from tests.campaigns import decay
+from bayes_damper.runs.execution import read_json
+from bayes_damper.validation.withheld import page as proof_page
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"

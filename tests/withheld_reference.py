@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-HOME = Path(__file__).resolve().parents[1] / "data" / "withheld"
+HOME = Path(__file__).resolve().parents[1] / "validation" / "simulator"
 if str(HOME) not in sys.path:
     sys.path.insert(0, str(HOME))
 

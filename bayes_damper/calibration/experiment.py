@@ -10,12 +10,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.distributions import Distribution, LogNormal, Normal
+from bayes_damper.campaign.records import common_grid, crossings, picks, release_of, rounding_of
 from bayes_damper.errors import InputError
-from bayes_damper.integrator import LONGEST_STEP
-from bayes_damper.model import Quantity
-from bayes_damper.priors import PriorSet
-from bayes_damper.records import common_grid, crossings, picks, release_of, rounding_of
+from bayes_damper.priors.distributions import Distribution, LogNormal, Normal
+from bayes_damper.priors.files import PriorSet
+from bayes_damper.simulation.integrator import LONGEST_STEP
+from bayes_damper.simulation.model import Quantity
 
 Array = NDArray[np.float64]
 STEPS_PER_PERIOD = 120.0  # at least, of the primary on its spring

@@ -13,7 +13,7 @@ from scipy.special import ndtri
 
 from bayes_damper.calibration.normal_equations import Linear, Normals
 from bayes_damper.calibration.problem import Problem, coordinate_of
-from bayes_damper.distributions import from_standard, median
+from bayes_damper.priors.distributions import from_standard, median
 
 Array = NDArray[np.float64]
 GAINED = 0.02  # of the cost by a step, below which a descent has ended

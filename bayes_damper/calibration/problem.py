@@ -21,7 +21,9 @@ from bayes_damper.calibration.experiment import (
 )
 from bayes_damper.calibration.noise_level import Noise, rough_noise
 from bayes_damper.calibration.normal_equations import Block, Linear
-from bayes_damper.distributions import (
+from bayes_damper.campaign.records import DERIVATIVE
+from bayes_damper.effects.base import Variant
+from bayes_damper.priors.distributions import (
     Distribution,
     HalfNormal,
     LogNormal,
@@ -32,9 +34,7 @@ from bayes_damper.distributions import (
     median,
     to_standard,
 )
-from bayes_damper.effects.base import Variant
-from bayes_damper.model import Model
-from bayes_damper.records import DERIVATIVE
+from bayes_damper.simulation.model import Model
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.signedinteger[Any]]

@@ -13,10 +13,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper import readings as look
+from bayes_damper.campaign import readings as look
 from bayes_damper.campaign.head import Head
+from bayes_damper.campaign.records import DERIVATIVE, departure
 from bayes_damper.campaign.structure import Trial, natural_period
-from bayes_damper.records import DERIVATIVE, departure
 
 Array = NDArray[np.float64]
 _OFF = 0.1  # of the frequency: nonlinear springs and viscous damping of a free decay stay below it, as a rule

@@ -13,7 +13,7 @@ import numpy as np
 from bayes_damper.campaign.declarations import look_at_declarations
 from bayes_damper.campaign.head import Head, check_rig, per_channel, read_head
 from bayes_damper.campaign.magnitudes import check_magnitudes
-from bayes_damper.campaign.oddities import look_at_rates, look_at_repeats, look_at_trial
+from bayes_damper.campaign.plausibility import look_at_rates, look_at_repeats, look_at_trial
 from bayes_damper.campaign.record_files import read_trial
 from bayes_damper.campaign.structure import Campaign, Measurement, Trial
 from bayes_damper.campaign.trials_table import Row, read_rows

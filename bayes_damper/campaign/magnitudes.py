@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from bayes_damper import readings as look
+from bayes_damper.campaign import readings as look
 from bayes_damper.campaign.head import Head
+from bayes_damper.campaign.records import DERIVATIVE
 from bayes_damper.campaign.structure import COLUMNS, Rig, Trial, natural_period
-from bayes_damper.records import DERIVATIVE
 
 
 def check_magnitudes(head: Head, trial: Trial, faults: list[str], warnings: list[str]) -> None:

@@ -19,7 +19,7 @@ from bayes_damper.campaign.files import decoded, read_bytes
 from bayes_damper.campaign.head import Head
 from bayes_damper.campaign.structure import COLUMNS, INPUT_COLUMN, SHOWN, Trial, natural_period, record_columns
 from bayes_damper.campaign.trials_table import Row
-from bayes_damper.wording import counted
+from bayes_damper.text import counted
 
 Array = NDArray[np.float64]
 _LARGEST = 1e30  # number that a record may hold, in any unit: its powers must not overflow

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper import readings as look
-from bayes_damper.parameters import unit_of
-from bayes_damper.wording import counted, gathered
+from bayes_damper.campaign import readings as look
+from bayes_damper.rig.parameters import unit_of
+from bayes_damper.text import counted, gathered
 
 Array = NDArray[np.float64]
 COLUMNS = {

@@ -25,7 +25,7 @@ from scipy.special import ndtr
 from bayes_damper.calibration import Calibration, Group, Problem, calibrate, predict
 from bayes_damper.diagnosis.remainder import own_frequency
 from bayes_damper.diagnosis.response import on_trials
-from bayes_damper.wording import p_value as told_p
+from bayes_damper.text import p_value as told_p
 
 Array = NDArray[np.float64]
 

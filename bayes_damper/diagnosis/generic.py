@@ -7,9 +7,9 @@ counts for the answer `unknown`.
 
 from __future__ import annotations
 
-from bayes_damper.distributions import Normal
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
-from bayes_damper.lanes import lane, tanh
+from bayes_damper.priors.distributions import Normal
+from bayes_damper.rig.vector_math import lane, tanh
 
 
 @lane

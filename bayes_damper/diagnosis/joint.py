@@ -22,12 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln, logsumexp
 
-from bayes_damper.distributions import Distribution, from_standard
-from bayes_damper.distributions import median as median_of
 from bayes_damper.effects.base import Variant
 from bayes_damper.errors import InputError
-from bayes_damper.kernels import compiled
-from bayes_damper.posterior import (
+from bayes_damper.priors.distributions import Distribution, from_standard
+from bayes_damper.priors.distributions import median as median_of
+from bayes_damper.priors.files import PriorSet
+from bayes_damper.published.posterior import (
     EFFECT_PREFIX,
     FEATURE_TIMES,
     Coordinates,
@@ -35,7 +35,7 @@ from bayes_damper.posterior import (
     FeaturePosterior,
     damping_pairs,
 )
-from bayes_damper.priors import PriorSet
+from bayes_damper.rig.kernels import compiled
 from bayes_damper.sampling.moves import StudentT
 
 Array = NDArray[np.float64]

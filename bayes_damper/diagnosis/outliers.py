@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper import readings as look
 from bayes_damper.calibration import Calibration, Experiment
+from bayes_damper.campaign import readings as look
 from bayes_damper.diagnosis.remainder import repeats_of
 
 Array = NDArray[np.float64]

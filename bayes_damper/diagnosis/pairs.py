@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.calibration import Calibration, Coordinate, Group, Indices, Noise, Problem, calibrate
-from bayes_damper.composition import compose
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.remainder import Remainder, remainder_of
 from bayes_damper.diagnosis.search import (
@@ -38,7 +37,8 @@ from bayes_damper.diagnosis.search import (
 )
 from bayes_damper.diagnosis.verdict import pair_log_prior
 from bayes_damper.effects.base import Effect, Variant
-from bayes_damper.forked import forked_map
+from bayes_damper.runs.parallel_map import forked_map
+from bayes_damper.simulation.composition import compose
 
 Array = NDArray[np.float64]
 

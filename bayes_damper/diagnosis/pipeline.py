@@ -36,11 +36,11 @@ from bayes_damper.diagnosis.sites import SiteMap, site_map, write_missing_torque
 from bayes_damper.diagnosis.verdict import RULE, Answers, Left, Rule, family_evidence, left_of, weigh
 from bayes_damper.diagnosis.where import Where, locate
 from bayes_damper.diagnosis.wiring import miswired
-from bayes_damper.distributions import Distribution, from_standard
 from bayes_damper.effects import EFFECTS, Effect, classes, scaled
 from bayes_damper.effects.base import SITES, Variant
-from bayes_damper.priors import PriorSet
-from bayes_damper.run import plain
+from bayes_damper.priors.distributions import Distribution, from_standard
+from bayes_damper.priors.files import PriorSet
+from bayes_damper.runs.execution import plain
 
 Array = NDArray[np.float64]
 

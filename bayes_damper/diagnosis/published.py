@@ -20,19 +20,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from bayes_damper.ahead import compile_ahead
-from bayes_damper.arviz_adapter import hdi
 from bayes_damper.diagnosis.joint import Formula, Joint, Weighed, beginning, from_prior, learn, weigh_formula
 from bayes_damper.diagnosis.next_experiment import bhattacharyya, expected_information
 from bayes_damper.diagnosis.pipeline import INDISTINCT, SCHEMA
 from bayes_damper.diagnosis.verdict import PRIOR_NONE, PRIOR_UNKNOWN, USUAL
-from bayes_damper.distributions import Distribution, LogNormal, from_standard
 from bayes_damper.effects import EFFECTS, Effect, candidates
 from bayes_damper.effects.base import SITES
-from bayes_damper.model import Model
-from bayes_damper.posterior import EFFECT_PREFIX, FEATURE_QUANTITIES, Datum
-from bayes_damper.priors import PriorSet
+from bayes_damper.priors.distributions import Distribution, LogNormal, from_standard
+from bayes_damper.priors.files import PriorSet
+from bayes_damper.published.posterior import EFFECT_PREFIX, FEATURE_QUANTITIES, Datum
+from bayes_damper.sampling.arviz_adapter import hdi
 from bayes_damper.sampling.moves import StudentT
+from bayes_damper.simulation.model import Model
+from bayes_damper.simulation.precompile import compile_ahead
 
 Array = NDArray[np.float64]
 Data = Mapping[str, Sequence[Datum]]

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.calibration import Block, Calibration, Experiment, Group
-from bayes_damper.kernels import compiled
-from bayes_damper.model import Model
+from bayes_damper.rig.kernels import compiled
+from bayes_damper.simulation.model import Model
 
 Array = NDArray[np.float64]
 

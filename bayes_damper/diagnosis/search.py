@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.ahead import compile_ahead
 from bayes_damper.calibration import (
     Calibration,
     Experiment,
@@ -25,11 +24,12 @@ from bayes_damper.calibration import (
     coordinate_of,
     summarise,
 )
-from bayes_damper.distributions import HalfNormal
 from bayes_damper.effects import REFERENCE, Scales, candidates, scaled
 from bayes_damper.effects.base import Effect, Variant
-from bayes_damper.forked import forked_map
-from bayes_damper.links import of_links
+from bayes_damper.priors.distributions import HalfNormal
+from bayes_damper.runs.parallel_map import forked_map
+from bayes_damper.simulation.links import of_links
+from bayes_damper.simulation.precompile import compile_ahead
 
 Array = NDArray[np.float64]
 

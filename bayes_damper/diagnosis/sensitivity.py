@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from bayes_damper.calibration import Calibration, TrialRecord, calibrate
 from bayes_damper.diagnosis.verdict import Answers
-from bayes_damper.wording import counted
+from bayes_damper.text import counted
 
 Array = NDArray[np.float64]
 

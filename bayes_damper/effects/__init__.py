@@ -21,10 +21,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from bayes_damper.damper import Rig
-from bayes_damper.distributions import Distribution, HalfNormal, LogNormal, LogUniform, Normal, Uniform
 from bayes_damper.effects.base import SITES, Effect, EffectParameter, Variant
 from bayes_damper.errors import InputError
+from bayes_damper.priors.distributions import Distribution, HalfNormal, LogNormal, LogUniform, Normal, Uniform
+from bayes_damper.rig.equations import Rig
 
 __all__ = [
     "EFFECTS",
@@ -147,7 +147,7 @@ def _variant_faults(variant: Variant) -> Iterable[str]:
     kernels = {hook: getattr(variant, hook) for hook in ("torque", "rate", "start", "sense")}
     for hook, kernel in kernels.items():
         if kernel is not None and not hasattr(kernel, "py_func"):
-            yield f"`{hook}` must be decorated with `lanes.lane`"
+            yield f"`{hook}` must be decorated with `vector_math.lane`"
     if all(kernel is None for kernel in (*kernels.values(), variant.lag, variant.amend)):
         yield "does nothing: it needs at least one of torque, sense, lag and amend"
     if (variant.rate is not None) != (variant.memory > 0):

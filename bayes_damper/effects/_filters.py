@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bayes_damper.lanes import exp, lane
+from bayes_damper.rig.vector_math import exp, lane
 
 
 @lane

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from bayes_damper.damper import normal_force_ratio
-from bayes_damper.lanes import lane, tanh
+from bayes_damper.rig.equations import normal_force_ratio
+from bayes_damper.rig.vector_math import lane, tanh
 
 
 @lane

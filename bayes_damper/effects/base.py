@@ -7,8 +7,9 @@ The author of an effect writes one file in this folder (or in a folder of their 
 2. One variant or more: the formula, its parameters (unit, prior and the reason for it) and the functions below.
 3. A parameter with a `null` makes the effect vanish there: the record is then that of the bare rig to 1e-12 of its
    peak. A variant that replaces the nominal friction says so (`replaces_friction`) and has no null.
-4. Functions marked "kernel" are decorated with `lanes.lane`: floats in, floats out, arithmetic, abs, min, max,
-   conditional expressions and the functions of lanes.py only (no `math`, no loops, no arrays), so that they vectorise.
+4. Functions marked "kernel" are decorated with `vector_math.lane`: floats in, floats out, arithmetic, abs, min, max,
+   conditional expressions and the functions of rig/vector_math.py only (no `math`, no loops, no arrays), so that they
+   vectorise.
 
 Nothing else has to be edited: registry, kernels, priors, ranking, tests and report read these records.
 """
@@ -22,7 +23,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.distributions import Distribution, LogUniform
+from bayes_damper.priors.distributions import Distribution, LogUniform
 
 Site = Literal["ground1", "bearings", "interface", "ground2", "release", "sensor"]
 SITES: tuple[Site, ...] = ("ground1", "bearings", "interface", "ground2", "release", "sensor")
@@ -51,7 +52,7 @@ class Variant:
     """One formula of an effect, with the functions that compute it. Hooks not used keep their neutral defaults.
 
     Kernel hooks (see the numbered duties of this module); `p` is a tuple of four floats, the effect's parameters in
-    order and zeros; `rig` has the fields of `damper.Rig` (J1 ... nu, theta0, slope):
+    order and zeros; `rig` has the fields of `equations.Rig` (J1 ... nu, theta0, slope):
 
     torque : (t, th1, th2, w1, w2, z1, z2, p, rig) -> (Q1, Q2), N m added on the right-hand side; t in s since release
     rate : the same arguments -> (dz1, dz2), rates of the memory states

@@ -7,9 +7,9 @@ Source: Augustine (2013), eq. 19, p. 23.
 
 from __future__ import annotations
 
-from bayes_damper.distributions import HalfNormal, LogNormal
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
-from bayes_damper.lanes import lane, tanh
+from bayes_damper.priors.distributions import HalfNormal, LogNormal
+from bayes_damper.rig.vector_math import lane, tanh
 
 
 @lane

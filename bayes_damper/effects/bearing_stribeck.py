@@ -7,9 +7,9 @@ Source: Armstrong-Helouvry et al. (1994), Automatica 30, 1083; Bo and Pavelescu 
 
 from __future__ import annotations
 
-from bayes_damper.distributions import HalfNormal, LogNormal
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
-from bayes_damper.lanes import exp, lane, tanh
+from bayes_damper.priors.distributions import HalfNormal, LogNormal
+from bayes_damper.rig.vector_math import exp, lane, tanh
 
 
 @lane

@@ -7,9 +7,9 @@ Source: Nordin and Gutman (2002), Automatica 38, 1633 (dead zone); Lovejoy coupl
 
 from __future__ import annotations
 
-from bayes_damper.distributions import HalfNormal, LogNormal
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
-from bayes_damper.lanes import lane, tanh
+from bayes_damper.priors.distributions import HalfNormal, LogNormal
+from bayes_damper.rig.vector_math import lane, tanh
 
 
 @lane

@@ -11,9 +11,9 @@ position, 0 if it has relaxed since. Source: Dahl (1968), Aerospace TOR-158; Wen
 
 from __future__ import annotations
 
-from bayes_damper.distributions import HalfNormal, LogNormal, Uniform
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
-from bayes_damper.lanes import exp, lane, tanh
+from bayes_damper.priors.distributions import HalfNormal, LogNormal, Uniform
+from bayes_damper.rig.vector_math import exp, lane, tanh
 
 
 @lane

@@ -7,10 +7,10 @@ Source: Sodano et al. (2006), J. Sound Vib. 292, 815 (damping with the square of
 
 from __future__ import annotations
 
-from bayes_damper.distributions import Uniform
 from bayes_damper.effects._shapes import overlap
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
-from bayes_damper.lanes import lane
+from bayes_damper.priors.distributions import Uniform
+from bayes_damper.rig.vector_math import lane
 
 
 @lane

@@ -7,10 +7,10 @@ Source: Augustine (2013), p. 22 (named, not modelled).
 
 from __future__ import annotations
 
-from bayes_damper.distributions import Normal
 from bayes_damper.effects._shapes import friction
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
-from bayes_damper.lanes import lane
+from bayes_damper.priors.distributions import Normal
+from bayes_damper.rig.vector_math import lane
 
 
 @lane

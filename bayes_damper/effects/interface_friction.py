@@ -7,10 +7,10 @@ Source: Augustine (2013), eqs. 18 and 20, pp. 23-24.
 
 from __future__ import annotations
 
-from bayes_damper.distributions import HalfNormal, LogNormal
 from bayes_damper.effects._shapes import overlap
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
-from bayes_damper.lanes import lane, tanh
+from bayes_damper.priors.distributions import HalfNormal, LogNormal
+from bayes_damper.rig.vector_math import lane, tanh
 
 
 @lane

@@ -9,9 +9,9 @@ Source: Findley, Lai and Onaran (1976), Creep and Relaxation of Nonlinear Viscoe
 
 from __future__ import annotations
 
-from bayes_damper.distributions import HalfNormal, LogNormal
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
-from bayes_damper.lanes import lane
+from bayes_damper.priors.distributions import HalfNormal, LogNormal
+from bayes_damper.rig.vector_math import lane
 
 
 @lane

@@ -7,9 +7,9 @@ Source: Furlani (2001), Permanent Magnet and Electromechanical Devices, sec. 4.7
 
 from __future__ import annotations
 
-from bayes_damper.distributions import HalfNormal, Normal
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
-from bayes_damper.lanes import exp, lane
+from bayes_damper.priors.distributions import HalfNormal, Normal
+from bayes_damper.rig.vector_math import exp, lane
 
 
 @lane

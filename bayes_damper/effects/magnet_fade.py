@@ -7,10 +7,10 @@ Memory: a E. Source: Augustine (2013), p. 35 (named, not modelled); Furlani (200
 
 from __future__ import annotations
 
-from bayes_damper.distributions import HalfNormal
 from bayes_damper.effects._shapes import friction
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
-from bayes_damper.lanes import exp, lane
+from bayes_damper.priors.distributions import HalfNormal
+from bayes_damper.rig.vector_math import exp, lane
 
 
 @lane

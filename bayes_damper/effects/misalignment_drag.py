@@ -7,10 +7,10 @@ Source: Augustine (2013), pp. 9 and 33 (one-sided magnets misalign the shafts).
 
 from __future__ import annotations
 
-from bayes_damper.distributions import HalfNormal
 from bayes_damper.effects._shapes import pull
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
-from bayes_damper.lanes import lane, tanh
+from bayes_damper.priors.distributions import HalfNormal
+from bayes_damper.rig.vector_math import lane, tanh
 
 
 @lane

@@ -8,10 +8,10 @@ law, assumed); Vokoun et al. (2009), J. Magn. Magn. Mater. 321, 3758 (pull of cy
 
 from __future__ import annotations
 
-from bayes_damper.distributions import LogNormal, Normal, Uniform
 from bayes_damper.effects._shapes import friction, overlap, pull
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
-from bayes_damper.lanes import exp, lane, log, tanh
+from bayes_damper.priors.distributions import LogNormal, Normal, Uniform
+from bayes_damper.rig.vector_math import exp, lane, log, tanh
 
 
 @lane

@@ -7,9 +7,9 @@ Source: Batchelor (1967), An Introduction to Fluid Dynamics, sec. 5.11; Nelson a
 
 from __future__ import annotations
 
-from bayes_damper.distributions import HalfNormal
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
-from bayes_damper.lanes import lane
+from bayes_damper.priors.distributions import HalfNormal
+from bayes_damper.rig.vector_math import lane
 
 
 @lane

@@ -8,9 +8,9 @@ Augustine (2013), p. 10 (pneumatic actuator); Inman (2014), Engineering Vibratio
 
 from __future__ import annotations
 
-from bayes_damper.distributions import HalfNormal
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
-from bayes_damper.lanes import cos, exp, lane
+from bayes_damper.priors.distributions import HalfNormal
+from bayes_damper.rig.vector_math import cos, exp, lane
 
 
 @lane

@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from bayes_damper.distributions import HalfNormal
 from bayes_damper.effects._filters import follow, low_pass
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
-from bayes_damper.lanes import lane
+from bayes_damper.priors.distributions import HalfNormal
+from bayes_damper.rig.vector_math import lane
 
 
 @lane

@@ -7,9 +7,9 @@ Source: Wilson (2005), Sensor Technology Handbook, ch. 4.
 
 from __future__ import annotations
 
-from bayes_damper.distributions import LogUniform
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
-from bayes_damper.lanes import exp, lane, log
+from bayes_damper.priors.distributions import LogUniform
+from bayes_damper.rig.vector_math import exp, lane, log
 
 
 @lane

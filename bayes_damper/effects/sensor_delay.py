@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from bayes_damper.distributions import HalfNormal
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
+from bayes_damper.priors.distributions import HalfNormal
 
 
 def channel1(p: Mapping[str, Any]) -> tuple[Any, Any]:

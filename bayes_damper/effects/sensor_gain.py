@@ -7,9 +7,9 @@ Source: Augustine (2013), p. 10 (accelerometers PCB 288D01; such sensors are cal
 
 from __future__ import annotations
 
-from bayes_damper.distributions import Normal
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
-from bayes_damper.lanes import lane
+from bayes_damper.priors.distributions import Normal
+from bayes_damper.rig.vector_math import lane
 
 
 @lane

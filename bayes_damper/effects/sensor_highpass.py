@@ -7,10 +7,10 @@ Source: Doebelin (2004), Measurement Systems, sec. 3.3; piezoelectric accelerome
 
 from __future__ import annotations
 
-from bayes_damper.distributions import HalfNormal
 from bayes_damper.effects._filters import low_pass
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
-from bayes_damper.lanes import lane
+from bayes_damper.priors.distributions import HalfNormal
+from bayes_damper.rig.vector_math import lane
 
 
 @lane

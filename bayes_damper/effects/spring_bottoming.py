@@ -7,9 +7,9 @@ Source: Augustine (2013), pp. 11 and 33 (name only); Shaw and Holmes (1983), J. 
 
 from __future__ import annotations
 
-from bayes_damper.distributions import HalfNormal, LogNormal
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
-from bayes_damper.lanes import lane
+from bayes_damper.priors.distributions import HalfNormal, LogNormal
+from bayes_damper.rig.vector_math import lane
 
 
 @lane

@@ -7,9 +7,9 @@ Source: Kovacic and Brennan (2011), The Duffing Equation, ch. 2; springs named a
 
 from __future__ import annotations
 
-from bayes_damper.distributions import Normal
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
-from bayes_damper.lanes import lane
+from bayes_damper.priors.distributions import Normal
+from bayes_damper.rig.vector_math import lane
 
 
 @lane

@@ -9,10 +9,10 @@ Canudas de Wit et al. (1995), IEEE Trans. Autom. Control 40, 419; Armstrong-Helo
 
 from __future__ import annotations
 
-from bayes_damper.distributions import HalfNormal, LogNormal
 from bayes_damper.effects._shapes import friction, pull
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
-from bayes_damper.lanes import exp, lane
+from bayes_damper.priors.distributions import HalfNormal, LogNormal
+from bayes_damper.rig.vector_math import exp, lane
 
 
 @lane

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from bayes_damper.distributions import Normal
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
+from bayes_damper.priors.distributions import Normal
 
 
 def factor(parameters: Mapping[str, Any], p: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.checkpoint import Checkpoint
-from bayes_damper.posterior import FeaturePosterior
-from bayes_damper.provenance import code_sha256
-from bayes_damper.record_posterior import RecordPosterior
+from bayes_damper.calibration.posterior import RecordPosterior
+from bayes_damper.published.posterior import FeaturePosterior
+from bayes_damper.runs.checkpoint import Checkpoint
+from bayes_damper.runs.provenance import code_sha256
 from bayes_damper.sampling import Annealing, Sampling, Start, StoppingRule, annealed_start, sample
 from bayes_damper.sampling import Progress as Stage
 

@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper import arviz_adapter
-from bayes_damper.arviz_adapter import hdi
-from bayes_damper.parameters import unit_of
-from bayes_damper.provenance import provenance
-from bayes_damper.sampling import Sampling
-from bayes_damper.summary import summarise
+from bayes_damper.fit.summary import summarise
+from bayes_damper.rig.parameters import unit_of
+from bayes_damper.runs.provenance import provenance
+from bayes_damper.sampling import Sampling, arviz_adapter
+from bayes_damper.sampling.arviz_adapter import hdi
 
 Array = NDArray[np.float64]
 Units = Callable[[str], str]

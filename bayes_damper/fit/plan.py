@@ -10,15 +10,15 @@ from pathlib import Path
 from typing import Any
 
 from bayes_damper.calibration import Experiment, experiment_of
+from bayes_damper.calibration.correlated_noise import KINDS
 from bayes_damper.campaign import Campaign, load_campaign
 from bayes_damper.effects import all_effects
 from bayes_damper.errors import InputError
-from bayes_damper.noise import KINDS
-from bayes_damper.parameters import hint
-from bayes_damper.priors import PriorSet, campaign_priors, load_priors
-from bayes_damper.provenance import code_sha256, package_version
-from bayes_damper.published import load_published
-from bayes_damper.run import read_json, write_json
+from bayes_damper.priors.files import PriorSet, campaign_priors, load_priors
+from bayes_damper.published.measurements import load_published
+from bayes_damper.rig.parameters import hint
+from bayes_damper.runs.execution import read_json, write_json
+from bayes_damper.runs.provenance import code_sha256, package_version
 
 _TAKEN = ("joint", "variability")
 """Folders beside those of the cases: of all cases together, and of the pieces of `variability`."""

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from bayes_damper.arviz_adapter import hdi
 from bayes_damper.fit.draw import DRAWN, Report, number_of, sampled, search, shaped
 from bayes_damper.fit.drawings import draw_case
 from bayes_damper.fit.entry import (
@@ -23,9 +22,10 @@ from bayes_damper.fit.entry import (
     tell_priors,
     write_draws,
 )
-from bayes_damper.posterior import Coordinates, Datum, FeaturePosterior, damping_pairs, feature_sheets
-from bayes_damper.priors import PriorSet, priors_from_dict
-from bayes_damper.published import load_published
+from bayes_damper.priors.files import PriorSet, priors_from_dict
+from bayes_damper.published.measurements import load_published
+from bayes_damper.published.posterior import Coordinates, Datum, FeaturePosterior, damping_pairs, feature_sheets
+from bayes_damper.sampling.arviz_adapter import hdi
 
 
 def published_posterior(case: str, priors: PriorSet, normal_force: str = "linear") -> FeaturePosterior:

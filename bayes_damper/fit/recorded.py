@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.arviz_adapter import hdi
 from bayes_damper.calibration import Calibration, Experiment, calibrate, calibrate_nominal, learn_noise, middle
+from bayes_damper.calibration.correlated_noise import FittedNoise, fit_with_noise
+from bayes_damper.calibration.influence import comparison, influence, without
+from bayes_damper.calibration.posterior import RecordPosterior, trial_label
 from bayes_damper.effects import all_effects
 from bayes_damper.errors import InputError
-from bayes_damper.evidence import bridge
 from bayes_damper.fit.draw import DRAWN, Report, number_of, sampled, shaped
 from bayes_damper.fit.drawings import draw_case, draw_records
 from bayes_damper.fit.entry import (
@@ -30,13 +31,12 @@ from bayes_damper.fit.entry import (
     write_draws,
 )
 from bayes_damper.fit.plan import recorded_experiment
-from bayes_damper.influence import comparison, influence, without
-from bayes_damper.noise import FittedNoise, fit_with_noise
-from bayes_damper.parameters import unit_of
-from bayes_damper.record_posterior import RecordPosterior, trial_label
+from bayes_damper.fit.sensitivity import of_standard_draws
+from bayes_damper.rig.parameters import unit_of
+from bayes_damper.rig.units import effect_unit
 from bayes_damper.sampling import Sampling, resampled_start
-from bayes_damper.sensitivity import of_standard_draws
-from bayes_damper.units import effect_unit
+from bayes_damper.sampling.arviz_adapter import hdi
+from bayes_damper.sampling.bridge import bridge
 
 Array = NDArray[np.float64]
 PROPOSALS = 4000

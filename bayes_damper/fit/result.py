@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bayes_damper import arviz_adapter
 from bayes_damper.errors import ExitCode
 from bayes_damper.fit.drawings import draw_overview
 from bayes_damper.fit.plan import plan_fit, planned_campaign, start_run
-from bayes_damper.provenance import provenance
-from bayes_damper.run import WAITING, Progress, Silent, Task, folder_name, run_tasks, stopped, write_json
-from bayes_damper.sensitivity import text as sensitivity_text
-from bayes_damper.summary import table_text, write_table
-from bayes_damper.wording import gathered
+from bayes_damper.fit.sensitivity import text as sensitivity_text
+from bayes_damper.fit.summary import table_text, write_table
+from bayes_damper.runs.execution import WAITING, Progress, Silent, Task, folder_name, run_tasks, stopped, write_json
+from bayes_damper.runs.provenance import provenance
+from bayes_damper.sampling import arviz_adapter
+from bayes_damper.text import gathered
 
 SCHEMA = "bayes-damper/fit/1"
 _OVERVIEW = "overview"

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from bayes_damper.campaign import load_campaign
 from bayes_damper.errors import InputError
 from bayes_damper.report.parts import Chart
-from bayes_damper.wording import COORDINATES
+from bayes_damper.text import COORDINATES
 
 Array = NDArray[np.float64]
 MOST_POINTS = 2500

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from bayes_damper.numerals import NOTHING, number
-from bayes_damper.wording import p_value
+from bayes_damper.text import p_value
 
 
 @dataclass(frozen=True)

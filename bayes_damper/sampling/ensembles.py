@@ -28,11 +28,11 @@ import emcee
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.checkpoint import Checkpoint
 from bayes_damper.errors import InputError, Interrupted
+from bayes_damper.runs.checkpoint import Checkpoint
 from bayes_damper.sampling.convergence import StoppingRule, Verdict, autocorrelation_time, judge, stranded_walkers
+from bayes_damper.sampling.local_mixture import Nearby
 from bayes_damper.sampling.moves import DifferentialEvolution, HalvesMove, Independence, Snooker, fit_mixture
-from bayes_damper.sampling.nearby import Nearby
 from bayes_damper.sampling.start import Start, cloud
 
 Array = NDArray[np.float64]

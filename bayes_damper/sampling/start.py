@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 
 from bayes_damper.errors import InputError
+from bayes_damper.sampling.local_mixture import Nearby
 from bayes_damper.sampling.moves import DifferentialEvolution, HalvesMove, Independence, Snooker, StudentT, fit_mixture
-from bayes_damper.sampling.nearby import Nearby
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

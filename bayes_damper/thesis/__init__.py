@@ -18,14 +18,14 @@ import pandas as pd
 
 from bayes_damper import figures as drawing
 from bayes_damper.errors import ExitCode
-from bayes_damper.provenance import provenance
-from bayes_damper.run import plain, write_json, write_text
+from bayes_damper.runs.execution import plain, write_json, write_text
+from bayes_damper.runs.provenance import provenance
+from bayes_damper.text import counted
 from bayes_damper.thesis.contradictions import Contradiction, Needed, contradictions
 from bayes_damper.thesis.figures import Figure, figures
 from bayes_damper.thesis.printed import CASES, printed_case
 from bayes_damper.thesis.rig import effective_coupling, linear_rig, nonlinear_rig, secondary_inertia
 from bayes_damper.thesis.tables import table
-from bayes_damper.wording import counted
 
 __all__ = [
     "CASES", "Contradiction", "Figure", "Needed", "Recomputation", "effective_coupling", "linear_rig",

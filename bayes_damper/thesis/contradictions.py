@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
-from bayes_damper import linear
-from bayes_damper.features import features
-from bayes_damper.model import Model
+from bayes_damper.published.features import features
+from bayes_damper.rig import linear
+from bayes_damper.simulation.model import Model
 from bayes_damper.thesis.printed import (
     BAR_RADIUS,
     CASE_IV_DAMPING,

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper import linear
-from bayes_damper.linear import LinearRig
-from bayes_damper.model import Model
+from bayes_damper.rig import linear
+from bayes_damper.rig.linear import LinearRig
+from bayes_damper.simulation.model import Model
 from bayes_damper.thesis.printed import CASE_IV_DAMPING, LAWS, printed_case, table_12
 from bayes_damper.thesis.rig import FINE, J1, linear_rig, nonlinear_rig, secondary_inertia
 

@@ -13,8 +13,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.published import load_published
-from bayes_damper.resources import shipped_path
+from bayes_damper.files import shipped_path
+from bayes_damper.published.measurements import load_published
 
 Array = NDArray[np.float64]
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq, least_squares
 
-from bayes_damper import linear
-from bayes_damper.features import Features, features
-from bayes_damper.linear import LinearRig
+from bayes_damper.published.features import Features, features
+from bayes_damper.rig import linear
+from bayes_damper.rig.linear import LinearRig
 from bayes_damper.thesis.printed import (
     BAR_RADIUS,
     CASE_IV_DAMPING,

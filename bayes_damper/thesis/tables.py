@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from bayes_damper import linear
-from bayes_damper.linear import LinearRig
+from bayes_damper.rig import linear
+from bayes_damper.rig.linear import LinearRig
 from bayes_damper.thesis.printed import (
     BAR_RADIUS,
     CASE_IV_DAMPING,

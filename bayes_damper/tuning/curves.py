@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper import linear
+from bayes_damper.rig import linear
 from bayes_damper.tuning.draws import Draws
 from bayes_damper.tuning.optimum import middle_of
 from bayes_damper.tuning.performance import Design, harmonic_response, linear_performance, linear_rig, probability_of

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayes_damper.campaign import Campaign, load_campaign
 from bayes_damper.errors import InputError
-from bayes_damper.parameters import unit_of
-from bayes_damper.published import load_published
-from bayes_damper.run import folder_name, read_json
+from bayes_damper.published.measurements import load_published
+from bayes_damper.rig.parameters import unit_of
+from bayes_damper.runs.execution import folder_name, read_json
 
 Array = NDArray[np.float64]
 Draws = Mapping[str, Array]

@@ -9,10 +9,10 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayes_damper import linear
 from bayes_damper.errors import InputError
-from bayes_damper.linear import LinearRig
-from bayes_damper.model import Model
+from bayes_damper.rig import linear
+from bayes_damper.rig.linear import LinearRig
+from bayes_damper.simulation.model import Model
 from bayes_damper.tuning.draws import LINEAR, NONLINEAR, Draws
 
 Array = NDArray[np.float64]

@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayes_damper import figures
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.parameters import unit_of
-from bayes_damper.provenance import provenance
-from bayes_damper.run import write_json
+from bayes_damper.rig.parameters import unit_of
+from bayes_damper.runs.execution import write_json
+from bayes_damper.runs.provenance import provenance
+from bayes_damper.text import counted, gathered
 from bayes_damper.tuning.curves import Band, Curve, frequency_responses, tuning_curves
 from bayes_damper.tuning.draws import Draws, Origin, chosen_case, origin_of, posterior_draws
 from bayes_damper.tuning.optimum import Optimum, best_design, shares_of_variance, usual_bounds
@@ -28,7 +29,6 @@ from bayes_damper.tuning.performance import (
     probability_of,
     refused,
 )
-from bayes_damper.wording import counted, gathered
 
 Array = NDArray[np.float64]
 SCHEMA = "bayes-damper/tune/1"

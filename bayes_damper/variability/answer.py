@@ -11,16 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper import arviz_adapter, figures
-from bayes_damper.distributions import Distribution, from_standard, to_standard
+from bayes_damper import figures
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.provenance import code_sha256, provenance
-from bayes_damper.run import Progress, Task, folder_name, plain, read_json, run_tasks, write_json
+from bayes_damper.priors.distributions import Distribution, from_standard, to_standard
+from bayes_damper.runs.execution import Progress, Task, folder_name, plain, read_json, run_tasks, write_json
+from bayes_damper.runs.provenance import code_sha256, provenance
+from bayes_damper.sampling import arviz_adapter
+from bayes_damper.text import gathered
 from bayes_damper.variability.decomposition import Sets, decompose, summary
 from bayes_damper.variability.pooling import POOLINGS, Direct, Recycled, recycle
 from bayes_damper.variability.published import PublishedCases
 from bayes_damper.variability.recorded import RecordedCases
-from bayes_damper.wording import gathered
 
 Array = NDArray[np.float64]
 SCHEMA = "bayes-damper/variability/1"

@@ -21,8 +21,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.arviz_adapter import hdi
-from bayes_damper.model import Quantity
+from bayes_damper.sampling.arviz_adapter import hdi
+from bayes_damper.simulation.model import Quantity
 from bayes_damper.variability.equivalent import FIRST, LAST, NAMES, TIMES, Equivalent, equivalent
 
 Array = NDArray[np.float64]

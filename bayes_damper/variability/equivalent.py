@@ -16,9 +16,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.features import features
-from bayes_damper.linear import LinearRig, damping_coefficient, damping_ratio_of_decrement, free_response
-from bayes_damper.model import Model, Quantity
+from bayes_damper.published.features import features
+from bayes_damper.rig.linear import LinearRig, damping_coefficient, damping_ratio_of_decrement, free_response
+from bayes_damper.simulation.model import Model, Quantity
 
 Array = NDArray[np.float64]
 FIRST, LAST = 1e-3, 0.25

@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp, ndtr
 
-from bayes_damper.arviz_adapter import pareto_k
-from bayes_damper.distributions import Distribution, LogNormal, from_standard, to_standard
 from bayes_damper.errors import InputError
+from bayes_damper.priors.distributions import Distribution, LogNormal, from_standard, to_standard
+from bayes_damper.sampling.arviz_adapter import pareto_k
 from bayes_damper.sampling.moves import Independence, fit_mixture
 from bayes_damper.variability.tempering import Block, temper
 

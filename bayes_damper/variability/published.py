@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.calibration import NOMINAL
-from bayes_damper.distributions import Distribution, LogNormal, Normal
 from bayes_damper.errors import InputError
 from bayes_damper.fit import published_posterior
-from bayes_damper.posterior import Coordinates, FeaturePosterior, feature_times
-from bayes_damper.priors import load_priors, priors_from_dict
-from bayes_damper.published import load_published
+from bayes_damper.priors.distributions import Distribution, LogNormal, Normal
+from bayes_damper.priors.files import load_priors, priors_from_dict
+from bayes_damper.published.measurements import load_published
+from bayes_damper.published.posterior import Coordinates, FeaturePosterior, feature_times
 from bayes_damper.variability.decomposition import CaseDraws, Sets, curve_values, mean_over_cases, summary
 from bayes_damper.variability.equivalent import NAMES, bearing_damping, feature_scatter
 from bayes_damper.variability.pooling import POOLINGS, CaseLikelihood, Direct, Hierarchy, Pooling, Scaling, Tilt, Tilted

@@ -18,12 +18,12 @@ from bayes_damper.calibration import (
     experiment_of,
     predict,
 )
+from bayes_damper.calibration.correlated_noise import fit_with_noise
 from bayes_damper.campaign import load_campaign
-from bayes_damper.distributions import Distribution, from_standard, to_standard
 from bayes_damper.errors import InputError
-from bayes_damper.noise import fit_with_noise
-from bayes_damper.parameters import unit_of
-from bayes_damper.priors import campaign_priors
+from bayes_damper.priors.distributions import Distribution, from_standard, to_standard
+from bayes_damper.priors.files import campaign_priors
+from bayes_damper.rig.parameters import unit_of
 from bayes_damper.variability.decomposition import CaseDraws, Sets, curve_values, mean_over_cases, summary
 from bayes_damper.variability.equivalent import NAMES, PERIOD, TIMES, bearing_damping, fit_linear
 from bayes_damper.variability.pooling import POOLINGS, Direct, GaussianCase, GaussianHierarchy, Pooling

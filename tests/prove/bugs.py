@@ -20,7 +20,7 @@ from calibrated import recorded, without_allowance
 from synthetic import FAINT
 
 from bayes_damper.calibration import Experiment, Problem
-from bayes_damper.record_posterior import RecordPosterior
+from bayes_damper.calibration.posterior import RecordPosterior
 from bayes_damper.sampling import ensembles
 from bayes_damper.sampling.moves import Snooker
 

@@ -24,11 +24,11 @@ from draws import SHORT, WALKERS, sampled, weighted
 from numpy.typing import NDArray
 
 from bayes_damper.calibration import Experiment, Switches, calibrate_nominal, problem
+from bayes_damper.calibration.posterior import RecordPosterior
 from bayes_damper.fit.draw import search
 from bayes_damper.fit.published import feature_posterior, published_posterior
-from bayes_damper.posterior import Datum
-from bayes_damper.priors import load_priors
-from bayes_damper.record_posterior import RecordPosterior
+from bayes_damper.priors.files import load_priors
+from bayes_damper.published.posterior import Datum
 from bayes_damper.sampling import Sampling, diagnose_draws, sample
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ import ranks
 from matplotlib.figure import Figure
 
 from bayes_damper import figures
-from bayes_damper.wording import counted, p_value
+from bayes_damper.text import counted, p_value
 
 Results = Sequence[Mapping[str, Any]]
 

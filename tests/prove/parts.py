@@ -16,27 +16,27 @@ from pathlib import Path
 from typing import Any
 
 from bayes_damper import figures
-from bayes_damper.provenance import code_sha256, commit
+from bayes_damper.runs.provenance import code_sha256, commit
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "docs" / "proof"
 
 
 FITTED = (
-    "bayes_damper.record_posterior", "bayes_damper.evidence", "bayes_damper.sampling", "bayes_damper.posterior",
-    "bayes_damper.published", "bayes_damper.priors",
+    "bayes_damper.calibration.posterior", "bayes_damper.sampling.bridge", "bayes_damper.sampling",
+    "bayes_damper.published.posterior", "bayes_damper.published.measurements", "bayes_damper.priors.files",
 )  # fmt: skip
 MODULES = {
     "calibration": FITTED,
     "exact": FITTED,
     "bug": FITTED,
     "noise": FITTED,
-    "priors": (*FITTED, "bayes_damper.sensitivity"),
+    "priors": (*FITTED, "bayes_damper.fit.sensitivity"),
     "evidence": FITTED,
     "kills-sampler": ("bayes_damper.sampling",),
-    "integrator": ("bayes_damper.model",),
+    "integrator": ("bayes_damper.simulation.model",),
     "next": ("bayes_damper.diagnosis",),
-    "rigs": ("bayes_damper.diagnosis", "bayes_damper.campaign", "bayes_damper.forecast"),
+    "rigs": ("bayes_damper.diagnosis", "bayes_damper.campaign", "bayes_damper.calibration.forecast"),
 }
 """By the beginning of a part's name, the modules that decide its results, with all that they import; else all."""
 

@@ -21,7 +21,7 @@ from scipy.optimize import least_squares
 from scipy.signal import savgol_filter
 
 from bayes_damper.calibration import Calibration, Experiment, Noise, calibrate_nominal, predict
-from bayes_damper.forecast import PERIODS, _ahead, period_of, summary
+from bayes_damper.calibration.forecast import PERIODS, _ahead, period_of, summary
 
 Array = NDArray[np.float64]
 

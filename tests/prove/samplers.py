@@ -23,8 +23,8 @@ import reference
 from numpy.typing import NDArray
 
 from bayes_damper.calibration import Calibration, Experiment, Switches, TrialRecord, calibrate_nominal
-from bayes_damper.distributions import LogNormal
-from bayes_damper.record_posterior import NOISE_PRIOR, RecordPosterior
+from bayes_damper.calibration.posterior import NOISE_PRIOR, RecordPosterior
+from bayes_damper.priors.distributions import LogNormal
 from bayes_damper.sampling import diagnose_draws, resampled_start, sample
 
 Array = NDArray[np.float64]

@@ -21,8 +21,8 @@ import reference
 from numpy.typing import NDArray
 
 from bayes_damper.calibration import FRICTION_SPREAD, Experiment, TrialRecord, default_priors
-from bayes_damper.distributions import LogNormal, from_standard, to_standard
-from bayes_damper.model import Model
+from bayes_damper.priors.distributions import LogNormal, from_standard, to_standard
+from bayes_damper.simulation.model import Model
 
 Array = NDArray[np.float64]
 KINDS = ("lone", "repeats")

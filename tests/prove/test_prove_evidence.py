@@ -13,9 +13,9 @@ from scipy.special import ndtri
 from small_rig import RIG, measured
 
 from bayes_damper.calibration import Noise, Problem, Switches, calibrate
-from bayes_damper.evidence import bridge, nested
-from bayes_damper.record_posterior import RecordPosterior
+from bayes_damper.calibration.posterior import RecordPosterior
 from bayes_damper.sampling import resampled_start, sample
+from bayes_damper.sampling.bridge import bridge, nested
 
 SEEDS = 8
 LIVE = 500

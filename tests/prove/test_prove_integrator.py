@@ -10,7 +10,7 @@ import parts
 import pytest
 import reference
 
-from bayes_damper.model import Model
+from bayes_damper.simulation.model import Model
 
 SECOND = np.arange(0.0, 1.0005, 1e-3)
 VECTORS = 150

@@ -19,13 +19,12 @@ import numpy as np
 import pages
 import parts
 import pytest
-from test_fit import _campaign
+from test_entry import _campaign
 
-from bayes_damper import arviz_adapter
-from bayes_damper.checkpoint import Checkpoint
+from bayes_damper.commands.resume import resume
 from bayes_damper.fit import fit
-from bayes_damper.resume import resume
-from bayes_damper.sampling import Start, StoppingRule, sample
+from bayes_damper.runs.checkpoint import Checkpoint
+from bayes_damper.sampling import Start, StoppingRule, arviz_adapter, sample
 
 KILLS = 50
 AT_MOST = 10  # kills of one run

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import parts
 import pytest
-from test_calibration import RIG, TRUE
+from test_problem import RIG, TRUE
 
 from bayes_damper.calibration import Experiment, TrialRecord
 from bayes_damper.diagnosis import Diagnosis, diagnose
 from bayes_damper.effects import EFFECTS
-from bayes_damper.model import Model
+from bayes_damper.simulation.model import Model
 
 Truth = tuple[str, str, dict[str, float]]
 """Effect, formula, parameters."""

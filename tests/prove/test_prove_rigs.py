@@ -15,9 +15,9 @@ import rig_peers
 
 from bayes_damper.calibration import experiment_of
 from bayes_damper.campaign import load_campaign
-from bayes_damper.diagnose import diagnose
-from bayes_damper.importer import import_records
-from bayes_damper.priors import campaign_priors
+from bayes_damper.campaign.importer import import_records
+from bayes_damper.commands.diagnose import diagnose
+from bayes_damper.priors.files import campaign_priors
 
 RAW = Path(os.environ.get("BAYES_DAMPER_REALDATA", parts.ROOT.parent / "shared" / "realdata"))
 RIGS = ("rotary_pendulum", "tuned_mass_damper", "double_pendulum")

@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from bayes_damper.parameters import PARAMETERS
 from bayes_damper.report.parts import Picture, Table, generic, words
+from bayes_damper.rig.parameters import PARAMETERS
 
 _HEADS = {
     "k1t n m per rad": "k1t [N m/rad]", "k1 n per m": "k1 [N/m]", "theta0 deg": "theta0 [deg]",

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from bayes_damper.numerals import NOTHING, SDS_WIDE, number, percent
-from bayes_damper.parameters import unit_of
 from bayes_damper.report.charts import response_chart
 from bayes_damper.report.parts import Headline, Result, Row, Section, Table, listed, words
 from bayes_damper.report.sections.shared import fingerprint, meaning_of, pictures_of
-from bayes_damper.wording import counted, gathered
+from bayes_damper.rig.parameters import unit_of
+from bayes_damper.text import counted, gathered
 
 
 def tune_result(data: Mapping[str, Any], folder: Path) -> Result:

@@ -1,0 +1,380 @@
+"""Posterior of the parameters given recorded trials, with the nuisances of each trial integrated out.
+
+Each trial has unknowns of its own: its release angle, its instant of release, its share of friction. Thirty trials
+would mean sixty more dimensions. But around the best fit the record is linear in them to well within the noise, so
+they are integrated out in closed form. With w the whitened residuals at the best nuisances eta, T their whitened
+derivatives by the nuisances, and a unit Gaussian prior of the nuisances (their standard coordinates),
+
+    A = 1 + T'T,   b = eta + T'w,
+    log L = -(w'w + eta'eta - b' A^-1 b + log |A|) / 2 - n log s,
+
+where channel c enters with w / s_c and T / s_c; s_c, the noise relative to its estimate, is sampled. With q, J, T0
+and eta0 those of the calibration's best fit, eta follows the parameters to where the linearised problem has its best
+nuisances, eta = eta0 - (1 + T0'T0)^-1 T0'J (q' - q) at q', so that only their spread given the parameters has to be
+small. T is T0, but for the column of a nuisance ln x: that grows in proportion to x. An evaluation costs one simulation
+per trial and no more dimensions; tests hold this against sampling the nuisances one by one. Given a draw, a trial's
+nuisances are Gaussian with mean eta - A^-1 b and covariance A^-1: `nuisances` draws them.
+
+Under Student's t noise of f degrees of freedom a reading's information in A is (f + 1) / (f + 3) of that under a
+Gaussian, its score in b (f + 1) / (f + w^2 / s^2); the nuisances move by -A^-1 b, and the density there is that of
+Student's t: one step of Fisher scoring, then Laplace's approximation.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper.calibration import Block, Calibration, Group, TrialRecord
+from bayes_damper.calibration.correlated_noise import student_log_density
+from bayes_damper.priors.distributions import Distribution, LogNormal, from_standard, to_standard
+
+Array = NDArray[np.float64]
+NOISE_PRIOR = LogNormal(1.0, 1.5)
+"""Prior of each channel's noise relative to its estimate: thousands of readings decide, not this."""
+FREEDOM_PRIOR = LogNormal(8.0, 3.0)
+"""Prior of the degrees of freedom of Student's t noise; beyond 30 it is all but Gaussian."""
+DECLARED_NOISE = 1.1
+"""Factor within which a declared noise_std is believed."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A group of trials with what stays fixed: eta (trials, m) at the best fit and follow (trials, m, size), how it
+    moves with q, T (trials, channels, m, n), TT = T T', the weighted number of readings (trials, channels), and scale
+    (trials, channels, n), weights over the sd of the innovations.
+    """
+
+    group: Group
+    eta: Array
+    follow: Array
+    T: Array
+    TT: Array
+    readings: Array
+    scale: Array
+
+
+def _solve(A: Array, b: Array) -> Array:
+    return np.asarray(np.linalg.solve(A, b[..., None])[..., 0]) if b.shape[-1] else b
+
+
+def _log_det(A: Array) -> Array:
+    return np.asarray(np.linalg.slogdet(A)[1]) if A.shape[-1] else np.zeros(A.shape[:-2])
+
+
+def trial_label(trial: TrialRecord) -> str:
+    """Words that name a trial, without the slash that separates groups in a posterior.nc."""
+    configuration = "coupled" if trial.coupled else "uncoupled"
+    return f"{trial.case} {configuration} #{trial.number}".replace("/", "|")
+
+
+@dataclass(frozen=True)
+class Sigma:
+    """One unknown noise: of a channel (from 0), in all trials or in some; prior of its standard deviation."""
+
+    name: str
+    channel: int
+    trials: frozenset[int]
+    prior: Distribution
+
+
+class RecordPosterior:
+    """Log posterior over q (unknowns of calibration.Problem) and the noise of each channel, in standard coordinates.
+
+    names : those of the problem, then sigma1 (and sigma2), at the level that the priors give them; ndim : their number.
+    """
+
+    def __init__(self, fit: Calibration, *, power: Sequence[float] | None = None, freedom: float | None = None) -> None:
+        """`power` : mean square innovation of each channel at the best fit, where the noise stands for a misfit that
+        repeats share: each reading then counts as so many; freedom : first guess of the degrees of freedom, for
+        Student's t noise.
+        """
+        self.fit = fit
+        self.problem = fit.problem
+        self.freedom = freedom
+        self.parts = tuple(self._part(block, power) for block in fit.linear.blocks)
+        self.channels = max(part.group.y.shape[1] for part in self.parts)
+        self.sigmas = self._sigmas()
+        self.names = self.problem.names + tuple(sigma.name for sigma in self.sigmas)
+        self.names += () if freedom is None else ("noise_freedom",)
+        self.ndim = len(self.names)
+        self.outcomes: Counter[str] = Counter()
+        # Which unknown noise each trial and channel has, -1 where it is fixed.
+        self._which = np.array([[self._sigma_of(c, i) for c in range(self.channels)] for i in self.trials])
+        self._known = np.array([[self._fixed_scale(c, i) for c in range(self.channels)] for i in self.trials])
+
+    def _sigma_source(self, channel: int) -> tuple[str, int]:
+        """The parameter that holds a channel's noise, and the channel whose estimate it goes by."""
+        name = f"sigma{channel + 1}"
+        other = self.problem.experiment.ties.get(name)
+        return (name, channel) if other is None else (other, int(other.removeprefix("sigma")) - 1)
+
+    def sigma_prior(self, name: str, channel: int, case: str) -> Distribution | float:
+        """Prior of the noise's standard deviation: that of the prior file, of campaign.toml, or a wide one."""
+        e = self.problem.experiment
+        own = e.case_priors.get(name, {})
+        if case in own or name in e.priors:
+            return own[case] if case in own else e.priors[name]
+        if e.noise_sd:
+            return LogNormal(e.noise_sd[min(channel, len(e.noise_sd) - 1)], DECLARED_NOISE)
+        return LogNormal(NOISE_PRIOR.median_value * self.problem.noise.total[channel], NOISE_PRIOR.factor)
+
+    def _sigmas(self) -> tuple[Sigma, ...]:
+        e = self.problem.experiment
+        found = []
+        for channel in range(self.channels):
+            name = f"sigma{channel + 1}"
+            if name in e.ties:
+                continue
+            users = [c for c in range(self.channels) if self._sigma_source(c)[0] == name]
+            trials = [i for p in self.parts if p.group.y.shape[1] > min(users) for i in p.group.trials]
+            level = "case" if name in e.case_priors else e.levels.get(name, "campaign")
+            keys = {
+                i: {"campaign": "", "case": f"[{e.trials[i].case}]", "trial": f"[{trial_label(e.trials[i])}]"}[level]
+                for i in trials
+            }
+            if len(set(keys.values())) == 1 and level == "case":
+                keys = dict.fromkeys(trials, "")
+            for key in dict.fromkeys(keys.values()):
+                members = [i for i in trials if keys[i] == key]
+                prior = self.sigma_prior(name, channel, e.trials[members[0]].case)
+                if not isinstance(prior, float | int):
+                    found.append(Sigma(f"{name}{key}", channel, frozenset(members), prior))
+        return tuple(found)
+
+    def _sigma_of(self, channel: int, trial: int) -> int:
+        source = self._sigma_source(channel)[1]
+        hits = [k for k, s in enumerate(self.sigmas) if s.channel == source and trial in s.trials]
+        return hits[0] if hits else -1
+
+    def _fixed_scale(self, channel: int, trial: int) -> float:
+        name, source = self._sigma_source(channel)
+        prior = self.sigma_prior(name, source, self.problem.experiment.trials[trial].case)
+        return float(prior) / self.problem.noise.total[channel] if isinstance(prior, float | int) else 1.0
+
+    def _part(self, block: Block, power: Sequence[float] | None) -> _Part:
+        group = block.group
+        n, channels, samples = group.y.shape
+        H = np.eye(block.T.shape[1]) + np.matmul(block.T, block.T.transpose(0, 2, 1))
+        follow = -np.linalg.solve(H, np.matmul(block.T, block.J.transpose(0, 2, 1)))
+        T = block.T.reshape(n, -1, channels, samples).transpose(0, 2, 1, 3)
+        TT = np.matmul(T, T.transpose(0, 1, 3, 2))
+        # As in Problem.n_data, else the noise would come out too small; but all readings of a trial that counts less
+        # because its own residuals are larger.
+        own = np.array([float(np.mean(self.problem.factors.get(i, 1.0))) for i in group.trials])
+        readings = np.sum(group.weight**2, axis=2) / own[:, None] ** 2
+        if power is not None:
+            readings = readings * np.array(power[:channels])
+        scale = group.weight / np.array(self.problem.noise.innovation[:channels])[:, None]
+        return _Part(group, block.eta, follow, np.ascontiguousarray(T), TT, readings, scale)
+
+    @property
+    def trials(self) -> tuple[int, ...]:
+        """Indices of the trials in the order of `log_likelihood`."""
+        return tuple(i for part in self.parts for i in part.group.trials)
+
+    @property
+    def start(self) -> Array:
+        """The best fit, (ndim,)."""
+        total = self.problem.noise.total
+        noise = [float(np.clip(to_standard(s.prior, total[s.channel]), -8.0, 8.0)) for s in self.sigmas]
+        tails = [] if self.freedom is None else [float(to_standard(FREEDOM_PRIOR, self.freedom))]
+        return np.concatenate([self.fit.q, noise, tails])
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the best fit's Laplace approximation, (ndim, ndim)."""
+        full = np.zeros((self.ndim, self.ndim))
+        size = self.problem.size
+        full[:size, :size] = self.fit.covariance
+        start = self.start[size:]
+        for k, s in enumerate(self.sigmas):
+            count = 0.0
+            for part in self.parts:
+                rows = [j for j, i in enumerate(part.group.trials) if i in s.trials]
+                count += sum(
+                    part.readings[rows, c].sum()
+                    for c in range(part.readings.shape[1])
+                    if self._sigma_source(c)[1] == s.channel
+                )
+            up, down = from_standard(s.prior, start[k] + 1e-3), from_standard(s.prior, start[k] - 1e-3)
+            slope = float(np.log(up / down)) / 2e-3  # of ln sigma
+            full[size + k, size + k] = 1.0 / (2.0 * count * slope**2 + 1.0)
+        if self.freedom is not None:
+            full[-1, -1] = 0.01
+        return full
+
+    def noise_scale(self, points: Array) -> Array:
+        """Noise of each trial and channel relative to its estimate, (n, trials, channels); trials as in `trials`."""
+        size, total = self.problem.size, self.problem.noise.total
+        out = np.tile(self._known, (len(points), 1, 1))
+        for k, s in enumerate(self.sigmas):
+            value = from_standard(s.prior, points[:, size + k])
+            rows, channels = np.nonzero(self._which == k)
+            out[:, rows, channels] = value[:, None] / np.array(total)[channels]
+        return out
+
+    @property
+    def constant(self) -> Array:
+        """What `log_likelihood` leaves out of each trial's log density of its readings, (trials,)."""
+        out = []
+        for part in self.parts:
+            weight = part.group.weight
+            counted = weight > 0.0
+            sizes = np.log(np.array(self.problem.noise.innovation[: weight.shape[1]]))
+            each = np.where(counted, np.log(np.where(counted, weight, 1.0)) - sizes[None, :, None], 0.0)
+            out.append(each.sum(axis=(1, 2)) - 0.5 * math.log(2.0 * math.pi) * counted.sum(axis=(1, 2)))
+        return np.concatenate(out)
+
+    def _followed(self, part: _Part, q: Array) -> tuple[Array, Array]:
+        """Nuisances eta (k, trials, m) about which those of each q (k, size) are integrated out, and what multiplies
+        the columns of T there, (k, trials, m).
+        """
+        problem, group = self.problem, part.group
+        eta = part.eta + np.einsum("nmi,ki->knm", part.follow, q - self.fit.q)
+        eta = np.clip(eta, group.lower, group.upper)
+        growth = np.ones_like(eta)
+        for m, (name, _, sd) in enumerate(group.nuisances):
+            if not name.startswith("ln_"):
+                continue
+            growth[:, :, m] = np.exp(sd * (eta[:, :, m] - part.eta[:, m]))
+            for i, c in enumerate(problem.coordinates):
+                if c.parameter == name[3:]:
+                    ratio = from_standard(c.prior, q[:, i]) / from_standard(c.prior, self.fit.q[i])
+                    growth[:, :, m] *= np.where(problem.touched(c, group), ratio[:, None], 1.0)
+        return eta, growth
+
+    def _residuals(self, part: _Part, q: Array, eta: Array) -> Array:
+        """Whitened residuals (k, trials, channels, n) for each q (k, size) at nuisances eta (k, trials, m)."""
+        n, channels, samples = part.group.y.shape
+        k = len(q)
+        which = np.tile(np.arange(n), k)
+        y = self.problem.simulate(part.group, which, np.repeat(q, n, axis=0), eta.reshape(k * n, -1))
+        failed = ~np.isfinite(y).all(axis=(1, 2))
+        self.outcomes["FAILED"] += int(failed.sum())
+        self.outcomes["COMPLETED"] += int((~failed).sum())
+        w = y.reshape(k, n, channels, samples)  # our own: changed in place
+        w -= part.group.y
+        w *= part.scale
+        noise = self.problem.noise
+        for c in range(channels):
+            if noise.coloured(c):
+                w[:, :, c] = noise.whiten(c, w[:, :, c]) * noise.innovation[c]
+        return w
+
+    def _evaluated(self, part: _Part, points: Array, s: Array) -> tuple[Array, Array, Array]:
+        """Log likelihood (k, trials), mean (k, trials, m) and inverse covariance (k, trials, m, m) of the nuisances."""
+        q = points[:, : self.problem.size]
+        eta, growth = self._followed(part, q)
+        w = self._residuals(part, q, eta)
+        if self.freedom is not None:
+            return self._student(part, w, s, from_standard(FREEDOM_PRIOR, points[:, -1]), eta, growth)
+        Tw = np.matmul(part.T, w[..., None])[..., 0]
+        A = np.einsum("knc,ncij->knij", s**-2, part.TT) * growth[..., None] * growth[..., None, :]
+        A += np.eye(part.T.shape[2])
+        b = eta + growth * np.einsum("knc,kncm->knm", s**-2, Tw)
+        move = _solve(A, b)
+        quadratic = np.sum(np.einsum("kncs,kncs->knc", w, w) / s**2, axis=2) + np.sum(eta**2, axis=2)
+        value = -0.5 * (quadratic - np.sum(b * move, axis=2) + _log_det(A)) - np.sum(np.log(s) * part.readings, axis=2)
+        return value, eta - move, A
+
+    @staticmethod
+    def _student(
+        part: _Part, w: Array, s: Array, freedom: Array, eta: Array, growth: Array
+    ) -> tuple[Array, Array, Array]:
+        f = freedom[:, None, None, None]
+        counted = part.group.weight > 0.0
+        w = np.where(counted, w / s[..., None], 0.0)
+        score = np.where(counted, (f + 1.0) * w / (f + w**2), 0.0)
+        expected = ((freedom + 1.0) / (freedom + 3.0))[:, None, None] * s**-2  # information of a reading
+        A = np.einsum("knc,ncij->knij", expected, part.TT) * growth[..., None] * growth[..., None, :]
+        A += np.eye(part.T.shape[2])
+        b = eta + growth * np.einsum("knc,kncm->knm", 1.0 / s, np.matmul(part.T, score[..., None])[..., 0])
+        move = _solve(A, b)
+        moved = w - np.einsum("ncms,knm->kncs", part.T, growth * move, optimize=True) / s[..., None]
+        each = np.where(counted, student_log_density(moved, f), 0.0).sum(axis=3) - np.log(s) * part.readings
+        mean = eta - move
+        return each.sum(axis=2) - 0.5 * (np.sum(mean**2, axis=2) + _log_det(A)), mean, A
+
+    def log_likelihood(self, points: Array) -> Array:
+        """Log likelihood of each trial, its nuisances integrated out: (n, trials); -inf where a simulation failed.
+
+        Up to `constant`, which depends on the data and the noise model alone.
+        """
+        points = np.atleast_2d(points)
+        value = np.concatenate([self._evaluated(part, points, s)[0] for part, s in self._scaled(points)], axis=1)
+        return np.where(np.isfinite(value), value, -np.inf)
+
+    def _scaled(self, points: Array) -> Iterator[tuple[_Part, Array]]:
+        """Each part with the relative noise of its trials and channels, (n, trials, channels)."""
+        scale = self.noise_scale(points)
+        first = 0
+        for part in self.parts:
+            n, channels = part.group.y.shape[:2]
+            yield part, scale[:, first : first + n, :channels]
+            first += n
+
+    def log_prior(self, points: Array) -> Array:
+        """Log prior density in standard coordinates, (n,)."""
+        points = np.atleast_2d(points)
+        return np.asarray(-0.5 * (np.sum(points**2, axis=1) + self.ndim * math.log(2.0 * math.pi)))
+
+    def __call__(self, points: Array) -> Array:
+        """Log posterior density in standard coordinates, (n,)."""
+        points = np.atleast_2d(points)
+        return np.asarray(self.log_prior(points) + self.log_likelihood(points).sum(axis=1))
+
+    def values(self, points: Array) -> dict[str, Array]:
+        """Physical values: name -> (n,), the noise as sigma1, sigma2 in the unit of the readings."""
+        points = np.atleast_2d(points)
+        size = self.problem.size
+        named = dict(self.problem.parameters(points[:, :size]))
+        named |= {s.name: from_standard(s.prior, points[:, size + k]) for k, s in enumerate(self.sigmas)}
+        return named if self.freedom is None else named | {"noise_freedom": from_standard(FREEDOM_PRIOR, points[:, -1])}
+
+    def evaluated(self, points: Array, rng: np.random.Generator) -> tuple[Array, dict[int, Array]]:
+        """`log_likelihood` of each trial, (n, trials), and draws of its nuisances given the parameters: trial -> (n, m)
+        in standard coordinates.
+        """
+        points = np.atleast_2d(points)
+        values = []
+        drawn: dict[int, Array] = {}
+        for part, s in self._scaled(points):
+            value, mean, A = self._evaluated(part, points, s)
+            values.append(np.where(np.isfinite(value), value, -np.inf))
+            if part.eta.shape[1] == 0:
+                continue
+            root = np.linalg.inv(np.linalg.cholesky(A)).transpose(0, 1, 3, 2)
+            noise = np.einsum("knij,knj->kni", root, rng.standard_normal(mean.shape))
+            for k, i in enumerate(part.group.trials):
+                drawn[i] = mean[:, k] + noise[:, k]
+        return np.concatenate(values, axis=1), drawn
+
+    def nuisances(self, points: Array, rng: np.random.Generator) -> dict[int, Array]:
+        """Draws of each trial's nuisances given the parameters: trial -> (n, m) in standard coordinates."""
+        return self.evaluated(points, rng)[1]
+
+    def predictive(self, points: Array, rng: np.random.Generator) -> dict[int, Array]:
+        """Noise-free records of each trial under draws of parameters and nuisances: trial -> (n, channels, n_times).
+
+        An acceleration jumps at the release, whose instant is known to a fraction of a sample: a reading before the
+        release of some draws and after that of others is NaN in the former.
+        """
+        points = np.atleast_2d(points)
+        drawn = self.nuisances(points, rng)
+        out: dict[int, Array] = {}
+        for part in self.parts:
+            for k, i in enumerate(part.group.trials):
+                eta = drawn.get(i, np.zeros((len(points), 0)))
+                out[i] = self.problem.simulate(
+                    part.group, np.full(len(points), k), points[:, : self.problem.size], np.atleast_2d(eta)
+                )
+                if self.problem.experiment.quantity == "acceleration":
+                    held = np.logical_and.accumulate(np.all(out[i] == 0.0, axis=1), axis=1)
+                    out[i][np.broadcast_to((held & ~held.all(axis=0))[:, None], out[i].shape)] = np.nan
+        return out

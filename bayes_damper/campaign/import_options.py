@@ -1,0 +1,438 @@
+"""The table of an import: its keys, and how `init` makes it from options and from what files are called and hold.
+
+What is done to the raw files stands in `import.toml`: which columns, which units, where the release lies, which
+stretches become trials. importer.py carries it out.
+"""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import hashlib
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayes_damper import campaign as campaigns
+from bayes_damper.campaign import Rig
+from bayes_damper.campaign.logger_files import number_of, read_file
+from bayes_damper.errors import InputError
+
+READER: dict[str, tuple[tuple[type, ...], str]] = {
+    "delimiter": ((str,), "mark between columns; 'auto' (default), ',', ';', 'tab' or 'space'"),
+    "decimal": ((str,), "'.' or ',' (default: as the numbers are written)"),
+    "skip_lines": ((int,), "lines before the header, or before the numbers where there is none (default: found)"),
+    "header": ((bool,), "whether a line of column names precedes the numbers (default: found)"),
+    "time": ((str, int), "column of the time, by name or number from 1; absent: sample_rate makes it"),
+    "time_unit": ((str,), "s (default), ms, us, min"),
+    "sample_rate": ((int, float), "Hz, nominal, where there is no time column"),
+    "columns": ((list,), "columns of the channels, primary first, by name or number from 1"),
+    "units": ((list,), "their units (default: as the file names them, else SI); mV or V with sensitivity"),
+    "sensitivity": ((list,), "of sensors whose voltage was recorded, one per channel, e.g. '100 mV/g'"),
+    "torque": ((str, int), "column of a measured torque (force) on the primary"),
+    "torque_unit": ((str,), "N m (default), N mm, mN m; N, kN, mN"),
+    "mounting_radius": ((int, float, list), "m, of tangential sensors on a torsional rig, one or per channel"),
+    "sign": ((list,), "1 or -1 per channel"),
+    "offset": ((str, int, float, list), "to take off: 'none' (default), 'mean', 'tail', or numbers in the raw unit"),
+    "matlab_time": ((list,), "names of the time arrays in a .mat file, in order"),
+    "matlab_data": ((list,), "names of the data arrays in a .mat file, channels along the shorter side"),
+    "start": ((int, float), "s on the raw clock: cut what is earlier"),
+    "end": ((int, float), "s on the raw clock: cut what is later"),
+    "release": ((str, int, float), "t = 0: 'start' (default), 'find', 'first_peak', or s on the raw clock"),
+    "before": ((int, float), "s kept before the release"),
+    "every": ((int,), "keep one reading in so many"),
+}
+TRIAL: dict[str, tuple[tuple[type, ...], str]] = {
+    "source": ((str, list), "raw file, or one for each channel, primary first"),
+    "sha256": ((str, list), "its checksum (one for each file), compared where given"),
+    "file": ((str,), "record to write, e.g. trials/a1.csv"),
+    "case": ((str,), "label of the case"),
+    "configuration": ((str,), "uncoupled or coupled"),
+    "trial": ((int,), "number within case and configuration"),
+    "k1t": ((int, float, str), "N m/rad (N/m), or 'estimate' from the strongest frequency"),
+    "k1t_std": ((int, float), "its standard uncertainty"),
+    "theta0": ((int, float), "deg (mm)"),
+    "theta0_std": ((int, float), "deg (mm)"),
+    "holdout": ((bool,), "true: only its own nuisances are estimated"),
+}
+INIT: dict[str, tuple[tuple[type, ...], str]] = {
+    "pattern": (
+        (str,),
+        "what the files' names tell, e.g. 'case{case}_{configuration}_{trial}'; also {theta0} and {k1t}",
+    ),
+    "words": ((list,), "what the names call the configurations, e.g. free=uncoupled magnet=coupled"),
+    "sheet": ((str,), "a CSV table of the trials: a column file or case, then any of the other keys as columns"),
+    "files_per_trial": ((int,), "2 where each channel has a file of its own, the primary's first"),
+}
+"""Options of `init` alone: how trials differ from each other."""
+_PATTERN = {
+    "case": r".+?",
+    "configuration": r"uncoupled|coupled",
+    "trial": r"\d+",
+    "theta0": r"[-+]?\d+(?:[.,]\d+)?",
+    "k1t": r"\d+(?:[.,]\d+)?",
+}
+_RIG = tuple(Rig.__dataclass_fields__)
+MEASUREMENT = ("quantity", "noise_std", "sensor_range", "sensor_bandwidth", "offset_std", "scale_std", "lag_std")
+LEAST_KNOWN = 0.5
+"""Share of a file's lines that must hold readings."""
+NOTHING_RUBS = (
+    "No magnet_pull was given: taken was that nothing rubs between the bodies (mu = 0 in priors.toml). If something "
+    "does, give the force that presses the faces together; `diagnose --nominal linear` tells if friction is missing."
+)
+_ANGLE_ASSUMED = (
+    "How sure the release angle is was not given: 0.1 deg (mm), or 2 % of it where that is more, was assumed "
+    "(theta0_std_deg, theta0_std_mm in trials.csv)."
+)
+_SINGLE = "One channel only, so taken as uncoupled: {}. Say otherwise with --pattern or --sheet."
+_ALL_COUPLED = (
+    "Every file has two channels, so all trials were taken as coupled; say otherwise with --configuration, --pattern "
+    "or --sheet."
+)
+
+
+def columns_of(path: str | Path) -> str:
+    """A sentence that numbers the columns of a logger's file, for whoever has to name them.
+
+    Raises
+    ------
+    InputError
+        if it cannot be read.
+    """
+    source = read_file(Path(path), {})
+    told = [f"{i} {name}".strip() for i, name in enumerate(source.names or ("",) * source.table.shape[1], start=1)]
+    return f"{Path(path).name} has the columns: {', '.join(told)}"
+
+
+def spec_from_options(name: str, sources: Sequence[Path], options: Mapping[str, object]) -> dict[str, Any]:
+    """The table that `init` carries out; see `importer.init_campaign` for the options.
+
+    Raises
+    ------
+    InputError
+        for options that do not exist, files that cannot be read, and columns that are not told and not to be guessed.
+    """
+    valid = (*READER, *TRIAL, *_RIG, *MEASUREMENT, *INIT, "name", "description", "source_text", "free_start")
+    faults = [
+        f"option '{key}' does not exist; " + (f"did you mean '{near[0]}'?" if near else f"options: {', '.join(valid)}")
+        for key in options
+        if key not in valid
+        for near in [difflib.get_close_matches(key, valid, 1, 0.5)]
+    ]
+    rows = _sheet_rows(options.get("sheet"), faults)
+    folder = Path(str(options["sheet"])).resolve().parent if rows else Path()
+    if not sources:
+        sources = [folder / str(row["file"]) for row in rows if "file" in row]
+    faults += [f"{path}: there is no such file; correct the name or --raw" for path in sources if not path.is_file()]
+    if not sources:
+        faults.append("no logger files were given; name at least one, or a --sheet with a column 'file'")
+    if faults:
+        raise InputError(faults)
+    given = {key: value for key, value in options.items() if value is not None}
+    several = given.pop("files_per_trial", 1)
+    if not isinstance(several, int) or several not in (1, 2) or len(sources) % several:
+        raise InputError(
+            f"files_per_trial = {several} for {len(sources)} files: give 2 where each channel has a file of its own, "
+            "and the files in order, the primary before the secondary"
+        )
+    words = _words_of(given.pop("words", []))
+    groups = [list(sources[i : i + several]) for i in range(0, len(sources), several)]
+    caveats = []
+    if "primary_inertia" not in given:
+        caveats.append("The inertia was not given: everything is per unit inertia (primary_inertia = 1).")
+    pattern = given.get("pattern")
+    told = "configuration" in given or "{configuration}" in str(pattern) or any("configuration" in row for row in rows)
+    own: dict[Path, dict[str, Any]] = {}
+    if "columns" not in given and several == 1 and sources[0].is_file():
+        own = _guessed_all([s for s in sources if s.is_file()], given, caveats, told)
+        given |= own.pop(Path(), {})
+    elif not told and several == 1 and isinstance(named := given.get("columns"), list) and len(named) == 2:
+        own = _configurations([s for s in sources if s.is_file()], given, caveats)
+    if "columns" in given and several == 1 and not {"time", "sample_rate"} & given.keys():
+        given |= _guessed_time(sources, given, caveats)
+    columns = given.get("columns", [])
+    coupled = isinstance(columns, list) and len(columns) > 1
+    common: dict[str, Any] = {"case": "A", "configuration": "coupled" if coupled else "uncoupled", "k1t": "estimate"}
+    common |= {k: given[k] for k in TRIAL if k in given and k not in ("source", "trial", "file", "sha256")}
+    trials = [_trial_row(group, common | own.get(group[0], {}), pattern, rows, words) for group in groups]
+    if "case" not in given and "{case}" not in str(pattern) and not any("case" in row for row in rows):
+        _name_cases(trials, str(pattern))
+    rubbing = {"magnet_pull", "magnet_radius"} & given.keys()
+    if not rubbing and any(trial["configuration"] == "coupled" for trial in trials):
+        caveats.append(NOTHING_RUBS)
+    if any(trial["k1t"] == "estimate" for trial in trials):
+        caveats.append("k1t was not given: it was estimated from the strongest frequency, uncertain by 20 %.")
+    known = all("theta0" in trial for trial in trials)
+    start = "rest" if known and not given.get("free_start") else "free"
+    if start == "rest" and not all("theta0_std" in trial for trial in trials):
+        caveats.append(_ANGLE_ASSUMED)
+    spec: dict[str, Any] = {"name": given.get("name", name), "description": given.get("description", "")}
+    spec["source"] = given.get("source_text", "")
+    spec["caveats"] = caveats
+    spec["rig"] = {"primary_inertia": 1.0, **{k: given[k] for k in _RIG if k in given}}
+    spec["measurement"] = {"start": start, **{k: given[k] for k in MEASUREMENT if k in given}}
+    if "sample_rate" in given:
+        spec["measurement"]["sample_rate"] = given["sample_rate"]
+    spec["reader"] = {k: given[k] for k in READER if k in given}
+    spec["trials"] = trials
+    return spec
+
+
+def _trial_row(
+    files: Sequence[Path], common: Mapping[str, Any], pattern: object, rows: Sequence[Mapping[str, Any]],
+    words: Mapping[str, str],
+) -> dict[str, Any]:  # fmt: skip
+    """One [[trials]]: what holds for all, over it what the file's name tells, over it what the sheet tells."""
+    sums = [_sha256(path) for path in files if path.is_file()]
+    single = len(files) == 1
+    row: dict[str, Any] = {"source": str(files[0]) if single else [str(path) for path in files]}
+    if len(sums) == len(files):
+        row["sha256"] = sums[0] if single else sums
+    row |= common
+    if pattern is not None:
+        row |= _named_in(files[0], str(pattern), words)
+    for entry in rows:
+        keys = [key for key in ("file", "case", "configuration") if key in entry]
+        own = {"file": None, **row}
+        matches = [
+            Path(str(entry[key])).name == files[0].name if key == "file" else str(entry[key]) == str(own[key])
+            for key in keys
+            if key == "file" or "file" not in entry
+        ]
+        if all(matches):
+            row |= {key: value for key, value in entry.items() if key != "file"}
+    row["case"] = str(row["case"])
+    return row
+
+
+def _name_cases(trials: Sequence[dict[str, Any]], pattern: str) -> None:
+    """Cases after the springs or angles in the names, where these number the trials of each and nothing names cases."""
+    keys = [key for key in ("k1t", "theta0") if "{" + key + "}" in pattern and "{trial}" in pattern]
+    keys = [key for key in keys if len({trial[key] for trial in trials}) > 1]
+    for trial in trials if keys else ():
+        trial["case"] = ", ".join(f"{key} {trial[key]:g}" for key in keys)
+
+
+def _words_of(given: object) -> dict[str, str]:
+    """What the names call the configurations: word -> uncoupled or coupled."""
+    pairs = [str(word).partition("=")[::2] for word in given] if isinstance(given, list | tuple) else []
+    out = {word.lower(): configuration.lower() for word, configuration in pairs}
+    if not isinstance(given, list | tuple) or not set(out.values()) <= {"uncoupled", "coupled"} or "" in out:
+        raise InputError(
+            f"--words {given}: write what the names say and what it means, as in free=uncoupled magnet=coupled"
+        )
+    return out
+
+
+def _named_in(file: Path, pattern: str, words: Mapping[str, str]) -> dict[str, Any]:
+    """What a file's name tells by a pattern such as 'case{case}_{configuration}_{trial}'."""
+    fields = re.findall(r"\{(\w*)\}", pattern)
+    wrong = [f for f in fields if f not in _PATTERN]
+    if wrong or not fields or len(set(fields)) < len(fields):
+        raise InputError(
+            f"--pattern '{pattern}': write each of {', '.join('{' + f + '}' for f in _PATTERN)} at most once, as in "
+            "'case{case}_{configuration}_{trial}'"
+        )
+    parts = re.split(r"\{\w*\}", pattern)
+
+    def read(forms: Mapping[str, str]) -> re.Match[str] | None:
+        expression = re.escape(parts[0])
+        for field, part in zip(fields, parts[1:], strict=True):
+            expression += f"(?P<{field}>{forms[field]})" + re.escape(part)
+        whole = (re.fullmatch(expression, name, re.IGNORECASE) for name in (file.stem, file.name))
+        return next((match for match in whole if match), None)
+
+    known = "|".join([_PATTERN["configuration"], *map(re.escape, words)])
+    found = read(_PATTERN | {"configuration": known})
+    if found is None:
+        other = read(_PATTERN | {"configuration": r"[^\W_]+"}) if "configuration" in fields else None
+        if other is not None:
+            word = other["configuration"]
+            raise InputError(
+                f"{file.name}: '{word}' stands where --pattern expects 'uncoupled' or 'coupled'; say what it means, "
+                f"e.g. --words {word}=uncoupled, with every word that the names use"
+            )
+        raise InputError(
+            f"{file.name}: the name does not follow --pattern '{pattern}'; correct the pattern or the name"
+        )
+    out: dict[str, Any] = {}
+    for field, text in found.groupdict().items():
+        if field in ("case", "configuration"):
+            out[field] = words.get(text.lower(), text.lower()) if field == "configuration" else text
+        elif field == "trial":
+            out[field] = int(text)
+        else:
+            out[field] = float(text.replace(",", "."))
+    return out
+
+
+def _sheet_rows(sheet: object, faults: list[str]) -> list[dict[str, Any]]:
+    """Rows of a table that tells trials apart: a column 'file' or 'case' (or both), and any key of TRIAL and READER."""
+    if sheet is None:
+        return []
+    path = Path(str(sheet))
+    try:
+        lines = [x for x in path.read_text(encoding="utf-8-sig").splitlines() if x.strip()]
+    except (OSError, UnicodeDecodeError) as error:
+        faults.append(f"{path}: cannot be read ({error}); give a table of the trials as CSV")
+        return []
+    mark = next((m for m in (";", "\t") if lines and m in lines[0]), ",")
+    head, *body = [[c.strip() for c in row] for row in csv.reader(lines, delimiter=mark)] or [[]]
+    single = {k: v for k, v in {**TRIAL, **READER}.items() if (list,) != v[0]}
+    wrong = [key for key in head if key not in ("file", *single)]
+    if wrong or not body or not ({"file", "case", "configuration"} & set(head)):
+        known = f"columns: file, {', '.join(single)}"
+        faults.append(f"{path}: " + (f"unknown column '{wrong[0]}'; {known}" if wrong else f"give rows and {known}"))
+        return []
+    rows = []
+    for i, cells in enumerate(body, start=2):
+        row: dict[str, Any] = {}
+        for key, cell in zip(head, cells, strict=False):
+            if not cell:
+                continue
+            row[key] = cell
+            types = single[key][0] if key in single else (str,)
+            try:
+                if bool in types:
+                    row[key] = {"true": True, "false": False}[cell.lower()]
+                elif str not in types or key == "k1t":
+                    number = number_of(cell, mark != ",")
+                    row[key] = int(number) if float not in types else number
+            except (ValueError, KeyError):
+                if cell != "estimate":
+                    wanted = "true or false" if bool in types else "a number"
+                    faults.append(f"{path}, line {i}, column '{key}': '{cell}' is not {wanted}")
+        rows.append(row)
+    return rows
+
+
+def _guessed_all(
+    paths: Sequence[Path], given: Mapping[str, Any], caveats: list[str], told: bool
+) -> dict[Path, dict[str, Any]]:
+    """Columns where none were named and only one choice is left, for all files under `Path()`, else for each file.
+
+    told : whether something else says which trials are coupled. Where nothing does and some files hold one channel
+    and others two, the former are uncoupled.
+    """
+    found = {path: _guessed(path, given) for path in paths}
+    first = found[paths[0]]
+    if all(other == first for other in found.values()):
+        columns, words = first
+        caveats.append(f"The columns were not named; taken: {words}.")
+        if len(columns["columns"]) == 2 and not told:
+            caveats.append(_ALL_COUPLED)
+        return {Path(): columns}
+    counts = {len(columns["columns"]) for columns, _ in found.values()}
+    for words in dict.fromkeys(words for _, words in found.values()):
+        where = [path.name for path, (_, other) in found.items() if other == words]
+        caveats.append(f"The columns were not named; taken from {file_names(where)}: {words}.")
+    if told or len(counts) == 1:
+        return {path: dict(columns) for path, (columns, _) in found.items()}
+    single = [path.name for path, (columns, _) in found.items() if len(columns["columns"]) == 1]
+    caveats.append(_SINGLE.format(file_names(single)))
+    return {
+        path: {**columns, "configuration": "coupled" if len(columns["columns"]) == 2 else "uncoupled"}
+        for path, (columns, _) in found.items()
+    }
+
+
+def _guessed_time(paths: Sequence[Path], given: Mapping[str, Any], caveats: list[str]) -> dict[str, Any]:
+    """The column of the time where none was named and all files have the same one, beside the named channels."""
+    found, told = set(), ""
+    for path in paths:
+        source = read_file(path, given)
+        time = source.time_column()
+        try:
+            taken = [source.index(c, path.name) for c in given["columns"]]
+        except InputError:
+            taken = []  # a channel that this file lacks: the reader says so, or the trial is uncoupled
+        found.add(None if time is None or time in taken else time + 1)
+        told = told or ("" if time is None else source.column(time))
+    if len(found) != 1 or None in found:
+        return {}
+    caveats.append(f"The time was not named; taken: {told}.")
+    return {"time": found.pop()}
+
+
+def file_names(names: Sequence[str]) -> str:
+    """File names for a sentence, a few at most."""
+    return ", ".join(names) if len(names) < 4 else f"{names[0]} and {len(names) - 1} other files"
+
+
+def _configurations(paths: Sequence[Path], given: Mapping[str, Any], caveats: list[str]) -> dict[Path, dict[str, Any]]:
+    """Files that lack the second of two named columns hold uncoupled trials."""
+    out: dict[Path, dict[str, Any]] = {}
+    for path in paths:
+        source = read_file(path, given)
+        try:
+            source.index(given["columns"][1], path.name)
+        except InputError:
+            out[path] = {"configuration": "uncoupled"}
+    if len(out) == len(paths):
+        return {}  # then the name of the column is wrong, which the reader says
+    caveats.append(_SINGLE.format(file_names([path.name for path in out])) if out else _ALL_COUPLED)
+    return out
+
+
+def _guessed(path: Path, given: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
+    """Columns of the time and the channels where only one choice is left, and the words for them.
+
+    A column that never changes (a temperature, a counter that stands) is no channel where others are left.
+    """
+    source = read_file(path, given)
+    time = None if "sample_rate" in given else source.time_column()
+    if "time" in given:
+        time = source.index(given["time"], path.name)
+    readings = [
+        i for i in range(source.table.shape[1]) if i != time and np.mean(np.isfinite(source.table[:, i])) > LEAST_KNOWN
+    ]
+    moving = [i for i in readings if np.nanmax(source.table[:, i]) > np.nanmin(source.table[:, i])]
+    readings = moving or readings
+    if len(readings) not in (1, 2) or (time is None and "sample_rate" not in given):
+        raise InputError(
+            f"{path.name}: has {source.described()}; name the channels with --columns, the primary first, and the time "
+            "with --time (or give --sample-rate)"
+        )
+    found: dict[str, Any] = {"columns": [i + 1 for i in readings]}
+    told = [f"{source.column(i)} for the {who}" for i, who in zip(readings, ("primary", "secondary"), strict=False)]
+    if time is not None:
+        found["time"] = time + 1
+        told.append(f"{source.column(time)} for the time")
+    return found, ", ".join(told)
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def spec_text(spec: Mapping[str, Any]) -> str:
+    """An import table as TOML, each reader key with what it means."""
+    lines = ["# How this campaign was made from the logger's files; `bayes-damper init` repeats it."]
+    lines += [f"{key} = {_toml(value)}" for key, value in spec.items() if not _is_table(value)]
+    for key in ("rig", "measurement", "reader"):
+        lines += ["", f"[{key}]"]
+        lines += [
+            f"{k} = {_toml(v)}" + (f"  # {READER[k][1]}" if key == "reader" else "") for k, v in spec[key].items()
+        ]
+    for trial in spec["trials"]:
+        lines += ["", "[[trials]]", *(f"{k} = {_toml(v)}" for k, v in trial.items())]
+    return "\n".join(lines) + "\n"
+
+
+def _is_table(value: object) -> bool:
+    return isinstance(value, dict) or (isinstance(value, list) and bool(value) and isinstance(value[0], dict))
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return campaigns.quoted(value)
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{k} = {_toml(v)}" for k, v in value.items()) + " }"
+    return repr(value)

@@ -1,0 +1,631 @@
+"""From a pile of logger files (CSV, text, MATLAB) to a campaign folder.
+
+What is done to the raw files stands in one table, `import.toml`, so that it can be repeated and checked: which columns,
+which units, where the release lies, which stretches become trials. `import_records` carries it out and ends with
+the same check as every command; `init_campaign` makes the table from options.
+
+    name, description, source, caveats, [rig], [measurement]     as in campaign.toml
+    [reader]                                                     the keys of READER: defaults for all trials
+    [[trials]]                                                   the keys of TRIAL, and any of READER
+"""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import math
+import re
+import shutil
+import tempfile
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper import campaign as campaigns
+from bayes_damper.campaign import Campaign, Constant, Measurement, Rig, Trial
+from bayes_damper.campaign import readings as look
+from bayes_damper.campaign.import_options import (
+    LEAST_KNOWN,
+    NOTHING_RUBS,
+    READER,
+    TRIAL,
+    file_names,
+    spec_from_options,
+    spec_text,
+)
+from bayes_damper.campaign.logger_files import LoggerFile, read_file, unit_of
+from bayes_damper.errors import InputError
+
+Array = NDArray[np.float64]
+
+_LEAST: dict[str, float] = {"every": 1, "skip_lines": 0, "before": 0.0}
+"""Smallest values of some keys."""
+_NAMED = 12
+"""Files that a sentence names one by one."""
+_FEWEST = 10
+"""Readings that a record must have."""
+_STILL = 12.0
+"""Reach of a record that rests, in standard deviations of its noise, at most."""
+_GRAVITY = 9.80665
+_DEGREE = math.pi / 180.0
+_LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
+_TANGENTIAL = {
+    "displacement": _LENGTHS,
+    "velocity": {f"{unit}/s": factor for unit, factor in _LENGTHS.items()},
+    "acceleration": {
+        **{f"{unit}/s^2": factor for unit, factor in _LENGTHS.items()},
+        "g": _GRAVITY,
+        "mg": 1e-3 * _GRAVITY,
+    },
+}
+_ANGULAR = {
+    "displacement": {"rad": 1.0, "mrad": 1e-3, "deg": _DEGREE, "rev": 2.0 * math.pi},
+    "velocity": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _DEGREE, "rpm": math.pi / 30.0},
+    "acceleration": {"rad/s^2": 1.0, "deg/s^2": _DEGREE},
+}
+_VOLTAGE = {"V": 1.0, "mV": 1e-3}
+_TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}
+_INPUT = {
+    "torsional": {"N m": 1.0, "N mm": 1e-3, "mN m": 1e-3},
+    "translational": {"N": 1.0, "kN": 1e3, "mN": 1e-3},
+}
+
+
+def import_records(
+    spec: str | Path | Mapping[str, Any], folder: str | Path, raw: str | Path | None = None, overwrite: bool = False
+) -> Path:
+    """Writes the campaign that an import table describes; gives its folder.
+
+    spec : path of an import.toml, or its content as a mapping; raw : folder of the raw files, by default that of the
+    table; overwrite : replace the campaign that `folder` holds. A priors.toml beside the table goes along. Nothing is
+    written unless the result passes the check of every command.
+
+    Raises
+    ------
+    InputError
+        with one sentence for every fault of the table, of the raw files, or of the campaign that comes out.
+    """
+    table, name, home = _spec_table(spec)
+    beside = home / "priors.toml"
+    priors = beside.read_bytes() if not isinstance(spec, Mapping) and beside.exists() else None
+    return _write(table, name, Path(folder), Path(raw) if raw is not None else home, priors, overwrite)
+
+
+def _write(
+    table: Mapping[str, Any], name: str, folder: Path, raw: Path, priors: bytes | None, overwrite: bool
+) -> Path:  # fmt: skip
+    """The campaign of an import table with its priors.toml, if it passes the check of every command."""
+    if (folder / "campaign.toml").exists() and not overwrite:
+        raise InputError(f"{folder}: holds a campaign already; give another folder, or --overwrite to replace it")
+    built = _build(table, name, raw)
+    with tempfile.TemporaryDirectory() as scratch:
+        draft = campaigns.write_campaign(Path(scratch) / "campaign", built)
+        text = (draft / "campaign.toml").read_text(encoding="utf-8")
+        note = "# Written by `bayes-damper init`; every key may be edited. SI units.\n"
+        (draft / "campaign.toml").write_text(note + text, encoding="utf-8")
+        if priors is not None:
+            (draft / "priors.toml").write_bytes(priors)
+        campaigns.load_campaign(draft)
+        folder.mkdir(parents=True, exist_ok=True)
+        shutil.copytree(draft, folder, dirs_exist_ok=True)
+    return folder
+
+
+def records_in(folder: str | Path) -> tuple[str, ...]:
+    """The records that are there of those that a folder's trials.csv names, whatever else is wrong with it."""
+    path = Path(folder) / "trials.csv"
+    try:
+        rows = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
+    except (OSError, ValueError, csv.Error):
+        return ()
+    named = dict.fromkeys((row.get("file") or "").strip() for row in rows)
+    return tuple(name for name in named if name and (Path(folder) / name).is_file())
+
+
+def left_over(folder: str | Path, before: Sequence[str]) -> list[str]:
+    """A sentence on records of the former campaign of a folder (`records_in` it) that the new one does not name.
+
+    They stay: only their owner knows whether they are to be had elsewhere.
+    """
+    now = {(Path(folder) / name).resolve() for name in records_in(folder)}
+    stale = [name for name in before if (Path(folder) / name).is_file() and (Path(folder) / name).resolve() not in now]
+    if not stale:
+        return []
+    some = ", ".join(stale[:_NAMED]) + (f" and {len(stale) - _NAMED} more" if len(stale) > _NAMED else "")
+    them = "them" if len(stale) > 1 else "it"
+    told = f"no command reads {them} now, remove {them} or keep {them} elsewhere"
+    return [f"{some}: left over from the campaign that was here before; {told}"]
+
+
+_NO_FRICTION = (
+    b"# Written by `bayes-damper init`: no magnet_pull was given, so nothing rubs between the bodies.\nmu = 0.0\n"
+)
+
+
+def init_campaign(
+    folder: str | Path, sources: Sequence[str | Path], overwrite: bool = False, **options: object
+) -> Path:
+    """A commented campaign from logger files, one trial a file; gives its folder, which also gets import.toml.
+
+    sources : the logger's files, in the order of the trials; overwrite : replace the campaign that `folder` holds.
+    options : any key of READER and TRIAL (for all files alike), of [rig] and of [measurement] of campaign.toml, and
+    name, description, source_text (where the data come from). What is not given is assumed and told as a caveat: an
+    inertia of 1 (all per unit inertia), k1t from the strongest frequency, no friction between the bodies (mu = 0 in the
+    campaign's priors.toml) where coupled trials come without a magnet_pull.
+
+    Raises
+    ------
+    InputError
+        as `import_records`, and for options that do not exist.
+    """
+    folder = Path(folder)
+    spec = spec_from_options(folder.resolve().name, [Path(s).resolve() for s in sources], options)
+    beside = folder / "priors.toml"
+    found = beside.read_bytes() if beside.exists() else None
+    priors = _NO_FRICTION if NOTHING_RUBS in spec["caveats"] else None
+    _write(spec, "import", folder, Path(), priors if found in (None, _NO_FRICTION) else found, overwrite)
+    if priors is None and found == _NO_FRICTION:  # of an earlier call that knew no magnet
+        beside.unlink()
+    (folder / "import.toml").write_text(spec_text(spec), encoding="utf-8")
+    return folder
+
+
+def convert(readings: Array, unit: str, kind: str, quantity: str, radius: float | None, where: str) -> Array:
+    """Readings in SI units of the quantity: rad (m), rad/s (m/s), rad/s^2 (m/s^2).
+
+    A tangential unit on a torsional rig (m/s^2, g, mm ...) is divided by the mounting radius, in m.
+
+    Raises
+    ------
+    InputError
+        for a unit that the quantity cannot have, or a tangential unit without a radius.
+    """
+    tangential = _TANGENTIAL[quantity]
+    if kind == "translational":
+        valid = tangential
+    else:
+        valid = {**_ANGULAR[quantity], **tangential}
+    if unit not in valid:
+        other = next((q for q in _TANGENTIAL if unit in _TANGENTIAL[q] or unit in _ANGULAR[q]), None)
+        told = f", but of {other}, and a campaign holds readings of one quantity" if other else ""
+        raise InputError(f"{where}: '{unit}' is no unit of {quantity}{told}; valid units: {', '.join(valid)}")
+    if kind == "translational" or unit in _ANGULAR[quantity]:
+        return readings * valid[unit]
+    if radius is None:
+        raise InputError(f"{where}: '{unit}' is tangential; give mounting_radius in metres")
+    if not 0.0 < radius < 10.0:
+        raise InputError(f"{where}: mounting_radius = {radius!r} m is not possible; give metres")
+    return readings * (valid[unit] / radius)
+
+
+# --- the table -----------------------------------------------------------------------------------------------------
+
+
+def _spec_table(spec: str | Path | Mapping[str, Any]) -> tuple[Mapping[str, Any], str, Path]:
+    if isinstance(spec, Mapping):
+        return spec, "import", Path()
+    path = Path(spec)
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8")), path.name, path.parent
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give an import table") from error
+    except ValueError as error:
+        raise InputError(f"{path}: not valid TOML: {error}; correct that line") from error
+
+
+def _checked_keys(table: Mapping[str, Any], valid: Mapping[str, tuple[tuple[type, ...], str]], where: str) -> list[str]:
+    faults = []
+    for key, value in table.items():
+        if key not in valid:
+            near = difflib.get_close_matches(key, valid, 1, 0.5)
+            hint = f"did you mean '{near[0]}'?" if near else f"valid keys: {', '.join(valid)}"
+            faults.append(f"{where}: unknown key '{key}'; {hint}")
+        elif not isinstance(value, valid[key][0]) or (isinstance(value, bool) and bool not in valid[key][0]):
+            types, meaning = valid[key]
+            numbers = float in types and list not in types
+            wanted = "a number with a decimal point" if numbers else "of another type"
+            faults.append(f"{where}: {key} = {value!r}, which must be {wanted}: {meaning}")
+        elif key == "decimal" and value not in (".", ","):
+            faults.append(f"{where}: decimal = {value!r} is none of '.' and ','")
+    return faults + [
+        f"{where}: {key} = {value!r} is too small; give at least {least}"
+        for key, least in _LEAST.items()
+        if isinstance(value := table.get(key), int | float) and not value >= least
+    ]
+
+
+def _build(table: Mapping[str, Any], name: str, raw: Path) -> Campaign:
+    """The campaign in memory, all conversions done."""
+    faults: list[str] = []
+    head_keys = {key: value for key, value in table.items() if key not in ("reader", "trials")}
+    head = campaigns.head_from_table(head_keys, name, faults)
+    reader, rows = table.get("reader", {}), table.get("trials", [])
+    if not isinstance(reader, dict) or not isinstance(rows, list) or not all(isinstance(r, dict) for r in rows):
+        raise InputError([*faults, f"{name}: write [reader] as one table and [[trials]] once for each trial"])
+    faults += _checked_keys(reader, READER, f"{name} [reader]")
+    if not rows:
+        faults.append(f"{name}: no [[trials]]; write one for each record")
+    options = []
+    for i, row in enumerate(rows, start=1):
+        where = f"{name} [[trials]] number {i}"
+        found = _checked_keys(row, {**TRIAL, **READER}, where)
+        found += [
+            f"{where}: key '{key}' is missing" for key in ("source", "case", "configuration", "k1t") if key not in row
+        ]
+        faults += found
+        options.append({**reader, **row, "where": where})
+    if faults:
+        raise InputError(_gathered(faults))
+    trials: list[Trial] = []
+    contradicted: list[str] = []
+    files: dict[Path, LoggerFile] = {}
+    faults += _repeated(options)
+    counts: dict[tuple[str, str], int] = {}
+    for option in options:
+        group = (option["case"], option["configuration"])
+        counts[group] = counts.get(group, 0) + 1
+        option.setdefault("trial", counts[group])
+        option.setdefault("file", f"trials/{_slug(group[0])}_{group[1]}_{option['trial']}.csv")
+        try:
+            trials.append(_trial_from(option, head.rig, head.measurement, raw, files, contradicted))
+        except InputError as error:
+            faults.extend(error.faults)
+    if faults:
+        raise InputError(_gathered(faults))
+    trials = _with_estimates(trials, head.rig)
+    notes = [note for source in files.values() for note in source.notes if note not in head.caveats]
+    notes = _gathered([*notes, *contradicted]) + _resting(trials, options) + _idle(trials)
+    caveats = (*head.caveats, *notes)
+    return Campaign(head.name, head.rig, head.measurement, tuple(trials), head.description, head.source, caveats)
+
+
+_REST = 0.05  # share of a record; one that rests for longer began before the release
+
+
+def _resting(trials: Sequence[Trial], options: Sequence[Mapping[str, Any]]) -> list[str]:
+    """A hint where records taken from their first reading on begin at rest."""
+    found = []
+    for trial, option in zip(trials, options, strict=True):
+        t, y = np.asarray(trial.times), np.asarray(trial.channels[0])
+        if option.get("release", "start") == "start" and len(t) > 20:
+            rest = look.find_release(t, y) - float(t[0])
+            if rest > _REST * float(t[-1] - t[0]):
+                found.append((str(trial.file), rest))
+    if not found:
+        return []
+    name, rest = found[0]
+    more = "" if len(found) == 1 else f" (and {len(found) - 1} more)"
+    return [f"{name}{more} rests for its first {rest:.2g} s: with --release find, t = 0 is the release."]
+
+
+_IDLE = (
+    "{}: the secondary rests throughout. If nothing coupled it to the primary, these trials are uncoupled: say so with "
+    "--configuration, --pattern or --sheet."
+)
+
+
+def _idle(trials: Sequence[Trial]) -> list[str]:
+    """A hint where the secondary of a coupled trial never moves, as it does where nothing couples it."""
+    found = []
+    for trial in trials:
+        if trial.coupled:
+            primary, secondary = (np.asarray(y) for y in trial.channels)
+            if not _still(primary) and _still(secondary):
+                found.append(str(trial.file))
+    return [_IDLE.format(file_names(found))] if found else []
+
+
+def _still(y: Array) -> bool:
+    """Whether nothing in these readings exceeds their noise."""
+    return bool(np.ptp(y) <= _STILL * look.noise_floor_of(y))
+
+
+def _gathered(faults: Sequence[str]) -> list[str]:
+    """Faults or notes once each; one that three files or more have in common as one sentence."""
+    files: dict[str, list[str]] = {}
+    for fault in dict.fromkeys(faults):
+        name, mark, rest = fault.partition(": ")
+        files.setdefault(rest if mark else fault, []).append(name if mark else "")
+    out = []
+    for rest, names in files.items():
+        if len(names) > 2:
+            out.append(f"{names[0]} and {len(names) - 1} other files: {rest}")
+        else:
+            out += [f"{name}: {rest}" if name else rest for name in names]
+    return out
+
+
+def _slug(text: str) -> str:
+    return re.sub(r"[^A-Za-z0-9_-]+", "-", text) or "case"
+
+
+def _with_estimates(trials: list[Trial], rig: Rig) -> list[Trial]:
+    """Fills k1t where it was to be estimated (marked by 0): median over the case, standard uncertainty 20 %."""
+    filled = []
+    for trial in trials:
+        if trial.k1t.value > 0.0:
+            filled.append(trial)
+            continue
+        alike = [t for t in trials if t.case == trial.case]
+        lines = [look.dominant_frequency(t.times, t.channels[0]) for t in alike]
+        k1t = float(f"{rig.primary_inertia.value * (2.0 * math.pi * float(np.median(lines))) ** 2:.3g}")
+        if k1t <= 0.0:
+            raise InputError(f"{trial.file}: no frequency stands out, so k1t cannot be estimated; give it")
+        filled.append(replace(trial, k1t=Constant(k1t, float(f"{0.2 * k1t:.2g}"))))
+    return filled
+
+
+def _trial_from(
+    option: Mapping[str, Any], rig: Rig, measurement: Measurement, raw: Path, files: dict[Path, LoggerFile],
+    contradicted: list[str],
+) -> Trial:  # fmt: skip
+    """One trial in SI units; adds to `contradicted` what its file says otherwise than the options."""
+    source, where, option = _source_of(option, raw, files)
+    times = _times_of(source, option, where)
+    wanted = option.get("columns")
+    if option["configuration"] not in ("uncoupled", "coupled"):
+        raise InputError(
+            f"{option['where']}: configuration = {option['configuration']!r} is none of 'uncoupled' and 'coupled'"
+        )
+    coupled = option["configuration"] == "coupled"
+    if not wanted:
+        raise InputError(
+            f"{option['where']}: 'columns' is missing; name the channels, the primary first (the file has "
+            f"{source.described()})"
+        )
+    if len(wanted) < 1 + coupled:
+        raise InputError(
+            f"{option['where']}: a coupled trial needs two columns, primary and secondary; 'columns' has one"
+        )
+    n_channels = 2 if coupled else 1
+    places = [source.index(c, where) for c in wanted[:n_channels]]
+    channels = source.table[:, places].T
+    contradicted += _other_units(source, places, option.get("units", []), where)
+    option = {"units": _told_units(source, places, rig.kind, measurement.quantity), **option}
+    torque = source.table[:, source.index(option["torque"], where)] if "torque" in option else None
+    known = np.isfinite(times) & np.isfinite(channels).all(axis=0)
+    if np.mean(known) < LEAST_KNOWN:
+        missing = 100.0 * (1.0 - np.mean(known))
+        raise InputError(
+            f"{where}: {missing:.0f} % of the readings in the chosen columns are missing; choose other columns, or "
+            "export the file again"
+        )
+    # A line without a reading becomes a gap of the record, which every command allows for.
+    times, channels = times[known], channels[:, known]
+    torque = None if torque is None else torque[known]
+    back = np.flatnonzero(np.diff(times) <= 0.0)
+    if len(back):
+        raise InputError(
+            f"{where}: the time does not increase after {times[back[0]]:.9g} s; sort the rows, or give sample_rate"
+        )
+    keep, zero = _window(times, channels[0], option, measurement, where)
+    times, channels = np.round(times[keep] - zero, 9), channels[:, keep]
+    torque = torque[keep] if torque is not None else None
+    channels = _in_si(channels, option, rig.kind, measurement.quantity, where)
+    if torque is not None:
+        unit = option.get("torque_unit", next(iter(_INPUT[rig.kind])))
+        if unit not in _INPUT[rig.kind]:
+            raise InputError(f"{option['where']}: torque_unit '{unit}' is none of {', '.join(_INPUT[rig.kind])}")
+        torque = torque * _INPUT[rig.kind][unit]
+    return Trial(
+        option["file"],
+        option["case"],
+        option["configuration"],
+        option["trial"],
+        _stiffness(option),
+        _release_angle(option, rig.kind, measurement.start),
+        times,
+        channels,
+        torque,
+        option.get("holdout", False),
+    )
+
+
+def _source_of(
+    option: Mapping[str, Any], raw: Path, files: dict[Path, LoggerFile]
+) -> tuple[LoggerFile, str, Mapping[str, Any]]:
+    """The file of a trial, its name, and the option; files of one channel each are put side by side."""
+
+    def read(source: str, sha256: str | None) -> LoggerFile:
+        path = raw / source
+        if path not in files:
+            files[path] = read_file(path, {**option, "sha256": sha256})
+        return files[path]
+
+    sources = option["source"]
+    if isinstance(sources, str):
+        return read(sources, option.get("sha256")), Path(sources).name, option
+    sums = option.get("sha256") or [None] * len(sources)
+    where, columns = ", ".join(Path(s).name for s in sources), option.get("columns") or []
+    if len(columns) != len(sources) or len(sums) != len(sources) or len(sources) > 2:
+        raise InputError(
+            f"{option['where']}: {len(sources)} files for the channels of one trial; give at most two, primary "
+            "first, and 'columns' with one column of each"
+        )
+    parts = [read(s, digest) for s, digest in zip(sources, sums, strict=True)]
+    clocks = [_times_of(part, option, Path(s).name) for part, s in zip(parts, sources, strict=True)]
+    places = [p.index(c, Path(s).name) for p, c, s in zip(parts, columns, sources, strict=True)]
+    step = float(np.median(np.diff(clocks[0])))
+    if any(len(c) != len(clocks[0]) or np.max(np.abs(c - clocks[0])) > 0.5 * step for c in clocks):
+        raise InputError(
+            f"{where}: the channels were not read at the same times; export them with one clock, or in one file"
+        )
+    table = np.column_stack([clocks[0], *(p.table[:, i] for p, i in zip(parts, places, strict=True))])
+    units = ("s", *(p.unit(i) or "" for p, i in zip(parts, places, strict=True)))
+    notes = tuple(note for p in parts for note in p.notes)
+    both = LoggerFile(("time", *(f"channel {k + 1}" for k in range(len(parts)))), table, units, notes)
+    plain = {k: v for k, v in option.items() if k not in ("time_unit", "sample_rate")}
+    return both, where, {**plain, "time": 1, "columns": [k + 2 for k in range(len(parts))]}
+
+
+def _told_units(source: LoggerFile, places: Sequence[int], kind: str, quantity: str) -> list[str]:
+    """Units that the file gives for its channels; those of SI where it gives none."""
+    default = next(iter({"torsional": _ANGULAR, "translational": _TANGENTIAL}[kind][quantity]))
+    return [source.unit(i) or default for i in places]
+
+
+def _other_units(source: LoggerFile, places: Sequence[int], given: Sequence[str], where: str) -> list[str]:
+    """Notes where a file names another unit for a channel than `units` does."""
+    return [
+        f"{where}: the file gives {source.column(place)} in {told}, 'units' in {unit}; {unit} was taken."
+        for place, unit in zip(places, given, strict=False)
+        if (told := source.unit(place)) is not None and told != unit
+    ]
+
+
+def _stiffness(option: Mapping[str, Any]) -> Constant:
+    k1t = option["k1t"]
+    if k1t == "estimate":
+        return Constant(0.0)
+    if isinstance(k1t, str) or not 0.0 < k1t < math.inf:
+        raise InputError(f"{option['where']}: k1t = {k1t!r} must be a positive number or 'estimate'")
+    return Constant(float(k1t), float(option.get("k1t_std", 0.0)))
+
+
+def _release_angle(option: Mapping[str, Any], kind: str, start: str) -> Constant | None:
+    if start == "free":
+        return None
+    if "theta0" not in option:
+        raise InputError(
+            f"{option['where']}: theta0 is missing; give it in deg (mm), or set start = 'free' in [measurement]"
+        )
+    unit = _DEGREE if kind == "torsional" else 1e-3
+    theta0 = float(option["theta0"])
+    std = float(option.get("theta0_std", max(0.1, 0.02 * abs(theta0))))
+    return Constant(theta0 * unit, std * unit)
+
+
+def _in_si(channels: Array, option: Mapping[str, Any], kind: str, quantity: str, where: str) -> Array:
+    """Offset, sign and unit of each channel; (n_channels, n)."""
+    count = len(channels)
+    default = {"torsional": _ANGULAR, "translational": _TANGENTIAL}[kind][quantity]
+    units = option.get("units", [next(iter(default))] * count)
+    signs, radius = option.get("sign", [1] * count), option.get("mounting_radius")
+    radii = radius if isinstance(radius, list) else [radius] * count
+    offsets = option.get("offset", "none")
+    offsets = offsets if isinstance(offsets, list) else [offsets] * count
+    for key, values in (("units", units), ("sign", signs), ("mounting_radius", radii), ("offset", offsets)):
+        if len(values) < count:
+            raise InputError(
+                f"{option['where']}: '{key}' has {len(values)} entries for {count} channels; give one for each"
+            )
+    if any(s not in (1, -1) for s in signs):
+        raise InputError(f"{option['where']}: sign must be 1 or -1 for each channel")
+    rows = []
+    sensitivities = option.get("sensitivity", [None] * count)
+    if len(sensitivities) < count:
+        raise InputError(f"{option['where']}: 'sensitivity' has {len(sensitivities)} entries for {count} channels")
+    columns = zip(channels, units, signs, radii, offsets, sensitivities, strict=False)
+    for y, unit, sign, r, offset, sensitivity in columns:
+        centred = sign * (y - _offset(y, offset, option["where"]))
+        if str(unit) in _VOLTAGE:
+            factor, sensed = _sensed(str(unit), sensitivity, option["where"])
+            rows.append(convert(factor * centred, sensed, kind, quantity, r, where))
+        else:
+            rows.append(convert(centred, str(unit), kind, quantity, r, where))
+    return np.stack(rows)
+
+
+def _sensed(unit: str, sensitivity: str | None, where: str) -> tuple[float, str]:
+    """What one V or mV is, and in which unit, by a sensitivity such as '100 mV/g'."""
+    if sensitivity is None:
+        raise InputError(f"{where}: '{unit}' is a voltage; give the sensitivity of each sensor, e.g. '100 mV/g'")
+    found = re.fullmatch(r"\s*([\d.]+(?:[eE][-+]?\d+)?)\s*(m?V)\s*/\s*\(?(.+?)\)?\s*", str(sensitivity))
+    if found is None or not float(found[1]) > 0.0:
+        raise InputError(f"{where}: sensitivity = '{sensitivity}' cannot be read; write it as '100 mV/g'")
+    return _VOLTAGE[unit] / (float(found[1]) * _VOLTAGE[found[2]]), unit_of(found[3]) or found[3]
+
+
+def _offset(y: Array, offset: str | float, where: str) -> float:
+    if offset == "none":
+        return 0.0
+    if offset in ("mean", "tail"):
+        part = y if offset == "mean" else y[-max(8, len(y) // 4) :]
+        return float(np.average(part, weights=np.hanning(len(part) + 2)[1:-1]))
+    if isinstance(offset, str):
+        raise InputError(f"{where}: offset = '{offset}' is none of 'none', 'mean', 'tail' or a number")
+    return float(offset)
+
+
+def _window(
+    times: Array, y: Array, option: Mapping[str, Any], measurement: Measurement, where: str
+) -> tuple[NDArray[np.intp], float]:
+    """Indices to keep, and the instant on the raw clock that becomes t = 0."""
+    low, high = float(option.get("start", times[0])), float(option.get("end", times[-1]))
+    inside = np.flatnonzero((times >= low - 1e-9) & (times <= high + 1e-9))
+    if len(inside) < _FEWEST:
+        raise InputError(
+            f"{where}: only {len(inside)} readings between {low:g} and {high:g} s; the record runs from {times[0]:g} "
+            f"to {times[-1]:g} s: correct start and end"
+        )
+    release, t, part = option.get("release", "start"), times[inside], y[inside]
+    if release == "start":
+        zero = float(t[0])
+    elif release == "find":
+        zero = look.find_release(t, part)
+        if zero <= t[4] and _still(part):
+            raise InputError(
+                f"{where}: no release found: the record rests throughout, nothing in it exceeds the noise; check that "
+                "the column is that of the sensor, and that the trial was recorded"
+            )
+        if zero <= t[4]:
+            raise InputError(
+                f"{where}: no release found: the record moves from its first reading on, so it starts in the middle; "
+                "give release in seconds, 'first_peak' with start = 'free', or a record that begins earlier"
+            )
+        if measurement.quantity == "acceleration":  # it jumps: somewhere before the first reading that has moved
+            zero = 0.5 * (zero + float(t[np.searchsorted(t, zero, side="right")]))
+        else:  # it stays within the noise for some readings more; at a reading, a sample of doubt is left on each side
+            zero = float(t[np.argmin(np.abs(t - look.carried_back(t, part, zero, measurement.quantity)))])
+    elif release == "first_peak":
+        peak = look.find_first_peak(t, part)
+        zero = float(t[np.searchsorted(t, peak - 1e-9)]) if peak < t[-1] else float(t[0])
+    elif isinstance(release, str):
+        raise InputError(
+            f"{option['where']}: release = '{release}' is none of 'start', 'find', 'first_peak' or a number"
+        )
+    else:
+        zero = float(release)
+    before = float(option.get("before", 0.02 if measurement.start == "rest" else 0.0))
+    keep = inside[t >= zero - before - 1e-9][:: option.get("every", 1)]
+    if len(keep) < _FEWEST:
+        raise InputError(
+            f"{where}: only {len(keep)} readings are left of the record, which runs from {times[0]:g} to "
+            f"{times[-1]:g} s; correct release, before or every"
+        )
+    return keep, zero
+
+
+def _times_of(source: LoggerFile, option: Mapping[str, Any], where: str) -> Array:
+    if "time" in option:
+        column = source.index(option["time"], where)
+        found = source.unit(column)
+        unit = option.get("time_unit") or (found if found in _TIME else "s")
+        if unit not in _TIME:
+            raise InputError(f"{option['where']}: time_unit '{unit}' is none of {', '.join(_TIME)}")
+        return source.table[:, column] * _TIME[unit]
+    if not option.get("sample_rate", 0.0) > 0.0:
+        raise InputError(
+            f"{option['where']}: neither 'time' nor 'sample_rate' is given; one of them makes the clock (the file has "
+            f"{source.described()})"
+        )
+    return np.arange(len(source.table)) / float(option["sample_rate"])
+
+
+def _repeated(options: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Faults where two rows are one trial."""
+    seen: dict[tuple[str, str, int], str] = {}
+    faults = []
+    for option in options:
+        if "trial" not in option:
+            continue
+        key = (option["case"], option["configuration"], option["trial"])
+        if key in seen:
+            faults.append(f"{option['where']}: trial {key[2]} of {key[0]} {key[1]} is there already ({seen[key]})")
+        seen[key] = option["where"]
+    return faults

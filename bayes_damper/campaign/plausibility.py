@@ -1,0 +1,365 @@
+"""What can be read but looks odd: clocks, releases, saturation, repeats that are unlike."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper.campaign import readings as look
+from bayes_damper.campaign.declarations import wiring_of
+from bayes_damper.campaign.head import Head, per_channel
+from bayes_damper.campaign.records import DERIVATIVE, USUAL_LAG, departure, picks
+from bayes_damper.campaign.structure import COLUMNS, SHOWN, Trial, groups_of, natural_period
+from bayes_damper.text import counted
+
+Array = NDArray[np.float64]
+_SHORT = 0.8  # of the longest repeat's end, before which a record counts as ending early
+_UNLIKE = 0.3  # rms difference over rms, from which repeats are held to be of different channels
+_TURNED = "; where `init` made the campaign, run it again with --sign -1 (coupled: one for each channel, such as -1 1)"
+_FEW = 3  # readings at rest, and in the first swing, that tell which way it goes
+
+
+def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
+    """Everything about one record that can be handled but should be known."""
+    _look_at_clock(head, trial, warnings)
+    omega = 2.0 * math.pi / natural_period(head.rig, trial)
+    held = head.measurement.quantity == "displacement" and head.measurement.start == "rest"
+    coupled = len(trial.channels) > 1
+    given = per_channel(head.measurement.noise_std, coupled)
+    limits = per_channel(head.measurement.sensor_range, coupled)
+    for i, y in enumerate(trial.channels):
+        where = f"{trial.file}, column '{COLUMNS[(head.rig.kind, head.measurement.quantity)][i]}'"
+        noise = look.noise_floor_of(y)
+        step = look.resolution_of(y)
+        if np.ptp(y) == 0.0:
+            warnings.append(f"{where}: every reading is the same; the sensor looks dead")
+            continue
+        if step > noise:
+            warnings.append(f"{where}: quantised in steps of {step:.3g}; noise below that cannot be seen")
+        slowest = 2.0 * math.pi * look.dominant_frequency(trial.times, y)  # of a coupled rig's slow mode: round tops
+        for level in look.flat_tops_of(trial.times, y, noise, min(omega, max(slowest, 0.25 * omega)), held):
+            warnings.append(f"{where}: flat tops at {level:.4g}; it looks clipped there")
+        if limits is not None and np.max(np.abs(y)) > 0.98 * limits[i]:
+            warnings.append(f"{where}: readings reach the sensor's range of {limits[i]:.4g}; it may be clipped")
+        spikes = look.outliers_of(trial.times, y, noise, omega)
+        if spikes:
+            some = ", ".join(f"{trial.times[j]:.4g}" for j in spikes[:SHOWN])
+            more = f" and {len(spikes) - SHOWN} more" if len(spikes) > SHOWN else ""
+            warnings.append(
+                f"{where}: 1 single reading sticks out, at {some} s; it looks like an outlier"
+                if len(spikes) == 1
+                else f"{where}: {len(spikes)} single readings stick out, at {some} s{more}; they look like outliers"
+            )
+        offset = look.offset_of(trial.times, y, noise, omega)
+        if offset and not (head.rig.restoring == "pendulum" and held):
+            warnings.append(f"{where}: rests at {offset:.3g} at the end, not at 0; the sensor has an offset")
+        if given is not None and noise > 0.0 and not 1.0 / 3.0 <= noise / given[i] <= 3.0:
+            warnings.append(
+                f"{where}: noise is about {noise:.3g}, noise_std says {given[i]:.3g}; check unit and sensor"
+            )
+    wiring = wiring_of(head, trial)
+    if wiring == "exchanged":
+        return  # told with its repeats
+    if wiring == "reversed":
+        warnings.append(
+            f"{trial.file}: at the release the second channel goes the other way than the primary, which drags the "
+            f"secondary along; its sign looks reversed{_TURNED}"
+        )
+    if head.measurement.start == "rest" and trial.theta0 is not None:
+        _look_at_release(head, trial, omega, warnings)
+
+
+def _look_at_clock(head: Head, trial: Trial, warnings: list[str]) -> None:
+    times = trial.times
+    step = float(np.median(np.diff(times)))
+    rate = head.measurement.sample_rate
+    if rate is not None and abs(step * rate - 1.0) > 0.02:
+        warnings.append(
+            f"{trial.file}: the time column says {1.0 / step:.5g} Hz, "
+            f"sample_rate says {rate:.5g}; the time column decides"
+        )
+    uneven = look.unevenness_of(times)
+    if uneven > 0.01:
+        warnings.append(f"{trial.file}: time is uneven: steps depart from {step:.4g} s by up to {100.0 * uneven:.0f} %")
+    gaps = look.gaps_of(times)
+    if gaps:
+        longest = max(gaps, key=lambda g: g[1] - g[0])
+        warnings.append(
+            f"{trial.file}: {counted(len(gaps), 'gap')} in time, {'the longest ' if len(gaps) > 1 else ''}"
+            f"from {longest[0]:.4g} to {longest[1]:.4g} s"
+        )
+    if times[0] > 1.5 * step:
+        warnings.append(f"{trial.file}: late start: the record begins {times[0]:.4g} s after the nominal release")
+
+
+def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]) -> None:
+    """Late trigger, start in the middle of the motion, reversed sign: told from the first readings."""
+    y, times = trial.channels[0], trial.times
+    noise = look.noise_floor_of(y)
+    quantity = head.measurement.quantity
+    power = DERIVATIVE[quantity]
+    assert trial.theta0 is not None
+    sign = math.copysign(1.0, trial.theta0.value) * (1.0 if power == 0 else -1.0)
+    level = abs(trial.theta0.value) if power == 0 else 0.0
+    if not trial.driven and (onset_away := _moves_the_wrong_way(times, sign * y, quantity, omega)) is not None:
+        place = "on the other side of 0 than theta0" if power == 0 else "at rest"
+        then = "" if power == 0 else " and then begins to move away from its rest position, not towards it"
+        warnings.append(
+            f"{trial.file}: the primary is held {place} until {onset_away:.4g} s{then}; the sign of the channel "
+            f"looks reversed (or that of theta0 in trials.csv){_TURNED}"
+        )
+        y = -y
+    away, bound = departure(y, quantity, trial.theta0.value)
+    departed = away > bound
+    if not departed.any():
+        return
+    onset = float(times[int(np.argmax(departed))])
+    step = float(np.median(np.diff(times)))
+    early = trial.times[0] < -1.5 * step and onset < -1.5 * step
+    if early:
+        warnings.append(
+            f"{trial.file}: motion begins {-onset:.4g} s before the nominal release; the trigger came late; "
+            "fits take the release from the record"
+        )
+    if onset > USUAL_LAG[quantity] / omega + 1.5 * step and times[0] <= 1.5 * step:
+        warnings.append(
+            f"{trial.file}: motion begins {onset:.4g} s after the nominal "
+            "release; the trigger came early or the rig stuck; fits take the release from the record"
+        )
+    first = float(np.median(y[:3]))
+    largest = float(np.max(np.abs(y)))
+    middle = {0: sign * first < 0.8 * level, 1: abs(first) > 0.3 * largest, 2: False}[power]
+    soon = min(int(np.searchsorted(times, onset + 0.13 / omega)), len(y) - 1)
+    if power == 2 and abs(first) <= 8.0 * noise and onset < times[0] + 0.3 / omega:  # no jump where a release jumps
+        middle = sign * y[soon] < 0.4 * float(np.quantile(np.abs(y), 0.998))
+    if power == 2 and abs(first) > 8.0 * noise:
+        middle = sign * first < 0.4 * float(np.quantile(np.abs(y), 0.998))
+    away_at_once = (
+        power == 1 and not trial.driven and _moves_the_wrong_way(times, sign * y, quantity, omega, 0.0) is not None
+    )
+    if times[0] <= 1.5 * step and not early and (middle or away_at_once):
+        reversed_sign = away_at_once or (power != 1 and sign * first < -0.3 * largest)
+        looks = "the sign of the channel looks reversed, or " if reversed_sign else ""
+        warnings.append(
+            f"{trial.file}: the first readings are not those of a release; "
+            f"{looks}the record begins after the motion began{_TURNED if reversed_sign else ''}"
+        )
+
+
+def _moves_the_wrong_way(times: Array, y: Array, quantity: str, omega: float, rest: float = 1.0) -> float | None:
+    """When the motion begins, in s, where a primary that is held at first then moves as if released on the other side.
+
+    None where it moves as it should, or where the record holds too little to tell: a shorter rest (what is shorter than
+    a radian of the oscillation may be a turning point), or fewer than three readings of the first swing.
+
+    y : (n,) the readings, times the sign that they should have at first; omega : rad/s of the primary on its spring;
+    rest : rad of that oscillation
+    """
+    largest = float(np.quantile(np.abs(y), 0.998))
+    held = float(np.median(y[:_FEW])) if quantity == "displacement" else 0.0
+    moving = np.abs(y - held) > max(8.0 * look.noise_floor_of(y), 0.05 * float(np.max(np.abs(y))))
+    lasting = moving[:-2] & moving[1:-1] & moving[2:]
+    k = int(np.argmax(lasting)) if lasting.any() else 0
+    if times[k] - times[0] < rest / omega or (rest > 0.0 and k < _FEW):
+        return None
+    if quantity == "displacement":
+        return float(times[k]) if held < -0.3 * largest else None
+    if quantity == "velocity":  # grows for a quarter of a period
+        swing = y[k : k + 1 + int(np.argmax(np.abs(y[k:]) > 0.5 * largest))]
+        soon = times[k + len(swing) - 1] - times[k] < math.pi / omega
+    else:  # jumps at once
+        swing = y[k:][times[k:] <= times[k] + 0.8 / omega]
+        soon = True
+    wrong = soon and len(swing) >= _FEW and bool(np.all(swing < 0.0))
+    return float(times[k]) if wrong and (quantity == "velocity" or np.median(swing) < -0.4 * largest) else None
+
+
+def look_at_rates(head: Head, trials: Sequence[Trial], warnings: list[str]) -> None:
+    """Whether fits pick readings of their own accord, because there are very many of them."""
+    measurement = head.measurement
+    if measurement.every is not None or not trials:
+        return
+    swings = measurement.quantity != "acceleration" and measurement.start == "free"
+    steps = [float(np.median(np.diff(t.times))) for t in trials]
+    period = min(natural_period(head.rig, t) for t in trials)
+    picked = picks([t.channels.size for t in trials], steps, period, swings)
+    if swings or max(picked) == 1:
+        return
+    few, most = min(picked), max(picked)
+    told = f"{most}" if few == most else f"{few} to {most}"
+    warnings.append(
+        f"{sum(t.channels.size for t in trials)} readings, {period / min(steps):.0f} in a period: fits use one in "
+        f"{told}, enough to show the motion, for less time and memory; `every = 1` under [measurement] of "
+        "campaign.toml uses all"
+    )
+
+
+def look_at_repeats(head: Head, trials: Sequence[Trial], warnings: list[str]) -> None:
+    """Adds as warnings what is odd between trials: copies, stiffnesses, lengths, repeats that are unlike."""
+    stiffness: dict[str, set[float]] = {}
+    for trial in trials:
+        stiffness.setdefault(trial.case, set()).add(trial.k1t.value)
+    for case, values in stiffness.items():
+        if len(values) > 1:
+            warnings.append(
+                f"trials.csv: case {case} has several k1t "
+                f"({', '.join(f'{v:g}' for v in sorted(values))}); one case is one spring"
+            )
+    single = [f"{case} {configuration}" for (case, configuration), g in groups_of(trials).items() if len(g) == 1]
+    if single:
+        warnings.append(
+            f"trials.csv: only one trial of {', '.join(single)}: its repeatability is unknown"
+            + ("" if any(t.holdout for t in trials) else ", and it is not held out")
+        )
+    if all(t.holdout for t in trials):
+        warnings.append("trials.csv: every trial is marked holdout; nothing is left to train on")
+    _look_for_copies(trials, warnings)
+    for group in groups_of(trials).values():
+        _look_for_short_twin(group, warnings)
+        if head.measurement.start != "rest" or _look_for_exchanged_twin(group, warnings):
+            continue
+        warnings += [
+            f"{trial.file}: the second channel begins as the released primary must, and the first does not; the "
+            "channels look exchanged: correct the order of the columns"
+            for trial in group
+            if wiring_of(head, trial) == "exchanged"
+        ]
+        if len(group) > 2:
+            _look_for_odd_twin(group, head.measurement.quantity, warnings, trials)
+
+
+def _look_for_copies(trials: Sequence[Trial], warnings: list[str]) -> None:
+    """Names trials whose readings are those of an earlier one: noise never repeats itself."""
+    seen: dict[bytes, Trial] = {}
+    for trial in trials:
+        first = seen.setdefault(np.ascontiguousarray(trial.channels[0]).tobytes(), trial)
+        if first is not trial:
+            warnings.append(
+                f"{trial.file}: holds the same readings as {first.file}: a trial that is there twice counts twice and "
+                "hides how trials scatter; remove one of them"
+            )
+
+
+def _look_for_short_twin(group: Sequence[Trial], warnings: list[str]) -> None:
+    """Names repeats that end much earlier than the longest one."""
+    ends = [float(t.times[-1]) for t in group]
+    short = [f"{t.file} at {end:.4g} s" for t, end in zip(group, ends, strict=True) if end < _SHORT * max(ends)]
+    if short:
+        some = ", ".join(short[:SHOWN]) + (f" and {len(short) - SHOWN} more" if len(short) > SHOWN else "")
+        warnings.append(
+            f"case {group[0].case} {group[0].configuration}: repeats of different length: {some}, the longest at "
+            f"{max(ends):.4g} s; every record is used to its end, but how repeats scatter is seen only where two of "
+            "them last: was one cut off?"
+        )
+
+
+def _look_for_odd_twin(group: Sequence[Trial], quantity: str, warnings: list[str], trials: Sequence[Trial]) -> None:
+    """Compares repeats of equal release with each other; one that is four times as far off as the rest is named.
+
+    trials : of the whole campaign, among whose other cases the odd one may belong.
+
+    Each runs from the onset of its own motion, and the jump there is left out: a late trigger is no other motion.
+    """
+    clocks = [t.times - _onset(t, quantity) for t in group]
+    steps = [float(np.median(np.diff(t.times))) for t in group]
+    start, end = max(c[0] for c in clocks), min(c[-1] for c in clocks)
+    inside = (clocks[0] >= max(start, 2.0 * max(steps))) & (clocks[0] <= end)
+    grid = clocks[0][inside]
+    grid = grid[~np.any([look.within_gaps(grid, c) for c in clocks], axis=0)]
+    if len(grid) < 8:
+        warnings.append(f"{group[0].file} and its repeats hardly overlap in time; they cannot be compared")
+        return
+    worst: dict[str, tuple[float, float]] = {}
+    for channel in range(len(group[0].channels)):
+        curves = np.stack(
+            [np.interp(grid, c, t.channels[channel]) / _release(t) for c, t in zip(clocks, group, strict=True)]
+        )
+        distance = np.sqrt(np.mean((curves[:, None] - curves[None]) ** 2, axis=-1))
+        noise = max(look.noise_floor_of(c) for c in curves)
+        scale = float(np.sqrt(np.median(np.mean(curves**2, axis=-1))))
+        for i, trial in enumerate(group):
+            others = np.delete(np.delete(distance, i, 0), i, 1)
+            usual = float(np.median(others[np.triu_indices(len(group) - 1, 1)]))
+            nearest = float(np.min(np.delete(distance[i], i)))
+            if nearest > 4.0 * usual and nearest > max(0.1 * scale, 4.0 * noise):
+                worst[trial.file] = max(worst.get(trial.file, (0.0, 0.0)), (nearest / scale, usual / scale))
+                break
+    for file, (nearest, usual) in worst.items():
+        odd = next(t for t in group if t.file == file)
+        home = _looks_like(odd, quantity, nearest, trials)
+        warnings.append(
+            f"{file}: unlike its repeats: {nearest:.0%} away from the nearest, they {usual:.0%} from each other"
+            + ("; see what was different" if home is None else f"; it is like the trials of case {home}: a wrong name?")
+        )
+
+
+def _looks_like(odd: Trial, quantity: str, away: float, trials: Sequence[Trial]) -> str | None:
+    """The other case that an odd trial is like: near one of its trials, measured alike, a quarter of `away` or less."""
+    found = []
+    for other in trials:
+        if other.case == odd.case or len(other.channels) != len(odd.channels):
+            continue
+        clocks = odd.times - _onset(odd, quantity), other.times - _onset(other, quantity)
+        grid = clocks[0][(clocks[0] > 0.0) & (clocks[0] <= clocks[1][-1])]
+        if len(grid) < 8:
+            continue
+        y, x = (
+            np.stack([np.interp(grid, clock, channel) for channel in trial.channels])
+            for clock, trial in zip(clocks, (odd, other), strict=True)
+        )
+        size = float(np.sqrt(np.mean(x**2))) or 1.0
+        found.append((float(np.sqrt(np.mean((x - y) ** 2))) / size, other.case))
+    nearest, case = min(found, default=(math.inf, ""))
+    return case if nearest < 0.25 * away else None
+
+
+def _look_for_exchanged_twin(group: Sequence[Trial], warnings: list[str]) -> bool:
+    """Names coupled repeats that are like the others only with their channels exchanged; whether there are any."""
+    found = [_apart(group[0], other) for other in group[1:]]
+    crossed = [straight > _UNLIKE and exchanged < 0.5 * straight for straight, exchanged in found]
+    if not any(crossed):
+        return False
+    odd = [other for other, mark in zip(group[1:], crossed, strict=True) if mark]
+    even = [group[0], *(other for other, mark in zip(group[1:], crossed, strict=True) if not mark)]
+    fewer, more = sorted((odd, even), key=len)
+    straight, exchanged = found[crossed.index(True)]
+    told = (
+        f"unlike: {straight:.0%} apart as they are, {exchanged:.0%} with the channels of one exchanged; correct the "
+        "order of the columns"
+    )
+    if len(fewer) == len(more):
+        warnings.append(
+            f"{', '.join(t.file for t in even)} and {', '.join(t.file for t in odd)}: repeats {told} of one"
+        )
+    else:
+        warnings.append(f"{', '.join(t.file for t in fewer)}: channels exchanged? It and its repeats are {told}")
+    return True
+
+
+def _apart(a: Trial, b: Trial) -> tuple[float, float]:
+    """Rms difference of two repeats over the rms of the first, as they are and with the channels of one exchanged.
+
+    (0, 0) where they cannot be compared: one channel only, or hardly any time in common.
+    """
+    inside = (a.times >= b.times[0]) & (a.times <= b.times[-1]) & ~look.within_gaps(a.times, b.times)
+    if len(a.channels) < 2 or np.count_nonzero(inside) < 8:
+        return 0.0, 0.0
+    x = a.channels[:, inside] / _release(a)
+    y = np.stack([np.interp(a.times[inside], b.times, channel) for channel in b.channels]) / _release(b)
+    size = float(np.sqrt(np.mean(x**2))) or 1.0
+    return float(np.sqrt(np.mean((x - y) ** 2))) / size, float(np.sqrt(np.mean((x - y[::-1]) ** 2))) / size
+
+
+def _onset(trial: Trial, quantity: str) -> float:
+    """Time of the first reading that has left the held rig, in s; that of the first reading where none has."""
+    if trial.theta0 is None:
+        return 0.0
+    away, bound = departure(trial.channels[0], quantity, trial.theta0.value)
+    return float(trial.times[int(np.argmax(away > bound))])
+
+
+def _release(trial: Trial) -> float:
+    return trial.theta0.value if trial.theta0 is not None and trial.theta0.value else 1.0

@@ -1,0 +1,180 @@
+"""Records as the fits take them: from the release on, and repeats on one grid of times.
+
+A logger may run long before the release, start its clock anywhere, lose readings, or stop repeats at different ends.
+None of it is a gap between model and rig, so it is undone before a fit: by what the record itself shows, never by
+what a model says.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper.campaign import readings as look
+
+Array = NDArray[np.float64]
+
+TOLERANCE = 0.02  # share of a step by which readings may lie beside a common grid
+LARGEST_GRID = 3.0  # times the readings of the longest record; beyond, gaps are longer than what was read
+STEPS_OF_DOUBT = 1.5  # sampling steps between nominal and real release that are left to the fit
+FLICKER = 0.05  # share of a rounded channel's changes that are undone at once, beyond which its noise sets it moving
+ROUNDED = 1.3  # noise of a rounded channel, over that of its rounding alone, beyond which it averages like any other
+LARGE = 200_000
+"""Readings of a campaign beyond which one in so many is picked, where they come faster than the motion needs."""
+READINGS_PER_PERIOD = 150.0  # of the primary, that the readings of a large campaign are picked down to
+READINGS_PER_SWING = 100.0  # the same of displacements and velocities of free starts, however few they are
+DERIVATIVE = {"displacement": 0, "velocity": 1, "acceleration": 2}  # order in time of a quantity that is read
+USUAL_LAG = {"displacement": 0.5, "velocity": 0.2, "acceleration": 0.02}
+"""Radians of the oscillation after which the motion stands out from its noise."""
+
+
+def departure(readings: Array, quantity: str, theta0: float) -> tuple[Array, float]:
+    """How far the first channel has left a held rig, and the bound beyond which that is noise no more.
+
+    readings : (n,), finite; theta0 : nominal angle (rad) or displacement (m) at which the rig is held
+    """
+    sign = math.copysign(1.0, theta0) * (1.0 if quantity == "displacement" else -1.0)
+    level = abs(theta0) if quantity == "displacement" else 0.0
+    reach = float(np.max(np.abs(readings)))
+    return np.abs(sign * readings - level), max(8.0 * look.noise_floor_of(readings), 0.05 * reach)
+
+
+def release_of(times: Array, readings: Array, quantity: str, theta0: float, omega: float) -> tuple[int, float]:
+    """Where a record of a rig released from rest begins, and how much its clock is off.
+
+    times : (n,) s, nominal release at 0; readings : (n,) of the primary; omega : rad/s of the primary on its spring.
+
+    Returns
+    -------
+    first : index of the first reading to keep: the last one of the held rig, or the first after the nominal release.
+    shift : s to take from the clock. 0 where the release lies within one and a half steps of t = 0 or cannot be told.
+    """
+    usable = np.isfinite(readings)
+    if usable.sum() < 8 or theta0 == 0.0:
+        return 0, 0.0
+    t, y = times[usable], readings[usable]
+    step = float(np.median(np.diff(t)))
+    first = int(np.argmax(times >= -0.5 * step)) if times[0] < -0.5 * step and times[-1] > 0.0 else 0
+    away, bound = departure(y, quantity, theta0)
+    moving = away > bound
+    if not moving.any():
+        return first, 0.0
+    k = int(np.argmax(moving))
+    if k == 0:
+        return 0, 0.0
+    lag = USUAL_LAG[quantity] / omega
+    if -STEPS_OF_DOUBT * step <= t[k] <= lag + STEPS_OF_DOUBT * step:
+        return first, 0.0
+    start = float(t[k - 1])
+    if quantity != "acceleration":
+        start = _beginning(t[k:], away[k:], quantity, theta0, omega, step)
+    if abs(start) <= STEPS_OF_DOUBT * step:
+        return first, 0.0
+    keep = max(int(np.searchsorted(times, start, side="right")) - 1, 0)
+    return keep, float(times[keep])
+
+
+def _beginning(times: Array, away: Array, quantity: str, theta0: float, omega: float, step: float) -> float:
+    """Instant at which a motion began that was first seen at times[0]: its beginning carried back to nothing."""
+    top = 0.35 * (abs(theta0) if quantity == "displacement" else abs(theta0) * omega)
+    end = max(int(np.argmax(away > top)) if (away > top).any() else away.size, 4)
+    t, a = times[:end], away[:end]
+    x = np.arccos(np.clip(1.0 - a / abs(theta0), -1.0, 1.0)) if quantity == "displacement" else a
+    if t.size < 2 or np.ptp(x) <= 0.0:
+        return float(times[0]) - step
+    slope, rest = np.polyfit(t, x, 1)
+    return float(-rest / slope) if slope > 0.0 else float(times[0]) - step
+
+
+def picks(sizes: Sequence[int], steps: Sequence[float], period: float, swings: bool) -> list[int]:
+    """Of how many readings of each record one is picked for fits.
+
+    Readings are picked, not averaged: an average would shrink fast swings and blur the reversals of dry friction.
+
+    sizes : readings of each record, all channels; steps : s, its sampling step; period : s, of the fastest primary;
+    swings : displacements or velocities of free starts, which hold nothing faster that a torque could have made, and
+    whose errors, that of the model first, are the same over many readings
+    """
+    if not swings and sum(sizes) <= LARGE:
+        return [1] * len(sizes)
+    wanted = period / (READINGS_PER_SWING if swings else READINGS_PER_PERIOD)
+    return [max(1, math.floor(wanted / step * (1.0 + 1e-9))) if step > 0.0 else 1 for step in steps]
+
+
+def rounding_of(readings: Array) -> float:
+    """Step of one channel whose readings err by their rounding and hardly by anything else; 0 where noise moves them to
+    and fro between steps, so that they average like any other.
+
+    readings : (n,); nan where missing
+    """
+    y = readings[np.isfinite(readings)]
+    step = look.resolution_of(y) if y.size >= 4 else 0.0
+    if step == 0.0 or look.noise_floor_of(y) > ROUNDED * step / math.sqrt(12.0):
+        return 0.0
+    changes = np.diff(y) != 0.0
+    back = changes[:-1] & changes[1:] & (y[2:] == y[:-2])
+    return 0.0 if np.count_nonzero(back) > FLICKER * np.count_nonzero(changes) else step
+
+
+def crossings(times: Array, readings: Array, step: float, period: float) -> tuple[Array, Array]:
+    """What the readings of a rounded channel tell: values (n,), nan where nothing, and their weights (n,).
+
+    Equal readings share one error of rounding: all of a run tell no more than that a step was passed when it began. So
+    the first reading of each run is kept, at the value to be expected there: where a run lasts k readings, 1 / k of a
+    step beyond the edge between the two, give or take half of that; a swing is not flattened at its ends, as it is
+    where the middles of steps stand for all that is rounded to them. Of a run that lasts longer than a period one
+    reading is kept for each, so that a model that still moves there is seen; together these count as one.
+
+    times : (n,) s; readings : (n,), nan where missing; step : of the readings; period : s, of the rig's own oscillation
+    """
+    values, weights = np.full(readings.size, np.nan), np.zeros(readings.size)
+    here = np.flatnonzero(np.isfinite(readings))
+    t, y = times[here], readings[here]
+    if y.size == 0:
+        return values, weights
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(y) != 0.0) + 1])
+    lengths = np.diff(np.concatenate([starts, [y.size]]))
+    rise = np.sign(np.diff(y[starts]))  # into each run but the first
+    passed = np.concatenate([[False], rise[1:] == rise[:-1], [False]])  # runs that lead on, neither first nor last
+    for k in range(1, starts.size):
+        near = [lengths[i] for i in (k - 1, k) if passed[i]] or [min(lengths[k - 1], lengths[k])]
+        at = here[starts[k]]
+        values[at] = y[starts[k]] - 0.5 * step * rise[k - 1] * (1.0 - 1.0 / np.mean(near))
+        weights[at] = 1.0
+    for first, length in zip(starts, lengths, strict=True):
+        parts = int((t[first + length - 1] - t[first]) / period)
+        if parts:
+            middles = here[first + (length * (np.arange(parts) + 0.5) / parts).astype(np.intp)]
+            values[middles], weights[middles] = y[first], 1.0 / math.sqrt(parts)
+    return values, weights
+
+
+def common_grid(clocks: Sequence[Array]) -> tuple[Array, list[NDArray[np.intp]]] | None:
+    """One even grid that holds the readings of all records, and where on it those of each record lie.
+
+    clocks : (n_i,) s of each record. None where they are the same already, or where no even grid holds them: uneven
+    times, clocks that differ by a fraction of a step, or gaps longer than what was read.
+    """
+    first = clocks[0]
+    if all(c.size < 3 for c in clocks):
+        return None
+    step = float(np.median(np.concatenate([np.diff(c) for c in clocks])))
+    origin = min(float(c[0]) for c in clocks)
+    exact = [(c - origin) / step for c in clocks]
+    places = [np.round(x).astype(np.intp) for x in exact]
+    if any(np.max(np.abs(x - p)) > TOLERANCE * max(1.0, 1e-3 * x.size) for x, p in zip(exact, places, strict=True)):
+        return None
+    if any(np.any(np.diff(p) < 1) for p in places):
+        return None
+    size = 1 + max(int(p[-1]) for p in places)
+    if size > LARGEST_GRID * max(c.size for c in clocks):
+        return None
+    if all(c.size == size and np.array_equal(c, first) for c in clocks):
+        return None
+    grid: Array = origin + step * np.arange(size, dtype=np.float64)
+    for clock, place in zip(clocks, places, strict=True):
+        grid[place] = clock  # the record's own times where there are any
+    return grid, places

@@ -1,0 +1,63 @@
+"""`bayes-damper check`: is this campaign readable, and what in it looks odd?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bayes_damper.campaign import load_campaign
+from bayes_damper.errors import ExitCode
+from bayes_damper.published.measurements import load_published
+
+
+@dataclass(frozen=True)
+class Check:
+    """A campaign that can be read: what it holds, and sentences on what looks odd."""
+
+    name: str
+    description: str
+    warnings: tuple[str, ...]
+    sha256: str
+    exit_code: ExitCode = ExitCode.DONE
+
+    def text(self) -> str:
+        """For people."""
+        return f"{self.description}\n{'No fault; read the warnings.' if self.warnings else 'No fault found.'}"
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs."""
+        return {
+            "schema": "bayes-damper/check/1",
+            "campaign": self.name,
+            "campaign_sha256": self.sha256,
+            "description": self.description,
+            "warnings": list(self.warnings),
+        }
+
+
+def check(campaign: str | Path, notes: Sequence[str] = ()) -> Check:
+    """Read and validate a campaign folder with its priors.toml, or ``thesis``, the published measurements.
+
+    notes : sentences on the folder that its campaign does not tell; they become warnings.
+
+    Raises
+    ------
+    InputError
+        with a sentence for every fault: file, line, column, what was expected, what to do.
+    """
+    if str(campaign) == "thesis":
+        published = load_published()
+        cases = ", ".join(published.cases)
+        text = f"thesis: cases {cases}; {len(published.measurements)} published measurements (Augustine 2013)"
+        return Check("thesis", text, (), published.checksum)
+    found = load_campaign(campaign)
+    beside = Path(campaign) / "priors.toml"
+    if beside.exists():
+        from bayes_damper.calibration import experiment_of
+        from bayes_damper.priors.files import campaign_priors
+
+        experiment_of(found, campaign_priors(beside, found))
+    told = "\n".join([found.describe(), *(f"  warning: {note}" for note in notes)])
+    return Check(found.name, told, (*found.warnings, *notes), found.sha256)

@@ -1,0 +1,360 @@
+"""Results side by side: parameters, evidence and held-out scores of fits, verdicts of diagnoses, what cases share.
+
+Also how far the answers of a fit hang on its priors. Nothing is fitted here: all comes from the files of the folders.
+Models are compared by whole held-out pieces of data (a trial, or a published feature), never by single samples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from bayes_damper import figures
+from bayes_damper.errors import ExitCode, InputError
+from bayes_damper.fit import published_posterior
+from bayes_damper.fit.sensitivity import WIDTHS, of_standard_draws
+from bayes_damper.priors.distributions import to_standard
+from bayes_damper.priors.files import priors_from_dict
+from bayes_damper.rig.parameters import PARAMETERS
+from bayes_damper.runs.execution import folder_name, read_json, write_json
+from bayes_damper.runs.provenance import provenance
+from bayes_damper.sampling import arviz_adapter
+from bayes_damper.sampling.bridge import bridge
+
+Array = NDArray[np.float64]
+SCHEMA = "bayes-damper/comparison/1"
+KINDS = {"summary.json": "fit", "diagnosis.json": "diagnosis", "variability.json": "variability"}
+_PROPOSALS = 4000
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Results side by side; `result` is what comparison.json holds."""
+
+    result: Mapping[str, Any]
+
+    @property
+    def exit_code(self) -> ExitCode:
+        """Always done: whether the compared runs converged is told in the table."""
+        return ExitCode.DONE
+
+    def to_json(self) -> dict[str, Any]:
+        """What comparison.json holds."""
+        return dict(self.result)
+
+    def text(self) -> str:
+        """Tables for the terminal."""
+        r = self.result
+        labels = list(r["folders"])
+        width = max(22, *(len(label) + 2 for label in labels))
+        lines = [f"{'':38s}" + "".join(f"{label:>{width}s}" for label in labels)]
+        for case, rows in r["parameters"].items():
+            lines.append(f"{'all cases together' if case == 'joint' else f'case {case}'}")
+            for name, found in rows.items():
+                cells = "".join(f"{_cell(found.get(label)):>{width}s}" for label in labels)
+                unit = next(iter(found.values())).get("unit", "")
+                lines.append(f"  {name:28s}{unit:8s}{cells}")
+        for title, key in (
+            ("log evidence, nats", "evidence"), ("held-out score, nats", "heldout"), ("gap and verdict", "diagnosis"),
+            ("what the cases share", "variability"),
+        ):  # fmt: skip
+            if r[key]:
+                lines.append(title)
+                lines += [
+                    f"  {name:36s}" + "".join(f"{_word(found.get(label)):>{width}s}" for label in labels)
+                    for name, found in r[key].items()
+                ]
+        for label, cases in r["prior_sensitivity"].items():
+            lines.append(
+                f"{label}: shift of each mean, in standard deviations, when its own prior is half / twice as wide"
+            )
+            for case, rows in cases.items():
+                told = ", ".join(f"{n} {' / '.join(_shift(p[w]) for w in WIDTHS)}" for n, p in rows.items())
+                lines.append(f"  case {case}: {told}")
+        return "\n".join([*lines, *r["sentences"]])
+
+
+def compare(folders: Sequence[str | Path], *, out: str | Path | None = None, seed: int = 1) -> Comparison:
+    """Results of two folders or more side by side; with `out`, comparison.json and a figure are written there.
+
+    Parameters
+    ----------
+    folders : each holds results of `fit`, `diagnose` or `variability`, of one campaign or of several.
+    seed : of the proposals of bridge sampling.
+
+    Raises
+    ------
+    InputError
+        if fewer than two folders are given, or one holds no results: one sentence for each.
+    """
+    paths = [Path(folder) for folder in folders]
+    faults = [] if len(paths) > 1 else ["compare needs two folders or more; name another one"]
+    for path in paths:
+        if not path.is_dir():
+            faults.append(f"{path}: there is no such folder; name one that bayes-damper has written")
+        elif not any((path / file).exists() for file in KINDS):
+            more = f"; the run in it has not ended, go on with: bayes-damper resume {path}"
+            begun = (path / "run.json").is_file()
+            faults.append(
+                f"{path}: holds no results of fit, diagnose or variability ({', '.join(KINDS)}){more if begun else ''}"
+            )
+    if len({path.resolve() for path in paths}) < len(paths):
+        faults.append("a folder is named twice; name different folders")
+    if faults:
+        raise InputError(faults)
+    labels = _labels(paths)
+    found = {label: _results(path) for label, path in zip(labels, paths, strict=True)}
+    where = dict(zip(labels, paths, strict=True))
+    fits = {label: results["fit"] for label, results in found.items() if "fit" in results}
+    pieces = {label: _fit_pieces(where[label], summary, seed) for label, summary in fits.items()}
+    result: dict[str, Any] = {
+        "schema": SCHEMA,
+        "folders": {label: str(path) for label, path in where.items()},
+        "campaigns": {label: _told_of(results, "campaign") for label, results in found.items()},
+        "campaign_sha256": {label: _told_of(results, "campaign_sha256") for label, results in found.items()},
+        "converged": {label: _converged(results) for label, results in found.items()},
+        "parameters": _parameters(fits),
+        "evidence": _turned({label: piece["evidence"] for label, piece in pieces.items()}),
+        "heldout": _turned({label: piece["heldout"] for label, piece in pieces.items()}),
+        "diagnosis": _turned({k: _diagnosis(v["diagnosis"]) for k, v in found.items() if "diagnosis" in v}),
+        "variability": _turned({k: _pooling(v["variability"]) for k, v in found.items() if "variability" in v}),
+        "prior_sensitivity": {label: piece["sensitivity"] for label, piece in pieces.items()},
+    }
+    result["sentences"] = _sentences(result)
+    result["provenance"] = provenance()
+    if out is not None:
+        write_json(Path(out) / "comparison.json", result)
+        if fits:
+            figures.save(_figure(result), Path(out) / "comparison")
+    return Comparison(result)
+
+
+def _labels(paths: Sequence[Path]) -> list[str]:
+    """The shortest endings of the paths that differ."""
+    parts = [path.resolve().parts for path in paths]
+    for count in range(1, max(len(p) for p in parts) + 1):
+        labels = ["/".join(p[-count:]) for p in parts]
+        if len(set(labels)) == len(labels):
+            return labels
+    return [str(path) for path in paths]
+
+
+def _results(path: Path) -> dict[str, Any]:
+    """What a folder holds, by kind.
+
+    Raises
+    ------
+    InputError
+        if a file is of another schema.
+    """
+    out = {}
+    for file, kind in KINDS.items():
+        if not (path / file).exists():
+            continue
+        content = read_json(path / file)
+        schema = content.get("schema", "") if isinstance(content, dict) else ""
+        if not str(schema).startswith(f"bayes-damper/{kind}/"):
+            raise InputError(f"{path / file}: its schema is {schema!r}, not bayes-damper/{kind}/1; run {kind} again")
+        out[kind] = content
+    return out
+
+
+def _told_of(results: Mapping[str, Any], key: str) -> str:
+    return next((str(content[key]) for content in results.values() if content.get(key)), "")
+
+
+def _converged(results: Mapping[str, Any]) -> bool:
+    return all(bool(content.get("converged", True)) for content in results.values())
+
+
+def _parameters(fits: Mapping[str, Any]) -> dict[str, dict[str, dict[str, Any]]]:
+    """Parameters by case, name and folder: median and interval, with the distance from the first folder."""
+    out: dict[str, dict[str, dict[str, Any]]] = {}
+    for label, summary in fits.items():
+        groups = dict(summary["cases"]) | ({"joint": summary["joint"]} if summary.get("joint") else {})
+        for case, entry in groups.items():
+            for name, p in entry["parameters"].items():
+                cell = {key: p[key] for key in ("unit", "median", "mean", "sd", "hdi90")}
+                found = out.setdefault(case, {}).setdefault(name, {})
+                if found:
+                    first = next(iter(found.values()))
+                    spread = math.hypot(first["sd"], cell["sd"])
+                    cell["distance_sd"] = (cell["mean"] - first["mean"]) / spread if spread > 0.0 else 0.0
+                found[label] = cell
+    return out
+
+
+def _turned(table: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """A table by folder and row, turned into one by row and folder."""
+    rows = dict.fromkeys(name for found in table.values() for name in found)
+    return {name: {label: found[name] for label, found in table.items() if name in found} for name in rows}
+
+
+def _diagnosis(content: Mapping[str, Any]) -> dict[str, Any]:
+    gap = content.get("gap", {})
+    out: dict[str, Any] = {"verdict": content["verdict"], "gap": gap.get("answer")}
+    out["probability of the verdict"] = content["probabilities"].get(content["verdict"])
+    out |= {key: gap[key] for key in ("size", "noise_rms", "nominal_rms", "augmented_rms") if gap.get(key) is not None}
+    for effect in content.get("effects", [])[:5]:
+        out[f"log evidence of {effect['name']}"] = effect.get("log_evidence")
+    return {key: value for key, value in out.items() if value is not None}
+
+
+def _pooling(content: Mapping[str, Any]) -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for name, model in content["models"].items():
+        out[f"{name}: log evidence"] = model["log_evidence"]
+        if model["heldout"]["log_score"] is not None:
+            out[f"{name}: held-out score"] = model["heldout"]["log_score"]
+    return out
+
+
+# From the draws of a fit ----------------------------------------------------------------------------------------------
+
+
+def _fit_pieces(path: Path, summary: Mapping[str, Any], seed: int) -> dict[str, Any]:
+    """Evidence and held-out score of each case, and how far its answers hang on the prior."""
+    plan = read_json(path / "run.json")["plan"]
+    evidence: dict[str, float] = {}
+    heldout: dict[str, float] = {}
+    sensitivity: dict[str, Any] = {}
+    for case, entry in summary["cases"].items():
+        row = f"case {case}"
+        file = path / folder_name(case) / "posterior.nc"
+        # What the fit has worked out already is not worked out again.
+        known = (entry.get("log_evidence") or {}).get("value", entry.get("best_fit", {}).get("log_evidence_laplace"))
+        if known is not None:
+            evidence[row] = float(known)
+        if entry.get("prior_sensitivity"):
+            sensitivity[case] = entry["prior_sensitivity"]
+        if not file.exists():
+            continue
+        tree = arviz_adapter.read(file)
+        if plan["campaign"] == "thesis":
+            priors = priors_from_dict(plan["priors"]).for_case(case).free
+            posterior = tree["posterior"]
+            draws = {name: np.asarray(posterior[name].values, float) for name in priors if name in posterior}
+            if known is None:
+                evidence[row] = _published_evidence(plan, case, posterior.attrs["walkers"], draws, tree, seed)
+            if case not in sensitivity:
+                points = np.stack([to_standard(priors[name], x.ravel()) for name, x in draws.items()], axis=1)
+                sensitivity[case] = of_standard_draws(tuple(draws), points)
+        told = [np.asarray(x.values, float) for x in tree["log_likelihood"].data_vars.values()]
+        likelihood = np.concatenate([x.reshape(x.shape[0] * x.shape[1], -1) for x in told], axis=1)
+        heldout[row] = float(sum(leave_out(column)[0] for column in likelihood.T))
+    if evidence:
+        evidence["sum over cases"] = float(sum(evidence.values()))
+    if heldout:
+        heldout["sum over cases"] = float(sum(heldout.values()))
+    return {"evidence": evidence, "heldout": heldout, "sensitivity": sensitivity}
+
+
+def _published_evidence(
+    plan: Mapping[str, Any], case: str, walkers: int, draws: Mapping[str, Array], tree: Any, seed: int
+) -> float:
+    posterior = published_posterior(case, priors_from_dict(plan["priors"]), plan["normal_force"] or "linear")
+    shape = next(iter(draws.values())).shape
+    points = posterior.coordinates.points({name: x.ravel() for name, x in draws.items()})
+    points = points.reshape(shape[0], shape[1] // int(walkers), int(walkers), posterior.ndim)
+    height = np.asarray(tree["sample_stats"]["lp"].values, float).reshape(points.shape[:3])
+    return bridge(posterior, points, height, np.random.default_rng([seed, 7]), proposals=_PROPOSALS).log_z
+
+
+def leave_out(log_likelihood: Array) -> tuple[float, float]:
+    """Log predictive density of one piece of data left out, from draws that have seen it, and the Pareto k of it.
+
+    log_likelihood : (n,) of that piece under the draws. The weights 1 / likelihood are cut at their mean times sqrt(n)
+    (Ionides 2008, J. Comput. Graph. Stat. 17:295).
+    """
+    n = len(log_likelihood)
+    log_weights = -log_likelihood
+    k = arviz_adapter.pareto_k(np.exp(log_weights - log_weights.max()))
+    top = logsumexp(log_weights) - 0.5 * math.log(n)
+    log_weights = np.minimum(log_weights, top)
+    return float(logsumexp(log_weights + log_likelihood) - logsumexp(log_weights)), k
+
+
+# Words and figure -----------------------------------------------------------------------------------------------------
+
+
+def _cell(found: Mapping[str, Any] | None) -> str:
+    if found is None:
+        return "-"
+    return f"{found['median']:.3g} +- {found['sd']:.2g}"
+
+
+def _shift(found: Mapping[str, Any]) -> str:
+    return f"{found['shift']:+.2f}" + ("" if found["reliable"] else "?")
+
+
+def _word(value: Any) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.4g}" if isinstance(value, float | int) else str(value)
+
+
+def _sentences(result: Mapping[str, Any]) -> list[str]:
+    out = [f"{label}: did not converge; do not use its numbers." for label, ok in result["converged"].items() if not ok]
+    named = len(set(result["campaigns"].values())) == 1
+    same = named and len(set(result["campaign_sha256"].values()) - {""}) < 2
+    if not same:
+        which = "different states of one campaign" if named else "different campaigns"
+        out.append(f"The folders belong to {which}: evidence and scores are of different data.")
+    total = result["evidence"].get("sum over cases", {})
+    alike = {tuple(row for row, found in result["evidence"].items() if label in found) for label in total}
+    if same and len(alike) > 1:
+        out.append("The folders hold different cases: compare the evidence and scores of single cases, not the sums.")
+    elif same and len(total) > 1:
+        best = max(total, key=lambda label: total[label])
+        lead = total[best] - sorted(total.values())[-2]
+        if lead < 1.0:
+            out.append("Evidence does not tell the best two apart (less than 1 nat).")
+        else:
+            out.append(f"Evidence is highest for {best}, by {lead:.1f} nats.")
+    far = [
+        (abs(cell["distance_sd"]), name, case, label)
+        for case, rows in result["parameters"].items()
+        for name, found in rows.items()
+        for label, cell in found.items()
+        if "distance_sd" in cell
+    ]
+    if far:
+        size, name, case, label = max(far)
+        where = "all cases together" if case == "joint" else f"case {case}"
+        out.append(f"The largest difference is {size:.1f} standard deviations: {name} of {where} in {label}.")
+    for label, cases in result["prior_sensitivity"].items():
+        moves = [(abs(p[w]["shift"]), n, c) for c, rows in cases.items() for n, p in rows.items() for w in WIDTHS]
+        if moves:
+            size, name, case = max(moves)
+            out.append(
+                f"{label}: {name} of case {case} hangs most on its own prior (half or twice as wide: {size:.2f} sd)."
+            )
+        if any(not p[w]["reliable"] for rows in cases.values() for p in rows.values() for w in WIDTHS):
+            out.append(f"{label}: shifts marked ? rest on too few draws; fit with that prior to know.")
+    return out
+
+
+def _figure(result: Mapping[str, Any]) -> Any:
+    """Median and 90 % interval of the main parameters, one row for each case and folder."""
+    names = ("mu", "k2t", "c2t", "drag", "c1t", "friction_torque")
+    intervals: dict[str, dict[str, tuple[float, float, float]]] = {}
+    for name in names:
+        rows = {
+            f"{case} {label}": (cell["hdi90"][0], cell["median"], cell["hdi90"][1])
+            for case, table in result["parameters"].items()
+            for label, cell in table.get(name, {}).items()
+        }
+        if rows and (not intervals or set(rows) == set(next(iter(intervals.values())))):
+            intervals[name] = rows
+    units = {n: cell["unit"] for rows in result["parameters"].values() for n, t in rows.items() for cell in t.values()}
+    labels = {n: figures.label(PARAMETERS[n].symbol, units[n]) for n in intervals}
+    return figures.forest_figure(
+        intervals, labels, title="results side by side", converged=all(result["converged"].values())
+    )

@@ -1,0 +1,59 @@
+"""The main job on the shipped data: the four cases of the thesis, from published numbers to posteriors and report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bayes_damper.errors import ExitCode, InputError
+from bayes_damper.fit import Fit, OtherRun, fit
+from bayes_damper.report import report
+from bayes_damper.runs.execution import Progress
+
+QUICK_STEPS = 300
+
+
+@dataclass(frozen=True)
+class Demo:
+    """The fit of the thesis's cases and the page that shows it."""
+
+    fit: Fit
+    page: Path
+
+    @property
+    def exit_code(self) -> ExitCode:
+        return self.fit.exit_code
+
+    def to_json(self) -> dict[str, Any]:
+        """What summary.json holds."""
+        return self.fit.to_json()
+
+    def text(self) -> str:
+        """For people."""
+        return f"{self.fit.text()}\nReport: {self.page}"
+
+
+def demo(
+    out: str | Path = "results/demo", *, seed: int = 1, workers: int = 2, quick: bool = False,
+    scheduler: str | None = None, progress: Progress | None = None,
+) -> Demo:  # fmt: skip
+    """Fit the four cases of the thesis and write the report.
+
+    out : folder for all files; seed : decides every random number; workers : processes; quick : stop early, marked as
+    not converged; scheduler : address of a Dask cluster that works in place of processes; progress : told how far it
+    is, as `fit` does.
+
+    Raises
+    ------
+    InputError
+        if `out` holds another run, with what to type.
+    """
+    try:
+        fitted = fit(
+            "thesis", out=out, seed=seed, workers=workers, most_steps=QUICK_STEPS if quick else None,
+            scheduler=scheduler, progress=progress,
+        )  # fmt: skip
+    except OtherRun as error:
+        raise InputError([*error.faults, f"With make, beside it: make demo DEMO_OUT={error.beside}"]) from None
+    return Demo(fitted, report(fitted.folder).path)

@@ -1,0 +1,438 @@
+"""`bayes-damper diagnose`: from a campaign's folder to diagnosis.json, the missing torque, and figures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper import figures
+from bayes_damper.calibration import Calibration, predict
+from bayes_damper.calibration.forecast import forecasts
+from bayes_damper.calibration.posterior import trial_label
+from bayes_damper.campaign import load_campaign
+from bayes_damper.diagnosis import Diagnosis
+from bayes_damper.diagnosis import diagnose as diagnose_campaign
+from bayes_damper.diagnosis.published import diagnose_published
+from bayes_damper.diagnosis.response import Motion, motions
+from bayes_damper.effects import Effect, all_effects
+from bayes_damper.errors import ExitCode, InputError
+from bayes_damper.priors.files import campaign_priors, load_priors
+from bayes_damper.published.measurements import load_published
+from bayes_damper.published.posterior import Datum
+from bayes_damper.rig.parameters import unit_of
+from bayes_damper.rig.units import effect_unit
+from bayes_damper.runs.execution import write_json
+from bayes_damper.runs.parallel_map import forked_map
+from bayes_damper.runs.provenance import provenance
+from bayes_damper.text import gap_beside_verdict, gathered, named_answers
+from bayes_damper.text import p_value as told_p
+
+Array = NDArray[np.float64]
+NOMINALS = ("nonlinear", "linear")
+CERTAIN = 0.9  # probability from which an answer is told without doubt
+
+
+@dataclass(frozen=True)
+class Diagnosed:
+    """A diagnosis and the folder that its files are in; `result` is what diagnosis.json holds."""
+
+    folder: Path
+    result: Mapping[str, Any]
+    exit_code: ExitCode = ExitCode.DONE
+
+    def to_json(self) -> dict[str, Any]:
+        """What diagnosis.json holds."""
+        return dict(self.result)
+
+    def text(self) -> str:
+        """The verdict in plain words, what speaks for it, and what to do next."""
+        warnings = [f"warning: {w}" for w in gathered(self.result.get("warnings", ()))]
+        return "\n".join([*_words(self.result), *warnings, f"Files: {self.folder}"])
+
+
+def diagnose(
+    campaign: str | Path,
+    *,
+    nominal: Literal["nonlinear", "linear"] = "nonlinear",
+    effects: str | Path | None = None,
+    priors: str | Path | None = None,
+    out: str | Path = "results/diagnose",
+    seed: int = 1,
+    workers: int = 2,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Diagnosed:
+    """Where the model and the rig differ, which unmodelled effect causes it, and how far adding it closes the gap.
+
+    campaign : folder, or "thesis" for the published measurements; nominal : "linear" leaves dry friction out, which
+    then is a candidate; effects : folder with effects of your own; priors : prior file, by default priors.toml in the
+    campaign; out : folder for all files; seed : decides every random number; workers : processes; tell : called with a
+    sentence for each step.
+
+    Raises
+    ------
+    InputError
+        if the campaign, the priors or an effect cannot be used.
+    """
+    if nominal not in NOMINALS:
+        raise InputError(f"--nominal {nominal}: expected one of {', '.join(NOMINALS)}")
+    if str(campaign) == "thesis":
+        return _thesis(nominal, all_effects(effects), priors, Path(out), seed, workers, tell)
+    loaded = load_campaign(campaign)
+    beside = Path(campaign) / "priors.toml"
+    file = Path(priors) if priors is not None else beside if beside.exists() else None
+    chosen = None if file is None else campaign_priors(file, loaded)
+    library = all_effects(effects)
+    found = diagnose_campaign(
+        loaded, nominal=nominal, effects=library, priors=chosen, seed=seed, workers=workers, tell=tell
+    )
+    folder = Path(out)
+    path = found.write(folder)
+    ahead = forecasts(found.nominal, found.best)
+    result = found.to_json() | {
+        "reading_unit": loaded.reading_unit,
+        "forecast": ahead,
+        "warnings": list(loaded.warnings),
+        "campaign_sha256": loaded.sha256,
+        "provenance": provenance(),
+    }
+    of_rig = loaded.rig.kind, loaded.measurement.quantity
+    for name, row in result["parameters"].items():
+        row["unit"] = unit_of(name, *of_rig)
+    both = (result["pair"] or {}).get("parameters", {})
+    for parameters in (*(row["parameters"] for row in result["effects"]), *both.values()):
+        for row in parameters.values():
+            row["unit"] = effect_unit(row["unit"], *of_rig)
+    _tell_meanings(result, library)
+    write_json(path, result)
+    _draw(folder, found, workers)
+    return Diagnosed(folder, result)
+
+
+def _thesis(
+    nominal: Literal["nonlinear", "linear"],
+    effects: Mapping[str, Effect],
+    priors: str | Path | None,
+    folder: Path,
+    seed: int,
+    workers: int,
+    tell: Callable[[str], None],
+) -> Diagnosed:
+    """The same answers from the 24 published numbers."""
+    published = load_published()
+    data = {
+        case: tuple(Datum(m.configuration, m.quantity, m.value, m.standard_error, m.n) for m in published.of_case(case))
+        for case in published.cases
+    }
+    found = diagnose_published(
+        data, load_priors(priors or "thesis"), nominal=nominal, effects=effects, seed=seed, workers=workers, tell=tell
+    )
+    path = found.write(folder)
+    result = found.to_json() | {"campaign_sha256": published.checksum, "provenance": provenance()}
+    _tell_meanings(result, effects)
+    write_json(path, result)
+    ranking = figures.ranking_figure(
+        found.answers.probabilities, found.sites, title="thesis: what 24 numbers say is missing, and where"
+    )
+    figures.save(ranking, folder / "ranking")
+    rows = {("nominal" if n == "none" else n): [r.to_json() for r in rows] for n, rows in found.rows.items()}
+    figures.save(
+        figures.published_figure(rows, title="published numbers and what each answer predicts for them"),
+        folder / "published",
+    )
+    return Diagnosed(folder, result)
+
+
+def _tell_meanings(result: Mapping[str, Any], library: Mapping[str, Effect]) -> None:
+    """Adds to each effect of a result the sentence that says what it is."""
+    for row in result["effects"]:
+        if row["name"] in library:
+            row["meaning"] = library[row["name"]].summary
+
+
+def _published_words(result: Mapping[str, Any]) -> list[str]:
+    """The answer from published numbers: nothing is called the cause below 90 %."""
+    probabilities, errors, gap = result["probabilities"], result["probability_errors"], result["gap"]
+    verdict = result["verdict"]
+    share = probabilities[verdict]
+    names = {"none": "no effect at all", "unknown": "a cause outside the library"}
+    first = f"Most probable: {names.get(verdict, verdict)}, probability {share:.2f} +- {errors[verdict]:.2f}"
+    lines = [first + ("." if share >= 0.9 else "; that is no finding, the numbers leave other answers open.")]
+    told = {"gap": "gap", "none": "no gap shown", "cannot tell": "cannot tell"}[gap["answer"]]
+    lines.append(
+        f"Gap on the coupled numbers: {told} ({told_p(gap['p_value'])}). Coupled peaks, each predicted without the "
+        f"coupled numbers of its case: the nominal model lies {gap['mean_difference']:+.0f} rad/s^2 off on average, "
+        f"{gap['nominal_rms']:.0f} rms; the leading effect {gap['augmented_rms']:.0f} rms; "
+        f"standard errors {gap['noise_rms']:.1f}."
+    )
+    ranked = sorted(probabilities, key=lambda name: -probabilities[name])
+    lines.append("Answers that keep 2 % or more (+- what the computation leaves open):")
+    evidence = {row["name"]: row for row in result["effects"]}
+    for name in ranked:
+        if probabilities[name] < 0.02:
+            continue
+        row = evidence.get(name)
+        detail = ""
+        if row is not None:
+            detail = f"   {row['site']}; log evidence {row['log_evidence']:+.1f} +- {row['log_evidence_error']:.1f}"
+        lines.append(f"  {name:<22} {probabilities[name]:.3f} +- {errors[name]:.3f}{detail}")
+    low = [n for n in ranked if probabilities[n] < 0.02]
+    if low:
+        lines.append(f"Less than 2 % each: {', '.join(low)}")
+    sites = sorted(result["sites"], key=lambda s: -result["sites"][s])[:4]
+    lines.append("Sites: " + ", ".join(f"{site} {result['sites'][site]:.2f}" for site in sites))
+    for e in result["next_experiment"][:1]:
+        lines.append(
+            f"What would decide best: {e['measurement']}, {e['configuration']}, "
+            f"k1t {e['k1t_n_m_per_rad']:g} N m/rad, from {e['theta0_deg']:.1f} deg "
+            f"(expected {e['expected_information_nats']:.2f} nats about the leaders)."
+        )
+    return lines + [f"note: {note}" for note in result["notes"]]
+
+
+def _estimated(p: Mapping[str, Any]) -> str:
+    """A parameter's value, unit (none for a plain number) and interval."""
+    unit = "" if p["unit"] == "1" else f" {p['unit']}"
+    return f"{p['mean']:.4g}{unit}, 90 % interval {p['hdi90'][0]:.4g} to {p['hdi90'][1]:.4g}"
+
+
+def _words(result: Mapping[str, Any]) -> list[str]:
+    if "feature" in result["where"]:
+        return _published_words(result)
+    probabilities = result["probabilities"]
+    verdict = result["verdict"]
+    share = probabilities[verdict]
+    gap = result["gap"]
+    if verdict == "none":
+        lines = [f"No gap beyond the noise is shown (probability {share:.2f})."]
+        if share < CERTAIN:
+            lines = [
+                f"No cause is shown: that nothing is missing is the most probable answer ({share:.2f}), not a sure one."
+            ]
+    elif verdict == "unknown":
+        site = max((s for s in result["sites"] if s != "none"), key=lambda s: result["sites"][s])
+        sure = "There is" if share >= CERTAIN else "Most probable, but not sure:"
+        told = f"{sure} a gap that no effect of the library explains (probability {share:.2f}); "
+        lines = [f"{told}it lies most likely at: {site}."]
+    else:
+        row = next(r for r in result["effects"] if r["name"] == verdict)
+        sure = "The missing effect is" if share >= CERTAIN else "Most probable, but not sure:"
+        lines = [f"{sure} {verdict} ({row['site']}), probability {share:.2f}: {row['formula']}."]
+        lines += [f"  {row['meaning']}"] if row.get("meaning") else []
+        parameters = {verdict: row["parameters"]}
+        if result.get("pair"):
+            both, p = result["pair"]["effects"], result["pair"]["probability"]
+            lines.append(f"It does not close the gap alone: {both[0]} and {both[1]} together do (probability {p:.2f}).")
+            parameters = result["pair"]["parameters"]
+        lines += [
+            f"  {effect}, {name} = {_estimated(p)}" for effect, those in parameters.items() for name, p in those.items()
+        ]
+    lines.append(
+        f"Gap on held-out trials: {gap['answer']} ({told_p(gap['p_value'])}); "
+        + ("residual" if gap["augmented_rms"] is None else "residual before and after the answer is added")
+        + f" {gap['nominal_rms']:.3g}"
+        + ("" if gap["augmented_rms"] is None else f" and {gap['augmented_rms']:.3g}")
+        + f", noise {gap['noise_rms']:.3g} {result.get('reading_unit', '')}".rstrip()
+        + "."
+    )
+    beside = gap_beside_verdict(verdict, share, gap)
+    lines += [beside] if beside else []
+    lines += _forecast_words(result.get("forecast") or {}, str(result.get("reading_unit") or ""))
+    answers = named_answers(probabilities, result.get("pair"))
+    ranked = sorted(answers, key=lambda name: -answers[name])[:5]
+    lines.append("Answers: " + ", ".join(f"{name} {answers[name]:.2f}" for name in ranked))
+    sites = sorted(result["sites"], key=lambda s: -result["sites"][s])[:3]
+    lines.append("Sites: " + ", ".join(f"{site} {result['sites'][site]:.2f}" for site in sites))
+    if result["indistinguishable"]:
+        lines.append(
+            "Not to be told apart by these data: " + "; ".join(" / ".join(g) for g in result["indistinguishable"])
+        )
+    return lines + [f"note: {note}" for note in result.get("notes", [])]
+
+
+def _forecast_words(ahead: Mapping[str, Any], unit: str) -> list[str]:
+    """What held-out trials do after the two periods that their own state is inferred from; `unit`: of readings."""
+    sides = {name: ahead[name] for name in ("before", "after") if name in ahead}
+    if not sides:
+        return []
+    misses = ", ".join(f"{s['rms']:.3g}{f' {unit}' if unit else ''} {name}" for name, s in sides.items())
+    held = ", ".join(f"{s['coverage50']:.0%} and {s['coverage90']:.0%} {name}" for name, s in sides.items())
+    first = f"Held-out trials forecast from their first {ahead['periods']:g} periods: rms miss {misses}; "
+    return [f"{first}50 and 90 % bands hold {held}."]
+
+
+def _draw(folder: Path, found: Diagnosis, workers: int) -> None:
+    """Every figure of a diagnosis, side by side in `workers` processes."""
+    answers = found.answers
+    pair = {"effects": answers.pair_effects, "probability": answers.pair} if answers.pair_effects else None
+    probabilities = named_answers(answers.probabilities, pair)
+    drawn = {
+        "residuals": lambda: figures.residual_maps_figure(
+            _maps(found), title=f"{found.campaign}: where the residuals exceed the noise"
+        ),
+        "ranking": lambda: figures.ranking_figure(
+            probabilities, found.sites, title=f"{found.campaign}: what is missing, and where"
+        ),
+    }
+    record = _shown_record(found)
+    if record is not None:
+        drawn["gap"] = lambda: figures.gap_figure(
+            record, probabilities, title=f"{found.campaign}: what the model misses, and which effect adds it"
+        )
+    torques = found.site_map.torque
+    if torques:
+        shown = max(torques, key=lambda found: float(np.abs(found.torque).max()))
+        drawn["missing_torque"] = lambda: figures.missing_torque_figure(
+            shown,
+            found.site_map.curve(),
+            body=found.site_map.torque_body,
+            title=_torque_title(found),
+            record=trial_label(found.nominal.problem.experiment.trials[shown.trial]),
+            translational=found.kind == "translational",
+        )
+    forked_map(lambda name: figures.save(drawn[name](), folder / name), list(drawn), workers)
+
+
+def _torque_title(found: Diagnosis) -> str:
+    """What the figure shows, and under which condition where another site is as likely."""
+    place = found.site_map.torque_site
+    where = " at" if place == found.site_map.best else ", if the cause lies at"
+    return f"torque that the nominal laws lack{where} {'the ' if place in _WITH_ARTICLE else ''}{place}"
+
+
+_WITH_ARTICLE = ("bearings", "interface", "release", "sensor")
+
+
+_CELLS = {"time": 48, "frequency": 24, "plane": 16}  # of the maps of residuals, along each axis, at most
+_FEWEST = 3.0  # readings that a cell needs
+_PLANES = (("th1", "w1", "", "velocity"), ("phi", "slip", "relative ", "relative velocity"))
+
+
+def _maps(found: Diagnosis) -> list[dict[str, Any]]:
+    """Columns of the figure of residuals: each channel under the nominal model, then with the answer added."""
+    sides = [("nominal model", found.nominal)]
+    if found.verdict != "none" and found.best is not None:
+        sides.append((f"with {_added(found)}".replace(", ", ",\n"), found.best))
+    rows = [(name, _whitened(fit)) for name, fit in sides]
+    channels = range(max(len(r) for _, trials in rows for _, _, r, _, _ in trials))
+    return [
+        {"title": f"{name}\n{('primary', 'secondary')[c]}", **_maps_of([t for t in trials if len(t[2]) > c], c, found)}
+        for name, trials in rows
+        for c in channels
+    ]
+
+
+_Whitened = tuple[str, Array, Array, Array, tuple[Motion, int]]
+
+
+def _whitened(fit: Calibration) -> list[_Whitened]:
+    """Of each fitted trial: label, times, residuals over the noise (channels, n), weights, and its motion."""
+    moved = {i: (m, k) for m in motions(fit) for k, i in enumerate(m.group.trials)}
+    out = []
+    for block in fit.linear.blocks:
+        for k, i in enumerate(block.group.trials):
+            trial = fit.problem.experiment.trials[i]
+            r = -block.r[k].reshape(block.group.y.shape[1], -1)
+            out.append((trial_label(trial), trial.times, r, block.group.weight[k], moved[i]))
+    return sorted(out, key=lambda row: row[0])
+
+
+def _maps_of(trials: Sequence[_Whitened], channel: int, found: Diagnosis) -> dict[str, Any]:
+    labels = [label for label, *_ in trials]
+    first, last = min(float(t[0]) for _, t, *_ in trials), max(float(t[-1]) for _, t, *_ in trials)
+    shortest, all_of_them = min(len(t) for _, t, *_ in trials), sum(len(t) for _, t, *_ in trials)
+    cells = {
+        "time": min(_CELLS["time"], max(8, shortest // 8)),
+        "frequency": min(_CELLS["frequency"], max(8, shortest // 16)),
+        "plane": min(_CELLS["plane"], max(6, round(math.sqrt(all_of_them / 12)))),
+    }
+    times = np.linspace(first, last * (1.0 + 1e-12), cells["time"] + 1)
+    steps = [float(np.median(np.diff(t))) for _, t, *_ in trials]
+    low = min(1.0 / (len(t) * step) for (_, t, *_), step in zip(trials, steps, strict=True))
+    bands = np.geomspace(low, 0.5 / min(steps), cells["frequency"] + 1)
+    in_time, in_frequency = [], []
+    for (_, t, r, w, _), step in zip(trials, steps, strict=True):
+        in_time.append(_rms(np.digitize(t, times) - 1, r[channel] ** 2, w[channel] ** 2, cells["time"], _FEWEST))
+        power = np.abs(np.fft.rfft(r[channel])) ** 2 / max(float(np.sum(w[channel] ** 2)), 1e-9)
+        cell = np.digitize(np.fft.rfftfreq(len(t), step), bands) - 1
+        in_frequency.append(_rms(cell, power, np.ones_like(power), cells["frequency"], 1.0))
+    x_name, y_name, x_words, y_words = _PLANES[channel]
+    translational = found.kind == "translational"
+    unit = ("m", "m/s") if translational else ("rad", "rad/s")
+    x_words += "position" if translational else "angle"
+    place = [(getattr(m, x_name)[k, m.at], getattr(m, y_name)[k, m.at]) for *_, (m, k) in trials]
+    x, y = (np.concatenate([p[axis] for p in place]) for axis in (0, 1))
+    edges = [np.linspace(-1.0, 1.0, cells["plane"] + 1) * max(float(np.abs(v).max()), 1e-12) * 1.000001 for v in (x, y)]
+    cell = (np.digitize(y, edges[1]) - 1) * cells["plane"] + np.digitize(x, edges[0]) - 1
+    squares = np.concatenate([r[channel] ** 2 for _, _, r, _, _ in trials])
+    weights = np.concatenate([w[channel] ** 2 for _, _, _, w, _ in trials])
+    plane = _rms(cell, squares, weights, cells["plane"] ** 2, _FEWEST).reshape(cells["plane"], -1)
+    row_edges = np.arange(len(trials) + 1.0)
+    shared = {"y": row_edges, "labels": labels, "y_label": ""}
+    return {
+        "time": {"x": times, "values": np.array(in_time), "x_label": "time [s]", **shared},
+        "frequency": {"x": bands, "values": np.array(in_frequency), "x_label": "frequency [Hz]", **shared},
+        "plane": {
+            "x": edges[0], "y": edges[1], "values": plane, "labels": None,
+            "x_label": f"{x_words} [{unit[0]}]", "y_label": f"{y_words} [{unit[1]}]",
+        },
+    }  # fmt: skip
+
+
+def _rms(cell: NDArray[np.intp], squares: Array, weights: Array, cells: int, fewest: float) -> Array:
+    """Root of the mean square in each cell, nan in those of fewer than `fewest` readings."""
+    inside = (cell >= 0) & (cell < cells)
+    total = np.bincount(cell[inside], squares[inside], cells)
+    count = np.bincount(cell[inside], weights[inside], cells)
+    return np.sqrt(np.where(count >= fewest, total / np.maximum(count, 1e-9), np.nan))
+
+
+def _added(found: Diagnosis) -> str:
+    """What the answer adds to the nominal model, in words."""
+    if found.pair is not None and found.answers.pair >= 0.5:
+        return " and ".join(found.pair.effects)
+    if found.verdict == "unknown" and found.winner is not None:
+        return f"{found.winner.effect.name}, which does not explain it"
+    return found.verdict
+
+
+def _shown_record(found: Diagnosis) -> dict[str, Any] | None:
+    """The record that the answer changes most, held-out ones first, as the figure of the gap takes it.
+
+    Where the answer adds nothing ("none", or nothing could be fitted), the record that is explained worst.
+    """
+    experiment = found.nominal.problem.experiment
+    before, after = _residuals(found.nominal), None
+    if found.verdict != "none" and found.best is not None:
+        after = _residuals(found.best)
+    noise = found.nominal.problem.noise.floor
+    sizes = {}
+    for i, residual in before.items():
+        change = residual if after is None else residual - after[i]
+        for channel, row in enumerate(change / np.asarray(noise[: len(change)])[:, None]):
+            sizes[i, channel] = float(np.nansum(row**2))
+    if not sizes:
+        return None
+    i, channel = max(sizes, key=lambda key: sizes[key])
+    trial = experiment.trials[i]
+    return {
+        "label": f"{trial_label(trial)}, channel {channel + 1}" + (", held out" if trial.heldout else ""),
+        "unit": unit_of(f"sigma{channel + 1}", found.kind, experiment.quantity),
+        "times": trial.times,
+        "measured": trial.y[channel],
+        "nominal": trial.y[channel] - before[i][channel],
+        "augmented": None if after is None else trial.y[channel] - after[i][channel],
+        "added": _added(found),
+        "noise": noise[channel],
+    }
+
+
+def _residuals(fit: Calibration) -> dict[int, Array]:
+    """Reading minus model (channels, n) of the held-out trials, of all trials where none is held out."""
+    heldout = fit.problem.experiment.heldout
+    return {i: p.residual for i, p in predict(fit, heldout).items()} if heldout else fit.residuals()

@@ -1,0 +1,177 @@
+"""`bayes-damper simulate`: one noise-free record of the thesis's rig, any parameter changed and any effect added."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayes_damper.campaign import record_text
+from bayes_damper.effects import all_effects
+from bayes_damper.effects.base import Variant
+from bayes_damper.errors import ExitCode, InputError
+from bayes_damper.priors.distributions import Normal
+from bayes_damper.priors.files import load_priors
+from bayes_damper.published.measurements import load_published
+from bayes_damper.rig.equations import ROWS
+from bayes_damper.rig.parameters import RIG_KEYS, hint, unit_of
+from bayes_damper.rig.units import effect_unit
+from bayes_damper.runs.execution import write_text
+from bayes_damper.runs.outcome import Outcome
+from bayes_damper.simulation.model import Model
+
+_WORDS = {"normal_force": ("linear", "constant"), "restoring": ("linear", "pendulum")}
+
+
+@dataclass(frozen=True)
+class SimulatedRecord:
+    """A record written to `path`; `values` holds every value that was used."""
+
+    path: Path
+    values: dict[str, Any]
+    exit_code: ExitCode = ExitCode.DONE
+
+    def text(self) -> str:
+        """For people."""
+        return f"{self.path}: the record; {self.path.with_suffix('.toml')}: all values used"
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs."""
+        return {"schema": "bayes-damper/simulate/1", "record": str(self.path), "values": self.values}
+
+
+def simulate_record(
+    case: str = "IV",
+    *,
+    coupled: bool = True,
+    settings: Sequence[str] = (),
+    effect: str | None = None,
+    rate: float = 1000.0,
+    duration: float = 1.0,
+    out: str | Path,
+    effects_folder: str | Path | None = None,
+) -> SimulatedRecord:
+    """Simulate one record and write it in the record format, with a TOML of all values beside it.
+
+    Parameters
+    ----------
+    case : thesis case, which gives k1t and theta0. Everything else starts at the prior medians of the thesis's rig.
+    settings : "NAME=VALUE" each: a parameter, a rig key of campaign.toml, or EFFECT.PARAMETER. SI units.
+    effect : name of an effect, or NAME/VARIANT; at the first of its starts where `settings` say nothing else.
+    rate : Hz; duration : s; out : the CSV file to write. coupled : False for the primary alone.
+    effects_folder : folder with effects of your own.
+
+    Raises
+    ------
+    InputError
+        for an unknown name, a value that is no number, or a record that cannot be simulated: all faults at once.
+    """
+    published = load_published()
+    if case not in published.cases:
+        raise InputError(f"--case {case}: the thesis has no such case; its cases are {', '.join(published.cases)}")
+    faults: list[str] = []
+    if not (np.isfinite(rate) and rate > 0.0):
+        faults.append(f"--rate {rate}: expected a positive number of samples per second")
+    if not (np.isfinite(duration) and duration > 0.0) or duration * rate > 1e7:
+        faults.append(f"--duration {duration}: expected a positive number of seconds, at most ten million samples")
+    variant = _variant(effect, effects_folder, faults)
+    priors = load_priors("thesis").for_case(case)
+    # Cut at physical bounds, a normal prior's median lies a little off the declared value: that one is meant.
+    values = priors.medians() | {name: d.mean for name, d in priors.free.items() if isinstance(d, Normal)}
+    values |= {"k1t": published.cases[case].k1t, "theta0": published.cases[case].theta0, "J12": 0.0, "k3t": 0.0}
+    words = {key: choices[0] for key, choices in _WORDS.items()}
+    own = {} if variant is None else dict(zip((p.name for p in variant.parameters), variant.starts[0], strict=True))
+    _apply(settings, values, words, own, effect, faults)
+    if faults:
+        raise InputError(faults)
+    path = Path(out)
+    if path.suffix == ".toml":
+        raise InputError(f"--out {path}: the values used go to that name; give the record another ending, e.g. .csv")
+    simulation = Model(coupled, words["normal_force"], words["restoring"], variant).simulate(  # type: ignore[arg-type]
+        {name: values[name] for name in ROWS if name in values},
+        times := np.arange(round(duration * rate) + 1) / rate,
+        effect=own or None,
+    )
+    outcome = Outcome(int(simulation.outcome[0]))
+    if outcome is not Outcome.COMPLETED:
+        raise InputError(f"this record cannot be simulated: {outcome.sentence}")
+    write_text(path, record_text(times, simulation.y[0], "torsional", "acceleration"))
+    used = {"case": case, "configuration": "coupled" if coupled else "uncoupled", "rate": rate, "duration": duration}
+    used |= words | {name: values[name] for name in ROWS if name in values}
+    lines = [f"{key} = {_toml(value)}{_comment(key)}" for key, value in used.items()]
+    if variant is not None:
+        lines += ["", "[effect]", f'name = "{str(effect).partition("/")[0]}"', f'variant = "{variant.name}"']
+        lines += [f"{p.name} = {own[p.name]!r}  # {effect_unit(p.unit)}" for p in variant.parameters]
+    write_text(path.with_suffix(".toml"), "\n".join(lines) + "\n")
+    return SimulatedRecord(path, used | ({"effect": own} if variant is not None else {}))
+
+
+def _variant(effect: str | None, folder: str | Path | None, faults: list[str]) -> Variant | None:
+    if effect is None:
+        return None
+    known = all_effects(folder)
+    name, _, wanted = effect.partition("/")
+    if name not in known:
+        faults.append(f"--effect {name}: there is no such effect; {hint(name, known)}")
+        return None
+    variants = {v.name: v for v in known[name].variants}
+    if wanted and wanted not in variants:
+        faults.append(f"--effect {effect}: {name} has the variants {', '.join(variants)}")
+        return None
+    return variants[wanted] if wanted else known[name].variants[0]
+
+
+def _apply(
+    settings: Sequence[str],
+    values: dict[str, float],
+    words: dict[str, str],
+    own: dict[str, float],
+    effect: str | None,
+    faults: list[str],
+) -> None:
+    given = set()
+    for setting in settings:
+        name, equals, text = (part.strip() for part in setting.partition("="))
+        key = RIG_KEYS.get(name, name)
+        if not equals:
+            faults.append(f"--set {setting}: expected NAME=VALUE")
+            continue
+        if key in _WORDS:
+            if text not in _WORDS[key]:
+                faults.append(f"--set {setting}: expected one of {', '.join(_WORDS[key])}")
+            words[key] = text
+            continue
+        try:
+            number = float(text)
+        except ValueError:
+            faults.append(f"--set {setting}: {text!r} is no number")
+            continue
+        if not np.isfinite(number):
+            faults.append(f"--set {setting}: expected a finite number")
+        prefix, dot, parameter = key.partition(".")
+        if dot:
+            if effect is None or prefix != effect.partition("/")[0]:
+                faults.append(f"--set {setting}: choose the effect first: --effect {prefix}")
+            elif parameter not in own:
+                faults.append(f"--set {setting}: {prefix} has no {parameter!r}; {hint(parameter, own)}")
+            else:
+                own[parameter] = number
+        elif key in ROWS:
+            values[key] = number
+            given.add(key)
+        else:
+            faults.append(f"--set {setting}: nothing is called {name!r}; {hint(name, [*ROWS, *RIG_KEYS, *_WORDS])}")
+    if "c1t" in given and "c3t" not in given:
+        values["c3t"] = values["c1t"]  # tied, as in the prior file
+
+
+def _toml(value: Any) -> str:
+    return f'"{value}"' if isinstance(value, str) else repr(float(value))
+
+
+def _comment(name: str) -> str:
+    unit = {"rate": "Hz", "duration": "s"}.get(name) or unit_of(name)
+    return f"  # {unit}" if unit else ""

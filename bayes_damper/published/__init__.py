@@ -1,0 +1,1 @@
+"""Published features of a rig (peaks, periods, decrements): measurements, how the model makes them, their posterior."""

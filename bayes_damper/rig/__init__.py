@@ -1,0 +1,1 @@
+"""The nominal rig: parameters, equations of motion, linear closed forms, vector maths. No effects, no data."""

@@ -1,0 +1,325 @@
+"""Long runs: independent tasks on worker processes, their progress, and what it takes to go on after a stop.
+
+A task is plain data: the name of a function and its arguments. It runs in a folder of its own, keeps its state there,
+and leaves `done.json` when it is finished, so a run that was stopped goes on with what is missing. Results do not
+depend on the number of workers or on the order, because every task carries its own seed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import json
+import math
+import os
+import re
+import signal
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from multiprocessing import get_context, parent_process
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from bayes_damper.errors import BayesDamperError, ExitCode, InputError, Interrupted
+from bayes_damper.runs.memory import collect_seldom
+
+_POLL_S = 0.2
+_STATUS_EVERY_S = 0.5
+_MOST_BREAKDOWNS = 3
+WAITING = "waiting"
+"""What progress is told of a task that has not begun."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One independent piece of a run.
+
+    call : "package.module:function"; the function is called as f(folder, report, **arguments), where `folder` is the
+    task's own and `report(share, text)` tells how far it is. It returns plain JSON data.
+    """
+
+    name: str
+    call: str
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Progress(Protocol):
+    """What shows progress to the user; figures in [0, 1]."""
+
+    def update(self, task: str, share: float, text: str) -> None: ...
+
+
+class Silent:
+    """Shows nothing: for --quiet, and where nobody shows progress."""
+
+    def update(self, task: str, share: float, text: str) -> None:
+        """Nothing."""
+
+
+def folder_name(case: str) -> str:
+    """The folder of a case: its label where that is a plain word, else one that no file system minds."""
+    if re.fullmatch(r"[\w-]+", case):
+        return case
+    return re.sub(r"[^\w-]+", "_", case) + "-" + hashlib.sha256(case.encode()).hexdigest()[:6]
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """Where to write a file so that a reader sees either the old or the new one, whole; its folder is made.
+
+    A file that could not be written to its end is removed and leaves the old one in place.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
+    try:
+        yield partial
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file so that a reader sees either the old or the new one, whole; its folder is made."""
+    with whole(path) as partial:
+        partial.write_text(text, encoding="utf-8")
+
+
+def json_text(data: Any) -> str:
+    """JSON as every file and `--json` have it: null in place of numbers that are not finite, which JSON cannot hold."""
+    return json.dumps(plain(data), indent=1, allow_nan=False)
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Write JSON so that a reader sees either the old or the new file, whole."""
+    write_text(path, json_text(data) + "\n")
+
+
+def plain(x: Any) -> Any:
+    """Data as JSON takes it: arrays as lists, and null in place of numbers that are not finite."""
+    if isinstance(x, Mapping):
+        return {str(key): plain(value) for key, value in x.items()}
+    if isinstance(x, list | tuple):
+        return [plain(value) for value in x]
+    if isinstance(x, np.ndarray):
+        return plain(x.tolist())
+    if isinstance(x, np.generic):
+        return plain(x.item())
+    return None if isinstance(x, float) and not math.isfinite(x) else x
+
+
+def read_json(path: Path) -> Any:
+    """Contents of a JSON file.
+
+    Raises
+    ------
+    InputError
+        if the file is missing or is not JSON.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        hint = "name a folder that bayes-damper has written"
+        if path.name != "run.json" and (path.parent / "run.json").is_file():
+            hint = f"the run in that folder has not ended; go on with: bayes-damper resume {path.parent}"
+        raise InputError(f"{path}: there is no such file; {hint}") from None
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: this is not valid JSON ({error}); run the command that wrote it again") from None
+
+
+def execute(task: Task, folder: Path) -> Any:
+    """Run one task in its folder, unless it is done already; its result."""
+    done = folder / "done.json"
+    if done.exists():
+        return read_json(done)
+    folder.mkdir(parents=True, exist_ok=True)
+    last = 0.0
+
+    def report(share: float, text: str) -> None:
+        nonlocal last
+        if time.monotonic() - last > _STATUS_EVERY_S or share >= 1.0:
+            last = time.monotonic()
+            write_json(folder / "status.json", {"share": share, "text": text})
+
+    module, _, function = task.call.partition(":")
+    result = getattr(importlib.import_module(module), function)(folder, report, **task.arguments)
+    write_json(done, result)
+    return result
+
+
+def stopped(folder: Path) -> Interrupted:
+    """What is raised after Ctrl-C in a run that `resume` goes on with: the sentence says how."""
+    return Interrupted(f"stopped, the state is saved; go on with: bayes-damper resume {folder}")
+
+
+def run_tasks(
+    tasks: Sequence[Task],
+    folder: Path,
+    *,
+    workers: int = 1,
+    scheduler: str | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Run tasks in `folder`/<task name> on worker processes, or on a Dask cluster; name -> result, in the tasks' order.
+
+    Raises
+    ------
+    Interrupted
+        after Ctrl-C: every task has saved its state.
+    BayesDamperError
+        the first error of a task, when the others have come to an end.
+    """
+    shown: Progress = progress or Silent()
+    if workers < 1:
+        raise InputError(f"--workers {workers}: give at least 1")
+    if scheduler is not None:
+        return _on_cluster(tasks, folder, scheduler, shown)
+    for task in tasks:
+        shown.update(task.name, 0.0, WAITING)
+    if workers == 1:
+        return {task.name: _here(task, folder, shown) for task in tasks}
+    return _on_processes(tasks, folder, workers, shown)
+
+
+def _here(task: Task, folder: Path, progress: Progress) -> Any:
+    own = folder / task.name
+    done = own / "done.json"
+    if done.exists():
+        progress.update(task.name, 1.0, "done before")
+        return read_json(done)
+    own.mkdir(parents=True, exist_ok=True)
+    module, _, function = task.call.partition(":")
+
+    def report(share: float, text: str) -> None:
+        progress.update(task.name, share, text)
+
+    try:
+        result = getattr(importlib.import_module(module), function)(own, report, **task.arguments)
+    except (KeyboardInterrupt, Interrupted):
+        raise stopped(folder) from None
+    write_json(done, result)
+    progress.update(task.name, 1.0, "done")
+    return result
+
+
+def _on_processes(tasks: Sequence[Task], folder: Path, workers: int, progress: Progress) -> dict[str, Any]:
+    results: dict[str, Any] = {}
+    breakdowns = 0
+    while True:
+        waiting = [task for task in tasks if task.name not in results]
+        if not waiting:
+            return {task.name: results[task.name] for task in tasks}
+        pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_begin_worker)
+        try:
+            futures: dict[Future[Any], Task] = {
+                pool.submit(_execute, task, folder / task.name): task for task in waiting
+            }
+            _collect(futures, folder, progress, results)
+        except BrokenProcessPool:
+            # A worker was killed from outside: what it had saved is there, so a new pool goes on with the rest.
+            breakdowns += 1
+            if breakdowns > _MOST_BREAKDOWNS:
+                raise BayesDamperError(
+                    f"worker processes were killed {breakdowns} times (out of memory?); use fewer --workers and go on "
+                    f"with: bayes-damper resume {folder}"
+                ) from None
+        except KeyboardInterrupt:
+            for process in list((pool._processes or {}).values()):  # noqa: SLF001 (an executor has no other way)
+                process.terminate()
+            raise stopped(folder) from None
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+_WORKER = {"busy": False, "stopped": False}
+
+
+def _begin_worker() -> None:
+    """In a worker: Ctrl-C in a terminal reaches all processes at once, so it is left to the parent, which tells each
+    worker once to stop.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _stop)
+    _end_with_parent()
+    collect_seldom()
+
+
+def _stop(_signal: int, _frame: Any) -> None:
+    if not _WORKER["busy"]:
+        os._exit(int(ExitCode.INTERRUPTED))
+    _WORKER["stopped"] = True
+    raise KeyboardInterrupt
+
+
+def _execute(task: Task, folder: Path) -> Any:
+    """`execute` in a worker; after a stop nothing more is begun."""
+    if _WORKER["stopped"]:
+        raise Interrupted("stopped before it began")
+    _WORKER["busy"] = True
+    try:
+        return execute(task, folder)
+    except KeyboardInterrupt:
+        raise Interrupted("stopped") from None
+    finally:
+        _WORKER["busy"] = False
+
+
+def _end_with_parent() -> None:
+    """In a worker: end when the process that started it has been killed. Left alone, it would go on writing into a
+    folder in which `resume` is at work.
+    """
+    parent = parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _collect(futures: dict[Future[Any], Task], folder: Path, progress: Progress, results: dict[str, Any]) -> None:
+    pending = set(futures)
+    failure: BaseException | None = None
+    while pending:
+        finished, pending = wait(pending, timeout=_POLL_S, return_when=FIRST_COMPLETED)
+        for future in finished:
+            error = future.exception()
+            if isinstance(error, BrokenProcessPool):
+                raise error
+            if error is None:
+                results[futures[future].name] = future.result()
+                progress.update(futures[future].name, 1.0, "done")
+            else:
+                failure = failure or error
+        for future in pending:
+            name = futures[future].name
+            status = folder / name / "status.json"
+            if status.exists():
+                told = read_json(status)
+                progress.update(name, told["share"], told["text"])
+    if failure is not None:
+        raise failure
+
+
+def _on_cluster(tasks: Sequence[Task], folder: Path, scheduler: str, progress: Progress) -> dict[str, Any]:
+    try:
+        distributed = importlib.import_module("distributed")
+    except ImportError:
+        raise InputError("--scheduler needs Dask: pip install 'bayes-damper[cluster]'") from None
+    with distributed.Client(scheduler) as client:
+        futures = {
+            client.submit(execute, task, (folder / task.name).resolve(), pure=False, retries=_MOST_BREAKDOWNS): task
+            for task in tasks
+        }
+        results = {}
+        for future, result in distributed.as_completed(futures, with_results=True):
+            results[futures[future].name] = result
+            progress.update(futures[future].name, 1.0, "done")
+    return {task.name: results[task.name] for task in tasks}

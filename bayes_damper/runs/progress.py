@@ -1,0 +1,146 @@
+"""What is told of a long run while it goes on: bars in a terminal, plain lines in a log, nothing where nobody asked."""
+
+from __future__ import annotations
+
+import re
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TextIO
+
+from bayes_damper.runs.execution import WAITING, Progress, Silent
+
+_MOST_BARS = 8
+"""Tasks whose bars stay when they are done; of more, only those at work are drawn."""
+
+
+class Bars:
+    """One bar per task that has begun, and one of all together where there are several, drawn by rich on standard
+    error (or on `console`, a rich.console.Console).
+    """
+
+    def __init__(self, console: Any = None) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, TaskID, TextColumn, TimeElapsedColumn
+        from rich.progress import Progress as RichProgress
+
+        self._bars = RichProgress(
+            TextColumn("{task.description:<14}"),
+            BarColumn(bar_width=20),
+            TextColumn("{task.percentage:>3.0f} %"),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[text]}"),
+            console=console or Console(stderr=True),
+        )
+        self._known: dict[str, TaskID] = {}
+        self._shares: dict[str, float] = {}
+        self._all: TaskID | None = None
+        self._bars.start()
+
+    def update(self, task: str, share: float, text: str) -> None:
+        """Draw how far a task is; one that waits has no bar yet but counts."""
+        self._shares[task] = share
+        if text != WAITING:
+            if task not in self._known:
+                self._known[task] = self._bars.add_task(task, total=1.0, text=text)
+            done = share >= 1.0
+            self._bars.update(
+                self._known[task], completed=share, text=text, visible=not done or len(self._shares) <= _MOST_BARS
+            )
+        if len(self._shares) > 1:
+            self._draw_all()
+
+    def _draw_all(self) -> None:
+        if self._all is None:
+            self._all = self._bars.add_task("together", total=1.0, text="")
+        done = sum(share >= 1.0 for share in self._shares.values())
+        waiting = len(self._shares) - len(self._known)
+        text = f"{done} of {len(self._shares)} parts done" + (f", {waiting} not begun" if waiting else "")
+        self._bars.update(self._all, completed=sum(self._shares.values()) / len(self._shares), text=text)
+
+    def close(self) -> None:
+        """Leave the terminal as it was found, the bars as they were last."""
+        self._bars.stop()
+
+
+_REPEATED_S = 60.0
+"""Seconds after which a stage that lasts is told again."""
+
+
+@dataclass
+class _Part:
+    """A task as lines tell it: s of the clock when it began and when it was last told, and its stage then."""
+
+    begun: float | None = None
+    told: float = 0.0
+    stage: str = ""
+    done: bool = False
+
+
+class Lines:
+    """A line for each task that begins, for each of its stages and for its end, with the time since all began.
+
+    A stage that lasts is told again once a minute. file : default standard error; clock : s.
+    """
+
+    def __init__(self, file: TextIO | None = None, clock: Callable[[], float] = time.monotonic) -> None:
+        self._file, self._clock = file, clock
+        self._begun = clock()
+        self._parts: dict[str, _Part] = {}
+
+    def tell(self, text: str) -> None:
+        """Write one line."""
+        print(f"{_hours(self._clock() - self._begun)}  {text}", file=self._file or sys.stderr, flush=True)
+
+    def update(self, task: str, share: float, text: str) -> None:
+        """Tell how far a task is, where that is news."""
+        part = self._parts.setdefault(task, _Part())
+        if text == WAITING or part.done:
+            return
+        now = self._clock()
+        if part.begun is None:
+            part.begun = now
+        stage, part.done = _stage(text), share >= 1.0
+        if stage == part.stage and not part.done and now - part.told < _REPEATED_S:
+            return
+        part.stage, part.told = stage, now
+        self.tell(f"{task}: {self._ended(part, text)}" if part.done else f"{task}, {share:.0%} done: {text}")
+
+    def _ended(self, part: _Part, text: str) -> str:
+        assert part.begun is not None
+        left = sum(not p.done for p in self._parts.values())
+        waiting = sum(p.begun is None for p in self._parts.values())
+        told = f"{text} in {_hours(part.told - part.begun)}" if part.told > part.begun else text
+        if len(self._parts) > 1:
+            told += f"; left: {left} of {len(self._parts)} parts" + (f", {waiting} not begun" if waiting else "")
+        return told
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+
+def _stage(text: str) -> str:
+    """What a text says without the numbers that move on within a stage: its words before the first of them."""
+    return re.split(r"[,;]|\d", text, maxsplit=1)[0].strip()
+
+
+def _hours(seconds: float) -> str:
+    minutes, rest = divmod(int(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02}:{rest:02}"
+
+
+class _Quiet(Silent):
+    def close(self) -> None:
+        """Nothing to close."""
+
+
+def make_progress(quiet: bool) -> Any:
+    """Bars where standard error is a terminal, lines elsewhere, nothing for `quiet`; who makes it closes it."""
+    progress: Progress = _Quiet() if quiet else Bars() if sys.stderr.isatty() else Lines()
+    return progress
+
+
+def make_teller(quiet: bool) -> Callable[[str], None]:
+    """What tells the stages of a command that has no parts: lines, or nothing for `quiet`."""
+    return (lambda _: None) if quiet else Lines().tell

@@ -1,0 +1,197 @@
+"""Two effects in one rig: their formulas composed into one variant, exactly.
+
+Torques add up, memory states stand side by side, sensors and the rig's own constants are changed by the first one and
+then by the second. A pair that needs more than the kernel has room for (four parameters, two memory states, one
+sensor, one replaced friction) cannot be composed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+from bayes_damper.effects.base import MOST_PARAMETERS, Kernel, Variant
+from bayes_damper.rig.vector_math import lane
+
+
+def compose(first: Variant, second: Variant, *, coupled: bool = True) -> Variant | None:
+    """Both variants at once, for the coupled or the uncoupled rig; None if the kernel has no room for both.
+
+    Parameters are called `first.NAME` and `second.NAME`. In the uncoupled rig only those act that say so; the
+    parameters of the others are kept, so that both configurations take the same ones.
+    """
+    split = len(first.parameters)
+    if split + len(second.parameters) > MOST_PARAMETERS or first.memory + second.memory > 2:
+        return None
+    if (first.sense and second.sense) or (first.replaces_friction and second.replaces_friction):
+        return None
+    acting = [v if coupled or v.uncoupled else _silent(v) for v in (first, second)]
+    a, b = (_shifted(v, start) for v, start in zip(acting, (0, split), strict=True))
+    one_memory = a.memory
+    couples = {v.couples for v in (a, b) if v.torque is not None}
+    return Variant(
+        name=f"{first.name}+{second.name}",
+        formula=f"{first.formula}; {second.formula}",
+        parameters=tuple(
+            replace(p, name=f"{label}.{p.name}")
+            for label, v in (("first", first), ("second", second))
+            for p in v.parameters
+        ),
+        torque=_both(a.torque, b.torque, one_memory),
+        couples=couples.pop() if len(couples) == 1 else "all",
+        timed=a.timed or b.timed,
+        rate=_both_rates(a, b),
+        start=_both_starts(a, b),
+        memory=a.memory + b.memory,
+        memory_scale=a.memory_scale + b.memory_scale,
+        sense=a.sense or b.sense,
+        lag=_both_lags(acting),
+        amend=_both_amendments(acting),
+        replaces_friction=a.replaces_friction or b.replaces_friction,
+        uncoupled=first.uncoupled or second.uncoupled,
+    )
+
+
+def _silent(v: Variant) -> Variant:
+    """The variant's parameters without what they do."""
+    return replace(
+        v, torque=None, rate=None, start=None, memory=0, memory_scale=(), sense=None, lag=None, amend=None,
+        timed=False, replaces_friction=False,
+    )  # fmt: skip
+
+
+def _shifted(v: Variant, start: int) -> Variant:
+    """The variant with kernels that read their parameters from the place `start` on."""
+    if start == 0:
+        return v
+    i0, i1, i2, i3 = (min(start + k, MOST_PARAMETERS - 1) for k in range(4))
+    g1, g2, g3 = (1.0 if start + k < MOST_PARAMETERS else 0.0 for k in (1, 2, 3))
+
+    def moved(kernel: Kernel) -> Kernel:
+        @lane
+        def torque(t, th1, th2, w1, w2, z1, z2, p, rig):
+            return kernel(t, th1, th2, w1, w2, z1, z2, (p[i0], p[i1] * g1, p[i2] * g2, p[i3] * g3), rig)
+
+        return torque
+
+    def moved_start(kernel: Kernel) -> Kernel:
+        @lane
+        def start(p, rig):
+            return kernel((p[i0], p[i1] * g1, p[i2] * g2, p[i3] * g3), rig)
+
+        return start
+
+    def moved_sense(kernel: Kernel) -> Kernel:
+        @lane
+        def sense(h, u1, u2, y1, y2, s1, s2, p, first):
+            own = (p[i0], p[i1] * g1, p[i2] * g2, p[i3] * g3)
+            return kernel(h, u1, u2, y1, y2, s1, s2, own, first)
+
+        return sense
+
+    return replace(
+        v,
+        torque=None if v.torque is None else moved(v.torque),
+        rate=None if v.rate is None else moved(v.rate),
+        start=None if v.start is None else moved_start(v.start),
+        sense=None if v.sense is None else moved_sense(v.sense),
+    )
+
+
+def _both(a: Kernel | None, b: Kernel | None, memory: int) -> Kernel | None:
+    """Sum of two torques; the second one's memory begins after the first one's `memory` states."""
+    if b is None:
+        return a
+    own = b
+    if memory == 1:
+
+        @lane
+        def own(t, th1, th2, w1, w2, z1, z2, p, rig):
+            return b(t, th1, th2, w1, w2, z2, 0.0, p, rig)
+
+    if a is None:
+        return own
+
+    @lane
+    def torque(t, th1, th2, w1, w2, z1, z2, p, rig):
+        q1, q2 = a(t, th1, th2, w1, w2, z1, z2, p, rig)
+        m1, m2 = own(t, th1, th2, w1, w2, z1, z2, p, rig)
+        return q1 + m1, q2 + m2
+
+    return torque
+
+
+def _both_rates(a: Variant, b: Variant) -> Kernel | None:
+    if a.rate is None or b.rate is None:
+        return a.rate or b.rate
+    one, two = a.rate, b.rate
+
+    @lane
+    def rate(t, th1, th2, w1, w2, z1, z2, p, rig):
+        d1, _ = one(t, th1, th2, w1, w2, z1, 0.0, p, rig)
+        d2, _ = two(t, th1, th2, w1, w2, z2, 0.0, p, rig)
+        return d1, d2
+
+    return rate
+
+
+def _both_starts(a: Variant, b: Variant) -> Kernel | None:
+    one, two = a.start, b.start
+    if one is None and two is None:
+        return None
+    if a.memory == 0 or b.memory == 0:
+        return one if a.memory else two
+    if one is not None and two is not None:
+
+        @lane
+        def start(p, rig):
+            z1, _ = one(p, rig)
+            z2, _ = two(p, rig)
+            return z1, z2
+
+    elif one is not None:
+
+        @lane
+        def start(p, rig):
+            z1, _ = one(p, rig)
+            return z1, 0.0
+
+    else:
+        last: Any = two
+
+        @lane
+        def start(p, rig):
+            z2, _ = last(p, rig)
+            return 0.0, z2
+
+    return start
+
+
+def _own(p: Mapping[str, Any], label: str) -> dict[str, Any]:
+    return {name.removeprefix(f"{label}."): x for name, x in p.items() if name.startswith(f"{label}.")}
+
+
+def _both_lags(acting: list[Variant]) -> Callable[..., tuple[Any, Any]] | None:
+    lags = [(label, v.lag) for label, v in zip(("first", "second"), acting, strict=True) if v.lag is not None]
+    if not lags:
+        return None
+
+    def lag(p: Mapping[str, Any]) -> tuple[Any, Any]:
+        each = [own(_own(p, label)) for label, own in lags]
+        return sum(x[0] for x in each), sum(x[1] for x in each)
+
+    return lag
+
+
+def _both_amendments(acting: list[Variant]) -> Callable[..., Mapping[str, Any]] | None:
+    changes = [(label, v.amend) for label, v in zip(("first", "second"), acting, strict=True) if v.amend is not None]
+    if not changes:
+        return None
+
+    def amend(parameters: Mapping[str, Any], p: Mapping[str, Any]) -> Mapping[str, Any]:
+        for label, change in changes:
+            parameters = change(parameters, _own(p, label))
+        return parameters
+
+    return amend

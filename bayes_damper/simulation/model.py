@@ -1,0 +1,318 @@
+"""The rig as a function: parameters and sample times in, the readings of both channels out.
+
+A `Model` is the nominal damper with at most one effect (or a pair composed into one variant) and the sensors, compiled
+once. It takes many parameter vectors at a time, because sixteen cost hardly more than one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bayes_damper.effects.base import MOST_PARAMETERS, Variant, parameter_table
+from bayes_damper.rig.equations import ROWS
+from bayes_damper.simulation import integrator, links
+from bayes_damper.simulation.accumulate import Accumulator
+from bayes_damper.simulation.integrator import LANES, LONGEST_STEP
+
+Quantity = Literal["acceleration", "velocity", "displacement"]
+QUANTITIES: tuple[Quantity, ...] = ("acceleration", "velocity", "displacement")
+Array = NDArray[np.float64]
+Parameters = Mapping[str, ArrayLike]
+
+# What a rig has when nothing is said: no second stiffness, a start at rest, both bodies at one angle, no late trigger.
+_OPTIONAL = {"J12": 0.0, "k3t": 0.0, "omega1_0": 0.0, "omega2_0": 0.0, "delay": 0.0}
+# What the uncoupled rig does not see.
+_COUPLED_ONLY = {"J2": 1.0, "c3t": 0.0, "k2t": 0.0, "c2t": 0.0, "mu": 0.0, "N0": 0.0, "R": 1.0, "r": 1.0}
+_POSITIVE = ("J1", "J2", "R", "r", "nu")
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """Readings of n parameter vectors: `y` (n, n_channels, n_times), nan where `outcome` (n,) is not COMPLETED."""
+
+    y: Array
+    outcome: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Sums of n parameter vectors: `sums` (n, n_channels, n_sums), nan where `outcome` (n,) is not COMPLETED."""
+
+    sums: Array
+    outcome: NDArray[np.int64]
+
+
+@cache
+def _kernel(model: Model, driven: bool) -> Callable[..., None]:
+    return integrator.specialise(model.bound(driven))
+
+
+@dataclass(frozen=True)
+class Model:
+    """One configuration of a rig, with at most one effect.
+
+    coupled : whether the secondary inertia is there; normal_force : law of the magnet's pull (eq. 20);
+    restoring : "pendulum" puts k sin(th) in place of k th; coupling_law : "cosine" puts J12 cos(th1 - th2) in place of
+    J12, as of two links (links.py); longest_step : s, longer than the default for rigs far slower than the thesis's.
+    """
+
+    coupled: bool = True
+    normal_force: Literal["linear", "constant"] = "linear"
+    restoring: Literal["linear", "pendulum"] = "linear"
+    effect: Variant | None = None
+    coupling_law: Literal["constant", "cosine"] = "constant"
+    longest_step: float = LONGEST_STEP
+
+    @property
+    def channels(self) -> int:
+        """1 for the uncoupled rig, else 2."""
+        return 2 if self.coupled else 1
+
+    @property
+    def acting(self) -> Variant | None:
+        """The effect, if it acts in this configuration."""
+        return self.effect if self.effect is not None and (self.coupled or self.effect.uncoupled) else None
+
+    def bound(self, driven: bool = False) -> dict[str, Any]:
+        """What the kernel's globals are bound to, for records with (driven) or without an input torque.
+
+        Raises
+        ------
+        ValueError
+            for an input torque on a rig of two links.
+        """
+        variant = self.acting
+        variant = variant if variant is not None and variant.has_kernel else None
+        pendulum = self.restoring == "pendulum"
+        if self.coupled and self.coupling_law == "cosine":
+            if driven:
+                raise ValueError('an input torque needs coupling_law = "constant"')
+            variant = links.linked(variant, pendulum)
+        linear = self.normal_force == "linear"
+        bound = integrator.specialised_globals(self.coupled, linear, pendulum, driven, variant)
+        return bound | {"longest_step": integrator.constant(float(self.longest_step))}
+
+    def compile(self, driven: bool = False) -> Callable[..., None]:
+        """The kernel, for records with (driven) or without an input torque.
+
+        From the on-disk cache if it was compiled before (0.02 s), else compiled (seconds).
+        """
+        return _kernel(self, driven)
+
+    def simulate(
+        self,
+        parameters: Parameters,
+        times: ArrayLike,
+        *,
+        effect: Parameters | None = None,
+        torque: ArrayLike | None = None,
+        quantity: Quantity = "acceleration",
+        tolerance: float = 1.0,
+        threads: int = 1,
+    ) -> Simulation:
+        """Readings of all channels for n parameter vectors.
+
+        Parameters
+        ----------
+        parameters : name -> scalar or (n,), SI; names of `equations.ROWS` (theta2_0 defaults to theta0; J12, k3t,
+            initial velocities and delay to 0; what only the coupled rig has may be left out for the uncoupled one).
+        times : (n_times,) s on the record's clock, increasing. The rig is released at `delay`; before, it is held.
+            A delay below times[0] means that the record begins after the release.
+        effect : parameters of the effect, name -> scalar or (n,), if the model has one.
+        torque : (n_times,) N m on the primary, linear between samples.
+        quantity : what the channels read.
+        tolerance : factor on the integrator's error tolerance: 1 keeps errors below 1e-4 of the peak, 0.1 below 1e-5.
+        threads : blocks of 16 vectors integrated side by side; the result does not depend on it.
+
+        Raises
+        ------
+        KeyError
+            if a parameter that the configuration needs is missing.
+        ValueError
+            if times do not increase, or a name is unknown.
+        """
+        rows, extras, grid, drive, lags = self._prepared(parameters, times, effect, torque)
+        if lags is None:
+            return self._run(rows, extras, grid, drive, quantity, tolerance, threads)
+        readings = []
+        for channel, lag in enumerate(lags):
+            late = np.array(np.broadcast_to(rows, (rows.shape[0], max(rows.shape[1], np.size(lag)))))
+            late[ROWS.index("delay")] += lag
+            readings.append((channel, self._run(late, extras, grid, drive, quantity, tolerance, threads)))
+        y = np.stack([simulation.y[:, channel] for channel, simulation in readings], axis=1)
+        return Simulation(y, np.max([simulation.outcome for _, simulation in readings], axis=0))
+
+    def accumulate(
+        self,
+        parameters: Parameters,
+        times: ArrayLike,
+        data: ArrayLike,
+        accumulator: Accumulator,
+        *,
+        directions: ArrayLike | None = None,
+        options: ArrayLike | None = None,
+        effect: Parameters | None = None,
+        torque: ArrayLike | None = None,
+        quantity: Quantity = "acceleration",
+        tolerance: float = 1.0,
+        threads: int = 1,
+    ) -> Sums:
+        """What a likelihood needs of the residuals of n parameter vectors, without ever holding their records.
+
+        Parameters
+        ----------
+        parameters, times, effect, torque, quantity, tolerance, threads : as for `simulate`.
+        data : (n_channels, n_times) measured readings, nan where there is none.
+        accumulator : one of accumulate.py, or your own.
+        directions : (k, n_channels, n_times) series whose products with the residuals are wanted.
+        options : (n or 1, m) numbers of the accumulator for each parameter vector, e.g. degrees of freedom and scales.
+        """
+        observed = np.ascontiguousarray(data, float)
+        rows, extras, grid, drive, lags = self._prepared(parameters, times, effect, torque)
+        if observed.shape != (self.channels, grid.size):
+            raise ValueError(f"data has shape {observed.shape}, expected {(self.channels, grid.size)}: channels, times")
+        weight = np.isfinite(observed).astype(float)
+        observed = np.where(weight > 0.0, observed, 0.0)
+        along = np.zeros((0, *observed.shape)) if directions is None else np.ascontiguousarray(directions, float)
+        n = max(rows.shape[1], extras.shape[1])
+        own = np.zeros((1, 1)) if options is None else np.atleast_2d(np.asarray(options, float))
+        own = np.ascontiguousarray(np.broadcast_to(own, (n, own.shape[1])))
+        sums = np.full((n, self.channels, accumulator.size(along.shape[0])), np.nan)
+
+        def take(vectors: NDArray[np.int64], block: Array, skip: int) -> None:
+            part = np.empty((vectors.size, *sums.shape[1:]))
+            accumulator.kernel(block, skip, observed, weight, along, own[vectors], part)
+            sums[vectors] = part
+
+        if lags is None:
+            outcome = self._run(rows, extras, grid, drive, quantity, tolerance, threads, take).outcome
+        else:
+            # Channels that lag are integrated one by one, so their records must be there together.
+            simulation = self.simulate(
+                parameters, times, effect=effect, torque=torque, quantity=quantity, tolerance=tolerance, threads=threads
+            )
+            outcome = simulation.outcome
+            take(np.arange(n), simulation.y, 0)
+        sums[outcome != integrator.COMPLETED] = np.nan
+        return Sums(sums, outcome)
+
+    def _prepared(
+        self, parameters: Parameters, times: ArrayLike, effect: Parameters | None, torque: ArrayLike | None
+    ) -> tuple[Array, Array, Array, Array, list[Any] | None]:
+        """Checked arguments: rows, parameters of the effect, sample times, input torque, and lags of the channels."""
+        grid = np.ascontiguousarray(times, float)
+        if grid.ndim != 1 or grid.size < 1 or np.any(np.diff(grid) <= 0.0):
+            raise ValueError("times must be one-dimensional and increase from sample to sample")
+        drive = np.zeros(grid.size) if torque is None else np.ascontiguousarray(torque, float)
+        if drive.shape != grid.shape:
+            raise ValueError(f"torque has {drive.size} samples, times has {grid.size}; give one torque per sample")
+        variant = self.acting
+        changes = dict(effect or {})
+        if self.effect is not None:
+            parameter_table(self.effect, changes)  # the names must fit, even where the effect does not act
+        elif changes:
+            raise ValueError(f"the model has no effect, but parameters {sorted(changes)} were given for one")
+        if variant is None:
+            return self._rows(parameters), np.zeros((MOST_PARAMETERS, 1)), grid, drive, None
+        extras = parameter_table(variant, changes)
+        named = {p.name: extras[i] for i, p in enumerate(variant.parameters)}
+        amended = parameters if variant.amend is None else variant.amend(_complete(parameters), named)
+        lags = None if variant.lag is None else list(variant.lag(named)[: self.channels])
+        return self._rows(amended), extras, grid, drive, lags
+
+    def _rows(self, parameters: Parameters) -> Array:
+        """Parameters as rows of equations.ROWS, (20, n)."""
+        given = _complete(parameters)
+        if not self.coupled:
+            # Placeholders of what is not there: an uncoupled kernel reads none of it into the motion.
+            given = (
+                _COUPLED_ONLY | {k: v for k, v in given.items() if k not in ("J12", "k3t")} | {"J12": 0.0, "k3t": 0.0}
+            )
+        missing = [name for name in ROWS if name not in given]
+        if missing:
+            raise KeyError(f"the simulation needs {', '.join(missing)}; give them in SI units")
+        columns = np.broadcast_arrays(*[np.atleast_1d(np.asarray(given[name], float)) for name in ROWS])
+        return np.array(columns)
+
+    def _run(
+        self,
+        rows: Array,
+        extras: Array,
+        times: Array,
+        torque: Array,
+        quantity: Quantity,
+        tolerance: float,
+        threads: int,
+        take: Callable[[NDArray[np.int64], Array, int], None] | None = None,
+    ) -> Simulation:
+        """Integrate block by block; records go into the result, or to `take` (vectors, block, skip)."""
+        n = max(rows.shape[1], extras.shape[1])
+        rows = np.array(np.broadcast_to(rows, (rows.shape[0], n)))
+        extras = np.array(np.broadcast_to(extras, (extras.shape[0], n)))
+        usable = np.isfinite(rows).all(axis=0) & np.isfinite(extras).all(axis=0)
+        usable &= (rows[[ROWS.index(name) for name in _POSITIVE]] > 0.0).all(axis=0)
+        outcome = np.where(usable, integrator.COMPLETED, integrator.NOT_FINITE_INPUT)
+        y = np.empty((n if take is None else 0, self.channels, times.size))
+        which = np.flatnonzero(usable)
+        # Vectors that take similarly many steps share a block: one that is done waits for the others.
+        which = which[np.argsort(rows[ROWS.index("nu"), which], kind="stable")]
+        if which.size == 0:
+            return Simulation(np.full_like(y, np.nan), outcome)
+        first = rows[ROWS.index("delay"), which].min()
+        early = first < times[0]
+        grid = np.concatenate([[first], times]) if early else times
+        drive = np.concatenate([torque[:1], torque]) if early else torque
+        kernel = self.compile(driven=bool(np.any(drive != 0.0)))
+        read = np.array([float(quantity == name) for name in QUANTITIES])
+        variant = self.acting
+        scales = (*variant.memory_scale, np.inf, np.inf)[:2] if variant is not None else (np.inf, np.inf)
+        memory_weights = 1.0 / np.array(scales)
+
+        starts = range(0, which.size, LANES)
+        workers = max(1, min(threads, len(starts)))
+
+        def work(worker: int) -> None:
+            out = np.empty((LANES, 2, grid.size + 1))
+            final = np.empty(LANES)
+            status = np.empty(LANES, np.int64)
+            for start in starts[worker::workers]:
+                lanes = which[np.minimum(np.arange(start, start + LANES), which.size - 1)]
+                kernel(
+                    *(grid, np.ascontiguousarray(rows[:, lanes]), np.ascontiguousarray(extras[:, lanes]), drive),
+                    *(np.full(LANES, tolerance), memory_weights, read, out, final, status),
+                )
+                status[(status == integrator.COMPLETED) & ~np.isfinite(final)] = integrator.NOT_FINITE_RECORD
+                kept = min(LANES, which.size - start)
+                outcome[lanes[:kept]] = status[:kept]
+                skip = grid.size - times.size
+                if take is None:
+                    y[lanes[:kept]] = out[:kept, : self.channels, skip : grid.size]
+                else:
+                    take(lanes[:kept], out, skip)
+
+        if workers > 1:
+            with ThreadPoolExecutor(workers) as pool:
+                list(pool.map(work, range(workers)))
+        else:
+            work(0)
+        if take is None:
+            y[outcome != integrator.COMPLETED] = np.nan
+        return Simulation(y, outcome)
+
+
+def _complete(parameters: Parameters) -> dict[str, Any]:
+    """The parameters with the defaults of those that may be left out."""
+    unknown = sorted(set(parameters) - set(ROWS))
+    if unknown:
+        raise ValueError(f"unknown parameter {unknown[0]!r}; the simulation knows {', '.join(ROWS)}")
+    given = _OPTIONAL | dict(parameters)
+    if "theta2_0" not in given and "theta0" in given:
+        given["theta2_0"] = given["theta0"]
+    return given

@@ -1,0 +1,62 @@
+"""Compiling many kernels on all cores, once on a machine.
+
+A diagnosis needs a kernel for each formula and configuration, and numba compiles one at a time in a process: left to
+the first call of each they take as long on many cores as on one.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from bayes_damper.runs.parallel_map import can_fork, cores, forked_map
+from bayes_damper.simulation import integrator
+from bayes_damper.simulation.model import Model
+
+FEWEST = 4  # kernels for which it pays to start processes
+_SECONDS = 0.65  # that a kernel takes, about, after what all of them share (6 s, mostly done by the first simulation)
+
+
+def compile_ahead(models: Iterable[Model], driven: bool = False, tell: Callable[[str], None] = lambda _: None) -> int:
+    """Compile the kernels of all models that this machine has none of, in as many processes as it has cores.
+
+    driven : for records with an input torque; tell : receives a line before. Returns how many were compiled: 0 where
+    processes cannot be forked; kernels are compiled when first called then, as they are after any failure here.
+    """
+    count = cores()
+    if count < 2 or not can_fork():
+        return 0
+    bounds = {integrator.kernel_file(bound).stem: bound for bound in (model.bound(driven) for model in set(models))}
+    if len(_missing(bounds)) < FEWEST:
+        return 0
+    with _alone(integrator.cache_folder() / "compiling.lock"):
+        names = _missing(bounds)  # another process may have compiled them while this one waited
+        if names:
+            seconds = max(1.0, len(names) * _SECONDS / count)
+            tell(f"compiling {len(names)} kernels, once on this machine: about {seconds:.0f} s")
+            integrator.compile_common()  # else each process would
+            forked_map(lambda name: integrator.specialise(bounds[name]) is None, names, count)
+    return len(names)
+
+
+def _missing(bounds: dict[str, dict[str, Any]]) -> list[str]:
+    """Names of those of which no machine code is on disk."""
+    index = f"py{sys.version_info.major}{sys.version_info.minor}.nbi"  # as numba names it
+    kept: set[str] = set()
+    with suppress(FileNotFoundError):
+        files = (integrator.cache_folder() / "__pycache__").iterdir()
+        kept = {file.name.split(".")[0] for file in files if file.name.endswith(index)}
+    return [name for name in bounds if name not in kept]
+
+
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Holds a lock that one process on this machine can have at a time; the system frees that of a dead one."""
+    import fcntl  # not on every system
+
+    with path.open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield

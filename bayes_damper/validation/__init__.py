@@ -1,0 +1,1 @@
+"""The tool held against others: campaigns whose cause is withheld, and speed and accuracy beside peers."""

@@ -1,0 +1,13 @@
+"""The check on data whose effect is withheld: freeze, diagnose, seal every verdict, only then open the key and score.
+
+    from bayes_damper.validation.withheld import withheld
+    found = withheld(folder, out="results/withheld")
+    print(found.text())
+
+sealing.py guards the key, scores.py turns verdicts and truths into figures, baselines.py holds simpler methods run on
+the same campaigns, check.py runs it all.
+"""
+
+from bayes_damper.validation.withheld.check import Withheld, withheld
+
+__all__ = ["Withheld", "withheld"]

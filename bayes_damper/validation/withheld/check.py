@@ -1,0 +1,581 @@
+"""The run: which campaigns, one task each, the sealed verdicts, the opened key, the scores."""
+
+from __future__ import annotations
+
+import importlib
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from bayes_damper import figures
+from bayes_damper.effects import EFFECTS, Effect, all_effects, classes
+from bayes_damper.errors import ExitCode, InputError, Interrupted, SelfCheckError
+from bayes_damper.files import shipped_path
+from bayes_damper.runs.execution import Progress, Task, plain, read_json, run_tasks, write_json, write_text
+from bayes_damper.runs.provenance import provenance
+from bayes_damper.text import counted
+from bayes_damper.text import p_value as told_p
+from bayes_damper.validation.withheld import scores
+from bayes_damper.validation.withheld.baselines import baselines_of, forest_out_of_fold
+from bayes_damper.validation.withheld.sealing import (
+    differences,
+    digest,
+    freeze,
+    open_key,
+    read_freeze,
+    read_verdict,
+    verdict_path,
+    write_freeze,
+    write_verdict,
+)
+
+SCHEMA = "bayes-damper/withheld/1"
+SHIPPED = "data/withheld/campaigns"
+SUBSET = 24  # campaigns of a run that is not full: at most 20 s each on 2 cores, so at most 10 minutes
+DIAGNOSE = "bayes_damper.validation.withheld.check:verdict_of"
+_THIS = "bayes_damper.validation.withheld.check:"
+
+
+@dataclass(frozen=True)
+class Withheld:
+    """What the check found; `results` is the content of withheld.json."""
+
+    results: Mapping[str, Any]
+    folder: Path
+    exit_code: ExitCode = ExitCode.DONE
+
+    @property
+    def rehearsal(self) -> bool:
+        """Whether the scores count as a rehearsal only."""
+        return bool(self.results["rehearsal"])
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs."""
+        return dict(self.results)
+
+    def text(self) -> str:
+        """For people: the scores, the targets, every miss."""
+        return table_text(self.results)
+
+
+# One campaign ---------------------------------------------------------------------------------------------------------
+
+
+def verdict_of(
+    campaign: str, *, seed: int, leave_out: Sequence[str], workers: int, effects: str | None = None
+) -> dict[str, Any]:
+    """The diagnosis of one campaign folder, as diagnosis.json, with what the scores need beyond it.
+
+    `effects`: folder with effects beside the library's and those of installed packages.
+
+    That is: the answers of the baselines on the same fits, intervals under the leading effect, a case left out; none of
+    it where effects are taken out of the library (`leave_out`).
+    """
+    from bayes_damper.campaign import load_campaign
+    from bayes_damper.diagnosis import diagnose
+
+    offered = {name: effect for name, effect in all_effects(effects).items() if name not in leave_out}
+    found = diagnose(load_campaign(campaign), seed=seed, effects=offered, workers=workers)
+    told = found.to_json()
+    if leave_out:
+        return told
+    return {**told, "baselines": baselines_of(found), **_under_the_winner(found)}
+
+
+def _under_the_winner(found: Any) -> dict[str, Any]:
+    """Intervals of the parameters under the leading effect, and what it closes of the gap on a case left out.
+
+    The case left out is the last of the campaign; nothing is told where the leading answer has no fit.
+    """
+    from bayes_damper.diagnosis.gap import left_out_case
+
+    fit = found.best
+    if fit is None or found.winner is None:
+        return {}
+    names = fit.problem.names
+    out: dict[str, Any] = {"intervals90": {n: list(fit.interval(n)) for n in scores.PARAMETERS if n in names}}
+    cases = sorted({trial.case for trial in found.experiment.trials})
+    if len(cases) > 1 and found.verdict == found.winner.effect.name:
+        case = left_out_case(found.nominal, fit, cases[-1])
+        out["left_out_case"] = {"case": case.case, "closed": case.closed.median}
+    return out
+
+
+def give_verdict(
+    folder: Path,
+    report: Callable[[float, str], None],
+    *,
+    name: str,
+    campaign: str,
+    call: str,
+    seed: int,
+    leave_out: Sequence[str],
+    workers: int,
+    freeze_seal: str,
+    effects: str | None = None,
+) -> dict[str, Any]:
+    """A task of the run: diagnose one campaign and seal the verdict; only its seal is returned.
+
+    A diagnosis that fails is a verdict too, "failed", and counts as wrong everywhere.
+    """
+    path = folder / "verdict.json"
+    if path.exists():
+        return {"seal": read_verdict(path, name, freeze_seal)["seal"]}
+    report(0.0, "diagnosing")
+    module, _, function = call.partition(":")
+    own = {} if effects is None else {"effects": effects}
+    try:
+        verdict = getattr(importlib.import_module(module), function)(
+            campaign, seed=seed, leave_out=list(leave_out), workers=workers, **own
+        )
+    except Exception as error:  # noqa: BLE001 (whatever a diagnosis dies of, its verdict is "failed")
+        told = traceback.format_exception_only(error)[-1].strip()
+        verdict = {"verdict": scores.FAILED, "probabilities": {}, "credible_set": [], "sites": {}, "error": told}
+    report(1.0, "sealed")
+    return {"seal": write_verdict(path, name, plain(verdict), freeze_seal)["seal"]}
+
+
+# The run --------------------------------------------------------------------------------------------------------------
+
+
+def find_campaigns(folder: Path) -> dict[str, Path]:
+    """Name -> folder of every campaign below `folder`, in alphabetical order.
+
+    Raises
+    ------
+    InputError
+        if there is none.
+    """
+    found = {path.parent.name: path.parent for path in sorted(folder.glob("*/campaign.toml"))}
+    if not found:
+        raise InputError(f"{folder}: holds no campaigns; make some with data/withheld/make.py --out {folder}")
+    return found
+
+
+def withheld(
+    folder: str | Path | None = None,
+    *,
+    full: bool = False,
+    key: str | Path | None = None,
+    workers: int = 2,
+    scheduler: str | None = None,
+    seed: int = 1,
+    out: str | Path = "results/withheld",
+    leave_one_out: bool | None = None,
+    diagnose_with: str = DIAGNOSE,
+    effects: str | Path | None = None,
+    progress: Progress | None = None,
+) -> Withheld:
+    """Diagnose campaigns whose effect is withheld, seal every verdict, open the key and score.
+
+    folder : campaigns as data/withheld/make.py writes them; default: those shipped. key : default FOLDER_key.json
+    beside it. full : all campaigns, and every campaign of a library effect again with its class taken out of the
+    library; otherwise the first 24 by name, which are hashes. out : where the run keeps its state; the same call goes
+    on with a run that was stopped. diagnose_with : "module:function" that gives a verdict, called as `verdict_of` is.
+    effects : folder with effects of your own, candidates beside those of the library and of installed packages; in the
+    key they are effects of the library. leave_one_out : whether campaigns are judged again without the effect that they
+    have; None: as `full`. workers : processes; scheduler : address of a Dask cluster in their place; seed : decides
+    every random number; progress : told how far it is, as in `fit`.
+
+    Raises
+    ------
+    SelfCheckError
+        if a seal is broken: verdicts, campaigns, key or freeze are not those that were sealed.
+    InputError
+        if there are no campaigns or no key, or `out` holds another run.
+    """
+    source = Path(folder) if folder is not None else shipped_path(SHIPPED)
+    home = Path(out)
+    key_file = Path(key) if key is not None else source.parent / f"{source.name}_key.json"
+    campaigns = find_campaigns(source)
+    if not full:
+        campaigns = dict(list(campaigns.items())[:SUBSET])
+    library = all_effects(effects)
+    now = freeze(campaigns, key_file, library, seed, diagnose_with)
+    frozen = _begin(home, now)
+    write_json(
+        home / "run.json",
+        {
+            "command": "withheld", "workers": workers,
+            "plan": {
+                "folder": str(source), "full": full, "key": str(key_file), "seed": seed, "leave_one_out": leave_one_out,
+                "diagnose_with": diagnose_with, "effects": None if effects is None else str(effects),
+            },
+        },
+    )  # fmt: skip
+    own = None if effects is None else str(Path(effects).resolve())
+    run = _Run(home, campaigns, seed, diagnose_with, workers, scheduler, progress, now, library, own)
+    run.verdicts(dict.fromkeys(campaigns, ()), home, frozen["seal"])
+    opened = open_key(home, key_file, campaigns, freeze(campaigns, key_file, library, seed, diagnose_with))
+    reasons = [*opened.rehearsal, *_earlier(key_file, now)]
+    groups = classes(library)
+    rows = [scores.score_one(n, opened.verdicts[n], opened.entries[n], groups) for n in campaigns]
+    removed: list[scores.Scored] = []
+    if full if leave_one_out is None else leave_one_out:
+        removed, more = run.without_the_truth(opened.entries, key_file, groups)
+        reasons += [reason for reason in more if reason not in reasons]
+    told = scores.all_scores(rows, seed)
+    if removed:
+        told["targets"] = [target.judge([*rows, *removed]) for target in scores.TARGETS]
+    results: dict[str, Any] = {
+        "schema": SCHEMA,
+        "rehearsal": bool(reasons),
+        "why_rehearsal": reasons,
+        "folder": str(source),
+        "full": full,
+        "seed": seed,
+        "freeze": {k: frozen[k] for k in ("seal", "code_sha256", "effects_sha256", "key_sha256", "commit", "written")},
+        "chain_head": opened.head,
+        "campaigns": {
+            row.name: {**_told(opened.verdicts[row.name]), "score": row.to_json()} for row in rows
+        },
+        "scores": told,
+        "leave_one_out": left_out_scores(removed),
+        "baselines": baseline_scores(rows, opened, groups, seed),
+        "provenance": provenance(workers=workers),
+    }  # fmt: skip
+    results["bound_to_code"] = not reasons and (source == _shipped() or _remember(key_file, now))
+    results = plain(results)
+    write_json(home / "withheld.json", results)
+    write_text(home / "withheld.txt", table_text(results) + "\n")
+    figures.save(figures.withheld_figure(results["scores"], rehearsal=bool(reasons)), home / "withheld")
+    return Withheld(results, home)
+
+
+def finish_withheld(
+    home: Path, plan: Mapping[str, Any], *, workers: int = 2, progress: Progress | None = None
+) -> Withheld:
+    """Go on with a run that was stopped; `plan` as its run.json holds it.
+
+    Raises
+    ------
+    SelfCheckError, InputError
+        as `withheld`.
+    """
+    return withheld(
+        plan["folder"],
+        full=plan["full"],
+        key=plan["key"],
+        seed=plan["seed"],
+        leave_one_out=plan["leave_one_out"],
+        diagnose_with=plan["diagnose_with"],
+        effects=plan.get("effects"),
+        workers=workers,
+        out=home,
+        progress=progress,
+    )
+
+
+def _begin(home: Path, now: Mapping[str, Any]) -> dict[str, Any]:
+    """The freeze of the run in `home`: what is there, or a new one."""
+    path = home / "freeze.json"
+    if not path.exists():
+        return write_freeze(path, now)
+    frozen = read_freeze(path)
+    other = [
+        word
+        for word, same in (
+            ("other campaigns", set(frozen["campaigns"]) == set(now["campaigns"])),
+            ("another seed", frozen["seed"] == now["seed"]),
+        )
+        if not same
+    ]
+    if other:
+        raise InputError(f"{home}: holds a run with {' and '.join(other)}; give another --out, or delete the folder")
+    for name, words in (("campaigns", "the campaigns are"), ("key_sha256", "the key is")):
+        if frozen[name] != now[name]:
+            raise SelfCheckError(f"{home}: broken seal: {words} not what was there when the run was frozen")
+    return frozen
+
+
+@dataclass
+class _Run:
+    home: Path
+    campaigns: Mapping[str, Path]
+    seed: int
+    call: str
+    workers: int
+    scheduler: str | None
+    progress: Progress | None
+    now: Mapping[str, Any] = field(default_factory=dict)
+    library: Mapping[str, Effect] = field(default_factory=lambda: EFFECTS)
+    effects: str | None = None
+
+    def verdicts(self, leave_out: Mapping[str, Sequence[str]], home: Path, seal: str) -> None:
+        """Seal the verdict of every campaign named, in `home`/verdicts; those that are sealed are kept."""
+        tasks = [
+            Task(
+                name,
+                _THIS + "give_verdict",
+                {
+                    "name": name, "campaign": str(self.campaigns[name].resolve()), "call": self.call,
+                    "seed": self.seed_of(name), "leave_out": list(without), "workers": 2 if self.workers == 1 else 1,
+                    "freeze_seal": seal, **({} if self.effects is None else {"effects": self.effects}),
+                },
+            )
+            for name, without in leave_out.items()
+        ]  # fmt: skip
+        for task in tasks:
+            if not (home / "verdicts" / task.name / "verdict.json").exists():
+                (home / "verdicts" / task.name / "done.json").unlink(missing_ok=True)
+        try:
+            run_tasks(tasks, home / "verdicts", workers=self.workers, scheduler=self.scheduler, progress=self.progress)
+        except Interrupted:
+            raise Interrupted(
+                f"stopped; what is sealed stays in {self.home}: give the same command again to go on"
+            ) from None
+
+    def seed_of(self, name: str) -> int:
+        """A seed of its own for each campaign, whatever else is in the run."""
+        return int(digest([self.seed, name])[:8], 16)
+
+    def without_the_truth(
+        self, entries: Mapping[str, Mapping[str, Any]], key: Path, groups: Sequence[frozenset[str]]
+    ) -> tuple[list[scores.Scored], list[str]]:
+        """Campaigns of library effects diagnosed again with the effect's class taken out of the library.
+
+        Which effect to take out stands in the key, so this begins when the key is open; its verdicts are sealed in a
+        chain of their own before they are scored.
+        """
+        leave_out = {
+            name: sorted(scores.class_of(entry["truth"], groups) | set(entry.get("class") or ()))
+            for name, entry in entries.items()
+            if entry["truth"] in self.library
+        }
+        if not leave_out:
+            return [], []
+        home = self.home / "leave_one_out"
+        part = {name: self.campaigns[name] for name in leave_out}
+        now = freeze(part, key, self.library, self.seed, self.call)
+        frozen = _begin(home, now)
+        self.verdicts(leave_out, home, frozen["seal"])
+        opened = open_key(home, key, part, freeze(part, key, self.library, self.seed, self.call))
+        rows = [
+            scores.score_one(name, opened.verdicts[name], opened.entries[name], groups, left_out=True) for name in part
+        ]
+        return rows, [*opened.rehearsal, *differences(self.now, now)]
+
+
+def _told(verdict: Mapping[str, Any]) -> dict[str, Any]:
+    """What withheld.json repeats of a sealed verdict."""
+    names = ("verdict", "credible_set", "probabilities", "pair", "sites", "gap", "seconds", "error")
+    return {name: verdict[name] for name in names if name in verdict}
+
+
+def left_out_scores(rows: Sequence[scores.Scored]) -> dict[str, Any] | None:
+    """Scores of campaigns diagnosed without their effect in the library; None if there are none."""
+    if not rows:
+        return None
+    visible = [row for row in rows if row.single]
+    return {
+        "campaigns": len(rows),
+        "visible": len(visible),
+        "unknown_first": scores.rate(row.is_right for row in visible),
+        "site": scores.rate(row.site_right for row in visible),
+        "site_in_set": scores.rate(row.site_in_set for row in visible),
+        "false_and_confident": scores.rate(row.false_and_confident for row in visible),
+        "by_effect": {
+            name: {
+                "unknown_first": scores.rate(row.is_right for row in visible if row.truth == name),
+                "site": scores.rate(row.site_right for row in visible if row.truth == name),
+                "taken_for": scores.confusion(r for r in visible if r.truth == name).get(name, {}),
+            }
+            for name in sorted({row.truth for row in visible})
+        },
+        "misses": scores.misses(rows),
+    }
+
+
+def baseline_scores(
+    rows: Sequence[scores.Scored], opened: Any, groups: Sequence[frozenset[str]], seed: int
+) -> dict[str, Any]:
+    """The baselines' scores on the same campaigns, each beside the diagnosis on those campaigns."""
+    answers: dict[str, dict[str, Mapping[str, float]]] = {}
+    features: dict[str, Sequence[float]] = {}
+    for name, verdict in opened.verdicts.items():
+        told = dict(verdict.get("baselines") or {})
+        feature = told.pop("features", None)
+        if feature:
+            features[name] = feature
+        for method, probabilities in told.items():
+            answers.setdefault(method, {})[name] = probabilities
+    forest = forest_out_of_fold(features, {r.name: _label(r) for r in rows if r.group != "pair"}, seed)
+    if forest:
+        answers["random_forest"] = dict(forest)
+    out = {}
+    for method, given in sorted(answers.items()):
+        ours = [row for row in rows if row.name in given and row.group != "pair"]
+        theirs = [
+            scores.score_one(row.name, _as_verdict(given[row.name]), opened.entries[row.name], groups) for row in ours
+        ]
+        out[method] = {
+            "baseline": _compared(theirs),
+            "diagnosis": _compared(ours),
+            "better_log_score": _who_wins(theirs, ours),
+        }
+    return out
+
+
+def _as_verdict(probabilities: Mapping[str, float]) -> dict[str, Any]:
+    return {"verdict": max(probabilities, key=lambda n: probabilities[n]), "probabilities": probabilities}
+
+
+def _label(row: scores.Scored) -> str:
+    return row.truth if row.group in ("library", "none") else "unknown"
+
+
+def _compared(rows: Sequence[scores.Scored]) -> dict[str, Any]:
+    told = scores.summarise(rows)
+    return {name: told[name] for name in ("campaigns", "accepted_first", "log_score", "brier", "false_and_confident")}
+
+
+def _who_wins(theirs: Sequence[scores.Scored], ours: Sequence[scores.Scored]) -> str:
+    """Paired over campaigns: whose log score is better, or that these campaigns cannot tell."""
+    gained = [a - b for a, b in zip(scores.log_scores(theirs), scores.log_scores(ours), strict=True)]
+    low, high = scores.bootstrap(gained, _mean)["interval95"]
+    if low is None or low <= 0.0 <= high:
+        return "cannot tell"
+    return "diagnosis" if low > 0.0 else "baseline"
+
+
+def _mean(x: Any, axis: int) -> Any:
+    return x.mean(axis=axis)
+
+
+# Seals that outlive a run ---------------------------------------------------------------------------------------------
+
+
+def seal_path(key: Path) -> Path:
+    """Where the seal of a set of campaigns lies: beside its key."""
+    return key.with_name(key.name.removesuffix(".json").removesuffix("_key") + "_seal.json")
+
+
+def seal_campaigns(folder: str | Path, key: str | Path | None = None) -> Path:
+    """Bind a set of campaigns to the code of this moment; the file written, NAME_seal.json beside the key.
+
+    Scores of these campaigns under other code are rehearsals from now on.
+    """
+    source = Path(folder)
+    key_file = Path(key) if key is not None else source.parent / f"{source.name}_key.json"
+    frozen = freeze(find_campaigns(source), key_file, all_effects(), 0, DIAGNOSE)
+    write_freeze(seal_path(key_file), frozen)
+    return seal_path(key_file)
+
+
+def _earlier(key: Path, now: Mapping[str, Any]) -> list[str]:
+    """Reasons for a rehearsal that come from an earlier seal of the same campaigns."""
+    path = seal_path(key)
+    if not path.exists():
+        return []
+    sealed = read_freeze(path)
+    told = differences({**sealed, "call": now["call"]}, now)
+    if sealed["key_sha256"] != now["key_sha256"]:
+        told.append(f"{path.name} was written for another key")
+    return [f"these campaigns were sealed on {sealed['written'][:10]}: {reason}" for reason in told]
+
+
+def _remember(key: Path, now: Mapping[str, Any]) -> bool:
+    """Bind campaigns that were scored to this code; whether that is so now (not where nothing can be written)."""
+    try:
+        if not seal_path(key).exists():
+            write_freeze(seal_path(key), dict(now))
+    except OSError:
+        return False
+    return True
+
+
+def _shipped() -> Path | None:
+    try:
+        return shipped_path(SHIPPED)
+    except InputError:
+        return None
+
+
+def sealed_now(home: Path) -> dict[str, str]:
+    """Name -> seal of the verdicts that a run has sealed so far."""
+    names = read_freeze(home / "freeze.json")["campaigns"]
+    return {n: read_json(verdict_path(home, n))["seal"] for n in names if verdict_path(home, n).exists()}
+
+
+# Text -----------------------------------------------------------------------------------------------------------------
+
+
+def _figure(row: Mapping[str, Any]) -> str:
+    if row["value"] is None or row["n"] == 0:
+        return "not tested"
+    low, high = row["interval95"]
+    return f"{row['value']:.3g}  ({low:.3g} .. {high:.3g})  n = {row['n']}"
+
+
+_LINES = (
+    ("right effect first", "right_first"),
+    ("none where there is none", "none_kept"),
+    ("unknown where it is foreign", "unknown_first"),
+    ("truth in the 90 % set", "truth_in_credible_set"),
+    ("wrong effect with p > 0.9", "false_and_confident"),
+    ("site, effect in the library", "site"),
+    ("site of an unknown", "site_of_unknown"),
+    ("pairs, both named", "pairs_both_named"),
+    ("share of gap closed, median", "closed_median"),
+    ("log score, nats", "log_score"),
+    ("Brier score", "brier"),
+    ("90 % intervals cover", "coverage90"),
+    ("seconds a campaign, median", "seconds"),
+)
+
+
+def table_text(results: Mapping[str, Any]) -> str:
+    """The scores as a table: figures with 95 % intervals by kind, targets, reliability, baselines, misses."""
+    told = results["scores"]
+    lines = []
+    if results["rehearsal"]:
+        lines += ["REHEARSAL, not a proof:", *(f"  {reason}" for reason in results["why_rehearsal"]), ""]
+    lines.append(f"{counted(told['all']['campaigns'], 'campaign')}, chain {results['chain_head'][:16]}")
+    for kind, found in told["by_kind"].items():
+        lines += [
+            "",
+            f"{kind} ({counted(found['campaigns'], 'campaign')}, {found['hidden']} hidden behind the constants)",
+        ]
+        lines += [f"  {words:32s}{_figure(found[name])}" for words, name in _LINES]
+        r = told["reliability"][kind]
+        if r["n"]:
+            lines.append(
+                f"  {'calibration error':32s}{r['error']:.3f}  (calibrated twin: {r['twin_error']['mean']:.3f}, 95 % "
+                f"below {r['twin_error']['upper95']:.3f}; {told_p(r['p_value'])})"
+            )
+    if told["by_level"]:
+        lines += ["", f"  {'level':>12s}  {'right first':32s}share of gap closed"]
+        lines += [
+            f"  {row['kind']:>6s}{row['level']:6g}  {_figure(row['accepted_first']):32s}{_figure(row['closed_median'])}"
+            for row in told["by_level"]
+        ]
+    lines += ["", "targets"]
+    for t in told["targets"]:
+        if t["status"] != "not tested":
+            goal = " and ".join(
+                f"{sign} {x:g}" for sign, x in ((">=", t["least"]), ("<=", t["most"])) if x is not None
+            )  # fmt: skip
+            few = "" if t["enough"] else ", too few campaigns"
+            lines.append(f"  {t['status']:8s}{t['where']:22s}{t['what']:44s}{goal:22s}{_figure(t)}{few}")
+    untested = sum(t["status"] == "not tested" for t in told["targets"])
+    if untested:
+        lines.append(f"  {untested} of {len(told['targets'])} targets are not touched by these campaigns")
+    if results.get("leave_one_out"):
+        found = results["leave_one_out"]
+        lines += ["", f"effect taken out of the library ({found['visible']} visible campaigns)"]
+        lines += [
+            f"  {words:32s}{_figure(found[name])}"
+            for words, name in (("unknown first", "unknown_first"), ("right site first", "site"))
+        ]
+        lines += [f"  {miss}" for miss in found["misses"]]
+    if results.get("baselines"):
+        lines += ["", f"  {'baseline':18s}{'accepted first':32s}{'log score':34s}better log score"]
+        lines += [
+            f"  {name:18s}{_figure(b['baseline']['accepted_first']):32s}{_figure(b['baseline']['log_score']):34s}"
+            f"{b['better_log_score']}"
+            for name, b in results["baselines"].items()
+        ]
+    lines += ["", f"misses ({len(told['misses'])})", *(f"  {miss}" for miss in told["misses"])]
+    return "\n".join(lines)

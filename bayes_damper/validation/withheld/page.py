@@ -1,0 +1,118 @@
+"""Tables of a proof, for its page and for the README.
+
+    python -m bayes_damper.validation.withheld.page EASY HARD
+
+EASY, HARD: what `withheld.together` wrote of the two kinds. Printed are the tables of docs/proof/withheld.md, the
+misses one by one, and the table of the README; a test holds both files against them.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from bayes_damper.runs.execution import read_json
+
+PLACES = ("easy, level 0.15-2", "easy, level 0.05", "hard, level 1", "hard, level 0.5", "hard, level 0.15")
+KINDS = ("easy", "hard")
+
+
+def table(easy: Mapping[str, Any], hard: Mapping[str, Any]) -> str:
+    """Markdown: targets by kind and level, then those of a kind at all its levels."""
+    return "\n".join((*_rows(easy, hard, PLACES), "", *_rows(easy, hard, KINDS)))
+
+
+def misses(easy: Mapping[str, Any], hard: Mapping[str, Any]) -> str:
+    """Markdown: what was taken for what, a line each."""
+    return "\n".join(f"- {miss}" for d in (easy, hard) for miss in d["scores"]["misses"])
+
+
+def short_table(easy: Mapping[str, Any], hard: Mapping[str, Any]) -> str:
+    """Markdown for the README: counts alone."""
+    both = (easy, hard)
+    levels = sorted({level for d in both for level in _unknown_by_level(d)}, reverse=True)
+    gaps = ", ".join(f"{level:g}" for level in levels)
+    counted = {
+        "right effect named": [_overall(d, "right_first") for d in both],
+        "no false alarm where nothing is wrong": [_overall(d, "none_kept") for d in both],
+        f"`unknown` for a cause of a kind never seen before (gap {gaps})": [
+            ", ".join(_unknown_by_level(d).get(level, "-") for level in levels) for d in both
+        ],
+        "`unknown` for an effect that was taken out of the library": [
+            _count(d["leave_one_out"]["unknown_first"]) for d in both
+        ],
+        "a wrong effect named with p > 0.9": [_overall(d, "false_and_confident") for d in both],
+        "two effects at once, both named": [_overall(d, "pairs_both_named") for d in both],
+        "best baseline (BIC weights), right answer": [_beaten(d) for d in both],
+    }
+    head = ("", "rig constants exact", "constants 1-2 % off, late triggers, coloured noise")
+    return "\n".join([_line(head), _line(["---"] * 3), *(_line([what, *cells]) for what, cells in counted.items())])
+
+
+def _rows(easy: Mapping[str, Any], hard: Mapping[str, Any], places: Sequence[str]) -> list[str]:
+    """A line for each target that these places have and that was tested; both results hold all targets."""
+    tested: dict[str, dict[str, str]] = {}
+    for target in (t for d in (easy, hard) for t in d["scores"]["targets"] if t["where"] in places):
+        cells = tested.setdefault(_name(target), {})
+        if target["value"] is not None:
+            cells[target["where"]] = _cell(target)
+    head = ["what", *(place.removesuffix(", level 0.15-2") for place in places)]
+    lines = [[name, *(cells.get(place, "") for place in places)] for name, cells in tested.items() if cells]
+    return [_line(cells) for cells in (head, ["---"] * len(head), *lines)]
+
+
+def _name(target: Mapping[str, Any]) -> str:
+    """What is asked for, without what differs from kind to kind."""
+    return str(target["what"]).partition(" within ")[0]
+
+
+def _cell(target: Mapping[str, Any]) -> str:
+    low, high = target["interval95"]
+    asked = " and ".join(
+        f"{sign} {target[side]:g}" for side, sign in (("least", ">="), ("most", "<=")) if target[side] is not None
+    )
+    missed = " **missed**" if target["status"] == "missed" else ""
+    return f"{target['value']:.2g} ({low:.2g} .. {high:.2g}) of {target['n']}; {asked}{missed}"
+
+
+def _line(cells: Sequence[str]) -> str:
+    return "|" + "|".join(f" {cell} " if cell else " " for cell in cells) + "|"
+
+
+def _overall(results: Mapping[str, Any], rate: str) -> str:
+    return _count(results["scores"]["all"][rate])
+
+
+def _count(rate: Mapping[str, Any]) -> str:
+    return f"{rate['hits']} of {rate['n']}" if rate["n"] else "-"
+
+
+def _unknown_by_level(results: Mapping[str, Any]) -> dict[float, str]:
+    """Of causes of kinds kept for the proof, and to be seen: how often `unknown` came first, by level."""
+    found: dict[float, list[bool]] = {}
+    for row in (campaign["score"] for campaign in results["campaigns"].values()):
+        if row["standing"] == "reserved" and row["accepted"] == ["unknown"]:
+            found.setdefault(float(row["level"]), []).append(row["right"])
+    return {level: f"{sum(right)} of {len(right)}" for level, right in found.items()}
+
+
+def _beaten(results: Mapping[str, Any]) -> str:
+    bic, ours = (results["baselines"]["bic"][name]["accepted_first"] for name in ("baseline", "diagnosis"))
+    return f"{bic['value']:.2f}, ours {ours['value']:.2f} of {ours['n']}"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line; returns the exit code."""
+    given = [Path(x) for x in (sys.argv[1:] if arguments is None else arguments)]
+    if len(given) != 2:
+        sys.stdout.write("give the withheld.json of the easy set and that of the hard one\n")
+        return 2
+    easy, hard = (read_json(path) for path in given)
+    sys.stdout.write("\n\n".join(part(easy, hard) for part in (table, misses, short_table)) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

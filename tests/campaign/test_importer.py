@@ -1,0 +1,623 @@
+"""From logger files to campaigns: conversions, releases, and a sentence for each malformed file."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from campaigns import decay
+
+from bayes_damper.campaign import load_campaign
+from bayes_damper.campaign.importer import convert, import_records, init_campaign
+from bayes_damper.campaign.readings import find_first_peak, find_release
+from bayes_damper.cli import main
+from bayes_damper.commands.check import check
+from bayes_damper.errors import InputError
+from bayes_damper.priors.files import campaign_priors
+
+ROOT = Path(__file__).resolve().parents[2]
+RAW = Path(os.environ.get("BAYES_DAMPER_REALDATA", ROOT.parent / "shared" / "realdata"))
+TIMES = np.arange(-200, 1200) / 1000.0
+OPTIONS = {
+    "primary_inertia": 3.015e-3,
+    "k1t": 10.2,
+    "theta0": 4.7,
+    "theta0_std": 0.1,
+    "time": "t",
+    "columns": ["a"],
+    "release": "find",
+}
+
+
+def wave(seed: int = 0) -> np.ndarray:
+    noise = np.random.default_rng(seed).standard_normal(len(TIMES))
+    return decay(TIMES, math.radians(4.7), 10.2, 0.031) + noise
+
+
+def logger_file(path: Path, y: np.ndarray, mark: str = ",", comma: bool = False, times: np.ndarray = TIMES) -> Path:
+    rows = [f"{t + 5.0:.4f}{mark}{v:.6f}" for t, v in zip(times, y, strict=True)]
+    text = "\n".join([f"t{mark}a", *(r.replace(".", ",") if comma else r for r in rows)])
+    path.write_text(text + "\n", encoding="utf-8")
+    return path
+
+
+def fault_of(tmp_path: Path, source: Path, **options: object) -> str:
+    with pytest.raises(InputError) as caught:
+        init_campaign(tmp_path / "out", [source], **{**OPTIONS, **options})
+    assert not (tmp_path / "out").exists()
+    return str(caught.value)
+
+
+def test_logger_files_become_a_campaign(tmp_path: Path) -> None:
+    sources = [logger_file(tmp_path / f"run{i}.csv", wave(i)) for i in range(3)]
+    campaign = load_campaign(init_campaign(tmp_path / "out", sources, **OPTIONS))
+    assert [t.trial for t in campaign.trials] == [1, 2, 3]
+    assert campaign.trials[0].times[0] == pytest.approx(-0.02, abs=0.002)
+    assert campaign.warnings == ()
+    again = import_records(tmp_path / "out" / "import.toml", tmp_path / "again")
+    assert (again / "trials.csv").read_bytes() == (tmp_path / "out" / "trials.csv").read_bytes()
+
+
+def test_an_acceleration_jumps_between_two_readings(tmp_path: Path) -> None:
+    """The release found in a record of accelerations is the middle between the last reading at rest and the next."""
+    source = logger_file(tmp_path / "run.csv", wave())
+    trial = load_campaign(init_campaign(tmp_path / "out", [source], **OPTIONS)).trials[0]
+    k = int(np.argmax(np.abs(trial.channels[0]) > 100.0))
+    assert trial.times[k] == pytest.approx(5e-4)
+    assert trial.times[k - 1] == pytest.approx(-5e-4)
+
+
+@pytest.mark.parametrize("quantity", ["displacement", "velocity"])
+@pytest.mark.parametrize("rate", [200.0, 1000.0])
+def test_a_release_found_is_that_of_the_rig_not_of_the_first_reading_beyond_the_noise(
+    tmp_path: Path, quantity: str, rate: float
+) -> None:
+    """Slow rigs stay within the noise for several readings; the instant is found to about one of them."""
+    omega, release = 8.0, 0.4031
+    times = np.arange(round(6.0 * rate)) / rate
+    phase = omega * np.maximum(times - release, 0.0)
+    motion = np.cos(phase) + 0.02 * np.sin(phase) if quantity == "displacement" else -omega * np.sin(phase)
+    y = 0.03 * motion * np.exp(-0.02 * phase)
+    for seed in range(5):
+        readings = y + 0.003 * np.ptp(y) * np.random.default_rng(seed).standard_normal(y.size)
+        source = logger_file(tmp_path / f"run{seed}.csv", readings, times=times)
+        options = {**OPTIONS, "quantity": quantity, "theta0": 1.7, "k1t": 3.015e-3 * omega**2}
+        campaign = load_campaign(init_campaign(tmp_path / str(seed), [source], **options))
+        begun = campaign.trials[0].times[0] - times[0]
+        kept = times.size - campaign.trials[0].times.size
+        assert abs(kept / rate - begun - release) < max(1.2 / rate, 0.03 / omega)
+        assert np.min(np.abs(campaign.trials[0].times)) < 1e-9, "it lies at a reading"
+
+
+def test_g_at_the_mounting_radius_with_semicolons_and_decimal_commas(tmp_path: Path) -> None:
+    source = logger_file(tmp_path / "run.csv", wave() * 0.1 / 9.80665, ";", True)
+    options = {**OPTIONS, "decimal": ",", "units": ["g"], "mounting_radius": 0.1}
+    trial = load_campaign(init_campaign(tmp_path / "out", [source], **options)).trials[0]
+    assert np.max(np.abs(trial.channels)) == pytest.approx(np.max(np.abs(wave())), rel=1e-3)
+
+
+def test_missing_constants_are_assumed_and_told(tmp_path: Path) -> None:
+    source = logger_file(tmp_path / "run.csv", 1e-3 * decay(TIMES, 1.0, 10.2, 0.031)[200:], times=TIMES[200:])
+    campaign = load_campaign(
+        init_campaign(tmp_path / "out", [source], time="t", columns=["a"], quantity="displacement")
+    )
+    k1t = campaign.trials[0].k1t
+    assert abs(k1t.value - 10.2 / 3.015e-3) < k1t.std
+    assert any("per unit inertia" in w for w in campaign.warnings)
+    assert any("k1t was not given" in w for w in campaign.warnings)
+
+
+def test_the_uncertainty_of_the_angle_is_told_where_it_was_assumed(tmp_path: Path) -> None:
+    source = logger_file(tmp_path / "run.csv", wave())
+    options = {key: value for key, value in OPTIONS.items() if key != "theta0_std"}
+    campaign = load_campaign(init_campaign(tmp_path / "out", [source], **options))
+    assert any("0.1 deg (mm), or 2 % of it" in w for w in campaign.warnings)
+
+
+def test_a_unit_that_contradicts_the_file_is_told(tmp_path: Path) -> None:
+    """At a mounting radius of 0.1 m, g taken for m/s^2 gives a tenth, as a missing radius does."""
+    head, *body = logger_file(tmp_path / "run.csv", wave() * 0.1 / 9.80665).read_text().splitlines()
+    source = tmp_path / "run.csv"
+    source.write_text("\n".join([head.replace(",a", ",a [g]"), *body]) + "\n")
+    told = "the file gives column 2 (a [g]) in g, 'units' in m/s^2; m/s^2 was taken."
+    for unit, count in (("m/s^2", 1), ("g", 0)):
+        options = {**OPTIONS, "units": [unit], "mounting_radius": 0.1}
+        campaign = load_campaign(init_campaign(tmp_path / f"out {count}", [source], **options))
+        assert sum(told in w for w in campaign.warnings) == count
+
+
+def test_the_time_need_not_be_named_beside_the_channels(tmp_path: Path) -> None:
+    source = logger_file(tmp_path / "run.csv", wave())
+    options = {key: value for key, value in OPTIONS.items() if key != "time"}
+    campaign = load_campaign(init_campaign(tmp_path / "out", [source], **options))
+    named = load_campaign(init_campaign(tmp_path / "named", [source], **OPTIONS))
+    assert np.array_equal(campaign.trials[0].times, named.trials[0].times)
+    assert campaign.warnings == ("The time was not named; taken: column 1 (t).", *named.warnings)
+
+
+def test_in_a_terminal_it_shows_the_columns_and_asks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = logger_file(tmp_path / "run.csv", wave())
+    answers = {"Inertia J1": "3.015e-3", "Stiffness k1t": "10.2", "Release angle": "4.7", "Release: start": "find"}
+    asked: list[str] = []
+
+    def reply(question: str) -> str:
+        asked.append(question)
+        return next((answer for key, answer in answers.items() if question.startswith(key)), "")
+
+    monkeypatch.setattr("builtins.input", reply)
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: True))
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    assert main(["init", str(tmp_path / "out"), str(source)]) == 0
+    trial = load_campaign(tmp_path / "out").trials[0]
+    assert (trial.k1t.value, trial.configuration) == (10.2, "uncoupled")
+    assert trial.theta0 is not None
+    assert abs(trial.times[np.argmax(np.abs(trial.channels[0]))]) < 0.005
+    assert "run.csv has the columns: 1 t, 2 a" in capsys.readouterr().out
+    assert len(asked) == 13
+
+
+def test_a_file_that_is_not_there_is_told_before_its_name_is_read(tmp_path: Path) -> None:
+    missing = tmp_path / "x.csv"
+    with pytest.raises(InputError, match=r"x\.csv: there is no such file"):
+        init_campaign(tmp_path / "out", [missing], pattern="{case}_{trial}", **OPTIONS)
+
+
+def test_a_number_in_other_words_is_refused_once_for_all_files(tmp_path: Path) -> None:
+    sources = [logger_file(tmp_path / f"run{i}.csv", wave(i)) for i in range(3)]
+    with pytest.raises(InputError) as caught:
+        init_campaign(tmp_path / "out", sources, **{**OPTIONS, "theta0": "4,7"})
+    assert len(caught.value.faults) == 1
+    assert "and 2 other files: theta0 = '4,7', which must be a number with a decimal point" in caught.value.faults[0]
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"columns": ["alpha"]}, "column 'alpha' is missing, the file has t, a"),
+        ({"columns": [3]}, "column 3 is missing, the file has 2"),
+        ({"sha256": "0" * 64}, "expected 0000000000000000"),
+        ({"units": ["deg/s^2"]}, "it looks like"),
+        ({"units": ["m/s^2"]}, "give mounting_radius in metres"),
+        ({"units": ["furlong"]}, "'furlong' is no unit of acceleration;"),
+        ({"units": ["mm"]}, "but of displacement, and a campaign holds readings of one quantity"),
+        ({"colums": ["a"]}, "option 'colums' does not exist; did you mean 'columns'?"),
+        ({"release": "guess"}, "release = 'guess' is none of"),
+        ({"start": 900.0}, "only 0 readings"),
+        ({"release": 900.0}, "only 0 readings are left"),
+        ({"release": math.nan}, "only 0 readings are left"),
+        ({"every": 200}, "readings are left of the record, which runs from 4.8 to 6.199 s; correct release"),
+        ({"every": 0}, "every = 0 is too small; give at least 1"),
+        ({"before": -1.0}, "before = -1.0 is too small"),
+        ({"skip_lines": -3}, "skip_lines = -3 is too small"),
+        ({"decimal": "x"}, "decimal = 'x' is none of"),
+        ({"files_per_trial": "two"}, "files_per_trial = two for 1 files"),
+        ({"k1t": math.nan}, "k1t = nan must be a positive number"),
+    ],
+)
+def test_wrong_options(tmp_path: Path, options: dict, sentence: str) -> None:
+    source = logger_file(tmp_path / "run.csv", wave())
+    if "units" in options and options["units"] == ["deg/s^2"]:
+        source = logger_file(tmp_path / "run.csv", 0.5 * wave())
+    if "sha256" in options:
+        spec = {
+            "name": "x",
+            "rig": {"primary_inertia": 1.0},
+            "reader": {"columns": ["a"], "time": "t"},
+            "trials": [
+                {"source": str(source), "case": "A", "configuration": "uncoupled", "k1t": 1.0, "theta0": 1.0, **options}
+            ],
+        }
+        with pytest.raises(InputError, match=sentence):
+            import_records(spec, tmp_path / "out")
+        return
+    assert sentence in fault_of(tmp_path, source, **options)
+
+
+def test_the_working_directory_gives_the_campaign_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = logger_file(tmp_path / "run.csv", wave())
+    (tmp_path / "bench rig").mkdir()
+    monkeypatch.chdir(tmp_path / "bench rig")
+    assert load_campaign(init_campaign(".", [source], **OPTIONS)).name == "bench rig"
+
+
+def test_degrees_taken_for_radians(tmp_path: Path) -> None:
+    source = logger_file(tmp_path / "run.csv", np.degrees(wave()))
+    assert "it looks like degrees taken for radians" in fault_of(tmp_path, source)
+
+
+def test_decimal_commas_need_not_be_told(tmp_path: Path) -> None:
+    source = logger_file(tmp_path / "run.csv", wave(), ";", True)
+    trial = load_campaign(init_campaign(tmp_path / "out", [source], **OPTIONS)).trials[0]
+    assert np.max(np.abs(trial.channels)) == pytest.approx(np.max(np.abs(wave())), rel=1e-3)
+
+
+def odd_logger_file(path: Path, y: np.ndarray) -> Path:
+    """What a German logger writes: a head of several lines in another code page, ms, words for missing readings."""
+    rows = [f"{1e3 * (t + 5.0):.1f};{v:.5f}".replace(".", ",") for t, v in zip(TIMES, y, strict=True)]
+    rows[300:303] = [r.split(";")[0] + ";---" for r in rows[300:303]]
+    del rows[500:503]
+    head = ["Me\u00dfger\u00e4t: Logger 3000", "Datum;01.02.2024", "", "Zeit [ms];Kanal 1"]
+    path.write_text("\n".join([*head, *rows]) + "\n", encoding="cp1252")
+    return path
+
+
+def test_heads_units_in_names_and_missing_readings_are_understood(tmp_path: Path) -> None:
+    source = odd_logger_file(tmp_path / "run.csv", wave())
+    options = {**OPTIONS, "time": "Zeit [ms]", "columns": ["Kanal 1"]}
+    trial = load_campaign(init_campaign(tmp_path / "out", [source], **options)).trials[0]
+    assert np.isfinite(trial.channels).all()
+    assert np.median(np.diff(trial.times)) == pytest.approx(float(np.median(np.diff(TIMES))), rel=1e-6)
+    assert np.max(np.diff(trial.times)) == pytest.approx(4.0 * float(np.median(np.diff(TIMES))), rel=1e-3)
+
+
+def test_a_file_of_numbers_alone_needs_no_header(tmp_path: Path) -> None:
+    path = tmp_path / "run.dat"
+    path.write_text("\n".join(f"{v:.5f}" for v in wave()) + "\n", encoding="utf-8")
+    rate = 1.0 / float(np.median(np.diff(TIMES)))
+    options = {k: v for k, v in OPTIONS.items() if k != "time"} | {"columns": [1], "sample_rate": rate}
+    assert len(load_campaign(init_campaign(tmp_path / "out", [path], **options)).trials[0].times) > 300
+
+
+def test_a_column_of_missing_readings_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    rows = [f"{t:.4f},{v:.4f}," for t, v in zip(TIMES, wave(), strict=True)]
+    path.write_text("\n".join(["t,b,a", *rows]) + "\n", encoding="utf-8")
+    assert "100 % of the readings in the chosen columns are missing" in fault_of(tmp_path, path)
+
+
+TWO = {**OPTIONS, "secondary_inertia": 2.474e-3, "bar_radius": 0.1, "magnet_radius": 0.0127, "magnet_pull": 100.0}
+G = 0.1 / 9.80665
+"""g at 0.1 m for one rad/s^2."""
+
+
+def table(head: list[str], rows: list[str], encoding: str = "utf-8", end: str = "\n") -> bytes:
+    return (end.join([*head, *rows]) + end).encode(encoding)
+
+
+def rows(form: str, scale: float = 1.0, at: float = 0.2) -> list[str]:
+    return [form.format(t + at, scale * a, 0.3 * scale * b) for t, a, b in zip(TIMES, wave(), wave(1), strict=True)]
+
+
+STAMPED = [r.replace("@", "2024-05-03 10:11:", 1) for r in rows("@{0:09.6f},{1:.4f},{2:.4f}", at=12.2)]
+CLOCKED = [r.replace("@", "10:11:", 1) for r in rows("@{0:06.3f},{1:.4f},{2:.4f}", at=12.2)]
+COMMAS = [r.replace(".", ",") for r in rows("{0:.4f};{1:.6f};{2:.6f};", G)]
+STYLES: dict[str, tuple[bytes, dict[str, object]]] = {
+    "units in a line of their own, empty last column": (
+        table(["Messung 12;;;", "", "Zeit;B 1;B 2;", "s;g;g;"], COMMAS, "cp1252", "\r\n"),
+        {"time": "Zeit", "columns": ["B 1", "b 2"], "mounting_radius": 0.1},
+    ),
+    "LabVIEW with a column of comments": (
+        table(
+            ["LabVIEW Measurement", "***End_of_Header***", "", "X0\t0.0\t0.0", "X_Value\tA\tB\tComment"],
+            rows("{0:.6f}\t{1:.4f}\t{2:.4f}"),
+        ),
+        {"time": "X_Value", "columns": ["A", "B"]},
+    ),
+    "UTF-16": (
+        table(["Time (s)\tA\tB"], rows("{0:.4f}\t{1:.4f}\t{2:.4f}"), "utf-16"),
+        {"columns": ["A", "B"], "time": 1},
+    ),
+    "date and time of the day": (table(["When,A,B"], STAMPED), {"time": "When", "columns": ["A", "B"]}),
+    "time of the day": (table(["When,A,B"], CLOCKED), {"time": "When", "columns": ["A", "B"]}),
+    "quotes and decimal commas": (
+        table(['"t","A","B"'], [r.replace(".", ",").replace("#", ",") for r in rows('"{0:.4f}"#"{1:.4f}"#"{2:.4f}"')]),
+        {"time": "t", "columns": ["A", "B"]},
+    ),
+    "head of comments, blanks": (
+        table(["# logger v1", "# t A B"], rows("{0:10.4f}  {1:12.4f} {2:12.4f}")),
+        {"time": "t", "columns": ["A", "B"]},
+    ),
+    "a foot and a line cut short": (
+        table(["t,A,B"], [*rows("{0:.4f},{1:.4f},{2:.4f}"), "1.4,12.", "End of measurement"]),
+        {"time": "t", "columns": ["A", "B"]},
+    ),
+    "unit in the name, told without it": (
+        table(["t [s];A [rad/s\u00b2];B [rad/s\u00b2]"], rows("{0:.4f};{1:.4f};{2:.4f}")),
+        {"time": "t", "columns": ["A", "B"]},
+    ),
+    "volts of sensors": (
+        table(["t;A [mV];B [mV]"], rows("{0:.4f};{1:.5f};{2:.5f}", 100.0 * G)),
+        {"time": "t", "columns": ["A", "B"], "sensitivity": ["100 mV/g", "0.1 V/g"], "mounting_radius": 0.1},
+    ),
+    "nothing named": (table(["Time,A,B"], rows("{0:.4f},{1:.4f},{2:.4f}")), {}),
+    "no clock": (
+        table([], [r.split(" ", 1)[1] for r in rows("{0:.4f} {1:.4f} {2:.4f}")]),
+        {"sample_rate": 1000.0},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_files_of_many_loggers_give_the_same_campaign(tmp_path: Path, style: str) -> None:
+    content, options = STYLES[style]
+    (tmp_path / "run.txt").write_bytes(content)
+    general = {k: v for k, v in TWO.items() if k not in ("time", "columns")}
+    campaign = load_campaign(init_campaign(tmp_path / "out", [tmp_path / "run.txt"], **{**general, **options}))
+    found = campaign.trials[0]
+    # The first reading of `find` lies within two samples of the release.
+    at = int(np.argmin(np.abs(TIMES - 0.1)))
+    shift = int(np.argmin(np.abs(found.times - 0.1)))
+    near = [
+        np.max(np.abs(found.channels[0][shift + k : shift + k + 900] - wave()[at : at + 900]))
+        for k in (-2, -1, 0, 1, 2)
+    ]
+    assert min(near) < 0.02
+    assert found.configuration == "coupled"
+    told = " ".join(campaign.warnings)
+    assert ("The columns were not named" in told) == ("columns" not in options)
+    assert ("below the numbers" in told) == ("foot" in style)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+def test_a_record_in_which_nothing_moves_is_told_as_such(tmp_path: Path, noise: float) -> None:
+    rest = noise * np.random.default_rng(1).standard_normal(TIMES.size)
+    first = logger_file(tmp_path / "run.csv", rest)
+    told = fault_of(tmp_path, first, release="find")
+    assert "the record rests throughout" in told
+    assert "moves from its first reading" not in told
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("release", ["find", "start", 5.0])
+def test_a_sensor_the_other_way_round_is_told_and_turned(tmp_path: Path, sign: int, release: str | float) -> None:
+    held = (0.0 if release == "start" else TIMES[0]) <= TIMES
+    source = logger_file(tmp_path / "run.csv", sign * wave()[held], times=TIMES[held])
+    told = load_campaign(init_campaign(tmp_path / "out", [source], **{**OPTIONS, "release": release})).warnings
+    assert sum("looks reversed" in w and "run it again with --sign -1" in w for w in told) == (sign == -1)
+    assert sum("revers" in w or "--sign" in w for w in told) == (sign == -1), "told once"
+    options = {**OPTIONS, "release": release, "sign": [sign]}
+    turned = load_campaign(init_campaign(tmp_path / "turned", [source], **options))
+    assert "reversed" not in " ".join(turned.warnings)
+
+
+def test_channels_in_files_of_their_own(tmp_path: Path) -> None:
+    first = logger_file(tmp_path / "run1_a.csv", wave())
+    second = logger_file(tmp_path / "run1_b.csv", 0.3 * wave(1))
+    options = {**TWO, "columns": ["a", "a"], "files_per_trial": 2}
+    trial = load_campaign(init_campaign(tmp_path / "out", [first, second], **options)).trials[0]
+    assert np.ptp(trial.channels[1]) == pytest.approx(0.3 * np.ptp(wave(1)), rel=0.02)
+    again = import_records(tmp_path / "out" / "import.toml", tmp_path / "again")
+    assert (again / "trials.csv").read_bytes() == (tmp_path / "out" / "trials.csv").read_bytes()
+    third = logger_file(tmp_path / "late.csv", wave(1), times=TIMES + 0.3)
+    with pytest.raises(InputError, match="not read at the same times"):
+        init_campaign(tmp_path / "other", [first, third], **options)
+    with pytest.raises(InputError, match="files_per_trial = 2 for 1 files"):
+        init_campaign(tmp_path / "other", [first], **options)
+
+
+def test_a_copied_record_is_told(tmp_path: Path) -> None:
+    sources = [logger_file(tmp_path / f"run{i}.csv", wave(i % 2)) for i in range(3)]
+    told = check(init_campaign(tmp_path / "out", sources, **OPTIONS))
+    assert len(told.warnings) == 1
+    assert "A_uncoupled_3.csv: holds the same readings as trials/A_uncoupled_1.csv" in told.text()
+
+
+def test_what_many_files_have_in_common_is_told_once(tmp_path: Path) -> None:
+    sources = [logger_file(tmp_path / f"run{i}.csv", wave(i)) for i in range(3)]
+    for path in sources:
+        path.write_text(path.read_text() + "end of file\n")
+    campaign = load_campaign(init_campaign(tmp_path / "out", sources, **OPTIONS))
+    assert campaign.warnings == ("run0.csv and 2 other files: the last line, below the numbers, was left out.",)
+
+
+def test_a_rig_without_a_magnet_needs_no_magnet(tmp_path: Path) -> None:
+    """Coupled carts: nothing presses them together, so nothing rubs; told, and undone when a pull is given."""
+    sources = [logger_file(tmp_path / f"cart{i}.csv", 0.01 * (1 - 0.7 * i) * wave(i)) for i in range(2)]
+    options = {"kind": "translational", "files_per_trial": 2, "columns": ["a", "a"], "time": "t", "k1t": 900.0,
+               "primary_inertia": 1.9, "secondary_inertia": 0.6, "release": 5.0}  # fmt: skip
+    folder = init_campaign(tmp_path / "out", sources, **options)
+    campaign = load_campaign(folder)
+    assert campaign.rig.magnet_pull is None
+    assert any("nothing rubs between the bodies" in w for w in campaign.warnings)
+    assert campaign_priors(folder / "priors.toml", campaign).fixed["mu"] == 0.0
+    again = import_records(folder / "import.toml", tmp_path / "again")
+    assert (again / "priors.toml").read_bytes() == (folder / "priors.toml").read_bytes()
+    pressed = {**options, "magnet_pull": 1.0, "normal_force": "constant"}
+    assert load_campaign(init_campaign(folder, sources, overwrite=True, **pressed)).rig.magnet_pull
+    assert not (folder / "priors.toml").exists()
+
+
+def test_records_of_the_former_campaign_are_left_and_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Only those that its trials.csv named, and only while they are there; never a file of the user's own."""
+    sources = [str(logger_file(tmp_path / f"run{i}.csv", wave(i))) for i in range(3)]
+    folder = tmp_path / "rig"
+    options = ["--time", "t", "--columns", "a", "--primary-inertia", "3.015e-3", "--k1t", "10.2", "--theta0", "4.7",
+               "--release", "find"]  # fmt: skip
+    assert main(["init", str(folder), *sources, *options, "--case", "old"]) == 0
+    (folder / "trials" / "notes.txt").write_text("mine")
+    assert "left over" not in capsys.readouterr().out
+    (folder / "trials" / "old_uncoupled_3.csv").unlink()
+    assert main(["init", str(folder), sources[0], *options, "--case", "new", "--overwrite"]) == 0
+    told = capsys.readouterr().out
+    assert "warning: trials/old_uncoupled_1.csv, trials/old_uncoupled_2.csv: left over from the campaign" in told
+    assert "notes.txt" not in told
+    there = {"new_uncoupled_1.csv", "notes.txt", "old_uncoupled_1.csv", "old_uncoupled_2.csv"}
+    assert {p.name for p in (folder / "trials").iterdir()} == there
+    table = ["--table", str(folder / "import.toml"), "--raw", str(tmp_path)]
+    assert main(["init", str(folder), *table, "--overwrite"]) == 0
+    assert "left over" not in capsys.readouterr().out
+
+
+BOTH = {
+    "primary_inertia": 3.015e-3, "secondary_inertia": 2.474e-3, "bar_radius": 0.1, "magnet_radius": 0.0127,
+    "magnet_pull": 100.0, "k1t": 10.2, "theta0": 4.7, "release": "find",
+}  # fmt: skip
+
+
+def mixed_files(folder: Path) -> list[Path]:
+    """Two records of one channel and two of two, each with a temperature that stands still."""
+    out = []
+    for name, channels in (("soft_free_1", 1), ("soft_free_2", 1), ("soft_magnet_1", 2), ("soft_magnet_2", 2)):
+        columns = [TIMES + 5.0, wave(len(out)), 0.3 * wave(len(out) + 9)][: 1 + channels]
+        heads = ["Zeit [s]", "A1 [rad/s^2]", "A2 [rad/s^2]"][: 1 + channels]
+        rows = [",".join(f"{x:.5f}" for x in row) + ",21.4" for row in zip(*columns, strict=True)]
+        out.append(folder / f"{name}.csv")
+        out[-1].write_text("\n".join([",".join([*heads, "Temp"]), *rows]) + "\n", encoding="utf-8")
+    return out
+
+
+@pytest.mark.parametrize("named", [{}, {"time": "Zeit [s]", "columns": ["A1 [rad/s^2]", "A2 [rad/s^2]"]}])
+def test_a_pile_of_coupled_and_uncoupled_records_is_told_apart(tmp_path: Path, named: dict) -> None:
+    campaign = load_campaign(init_campaign(tmp_path / "out", mixed_files(tmp_path), **BOTH, **named))
+    assert [t.coupled for t in campaign.trials] == [False, False, True, True]
+    assert [t.trial for t in campaign.trials] == [1, 2, 1, 2]
+    assert any("One channel only, so taken as uncoupled: soft_free_1.csv, soft_free_2" in w for w in campaign.warnings)
+    assert not any("Temp" in w for w in campaign.warnings)
+
+
+def test_files_that_all_have_two_channels_are_taken_as_coupled_and_told(tmp_path: Path) -> None:
+    campaign = load_campaign(init_campaign(tmp_path / "out", mixed_files(tmp_path)[2:], **BOTH))
+    assert all(t.coupled for t in campaign.trials)
+    assert any("all trials were taken as coupled; say otherwise" in w for w in campaign.warnings)
+
+
+def test_a_secondary_that_never_moves_is_told(tmp_path: Path) -> None:
+    """Both sensors are logged in every trial, and in the uncoupled ones the second only hums."""
+    sources = mixed_files(tmp_path)[2:]
+    rng = np.random.default_rng(5)
+    rows = np.column_stack([TIMES, wave(3), 0.02 * rng.standard_normal(TIMES.size)])
+    head = "Zeit [s],A1 [rad/s^2],A2 [rad/s^2]"
+    np.savetxt(sources[0], rows, delimiter=",", header=head, comments="", fmt="%.6f")
+    campaign = load_campaign(init_campaign(tmp_path / "out", sources, **BOTH))
+    (told,) = [w for w in campaign.warnings if "the secondary rests throughout" in w]
+    assert told.startswith("trials/A_coupled_1.csv: ")
+    again = load_campaign(init_campaign(tmp_path / "both", mixed_files(tmp_path)[2:], **BOTH))
+    assert not any("rests throughout" in w for w in again.warnings)
+
+
+def test_words_of_the_names_say_which_trials_are_coupled(tmp_path: Path) -> None:
+    sources, pattern = mixed_files(tmp_path), "{case}_{configuration}_{trial}"
+    words = ["free=uncoupled", "magnet=coupled"]
+    campaign = load_campaign(init_campaign(tmp_path / "out", sources, **BOTH, pattern=pattern, words=words))
+    assert [(t.case, t.coupled, t.trial) for t in campaign.trials] == [
+        ("soft", False, 1), ("soft", False, 2), ("soft", True, 1), ("soft", True, 2)
+    ]  # fmt: skip
+    told = r"'free' stands where --pattern expects 'uncoupled' or 'coupled'.*--words free="
+    with pytest.raises(InputError, match=told):
+        init_campaign(tmp_path / "other", sources, **BOTH, pattern=pattern)
+    with pytest.raises(InputError, match=r"--words \['free=loose'\]: write what the names say"):
+        init_campaign(tmp_path / "other", sources, **BOTH, pattern=pattern, words=["free=loose"])
+
+
+def test_a_fault_of_many_files_is_told_once(tmp_path: Path) -> None:
+    sources = [logger_file(tmp_path / f"run{i}.csv", wave(i)) for i in range(4)]
+    with pytest.raises(InputError) as caught:
+        init_campaign(tmp_path / "out", sources, **{**OPTIONS, "units": ["g"]})
+    assert caught.value.faults == ("run0.csv and 3 other files: 'g' is tangential; give mounting_radius in metres",)
+
+
+def test_a_record_that_rests_first_is_told_how_to_find_its_release(tmp_path: Path) -> None:
+    options = {k: v for k, v in OPTIONS.items() if k not in ("release", "theta0")}
+    source = logger_file(tmp_path / "run.csv", wave())
+    warnings = load_campaign(init_campaign(tmp_path / "out", [source], **options)).warnings
+    assert any("rests for its first 0.2 s: with --release find, t = 0 is the release" in w for w in warnings)
+
+
+def test_names_and_a_sheet_tell_the_trials_apart(tmp_path: Path) -> None:
+    sources = []
+    for case, k1t, theta0 in (("I", 6.2, 5.7), ("IV", 10.2, 4.7)):
+        for trial in (1, 2):
+            y = decay(TIMES, math.radians(theta0), k1t, 0.031) + np.random.default_rng(trial).standard_normal(
+                len(TIMES)
+            )
+            sources.append(logger_file(tmp_path / f"case{case}_uncoupled_{trial}.csv", y))
+    sheet = tmp_path / "sheet.csv"
+    sheet.write_text("case;k1t;theta0\nI;6,2;5,7\nIV;10,2;4,7\n", encoding="utf-8")
+    options = {k: v for k, v in OPTIONS.items() if k not in ("k1t", "theta0")} | {"sheet": str(sheet)}
+    pattern = "case{case}_{configuration}_{trial}"
+    campaign = load_campaign(init_campaign(tmp_path / "out", sources, pattern=pattern, **options))
+    assert [(t.case, t.trial, t.k1t.value) for t in campaign.trials] == [
+        ("I", 1, 6.2), ("I", 2, 6.2), ("IV", 1, 10.2), ("IV", 2, 10.2)
+    ]  # fmt: skip
+    assert math.degrees(campaign.trials[0].theta0.value) == pytest.approx(5.7)
+    for wrong, sentence in (
+        ({"pattern": "run{trial}"}, "the name does not follow --pattern"),
+        ({"pattern": "{colour}"}, r"write each of \{case\}"),
+        ({"pattern": pattern, "sheet": str(tmp_path / "none.csv")}, "cannot be read"),
+        ({"pattern": "case{case}_uncoupled_1"}, "does not follow"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            init_campaign(tmp_path / "wrong", sources, **(options | wrong))
+    sheet.write_text("case,kt1\nI,6.2\n", encoding="utf-8")
+    with pytest.raises(InputError, match="unknown column 'kt1'"):
+        init_campaign(tmp_path / "wrong", sources, **options)
+    sheet.write_text("file,case,trial,k1t,theta0\ncaseI_uncoupled_1.csv,I,1,6.2,5.7\n", encoding="utf-8")
+    assert len(load_campaign(init_campaign(tmp_path / "sheet", [], **options)).trials) == 1
+
+
+@pytest.mark.parametrize(
+    ("pattern", "names", "cases"),
+    [
+        ("k{k1t}_{trial}", ("k6.2_1", "k6.2_2", "k10.2_1"), ["k1t 6.2", "k1t 6.2", "k1t 10.2"]),
+        ("rel{theta0}_{trial}", ("rel5_1", "rel4_1", "rel4_2"), ["theta0 5", "theta0 4", "theta0 4"]),
+        ("run{theta0}", ("run4.71", "run4.68"), ["A", "A"]),  # angles as they were measured, trial by trial
+    ],
+)
+def test_springs_and_angles_in_the_names_tell_the_cases(
+    tmp_path: Path, pattern: str, names: tuple[str, ...], cases: list[str]
+) -> None:
+    sources = [logger_file(tmp_path / f"{name}.csv", wave(i)) for i, name in enumerate(names)]
+    options = {k: v for k, v in OPTIONS.items() if "{" + k + "}" not in pattern}
+    campaign = load_campaign(init_campaign(tmp_path / "out", sources, pattern=pattern, **options))
+    assert [t.case for t in campaign.trials] == cases
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        (b"PK\x03\x04" + bytes(range(200)), "an Excel workbook or another archive; save it as CSV"),
+        (bytes(range(256)) * 20, "this is no text"),
+        (b"hello\nworld\nfoo\nbar\n", "holds no row of numbers"),
+        (
+            table(["t,a"], ["0.0,1.0"] * 3 + ["0.1,bad"] + ["0.2,1.0"] * 9),
+            "line 5: 'bad' is no number; where a reading",
+        ),
+        (table(["t,a"], ["0.0,1.0"] * 9 + ["pause,off"] + ["0.2,1.0"] * 9), "'pause,off' is not a row of numbers"),
+        (table(["t;a"], ["0,1;2,5"] * 9 + ["0,2;OVER"] + ["0,3;2,5"] * 9), "line 11: 'OVER' is no number; where"),
+        (table(["t;a"], ["0.1;2.5"] * 9 + ["0.2;1,987.2"] + ["0.3;2.5"] * 9), "'1,987.2' has a mark between thousands"),
+        (table(["t,a,a"], ["0.0,1.0,2.0"] * 30), "2 columns are called 'a'; give their numbers"),
+        (table(["t,a"], ["0,0,1,5"] * 30), "4 columns"),
+        (table(["t,a [mV]"], [f"{i / 1e3:.3f},1.5" for i in range(99)]), "give the sensitivity of each sensor"),
+    ],
+)
+def test_what_cannot_be_read_is_told_in_one_sentence(tmp_path: Path, content: bytes, sentence: str) -> None:
+    (tmp_path / "run.csv").write_bytes(content)
+    assert sentence in fault_of(tmp_path, tmp_path / "run.csv", release="start")
+
+
+def test_a_record_that_starts_in_the_middle(tmp_path: Path) -> None:
+    source = logger_file(tmp_path / "run.csv", wave()[270:], times=TIMES[270:])
+    assert "it starts in the middle" in fault_of(tmp_path, source)
+
+
+def test_release_and_first_peak_are_found() -> None:
+    assert find_release(TIMES, wave()) == pytest.approx(0.0, abs=0.0015)
+    period = 2.0 * math.pi * math.sqrt(3.015e-3 / 10.2)
+    late = 0.3 * period < TIMES
+    assert find_first_peak(TIMES[late], wave()[late]) == pytest.approx(0.5 * period, abs=0.02 * period)
+
+
+def test_tangential_units() -> None:
+    ones = np.ones(2)
+    assert convert(ones, "g", "torsional", "acceleration", 0.1, "x") == pytest.approx([98.0665] * 2)
+    assert convert(ones, "deg", "torsional", "displacement", None, "x") == pytest.approx([math.pi / 180.0] * 2)
+    assert convert(ones, "mm", "translational", "displacement", None, "x") == pytest.approx([1e-3] * 2)
+
+
+@pytest.mark.parametrize("name", ["rotary_pendulum", "tuned_mass_damper", "double_pendulum"])
+def test_real_rigs_come_out_as_shipped(tmp_path: Path, name: str) -> None:
+    if not (RAW / name).is_dir():
+        pytest.skip(f"the raw files of {name} are not here; set BAYES_DAMPER_REALDATA to their folder")
+    shipped = ROOT / "data" / "real" / name
+    folder = import_records(shipped / "import.toml", tmp_path / "out", RAW / name)
+    for file in ("campaign.toml", "trials.csv"):
+        digests = [hashlib.sha256((f / file).read_bytes()).hexdigest() for f in (folder, shipped)]
+        assert digests[0] == digests[1]
+    assert load_campaign(folder).training

@@ -1,0 +1,97 @@
+"""Records as the fits take them: the release found, clocks set, gaps on a grid. Held against motions in closed form."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from bayes_damper.campaign.records import LARGE, common_grid, picks, release_of
+
+OMEGA, ANGLE, STEP = 45.0, 0.1, 1e-3
+READ = {
+    "acceleration": lambda t: np.where(t < 0.0, 0.0, -ANGLE * OMEGA**2 * np.cos(OMEGA * t)),
+    "velocity": lambda t: np.where(t < 0.0, 0.0, -ANGLE * OMEGA * np.sin(OMEGA * t)),
+    "displacement": lambda t: np.where(t < 0.0, ANGLE, ANGLE * np.cos(OMEGA * t)),
+}
+REACH = {"acceleration": ANGLE * OMEGA**2, "velocity": ANGLE * OMEGA, "displacement": ANGLE}
+
+
+def record(quantity, times, release, noise=0.01, seed=1):
+    """Readings of an undamped rig let go at `release`."""
+    y = READ[quantity](times - release)
+    return y + noise * REACH[quantity] * np.random.default_rng(seed).standard_normal(times.size)
+
+
+@pytest.mark.parametrize("quantity", READ)
+@pytest.mark.parametrize("release", [0.0, 0.0004, -0.0006])
+def test_a_release_near_the_nominal_instant_is_left_to_the_fit(quantity, release):
+    """Within a step of t = 0 nothing is cut and no clock is set."""
+    times = STEP * np.arange(300)
+    assert release_of(times, record(quantity, times, release), quantity, ANGLE, OMEGA) == (0, 0.0)
+
+
+@pytest.mark.parametrize("quantity", READ)
+def test_readings_before_the_nominal_release_are_cut(quantity):
+    """A logger that ran before tells nothing of the rig by its first readings."""
+    times = STEP * np.arange(-40, 300)
+    first, shift = release_of(times, record(quantity, times, 0.0), quantity, ANGLE, OMEGA)
+    assert (times[first], shift) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("quantity", READ)
+@pytest.mark.parametrize("release", [0.0153, 0.0478])
+def test_a_clock_that_is_off_is_set_by_the_motion(quantity, release):
+    """The new clock is within a step of the release, and the held reading before it is kept."""
+    times = STEP * np.arange(400)
+    first, shift = release_of(times, record(quantity, times, release, noise=0.003), quantity, ANGLE, OMEGA)
+    assert times[first] == shift
+    assert abs(release - shift) <= 1.5 * STEP
+
+
+def test_a_release_marked_too_late_is_found_too():
+    """The motion begins before the nominal instant: the trigger came late."""
+    times = STEP * np.arange(-60, 300)
+    _, shift = release_of(times, record("acceleration", times, -0.0205), "acceleration", ANGLE, OMEGA)
+    assert -0.0215 <= shift <= -0.0205
+
+
+def test_a_rig_that_never_moves_or_starts_in_motion_keeps_its_clock():
+    """What cannot be told is left as it is."""
+    times = STEP * np.arange(200)
+    noise = np.random.default_rng(2).standard_normal(200)
+    assert release_of(times, noise, "acceleration", ANGLE, OMEGA) == (0, 0.0)
+    later = times + 0.05
+    assert release_of(later, record("velocity", later, 0.0), "velocity", ANGLE, OMEGA) == (0, 0.0)
+
+
+def test_records_with_gaps_share_a_grid():
+    """Lost readings leave holes in one even grid, whatever their place; the readings stay where they were."""
+    even = 0.0005 * np.arange(1000)
+    keep = [np.r_[0:300, 360:1000], np.r_[0:700, 760:980]]
+    found = common_grid([even[k] for k in keep])
+    assert found is not None
+    grid, places = found
+    assert np.allclose(grid, even)
+    for k, place in zip(keep, places, strict=True):
+        assert np.array_equal(place, k)
+
+
+def test_no_grid_is_made_up():
+    """Equal clocks need none; uneven ones, and clocks half a step apart, have none."""
+    even = 1e-3 * np.arange(200)
+    rng = np.random.default_rng(3)
+    assert common_grid([even, even]) is None
+    assert common_grid([even, even + 0.5e-3]) is None
+    assert common_grid([np.sort(rng.uniform(0.0, 0.2, 200)), even]) is None
+    assert common_grid([even[:10], np.r_[even[:10], 5.0 + even[:10]]]) is None
+    assert math.isclose(common_grid([even, even[:150]])[0][-1], even[-1])
+
+
+def test_readings_are_picked_only_where_there_are_many_and_they_come_fast():
+    """Six natural periods a second: 20 kHz are 3300 readings a period, of which 150 are left in a large campaign."""
+    period = 1.0 / 6.0
+    assert picks([LARGE // 2, LARGE // 2], [5e-5, 5e-5], period, False) == [1, 1]
+    assert picks([LARGE, LARGE], [5e-5, 1e-3], period, False) == [22, 1]
+    assert picks([200, 200], [5e-5, 1e-3], period, True) == [33, 1]

@@ -1,0 +1,68 @@
+"""What an inexact formula leaves open: the torque that a fit adds, and intervals that widen with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_pipeline import with_effect
+from test_problem import RIG, TRUE
+
+from bayes_damper.calibration import Calibration, Problem, calibrate
+from bayes_damper.diagnosis.formula import widened
+from bayes_damper.diagnosis.response import motions
+from bayes_damper.effects import EFFECTS
+
+
+def fitted(effect: str, made_by: str, values: dict[str, float], explained_by: str) -> Calibration:
+    """A campaign made by one formula of an effect and fitted with another one."""
+    return calibrate(Problem(with_effect(effect, made_by, values), EFFECTS[effect].variant(explained_by)))
+
+
+@pytest.fixture(scope="module")
+def drag():
+    return fitted("quadratic_drag", "alike", {"coefficient": 0.8}, "alike")
+
+
+def test_the_torque_that_an_effect_adds_is_that_of_its_formula(drag):
+    """Inertia times acceleration less the nominal laws is -b J1 w |w| on each body, nothing before the release."""
+    q = RIG["J1"] * drag.parameters["effect.coefficient"][0]
+    for motion in motions(drag):
+        moving = motion.since > 0.0
+        largest = q * np.max(motion.w1**2)
+        for inertia, w in enumerate((motion.w1, motion.w2)):
+            formula = np.where(moving, -q * w * np.abs(w), 0.0)
+            # beside a reversal of the drag the acceleration hangs on the velocity's last digits
+            off = np.abs(motion.added[:, inertia] - formula) / largest
+            assert np.median(off) < 1e-3
+            assert np.quantile(off, 0.99) < 0.03
+
+
+def test_intervals_widen_where_another_formula_could_pass_for_a_nominal_law(drag):
+    """A drag's inexact law makes the bearings' damping and friction less certain, the coupling hardly."""
+    sd = {name: value[1] for name, value in drag.parameters.items()}
+    wide = {name: value[1] for name, value in widened(drag, ["bearings"]).parameters.items()}
+    assert all(wide[name] >= sd[name] * (1.0 - 1e-9) for name in sd)
+    assert wide["c1t"] / sd["c1t"] > 2.0 * wide["k2t"] / sd["k2t"]
+    less = {name: value[1] for name, value in widened(drag, ["bearings"], share=0.05).parameters.items()}
+    assert sd["c1t"] < less["c1t"] < wide["c1t"]
+
+
+def test_a_definition_leaves_nothing_open(drag):
+    """Where an effect's site has no laws, or nothing is added to them, the fit stays as it is."""
+    assert widened(drag, ["sensor", "release"]) is drag
+    bare = replace(drag, problem=drag.problem.with_effect(None), q=drag.q[:-1])
+    bare = replace(bare, linear=bare.problem.linearise(bare.q, bare.eta))
+    assert widened(bare, ["bearings"]) is bare
+
+
+@pytest.mark.slow
+def test_the_truth_lies_within_reach_when_a_formula_of_the_family_stands_for_another():
+    """Two relaxing arms fitted as one: off by several of the fit's own standard deviations, not of the widened ones."""
+    found = fitted("interface_relaxation", "two_arms", {"stiffness": 1.0, "time": 0.01}, "one_arm")
+    wide = widened(found, ["interface"])
+    for name in ("k2t", "c2t"):
+        off = abs(found.parameters[name][0] - TRUE[name])
+        assert off > 3.0 * found.parameters[name][1]
+        assert off < 2.0 * wide.parameters[name][1]

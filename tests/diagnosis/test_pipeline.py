@@ -1,0 +1,710 @@
+"""The diagnosis: the rule on its own, the tests of the remainder, and small campaigns with a known answer."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from small_rig import NOISE, measured
+from test_problem import RIG, TRUE, make_experiment
+
+from bayes_damper.calibration import (
+    Experiment,
+    Problem,
+    Switches,
+    TrialRecord,
+    calibrate,
+    calibrate_nominal,
+    coordinate_of,
+)
+from bayes_damper.commands.diagnose import _estimated, _maps, _shown_record
+from bayes_damper.diagnosis import diagnose, pairs, pipeline
+from bayes_damper.diagnosis.lone import corroborated, held_out_gain, left_of_squares
+from bayes_damper.diagnosis.outliers import outlying, told, without
+from bayes_damper.diagnosis.pairs import ComposedProblem, PairProblem, Second, best_pairs, pair_problem
+from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of
+from bayes_damper.diagnosis.search import Candidate, Screen, fainter, fit_variant, offered, scales_of, screen_variant
+from bayes_damper.diagnosis.sensitivity import Quadratic
+from bayes_damper.diagnosis.verdict import RULE, Answers, Left, family_evidence, left_of, weigh
+from bayes_damper.effects import EFFECTS
+from bayes_damper.errors import InputError
+from bayes_damper.figures import gap_figure
+from bayes_damper.priors.distributions import LogNormal, from_standard
+from bayes_damper.simulation import integrator
+from bayes_damper.simulation.model import Model
+from bayes_damper.text import named_answers
+from bayes_damper.validation.withheld.constants import replay
+
+FEW = {name: EFFECTS[name] for name in ("quadratic_drag", "spring_cubic", "sensor_gain")}
+QUIET = Left(-3.0, 0.0)
+ALL = Left(900.0, 1.0, line=200.0, peak=1.0)
+
+
+def with_effect(effect: str, variant: str, values: dict[str, float], seed: int = 2, gain: float = 0.0) -> Experiment:
+    """Two cases, uncoupled and coupled, three repeats, with one effect of the library at work, or a wrong gain too."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(500) * 1e-3
+    formula = EFFECTS[effect].variant(variant)
+    trials = []
+    for index, (case, k1t, degrees) in enumerate((("I", 6.2, 5.7), ("IV", 10.2, 4.7))):
+        for both in (False, True):
+            for number in (1, 2, 3):
+                theta0 = math.radians(degrees)
+                rig = RIG | TRUE | {"k1t": k1t, "theta0": theta0 * (1.0 + 0.01 * rng.standard_normal())}
+                y = Model(both, effect=formula).simulate(rig, times, effect=values).y[0]
+                y[0] *= 1.0 + gain
+                noisy = y + 2.0 * rng.standard_normal(y.shape)
+                label = f"{case}{number}"
+                trials.append(
+                    TrialRecord(
+                        label, case, both, number, times, noisy, index, theta0, 0.01 * theta0, heldout=number == 3
+                    )
+                )
+    return Experiment({n: (v, 0.0) for n, v in RIG.items()}, ((6.2, 0.0), (10.2, 0.0)), tuple(trials))
+
+
+@pytest.fixture(scope="module")
+def named(tmp_path_factory):
+    found = diagnose(with_effect("quadratic_drag", "alike", {"coefficient": 0.8}), effects=FEW)
+    folder = tmp_path_factory.mktemp("diagnosis")
+    return found, json.loads(found.write(folder).read_text()), folder
+
+
+def test_a_strong_effect_is_named_and_sized(named):
+    """Quadratic drag comes out first, its coefficient within its uncertainty."""
+    found, _, _ = named
+    assert found.verdict == "quadratic_drag"
+    value, sd = found.winner.fit.parameters["effect.coefficient"]
+    assert abs(value - 0.8) < 4.0 * sd
+    assert found.answers.credible_set() == ["quadratic_drag"]
+    assert max(found.sites, key=found.sites.get) == "bearings"
+
+
+def test_two_processes_find_what_one_finds(named):
+    """Screens, fits and pairs shared among processes: the same probabilities and parameters, bit for bit."""
+    found, *_ = named
+    again = diagnose(with_effect("quadratic_drag", "alike", {"coefficient": 0.8}), effects=FEW, workers=2)
+    assert again.answers == found.answers
+    assert again.winner.fit.parameters == found.winner.fit.parameters
+    assert [c.label for c in again.candidates] == [c.label for c in found.candidates]
+
+
+def test_the_figure_shows_a_held_out_record_before_and_after_the_effect_is_added(named):
+    """What is left of the record is beyond the noise without the effect, noise with it; so says the figure."""
+    found, _, _ = named
+    record = _shown_record(found)
+    assert "held out" in record["label"]
+    assert record["unit"] == "rad/s^2"
+    assert record["added"] == "quadratic_drag"
+    before = np.std(record["measured"] - record["nominal"])
+    after = np.std(record["measured"] - record["augmented"])
+    assert after == pytest.approx(record["noise"], rel=0.15)
+    assert before > 1.3 * after
+    figure = gap_figure(record, found.answers.probabilities, title="gap")
+    titles = [axis.get_title(loc="left") for axis in figure.axes]
+    assert "measured minus model with quadratic_drag" in titles
+    assert any(title.startswith("measured minus nominal model") for title in titles)
+    without_answer = gap_figure(record | {"augmented": None}, found.answers.probabilities, title="gap")
+    assert len(without_answer.axes) == len(figure.axes) - 1
+
+
+@pytest.mark.slow
+def test_two_effects_at_once_are_both_named_and_sized():
+    """A drag and the gain of a channel: neither closes the gap alone, both together do."""
+    found = diagnose(with_effect("quadratic_drag", "alike", {"coefficient": 0.8}, gain=0.08), effects=FEW)
+    told = found.to_json()
+    assert told["pair"] is not None
+    assert set(told["pair"]["effects"]) == {"quadratic_drag", "sensor_gain"}
+    drag = told["pair"]["parameters"]["quadratic_drag"]["coefficient"]
+    assert abs(drag["mean"] - 0.8) < 4.0 * drag["sd"]
+    error = told["pair"]["parameters"]["sensor_gain"]["error"]
+    assert abs(error["mean"] - 0.08) < 0.01
+    assert found.gap.closed.median > 0.8
+    assert set(told["sites"]) >= {"bearings", "sensor"}
+    assert min(told["sites"]["bearings"], told["sites"]["sensor"]) > 0.4
+
+
+def test_the_gap_closes_on_trials_that_no_fit_has_seen(named):
+    """Held-out residuals fall from above the noise to the noise."""
+    found, _, _ = named
+    assert found.gap.answer == "gap"
+    assert found.gap.augmented_rms < found.gap.nominal_rms
+    assert found.gap.closed.median > 0.8
+
+
+def test_the_file_holds_what_the_contract_says(named):
+    """Fields, sums and schema of diagnosis.json; the missing torque beside it."""
+    _, table, folder = named
+    assert table["schema"] == "bayes-damper/diagnosis/1"
+    assert sum(table["probabilities"].values()) == pytest.approx(1.0)
+    assert sum(table["sites"].values()) == pytest.approx(1.0)
+    assert set(table["probabilities"]) == {"none", "unknown", *FEW}
+    assert set(table["gap"]) >= {"answer", "p_value", "size", "noise_rms", "nominal_rms", "augmented_rms", "closed"}
+    assert set(table["where"]) >= {"time", "frequency", "channel", "case", "phase_space"}
+    assert {"name", "variant", "site", "probability", "log_evidence", "parameters"} <= set(table["effects"][0])
+    assert (folder / "missing_torque.csv").stat().st_size > 0
+
+
+def test_the_maps_of_residuals_pale_where_the_effect_is_added(named):
+    """A column for each channel before and after; what is left is noise alone."""
+    maps = _maps(named[0])
+    assert [m["title"] for m in maps] == [
+        "nominal model\nprimary", "nominal model\nsecondary", "with quadratic_drag\nprimary",
+        "with quadratic_drag\nsecondary",
+    ]  # fmt: skip
+    before, after = (np.sqrt(np.nanmean(maps[i]["time"]["values"] ** 2)) for i in (0, 2))
+    assert before > 1.05 * after
+    assert after == pytest.approx(1.0, abs=0.1)
+    assert maps[1]["plane"]["x_label"] == "relative angle [rad]"
+
+
+def test_nothing_wrong_is_called_none():
+    """Records of the nominal rig itself, with late triggers and uncertain stiffness, get no effect."""
+    found = diagnose(make_experiment(6, late=True, k1t_sd=0.01, n=500), effects=FEW)
+    assert found.verdict == "none"
+    assert found.answers.probabilities["none"] > 0.7
+
+
+@pytest.mark.slow
+def test_a_constant_that_the_named_effect_does_not_free_is_told():
+    """Beside a strong effect, a note says where a J2 declared a tenth too large wants to be."""
+    experiment = with_effect("quadratic_drag", "alike", {"coefficient": 0.8})
+    declared = 1.1 * RIG["J2"]
+    constants = {**experiment.constants, "J2": (declared, 0.02 * declared)}
+    found = diagnose(replace(experiment, constants=constants), effects=FEW)
+    assert found.verdict == "quadratic_drag"
+    note = next(n for n in found.notes if "still moves" in n)
+    wanted = float(note.split(" to ")[1].split(":")[0])
+    assert "J2" in note
+    assert wanted == pytest.approx(RIG["J2"], rel=0.03)
+
+
+def test_an_effect_outside_the_candidates_is_unknown():
+    """When quadratic drag is taken out of the library, no other effect takes its name."""
+    others = {name: EFFECTS[name] for name in ("sensor_gain", "inertia_error", "sensor_delay")}
+    found = diagnose(with_effect("quadratic_drag", "alike", {"coefficient": 0.8}), effects=others)
+    assert found.verdict == "unknown"
+
+
+def test_the_screening_puts_the_truth_first():
+    """The linearised gain of the acting effect exceeds that of every other candidate of the whole library."""
+    experiment = with_effect("spring_cubic", "cubic", {"k3": 120.0}) if _has("spring_cubic", "k3") else None
+    experiment = experiment or with_effect("quadratic_drag", "alike", {"coefficient": 0.8})
+    truth = "spring_cubic" if _has("spring_cubic", "k3") else "quadratic_drag"
+    screen = Screen(calibrate_nominal(experiment))
+    gains = {
+        effect.name: max(s.gain for s in screen_variant(screen, variant))
+        for effect, variant in offered(experiment, "nonlinear", FEW)
+    }
+    assert max(gains, key=gains.get) == truth
+
+
+def test_a_lag_of_less_than_a_sample_screens_as_well_as_it_fits():
+    """Where triggers are late, larger lags carry first readings back across the release, where accelerations jump."""
+    delay = EFFECTS["sensor_delay"]
+    formula = delay.variant("channel1")
+    fit = calibrate_nominal(measured(5, effect=formula, values={"time": 3e-4}, late=1e-3, repeats=4))
+    screens = screen_variant(Screen(fit), formula)
+    fitted = fit_variant(fit, delay, formula, screens, 1).log_evidence
+    assert fitted > 40.0
+    assert max(s.gain for s in screens) > 0.8 * fitted
+
+
+def test_a_late_primary_from_which_the_release_was_read_is_an_early_secondary():
+    """Triggers up to 1 ms late, the primary 0.4 ms behind: the first reading of some is "not released yet"."""
+    delay = EFFECTS["sensor_delay"]
+    fit = calibrate_nominal(measured(5, effect=delay.variant("channel1"), values={"time": 4e-4}, late=1e-3, repeats=4))
+    found = {}
+    for name in ("channel1", "channel2_early"):
+        formula = delay.variant(name)
+        found[name] = fit_variant(fit, delay, formula, screen_variant(Screen(fit), formula), 1).log_evidence
+    assert found["channel2_early"] > max(40.0, found["channel1"] + 20.0)
+
+
+def test_a_faint_effect_is_screened_where_it_would_just_be_seen():
+    """A play of a tenth of a milliradian, constants known to 2 %: five times as much tells little of it."""
+    backlash = EFFECTS["coupling_backlash"]
+    formula = backlash.variant("dead_zone")
+    exact = measured(3, effect=formula, values={"play": 1e-4}, late=1e-3, repeats=4)
+    constants = {name: (x, 0.02 * x) for name, (x, _) in exact.constants.items()}
+    springs = tuple((k, 0.02 * k) for k, _ in exact.stiffnesses)
+    fit = calibrate_nominal(replace(exact, constants=constants, stiffnesses=springs))
+    screens = screen_variant(Screen(fit), formula)
+    small = fainter(formula, screens)
+    best = max(s.gain for s in screen_variant(Screen(fit), small))
+    assert len(small.starts) == 1
+    assert best > 10.0
+    assert best > 2.0 * max(s.gain for s in screens)
+
+
+def _has(effect: str, parameter: str) -> bool:
+    return any(p.name == parameter for v in EFFECTS[effect].variants for p in v.parameters if v.name == "cubic")
+
+
+def test_the_remainder_of_noise_is_small_and_of_a_hum_is_not():
+    """A line without a common phase is found in the single records."""
+    clean = make_experiment(9, n=500)
+    assert remainder_of(calibrate_nominal(clean)).strength < 6.0
+    rng = np.random.default_rng(1)
+    trials = tuple(
+        TrialRecord(
+            t.label, t.case, t.coupled, t.number, t.times,
+            t.y + 1.5 * np.sin(2.0 * np.pi * 50.0 * t.times + rng.uniform(0.0, 6.28)), t.k1t, t.theta0, t.theta0_sd,
+            heldout=t.heldout,
+        )
+        for t in clean.trials
+    )  # fmt: skip
+    left = remainder_of(calibrate_nominal(Experiment(clean.constants, clean.stiffnesses, trials)))
+    assert left.line > 20.0
+    assert left.peak_hz == pytest.approx(50.0, abs=3.0)
+
+
+def test_evidence_that_is_not_a_number_never_wins():
+    """nan and -inf give a family no probability."""
+
+    class Row:
+        def __init__(self, name: str, value: float) -> None:
+            self.effect = type("E", (), {"name": name})
+            self.log_evidence = value
+
+    rows = [Row("a", math.nan), Row("b", -math.inf), Row("c", 5.0), Row("a", math.nan)]
+    evidence = family_evidence(rows)  # type: ignore[arg-type]
+    assert evidence["a"] == -math.inf
+    answers = weigh(evidence, QUIET, QUIET)
+    assert answers.probabilities["a"] < 0.01
+    assert max(answers.probabilities, key=answers.probabilities.get) == "c"
+
+
+@pytest.mark.parametrize(
+    ("evidence", "before", "after", "verdict"),
+    [
+        ({"a": 0.5, "b": -1.0}, QUIET, QUIET, "none"),
+        ({"a": 900.0, "b": 700.0}, ALL, QUIET, "a"),
+        ({"a": 900.0, "b": 700.0}, ALL, Left(25.0, 0.03), "a"),
+        ({"a": 500.0, "b": 400.0}, ALL, Left(300.0, 0.5, line=90.0, peak=1.0), "unknown"),
+        ({"a": 0.5}, Left(60.0, 1.0, line=60.0, peak=6.0), Left(60.0, 1.0, line=60.0, peak=6.0), "unknown"),
+    ],
+)
+def test_the_rule_answers_plain_cases(evidence, before, after, verdict):
+    """No gap, a gap closed, one closed but for its formula, one half closed, and a line that no effect touches."""
+    answers = weigh(evidence, before, after)
+    assert sum(answers.probabilities.values()) == pytest.approx(1.0)
+    assert answers.verdict == verdict
+
+
+def test_the_fainter_the_gap_the_less_an_effect_is_believed():
+    """A remainder below some nats goes unseen, so a faint gap may be another cause's, well imitated."""
+    believed = [weigh({"a": z}, Left(z, 1.0), QUIET).probabilities["a"] for z in (15.0, 60.0, 1000.0)]
+    assert believed[0] < believed[1] < believed[2]
+    assert believed[0] < 0.85
+    assert believed[2] > 0.97
+
+
+def test_what_imitates_easily_is_never_quite_sure():
+    """A wrong constant looks like whatever acts on its term, however large the gap; two effects bend far."""
+    formula, definition = (
+        weigh({"a": 3000.0, "b": 10.0}, ALL, QUIET, definitions=those) for those in (("b",), ("a", "b"))
+    )
+    assert formula.probabilities["a"] > 0.97
+    assert definition.verdict == "a"
+    assert definition.probabilities["a"] < 0.9
+    assert definition.probabilities["unknown"] > 0.1
+    pair = weigh({"a": 3000.0, "b": 10.0}, ALL, Left(400.0, 0.4), pairs=[(("a", "b"), 3900.0, QUIET)])
+    assert 0.8 < pair.pair < 0.9
+    usual = ("bearing_drag", "interface_friction")  # the usual nonlinear model beside a linear one: one answer, not two
+    both = weigh(dict.fromkeys(usual, 3000.0), ALL, Left(400.0, 0.4), pairs=[(usual, 3900.0, QUIET)])
+    assert both.pair > 0.97
+    faint = [weigh({"a": 15.0}, Left(15.0, 1.0), QUIET, definitions=those).probabilities["a"] for those in ((), ("a",))]
+    assert faint[0] == pytest.approx(faint[1])  # where a remainder would go unseen anyhow, nothing is paid twice
+
+
+def test_what_is_left_at_its_own_site_is_laid_to_the_formula():
+    """The same share left elsewhere speaks for another cause."""
+    there, elsewhere = (weigh({"a": 900.0}, ALL, Left(80.0, 0.09, home)) for home in (1.0, 0.0))
+    assert there.verdict == "a"
+    assert elsewhere.verdict == "unknown"
+
+
+def test_a_pair_is_named_where_it_closes_what_one_effect_leaves():
+    """Not where its gain is within what a wrong formula of the first one would give it, nor where it leaves a lot."""
+    half = Left(400.0, 0.4, line=50.0, peak=1.0)
+    named = weigh({"a": 600.0, "b": 100.0}, ALL, half, pairs=[(("a", "b"), 950.0, QUIET)])
+    assert named.verdict == "a"
+    assert named.pair > 0.8
+    assert named.pair_effects == ("a", "b")
+    mended = weigh({"a": 940.0, "b": 100.0}, ALL, QUIET, pairs=[(("a", "b"), 955.0, QUIET)])
+    assert mended.verdict == "a"
+    assert mended.pair < 0.1
+    foreign = weigh({"a": 600.0, "b": 100.0}, ALL, half, pairs=[(("a", "b"), 700.0, Left(300.0, 0.3))])
+    assert foreign.verdict == "unknown"
+
+
+def test_a_second_effect_away_from_the_first_ones_site_is_not_laid_to_its_formula():
+    """The same gain and the same remainder: a pair where it lies elsewhere, one effect where it lies at home."""
+    pair = [(("a", "b"), 3330.0, QUIET)]
+    away, home = (weigh({"a": 3200.0, "b": 300.0}, ALL, Left(90.0, 0.03, home), pairs=pair) for home in (0.0, 1.0))
+    assert away.pair > 0.8
+    assert home.pair < 0.1
+
+
+def test_nothing_is_mended_in_a_formula_that_is_a_definition():
+    """A second effect beside a wrong constant or gain has its gain to itself; it must still be worth its prior."""
+    beside = Left(53.0, 0.002, home=1.0)
+    rows = [(21.0, True), (21.0, False), (1.0, True)]
+    pairs = [(("a", "b"), 5239.0 + gain, Left(0.0, 0.0, exact=exact)) for gain, exact in rows]
+    found = [weigh({"a": 5239.0, "b": 10.0}, ALL, beside, pairs=[pair]) for pair in pairs]
+    assert found[0].pair > 0.8
+    assert found[1].pair < 0.1
+    assert found[2].pair < 0.1
+
+
+def test_what_is_left_counts_against_the_gap_itself():
+    """The share is that of the evidence, by the site map or by the smooth residual, whichever shows more."""
+    gap = Remainder(500.0, 80.0, 8.0, 2000.0, 70.0, 2000.0)
+    rest = Remainder(40.0, 10.0, 8.0, 200.0, 70.0, 200.0)
+    left = left_of(rest, 100.0, gap, 1000.0)
+    assert left.share == pytest.approx(0.1)
+    assert 90.0 < left.nats < 100.0
+    assert left_of(gap, 1000.0, gap, 1000.0).share == 1.0
+    events = Remainder(-3.0, 10.0, 8.0, -50.0, 70.0, 500.0)
+    assert left_of(events, 300.0, gap, 1000.0).share < 0.02
+
+
+def test_what_an_answer_explains_belongs_to_the_gap():
+    """Reversals of a friction are sharp: their formula gains ten times what maps and spectra see of them."""
+    gap = Remainder(138.0, 3.0, 8.0, -20.0, 70.0, 50.0)
+    rest = Remainder(40.0, 0.3, 8.0, -20.0, 70.0, 0.0)
+    assert left_of(rest, 43.0, gap, 130.0).share == pytest.approx(43.0 / 138.0)
+    assert left_of(rest, 43.0, gap, 130.0, explained=1150.0).share == pytest.approx(43.0 / 1193.0)
+    assert left_of(rest, 43.0, gap, 130.0, explained=20.0).share == pytest.approx(43.0 / 138.0)
+
+
+def left_by_trials(before, after, floor):
+    return left_of_squares(*(np.array(x, float) for x in (before, after, floor)))
+
+
+def test_without_repeats_sums_of_squares_tell_what_is_left():
+    """An effect that closes nine tenths is the answer, whatever stays above the noise of the sensors."""
+    before = left_by_trials([1e4], [1e4], [100.0])
+    assert before.share == 1.0
+    assert weigh({"a": 200.0}, before, left_by_trials([1e4], [1e3], [100.0])).verdict == "a"
+    assert weigh({"a": 200.0}, before, left_by_trials([1e4], [8e3], [100.0])).verdict == "unknown"
+    assert weigh({"a": 0.0}, before, before).verdict == "unknown"
+    quiet = left_by_trials([150.0], [148.0], [100.0])
+    assert weigh({"a": 0.0}, quiet, quiet).verdict == "none"
+
+
+def test_the_largest_swing_does_not_decide_alone_what_is_left():
+    """Each trial's share counts the same; one without a gap to reduce does not count."""
+    found = left_by_trials([1e8, 1e4, 150.0], [6e7, 1e3, 100.0], [100.0, 100.0, 100.0])
+    assert found.share == pytest.approx(0.5 * (6e7 / 1e8 + 900.0 / 9900.0), rel=1e-4)
+
+
+def test_both_dry_frictions_are_one_answer_beside_a_linear_model():
+    """Of two pairs of the same evidence the one that is the usual nonlinear model needs no more than a single effect
+    does, and its stronger member is named.
+    """
+    evidence = {"interface_friction": 26.0, "bearing_drag": 12.0, "quadratic_drag": 12.0}
+    before, alone = (left_by_trials([1e6], [x], [100.0]) for x in (1e6, 5e5))
+    both = left_by_trials([1e6], [5e4], [100.0])
+    told = {
+        other: weigh(evidence, before, alone, pairs=[(("interface_friction", other), 31.0, both)])
+        for other in ("bearing_drag", "quadratic_drag")
+    }
+    assert told["bearing_drag"].verdict == "interface_friction"
+    assert told["bearing_drag"].pair > 0.7
+    assert told["quadratic_drag"].pair < 0.5
+
+
+def decaying(number, amplitude, drag=0.0, noise=1e-4, heldout=False):
+    """A pendulum's displacement from a start in motion, with dry friction and an error of slow colour."""
+    times = np.arange(0.0, 6.0, 0.02)
+    model = Model(coupled=False, restoring="pendulum", longest_step=8e-3)
+    rig = {"J1": 1.0, "k1t": 60.0, "c1t": 0.1, "drag": drag, "nu": 100.0, "theta0": amplitude}
+    y = model.simulate(rig, times, quantity="displacement").y[0]
+    y = y + noise * np.random.default_rng(number).standard_normal(y.shape)
+    return TrialRecord(f"trial {number}", "a", False, number, times, y, 0, heldout=heldout)
+
+
+def freely(drag):
+    return Experiment(
+        {"J1": (1.0, 0.0)}, ((60.0, 20.0),),
+        (decaying(1, 0.3, drag), decaying(2, 0.2, drag), decaying(3, 0.25, drag, heldout=True)),
+        "displacement", restoring="pendulum", start="free",
+        priors={"c1t": LogNormal(0.2, 4.0)},
+    )  # fmt: skip
+
+
+def test_an_effect_counts_no_more_than_held_out_readings_gain():
+    """Dry friction that is there predicts unseen readings better; what is fitted to nothing gains nothing there."""
+    experiment = freely(0.3)
+    nominal = calibrate_nominal(experiment, nominal="linear")
+    assert nominal.problem.noise.sensor
+    dry = next(v for e, v in offered(experiment, "linear", EFFECTS) if e.name == "bearing_drag")
+    fit = calibrate(
+        nominal.problem.with_effect(dry),
+        [np.concatenate([nominal.q, [coordinate_of(p.prior, x) for p, x in zip(dry.parameters, start, strict=True)]])
+         for start in dry.starts],
+        eta=nominal.eta, anneal=False,
+    )  # fmt: skip
+    assert held_out_gain(nominal, fit) > 20.0
+    worse = replace(fit, q=fit.q + np.eye(fit.q.size)[-2] * 3.0)
+    rows = [Candidate(EFFECTS["bearing_drag"], dry, (), x, 50.0) for x in (worse, fit)]
+    best, other = corroborated(nominal, rows)
+    assert best.fit is fit
+    assert other.log_evidence < 0.0
+
+
+def test_without_repeats_the_third_pair_by_its_sum_may_be_the_first_by_its_composed_formula(monkeypatch):
+    """Over many periods the sum of two changes ranks pairs wrongly, so all that are fitted are composed."""
+
+    @dataclass
+    class Stub:
+        fit: object
+        effect: object = None
+        log_evidence: float = 0.0
+
+    by_sum, composed = (31.0, 29.0, 28.0, 27.0), (31.0, 29.0, 37.0, 27.5)
+    rows = [Stub(k, log_evidence=z) for k, z in enumerate(by_sum)]
+    monkeypatch.setattr(pipeline, "left_alone", lambda *_: Left(100.0, 0.5, lone=True))
+    monkeypatch.setattr(pipeline, "seconds_of", lambda *_: [])
+    monkeypatch.setattr(pipeline, "best_pairs", lambda *_, **__: list(rows))
+    monkeypatch.setattr(pipeline, "exactly", lambda _, p, __: replace(p, log_evidence=composed[p.fit]))
+    monkeypatch.setattr(pipeline, "corroborated_pairs", lambda _, found: sorted(found, key=lambda p: -p.log_evidence))
+    found = pipeline._pairs_alone(None, [Stub("a fit")], [], 1)
+    assert [p.fit for p in found] == [2, 0, 1, 3]
+    assert found[0].log_evidence == 37.0
+
+
+def test_pairs_are_fitted_in_the_order_of_evidence_and_prior(monkeypatch):
+    """Both dry frictions at once are the usual nonlinear model, and as likely beforehand as a single effect."""
+
+    def second(name, gain):
+        fit = Candidate(EFFECTS["interface_friction"], EFFECTS["interface_friction"].variants[0], (), None, 30.0)
+        row = SimpleNamespace(log_evidence=gain)
+        return Second(fit, EFFECTS[name], EFFECTS[name].variants[0], row)
+
+    fitted = []
+
+    def record(_, rows, __):
+        fitted.extend(s.effect.name for s in rows)
+        return [None for _ in rows]
+
+    monkeypatch.setattr(pairs, "forked_map", record)
+    monkeypatch.setattr(pairs, "pair_problem", lambda *_: None)
+    monkeypatch.setattr(pairs, "restored", lambda *_: None)
+    monkeypatch.setattr(pairs, "_pair", lambda *_: None)
+    known = [second("inertia_error", 3.0), second("sensor_gain", 2.0), second("bearing_drag", -1.0)]
+    nominal = SimpleNamespace(problem=None)
+    assert best_pairs(nominal, [], [], known, most=2, least=-math.inf) == []
+    assert fitted == ["bearing_drag", "inertia_error"]
+    fitted.clear()
+    known[2] = second("bearing_drag", -3.0)
+    best_pairs(nominal, [], [], known, most=2, least=-math.inf)
+    assert fitted == ["inertia_error", "sensor_gain"]
+
+
+def test_records_that_begin_in_motion_try_weak_effects_too():
+    """A long decay adds up what a weak effect does, and a strong one would end it at once."""
+    own = {v.name: v for e, v in offered(freely(0.0), "linear", EFFECTS) if e.name == "bearing_drag"}["dry"]
+    at_rest = replace(freely(0.0), start="rest")
+    usual = {v.name: v for e, v in offered(at_rest, "linear", EFFECTS) if e.name == "bearing_drag"}["dry"]
+    assert min(s[0] for s in own.starts) == pytest.approx(0.1 * min(s[0] for s in usual.starts))
+    assert {s[1] for s in own.starts} == {s[1] for s in usual.starts}
+
+
+def test_two_effects_change_the_records_by_the_sum_of_their_changes():
+    """At the same parameters, and each alone is what the other's null leaves."""
+    experiment = make_experiment(1, n=80)
+    base = Problem(experiment)
+    first, second = EFFECTS["quadratic_drag"].variants[0], EFFECTS["sensor_gain"].variants[0]
+    both = PairProblem(base, first, second)
+    q1, q2 = np.full(len(first.parameters), 0.3), np.full(len(second.parameters), -0.4)
+    group = both.groups[0]
+    which, eta = np.arange(len(group.trials)), np.zeros((len(group.trials), len(group.nuisances)))
+
+    def read(problem, *parts):
+        q = np.tile(np.concatenate([np.zeros(base.size), *parts]), (which.size, 1))
+        return problem.simulate(group, which, q, eta)
+
+    nominal = read(base)
+    total = read(both, q1, q2) - nominal
+    parts = read(both.parts[0], q1) - nominal, read(both.parts[1], q2) - nominal
+    assert np.allclose(total, parts[0] + parts[1])
+    assert min(np.abs(p).max() for p in parts) > 1e3 * np.abs(total - parts[0] - parts[1]).max()
+    coupled = next(g for g in both.groups if g.coupled).trials[:1]
+    fewer = both.for_trials(coupled)
+    assert fewer.names == both.names
+    assert fewer.trials == coupled
+
+
+def test_a_wrong_constant_beside_another_effect_is_exact_and_needs_no_kernel_of_its_own():
+    """Whichever comes first: the records are those of a rig that has the constant, under the other effect."""
+    experiment = make_experiment(1, n=80)
+    base = Problem(experiment)
+    spring, inertia = EFFECTS["spring_cubic"].variants[0], EFFECTS["inertia_error"].variants[0]
+    e = 0.2
+    j2, sd = experiment.constants["J2"]
+    heavier = replace(experiment, constants={**experiment.constants, "J2": (j2 * (1.0 + e), sd)})
+    wanted = Problem(heavier).with_effect(spring)
+    own = np.full(len(spring.parameters), 0.5)
+    error = coordinate_of(inertia.parameters[0].prior, e)
+    priors = zip(base.coordinates, wanted.coordinates, strict=False)  # those of the coupling go with J2
+    same = [coordinate_of(there.prior, float(from_standard(here.prior, 0.0))) for here, there in priors]
+    for both in (pair_problem(base, spring, inertia), pair_problem(base, inertia, spring)):
+        assert isinstance(both, ComposedProblem)
+        assert both.variants == (spring, inertia)
+        for group, alike in zip(both.groups, wanted.groups, strict=True):
+            which, eta = np.arange(len(group.trials)), np.zeros((len(group.trials), len(group.nuisances)))
+            q = np.tile(np.concatenate([np.zeros(base.size), own, [error]]), (which.size, 1))
+            known = np.tile(np.concatenate([same, own]), (which.size, 1))
+            found, right = both.simulate(group, which, q, eta), wanted.simulate(alike, which, known, eta)
+            np.testing.assert_allclose(found, right, rtol=0.0, atol=1e-9 * np.abs(right).max())
+            kernel, alone = (integrator.kernel_file(p.models[group.coupled].bound()) for p in (both, wanted))
+            assert kernel == alone
+    assert isinstance(pair_problem(base, spring, EFFECTS["sensor_gain"].variants[0]), PairProblem)
+
+
+def test_a_share_is_told_without_a_unit():
+    told = {"mean": 0.1463, "sd": 0.02, "hdi90": [0.1125, 0.18]}
+    assert _estimated(told | {"unit": "1"}) == "0.1463, 90 % interval 0.1125 to 0.18"
+    assert _estimated(told | {"unit": "rad"}) == "0.1463 rad, 90 % interval 0.1125 to 0.18"
+
+
+def test_two_effects_that_are_the_answer_share_one_bar():
+    probabilities = {"a": 0.7, "b": 0.1, "none": 0.2}
+    likely = {"effects": ["a", "b"], "probability": 0.6}
+    assert named_answers(probabilities, likely) == {"a + b": 0.7, "b": 0.1, "none": 0.2}
+    assert named_answers(probabilities, likely | {"probability": 0.3}) == probabilities
+    assert named_answers(probabilities, None) == probabilities
+
+
+def test_the_credible_set_is_the_smallest():
+    """Answers are taken by probability until nine tenths are reached."""
+    answers = Answers({"a": 0.6, "b": 0.35, "none": 0.05}, 1.0, QUIET, 0.0)
+    assert answers.credible_set() == ["a", "b"]
+
+
+def test_scales_keep_the_kernels_of_a_rig_like_the_thesis_s():
+    """Magnitudes near the reference are rounded to it, so that no kernel is compiled anew."""
+    scales = scales_of(make_experiment(1, n=50))
+    assert (scales.angle, scales.torque) == (0.1, 0.8)
+
+
+def test_a_drift_that_beats_every_effect_counts_for_unknown():
+    """Evidence of the generic drift takes the probability from the best effect, and leaves it when it loses."""
+    wins = weigh({"a": 900.0, "b": 700.0}, ALL, QUIET, generic=950.0)
+    loses = weigh({"a": 900.0, "b": 700.0}, ALL, QUIET, generic=850.0)
+    assert wins.verdict == "unknown"
+    assert loses.verdict == "a"
+
+
+def test_leaving_a_trial_out_is_what_a_fit_without_it_would_say():
+    """The quadratic's evidence changes as that of a refit, and the prior's width as a refit under that prior."""
+    experiment = make_experiment(2, n=120)
+    fit = calibrate_nominal(experiment)
+    quadratic = Quadratic.of(fit)
+    assert quadratic.log_evidence() == pytest.approx(fit.log_evidence, abs=0.01)
+    rest = tuple(i for i in fit.problem.trials if i != fit.problem.trials[0])
+    fewer = fit.problem.for_trials(rest)
+    keep = [fit.problem.names.index(n) for n in fewer.names]
+    refit = calibrate(fewer, [fit.q[keep]], eta={i: fit.eta[i] for i in rest}, anneal=False)
+    assert quadratic.log_evidence(without=fit.problem.trials[:1]) == pytest.approx(refit.log_evidence, abs=0.5)
+    assert quadratic.log_evidence(widths=2.0) < quadratic.log_evidence()
+
+
+def test_a_burst_in_one_trial_is_left_out_and_one_in_all_repeats_is_not():
+    """The first is the measurement's, the second the rig's."""
+    experiment = make_experiment(2, n=160)
+    coupled = [i for i, t in enumerate(experiment.trials) if t.coupled and not t.heldout]
+    burst = np.zeros_like(experiment.trials[coupled[0]].y)
+    burst[:, 100:106] = 40.0 * np.array([1, -1, 1, 1, -1, 1])
+
+    def found(members):
+        trials = [replace(t, y=t.y + burst) if i in members else t for i, t in enumerate(experiment.trials)]
+        fit = calibrate_nominal(replace(experiment, trials=tuple(trials)))
+        return fit.problem.experiment, outlying(fit)
+
+    assert found(())[1] == {}
+    dirty, far = found(coupled[:1])
+    assert list(far) == coupled[:1]
+    assert set(np.flatnonzero(far[coupled[0]].any(axis=0))) == set(range(100, 106))
+    clean = without(dirty, far)
+    assert np.isnan(clean.trials[coupled[0]].y[0, 100:106]).all()
+    assert "left out" in told(dirty, far)[0]
+    assert found(coupled)[1] == {}
+
+
+def test_a_gap_in_a_few_readings_of_each_record_is_named_with_doubt():
+    """What shows in one or two readings alone is imitated by anything that acts there, however sure it is."""
+    many = weigh({"a": 900.0}, ALL, Left(-3.0, 0.0, readings=150.0))
+    few = weigh({"a": 900.0}, ALL, Left(-3.0, 0.0, readings=1.5))
+    assert few.verdict == many.verdict == "a"
+    assert few.probabilities["unknown"] > 2.0 * many.probabilities["unknown"]
+    assert few.probabilities["a"] < 0.95 < many.probabilities["a"]
+
+
+def test_the_peak_of_a_smooth_remainder_is_no_line():
+    """At the answer's own site a smooth remainder is laid to its formula; as much of it in a line is another cause."""
+    smooth = weigh({"a": 9000.0}, ALL, Left(900.0, 0.06, home=0.9, line=50.0, peak=10.0))
+    lined = weigh({"a": 9000.0}, ALL, Left(900.0, 0.06, home=0.9, line=800.0, peak=10.0))
+    assert smooth.verdict == "a"
+    assert lined.verdict == "unknown"
+
+
+def test_readings_of_a_change_count_those_that_carry_it(named):
+    """Infinite for no change; for a drag, spread over the record, a good part of its readings."""
+    found, _, _ = named
+    assert math.isinf(readings_of_change(found.nominal, found.nominal))
+    assert 20.0 < readings_of_change(found.nominal, found.winner.fit) < 500.0
+
+
+def test_the_probabilities_can_be_made_again_from_the_file(named):
+    """What diagnosis.json holds of the weighing gives its probabilities, and under other constants others."""
+    _, table, _ = named
+    again = replay(table)
+    assert again.probabilities == pytest.approx(table["probabilities"])
+    assert replay(table, replace(RULE, unseen=1e6)).probabilities["unknown"] > again.probabilities["unknown"]
+    with pytest.raises(InputError, match="older version"):
+        replay({k: v for k, v in table.items() if k != "weighed"})
+
+
+def test_formulas_that_few_readings_show_are_not_told_apart_by_a_few_nats():
+    """A release over half a millisecond and a slow sensor both lower the first reading, and nothing else."""
+    evidence = {"release_ramp": 754.5, "sensor_bandwidth": 751.6, "spring_cubic": 2.0}
+    before, after = Left(700.0, 1.0), Left(0.0, 0.0, readings=1.3)
+    told = weigh(evidence, before, after)
+    assert told.verdict == "release_ramp"
+    assert "sensor_bandwidth" in told.credible_set()
+    assert "sensor_bandwidth" not in weigh(evidence, before, replace(after, readings=300.0)).credible_set()
+
+
+@pytest.mark.slow
+def test_slightly_coloured_noise_without_repeats_is_no_gap():
+    """A fifth of the noise's variance is slow. No repeat tells it from a model's error; white noise it must not be."""
+    rng = np.random.default_rng(4)
+
+    def slowly(times, y):
+        kick = rng.standard_normal(y.shape)
+        return y + 0.45 * NOISE * lfilter([math.sqrt(1.0 - 0.9**2)], [1.0, -0.9], kick, axis=1)
+
+    experiment = measured(6, sensor=slowly, repeats=2, noise=0.9 * NOISE, duration=0.8)
+    fit = calibrate_nominal(experiment)
+    assert all(level > sensor for level, sensor in zip(fit.problem.noise.total, fit.problem.noise.sensor, strict=True))
+    found = diagnose(experiment)
+    assert found.verdict == "none"
+    assert found.answers.probabilities["unknown"] < 0.2
+
+
+def test_drags_of_single_trials_are_told_only_where_the_drag_itself_is_known():
+    """A friction that hardly acts differs from trial to trial by any factor, which means nothing."""
+    fit = calibrate_nominal(measured(5), switches=Switches(drag=True))
+    drags = pipeline.own_drags(fit)
+    assert drags.size > 2
+    assert np.std(drags) < 0.1
+    assert pipeline.own_drags(replace(fit, covariance=1e4 * fit.covariance)).size == 0

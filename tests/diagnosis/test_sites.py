@@ -1,0 +1,300 @@
+"""The site map: responses against full simulations, the right site for known causes, honest evidence and torque."""
+
+import csv
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal
+from small_rig import RIG, knock, measured, variant
+
+from bayes_damper.calibration import calibrate_nominal, predict
+from bayes_damper.diagnosis.response import _steps, motions, project, project_parts
+from bayes_damper.diagnosis.sites import (
+    STRENGTHS,
+    _torque_site,
+    dense_evidence,
+    predicted_gap,
+    shares_of,
+    site_map,
+    write_missing_torque,
+)
+from bayes_damper.effects.base import SITES, EffectParameter, Variant
+from bayes_damper.priors.distributions import HalfNormal
+from bayes_damper.rig.vector_math import exp, lane, tanh
+from bayes_damper.simulation.model import Model
+
+CUBIC = {"effect": variant("magnet_cubic", "cubic"), "values": {"cubic": 200.0}}
+
+
+@pytest.fixture(scope="module")
+def faultless():
+    return calibrate_nominal(measured(3))
+
+
+@pytest.fixture(scope="module")
+def interface():
+    fit = calibrate_nominal(measured(4, **CUBIC))
+    return fit, site_map(fit)
+
+
+def test_linearised_response_agrees_with_a_simulation(faultless):
+    """A small torque that depends on the motion, through full simulation and through the variational equations."""
+    size = 0.05
+    for motion in motions(faultless):
+        group = motion.group
+        torque = -size * motion.phi**3 * group.coupled
+        response = motion.respond(torque[:, None], -torque[:, None])[:, 0]
+        values = {k: v[0] for k, v in faultless.parameters.items()}
+        for k, i in enumerate(group.trials):
+            trial = faultless.problem.experiment.trials[i]
+            rig = RIG | values | {
+                "k1t": faultless.problem.experiment.stiffnesses[trial.k1t][0], "theta0": motion.theta0[k],
+            }  # fmt: skip
+            bare = Model(group.coupled).simulate(rig, group.times).y[0]
+            other = Model(group.coupled, effect=CUBIC["effect"])
+            changed = other.simulate(rig, group.times, effect={"cubic": size}, tolerance=0.1).y[0]
+            still = other.simulate(rig, group.times, effect={"cubic": 0.0}, tolerance=0.1).y[0]
+            assert np.allclose(motion.y[k], bare, atol=1e-3 * np.abs(bare).max())
+            if not group.coupled:
+                assert not np.any(response[k])
+                continue
+            difference = changed - still
+            error = np.median(np.abs(response[k] - difference))
+            assert error < 0.02 * np.median(np.abs(difference))
+
+
+def test_projection_takes_out_what_parameters_can_do(faultless):
+    """A column that a parameter already has is left with next to nothing; noise is left as it is."""
+    rng = np.random.default_rng(1)
+    columns = []
+    for block in faultless.linear.blocks:
+        n, _, d = block.J.shape
+        columns.append(np.stack([block.J[:, 0], block.J[:, 1], rng.standard_normal((n, d))], axis=1))
+    judged = project(faultless, columns)
+    left = np.diag(judged.gram) / judged.raw
+    assert np.all(left[:2] < 1e-2)
+    assert left[2] > 0.95
+
+
+@pytest.mark.parametrize(
+    ("site", "cause"),
+    [
+        ("ground1", {"effect": variant("spring_cubic"), "values": {"k3": 40.0}}),
+        ("ground1", {"torque": knock(0.2, 0.012, 0.06)}),
+        ("bearings", {"effect": variant("quadratic_drag"), "values": {"coefficient": 0.3}}),
+        ("sensor", {"sensor": lambda t, y: np.clip(y, -130.0, 130.0)}),
+        ("sensor", {"sensor": lambda t, y: y + (np.array([[0.0], [0.12]]) * y[:1])[: len(y)]}),
+        ("sensor", {"sensor": lambda t, y: np.where((t > 0.131) & (t < 0.139), y[:, [131]], y)}),
+        ("release", {"torque": knock(0.004, 0.006, 0.25)}),
+    ],
+    ids=["hardening", "knock", "drag", "clipping", "crosstalk", "held reading", "second touch"],
+)
+def test_a_cause_is_found_at_its_site(site, cause):
+    found = site_map(calibrate_nominal(measured(5, **cause)), torque=False)
+    assert found.best == site
+    assert found.probabilities["none"] < 0.01
+    assert site in found.credible_set()
+    assert abs(sum(found.probabilities.values()) - 1.0) < 1e-12
+
+
+@lane
+def _dent(t, th1, th2, w1, w2, z1, z2, p, rig):
+    """Both shafts rest in a dent of their races 0.02 rad off the middle."""
+    x1, x2 = (th1 - 0.02) / 0.01, (th2 - 0.02) / 0.01
+    return -p[0] * x1 * exp(-0.5 * x1 * x1), -p[0] * x2 * exp(-0.5 * x2 * x2)
+
+
+@lane
+def _one_way(t, th1, th2, w1, w2, z1, z2, p, rig):
+    """Seals that drag in one direction only."""
+    return -p[0] * 0.5 * (1.0 + tanh(rig.nu * w1)), -p[0] * 0.5 * (1.0 + tanh(rig.nu * w2))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", [_dent, _one_way], ids=["dent", "one way"])
+def test_bearings_are_told_from_springs_and_weights(law):
+    """What bearings do depends on the angle or the direction of each shaft, and is the same law on both."""
+    size = EffectParameter("size", "N m", "Torque.", HalfNormal(1.0), "For this test.", 0.0)
+    cause = Variant(name="law", formula="Q = law(th, w)", parameters=(size,), torque=law, couples="bodies")
+    found = site_map(calibrate_nominal(measured(5, effect=cause, values={"size": 0.05}, duration=0.8)))
+    assert found.best == "bearings"
+    assert found.torque_site == "bearings"
+
+
+def test_torque_is_told_where_it_may_be_missing():
+    """A site that is not the likeliest one, but not excluded, has its torque told; beside a sure sensor none has."""
+    some = {"ground1": 0.3, "bearings": 0.05, "sensor": 0.6, "none": 0.05}
+    assert _torque_site(some) == "ground1"
+    assert _torque_site(some | {"ground1": 0.02, "sensor": 0.88}) is None
+    assert _torque_site({"sensor": 0.5, "none": 0.5}) is None
+    wrong_start = {"release": 0.6, "ground1": 0.3, "sensor": 0.05, "none": 0.05}
+    assert _torque_site(wrong_start) == "release"
+    assert _torque_site(wrong_start, {"release"}) == "ground1"
+
+
+def test_interface_torque_is_found_at_the_interface_with_its_shape(interface):
+    """The missing torque grows with the cube of the relative angle, apart from what stiffness and damping can take."""
+    fit, found = interface
+    assert found.best == "interface"
+    assert found.probabilities["interface"] > 0.9
+    coupled = [m for m in found.torque if np.any(m.th2)]
+    assert len(coupled) == 4
+    for m in coupled:
+        assert np.allclose(m.torque[0], -m.torque[1])
+    phi = np.concatenate([m.phi for m in coupled])
+    slip = np.concatenate([m.slip for m in coupled])
+    q2 = np.concatenate([m.torque[1] for m in coupled])
+    nominal = np.column_stack([phi, slip, np.tanh(60.0 * slip), np.tanh(60.0 * slip) * np.abs(phi)])
+
+    def beyond(x):
+        return x - nominal @ np.linalg.lstsq(nominal, x, rcond=None)[0]
+
+    shape = beyond(q2)
+    expected = beyond(200.0 * phi**3)
+    assert np.corrcoef(shape, expected)[0, 1] > 0.9
+    assert set(found.curve()) == {"phi", "slip"}
+    assert fit.problem.experiment.coupled
+
+
+@pytest.mark.parametrize(("on", "names"), [((1.0, 0.0), {"th1", "w1"}), ((0.0, 1.0), {"th2", "w2"})])
+def test_a_torque_of_the_release_is_shown_on_the_body_that_it_acts_on(interface, on, names):
+    """A release may push either body: the curve takes the coordinates of the one that was pushed."""
+    _, found = interface
+    torque = tuple(replace(m, torque=m.torque * np.array(on)[:, None]) for m in found.torque)
+    pushed = replace(found, torque=torque, torque_site="release")
+    assert names == set(pushed.curve())
+    assert pushed.torque_body == on.index(1.0)
+
+
+def test_missing_torque_is_what_the_fitted_laws_lack(interface):
+    """True torque between the bodies less that of the nominal laws at their fitted parameters, along the motion.
+
+    All but the smoothing constant, which belongs to the bearings too.
+    """
+    fit, found = interface
+    fitted = RIG | {name: value for name, (value, _) in fit.parameters.items() if name != "nu"}
+
+    def between(rig, m):
+        pull = np.maximum(0.0, 1.0 - rig["R"] * np.abs(m.phi) / (2.0 * rig["r"]))
+        dry = rig["mu"] * rig["N0"] * rig["R"] * pull * np.tanh(rig["nu"] * m.slip)
+        return rig["k2t"] * m.phi + rig["c2t"] * m.slip + dry
+
+    coupled = [m for m in found.torque if np.any(m.th2)]
+    told = np.concatenate([m.torque[1] for m in coupled])
+    lacking = np.concatenate([between(RIG, m) + 200.0 * m.phi**3 - between(fitted, m) for m in coupled])
+    assert np.corrcoef(told, lacking)[0, 1] > 0.92
+    assert np.std(told) == pytest.approx(np.std(lacking), rel=0.15)
+
+
+def test_without_a_gap_the_map_says_none(faultless):
+    found = site_map(faultless)
+    assert found.probabilities["none"] > 0.5
+    assert set(found.probabilities) == {*SITES, "none"}
+
+
+def test_missing_torque_is_written_as_a_table(tmp_path, interface):
+    fit, found = interface
+    path = tmp_path / "missing_torque.csv"
+    write_missing_torque(path, found)
+    with path.open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == sum(fit.problem.experiment.trials[i].times.size for i in fit.problem.trials)
+    row = next(r for r in rows if r["configuration"] == "coupled" and float(r["time_s"]) > 0.1)
+    assert float(row["torque1_n_m"]) == pytest.approx(-float(row["torque2_n_m"]))
+    assert float(row["torque1_sd_n_m"]) > 0.0
+
+
+def test_shapes_learnt_in_training_predict_the_held_out_trials(interface):
+    """Adding what the site map learnt brings held-out residuals closer to the noise."""
+    fit, found = interface
+    heldout = fit.problem.experiment.heldout
+    before = predict(fit, heldout)
+    extra = predicted_gap(found)
+    x0 = sum(np.sum(before[i].residual[:, 3:] ** 2) for i in heldout)
+    x1 = sum(np.sum((before[i].residual - extra[i])[:, 3:] ** 2) for i in heldout)
+    floor = sum(4.0 * before[i].residual[:, 3:].size for i in heldout)
+    assert x0 - floor > 500.0
+    assert (x0 - x1) / (x0 - floor) > 0.7
+
+
+def test_evidence_equals_the_ratio_of_densities():
+    """Against the two multivariate normal densities of the data, averaged over the strengths of the prior."""
+    rng = np.random.default_rng(2)
+    root = rng.standard_normal((30, 3))
+    root /= np.linalg.norm(root, axis=0)
+    y = rng.standard_normal(30) + root @ np.array([4.0, -2.0, 1.0])
+    ratios = [
+        multivariate_normal(np.zeros(30), np.eye(30) + s**2 * root @ root.T).logpdf(y)
+        - multivariate_normal(np.zeros(30), np.eye(30)).logpdf(y)
+        for s in STRENGTHS
+    ]
+    value, strength = dense_evidence(root.T @ root, root.T @ y)
+    assert value == pytest.approx(logsumexp(ratios) - np.log(len(ratios)), rel=1e-6)
+    assert strength == STRENGTHS[int(np.argmax(ratios))]
+
+
+def test_probabilities_share_what_surrogates_cannot_tell():
+    """Differences of a few per cent of a large evidence leave both sites possible; a small gap is told from none."""
+    everywhere = {None: 1.0}
+    close = shares_of({("ground1", None): 3000.0, ("sensor", None): 2990.0, ("interface", None): 900.0}, everywhere)
+    assert 0.3 < close["sensor", None] < close["ground1", None] < 0.7
+    assert sum(close.values()) == pytest.approx(1.0, abs=1e-9)
+    assert close["interface", None] < 0.01
+    assert sum(shares_of({("ground1", None): -3.0, ("sensor", None): -3.0}, everywhere).values()) < 0.1
+
+
+def test_what_acts_in_one_case_only_must_explain_more_than_what_acts_in_all():
+    """Equal evidence leaves the prior's odds, however large the gap is."""
+    priors = {None: 0.9, "case I": 0.1}
+    for gap in (10.0, 3000.0):
+        equal = shares_of({("ground1", None): gap, ("sensor", "case I"): gap}, priors)
+        assert equal["ground1", None] == pytest.approx(9.0 * equal["sensor", "case I"])
+        more = shares_of({("ground1", None): gap, ("sensor", "case I"): 2.0 * gap}, priors)
+        assert more["sensor", "case I"] > more["ground1", None]
+
+
+def test_columns_on_a_part_of_the_trials_are_columns_that_are_nothing_elsewhere():
+    """Projected piece by piece, as at once."""
+    fit = calibrate_nominal(measured(4, configurations=(False,)))
+    rng = np.random.default_rng(1)
+    cases = [fit.problem.experiment.trials[i].case for b in fit.linear.blocks for i in b.group.trials]
+    columns = [rng.standard_normal((b.r.shape[0], 5, b.r.shape[1])) for b in fit.linear.blocks]
+    assert len(columns) == 1
+    assert set(cases) == {"I", "IV"}
+    pieces = project_parts(fit, columns, lambda i: fit.problem.experiment.trials[i].case)
+    inside = np.array([case == "IV" for case in cases])[:, None, None]
+    for found, given in ((pieces.on(), columns[0]), (pieces.on({"IV"}), columns[0] * inside)):
+        expected = project(fit, [given])
+        for name in ("gram", "product", "raw", "absorbed"):
+            assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-9, abs=1e-9)
+
+
+def test_a_sensor_that_lags_in_one_case_is_found_there_and_said_to_lag_in_that_case():
+    """In other cases nothing is missing, on held-out trials either."""
+    made = measured(3, cases=(("I", 0, 0.1), ("II", 0, 0.06), ("IV", 1, 0.08)))
+
+    def read(t):
+        late = np.interp(t.times - 1e-3, t.times, t.y[-1])
+        return replace(t, y=np.stack([t.y[0], late])) if t.coupled and t.case == "II" else t
+
+    found = site_map(calibrate_nominal(replace(made, trials=tuple(read(t) for t in made.trials))))
+    assert found.best == "sensor"
+    assert found.only == "case II"
+    assert found.to_json()["only"]["sensor"] == "case II"
+    sizes = {True: [], False: []}
+    for i, change in predicted_gap(found).items():
+        trial = made.trials[i]
+        sizes[trial.coupled and trial.case == "II"].append(float(np.sqrt(np.mean(change**2))))
+    assert min(sizes[True]) > 3.0 * max(sizes[False])
+
+
+def test_a_sharp_friction_does_not_ring_from_sample_to_sample():
+    """A change of the start is damped by a stiff friction at rest within a step, not turned over by it."""
+    stiff = np.array([[[[0.0, 0.0], [0.0, 0.0]]]])
+    damped = np.array([[[[-40.0, 0.0], [0.0, -0.2]]]])
+    step, push = _steps(stiff, damped, np.eye(2)[None], np.array([[1.0]]))
+    assert abs(step[0, 0, 2, 2]) < 0.05
+    assert step[0, 0, 3, 3] == pytest.approx(np.exp(-0.2), rel=1e-4)
+    assert push[0, 0, 3, 1] == pytest.approx((1.0 - np.exp(-0.2)) / 0.2, rel=1e-4)

@@ -1,0 +1,76 @@
+"""Workers of long runs: they end with the process that started them."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayes_damper.runs.execution import read_json, write_json
+
+ENDLESS = """
+import os, time
+from pathlib import Path
+
+def endless(folder, report):
+    (folder / "pid").write_text(str(os.getpid()))
+    while True:
+        time.sleep(0.05)
+        (folder / "alive").write_text("yes")
+"""
+RUN = """
+from pathlib import Path
+from bayes_damper.runs.execution import Task, run_tasks
+if __name__ == "__main__":
+    run_tasks([Task(n, "endless:endless") for n in ("a", "b")], Path("out"), workers=2)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL")
+def test_workers_end_when_their_parent_is_killed(tmp_path):
+    (tmp_path / "endless.py").write_text(ENDLESS)
+    (tmp_path / "go.py").write_text(RUN)
+    root = str(Path(__file__).resolve().parents[2])
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), root])}
+    parent = subprocess.Popen([sys.executable, "go.py"], cwd=tmp_path, env=environment)
+    alive = [tmp_path / "out" / name / "alive" for name in ("a", "b")]
+    try:
+        _until(lambda: all(path.exists() for path in alive), 60.0)
+    finally:
+        os.kill(parent.pid, signal.SIGKILL)
+        parent.wait()
+
+    def still() -> bool:
+        before = [path.stat().st_mtime_ns for path in alive]
+        time.sleep(0.5)
+        return before == [path.stat().st_mtime_ns for path in alive]
+
+    try:
+        _until(still, 20.0)
+    finally:
+        for name in ("a", "b"):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(int((tmp_path / "out" / name / "pid").read_text()), signal.SIGKILL)
+
+
+def test_files_hold_null_where_a_number_is_not_finite(tmp_path):
+    """Nothing that a long run found is lost to a single number that JSON cannot hold."""
+    found = {"x": np.array([1.0, np.nan]), "y": {"z": (np.float64(np.inf), 2)}, "n": np.int64(3)}
+    write_json(tmp_path / "new" / "a.json", found)
+    assert read_json(tmp_path / "new" / "a.json") == {"x": [1.0, None], "y": {"z": [None, 2]}, "n": 3}
+    assert [p.name for p in (tmp_path / "new").iterdir()] == ["a.json"]
+
+
+def _until(condition, seconds: float) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.05)

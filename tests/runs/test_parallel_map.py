@@ -1,0 +1,122 @@
+"""Work shared among forked processes: the answers of one process, whoever gave them."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayes_damper.effects import EFFECTS
+from bayes_damper.rig.kernels import compiled
+from bayes_damper.runs.parallel_map import can_fork, forked_map
+from bayes_damper.simulation import integrator
+from bayes_damper.simulation.model import Model
+from bayes_damper.simulation.precompile import compile_ahead
+
+forks = pytest.mark.skipif(not can_fork(), reason="this system cannot fork")
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_answers_come_in_the_order_of_the_items(count):
+    assert forked_map(lambda x: x**2, list(range(7)), count) == [x**2 for x in range(7)]
+    assert forked_map(lambda x: x**2, [], count) == []
+
+
+@forks
+def test_the_work_is_done_elsewhere():
+    assert os.getpid() not in forked_map(lambda _: os.getpid(), range(4), 2)
+
+
+def test_an_error_arises_here():
+    def work(x):
+        return 1.0 / x
+
+    with pytest.raises(ZeroDivisionError):
+        forked_map(work, [1.0, 0.0, 2.0], 2)
+
+
+@forks
+def test_what_a_dead_process_took_with_it_is_done_here():
+    here = os.getpid()
+
+    def work(x):
+        if os.getpid() != here and x == 2:
+            os._exit(9)
+        return x, os.getpid() == here
+
+    answers = forked_map(work, range(6), 2)
+    assert [x for x, _ in answers] == list(range(6))
+    assert answers[2] == (2, True)
+
+
+@forks
+def test_an_answer_that_cannot_be_sent_is_found_here():
+    answers = forked_map(lambda x: lambda: x, [1, 2, 3], 2)
+    assert [answer() for answer in answers] == [1, 2, 3]
+
+
+@forks
+@pytest.mark.slow
+def test_kernels_are_compiled_ahead_and_not_again(tmp_path, monkeypatch):
+    monkeypatch.setenv("BAYES_DAMPER_CACHE", str(tmp_path))
+    monkeypatch.setattr("bayes_damper.simulation.precompile.cores", lambda: 2)
+    variants = [
+        EFFECTS[name].variants[0] for name in ("quadratic_drag", "spring_cubic", "bearing_stribeck", "magnet_cubic")
+    ]
+    models = [Model(False, effect=variant) for variant in variants]
+    told = []
+    wanted = {
+        integrator.kernel_file(model.bound()).stem for model in models
+    }  # what acts on both bodies alone is nothing
+    assert compile_ahead([*models, *models], tell=told.append) == len(wanted) == 4
+    assert len(told) == 1
+    assert {path.name.split(".")[0] for path in (tmp_path / "__pycache__").glob("advance_*.nbi")} == wanted
+    assert compile_ahead(models, tell=told.append) == 0
+    assert len(told) == 1
+    kernel = integrator.specialise(models[0].bound())
+    assert sum(kernel.stats.cache_hits.values()) == 1
+    assert sum(kernel.stats.cache_misses.values()) == 0
+
+
+def test_a_loop_is_compiled_where_nothing_can_be_kept(tmp_path):
+    """In a file that does not exist numba finds no place for machine code."""
+    source = "def double(x):\n    for i in range(x.size):\n        x[i] *= 2.0\n"
+    space: dict = {}
+    exec(compile(source, "<nowhere>", "exec"), space)
+    x = np.arange(3.0)
+    compiled()(space["double"])(x)
+    np.testing.assert_array_equal(x, [0.0, 2.0, 4.0])
+
+
+@forks
+def test_a_stopped_run_leaves_no_process_behind(tmp_path):
+    """Interrupted by one of its processes while both work, it ends, and they with it."""
+    code = (
+        "import os, pathlib, signal, sys, time\n"
+        "from bayes_damper.runs.parallel_map import forked_map\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell's background jobs begin deaf to it
+        "begun = pathlib.Path(sys.argv[1])\n"
+        "def work(x):\n"
+        "    os.write(1, f'{os.getpid()}\\n'.encode())\n"  # at once: two processes write here
+        "    if x == 0:\n"
+        "        begun.touch()\n"
+        "    while not begun.exists():\n"
+        "        time.sleep(0.01)\n"
+        "    if x == 1:\n"
+        "        os.kill(os.getppid(), signal.SIGINT)\n"
+        "    time.sleep(60)\n"
+        "try:\n"
+        "    forked_map(work, range(4), 2)\n"
+        "except KeyboardInterrupt:\n"
+        "    print('stopped', flush=True)\n"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path / "begun")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=50, check=True)
+    *pids, last = done.stdout.split()
+    assert last == "stopped"
+    assert len(pids) == 2
+    assert not any(Path(f"/proc/{pid}").exists() for pid in pids)

@@ -1,0 +1,25 @@
+"""posterior.nc goes out and comes back, and ArviZ reads it."""
+
+import numpy as np
+import pytest
+
+from bayes_damper.sampling.arviz_adapter import hdi, read, results, write
+
+
+def test_the_file_comes_back_and_arviz_opens_it(tmp_path):
+    rng = np.random.default_rng(0)
+    draws = rng.standard_normal((4, 20, 8))
+    groups = {"observed_data": {"y": np.arange(3.0)}, "log_likelihood": {"trial": rng.standard_normal((4, 160, 2))}}
+    write(results({"mu": draws}, log_prob=-draws, groups=groups, attributes={"seed": 1}), tmp_path / "posterior.nc")
+    tree = read(tmp_path / "posterior.nc")
+    assert set(tree.children) == {"posterior", "sample_stats", "observed_data", "log_likelihood"}
+    assert tree.attrs["seed"] == 1
+    assert np.array_equal(tree["posterior"]["mu"].values, draws.reshape(4, 160))
+    peer = pytest.importorskip("arviz_base").convert_to_datatree(str(tmp_path / "posterior.nc"))
+    assert peer["posterior"]["mu"].dims == ("chain", "draw")
+
+
+def test_the_shortest_interval_of_a_normal():
+    low, high = hdi(np.random.default_rng(0).standard_normal(200_000))
+    assert low == pytest.approx(-1.645, abs=0.06)
+    assert high == pytest.approx(1.645, abs=0.06)

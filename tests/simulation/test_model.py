@@ -1,0 +1,107 @@
+"""The model as its callers see it: inputs, readings, failures, and independence of batch, order and threads."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import reference
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bayes_damper.runs.outcome import Outcome
+from bayes_damper.simulation.model import Model
+
+TIMES = np.arange(0.0, 0.1005, 1e-3)
+
+
+def _table(n, seed=1):
+    return reference.BASE | reference.draw(n, seed)
+
+
+def _take(parameters, index):
+    return {k: np.asarray(v)[index] if np.ndim(v) else v for k, v in parameters.items()}
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 40), threads=st.sampled_from([1, 2]))
+def test_a_record_is_bitwise_the_same_alone_in_any_batch_and_in_any_order(seed, n, threads):
+    everything = _table(40)
+    whole = Model().simulate(everything, TIMES).y
+    chosen = np.random.default_rng(seed).permutation(40)[:n]
+    np.testing.assert_array_equal(Model().simulate(_take(everything, chosen), TIMES, threads=threads).y, whole[chosen])
+
+
+def test_delays_of_others_do_not_touch_a_record():
+    everything = _table(20) | {"delay": np.linspace(-4e-3, 4e-3, 20)}
+    whole = Model().simulate(everything, TIMES).y
+    for one in (0, 9, 19):
+        np.testing.assert_array_equal(Model().simulate(_take(everything, [one]), TIMES).y[0], whole[one])
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("name", ["k1t", "nu", "theta0", "delay"])
+def test_what_is_not_finite_is_a_counted_failure_and_harms_no_neighbour(name, bad):
+    good = _table(3) | {"delay": np.zeros(3)}
+    spoiled = {k: np.array(np.broadcast_to(v, 3), float) for k, v in good.items()}
+    spoiled[name][1] = bad
+    result = Model().simulate(spoiled, TIMES)
+    assert result.outcome.tolist() == [Outcome.COMPLETED, Outcome.NOT_FINITE_INPUT, Outcome.COMPLETED]
+    assert np.isnan(result.y[1]).all()
+    np.testing.assert_array_equal(result.y[[0, 2]], Model().simulate(good, TIMES).y[[0, 2]])
+
+
+@pytest.mark.parametrize(("name", "value"), [("J1", 0.0), ("J2", -1.0), ("nu", 0.0), ("r", 0.0)])
+def test_what_no_rig_can_have_is_a_counted_failure(name, value):
+    result = Model().simulate(reference.BASE | {name: value}, TIMES)
+    assert result.outcome.tolist() == [Outcome.NOT_FINITE_INPUT]
+
+
+def test_motion_without_bound_is_a_counted_failure():
+    result = Model().simulate(reference.BASE | {"c1t": np.array([-200.0, 0.01])}, np.arange(0.0, 2.0, 1e-3))
+    assert result.outcome[1] == Outcome.COMPLETED
+    assert result.outcome[0] in (Outcome.NOT_FINITE_RECORD, Outcome.STEP_UNDERFLOW)
+    assert np.isnan(result.y[0]).all()
+    assert np.isfinite(result.y[1]).all()
+
+
+def test_shapes_and_defaults():
+    result = Model().simulate(_table(5), TIMES)
+    assert result.y.shape == (5, 2, TIMES.size)
+    assert Model(coupled=False).simulate(
+        {k: reference.BASE[k] for k in ("J1", "k1t", "c1t", "drag", "nu", "theta0")}, [0.0]
+    ).y.shape == (1, 1, 1)
+
+
+def test_faulty_calls_are_refused():
+    with pytest.raises(KeyError, match="needs"):
+        Model().simulate({"J1": 1.0}, TIMES)
+    with pytest.raises(ValueError, match="unknown parameter"):
+        Model().simulate(reference.BASE | {"k9": 1.0}, TIMES)
+    with pytest.raises(ValueError, match="increase"):
+        Model().simulate(reference.BASE, [0.0, 0.0])
+    with pytest.raises(ValueError, match="one torque per sample"):
+        Model().simulate(reference.BASE, TIMES, torque=np.zeros(3))
+    with pytest.raises(ValueError, match="no effect"):
+        Model().simulate(reference.BASE, TIMES, effect={"a": 1.0})
+
+
+@pytest.mark.parametrize("delay", [0.0103, 0.010, -0.0041, 0.00037])
+def test_a_delay_shifts_the_record_and_the_rig_is_held_before(delay):
+    y = Model().simulate(reference.BASE | {"delay": delay}, TIMES).y[0]
+    after = delay <= TIMES
+    shifted = reference.solve(
+        {}, np.concatenate([[0.0], TIMES[after] - delay]) if delay not in (0.0, 0.010) else TIMES[after] - delay
+    )[0]
+    expected = shifted[:, -after.sum() :]
+    assert np.abs(y[:, after] - expected).max() < 1e-4 * np.abs(expected).max()
+    assert (y[:, ~after] == 0.0).all()
+
+
+@pytest.mark.parametrize("quantity", ["velocity", "displacement"])
+def test_velocity_and_displacement_are_read(quantity):
+    y = Model().simulate(reference.BASE | {"delay": 0.0103}, TIMES, quantity=quantity).y[0]
+    after = TIMES >= 0.0103
+    row = {"velocity": 1, "displacement": 2}[quantity]
+    expected = reference.solve({}, np.concatenate([[0.0], TIMES[after] - 0.0103]))[row][:, 1:]
+    assert np.abs(y[:, after] - expected).max() < 2e-5 * np.abs(expected).max()
+    np.testing.assert_array_equal(y[:, ~after], reference.BASE["theta0"] if quantity == "displacement" else 0.0)

@@ -1,0 +1,75 @@
+"""Counts and p values in sentences."""
+
+import pytest
+
+from bayes_damper.commands.diagnose import Diagnosed
+from bayes_damper.text import counted, gap_beside_verdict, gathered, p_value
+
+
+@pytest.mark.parametrize(
+    ("n", "words", "told"),
+    [
+        (1, ("case",), "1 case"),
+        (0, ("case",), "0 cases"),
+        (3, ("trial",), "3 trials"),
+        (2, ("frequency", "frequencies"), "2 frequencies"),
+    ],
+)
+def test_one_of_a_kind_stands_in_the_singular(n, words, told):
+    assert counted(n, *words) == told
+
+
+@pytest.mark.parametrize(
+    ("p", "told"), [(0.0, "p below 1e-12"), (2.2e-221, "p below 1e-12"), (3.14e-5, "p = 3.1e-05"), (0.25, "p = 0.25")]
+)
+def test_a_p_value_has_no_digits_where_they_mean_nothing(p, told):
+    assert p_value(p) == told
+
+
+@pytest.mark.parametrize(
+    ("verdict", "gap", "told"),
+    [
+        ("none", {"answer": "gap", "p_value": 0.03, "size": 0.05}, "one faultless rig in 20"),
+        ("none", {"answer": "gap", "p_value": 1e-30, "size": 0.05}, "p below 1e-12"),
+        ("stick_slip", {"answer": "none", "p_value": 0.4, "augmented_rms": 1.0}, "rests on all trials together"),
+        ("unknown", {"answer": "cannot tell", "p_value": 1.0, "augmented_rms": None}, "No trial could be held out"),
+        ("none", {"answer": "none", "p_value": 0.4}, ""),
+        ("stick_slip", {"answer": "gap", "p_value": 0.0}, ""),
+    ],
+)
+def test_a_verdict_that_the_test_of_the_gap_does_not_share_is_explained(verdict, gap, told):
+    sentence = gap_beside_verdict(verdict, 0.7, gap)
+    assert told in sentence
+    assert bool(sentence) is bool(told)
+
+
+def test_what_is_said_of_three_records_is_said_once():
+    late = [f"trials/A_{i}.csv: motion begins {t} s after the release; it stuck" for i, t in ((1, 0.001), (2, 0.002))]
+    steps = [f"trials/A_{i}.csv, column 'theta1_rad': quantised in steps of 0.1" for i in (1, 2, 3, 4)]
+    twins = [f"trials/A_{i}.csv: holds the same readings as trials/A_{i + 1}.csv" for i in (1, 2, 3)]
+    told = ["Friction was not given.", *late, *steps, *twins]
+    assert gathered(told) == [
+        "Friction was not given.",
+        *late,
+        "trials/A_1.csv and 3 others, column 'theta1_rad': quantised in steps of 0.1",
+        *twins,
+    ]
+    assert gathered([*late, late[0].replace("A_1", "A_3")]) == [
+        "trials/A_1.csv and 2 others: motion begins 0.001 s after the release; it stuck (numbers of the first)"
+    ]
+
+
+@pytest.mark.parametrize(("share", "begins"), [(0.5, "Most probable, but not sure: a gap"), (0.96, "There is a gap")])
+def test_an_unknown_cause_is_told_at_a_place_and_as_surely_as_it_is_known(tmp_path, share, begins):
+    """Where nothing may be missing too, "none" is the most probable place, and no place for a cause."""
+    result = {
+        "where": {},
+        "verdict": "unknown",
+        "probabilities": {"unknown": share, "none": 1.0 - share},
+        "sites": {"none": 1.0 - share, "sensor": 0.3, "ground1": 0.2},
+        "gap": {"answer": "gap", "p_value": 0.01, "nominal_rms": 2.0, "augmented_rms": None, "noise_rms": 1.0},
+        "indistinguishable": [],
+    }
+    first = Diagnosed(tmp_path, result).text().splitlines()[0]
+    assert first.startswith(begins)
+    assert first.endswith("most likely at: sensor.")

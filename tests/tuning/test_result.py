@@ -1,0 +1,523 @@
+"""Tuning: time integration against the transfer function, the thesis's designs, the best design, what is refused."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from campaigns import CAMPAIGN_TOML, write_synthetic, write_table
+from scipy.integrate import solve_ivp
+
+from bayes_damper import figures, report, tuning
+from bayes_damper.campaign import load_campaign
+from bayes_damper.errors import ExitCode, InputError
+from bayes_damper.rig import linear
+from bayes_damper.runs.execution import folder_name, write_json
+from bayes_damper.sampling import arviz_adapter
+from bayes_damper.tuning import Design
+
+THESIS = {"k1t": 10.2, "c1t": 0.0109, "k2t": 1.0, "c2t": 0.08}
+
+
+def spread(n=60, seed=0, **changes):
+    rng = np.random.default_rng(seed)
+    values = {"k1t": (10.0, 0.04), "c1t": (0.0109, 0.2), "k2t": (1.0, 0.3), "c2t": (0.08, 0.2)} | changes
+    return {name: x * np.exp(cv * rng.standard_normal(n)) for name, (x, cv) in values.items()}
+
+
+# The design -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"J2": 0.0}, "J2 = 0: a design needs a J2 above zero"),
+        ({"J2": -1e-3}, "J2 = -0.001"),
+        ({"R": 0.0}, "R = 0"),
+        ({"k2t": -1.0}, "negative k2t"),
+        ({"magnet_pull": np.nan}, "magnet_pull"),
+        ({"J2": 1e-3, "bar_inertia": 2e-3}, "bar cannot weigh more"),
+    ],
+)
+def test_a_design_outside_physics_is_refused(changes, words):
+    with pytest.raises(InputError, match=words):
+        Design(**changes)
+
+
+def test_all_faults_of_a_design_are_named_at_once():
+    with pytest.raises(InputError) as caught:
+        Design(J2=0.0, R=-1.0, k2t=-1.0)
+    assert len(caught.value.faults) == 3
+
+
+def test_the_radius_acts_on_stiffness_and_on_the_bar():
+    """k2t = k2 R^2 (eq. 21, p. 27); the bar's part of J2 grows with R^3."""
+    draws = tuning.complete(THESIS)
+    changed = Design(R=0.2).apply(draws)
+    assert changed["k2t"] == pytest.approx([4.0])
+    assert changed["J2"] == pytest.approx(draws["J2"])
+    assert changed["R"] == pytest.approx([0.2])
+    with_bar = Design(R=0.2, bar_inertia=2.146e-3).apply(draws)
+    assert with_bar["J2"] == pytest.approx([2.474e-3 + 7 * 2.146e-3])
+    assert Design(R=0.2, k2t=0.5).apply(draws)["k2t"] == pytest.approx([2.0])
+    assert draws["k2t"] == pytest.approx([1.0])
+
+
+def test_a_bar_heavier_than_the_posteriors_inertia_is_refused():
+    with pytest.raises(InputError, match="bar"):
+        Design(bar_inertia=3e-3).apply(tuning.complete(THESIS))
+
+
+# The linear model -------------------------------------------------------------------------------------------------
+
+
+def test_the_thesiss_designs_lose_17_9_and_7_1_db():
+    """Printed 1 and 5 dB (p. 29); 17.9 and 7.1 dB follow from the thesis's own parameters."""
+    draws = tuning.complete(THESIS)
+    untuned, tuned = tuning.linear_performance(draws), tuning.linear_performance(draws, Design(J2=2.474e-3 / 8))
+    assert untuned.insertion_loss == pytest.approx([17.9], abs=0.05)
+    assert tuned.insertion_loss == pytest.approx([7.1], abs=0.05)
+    assert tuned.shift == pytest.approx([8.946 - 9.266], abs=0.002)
+
+
+# The nonlinear model ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("coupled", [True, False])
+def test_time_integration_under_harmonic_torque_gives_the_transfer_function(coupled):
+    draws = tuning.complete(spread(8))
+    f = np.array([3.0, 7.0, 8.8, 9.3, 12.0])
+    found, unsettled = tuning.harmonic_response(draws, f, 0.05, coupled)
+    rig = draws if coupled else draws | {"k2t": 0.0 * draws["k2t"], "c2t": 0.0 * draws["c2t"]}
+    exact = linear.accelerance(tuning.linear_rig(rig), f)[:, 0]
+    np.testing.assert_allclose(found, exact, rtol=5e-3)
+    assert unsettled.max() < 0.02
+
+
+def test_friction_under_harmonic_torque_equals_direct_integration():
+    """Scaled time, one drive for all, against scipy in real time with the same smoothed friction."""
+    draws = tuning.complete(THESIS | {"c2t": 0.01, "mu": 0.009, "drag": 0.004, "nu": 20.0})
+    p = {name: float(x[0]) for name, x in draws.items()}
+    f, amplitude = 8.0, 0.1
+    w = 2 * np.pi * f
+
+    def rhs(t, x):
+        th1, th2, w1, w2 = x
+        n = p["N0"] * max(0.0, 1.0 - p["R"] * abs(th1 - th2) / (2 * p["r"]))
+        slip = w1 - w2
+        t12 = p["k2t"] * (th1 - th2) + p["c2t"] * slip + p["mu"] * n * p["R"] * np.tanh(p["nu"] * slip)
+        drag1, drag2 = (p["drag"] * np.tanh(p["nu"] * v) for v in (w1, w2))
+        drive = amplitude * np.cos(w * t)
+        a1 = (drive - p["c1t"] * w1 - p["k1t"] * th1 - drag1 - t12) / p["J1"]
+        return [w1, w2, a1, (t12 - p["c3t"] * w2 - drag2) / p["J2"]]
+
+    start, n = 40 / f, 200
+    t = start + np.arange(2 * n) / (n * f)
+    run = solve_ivp(rhs, (0.0, t[-1]), np.zeros(4), t_eval=t, method="LSODA", rtol=1e-8, atol=1e-10)
+    angle = 2.0 * np.abs(np.mean(run.y[0] * np.exp(-1j * w * t)))
+    found, unsettled = tuning.harmonic_response(draws, [f], amplitude)
+    assert found[0, 0] == pytest.approx(angle * w**2 / amplitude, rel=3e-3)
+    assert unsettled[0, 0] < 1e-3
+
+
+def test_without_friction_both_models_agree():
+    draws = tuning.complete(spread(20))
+    for design in (Design(), Design(J2=2.474e-3 / 8)):
+        ours = tuning.nonlinear_performances(draws, 0.05, {"d": design})["d"]
+        exact = tuning.linear_performance(draws, design)
+        np.testing.assert_allclose(ours.insertion_loss, exact.insertion_loss, atol=0.05)
+        np.testing.assert_allclose(ours.shift, exact.shift, atol=0.02)
+
+
+def test_friction_makes_the_loss_depend_on_the_amplitude():
+    """Far above the friction torque the loss is that of the viscous coupling; near it, it is not."""
+    draws = tuning.complete(THESIS | {"mu": 0.009})
+    losses = [
+        tuning.nonlinear_performances(draws, a, {"d": Design()})["d"].insertion_loss[0] for a in (0.05, 0.2, 1.0, 20.0)
+    ]
+    viscous = tuning.linear_performance(draws).insertion_loss[0]
+    assert np.ptp(losses) > 1.0
+    # The overlap closes at 14.6 deg: far above, hardly any friction is left.
+    assert losses[-1] == pytest.approx(viscous, abs=0.3)
+
+
+def test_stuck_faces_make_one_inertia():
+    """A friction that the torque cannot break leaves the resonance of J1 + J2."""
+    draws = tuning.complete(THESIS | {"mu": 0.5, "c2t": 0.0, "k2t": 0.0, "c1t": 0.03, "nu": 500.0})
+    found = tuning.nonlinear_performances(draws, 0.01, {"d": Design()})["d"]
+    expected = linear.natural_frequency(draws["k1t"], draws["J1"] + draws["J2"])
+    assert found.resonance == pytest.approx(expected, rel=0.02)
+
+
+def test_an_amplitude_of_zero_is_refused():
+    with pytest.raises(InputError, match="amplitude"):
+        tuning.harmonic_response(tuning.complete(THESIS), [9.0], 0.0)
+
+
+# The best design --------------------------------------------------------------------------------------------------
+
+
+def test_the_best_design_beats_every_design_of_a_grid():
+    draws = tuning.complete(spread(40))
+    bounds = {"J2": (0.5e-3, 4e-3), "k2t": (0.3, 6.0)}
+    best = tuning.best_design(draws, bounds=bounds)
+    for j2 in np.geomspace(*bounds["J2"], 9):
+        for k2t in np.geomspace(*bounds["k2t"], 9):
+            loss = tuning.linear_performance(draws, Design(J2=j2, k2t=k2t)).insertion_loss
+            assert np.nanmean(loss) <= best.expected + 0.02
+    assert best.design.J2 is not None
+    assert bounds["J2"][0] * 0.999 <= best.design.J2 <= bounds["J2"][1] * 1.001
+
+
+def test_the_radius_is_changed_only_where_the_magnet_does_not_reach():
+    draws = tuning.complete(spread(40))
+    wide = tuning.best_design(draws, bounds={"J2": (1e-3, 4e-3), "k2t": (0.3, 12.0)})
+    reach = tuning.best_design(draws, bounds={"J2": (1e-3, 4e-3), "k2t": (0.3, 2.0), "R": (0.05, 0.3)})
+    assert wide.design.R is None
+    assert reach.design.k2t == pytest.approx(2.0)
+    assert pytest.approx(0.1 * np.sqrt(wide.design.k2t / 2.0), rel=0.05) == reach.design.R
+    assert reach.expected == pytest.approx(wide.expected, abs=0.02)
+
+
+@pytest.mark.parametrize("bounds", [{"mu": (0.0, 1.0)}, {"J2": (0.0, 1e-3)}, {"J2": (2e-3, 1e-3)}, {}])
+def test_bounds_that_mean_nothing_are_refused(bounds):
+    with pytest.raises(InputError):
+        tuning.best_design(tuning.complete(THESIS), bounds=bounds)
+
+
+def test_shares_of_variance_find_what_the_answer_is_made_of():
+    draws = tuning.complete(spread(2000))
+    answer = 3.0 * np.log(draws["c2t"]) + 0.5 * np.log(draws["k1t"]) / 0.04 * 0.2
+    shares = tuning.shares_of_variance(draws, answer)
+    assert next(iter(shares)) == "c2t"
+    assert shares["c2t"] == pytest.approx(0.36 / 0.37, abs=0.03)
+    assert shares["k1t"] == pytest.approx(0.01 / 0.37, abs=0.03)
+    assert "c3t" not in shares  # tied to c1t
+    assert "J1" not in shares  # does not vary
+
+
+# Sources and results ----------------------------------------------------------------------------------------------
+
+
+def test_a_summary_is_drawn_from_by_its_moments(tmp_path):
+    table = {name: {"mean": mean, "sd": 0.1 * mean} for name, mean in THESIS.items()}
+    write_json(tmp_path / "summary.json", {"schema": "bayes-damper/fit/1", "cases": {"IV": {"parameters": table}}})
+    draws = tuning.posterior_draws(tmp_path, "IV", 4000, np.random.default_rng(0))
+    assert draws["k2t"].mean() == pytest.approx(1.0, rel=0.01)
+    assert draws["c2t"].std() == pytest.approx(0.008, rel=0.05)
+    with pytest.raises(InputError, match="no case 'I'"):
+        tuning.posterior_draws(tmp_path, "I", 10, np.random.default_rng(0))
+
+
+def test_a_stored_posterior_is_read_with_its_correlations(tmp_path):
+    h5netcdf = pytest.importorskip("h5netcdf")
+    values = spread(100)
+    with h5netcdf.File(tmp_path / "posterior.nc", "w") as root:
+        group = root.create_group("posterior")
+        group.dimensions = {"chain": 4, "draw": 25}
+        for name, x in values.items():
+            group.create_variable(name, ("chain", "draw"), data=x.reshape(4, 25))
+    draws = tuning.posterior_draws(tmp_path, "IV", 100, np.random.default_rng(0))
+    assert sorted(draws["k2t"]) == pytest.approx(sorted(values["k2t"]))
+    assert np.corrcoef(draws["k2t"], draws["c2t"])[0, 1] == pytest.approx(
+        np.corrcoef(values["k2t"], values["c2t"])[0, 1]
+    )
+
+
+@pytest.mark.parametrize(
+    ("draws", "case", "words"),
+    [
+        ({"k2t": [-1.0]}, "IV", "k2t"),
+        ({"J2": [0.0]}, "IV", "J2"),
+        ({"k2t": [1.0, 2.0], "c2t": [1.0, 2.0, 3.0]}, "IV", "lengths"),
+        ({}, "V", "no such case"),
+    ],
+)
+def test_draws_that_mean_nothing_are_refused(draws, case, words):
+    with pytest.raises(InputError, match=words):
+        tuning.complete(draws, case)
+
+
+def test_constants_of_another_rig_take_the_place_of_the_thesiss():
+    own = {"J1": 1.0, "J2": 0.5, "k1t": 30.0}
+    draws = tuning.complete({"c1t": [0.3, 0.4], "k2t": [2.0, 2.0]}, "any", own)
+    assert draws["k1t"] == pytest.approx([30.0, 30.0])
+    assert draws["J2"] == pytest.approx([0.5, 0.5])
+    assert draws["c3t"] == pytest.approx([0.3, 0.4])
+    with pytest.raises(InputError, match="'colour'"):
+        tuning.complete({}, "IV", {"colour": 1.0})
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("tune")
+    found = tuning.tune(
+        spread(60, mu=(0.009, 0.2)), J2=2.474e-3 / 8, amplitudes=(0.05, 0.2), n_draws=60, n_nonlinear=6, out=folder
+    )
+    return found, json.loads((folder / "tune.json").read_text(encoding="utf-8"))
+
+
+def test_tune_writes_what_it_returns(result):
+    found, stored = result
+    assert stored == json.loads(json.dumps(found.to_json()))
+    assert stored["schema"] == "bayes-damper/tune/1"
+    assert [row["torque_amplitude_n_m"] for row in stored["nonlinear"]] == [0.05, 0.2]
+    assert stored["hangs_most_on"] in ("c1t", "c2t")
+    low, high = stored["linear"]["insertion_loss_db"]["interval90"]
+    assert low < stored["linear"]["insertion_loss_db"]["median"] < high
+    assert 0.0 <= stored["linear"]["probability_of_target"] <= 1.0
+
+
+def test_bands_of_the_frequency_response_are_ordered(result):
+    for band in result[0].response.values():
+        assert (band.low <= band.median).all()
+        assert (band.median <= band.high).all()
+
+
+def test_the_best_design_is_better_than_the_given_one(result):
+    found, stored = result
+    assert found.optimum.expected > np.nanmean(found.linear.insertion_loss)
+    assert stored["optimum"]["linear"]["insertion_loss_db"]["mean"] == pytest.approx(found.optimum.expected)
+
+
+def test_the_text_names_the_answer(result):
+    text = result[0].text()
+    assert "best design" in text
+    assert "hangs most on" in text
+
+
+def test_the_file_says_where_it_comes_from_and_holds_the_curves(result, tmp_path):
+    found, stored = result
+    assert stored["seed"] == 1
+    assert stored["provenance"]["code_sha256"]
+    curve = stored["curves"]["J2"]
+    assert curve["design"] == pytest.approx(2.474e-3 / 8)
+    place = int(np.argmin(np.abs(np.array(curve["value"]) - curve["design"])))
+    at = tuning.linear_performance(found.draws, Design(J2=curve["value"][place])).insertion_loss
+    assert curve["mean"][place] == pytest.approx(np.nanmean(at))
+    assert curve["probability_of_target"][place] == pytest.approx(np.mean(at >= 10.0))
+    assert all(low <= high for low, high in zip(curve["q05"], curve["q95"], strict=True))
+
+
+def test_the_figures_are_drawn(result, tmp_path):
+    _, stored = result
+    for name, drawn in (("a", figures.response_figure), ("b", figures.tuning_figure)):
+        written = figures.save(drawn(stored, title="a title"), tmp_path / name)
+        assert [p.suffix for p in written] == [".svg", ".png"]
+        assert "a title" in written[0].read_text(encoding="utf-8")
+
+
+def test_a_rig_that_sticks_has_no_resonance():
+    """Drag above the torque holds the bearings: what still moves is highest at the end of the range, no peak."""
+    held = tuning.complete(THESIS | {"mu": 0.0, "drag": 0.05, "nu": 300.0})
+    found = tuning.nonlinear_performances(held, 0.02, {"design": Design()})["design"]
+    assert np.isnan(found.resonance).all()
+    assert np.isnan(found.insertion_loss).all()
+
+
+def fitted_folder(folder, toml=CAMPAIGN_TOML):
+    """A recorded campaign and, beside it, what a fit leaves that holds friction and coupling only."""
+    campaign = write_synthetic(folder / "rig", cases=(("I", 6.2, 5.7), ("IV", 20.4, 4.7)), repeats=1)
+    (campaign / "campaign.toml").write_text(toml, encoding="utf-8")
+    plan = {"campaign": str(campaign), "name": "synthetic", "campaign_sha256": load_campaign(campaign).sha256}
+    write_json(folder / "fit" / "run.json", {"command": "fit", "plan": plan | {"normal_force": None}})
+    row = {"mean": 1.0, "sd": 0.01}
+    tables = {case: {"parameters": {"k2t": row, "c2t": row | {"mean": 0.08}}} for case in ("I", "IV")}
+    write_json(folder / "fit" / "summary.json", {"cases": tables, "joint": tables["I"]})
+    return folder / "fit"
+
+
+def test_constants_of_a_fitted_campaign_are_its_own(tmp_path):
+    toml = CAMPAIGN_TOML.replace("primary_inertia = 3.015e-3", "primary_inertia = 6e-3")
+    found = tuning.tune(fitted_folder(tmp_path, toml), case="IV", amplitudes=(), optimise=False, n_draws=10)
+    assert found.draws["J1"] == pytest.approx(np.full(10, 6e-3))
+    assert found.draws["k1t"] == pytest.approx(np.full(10, 20.4))
+    assert found.to_json()["campaign"] == "synthetic"
+    assert len(found.to_json()["campaign_sha256"]) == 64
+
+
+@pytest.mark.parametrize("converged", [True, False])
+def test_a_fit_that_did_not_converge_marks_what_is_tuned_from_it(tmp_path, converged):
+    fit = fitted_folder(tmp_path)
+    summary = json.loads((fit / "summary.json").read_text())
+    summary["warnings"] = ["trials/2.csv: a gap"]
+    for entry in summary["cases"].values():
+        entry["converged"] = converged
+    write_json(fit / "summary.json", summary)
+    found = tuning.tune(fit, case="IV", amplitudes=(), optimise=False, n_draws=10, out=tmp_path / "tune")
+    assert found.exit_code == (ExitCode.DONE if converged else ExitCode.NOT_CONVERGED)
+    told = json.loads((tmp_path / "tune" / "tune.json").read_text())
+    assert told["converged"] is converged
+    assert told["warnings"] == ["trials/2.csv: a gap"]
+    text = found.text()
+    assert text.startswith("warning: trials/2.csv: a gap\n")
+    assert ("DID NOT CONVERGE" in text) is not converged
+    assert ("NOT CONVERGED" in (tmp_path / "tune" / "tune_loss.svg").read_text(encoding="utf-8")) is not converged
+    page = report(tmp_path / "tune").path.read_text(encoding="utf-8")
+    assert ("The tuning rests on a fit that did not converge" in page) is not converged
+    assert "trials/2.csv: a gap" in page
+
+
+def test_a_rig_that_tuning_does_not_know_is_refused(tmp_path):
+    toml = CAMPAIGN_TOML.replace("[measurement]", "ground2_stiffness = 1.0\n[measurement]")
+    with pytest.raises(InputError, match="no spring from the secondary"):
+        tuning.tune(fitted_folder(tmp_path, toml), case="IV")
+
+
+def test_a_fit_is_tuned_in_one_of_its_own_cases(tmp_path):
+    """Never in the thesis's case IV because a fit of another rig has none: the only case, or a question."""
+    fit = translational_folder(tmp_path / "one")
+    assert tuning.chosen_case(fit, None) == "A"
+    with pytest.raises(InputError, match=r"has no case 'IV'; name one of A \(--case\)"):
+        tuning.tune(fit, case="IV")
+    found = json.loads((fit / "summary.json").read_text())
+    cases = {"soft": found["cases"]["A"], "stiff": found["cases"]["A"]}
+    (fit / "summary.json").write_text(json.dumps({"cases": cases, "joint": found["cases"]["A"]}))
+    with pytest.raises(InputError, match="has several cases; name one of soft, stiff, joint"):
+        tuning.tune(fit)
+    assert tuning.chosen_case(THESIS, None) == "IV"
+    assert tuning.chosen_case(fitted_folder(tmp_path / "two"), None) == "IV"
+
+
+def test_several_springs_need_a_case(tmp_path):
+    with pytest.raises(InputError, match=r"several springs \(6.2, 20.4"):
+        tuning.tune(fitted_folder(tmp_path), case="joint")
+
+
+def test_the_same_seed_gives_the_same_answer(result):
+    again = tuning.tune(spread(60, mu=(0.009, 0.2)), J2=2.474e-3 / 8, amplitudes=(), n_draws=60, optimise=False)
+    np.testing.assert_array_equal(again.linear.insertion_loss, result[0].linear.insertion_loss)
+    assert again.optimum is None
+
+
+def test_no_draws_are_refused():
+    with pytest.raises(InputError, match="at least one draw"):
+        tuning.tune(THESIS, n_draws=0)
+
+
+def translational_folder(folder):
+    """A fit of two carts: 1.9 kg at 900 N/m, let go 8 mm from rest, a second cart of 0.6 kg."""
+    rig = folder / "rig"
+    rig.mkdir(parents=True)
+    (rig / "campaign.toml").write_text(
+        'name = "carts"\n[rig]\nkind = "translational"\nprimary_inertia = 1.9\nsecondary_inertia = 0.6\n'
+        '[measurement]\nquantity = "displacement"\n'
+    )
+    (rig / "trials.csv").write_text("file,case,configuration,k1_n_per_m,theta0_mm,trial\nr.csv,A,uncoupled,900,8,1\n")
+    times = np.arange(600) / 300.0
+    x = 8e-3 * np.exp(-0.6 * times) * np.cos(21.76 * times) + 1e-5 * np.random.default_rng(0).standard_normal(600)
+    write_table(rig / "r.csv", ["time_s", "x1_m"], [times, x])
+    plan = {"campaign": str(rig), "name": "carts", "campaign_sha256": load_campaign(rig).sha256, "normal_force": None}
+    write_json(folder / "fit" / "run.json", {"command": "fit", "plan": plan})
+    row = {"sd": 0.01}
+    values = {"k2t": 90.0, "c2t": 1.0, "c1t": 1.1, "c3t": 0.2, "drag": 0.1, "nu": 300.0}
+    table = {name: row | {"mean": value} for name, value in values.items()}
+    write_json(folder / "fit" / "summary.json", {"cases": {"A": {"parameters": table}}})
+    return folder / "fit"
+
+
+def test_carts_are_tuned_in_newtons_and_kilograms(tmp_path):
+    """Forces of the size of the rig (7.2 N held it), no radius among what is free, and units everywhere."""
+    fit = translational_folder(tmp_path)
+    found = tuning.tune(fit, case="A", n_draws=20, n_nonlinear=2, out=tmp_path / "tune")
+    assert list(found.nonlinear) == [0.18, 0.43, 0.86, 1.7]
+    assert found.optimum.design.R is None
+    assert set(found.curves) == {"J2"}
+    assert found.to_json()["kind"] == "translational"
+    assert "force 0.18 N: insertion loss" in found.text()
+    assert " kg, k2t = " in found.text()
+    text = re.sub(r"<[^>]+>|\s+", " ", report(tmp_path / "tune").path.read_text(encoding="utf-8"))
+    assert "the rig as it is, force 0.18 N " in text
+    assert "accelerance [dB re 1/kg]" in text
+    assert "N m" not in text
+    with pytest.raises(InputError, match="a translational rig has no radius"):
+        tuning.tune(fit, case="A", R=0.1)
+
+
+def store(folder, case, **values):
+    """The posterior of a case as a fit leaves it: name -> draws, in the folder of the case."""
+    place = folder / folder_name(case)
+    place.mkdir(parents=True)
+    draws = {name: np.reshape(x, (2, 10, 5)) for name, x in values.items()}
+    arviz_adapter.write(arviz_adapter.results(draws, log_prob=np.zeros((2, 10, 5))), place / "posterior.nc")
+
+
+def test_a_case_is_tuned_with_its_own_draws_whatever_its_label(tmp_path):
+    """A label with a blank has a folder of another name; the file of all cases together is no substitute."""
+    for case, k2t in (("5.7 deg", 1.0), ("IV", 3.0)):
+        store(tmp_path, case, k2t=np.full(100, k2t))
+    files = {case: tmp_path / folder_name(case) / "posterior.nc" for case in ("5.7 deg", "IV")}
+    arviz_adapter.combine_cases(files, tmp_path / "posterior.nc")
+    rng = np.random.default_rng(0)
+    found = tuning.posterior_draws(tmp_path, "5.7 deg", 50, rng, {"k1t": 6.2})
+    assert found["k2t"] == pytest.approx(np.ones(50))
+    write_json(tmp_path / "summary.json", {"cases": {"5.7 deg": {}, "IV": {}}})
+    with pytest.raises(InputError, match="no case '8 deg'"):
+        tuning.posterior_draws(tmp_path, "8 deg", 50, rng, {"k1t": 6.2})
+
+
+def test_a_spring_that_was_inferred_is_tuned_as_inferred(tmp_path):
+    """Fits of several springs call each after its declared stiffness."""
+    fit = fitted_folder(tmp_path)
+    store(fit, "IV", k2t=np.ones(100), **{"k1t[20.4]": np.linspace(18.0, 19.0, 100)})
+    found = tuning.tune(fit, case="IV", amplitudes=(), optimise=False, n_draws=100)
+    assert found.draws["k1t"].mean() == pytest.approx(18.5)
+    store(fit, "joint", **{"mu[I]": np.ones(100), "mu[IV]": np.ones(100)})
+    with pytest.raises(InputError, match=r"several values of mu \(mu\[I\], mu\[IV\]\); name one case"):
+        tuning.tune(fit, case="joint", rig={"k1t": 10.0}, amplitudes=())
+
+
+def test_a_stiffness_that_is_told_leaves_the_other_constants_as_they_are(tmp_path):
+    toml = CAMPAIGN_TOML.replace("primary_inertia = 3.015e-3", "primary_inertia = 6e-3")
+    fit = fitted_folder(tmp_path, toml)
+    found = tuning.tune(fit, case="joint", rig={"k1t": 12.0}, amplitudes=(), optimise=False, n_draws=10)
+    assert found.draws["J1"] == pytest.approx(np.full(10, 6e-3))
+    assert found.draws["k1t"] == pytest.approx(np.full(10, 12.0))
+    assert found.to_json()["campaign"] == "synthetic"
+
+
+def test_a_rig_that_damping_leaves_no_resonance_is_told_not_a_traceback(tmp_path):
+    """Files, figures and report of a rig with zeta above 0.707, whose accelerance has no peak."""
+    found = tuning.tune(THESIS | {"c1t": 0.5, "mu": 0.01}, amplitudes=(0.1,), n_draws=3, out=tmp_path)
+    assert "linear model: no resonance in any draw" in found.text()
+    assert found.optimum is None
+    told = json.loads((tmp_path / "tune.json").read_text())
+    assert set(told["curves"]["J2"]["mean"]) == {None}
+    assert told["linear"]["probability_of_target"] == 0.0
+    assert "damping leaves no resonance" in report(tmp_path).path.read_text(encoding="utf-8")
+
+
+def test_a_coupling_without_stiffness_keeps_its_stiffness_when_the_best_design_is_sought():
+    draws = tuning.complete(THESIS | {"k2t": 0.0})
+    assert list(tuning.usual_bounds(draws)) == ["J2", "R"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [({"amplitudes": (0.1, -1.0)}, "amplitude = -1: .* above zero"), ({"target_db": np.nan}, "target_db = nan")],
+)
+def test_what_cannot_be_driven_or_reached_is_refused_before_any_work(changes, words):
+    with pytest.raises(InputError, match=words):
+        tuning.tune(THESIS, n_draws=10**9, **changes)
+
+
+def test_a_rig_without_a_secondary_is_not_given_the_thesiss(tmp_path):
+    fit = translational_folder(tmp_path)
+    head = (tmp_path / "rig" / "campaign.toml").read_text().replace("secondary_inertia = 0.6\n", "")
+    (tmp_path / "rig" / "campaign.toml").write_text(head)
+    run = json.loads((fit / "run.json").read_text())
+    run["plan"]["campaign_sha256"] = load_campaign(tmp_path / "rig").sha256
+    write_json(fit / "run.json", run)
+    with pytest.raises(InputError, match="no secondary_inertia and no coupled trials"):
+        tuning.tune(fit, case="A", J2=0.5)
+
+
+def test_an_effect_that_tuning_leaves_out_is_told(tmp_path):
+    fit = fitted_folder(tmp_path)
+    run = json.loads((fit / "run.json").read_text())
+    run["plan"]["effect"] = "stick_slip"
+    write_json(fit / "run.json", run)
+    found = tuning.tune(fit, case="IV", amplitudes=(), optimise=False, n_draws=10, out=tmp_path / "tune")
+    sentence = "The fit has the effect stick_slip too, which is left out here"
+    assert sentence in found.text()
+    assert sentence in report(tmp_path / "tune").path.read_text(encoding="utf-8")
