@@ -37,7 +37,7 @@ READER: dict[str, tuple[tuple[type, ...], str]] = {
     "mounting_radius": ((int, float, list), "m, of tangential sensors on a torsional rig, one or per channel"),
     "sign": ((list,), "1 or -1 per channel"),
     "offset": ((str, int, float, list), "to take off: 'none' (default), 'mean', 'tail', or numbers in the raw unit"),
-    "matlab_time": ((list,), "names of the time arrays in a .mat file, in order"),
+    "matlab_time": ((list,), "names of the time arrays in a .mat file, in order; a field as 'name.field'"),
     "matlab_data": ((list,), "names of the data arrays in a .mat file, channels along the shorter side"),
     "start": ((int, float), "s on the raw clock: cut what is earlier"),
     "end": ((int, float), "s on the raw clock: cut what is later"),

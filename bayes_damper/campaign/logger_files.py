@@ -12,6 +12,7 @@ import datetime as dt
 import difflib
 import hashlib
 import io
+import json
 import math
 import re
 from collections import Counter
@@ -130,7 +131,7 @@ def unit_of(text: str) -> str | None:
 
 
 def read_file(path: Path, option: Mapping[str, Any]) -> LoggerFile:
-    """A logger's file of either form; option: as for `read_text` and `read_matlab`, and sha256, which must be its own.
+    """A logger's file of any form; option: as for `read_text` and `read_matlab`, and sha256, which must be its own.
 
     Raises
     ------
@@ -150,7 +151,8 @@ def read_file(path: Path, option: Mapping[str, Any]) -> LoggerFile:
         )
     if not raw.strip():
         raise InputError(f"{path.name}: the file is empty; export it again")
-    return (read_matlab if path.suffix.lower() == ".mat" else read_text)(raw, path.name, option)
+    readers = {".mat": read_matlab, ".json": read_json}
+    return readers.get(path.suffix.lower(), read_text)(raw, path.name, option)
 
 
 def read_text(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
@@ -200,15 +202,52 @@ def read_matlab(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
     for key in ("matlab_time", "matlab_data"):
         pieces = []
         for variable in option.get(key, []):
-            if variable not in content:
-                known = [k for k in content if not k.startswith("__")]
-                raise InputError(f"{name}: no variable '{variable}'; it holds {', '.join(known)}: correct {key}")
-            pieces += [_tall(piece) for piece in _pieces(content[variable])]
+            pieces += [_tall(piece) for piece in _pieces(_variable(content, variable, name, key))]
         if pieces:
             parts.append(np.concatenate(pieces))
     if not parts or any(len(p) != len(parts[0]) for p in parts):
         raise InputError(f"{name}: matlab_time and matlab_data must name arrays of equal length")
     return LoggerFile((), np.ascontiguousarray(np.concatenate(parts, axis=1), dtype=float))
+
+
+def _variable(content: Mapping[str, Any], path: str, name: str, key: str) -> NDArray[Any]:
+    """A variable of a MATLAB file, or a field of a structure in it: "Theta1.signals.values"."""
+    first, *fields = path.split(".")
+    known = [k for k in content if not k.startswith("__")]
+    found = content.get(first)
+    for field in fields:
+        known = list(found.dtype.names or ()) if found is not None else known
+        inside = found[field] if found is not None and field in known else None
+        found = inside.ravel()[0] if inside is not None and inside.size == 1 else inside
+    if found is None:
+        raise InputError(f"{name}: no variable '{path}'; it holds {', '.join(known)}: correct {key}")
+    return np.asarray(found)
+
+
+def read_json(raw: bytes, name: str, _: Mapping[str, Any]) -> LoggerFile:
+    """A list of readings, each an object of names and numbers: the file itself, or the one such list that it holds.
+
+    Raises
+    ------
+    InputError
+        if there is no such list, or more than one.
+    """
+    try:
+        content = json.loads(_decoded(raw, name))
+    except json.JSONDecodeError as error:
+        raise InputError(f"{name}, line {error.lineno}: not JSON ({error.msg}); export it again") from error
+    inside = list(content.values()) if isinstance(content, dict) else [content]
+    lists = [x for x in inside if isinstance(x, list) and len(x) > 1 and all(isinstance(row, dict) for row in x)]
+    if len(lists) != 1:
+        raise InputError(f"{name}: holds {len(lists)} lists of readings where one is expected; export it as CSV")
+    names = [k for k, v in lists[0][0].items() if isinstance(v, int | float)]
+    if not names:
+        raise InputError(f"{name}: its readings hold no numbers; export it as CSV")
+    table = [[math.nan if (x := row.get(k)) is None else x for k in names] for row in lists[0]]
+    try:
+        return LoggerFile(tuple(names), np.array(table, float))
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name}: a reading is no number ({error}); export it as CSV") from error
 
 
 def _pieces(variable: NDArray[Any]) -> list[NDArray[Any]]:

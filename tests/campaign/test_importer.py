@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 import os
 from pathlib import Path
@@ -11,9 +12,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from campaigns import decay
+from scipy.io import savemat
 
 from bayes_damper.campaign import load_campaign
 from bayes_damper.campaign.importer import convert, import_records, init_campaign
+from bayes_damper.campaign.logger_files import read_file
 from bayes_damper.campaign.readings import find_first_peak, find_release
 from bayes_damper.cli import main
 from bayes_damper.commands.check import check
@@ -621,3 +624,39 @@ def test_real_rigs_come_out_as_shipped(tmp_path: Path, name: str) -> None:
         digests = [hashlib.sha256((f / file).read_bytes()).hexdigest() for f in (folder, shipped)]
         assert digests[0] == digests[1]
     assert load_campaign(folder).training
+
+
+def test_readings_of_a_json_file_become_columns(tmp_path: Path) -> None:
+    rows = [
+        {"time": t, "angle": a, "on": i > 3, "note": "x"} for i, (t, a) in enumerate(zip(TIMES, wave(), strict=True))
+    ]
+    path = tmp_path / "log.json"
+    path.write_text(json.dumps({"mass": 0.49, "entries": rows}), encoding="utf-8")
+    found = read_file(path, {})
+    assert found.names == ("time", "angle", "on")
+    np.testing.assert_array_equal(found.table[:, 1], wave())
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("{", "line 1: not JSON"),
+        ('{"a": 1}', "holds 0 lists of readings"),
+        ('[{"a": "x"}, {"a": "y"}]', "hold no numbers"),
+        ('[{"a": 1}, {"a": "y"}]', "a reading is no number"),
+    ],
+)
+def test_a_json_file_without_readings_is_refused(tmp_path: Path, text: str, told: str) -> None:
+    path = tmp_path / "log.json"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=told):
+        read_file(path, {})
+
+
+def test_a_field_of_a_matlab_structure_is_a_variable(tmp_path: Path) -> None:
+    path = tmp_path / "log.mat"
+    savemat(path, {"th": {"time": TIMES[:, None], "signals": {"values": wave()[:, None]}}})
+    option = {"matlab_time": ["th.time"], "matlab_data": ["th.signals.values"]}
+    np.testing.assert_array_equal(read_file(path, option).table, np.stack([TIMES, wave()], axis=1))
+    with pytest.raises(InputError, match=r"no variable 'th\.signal'; it holds time, signals"):
+        read_file(path, option | {"matlab_data": ["th.signal"]})

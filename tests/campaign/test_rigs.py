@@ -31,7 +31,7 @@ from bayes_damper.priors.files import campaign_priors
 ROOT = Path(__file__).resolve().parents[2]
 RAW = Path(os.environ.get("BAYES_DAMPER_REALDATA", ROOT.parent / "shared" / "realdata"))
 DEGREES = 180.0 / np.pi
-RIGS = ("rotary_pendulum", "tuned_mass_damper", "double_pendulum")
+RIGS = ("rotary_pendulum", "tuned_mass_damper", "double_pendulum", "single_pendulum", "servo_drop")
 
 
 def experiment(tmp_path: Path, name: str) -> Experiment:
