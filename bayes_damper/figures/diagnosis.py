@@ -1,0 +1,209 @@
+"""Figures of a diagnosis: probabilities of the answers, the gap, where it lies, the missing torque."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from bayes_damper.figures.style import RC, COLOURS, STYLES, new_figure, raised
+from bayes_damper.text import COORDINATES
+
+
+def ranking_figure(probabilities: Mapping[str, float], sites: Mapping[str, float], *, title: str) -> Figure:
+    """Probabilities of the answers (those above 0.5 %, at most twelve) and of the sites, as bars."""
+    shown = {name: p for name, p in _leading(probabilities, 12).items() if p > 0.005}
+    rows = max(len(shown), len(sites))
+    figure = new_figure(8.0, 0.28 * rows + 1.2)
+    with mpl.rc_context(RC):
+        left, right = figure.subplots(1, 2)
+        _draw_probabilities(left, shown, rows, "answer")
+        _draw_probabilities(right, sites, rows, "site")
+        figure.suptitle(title)
+    return figure
+
+
+def _leading(probabilities: Mapping[str, float], most: int) -> dict[str, float]:
+    """The most probable answers."""
+    ranked = sorted(probabilities, key=lambda name: -probabilities[name])
+    return {name: probabilities[name] for name in ranked[:most]}
+
+
+def _draw_probabilities(axis: Any, values: Mapping[str, float], rows: int, heading: str) -> None:
+    """Bars, the longest on top; bars of two figures with as many `rows` are equally thick."""
+    names = sorted(values, key=lambda name: -values[name])
+    heights = [values[name] for name in names]
+    axis.barh(range(len(names)), heights, color=COLOURS[0])
+    for y, height in enumerate(heights):
+        told = "< 0.01" if height < 0.005 else "> 0.99" if 0.995 <= height < 1.0 else f"{height:.2f}"
+        axis.text(height + 0.02, y, told, va="center")
+    axis.set_yticks(range(len(names)), names)
+    axis.set_ylim(max(rows, len(names)) - 0.5, -0.5)
+    axis.set_xlim(0.0, 1.2)
+    axis.set_xticks([0.0, 0.25, 0.5, 0.75, 1.0])
+    axis.grid(visible=False, axis="y")
+    axis.set_xlabel("probability")
+    axis.set_title(heading, loc="left")
+
+
+def gap_figure(record: Mapping[str, Any], probabilities: Mapping[str, float], *, title: str) -> Figure:
+    """One record under the nominal model, what is left of it before and after the answer is added, and the answers.
+
+    record : label, unit, times (n,) s, measured, nominal (n,), augmented (n,) or None where there is nothing to add,
+    added: name of what is, noise: standard deviation of the readings.
+    """
+    augmented = record["augmented"]
+    rows = ["record", "before"] + (["after"] if augmented is not None else [])
+    figure = new_figure(9.0, 1.2 + 1.2 * len(rows))
+    dots: dict[str, Any] = {"color": "#777777", "ms": 2.0, "rasterized": True}
+    times, measured, nominal = record["times"], np.asarray(record["measured"]), np.asarray(record["nominal"])
+    unit, noise = raised(record["unit"]), record["noise"]
+    with mpl.rc_context(RC):
+        axes = figure.subplot_mosaic([[row, "answers"] for row in rows], width_ratios=[2.6, 1.0])
+        axes["record"].plot(times, measured, ".", label="measured", **dots)
+        axes["record"].plot(times, nominal, color=COLOURS[0], lw=1.0, label="fitted nominal model")
+        axes["record"].set_title(record["label"], loc="left")
+        axes["record"].legend(loc="upper right", ncols=2)
+        axes["record"].set_ylabel(unit)
+        axes["before"].set_title("measured minus nominal model (band: two sd of the noise)", loc="left")
+        axes["before"].plot(times, measured - nominal, ".", **dots)
+        if augmented is not None:
+            axes["before"].plot(
+                *(times, np.asarray(augmented) - nominal), color=COLOURS[1], lw=1.0, label=f"added by {record['added']}"
+            )
+            axes["before"].legend(loc="best")
+            axes["after"].set_title(f"measured minus model with {record['added']}", loc="left")
+            axes["after"].plot(times, measured - augmented, ".", **dots)
+            axes["after"].sharey(axes["before"])
+        for name in rows:
+            if name != "record":
+                axes[name].axhspan(-2.0 * noise, 2.0 * noise, color="#cccccc", alpha=0.5, lw=0, zorder=0)
+                axes[name].set_ylabel(unit)
+            axes[name].sharex(axes["record"])
+            axes[name].tick_params(labelbottom=name == rows[-1])
+        axes[rows[-1]].set_xlabel("time [s]")
+        _draw_probabilities(axes["answers"], _leading(probabilities, 10), 10, "what is missing")
+        figure.suptitle(title)
+    return figure
+
+
+def residual_maps_figure(maps: Sequence[Mapping[str, Any]], *, title: str) -> Figure:
+    """Where residuals exceed the noise: over time, over frequency, and over a plane of the motion.
+
+    maps : one mapping for each column with its title and three panels time, frequency, plane: x and y (edges of the
+    cells), values (cells down, cells across), rms residual over noise, nan where there is nothing; labels (of rows, or
+    None), x_label, y_label.
+    """
+    names = ("time", "frequency", "plane")
+    rows = max(len(column[name]["values"]) for column in maps for name in names[:2])
+    figure = new_figure(3.6 * len(maps) + 0.9, 4.6 + 2.0 * min(0.17 * rows, 2.6))
+    known = np.concatenate([column[name]["values"].ravel() for column in maps for name in names])
+    known = known[np.isfinite(known)]
+    most = max(3.0, float(np.quantile(known, 0.995))) if known.size else 3.0
+    shade = mpl.colors.LogNorm(1.0, most)
+    with mpl.rc_context(RC | {"axes.grid": False}):
+        heights = [min(0.17 * rows, 2.6) + 0.6, min(0.17 * rows, 2.6) + 0.6, 2.6]
+        axes = figure.subplots(3, len(maps), squeeze=False, gridspec_kw={"height_ratios": heights})
+        for column, places in zip(maps, axes.T, strict=True):
+            for axis, name in zip(places, names, strict=True):
+                panel = column[name]
+                values = np.ma.masked_invalid(np.maximum(panel["values"], 1.0))
+                drawn = axis.pcolormesh(panel["x"], panel["y"], values, cmap="Blues", norm=shade, rasterized=True)
+                axis.set_xlabel(panel["x_label"])
+                axis.set_ylabel(panel["y_label"])
+                axis.set_facecolor("#eeeeee")
+                if name == "frequency":
+                    axis.set_xscale("log")
+                if panel["labels"] is not None:
+                    axis.set_yticks(np.arange(len(panel["labels"])) + 0.5, panel["labels"], fontsize=7)
+                    axis.invert_yaxis()
+            places[0].set_title(column["title"], loc="left")
+        bar = figure.colorbar(drawn, ax=axes, shrink=0.5, aspect=30, extend="max")
+        bar.set_label("rms residual / noise (1: noise alone)")
+        told = [x for x in (1, 2, 3, 5, 10, 20, 50, 100, 200, 500, 1000) if x <= most]
+        bar.set_ticks(told, labels=[str(x) for x in told])
+        bar.minorticks_off()
+        figure.suptitle(title)
+    return figure
+
+
+def published_figure(rows: Mapping[str, Sequence[Mapping[str, Any]]], *, title: str) -> Figure:
+    """Published numbers beside what each answer predicts for them: a panel for each configuration and feature.
+
+    rows : answer -> entries with case, configuration, feature, unit, measured, standard_error, predicted and
+    predicted_hdi90, the same numbers in the same order for each answer.
+    """
+    first = next(iter(rows.values()))
+    panels = list(dict.fromkeys((row["feature"], row["configuration"]) for row in first))
+    cases = list(dict.fromkeys(row["case"] for row in first))
+    figure = new_figure(8.0, 2.3 * ((len(panels) + 1) // 2) + 0.8)
+    with mpl.rc_context(RC):
+        axes = figure.subplots((len(panels) + 1) // 2, 2, squeeze=False)
+        for axis, (feature, configuration) in zip(axes.flat, panels, strict=False):
+            width = 0.7 / (len(rows) + 1)
+            for k, (name, entries) in enumerate([("measured", first), *rows.items()]):
+                some = [r for r in entries if (r["feature"], r["configuration"]) == (feature, configuration)]
+                x = [cases.index(r["case"]) + (k - 0.5 * len(rows)) * width for r in some]
+                if k == 0:
+                    y, spread = [r["measured"] for r in some], [r["standard_error"] for r in some]
+                    axis.errorbar(x, y, spread, fmt="s", color="black", ms=4, capsize=2, label=name)
+                    continue
+                middle = np.array([r["predicted"] for r in some])
+                ends = np.array([r["predicted_hdi90"] for r in some])
+                reach = np.maximum(np.abs(ends.T - middle), 0.0)
+                mark = {"color": COLOURS[(k - 1) % 6], "marker": "o^vDP"[(k - 1) % 5], "ms": 4, "lw": 2.5}
+                axis.errorbar(x, middle, reach, ls="none", label=name.replace("_", " "), **mark)
+            axis.set_xticks(range(len(cases)), cases)
+            unit = first[[r["feature"] for r in first].index(feature)]["unit"]
+            axis.set_ylabel(f"{feature.replace('_', ' ')}" + ("" if unit == "1" else f" / {unit}"))
+            axis.set_title(configuration, fontsize=9.0)
+        axes.flat[0].legend(fontsize=7.0)
+        figure.suptitle(title)
+    return figure
+
+
+def missing_torque_figure(
+    torque: Any, curve: Mapping[str, Mapping[str, Any]], *, body: int, title: str, record: str = "",
+    translational: bool = False,
+) -> Figure:  # fmt: skip
+    """Missing torque (force) on each inertia over time with its 90 % band, and against the coordinates of its site.
+
+    torque : of one trial, shown as points where it is known to three times its median sd: times (n,), torque and sd
+    (2, n) N m, th1, w1, th2, w2, phi, slip (n,); curve : coordinate -> its bins over all trials (centre, torque_n_m,
+    sd_n_m), as `SiteMap.curve` gives them; body : the inertia that the curve is of, 0 or 1;
+    record : the name of that trial.
+    """
+    figure = new_figure(9.0, 6.0)
+    names = ("primary", "secondary")
+    effort = "force [N]" if translational else "torque [N m]"
+    with mpl.rc_context(RC):
+        axes = figure.subplot_mosaic([["time", "time"], ["left", "right"]])
+        over_time = axes["time"]
+        for k, colour in ((0, COLOURS[0]), (1, COLOURS[1])):
+            value, sd = np.asarray(torque.torque[k]), np.asarray(torque.sd[k])
+            if not np.any(value):
+                continue
+            over_time.plot(torque.times, value, color=colour, lw=1.0, ls=STYLES[k], label=f"on the {names[k]}")
+            over_time.fill_between(torque.times, value - 1.645 * sd, value + 1.645 * sd, color=colour, alpha=0.25, lw=0)
+        over_time.set_xlabel("time since release [s]")
+        over_time.set_ylabel(effort)
+        over_time.set_title(record, loc="left")
+        over_time.legend(loc="upper right")
+        known = np.asarray(torque.sd[body]) <= 3.0 * float(np.median(torque.sd[body]))
+        for axis, (name, bins) in zip((axes["left"], axes["right"]), curve.items(), strict=False):
+            points = np.asarray(getattr(torque, name))
+            axis.plot(
+                points[known], np.asarray(torque.torque[body])[known], ".", ms=1.5, color="0.6", label="the trial above"
+            )
+            centre, mean, sd = (np.asarray(bins[key]) for key in ("centre", "torque_n_m", "sd_n_m"))
+            axis.plot(centre, mean, color=COLOURS[body], ls=STYLES[body], label="mean of all trials")
+            axis.fill_between(centre, mean - 1.645 * sd, mean + 1.645 * sd, color=COLOURS[body], alpha=0.25, lw=0)
+            symbol, unit = COORDINATES[name][translational]
+            axis.set_xlabel(f"{symbol} [{unit}]")
+            axis.set_ylabel(f"{effort} on the {names[body]}")
+        axes["left"].legend(loc="best")
+        figure.suptitle(title)
+    return figure

@@ -1,0 +1,297 @@
+"""Figures of the other commands: variability, tuning, thesis, plan, withheld check, bench."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
+
+from bayes_damper.figures.style import RC, COLOURS, STYLES, label, new_figure
+from bayes_damper.rig.parameters import unit_of
+
+_SHOWN_HZ = 20.0
+"""Up to where frequency responses of the thesis are drawn."""
+
+
+def work_precision_figure(curves: Mapping[str, Sequence[tuple[float, float]]], *, title: str) -> Figure:
+    """Largest error against CPU time of one record; a curve of (microseconds, share of the peak) for each method."""
+    figure = new_figure(6.0, 4.0)
+    with mpl.rc_context(RC):
+        axes = figure.add_subplot()
+        for i, (name, points) in enumerate(curves.items()):
+            time, error = np.array(points, float).T
+            axes.loglog(time, error, marker="os^vD"[i % 5], color=COLOURS[i % 7], linestyle=STYLES[i % 4], label=name)
+        axes.axhline(1e-4, color="#888888", linewidth=0.8)
+        axes.set_xlabel(label("CPU time of one record", "µs"))
+        axes.set_ylabel("largest error, share of the peak")
+        axes.set_title(title)
+        axes.legend()
+    return figure
+
+
+def variability_figure(result: Mapping[str, Any], *, title: str, converged: bool = True) -> Figure:
+    """Effective k2t and c2t against initial energy, and where their scatter over the cases comes from.
+
+    result : what variability.json holds. Above: bands of one and the same rig (median, 90 %), each case with its 90 %
+    interval, and the values that linear fits to the measurements gave. Below: shares of the scatter, 90 % intervals.
+    """
+    names = {name: label(name, unit_of(name, result.get("kind", "torsional"))) for name in ("k2t", "c2t")}
+    figure = new_figure(9.0, 6.2, converged)
+    with mpl.rc_context(RC):
+        axes = figure.subplots(2, 2, height_ratios=[2.4, 1.0])
+        for k, (name, axis_label) in enumerate(names.items()):
+            upper, lower = axes[0, k], axes[1, k]
+            for i, (label_, curve) in enumerate(result["effective"]["curves"].items()):
+                energy = 1e3 * np.asarray(curve["energy_j"])
+                colour = COLOURS[(2, 4, 5)[i % 3]]
+                upper.plot(energy, curve[name]["median"], color=colour, ls=STYLES[i % 4], label=f"one rig, {label_}")
+                upper.fill_between(energy, curve[name]["low"], curve[name]["high"], color=colour, alpha=0.18, lw=0)
+            for i, (case, row) in enumerate(result["effective"]["cases"].items()):
+                energy = 1e3 * row["energy_j"]
+                upper.plot([energy] * 2, row[name]["hdi90"], color=COLOURS[0], lw=1.6)
+                told = "each case, 90 %" if i == 0 else None
+                upper.plot(energy, row[name]["median"], "o", color=COLOURS[0], ms=5, label=told)
+                upper.annotate(case, (energy, row[name]["median"]), xytext=(4, 4), textcoords="offset points")
+                if "measured" in row:
+                    words = "Table 9 (p. 20)" if result["campaign"] == "thesis" else "linear fit to the measurements"
+                    told = words if i == 0 else None
+                    upper.plot(energy, row["measured"][name], "D", color=COLOURS[1], ms=5, label=told)
+            upper.set_yscale("log")
+            upper.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            upper.yaxis.set_major_formatter("{x:g}")
+            upper.yaxis.set_minor_formatter(NullFormatter())
+            upper.set_xlabel("initial energy [mJ]")
+            upper.set_ylabel(f"effective {axis_label}")
+            pieces = {key: row for key, row in result["decomposition"][name].items() if isinstance(row, Mapping)}
+            pieces = {key: row["share"] for key, row in pieces.items() if "share" in row}
+            for y, share in enumerate(pieces.values()):
+                lower.plot(share["hdi90"], [y, y], color=COLOURS[0], lw=2.0)
+                lower.plot(share["median"], y, "o", color=COLOURS[1], ms=5)
+            lower.set_yticks(range(len(pieces)), [key.replace("_", " ") for key in pieces] if k == 0 else [])
+            lower.set_xlim(0.0, 1.0)
+            lower.set_ylim(len(pieces) - 0.5, -0.5)
+            lower.set_xlabel(f"share of the variance of ln {name} over the cases")
+        # Above the axes, where it hides no case; a title of the figure would share its place.
+        drawn = axes[0, 0].get_legend_handles_labels()
+        figure.legend(*drawn, loc="outside upper center", ncols=5, fontsize=8, title=title, title_fontsize=11)
+    return figure
+
+
+def response_figure(result: Mapping[str, Any], *, title: str) -> Figure:
+    """Frequency response of the primary without a secondary and with each design: one panel for each way of exciting.
+
+    result : what tune.json holds; bands hold 90 % of the draws.
+    """
+    panels: dict[str, list[tuple[str, Mapping[str, Any]]]] = {}
+    for name, band in result["frequency_response"].items():
+        excited, _, design = name.partition(", ")
+        panels.setdefault(excited, []).append((design, band))
+    designs = list(dict.fromkeys(design for bands in panels.values() for design, _ in bands))
+    effort = "force" if result.get("kind") == "translational" else "torque"
+    columns = min(2, len(panels))
+    rows = -(-len(panels) // columns)
+    figure = new_figure(4.6 * columns, 2.7 * rows + 0.5, result.get("converged", True))
+    with mpl.rc_context(RC):
+        axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
+        for axis, (excited, bands) in zip(axes, panels.items(), strict=False):
+            for design, band in bands:
+                k = designs.index(design)
+                frequency, low, middle, high = (
+                    np.array(band[key], float) for key in ("frequency_hz", "q05", "median", "q95")
+                )
+                marks: dict[str, Any] = {"color": COLOURS[k % len(COLOURS)]}
+                axis.plot(frequency, middle, ls=STYLES[k % len(STYLES)], label=design, **marks)
+                axis.fill_between(frequency, low, high, alpha=0.2, lw=0, **marks)
+            axis.set_yscale("log")
+            axis.set_title("linear model" if excited == "linear" else f"nonlinear, {effort} {excited}", loc="left")
+        for axis in axes[len(panels) :]:
+            axis.set_visible(False)
+        for axis in axes[: len(panels)]:
+            axis.tick_params(labelbottom=True)
+        for axis in axes[: len(panels)][-columns:]:
+            axis.set_xlabel("frequency [Hz]")
+        for axis in axes[::columns]:
+            axis.set_ylabel("accelerance [1/kg]" if effort == "force" else "accelerance [1/(kg m²)]")
+        axes[0].legend(loc="best", fontsize=8)
+        figure.suptitle(title)
+    return figure
+
+
+def tuning_figure(result: Mapping[str, Any], *, title: str) -> Figure:
+    """Insertion loss against the exciting torque, and over the inertia and the radius of the secondary.
+
+    result : what tune.json holds. Bars and bands hold 90 % of the draws; the grey line is the target, the
+    upright ones are the design and the best design.
+    """
+    curves = result["curves"]
+    driven = {"design": result["nonlinear"], "best design": (result["optimum"] or {}).get("nonlinear", [])}
+    first = bool(result["nonlinear"])
+    translational = result.get("kind") == "translational"
+    columns = len(curves) + first
+    figure = new_figure(3.4 * max(columns, 1) + 0.4, 3.3, result.get("converged", True))
+    with mpl.rc_context(RC):
+        axes = figure.subplots(1, max(columns, 1), squeeze=False, sharey=True)[0]
+        for k, (name, rows) in enumerate(driven.items()):
+            told = [r for r in rows if r["insertion_loss_db"]["median"] is not None]
+            x = np.array([r["torque_amplitude_n_m"] for r in told]) * (0.97 if k else 1.03)
+            for at, row in zip(x, told, strict=True):
+                axes[0].plot([at] * 2, row["insertion_loss_db"]["interval90"], color=COLOURS[k], lw=1.5)
+            y = [r["insertion_loss_db"]["median"] for r in told]
+            axes[0].plot(x, y, color=COLOURS[k], ls=STYLES[k], marker="os"[k], ms=4, label=name)
+        if first:
+            axes[0].set_xscale("log")
+            ticks = [r["torque_amplitude_n_m"] for r in result["nonlinear"]]
+            axes[0].set_xticks(ticks, [f"{x:g}" for x in ticks])
+            axes[0].minorticks_off()
+            axes[0].set_xlabel("exciting force [N]" if translational else "exciting torque [N m]")
+            axes[0].legend(loc="best", fontsize=8)
+            axes[0].set_title("with dry friction", loc="left")
+        labels = {"J2": ("J2 [kg]", 1.0) if translational else ("J2 [g m²]", 1e3), "R": ("R [mm]", 1e3)}
+        for axis, (name, curve) in zip(axes[int(first) :], curves.items(), strict=False):
+            words, unit = labels.get(name, (name, 1.0))
+            x = unit * np.asarray(curve["value"])
+            mean, low, high = (np.array(curve[key], float) for key in ("mean", "q05", "q95"))
+            axis.plot(x, mean, color=COLOURS[0], label="mean")
+            axis.fill_between(x, low, high, color=COLOURS[0], alpha=0.2, lw=0, label="90 %")
+            for k, place in enumerate((curve["design"], curve["best_design"])):
+                if place is not None:
+                    axis.axvline(unit * place, color=COLOURS[k], ls=STYLES[k], lw=1.0)
+            axis.set_xlabel(words)
+            axis.set_title("linear model", loc="left")
+        for axis in axes:
+            axis.axhline(result["target_db"], color="#888888", lw=0.9)
+        axes[0].set_ylabel("insertion loss [dB]")
+        figure.suptitle(title)
+    return figure
+
+
+def thesis_figure(found: Mapping[str, Any]) -> Figure:
+    """The figures of the thesis as its equations and constants give them, a panel each.
+
+    found : name -> thesis.Figure (page, x, y, curves, note, printed).
+    """
+    columns = 2
+    rows = -(-len(found) // columns)
+    figure = new_figure(10.0, 2.9 * rows + 0.4)
+    with mpl.rc_context(RC):
+        axes = figure.subplots(rows, columns, squeeze=False).ravel()
+        for axis, (name, told) in zip(axes, found.items(), strict=False):
+            response = "frequency" in told.x
+            for k, (words, (x, y)) in enumerate(told.curves.items()):
+                shown = x <= _SHOWN_HZ if response else np.ones(x.size, dtype=bool)
+                axis.plot(
+                    *(x[shown], y[shown]), color=COLOURS[k % len(COLOURS)], ls=STYLES[k % len(STYLES)], lw=1.1,
+                    label=words,
+                )  # fmt: skip
+            for k, (words, (x, y)) in enumerate(told.printed.items()):
+                axis.plot(x, y, "x^sD"[k % 4], color="#000000", ms=5, mfc="none", label=f"printed: {words}")
+            if response:
+                axis.set_yscale("log")
+                axis.set_ylim(bottom=max(axis.get_ylim()[0], 1e-3 * axis.get_ylim()[1]))
+            axis.set_xlabel(told.x.replace("(", "[", 1).replace(")", "]", 1))
+            axis.set_ylabel(told.y.replace("(", "[", 1)[::-1].replace(")", "]", 1)[::-1], fontsize=8)
+            axis.set_title(f"{name} (p. {told.page})", loc="left")
+            axis.legend(loc="lower right" if told.printed else "best", fontsize=7)
+        for axis in axes[len(found) :]:
+            axis.set_visible(False)
+        figure.suptitle("The figures of the thesis, recomputed from its equations and constants")
+    return figure
+
+
+def plan_figure(result: Mapping[str, Any], *, title: str) -> Figure:
+    """What a plan could see and tell apart: chance of each effect to be seen, and nats of each beside each rival.
+
+    result : what plan.json holds. The numbers in the right part are expected nats, left out from 10 on (told apart);
+    dark cells are pairs that the planned trials cannot tell apart.
+    """
+    names = [row["name"] for row in result["effects"]]
+    figure = new_figure(4.0 + 0.36 * len(names), 1.9 + 0.26 * len(names))
+    with mpl.rc_context(RC | {"axes.grid": False}):
+        left, right = figure.subplots(1, 2, width_ratios=[2.2, 0.36 * len(names)])
+        left.barh(range(len(names)), [row["chance"] for row in result["effects"]], color=COLOURS[0])
+        left.set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
+        left.set_xlim(0.0, 1.0)
+        left.set_ylim(len(names) - 0.5, -0.5)
+        left.set_xlabel("share of plausible sizes\nthat would be seen")
+        table = np.array([[result["matrix"][a].get(b, np.nan) for b in names] for a in names], float)
+        right.imshow(np.clip(table, 0.0, 10.0), cmap="Blues_r", vmin=-4.0, vmax=10.0, aspect="auto")
+        for (y, x), nats in np.ndenumerate(table):
+            if nats < 10.0:
+                right.text(x, y, f"{nats:.0f}", ha="center", va="center", fontsize=7, color="w" if nats < 3.0 else "k")
+        right.set_xticks(range(len(names)), [name.replace("_", " ") for name in names], rotation=90)
+        right.set_yticks([])
+        right.set_ylim(len(names) - 0.5, -0.5)
+        right.set_xlabel("rival")
+        right.set_title("nats by which a typical effect stands out beside a rival (empty: 10 or more)", loc="left")
+        figure.suptitle(title)
+    return figure
+
+
+def withheld_figure(scores: Mapping[str, Any], *, rehearsal: bool = False) -> Figure:
+    """The check on withheld data: what was taken for what, sites, reliability beside a calibrated twin, strength.
+
+    scores : the entry `scores` of withheld.json. rehearsal : marked across the top.
+    """
+    answers = sorted({*scores["confusion"], *(n for row in scores["confusion"].values() for n in row)})
+    figure = new_figure(11.0, 4.2 + 0.22 * len(answers))
+    with mpl.rc_context(RC | {"axes.grid": False}):
+        parts = figure.subplot_mosaic("ns;nr;nl", width_ratios=[3, 2])
+        _draw_counts(parts["n"], scores["confusion"], "what was taken for what")
+        _draw_counts(parts["s"], scores["sites"], "true site and most probable site")
+        axis, told = parts["r"], scores["reliability"]["all"]
+        axis.plot([0, 1], [0, 1], color="#888888", lw=0.8)
+        for row in told["bins"]:
+            at = row["confidence"]
+            axis.plot([at, at], row["twin95"], color=COLOURS[5], lw=7, alpha=0.5, solid_capstyle="butt")
+            axis.plot([at, at], row["right"]["interval95"], color=COLOURS[0], lw=1.2)
+            axis.plot(at, row["right"]["value"], "o", color=COLOURS[1], ms=5)
+        axis.set_xlabel("probability of the verdict")
+        axis.set_ylabel("share that is right")
+        axis.set_title("reliability (bars: calibrated twin, 95 %)", loc="left")
+        axis = parts["l"]
+        for k, kind in enumerate(sorted({row["kind"] for row in scores["by_level"]})):
+            rows = [row for row in scores["by_level"] if row["kind"] == kind]
+            at = [row["level"] * (1.03 if k else 0.97) for row in rows]
+            right = [row["accepted_first"] for row in rows]
+            reach = np.array([[r["value"] - r["interval95"][0], r["interval95"][1] - r["value"]] for r in right]).T
+            marks: dict[str, Any] = {"color": COLOURS[k], "ls": STYLES[k % len(STYLES)], "marker": "os"[k % 2], "ms": 4}
+            axis.errorbar(at, [r["value"] for r in right], np.maximum(reach, 0.0), label=kind, **marks)
+            axis.legend(loc="lower right")
+        levels = sorted({float(row["level"]) for row in scores["by_level"]})
+        axis.set_xscale("log")
+        axis.set_xticks(levels, [f"{level:g}" for level in levels])
+        axis.set_xticks([], minor=True)
+        axis.set_ylim(0.0, 1.05)
+        axis.set_xlabel("level: gap after the best nominal fit / noise")
+        axis.set_ylabel("right answer first")
+    if rehearsal:
+        told = "REHEARSAL: the code has changed since these campaigns were sealed"
+        figure.suptitle(told, color="#B00020", weight="bold")
+    return figure
+
+
+def _draw_counts(axis: Any, counts: Mapping[str, Mapping[str, int]], title: str) -> None:
+    """Counts, shaded by the share of their row: rows true, those that were answered first; columns answered."""
+    axis.set_title(title, loc="left")
+    if not counts:
+        axis.text(0.5, 0.5, "no campaign with a single cause", ha="center", va="center", transform=axis.transAxes)
+        axis.set_axis_off()
+        return
+    given = {name for row in counts.values() for name in row}
+    rows = sorted(counts, key=lambda name: name not in given)
+    columns = [*(name for name in rows if name in given), *sorted(given - set(rows))]
+    table = np.array([[counts[row].get(column, 0) for column in columns] for row in rows], float)
+    share = table / np.maximum(table.sum(axis=1, keepdims=True), 1.0)
+    axis.imshow(share, cmap="Blues", vmin=0.0, vmax=1.4, aspect="auto")
+    for (y, x), count in np.ndenumerate(table):
+        if count:
+            dark = share[y, x] > 0.8
+            axis.text(x, y, f"{count:.0f}", ha="center", va="center", fontsize=7, color="white" if dark else "black")
+    axis.set_xlabel("answer")
+    axis.set_ylabel("truth")
+    axis.set_xticks(range(len(columns)), columns, rotation=90, fontsize=7)
+    axis.set_yticks(range(len(rows)), rows, fontsize=7)
