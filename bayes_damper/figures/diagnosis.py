@@ -9,7 +9,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from bayes_damper.figures.style import RC, COLOURS, STYLES, new_figure, raised
+from bayes_damper.figures.style import COLOURS, RC, STYLES, new_figure, raised
 from bayes_damper.text import COORDINATES
 
 

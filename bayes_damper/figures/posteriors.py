@@ -16,8 +16,8 @@ from matplotlib.ticker import FixedLocator, MaxNLocator, NullFormatter
 from matplotlib.transforms import blended_transform_factory
 from scipy.ndimage import gaussian_filter
 
-from bayes_damper.figures.style import RC, COLOURS, STYLES, Array, plain_figure, mark, new_figure, raised
-from bayes_damper.numerals import interval, number
+from bayes_damper.figures.style import COLOURS, RC, STYLES, Array, mark, new_figure, plain_figure, raised
+from bayes_damper.text import interval, number
 
 _LOGARITHMIC = ("nu",)
 """Parameters that may be known to a factor at best: their axes are logarithmic where a factor of 10 is seen."""

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from bayes_damper.figures.style import RC, COLOURS, STYLES, label, new_figure
+from bayes_damper.figures.style import COLOURS, RC, STYLES, label, new_figure
 from bayes_damper.rig.parameters import unit_of
 
 _SHOWN_HZ = 20.0

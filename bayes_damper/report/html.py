@@ -19,13 +19,12 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.numerals import NOTHING, percent
 from bayes_damper.report.parts import Picture, Result, Section
 from bayes_damper.report.sections import READERS
 from bayes_damper.report.terms import terms
 from bayes_damper.runs.execution import read_json, write_text
 from bayes_damper.runs.provenance import provenance
-from bayes_damper.text import counted
+from bayes_damper.text import NOTHING, counted, percent
 
 LARGEST = 5_000_000
 """Bytes that a page may have, so that it can be sent by mail."""

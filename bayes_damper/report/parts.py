@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from bayes_damper.numerals import NOTHING, number
-from bayes_damper.text import p_value
+from bayes_damper.text import NOTHING, number, p_value
 
 
 @dataclass(frozen=True)

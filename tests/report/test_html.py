@@ -34,9 +34,9 @@ from bayes_damper.figures import (
     save,
 )
 from bayes_damper.fit.drawings import draw_overlaid
-from bayes_damper.numerals import NOTHING, number, percent
 from bayes_damper.report.charts import pack, record_chart, torque_chart, unpack
 from bayes_damper.report.html import LARGEST, typeset
+from bayes_damper.text import NOTHING, number, percent
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 TIMES = np.arange(0.0, 0.5, 1e-3)

@@ -9,12 +9,21 @@ from pathlib import Path
 from typing import Any
 
 from bayes_damper.effects import EFFECTS
-from bayes_damper.numerals import NOTHING, interval, number, percent, plus_minus
 from bayes_damper.report.charts import torque_chart
 from bayes_damper.report.parts import Headline, Result, Row, Section, Table, folded, generic, listed, words
 from bayes_damper.report.sections.shared import fingerprint, meaning_of, pictures_of, records_table
 from bayes_damper.rig.parameters import PARAMETERS
-from bayes_damper.text import COORDINATES, gap_beside_verdict, gathered, named_answers
+from bayes_damper.text import (
+    COORDINATES,
+    NOTHING,
+    gap_beside_verdict,
+    gathered,
+    interval,
+    named_answers,
+    number,
+    percent,
+    plus_minus,
+)
 from bayes_damper.text import p_value as told_p
 
 _SITES = {

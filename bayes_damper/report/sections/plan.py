@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from bayes_damper.fit.sensitivity import decided_by
-from bayes_damper.numerals import NOTHING, interval, number, percent
 from bayes_damper.report.parts import Headline, Result, Row, Section, Table, listed, words
 from bayes_damper.report.sections.shared import fingerprint, meaning_of, pictures_of, records_table
+from bayes_damper.text import NOTHING, interval, number, percent
 
 
 def plan_result(data: Mapping[str, Any], folder: Path) -> Result:

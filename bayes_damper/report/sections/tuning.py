@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bayes_damper.numerals import NOTHING, SDS_WIDE, number, percent
 from bayes_damper.report.charts import response_chart
 from bayes_damper.report.parts import Headline, Result, Row, Section, Table, listed, words
 from bayes_damper.report.sections.shared import fingerprint, meaning_of, pictures_of
 from bayes_damper.rig.parameters import unit_of
-from bayes_damper.text import counted, gathered
+from bayes_damper.text import NOTHING, SDS_WIDE, counted, gathered, number, percent
 
 
 def tune_result(data: Mapping[str, Any], folder: Path) -> Result:

@@ -7,11 +7,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bayes_damper.numerals import NOTHING, interval, number, percent, plus_minus
 from bayes_damper.report.parts import Headline, Result, Row, Section, Table, folded, generic, listed, words
 from bayes_damper.report.sections.shared import UNCONVERGED, fingerprint, pictures_of
 from bayes_damper.rig.parameters import unit_of
-from bayes_damper.text import gathered
+from bayes_damper.text import NOTHING, gathered, interval, number, percent, plus_minus
 
 _SHARING = {
     "shared": "one parameter set for all cases",

@@ -6,10 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from bayes_damper.numerals import number
 from bayes_damper.report.parts import Headline, Result, Row, Section, Table, folded, generic
 from bayes_damper.report.sections.shared import pictures_of
-from bayes_damper.text import counted
+from bayes_damper.text import counted, number
 
 _SCORES = (
     ("accepted_first", "right or acceptable first answer"),
