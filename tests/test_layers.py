@@ -4,6 +4,7 @@ Every import counts: those inside functions and those for types alone, too.
 """
 
 import ast
+import re
 import subprocess
 import sys
 from graphlib import CycleError, TopologicalSorter
@@ -70,7 +71,15 @@ def test_folders_import_one_way():
         part = name.split(".")[0]
         if part not in DOORS | {"cli"}:
             graph.setdefault(part, set()).update(taken.split(".")[0] for taken in taken_by(path))
-    one_way({part: taken - {part} for part, taken in graph.items()}, "folders")
+    graph = {part: taken - {part} for part, taken in graph.items()}
+    one_way(graph, "folders")
+    table = (ROOT.parent / "CONTRIBUTING.md").read_text(encoding="utf-8").split("| --- | --- |")[1].split("\n\n")[0]
+    first = [row.split("|")[1] for row in table.splitlines() if row.startswith("|")]
+    order = [name for cell in first for name in re.findall(r"`(\w+)(?:\.py|/)`", cell)]
+    assert sorted(order) == sorted({*graph, "cli"}), "the map in CONTRIBUTING.md lists each part once"
+    for part, taken in graph.items():
+        above = set(order[: order.index(part)])
+        assert taken <= above, f"the map in CONTRIBUTING.md puts {sorted(taken - above)} below {part}, which imports it"
 
 
 @pytest.mark.parametrize("folder", sorted({p.parent for p in FILES} - {ROOT}), ids=lambda p: p.name)
