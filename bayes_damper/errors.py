@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import IntEnum
 
+_LONGEST = 4000  # characters of a sentence
+
 
 class ExitCode(IntEnum):
     """How a command ended."""
@@ -31,8 +33,16 @@ class InputError(BayesDamperError):
     exit_code = ExitCode.BAD_INPUT
 
     def __init__(self, faults: str | Sequence[str]) -> None:
-        self.faults: tuple[str, ...] = (faults,) if isinstance(faults, str) else tuple(faults)
+        told = (faults,) if isinstance(faults, str) else tuple(faults)
+        self.faults: tuple[str, ...] = tuple(map(_readable, told))
         super().__init__("\n".join(self.faults))
+
+
+def _readable(sentence: str) -> str:
+    """A sentence for a terminal: what it quotes from a file may be long, or hold what steers the terminal."""
+    if len(sentence) > _LONGEST:
+        sentence = f"{sentence[: _LONGEST // 2]} ... {sentence[-_LONGEST // 2 :]}"
+    return "".join(c if c == "\n" or c.isprintable() else ascii(c)[1:-1] for c in sentence)
 
 
 class SelfCheckError(BayesDamperError):

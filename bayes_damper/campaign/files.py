@@ -7,24 +7,26 @@ import hashlib
 from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 
+from bayes_damper.inputs import collected, file_bytes, text_of
+
 
 def nearest_name(word: str, names: Iterable[str]) -> str:
     """A hint for a word that is none of the names: the one that was meant, or all of them."""
-    found = difflib.get_close_matches(word, list(names), 1, 0.5)
+    found = difflib.get_close_matches(word[:60], list(names), 1, 0.5)
     return f"did you mean '{found[0]}'?" if found else f"valid names: {', '.join(names)}"
 
 
 def read_bytes(path: Path, name: str, faults: list[str], digest: hashlib._Hash) -> bytes | None:
-    """The bytes of a file, unpacked, with `digest` fed; None, and a fault, if it cannot be read."""
+    """The bytes of a file, with `digest` fed; None, and a fault, if it cannot be read."""
+    raw = None
     try:
-        raw = path.read_bytes()
+        with collected(faults):
+            raw = file_bytes(path, name)
     except FileNotFoundError:
         near = _nearest_file(path)
         hint = f"did you mean {near}?" if near else "put it into the campaign's folder or correct the name"
         faults.append(f"{name}: no such file; {hint}")
-        return None
-    except OSError as error:
-        faults.append(f"{name}: cannot be read ({error.strerror}); give a readable file")
+    if raw is None:
         return None
     digest.update(raw)
     if not raw.strip():
@@ -46,13 +48,6 @@ def _nearest_file(path: Path) -> str | None:
 
 def decoded(raw: bytes, name: str, faults: list[str]) -> str | None:
     """The text of a file; None, and a fault, if it is no text."""
-    if b"\0" in raw[:4096]:
-        kind = "a spreadsheet or an archive" if raw.startswith(b"PK") else "not plain text (it holds bytes of 0)"
-        faults.append(f"{name}: {kind}; save it as plain text in UTF-8, tables as CSV")
-        return None
-    try:
-        return raw.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = raw[: error.start].count(b"\n") + 1
-        faults.append(f"{name}, line {line}: not UTF-8 text; save the file as plain text in UTF-8")
-        return None
+    with collected(faults):
+        return text_of(raw, name)
+    return None

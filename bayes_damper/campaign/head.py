@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import math
-import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,9 +19,12 @@ from bayes_damper.campaign.structure import (
     Measurement,
     Rig,
 )
+from bayes_damper.errors import InputError
+from bayes_damper.inputs import collected, real, shown, toml_file, toml_of
 
 TomlValue = Any  # whatever a TOML file can hold: checked by those who take it
 _SINGLE = {"sample_rate": "one number, in Hz", "duration": "one number, in s", "every": "one whole number"}
+_MOST_UNKNOWN = 20
 _TOP = ("name", "description", "source", "caveats", "rig", "measurement")
 _TABLES = {"rig": (*RIG_NUMBERS, *RIG_WORDS),
            "measurement": (*MEASUREMENT_WORDS, *MEASUREMENT_NUMBERS, *MEASUREMENT_SPREADS)}  # fmt: skip
@@ -53,18 +54,15 @@ def read_head(folder: Path, faults: list[str], digest: hashlib._Hash) -> Head | 
     text = None if raw is None else decoded(raw, name, faults)
     if text is None:
         return None
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        faults.append(f"{name}: not valid TOML: {error}; correct that line")
-        return None
-    return head_from_table(table, name, faults)
+    with collected(faults):
+        return head_from_table(toml_of(text, name), name, faults)
+    return None
 
 
 def head_from_table(table: Mapping[str, Any], name: str, faults: list[str]) -> Head:
     """Checks the keys of a campaign.toml that was read into `table`; faults are appended."""
     before = len(faults)
-    for key in table:
+    for key in _few(table, _TOP, name, faults):
         if key not in _TOP:
             home = next((table for table, keys in _TABLES.items() if key in keys), None)
             hint = (
@@ -86,10 +84,19 @@ def head_from_table(table: Mapping[str, Any], name: str, faults: list[str]) -> H
     return Head(words["name"], words["description"], words["source"], tuple(caveats), rig, measurement, broken)
 
 
+def _few(table: Mapping[str, Any], valid: Sequence[str], where: str, faults: list[str]) -> list[str]:
+    """The keys of a table to look at: of those that are not valid no more than anybody reads."""
+    unknown = [key for key in table if key not in valid]
+    if len(unknown) > _MOST_UNKNOWN:
+        faults.append(f"{where}: {len(unknown)} unknown keys; the first {_MOST_UNKNOWN} are named")
+    left = set(unknown[_MOST_UNKNOWN:])
+    return [key for key in table if key not in left]
+
+
 def _text(table: Mapping[str, Any], key: str, name: str, faults: list[str]) -> str:
     value = table.get(key, "")
     if not isinstance(value, str) or (key == "name" and key in table and not value.strip()):
-        faults.append(f"{name}: '{key}' must be text in quotes, not {value!r}")
+        faults.append(f"{name}: '{key}' must be text in quotes, not {shown(value)}")
         return ""
     return value
 
@@ -99,7 +106,7 @@ def _subtable(table: Mapping[str, Any], key: str, name: str, faults: list[str]) 
     if key == "rig" and key not in table:
         faults.append(f"{name}: table [rig] is missing; it must give at least primary_inertia")
     if not isinstance(value, dict):
-        faults.append(f"{name}: '{key}' must be a table, [{key}], not {value!r}")
+        faults.append(f"{name}: '{key}' must be a table, [{key}], not {shown(value)}")
         return {}
     return value
 
@@ -110,9 +117,9 @@ def _read_words(
     found = {}
     for key, valid in words.items():
         value = table.get(key, valid[0])
-        if value not in valid:
+        if not isinstance(value, str) or value not in valid:
             faults.append(
-                f"{where}: {key} = {value!r} is not one of {', '.join(valid)}; {nearest_name(str(value), valid)}"
+                f"{where}: {key} = {shown(value)} is not one of {', '.join(valid)}; {nearest_name(shown(value), valid)}"
             )
             value = valid[0]
         found[key] = value
@@ -121,7 +128,7 @@ def _read_words(
 
 def _read_rig(table: Mapping[str, Any], name: str, faults: list[str]) -> Rig:
     where = f"{name} [rig]"
-    for key in table:
+    for key in _few(table, (*RIG_WORDS, *RIG_NUMBERS), where, faults):
         if key not in (*RIG_WORDS, *RIG_NUMBERS):
             faults.append(f"{where}: unknown key '{key}'; {nearest_name(key, (*RIG_WORDS, *RIG_NUMBERS))}")
     words = _read_words(table, RIG_WORDS, where, faults)
@@ -155,17 +162,14 @@ def constant_from(value: TomlValue, where: str, faults: list[str]) -> Constant |
             faults.append(f"{where}: key 'value' is missing; write {{ value = ..., std = ... }}")
             return None
         value, std = value["value"], value.get("std", 0.0)
-    for number in (value, std):
-        if isinstance(number, bool) or not isinstance(number, int | float):
-            faults.append(f"{where} must be a number or {{ value = ..., std = ... }}, not {number!r}")
-            return None
-    if not (math.isfinite(value) and math.isfinite(std)):
-        faults.append(f"{where} must be finite, not {value!r} with std {std!r}")
-        return None
-    if std < 0.0:
+    before = len(faults)
+    with collected(faults):
+        value = real(value, where, "a number or { value = ..., std = ... }")
+    with collected(faults):
+        std = real(std, f"{where}: std")
+    if len(faults) == before and std < 0.0:
         faults.append(f"{where}: std = {std!r} is negative; give a standard uncertainty of 0 or more")
-        return None
-    return Constant(float(value), float(std))
+    return Constant(value, std) if len(faults) == before else None
 
 
 def _check_constant(key: str, constant: Constant, kind: str, where: str, faults: list[str]) -> None:
@@ -181,7 +185,7 @@ def _check_constant(key: str, constant: Constant, kind: str, where: str, faults:
 def _read_measurement(table: Mapping[str, Any], name: str, faults: list[str]) -> Measurement:
     where = f"{name} [measurement]"
     valid = (*MEASUREMENT_WORDS, *MEASUREMENT_NUMBERS, *MEASUREMENT_SPREADS)
-    for key in table:
+    for key in _few(table, valid, where, faults):
         if key not in valid:
             faults.append(f"{where}: unknown key '{key}'; {nearest_name(key, valid)}")
     words = _read_words(table, MEASUREMENT_WORDS, where, faults)
@@ -199,17 +203,18 @@ def _read_measurement(table: Mapping[str, Any], name: str, faults: list[str]) ->
 
 def _positives(value: TomlValue, where: str, faults: list[str], zero: bool = False) -> tuple[float, ...] | None:
     values = value if isinstance(value, list) else [value]
-    for number in values:
-        if isinstance(number, bool) or not isinstance(number, int | float):
-            faults.append(f"{where} must be a number, or one number per channel, not {number!r}")
-            return None
-        if not (math.isfinite(number) and (number > 0.0 or (zero and number == 0.0))):
-            faults.append(f"{where} = {number!r} must be {'0 or more' if zero else 'positive'} and finite")
-            return None
     if not 1 <= len(values) <= 2:
         faults.append(f"{where} has {len(values)} entries; give one number, or one per channel")
         return None
-    return tuple(float(v) for v in values)
+    found = []
+    for given in values:
+        with collected(faults):
+            number = real(given, where, "a number, or one number per channel")
+            found.append(number)
+            if not (number > 0.0 or (zero and number == 0.0)):
+                faults.append(f"{where} = {number!r} must be {'0 or more' if zero else 'positive'}")
+                return None
+    return tuple(found) if len(found) == len(values) else None
 
 
 def per_channel(values: tuple[float, ...] | None, coupled: bool) -> tuple[float, ...] | None:
@@ -246,8 +251,8 @@ def check_rig(folder: Path, rig: Rig, coupled: bool, faults: list[str]) -> None:
 def _friction_fixed_at_zero(folder: Path) -> bool:
     """Whether the campaign's own priors.toml fixes mu at 0; a file that cannot be read is told by the prior reader."""
     try:
-        table = tomllib.loads((folder / "priors.toml").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        table = toml_file(folder / "priors.toml", "")
+    except (FileNotFoundError, InputError):
         return False
     for found in (table.get("mu"), *(t.get("mu") for t in table.values() if isinstance(t, dict))):
         value = found.get("value") if isinstance(found, dict) else found

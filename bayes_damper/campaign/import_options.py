@@ -6,7 +6,6 @@ stretches become trials. importer.py carries it out.
 
 from __future__ import annotations
 
-import csv
 import difflib
 import hashlib
 import re
@@ -20,6 +19,7 @@ from bayes_damper import campaign as campaigns
 from bayes_damper.campaign import Rig
 from bayes_damper.campaign.logger_files import number_of, read_file
 from bayes_damper.errors import InputError
+from bayes_damper.inputs import csv_rows, file_bytes, text_of
 
 READER: dict[str, tuple[tuple[type, ...], str]] = {
     "delimiter": ((str,), "mark between columns; 'auto' (default), ',', ';', 'tab' or 'space'"),
@@ -120,7 +120,7 @@ def spec_from_options(name: str, sources: Sequence[Path], options: Mapping[str, 
         f"option '{key}' does not exist; " + (f"did you mean '{near[0]}'?" if near else f"options: {', '.join(valid)}")
         for key in options
         if key not in valid
-        for near in [difflib.get_close_matches(key, valid, 1, 0.5)]
+        for near in [difflib.get_close_matches(key[:60], valid, 1, 0.5)]
     ]
     rows = _sheet_rows(options.get("sheet"), faults)
     folder = Path(str(options["sheet"])).resolve().parent if rows else Path()
@@ -275,12 +275,16 @@ def _sheet_rows(sheet: object, faults: list[str]) -> list[dict[str, Any]]:
         return []
     path = Path(str(sheet))
     try:
-        lines = [x for x in path.read_text(encoding="utf-8-sig").splitlines() if x.strip()]
-    except (OSError, UnicodeDecodeError) as error:
-        faults.append(f"{path}: cannot be read ({error}); give a table of the trials as CSV")
+        text = text_of(file_bytes(path, remedy="give a table of the trials as CSV"), str(path))
+        mark = next((m for m in (";", "\t") if m in text.lstrip().partition("\n")[0]), ",")
+        table = [[c.strip() for c in row] for _, row in csv_rows(text, str(path), mark)]
+    except FileNotFoundError as error:
+        faults.append(f"{path}: cannot be read ({error.strerror}); give a table of the trials as CSV")
         return []
-    mark = next((m for m in (";", "\t") if lines and m in lines[0]), ",")
-    head, *body = [[c.strip() for c in row] for row in csv.reader(lines, delimiter=mark)] or [[]]
+    except InputError as error:
+        faults.extend(error.faults)
+        return []
+    head, *body = [row for row in table if any(row)] or [[]]
     single = {k: v for k, v in {**TRIAL, **READER}.items() if (list,) != v[0]}
     wrong = [key for key in head if key not in ("file", *single)]
     if wrong or not body or not ({"file", "case", "configuration"} & set(head)):
@@ -301,7 +305,7 @@ def _sheet_rows(sheet: object, faults: list[str]) -> list[dict[str, Any]]:
                 elif str not in types or key == "k1t":
                     number = number_of(cell, mark != ",")
                     row[key] = int(number) if float not in types else number
-            except (ValueError, KeyError):
+            except (ValueError, KeyError, OverflowError):
                 if cell != "estimate":
                     wanted = "true or false" if bool in types else "a number"
                     faults.append(f"{path}, line {i}, column '{key}': '{cell}' is not {wanted}")

@@ -17,7 +17,6 @@ import math
 import re
 import shutil
 import tempfile
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -40,9 +39,16 @@ from bayes_damper.campaign.import_options import (
 )
 from bayes_damper.campaign.logger_files import LoggerFile, read_file, unit_of
 from bayes_damper.errors import InputError
+from bayes_damper.inputs import collected, real, shown, toml_file
 
 Array = NDArray[np.float64]
 
+_ITEMS: dict[str, tuple[type, ...]] = {
+    "source": (str,), "sha256": (str,), "columns": (str, int), "units": (str,), "sensitivity": (str,),
+    "mounting_radius": (int, float), "sign": (int, float), "offset": (str, int, float), "matlab_time": (str,),
+    "matlab_data": (str,),
+}  # fmt: skip
+"""What the lists of an import table may hold."""
 _LEAST: dict[str, float] = {"every": 1, "skip_lines": 0, "before": 0.0}
 """Smallest values of some keys."""
 _NAMED = 12
@@ -211,32 +217,43 @@ def _spec_table(spec: str | Path | Mapping[str, Any]) -> tuple[Mapping[str, Any]
         return spec, "import", Path()
     path = Path(spec)
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8")), path.name, path.parent
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give an import table") from error
-    except ValueError as error:
-        raise InputError(f"{path}: not valid TOML: {error}; correct that line") from error
+        return toml_file(path, "give an import table"), path.name, path.parent
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give an import table") from None
 
 
 def _checked_keys(table: Mapping[str, Any], valid: Mapping[str, tuple[tuple[type, ...], str]], where: str) -> list[str]:
     faults = []
     for key, value in table.items():
         if key not in valid:
-            near = difflib.get_close_matches(key, valid, 1, 0.5)
+            near = difflib.get_close_matches(key[:60], valid, 1, 0.5)
             hint = f"did you mean '{near[0]}'?" if near else f"valid keys: {', '.join(valid)}"
             faults.append(f"{where}: unknown key '{key}'; {hint}")
-        elif not isinstance(value, valid[key][0]) or (isinstance(value, bool) and bool not in valid[key][0]):
+        elif not _is_one_of(value, valid[key][0]):
             types, meaning = valid[key]
             numbers = float in types and list not in types
             wanted = "a number with a decimal point" if numbers else "of another type"
-            faults.append(f"{where}: {key} = {value!r}, which must be {wanted}: {meaning}")
+            faults.append(f"{where}: {key} = {shown(value)}, which must be {wanted}: {meaning}")
         elif key == "decimal" and value not in (".", ","):
-            faults.append(f"{where}: decimal = {value!r} is none of '.' and ','")
+            faults.append(f"{where}: decimal = {shown(value)} is none of '.' and ','")
+        elif value == "":
+            faults.append(f"{where}: {key} is empty; leave the key out, or give {valid[key][1]}")
+        for part in value if isinstance(value, list) and key in _ITEMS else ():
+            if not _is_one_of(part, _ITEMS[key]):
+                faults.append(f"{where}: {key} holds {shown(part)}, which cannot be: {valid[key][1]}")
+        for number in value if isinstance(value, list) else [value]:
+            with collected(faults):
+                if isinstance(number, int | float):
+                    real(number, f"{where}: {key}")
     return faults + [
-        f"{where}: {key} = {value!r} is too small; give at least {least}"
+        f"{where}: {key} = {shown(value)} is too small; give at least {least}"
         for key, least in _LEAST.items()
         if isinstance(value := table.get(key), int | float) and not value >= least
     ]
+
+
+def _is_one_of(value: object, types: tuple[type, ...]) -> bool:
+    return isinstance(value, types) and (not isinstance(value, bool) or bool in types)
 
 
 def _build(table: Mapping[str, Any], name: str, raw: Path) -> Campaign:

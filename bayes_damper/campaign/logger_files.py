@@ -25,11 +25,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.errors import InputError
+from bayes_damper.inputs import file_bytes, number_in
 
 Array = NDArray[np.float64]
 Line = tuple[int, str]
 _LOOKED_AT = 400
 """Lines in which the first numbers are looked for."""
+_LONGEST_LINE = 100_000
+"""Characters of a line in which quotes are looked for: whatever is longer is no row of a logger's table."""
 _MISSING = {"", "-", "--", "---", "na", "n/a", "nan", "null", "none"}
 """What loggers write where there is no reading."""
 _OTHER_FORMATS = (
@@ -139,9 +142,9 @@ def read_file(path: Path, option: Mapping[str, Any]) -> LoggerFile:
         if it cannot be read, is empty, or is not the file that was described.
     """
     try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); say where the raw files are") from error
+        raw = file_bytes(path, remedy="say where the raw files are")
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); say where the raw files are") from None
     expected = option.get("sha256")
     found = hashlib.sha256(raw).hexdigest()
     if expected and found != expected.lower():
@@ -287,7 +290,7 @@ def number_of(cell: str, comma: bool) -> float:
         return math.nan
     if ":" in cell:
         return _seconds(cell)
-    return float(cell.replace(",", ".") if comma else cell)
+    return number_in(cell.replace(",", ".") if comma else cell)
 
 
 def _seconds(cell: str) -> float:
@@ -446,6 +449,10 @@ def _mark(lines: Sequence[Line], option: Mapping[str, Any]) -> str:
     given = option.get("delimiter", "auto")
     named = {"tab": "\t", "space": " "}
     if given != "auto":
+        if not given:
+            raise InputError(
+                "delimiter = '' separates nothing; give the mark between columns, 'tab', 'space' or 'auto'"
+            )
         return str(named.get(given, given))
     sample = lines[max(min(2, len(lines) - 1), len(lines) // 2)][1]
     for mark in (";", "\t", "|"):
@@ -464,7 +471,9 @@ def _split(line: str, mark: str) -> list[str]:
     if mark == " ":
         return line.split()
     text = line.strip("\r\n") if mark == "\t" else line.rstrip()
-    return next(csv.reader([text], delimiter=mark)) if '"' in text else text.split(mark)
+    if '"' not in text or len(mark) > 1 or len(text) > _LONGEST_LINE:
+        return text.split(mark)
+    return next(csv.reader([text], delimiter=mark))
 
 
 def _head(line: str, mark: str) -> list[str]:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import csv
 import difflib
-import gzip
 import hashlib
 import io
 import math
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -19,10 +16,10 @@ from bayes_damper.campaign.files import decoded, read_bytes
 from bayes_damper.campaign.head import Head
 from bayes_damper.campaign.structure import COLUMNS, INPUT_COLUMN, SHOWN, Trial, natural_period, record_columns
 from bayes_damper.campaign.trials_table import Row
+from bayes_damper.inputs import LARGEST, collected, csv_rows, in_lines, number_in, shown, unpacked
 from bayes_damper.text import counted
 
 Array = NDArray[np.float64]
-_LARGEST = 1e30  # number that a record may hold, in any unit: its powers must not overflow
 
 
 def read_trial(folder: Path, row: Row, head: Head, faults: list[str], digest: hashlib._Hash) -> Trial | None:
@@ -32,15 +29,13 @@ def read_trial(folder: Path, row: Row, head: Head, faults: list[str], digest: ha
     if raw is None:
         return None
     if row.file.endswith(".gz"):
-        try:
-            raw = gzip.decompress(raw)
-        except (OSError, EOFError, zlib.error):
-            faults.append(f"{name}: not a whole gzip file; compress it again or give it uncompressed")
-            return None
-    text = decoded(raw, name, faults)
+        packed, raw = raw, None
+        with collected(faults):
+            raw = unpacked(packed, name)
+    text = None if raw is None else decoded(raw, name, faults)
     if text is None:
         return None
-    header, _, body = text.partition("\n")
+    header, _, body = in_lines(text).partition("\n")
     wanted = _columns_of(header, row, head, name, faults)
     if wanted is None:
         return None
@@ -110,27 +105,25 @@ def _numbers_of(body: str, width: int, header: list[str], name: str, faults: lis
         table = None
     if table is not None and table.shape[1] == width and np.isfinite(table).all():
         return table
-    try:
-        rows = list(csv.reader(io.StringIO(body, newline=None)))  # a lone carriage return ends a line too
-    except csv.Error as error:
-        faults.append(f"{name}: no table of numbers ({error}); export the record again")
-        return None
     before = len(faults)
+    rows: list[tuple[int, list[str]]] = []
+    with collected(faults):
+        rows = csv_rows(body, name, first=2)
     _name_bad_cells(rows, width, header, name, faults)
     if len(faults) > before:
         return None
-    filled = [row for row in rows if any(cell.strip() for cell in row)]
+    filled = [cells for _, cells in rows if any(cell.strip() for cell in cells)]
     if not filled:
         faults.append(f"{name}: no readings below the header; export the record again")
         return None
-    return np.array([[float(cell) for cell in row] for row in filled])  # quoted numbers and the like
+    return np.array([[number_in(cell) for cell in cells] for cells in filled])  # quoted numbers and the like
 
 
 def _check_sizes(columns: Sequence[Array], names: Sequence[str], name: str, faults: list[str]) -> bool:
     """Whether all numbers of a record are such that one can reckon with them; a fault for each column with others."""
     before = len(faults)
     for column, values in zip(names, columns, strict=True):
-        beyond = np.flatnonzero(np.abs(values) > _LARGEST)
+        beyond = np.flatnonzero(np.abs(values) > LARGEST)
         if len(beyond):
             first = int(beyond[0])
             faults.append(
@@ -141,9 +134,11 @@ def _check_sizes(columns: Sequence[Array], names: Sequence[str], name: str, faul
     return len(faults) == before
 
 
-def _name_bad_cells(rows: Sequence[Sequence[str]], width: int, header: list[str], name: str, faults: list[str]) -> None:
+def _name_bad_cells(
+    rows: Sequence[tuple[int, list[str]]], width: int, header: list[str], name: str, faults: list[str]
+) -> None:
     bad: list[str] = []
-    for line, cells in enumerate(rows, start=2):
+    for line, cells in rows:
         if not cells or not any(c.strip() for c in cells):
             continue
         if len(cells) != width:
@@ -156,9 +151,9 @@ def _name_bad_cells(rows: Sequence[Sequence[str]], width: int, header: list[str]
             continue
         for column, cell in zip(header, cells, strict=True):
             try:
-                finite = math.isfinite(float(cell))
+                finite = math.isfinite(number_in(cell))
             except ValueError:
-                what = f"'{cell.strip()}' is not a number" if cell.strip() else "the cell is empty"
+                what = f"{shown(cell.strip())} is not a number" if cell.strip() else "the cell is empty"
                 bad.append(f"{name}, line {line}, column '{column.strip()}': {what}; correct it or remove the line")
             else:
                 if not finite:

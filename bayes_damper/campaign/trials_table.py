@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import math
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 from bayes_damper.campaign.files import decoded, nearest_name, read_bytes
 from bayes_damper.campaign.structure import TO_SI, TRIAL_COLUMNS, Constant
+from bayes_damper.inputs import collected, csv_rows, number_in, real, shown
+
+_MOST_FAULTS = 100  # of trials.csv: whoever has more has one cause
 
 
 @dataclass(frozen=True)
@@ -35,19 +37,26 @@ def read_rows(folder: Path, kind: str, start: str, faults: list[str], digest: ha
     text = None if raw is None else decoded(raw, name, faults)
     if text is None:
         return []
-    reader = csv.reader(io.StringIO(text))
-    header = [cell.strip() for cell in next(reader, [])]
+    table: list[tuple[int, list[str]]] = []
+    with collected(faults):
+        table = csv_rows(text, name)
+    if not table:
+        return []
+    header = [cell.strip() for cell in table[0][1]]
     if not _check_header(header, kind, start, name, faults):
         return []
     rows: list[Row] = []
     seen: dict[tuple[str, str, int], int] = {}
     files: dict[str, int] = {}
-    count = 0
-    for cells in reader:
+    count, before = 0, len(faults)
+    for line, cells in table[1:]:
         if not any(cell.strip() for cell in cells):
             continue
         count += 1
-        where = f"{name}, line {reader.line_num}"
+        if len(faults) - before > _MOST_FAULTS:
+            faults.append(f"{name}: line {line} and those below were not looked at; correct the lines above first")
+            break
+        where = f"{name}, line {line}"
         if len(cells) != len(header):
             hint = (
                 "a field with a comma in it needs quotes, and numbers need decimal points"
@@ -59,7 +68,7 @@ def read_rows(folder: Path, kind: str, start: str, faults: list[str], digest: ha
         row = _row_from({k: c.strip() for k, c in zip(header, cells, strict=True)}, kind, start, where, faults)
         if row is None:
             continue
-        row = replace(row, line=reader.line_num)
+        row = replace(row, line=line)
         key = (row.case, row.configuration, row.trial)
         if key in seen:
             faults.append(
@@ -83,13 +92,13 @@ def _check_header(header: list[str], kind: str, start: str, name: str, faults: l
         faults.append(f"{name}: columns are not separated by commas; save it with commas and decimal points")
         return False
     other = TRIAL_COLUMNS["translational" if kind == "torsional" else "torsional"]
-    for column in header:
+    for column in header[:_MOST_FAULTS]:
         if column in other:
             right = TRIAL_COLUMNS[kind][other.index(column)]
             faults.append(f"{name}: column '{column}' does not belong to a {kind} rig; use '{right}', or change kind")
         elif column not in valid:
             faults.append(f"{name}: unknown column '{column}'; {nearest_name(column, valid)}")
-    for column in {c for c in header if header.count(c) > 1}:
+    for column in [c for c, count in Counter(header).items() if count > 1]:
         faults.append(f"{name}: column '{column}' appears twice; remove one")
     missing = [column for column in needed if column not in header]
     faults.extend(f"{name}: column '{column}' is missing; add it" for column in missing)
@@ -162,19 +171,21 @@ def _theta0_from(
 
 def _number(text: str, where: str, faults: list[str]) -> float | None:
     try:
-        value = float(text)
+        value = number_in(text)
     except ValueError:
-        faults.append(f"{where}: '{text}' is not a number; write digits with a decimal point")
+        faults.append(f"{where}: {shown(text)} is not a number; write digits 0 to 9 with a decimal point")
         return None
     if not math.isfinite(value):
         faults.append(f"{where}: '{text}' is not finite; give the number")
         return None
-    return value
+    with collected(faults):
+        return real(value, where)
+    return None
 
 
 def _inside(name: str) -> bool:
     path = PurePosixPath(name.replace("\\", "/"))
-    if path.is_absolute() or ":" in path.parts[0]:
+    if path.is_absolute() or not path.parts or ":" in path.parts[0]:
         return False
     depth = 0
     for part in path.parts:

@@ -8,7 +8,6 @@ in a file is evaluated as code, and every fault of a file is told at once.
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from bayes_damper.campaign import Campaign
 from bayes_damper.errors import InputError
 from bayes_damper.files import shipped_path
+from bayes_damper.inputs import collected, real, shown, toml_file
 from bayes_damper.priors.distributions import Distribution, HalfNormal, LogNormal, LogUniform, Normal, Uniform, median
 from bayes_damper.rig.parameters import PARAMETERS, hint, unit_of
 
@@ -252,15 +252,9 @@ def load_priors(
             )
         path = shipped[str(source)]
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        table = toml_file(path, "give a prior file")
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such prior file; check the path") from None
-    except OSError as error:
-        raise InputError(f"{path}: the prior file cannot be read ({error.strerror}); check the path") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: is no UTF-8 text; save it as UTF-8") from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: is no valid TOML: {error}") from None
     return priors_from_dict(table, str(path), base=base, extra=extra, kind=kind, quantity=quantity, recorded=recorded)
 
 
@@ -296,7 +290,7 @@ def priors_from_dict(
     for key, entry in table.items():
         if key in _HEAD:
             if not isinstance(entry, str):
-                faults.append(f"{where}: {key} must be a text, got {entry!r}")
+                faults.append(f"{where}: {key} must be a text, got {shown(entry)}")
         elif recorded and key in _ELSEWHERE:
             faults.append(f"{where}: {key} of a recorded campaign is told by {_ELSEWHERE[key]}; write it there")
         elif key not in units or (recorded and key not in (*RECORDED, *(extra or {}))):
@@ -349,7 +343,7 @@ class _Reader:
         """A number, a name, a pair or a table; None if it is faulty."""
         before = len(self.faults)
         if isinstance(entry, bool) or not isinstance(entry, int | float | str | list | dict):
-            self.fault(f"must be a number, a name, a pair or a table, got {entry!r}")
+            self.fault(f"must be a number, a name, a pair or a table, got {shown(entry)}")
             return None
         if isinstance(entry, int | float):
             entry = {"dist": "fixed", "value": entry, "unit": self.unit}
@@ -364,7 +358,7 @@ class _Reader:
         bare = self.default and "level" in entry and not set(entry) - {"level", "unit", "reason", "source"}
         kind = entry.get("dist", "default" if bare else None)
         if not isinstance(kind, str) or kind not in kinds:
-            self.fault(f"dist must be one of {', '.join(kinds)}, got {kind!r}")
+            self.fault(f"dist must be one of {', '.join(kinds)}, got {shown(kind)}")
             return None
         required, optional = _NUMBERS.get(kind, ((), ()))
         for word in entry:
@@ -372,8 +366,9 @@ class _Reader:
                 self.fault(f"unknown key {word!r} for dist {kind!r}; {hint(word, [*required, *optional, *_WORDS])}")
         own = self.default and self.key in ("theta0", "delay")
         level = entry.get("level", "trial" if own else "campaign")
-        if level not in LEVELS:
-            self.fault(f"level must be one of {', '.join(LEVELS)}, got {level!r}")
+        if not isinstance(level, str) or level not in LEVELS:
+            self.fault(f"level must be one of {', '.join(LEVELS)}, got {shown(level)}")
+            level = LEVELS[0]
         scale = self.scale(entry, kind)
         value: Distribution | float | str | None = None
         cases: dict[str, Distribution | float] = {}
@@ -402,7 +397,7 @@ class _Reader:
             scale = _CONVERSIONS.get((str(unit), self.unit))
             if scale is not None:
                 return scale
-            self.fault(f"unit is {unit!r}, but this parameter is in {self.unit!r}; convert its numbers")
+            self.fault(f"unit is {shown(unit)}, but this parameter is in {self.unit!r}; convert its numbers")
         return 1.0
 
     def values(
@@ -440,11 +435,12 @@ class _Reader:
                 if name in required:
                     self.fault(f"{prefix}{kind} needs {name}")
                     sound = False
-            elif isinstance(number, bool) or not isinstance(number, int | float) or not math.isfinite(number):
-                self.fault(f"{prefix}{name} must be a finite number, got {number!r}")
-                sound = False
             else:
-                x[name] = float(number) * (1.0 if name == "factor" else scale)
+                before = len(self.faults)
+                with collected(self.faults):
+                    x[name] = real(number, f"{self.where}: {self.key}: {prefix}{name}", "a finite number")
+                    x[name] *= 1.0 if name == "factor" else scale
+                sound &= len(self.faults) == before
         if not sound:
             return None
         problem = _problem(kind, x)

@@ -9,13 +9,13 @@ from __future__ import annotations
 import csv
 import hashlib
 import math
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from bayes_damper.errors import InputError
 from bayes_damper.files import shipped_path
+from bayes_damper.inputs import file_bytes, toml_file
 
 FILES = ("cases", "measurements", "derived", "inertia", "printed", "frequency_response")
 _TO_SI = {"ms": (1e3, "s"), "kg mm^2": (1e6, "kg m^2")}  # printed unit -> divisor, SI unit
@@ -137,11 +137,11 @@ def _table(root: Path, name: str, faults: list[str]) -> list[dict[str, str]]:
         faults.extend(f"{p}: this file of published numbers is missing; reinstall the package" for p in missing)
         return []
     try:
-        about = tomllib.loads(about_path.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        faults.append(f"{about_path}: is no valid TOML ({error}); reinstall the package")
+        about = toml_file(about_path, "reinstall the package")
+        content = file_bytes(path)
+    except InputError as error:
+        faults.extend(error.faults)
         return []
-    content = path.read_bytes()
     found = hashlib.sha256(content).hexdigest()
     if found != about.get("sha256"):
         faults.append(

@@ -100,7 +100,7 @@ def nearest(name: str, valid: Iterable[str]) -> str | None:
     names = list(valid)
     if same := [v for v in names if v.lower() == name.lower()]:
         return same[0]
-    found = difflib.get_close_matches(name.lower(), [v.lower() for v in names], n=1, cutoff=0.5)
+    found = difflib.get_close_matches(name.lower()[:60], [v.lower() for v in names], n=1, cutoff=0.5)
     return next(v for v in names if v.lower() == found[0]) if found else None
 
 

@@ -28,6 +28,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from bayes_damper.errors import BayesDamperError, ExitCode, InputError, Interrupted
+from bayes_damper.inputs import file_bytes, json_of, text_of
 from bayes_damper.runs.memory import collect_seldom
 
 _POLL_S = 0.2
@@ -122,15 +123,14 @@ def read_json(path: Path) -> Any:
     InputError
         if the file is missing or is not JSON.
     """
+    remedy = "run the command that wrote it again"
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return json_of(text_of(file_bytes(path, remedy=remedy), str(path)), str(path), remedy)
     except FileNotFoundError:
         hint = "name a folder that bayes-damper has written"
         if path.name != "run.json" and (path.parent / "run.json").is_file():
             hint = f"the run in that folder has not ended; go on with: bayes-damper resume {path.parent}"
         raise InputError(f"{path}: there is no such file; {hint}") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: this is not valid JSON ({error}); run the command that wrote it again") from None
 
 
 def execute(task: Task, folder: Path) -> Any:

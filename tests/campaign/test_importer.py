@@ -194,14 +194,14 @@ def test_a_number_in_other_words_is_refused_once_for_all_files(tmp_path: Path) -
         ({"release": "guess"}, "release = 'guess' is none of"),
         ({"start": 900.0}, "only 0 readings"),
         ({"release": 900.0}, "only 0 readings are left"),
-        ({"release": math.nan}, "only 0 readings are left"),
+        ({"release": math.nan}, "release must be finite, not nan"),
         ({"every": 200}, "readings are left of the record, which runs from 4.8 to 6.199 s; correct release"),
         ({"every": 0}, "every = 0 is too small; give at least 1"),
         ({"before": -1.0}, "before = -1.0 is too small"),
         ({"skip_lines": -3}, "skip_lines = -3 is too small"),
         ({"decimal": "x"}, "decimal = 'x' is none of"),
         ({"files_per_trial": "two"}, "files_per_trial = two for 1 files"),
-        ({"k1t": math.nan}, "k1t = nan must be a positive number"),
+        ({"k1t": math.nan}, "k1t must be finite, not nan"),
     ],
 )
 def test_wrong_options(tmp_path: Path, options: dict, sentence: str) -> None:

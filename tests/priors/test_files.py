@@ -232,7 +232,7 @@ def test_all_faults_of_a_file_come_at_once(tmp_path):
         ('mu = {dist = "loguniform", lower = 0, upper = 1, unit = "1"}', "lower must be positive"),
         ('mu = {dist = "lognormal", median = -1, factor = 2, unit = "1"}', "median must be positive"),
         ("mu = nan", "finite"),
-        ('mu = {dist = "normal", mean = "a", sd = 1, unit = "1"}', "mean must be a finite number, got 'a'"),
+        ('mu = {dist = "normal", mean = "a", sd = 1, unit = "1"}', "mean must be a finite number, not 'a'"),
         ('mu = {dist = "normal", mean = 0, sd = 1, lower = 20, unit = "1"}', "leave nothing"),
         ('c3t = "c1"', "tied to 'c1', which has no entry"),
         ('c1t = 0.01\nc3t = "c1t"\nk3t = "c3t"', "which is itself tied; tie it to c1t"),
@@ -240,7 +240,7 @@ def test_all_faults_of_a_file_come_at_once(tmp_path):
         ('mu = {dist = "tied"}', "to = NAME"),
         ('mu = {dist = "normal", sd = 1, unit = "1", cases = {I = {meen = 1}}}', "case I: unknown key 'meen'"),
         ('mu = {dist = "normal", unit = "1", cases = 3}', "cases must be tables"),
-        ("mu = ", "is no valid TOML"),
+        ("mu = ", "not valid TOML"),
     ],
 )
 def test_each_fault_is_one_sentence(text, expected, tmp_path):
