@@ -1,0 +1,1 @@
+"""What the package is held against: simulators that share no code with it. Not part of the wheel."""
