@@ -78,8 +78,12 @@ EXTRA = 20  # and the three after it
 FRICTION, SLOPE, MI11, MI12, MI22, PER_SPEED, PER_ACC1, PER_ACC2, EPS_TH, EPS_W, HELD1, HELD2 = range(24, 36)
 # the state, and what a step leaves behind for the next.
 TH1, TH2, W1, W2, Z1, Z2, HTRY, REST, TIME, Y1, Y2, U1, U2, S1, S2, HLAST, FIRST, NOW, AFTER, NEXT = range(36, 56)
-SAMPLE, SLOT, ATTEMPTS, GIVEN_UP, DRIVE, DRIVE_NEXT, RAMP = range(56, 63)
-BLOCK_ROWS = 63
+SAMPLE, SLOT, ATTEMPTS, GIVEN_UP = range(56, 60)
+# Inputs: torques on both bodies and what the ground adds to readings, at the end of this interval with their slopes,
+# and the same of the next.
+DRIVE1, DRIVE2, SHOWN, RAMP1, RAMP2, RISE = range(60, 66)
+DRIVE1_NEXT, DRIVE2_NEXT, SHOWN_NEXT, RAMP1_NEXT, RAMP2_NEXT, RISE_NEXT = range(66, 72)
+BLOCK_ROWS = 72
 
 
 @lru_cache(maxsize=None, typed=True)  # True, 1 and 1.0 are equal, but different constants
@@ -134,11 +138,12 @@ def effect_sense(h, u1, u2, y1, y2, s1, s2, p, first):
     return y1, y2, s1, s2
 
 
-def advance(times, parameters, extras, torque, weights, memory_weights, read, out, final, status):
+def advance(times, parameters, extras, inputs, weights, memory_weights, read, out, final, status):
     """Integrate one block of lanes over the sample times and write what the channels read.
 
-    times (n,) s; parameters (20, LANES) rows of equations.ROWS; extras (4, LANES) parameters of the effect; torque (n,)
-    N m on the primary at the sample times; weights (LANES,) factor on the error tolerance; memory_weights (2,);
+    times (n,) s; parameters (20, LANES) rows of equations.ROWS; extras (4, LANES) parameters of the effect; inputs
+    (8, n) as Inputs.pieces gives them, read where the record is driven; weights (LANES,) factor on the error tolerance;
+    memory_weights (2,);
     read (3,) selects acceleration, velocity or displacement by a one among zeros; out (LANES, 2, n + 1) receives the
     readings (the last column is for what nobody reads), final (LANES,) a sum over the last state, which is finite if
     all of the record is, status (LANES,). Returns the number of steps that the slowest lane attempted.
@@ -157,12 +162,21 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
     clock = np.empty(n + 3)  # sample times, and more that make the intervals after the end empty
     for i in range(n + 3):
         clock[i] = times[min(i, n - 1)]
-    drive = 0.0
-    torques = np.zeros(n + 3)
+    # Of torque1, torque2 and the ground's acceleration: the largest value, and the range of the integral.
+    most = np.zeros(3)
+    swing = np.zeros(3)
     if driven():
-        for i in range(n + 3):
-            torques[i] = torque[min(i, n - 1)]
-            drive = max(drive, abs(torques[i]))
+        for row in range(3):
+            total = 0.0
+            low = 0.0
+            high = 0.0
+            for i in range(n):
+                most[row] = max(most[row], abs(inputs[row, i]))
+                gap = clock[i + 1] - clock[i]
+                total += gap * (inputs[row, i] - 0.5 * gap * inputs[4 + row, i])
+                low = min(low, total)
+                high = max(high, total)
+            swing[row] = high - low
     for lane in range(width):
         for row in range(20):
             block[row, lane] = parameters[row, lane]
@@ -179,8 +193,11 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
         block[MI22, lane] = j1 / determinant if coupled() else 0.0
         block[SLOPE, lane] = block[R_BAR, lane] / (2.0 * block[R_FACE, lane]) if linear_normal_force() else 0.0
         omega = np.sqrt(abs(block[K1, lane]) / j1) + 1e-6
-        angle = max(abs(block[THETA0, lane]), abs(block[TH20, lane]), drive / (j1 * omega * omega))
+        angle = max(abs(block[THETA0, lane]), abs(block[TH20, lane]))
         speed = max(angle * omega, abs(block[W10, lane]), abs(block[W20, lane])) + 1e-9
+        if driven():
+            speed = max(speed, min(most[0] / omega, swing[0]) / j1, min(most[2] / omega, swing[2]))
+            speed = max(speed, min(most[1] / omega, swing[1]) / j2) if coupled() else speed
         block[EPS_W, lane] = 1e-8 * speed
         block[EPS_TH, lane] = 1e-8 * speed / omega
         allowed = weights[lane] * min(SPEED_TOLERANCE * speed, SWITCH_TOLERANCE / block[NU, lane])
@@ -209,9 +226,19 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
         block[AFTER, lane] = clock[1]
         block[NEXT, lane] = clock[2]
         if driven():
-            block[DRIVE, lane] = torques[1]
-            block[DRIVE_NEXT, lane] = torques[2]
-            block[RAMP, lane] = (torques[1] - torques[0]) / (clock[1] - clock[0]) if n > 1 else 0.0
+            later = min(1, n - 1)
+            block[DRIVE1, lane] = inputs[0, 0] - (j1 + j12) * inputs[2, 0]
+            block[DRIVE2, lane] = inputs[1, 0] - (j2 + j12) * inputs[2, 0]
+            block[SHOWN, lane] = inputs[3, 0]
+            block[RAMP1, lane] = inputs[4, 0] - (j1 + j12) * inputs[6, 0]
+            block[RAMP2, lane] = inputs[5, 0] - (j2 + j12) * inputs[6, 0]
+            block[RISE, lane] = inputs[7, 0]
+            block[DRIVE1_NEXT, lane] = inputs[0, later] - (j1 + j12) * inputs[2, later]
+            block[DRIVE2_NEXT, lane] = inputs[1, later] - (j2 + j12) * inputs[2, later]
+            block[SHOWN_NEXT, lane] = inputs[3, later]
+            block[RAMP1_NEXT, lane] = inputs[4, later] - (j1 + j12) * inputs[6, later]
+            block[RAMP2_NEXT, lane] = inputs[5, later] - (j2 + j12) * inputs[6, later]
+            block[RISE_NEXT, lane] = inputs[7, later]
 
     live = width
     passes = 0
@@ -256,10 +283,15 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
                 th1, th2, w1, w2, k1t, k3t, c1t, c3t, k2t, c2t, friction, slope, drag, nu, coupled(), pendulum()
             )
             rate1 = 0.0
-            if driven():
-                rate1 = block[RAMP, lane]
-                tau1 = tau1 + (block[DRIVE, lane] - rate1 * rest)
             rate2 = 0.0
+            shown = 0.0
+            if driven():
+                rate1 = block[RAMP1, lane]
+                tau1 = tau1 + (block[DRIVE1, lane] - rate1 * rest)
+                shown = block[SHOWN, lane] - block[RISE, lane] * rest
+                if coupled():
+                    rate2 = block[RAMP2, lane]
+                    tau2 = tau2 + (block[DRIVE2, lane] - rate2 * rest)
             q1 = 0.0
             q2 = 0.0
             f1 = 0.0
@@ -328,11 +360,17 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             y2 = read_acceleration * (block[MI12, lane] * tau1 + block[MI22, lane] * tau2)
             y1 = y1 + read_velocity * w1 + read_displacement * th1
             y2 = y2 + read_velocity * w2 + read_displacement * th2
+            rest1 = block[HELD1, lane]
+            rest2 = block[HELD2, lane]
+            if driven():
+                y1 = y1 + shown
+                y2 = y2 + shown
+                held_shown = block[SHOWN, lane] - block[RISE, lane] * (block[AFTER, lane] - block[NOW, lane])
+                rest1 = rest1 + held_shown
+                rest2 = rest2 + held_shown
             if senses():
                 # Everything is loaded before anything is chosen: a load that only one side needs would be a branch.
                 first = block[FIRST, lane]
-                rest1 = block[HELD1, lane]
-                rest2 = block[HELD2, lane]
                 u1 = block[U1, lane]
                 u2 = block[U2, lane]
                 old1 = block[S1, lane]
@@ -352,8 +390,6 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
                 block[U2, lane] = y2
                 block[FIRST, lane] = 0.0 if released else 1.0
             else:
-                rest1 = block[HELD1, lane]
-                rest2 = block[HELD2, lane]
                 held = block[NOW, lane] < block[DELAY, lane]
                 block[Y1, lane] = rest1 if held else y1
                 block[Y2, lane] = rest2 if held else y2
@@ -506,7 +542,9 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             tau1, tau2 = smooth_torques(ath1, ath2, aw1, aw2, k1t, k3t, c1t, c3t, k2t, c2t, coupled(), pendulum())
             held1, held2 = friction_torques(ath1, ath2, aw1, aw2, friction, slope, drag, sharpness, coupled())
             if driven():
-                tau1 = tau1 + (block[DRIVE, lane] - block[RAMP, lane] * (rest - T2 * h))
+                tau1 = tau1 + (block[DRIVE1, lane] - block[RAMP1, lane] * (rest - T2 * h))
+                if coupled():
+                    tau2 = tau2 + (block[DRIVE2, lane] - block[RAMP2, lane] * (rest - T2 * h))
             if acts():
                 q1, q2 = effect_torque(t + T2 * h, ath1, ath2, aw1, aw2, z1 + A21 * m11, z2 + A21 * m12, p, rig)
                 tau1 = tau1 + q1
@@ -547,7 +585,9 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             tau1, tau2 = smooth_torques(ath1, ath2, aw1, aw2, k1t, k3t, c1t, c3t, k2t, c2t, coupled(), pendulum())
             held1, held2 = friction_torques(ath1, ath2, aw1, aw2, friction, slope, drag, sharpness, coupled())
             if driven():
-                tau1 = tau1 + (block[DRIVE, lane] - block[RAMP, lane] * (rest - T3 * h))
+                tau1 = tau1 + (block[DRIVE1, lane] - block[RAMP1, lane] * (rest - T3 * h))
+                if coupled():
+                    tau2 = tau2 + (block[DRIVE2, lane] - block[RAMP2, lane] * (rest - T3 * h))
             if acts():
                 q1, q2 = effect_torque(t + T3 * h, ath1, ath2, aw1, aw2, az1, az2, p, rig)
                 tau1 = tau1 + q1
@@ -643,12 +683,24 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             delay = block[DELAY, lane]
             next_rest = max(after - delay, 0.0) - max(now - delay, 0.0)
             if driven():
-                ramp = block[RAMP, lane]
-                drive_after = block[DRIVE, lane]
-                drive_coming = block[DRIVE_NEXT, lane]
-                next_ramp = (drive_coming - drive_after) / max(after - now, 1e-12)
-                block[RAMP, lane] = next_ramp if landed else ramp
-                block[DRIVE, lane] = drive_coming if landed else drive_after
+                drive1 = block[DRIVE1, lane]
+                drive2 = block[DRIVE2, lane]
+                shown = block[SHOWN, lane]
+                ramp1 = block[RAMP1, lane]
+                ramp2 = block[RAMP2, lane]
+                rise = block[RISE, lane]
+                next_drive1 = block[DRIVE1_NEXT, lane]
+                next_drive2 = block[DRIVE2_NEXT, lane]
+                next_shown = block[SHOWN_NEXT, lane]
+                next_ramp1 = block[RAMP1_NEXT, lane]
+                next_ramp2 = block[RAMP2_NEXT, lane]
+                next_rise = block[RISE_NEXT, lane]
+                block[DRIVE1, lane] = next_drive1 if landed else drive1
+                block[DRIVE2, lane] = next_drive2 if landed else drive2
+                block[SHOWN, lane] = next_shown if landed else shown
+                block[RAMP1, lane] = next_ramp1 if landed else ramp1
+                block[RAMP2, lane] = next_ramp2 if landed else ramp2
+                block[RISE, lane] = next_rise if landed else rise
             rest = next_rest if landed else rest
             block[REST, lane] = 0.0 if given_up else rest
             block[NOW, lane] = now
@@ -667,7 +719,15 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
             i = int(block[SAMPLE, lane]) + 2
             block[NEXT, lane] = clock[i]
             if driven():
-                block[DRIVE_NEXT, lane] = torques[i]
+                k = min(i - 1, n - 1)
+                moved1 = block[J1, lane] + block[J12, lane]
+                moved2 = block[J2, lane] + block[J12, lane]
+                block[DRIVE1_NEXT, lane] = inputs[0, k] - moved1 * inputs[2, k]
+                block[DRIVE2_NEXT, lane] = inputs[1, k] - moved2 * inputs[2, k]
+                block[SHOWN_NEXT, lane] = inputs[3, k]
+                block[RAMP1_NEXT, lane] = inputs[4, k] - moved1 * inputs[6, k]
+                block[RAMP2_NEXT, lane] = inputs[5, k] - moved2 * inputs[6, k]
+                block[RISE_NEXT, lane] = inputs[7, k]
     for lane in range(width):
         final[lane] = block[TH1, lane] + block[TH2, lane] + block[W1, lane] + block[W2, lane] + block[Y1, lane]
         final[lane] += block[Y2, lane] + block[Z1, lane] + block[Z2, lane]
@@ -675,10 +735,10 @@ def advance(times, parameters, extras, torque, weights, memory_weights, read, ou
     return passes
 
 
-def linked(times, parameters, extras, torque, weights, memory_weights, read, out, final, status):
+def linked(times, parameters, extras, inputs, weights, memory_weights, read, out, final, status):
     """`advance` with what `define` says: the source of every kernel."""
     define()
-    return advance(times, parameters, extras, torque, weights, memory_weights, read, out, final, status)
+    return advance(times, parameters, extras, inputs, weights, memory_weights, read, out, final, status)
 
 
 @vector_math.lane
@@ -688,7 +748,7 @@ def define():
 
 _COUPLES = {"bodies": 0, "interface": 1, "all": 2}
 _ROW, _TABLE, _CUBE = float64[::1], float64[:, ::1], float64[:, :, ::1]
-_SIGNATURE = (_ROW, _TABLE, _TABLE, _ROW, _ROW, _ROW, _ROW, _CUBE, _ROW, int64[::1])
+_SIGNATURE = (_ROW, _TABLE, _TABLE, _TABLE, _ROW, _ROW, _ROW, _CUBE, _ROW, int64[::1])
 """Of the arguments of `advance`."""
 _P, _RIG = types.UniTuple(float64, 4), types.NamedUniTuple(float64, len(Rig._fields), Rig)
 _TWO, _FOUR, _MOTION = types.UniTuple(float64, 2), types.UniTuple(float64, 4), (float64,) * 7

@@ -6,7 +6,7 @@ once. It takes many parameter vectors at a time, because sixteen cost hardly mor
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
@@ -14,9 +14,11 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import Akima1DInterpolator
 
 from bayes_damper.effects.base import MOST_PARAMETERS, Variant, parameter_table
 from bayes_damper.rig.equations import ROWS
+from bayes_damper.rig.inputs import Inputs
 from bayes_damper.simulation import integrator, links
 from bayes_damper.simulation.accumulate import Accumulator
 from bayes_damper.simulation.integrator import LANES, LONGEST_STEP
@@ -81,26 +83,26 @@ class Model:
         return self.effect if self.effect is not None and (self.coupled or self.effect.uncoupled) else None
 
     def bound(self, driven: bool = False) -> dict[str, Any]:
-        """What the kernel's globals are bound to, for records with (driven) or without an input torque.
+        """What the kernel's globals are bound to, for records with (driven) or without inputs.
 
         Raises
         ------
         ValueError
-            for an input torque on a rig of two links.
+            for inputs to a rig of two links.
         """
         variant = self.acting
         variant = variant if variant is not None and variant.has_kernel else None
         pendulum = self.restoring == "pendulum"
         if self.coupled and self.coupling_law == "cosine":
             if driven:
-                raise ValueError('an input torque needs coupling_law = "constant"')
+                raise ValueError('a measured input needs coupling_law = "constant"')
             variant = links.linked(variant, pendulum)
         linear = self.normal_force == "linear"
         bound = integrator.specialised_globals(self.coupled, linear, pendulum, driven, variant)
         return bound | {"longest_step": integrator.constant(float(self.longest_step))}
 
     def compile(self, driven: bool = False) -> Callable[..., None]:
-        """The kernel, for records with (driven) or without an input torque.
+        """The kernel, for records with (driven) or without inputs.
 
         From the on-disk cache if it was compiled before (0.02 s), else compiled (seconds).
         """
@@ -113,6 +115,7 @@ class Model:
         *,
         effect: Parameters | None = None,
         torque: ArrayLike | None = None,
+        inputs: Inputs | None = None,
         quantity: Quantity = "acceleration",
         tolerance: float = 1.0,
         threads: int = 1,
@@ -126,7 +129,10 @@ class Model:
         times : (n_times,) s on the record's clock, increasing. The rig is released at `delay`; before, it is held.
             A delay below times[0] means that the record begins after the release.
         effect : parameters of the effect, name -> scalar or (n,), if the model has one.
-        torque : (n_times,) N m on the primary, linear between samples.
+        torque : (n_times,) N m on the primary, linear between samples: short for `inputs` with nothing else.
+        inputs : torques on both bodies and the motion of the ground, on a clock of their own. Where the ground moves,
+            theta0, theta2_0 and the initial velocities are counted from the ground, and readings are what
+            `Inputs.shown` makes of them. A sensor that lags shows what a smooth curve through its readings showed.
         quantity : what the channels read.
         tolerance : factor on the integrator's error tolerance: 1 keeps errors below 1e-4 of the peak, 0.1 below 1e-5.
         threads : blocks of 16 vectors integrated side by side; the result does not depend on it.
@@ -136,11 +142,13 @@ class Model:
         KeyError
             if a parameter that the configuration needs is missing.
         ValueError
-            if times do not increase, or a name is unknown.
+            if times do not increase, a name is unknown, or the ground of a pendulum moves.
         """
-        rows, extras, grid, drive, lags = self._prepared(parameters, times, effect, torque)
+        rows, extras, grid, drive, lags = self._prepared(parameters, times, effect, torque, inputs)
         if lags is None:
             return self._run(rows, extras, grid, drive, quantity, tolerance, threads)
+        if drive is not None:
+            return delayed(self._run(rows, extras, grid, drive, quantity, tolerance, threads), grid, lags)
         readings = []
         for channel, lag in enumerate(lags):
             late = np.array(np.broadcast_to(rows, (rows.shape[0], max(rows.shape[1], np.size(lag)))))
@@ -175,7 +183,7 @@ class Model:
         options : (n or 1, m) numbers of the accumulator for each parameter vector, e.g. degrees of freedom and scales.
         """
         observed = np.ascontiguousarray(data, float)
-        rows, extras, grid, drive, lags = self._prepared(parameters, times, effect, torque)
+        rows, extras, grid, drive, lags = self._prepared(parameters, times, effect, torque, None)
         if observed.shape != (self.channels, grid.size):
             raise ValueError(f"data has shape {observed.shape}, expected {(self.channels, grid.size)}: channels, times")
         weight = np.isfinite(observed).astype(float)
@@ -204,15 +212,29 @@ class Model:
         return Sums(sums, outcome)
 
     def _prepared(
-        self, parameters: Parameters, times: ArrayLike, effect: Parameters | None, torque: ArrayLike | None
-    ) -> tuple[Array, Array, Array, Array, list[Any] | None]:
-        """Checked arguments: rows, parameters of the effect, sample times, input torque, and lags of the channels."""
+        self,
+        parameters: Parameters,
+        times: ArrayLike,
+        effect: Parameters | None,
+        torque: ArrayLike | None,
+        inputs: Inputs | None,
+    ) -> tuple[Array, Array, Array, Inputs | None, list[Any] | None]:
+        """Checked arguments: rows, parameters of the effect, sample times, inputs that act, lags of channels."""
         grid = np.ascontiguousarray(times, float)
         if grid.ndim != 1 or grid.size < 1 or np.any(np.diff(grid) <= 0.0):
             raise ValueError("times must be one-dimensional and increase from sample to sample")
-        drive = np.zeros(grid.size) if torque is None else np.ascontiguousarray(torque, float)
-        if drive.shape != grid.shape:
-            raise ValueError(f"torque has {drive.size} samples, times has {grid.size}; give one torque per sample")
+        drive = inputs
+        if torque is not None:
+            if inputs is not None:
+                raise ValueError("both torque and inputs are given; put the torque into the inputs")
+            if np.shape(torque) != grid.shape:
+                raise ValueError(
+                    f"torque has {np.size(torque)} samples, times has {grid.size}; give one torque per sample"
+                )
+            drive = Inputs.measured(grid, torque)
+        drive = drive if drive is not None and drive.active else None
+        if drive is not None and drive.moving_ground and self.restoring == "pendulum":
+            raise ValueError('a moving ground needs restoring = "linear": gravity does not turn with the ground')
         variant = self.acting
         changes = dict(effect or {})
         if self.effect is not None:
@@ -246,7 +268,7 @@ class Model:
         rows: Array,
         extras: Array,
         times: Array,
-        torque: Array,
+        inputs: Inputs | None,
         quantity: Quantity,
         tolerance: float,
         threads: int,
@@ -266,10 +288,14 @@ class Model:
         if which.size == 0:
             return Simulation(np.full_like(y, np.nan), outcome)
         first = rows[ROWS.index("delay"), which].min()
-        early = first < times[0]
-        grid = np.concatenate([[first], times]) if early else times
-        drive = np.concatenate([torque[:1], torque]) if early else torque
-        kernel = self.compile(driven=bool(np.any(drive != 0.0)))
+        grid = np.concatenate([[first], times]) if first < times[0] else times
+        skip = grid.size - times.size
+        pieces, at = np.zeros((8, 1)), None
+        if inputs is not None:
+            grid, where = inputs.grid(grid)
+            pieces = inputs.pieces(grid)
+            at = where[skip:] if grid.size > times.size + skip else None
+        kernel = self.compile(driven=inputs is not None)
         read = np.array([float(quantity == name) for name in QUANTITIES])
         variant = self.acting
         scales = (*variant.memory_scale, np.inf, np.inf)[:2] if variant is not None else (np.inf, np.inf)
@@ -285,17 +311,18 @@ class Model:
             for start in starts[worker::workers]:
                 lanes = which[np.minimum(np.arange(start, start + LANES), which.size - 1)]
                 kernel(
-                    *(grid, np.ascontiguousarray(rows[:, lanes]), np.ascontiguousarray(extras[:, lanes]), drive),
+                    *(grid, np.ascontiguousarray(rows[:, lanes]), np.ascontiguousarray(extras[:, lanes]), pieces),
                     *(np.full(LANES, tolerance), memory_weights, read, out, final, status),
                 )
                 status[(status == integrator.COMPLETED) & ~np.isfinite(final)] = integrator.NOT_FINITE_RECORD
                 kept = min(LANES, which.size - start)
                 outcome[lanes[:kept]] = status[:kept]
-                skip = grid.size - times.size
-                if take is None:
+                if take is not None:
+                    take(lanes[:kept], *((out, skip) if at is None else (np.ascontiguousarray(out[:, :, at]), 0)))
+                elif at is None:
                     y[lanes[:kept]] = out[:kept, : self.channels, skip : grid.size]
                 else:
-                    take(lanes[:kept], out, skip)
+                    y[lanes[:kept]] = out[:kept, : self.channels][:, :, at]
 
         if workers > 1:
             with ThreadPoolExecutor(workers) as pool:
@@ -305,6 +332,20 @@ class Model:
         if take is None:
             y[outcome != integrator.COMPLETED] = np.nan
         return Simulation(y, outcome)
+
+
+def delayed(simulation: Simulation, times: Array, lags: Sequence[ArrayLike]) -> Simulation:
+    """Readings that each channel shows late, by lags (s, a number or (n,) for each channel).
+
+    For records with inputs, whose clock does not move with the release: by a local cubic between the readings.
+    """
+    y = simulation.y.copy()
+    for channel, lag in enumerate(lags):
+        each = np.broadcast_to(np.asarray(lag, float), (y.shape[0],))
+        for v in np.flatnonzero((each != 0.0) & np.isfinite(y[:, channel]).all(axis=1)):
+            curve = Akima1DInterpolator(times, simulation.y[v, channel])
+            y[v, channel] = curve(np.clip(times - each[v], times[0], times[-1]))
+    return Simulation(y, simulation.outcome)
 
 
 def _complete(parameters: Parameters) -> dict[str, Any]:

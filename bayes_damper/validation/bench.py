@@ -175,7 +175,7 @@ def _block(nu: float) -> tuple[Any, ...]:
     rows = np.array([np.broadcast_to(table[name], LANES) for name in ROWS], float)
     n = TIMES.size
     return (
-        *(TIMES, rows, np.zeros((4, LANES)), np.zeros(n), np.ones(LANES), np.zeros(2), np.array([1.0, 0.0, 0.0])),
+        *(TIMES, rows, np.zeros((4, LANES)), np.zeros((8, n)), np.ones(LANES), np.zeros(2), np.array([1.0, 0.0, 0.0])),
         *(np.empty((LANES, 2, n + 1)), np.empty(LANES), np.empty(LANES, np.int64)),
     )
 

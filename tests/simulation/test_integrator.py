@@ -256,7 +256,7 @@ def test_compiled_and_plain_python_agree(coupled):
         )
         out, final, status = np.empty((LANES, 2, n + 1)), np.empty(LANES), np.empty(LANES, np.int64)
         advance(
-            SHORT[:n], np.array(rows), np.zeros((4, LANES)), np.zeros(n), np.ones(LANES), np.zeros(2),
+            SHORT[:n], np.array(rows), np.zeros((4, LANES)), np.zeros((8, n)), np.ones(LANES), np.zeros(2),
             np.array([1.0, 0.0, 0.0]), out, final, status,
         )  # fmt: skip
         results.append(out[:, : 1 + coupled, :n])
@@ -381,7 +381,15 @@ def _block(parameters):
     rows = np.array([np.full(LANES, parameters.get(name, 0.0)) for name in integrator.equations.ROWS])
     n = SHORT.size
     return (
-        *(SHORT, rows, np.full((4, LANES), 0.5), np.zeros(n), np.ones(LANES), np.ones(2), np.array([1.0, 0.0, 0.0])),
+        *(
+            SHORT,
+            rows,
+            np.full((4, LANES), 0.5),
+            np.zeros((8, n)),
+            np.ones(LANES),
+            np.ones(2),
+            np.array([1.0, 0.0, 0.0]),
+        ),
         *(np.zeros((LANES, 2, n + 1)), np.zeros(LANES), np.zeros(LANES, np.int64)),
     )
 

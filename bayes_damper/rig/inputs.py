@@ -1,0 +1,154 @@
+"""Measured inputs of a record: torques on both bodies and the motion of the ground that carries springs and bearings.
+
+Angles counted from the ground obey the rig's own equations with two torques more, so that no formula of spring,
+bearing, interface or effect changes where the ground moves:
+
+    torque1 - (J1 + J12) ag   on the primary,   torque2 - (J2 + J12) ag   on the secondary
+
+A torque and an acceleration of the ground are linear between samples, or held. A ground that was measured as an angle
+is joined by a cubic spline: its second derivative, the acceleration that drives the rig, is linear between samples.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicSpline
+
+Array = NDArray[np.float64]
+_SAME = 1e-6  # of a step, by which two clocks may differ and still name one sample
+
+
+@dataclass(frozen=True, eq=False)
+class Inputs:
+    """What acted on the rig during one record.
+
+    times : (m,) s on the record's clock, increasing; before and after them the first and last values hold.
+    torque1, torque2 : (m,) N m (N) on primary and secondary; ground : (m,) rad/s^2 (m/s^2), its acceleration.
+    shown : (m,) what the motion of the ground adds to the readings, in their unit; zeros where the sensors read in the
+    frame of the ground. held : whether inputs keep their value until the next sample; else they are linear between.
+    """
+
+    times: Array
+    torque1: Array
+    torque2: Array
+    ground: Array
+    shown: Array
+    held: bool = False
+
+    @classmethod
+    def measured(
+        cls,
+        times: ArrayLike,
+        torque1: ArrayLike | None = None,
+        torque2: ArrayLike | None = None,
+        *,
+        ground: ArrayLike | None = None,
+        ground_quantity: Literal["displacement", "acceleration"] = "acceleration",
+        quantity: Literal["displacement", "velocity", "acceleration"] = "acceleration",
+        frame: Literal["absolute", "ground"] = "absolute",
+        held: bool = False,
+    ) -> Inputs:
+        """Inputs as they were measured, all (m,), SI; None for those that were not there.
+
+        ground : angle (rad, m) or acceleration of the ground; quantity : what the sensors on the bodies read, and frame
+        in which. A ground measured by its acceleration is at angle 0 and at rest at times[0].
+
+        Raises
+        ------
+        ValueError
+            for arrays of other lengths than `times`, or an angle of the ground that is to be held between samples.
+        """
+        t = np.ascontiguousarray(times, float)
+        nothing = np.zeros(t.size)
+        given = {"torque1": torque1, "torque2": torque2, "ground": ground}
+        rows = {name: nothing if x is None else np.ascontiguousarray(x, float) for name, x in given.items()}
+        for name, row in rows.items():
+            if row.shape != t.shape:
+                raise ValueError(f"{name} has {row.size} samples, times has {t.size}; give one value per sample")
+        if ground is None:
+            return cls(t, rows["torque1"], rows["torque2"], nothing, nothing, held)
+        if ground_quantity == "displacement":
+            if held:
+                raise ValueError("an angle of the ground held between samples would jump; give its acceleration")
+            spline = CubicSpline(t, rows["ground"])
+            motion = {"displacement": rows["ground"], "velocity": spline(t, 1), "acceleration": spline(t, 2)}
+        else:
+            motion = _integrated(t, rows["ground"], held)
+        shown = motion[quantity] if frame == "absolute" else nothing
+        return cls(t, rows["torque1"], rows["torque2"], motion["acceleration"], shown, held)
+
+    @cached_property
+    def active(self) -> bool:
+        """Whether anything acts or shows at any time."""
+        return any(bool(np.any(x)) for x in (self.torque1, self.torque2, self.ground, self.shown))
+
+    @cached_property
+    def moving_ground(self) -> bool:
+        """Whether the ground moves."""
+        return bool(np.any(self.ground) or np.any(self.shown))
+
+    @cached_property
+    def key(self) -> tuple[bytes | bool, ...]:
+        """Equal for equal inputs alone."""
+        rows = (self.times, self.torque1, self.torque2, self.ground, self.shown)
+        return (self.held, *(row.tobytes() for row in rows))
+
+    def seen_from_ground(self) -> Inputs:
+        """The same inputs with sensors that move with the ground."""
+        return replace(self, shown=np.zeros(self.times.size))
+
+    def grid(self, times: Array) -> tuple[Array, NDArray[np.intp]]:
+        """The samples of readings and inputs in one row, (n,), and where in it the readings `times` stand."""
+        if times.size == self.times.size and np.array_equal(times, self.times):
+            return times, np.arange(times.size)
+        inner = self.times[(self.times > times[0]) & (self.times < times[-1])]
+        k = np.searchsorted(times, inner)
+        beside = np.minimum(inner - times[k - 1], times[k] - inner)
+        merged = np.union1d(times, inner[beside > _SAME * self._step])
+        return merged, np.searchsorted(merged, times)
+
+    def at(self, grid: Array) -> Array:
+        """Values of torque1, torque2, ground and shown at the instants `grid`, (4, n)."""
+        rows = (self.torque1, self.torque2, self.ground, self.shown)
+        if not self.held:
+            return np.array([np.interp(grid, self.times, row) for row in rows])
+        index = np.searchsorted(self.times, grid + _SAME * self._step, side="right") - 1
+        out = np.array([row[np.maximum(index, 0)] for row in rows[:3]])
+        return np.concatenate([out, np.interp(grid, self.times, self.shown)[None]])
+
+    def pieces(self, grid: Array) -> Array:
+        """As the integrator takes them, (8, n): values at the end of each interval of the grid, then their slopes.
+
+        The last interval, after the end of the grid, has no length.
+        """
+        begin = self.at(grid)
+        end = np.concatenate([begin[:, 1:], begin[:, -1:]], axis=1)
+        if self.held:
+            end[:3] = begin[:3]
+        steps = np.append(np.diff(grid), 1.0)
+        return np.ascontiguousarray(np.concatenate([end, (end - begin) / steps]))
+
+    def torques(self, grid: Array, j1: Array, j2: Array, j12: Array) -> Array:
+        """What acts on both bodies in the frame of the ground, N m; j1, j2, j12 (n,); returns (n, 2, n_times)."""
+        torque1, torque2, ground, _ = self.at(grid)
+        first = torque1 - (j1 + j12)[:, None] * ground
+        return np.stack([first, torque2 - (j2 + j12)[:, None] * ground], axis=1)
+
+    @cached_property
+    def _step(self) -> float:
+        return float(np.median(np.diff(self.times))) if self.times.size > 1 else 1.0
+
+
+def _integrated(times: Array, acceleration: Array, held: bool) -> dict[str, Array]:
+    """Acceleration, velocity and angle of a ground at rest at times[0], exact for linear (or held) accelerations."""
+    h = np.diff(times)
+    left = acceleration[:-1]
+    right = left if held else acceleration[1:]
+    velocity = np.concatenate([[0.0], np.cumsum(0.5 * h * (left + right))])
+    angle = np.concatenate([[0.0], np.cumsum(h * velocity[:-1] + h**2 * (2.0 * left + right) / 6.0)])
+    return {"acceleration": acceleration, "velocity": velocity, "displacement": angle}
