@@ -96,6 +96,12 @@ def diagnose(
     ahead = forecasts(found.nominal, found.best)
     result = found.to_json() | {
         "reading_unit": loaded.reading_unit,
+        "rig": {
+            "kind": loaded.rig.kind,
+            "restoring": loaded.rig.restoring,
+            "coupled": loaded.coupled,
+            "magnet": loaded.rig.has_magnet,
+        },
         "forecast": ahead,
         "warnings": list(loaded.warnings),
         "campaign_sha256": loaded.sha256,

@@ -54,7 +54,8 @@ class Chart:
 class Section:
     """One part of the page below the first screen; a folded one is shown when asked for, and if `on_paper` printed.
 
-    Charts stand before pictures, but for a picture that is `first`.
+    A sketch (an `<svg>` element of our own making) stands first. Charts stand before pictures, but for a picture that
+    is `first`.
     """
 
     title: str
@@ -65,6 +66,7 @@ class Section:
     parts: tuple[Section, ...] = ()
     folded: bool = False
     on_paper: bool = True
+    sketch: str = ""
 
     @property
     def before_charts(self) -> tuple[Picture, ...]:

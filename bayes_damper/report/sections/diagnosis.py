@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from bayes_damper.effects import EFFECTS
+from bayes_damper.effects.base import SITES
 from bayes_damper.report.charts import torque_chart
 from bayes_damper.report.parts import Headline, Result, Row, Section, Table, folded, generic, listed, words
 from bayes_damper.report.sections.shared import fingerprint, meaning_of, pictures_of, records_table
+from bayes_damper.report.sketch import KINDS, sketch
 from bayes_damper.rig.parameters import PARAMETERS
 from bayes_damper.text import (
     COORDINATES,
@@ -89,7 +91,7 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
     rest = generic(
         data, "", ("schema", "campaign", "verdict", "credible_set", "probabilities", "sites", "effects", "provenance",
                    "campaign_sha256", "seed", "indistinguishable", "notes", "next_experiment", "gap", "parameters",
-                   "sensitivity", "where", "forecast", "reading_unit", "warnings"),
+                   "sensitivity", "where", "forecast", "reading_unit", "rig", "warnings"),
     )  # fmt: skip
     places = _where_sections(data.get("where") or {}, translational)
     every = (_effect_table(effects, probabilities),)
@@ -112,6 +114,7 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
             *([Section("How far the verdict hangs on choices", tables=choices, folded=True)] if choices else []),
             *folded(rest),
         ),
+        sketch=_sketch(data.get("rig"), sites),
     )
     about = dict(data.get("provenance", {})) | fingerprint(data)
     return Result(head, section, (), about, tuple(gathered(data.get("warnings", ()))))
@@ -241,6 +244,24 @@ def _experiment_tables(proposals: Sequence[Mapping[str, Any]]) -> list[Table]:
 
 _OTHER = {"scale": ("scale of the readings of channel", "1"), "lag": ("lag of the readings of channel", "s")}
 _CHANNELS = {1: "1, primary", 2: "2, secondary"}
+
+
+def _sketch(rig: Any, sites: Sequence[tuple[str, float]]) -> str:
+    """The rig with its probable sites highlighted: those with at least half of the largest probability of a site.
+
+    Nothing where the file does not say what rig it is, or where most probably nothing is missing.
+    """
+    places = [(s, p) for s, p in sites if s in SITES]
+    if not isinstance(rig, Mapping) or not places:
+        return ""
+    kind = "pendulum" if rig.get("restoring") == "pendulum" else rig.get("kind")
+    if kind not in KINDS:
+        return ""
+    gap = 1.0 - sum(p for s, p in sites if s == "none")
+    named = [s for s, p in places if p > 0.5 * places[0][1]] if gap > 0.5 else []
+    coupled = bool(rig.get("coupled"))
+    there = [s for s in named if coupled or s not in ("interface", "ground2")]
+    return sketch(kind, coupled=coupled, named=there, magnet=bool(rig.get("magnet")))
 
 
 def _is_translational(data: Mapping[str, Any]) -> bool:
