@@ -293,3 +293,14 @@ def test_the_campaign_of_the_first_figure_is_shipped_and_its_cause_is_the_one_th
     assert (ROOT / "data" / "withheld" / "campaigns" / told[1] / "campaign.toml").is_file()
     key = json.loads((ROOT / "data" / "withheld" / "campaigns_key.json").read_text(encoding="utf-8"))["campaigns"]
     assert f"before and after {key[told[1]]['truth']} is added" in (DOCS / "how-to" / "verdict.md").read_text("utf-8")
+
+
+HOMEMADE = re.compile(r"\b(tells?|told|telling)\b|looks are paid|laid to the formula", re.IGNORECASE)
+
+
+@pytest.mark.parametrize("page", sorted(p for p in DOCS.rglob("*.md") if "proof" not in p.parts), ids=lambda p: p.stem)
+def test_pages_use_the_words_of_the_field(page):
+    """`cannot tell` is a value of a result file."""
+    text = page.read_text(encoding="utf-8").replace("`cannot tell`", "")
+    found = [f"line {n}: {line.strip()}" for n, line in enumerate(text.splitlines(), 1) if HOMEMADE.search(line)]
+    assert not found, f"{page.name}: say shows, reports, gives, distinguishes: " + "; ".join(found)
