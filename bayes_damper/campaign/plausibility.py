@@ -277,7 +277,7 @@ def _look_for_odd_twin(group: Sequence[Trial], quantity: str, warnings: list[str
         curves = np.stack(
             [np.interp(grid, c, t.channels[channel]) / _release(t) for c, t in zip(clocks, group, strict=True)]
         )
-        distance = np.sqrt(np.mean((curves[:, None] - curves[None]) ** 2, axis=-1))
+        distance = np.sqrt([np.mean((curves - curve) ** 2, axis=-1) for curve in curves])
         noise = max(look.noise_floor_of(c) for c in curves)
         scale = float(np.sqrt(np.median(np.mean(curves**2, axis=-1))))
         for i, trial in enumerate(group):
