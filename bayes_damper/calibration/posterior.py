@@ -41,6 +41,8 @@ FREEDOM_PRIOR = LogNormal(8.0, 3.0)
 """Prior of the degrees of freedom of Student's t noise; beyond 30 it is all but Gaussian."""
 DECLARED_NOISE = 1.1
 """Factor within which a declared noise_std is believed."""
+READINGS_AT_ONCE = 2_000_000
+"""Simulated readings that are held at a time: more points are evaluated in turns, with the same results."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,6 +271,17 @@ class RecordPosterior:
 
     def _evaluated(self, part: _Part, points: Array, s: Array) -> tuple[Array, Array, Array]:
         """Log likelihood (k, trials), mean (k, trials, m) and inverse covariance (k, trials, m, m) of the nuisances."""
+        turns = math.ceil(len(points) * part.group.y.size / READINGS_AT_ONCE)
+        each = max(math.ceil(len(points) / max(turns, 1)), 1)
+        found = [
+            self._evaluated_at_once(part, points[k : k + each], s[k : k + each])
+            for k in range(0, max(len(points), 1), each)
+        ]
+        values, means, inverses = zip(*found, strict=True)
+        return np.concatenate(values), np.concatenate(means), np.concatenate(inverses)
+
+    def _evaluated_at_once(self, part: _Part, points: Array, s: Array) -> tuple[Array, Array, Array]:
+        """`_evaluated` of so few points that their records are held together."""
         q = points[:, : self.problem.size]
         eta, growth = self._followed(part, q)
         w = self._residuals(part, q, eta)
