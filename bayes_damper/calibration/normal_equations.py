@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import weakref
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,8 @@ if TYPE_CHECKING:
     from bayes_damper.calibration.problem import Group, Problem
 
 Array = NDArray[np.float64]
+MOST_BYTES = 400_000_000
+"""Of linearised problems that are held at a time; beyond, all but the last two are made again when they are needed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +29,45 @@ class Block:
     T: Array
     eta: Array
 
+    @property
+    def nbytes(self) -> int:
+        """Of the derivatives, which are by far the largest."""
+        return self.J.nbytes + self.T.nbytes + self.r.nbytes
+
+
+class Remade:
+    """Blocks that `make` makes, always the same ones: held while few are, and made again when they are asked for.
+
+    A diagnosis compares dozens of fits, each with the derivatives of every reading by every unknown.
+    """
+
+    _held: ClassVar[list[weakref.ref[Remade]]] = []  # the one asked for last at the end
+
+    def __init__(self, make: Callable[[], tuple[Block, ...]]) -> None:
+        self._make = make
+        self._blocks: tuple[Block, ...] = ()
+
+    def __call__(self) -> tuple[Block, ...]:
+        """The blocks."""
+        blocks = self._blocks = self._blocks or self._make()
+        others = [other for ref in Remade._held if (other := ref()) is not None and other is not self]
+        total = self.nbytes + sum(other.nbytes for other in others)
+        for other in others[:-1]:
+            if total > MOST_BYTES:
+                total -= other.nbytes
+                other.let_go()
+        Remade._held = [weakref.ref(other) for other in (*others, self) if other.nbytes]
+        return blocks
+
+    @property
+    def nbytes(self) -> int:
+        """Of what is held."""
+        return sum(block.nbytes for block in self._blocks)
+
+    def let_go(self) -> None:
+        """Hold nothing until the blocks are asked for again."""
+        self._blocks = ()
+
 
 @dataclass(frozen=True, eq=False)
 class Linear:
@@ -33,7 +75,29 @@ class Linear:
 
     problem: Problem
     q: Array
-    blocks: tuple[Block, ...]
+    given: Callable[[], tuple[Block, ...]]
+
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        """Residuals and derivatives, group by group. Ask once for what is looked at: they may have to be made again."""
+        return self.given()
+
+    def with_blocks(self, blocks: tuple[Block, ...]) -> Linear:
+        """The same problem with other blocks, which are held."""
+        return Linear(self.problem, self.q, lambda: blocks)
+
+    def sliced(self, readings: int) -> Linear:
+        """The same with the trials in blocks of at most so many readings, or of one trial: for what takes much more
+        memory for each reading.
+        """
+        parts = []
+        for b in self.blocks:
+            step = max(readings // max(b.group.y[0].size, 1), 1)
+            for k in range(0, len(b.group.trials), step):
+                at = slice(k, k + step)
+                whole = step >= len(b.group.trials)
+                parts.append(b if whole else Block(b.group.only(at), b.r[at], b.J[at], b.T[at], b.eta[at]))
+        return self.with_blocks(tuple(parts))
 
     def normal(self, extra: Sequence[Array] | None = None) -> Normals:
         """Normal equations with the nuisances eliminated.
@@ -71,7 +135,7 @@ class Linear:
             near = 1e-6 * (high - low)
             held = ((b.eta - low < near) & (gradient > 0.0)) | ((high - b.eta < near) & (gradient < 0.0))
             blocks.append(replace(b, T=np.where(held[:, :, None], 0.0, b.T)) if held.any() else b)
-        return replace(self, blocks=tuple(blocks))
+        return self.with_blocks(tuple(blocks))
 
 
 @dataclass(frozen=True, eq=False)

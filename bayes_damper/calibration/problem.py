@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -20,7 +20,7 @@ from bayes_damper.calibration.experiment import (
     repeats,
 )
 from bayes_damper.calibration.noise_level import Noise, rough_noise
-from bayes_damper.calibration.normal_equations import Block, Linear
+from bayes_damper.calibration.normal_equations import Block, Linear, Remade
 from bayes_damper.campaign.records import DERIVATIVE
 from bayes_damper.effects.base import Variant
 from bayes_damper.priors.distributions import (
@@ -102,6 +102,14 @@ class Group:
     def weights(self, annealed: bool) -> Array:
         """Weights of the residuals; annealed: samples beside friction reversals count little, for a smoother cost."""
         return self.first_weight if annealed else self.weight
+
+    def only(self, at: slice) -> Group:
+        """The group of some of its trials."""
+        return replace(
+            self, trials=self.trials[at], y=self.y[at], weight=self.weight[at], first_weight=self.first_weight[at],
+            nuisances=tuple((name, mean[at], sd[at]) for name, mean, sd in self.nuisances), lower=self.lower[at],
+            upper=self.upper[at],
+        )  # fmt: skip
 
 
 def _event_strength(y: Array, noise: Array) -> Array:
@@ -519,6 +527,13 @@ class Problem:
         stiffnesses and frictions does to a record of many periods cancels out of columns of thousands of noise sds,
         so that a few digits of them would pretend to know that factor.
         """
+        q, fixed = np.array(q), {i: np.array(v) for i, v in eta.items()}
+        return Linear(self, q, Remade(lambda: self._linearised(q, fixed, annealed, central, steps)))
+
+    def _linearised(
+        self, q: Array, eta: Mapping[int, Array], annealed: bool, central: bool, steps: Array | None
+    ) -> tuple[Block, ...]:
+        """Blocks of `linearise`."""
         blocks = []
         differences = self.finer() if central else self
         steps = np.full(self.size, 2e-3) if steps is None else steps
@@ -598,7 +613,7 @@ class Problem:
                     per_log = math.log(_factor(self.coordinates[i].prior))
                     own[hit, names.index(name)] = jac[hit, i] * (FRICTION_SPREAD / per_log)
             blocks.append(Block(group, r, jac, own, base_eta))
-        return Linear(self, q, tuple(blocks))
+        return tuple(blocks)
 
     def touched(self, c: Coordinate, group: Group) -> NDArray[np.bool_]:
         """Which trials of a group a coordinate belongs to, (trials,)."""

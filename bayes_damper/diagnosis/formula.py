@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.calibration import Calibration
-from bayes_damper.diagnosis.response import motions, project, whiten
+from bayes_damper.diagnosis.response import in_slices, motions, project, whiten
 from bayes_damper.diagnosis.shapes import scale_of_motions, shapes_of
 
 Array = NDArray[np.float64]
@@ -45,9 +45,12 @@ def widened(fit: Calibration, sites: Sequence[str], share: float = SHARE) -> Cal
     The fit itself comes back where no torque law is added: errors of constants, sensors, the release.
     """
     laws = {(site, group) for site in sites for group in LAWS.get(site, ())}
-    moved = motions(fit) if laws else []
-    if not any(np.any(m.added) for m in moved):
+    if not laws:
         return fit
+    whole, fit = fit, in_slices(fit)
+    moved = motions(fit)
+    if not any(np.any(m.added) for m in moved):
+        return whole
     scale = scale_of_motions(moved)
     coupled = any(m.group.coupled for m in moved)
     columns, size = [], 0.0
@@ -69,4 +72,4 @@ def widened(fit: Calibration, sites: Sequence[str], share: float = SHARE) -> Cal
     shift = give_way @ solved[:, -1]
     open_ = give_way @ solved[:, :-1] + np.outer(shift, shift)
     covariance = fit.covariance + 0.5 * (open_ + open_.T)
-    return replace(fit, covariance=covariance) if np.all(np.isfinite(covariance)) else fit
+    return replace(whole, covariance=covariance) if np.all(np.isfinite(covariance)) else whole

@@ -13,7 +13,7 @@ the jump.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,6 +27,7 @@ from bayes_damper.simulation.model import Model
 Array = NDArray[np.float64]
 
 ANGLE_PER_STEP = 0.08  # largest omega dt of a step, rad: keeps the response within 1e-3
+SLICE = 50_000  # readings of a block of trials whose responses to hundreds of shapes are held at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +137,11 @@ def _march(
                         + p1 * (q[j, i, 1, column] + q[j, i + 1, 1, column])
                     )  # fmt: skip
             now, then = then, now
+
+
+def in_slices(fit: Calibration) -> Calibration:
+    """The fit with its linearised problem in blocks small enough that responses to many shapes fit into memory."""
+    return replace(fit, linear=fit.linear.sliced(SLICE))
 
 
 def motions(fit: Calibration) -> list[Motion]:
@@ -461,22 +467,24 @@ class Pieces:
         return Projected(0.5 * (gram + gram.T), -product, raw, np.asarray(-answer[:, :k]))
 
 
-def project_parts(fit: Calibration, columns: Sequence[Array], part: Callable[[int], Any]) -> Pieces:
+def project_parts(fit: Calibration, columns: Iterable[Array], part: Callable[[int], Any]) -> Pieces:
     """Columns (trials, k, data), one array per block, for each part of the trials: `part` names that of a trial.
+
+    Columns are looked at once, in order, so that they can be made one block after the other.
 
     The product's sign is that of "reading minus model": a coefficient c > 0 of a column adds it to the model.
     """
     normals = fit.linear.normal()
     S, g, inverses = normals.reduced()
     size = fit.problem.size
-    k = columns[0].shape[1]
     pieces: dict[Any, _Piece] = {}
     for (block, H, TJ, gT), inverse, every in zip(normals.parts, inverses, columns, strict=True):
+        k = every.shape[1]
         full = np.concatenate([block.J, block.T, block.r[:, None, :]], axis=1)
         names = [part(i) for i in block.group.trials]
         for name in dict.fromkeys(names):
             own = np.array([n == name for n in names])
-            d = every[own]
+            d = every if own.all() else every[own]
             flat = d.transpose(1, 0, 2).reshape(k, -1)
             gram = flat @ flat.T
             raw = np.diag(gram).copy()
@@ -498,7 +506,7 @@ def project_parts(fit: Calibration, columns: Sequence[Array], part: Callable[[in
     return Pieces(tuple(pieces), tuple(pieces.values()), S, g)
 
 
-def project(fit: Calibration, columns: Sequence[Array]) -> Projected:
+def project(fit: Calibration, columns: Iterable[Array]) -> Projected:
     """Columns (trials, k, data), one array per block, after all that parameters and nuisances can do is taken out.
 
     The product's sign is that of "reading minus model": a coefficient c > 0 of a column adds it to the model.

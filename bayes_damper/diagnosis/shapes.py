@@ -270,7 +270,7 @@ def _interface(m: Motion, s: Scale) -> Iterator[Shape]:
     for f in (p**3, p**5, p * np.abs(p), p * pull, np.sign(p) * np.maximum(np.abs(p) - 0.5, 0.0)):
         yield pair("magnet", f)
     heat = np.cumsum(np.abs(slip) * np.gradient(m.grid)[None, :], axis=1)
-    heat = heat / scale_of([heat])
+    heat = heat / (s.slip * s.duration)
     for f in (dry * pull, p, v):
         yield pair("heat", f * heat)
         yield pair("heat", f * t)

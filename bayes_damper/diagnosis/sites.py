@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby, islice
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,16 @@ from numpy.typing import NDArray
 from scipy.special import gammaln, logsumexp
 
 from bayes_damper.calibration import Calibration, TrialRecord, predict
-from bayes_damper.diagnosis.response import Motion, Projected, motions, nominal_slopes, on_trials, project_parts, whiten
+from bayes_damper.diagnosis.response import (
+    Motion,
+    Projected,
+    in_slices,
+    motions,
+    nominal_slopes,
+    on_trials,
+    project_parts,
+    whiten,
+)
 from bayes_damper.diagnosis.shapes import Scale, Shape, scale_of_motions, shapes_of
 from bayes_damper.effects.base import SITES
 
@@ -186,13 +196,15 @@ def site_map(fit: Calibration, *, torque: bool = True, prior_none: float = PRIOR
 
     torque : also estimate the missing torque; prior_none : prior probability of no gap.
     """
+    fit = in_slices(fit)
     moved = motions(fit)
     scale = scale_of_motions(moved, peak_of(fit))
     coupled = any(m.group.coupled for m in moved)
-    shapes = [list(shapes_of(m, scale, coupled)) for m in moved]
-    columns = [_columns(fit, m, s) for m, s in zip(moved, shapes, strict=True)]
-    labels = [(s.site, s.group) for s in shapes[0]]
-    judged, found, priors = _per_part(fit, columns, labels)
+    vocabulary: list[tuple[str, str, bool]] = []  # known when the first columns have been made
+    columns = (
+        _columns(fit, m, _noted(shapes_of(m, scale, coupled), vocabulary if m is moved[0] else [])) for m in moved
+    )
+    judged, found, priors = _per_part(fit, columns, vocabulary)
     strength = max(found[None][0].values())
     by_part = {(site, name): v for name, (evidence, _) in found.items() for site, v in evidence.items()}
     shares = shares_of(by_part, priors, prior_none)
@@ -208,10 +220,10 @@ def site_map(fit: Calibration, *, torque: bool = True, prior_none: float = PRIOR
     best = max(leaders, key=lambda s: probabilities[s])
     mean, _ = _coefficients(judged[leaders[best].only], leaders[best])
     missing: tuple[MissingTorque, ...] = ()
-    silent = {s for s, leader in leaders.items() if not any(shapes[0][c].acts for c in leader.columns)}
+    silent = {s for s, leader in leaders.items() if not any(vocabulary[c][2] for c in leader.columns)}
     place = _torque_site(probabilities, silent) if torque else None
     if place is not None:
-        missing = _torque(fit, moved, shapes, judged[leaders[place].only], leaders[place])
+        missing = _torque(fit, moved, scale, judged[leaders[place].only], leaders[place])
     shift = judged[leaders[best].only].absorbed[:, leaders[best].columns] @ mean
     return SiteMap(evidence, probabilities, leaders, missing, fit, scale, mean, shift, strength, place)
 
@@ -220,7 +232,7 @@ _Sites = tuple[dict[str, float], dict[str, Hypothesis]]
 
 
 def _per_part(
-    fit: Calibration, columns: Sequence[Array], labels: Sequence[tuple[str, str]]
+    fit: Calibration, columns: Iterable[Array], vocabulary: Sequence[tuple[str, str, bool]]
 ) -> tuple[dict[str | None, Projected], dict[str | None, _Sites], dict[str | None, float]]:
     """Columns, evidence and leaders of each site, and prior: of causes that act in all trials (None), or in a part.
 
@@ -231,6 +243,7 @@ def _per_part(
     by_case = 1 < len(cases) <= MOST_CASES
     every = fit.problem.experiment.trials
     pieces = project_parts(fit, columns, lambda i: (every[i].case if by_case else "", every[i].coupled))
+    labels = [(site, group) for site, group, _ in vocabulary]
     judged: dict[str | None, Projected] = {None: pieces.on()}
     found: dict[str | None, _Sites] = {None: _per_site(hypotheses_of(judged[None], labels))}
     parts: dict[str, tuple[float, int, str | bool]] = {}
@@ -303,8 +316,9 @@ def predicted_gap(found: SiteMap) -> dict[int, Array]:
     out = {}
     for motion, block in zip(motions(unseen), unseen.linear.blocks, strict=True):
         group = motion.group
-        every = list(shapes_of(motion, found.scale, coupled))
-        y = np.einsum("jkcn,k->jcn", _changes(motion, [every[c] for c in leader.columns]), found.coefficients)
+        every = shapes_of(motion, found.scale, coupled)
+        named = {c: shape for c, shape in enumerate(every) if c in leader.columns}
+        y = np.einsum("jkcn,k->jcn", _changes(motion, [named[c] for c in leader.columns]), found.coefficients)
         y *= np.array([[[_acts_in(leader.only, trials[i])]] for i in group.trials])
         d = whiten(fit, group, y[:, None])[:, 0] + np.einsum("jqd,q->jd", block.J, shift)
         H = block.T @ block.T.transpose(0, 2, 1) + np.eye(block.T.shape[1])
@@ -333,27 +347,27 @@ def _changes(motion: Motion, shapes: Sequence[Shape]) -> Array:
     return y
 
 
-def _columns(fit: Calibration, motion: Motion, shapes: Sequence[Shape], most: int = 64) -> Array:
-    """Whitened responses (trials, k, data) to the shapes."""
-    n = motion.th1.shape[0]
-    zero = np.zeros_like(motion.th1)
-    out: list[Array | None] = [None] * len(shapes)
-    torques = [k for k, s in enumerate(shapes) if s.reading is None]
-    for first in range(0, len(torques), most):
-        chunk = torques[first : first + most]
-        still = np.zeros((n, 4))
-        q1 = np.stack([_or(shapes[k].q1, zero) for k in chunk], axis=1)
-        q2 = np.stack([_or(shapes[k].q2, zero) for k in chunk], axis=1)
-        start = np.stack([_or(shapes[k].start, still) for k in chunk], axis=1)
-        y = whiten(fit, motion.group, motion.respond(q1, q2, start))
-        for place, k in enumerate(chunk):
-            out[k] = y[:, place]
-    readings = [(k, s.reading) for k, s in enumerate(shapes) if s.reading is not None]
-    if readings:
-        y = whiten(fit, motion.group, np.stack([reading for _, reading in readings], axis=1))
-        for place, (k, _) in enumerate(readings):
-            out[k] = y[:, place]
-    return np.stack([column for column in out if column is not None], axis=1)
+def _noted(shapes: Iterable[Shape], notes: list[tuple[str, str, bool]]) -> Iterator[Shape]:
+    """The shapes, one after the other; of each, site, group and whether it is a torque are noted."""
+    for shape in shapes:
+        notes.append((shape.site, shape.group, shape.acts))
+        yield shape
+
+
+def _columns(fit: Calibration, motion: Motion, shapes: Iterable[Shape], most: int = 64) -> Array:
+    """Whitened responses (trials, k, data) to the shapes, of which so many are held at a time."""
+    zero, still = np.zeros_like(motion.th1), np.zeros((motion.th1.shape[0], 4))
+    parts = []
+    for of_sensor, alike in groupby(shapes, key=lambda s: s.reading is not None):
+        while chunk := list(islice(alike, most)):
+            if of_sensor:
+                y = np.stack([s.reading for s in chunk if s.reading is not None], axis=1)
+            else:
+                q1 = np.stack([_or(s.q1, zero) for s in chunk], axis=1)
+                q2 = np.stack([_or(s.q2, zero) for s in chunk], axis=1)
+                y = motion.respond(q1, q2, np.stack([_or(s.start, still) for s in chunk], axis=1))
+            parts.append(whiten(fit, motion.group, y))
+    return np.concatenate(parts, axis=1)
 
 
 def _or(shape: Array | None, zero: Array) -> Array:
@@ -475,7 +489,7 @@ def _coefficients(judged: Projected, hypothesis: Hypothesis) -> tuple[Array, Arr
 
 
 def _torque(
-    fit: Calibration, moved: Sequence[Motion], shapes: Sequence[Sequence[Shape]], judged: Projected, leader: Hypothesis
+    fit: Calibration, moved: Sequence[Motion], scale: Scale, judged: Projected, leader: Hypothesis
 ) -> tuple[MissingTorque, ...]:
     """Posterior mean and standard deviation of the torque that the leading shapes make.
 
@@ -485,8 +499,11 @@ def _torque(
     laws = LAWS.get(leader.site, set())
     theirs = np.array([[c.parameter in laws] for c in fit.problem.coordinates])
     mean, root = _coefficients(judged, leader)
+    coupled = any(m.group.coupled for m in moved)
     out = []
-    for m, own, block in zip(moved, shapes, fit.linear.blocks, strict=True):
+    for m, block in zip(moved, fit.linear.blocks, strict=True):
+        named = {c: shape for c, shape in enumerate(shapes_of(m, scale, coupled)) if c in which}
+        own = [named[c] for c in which]
         zero = np.zeros_like(m.th1)
         taken = np.einsum("jqbn,qk->jkbn", nominal_slopes(fit, block, m), theirs * judged.absorbed[:, which])
         for k, trial in enumerate(m.group.trials):
@@ -495,7 +512,7 @@ def _torque(
             for inertia in (0, 1):
                 features = taken[k, :, inertia] + acts * np.array([
                     (zero if q is None else q)[k]
-                    for q in ((own[c].q1 if inertia == 0 else own[c].q2) for c in which)
+                    for q in ((shape.q1 if inertia == 0 else shape.q2) for shape in own)
                 ])  # fmt: skip
                 torque[inertia] = mean @ features
                 sd[inertia] = np.sqrt(np.sum((root.T @ features) ** 2, axis=0))

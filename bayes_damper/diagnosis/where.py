@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaincc, ndtr
 
 from bayes_damper.calibration import Calibration
-from bayes_damper.diagnosis.response import Motion, motions, project, whiten
+from bayes_damper.diagnosis.response import Motion, in_slices, motions, project, whiten
 
 Array = NDArray[np.float64]
 
@@ -28,6 +28,7 @@ BANDS = (1, 5)  # widths in lines of the periodogram
 CELLS = 6  # of phase space along each axis
 NOISE_SPREAD = 0.01  # relative uncertainty of the noise variance
 MOST_ENTRIES = 12
+AT_ONCE = 8_000_000  # changed readings that responses to short torques are held of at a time
 EVENT_WIDTHS = (0.004, 0.012, 0.03)  # s
 
 
@@ -118,6 +119,7 @@ class Where:
 
 def locate(fit: Calibration, *, size: float = SIZE, events: bool = True) -> Where:
     """Where a fit's residuals exceed the noise; about 1 s a campaign, most of it for events."""
+    fit = in_slices(fit)
     sets = repeats_of(fit)
     moved = motions(fit)
     event = find_event(fit, moved) if events else None
@@ -387,8 +389,21 @@ def _pulses(
     fit: Calibration, moved: Sequence[Motion], site: str, instants: Array, widths: Array
 ) -> tuple[Array, Array, Array]:
     """Gain (nats), impulse and its sd (N m s) of half-sine torques at the instants; (k,) each."""
-    columns = []
-    for m in moved:
+    most = max(AT_ONCE // max(m.y.size for m in moved), 1)
+    parts = [
+        _pulses_at_once(fit, moved, site, instants[k : k + most], widths[k : k + most])
+        for k in range(0, instants.size, most)
+    ]
+    gain, size, sd = (np.concatenate(x) for x in zip(*parts, strict=True))
+    return gain, size, sd
+
+
+def _pulses_at_once(
+    fit: Calibration, moved: Sequence[Motion], site: str, instants: Array, widths: Array
+) -> tuple[Array, Array, Array]:
+    """`_pulses` for so few instants that all responses of a block of trials are held together."""
+
+    def responses(m: Motion) -> Array:
         h = np.gradient(m.grid)
         x = (m.grid[None] - instants[:, None]) / widths[:, None]
         pulse = np.where(np.abs(x) < 0.5, np.cos(np.pi * x), 0.0)
@@ -399,8 +414,9 @@ def _pulses(
         q2 = None if site == "ground1" else q
         if not m.group.coupled and site != "ground1":
             q1, q2 = np.zeros_like(q), None
-        columns.append(whiten(fit, m.group, m.respond(q1, q2)))
-    judged = project(fit, columns)
+        return whiten(fit, m.group, m.respond(q1, q2))
+
+    judged = project(fit, (responses(m) for m in moved))
     length = np.diag(judged.gram)
     usable = length > 1e-6 * np.maximum(judged.raw, 1e-300)
     safe = np.where(usable & (length > 0.0), length, 1.0)
