@@ -1,0 +1,96 @@
+"""Memory grows with the size of a campaign, not with its square, nor with the points and shapes asked for at once."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+import numpy as np
+import pytest
+from campaigns import CAMPAIGN_TOML
+from small_rig import measured
+
+from bayes_damper.calibration import Problem, calibrate, normal_equations, posterior
+from bayes_damper.campaign import Constant, Trial, head_from_table
+from bayes_damper.campaign.plausibility import look_at_repeats
+from bayes_damper.diagnosis import response, sites, where
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return calibrate(Problem(measured(repeats=3, duration=0.15)), anneal=False)
+
+
+def test_repeats_are_compared_with_memory_in_proportion_to_their_number():
+    import tomllib
+
+    head = head_from_table(tomllib.loads(CAMPAIGN_TOML), "campaign.toml", [])
+    times = np.arange(1000) / 1000.0
+    rng = np.random.default_rng(1)
+    k1t, theta0 = Constant(10.2), Constant(0.08)
+    records = [np.cos(60.0 * times)[None] + 0.01 * rng.standard_normal((1, 1000)) for _ in range(100)]
+    trials = [Trial(f"{k}.csv", "I", "uncoupled", k, k1t, theta0, times, y) for k, y in enumerate(records)]
+    warnings: list[str] = []
+    tracemalloc.start()
+    look_at_repeats(head, trials, warnings)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 8 * sum(y.nbytes for y in records)  # all pairs of repeats at once: 100 times
+    assert not warnings
+
+
+def test_points_of_a_posterior_are_evaluated_in_turns_with_the_same_results(fit, monkeypatch):
+    target = posterior.RecordPosterior(fit)
+    points = target.start + 0.1 * np.random.default_rng(1).standard_normal((64, target.ndim))
+    at_once = target.log_likelihood(points)
+    monkeypatch.setattr(posterior, "READINGS_AT_ONCE", 6000)
+    sizes = recorded(monkeypatch, Problem, "simulate")
+    assert np.array_equal(target.log_likelihood(points), at_once)
+    assert max(sizes) <= 6000 < 0.5 * at_once.size / 8 * 300
+
+
+def recorded(monkeypatch, owner, name):
+    """Sizes of the arrays that a function returns from now on."""
+    sizes: list[int] = []
+    original = getattr(owner, name)
+
+    def noted(*args, **kwargs):
+        found = original(*args, **kwargs)
+        sizes.append(found.size)
+        return found
+
+    monkeypatch.setattr(owner, name, noted)
+    return sizes
+
+
+def test_a_site_map_takes_the_trials_slice_by_slice(fit, monkeypatch):
+    whole = sites.site_map(fit)
+    monkeypatch.setattr(response, "SLICE", 300)
+    sizes = recorded(monkeypatch, sites, "_columns")
+    sliced = sites.site_map(fit)
+    assert len(sizes) == 6  # two uncoupled trials of 150 readings at a time, coupled ones one by one
+    assert len(set(sizes)) == 1
+    for site, value in whole.log_evidence.items():
+        assert sliced.log_evidence[site] == pytest.approx(value, abs=0.05)  # steps are as long as the stiffest case of a slice allows
+    assert sliced.leaders[sliced.best].columns.tolist() == whole.leaders[whole.best].columns.tolist()
+
+
+def test_short_torques_are_tried_in_turns_with_the_same_results(fit, monkeypatch):
+    moved = response.motions(fit)
+    instants = np.linspace(0.01, 0.1, 7)
+    at_once = where._pulses(fit, moved, "interface", instants, np.full(7, 0.01))
+    monkeypatch.setattr(where, "AT_ONCE", 2 * max(m.y.size for m in moved))
+    sizes = recorded(monkeypatch, where, "whiten")
+    in_turns = where._pulses(fit, moved, "interface", instants, np.full(7, 0.01))
+    assert max(sizes) <= where.AT_ONCE
+    for a, b in zip(at_once, in_turns, strict=True):
+        np.testing.assert_allclose(b, a, rtol=1e-9)
+
+
+def test_what_is_held_of_linearised_problems_is_limited_and_made_again_the_same(fit, monkeypatch):
+    many = [fit.problem.linearise(fit.q, fit.eta) for _ in range(6)]
+    kept = many[0].blocks
+    monkeypatch.setattr(normal_equations, "MOST_BYTES", 3 * many[0].given.nbytes)
+    assert [linear.given.nbytes > 0 for linear in many if linear.blocks] == [True] * 6
+    assert [linear.given.nbytes > 0 for linear in many] == [False] * 3 + [True] * 3
+    for a, b in zip(kept, many[0].blocks, strict=True):
+        assert np.array_equal(a.J, b.J) and np.array_equal(a.T, b.T) and np.array_equal(a.r, b.r)
