@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 import tracemalloc
 
 import numpy as np
@@ -21,8 +22,6 @@ def fit():
 
 
 def test_repeats_are_compared_with_memory_in_proportion_to_their_number():
-    import tomllib
-
     head = head_from_table(tomllib.loads(CAMPAIGN_TOML), "campaign.toml", [])
     times = np.arange(1000) / 1000.0
     rng = np.random.default_rng(1)
@@ -70,7 +69,8 @@ def test_a_site_map_takes_the_trials_slice_by_slice(fit, monkeypatch):
     assert len(sizes) == 6  # two uncoupled trials of 150 readings at a time, coupled ones one by one
     assert len(set(sizes)) == 1
     for site, value in whole.log_evidence.items():
-        assert sliced.log_evidence[site] == pytest.approx(value, abs=0.05)  # steps are as long as the stiffest case of a slice allows
+        # Steps are as long as the stiffest case of a slice allows.
+        assert sliced.log_evidence[site] == pytest.approx(value, abs=0.05)
     assert sliced.leaders[sliced.best].columns.tolist() == whole.leaders[whole.best].columns.tolist()
 
 
@@ -93,4 +93,4 @@ def test_what_is_held_of_linearised_problems_is_limited_and_made_again_the_same(
     assert [linear.given.nbytes > 0 for linear in many if linear.blocks] == [True] * 6
     assert [linear.given.nbytes > 0 for linear in many] == [False] * 3 + [True] * 3
     for a, b in zip(kept, many[0].blocks, strict=True):
-        assert np.array_equal(a.J, b.J) and np.array_equal(a.T, b.T) and np.array_equal(a.r, b.r)
+        assert all(np.array_equal(x, y) for x, y in ((a.J, b.J), (a.T, b.T), (a.r, b.r)))
