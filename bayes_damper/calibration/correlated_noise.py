@@ -212,10 +212,10 @@ def unlike_repeats(fit: Calibration) -> tuple[Unlike, ...]:
     experiment = fit.problem.experiment
     known = fit.problem.factors
     powers = {i: p / float(np.mean(np.square(known.get(i, 1.0)))) for i, p in trial_powers(fit).items()}
-    sets: dict[tuple[str, bool, float], list[int]] = {}
+    sets: dict[tuple[Any, ...], list[int]] = {}
     for i in fit.problem.trials:
         t = experiment.trials[i]
-        sets.setdefault((t.case, t.coupled, t.theta0), []).append(i)
+        sets.setdefault(t.conditions, []).append(i)
     found = []
     for members in sets.values():
         left = list(members)
@@ -306,13 +306,13 @@ def _power(fit: Calibration) -> list[float]:
 def _repeats(fit: Calibration) -> list[float | None]:
     """Sd of each channel's noise from repeats, None where there are none."""
     experiment = fit.problem.experiment
-    sets: dict[tuple[str, bool, float, int], int] = {}
+    sets: dict[tuple[Any, ...], int] = {}
     for i in fit.problem.trials:
         t = experiment.trials[i]
-        key = (t.case, t.coupled, t.theta0, t.times.size)
+        key = (*t.conditions, t.times.size)
         sets[key] = sets.get(key, 0) + 1
     total = learn_noise(fit).total
-    known = [any(n > 1 and (coupled or c == 0) for (_, coupled, _, _), n in sets.items()) for c in range(len(total))]
+    known = [any(n > 1 and (coupled or c == 0) for (_, coupled, *_), n in sets.items()) for c in range(len(total))]
     return [sd if yes else None for sd, yes in zip(total, known, strict=True)]
 
 
@@ -431,7 +431,7 @@ def _mean_residuals(fit: Calibration, channel: int) -> list[tuple[Array, Array]]
     sets: dict[tuple[Any, ...], list[int]] = {}
     for i in problem.trials:
         t = problem.experiment.trials[i]
-        sets.setdefault((t.case, t.coupled, t.theta0, t.times.tobytes()), []).append(i)
+        sets.setdefault((*t.conditions, t.times.tobytes()), []).append(i)
     out = []
     for members in sets.values():
         members = [i for i in members if channel < len(weights[i]) and weights[i][channel].max() > 0.9]  # noqa: PLW2901

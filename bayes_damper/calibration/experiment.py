@@ -14,6 +14,7 @@ from bayes_damper.campaign.records import common_grid, crossings, picks, release
 from bayes_damper.errors import InputError
 from bayes_damper.priors.distributions import Distribution, LogNormal, Normal
 from bayes_damper.priors.files import PriorSet
+from bayes_damper.rig.inputs import Inputs
 from bayes_damper.simulation.integrator import LONGEST_STEP
 from bayes_damper.simulation.model import Quantity
 
@@ -28,8 +29,8 @@ class TrialRecord:
     """One measured trial, as the calibration sees it.
 
     times (n,) s; y (channels, n), nan where a reading is missing; k1t: index into Experiment.stiffnesses;
-    theta0, theta0_sd: nominal release angle (rad) and its standard uncertainty; weight (channels, n): what multiplies
-    the residuals of readings that do not count fully.
+    theta0, theta0_sd: nominal release angle (rad) and its standard uncertainty; inputs: what acted on the rig;
+    weight (channels, n): what multiplies the residuals of readings that do not count fully.
     """
 
     label: str
@@ -41,15 +42,19 @@ class TrialRecord:
     k1t: int
     theta0: float = 0.0
     theta0_sd: float = 0.0
-    torque: Array | None = None
+    inputs: Inputs | None = None
     heldout: bool = False
     weight: Array | None = None
 
     def at(self, which: NDArray[np.bool_] | slice) -> TrialRecord:
-        """The trial with these of its readings only."""
-        torque = None if self.torque is None else self.torque[which]
+        """The trial with these of its readings only; inputs stay as they were measured."""
         weight = None if self.weight is None else self.weight[:, which]
-        return replace(self, times=self.times[which], y=self.y[:, which], torque=torque, weight=weight)
+        return replace(self, times=self.times[which], y=self.y[:, which], weight=weight)
+
+    @property
+    def conditions(self) -> tuple[Any, ...]:
+        """Equal for repeats: trials of one case and configuration, release and inputs."""
+        return self.case, self.coupled, self.theta0, None if self.inputs is None else self.inputs.key
 
 
 @dataclass(frozen=True)
@@ -176,8 +181,8 @@ def release_window(trial: TrialRecord, quantity: str) -> tuple[float, float]:
 
 
 def lone(experiment: Experiment, trials: Sequence[int]) -> bool:
-    """Whether no two of the trials are repeats: one initial state and record length twice. Free starts never repeat."""
-    keys = [(t.case, t.coupled, t.theta0, t.times.size) for t in (experiment.trials[i] for i in trials)]
+    """Whether no two of the trials are repeats, of one record length too. Free starts never repeat."""
+    keys = [(*t.conditions, t.times.size) for t in (experiment.trials[i] for i in trials)]
     return experiment.start == "free" or len(set(keys)) == len(keys)
 
 
@@ -186,10 +191,10 @@ def _omega(stiffness: float, inertia: float) -> float:
 
 
 def repeats(trials: Sequence[TrialRecord]) -> list[list[int]]:
-    """Positions of the trials of one case and release, a list each."""
-    same: dict[tuple[str, float], list[int]] = {}
+    """Positions of the trials of one case, release and input, a list each."""
+    same: dict[tuple[Any, ...], list[int]] = {}
     for k, t in enumerate(trials):
-        same.setdefault((t.case, t.theta0), []).append(k)
+        same.setdefault(t.conditions, []).append(k)
     return list(same.values())
 
 
@@ -261,8 +266,7 @@ def gridded(experiment: Experiment) -> Experiment:
             t = trials[i]
             y = np.full((t.y.shape[0], grid.size), np.nan)
             y[:, place] = t.y
-            torque = None if t.torque is None else np.interp(grid, t.times, t.torque)
-            trials[i] = replace(t, times=grid, y=y, torque=torque)
+            trials[i] = replace(t, times=grid, y=y)
     return replace(experiment, trials=tuple(trials))
 
 
@@ -326,7 +330,7 @@ def experiment_of(campaign: Any, priors: PriorSet | Mapping[str, Distribution | 
         angle = t.theta0
         theta0 = 0.0 if angle is None else float(getattr(angle, "value", angle))
         first, shift = 0, 0.0
-        if measurement.start == "rest" and t.torque is None:
+        if measurement.start == "rest" and not t.given:
             omega = _omega(key[0], constants["J1"][0])
             primary = np.atleast_2d(np.array(t.channels, float))[0]
             first, shift = release_of(np.array(t.times, float), primary, measurement.quantity, theta0, omega)
@@ -341,7 +345,7 @@ def experiment_of(campaign: Any, priors: PriorSet | Mapping[str, Distribution | 
                 k1t=stiffnesses.index(key),
                 theta0=theta0,
                 theta0_sd=0.0 if angle is None else float(getattr(angle, "std", 0.0) or 0.0),
-                torque=None if t.torque is None else np.array(t.torque, float)[first:],
+                inputs=t.inputs(measurement),
                 heldout=id(t) in heldout,
             )
         )

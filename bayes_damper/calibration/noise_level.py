@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -213,10 +213,10 @@ def _unshared_noise(fit: Calibration, colour: bool) -> Noise:
     e = problem.experiment
     residuals = fit.residuals()
     channels = len(problem.noise.innovation)
-    sets: dict[tuple[str, bool, float], list[int]] = {}
+    sets: dict[tuple[Any, ...], list[int]] = {}
     for i in problem.trials:
         t = e.trials[i]
-        sets.setdefault((t.case, t.coupled, t.theta0), []).append(i)
+        sets.setdefault(t.conditions, []).append(i)
     weights = {i: g.weight[k] for g in problem.groups for k, i in enumerate(g.trials)}
     innovation: list[float] = []
     phis: list[float] = []

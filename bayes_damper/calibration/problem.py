@@ -34,7 +34,8 @@ from bayes_damper.priors.distributions import (
     median,
     to_standard,
 )
-from bayes_damper.simulation.model import Model
+from bayes_damper.rig.inputs import Inputs
+from bayes_damper.simulation.model import Model, delayed
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.signedinteger[Any]]
@@ -86,12 +87,12 @@ class Switches:
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Training trials that can share one simulation: same configuration, times and torque."""
+    """Training trials that can share one simulation: same configuration, times and inputs."""
 
     coupled: bool
     trials: tuple[int, ...]
     times: Array
-    torque: Array | None
+    inputs: Inputs | None
     y: Array  # (trials, channels, n), missing readings 0
     weight: Array  # the same shape; 0 where missing
     first_weight: Array
@@ -278,7 +279,7 @@ class Problem:
         keyed: dict[tuple[Any, ...], list[int]] = {}
         for i in trials:
             t = e.trials[i]
-            driven = None if t.torque is None or not np.any(t.torque) else t.torque.tobytes()
+            driven = None if t.inputs is None or not t.inputs.active else t.inputs.key
             keyed.setdefault((t.coupled, t.times.tobytes(), driven), []).append(i)
         groups = [self._group(members) for members in keyed.values()]
         self._groups[tuple(trials)] = groups
@@ -317,7 +318,7 @@ class Problem:
         weight[missing] = 0.0
         annealed = np.minimum(annealed, weight)
         return Group(
-            first.coupled, tuple(members), first.times, first.torque, y, weight, annealed, nuisances, lower, upper
+            first.coupled, tuple(members), first.times, first.inputs, y, weight, annealed, nuisances, lower, upper
         )
 
     def _nuisances(self, trials: list[TrialRecord]) -> tuple[tuple[tuple[str, Array, Array], ...], Array, Array]:
@@ -359,7 +360,8 @@ class Problem:
                 if found is not None:
                     out.append(found[0])
                     bounds.append(found[1])
-        if self.switches.delay and "delay" not in e.levels:
+        forced = trials[0].inputs is not None and trials[0].inputs.active and not np.any(mean)
+        if self.switches.delay and "delay" not in e.levels and not forced:  # nothing is released
             low, high = np.array([release_window(t, e.quantity) for t in trials]).T
             middle, half = 0.5 * (low + high), 0.35 * (high - low)
             out.append(("delay", middle, half))
@@ -475,7 +477,7 @@ class Problem:
                     rig,
                     group.times,
                     effect=effect if self.effect is not None else None,
-                    torque=group.torque,
+                    inputs=group.inputs,
                     quantity=self.experiment.quantity,
                     tolerance=self.tolerance,
                     threads=self.threads,
@@ -486,6 +488,10 @@ class Problem:
         y = readings(rig)
         for i, c in enumerate(self.coordinates):
             if c.role == "lag" and c.index < y.shape[1]:
+                if group.inputs is not None and group.inputs.active:
+                    lags = [from_standard(c.prior, q[:, i]) if k == c.index else 0.0 for k in range(y.shape[1])]
+                    y = delayed(y, group.times, lags)
+                    continue
                 late = rig | {"delay": rig.get("delay", 0.0) + from_standard(c.prior, q[:, i])}
                 y[:, c.index] = readings(late)[:, c.index]
         return self._read(y, group, which, q, eta)

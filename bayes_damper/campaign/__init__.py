@@ -10,7 +10,7 @@ from bayes_damper.campaign.head import constant_from, head_from_table
 from bayes_damper.campaign.loading import PLANNED_PERIODS, load_campaign, load_plan
 from bayes_damper.campaign.structure import (
     COLUMNS,
-    INPUT_COLUMN,
+    INPUT_COLUMNS,
     Campaign,
     Constant,
     Measurement,
@@ -26,7 +26,7 @@ from bayes_damper.campaign.writing import COMMENTS, campaign_toml, quoted, trial
 __all__ = [
     "COLUMNS",
     "COMMENTS",
-    "INPUT_COLUMN",
+    "INPUT_COLUMNS",
     "PLANNED_PERIODS",
     "Campaign",
     "Constant",

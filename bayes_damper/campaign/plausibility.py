@@ -54,7 +54,7 @@ def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
                 else f"{where}: {len(spikes)} single readings stick out, at {some} s{more}; they look like outliers"
             )
         offset = look.offset_of(trial.times, y, noise, omega)
-        if offset and not (head.rig.restoring == "pendulum" and held):
+        if offset and not trial.driven and not (head.rig.restoring == "pendulum" and held):
             warnings.append(f"{where}: rests at {offset:.3g} at the end, not at 0; the sensor has an offset")
         if given is not None and noise > 0.0 and not 1.0 / 3.0 <= noise / given[i] <= 3.0:
             warnings.append(
@@ -68,7 +68,7 @@ def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
             f"{trial.file}: at the release the second channel goes the other way than the primary, which drags the "
             f"secondary along; its sign looks reversed{_TURNED}"
         )
-    if head.measurement.start == "rest" and trial.theta0 is not None:
+    if head.measurement.start == "rest" and trial.theta0 is not None and not (trial.driven and not trial.theta0.value):
         _look_at_release(head, trial, omega, warnings)
 
 
@@ -219,7 +219,8 @@ def look_at_repeats(head: Head, trials: Sequence[Trial], warnings: list[str]) ->
     _look_for_copies(trials, warnings)
     for group in groups_of(trials).values():
         _look_for_short_twin(group, warnings)
-        if head.measurement.start != "rest" or _look_for_exchanged_twin(group, warnings):
+        free = [trial for trial in group if not trial.driven]  # what is driven moves as its input does
+        if head.measurement.start != "rest" or (free and _look_for_exchanged_twin(free, warnings)):
             continue
         warnings += [
             f"{trial.file}: the second channel begins as the released primary must, and the first does not; the "
@@ -227,8 +228,8 @@ def look_at_repeats(head: Head, trials: Sequence[Trial], warnings: list[str]) ->
             for trial in group
             if wiring_of(head, trial) == "exchanged"
         ]
-        if len(group) > 2:
-            _look_for_odd_twin(group, head.measurement.quantity, warnings, trials)
+        if len(free) > 2:
+            _look_for_odd_twin(free, head.measurement.quantity, warnings, trials)
 
 
 def _look_for_copies(trials: Sequence[Trial], warnings: list[str]) -> None:

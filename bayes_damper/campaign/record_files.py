@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 
 from bayes_damper.campaign.files import decoded, read_bytes
 from bayes_damper.campaign.head import Head
-from bayes_damper.campaign.structure import COLUMNS, INPUT_COLUMN, SHOWN, Trial, natural_period, record_columns
+from bayes_damper.campaign.structure import (
+    COLUMNS,
+    INPUT_COLUMNS,
+    INPUTS,
+    SHOWN,
+    Trial,
+    natural_period,
+    record_columns,
+)
 from bayes_damper.campaign.trials_table import Row
 from bayes_damper.inputs import LARGEST, collected, csv_rows, in_lines, number_in, shown, unpacked
 from bayes_damper.text import counted
@@ -43,21 +51,52 @@ def read_trial(folder: Path, row: Row, head: Head, faults: list[str], digest: ha
     if table is None:
         return None
     columns = [np.ascontiguousarray(table[:, i]) for i in wanted]
-    if not _check_sizes(columns, [header.split(",")[i].strip().strip('"') for i in wanted], name, faults):
+    names = [cell.strip().strip('"') for cell in header.split(",")]
+    if not _check_sizes(columns, [names[i] for i in wanted], name, faults):
         return None
     n_channels = 2 if row.configuration == "coupled" else 1
     times, channels = columns[0], np.stack(columns[1 : 1 + n_channels])
-    torque = columns[1 + n_channels] if len(columns) > 1 + n_channels else None
+    known = dict(zip(INPUT_COLUMNS[head.rig.kind], INPUTS, strict=True))
+    inputs = {known[names[i]]: x for i, x in zip(wanted[1 + n_channels :], columns[1 + n_channels :], strict=True)}
     trial = Trial(
-        row.file, row.case, row.configuration, row.trial, row.k1t, row.theta0, times, channels, torque, row.holdout
-    )
-    for array in (times, channels, *(() if torque is None else (torque,))):
+        row.file, row.case, row.configuration, row.trial, row.k1t, row.theta0, times, channels, holdout=row.holdout,
+        **inputs,
+    )  # fmt: skip
+    for array in (times, channels, *inputs.values()):
         array.setflags(write=False)
-    return trial if _check_times(trial, head, name, faults) else None
+    return trial if _check_inputs(trial, head, name, faults) and _check_times(trial, head, name, faults) else None
+
+
+def _check_inputs(trial: Trial, head: Head, name: str, faults: list[str]) -> bool:
+    """Whether the rig can take what a record says acted on it; a fault for each input that it cannot."""
+    columns = dict(zip(INPUTS, INPUT_COLUMNS[head.rig.kind], strict=True))
+    torque2, angle, acceleration = (columns[key] for key in ("torque2", "ground", "ground_acceleration"))
+    before = len(faults)
+    if trial.torque2 is not None and not trial.coupled:
+        faults.append(f"{name}: column '{torque2}' acts on the secondary, which an uncoupled trial lacks; remove it")
+    if trial.ground is not None and trial.ground_acceleration is not None:
+        faults.append(f"{name}: columns '{angle}' and '{acceleration}' are one motion of the ground; keep one")
+    if trial.ground is not None and head.measurement.input == "held":
+        faults.append(
+            f"{name}: column '{angle}' would jump from sample to sample, as campaign.toml says with input = 'held'; "
+            f"give '{acceleration}', or input = 'linear'"
+        )
+    moving = trial.ground is not None or trial.ground_acceleration is not None
+    if moving and head.rig.restoring == "pendulum":
+        faults.append(
+            f'{name}: a ground that moves cannot be taken into account where restoring = "pendulum", since gravity '
+            "does not turn with it; give a linear spring"
+        )
+    if trial.given and trial.coupled and head.rig.inertial_coupling_law == "cosine":
+        faults.append(
+            f'{name}: measured inputs cannot be taken into account where inertial_coupling_law = "cosine"; leave out '
+            + ", ".join(column for key, column in columns.items() if getattr(trial, key) is not None)
+        )
+    return len(faults) == before
 
 
 def _columns_of(header: str, row: Row, head: Head, name: str, faults: list[str]) -> list[int] | None:
-    """Indices of time, channels and, where there is one, the input."""
+    """Indices of time, channels and the inputs that there are."""
     kind, quantity, coupled = head.rig.kind, head.measurement.quantity, row.configuration == "coupled"
     names = [cell.strip().strip('"') for cell in header.split(",")]
     if len(names) == 1 and any(mark in header for mark in ";\t"):
@@ -68,8 +107,8 @@ def _columns_of(header: str, row: Row, head: Head, name: str, faults: list[str])
         return None
     needed = list(record_columns(kind, quantity, coupled))
     missing = [column for column in needed if column not in names]
-    source = INPUT_COLUMN[kind]
-    spare = record_columns(kind, quantity, True, True)
+    sources = INPUT_COLUMNS[kind]
+    spare = record_columns(kind, quantity, True, INPUTS)
     for column in missing:
         reason = f"expected {', '.join(needed)}, found {', '.join(names)}"
         other = [f'{k}, quantity = "{q}"' for (k, q), pair in COLUMNS.items() if set(pair) & set(names)]
@@ -81,17 +120,18 @@ def _columns_of(header: str, row: Row, head: Head, name: str, faults: list[str])
             hint = "name the columns so, or import the file with `bayes-damper init`"
         faults.append(f"{name}, line 1: column '{column}' is missing ({reason}); {hint}")
     for column in names:
-        if column not in spare and column not in missing and difflib.get_close_matches(column, [source], 1, 0.8):
-            faults.append(f"{name}, line 1: column '{column}' is not known; did you mean '{source}'?")
-        elif column not in (*needed, source) and not missing:
+        near = difflib.get_close_matches(column, sources, 1, 0.8)
+        if column not in spare and column not in missing and near:
+            faults.append(f"{name}, line 1: column '{column}' is not known; did you mean '{near[0]}'?")
+        elif column not in (*needed, *sources) and not missing:
             head.notes.append(
                 f"{row.file}: column '{column}' is not used; remove it, or correct its name if it should be"
             )
-    repeated = [c for c in (*needed, source) if names.count(c) > 1]
+    repeated = [c for c in (*needed, *sources) if names.count(c) > 1]
     faults.extend(f"{name}, line 1: column '{c}' appears twice; remove one" for c in repeated)
     if missing or repeated:
         return None
-    return [names.index(c) for c in (*needed, *((source,) if source in names else ()))]
+    return [names.index(c) for c in (*needed, *(source for source in sources if source in names))]
 
 
 def _numbers_of(body: str, width: int, header: list[str], name: str, faults: list[str]) -> Array | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.campaign import readings as look
+from bayes_damper.rig.inputs import Inputs
 from bayes_damper.rig.parameters import unit_of
 from bayes_damper.text import counted, gathered
 
@@ -23,7 +24,12 @@ COLUMNS = {
     ("translational", "velocity"): ("v1_m_s", "v2_m_s"),
     ("translational", "displacement"): ("x1_m", "x2_m"),
 }
-INPUT_COLUMN = {"torsional": "torque1_n_m", "translational": "force1_n"}
+INPUT_COLUMNS = {
+    "torsional": ("torque1_n_m", "torque2_n_m", "ground_rad", "ground_rad_s2"),
+    "translational": ("force1_n", "force2_n", "ground_m", "ground_m_s2"),
+}
+"""Measured inputs in the order of `INPUTS`."""
+INPUTS = ("torque", "torque2", "ground", "ground_acceleration")
 TRIAL_COLUMNS = {
     "torsional": ("k1t_n_m_per_rad", "k1t_std_n_m_per_rad", "theta0_deg", "theta0_std_deg"),
     "translational": ("k1_n_per_m", "k1_std_n_per_m", "theta0_mm", "theta0_std_mm"),
@@ -44,7 +50,12 @@ RIG_WORDS = {
     "restoring": ("linear", "pendulum"),
     "inertial_coupling_law": ("constant", "cosine"),
 }
-MEASUREMENT_WORDS = {"quantity": ("acceleration", "velocity", "displacement"), "start": ("rest", "free")}
+MEASUREMENT_WORDS = {
+    "quantity": ("acceleration", "velocity", "displacement"),
+    "start": ("rest", "free"),
+    "frame": ("absolute", "ground"),
+    "input": ("linear", "held"),
+}
 MEASUREMENT_NUMBERS = ("sample_rate", "duration", "noise_std", "sensor_range", "sensor_bandwidth", "every")
 MEASUREMENT_SPREADS = ("offset_std", "scale_std", "lag_std")  # may be 0: known
 SHOWN = 5  # faults of one kind shown for one file
@@ -107,14 +118,19 @@ class Measurement:
     offset_std: tuple[float, ...] | None = None
     scale_std: tuple[float, ...] | None = None
     lag_std: tuple[float, ...] | None = None
+    frame: str = "absolute"
+    """Where the ground moves: whether readings count from space, or from the ground."""
+    input: str = "linear"
+    """What measured inputs do between samples: "linear", or "held" until the next."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
     """One record and what was declared about it.
 
-    times : (n,) s, 0 = nominal release; channels : (n_channels, n), SI; torque : (n,) N m (N) or None;
-    theta0 : rad (m), None when the start is free; k1t : N m/rad (N/m)
+    times : (n,) s, 0 = nominal release; channels : (n_channels, n), SI; theta0 : rad (m), None when the start is free;
+    k1t : N m/rad (N/m). Measured inputs, (n,) or None: torque and torque2 : N m (N) on primary and secondary;
+    ground : rad (m), or ground_acceleration : rad/s^2 (m/s^2)
     """
 
     file: str
@@ -127,6 +143,9 @@ class Trial:
     channels: Array
     torque: Array | None = None
     holdout: bool = False
+    torque2: Array | None = None
+    ground: Array | None = None
+    ground_acceleration: Array | None = None
 
     @property
     def coupled(self) -> bool:
@@ -135,8 +154,29 @@ class Trial:
 
     @property
     def driven(self) -> bool:
-        """Whether a torque acts on the primary at some time."""
-        return self.torque is not None and bool(np.any(self.torque != 0.0))
+        """Whether a measured torque or the ground acts at some time."""
+        return any(bool(np.any(x != 0.0)) for x in self.given)
+
+    @property
+    def given(self) -> tuple[Array, ...]:
+        """The measured inputs that there are."""
+        return tuple(x for name in INPUTS if (x := getattr(self, name)) is not None)
+
+    def inputs(self, measurement: Measurement) -> Inputs | None:
+        """The measured inputs as a simulation takes them; None where there are none."""
+        if not self.given:
+            return None
+        angle = self.ground is not None
+        return Inputs.measured(
+            self.times,
+            self.torque,
+            self.torque2,
+            ground=self.ground if angle else self.ground_acceleration,
+            ground_quantity="displacement" if angle else "acceleration",
+            quantity=measurement.quantity,  # type: ignore[arg-type]
+            frame=measurement.frame,  # type: ignore[arg-type]
+            held=measurement.input == "held",
+        )
 
     @property
     def key(self) -> tuple[str, str, int]:
@@ -247,16 +287,23 @@ def natural_period(rig: Rig, trial: Trial) -> float:
     return 2.0 * math.pi * math.sqrt(rig.primary_inertia.value / trial.k1t.value)
 
 
-def record_columns(kind: str, quantity: str, coupled: bool, torque: bool = False) -> tuple[str, ...]:
-    """Column names of a record, the time first."""
+def record_columns(kind: str, quantity: str, coupled: bool, inputs: Collection[str] = ()) -> tuple[str, ...]:
+    """Column names of a record, the time first; inputs : those of `INPUTS` that it has."""
     first, second = COLUMNS[(kind, quantity)]
-    return ("time_s", first, *((second,) if coupled else ()), *((INPUT_COLUMN[kind],) if torque else ()))
+    given = [column for name, column in zip(INPUTS, INPUT_COLUMNS[kind], strict=True) if name in inputs]
+    return ("time_s", first, *((second,) if coupled else ()), *given)
 
 
-def record_text(times: Array, channels: Array, kind: str, quantity: str, torque: Array | None = None) -> str:
-    """A record as CSV text, every number so that it reads back exactly; channels : (n_channels, n)."""
-    names = record_columns(kind, quantity, len(channels) > 1, torque is not None)
-    table = np.column_stack([times, *channels, *(() if torque is None else (torque,))])
+def record_text(
+    times: Array, channels: Array, kind: str, quantity: str, inputs: Mapping[str, Array | None] | None = None
+) -> str:
+    """A record as CSV text, every number so that it reads back exactly; channels : (n_channels, n).
+
+    inputs : name of `INPUTS` -> (n,), or None.
+    """
+    given = {name: x for name in INPUTS if (x := (inputs or {}).get(name)) is not None}
+    names = record_columns(kind, quantity, len(channels) > 1, given)
+    table = np.column_stack([times, *channels, *given.values()])
     rows = [",".join(map(repr, row)) for row in table.tolist()]
     return "\n".join([",".join(names), *rows]) + "\n"
 

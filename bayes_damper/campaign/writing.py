@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from bayes_damper.campaign.structure import (
+    INPUTS,
     MEASUREMENT_NUMBERS,
     MEASUREMENT_SPREADS,
     RIG_NUMBERS,
@@ -34,6 +35,8 @@ COMMENTS = {
     "restoring": "linear spring, or pendulum",
     "quantity": "acceleration, velocity or displacement",
     "start": "rest: released at rest from theta0; free: initial angles and velocities are inferred",
+    "frame": "of readings where the ground moves: absolute, or ground",
+    "input": "what measured inputs do between samples: linear, or held until the next",
     "sample_rate": "Hz; the time column decides",
     "duration": "s, of a record that is planned; the time column decides",
     "noise_std": "prior value of the noise, one per channel",
@@ -63,7 +66,8 @@ def write_campaign(folder: str | Path, campaign: Campaign, overwrite: bool = Fal
     for trial in campaign.trials:
         path = folder / trial.file
         path.parent.mkdir(parents=True, exist_ok=True)
-        text = record_text(trial.times, trial.channels, campaign.rig.kind, campaign.measurement.quantity, trial.torque)
+        given = {key: getattr(trial, key) for key in INPUTS}
+        text = record_text(trial.times, trial.channels, campaign.rig.kind, campaign.measurement.quantity, given)
         raw = text.encode()
         path.write_bytes(gzip.compress(raw, mtime=0) if trial.file.endswith(".gz") else raw)
     return folder
@@ -89,9 +93,9 @@ def campaign_toml(campaign: Campaign) -> str:
         if value is not None and not (key == "bar_radius" and campaign.rig.kind == "translational"):
             lines.append(f"{key} = {_toml(value)}  # {COMMENTS[key]}")
     lines += ["", "[measurement]"]
-    for key in ("quantity", "start", *MEASUREMENT_NUMBERS, *MEASUREMENT_SPREADS):
+    for key in ("quantity", "start", "frame", "input", *MEASUREMENT_NUMBERS, *MEASUREMENT_SPREADS):
         value = getattr(campaign.measurement, key)
-        if value is not None:
+        if value is not None and not (key in ("frame", "input") and not any(t.given for t in campaign.trials)):
             lines.append(f"{key} = {_toml(value)}  # {COMMENTS[key]}")
     return "\n".join(lines) + "\n"
 

@@ -220,9 +220,7 @@ def repeats_say(fit: Calibration) -> dict[int, Array]:
         same = [
             j
             for j in fit.problem.trials
-            if (experiment.trials[j].case, experiment.trials[j].coupled) == (t.case, t.coupled)
-            and experiment.trials[j].theta0 == t.theta0
-            and np.array_equal(experiment.trials[j].times, t.times)
+            if experiment.trials[j].conditions == t.conditions and np.array_equal(experiment.trials[j].times, t.times)
         ]
         if same:
             mean = np.mean([np.nan_to_num(residuals[j]) for j in same], axis=0)
@@ -369,7 +367,7 @@ def noise_spread(problem: Problem) -> float:
     sets: dict[tuple[object, ...], list[int]] = {}
     trials = problem.experiment.trials
     for i in problem.trials:
-        sets.setdefault((trials[i].case, trials[i].coupled, trials[i].theta0), []).append(trials[i].y.size)
+        sets.setdefault(trials[i].conditions, []).append(trials[i].y.size)
     freedom = sum(sum(sizes) * (len(sizes) - 1) / len(sizes) for sizes in sets.values())
     return math.sqrt(2.0 / freedom) if freedom > 100.0 else 0.05
 

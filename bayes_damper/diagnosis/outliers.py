@@ -102,7 +102,7 @@ def odd_trials(experiment: Experiment) -> list[Odd]:
         return []
     sets: dict[tuple[str, bool, float], list[int]] = {}
     for i, t in enumerate(experiment.trials):
-        if t.torque is None:
+        if t.inputs is None:
             sets.setdefault((t.case, t.coupled, t.theta0), []).append(i)
     found: list[tuple[list[int], Odd]] = []
     for members in sets.values():

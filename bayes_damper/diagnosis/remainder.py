@@ -60,7 +60,7 @@ def repeats_of(fit: Calibration) -> list[list[int]]:
     for i in fit.problem.trials:
         t = fit.problem.experiment.trials[i]
         alone = i if fit.problem.experiment.start == "free" else -1
-        sets.setdefault((t.case, t.coupled, t.theta0, t.times.tobytes(), alone), []).append(i)
+        sets.setdefault((*t.conditions, t.times.tobytes(), alone), []).append(i)
     return list(sets.values())
 
 

@@ -194,11 +194,11 @@ def _motion(fit: Calibration, block: Block) -> Motion:
     model = _bare(problem.models[group.coupled])
     if model.effect is not None and model.effect.amend is not None:
         model = replace(model, effect=replace(model.effect, amend=None))
-    torque = None if group.torque is None else np.interp(grid, group.times, group.torque)
+    inputs = None if group.inputs is None else group.inputs.seen_from_ground()
 
     def read(quantity: Any) -> Array:
         y = model.simulate(
-            rig, grid, effect=effect if model.effect is not None else None, torque=torque, quantity=quantity,
+            rig, grid, effect=effect if model.effect is not None else None, inputs=inputs, quantity=quantity,
             tolerance=problem.tolerance, threads=problem.threads,
         ).y  # fmt: skip
         y = np.nan_to_num(y)
@@ -224,6 +224,8 @@ def _motion(fit: Calibration, block: Block) -> Motion:
     h = np.clip(grid[None, 1:] - np.maximum(grid[None, :-1], delay[:, None]), 0.0, None)
     step, push = _steps(K, C, inverse, h)
     y, read_state, read_torque = _reading(th, w, a, at, inverse, _beside(K), _beside(C), coupled, e.quantity)
+    if group.inputs is not None:
+        y = y + group.inputs.at(group.times)[3]
     theta0 = value("theta0")
     added = np.zeros_like(th)
     if e.coupling_law == "constant" and variant is not None:
@@ -233,8 +235,9 @@ def _motion(fit: Calibration, block: Block) -> Motion:
         else:
             added[:, 0] *= j1[:, None]
         added -= _nominal_torques(th, w, parts, coupled, pendulum)
-        if torque is not None:
-            added[:, 0] -= torque
+        if inputs is not None:
+            acting = inputs.torques(grid, j1, value("J2"), value("J12") if coupled else np.zeros(n))
+            added[:, : 1 + coupled] -= acting[:, : 1 + coupled]
         added *= (since > 0.0)[:, None]
     return Motion(
         group, grid, at, th[:, 0], th[:, 1], w[:, 0], w[:, 1], a[:, 0], a[:, 1], since, y, friction, slope, nu, k1t,

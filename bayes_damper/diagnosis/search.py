@@ -319,7 +319,7 @@ def search(
     """All candidates, best first: screened, and the leading ones fitted, by `workers` processes."""
     groups = nominal.problem.groups
     models = [nominal.problem.models[coupled] for coupled in {g.coupled for g in groups}]
-    driven = any(g.torque is not None and bool(np.any(g.torque)) for g in groups)
+    driven = any(g.inputs is not None and g.inputs.active for g in groups)
     compile_ahead((replace(model, effect=variant) for model in models for _, variant in pool), driven, tell)
     screen = Screen(nominal)
 

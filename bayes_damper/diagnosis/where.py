@@ -143,9 +143,7 @@ def repeats_of(fit: Calibration) -> list[Repeats]:
             t = experiment.trials[i]
             r = -block.r[k].reshape(channels, -1)
             alone = i if experiment.start == "free" else -1
-            found.setdefault((t.case, t.coupled, t.theta0, t.times.tobytes(), alone), []).append(
-                (i, r, block.group.weight[k])
-            )
+            found.setdefault((*t.conditions, t.times.tobytes(), alone), []).append((i, r, block.group.weight[k]))
     out = []
     for members in found.values():
         trials = tuple(i for i, _, _ in members)

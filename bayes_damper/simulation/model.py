@@ -148,7 +148,8 @@ class Model:
         if lags is None:
             return self._run(rows, extras, grid, drive, quantity, tolerance, threads)
         if drive is not None:
-            return delayed(self._run(rows, extras, grid, drive, quantity, tolerance, threads), grid, lags)
+            there = self._run(rows, extras, grid, drive, quantity, tolerance, threads)
+            return Simulation(delayed(there.y, grid, lags), there.outcome)
         readings = []
         for channel, lag in enumerate(lags):
             late = np.array(np.broadcast_to(rows, (rows.shape[0], max(rows.shape[1], np.size(lag)))))
@@ -334,18 +335,18 @@ class Model:
         return Simulation(y, outcome)
 
 
-def delayed(simulation: Simulation, times: Array, lags: Sequence[ArrayLike]) -> Simulation:
-    """Readings that each channel shows late, by lags (s, a number or (n,) for each channel).
+def delayed(y: Array, times: Array, lags: Sequence[ArrayLike]) -> Array:
+    """Readings y (n, channels, n_times) as channels show them that lag, by s, a number or (n,) for each channel.
 
     For records with inputs, whose clock does not move with the release: by a local cubic between the readings.
     """
-    y = simulation.y.copy()
+    there, y = y, y.copy()
     for channel, lag in enumerate(lags):
         each = np.broadcast_to(np.asarray(lag, float), (y.shape[0],))
-        for v in np.flatnonzero((each != 0.0) & np.isfinite(y[:, channel]).all(axis=1)):
-            curve = Akima1DInterpolator(times, simulation.y[v, channel])
+        for v in np.flatnonzero((each != 0.0) & np.isfinite(there[:, channel]).all(axis=1)):
+            curve = Akima1DInterpolator(times, there[v, channel])
             y[v, channel] = curve(np.clip(times - each[v], times[0], times[-1]))
-    return Simulation(y, simulation.outcome)
+    return y
 
 
 def _complete(parameters: Parameters) -> dict[str, Any]:

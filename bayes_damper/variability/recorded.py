@@ -280,7 +280,7 @@ class RecordedCases:
         for i, t in enumerate(experiment.trials):
             good = np.isfinite(t.y[0])
             angle, delay = starts.get(i, (t.theta0, 0.0))
-            if not t.coupled or t.torque is not None or good.sum() < 20 or t.times[good][-1] < times[-1] + delay:
+            if not t.coupled or t.inputs is not None or good.sum() < 20 or t.times[good][-1] < times[-1] + delay:
                 continue
             records.append(np.interp(times + delay, t.times[good], t.y[0][good]))
             angles.append(angle)
