@@ -1,7 +1,7 @@
 """The nominal rig: two inertias, a spring to ground, bearings, and the magnetic interface between them.
 
     J1 a1 + J12 a2 + c1t w1 + k1t g(th1) + drag tanh(nu w1) + T = torque1(t) + Q1
-    J12 a1 + J2 a2 + c3t w2 + k3t g(th2) + drag tanh(nu w2) - T = Q2
+    J12 a1 + J2 a2 + c3t w2 + k3t g(th2) + drag tanh(nu w2) - T = torque2(t) + Q2
     T = k2t phi + c2t (w1 - w2) + mu N R tanh(nu (w1 - w2)),    phi = th1 - th2
     N = N0 max(0, 1 - R |phi| / (2 r))   or   N = N0,    g(th) = th   or   sin(th)
 
