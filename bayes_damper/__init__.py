@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from bayes_damper.commands.compare import compare as compare
     from bayes_damper.commands.demo import demo as demo
     from bayes_damper.commands.diagnose import diagnose as diagnose
+    from bayes_damper.commands.examples import examples as examples
     from bayes_damper.commands.plan import plan as plan
     from bayes_damper.commands.resume import resume as resume
     from bayes_damper.commands.simulate import simulate_record as simulate_record
@@ -38,6 +39,7 @@ _PLACES = {
     "compare": "commands.compare",
     "demo": "commands.demo",
     "diagnose": "commands.diagnose",
+    "examples": "commands.examples",
     "fit": "fit",
     "import_records": "campaign.importer",
     "init_campaign": "campaign.importer",
@@ -54,8 +56,9 @@ _PLACES = {
 }
 
 __all__ = [
-    "Model", "bench", "check", "compare", "demo", "diagnose", "fit", "import_records", "init_campaign", "load_campaign",
-    "load_published", "plan", "recompute", "report", "resume", "simulate_record", "tune", "variability", "withheld",
+    "Model", "bench", "check", "compare", "demo", "diagnose", "examples", "fit", "import_records", "init_campaign",
+    "load_campaign", "load_published", "plan", "recompute", "report", "resume", "simulate_record", "tune", "variability",
+    "withheld",
 ]  # fmt: skip
 
 

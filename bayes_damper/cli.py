@@ -45,6 +45,10 @@ def _demo(args: Arguments) -> Any:
     )
 
 
+def _examples(args: Arguments) -> Any:
+    return _call("commands.examples:examples")(args.out, seed=args.seed)
+
+
 def _check(args: Arguments) -> Any:
     return _call("commands.check:check")(args.campaign)
 
@@ -306,6 +310,8 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("demo", _demo, "the main job on the shipped data, start to report", out="results/demo")
     sub.add_argument("--quick", action="store_true", help="a tenth of the draws: for a first look, marked as such")
     workers(sub)
+
+    command("examples", _examples, "a small campaign to play with: a cart whose spring hides something", out="example")
 
     sub = command("check", _check, "read and validate a campaign, or name every fault")
     sub.add_argument("campaign", help="folder of the campaign, or `thesis`")

@@ -10,6 +10,7 @@ from bayes_damper.cli import main
 
 COMMANDS = (
     "demo",
+    "examples",
     "check",
     "simulate",
     "fit",
