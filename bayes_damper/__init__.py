@@ -57,8 +57,8 @@ _PLACES = {
 
 __all__ = [
     "Model", "bench", "check", "compare", "demo", "diagnose", "examples", "fit", "import_records", "init_campaign",
-    "load_campaign", "load_published", "plan", "recompute", "report", "resume", "simulate_record", "tune", "variability",
-    "withheld",
+    "load_campaign", "load_published", "plan", "recompute", "report", "resume", "simulate_record", "tune",
+    "variability", "withheld",
 ]  # fmt: skip
 
 

@@ -15,7 +15,8 @@ if not os.environ.get("FUZZ"):
 os.environ.setdefault("MPLBACKEND", "Agg")
 HERE = Path(__file__).parent
 # Helpers of tests/, e.g. campaigns.py, and test modules that lend others their campaigns.
-sys.path[:0] = [str(HERE / folder) for folder in ("", "calibration", "diagnosis", "fit", "sampling", "validation")]
+LENDING = ("", "calibration", "diagnosis", "fit", "runs", "sampling", "validation")
+sys.path[:0] = [str(HERE / folder) for folder in LENDING]
 
 
 def pytest_collection_modifyitems(config, items):

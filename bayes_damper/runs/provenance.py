@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 _PACKAGES = ("numpy", "scipy", "numba", "emcee", "arviz-base", "arviz-stats", "pandas")
-_HERE = Path(__file__).resolve().parent
+_HERE = Path(__file__).resolve().parents[1]
 
 
 def package_version() -> str:
@@ -47,7 +47,7 @@ def commit() -> str | None:
     if top is None or Path(top).resolve() != _HERE.parent:
         return None
     name = git("rev-parse", "HEAD")
-    return name if name is None else name + ("+" if git("status", "--porcelain", "--", "bayes_damper") else "")
+    return name if name is None else name + ("+" if git("status", "--porcelain", "--", ".") else "")
 
 
 @cache

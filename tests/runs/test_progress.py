@@ -91,7 +91,8 @@ def test_commands_without_a_terminal_tell_in_lines_unless_asked_for_quiet(words,
         return FoundPlain()
 
     real = cli._call
-    monkeypatch.setattr(cli, "_call", lambda name: run if name in ("fit:fit", "diagnose:diagnose") else real(name))
+    replaced = ("fit:fit", "commands.diagnose:diagnose")
+    monkeypatch.setattr(cli, "_call", lambda name: run if name in replaced else real(name))
     assert cli.main([*words, "somewhere"]) == 0
     told = capsys.readouterr().err
     assert re.match(begins, told) if begins else told == ""
@@ -140,7 +141,7 @@ def test_bars_are_closed_before_anything_is_printed(error, monkeypatch, capsys):
             raise error
         return Found(progress)
 
-    calls = {"progress:make_progress": lambda quiet: shown, "fit:fit": fit}
+    calls = {"runs.progress:make_progress": lambda quiet: shown, "fit:fit": fit}
     monkeypatch.setattr(cli, "_call", calls.__getitem__)
     code = cli.main(["fit", "somewhere"])
     assert shown.closed
