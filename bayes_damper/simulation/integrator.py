@@ -32,7 +32,6 @@ import hashlib
 import inspect
 import os
 import sys
-import tempfile
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
@@ -47,6 +46,7 @@ from bayes_damper.effects.base import Variant
 from bayes_damper.rig import equations, vector_math
 from bayes_damper.rig.equations import Rig, friction_torques, linearised, smooth_torques
 from bayes_damper.rig.vector_math import TANH_SCALE, fourth_root_of_inverse
+from bayes_damper.runs.cache_folder import cache_folder
 from bayes_damper.simulation import late_binding
 
 LANES = 16
@@ -766,20 +766,6 @@ _SPECIAL: dict[str, Any] = {
 _LOADED: dict[Path, Callable[..., Any]] = {}
 """Kernels of this process by their file: formulas that differ in what is no matter of the kernel share one."""
 _NUMBA_OPTIONS: dict[str, Any] = {"fastmath": vector_math.FASTMATH, "error_model": "numpy", "nogil": True}
-
-
-def cache_folder() -> Path:
-    """Where compiled kernels are kept: BAYES_DAMPER_CACHE, else the user's cache folder, else a temporary one."""
-    given = os.environ.get("BAYES_DAMPER_CACHE")
-    base = Path(given) if given else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "bayes_damper"
-    try:
-        base.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=base):
-            return base
-    except OSError:
-        fallback = Path(tempfile.gettempdir()) / f"bayes_damper-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
-        fallback.mkdir(parents=True, exist_ok=True)
-        return fallback
 
 
 def specialised_globals(

@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from bayes_damper.runs.cache_folder import cache_folder
 from bayes_damper.runs.parallel_map import can_fork, cores, forked_map
 from bayes_damper.simulation import integrator
 from bayes_damper.simulation.model import Model
@@ -32,7 +33,7 @@ def compile_ahead(models: Iterable[Model], driven: bool = False, tell: Callable[
     bounds = {integrator.kernel_file(bound).stem: bound for bound in (model.bound(driven) for model in set(models))}
     if len(_missing(bounds)) < FEWEST:
         return 0
-    with _alone(integrator.cache_folder() / "compiling.lock"):
+    with _alone(cache_folder() / "compiling.lock"):
         names = _missing(bounds)  # another process may have compiled them while this one waited
         if names:
             seconds = max(1.0, len(names) * _SECONDS / count)
@@ -47,7 +48,7 @@ def _missing(bounds: dict[str, dict[str, Any]]) -> list[str]:
     index = f"py{sys.version_info.major}{sys.version_info.minor}.nbi"  # as numba names it
     kept: set[str] = set()
     with suppress(FileNotFoundError):
-        files = (integrator.cache_folder() / "__pycache__").iterdir()
+        files = (cache_folder() / "__pycache__").iterdir()
         kept = {file.name.split(".")[0] for file in files if file.name.endswith(index)}
     return [name for name in bounds if name not in kept]
 
