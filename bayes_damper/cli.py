@@ -86,7 +86,9 @@ def _fit(args: Arguments) -> Any:
 
 
 def _resume(args: Arguments) -> Any:
-    return _call("commands.resume:resume")(args.folder, more=args.more, workers=args.workers, progress=_progress(args))
+    return _call("commands.resume:resume")(
+        args.folder, more=args.more, effects=args.effects, workers=args.workers, progress=_progress(args)
+    )
 
 
 def _variability(args: Arguments) -> Any:
@@ -383,6 +385,8 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("resume", _resume, "go on with an interrupted run; --more extends a finished one")
     sub.add_argument("folder", type=Path, help="the folder that the run writes to")
     sub.add_argument("--more", action="store_true", help="extend a run that has finished")
+    told = "the folder with effects of your own that the run began with (no code is taken from results)"
+    sub.add_argument("--effects", type=Path, metavar="DIR", help=told)
     sub.add_argument("--workers", type=_count, metavar="N", help="processes on this machine (default: as before)")
 
     sub = command("init", _init, "a commented campaign from a pile of logger files")

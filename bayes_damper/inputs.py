@@ -8,6 +8,7 @@ double precision can work with. Nothing is run: no pickle, no module, no express
 from __future__ import annotations
 
 import csv
+import errno
 import gzip
 import io
 import json
@@ -37,6 +38,7 @@ _UNPACKED = 1 << 28
 _UNPACKED_ALWAYS = 1 << 26
 _RATIO = 100  # times that text of readings is packed at most; a text of nothing but line ends reaches 1000
 _CELL = 131_072
+_OF_THE_DISK = (errno.ENOSPC, errno.EROFS, errno.EIO, getattr(errno, "EDQUOT", errno.ENOSPC))
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
@@ -69,7 +71,7 @@ def as_written(path: Path | str, command: str) -> Iterator[None]:
     try:
         yield
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RuntimeError, OSError) as error:
-        if isinstance(error, OSError) and error.errno is not None and error.filename is None:
+        if isinstance(error, OSError) and error.errno in _OF_THE_DISK:
             raise
         told = f"{type(error).__name__}: {error}".replace("\n", " ")
         raise InputError(
@@ -224,6 +226,26 @@ def json_of(text: str, name: str, remedy: str) -> Any:
         raise InputError(f"{name}: this is not valid JSON (nested too deep); {remedy}") from None
     except ValueError as error:
         raise InputError(f"{name}: this is not valid JSON ({str(error)[:200]}); {remedy}") from None
+
+
+def fields(table: object, types: Mapping[str, tuple[type, ...]], where: str, remedy: str) -> dict[str, Any]:
+    """These entries of a JSON object, each of one of its types (a truth value is no number); others are left out.
+
+    Raises
+    ------
+    InputError
+        if it is no object, or an entry is missing or of another type; the sentence begins with `where`.
+    """
+    if not isinstance(table, Mapping):
+        raise InputError(f"{where}: no table of names and values; {remedy}")
+    for key, valid in types.items():
+        if key not in table:
+            raise InputError(f"{where}: {key} is missing; {remedy}")
+        if not isinstance(table[key], valid) or (isinstance(table[key], bool) and bool not in valid):
+            raise InputError(
+                f"{where}: {key} = {shown(table[key])} is of another type than it was written with; {remedy}"
+            )
+    return {key: table[key] for key in types}
 
 
 def in_lines(text: str) -> str:

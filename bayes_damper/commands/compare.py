@@ -7,7 +7,7 @@ Models are compared by whole held-out pieces of data (a trial, or a published fe
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from bayes_damper import figures
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.fit import published_posterior
 from bayes_damper.fit.sensitivity import WIDTHS, of_standard_draws
+from bayes_damper.inputs import as_written
 from bayes_damper.priors.distributions import to_standard
 from bayes_damper.priors.files import priors_from_dict
 from bayes_damper.rig.parameters import PARAMETERS
@@ -112,8 +113,16 @@ def compare(folders: Sequence[str | Path], *, out: str | Path | None = None, see
     labels = _labels(paths)
     found = {label: _results(path) for label, path in zip(labels, paths, strict=True)}
     where = dict(zip(labels, paths, strict=True))
+    for label, results in found.items():
+        for file, kind in KINDS.items():
+            if kind in results:
+                with as_written(where[label] / file, kind):
+                    _READ[kind](results[kind])
     fits = {label: results["fit"] for label, results in found.items() if "fit" in results}
-    pieces = {label: _fit_pieces(where[label], summary, seed) for label, summary in fits.items()}
+    pieces = {}
+    for label, summary in fits.items():
+        with as_written(where[label], "fit"):
+            pieces[label] = _fit_pieces(where[label], summary, seed)
     result: dict[str, Any] = {
         "schema": SCHEMA,
         "folders": {label: str(path) for label, path in where.items()},
@@ -191,6 +200,13 @@ def _parameters(fits: Mapping[str, Any]) -> dict[str, dict[str, dict[str, Any]]]
     return out
 
 
+def _told(summary: Mapping[str, Any]) -> list[str]:
+    """Every parameter of a fit as the table shows it."""
+    return [
+        _cell(found) for rows in _parameters({"": summary}).values() for row in rows.values() for found in row.values()
+    ]
+
+
 def _turned(table: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     """A table by folder and row, turned into one by row and folder."""
     rows = dict.fromkeys(name for found in table.values() for name in found)
@@ -214,6 +230,12 @@ def _pooling(content: Mapping[str, Any]) -> dict[str, Any]:
         if model["heldout"]["log_score"] is not None:
             out[f"{name}: held-out score"] = model["heldout"]["log_score"]
     return out
+
+
+_READ: dict[str, Callable[[Mapping[str, Any]], object]] = {
+    "fit": _told, "diagnosis": _diagnosis, "variability": _pooling,
+}  # fmt: skip
+"""What is taken of each kind of results."""
 
 
 # From the draws of a fit ----------------------------------------------------------------------------------------------

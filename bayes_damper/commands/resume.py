@@ -6,19 +6,30 @@ from pathlib import Path
 from typing import Any
 
 from bayes_damper.errors import InputError
-from bayes_damper.fit import finish_fit, plan_in, refuse_changes
-from bayes_damper.runs.execution import Progress, read_json, write_json
+from bayes_damper.fit import finish_fit, kept, plan_in, refuse_changes
+from bayes_damper.inputs import shown
+from bayes_damper.runs.execution import Progress, run_record, write_json
 from bayes_damper.validation.withheld.check import finish_withheld
 from bayes_damper.variability import finish_variability
 
+GOES_ON = ("fit", "variability", "withheld")
+"""Commands that can be resumed: run.json names one of these, and nothing else is taken for what to run."""
+
 
 def resume(
-    folder: str | Path, *, more: bool = False, workers: int | None = None, progress: Progress | None = None
+    folder: str | Path,
+    *,
+    more: bool = False,
+    effects: str | Path | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
 ) -> Any:
     """Go on with what `folder` holds; the result is what the uninterrupted command would have given.
 
-    more : extend a finished run: four times the autocorrelation times, and twice the most steps if those were given.
-    workers : processes; default as before. progress : told how far it is, as in `fit`.
+    The folder is data: it names a command and its settings, and what is run for them stands here. more : extend a
+    finished run: four times the autocorrelation times, and twice the most steps if those were given. effects : the
+    folder with effects of your own that the run began with, if it did; it is compared by its checksum. workers :
+    processes; default as before. progress : told how far it is, as in `fit`.
 
     Raises
     ------
@@ -27,32 +38,34 @@ def resume(
     """
     path = Path(folder)
     pieces = _unfinished_variability(path)
-    if pieces is not None and not more:
-        return finish_variability(pieces, read_json(pieces / "run.json"), workers=workers, progress=progress)
-    record = read_json(path / "run.json")
-    if record.get("command") == "withheld" and not more:
-        return finish_withheld(
-            path, dict(record["plan"]), workers=workers or record.get("workers", 1), progress=progress
-        )
-    if record.get("command") != "fit":
+    record = run_record(path if pieces is None or more else pieces)
+    command = record["command"]
+    if command not in GOES_ON or (more and command != "fit"):
         raise InputError(
-            f"{path}: run.json names the command {record.get('command')!r}; fits, variability and withheld "
-            "checks can be resumed, and only fits extended; other commands go on when the same command is given again"
+            f"{path}: run.json names the command {shown(command)}; fits, variability and withheld checks can be "
+            "resumed, and only fits extended; other commands go on when the same command is given again"
         )
-    plan = plan_in(record, path)
+    if command == "variability" and effects is not None:
+        raise InputError("--effects: variability knows the nominal model only; leave it out")
+    if command == "variability":
+        return finish_variability(pieces or path, record, workers=workers, progress=progress)
+    processes = workers or record["workers"]
+    if command == "withheld":
+        return finish_withheld(path, record["plan"], effects=effects, workers=processes, progress=progress)
     refuse_changes(path, record)
+    plan = plan_in(record, path, effects)
     if more:
         plan["thorough"] = True
         plan["most_steps"] = None if plan["most_steps"] is None else 2 * plan["most_steps"]
         for done in path.glob("*/done.json"):
             done.unlink()
-        write_json(path / "run.json", record | {"plan": plan})
-    return finish_fit(path, plan, workers=workers or record.get("workers", 1), progress=progress)
+        write_json(path / "run.json", record | {"plan": kept(plan)})
+    return finish_fit(path, plan, workers=processes, progress=progress)
 
 
 def _unfinished_variability(path: Path) -> Path | None:
     """The folder with the pieces of a `variability` run: named itself, or in that of the results it has not written."""
-    if (path / "run.json").exists() and read_json(path / "run.json").get("command") == "variability":
+    if (path / "run.json").exists() and run_record(path)["command"] == "variability":
         return path
     inside = path / "variability"
     return inside if (inside / "run.json").exists() and not (path / "variability.json").exists() else None

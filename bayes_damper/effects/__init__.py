@@ -7,6 +7,7 @@ of the group "bayes_damper.effects"). `candidates` tells which effects a rig can
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import re
 import sys
@@ -37,8 +38,10 @@ __all__ = [
     "all_effects",
     "candidates",
     "classes",
+    "effects_sha256",
     "faults",
     "load_effects",
+    "same_effects",
     "scaled",
 ]
 
@@ -197,6 +200,43 @@ def _module(path: Path) -> ModuleType:
         del sys.modules[name]
         raise
     return module
+
+
+def effects_sha256(folder: str | Path) -> str:
+    """Checksum of a folder with effects of one's own: of every .py file in and below it, names and bytes."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(folder).rglob("*.py")):
+        digest.update(path.relative_to(folder).as_posix().encode() + b"\0")
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def same_effects(run: Path, begun: str | None, folder: str | Path | None) -> None:
+    """Refuses to go on with a run in other company than it began in.
+
+    run : its folder; begun : checksum of the user's own effects that it began with, None for none; folder : those that
+    are given now. A folder of results names no code: whoever goes on with a run says where its effects lie.
+
+    Raises
+    ------
+    InputError
+        if effects are missing, too many or changed.
+    """
+    if begun is None and folder is not None:
+        raise InputError(f"--effects {folder}: the run in {run} began without effects of your own; leave it out")
+    if begun is None or folder is None:
+        if begun is not None:
+            raise InputError(
+                f"{run}: this run began with effects of a folder of your own, and no code is taken from a folder of "
+                f"results; say where they lie: bayes-damper resume {run} --effects DIR"
+            )
+        return
+    now = effects_sha256(folder)
+    if now != begun:
+        raise InputError(
+            f"--effects {folder}: these are not the effects that the run in {run} began with (SHA-256 {begun[:12]}, "
+            f"now {now[:12]}); give those, or begin anew with another --out"
+        )
 
 
 def load_effects(folder: str | Path, known: Mapping[str, Effect] = EFFECTS) -> dict[str, Effect]:

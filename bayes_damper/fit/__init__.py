@@ -7,7 +7,7 @@ side, and an interrupted fit goes on where it stopped.
 from __future__ import annotations
 
 from bayes_damper.fit.draw import DRAWN, WARM, expected_steps, sampled
-from bayes_damper.fit.plan import OtherRun, plan_fit, plan_in, recorded_experiment, refuse_changes, start_run
+from bayes_damper.fit.plan import OtherRun, kept, plan_fit, plan_in, recorded_experiment, refuse_changes, start_run
 from bayes_damper.fit.published import fit_published_case, published_posterior
 from bayes_damper.fit.recorded import fit_recorded_cases
 from bayes_damper.fit.result import Fit, finish_fit, fit
@@ -22,6 +22,7 @@ __all__ = [
     "fit",
     "fit_published_case",
     "fit_recorded_cases",
+    "kept",
     "plan_fit",
     "plan_in",
     "published_posterior",

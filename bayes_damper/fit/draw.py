@@ -66,7 +66,9 @@ def sampled(
     monitor: Callable[[Array], Array] | None = None,
 ) -> Sampling:
     """Draws of a posterior, going on from the folder's saved state if there is one."""
-    decided = json.dumps({key: plan[key] for key in plan if key not in ("thorough", "most_steps")}, sort_keys=True)
+    decided = json.dumps(
+        {key: plan[key] for key in plan if key not in ("thorough", "most_steps", "effects")}, sort_keys=True
+    )
     fingerprint = {
         "plan": hashlib.sha256(decided.encode()).hexdigest(),
         "code": code_sha256(),

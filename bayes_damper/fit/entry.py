@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayes_damper.fit.plan import kept
 from bayes_damper.fit.summary import summarise
 from bayes_damper.rig.parameters import unit_of
 from bayes_damper.runs.provenance import provenance
@@ -122,4 +123,9 @@ def shares_left(names: Sequence[str], points: Array) -> dict[str, float]:
 
 def attributes_of(plan: Mapping[str, Any], name: str) -> dict[str, Any]:
     """What posterior.nc says of where it comes from."""
-    return {"campaign": plan["name"], "case": name, "plan": json.dumps(plan), "provenance": json.dumps(provenance())}
+    return {
+        "campaign": plan["name"],
+        "case": name,
+        "plan": json.dumps(kept(plan)),
+        "provenance": json.dumps(provenance()),
+    }

@@ -7,23 +7,29 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 from bayes_damper.calibration import Experiment, experiment_of
 from bayes_damper.calibration.correlated_noise import KINDS
 from bayes_damper.campaign import Campaign, load_campaign
-from bayes_damper.effects import all_effects
+from bayes_damper.effects import all_effects, effects_sha256, same_effects
 from bayes_damper.errors import InputError
+from bayes_damper.inputs import fields
 from bayes_damper.priors.files import PriorSet, campaign_priors, load_priors
 from bayes_damper.published.measurements import load_published
 from bayes_damper.rig.parameters import hint
-from bayes_damper.runs.execution import read_json, write_json
+from bayes_damper.runs.execution import run_record, write_json
 from bayes_damper.runs.provenance import code_sha256, package_version
 
 _TAKEN = ("joint", "variability")
 """Folders beside those of the cases: of all cases together, and of the pieces of `variability`."""
-_PLANNED = ("campaign", "name", "campaign_sha256", "cases", "joint", "priors", "normal_force", "seed", "thorough",
-           "most_steps")  # fmt: skip
+_PLANNED: dict[str, tuple[type, ...]] = {
+    "campaign": (str,), "name": (str,), "campaign_sha256": (str,), "cases": (list,), "joint": (bool,),
+    "priors": (dict, NoneType), "normal_force": (str, NoneType), "noise": (str,), "effect": (str, NoneType),
+    "effects_sha256": (str, NoneType), "seed": (int,), "thorough": (bool,), "most_steps": (int, NoneType),
+}  # fmt: skip
+"""What run.json holds of a fit: data alone. Where effects of the user's own lie is not among it (see `kept`)."""
 
 
 def plan_fit(
@@ -87,26 +93,33 @@ def plan_fit(
         "normal_force": normal_force,
         "noise": noise,
         "effect": effect,
-        "effects": None if effects is None else str(Path(effects).resolve()),
+        "effects": None if effects is None or effect is None else str(Path(effects).resolve()),
+        "effects_sha256": None if effects is None or effect is None else effects_sha256(effects),
         "seed": seed,
         "thorough": thorough,
         "most_steps": most_steps,
     }
 
 
-def plan_in(record: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """The plan of a fit that run.json holds.
+def kept(plan: Mapping[str, Any]) -> dict[str, Any]:
+    """What files keep of a plan: all but where effects of the user's own lie, since no code is taken from files."""
+    return {key: plan[key] for key in _PLANNED if key in plan}
+
+
+def plan_in(record: Mapping[str, Any], folder: Path, effects: str | Path | None = None) -> dict[str, Any]:
+    """The plan of a fit that run.json holds; effects : folder with effects of one's own, where it began with such.
 
     Raises
     ------
     InputError
-        if it holds none, or one of another version.
+        if it holds none, or one of another version, or the effects are not those that it began with.
     """
-    plan = record.get("plan")
-    missing = [key for key in _PLANNED if not isinstance(plan, Mapping) or key not in plan]
-    if missing or not isinstance(plan, Mapping):
-        raise InputError(f"{folder / 'run.json'}: holds no plan of this version ({missing[0]} is missing); fit anew")
-    return dict(plan)
+    where = f"{folder / 'run.json'}: holds no plan of this version"
+    plan = fields(record.get("plan"), _PLANNED, where, "fit anew")
+    if not plan["cases"] or not all(isinstance(case, str) for case in plan["cases"]):
+        raise InputError(f"{where}: cases are no list of labels; fit anew")
+    same_effects(folder, plan["effects_sha256"], effects)
+    return plan | {"effects": None if effects is None else str(Path(effects).resolve())}
 
 
 class OtherRun(InputError):
@@ -133,9 +146,9 @@ def start_run(folder: Path, record: Mapping[str, Any]) -> None:
     """
     path = folder / "run.json"
     if path.exists() and any(p.is_dir() for p in folder.iterdir()):
-        before = read_json(path)
-        changed = _differences("command", before.get("command"), record["command"])
-        changed += _differences("", before.get("plan", {}), record["plan"])
+        before = run_record(folder)
+        changed = _differences("command", before["command"], record["command"])
+        changed += _differences("", before["plan"], record["plan"])
         if changed:
             raise OtherRun(folder, f"holds another run: {'; '.join(changed)}", "")
         refuse_changes(folder, before)

@@ -10,7 +10,9 @@ from typing import Any
 
 from bayes_damper.errors import ExitCode
 from bayes_damper.fit.drawings import draw_overview
-from bayes_damper.fit.plan import plan_fit, planned_campaign, start_run
+from bayes_damper.fit.plan import kept, plan_fit, planned_campaign, start_run
+from bayes_damper.fit.published import fit_published_case
+from bayes_damper.fit.recorded import fit_recorded_cases
 from bayes_damper.fit.sensitivity import text as sensitivity_text
 from bayes_damper.fit.summary import table_text, write_table
 from bayes_damper.runs.execution import WAITING, Progress, Silent, Task, folder_name, run_tasks, stopped, write_json
@@ -135,7 +137,7 @@ def fit(
         noise=noise, effect=effect, effects=None if effects is None else str(effects), seed=seed,
         thorough=thorough, most_steps=most_steps, joint=joint,
     )  # fmt: skip
-    start_run(folder, {"command": "fit", "plan": plan, "workers": workers})
+    start_run(folder, {"command": "fit", "plan": kept(plan), "workers": workers})
     return finish_fit(folder, plan, workers=workers, scheduler=scheduler, progress=progress)
 
 
@@ -155,7 +157,7 @@ def finish_fit(
         if the campaign is not the one that the fit was planned for.
     """
     warnings = () if plan["campaign"] == "thesis" else planned_campaign(plan).warnings
-    kind = "fit_published_case" if plan["campaign"] == "thesis" else "fit_recorded_cases"
+    call = fit_published_case if plan["campaign"] == "thesis" else fit_recorded_cases
     names = [*plan["cases"], *(["joint"] if plan["joint"] else [])]
     # The joint fit is the longest: it starts first.
     order = sorted(names, key=lambda name: name != "joint")
@@ -164,7 +166,7 @@ def finish_fit(
     tasks = [
         Task(
             folder_name(name),
-            f"bayes_damper.fit:{kind}",
+            call,
             {"name": name, "plan": dict(plan), "processes": processes[name]},
         )
         for name in order

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from bayes_damper.campaign import load_campaign
 from bayes_damper.errors import InputError
 from bayes_damper.report.parts import Chart
+from bayes_damper.sampling import arviz_adapter
 from bayes_damper.text import COORDINATES
 
 Array = NDArray[np.float64]
@@ -105,9 +106,7 @@ def record_chart(file: Path, unit: str = "") -> Chart | None:
 
 
 def _trials_of(file: Path) -> tuple[dict[str, Array], dict[str, Array], dict[str, Array], Mapping[str, Any]]:
-    import h5netcdf
-
-    with h5netcdf.File(file, "r") as root:
+    with arviz_adapter.opened(file) as root:
         groups = [
             {} if name not in root.groups else dict(_variables(root[name]))
             for name in ("observed_data", "posterior_predictive", "constant_data")

@@ -19,6 +19,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from bayes_damper.errors import ExitCode, InputError
+from bayes_damper.inputs import as_written
 from bayes_damper.report.parts import Picture, Result, Section
 from bayes_damper.report.sections import READERS
 from bayes_damper.report.terms import terms
@@ -106,7 +107,10 @@ def report(folder: str | Path, *, out: str | Path | None = None) -> Report:
             continue
         try:
             results.append(read(data, file.parent))
-        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        except InputError as error:
+            warnings.append(f"{file.relative_to(home)} is not shown: {error}.")
+            continue
+        except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, OSError, RuntimeError) as error:
             warnings.append(f"{file.relative_to(home)} is not shown: an entry is missing or malformed ({error!r}).")
             continue
         files.append(file)
@@ -118,7 +122,8 @@ def report(folder: str | Path, *, out: str | Path | None = None) -> Report:
         raise InputError([f"{home}: there is nothing to report; {hint}", *warnings])
     warnings = [w for r in results for w in r.warnings] + warnings
     names = tuple(str(f.relative_to(home)) for f in files)
-    page, budget = _page(home, names, results, warnings)
+    with as_written(home, "fit, diagnose ..."):
+        page, budget = _page(home, names, results, warnings)
     write_text(path, page)
     shown = sum(bool(v) for v in budget.used.values())
     return Report(path, names, shown, tuple(budget.left_out), tuple(warnings), len(page.encode("utf-8")))

@@ -12,6 +12,7 @@ import io
 import json
 import os
 import time
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -121,7 +122,13 @@ def _read(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]] | None:
     digest, payload = content[:32], content[32:]
     if hashlib.sha256(payload).digest() != digest:
         return None
-    with np.load(io.BytesIO(payload), allow_pickle=False) as file:
-        arrays = {name: file[name] for name in file.files}
-    outer = json.loads(arrays.pop(_RECORD).tobytes().decode())
-    return arrays, outer
+    try:
+        with zipfile.ZipFile(io.BytesIO(payload)) as packed:
+            if any(part.compress_type != zipfile.ZIP_STORED for part in packed.infolist()):
+                return None
+        with np.load(io.BytesIO(payload), allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        outer = json.loads(arrays.pop(_RECORD).tobytes().decode())
+        return arrays, {"fingerprint": dict(outer["fingerprint"]), "record": dict(outer["record"])}
+    except (ValueError, LookupError, TypeError, EOFError, RecursionError, zipfile.BadZipFile):
+        return None  # not written here, checksum or not

@@ -1,8 +1,8 @@
 """Long runs: independent tasks on worker processes, their progress, and what it takes to go on after a stop.
 
-A task is plain data: the name of a function and its arguments. It runs in a folder of its own, keeps its state there,
-and leaves `done.json` when it is finished, so a run that was stopped goes on with what is missing. Results do not
-depend on the number of workers or on the order, because every task carries its own seed.
+A task is a function with plain data for its arguments; neither is taken from a file. It runs in a folder of its own,
+keeps its state there, and leaves `done.json` when it is finished, so a run that was stopped goes on with what is
+missing. Results do not depend on the number of workers or on the order, because every task carries its own seed.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import re
 import signal
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -28,12 +28,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from bayes_damper.errors import BayesDamperError, ExitCode, InputError, Interrupted
-from bayes_damper.inputs import file_bytes, json_of, text_of
+from bayes_damper.inputs import fields, file_bytes, json_of, text_of
 from bayes_damper.runs.memory import collect_seldom
 
 _POLL_S = 0.2
 _STATUS_EVERY_S = 0.5
 _MOST_BREAKDOWNS = 3
+_MOST_WORKERS = 10_000
 WAITING = "waiting"
 """What progress is told of a task that has not begun."""
 
@@ -42,12 +43,12 @@ WAITING = "waiting"
 class Task:
     """One independent piece of a run.
 
-    call : "package.module:function"; the function is called as f(folder, report, **arguments), where `folder` is the
-    task's own and `report(share, text)` tells how far it is. It returns plain JSON data.
+    call : a function of a module, so that other processes can import it, called as f(folder, report, **arguments),
+    where `folder` is the task's own and `report(share, text)` tells how far it is. It returns plain JSON data.
     """
 
     name: str
-    call: str
+    call: Callable[..., Any]
     arguments: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -133,6 +134,24 @@ def read_json(path: Path) -> Any:
         raise InputError(f"{path}: there is no such file; {hint}") from None
 
 
+def run_record(folder: Path) -> dict[str, Any]:
+    """What run.json of a folder says of the run in it: `command`, `plan` and `workers`, each of its type, and more.
+
+    Raises
+    ------
+    InputError
+        if there is none, or it is damaged.
+    """
+    path = folder / "run.json"
+    record = read_json(path)
+    known = {"command": (str,), "plan": (dict,)}
+    sound = fields(record, known, f"{path}: damaged", "begin the run anew in another folder")
+    workers = record.get("workers", 1)
+    if isinstance(workers, bool) or not isinstance(workers, int) or not 1 <= workers <= _MOST_WORKERS:
+        workers = 1
+    return {**record, **sound, "workers": workers}
+
+
 def execute(task: Task, folder: Path) -> Any:
     """Run one task in its folder, unless it is done already; its result."""
     done = folder / "done.json"
@@ -147,8 +166,7 @@ def execute(task: Task, folder: Path) -> Any:
             last = time.monotonic()
             write_json(folder / "status.json", {"share": share, "text": text})
 
-    module, _, function = task.call.partition(":")
-    result = getattr(importlib.import_module(module), function)(folder, report, **task.arguments)
+    result = task.call(folder, report, **task.arguments)
     write_json(done, result)
     return result
 
@@ -194,13 +212,12 @@ def _here(task: Task, folder: Path, progress: Progress) -> Any:
         progress.update(task.name, 1.0, "done before")
         return read_json(done)
     own.mkdir(parents=True, exist_ok=True)
-    module, _, function = task.call.partition(":")
 
     def report(share: float, text: str) -> None:
         progress.update(task.name, share, text)
 
     try:
-        result = getattr(importlib.import_module(module), function)(own, report, **task.arguments)
+        result = task.call(own, report, **task.arguments)
     except (KeyboardInterrupt, Interrupted):
         raise stopped(folder) from None
     write_json(done, result)

@@ -8,10 +8,11 @@ of `bayes_damper.sampling`, kept in the attributes of the posterior's variables.
 
 from __future__ import annotations
 
+import errno
 import importlib
 import math
-from collections.abc import Mapping
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,12 +22,14 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from bayes_damper.inputs import as_written
 from bayes_damper.sampling.convergence import diagnose_draws
 
 if TYPE_CHECKING:
     import xarray as xr
 
 Array = NDArray[np.float64]
+_UNPACKED = 1 << 28  # bytes that a file may hold however small it is
 _TOLD = ("r_hat", "ess_bulk", "ess_tail")
 
 
@@ -110,6 +113,18 @@ def write(content: Results, path: Path | str) -> None:
     """Writes `posterior.nc` (NetCDF 4), whole or not at all."""
     final = Path(path)
     scratch = final.with_name(f".{final.name}.part")
+    try:
+        _write(content, scratch)
+        scratch.replace(final)
+    except (OSError, RuntimeError) as error:  # HDF5 raises either when a disk is full
+        told = getattr(error, "strerror", None) or "it cannot be written to its end (is the disk full?)"
+        raise OSError(getattr(error, "errno", None) or errno.EIO, told, str(final)) from error
+    finally:
+        with suppress(OSError):
+            scratch.unlink(missing_ok=True)
+
+
+def _write(content: Results, scratch: Path) -> None:
     with h5netcdf.File(scratch, "w") as file:
         file.attrs.update(content.attributes)
         for group, variables in content.groups.items():
@@ -122,14 +137,59 @@ def write(content: Results, path: Path | str) -> None:
                 kind = h5py.string_dtype() if variable.values.dtype.kind in "UO" else variable.values.dtype
                 made = place.create_variable(name, variable.dims, kind, data=variable.values)
                 made.attrs.update(variable.attributes)
-    scratch.replace(final)
+
+
+@contextmanager
+def opened(path: Path | str) -> Iterator[h5netcdf.File]:
+    """A `posterior.nc` to read from, in a with statement.
+
+    Raises
+    ------
+    InputError
+        if it is damaged, points to other files, or claims to hold more than it can; also for what fails in the block.
+    """
+    with as_written(path, "fit"):
+        _check_sound(Path(path))
+        with h5netcdf.File(path, "r") as file:
+            yield file
+
+
+def _check_sound(path: Path) -> None:
+    """ValueError for a file of HDF5 that would read other files, or unpack to far more than it is."""
+    seen, total = set(), 0
+    with h5py.File(path, "r") as file:
+        groups: list[Any] = [file]
+        while groups:
+            group = groups.pop()
+            for name in group:
+                if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+                    raise ValueError(f"{name!r} lies in another file")  # noqa: TRY004 (of a value, not of a type)
+                item = group[name]
+                place = h5py.h5o.get_info(item.id).addr
+                if place in seen:
+                    continue
+                seen.add(place)
+                if isinstance(item, h5py.Group):
+                    groups.append(item)
+                elif isinstance(item, h5py.Dataset):
+                    if item.is_virtual or item.external:
+                        raise ValueError(f"{name!r} lies in another file")
+                    total += item.size * item.dtype.itemsize
+    if total > max(_UNPACKED, 20 * path.stat().st_size):
+        raise ValueError(f"{total / 1e6:.0f} MB of numbers in {path.stat().st_size / 1e6:.0f} MB")
 
 
 def read(path: Path | str) -> xr.DataTree:
-    """The DataTree of a `posterior.nc`, in memory."""
+    """The DataTree of a `posterior.nc`, in memory.
+
+    Raises
+    ------
+    InputError
+        as `opened`.
+    """
     import xarray as xr
 
-    with xr.open_datatree(path, engine="h5netcdf") as tree:
+    with opened(path), xr.open_datatree(path, engine="h5netcdf") as tree:
         return tree.load()
 
 
@@ -141,12 +201,13 @@ def combine_cases(files: Mapping[str, Path], path: Path, most: int = 1000) -> No
     content: dict[str, dict[str, Variable]] = {}
     attributes: dict[str, Any] = {}
     with ExitStack() as stack:
-        opened = {case: stack.enter_context(h5netcdf.File(file, "r")) for case, file in files.items()}
-        first, *others = opened.values()
-        for case, file in opened.items():
+        stack.enter_context(as_written(Path(path).parent, "fit"))
+        cases = {case: stack.enter_context(opened(file)) for case, file in files.items()}
+        first, *others = cases.values()
+        for case, file in cases.items():
             attributes |= {f"{key} of case {case}": value for key, value in file.attrs.items()}
         for group in (g for g in first.groups if all(g in other.groups for other in others)):
-            places = [file.groups[group] for file in opened.values()]
+            places = [file.groups[group] for file in cases.values()]
             draws = min(
                 min(place.dimensions["draw"].size, most) if "draw" in place.dimensions else 0 for place in places
             )

@@ -6,15 +6,18 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayes_damper.campaign import Campaign, load_campaign
 from bayes_damper.errors import InputError
+from bayes_damper.inputs import as_written
 from bayes_damper.published.measurements import load_published
 from bayes_damper.rig.parameters import unit_of
 from bayes_damper.runs.execution import folder_name, read_json
+from bayes_damper.sampling import arviz_adapter
 
 Array = NDArray[np.float64]
 Draws = Mapping[str, Array]
@@ -133,8 +136,9 @@ def chosen_case(source: Mapping[str, ArrayLike] | Path | str, case: str | None) 
     """
     file = None if isinstance(source, Mapping) else Path(source) / "summary.json"
     summary = read_json(file) if file is not None and file.is_file() else {}
-    cases = dict(summary.get("cases") or {}) if isinstance(summary, Mapping) else {}
-    known = [*cases, *(["joint"] if cases and summary.get("joint") else [])]
+    with as_written(str(file), "fit"):
+        cases = dict(summary.get("cases") or {})
+        known = [*cases, *(["joint"] if cases and summary.get("joint") else [])]
     wanted = case or (next(iter(cases)) if len(cases) == 1 else "IV")
     if known and wanted not in known:
         which = f"has no case {wanted!r}" if case else "has several cases"
@@ -160,19 +164,20 @@ def origin_of(
     folder = Path(source)
     if not (folder / "run.json").is_file():
         return Origin()
-    plan = read_json(folder / "run.json").get("plan", {})
     summary = read_json(folder / "summary.json") if (folder / "summary.json").is_file() else {}
-    entry = summary.get("joint") if case == "joint" else (summary.get("cases") or {}).get(case)
-    told = {
-        "campaign": str(plan.get("name", "")),
-        "sha256": plan.get("campaign_sha256"),
-        "converged": bool((entry or {}).get("converged", True)),
-        "warnings": tuple(summary.get("warnings", ())),
-    }
+    with as_written(folder, "fit"):
+        plan = dict(read_json(folder / "run.json").get("plan", {}))
+        entry = summary.get("joint") if case == "joint" else (summary.get("cases") or {}).get(case)
+        told: dict[str, Any] = {
+            "campaign": str(plan.get("name", "")),
+            "sha256": plan.get("campaign_sha256"),
+            "converged": bool((entry or {}).get("converged", True)),
+            "warnings": tuple(map(str, summary.get("warnings", ()))),
+        }
     if plan.get("campaign") in (None, "thesis"):
         return Origin(**told)
-    campaign = load_campaign(plan["campaign"])
-    if campaign.sha256 != plan["campaign_sha256"]:
+    campaign = load_campaign(str(plan["campaign"]))
+    if campaign.sha256 != plan.get("campaign_sha256"):
         raise InputError(f"{plan['campaign']}: the campaign has changed since it was fitted; fit it again")
     rig = campaign.rig
     if rig.ground2_stiffness.value or rig.inertial_coupling.value or rig.restoring != "linear":
@@ -207,7 +212,7 @@ def origin_of(
         constants=constants,
         kind=rig.kind,
         amplitudes=_suitable(campaign, case),
-        effect=plan.get("effect") or "",
+        effect=str(plan.get("effect") or ""),
     )
 
 
@@ -237,22 +242,21 @@ def _stored(folder: Path, case: str, n: int, rng: np.random.Generator) -> dict[s
     summary = read_json(folder / "summary.json")
     try:
         table = (summary["cases"] | ({"joint": summary["joint"]} if "joint" in summary else {}))[case]["parameters"]
-    except (KeyError, TypeError):
+    except (KeyError, TypeError, AttributeError):
         known = ", ".join(summary.get("cases", {})) if isinstance(summary, dict) else ""
         raise InputError(f"{folder / 'summary.json'}: has no case {case!r}; it has {known or 'none'}") from None
     draws = {}
-    for name, stored in _entries(table, case).items():
-        mean, sd = float(table[stored]["mean"]), float(table[stored]["sd"])
-        s2 = math.log1p((sd / mean) ** 2) if mean > 0.0 else 0.0
-        draws[name] = mean * np.exp(math.sqrt(s2) * rng.standard_normal(n) - 0.5 * s2)
+    with as_written(folder / "summary.json", "fit"):
+        for name, stored in _entries(table, case).items():
+            mean, sd = float(table[stored]["mean"]), float(table[stored]["sd"])
+            s2 = math.log1p((sd / mean) ** 2) if mean > 0.0 else 0.0
+            draws[name] = mean * np.exp(math.sqrt(s2) * rng.standard_normal(n) - 0.5 * s2)
     return draws
 
 
 def _draws_of_file(file: Path, case: str) -> dict[str, Array]:
     """The parameters of a posterior in netCDF, chains one after another; nothing where it holds several cases."""
-    import h5netcdf
-
-    with h5netcdf.File(file, "r") as root:
+    with arviz_adapter.opened(file) as root:
         group = root["posterior"] if "posterior" in root.groups else root
         if "case" in group.dimensions:
             return {}

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -13,14 +14,15 @@ from numpy.typing import NDArray
 
 from bayes_damper import figures
 from bayes_damper.errors import ExitCode, InputError
+from bayes_damper.inputs import fields
 from bayes_damper.priors.distributions import Distribution, from_standard, to_standard
-from bayes_damper.runs.execution import Progress, Task, folder_name, plain, read_json, run_tasks, write_json
+from bayes_damper.runs.execution import Progress, Task, folder_name, plain, read_json, run_record, run_tasks, write_json
 from bayes_damper.runs.provenance import code_sha256, provenance
 from bayes_damper.sampling import arviz_adapter
 from bayes_damper.text import gathered
 from bayes_damper.variability.decomposition import Sets, decompose, summary
 from bayes_damper.variability.pooling import POOLINGS, Direct, Recycled, recycle
-from bayes_damper.variability.published import PublishedCases
+from bayes_damper.variability.published import PublishedCases, run_alone, run_pooling
 from bayes_damper.variability.recorded import RecordedCases
 
 Array = NDArray[np.float64]
@@ -206,13 +208,17 @@ def _read_fit(folder: str | Path) -> tuple[dict[str, Any], Path | None]:
             else ""
         )
         raise InputError(f"{folder}: holds no results of `bayes-damper fit` (no summary.json){more}")
-    summary, run = read_json(path / "summary.json"), read_json(path / "run.json")
+    summary, run = read_json(path / "summary.json"), run_record(path)
     schema = summary.get("schema") if isinstance(summary, dict) else None
     if schema != "bayes-damper/fit/1" or run.get("command") != "fit":
         raise InputError(
             f"{folder}: summary.json is of {schema!r}; variability needs the results of `bayes-damper fit`"
         )
-    plan = dict(run["plan"]) | {"fit_converged": bool(summary["converged"])}
+    plan = dict(run["plan"])
+    fields(plan, _OF_A_FIT, f"{path / 'run.json'}: damaged", "fit anew")
+    plan["fit_converged"] = fields(summary, {"converged": (bool,)}, f"{path / 'summary.json'}: damaged", "fit anew")[
+        "converged"
+    ]
     if plan.get("effect"):
         raise InputError(
             f"{folder}: the model of this fit has the effect {plan['effect']}; variability knows the nominal model "
@@ -223,11 +229,21 @@ def _read_fit(folder: str | Path) -> tuple[dict[str, Any], Path | None]:
     return plan, path
 
 
+_OF_A_FIT: dict[str, tuple[type, ...]] = {
+    "campaign": (str,), "name": (str,), "campaign_sha256": (str,), "cases": (list,), "priors": (dict, NoneType),
+    "normal_force": (str, NoneType), "seed": (int,),
+}  # fmt: skip
+_PLANNED: dict[str, tuple[type, ...]] = {
+    "source": (str,), "seed": (int,), "particles": (int,), "repeats": (int,), "draws": (int,), "unseen": (bool,),
+    "adapt": (bool,),
+}  # fmt: skip
+
+
 def finish_variability(
     work: Path, record: Mapping[str, Any], *, workers: int | None = None, progress: Progress | None = None
 ) -> Variability:
     """Go on with a run whose pieces and run.json (`record`) lie in `work`, the folder "variability" of its results."""
-    plan = record["plan"]
+    plan = fields(record["plan"], _PLANNED, f"{work / 'run.json'}: damaged", "give the same command again")
     return variability(
         plan["source"], out=work.parent, seed=plan["seed"], particles=plan["particles"], repeats=plan["repeats"],
         draws=plan["draws"], unseen=plan["unseen"], adapt=plan["adapt"], workers=workers or record.get("workers", 1),
@@ -239,7 +255,7 @@ def _claim(target: Path, plan: Mapping[str, Any], workers: int) -> None:
     """Note what runs in the working folder; another run's pieces are not mixed with this one's."""
     path = target / "variability" / "run.json"
     record = {"command": "variability", "plan": dict(plan), "code": code_sha256()}
-    if path.exists() and {k: v for k, v in read_json(path).items() if k != "workers"} != record:
+    if path.exists() and {k: v for k, v in run_record(path.parent).items() if k != "workers"} != record:
         raise InputError(
             f"{path.parent}: holds pieces of another run, or of another version of the package; remove that folder, "
             "or name another --out"
@@ -261,7 +277,7 @@ def _run_published(
 
     def pooled(name: str, pooling: str, case: str | None, k: int, particles: int, own: bool = False) -> Task:
         more = {"settings": {**settings, "particles": particles}, "pooling": pooling, "without": case, "repeat": k}
-        return Task(name, "bayes_damper.variability.published:run_pooling", more | {"own_constants": own})
+        return Task(name, run_pooling, more | {"own_constants": own})
 
     def with_all(key: str, particles: int) -> list[Task]:
         pooling, _, kind = key.partition("-")
@@ -280,7 +296,7 @@ def _run_published(
     tasks += [
         Task(
             f"alone-{case}-{k}",
-            "bayes_damper.variability.published:run_alone",
+            run_alone,
             {"settings": dict(settings), "case": case, "repeat": k},
         )
         for case in cases.names

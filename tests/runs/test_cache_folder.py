@@ -45,7 +45,7 @@ def test_a_folder_of_ones_own_is_used_again_and_closed_to_others(base):
 
 
 def in_private(base, capsys, words):
-    """The folder that is used instead: private, empty, told of in a sentence, and used by processes started from here."""
+    """The folder that is used instead: private, empty, named in a sentence, and used by processes started from here."""
     found = cache_folder()
     assert found != base
     assert found.stat().st_mode & 0o777 == 0o700
@@ -119,6 +119,7 @@ class Runs:
         return (os.system, (f"touch {self.mark}",))
 
 
+@pytest.mark.slow
 def test_a_planted_pickle_is_not_run(tmp_path):
     """A kernel's index is exchanged for a pickle that leaves a mark; it runs from a folder of one's own, not from one
     that others may write.

@@ -27,9 +27,10 @@ def endless(folder, report):
 """
 RUN = """
 from pathlib import Path
+from endless import endless
 from bayes_damper.runs.execution import Task, run_tasks
 if __name__ == "__main__":
-    run_tasks([Task(n, "endless:endless") for n in ("a", "b")], Path("out"), workers=2)
+    run_tasks([Task(n, endless) for n in ("a", "b")], Path("out"), workers=2)
 """
 
 

@@ -159,5 +159,5 @@ def interrupted(folder, report):
 def test_a_stopped_run_says_how_it_goes_on(tmp_path):
     shown = Shown()
     with pytest.raises(Interrupted, match=f"the state is saved; go on with: bayes-damper resume {tmp_path}"):
-        run_tasks([Task(n, "test_progress:interrupted") for n in ("a", "b")], tmp_path, progress=shown)
+        run_tasks([Task(n, interrupted) for n in ("a", "b")], tmp_path, progress=shown)
     assert shown.told == [("a", 0.0, WAITING), ("b", 0.0, WAITING)]

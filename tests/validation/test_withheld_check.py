@@ -4,6 +4,7 @@ import itertools
 import json
 import math
 
+import fake_diagnosis
 import numpy as np
 import pytest
 
@@ -54,7 +55,7 @@ def write_set(home, truths, answers=None, deadly=None):
 def run(home, call="answer", **options):
     """The check on the set in `home`, in this process unless told otherwise."""
     options = {"workers": 1, "out": home / "out", **options}
-    return check.withheld(home / "set", diagnose_with=f"fake_diagnosis:{call}", **options)
+    return check.withheld(home / "set", diagnose_with=getattr(fake_diagnosis, call), **options)
 
 
 def calls(home):
@@ -250,7 +251,7 @@ def test_runs_are_scored_together(tmp_path, capsys):
 # Long runs ------------------------------------------------------------------------------------------------------------
 
 
-def test_a_run_that_was_stopped_goes_on_with_what_is_missing(tmp_path):
+def test_a_run_that_was_stopped_goes_on_with_what_is_missing(tmp_path, monkeypatch):
     write_set(tmp_path, ["none", "spring_cubic", "none"], deadly="c01")
     with pytest.raises(Interrupted, match="same command again"):
         run(tmp_path, "stopped_once")
@@ -259,6 +260,9 @@ def test_a_run_that_was_stopped_goes_on_with_what_is_missing(tmp_path):
     assert set(check.sealed_now(tmp_path / "out")) == {"c00"}
     record = json.loads((tmp_path / "out/run.json").read_text())
     assert record["command"] == "withheld"
+    with pytest.raises(InputError, match="no code is taken from a folder of results"):
+        check.finish_withheld(tmp_path / "out", record["plan"], workers=1)
+    monkeypatch.setattr(check, "verdict_of", fake_diagnosis.stopped_once)
     found = check.finish_withheld(tmp_path / "out", record["plan"], workers=1)
     assert calls(tmp_path) == ["c00", "c01", "c02"]
     assert found.results["scores"]["all"]["campaigns"] == 3

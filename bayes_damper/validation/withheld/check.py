@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import importlib
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 from bayes_damper import figures
-from bayes_damper.effects import EFFECTS, Effect, all_effects, classes
+from bayes_damper.effects import EFFECTS, Effect, all_effects, classes, effects_sha256, same_effects
 from bayes_damper.errors import ExitCode, InputError, Interrupted, SelfCheckError
 from bayes_damper.files import shipped_path
+from bayes_damper.inputs import fields
 from bayes_damper.runs.execution import Progress, Task, plain, read_json, run_tasks, write_json, write_text
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.text import counted
@@ -34,8 +35,6 @@ from bayes_damper.validation.withheld.sealing import (
 SCHEMA = "bayes-damper/withheld/1"
 SHIPPED = "data/withheld/campaigns"
 SUBSET = 24  # campaigns of a run that is not full: at most 20 s each on 2 cores, so at most 10 minutes
-DIAGNOSE = "bayes_damper.validation.withheld.check:verdict_of"
-_THIS = "bayes_damper.validation.withheld.check:"
 
 
 @dataclass(frozen=True)
@@ -109,7 +108,7 @@ def give_verdict(
     *,
     name: str,
     campaign: str,
-    call: str,
+    call: Callable[..., dict[str, Any]],
     seed: int,
     leave_out: Sequence[str],
     workers: int,
@@ -124,12 +123,9 @@ def give_verdict(
     if path.exists():
         return {"seal": read_verdict(path, name, freeze_seal)["seal"]}
     report(0.0, "diagnosing")
-    module, _, function = call.partition(":")
     own = {} if effects is None else {"effects": effects}
     try:
-        verdict = getattr(importlib.import_module(module), function)(
-            campaign, seed=seed, leave_out=list(leave_out), workers=workers, **own
-        )
+        verdict = call(campaign, seed=seed, leave_out=list(leave_out), workers=workers, **own)
     except Exception as error:  # noqa: BLE001 (whatever a diagnosis dies of, its verdict is "failed")
         told = traceback.format_exception_only(error)[-1].strip()
         verdict = {"verdict": scores.FAILED, "probabilities": {}, "credible_set": [], "sites": {}, "error": told}
@@ -164,7 +160,7 @@ def withheld(
     seed: int = 1,
     out: str | Path = "results/withheld",
     leave_one_out: bool | None = None,
-    diagnose_with: str = DIAGNOSE,
+    diagnose_with: Callable[..., dict[str, Any]] = verdict_of,
     effects: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Withheld:
@@ -173,7 +169,7 @@ def withheld(
     folder : campaigns as data/withheld/make.py writes them; default: those shipped. key : default FOLDER_key.json
     beside it. full : all campaigns, and every campaign of a library effect again with its class taken out of the
     library; otherwise the first 24 by name, which are hashes. out : where the run keeps its state; the same call goes
-    on with a run that was stopped. diagnose_with : "module:function" that gives a verdict, called as `verdict_of` is.
+    on with a run that was stopped. diagnose_with : a module's function that gives a verdict, called as `verdict_of` is.
     effects : folder with effects of your own, candidates beside those of the library and of installed packages; in the
     key they are effects of the library. leave_one_out : whether campaigns are judged again without the effect that they
     have; None: as `full`. workers : processes; scheduler : address of a Dask cluster in their place; seed : decides
@@ -193,7 +189,7 @@ def withheld(
     if not full:
         campaigns = dict(list(campaigns.items())[:SUBSET])
     library = all_effects(effects)
-    now = freeze(campaigns, key_file, library, seed, diagnose_with)
+    now = freeze(campaigns, key_file, library, seed, name_of(diagnose_with))
     frozen = _begin(home, now)
     write_json(
         home / "run.json",
@@ -201,14 +197,15 @@ def withheld(
             "command": "withheld", "workers": workers,
             "plan": {
                 "folder": str(source), "full": full, "key": str(key_file), "seed": seed, "leave_one_out": leave_one_out,
-                "diagnose_with": diagnose_with, "effects": None if effects is None else str(effects),
+                "verdicts_by": name_of(diagnose_with),
+                "effects_sha256": None if effects is None else effects_sha256(effects),
             },
         },
     )  # fmt: skip
     own = None if effects is None else str(Path(effects).resolve())
     run = _Run(home, campaigns, seed, diagnose_with, workers, scheduler, progress, now, library, own)
     run.verdicts(dict.fromkeys(campaigns, ()), home, frozen["seal"])
-    opened = open_key(home, key_file, campaigns, freeze(campaigns, key_file, library, seed, diagnose_with))
+    opened = open_key(home, key_file, campaigns, freeze(campaigns, key_file, library, seed, name_of(diagnose_with)))
     reasons = [*opened.rehearsal, *_earlier(key_file, now)]
     groups = classes(library)
     rows = [scores.score_one(n, opened.verdicts[n], opened.entries[n], groups) for n in campaigns]
@@ -244,24 +241,47 @@ def withheld(
     return Withheld(results, home)
 
 
+_PLANNED: dict[str, tuple[type, ...]] = {
+    "folder": (str,), "full": (bool,), "key": (str,), "seed": (int,), "leave_one_out": (bool, NoneType),
+    "verdicts_by": (str,), "effects_sha256": (str, NoneType),
+}  # fmt: skip
+
+
+def name_of(function: Callable[..., Any]) -> str:
+    """A function in words, for a freeze: "module:name"."""
+    return f"{function.__module__}:{function.__qualname__}"
+
+
 def finish_withheld(
-    home: Path, plan: Mapping[str, Any], *, workers: int = 2, progress: Progress | None = None
+    home: Path,
+    plan: Mapping[str, Any],
+    *,
+    effects: str | Path | None = None,
+    workers: int = 2,
+    progress: Progress | None = None,
 ) -> Withheld:
-    """Go on with a run that was stopped; `plan` as its run.json holds it.
+    """Go on with a run that was stopped; `plan` as its run.json holds it, effects as the run began with.
 
     Raises
     ------
     SelfCheckError, InputError
         as `withheld`.
     """
+    plan = fields(plan, _PLANNED, f"{home / 'run.json'}: damaged", "give the same command again")
+    if plan["verdicts_by"] != name_of(verdict_of):
+        raise InputError(
+            f"{home}: another function than the package's own gives the verdicts of this run, and no code is taken "
+            "from a folder of results; call withheld() again with the same diagnose_with"
+        )
+    same_effects(home, plan["effects_sha256"], effects)
     return withheld(
         plan["folder"],
         full=plan["full"],
         key=plan["key"],
         seed=plan["seed"],
         leave_one_out=plan["leave_one_out"],
-        diagnose_with=plan["diagnose_with"],
-        effects=plan.get("effects"),
+        diagnose_with=verdict_of,
+        effects=effects,
         workers=workers,
         out=home,
         progress=progress,
@@ -295,7 +315,7 @@ class _Run:
     home: Path
     campaigns: Mapping[str, Path]
     seed: int
-    call: str
+    call: Callable[..., dict[str, Any]]
     workers: int
     scheduler: str | None
     progress: Progress | None
@@ -308,7 +328,7 @@ class _Run:
         tasks = [
             Task(
                 name,
-                _THIS + "give_verdict",
+                give_verdict,
                 {
                     "name": name, "campaign": str(self.campaigns[name].resolve()), "call": self.call,
                     "seed": self.seed_of(name), "leave_out": list(without), "workers": 2 if self.workers == 1 else 1,
@@ -348,10 +368,10 @@ class _Run:
             return [], []
         home = self.home / "leave_one_out"
         part = {name: self.campaigns[name] for name in leave_out}
-        now = freeze(part, key, self.library, self.seed, self.call)
+        now = freeze(part, key, self.library, self.seed, name_of(self.call))
         frozen = _begin(home, now)
         self.verdicts(leave_out, home, frozen["seal"])
-        opened = open_key(home, key, part, freeze(part, key, self.library, self.seed, self.call))
+        opened = open_key(home, key, part, freeze(part, key, self.library, self.seed, name_of(self.call)))
         rows = [
             scores.score_one(name, opened.verdicts[name], opened.entries[name], groups, left_out=True) for name in part
         ]
@@ -459,7 +479,7 @@ def seal_campaigns(folder: str | Path, key: str | Path | None = None) -> Path:
     """
     source = Path(folder)
     key_file = Path(key) if key is not None else source.parent / f"{source.name}_key.json"
-    frozen = freeze(find_campaigns(source), key_file, all_effects(), 0, DIAGNOSE)
+    frozen = freeze(find_campaigns(source), key_file, all_effects(), 0, name_of(verdict_of))
     write_freeze(seal_path(key_file), frozen)
     return seal_path(key_file)
 
