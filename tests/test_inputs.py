@@ -71,7 +71,7 @@ TRIALS = [
     (",10.2,", f",{'x' * 140_000},", "more than 131072 characters in one line"),
     (",10.2,", ',"10.2,', "a quote is opened and never closed"),
     (",10.2,", ",10.2\r,", "4 fields where the header has 6"),
-    ("trials/IV_coupled_1.csv", ".", ". leaves the campaign's folder"),
+    ("trials/IV_coupled_1.csv", ".", ". leaves the campaign's folder, or is too long"),
 ]
 
 

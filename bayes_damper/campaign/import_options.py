@@ -19,7 +19,7 @@ from bayes_damper import campaign as campaigns
 from bayes_damper.campaign import Rig
 from bayes_damper.campaign.logger_files import number_of, read_file
 from bayes_damper.errors import InputError
-from bayes_damper.inputs import csv_rows, file_bytes, text_of
+from bayes_damper.inputs import LARGEST, csv_rows, file_bytes, shown, text_of
 
 READER: dict[str, tuple[tuple[type, ...], str]] = {
     "delimiter": ((str,), "mark between columns; 'auto' (default), ',', ';', 'tab' or 'space'"),
@@ -122,6 +122,14 @@ def spec_from_options(name: str, sources: Sequence[Path], options: Mapping[str, 
         if key not in valid
         for near in [difflib.get_close_matches(key[:60], valid, 1, 0.5)]
     ]
+    for key, value in options.items():
+        for number in value if isinstance(value, list | tuple) else [value]:
+            if isinstance(number, int) and abs(number) > LARGEST:
+                faults.append(
+                    f"option '{key}' = {shown(number)} is beyond reason (more than {LARGEST:g}); check its unit"
+                )
+    if faults:
+        raise InputError(faults)
     rows = _sheet_rows(options.get("sheet"), faults)
     folder = Path(str(options["sheet"])).resolve().parent if rows else Path()
     if not sources:

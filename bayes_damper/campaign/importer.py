@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import csv
 import difflib
+import hashlib
 import math
 import re
 import shutil
@@ -38,6 +39,7 @@ from bayes_damper.campaign.import_options import (
     spec_text,
 )
 from bayes_damper.campaign.logger_files import LoggerFile, read_file, unit_of
+from bayes_damper.campaign.trials_table import inside
 from bayes_damper.errors import InputError
 from bayes_damper.inputs import collected, real, shown, toml_file
 
@@ -51,6 +53,7 @@ _ITEMS: dict[str, tuple[type, ...]] = {
 """What the lists of an import table may hold."""
 _LEAST: dict[str, float] = {"every": 1, "skip_lines": 0, "before": 0.0}
 """Smallest values of some keys."""
+_LONGEST_SLUG = 80
 _NAMED = 12
 """Files that a sentence names one by one."""
 _FEWEST = 10
@@ -243,7 +246,7 @@ def _checked_keys(table: Mapping[str, Any], valid: Mapping[str, tuple[tuple[type
                 faults.append(f"{where}: {key} holds {shown(part)}, which cannot be: {valid[key][1]}")
         for number in value if isinstance(value, list) else [value]:
             with collected(faults):
-                if isinstance(number, int | float):
+                if isinstance(number, int | float) and not isinstance(number, bool):
                     real(number, f"{where}: {key}")
     return faults + [
         f"{where}: {key} = {shown(value)} is too small; give at least {least}"
@@ -288,6 +291,11 @@ def _build(table: Mapping[str, Any], name: str, raw: Path) -> Campaign:
         counts[group] = counts.get(group, 0) + 1
         option.setdefault("trial", counts[group])
         option.setdefault("file", f"trials/{_slug(group[0])}_{group[1]}_{option['trial']}.csv")
+        if not inside(option["file"]):
+            faults.append(
+                f"{option['where']}: file = {shown(option['file'])} leaves the campaign's folder, or is too long"
+            )
+            continue
         try:
             trials.append(_trial_from(option, head.rig, head.measurement, raw, files, contradicted))
         except InputError as error:
@@ -358,7 +366,13 @@ def _gathered(faults: Sequence[str]) -> list[str]:
 
 
 def _slug(text: str) -> str:
-    return re.sub(r"[^A-Za-z0-9_-]+", "-", text) or "case"
+    """A label as part of a file's name, which no system takes at any length."""
+    plain = re.sub(r"[^A-Za-z0-9_-]+", "-", text) or "case"
+    return (
+        plain
+        if len(plain) <= _LONGEST_SLUG
+        else f"{plain[:_LONGEST_SLUG]}-{hashlib.sha256(text.encode()).hexdigest()[:6]}"
+    )
 
 
 def _with_estimates(trials: list[Trial], rig: Rig) -> list[Trial]:

@@ -111,8 +111,10 @@ def _row_from(cells: Mapping[str, str], kind: str, start: str, where: str, fault
     for key in ("file", "case"):
         if not cells[key]:
             faults.append(f"{where}: '{key}' is empty; fill it in")
-    if cells["file"] and not _inside(cells["file"]):
-        faults.append(f"{where}: {cells['file']} leaves the campaign's folder; give a relative path inside it")
+    if cells["file"] and not inside(cells["file"]):
+        faults.append(
+            f"{where}: {cells['file']} leaves the campaign's folder, or is too long; give a relative path inside it"
+        )
     configuration = cells["configuration"]
     if configuration not in ("uncoupled", "coupled"):
         hint = nearest_name(configuration, ("uncoupled", "coupled"))
@@ -183,8 +185,11 @@ def _number(text: str, where: str, faults: list[str]) -> float | None:
     return None
 
 
-def _inside(name: str) -> bool:
+def inside(name: str) -> bool:
+    """Whether a file's name is one that leads nowhere out of the campaign's folder, and that any system takes."""
     path = PurePosixPath(name.replace("\\", "/"))
+    if any(len(part.encode()) > 255 for part in path.parts) or len(name) > 1000 or "\0" in name:
+        return False
     if path.is_absolute() or not path.parts or ":" in path.parts[0]:
         return False
     depth = 0

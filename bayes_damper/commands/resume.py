@@ -52,8 +52,8 @@ def resume(
     processes = workers or record["workers"]
     if command == "withheld":
         return finish_withheld(path, record["plan"], effects=effects, workers=processes, progress=progress)
-    refuse_changes(path, record)
     plan = plan_in(record, path, effects)
+    refuse_changes(path, record)
     if more:
         plan["thorough"] = True
         plan["most_steps"] = None if plan["most_steps"] is None else 2 * plan["most_steps"]

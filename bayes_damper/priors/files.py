@@ -394,7 +394,7 @@ class _Reader:
         if unit is None:
             self.fault(f'has no unit; write unit = "{self.unit}"')
         elif unit != self.unit:
-            scale = _CONVERSIONS.get((str(unit), self.unit))
+            scale = _CONVERSIONS.get((unit, self.unit)) if isinstance(unit, str) else None
             if scale is not None:
                 return scale
             self.fault(f"unit is {shown(unit)}, but this parameter is in {self.unit!r}; convert its numbers")

@@ -660,3 +660,20 @@ def test_a_field_of_a_matlab_structure_is_a_variable(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_file(path, option).table, np.stack([TIMES, wave()], axis=1))
     with pytest.raises(InputError, match=r"no variable 'th\.signal'; it holds time, signals"):
         read_file(path, option | {"matlab_data": ["th.signal"]})
+
+
+def test_truth_values_of_an_import_table_are_no_numbers(tmp_path: Path) -> None:
+    source = logger_file(tmp_path / "run.csv", wave())
+    folder = init_campaign(tmp_path / "made", [source], **OPTIONS, header=True, holdout=False)
+    again = import_records(folder / "import.toml", tmp_path / "again")
+    assert load_campaign(again).trials[0].holdout is False
+
+
+@pytest.mark.parametrize("file", ["../out.csv", "/tmp/out.csv", "x" * 300, ".", "C:/out.csv"])
+def test_an_import_table_writes_nothing_outside_its_campaign(tmp_path: Path, file: str) -> None:
+    folder = init_campaign(tmp_path / "made", [logger_file(tmp_path / "run.csv", wave())], **OPTIONS)
+    table = tmp_path / "table.toml"
+    table.write_text(f'{(folder / "import.toml").read_text()}file = "{file}"\n', encoding="utf-8")
+    with pytest.raises(InputError, match="leaves the campaign's folder, or is too long"):
+        import_records(table, tmp_path / "out")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["made", "run.csv", "table.toml"]
