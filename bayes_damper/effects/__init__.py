@@ -46,6 +46,12 @@ __all__ = [
 ]
 
 ENTRY_POINTS = "bayes_damper.effects"
+FORMERLY = {
+    "bayes_damper.lanes": "bayes_damper.rig.vector_math",
+    "bayes_damper.damper": "bayes_damper.rig.equations",
+    "bayes_damper.distributions": "bayes_damper.priors.distributions",
+}
+"""Where files of users' effects used to import from -> where that lies now; such files go on working."""
 
 EFFECTS: dict[str, Effect] = {
     module.name: import_module(f"{__name__}.{module.name}").EFFECT
@@ -186,6 +192,23 @@ def _checked(effect: Any, where: str, known: Mapping[str, Effect]) -> list[str]:
     return [f"{where}: {fault}" for fault in faults(effect)]
 
 
+def _with_a_small_start(variant: Variant) -> Variant:
+    """The variant with a start at a tenth of its first one where all starts are of a size.
+
+    A search that begins far from a small effect misses it; the library's own files have such a start (how-to, rule 5).
+    """
+    i = next((i for i, p in enumerate(variant.parameters) if p.null == 0.0), None)
+    if i is None:
+        return variant
+    sizes = [abs(start[i]) for start in variant.starts]
+    if min(sizes) <= 0.2 * max(sizes):
+        return variant
+    first = variant.starts[0]
+    small = (*first[:i], 0.1 * first[i], *first[i + 1 :])
+    inside = np.isfinite(float(variant.parameters[i].prior.logpdf(small[i])))
+    return replace(variant, starts=(*variant.starts, small)) if inside else variant
+
+
 def _module(path: Path) -> ModuleType:
     """The module of a file, under a name that does not depend on where it lies."""
     name = f"bayes_damper_effect_{path.stem}"
@@ -193,12 +216,16 @@ def _module(path: Path) -> ModuleType:
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
+    formerly = {old: sys.modules[new] for old, new in FORMERLY.items() if new in sys.modules}
+    sys.modules |= formerly | {name: module}
     try:
         spec.loader.exec_module(module)
     except BaseException:
         del sys.modules[name]
         raise
+    finally:
+        for old in formerly:
+            del sys.modules[old]
     return module
 
 
@@ -265,7 +292,7 @@ def load_effects(folder: str | Path, known: Mapping[str, Effect] = EFFECTS) -> d
         found = _checked(effect, str(file), {**known, **loaded})
         wrong += found
         if not found and isinstance(effect, Effect):
-            loaded[effect.name] = effect
+            loaded[effect.name] = replace(effect, variants=tuple(map(_with_a_small_start, effect.variants)))
     if wrong:
         raise InputError(wrong)
     return loaded

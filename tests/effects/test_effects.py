@@ -624,6 +624,23 @@ def test_an_effect_of_the_users_own_is_one_file(tmp_path):
     assert np.abs(record.y[1] - bare).max() > 1.0
 
 
+def test_a_file_that_imports_from_where_modules_used_to_lie_goes_on_working(tmp_path):
+    written(tmp_path, "cogging.py")
+    file = tmp_path / "cogging.py"
+    text = file.read_text(encoding="utf-8")
+    former = {"rig.vector_math": "lanes", "priors.distributions": "distributions"}
+    for new, old in former.items():
+        text = text.replace(f"bayes_damper.{new}", f"bayes_damper.{old}")
+    file.write_text(text, encoding="utf-8")
+    assert "cogging" in all_effects(tmp_path)
+    assert "bayes_damper.lanes" not in sys.modules  # for such files alone
+
+
+def test_an_own_effect_without_a_small_start_gets_one(tmp_path):
+    written(tmp_path, "cogging.py")
+    assert all_effects(tmp_path)["cogging"].variants[0].starts == ((0.01,), (-0.01,), (pytest.approx(0.001),))
+
+
 def test_all_faults_of_a_folder_are_told_at_once(tmp_path):
     written(tmp_path, "a.py", unit="furlong")
     written(tmp_path, "b.py", name="stick_slip")
