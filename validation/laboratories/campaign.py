@@ -293,7 +293,7 @@ def again(key_file: Path, folder: Path, workers: int = 1) -> None:
     """Makes the campaigns of a key once more, from the orders and the salt that it holds."""
     key = json.loads(key_file.read_text())
     wanted = []
-    for entry in key["campaigns"].values():
+    for entry in (e for e in key["campaigns"].values() if "order" in e):
         told = dict(entry["order"])
         wanted.append(Order(**(told | {"causes": tuple(told["causes"])})))
     write_set(wanted, folder, folder.parent / f"{folder.name}_key.json", workers, key["salt"])

@@ -104,7 +104,7 @@ def derivative(t: float, x: Array, g: Array, codes: NDArray[np.int64], P: Array,
     bristles = False
     for i in range(codes.size):
         c, s = codes[i], 4 + MEMORY * i
-        p0, p1, p2 = P[i, 0], P[i, 1], P[i, 2]
+        p0, p1, p2, p3 = P[i, 0], P[i, 1], P[i, 2], P[i, 3]
         for k in range(MEMORY):
             out[s + k] = 0.0
         if c == 1:  # spring_cubic
@@ -118,9 +118,10 @@ def derivative(t: float, x: Array, g: Array, codes: NDArray[np.int64], P: Array,
             if beyond > 0.0:
                 q1 -= p0 * k1 * a * beyond**1.5 * _sign(th1)
         elif c == 3:  # coupling_backlash
-            gap = p0 * a
-            h = p1 * gap
-            q1 += p2 * k1 * 0.5 * (math.sqrt((th1 + gap) ** 2 + h * h) - math.sqrt((th1 - gap) ** 2 + h * h))
+            h = p1 * p0 * a
+            near, far = p0 * a * (1.0 - p3), p0 * a * (1.0 + p3)
+            closed = math.sqrt((th1 + near) ** 2 + h * h) - math.sqrt((th1 - far) ** 2 + h * h)
+            q1 += 0.5 * p2 * k1 * (closed - math.sqrt(near * near + h * h) + math.sqrt(far * far + h * h))
         elif c == 4:  # coupling_hysteresis
             d = p1 * a
             q1 -= p0 * k1 * a * (0.6 * x[s] / d + 0.4 * x[s + 1] / (3.0 * d))
