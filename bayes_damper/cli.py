@@ -231,6 +231,8 @@ def _plan(args: Arguments) -> Any:
 
 
 def _withheld(args: Arguments) -> Any:
+    if args.verify is not None:
+        return _call("validation.withheld:verify")(args.verify, args.folder)
     return _call("validation.withheld:withheld")(
         args.folder,
         full=args.full,
@@ -361,6 +363,12 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("folder", nargs="?", type=Path, help="campaigns, one folder each (default: those shipped)")
     sub.add_argument("--full", action="store_true", help="all campaigns, and each again without its effect (hours)")
     sub.add_argument("--key", type=Path, metavar="F.json", help="the key (default: FOLDER_key.json beside the folder)")
+    sub.add_argument(
+        "--verify",
+        type=Path,
+        metavar="F.zip",
+        help="hold the seals of a finished run's archive again, and those of its campaigns in FOLDER",
+    )
     own_effects(sub)
     workers(sub)
 

@@ -3,13 +3,17 @@
 import itertools
 import json
 import math
+import zipfile
+from types import SimpleNamespace
 
 import fake_diagnosis
 import numpy as np
 import pytest
 
+from bayes_damper.cli import main
 from bayes_damper.errors import ExitCode, InputError, Interrupted, SelfCheckError
-from bayes_damper.validation.withheld import check, scores, sealing, together
+from bayes_damper.validation.withheld import archive as archives
+from bayes_damper.validation.withheld import baselines, check, scores, sealing, together, verify
 from bayes_damper.validation.withheld.baselines import forest_out_of_fold
 
 GROUPS = [frozenset({"friction_displacement", "normal_force_law"})]
@@ -248,6 +252,97 @@ def test_runs_are_scored_together(tmp_path, capsys):
     assert together.main([]) == 2
 
 
+# Archive --------------------------------------------------------------------------------------------------------------
+
+
+def rewritten(path, member, change):
+    """The archive with one member changed."""
+    with zipfile.ZipFile(path) as old:
+        members = {name: old.read(name) for name in old.namelist()}
+    members[member] = change(members[member])
+    with zipfile.ZipFile(path, "w") as new:
+        for name, content in members.items():
+            new.writestr(name, content)
+
+
+def test_a_finished_run_leaves_an_archive_whose_seals_can_be_held_later(tmp_path, capsys):
+    write_set(tmp_path, ["none", "spring_cubic", "sensor_gain"])
+    done = run(tmp_path, full=True)
+    archive = tmp_path / "elsewhere.zip"
+    archive.write_bytes((tmp_path / "out" / "sealed.zip").read_bytes())
+    for path in sorted((tmp_path / "out").rglob("*"), reverse=True):
+        path.unlink() if path.is_file() else path.rmdir()
+    found = verify(archive, tmp_path / "set")
+    assert found.exit_code == ExitCode.DONE
+    assert found.results["chain_head"] == done.results["chain_head"]
+    assert "3 verdicts" in found.text()
+    assert "2 verdicts without the true effect: whole" in found.text()
+    assert "3 of 3 verdicts are right" in found.text()
+    assert "the data are those that were judged" in found.text()
+    assert main(["withheld", "--verify", str(archive)]) == 0
+    assert "not held: give their folder" in capsys.readouterr().out
+
+
+def test_the_same_run_gives_the_same_archive(tmp_path):
+    write_set(tmp_path, ["none"])
+    run(tmp_path)
+    first = (tmp_path / "out" / "sealed.zip").read_bytes()
+    again = archives.write_archive(tmp_path / "out", tmp_path / "set_key.json", tmp_path / "again.zip")
+    assert again.read_bytes() == first
+
+
+@pytest.mark.parametrize(
+    ("member", "old", "new", "words"),
+    [
+        ("verdicts.jsonl", b"0.92", b"0.93", "verdict was changed"),
+        ("freeze.json", b'"seed": 1', b'"seed": 2', "freeze was changed"),
+        ("key.json", b"spring_cubic", b"sensor_gain", "key in the archive is not"),
+        ("chain.json", b'"links": [', b'"links": ["0", ', "replaced"),
+        ("withheld.json", b'"chain_head": "', b'"chain_head": "0', "other verdicts"),
+        ("verdicts.jsonl", b'"campaign":"c00"', b'"campaign":"../../c00"', "outside the run"),
+        ("leave_one_out/verdicts.jsonl", b"0.92", b"0.93", "verdict was changed"),
+    ],
+)
+def test_an_archive_that_was_changed_is_found_out(tmp_path, member, old, new, words):
+    write_set(
+        tmp_path, ["none", "spring_cubic"], [{"none": 0.92, "stick_slip": 0.08}, {"spring_cubic": 0.08, "none": 0.92}]
+    )
+    run(tmp_path, full=True)
+    path = tmp_path / "out" / "sealed.zip"
+    rewritten(path, member, lambda content: content.replace(old, new))
+    with pytest.raises(SelfCheckError, match=words) as caught:
+        verify(path)
+    assert caught.value.exit_code == ExitCode.SELF_CHECK_FAILED
+
+
+def test_an_archive_is_held_against_the_data(tmp_path):
+    write_set(tmp_path, ["none", "spring_cubic"])
+    run(tmp_path)
+    path = tmp_path / "out" / "sealed.zip"
+    (tmp_path / "set" / "c01" / "answer.json").write_text("{}")
+    with pytest.raises(SelfCheckError, match="c01 of 2 campaigns are not the data"):
+        verify(path, tmp_path / "set")
+    with pytest.raises(InputError, match="lacks the campaigns c00"):
+        verify(path, tmp_path / "out")
+    (tmp_path / "no.zip").write_text("nothing")
+    with pytest.raises(InputError, match="cannot be read as an archive"):
+        verify(tmp_path / "no.zip")
+    with zipfile.ZipFile(tmp_path / "other.zip", "w") as other:
+        other.writestr("key.json", "{}")
+    with pytest.raises(InputError, match=r"it lacks chain.json, freeze.json"):
+        verify(tmp_path / "other.zip")
+
+
+def test_a_seal_of_data_alone_does_not_ask_for_the_code(tmp_path, monkeypatch):
+    folder = write_set(tmp_path, ["none", "spring_cubic"])
+    seal = check.seal_campaigns(folder, code=False)
+    assert "code_sha256" not in sealing.read_freeze(seal)
+    monkeypatch.setattr(sealing, "code_sha256", lambda *roots: "0" * 64)
+    assert not run(tmp_path).rehearsal
+    (folder / "c01" / "answer.json").write_text(json.dumps({"none": 1.0}))
+    assert "the data of c01 have changed" in run(tmp_path, out=tmp_path / "later").results["why_rehearsal"][0]
+
+
 # Long runs ------------------------------------------------------------------------------------------------------------
 
 
@@ -413,41 +508,115 @@ def test_an_overconfident_diagnosis_does_not():
     assert found["error"] > found["twin_error"]["upper95"]
 
 
-def test_targets_are_met_when_the_interval_reaches_them():
-    target = scores.Target("right", "everywhere", scores._rate_of("is_right"), lambda _: True, least=0.9, counted=20)
+def test_a_target_is_met_by_the_estimate_and_shown_by_its_interval():
     good, bad = said("spring_cubic"), said("stick_slip")
 
-    def judged(hits, n):
+    def judged(hits, n, least=0.9, most=None):
         rows = [scores.score_one("c", good if i < hits else bad, entry("spring_cubic"), GROUPS) for i in range(n)]
-        return target.judge(rows)
+        return scores.Target("right", "here", scores._rate_of("is_right"), lambda _: True, least, most, 20).judge(rows)
 
-    assert judged(17, 20)["status"] == "met"
+    assert judged(17, 20)["status"] == "missed", "an interval that merely holds the target is no success"
+    assert judged(18, 20)["status"] == "met"
+    assert judged(100, 100)["status"] == "shown"
     assert judged(170, 200)["status"] == "missed"
     assert judged(0, 0)["status"] == "not tested"
-    assert (judged(17, 20)["enough"], judged(9, 10)["enough"]) == (True, False)
+    assert (judged(18, 20)["enough"], judged(9, 10)["enough"]) == (True, False)
+    assert judged(900, 1000, 0.85, 0.95)["status"] == "shown"
+    assert judged(18, 20, 0.85, 0.95)["status"] == "met"
+    assert judged(20, 20, 0.85, 0.95)["status"] == "missed"
+    assert judged(0, 100, None, 0.0)["status"] == "met", "no rate can be shown to be exactly nought"
+
+
+def laboratory(truth, repeats=True, bodies=2, scatter="weak", **more):
+    """An entry of the key of a drawn laboratory."""
+    facts = {"repeats": repeats, "bodies": bodies, "scatter_class": scatter}
+    return entry(truth, kind="laboratory", level=1.0, **more) | {
+        "laboratory": facts, "at_rest": {"mu": 0.005}, "scatter": {"k1t": 2e-3, "mu": 0.0, "offset1": 0.5},
+    }  # fmt: skip
 
 
 def test_every_target_of_the_table_can_be_judged():
     rows = []
-    for kind, level, truth in itertools.product(("easy", "hard"), (0.05, 0.15, 0.5, 1.0), (*ANSWERS, "knock", "pair")):
+    kinds = ("easy", "hard", "laboratory")
+    for kind, level, truth, repeats in itertools.product(
+        kinds, (0.05, 0.15, 0.5, 1.0), (*ANSWERS, "knock", "pair"), (True, False)
+    ):
         effects = ["spring_cubic", "stick_slip"] if truth == "pair" else None
         known = truth in ANSWERS
         verdict = said(
             truth if known else "unknown",
-            gap={"nominal_rms": 3.0, "augmented_rms": 2.0, "noise_rms": 2.0, "closed": {"median": 0.99}},
+            gap={
+                "nominal_rms": 3.0,
+                "augmented_rms": 2.0,
+                "noise_rms": 2.0,
+                "closed": {"median": 0.99},
+                "p_value": 0.5,
+            },
             seconds=9.0,
             left_out_case={"closed": 0.95},
             sites={SITE.get(truth, "ground1"): 1.0},
             intervals90={"mu": [0.004, 0.006]},
             where={"event": {"instant_s": 0.305}},
             pair={"effects": effects} if effects else None,
+            forecast={"before": {"coverage50": 0.5, "coverage90": 0.9}},
+            scatter={"k1t": {"sd": 2e-3, "unit": "relative", "hdi90": [1e-3, 3e-3]}},
         )
         standing = "library" if known else "development"
-        made = entry(truth, kind=kind, level=level, standing=standing, effects=effects)
-        rows.append(scores.score_one(f"{kind}{level}{truth}", verdict, made, GROUPS))
+        more = {"standing": standing, "effects": effects}
+        made = (
+            laboratory(truth, repeats, **more) if kind == "laboratory" else entry(truth, kind=kind, level=level, **more)
+        )
+        rows.append(scores.score_one(f"{kind}{level}{truth}{repeats}", verdict, made, GROUPS))
     told = scores.all_scores(rows)
     assert [t["what"] for t in told["targets"] if t["status"] == "not tested"] == []
     assert told["by_level"][0]["rms_median"] == {"nominal": 3.0, "augmented": 2.0, "noise": 2.0}
+
+
+def test_laboratories_are_scored_by_class_with_their_calibration():
+    wrong = scores.score_one("a", said("stick_slip", 0.7), laboratory("none", repeats=False, scatter="strong"), GROUPS)
+    right = scores.score_one("b", said("none"), laboratory("none", bodies=1), GROUPS)
+    named = scores.score_one("c", said("spring_cubic"), laboratory("spring_cubic"), GROUPS)
+    told = scores.all_scores([wrong, right, named])["by_class"]
+    assert set(told) == {
+        "with repeats", "without repeats", "two bodies", "one body", "strong scatter", "weak scatter",
+    }  # fmt: skip
+    assert told["with repeats"]["none_kept"]["hits"] == told["with repeats"]["right_first"]["hits"] == 1
+    assert told["without repeats"]["none_kept"] == told["strong scatter"]["none_kept"]
+    assert told["without repeats"]["none_kept"]["hits"] == 0
+    assert told["one body"]["campaigns"] == 1
+    assert told["two bodies"]["reliability"]["n"] == 2
+    assert 0.0 < told["two bodies"]["reliability"]["p_value"] <= 1.0
+    assert (wrong.false_and_likely, wrong.false_and_confident, right.false_and_likely) == (True, False, False)
+    assert scores.all_scores([scores.score_one("d", said("none"), entry("none"), GROUPS)])["by_class"] == {}
+
+
+def test_what_a_sound_laboratory_is_asked_for_is_scored():
+    """Intervals under the nominal rig, scatters, the gap's test and the bands of forecasts."""
+    verdict = said(
+        "none", gap={"p_value": 0.03}, forecast={"before": {"coverage50": 0.4, "coverage90": 0.8}},
+        intervals90={"mu": [0.004, 0.006]},
+        scatter={
+            "k1t": {"unit": "relative", "hdi90": [1e-3, 3e-3]}, "mu": {"unit": "relative", "hdi90": [0.01, 0.02]},
+            "offset1": {"unit": "m/s", "hdi90": [0.0, 1.0]},
+        },
+    )  # fmt: skip
+    row = scores.score_one("c", verdict, laboratory("none"), GROUPS)
+    assert row.covered == {"mu": True}
+    assert row.scatter_covered == {"k1t": True, "mu": False}
+    assert row.bands == (0.4, 0.8)
+    told = scores.summarise([row])
+    assert told["gap_test_5"]["hits"] == told["scatter90"]["hits"] == 1
+    assert told["scatter90"]["n"] == 2
+    hidden = scores.score_one("d", said("none"), laboratory("spring_cubic", visible=9.0), GROUPS)
+    assert hidden.is_right
+    assert not scores.score_one("d", said("none"), laboratory("spring_cubic", visible=11.0), GROUPS).is_right
+
+
+def test_of_three_effects_two_must_be_named():
+    three = entry("pair", effects=["spring_cubic", "stick_slip", "sensor_gain"], site=["ground1"] * 3, standing=None)
+    two = scores.score_one("c", said("stick_slip", pair={"effects": ["stick_slip", "sensor_gain"]}), three, GROUPS)
+    assert (two.both_named, two.either_named) == (True, True)
+    assert not scores.score_one("c", said("stick_slip"), three, GROUPS).both_named
 
 
 def test_misses_name_truth_and_verdict():
@@ -475,6 +644,32 @@ def test_a_forest_learns_from_the_other_folds_only():
     assert np.mean([max(guessed[n], key=guessed[n].get) == a for n, a in labels.items()]) < 0.65
     assert all(sum(p.values()) == pytest.approx(1.0) for p in told.values())
     assert forest_out_of_fold({}, labels, 1) == {}
+
+
+def test_without_scikit_learn_the_forest_is_skipped_with_a_sentence(tmp_path, monkeypatch):
+    monkeypatch.setattr(baselines.importlib.util, "find_spec", lambda name: None)
+    assert (
+        forest_out_of_fold({f"c{i}": [float(i % 2)] for i in range(40)}, {f"c{i}": "none" for i in range(40)}, 1) == {}
+    )
+    write_set(tmp_path, ["none"])
+    found = run(tmp_path)
+    assert "pip install 'bayes-damper[baselines]'" in found.text()
+    assert found.results["baselines_skipped"] == [baselines.FOREST_ABSENT]
+
+
+def test_a_gate_of_chi2_lets_bic_weights_say_unknown():
+    def fit(chi2, size):
+        return SimpleNamespace(chi2=chi2, problem=SimpleNamespace(n_data=1000.0, size=size))
+
+    def winner(nominal, effect, gate=0.99):
+        told = baselines.bic_weights(fit(nominal, 7), {"stick_slip": fit(effect, 9)}, gate)
+        assert sum(told.values()) == pytest.approx(1.0)
+        return max(told, key=told.get)
+
+    assert winner(1005.0, 1003.0) == "none"
+    assert winner(1400.0, 1010.0) == "stick_slip"
+    assert winner(1400.0, 1300.0) == "unknown"
+    assert winner(1400.0, 1300.0, None) == "stick_slip"
 
 
 @pytest.mark.filterwarnings("error")

@@ -1,18 +1,22 @@
 """Simpler ways to name an effect, on the same campaigns and the same fits as the diagnosis.
 
 - `bic`: weights exp(-BIC / 2) of the best fit of every effect and of the nominal model;
+- `bic_gate`: the same, with `unknown` as one more model: two parameters more than the nominal one, and the chi2 that a
+  true model exceeds once in a hundred times, so that it wins where every fit leaves more than that;
 - `stacking`: weights that maximise the log predictive density of the held-out trials under the same fits;
 - `sparse_regression`: the missing torque by inverse dynamics, regressed on one term per effect (the first step of
   sparse identification of dynamics), weighed by BIC;
 - `random_forest`: trained on features of the nominal residual, campaigns in five folds, each told by a forest that has
-  seen the truths of the other four: more than any other method here is given.
+  seen the truths of the other four: more than any other method here is given. Causes outside the library are a class
+  of their own there, `unknown`, by which it rejects.
 
-None of the first three can answer `unknown`.
+`bic_gate` and the forest can answer `unknown`. The forest needs scikit-learn, an extra: `FOREST_ABSENT` is what is
+reported where it is not installed.
 """
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,6 +24,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from bayes_damper.calibration import Calibration, predict
 from bayes_damper.diagnosis.response import Motion, motions
@@ -29,13 +34,17 @@ Array = NDArray[np.float64]
 FOLDS = 5
 LEAST_OF_A_CLASS = 3  # campaigns of a truth below which a forest cannot learn it
 TREES = 300
+GATE = 0.99  # quantile of chi2 beyond which no fit counts as one
+FOREST_ABSENT = (
+    "random_forest was skipped: it needs scikit-learn; install it with pip install 'bayes-damper[baselines]'"
+)
 
 
 def baselines_of(found: Any) -> dict[str, Any]:
     """Probabilities by each method, and the forest's features, from a diagnosis.Diagnosis."""
     nominal: Calibration = found.nominal
     fits = _best_fits(found)
-    out: dict[str, Any] = {"bic": bic_weights(nominal, fits)}
+    out: dict[str, Any] = {"bic": bic_weights(nominal, fits), "bic_gate": bic_weights(nominal, fits, gate=GATE)}
     held_out = tuple(nominal.problem.experiment.heldout)
     if held_out:
         out["stacking"] = stacking_weights(nominal, fits, held_out)
@@ -68,10 +77,15 @@ def _weights(log_weights: Mapping[str, float]) -> dict[str, float]:
 # Weights of fits ------------------------------------------------------------------------------------------------------
 
 
-def bic_weights(nominal: Calibration, fits: Mapping[str, Calibration]) -> dict[str, float]:
-    """exp(-BIC / 2) of each best fit, normalised; the nominal model's is `none`."""
+def bic_weights(nominal: Calibration, fits: Mapping[str, Calibration], gate: float | None = None) -> dict[str, float]:
+    """exp(-BIC / 2) of each best fit, normalised; the nominal model's is `none`.
+
+    gate : with `unknown` beside them, as a model of two more parameters that has this quantile of chi2.
+    """
     each = math.log(max(nominal.problem.n_data, 2.0))
     log_w = {"none": -0.5 * nominal.chi2}
+    if gate is not None:
+        log_w["unknown"] = -0.5 * (float(chi2.ppf(gate, nominal.problem.n_data)) + 2.0 * each)
     for name, fit in fits.items():
         log_w[name] = -0.5 * (fit.chi2 + each * (fit.problem.size - nominal.problem.size))
     return _weights(log_w)
@@ -82,8 +96,8 @@ def stacking_weights(
 ) -> dict[str, float]:
     """Weights of the mixture of fits that best predicts the held-out trials, found by expectation-maximisation."""
     everything = {"none": nominal, **fits}
-    chi2 = np.array([[predict(fit, (i,))[i].chi2 for i in held_out] for fit in everything.values()])
-    relative = np.exp(-0.5 * np.clip(chi2 - chi2.min(axis=0), 0.0, 1400.0))  # (fits, trials)
+    misfit = np.array([[predict(fit, (i,))[i].chi2 for i in held_out] for fit in everything.values()])
+    relative = np.exp(-0.5 * np.clip(misfit - misfit.min(axis=0), 0.0, 1400.0))  # (fits, trials)
     w = np.full(len(everything), 1.0 / len(everything))
     for _ in range(rounds):
         share = w[:, None] * relative
@@ -230,14 +244,21 @@ def _channel_features(m: Motion, c: int, noise: float) -> Array:
     return np.array([*sizes, *colours, *np.arcsinh(like).tolist(), *shares, first])
 
 
+def has_forest() -> bool:
+    """Whether scikit-learn is installed."""
+    return importlib.util.find_spec("sklearn") is not None
+
+
 def forest_out_of_fold(
     features: Mapping[str, Sequence[float]], labels: Mapping[str, str], seed: int, trees: int = TREES
 ) -> dict[str, dict[str, float]]:
-    """Probabilities of every campaign by a forest that has not seen it; empty where there are too few to learn from.
+    """Probabilities of every campaign by a forest that has not seen it.
+
+    Empty where there are too few to learn from, or without scikit-learn.
 
     features : campaign -> numbers, all of one length; labels : campaign -> right answer.
     """
-    names = sorted(set(features) & set(labels))
+    names = sorted(set(features) & set(labels)) if has_forest() else []
     counts: dict[str, int] = {}
     for name in names:
         counts[labels[name]] = counts.get(labels[name], 0) + 1

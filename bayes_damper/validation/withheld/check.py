@@ -19,7 +19,9 @@ from bayes_damper.runs.provenance import provenance
 from bayes_damper.text import counted
 from bayes_damper.text import p_value as told_p
 from bayes_damper.validation.withheld import scores
-from bayes_damper.validation.withheld.baselines import baselines_of, forest_out_of_fold
+from bayes_damper.validation.withheld.archive import NAME as ARCHIVE
+from bayes_damper.validation.withheld.archive import write_archive
+from bayes_damper.validation.withheld.baselines import FOREST_ABSENT, baselines_of, forest_out_of_fold, has_forest
 from bayes_damper.validation.withheld.sealing import (
     differences,
     digest,
@@ -69,8 +71,8 @@ def verdict_of(
 
     `effects`: folder with effects beside the library's and those of installed packages.
 
-    That is: the answers of the baselines on the same fits, intervals under the leading effect, a case left out; none of
-    it where effects are taken out of the library (`leave_out`).
+    That is: the answers of the baselines on the same fits, intervals under the answer, forecasts, a case left out; none
+    of it where effects are taken out of the library (`leave_out`).
     """
     from bayes_damper.campaign import load_campaign
     from bayes_damper.diagnosis import diagnose
@@ -80,21 +82,26 @@ def verdict_of(
     told = found.to_json()
     if leave_out:
         return told
-    return {**told, "baselines": baselines_of(found), **_under_the_winner(found)}
+    return {**told, "baselines": baselines_of(found), **_under_the_answer(found)}
 
 
-def _under_the_winner(found: Any) -> dict[str, Any]:
-    """Intervals of the parameters under the leading effect, and what it closes of the gap on a case left out.
+def _under_the_answer(found: Any) -> dict[str, Any]:
+    """Intervals of the parameters under the answer, forecasts, and what the leading effect closes of a case left out.
 
-    The case left out is the last of the campaign; nothing is told where the leading answer has no fit.
+    The answer: the leading effect, or the nominal rig where nothing is missing. The case left out is the last of the
+    campaign; nothing is reported of it where the leading answer has no fit.
     """
+    from bayes_damper.calibration.forecast import forecasts
     from bayes_damper.diagnosis.gap import left_out_case
 
     fit = found.best
+    out: dict[str, Any] = {"forecast": {k: v for k, v in forecasts(found.nominal, fit).items() if k != "trials"}}
+    told = found.nominal if found.verdict == "none" else fit
+    if told is not None:
+        names = told.problem.names
+        out["intervals90"] = {n: list(told.interval(n)) for n in scores.PARAMETERS if n in names}
     if fit is None or found.winner is None:
-        return {}
-    names = fit.problem.names
-    out: dict[str, Any] = {"intervals90": {n: list(fit.interval(n)) for n in scores.PARAMETERS if n in names}}
+        return out
     cases = sorted({trial.case for trial in found.experiment.trials})
     if len(cases) > 1 and found.verdict == found.winner.effect.name:
         case = left_out_case(found.nominal, fit, cases[-1])
@@ -146,7 +153,10 @@ def find_campaigns(folder: Path) -> dict[str, Path]:
     """
     found = {path.parent.name: path.parent for path in sorted(folder.glob("*/campaign.toml"))}
     if not found:
-        raise InputError(f"{folder}: holds no campaigns; make some with data/withheld/make.py --out {folder}")
+        raise InputError(
+            f"{folder}: holds no campaigns; make some in the repository: python -m validation.laboratories 'none*4' "
+            f"'library*4' --out {folder}"
+        )
     return found
 
 
@@ -166,14 +176,14 @@ def withheld(
 ) -> Withheld:
     """Diagnose campaigns whose effect is withheld, seal every verdict, open the key and score.
 
-    folder : campaigns as data/withheld/make.py writes them; default: those shipped. key : default FOLDER_key.json
-    beside it. full : all campaigns, and every campaign of a library effect again with its class taken out of the
-    library; otherwise the first 24 by name, which are hashes. out : where the run keeps its state; the same call goes
-    on with a run that was stopped. diagnose_with : a module's function that gives a verdict, called as `verdict_of` is.
-    effects : folder with effects of your own, candidates beside those of the library and of installed packages; in the
-    key they are effects of the library. leave_one_out : whether campaigns are judged again without the effect that they
-    have; None: as `full`. workers : processes; scheduler : address of a Dask cluster in their place; seed : decides
-    every random number; progress : told how far it is, as in `fit`.
+    folder : campaigns as `python -m validation.laboratories` of the repository writes them; default: those shipped.
+    key : default FOLDER_key.json beside it. full : all campaigns, and every campaign of a library effect again with its
+    class taken out of the library; otherwise the first 24 by name, which are hashes. out : where the run keeps its
+    state; the same call goes on with a run that was stopped. diagnose_with : a module's function that gives a verdict,
+    called as `verdict_of` is. effects : folder with effects of your own, candidates beside those of the library and of
+    installed packages; in the key they are effects of the library. leave_one_out : whether campaigns are judged again
+    without the effect that they have; None: as `full`. workers : processes; scheduler : address of a Dask cluster in
+    their place; seed : decides every random number; progress : told how far it is, as in `fit`.
 
     Raises
     ------
@@ -231,6 +241,7 @@ def withheld(
         "scores": told,
         "leave_one_out": left_out_scores(removed),
         "baselines": baseline_scores(rows, opened, groups, seed),
+        "baselines_skipped": skipped_baselines(),
         "provenance": provenance(workers=workers),
     }  # fmt: skip
     results["bound_to_code"] = not reasons and (source == _shipped() or _remember(key_file, now))
@@ -238,6 +249,7 @@ def withheld(
     write_json(home / "withheld.json", results)
     write_text(home / "withheld.txt", table_text(results) + "\n")
     figures.save(figures.withheld_figure(results["scores"], rehearsal=bool(reasons)), home / "withheld")
+    write_archive(home, key_file, home / ARCHIVE)
     return Withheld(results, home)
 
 
@@ -438,6 +450,11 @@ def baseline_scores(
     return out
 
 
+def skipped_baselines() -> list[str]:
+    """Which baselines cannot run here, and what to install: a sentence each."""
+    return [] if has_forest() else [FOREST_ABSENT]
+
+
 def _as_verdict(probabilities: Mapping[str, float]) -> dict[str, Any]:
     return {"verdict": max(probabilities, key=lambda n: probabilities[n]), "probabilities": probabilities}
 
@@ -472,15 +489,17 @@ def seal_path(key: Path) -> Path:
     return key.with_name(key.name.removesuffix(".json").removesuffix("_key") + "_seal.json")
 
 
-def seal_campaigns(folder: str | Path, key: str | Path | None = None) -> Path:
-    """Bind a set of campaigns to the code of this moment; the file written, NAME_seal.json beside the key.
+def seal_campaigns(folder: str | Path, key: str | Path | None = None, *, code: bool = True) -> Path:
+    """Bind a set of campaigns to its key and to the code of this moment; the file written, NAME_seal.json beside it.
 
-    Scores of these campaigns under other code are rehearsals from now on.
+    Scores of these campaigns under other code are rehearsals from now on. code : False binds the data and the key
+    alone, as for campaigns that are shipped: no change of the code touches that seal.
     """
     source = Path(folder)
     key_file = Path(key) if key is not None else source.parent / f"{source.name}_key.json"
     frozen = freeze(find_campaigns(source), key_file, all_effects(), 0, name_of(verdict_of))
-    write_freeze(seal_path(key_file), frozen)
+    data = ("schema", "key_sha256", "campaigns", "written")
+    write_freeze(seal_path(key_file), frozen if code else {name: frozen[name] for name in data})
     return seal_path(key_file)
 
 
@@ -490,9 +509,12 @@ def _earlier(key: Path, now: Mapping[str, Any]) -> list[str]:
     if not path.exists():
         return []
     sealed = read_freeze(path)
-    told = differences({**sealed, "call": now["call"]}, now)
+    told = differences({**sealed, "call": now["call"]}, now) if "code_sha256" in sealed else []
     if sealed["key_sha256"] != now["key_sha256"]:
         told.append(f"{path.name} was written for another key")
+    changed = [n for n, seal in now["campaigns"].items() if sealed["campaigns"].get(n, seal) != seal]
+    if changed:
+        told.append(f"the data of {', '.join(changed[:3])} have changed")
     return [f"these campaigns were sealed on {sealed['written'][:10]}: {reason}" for reason in told]
 
 
@@ -544,6 +566,13 @@ _LINES = (
     ("90 % intervals cover", "coverage90"),
     ("seconds a campaign, median", "seconds"),
 )
+_CLASS_LINES = (
+    ("wrong effect with p > 0.5", "false_and_likely"),
+    ("90 % intervals of scatters", "scatter90"),
+    ("gap's test below 5 %, sound", "gap_test_5"),
+    ("readings in 50 % bands, mean", "bands50"),
+    ("readings in 90 % bands, mean", "bands90"),
+)
 
 
 def table_text(results: Mapping[str, Any]) -> str:
@@ -565,6 +594,12 @@ def table_text(results: Mapping[str, Any]) -> str:
                 f"  {'calibration error':32s}{r['error']:.3f}  (calibrated twin: {r['twin_error']['mean']:.3f}, 95 % "
                 f"below {r['twin_error']['upper95']:.3f}; {told_p(r['p_value'])})"
             )
+    for name, found in (told.get("by_class") or {}).items():
+        r = found["reliability"]
+        lines += ["", f"{name} ({counted(found['campaigns'], 'campaign')})"]
+        lines += [f"  {words:32s}{_figure(found[key])}" for words, key in (*_LINES, *_CLASS_LINES) if found[key]["n"]]
+        if r["n"]:
+            lines.append(f"  {'calibration error':32s}{r['error']:.3f}  ({told_p(r['p_value'])})")
     if told["by_level"]:
         lines += ["", f"  {'level':>12s}  {'right first':32s}share of gap closed"]
         lines += [
@@ -597,5 +632,6 @@ def table_text(results: Mapping[str, Any]) -> str:
             f"{b['better_log_score']}"
             for name, b in results["baselines"].items()
         ]
+    lines += [f"  {sentence}" for sentence in results.get("baselines_skipped") or ()]
     lines += ["", f"misses ({len(told['misses'])})", *(f"  {miss}" for miss in told["misses"])]
     return "\n".join(lines)

@@ -1,9 +1,11 @@
 """Tables of a proof, for its page and for the README.
 
     python -m bayes_damper.validation.withheld.page EASY HARD
+    python -m bayes_damper.validation.withheld.page LABORATORIES
 
 EASY, HARD: what `withheld.together` wrote of the two kinds. Printed are the tables of docs/proof/withheld.md, the
-misses one by one, and the table of the README; a test holds both files against them.
+misses one by one, and the table of the README; a test holds both files against them. LABORATORIES: the withheld.json of
+drawn laboratories, for docs/proof/laboratories.md.
 """
 
 from __future__ import annotations
@@ -14,6 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from bayes_damper.runs.execution import read_json
+from bayes_damper.text import p_value
+from bayes_damper.validation.withheld.scores import status
 
 PLACES = ("easy, level 0.15-2", "easy, level 0.05", "hard, level 1", "hard, level 0.5", "hard, level 0.15")
 KINDS = ("easy", "hard")
@@ -21,7 +25,55 @@ KINDS = ("easy", "hard")
 
 def table(easy: Mapping[str, Any], hard: Mapping[str, Any]) -> str:
     """Markdown: targets by kind and level, then those of a kind at all its levels."""
-    return "\n".join((*_rows(easy, hard, PLACES), "", *_rows(easy, hard, KINDS)))
+    calibration = [
+        "calibration error of the probabilities",
+        *(_calibration(d, kind) for d, kind in zip((easy, hard), KINDS, strict=True)),
+    ]
+    return "\n".join((*_rows(easy, hard, PLACES), "", *_rows(easy, hard, KINDS), _line(calibration)))
+
+
+_BY_CLASS = (
+    ("`none` where nothing is missing", "none_kept"), ("right effect first", "right_first"),
+    ("`unknown` first, outside the library", "unknown_first"), ("right site, library", "site"),
+    ("wrong name with p > 0.9", "false_and_confident"), ("wrong name with p > 0.5", "false_and_likely"),
+    ("truth in the 90 % set", "truth_in_credible_set"), ("90 % intervals of parameters", "coverage90"),
+    ("90 % intervals of scatters", "scatter90"), ("gap's test below 5 %, sound rigs", "gap_test_5"),
+    ("readings in 50 % bands", "bands50"), ("readings in 90 % bands", "bands90"), ("log score, nats", "log_score"),
+    ("seconds, median", "seconds"),
+)  # fmt: skip
+
+
+def laboratories(results: Mapping[str, Any]) -> str:
+    """Markdown: targets over laboratories, what each class of them came to, the baselines, the misses."""
+    told = results["scores"]
+    lines = [_line(("what", "where", "came out", "asked")), _line(["---"] * 4)]
+    for t in (t for t in told["targets"] if t["where"].startswith("laboratories") and t["n"]):
+        came, _, asked = _cell(t).partition("; ")
+        lines.append(_line((t["what"], t["where"], came, asked)))
+    found = told["by_class"] | {"all": {**told["all"], "reliability": told["reliability"]["all"]}}
+    lines += ["", _line(("what", *found)), _line(["---"] * (1 + len(found)))]
+    lines.append(_line(("campaigns", *(str(c["campaigns"]) for c in found.values()))))
+    lines += [_line((words, *(_short(c[name]) for c in found.values()))) for words, name in _BY_CLASS]
+    reliable = [c["reliability"] for c in found.values()]
+    lines.append(
+        _line(("calibration", *(f"{r['error']:.2f}; {p_value(r['p_value'])}" if r["n"] else "-" for r in reliable)))
+    )
+    lines += ["", _line(("baseline", "right or acceptable first", "log score", "better log score")), _line(["---"] * 4)]
+    for name, b in (results["baselines"] or {}).items():
+        lines.append(
+            _line((name, *(_short(b["baseline"][n]) for n in ("accepted_first", "log_score")), b["better_log_score"]))
+        )
+    lines += ["", *(f"- {miss}" for miss in told["misses"])]
+    return "\n".join(lines)
+
+
+def _short(found: Mapping[str, Any]) -> str:
+    if not found["n"] or found["value"] is None:
+        return "-"
+    if "hits" in found:
+        return f"{found['hits']} of {found['n']}"
+    low, high = found["interval95"]
+    return f"{found['value']:.2g} ({low:.2g} .. {high:.2g})"
 
 
 def misses(easy: Mapping[str, Any], hard: Mapping[str, Any]) -> str:
@@ -63,6 +115,15 @@ def _rows(easy: Mapping[str, Any], hard: Mapping[str, Any], places: Sequence[str
     return [_line(cells) for cells in (head, ["---"] * len(head), *lines)]
 
 
+def _calibration(results: Mapping[str, Any], kind: str) -> str:
+    """Error of the probabilities, that of a calibrated twin, and how often a twin errs as much."""
+    found = results["scores"]["reliability"][kind]
+    if not found["n"]:
+        return "-"
+    twin = found["twin_error"]
+    return f"{found['error']:.3f} of {found['n']}; twin {twin['mean']:.3f}; {p_value(found['p_value'])}"
+
+
 def _name(target: Mapping[str, Any]) -> str:
     """What is asked for, without what differs from kind to kind."""
     return str(target["what"]).partition(" within ")[0]
@@ -73,8 +134,8 @@ def _cell(target: Mapping[str, Any]) -> str:
     asked = " and ".join(
         f"{sign} {target[side]:g}" for side, sign in (("least", ">="), ("most", "<=")) if target[side] is not None
     )
-    missed = " **missed**" if target["status"] == "missed" else ""
-    return f"{target['value']:.2g} ({low:.2g} .. {high:.2g}) of {target['n']}; {asked}{missed}"
+    mark = {"missed": " **missed**", "shown": " (shown)"}.get(status(target), "")
+    return f"{target['value']:.2g} ({low:.2g} .. {high:.2g}) of {target['n']}; {asked}{mark}"
 
 
 def _line(cells: Sequence[str]) -> str:
@@ -106,8 +167,11 @@ def _beaten(results: Mapping[str, Any]) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line; returns the exit code."""
     given = [Path(x) for x in (sys.argv[1:] if arguments is None else arguments)]
+    if len(given) == 1:
+        sys.stdout.write(laboratories(read_json(given[0])) + "\n")
+        return 0
     if len(given) != 2:
-        sys.stdout.write("give the withheld.json of the easy set and that of the hard one\n")
+        sys.stdout.write("give the withheld.json of the easy set and that of the hard one, or that of laboratories\n")
         return 2
     easy, hard = (read_json(path) for path in given)
     sys.stdout.write("\n\n".join(part(easy, hard) for part in (table, misses, short_table)) + "\n")

@@ -4,11 +4,13 @@ Everything here is a function of verdicts (as in diagnosis.json) and entries of 
 
 Right answers of a campaign:
 
-- an effect of the library: the effect or one of its class; on the hard kind, where the declared constants explain it
-  (`visible_chi2` below 10, 5 nats), `none` too;
+- an effect of the library: the effect or one of its class; on the hard kind and in laboratories, where the declared
+  constants (and what scatters) explain it (`visible_chi2` below 10, 5 nats), `none` too;
 - nothing wrong: `none`;
 - a foreign effect: `unknown`; where it is not visible (`visible_chi2` of 30 or less), `none` too;
-- a pair: both named; either of them as the verdict counts as half and is told apart.
+- a pair: both named; either of them as the verdict counts as half and is reported apart. Of three effects, two.
+
+A target is met when the estimate reaches it, and shown when its 95 % interval lies beyond it.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ Array = NDArray[np.float64]
 IDENTIFIABLE_CHI2 = 10.0
 FOREIGN_VISIBLE_CHI2 = 30.0
 LEAST_PROBABILITY = 1e-6  # below which the log score is not followed
-CONFIDENT = 0.9
+CONFIDENT, LIKELY = 0.9, 0.5
+HIDDEN_KINDS = ("hard", "laboratory")
 PARAMETERS = ("mu", "k2t", "c2t", "drag", "c1t")
 BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 1.0)
 BOOTSTRAPS = 2000
@@ -38,6 +41,9 @@ FAILED = "failed"
 class Scored:
     """One verdict beside its truth.
 
+    laboratory : what the key says of the laboratory's class; gap_p : of the test for a gap; bands : shares of held-out
+    readings within the 50 and 90 % bands of their forecast; scatter_covered : whether the 90 % interval of each
+    scatter holds the true one.
     right : answers that count as right; p_right : their probability; confidence : probability of the verdict's class;
     brier : sum over answers (a class as one) of (p - 1 if right else p)^2; single : only one answer (a class as one) is
     right, so that it enters names' rates; sites : the true site or sites.
@@ -72,6 +78,11 @@ class Scored:
     event_error_s: float | None
     rms: tuple[float, float, float] | None
     failed: bool
+    false_and_likely: bool
+    laboratory: Mapping[str, Any]
+    gap_p: float | None
+    bands: tuple[float, float] | None
+    scatter_covered: Mapping[str, bool]
 
     @property
     def group(self) -> str:
@@ -109,7 +120,7 @@ def right_answers(entry: Mapping[str, Any], groups: Sequence[frozenset[str]], le
         return frozenset(n for effect in entry["effects"] for n in class_of(effect, groups))
     if entry["standing"] != "library" or left_out:
         return frozenset({"unknown"}) | (frozenset({"none"}) if visible <= FOREIGN_VISIBLE_CHI2 else frozenset())
-    hidden = entry["kind"] == "hard" and visible < IDENTIFIABLE_CHI2
+    hidden = entry["kind"] in HIDDEN_KINDS and visible < IDENTIFIABLE_CHI2
     return class_of(truth, groups) | set(entry.get("class") or ()) | ({"none"} if hidden else set())
 
 
@@ -159,6 +170,7 @@ def score_one(
     gap = verdict.get("gap") or {}
     rms = [gap.get(k) for k in ("nominal_rms", "augmented_rms", "noise_rms")]
     library = entry["truth"] not in ("none", "pair") and entry["standing"] == "library"
+    sound = "laboratory" in entry and entry["truth"] == "none"
     return Scored(
         name=name,
         kind=entry["kind"],
@@ -183,12 +195,17 @@ def score_one(
         closed_left_out=_number(verdict.get("left_out_case"), "closed"),
         seconds=_float(verdict.get("seconds")),
         visible=float(entry["visible_chi2"]),
-        both_named=bool(both) and all(both),
+        both_named=sum(both) >= 2,
         either_named=any(both),
-        covered=_covered(verdict, entry) if library and is_right and said != "none" else {},
+        covered=_covered(verdict, entry) if is_right and (sound or (library and said != "none")) else {},
         event_error_s=_event_error(verdict, entry),
         rms=None if any(x is None for x in rms) else (float(rms[0]), float(rms[1]), float(rms[2])),  # type: ignore[arg-type]
         failed=said == FAILED,
+        false_and_likely=effects_said and not is_right and confidence > LIKELY,
+        laboratory=entry.get("laboratory") or {},
+        gap_p=_float(gap.get("p_value")),
+        bands=_bands(verdict),
+        scatter_covered=_scatter_covered(verdict, entry),
     )
 
 
@@ -217,6 +234,25 @@ def _covered(verdict: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, 
         if interval is not None and name in truth:
             out[name] = interval[0] <= float(truth[name]) <= interval[1]
     return out
+
+
+def _scatter_covered(verdict: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, bool]:
+    """Whether the 90 % interval of each scatter that is reported holds the true one; relative ones only."""
+    true = entry.get("scatter") or {}
+    out = {}
+    for name, row in (verdict.get("scatter") or {}).items():
+        interval = row.get("hdi90") if isinstance(row, Mapping) else None
+        if interval and name in true and row.get("unit") == "relative":
+            out[name] = interval[0] <= float(true[name]) <= interval[1]
+    return out
+
+
+def _bands(verdict: Mapping[str, Any]) -> tuple[float, float] | None:
+    """Shares of held-out readings within the bands of the forecast with the answer, or of the nominal rig's."""
+    told = verdict.get("forecast") or {}
+    row = told.get("after") or told.get("before") or {}
+    found = _float(row.get("coverage50")), _float(row.get("coverage90"))
+    return None if found[0] is None or found[1] is None else (found[0], found[1])
 
 
 def _event_error(verdict: Mapping[str, Any], entry: Mapping[str, Any]) -> float | None:
@@ -367,6 +403,7 @@ def summarise(rows: Sequence[Scored]) -> dict[str, Any]:
         "truth_in_credible_set": rate(r.in_set for r in single if r.group != "foreign"),
         "credible_set_size": bootstrap((r.set_size for r in library), np.median),
         "false_and_confident": rate(r.false_and_confident for r in single),
+        "false_and_likely": rate(r.false_and_likely for r in single),
         "site": rate(r.site_right for r in library),
         "site_of_unknown": rate(r.site_right for r in foreign),
         "site_of_unknown_in_set": rate(r.site_in_set for r in foreign),
@@ -380,8 +417,30 @@ def summarise(rows: Sequence[Scored]) -> dict[str, Any]:
         "coverage90_by_parameter": {
             name: rate(r.covered[name] for r in rows if name in r.covered) for name in PARAMETERS
         },
+        "scatter90": rate(hit for r in rows for hit in r.scatter_covered.values()),
+        "gap_test_5": rate(r.gap_p < 0.05 for r in rows if r.group == "none" and r.gap_p is not None),
+        "bands50": bootstrap((r.bands[0] for r in rows if r.bands is not None), np.mean),
+        "bands90": bootstrap((r.bands[1] for r in rows if r.bands is not None), np.mean),
         "seconds": bootstrap((r.seconds for r in rows if r.seconds is not None), np.median),
     }
+
+
+CLASSES: dict[str, Callable[[Scored], bool]] = {
+    "with repeats": lambda r: bool(r.laboratory.get("repeats")),
+    "without repeats": lambda r: r.laboratory.get("repeats") is False,
+    "two bodies": lambda r: r.laboratory.get("bodies") == 2,
+    "one body": lambda r: r.laboratory.get("bodies") == 1,
+    "strong scatter": lambda r: r.laboratory.get("scatter_class") == "strong",
+    "weak scatter": lambda r: r.laboratory.get("scatter_class") == "weak",
+    "no scatter": lambda r: r.laboratory.get("scatter_class") == "none",
+}
+"""Classes of laboratories; strong: the geometric mean of all scatters is above the typical one."""
+
+
+def by_class(rows: Sequence[Scored], seed: int = 0) -> dict[str, dict[str, Any]]:
+    """Scores and calibration of each class of laboratories; empty where no campaign is of one."""
+    found = {name: [r for r in rows if chosen(r)] for name, chosen in CLASSES.items()}
+    return {name: {**summarise(here), "reliability": reliability(here, seed)} for name, here in found.items() if here}
 
 
 def by_level(rows: Sequence[Scored]) -> list[dict[str, Any]]:
@@ -421,19 +480,28 @@ class Target:
     counted: int = 20
 
     def judge(self, rows: Sequence[Scored]) -> dict[str, Any]:
-        """The figure, its interval, and whether the target is met: the interval holds it or lies beyond it."""
+        """The figure, its interval, and whether the target is shown, met or missed."""
         found = self.of([row for row in rows if self.chosen(row)])
-        low, high = found["interval95"]
-        if found["value"] is None or found["n"] == 0:
-            status = "not tested"
-        else:
-            above = self.least is None or high >= self.least - 1e-12
-            below = self.most is None or low <= self.most + 1e-12
-            status = "met" if above and below else "missed"
-        return {
+        judged = {
             "what": self.what, "where": self.where, "least": self.least, "most": self.most, "value": found["value"],
-            "interval95": [low, high], "n": found["n"], "enough": found["n"] >= self.counted, "status": status,
+            "interval95": list(found["interval95"]), "n": found["n"], "enough": found["n"] >= self.counted,
         }  # fmt: skip
+        return {**judged, "status": status(judged)}
+
+
+def status(judged: Mapping[str, Any]) -> str:
+    """Of a target and what came out: "met" when the estimate reaches it, "shown" when the 95 % interval lies beyond it.
+
+    Else "missed"; "not tested" without a campaign.
+    """
+    least, most = (-math.inf if judged["least"] is None else judged["least"]), judged["most"]
+    most = math.inf if most is None else most
+    if judged["value"] is None or judged["n"] == 0:
+        return "not tested"
+    if not least - 1e-12 <= judged["value"] <= most + 1e-12:
+        return "missed"
+    low, high = judged["interval95"]
+    return "shown" if low >= least - 1e-12 and high <= most + 1e-12 else "met"
 
 
 def _rate_of(attribute: str) -> Callable[[Sequence[Scored]], dict[str, Any]]:
@@ -466,6 +534,57 @@ def _event(within_s: float) -> Callable[[Sequence[Scored]], dict[str, Any]]:
 
 def _seconds(rows: Sequence[Scored]) -> dict[str, Any]:
     return bootstrap((r.seconds for r in rows if r.seconds is not None), np.median)
+
+
+def _size_of_test(rows: Sequence[Scored]) -> dict[str, Any]:
+    return rate(r.gap_p < 0.05 for r in rows if r.gap_p is not None)
+
+
+def _scatters(rows: Sequence[Scored]) -> dict[str, Any]:
+    return rate(hit for r in rows for hit in r.scatter_covered.values())
+
+
+def _inside(band: int) -> Callable[[Sequence[Scored]], dict[str, Any]]:
+    return lambda rows: bootstrap((r.bands[band] for r in rows if r.bands is not None), np.mean)
+
+
+def _sayable(rows: Sequence[Scored]) -> dict[str, Any]:
+    return rate(r.is_right or r.in_set or r.verdict == "unknown" for r in rows)
+
+
+def _of_laboratories() -> list[Target]:
+    """Targets over drawn laboratories."""
+
+    def of(*groups: str, level: float | None = None, repeats: bool | None = None) -> Callable[[Scored], bool]:
+        return lambda r: (
+            r.kind == "laboratory" and r.group in groups and (r.single or r.group == "pair")
+            and (level is None or abs(r.level - level) < 1e-9)
+            and (repeats is None or bool(r.laboratory.get("repeats")) == repeats)
+        )  # fmt: skip
+
+    sound, lab = of("none"), "laboratories"
+    first, confident, likely = _rate_of("is_right"), _rate_of("false_and_confident"), _rate_of("false_and_likely")
+    each, one = of("none", "library", "foreign"), "laboratories, level 1"
+    return [
+        Target("none where nothing is missing", f"{lab} with repeats", first, of("none", repeats=True), 0.95, None, 60),
+        Target("none where nothing is missing", f"{lab} without repeats", first, of("none", repeats=False), 0.9),
+        Target("wrong name with p > 0.9, sound rigs", lab, confident, sound, None, 0.0, 100),
+        Target("wrong name with p > 0.9", lab, confident, each, None, 0.02, 200),
+        Target("wrong name with p > 0.5", lab, likely, each, None, 0.04, 200),
+        Target("right effect first", f"{one}, with repeats", first, of("library", level=1.0, repeats=True), 0.92),
+        Target("right effect first", f"{one}, without repeats", first, of("library", level=1.0, repeats=False), 0.75),
+        Target("right first, in the set, or unknown", f"{one}, without repeats", _sayable,
+               of("library", level=1.0, repeats=False), 1.0),
+        Target("effect outside the library: unknown first", one, first, of("foreign", level=1.0), 0.85),
+        Target("site, effect in the library", lab, _rate_of("site_right"), of("library"), 0.95),
+        Target("site of an unknown: right one first", lab, _rate_of("site_right"), of("foreign"), 0.8),
+        Target("90 % intervals of parameters cover", lab, _coverage, of("none", "library"), 0.85, 0.95, 100),
+        Target("90 % intervals of scatters cover", lab, _scatters, of("none", "library"), 0.85, 0.95, 100),
+        Target("size of the gap's test at 5 %", lab, _size_of_test, sound, 0.03, 0.07, 100),
+        Target("50 % bands of forecasts hold", lab, _inside(0), of("none", "library", "foreign", "pair"), 0.4, 0.6),
+        Target("90 % bands of forecasts hold", lab, _inside(1), of("none", "library", "foreign", "pair"), 0.85, 0.95),
+        Target("seconds a campaign, median", lab, _seconds, lambda r: r.kind == "laboratory", None, 20.0),
+    ]  # fmt: skip
 
 
 def _targets_of(kind: str, levels: tuple[float, float], f: Mapping[str, float]) -> list[Target]:
@@ -543,6 +662,7 @@ TARGETS: tuple[Target, ...] = (
         "site_set": 0.88, "log": 0.5, "brier": 0.2,
     }),
     *_of_kind("hard", {"none": 0.97, "pairs": 0.7, "cover": 0.8, "cover_most": 0.96, "event": 5.0}),
+    *_of_laboratories(),
 )  # fmt: skip
 
 
@@ -573,6 +693,7 @@ def all_scores(rows: Sequence[Scored], seed: int = 0) -> dict[str, Any]:
         "all": summarise(rows),
         "by_kind": {kind: summarise([r for r in rows if r.kind == kind]) for kind in kinds},
         "by_level": by_level(rows),
+        "by_class": by_class(rows, seed),
         "confusion": confusion(rows),
         "sites": site_matrix(rows),
         "reliability": {

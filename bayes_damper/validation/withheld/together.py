@@ -21,7 +21,13 @@ from bayes_damper.errors import InputError
 from bayes_damper.runs.execution import read_json, write_json, write_text
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.validation.withheld import scores
-from bayes_damper.validation.withheld.check import SCHEMA, baseline_scores, left_out_scores, table_text
+from bayes_damper.validation.withheld.check import (
+    SCHEMA,
+    baseline_scores,
+    left_out_scores,
+    skipped_baselines,
+    table_text,
+)
 from bayes_damper.validation.withheld.sealing import read_freeze, read_verdict
 
 
@@ -77,7 +83,8 @@ def together(runs: Sequence[tuple[Path, Path]], seed: int = 1) -> dict[str, Any]
             for row in rows
         },
         "scores": told, "leave_one_out": left_out_scores(removed),
-        "baselines": baseline_scores(rows, opened, groups, seed), "provenance": provenance(),
+        "baselines": baseline_scores(rows, opened, groups, seed), "baselines_skipped": skipped_baselines(),
+        "provenance": provenance(),
     }  # fmt: skip
 
 
