@@ -33,12 +33,21 @@ READER: dict[str, tuple[tuple[type, ...], str]] = {
     "units": ((list,), "their units (default: as the file names them, else SI); mV or V with sensitivity"),
     "sensitivity": ((list,), "of sensors whose voltage was recorded, one per channel, e.g. '100 mV/g'"),
     "torque": ((str, int), "column of a measured torque (force) on the primary"),
+    "torque2": ((str, int), "column of a measured torque (force) on the secondary"),
     "torque_unit": ((str,), "N m (default), N mm, mN m; N, kN, mN"),
+    "ground": ((str, int), "column of the measured motion of the ground"),
+    "ground_unit": (
+        (str,),
+        "rad/s^2, deg/s^2 or rad, deg, ...; m/s^2, g, ... or m, mm, ... (default: as the file names it)",
+    ),
     "mounting_radius": ((int, float, list), "m, of tangential sensors on a torsional rig, one or per channel"),
     "sign": ((list,), "1 or -1 per channel"),
     "offset": ((str, int, float, list), "to take off: 'none' (default), 'mean', 'tail', or numbers in the raw unit"),
     "matlab_time": ((list,), "names of the time arrays in a .mat file, in order; a field as 'name.field'"),
     "matlab_data": ((list,), "names of the data arrays in a .mat file, channels along the shorter side"),
+    "group": ((str,), "channels whose names begin so, of a TDMS, MDF4, HDF5 or UFF file that holds several clocks"),
+    "wrap": ((list,), "raw numbers after which a channel begins again, 0 for none: 360 (deg), 65536 (16-bit counter)"),
+    "scale": ((list,), "what one raw number is, in 'units', per channel: 0.0879 (deg per count), 0.35 (mm per pixel)"),
     "start": ((int, float), "s on the raw clock: cut what is earlier"),
     "end": ((int, float), "s on the raw clock: cut what is later"),
     "release": ((str, int, float), "t = 0: 'start' (default), 'find', 'first_peak', or s on the raw clock"),
@@ -76,7 +85,17 @@ _PATTERN = {
     "k1t": r"\d+(?:[.,]\d+)?",
 }
 _RIG = tuple(Rig.__dataclass_fields__)
-MEASUREMENT = ("quantity", "noise_std", "sensor_range", "sensor_bandwidth", "offset_std", "scale_std", "lag_std")
+MEASUREMENT = (
+    "quantity",
+    "frame",
+    "input",
+    "noise_std",
+    "sensor_range",
+    "sensor_bandwidth",
+    "offset_std",
+    "scale_std",
+    "lag_std",
+)
 LEAST_KNOWN = 0.5
 """Share of a file's lines that must hold readings."""
 NOTHING_RUBS = (

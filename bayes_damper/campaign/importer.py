@@ -48,7 +48,7 @@ Array = NDArray[np.float64]
 _ITEMS: dict[str, tuple[type, ...]] = {
     "source": (str,), "sha256": (str,), "columns": (str, int), "units": (str,), "sensitivity": (str,),
     "mounting_radius": (int, float), "sign": (int, float), "offset": (str, int, float), "matlab_time": (str,),
-    "matlab_data": (str,),
+    "matlab_data": (str,), "wrap": (int, float), "scale": (int, float),
 }  # fmt: skip
 """What the lists of an import table may hold."""
 _LEAST: dict[str, float] = {"every": 1, "skip_lines": 0, "before": 0.0}
@@ -415,11 +415,12 @@ def _trial_from(
         )
     n_channels = 2 if coupled else 1
     places = [source.index(c, where) for c in wanted[:n_channels]]
-    channels = source.table[:, places].T
+    channels = _unwrapped(source.table[:, places].T, option)
     contradicted += _other_units(source, places, option.get("units", []), where)
     option = {"units": _told_units(source, places, rig.kind, measurement.quantity), **option}
-    torque = source.table[:, source.index(option["torque"], where)] if "torque" in option else None
+    inputs = _inputs_of(source, option, rig.kind, where)
     known = np.isfinite(times) & np.isfinite(channels).all(axis=0)
+    known &= np.all([np.isfinite(x) for x in inputs.values()], axis=0)
     if np.mean(known) < LEAST_KNOWN:
         missing = 100.0 * (1.0 - np.mean(known))
         raise InputError(
@@ -428,7 +429,6 @@ def _trial_from(
         )
     # A line without a reading becomes a gap of the record, which every command allows for.
     times, channels = times[known], channels[:, known]
-    torque = None if torque is None else torque[known]
     back = np.flatnonzero(np.diff(times) <= 0.0)
     if len(back):
         raise InputError(
@@ -436,13 +436,8 @@ def _trial_from(
         )
     keep, zero = _window(times, channels[0], option, measurement, where)
     times, channels = np.round(times[keep] - zero, 9), channels[:, keep]
-    torque = torque[keep] if torque is not None else None
     channels = _in_si(channels, option, rig.kind, measurement.quantity, where)
-    if torque is not None:
-        unit = option.get("torque_unit", next(iter(_INPUT[rig.kind])))
-        if unit not in _INPUT[rig.kind]:
-            raise InputError(f"{option['where']}: torque_unit '{unit}' is none of {', '.join(_INPUT[rig.kind])}")
-        torque = torque * _INPUT[rig.kind][unit]
+    acting = {key: x[known][keep] for key, x in inputs.items()}
     return Trial(
         option["file"],
         option["case"],
@@ -452,9 +447,54 @@ def _trial_from(
         _release_angle(option, rig.kind, measurement.start),
         times,
         channels,
-        torque,
-        option.get("holdout", False),
+        holdout=option.get("holdout", False),
+        **acting,
     )
+
+
+def _inputs_of(source: LoggerFile, option: Mapping[str, Any], kind: str, where: str) -> dict[str, Array]:
+    """Measured inputs in SI units, by their names in structure.INPUTS."""
+    out: dict[str, Array] = {}
+    for key in ("torque", "torque2", "ground"):
+        if key not in option:
+            continue
+        place = source.index(option[key], where)
+        name = "torque_unit" if key != "ground" else "ground_unit"
+        tables = {key: _INPUT[kind]}
+        if key == "ground":
+            known = {"torsional": _ANGULAR, "translational": _TANGENTIAL}[kind]
+            tables = {"ground_acceleration": known["acceleration"], "ground": known["displacement"]}
+        every = {unit: (target, factor) for target, table in tables.items() for unit, factor in table.items()}
+        unit = option.get(name) or source.unit(place) or next(iter(every))
+        if unit not in every:
+            raise InputError(f"{option['where']}: {name} '{unit}' is none of {', '.join(every)}")
+        target, factor = every[unit]
+        out[target] = factor * source.table[:, place]
+    if out and option.get("every", 1) > 1:
+        raise InputError(
+            f"{option['where']}: every = {option['every']} would leave out most of the measured input; write it under "
+            "[measurement] of campaign.toml, where it thins the readings alone"
+        )
+    return out
+
+
+def _unwrapped(channels: Array, option: Mapping[str, Any]) -> Array:
+    """Channels (n_channels, n) that begin again at the end of their range joined, and raw numbers in `units`."""
+    out = np.array(channels, float)
+    for key, neutral in (("wrap", 0.0), ("scale", 1.0)):
+        values = option.get(key, [neutral] * len(out))
+        if len(values) < len(out) or any(not math.isfinite(v) or (key == "wrap" and v < 0.0) for v in values):
+            raise InputError(
+                f"{option['where']}: {key} = {values}: give a number for each of the {len(out)} channels"
+                + (", 0 for one that does not begin again" if key == "wrap" else "")
+            )
+        for y, value in zip(out, values, strict=False):  # y is a row of out
+            there = np.isfinite(y)
+            if key == "scale":
+                np.multiply(y, value, out=y)
+            elif value:
+                y[there] = np.unwrap(y[there], period=value)
+    return out
 
 
 def _source_of(

@@ -1,4 +1,4 @@
-"""What a logger or DAQ system has written (delimited text, MATLAB) as columns of numbers, before any conversion.
+"""What a logger or DAQ system has written (text, MATLAB, JSON, binary forms) as columns of numbers, unconverted.
 
 Text is read as it comes: in UTF-8, UTF-16 or the code page of Windows, with lines of a head before the columns' names,
 a line of units below them, decimal commas, times of the day, quotes, an empty last column, words for missing readings,
@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayes_damper.campaign.logger_formats import channels_of, form_of
 from bayes_damper.errors import InputError
 from bayes_damper.inputs import file_bytes, number_in
 
@@ -38,8 +39,6 @@ _MISSING = {"", "-", "--", "---", "na", "n/a", "nan", "null", "none"}
 _OTHER_FORMATS = (
     (b"PK\x03\x04", "an Excel workbook or another archive; save it as CSV"),
     (b"\xd0\xcf\x11\xe0", "an Excel workbook; save it as CSV"),
-    (b"TDSm", "a TDMS file; export it as CSV or text"),
-    (b"\x89HDF", "an HDF5 file; save it as CSV, or in MATLAB with -v7"),
     (b"\x1f\x8b", "compressed; unpack it first"),
 )
 _CLOCK = re.compile(
@@ -154,8 +153,36 @@ def read_file(path: Path, option: Mapping[str, Any]) -> LoggerFile:
         )
     if not raw.strip():
         raise InputError(f"{path.name}: the file is empty; export it again")
+    form = form_of(raw)
+    if form is not None:
+        return read_binary(raw, path.name, form, option)
     readers = {".mat": read_matlab, ".json": read_json}
     return readers.get(path.suffix.lower(), read_text)(raw, path.name, option)
+
+
+def read_binary(raw: bytes, name: str, form: str, option: Mapping[str, Any]) -> LoggerFile:
+    """A file of one of logger_formats.FORMS; option: group. The time is column 1 where the file has a clock.
+
+    Raises
+    ------
+    InputError
+        for a file that is damaged or holds no series, or a package that is not installed.
+    """
+    channels, notes = channels_of(raw, name, form, option.get("group", ""))
+    columns, names, units = [c.readings for c in channels], [c.name for c in channels], [c.unit for c in channels]
+    called = [k for k, n in enumerate(names) if _TIME_NAMES.fullmatch(n.rpartition("/")[2])]
+    times = channels[0].times
+    if times is not None and not called:
+        columns, names, units = [times, *columns], ["time", *names], ["s", *units]
+    elif called and names[called[0]] != "time":
+        names[called[0]] = "time"
+    known = [unit_of(unit) or "" for unit in units]
+    notes += [
+        f"{name}: the unit '{unit}' of {n} is not known; give it with --units."
+        for unit, plain, n in zip(units, known, names, strict=True)
+        if unit.strip() and not plain
+    ]
+    return LoggerFile(tuple(names), np.column_stack(columns), tuple(known), tuple(notes))
 
 
 def read_text(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
