@@ -12,6 +12,7 @@ import pytest
 
 from bayes_damper.cli import main
 from bayes_damper.errors import ExitCode, InputError, Interrupted, SelfCheckError
+from bayes_damper.files import shipped_path
 from bayes_damper.validation.withheld import archive as archives
 from bayes_damper.validation.withheld import baselines, check, scores, sealing, together, verify
 from bayes_damper.validation.withheld.baselines import forest_out_of_fold
@@ -341,6 +342,23 @@ def test_a_seal_of_data_alone_does_not_ask_for_the_code(tmp_path, monkeypatch):
     assert not run(tmp_path).rehearsal
     (folder / "c01" / "answer.json").write_text(json.dumps({"none": 1.0}))
     assert "the data of c01 have changed" in run(tmp_path, out=tmp_path / "later").results["why_rehearsal"][0]
+
+
+def test_the_shipped_campaigns_are_those_that_were_sealed_and_their_seal_names_no_code():
+    """So no ordinary commit has to touch the seal."""
+    home = shipped_path(check.SHIPPED)
+    seal = sealing.read_freeze(check.seal_path(home.parent / "campaigns_key.json"))
+    found = check.find_campaigns(home)
+    assert {name: sealing.folder_sha256(path) for name, path in found.items()} == seal["campaigns"]
+    assert sealing.file_sha256(home.parent / "campaigns_key.json") == seal["key_sha256"]
+    assert not {"code_sha256", "effects_sha256", "commit"} & set(seal)
+    key = sealing.read_key(home.parent / "campaigns_key.json", found)
+    assert {entry["kind"] for entry in key.values()} == {"easy", "hard", "laboratory"}
+    assert {scores.right_answers(entry, GROUPS) for entry in key.values()} >= {
+        frozenset({"none"}),
+        frozenset({"unknown"}),
+    }
+    assert sum(p.stat().st_size for p in home.parent.rglob("*") if p.is_file()) < 1e6
 
 
 # Long runs ------------------------------------------------------------------------------------------------------------
