@@ -37,6 +37,7 @@ from bayes_damper.published.posterior import (
 )
 from bayes_damper.rig.kernels import compiled
 from bayes_damper.sampling.moves import StudentT
+from bayes_damper.sampling.sequential import Powers, Whole, temper
 
 Array = NDArray[np.float64]
 LONGEST = 0.3
@@ -52,8 +53,6 @@ _SPRINGS = np.linspace(-4.0, 4.0, 25)
 _ANGLES = np.linspace(-3.6, 3.6, 41)
 _FREEDOM = 6.0
 _WIDER = 1.15  # sds of a proposal over those of the draws that it is fitted to
-_IN_STEP = 2.0  # scatter of known integrals over what stages would give that shared no draws
-_FORGOTTEN = 0.2  # correlation of draws with their places at the start of a stage below which it ends
 
 
 @dataclass(frozen=True)
@@ -383,97 +382,18 @@ def weigh_formula(
     InputError
         if the likelihood is zero at every draw.
     """
-    points = begin.draw(rng, count)
-    start, value = begin.log_density(points), target.log_target(points)
-    if not np.any(np.isfinite(value)):
-        raise InputError(
-            f"{target.formula.family} ({target.formula.name}): the likelihood is zero at all {count} points "
-            "tried: widen the priors, or look whether the numbers have the units that they say"
-        )
-    power, log_z, variance, left, size = 0.0, 0.0, 0.0, 1.0, 0.6
-    while power < 1.0:
-        slope = np.where(np.isfinite(value), value - start, -np.inf)
-        rise = _next_power(slope, power)
-        weights = (rise - power) * slope
-        log_z += float(logsumexp(weights)) - math.log(count)
-        share = np.exp(weights - logsumexp(weights))
-        variance += float(np.sum(share**2)) - 1.0 / count
-        places = (rng.random() + np.arange(count)) / count
-        chosen = np.minimum(np.searchsorted(np.cumsum(share), places), count - 1)
-        points, start, value, power = points[chosen], start[chosen], value[chosen], rise
-        stood = points.copy()
-        for sweep in range(sweeps):
-            for own, other in _halves(count, rng):
-                fresh, correction = _proposed(points[own], points[other], size, sweep % 2 == 1, rng)
-                new_start, new_value = begin.log_density(fresh), target.log_target(fresh)
-                with np.errstate(invalid="ignore"):
-                    gain = power * (new_value - value[own]) + (1.0 - power) * (new_start - start[own]) + correction
-                taken = np.log(rng.random(len(own))) < gain
-                points[own[taken]], start[own[taken]], value[own[taken]] = (
-                    fresh[taken],
-                    new_start[taken],
-                    new_value[taken],
-                )
-                if sweep % 2 == 0:
-                    size = float(np.clip(size * math.exp(0.5 * (float(taken.mean()) - 0.3)), 0.05, 1.0))
-            left = _memory(stood, points)
-            if sweep > 0 and left < _FORGOTTEN:
-                break
-    error = _IN_STEP * math.sqrt(variance)
-    ess = count * max(1.0 - left, 0.0) / (1.0 + left)
-    return Weighed(target, points, np.full(count, -math.log(count)), log_z, error, ess)
 
+    def over(points: Array) -> Array:
+        return target.log_target(points) - begin.log_density(points)
 
-def _next_power(slope: Array, power: float) -> float:
-    """The power at which half of the draws count, at most 1."""
-
-    def effective(rise: float) -> float:
-        with np.errstate(invalid="ignore"):
-            return _effective(np.where(np.isfinite(slope), (rise - power) * slope, -np.inf))
-
-    goal = 0.5 * float(np.isfinite(slope).sum())
-    if effective(1.0) >= goal:
-        return 1.0
-    low, high = power, 1.0
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if effective(middle) >= goal else (low, middle)
-    return max(low, power + 1e-6)
-
-
-def _halves(count: int, rng: np.random.Generator) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """Two halves of the draws: each is moved by the shape of the other."""
-    one, other = np.array_split(rng.permutation(count), 2)
-    return [(one, other), (other, one)]
-
-
-def _proposed(
-    own: Array, other: Array, size: float, differences: bool, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """Proposals for `own` (m, ndim), and the log ratio of the densities of proposing back and forth, (m,).
-
-    Along differences of two of the other draws; or a step that keeps a Gaussian of their mean and covariance.
-    """
-    m, ndim = own.shape
-    if differences:
-        first, second = (other[rng.integers(len(other), size=m)] for _ in range(2))
-        scale = 2.38 / math.sqrt(2.0 * ndim) * np.exp(rng.uniform(-2.5, 0.3, m))
-        return own + scale[:, None] * (first - second) + 1e-4 * rng.standard_normal(own.shape), np.zeros(m)
-    mean = other.mean(axis=0)
-    covariance = np.atleast_2d(np.cov(other.T))
-    covariance = 0.95 * covariance + 0.05 * np.diag(np.diag(covariance)) + 1e-9 * np.eye(ndim)
-    root = np.linalg.cholesky(covariance)
-    fresh = mean + math.sqrt(1.0 - size**2) * (own - mean) + size * rng.standard_normal(own.shape) @ root.T
-    inverse = np.linalg.inv(root)
-    before, after = (np.sum(((x - mean) @ inverse.T) ** 2, axis=1) for x in (own, fresh))
-    return fresh, 0.5 * (after - before)
-
-
-def _memory(before: Array, now: Array) -> float:
-    """Mean over the coordinates of the correlation between two sets of places."""
-    a, b = before - before.mean(axis=0), now - now.mean(axis=0)
-    correlation = np.sum(a * b, axis=0) / np.sqrt(np.sum(a**2, axis=0) * np.sum(b**2, axis=0) + 1e-300)
-    return float(np.clip(correlation, 0.0, 1.0).mean())
+    way = Whole(target.ndim, begin.draw, begin.log_density, Powers(over))
+    try:
+        found = temper(way, rng, count, kept=sweeps, settle=False, sweeps=sweeps)
+    except InputError as error:
+        raise InputError(f"{target.formula.family} ({target.formula.name}): {error}") from error
+    size = len(found.points)
+    ess = count * max(1.0 - found.forgotten, 0.0) / (1.0 + found.forgotten)
+    return Weighed(target, found.points, np.full(size, -math.log(size)), found.log_z, found.error, ess)
 
 
 def _mixture(proposals: Sequence[StudentT], points: Array) -> Array:

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.calibration.posterior import RecordPosterior
-from bayes_damper.published.posterior import FeaturePosterior
+from bayes_damper.published.posterior import FeaturePosterior, ShrinkingErrors
 from bayes_damper.runs.checkpoint import Checkpoint
 from bayes_damper.runs.provenance import code_sha256
-from bayes_damper.sampling import Annealing, Sampling, Start, StoppingRule, annealed_start, sample
 from bayes_damper.sampling import Progress as Stage
+from bayes_damper.sampling import Sampling, Start, StoppingRule, annealed_start, sample
 
 Array = NDArray[np.float64]
 Report = Callable[[float, str], None]
@@ -42,18 +42,9 @@ def stopping_rule(plan: Mapping[str, Any]) -> StoppingRule:
 
 
 def search(posterior: FeaturePosterior, rng: np.random.Generator, members: int = 2048) -> Start:
-    """Where the ensembles of a published case begin: draws of the prior, annealed by letting errors shrink.
-
-    Powers of a likelihood with heavy tails would do worse: they leave narrow peaks as narrow, with little mass until
-    the last, so that few members or none are there to represent what meets several numbers at once.
-    """
+    """Where the ensembles of a published case begin: draws of the prior, tempered by letting errors shrink."""
     coordinates = posterior.coordinates
-
-    def height(misfits: Array, part: float) -> Array:
-        return np.asarray(posterior.densities(misfits, 1.0 / max(part, 1e-9)).sum(axis=1))
-
-    path = Annealing(posterior.misfits, height)
-    return annealed_start(coordinates.log_prior, path, coordinates.draw(rng, members), rng)
+    return annealed_start(coordinates.log_prior, ShrinkingErrors(posterior), coordinates.draw(rng, members), rng)
 
 
 def sampled(

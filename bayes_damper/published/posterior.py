@@ -311,6 +311,25 @@ class FeaturePosterior:
         return np.asarray(self.coordinates.log_prior(points) + self.log_likelihood(points).sum(axis=1))
 
 
+@dataclass(frozen=True)
+class ShrinkingErrors:
+    """A path from no likelihood to all of it: standard errors that shrink from infinite to what they are.
+
+    Powers of a likelihood with heavy tails would do worse: they leave narrow peaks as narrow, with little mass until
+    the last, so that few places or none represent what meets several numbers at once.
+    """
+
+    posterior: FeaturePosterior
+
+    def measure(self, points: Array) -> Array:
+        """Distances from the data in standard errors."""
+        return self.posterior.misfits(points)
+
+    def height(self, measured: Array, temperature: float) -> Array:
+        """Log density at such distances if errors were 1 / temperature times as large."""
+        return np.asarray(self.posterior.densities(measured, 1.0 / max(temperature, 1e-9)).sum(axis=1))
+
+
 def damping_pairs(values: Mapping[str, float]) -> tuple[Shared, ...]:
     """Viscous and dry damping that one feature cannot tell apart: at the bearings, and between the faces.
 

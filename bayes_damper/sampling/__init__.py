@@ -2,10 +2,9 @@
 
 from bayes_damper.sampling.convergence import Diagnostic, StoppingRule, Verdict, diagnose_draws, judge
 from bayes_damper.sampling.ensembles import Progress, Sampling, Target, sample
-from bayes_damper.sampling.start import Annealing, Start, annealed_start, find_start, resampled_start
+from bayes_damper.sampling.start import Start, annealed_start, find_start, resampled_start
 
 __all__ = [
-    "Annealing",
     "Diagnostic",
     "Progress",
     "Sampling",

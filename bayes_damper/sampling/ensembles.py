@@ -223,7 +223,7 @@ class _Run:
         self.capacity = 4 * _BLOCK * max(2, int(_MEMORY / (8 * ensembles * walkers * (target.ndim + 1)) / (4 * _BLOCK)))
         saved = checkpoint.load() if checkpoint is not None else None
         if saved is None:
-            learnt = fit_mixture(start.known) if len(start.population) else None
+            learnt = fit_mixture(start.population) if len(start.population) else None
             self.states = [_begin(target, start, seed, e, walkers, learnt) for e in range(ensembles)]
             self.draws = np.empty((ensembles, 0, walkers, target.ndim))
             self.log_prob = np.empty((ensembles, 0, walkers))
@@ -365,7 +365,7 @@ def _begin(
     if learnt is None:
         return state
     shares, centres, spreads = learnt
-    known = len(start.known)
+    known = len(start.population)
     return replace(state, annealed=True, known=known, shares=shares, centres=centres, spreads=spreads, weight=0.3)
 
 

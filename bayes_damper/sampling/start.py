@@ -7,7 +7,7 @@ here compares values about one nat apart and takes no derivative, so that a ragg
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 
 from bayes_damper.errors import InputError
-from bayes_damper.sampling.local_mixture import Nearby
-from bayes_damper.sampling.moves import DifferentialEvolution, HalvesMove, Independence, Snooker, StudentT, fit_mixture
+from bayes_damper.sampling.moves import StudentT
+from bayes_damper.sampling.sequential import Path, Whole, systematic, temper
 
 Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 LogDensity = Callable[[Array], Array]
 _PASSES = 3
 
@@ -37,13 +36,6 @@ class Start:
     evaluations: int
     population: Array = field(default_factory=lambda: np.empty((0, 0)))
     """A sample of the posterior (m, ndim) to take walkers from, where an annealed start found one."""
-    earlier: Array = field(default_factory=lambda: np.empty((0, 0)))
-    """Where that sample was before (k, ndim): more to learn proposals from, but near copies of one another."""
-
-    @property
-    def known(self) -> Array:
-        """All that is known of the posterior, (m + k, ndim)."""
-        return np.concatenate([self.population, self.earlier]) if len(self.earlier) else self.population
 
 
 def find_start(
@@ -76,122 +68,27 @@ def find_start(
     return Start(point, covariance, best, np.array(others).reshape(-1, ndim), counted.evaluations)
 
 
-@dataclass(frozen=True)
-class Annealing:
-    """How a likelihood comes to bear little by little.
-
-    measure : points (n, ndim) -> (n, k), what it takes to know of each point, computed once; height : that and a number
-    from 0 to 1 -> (n,), the log likelihood at 1, and up to a constant nothing but where it vanishes at 0.
-    """
-
-    measure: Callable[[Array], Array]
-    height: Callable[[Array, float], Array]
-
-    @staticmethod
-    def of_powers(log_likelihood: LogDensity) -> Annealing:
-        """The usual one: powers of the likelihood."""
-
-        def height(like: Array, power: float) -> Array:
-            return np.where(like[:, 0] > -np.inf, power * np.maximum(like[:, 0], -1e300), -np.inf)
-
-        return Annealing(lambda points: np.asarray(log_likelihood(points), dtype=float)[:, None], height)
-
-
 def annealed_start(
-    log_prior: LogDensity,
-    likelihood: LogDensity | Annealing,
-    draws: Array,
-    rng: np.random.Generator,
-    *,
-    moves: int = 8,
-    keep: float = 0.5,
-    rounds: int = 4,
+    log_prior: LogDensity, path: Path, draws: Array, rng: np.random.Generator, *, each: int = 4
 ) -> Start:
-    """A population led from the prior to the posterior by a likelihood that comes to bear little by little.
+    """A population led from draws of the prior, (n, ndim), to the posterior by a likelihood that is tempered.
 
     For posteriors with several modes or long arms, where a cloud about one optimum would take long to find the rest.
-    Sequential Monte Carlo (Del Moral, Doucet & Jasra 2006, J. R. Statist. Soc. B 68, 411): each step along the path
-    (powers of the likelihood from 0 to 1, unless another is given) is as long as leaves `keep` of the effective sample;
-    then the population is resampled and every member moved `moves` times, half of them by differential evolution and
-    snooker steps, half by a mixture fitted to the other half of the population, which leads from mode to mode and
-    steps as wide as a mode is. No member stays where the prior put it.
-
-    At the posterior the population goes on for `rounds` of 2 `moves` steps, every other one drawn from a mixture fitted
-    to what is there, which leads from any mode to any other. Where the population was after earlier rounds is kept too:
-    a proposal for the ensembles is learnt from all of it.
+    It has n / `each` particles, each at up to `each` times, which stand together: a mixture learnt from one half of the
+    population must not know single members of the other (`fit_mixture`).
 
     Raises InputError when the likelihood is zero at all draws.
     """
-    path = likelihood if isinstance(likelihood, Annealing) else Annealing.of_powers(likelihood)
-    points = np.array(draws, dtype=float)
-    n, ndim = points.shape
-    known, prior = np.asarray(path.measure(points), dtype=float), np.asarray(log_prior(points), dtype=float)
-    evaluations, power = n, 0.0
-
-    def height(known: Array, power: float) -> Array:
-        value = path.height(known, power)
-        return np.where(np.isnan(value), -np.inf, value)
-
-    def gain(power: float) -> Array:
-        with np.errstate(invalid="ignore"):  # where the likelihood vanishes before and after
-            return height(known, power) - like
-
-    like = height(known, power)
-    if not np.any(np.isfinite(like)):
-        raise InputError(
-            f"The likelihood is zero at all {n} points drawn from the prior: widen the prior, or look whether units or "
-            "release angles of the data are what the prior expects."
-        )
-    random = np.random.RandomState(rng.integers(2**32, dtype=np.uint64))
-    proposals = (DifferentialEvolution(spread=0.3), DifferentialEvolution(0.5, spread=0.5), Snooker())
-
-    def halves() -> tuple[tuple[Index, Index], tuple[Index, Index]]:
-        order = random.permutation(n)
-        first, second = order[: n // 2], order[n // 2 :]
-        return (first, second), (second, first)
-
-    def stir(move: HalvesMove, pairs: Iterable[tuple[Index, Index]]) -> None:
-        nonlocal evaluations
-        for moving, resting in pairs:
-            tried, ratio = move.proposal(points[moving], points[resting], random)
-            found, new_prior = np.asarray(path.measure(tried), dtype=float), np.asarray(log_prior(tried), dtype=float)
-            new_like = height(found, power)
-            evaluations += len(moving)
-            higher = ratio + new_like - like[moving] + new_prior - prior[moving]
-            taken = higher > -random.standard_exponential(len(moving))
-            mine = moving[taken]
-            points[mine], known[mine], like[mine], prior[mine] = (
-                tried[taken],
-                found[taken],
-                new_like[taken],
-                new_prior[taken],
-            )
-
-    while power < 1.0:
-        power = _next_power(gain, power, keep)
-        risen, weight = height(known, power), _weights(gain(power))
-        chosen = np.searchsorted(np.cumsum(weight / weight.sum()), (rng.random() + np.arange(n)) / n)
-        chosen = rng.permutation(np.minimum(chosen, n - 1))
-        points, known, like, prior = points[chosen], known[chosen], risen[chosen], prior[chosen]
-        for turn in range(moves // 2):
-            stir(proposals[turn % len(proposals)], halves())
-        for pair in halves():  # one that had learnt from the half it moves would leave the target
-            learnt = fit_mixture(points[pair[1]])
-            mix = (Nearby(*learnt), Independence(*learnt))
-            for turn in range(moves - moves // 2):
-                stir(mix[turn % 2], [pair])
-    kept = [points.copy()]
-    for _ in range(rounds):
-        learnt = fit_mixture(np.concatenate(kept)[rng.permutation(len(kept) * n)])
-        mix = (Independence(*learnt), Nearby(*learnt))
-        for turn in range(2 * moves):
-            stir(mix[turn % 2] if turn % 4 < 3 else proposals[turn // 4 % len(proposals)], halves())
-        kept.append(points.copy())
-    total = like + prior
+    ndim = draws.shape[1]
+    found = temper(
+        Whole(ndim, lambda _, count: draws[:count], log_prior, path), rng, len(draws) // each, kept=each,
+        first=len(draws),
+    )  # fmt: skip
+    points, total = found.points, found.log_likelihood[:, 0] + log_prior(found.points)
     best = int(np.argmax(total))
     return Start(
         points[best], np.cov(points.T).reshape(ndim, ndim), float(total[best]), np.empty((0, ndim)),
-        evaluations, points, np.concatenate(kept[1:-1]) if rounds > 1 else np.empty((0, ndim)),
+        found.evaluations, points,
     )  # fmt: skip
 
 
@@ -239,8 +136,7 @@ def resampled_start(
     if count < 0.1 * len(points):
         return start
     members = min(int(count), draws)
-    at = np.searchsorted(np.cumsum(weight), (rng.random() + np.arange(members)) / members)
-    return replace(start, population=points[np.minimum(at, len(points) - 1)])
+    return replace(start, population=points[systematic(weight, members, rng)])
 
 
 def _normalised(log_weight: Array) -> tuple[Array, float]:
@@ -248,31 +144,6 @@ def _normalised(log_weight: Array) -> tuple[Array, float]:
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()
     return weight, float(1.0 / np.sum(weight**2))
-
-
-def _weights(gain: Array) -> Array:
-    """exp(gain), the largest 1; 0 where the likelihood vanishes before and after."""
-    gain = np.where(np.isnan(gain), -np.inf, gain)
-    return np.asarray(np.exp(gain - gain.max()))
-
-
-def _next_power(gain: Callable[[float], Array], power: float, keep: float) -> float:
-    """The place on the path, from 0 to 1, that leaves a share `keep` of the effective sample, by what each member's
-    log likelihood gains on the way there.
-    """
-
-    def share(to: float) -> float:
-        weight = _weights(gain(to))
-        return float(weight.sum() ** 2 / (weight**2).sum() / len(weight))
-
-    if share(1.0) >= keep:
-        return 1.0
-    low, high = power, 1.0
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if share(middle) > keep else (low, middle)
-    # Where the likelihood vanishes for more than 1 - keep of the members no step is small enough: take a small one.
-    return min(1.0, max(low, power + 1e-6))
 
 
 def cloud(

@@ -13,11 +13,11 @@ have one value for all cases in each of the three; what belongs to one case (rel
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol, Self
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ from bayes_damper.errors import InputError
 from bayes_damper.priors.distributions import Distribution, LogNormal, from_standard, to_standard
 from bayes_damper.sampling.arviz_adapter import pareto_k
 from bayes_damper.sampling.moves import Independence, fit_mixture
-from bayes_damper.variability.tempering import Block, temper
+from bayes_damper.sampling.sequential import Block, Path, Plain, UnitPrior, power_of, temper
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -66,37 +66,8 @@ class Straightener(Protocol):
         """Log of the volume of standard coordinates over that of straight ones at these, (n,), up to a constant."""
 
 
-class Path(Protocol):
-    """How a case's likelihood comes to bear little by little."""
-
-    def measure(self, z: Array) -> Array:
-        """What it takes to know of points (n, len(names)), computed once: (n, k)."""
-
-    def height(self, measured: Array, power: float) -> Array:
-        """Log likelihood (n,) of what was measured, from 0 (the likelihood does not bear) to 1."""
-
-
 Together = Callable[[Sequence[Array], Index, float, Array], Array]
 """Measures several cases in one go: `tried` of a `Target`, but with each case's coordinates (n, len(names))."""
-
-
-@dataclass(frozen=True)
-class Powers:
-    """The usual path: powers of the likelihood."""
-
-    log_likelihood: Callable[[Array], Array]
-
-    def measure(self, z: Array) -> Array:
-        """The log likelihood itself."""
-        return np.asarray(self.log_likelihood(z), float)[:, None]
-
-    def height(self, measured: Array, power: float) -> Array:
-        """Its power."""
-        return _power(measured[:, 0], power)
-
-
-def _power(value: Array, power: float) -> Array:
-    return np.where(value > -np.inf, power * np.maximum(value, -1e300), -np.inf)
 
 
 @dataclass(frozen=True)
@@ -136,60 +107,7 @@ class _View:
     scatter: bool = False
 
 
-class _Plain(ABC):
-    """Blocks are moved in their own coordinates, and nothing is refreshed."""
-
-    blocks: list[Block]
-
-    @abstractmethod
-    def log_likelihood(self, points: Array, parts: Index) -> Array:
-        """Log likelihood of the chosen parts at points (n, ndim): (n, len(parts))."""
-
-    def measure(self, points: Array, parts: Index) -> Array:
-        """The log likelihood itself, of which powers are taken."""
-        return self.log_likelihood(points, parts)[:, :, None]
-
-    def height(self, measured: Array, parts: Index, power: float) -> Array:
-        """Its power."""
-        del parts
-        return _power(measured[:, :, 0], power)
-
-    def tried(self, points: Sequence[Array], parts: Index, power: float, least: Array) -> Array:
-        """All of it."""
-        del power, least
-        return np.concatenate([self.measure(x, parts[[k]]) for k, x in enumerate(points)], axis=1)
-
-    def at(self, power: float) -> Self:
-        """Itself."""
-        del power
-        return self
-
-    def log_volume(self, points: Array, block: int) -> Array:
-        """Nothing changes volume."""
-        del block
-        return np.zeros(len(points))
-
-    def straight(self, points: Array, block: int) -> Array:
-        """The block's columns."""
-        return points[:, self.blocks[block].columns]
-
-    def bent(self, points: Array, block: int, steps: Array) -> Array:
-        """The points with the block's columns replaced."""
-        points = points.copy()
-        points[:, self.blocks[block].columns] = steps
-        return points
-
-    def refresh(self, points: Array, rng: np.random.Generator) -> Array:
-        """The points as they are."""
-        del rng
-        return points
-
-    def unknowns(self, points: Array) -> Array:
-        """All coordinates."""
-        return points
-
-
-class Hierarchy:
+class Hierarchy(UnitPrior):
     """The joint posterior of several cases under one pooling: a target for `temper`.
 
     pooled : parameters that the pooling is about; common : those with one value for all cases; all others of a case
@@ -560,7 +478,24 @@ def _distinct(z: Array, tilt: Tilt | None = None, scale: float = 0.0, error: flo
     return _Draws(places, times.astype(float), np.zeros(len(places)) if tilt is None else tilt(places), scale, error)
 
 
-class _Population(_Plain):
+class _Powers(UnitPrior, Plain):
+    """A likelihood in parts of which powers are taken."""
+
+    @abstractmethod
+    def log_likelihood(self, points: Array, parts: Index) -> Array:
+        """Log likelihood of the chosen parts at points (n, ndim): (n, len(parts))."""
+
+    def measure(self, points: Array, parts: Index) -> Array:
+        """The log likelihood itself."""
+        return self.log_likelihood(points, parts)[:, :, None]
+
+    def height(self, measured: Array, parts: Index, temperature: float) -> Array:
+        """Its power."""
+        del parts
+        return power_of(measured[:, :, 0], temperature)
+
+
+class _Population(_Powers):
     """m and s alone: the cases' values are summed over their draws."""
 
     def __init__(self, draws: Sequence[_Draws]) -> None:
@@ -649,7 +584,7 @@ def _towards(found: Recycled, rng: np.random.Generator) -> Tilt:
     return tilt
 
 
-class Tilted:
+class Tilted(UnitPrior):
     """One case by itself under another prior of what is pooled: a target for `move_on`."""
 
     def __init__(self, alone: Hierarchy, tilt: Tilt) -> None:
@@ -831,7 +766,7 @@ class GaussianHierarchy:
         return target.offset + found.log_z, found.error, ndtr(found.points)
 
 
-class _Scatter(_Plain):
+class _Scatter(_Powers):
     """s alone, everything else integrated out in closed form."""
 
     def __init__(self, hierarchy: GaussianHierarchy) -> None:

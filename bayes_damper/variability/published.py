@@ -17,11 +17,11 @@ from bayes_damper.fit import published_posterior
 from bayes_damper.priors.distributions import Distribution, LogNormal, Normal
 from bayes_damper.priors.files import load_priors, priors_from_dict
 from bayes_damper.published.measurements import load_published
-from bayes_damper.published.posterior import Coordinates, FeaturePosterior, feature_times
+from bayes_damper.published.posterior import Coordinates, FeaturePosterior, ShrinkingErrors, feature_times
+from bayes_damper.sampling.sequential import move_on, temper
 from bayes_damper.variability.decomposition import CaseDraws, Sets, curve_values, mean_over_cases, summary
 from bayes_damper.variability.equivalent import NAMES, bearing_damping, feature_scatter
 from bayes_damper.variability.pooling import POOLINGS, CaseLikelihood, Direct, Hierarchy, Pooling, Scaling, Tilt, Tilted
-from bayes_damper.variability.tempering import move_on, temper
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -41,24 +41,6 @@ _AGAIN = 1024
 """Draws of a case that are moved on where its draws are too few."""
 
 
-@dataclass(frozen=True)
-class _ShrinkingErrors:
-    """A path from no likelihood to all of it: standard errors that shrink from infinite to what they are.
-
-    Powers of a likelihood with heavy tails leave narrow peaks as narrow, with little mass until the last.
-    """
-
-    posterior: FeaturePosterior
-
-    def measure(self, z: Array) -> Array:
-        """Distances from the data in standard errors."""
-        return self.posterior.misfits(z)
-
-    def height(self, measured: Array, power: float) -> Array:
-        """Log density at such distances if errors were 1 / power times as large."""
-        return np.asarray(self.posterior.densities(measured, 1.0 / max(power, 1e-9)).sum(axis=1))
-
-
 class _Together:
     """Measures several cases in one go: their uncoupled records first, which take a third of the time.
 
@@ -67,7 +49,7 @@ class _Together:
 
     def __init__(self, posteriors: Sequence[FeaturePosterior]) -> None:
         self._posteriors = list(posteriors)
-        self._paths = [_ShrinkingErrors(p) for p in posteriors]
+        self._paths = [ShrinkingErrors(p) for p in posteriors]
         self._configurations = sorted({name for p in posteriors for name in p.models}, reverse=True)
 
     def __call__(self, z: Sequence[Array], parts: Index, power: float, least: Array) -> Array:
@@ -183,7 +165,7 @@ class PublishedCases:
         pairs = tuple(pair for pair in fitted.shared if pair.x in self.pooled and pair.y in self.pooled)
         moved = tuple(sheet for sheet in fitted.sheets if sheet.name not in self.pooled + self.common)
         return CaseLikelihood(
-            case, posterior.names, _ShrinkingErrors(posterior), _Flat(replace(fitted, shared=pairs, sheets=moved))
+            case, posterior.names, ShrinkingErrors(posterior), _Flat(replace(fitted, shared=pairs, sheets=moved))
         )
 
     def hierarchy(self, pooling: Pooling, without: str | None = None, own_constants: bool = False) -> Hierarchy:
@@ -242,10 +224,9 @@ class PublishedCases:
             rest = [i for i in range(draws[case].shape[1]) if i not in pooled]
             places = draws[case][:, pooled + rest]
             weights = np.exp(tilt(draws[case][:, pooled]))
-            chosen = rng.choice(len(places), (2, _AGAIN), p=weights / weights.sum())
             hierarchy = self.alone(case)
             # The values of one case by itself stand before what is only its own.
-            found = move_on(Tilted(hierarchy, tilt), places[chosen[0]], places[np.unique(chosen)], rng)
+            found = move_on(Tilted(hierarchy, tilt), places, weights, _AGAIN, rng)
             return hierarchy.values(found, 0)
 
         return moved

@@ -15,9 +15,9 @@ from bayes_damper.priors.files import load_priors
 from bayes_damper.published.measurements import load_published
 from bayes_damper.runs.execution import write_json
 from bayes_damper.sampling import arviz_adapter
+from bayes_damper.sampling.sequential import temper
 from bayes_damper.variability.pooling import Hierarchy
 from bayes_damper.variability.published import PublishedCases
-from bayes_damper.variability.tempering import temper
 
 
 def write_fit(folder, normal_force, rng, converged=True):

@@ -20,6 +20,7 @@ from bayes_damper.published.posterior import (
     feature_times,
 )
 from bayes_damper.sampling import annealed_start
+from bayes_damper.sampling.sequential import Powers
 
 FREE = {
     "mu": LogNormal(0.008, 2.0),
@@ -179,7 +180,7 @@ def test_with_data_that_say_nothing_the_posterior_is_the_prior():
     rng = np.random.default_rng(8)
     start = annealed_start(
         base.coordinates.log_prior,
-        lambda x: posterior.log_likelihood(x).sum(axis=1),
+        Powers(lambda x: posterior.log_likelihood(x).sum(axis=1)),
         base.coordinates.draw(rng, 512),
         rng,
     )
@@ -194,7 +195,7 @@ def test_a_prior_that_excludes_every_record_gets_a_sentence():
     with pytest.raises(InputError, match="widen the prior"):
         annealed_start(
             coordinates.log_prior,
-            lambda x: np.full(len(x), -np.inf),
+            Powers(lambda x: np.full(len(x), -np.inf)),
             coordinates.draw(np.random.default_rng(1), 64),
             np.random.default_rng(1),
         )

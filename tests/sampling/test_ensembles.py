@@ -15,7 +15,8 @@ from bayes_damper.runs.checkpoint import Checkpoint
 from bayes_damper.sampling import StoppingRule, diagnose_draws, find_start, sample
 from bayes_damper.sampling.convergence import stranded_walkers
 from bayes_damper.sampling.moves import fit_mixture
-from bayes_damper.sampling.start import Annealing, annealed_start, cloud, resampled_start
+from bayes_damper.sampling.sequential import Powers
+from bayes_damper.sampling.start import annealed_start, cloud, resampled_start
 
 
 class Gaussian:
@@ -81,7 +82,7 @@ def test_an_annealed_population_has_the_weights_and_shapes_of_both_modes():
     shares = []
     for seed in range(6):
         rng = np.random.default_rng(seed)
-        start = annealed_start(unit_normal, two_narrow_modes, rng.standard_normal((1200, 2)), rng)
+        start = annealed_start(unit_normal, Powers(two_narrow_modes), rng.standard_normal((1200, 2)), rng)
         left = start.population[:, 0] < 0.0
         shares.append(left.mean())
     for k, inside in enumerate((left, ~left)):
@@ -102,11 +103,12 @@ def test_annealing_by_shrinking_errors_has_the_share_of_a_narrow_mode_among_heav
     """Two coordinates, each measured with contradicting results and errors of Student's t: four modes."""
     values, errors = np.array([1.0, -1.0, -1.2]), np.array([0.01, 0.3, 0.3])
 
-    def measure(points):
-        return ((points[:, :, None] - values) / errors).reshape(len(points), 6)
+    class Shrinking:
+        def measure(self, points):
+            return ((points[:, :, None] - values) / errors).reshape(len(points), 6)
 
-    def height(misfits, part):
-        return -1.5 * np.log1p((part * misfits) ** 2 / 2.0).sum(axis=1)
+        def height(self, misfits, temperature):
+            return -1.5 * np.log1p((temperature * misfits) ** 2 / 2.0).sum(axis=1)
 
     x = np.linspace(-4.0, 4.0, 80001)[:, None]
     density = np.exp(-0.5 * x[:, 0] ** 2 - 1.5 * np.log1p(((x - values) / errors) ** 2 / 2.0).sum(axis=1))
@@ -114,7 +116,7 @@ def test_annealing_by_shrinking_errors_has_the_share_of_a_narrow_mode_among_heav
     shares = []
     for seed in range(6):
         rng = np.random.default_rng(seed)
-        start = annealed_start(unit_normal, Annealing(measure, height), rng.standard_normal((1000, 2)), rng)
+        start = annealed_start(unit_normal, Shrinking(), rng.standard_normal((1000, 2)), rng)
         shares.append((start.population > 0.9).mean(axis=0))
     error = np.std(shares, axis=0, ddof=1) / np.sqrt(len(shares))
     assert 0.05 < narrow < 0.95
@@ -125,7 +127,7 @@ def test_annealing_by_shrinking_errors_has_the_share_of_a_narrow_mode_among_heav
 def test_annealing_without_any_finite_point_says_so():
     rng = np.random.default_rng(0)
     with pytest.raises(InputError, match="zero at all 20 points"):
-        annealed_start(unit_normal, lambda x: np.full(len(x), -np.inf), np.zeros((20, 2)), rng)
+        annealed_start(unit_normal, Powers(lambda x: np.full(len(x), -np.inf)), np.zeros((20, 2)), rng)
 
 
 def test_annealing_passes_a_likelihood_that_is_zero_over_most_of_the_prior():
@@ -135,7 +137,7 @@ def test_annealing_passes_a_likelihood_that_is_zero_over_most_of_the_prior():
         return np.where(points[:, 0] > 2.0, 0.0, -np.inf)
 
     rng = np.random.default_rng(1)
-    start = annealed_start(unit_normal, half_plane, rng.standard_normal((2000, 2)), rng)
+    start = annealed_start(unit_normal, Powers(half_plane), rng.standard_normal((2000, 2)), rng)
     assert start.population[:, 0].min() > 2.0
     mills = np.exp(-2.0) / np.sqrt(2.0 * np.pi) / 0.0227501319
     assert start.population[:, 0].mean() == pytest.approx(mills, abs=0.05)
@@ -175,7 +177,7 @@ def test_a_resampled_population_has_few_copies_and_they_stand_together():
     distinct, first, count = np.unique(population[:, 0], return_index=True, return_counts=True)
     assert len(distinct) > 0.85 * len(population)
     assert all(np.all(population[i : i + n, 0] == x) for x, i, n in zip(distinct, first, count, strict=True))
-    shares, _, _ = fit_mixture(start.known)
+    shares, _, _ = fit_mixture(start.population)
     assert len(shares) < 12
 
 
@@ -229,7 +231,7 @@ def test_what_an_annealed_population_taught_is_not_forgotten_in_a_short_warm_up(
     """Autocorrelation stays short: the walkers of one ensemble, in a few hundred steps, know less of thin sheets."""
     target = ThinSheets()
     rng = np.random.default_rng(2)
-    start = annealed_start(unit_normal, target.log_likelihood, rng.standard_normal((1024, target.ndim)), rng)
+    start = annealed_start(unit_normal, Powers(target.log_likelihood), rng.standard_normal((1024, target.ndim)), rng)
     result = sample(target, start, seed=4, rule=StoppingRule(taus=5.0, max_steps=4000))
     print(result.verdict.sentences, result.acceptance, result.verdict.tau, start.evaluations)
 

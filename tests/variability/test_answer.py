@@ -19,24 +19,23 @@ from bayes_damper.fit import fit as fit_campaign
 from bayes_damper.priors.distributions import from_standard
 from bayes_damper.runs.execution import WAITING, read_json, write_json
 from bayes_damper.sampling import arviz_adapter
+from bayes_damper.sampling.guide import Guide
+from bayes_damper.sampling.sequential import Block, Powers, _groups, move_on, temper
 from bayes_damper.simulation.model import Model
 from bayes_damper.variability import answer, variability
 from bayes_damper.variability.decomposition import CaseDraws, Sets, decompose
 from bayes_damper.variability.equivalent import TIMES, bearing_damping, equivalent, fit_linear, linear_record
-from bayes_damper.variability.guide import Guide
 from bayes_damper.variability.pooling import (
     POOLINGS,
     CaseLikelihood,
     GaussianCase,
     GaussianHierarchy,
     Hierarchy,
-    Powers,
     Tilted,
     recycle,
 )
 from bayes_damper.variability.published import PublishedCases, run_pooling
 from bayes_damper.variability.recorded import RecordedCases
-from bayes_damper.variability.tempering import Block, _groups, move_on, temper
 
 NAMES = ("a", "b", "c", "J", "own")
 POOLED, COMMON = NAMES[:3], ("J",)
@@ -310,12 +309,10 @@ def test_draws_that_are_too_few_are_moved_on_towards_the_populations():
     def again(case, tilt):
         g = gaussians[int(case)]
         whole = rng.multivariate_normal(g.mean, g.covariance, 4000)
-        share = np.exp(tilt(whole[:, :3]))
-        start = whole[rng.choice(4000, 400, p=share / share.sum())]
-        return own[case].values(move_on(Tilted(own[case], tilt), start, whole, rng), 0)
+        return own[case].values(move_on(Tilted(own[case], tilt), whole, np.exp(tilt(whole[:, :3])), 400, rng), 0)
 
-    few = recycle(draws, np.random.default_rng(2), 96)
-    found = recycle(draws, np.random.default_rng(2), 96, again=again)
+    few = recycle(draws, np.random.default_rng(3), 96)
+    found = recycle(draws, np.random.default_rng(3), 96, again=again)
     assert not few.reliable
     assert not few.moved
     assert found.reliable
