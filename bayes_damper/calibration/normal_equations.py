@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from bayes_damper.calibration.problem import Group, Problem
 
 Array = NDArray[np.float64]
-MOST_BYTES = 400_000_000
+MOST_BYTES = 250_000_000
 """Of linearised problems that are held at a time; beyond, all but the last two are made again when they are needed."""
 
 

@@ -48,6 +48,7 @@ FIRST_STAGE_EVENT_WEIGHT = 0.15
 OWN_FRICTION = ("ln_mu", "ln_drag")  # nuisances whose derivative is that of the parameter all trials share
 FINER = 0.01  # factor on the integrator's tolerance where records are subtracted from each other
 OFFSET_SHARE = 0.05  # of a channel's reach: prior sd of its unknown offset, where the campaign does not say
+READINGS_AT_ONCE = 100_000  # of the trials whose records are differentiated together
 _FARTHEST = 37.0  # standard deviations beyond which a coordinate is not followed
 
 
@@ -539,87 +540,105 @@ class Problem:
     def _linearised(
         self, q: Array, eta: Mapping[int, Array], annealed: bool, central: bool, steps: Array | None
     ) -> tuple[Block, ...]:
-        """Blocks of `linearise`."""
+        """Blocks of `linearise`, the trials of a large group in turns."""
         blocks = []
+        for group in self.groups:
+            most = max(READINGS_AT_ONCE // max(group.y[0].size, 1), 1)
+            parts = [
+                self._block(group.only(slice(k, k + most)), q, eta, annealed, central, steps)
+                for k in range(0, len(group.trials), most)
+            ]
+            whole = (
+                parts[0]
+                if len(parts) == 1
+                else Block(
+                    group, *(np.concatenate([getattr(p, name) for p in parts]) for name in ("r", "J", "T", "eta"))
+                )
+            )
+            blocks.append(replace(whole, group=group))
+        return tuple(blocks)
+
+    def _block(
+        self, group: Group, q: Array, eta: Mapping[int, Array], annealed: bool, central: bool, steps: Array | None
+    ) -> Block:
+        """Residuals and derivatives of one group."""
         differences = self.finer() if central else self
         steps = np.full(self.size, 2e-3) if steps is None else steps
-        for group in self.groups:
-            # Unknowns of different cases or springs never meet in a trial: they share a simulation.
-            together: dict[str, list[int]] = {}
-            for i, c in enumerate(self.coordinates):
-                if self._acts(c, group):
-                    together.setdefault(c.name if c.role == "effect" else c.parameter, []).append(i)
-            n = len(group.trials)
-            m = len(group.nuisances)
-            names = [name for name, _, _ in group.nuisances]
-            moved = [
-                i
-                for i, name in enumerate(names)
-                if not name.startswith("offset") and not (name in OWN_FRICTION and name[3:] in together)
-            ]
-            lanes = 1 + len(together) + len(moved)
-            sides = (1.0, -1.0) if central else (1.0,)
-            base_q = np.tile(q, (n, 1))
-            base_eta = np.array([eta[i] for i in group.trials]).reshape(n, m)
-            rows_q = [base_q]
-            rows_eta = [base_eta]
-            trial_steps = np.full((n, m), 2e-3)
-            for i, name in enumerate(names):
-                if name == "delay":
-                    trial_steps[:, i] = 1e-6 / group.nuisances[i][2]
-                trial_steps[:, i] *= np.where(base_eta[:, i] + trial_steps[:, i] > group.upper[:, i], -1.0, 1.0)
-            for side in sides:
-                for members in together.values():
-                    moved_q = base_q.copy()
-                    for i in members:
-                        moved_q[:, i] += side * steps[i]
-                    rows_q.append(moved_q)
-                    rows_eta.append(base_eta)
-                for i in moved:
-                    moved_eta = base_eta.copy()
-                    moved_eta[:, i] += side * trial_steps[:, i]
-                    rows_q.append(base_q)
-                    rows_eta.append(moved_eta)
-            copies = len(rows_q)
-            y = differences.simulate(
-                group, np.tile(np.arange(n), copies), np.concatenate(rows_q), np.concatenate(rows_eta)
-            ).reshape(copies, n, -1, group.times.size)
-            base = y[0]
-            shown = self.simulate(group, np.arange(n), base_q, base_eta) if central else base
-            forward = y[1:lanes] - base
-            if central:
-                backward = y[lanes:] - base
-                bad = ~np.isfinite(backward).all(axis=(2, 3))
-                for k, i in enumerate(moved):
-                    # Beyond the end of a nuisance's range a reading may jump: the release is another sample's.
-                    back = base_eta[:, i] - trial_steps[:, i]
-                    bad[len(together) + k] |= (back < group.lower[:, i]) | (back > group.upper[:, i])
-                backward[bad] = -forward[bad]
-                forward = 0.5 * (forward - backward)
-            forward[~np.isfinite(forward).all(axis=(2, 3))] = 0.0
-            weight = group.weights(annealed)
-            r = self.whitened(shown - group.y, weight)
-            w = self.whitened(forward, weight)  # (lanes - 1, n, data)
-            jac = np.zeros((n, self.size, w.shape[-1]))
-            for k, members in enumerate(together.values()):
+        # Unknowns of different cases or springs never meet in a trial: they share a simulation.
+        together: dict[str, list[int]] = {}
+        for i, c in enumerate(self.coordinates):
+            if self._acts(c, group):
+                together.setdefault(c.name if c.role == "effect" else c.parameter, []).append(i)
+        n = len(group.trials)
+        m = len(group.nuisances)
+        names = [name for name, _, _ in group.nuisances]
+        moved = [
+            i
+            for i, name in enumerate(names)
+            if not name.startswith("offset") and not (name in OWN_FRICTION and name[3:] in together)
+        ]
+        lanes = 1 + len(together) + len(moved)
+        sides = (1.0, -1.0) if central else (1.0,)
+        base_q = np.tile(q, (n, 1))
+        base_eta = np.array([eta[i] for i in group.trials]).reshape(n, m)
+        rows_q = [base_q]
+        rows_eta = [base_eta]
+        trial_steps = np.full((n, m), 2e-3)
+        for i, name in enumerate(names):
+            if name == "delay":
+                trial_steps[:, i] = 1e-6 / group.nuisances[i][2]
+            trial_steps[:, i] *= np.where(base_eta[:, i] + trial_steps[:, i] > group.upper[:, i], -1.0, 1.0)
+        for side in sides:
+            for members in together.values():
+                moved_q = base_q.copy()
                 for i in members:
-                    hit = self.touched(self.coordinates[i], group)
-                    jac[hit, i] = w[k][hit] / steps[i]
-            own = np.zeros((n, m, w.shape[-1]))
+                    moved_q[:, i] += side * steps[i]
+                rows_q.append(moved_q)
+                rows_eta.append(base_eta)
+            for i in moved:
+                moved_eta = base_eta.copy()
+                moved_eta[:, i] += side * trial_steps[:, i]
+                rows_q.append(base_q)
+                rows_eta.append(moved_eta)
+        copies = len(rows_q)
+        y = differences.simulate(
+            group, np.tile(np.arange(n), copies), np.concatenate(rows_q), np.concatenate(rows_eta)
+        ).reshape(copies, n, -1, group.times.size)
+        base = y[0]
+        shown = self.simulate(group, np.arange(n), base_q, base_eta) if central else base
+        forward = y[1:lanes] - base
+        if central:
+            backward = y[lanes:] - base
+            bad = ~np.isfinite(backward).all(axis=(2, 3))
             for k, i in enumerate(moved):
-                own[:, i] = w[len(together) + k] / trial_steps[:, i, None]
-            for i, name in enumerate(names):
-                if name.startswith("offset"):
-                    shift = np.zeros_like(group.y)
-                    shift[:, int(name[6:]) - 1] = group.nuisances[i][2][:, None]
-                    own[:, i] = self.whitened(shift, weight)
-            for name in OWN_FRICTION:
-                for i in together.get(name[3:], ()) if name in names else ():
-                    hit = self.touched(self.coordinates[i], group)
-                    per_log = math.log(_factor(self.coordinates[i].prior))
-                    own[hit, names.index(name)] = jac[hit, i] * (FRICTION_SPREAD / per_log)
-            blocks.append(Block(group, r, jac, own, base_eta))
-        return tuple(blocks)
+                # Beyond the end of a nuisance's range a reading may jump: the release is another sample's.
+                back = base_eta[:, i] - trial_steps[:, i]
+                bad[len(together) + k] |= (back < group.lower[:, i]) | (back > group.upper[:, i])
+            backward[bad] = -forward[bad]
+            forward = 0.5 * (forward - backward)
+        forward[~np.isfinite(forward).all(axis=(2, 3))] = 0.0
+        weight = group.weights(annealed)
+        r = self.whitened(shown - group.y, weight)
+        w = self.whitened(forward, weight)  # (lanes - 1, n, data)
+        jac = np.zeros((n, self.size, w.shape[-1]))
+        for k, members in enumerate(together.values()):
+            for i in members:
+                hit = self.touched(self.coordinates[i], group)
+                jac[hit, i] = w[k][hit] / steps[i]
+        own = np.zeros((n, m, w.shape[-1]))
+        for k, i in enumerate(moved):
+            own[:, i] = w[len(together) + k] / trial_steps[:, i, None]
+        for i, name in enumerate(names):
+            if name.startswith("offset"):
+                shift = np.zeros_like(group.y)
+                shift[:, int(name[6:]) - 1] = group.nuisances[i][2][:, None]
+                own[:, i] = self.whitened(shift, weight)
+        for name in OWN_FRICTION:
+            for i in together.get(name[3:], ()) if name in names else ():
+                hit = self.touched(self.coordinates[i], group)
+                per_log = math.log(_factor(self.coordinates[i].prior))
+                own[hit, names.index(name)] = jac[hit, i] * (FRICTION_SPREAD / per_log)
+        return Block(group, r, jac, own, base_eta)
 
     def touched(self, c: Coordinate, group: Group) -> NDArray[np.bool_]:
         """Which trials of a group a coordinate belongs to, (trials,)."""

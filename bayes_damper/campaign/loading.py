@@ -10,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
+from bayes_damper.campaign.balance import look_at_balance
 from bayes_damper.campaign.declarations import look_at_declarations
 from bayes_damper.campaign.head import Head, check_rig, per_channel, read_head
-from bayes_damper.campaign.magnitudes import check_magnitudes
+from bayes_damper.campaign.magnitudes import check_declared, check_magnitudes
 from bayes_damper.campaign.plausibility import look_at_rates, look_at_repeats, look_at_trial
 from bayes_damper.campaign.record_files import read_trial
 from bayes_damper.campaign.structure import Campaign, Measurement, Trial
@@ -38,6 +39,9 @@ def load_campaign(folder: str | Path) -> Campaign:
     trials = tuple(t for row in rows if (t := read_trial(folder, row, head, faults, digest)) is not None)
     check_rig(folder, head.rig, any(row.configuration == "coupled" for row in rows), faults)
     warnings: list[str] = list(head.notes)
+    if not head.broken:
+        check_declared(head, trials, faults, warnings)
+        look_at_balance(head, trials, faults, warnings)
     for trial in trials:
         if not head.broken:
             check_magnitudes(head, trial, faults, warnings)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -10,6 +11,64 @@ from bayes_damper.campaign import readings as look
 from bayes_damper.campaign.head import Head
 from bayes_damper.campaign.records import DERIVATIVE
 from bayes_damper.campaign.structure import COLUMNS, Rig, Trial, natural_period
+
+_FEWEST = 4.0  # readings in a period of the primary, below which a motion is not seen
+_ABOVE_ZERO = ("primary_inertia", "secondary_inertia", "bar_radius", "magnet_radius", "magnet_pull")
+
+
+def check_declared(head: Head, trials: Sequence[Trial], faults: list[str], warnings: list[str]) -> None:
+    """What campaign.toml and trials.csv declare, held against itself and the length and rate of the records."""
+    rig, declared = head.rig, head.measurement
+    where = "campaign.toml [rig]"
+    for key in _ABOVE_ZERO:
+        constant = getattr(rig, key)
+        if constant is not None and constant.std >= constant.value > 0.0:
+            faults.append(
+                f"{where}: {key} = {constant.value:g} with std = {constant.std:g}: the uncertainty is as large as the "
+                "value, which cannot be 0 or less; give the standard uncertainty in the same unit"
+            )
+    if rig.magnet_radius is not None and rig.bar_radius is not None and rig.magnet_radius.value >= rig.bar_radius.value:
+        warnings.append(
+            f"{where}: magnet_radius = {rig.magnet_radius.value:g} m is not smaller than bar_radius = "
+            f"{rig.bar_radius.value:g} m, at which the magnet sits; exchanged, or a diameter?"
+        )
+    for trial in {t.k1t: t for t in trials}.values():
+        if trial.k1t.std >= trial.k1t.value > 0.0:
+            faults.append(
+                f"trials.csv: case {trial.case}: the uncertainty of the spring, {trial.k1t.std:g}, is as large as the "
+                f"spring itself, {trial.k1t.value:g}; give the standard uncertainty in the same unit"
+            )
+    for trial in {t.theta0: t for t in trials if t.theta0 is not None}.values():
+        if trial.theta0 is not None and trial.theta0.std > abs(trial.theta0.value) > 0.0:
+            warnings.append(
+                f"trials.csv: case {trial.case}: theta0 is declared with an uncertainty larger than itself; the sign "
+                "of the release is then open: check the unit of the uncertainty"
+            )
+    where = "campaign.toml [measurement]"
+    if any(x >= 1.0 for x in declared.scale_std or ()):
+        faults.append(
+            f"{where}: scale_std is relative, 0.01 for 1 %; a scale uncertain by 100 % and more means nothing"
+        )
+    shortest = min((float(np.ptp(t.times)) for t in trials), default=math.inf)
+    if any(x >= shortest for x in declared.lag_std or ()):
+        faults.append(f"{where}: lag_std is as long as the shortest record, {shortest:.3g} s; give it in seconds")
+    if declared.every is not None and not head.broken:
+        for trial in trials:
+            left = natural_period(rig, trial) / (declared.every * float(np.median(np.diff(trial.times))))
+            kept = trial.times.size // declared.every
+            if left < _FEWEST or kept < 16:
+                faults.append(
+                    f"{where}: every = {declared.every} leaves {kept} readings of {trial.file}, {left:.2g} to a period "
+                    f"of the primary; at least {_FEWEST:g} show a motion"
+                )
+                break
+    for bandwidth in declared.sensor_bandwidth or ():
+        slowest = max((natural_period(rig, t) for t in trials), default=0.0)
+        if bandwidth * slowest < 1.0:
+            warnings.append(
+                f"{where}: sensor_bandwidth = {bandwidth:g} Hz lies below the rig's own frequency, "
+                f"{1.0 / slowest:.3g} Hz: such a sensor would hardly show the motion; check its unit"
+            )
 
 
 def check_magnitudes(head: Head, trial: Trial, faults: list[str], warnings: list[str]) -> None:
@@ -23,6 +82,14 @@ def check_magnitudes(head: Head, trial: Trial, faults: list[str], warnings: list
         faults.append(f"{trial.file}, column '{names[0]}': every reading is the same; the sensor was not connected?")
         return
     if trial.driven:
+        return
+    step = float(np.median(np.diff(trial.times)))
+    if step > 0.5 * natural_period(head.rig, trial):
+        faults.append(
+            f"{trial.file}: readings come every {step:.3g} s, but sqrt(k1t/primary_inertia) swings with a period of "
+            f"{natural_period(head.rig, trial):.3g} s; the time column is in milliseconds or microseconds, or k1t and "
+            "primary_inertia are in other units"
+        )
         return
     if trial.theta0 is None:
         _check_free_magnitude(head, trial, largest / omega**power, names[0], faults, warnings)
@@ -95,7 +162,11 @@ def _check_free_magnitude(
         return
     y = trial.channels[0] - np.median(trial.channels[0])
     to_and_fro = int(np.count_nonzero(np.diff(np.sign(y)) != 0)) >= 4
-    if swing > 20.0 or (swing > 3.5 and to_and_fro):
-        faults.append(f"{where} rad to and fro; it looks like degrees taken for radians: give radians in the record")
+    if swing > 20.0:
+        faults.append(f"{where} rad; it looks like degrees taken for radians: give radians in the record")
+    elif swing > 3.5 and to_and_fro:
+        warnings.append(
+            f"{where} rad to and fro, more than half a turn; if these are degrees, give radians in the record"
+        )
     elif swing > 1.6 and head.rig.restoring == "linear":
         warnings.append(f'{where} rad; if these are degrees, give radians; if it hangs, set restoring = "pendulum"')

@@ -16,6 +16,7 @@ from bayes_damper.campaign.structure import COLUMNS, SHOWN, Trial, groups_of, na
 from bayes_damper.text import counted
 
 Array = NDArray[np.float64]
+_MISSING = 0.2  # share of the readings that are not there
 _SHORT = 0.8  # of the longest repeat's end, before which a record counts as ending early
 _UNLIKE = 0.3  # rms difference over rms, from which repeats are held to be of different channels
 _TURNED = "; where `init` made the campaign, run it again with --sign -1 (coupled: one for each channel, such as -1 1)"
@@ -37,6 +38,13 @@ def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
         if np.ptp(y) == 0.0:
             warnings.append(f"{where}: every reading is the same; the sensor looks dead")
             continue
+        stuck = look.standstill_of(y, step)
+        if stuck is not None and not (held and stuck[0] == 0):
+            start, end = (float(trial.times[j]) for j in (stuck[0], stuck[1] - 1))
+            warnings.append(
+                f"{where}: stands still at {y[stuck[0]]:.4g} from {start:.4g} to {end:.4g} s, "
+                f"{stuck[1] - stuck[0]} equal readings: the logger or the sensor stopped; leave them out of the record"
+            )
         if step > noise:
             warnings.append(f"{where}: quantised in steps of {step:.3g}; noise below that cannot be seen")
         slowest = 2.0 * math.pi * look.dominant_frequency(trial.times, y)  # of a coupled rig's slow mode: round tops
@@ -90,6 +98,12 @@ def _look_at_clock(head: Head, trial: Trial, warnings: list[str]) -> None:
         warnings.append(
             f"{trial.file}: {counted(len(gaps), 'gap')} in time, {'the longest ' if len(gaps) > 1 else ''}"
             f"from {longest[0]:.4g} to {longest[1]:.4g} s"
+        )
+    missing = look.missing_of(times)
+    if missing > _MISSING:
+        warnings.append(
+            f"{trial.file}: {missing:.0%} of the readings between the first and the last are missing; see how the "
+            "record was exported"
         )
     if times[0] > 1.5 * step:
         warnings.append(f"{trial.file}: late start: the record begins {times[0]:.4g} s after the nominal release")

@@ -59,6 +59,32 @@ def gaps_of(times: Array) -> list[tuple[float, float]]:
     return [(float(times[i]), float(times[i + 1])) for i in where]
 
 
+def missing_of(times: Array) -> float:
+    """Share of the readings that are missing between the first and the last, 0 to 1: of steps of the usual length."""
+    steps = np.diff(times)
+    usual = float(np.median(steps)) if steps.size else 1.0
+    # Where every other reading is missing at random, most steps are still single ones.
+    single = float(np.median(steps[steps < 1.5 * usual])) if steps.size else 1.0
+    return max(0.0, 1.0 - (times.size - 1) / max(float(times[-1] - times[0]) / single, 1e-300))
+
+
+def standstill_of(readings: Array, step: float) -> tuple[int, int] | None:
+    """The longest run of equal readings in a channel that never repeats itself otherwise: half-open indices, or None.
+
+    A run counts from 8 readings on, where elsewhere fewer than one in fifty equals the one before it. Runs at the
+    largest and the smallest reading are left out: a sensor whose range ends. step : in which the readings are rounded
+    """
+    runs = _runs(np.diff(readings) == 0.0)
+    if not runs or step > 0.0:
+        return None
+    first, last = max(runs, key=lambda run: run[1] - run[0])
+    level = readings[first]
+    elsewhere = sum(b - a for a, b in runs) - (last - first)
+    if last - first < 7 or elsewhere > 0.02 * readings.size or level in (readings.min(), readings.max()):
+        return None
+    return first, last + 1
+
+
 def within_gaps(at: Array, times: Array) -> NDArray[np.bool_]:
     """Which instants `at` lie in a gap of the readings at `times`, where nothing was read."""
     out = np.zeros(at.shape, dtype=np.bool_)

@@ -27,7 +27,7 @@ from bayes_damper.simulation.model import Model
 Array = NDArray[np.float64]
 
 ANGLE_PER_STEP = 0.08  # largest omega dt of a step, rad: keeps the response within 1e-3
-SLICE = 50_000  # readings of a block of trials whose responses to hundreds of shapes are held at a time
+SLICE = 25_000  # readings of a block of trials whose responses to hundreds of shapes are held at a time
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,12 +15,22 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr
 
 from bayes_damper.campaign import Campaign
 from bayes_damper.errors import InputError
 from bayes_damper.files import shipped_path
 from bayes_damper.inputs import collected, real, shown, toml_file
-from bayes_damper.priors.distributions import Distribution, HalfNormal, LogNormal, LogUniform, Normal, Uniform, median
+from bayes_damper.priors.distributions import (
+    Distribution,
+    HalfNormal,
+    LogNormal,
+    LogUniform,
+    Normal,
+    Uniform,
+    median,
+    to_standard,
+)
 from bayes_damper.rig.parameters import PARAMETERS, hint, unit_of
 
 Array = NDArray[np.float64]
@@ -44,6 +54,14 @@ _ELSEWHERE = {
     "r": "magnet_radius in campaign.toml", "N0": "magnet_pull in campaign.toml",
     "k3t": "ground2_stiffness in campaign.toml", "k1t": "the columns of k1t in trials.csv",
 }  # fmt: skip
+
+
+_NEVER_NEGATIVE = {
+    "mu": "a coefficient of friction", "drag": "a drag torque", "c1t": "a damping", "c2t": "a damping",
+    "c3t": "a damping", "nu": "the sharpness of a friction", "sigma1": "a noise", "sigma2": "a noise",
+}  # fmt: skip
+_NEVER_ZERO = ("nu", "sigma1", "sigma2")
+_OUTSIDE = 0.01  # share of a prior that may lie where nu or a noise cannot be: what is cut at 8 sd, say
 
 
 @dataclass(frozen=True)
@@ -267,9 +285,21 @@ def campaign_priors(source: str | Path | Mapping[str, Any], campaign: Campaign) 
         with every fault of the file.
     """
     kind, quantity = campaign.rig.kind, campaign.measurement.quantity
-    if isinstance(source, Mapping):
-        return priors_from_dict(source, kind=kind, quantity=quantity, recorded=True)
-    return load_priors(source, kind=kind, quantity=quantity, recorded=True)
+    found = (
+        priors_from_dict(source, kind=kind, quantity=quantity, recorded=True)
+        if isinstance(source, Mapping)
+        else load_priors(source, kind=kind, quantity=quantity, recorded=True)
+    )
+    where = "priors" if isinstance(source, Mapping) else str(source)
+    faults = [
+        f"{where}: {name}: there is no case {case!r} in this campaign; {hint(case, campaign.cases)}"
+        for name, entry in found.entries.items()
+        for case in entry.cases
+        if case not in campaign.cases
+    ]
+    if faults:
+        raise InputError(faults)
+    return found
 
 
 def priors_from_dict(
@@ -444,10 +474,13 @@ class _Reader:
         if not sound:
             return None
         problem = _problem(kind, x)
+        value = None if problem else _build(kind, x)
+        if value is not None:
+            problem = _impossible(self.key, value)
         if problem:
             self.fault(prefix + problem)
             return None
-        return _build(kind, x)
+        return value
 
 
 def _problem(kind: str, x: Mapping[str, float]) -> str | None:
@@ -465,6 +498,22 @@ def _problem(kind: str, x: Mapping[str, float]) -> str | None:
         return f"lower must be positive, got {lower:g}"
     if kind == "normal" and (lower > x["mean"] + 8.0 * x["sd"] or upper < x["mean"] - 8.0 * x["sd"]):
         return "lower and upper leave nothing of this normal distribution (beyond 8 sd)"
+    return None
+
+
+def _impossible(name: str, value: Distribution | float) -> str | None:
+    """What is wrong with a value, or most values of a prior, that the parameter cannot have."""
+    if name not in _NEVER_NEGATIVE:
+        return None
+    zero = name in _NEVER_ZERO
+    told = f"{_NEVER_NEGATIVE[name]} is {'above 0' if zero else '0 or more'}"
+    if isinstance(value, float):
+        wrong = value < 0.0 or (zero and value == 0.0)
+        return f"{value:g} cannot be: {told}" if wrong else None
+    low, high = value.support
+    below = 1.0 if high <= 0.0 else 0.0 if low >= 0.0 else float(ndtr(to_standard(value, 0.0)))
+    if below > (_OUTSIDE if zero else 0.5):
+        return f"{below:.0%} of this prior lies below 0, but {told}; cut it with lower, or take a lognormal"
     return None
 
 

@@ -4,11 +4,13 @@ import math
 
 import numpy as np
 import pytest
+from campaigns import write_synthetic
 from scipy import stats
 
+from bayes_damper.campaign import load_campaign
 from bayes_damper.errors import InputError
 from bayes_damper.priors.distributions import LogNormal, Normal, Uniform, median
-from bayes_damper.priors.files import load_priors, priors_from_dict
+from bayes_damper.priors.files import campaign_priors, load_priors, priors_from_dict
 from bayes_damper.published.measurements import load_published
 from bayes_damper.rig.parameters import PARAMETERS, nearest, unit_of
 
@@ -244,6 +246,11 @@ def test_all_faults_of_a_file_come_at_once(tmp_path):
         ('mu = {dist = "loguniform", lower = 0, upper = 1, unit = "1"}', "lower must be positive"),
         ('mu = {dist = "lognormal", median = -1, factor = 2, unit = "1"}', "median must be positive"),
         ("mu = nan", "finite"),
+        ("mu = -0.01", "mu: -0.01 cannot be: a coefficient of friction is 0 or more"),
+        ("c1t = [-1, -0.5]", "c1t: 100% of this prior lies below 0, but a damping is 0 or more"),
+        ("nu = 0", "nu: 0 cannot be: the sharpness of a friction is above 0"),
+        ("sigma1 = 0", "sigma1: 0 cannot be: a noise is above 0"),
+        ('nu = {dist = "normal", mean = 60, sd = 60, unit = "s/rad"}', "nu: 16% of this prior lies below 0"),
         ('mu = {dist = "normal", mean = "a", sd = 1, unit = "1"}', "mean must be a finite number, not 'a'"),
         ('mu = {dist = "normal", mean = 0, sd = 1, lower = 20, unit = "1"}', "leave nothing"),
         ('c3t = "c1"', "tied to 'c1', which has no entry"),
@@ -278,3 +285,12 @@ def test_a_folder_of_the_same_name_hides_no_shipped_file(tmp_path, monkeypatch):
     assert load_priors("thesis").to_dict()
     with pytest.raises(InputError, match="none of the shipped"):
         load_priors(str(tmp_path / "thesis"))
+
+
+def test_a_prior_for_a_case_that_does_not_exist_is_named(tmp_path):
+    campaign = load_campaign(write_synthetic(tmp_path))
+    own = {"mu": {"dist": "normal", "mean": 0.01, "sd": 0.01, "lower": 0.0, "unit": "1", "cases": {"VI": {"sd": 0.1}}}}
+    with pytest.raises(InputError, match="mu: there is no case 'VI' in this campaign; did you mean 'IV'"):
+        campaign_priors(own, campaign)
+    own["mu"]["cases"] = {"IV": {"sd": 0.1}}
+    assert campaign_priors(own, campaign).entries["mu"].cases["IV"].sd == 0.1

@@ -1,0 +1,203 @@
+"""Whether the second channel and the declared inertias can belong together: the torques on both bodies add up to zero.
+
+What the bodies do to each other drops out of the sum of their equations, whatever the law of the coupling is:
+
+    (J1 + J12) a1 + c1 w1 + k1 th1 + (J2 + J12) a2 + c3 w2 + k3 th2 = 0
+
+but for dry friction in the bearings and other small things. Held against a bump g of one natural period that is moved
+along the record (Shinbrot's modulating functions, NACA TN 3288, 1954), the derivatives go over to the bump: with
+accelerations, velocities or displacements alike th, w and a become the readings filtered by g, -g' and g''. Nothing is
+integrated, so nothing drifts. A least-squares fit of J2 and of the dampings is left.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from bayes_damper.campaign import readings as look
+from bayes_damper.campaign.head import Head
+from bayes_damper.campaign.structure import COLUMNS, Trial, natural_period
+
+Array = NDArray[np.float64]
+_SHOWN = 0.95  # share of the primary's torques that the second body must explain, for its inertia to be believed
+_OFF = (0.6, 1.4)  # times J2, beyond which it is an error: effects and noise that rigs have change it by less
+_FEWEST = 20.0  # readings in a natural period
+_LATE = 0.3  # rad of the rig's oscillation by which channels may be apart
+_LEAST = 5.0  # natural periods of a record that are looked at, where the motion dies out sooner
+_ALONE = 1.3  # readings over their own noise, up to which a channel shows nothing else
+
+
+@dataclass(frozen=True)
+class _Sum:
+    """Inertia of the second body that balances the primary, its standard error, and the share that it explains."""
+
+    inertia: float
+    error: float
+    explained: float
+
+
+def look_at_balance(head: Head, trials: Sequence[Trial], faults: list[str], warnings: list[str]) -> None:
+    """Adds what the coupled trials say of the second channel: a copy, noise alone, another scale, another clock."""
+    cases: dict[str, list[Trial]] = {}
+    for trial in trials:
+        if len(trial.channels) == 2 and not _is_copy(trial, head, faults) and not _is_noise(trial, head, warnings):
+            cases.setdefault(trial.case, []).append(trial)
+    rig = head.rig
+    if rig.restoring != "linear" or rig.inertial_coupling_law != "constant" or rig.secondary_inertia is None:
+        return
+    declared = rig.secondary_inertia
+    wrong: dict[str, float] = {}
+    for case, own in cases.items():
+        still = [t for t in own if not t.driven]
+        if not still or natural_period(rig, still[0]) < _FEWEST * float(np.median(np.diff(still[0].times))):
+            continue
+        found = _balance(head, still, 0.0)
+        if found is None:
+            continue
+        if found.explained > _SHOWN:
+            known = 5.0 * math.hypot(found.error / max(found.inertia, 1e-300), declared.std / declared.value)
+            ratio = found.inertia / declared.value
+            if not _OFF[0] < ratio < _OFF[1] and abs(math.log(max(ratio, 1e-9))) > known:
+                wrong[case] = found.inertia
+            continue
+        _look_at_clock(head, case, still, found, warnings)
+    if wrong:
+        middle = float(np.median(list(wrong.values())))
+        unit = "kg m^2" if rig.kind == "torsional" else "kg"
+        told = ", ".join(f"{value:.3g} in case {case}" for case, value in wrong.items())
+        warnings.append(
+            f"the torques on both bodies add up to zero only with a secondary_inertia of {told} {unit}, not with the "
+            f"declared {declared.value:.3g}: correct it, or {_cause(head, middle / declared.value)}"
+        )
+
+
+def _cause(head: Head, ratio: float) -> str:
+    """What may be wrong with a second channel that has to be multiplied by `ratio`."""
+    torsional = head.rig.kind == "torsional"
+    radius = head.rig.bar_radius.value if head.rig.bar_radius is not None else 0.1
+    guesses = {
+        "is in thousandths of the declared unit": 1e-3,
+        "is a thousand times too small in the declared unit": 1e3,
+    }
+    if torsional:
+        guesses["is in degrees, not in radians"] = math.pi / 180.0
+        if head.measurement.quantity == "acceleration":
+            guesses["is in m/s^2 at the bar's end, not in rad/s^2"] = 1.0 / radius
+            guesses["is in g at the bar's end, not in rad/s^2"] = 9.81 / radius
+    elif head.measurement.quantity == "acceleration":
+        guesses["is in g, not in m/s^2"] = 9.81
+    best = min(guesses, key=lambda text: abs(math.log(guesses[text] / ratio)))
+    likely = f"; it may be that it {best}" if abs(math.log(guesses[best] / ratio)) < math.log(1.3) else ""
+    return f"the second channel reads {1.0 / ratio:.3g} times what it should{likely}"
+
+
+def _look_at_clock(head: Head, case: str, trials: Sequence[Trial], found: _Sum, warnings: list[str]) -> None:
+    """Names a second channel that balances the first only if it is moved in time."""
+    omega = 2.0 * math.pi / natural_period(head.rig, trials[0])
+    lags = np.linspace(-1.2, 1.2, 25) / omega
+    moved = [_balance(head, trials, float(lag)) for lag in lags]
+    best = max(range(lags.size), key=lambda k: 0.0 if moved[k] is None else moved[k].explained)  # type: ignore[union-attr]
+    there = moved[best]
+    if there is None or there.explained < _SHOWN or 1.0 - there.explained > 0.5 * (1.0 - found.explained):
+        return
+    if abs(lags[best]) * omega > _LATE:
+        warnings.append(
+            f"case {case}: the torques on both bodies add up to zero only if the second channel is about "
+            f"{1e3 * abs(lags[best]):.2g} ms {'late' if lags[best] > 0.0 else 'early'}: see how the two channels are "
+            "sampled, and move its readings in time"
+        )
+
+
+def _is_copy(trial: Trial, head: Head, faults: list[str]) -> bool:
+    """Names a second channel that is the first one times a number, noise and all."""
+    a, b = trial.channels - trial.channels.mean(axis=1, keepdims=True)
+    scale = float(a @ b) / max(float(a @ a), 1e-300)
+    copied = scale != 0.0 and float(np.max(np.abs(b - scale * a))) < 1e-6 * float(np.max(np.abs(b)))
+    if copied and look.noise_floor_of(trial.channels[0]) > 1e-5 * float(
+        np.max(np.abs(a))
+    ):  # noise never repeats itself
+        names = COLUMNS[(head.rig.kind, head.measurement.quantity)]
+        times = "" if abs(scale - 1.0) < 1e-6 else f"{scale:.4g} times "
+        faults.append(
+            f"{trial.file}: column '{names[1]}' is {times}column '{names[0]}', noise and all: give the readings of "
+            "the second sensor"
+        )
+    return copied
+
+
+def _is_noise(trial: Trial, head: Head, warnings: list[str]) -> bool:
+    """Names a second channel in which nothing but noise is seen while the first one moves."""
+    first, second = (float(np.std(c)) / max(look.noise_floor_of(c), 1e-300) for c in trial.channels)
+    silent = second < _ALONE and first > 10.0
+    if silent and np.ptp(trial.channels[1]) > 0.0:
+        name = COLUMNS[(head.rig.kind, head.measurement.quantity)][1]
+        warnings.append(
+            f"{trial.file}, column '{name}': shows nothing but noise while the primary moves; is the second sensor "
+            "connected, and the trial coupled?"
+        )
+    return silent
+
+
+def _balance(head: Head, trials: Sequence[Trial], lag: float) -> _Sum | None:
+    """The fit of J2 and of both dampings to coupled trials; lag : s by which the second channel is read later.
+
+    None where the records hold too little.
+    """
+    rig = head.rig
+    rows: list[Array] = []
+    targets: list[Array] = []
+    for trial in trials:
+        period = natural_period(rig, trial)
+        step = float(np.median(np.diff(trial.times)))
+        start, end = _stretch(trial)
+        grid = np.arange(start, min(max(end, start + _LEAST * period), float(trial.times[-1])), step)
+        width = round(period / step)
+        if grid.size < 2 * width:
+            continue
+        first = np.interp(grid, trial.times, trial.channels[0])
+        second = np.interp(grid + lag, trial.times, trial.channels[1])
+        x = np.arange(width + 1) * step * math.pi / period
+        rate = math.pi / period
+        bump, slope, bend = (
+            np.sin(x) ** 4,
+            4.0 * rate * np.sin(x) ** 3 * np.cos(x),
+            4.0 * rate**2 * (3.0 * np.sin(x) ** 2 * np.cos(x) ** 2 - np.sin(x) ** 4),
+        )
+        (th1, w1, a1), (th2, w2, a2) = (
+            [np.convolve(y, kernel[::-1], "valid") for kernel in (bump, -slope, bend)] for y in (first, second)
+        )
+        beside = rig.inertial_coupling.value
+        mine = (rig.primary_inertia.value + beside) * a1 + trial.k1t.value * th1
+        targets.append(mine + beside * a2 + rig.ground2_stiffness.value * th2)
+        one = np.ones_like(w1)
+        rows.append(np.stack([-a2, -w1, -w2, one, -one], axis=1))
+    if not rows:
+        return None
+    A, y = np.concatenate(rows), np.concatenate(targets)
+    size = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
+    x, left = nnls(A / size, y)
+    known = y - A[:, 3:] @ (x[3:] / size[3:])
+    total = float(np.linalg.norm(known))
+    if total <= 0.0:
+        return None
+    own = A[:, 0] - A[:, 1:3] @ np.linalg.lstsq(A[:, 1:3], A[:, 0], rcond=None)[0]
+    error = left / math.sqrt(y.size) / max(float(np.linalg.norm(own)), 1e-300) * math.sqrt(len(trials) * 4.0)
+    # What the dampings alone could explain says nothing of the second body.
+    without = nnls((A / size)[:, 1:], y)[1]
+    explained = 1.0 - (left / max(without, 1e-300)) ** 2
+    return _Sum(float(x[0] / size[0]), error, explained)
+
+
+def _stretch(trial: Trial) -> tuple[float, float]:
+    """From the first to the last reading that stands out from noise, s, the first reading behind a release left out."""
+    y = trial.channels[0] - np.median(trial.channels[0][-max(trial.times.size // 4, 1) :])
+    large = np.flatnonzero(np.abs(y) > max(0.02 * float(np.max(np.abs(y))), 6.0 * look.noise_floor_of(y)))
+    if large.size < 2:
+        return float(trial.times[0]), float(trial.times[0])
+    return float(trial.times[min(large[0] + 2, trial.times.size - 1)]), float(trial.times[large[-1]])
