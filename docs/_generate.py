@@ -16,12 +16,19 @@ from collections.abc import Callable
 from typing import Any
 
 _MARK = re.compile(r"<!-- generated: (\w+) -->(?:\n\*In the repository[^\n]*\*)?")
+_MATH = re.compile(r"^```math\n(.*?)\n```$", re.MULTILINE | re.DOTALL)
 _HEADINGS = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Put the generated parts in place."""
-    return _MARK.sub(lambda found: _PARTS[found[1]](), markdown)
+    """Put the generated parts in place, and typeset equations (MathML, so that pages need no network)."""
+    return _MATH.sub(_typeset, _MARK.sub(lambda found: _PARTS[found[1]](), markdown))
+
+
+def _typeset(found: re.Match[str]) -> str:
+    from latex2mathml.converter import convert
+
+    return f'<div class="math" markdown="0">{convert(found[1].strip(), display="block")}</div>'
 
 
 def commands() -> str:
