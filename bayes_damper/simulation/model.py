@@ -20,7 +20,6 @@ from bayes_damper.effects.base import MOST_PARAMETERS, Variant, parameter_table
 from bayes_damper.rig.equations import ROWS
 from bayes_damper.rig.inputs import Inputs
 from bayes_damper.simulation import integrator, links
-from bayes_damper.simulation.accumulate import Accumulator
 from bayes_damper.simulation.integrator import LANES, LONGEST_STEP
 
 Quantity = Literal["acceleration", "velocity", "displacement"]
@@ -40,14 +39,6 @@ class Simulation:
     """Readings of n parameter vectors: `y` (n, n_channels, n_times), nan where `outcome` (n,) is not COMPLETED."""
 
     y: Array
-    outcome: NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class Sums:
-    """Sums of n parameter vectors: `sums` (n, n_channels, n_sums), nan where `outcome` (n,) is not COMPLETED."""
-
-    sums: Array
     outcome: NDArray[np.int64]
 
 
@@ -158,60 +149,6 @@ class Model:
         y = np.stack([simulation.y[:, channel] for channel, simulation in readings], axis=1)
         return Simulation(y, np.max([simulation.outcome for _, simulation in readings], axis=0))
 
-    def accumulate(
-        self,
-        parameters: Parameters,
-        times: ArrayLike,
-        data: ArrayLike,
-        accumulator: Accumulator,
-        *,
-        directions: ArrayLike | None = None,
-        options: ArrayLike | None = None,
-        effect: Parameters | None = None,
-        torque: ArrayLike | None = None,
-        quantity: Quantity = "acceleration",
-        tolerance: float = 1.0,
-        threads: int = 1,
-    ) -> Sums:
-        """What a likelihood needs of the residuals of n parameter vectors, without ever holding their records.
-
-        Parameters
-        ----------
-        parameters, times, effect, torque, quantity, tolerance, threads : as for `simulate`.
-        data : (n_channels, n_times) measured readings, nan where there is none.
-        accumulator : one of accumulate.py, or your own.
-        directions : (k, n_channels, n_times) series whose products with the residuals are wanted.
-        options : (n or 1, m) numbers of the accumulator for each parameter vector, e.g. degrees of freedom and scales.
-        """
-        observed = np.ascontiguousarray(data, float)
-        rows, extras, grid, drive, lags = self._prepared(parameters, times, effect, torque, None)
-        if observed.shape != (self.channels, grid.size):
-            raise ValueError(f"data has shape {observed.shape}, expected {(self.channels, grid.size)}: channels, times")
-        weight = np.isfinite(observed).astype(float)
-        observed = np.where(weight > 0.0, observed, 0.0)
-        along = np.zeros((0, *observed.shape)) if directions is None else np.ascontiguousarray(directions, float)
-        n = max(rows.shape[1], extras.shape[1])
-        own = np.zeros((1, 1)) if options is None else np.atleast_2d(np.asarray(options, float))
-        own = np.ascontiguousarray(np.broadcast_to(own, (n, own.shape[1])))
-        sums = np.full((n, self.channels, accumulator.size(along.shape[0])), np.nan)
-
-        def take(vectors: NDArray[np.int64], block: Array, skip: int) -> None:
-            part = np.empty((vectors.size, *sums.shape[1:]))
-            accumulator.kernel(block, skip, observed, weight, along, own[vectors], part)
-            sums[vectors] = part
-
-        if lags is None:
-            outcome = self._run(rows, extras, grid, drive, quantity, tolerance, threads, take).outcome
-        else:
-            # Channels that lag are integrated one by one, so their records must be there together.
-            simulation = self.simulate(
-                parameters, times, effect=effect, torque=torque, quantity=quantity, tolerance=tolerance, threads=threads
-            )
-            outcome = simulation.outcome
-            take(np.arange(n), simulation.y, 0)
-        sums[outcome != integrator.COMPLETED] = np.nan
-        return Sums(sums, outcome)
-
     def _prepared(
         self,
         parameters: Parameters,
@@ -273,21 +210,20 @@ class Model:
         quantity: Quantity,
         tolerance: float,
         threads: int,
-        take: Callable[[NDArray[np.int64], Array, int], None] | None = None,
     ) -> Simulation:
-        """Integrate block by block; records go into the result, or to `take` (vectors, block, skip)."""
+        """Integrate block by block."""
         n = max(rows.shape[1], extras.shape[1])
         rows = np.array(np.broadcast_to(rows, (rows.shape[0], n)))
         extras = np.array(np.broadcast_to(extras, (extras.shape[0], n)))
         usable = np.isfinite(rows).all(axis=0) & np.isfinite(extras).all(axis=0)
         usable &= (rows[[ROWS.index(name) for name in _POSITIVE]] > 0.0).all(axis=0)
         outcome = np.where(usable, integrator.COMPLETED, integrator.NOT_FINITE_INPUT)
-        y = np.empty((n if take is None else 0, self.channels, times.size))
+        y = np.full((n, self.channels, times.size), np.nan)
         which = np.flatnonzero(usable)
         # Vectors that take similarly many steps share a block: one that is done waits for the others.
         which = which[np.argsort(rows[ROWS.index("nu"), which], kind="stable")]
         if which.size == 0:
-            return Simulation(np.full_like(y, np.nan), outcome)
+            return Simulation(y, outcome)
         first = rows[ROWS.index("delay"), which].min()
         grid = np.concatenate([[first], times]) if first < times[0] else times
         skip = grid.size - times.size
@@ -318,20 +254,15 @@ class Model:
                 status[(status == integrator.COMPLETED) & ~np.isfinite(final)] = integrator.NOT_FINITE_RECORD
                 kept = min(LANES, which.size - start)
                 outcome[lanes[:kept]] = status[:kept]
-                if take is not None:
-                    take(lanes[:kept], *((out, skip) if at is None else (np.ascontiguousarray(out[:, :, at]), 0)))
-                elif at is None:
-                    y[lanes[:kept]] = out[:kept, : self.channels, skip : grid.size]
-                else:
-                    y[lanes[:kept]] = out[:kept, : self.channels][:, :, at]
+                there = slice(skip, grid.size) if at is None else at
+                y[lanes[:kept]] = out[:kept, : self.channels, there]
 
         if workers > 1:
             with ThreadPoolExecutor(workers) as pool:
                 list(pool.map(work, range(workers)))
         else:
             work(0)
-        if take is None:
-            y[outcome != integrator.COMPLETED] = np.nan
+        y[outcome != integrator.COMPLETED] = np.nan
         return Simulation(y, outcome)
 
 
