@@ -210,11 +210,6 @@ class Campaign:
         return tuple(dict.fromkeys(t.case for t in self.trials))
 
     @property
-    def k1t_values(self) -> tuple[Constant, ...]:
-        """The declared stiffnesses, each once: one parameter each."""
-        return tuple(dict.fromkeys(t.k1t for t in self.trials))
-
-    @property
     def coupled(self) -> bool:
         """Whether any trial is coupled."""
         return any(t.coupled for t in self.trials)

@@ -76,11 +76,6 @@ class Candidate:
         """Family and formula."""
         return f"{self.effect.name}/{self.variant.name}"
 
-    @property
-    def best_screen(self) -> Screened:
-        """The start with the largest gain."""
-        return max(self.screens, key=lambda s: s.gain)
-
 
 def scales_of(experiment: Experiment) -> Scales:
     """Magnitudes of the rig, each a power of 2 times the library's reference, so that kernels are reused."""

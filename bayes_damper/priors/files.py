@@ -126,11 +126,6 @@ class PriorSet:
         """Names of the free parameters: the order of the unit cube's dimensions."""
         return tuple(self.free)
 
-    @property
-    def case_names(self) -> tuple[str, ...]:
-        """The cases for which some entry has a value of its own."""
-        return tuple(dict.fromkeys(case for entry in self.entries.values() for case in entry.cases))
-
     def level(self, name: str) -> str:
         """Whether there is one value per "campaign", per "case" or per "trial"; a tied parameter follows its other."""
         other = self.tied.get(name)

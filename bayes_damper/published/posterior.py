@@ -29,7 +29,7 @@ from bayes_damper.priors.distributions import (
     to_standard,
 )
 from bayes_damper.published.features import Features, features
-from bayes_damper.runs.outcome import Outcome
+from bayes_damper.runs.outcome import count_outcomes
 from bayes_damper.simulation.model import Model
 
 Array = NDArray[np.float64]
@@ -283,8 +283,7 @@ class FeaturePosterior:
         changes = {name: values.pop(name) for name in list(values) if name.startswith(EFFECT_PREFIX)}
         effect = {name.removeprefix(EFFECT_PREFIX): x for name, x in changes.items()}
         simulation = self.models[configuration].simulate(values, self.times, effect=effect)
-        number, count = np.unique(simulation.outcome, return_counts=True)
-        self.outcomes.update({Outcome(int(o)).name: int(c) for o, c in zip(number, count, strict=True)})
+        self.outcomes.update(count_outcomes(simulation.outcome))
         return features(self.times, simulation.y[:, 0], t_min)
 
     def misfits(self, points: Array) -> Array:

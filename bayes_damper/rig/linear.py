@@ -331,12 +331,6 @@ def insertion_loss(rig: LinearRig) -> Array:
     return 20.0 * np.log10(without / resonances(rig).peak)
 
 
-def tuned_frequency_ratio(rig: LinearRig) -> Array:
-    """Natural frequency of the secondary alone, sqrt(k2t/J2), over that of the primary alone (p. 27); (n,)."""
-    p = rig.arrays()
-    return _array(np.sqrt(p["k2t"] / p["J2"]) / np.sqrt(p["k1t"] / p["J1"]))
-
-
 # Polynomials, one per draw: (n, degree + 1) coefficients, highest power first ---------------------------------------
 
 

@@ -87,14 +87,6 @@ def bridge(
     return Evidence(log_z, error, health, spread, 2 * (proposals // 2))
 
 
-def laplace(log_prob: float, covariance: Array) -> float:
-    """Log evidence of a normal density with this height (nats) and covariance (ndim, ndim)."""
-    sign, log_det = np.linalg.slogdet(covariance)
-    if sign <= 0:
-        raise InputError("The covariance at the optimum is not positive definite: the optimum is not a peak.")
-    return float(log_prob + 0.5 * (len(covariance) * np.log(2.0 * np.pi) + log_det))
-
-
 def nested(
     log_likelihood: LogDensity, transform: Callable[[Array], Array], ndim: int, seed: int, *, live: int = 1000
 ) -> tuple[float, float]:
