@@ -180,6 +180,13 @@ def _number(text: str) -> int | float | str:
     return text
 
 
+class _OneOrEach(argparse.Action):
+    """One value for all channels, or one for each of them."""
+
+    def __call__(self, _parser: Any, namespace: Any, values: Any, _option: Any = None) -> None:
+        setattr(namespace, self.dest, values[0] if len(values) == 1 else values)
+
+
 def _init_options(sub: Any) -> list[str]:
     """An option for every key of the import's tables, and of [rig] and [measurement]; their names."""
     tables = importlib.import_module("bayes_damper.campaign.import_options")
@@ -196,12 +203,15 @@ def _init_options(sub: Any) -> list[str]:
             sub.add_argument(flag, action=argparse.BooleanOptionalAction, default=None, help=told)
         elif types == (list,):
             sub.add_argument(flag, nargs="+", type=_number, metavar="X", help=told)
+        elif list in types:
+            sub.add_argument(flag, nargs="+", type=_number, metavar="X", help=told, action=_OneOrEach)
         else:
             kind = str if types == (str,) else _number
             sub.add_argument(flag, type=kind, metavar="X", help=told)
     for key, text in known.items():
         kind = str if key in ("name", "description", "source_text") else _number
-        sub.add_argument(f"--{key.replace('_', '-')}", type=kind, metavar="X", help=text)
+        several = {"nargs": "+", "action": _OneOrEach} if "per channel" in text else {}
+        sub.add_argument(f"--{key.replace('_', '-')}", type=kind, metavar="X", help=text, **several)
     return [*keys, *known]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from bayes_damper.calibration import (
 from bayes_damper.calibration.forecast import forecast
 from bayes_damper.campaign import load_campaign
 from bayes_damper.campaign.importer import import_records
+from bayes_damper.cli import main
 from bayes_damper.diagnosis.gap import measure_gap
 from bayes_damper.diagnosis.search import offered
 from bayes_damper.effects import EFFECTS
@@ -57,6 +59,24 @@ def test_a_single_body_without_magnet_is_offered_what_it_can_have(tmp_path: Path
         {"interface_friction", "magnet_cubic", "magnet_fade", "eddy_overlap", "inertia_error", "sensor_delay"}
         | {"release_ramp", "release_offset", "stick_slip", "friction_displacement", "normal_force_law"}
     )
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_the_page_of_a_rig_makes_a_campaign_from_its_raw_files(
+    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if not (RAW / name).is_dir():
+        pytest.skip(f"the raw files of {name} are not here; set BAYES_DAMPER_REALDATA to their folder")
+    page = (ROOT / "docs" / "rigs" / f"{name}.md").read_text(encoding="utf-8")
+    commands = re.findall(r"^bayes-damper (init .*)$", page.replace("\\\n", " "), re.MULTILINE)
+    assert commands
+    monkeypatch.chdir(RAW / name)
+    for command in commands:
+        _, folder, *words = command.split()
+        files = [f.name for word in words for f in sorted(Path().glob(word)) if not word.startswith("-")]
+        options = words[next(k for k, word in enumerate(words) if word.startswith("-")) :]
+        assert main(["init", str(tmp_path / folder), *files, *options]) == 0
+        assert f"{folder}: {len(files)} trial" in capsys.readouterr().out
 
 
 def held_out_rms(found: Experiment, left_out: int, variant: Variant | None) -> float:
