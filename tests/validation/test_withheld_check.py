@@ -14,7 +14,7 @@ from bayes_damper.cli import main
 from bayes_damper.errors import ExitCode, InputError, Interrupted, SelfCheckError
 from bayes_damper.files import shipped_path
 from bayes_damper.validation.withheld import archive as archives
-from bayes_damper.validation.withheld import baselines, check, scores, sealing, together, verify
+from bayes_damper.validation.withheld import baselines, check, page, scores, sealing, together, verify
 from bayes_damper.validation.withheld.baselines import forest_out_of_fold
 
 GROUPS = [frozenset({"friction_displacement", "normal_force_law"})]
@@ -604,6 +604,11 @@ def test_laboratories_are_scored_by_class_with_their_calibration():
     assert told["one body"]["campaigns"] == 1
     assert told["two bodies"]["reliability"]["n"] == 2
     assert 0.0 < told["two bodies"]["reliability"]["p_value"] <= 1.0
+    lines = page.laboratories({"scores": scores.all_scores([wrong, right, named]), "baselines": {}}).splitlines()
+    assert any(line.startswith("| what | with repeats | without repeats | two bodies") for line in lines)
+    assert any(line.startswith("| none where nothing is missing | laboratories with repeats | 1 (") for line in lines)
+    assert any(line.startswith("| calibration | ") and "p = " in line for line in lines)
+    assert [line[:16] for line in lines if line.startswith("- ")] == ["- a (laboratory,"]
     assert (wrong.false_and_likely, wrong.false_and_confident, right.false_and_likely) == (True, False, False)
     assert scores.all_scores([scores.score_one("d", said("none"), entry("none"), GROUPS)])["by_class"] == {}
 
