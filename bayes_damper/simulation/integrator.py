@@ -30,8 +30,10 @@ from __future__ import annotations
 import gc
 import hashlib
 import inspect
+import multiprocessing
 import os
 import sys
+import warnings
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
@@ -765,6 +767,8 @@ _SPECIAL: dict[str, Any] = {
 """Signatures of what `advance` is specialised in."""
 _LOADED: dict[Path, Callable[..., Any]] = {}
 """Kernels of this process by their file: formulas that differ in what is no matter of the kernel share one."""
+_SLOW: list[str] = []
+"""Why kernels are compiled as one piece each, if they are."""
 _NUMBA_OPTIONS: dict[str, Any] = {"fastmath": vector_math.FASTMATH, "error_model": "numpy", "nogil": True}
 
 
@@ -842,18 +846,37 @@ def specialise(bound: dict[str, Any], compile: bool = True) -> Callable[..., Any
         return FunctionType(advance.__code__, globals() | bound)
     path = kernel_file(bound)
     if path not in _LOADED:
-        special = {name: (bound.get(name, globals()[name]), signature) for name, signature in _SPECIAL.items()}
-        parts = {"advance": _common(), "define": late_binding.definitions(special)}
         try:
+            special = {name: (bound.get(name, globals()[name]), signature) for name, signature in _SPECIAL.items()}
+            parts = {"advance": _common(), "define": late_binding.definitions(special)}
             _LOADED[path] = _compiled(_in_file(linked, parts, path))
-        except Exception:  # noqa: BLE001 (whatever numba cannot link it compiles as one, or says what is wrong)
+        except Exception as error:  # noqa: BLE001 (internals of numba may fail in any way)
+            # What is wrong with an effect is said here, by numba; what works as one piece is no fault of the effect.
             _LOADED[path] = _compiled(_in_file(advance, bound, path))
+            _warn_of_slow_compiling(error)
     return _LOADED[path]
+
+
+def _warn_of_slow_compiling(error: Exception) -> None:
+    """One warning a run: not in each worker, and not for each kernel."""
+    if _SLOW or multiprocessing.parent_process() is not None:
+        return
+    _SLOW.append(f"{type(error).__name__}: {error}".splitlines()[0][:200])
+    warnings.warn(
+        f"numba {numba.__version__} does not link kernels as it is asked to ({_SLOW[0]}): each is compiled as one "
+        "piece instead. Results are the same; the first run with an effect takes seconds longer. Install the numba "
+        "that constraints.txt names, or report this sentence.",
+        RuntimeWarning,
+        stacklevel=2,
+    )
 
 
 def compile_common() -> None:
     """Compile what all kernels share (seconds, once on a machine): for who compiles many in several processes."""
-    _compiled(_common())
+    try:
+        _compiled(_common())
+    except Exception as error:  # noqa: BLE001 (internals of numba may fail in any way)
+        _warn_of_slow_compiling(error)
 
 
 def kernel_file(bound: dict[str, Any]) -> Path:

@@ -5,6 +5,9 @@ is the same work for each use. So the large function calls small ones that are o
 a few lines that says what they are (`definitions`) and calls the large one. LLVM then has all of it in one module: it
 puts the small functions where they are called, folds constants, drops what they rule out and vectorises the rest, as
 if the large function had been written for that use.
+
+This leans on internals of numba and llvmlite, which are imported where they are used: where a new version has others,
+`integrator.specialise` says so and compiles each use as one piece.
 """
 
 from __future__ import annotations
@@ -13,9 +16,7 @@ import inspect
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from llvmlite import ir
 from numba import types
-from numba.core import cgutils
 from numba.extending import intrinsic
 
 
@@ -26,6 +27,8 @@ def declared(name: str, signature: Any) -> Any:
     """
 
     def call(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        from llvmlite import ir
+
         function = _function(context, builder, name, signature)
         if function.is_declaration:
             function.linkage = "linkonce"  # LLVM may assume nothing about its body: another can take its place
@@ -47,6 +50,8 @@ def definitions(functions: Mapping[str, tuple[Any, Any]]) -> Any:
     """
 
     def define(context: Any, builder: Any, _: Any, __: Any) -> Any:
+        from llvmlite import ir
+
         for name, (compiled, signature) in functions.items():
             result = compiled.get_compile_result(signature)
             context.add_linking_libs([result.library])
@@ -66,6 +71,8 @@ def definitions(functions: Mapping[str, tuple[Any, Any]]) -> Any:
 
 def _function(context: Any, builder: Any, name: str, signature: Any) -> Any:
     """The function of that name in the module that is being built."""
+    from numba.core import cgutils
+
     kind = context.call_conv.get_function_type(signature.return_type, signature.args)
     return cgutils.get_or_insert_function(  # type: ignore[no-untyped-call]
         builder.module, kind, f"bayes_damper.{name}"

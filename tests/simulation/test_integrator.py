@@ -409,10 +409,52 @@ def test_a_kernel_that_is_linked_is_the_one_compiled_as_a_whole(tmp_path, monkey
         assert linked.py_func.__name__ == "linked"
         with monkeypatch.context() as broken:
             broken.setenv("BAYES_DAMPER_CACHE", str(tmp_path))
-            broken.setattr(integrator.linking, "definitions", lambda _: None)
+            broken.setattr(integrator.late_binding, "definitions", lambda _: None)
+            broken.setattr(integrator, "_SLOW", ["said before"])
             whole = integrator.specialise(bound)
         assert whole.py_func.__name__ == "advance"
         np.testing.assert_allclose(_record(linked), _record(whole), rtol=0.0, atol=1e-9 * np.abs(_record(whole)).max())
+
+
+BROKEN = """
+import sys, warnings
+import numba
+import numpy as np
+numba.njit(lambda: 1.0)()  # numba has loaded all of its own
+package, _, name = sys.argv[1].rpartition(".")
+delattr(sys.modules[package], name)
+sys.modules[sys.argv[1]] = None  # what an import of it would meet in a numba without it
+from bayes_damper.simulation import integrator
+from bayes_damper.simulation.model import Model
+rig = dict(J1=3e-3, k1t=8.0, c1t=0.01, drag=0.0, nu=50.0, theta0=0.08)
+with warnings.catch_warnings(record=True) as caught:
+    warnings.simplefilter("always")
+    integrator.compile_common()
+    y = Model(coupled=False).simulate(rig, np.arange(0.0, 0.3, 1e-3)).y
+print(y.tobytes().hex())
+print([str(w.message) for w in caught if "link" in str(w.message)])
+"""
+
+
+@pytest.mark.slow
+def test_a_numba_without_the_internals_is_slower_and_says_so_once(tmp_path):
+    """The import is broken on purpose, before the first kernel: results stay the same to rounding."""
+    environment = os.environ | {"BAYES_DAMPER_CACHE": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", BROKEN, "numba.core.cgutils"],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    record, said = done.stdout.splitlines()
+    assert said.count("does not link kernels") == 1
+    assert "cgutils" in said
+    rig = {"J1": 3e-3, "k1t": 8.0, "c1t": 0.01, "drag": 0.0, "nu": 50.0, "theta0": 0.08}
+    expected = Model(coupled=False).simulate(rig, np.arange(0.0, 0.3, 1e-3)).y
+    found = np.frombuffer(bytes.fromhex(record)).reshape(expected.shape)
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
 
 
 @vector_math.lane
