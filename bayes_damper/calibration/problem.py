@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,7 @@ OWN_FRICTION = ("ln_mu", "ln_drag")  # nuisances whose derivative is that of the
 FINER = 0.01  # factor on the integrator's tolerance where records are subtracted from each other
 OFFSET_SHARE = 0.05  # of a channel's reach: prior sd of its unknown offset, where the campaign does not say
 READINGS_AT_ONCE = 100_000  # of the trials whose records are differentiated together
+_KEPT = ("nominal", "noise", "switches", "threads", "tolerance", "trials", "factors")  # arguments of a `Problem`
 _FARTHEST = 37.0  # standard deviations beyond which a coordinate is not followed
 
 
@@ -174,27 +175,23 @@ class Problem:
         self._groups: dict[tuple[int, ...], list[Group]] = {}
         self.groups = self.grouped(self.trials)
 
-    def with_noise(self, noise: Noise) -> Problem:
-        """The same problem under another noise."""
-        return Problem(
-            self.experiment, self.effect, nominal=self.nominal, noise=noise, switches=self.switches,
-            threads=self.threads, tolerance=self.tolerance, trials=self.trials, factors=self.factors,
-        )  # fmt: skip
+    def changed(self, **changes: Any) -> Self:
+        """The same problem with other arguments: `noise`, `trials`, `factors` ... Subclasses say how they are made."""
+        given = {name: getattr(self, name) for name in _KEPT} | changes
+        return cast("Self", Problem(self.experiment, self.effect, **given))
 
-    def reweighted(self, factors: Mapping[int, Array]) -> Problem:
+    def with_noise(self, noise: Noise) -> Self:
+        """The same problem under another noise."""
+        return self.changed(noise=noise)
+
+    def reweighted(self, factors: Mapping[int, Array]) -> Self:
         """The same problem with weights of readings multiplied: trial -> (channels, n) or a number."""
         both = {i: f * self.factors[i] if i in self.factors else f for i, f in factors.items()}
-        return Problem(
-            self.experiment, self.effect, nominal=self.nominal, noise=self.noise, switches=self.switches,
-            threads=self.threads, tolerance=self.tolerance, trials=self.trials, factors={**self.factors, **both},
-        )  # fmt: skip
+        return self.changed(factors={**self.factors, **both})
 
-    def for_trials(self, trials: Sequence[int]) -> Problem:
+    def for_trials(self, trials: Sequence[int]) -> Self:
         """The same problem for other trials of the experiment."""
-        return Problem(
-            self.experiment, self.effect, nominal=self.nominal, noise=self.noise, switches=self.switches,
-            threads=self.threads, tolerance=self.tolerance, trials=trials,
-        )  # fmt: skip
+        return self.changed(trials=trials)
 
     def with_effect(self, effect: Variant | None) -> Problem:
         """The same data, noise and nuisances under another effect; groups are shared."""

@@ -14,12 +14,12 @@ import math
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.calibration import Calibration, Coordinate, Group, Indices, Noise, Problem, calibrate
+from bayes_damper.calibration import Calibration, Coordinate, Group, Indices, Problem, calibrate
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.remainder import Remainder, remainder_of
 from bayes_damper.diagnosis.search import (
@@ -71,13 +71,9 @@ class PairProblem(Problem):
         self.size = len(self.coordinates)
         self._split = self.parts[0].size
 
-    def with_noise(self, noise: Noise) -> PairProblem:
-        """The same problem under another noise."""
-        return PairProblem(self.base.with_noise(noise), *self.variants)
-
-    def for_trials(self, trials: Sequence[int]) -> PairProblem:
-        """The same problem for other trials of the experiment."""
-        return PairProblem(self.base.for_trials(trials), *self.variants)
+    def changed(self, **changes: Any) -> Self:
+        """The same problem with other arguments."""
+        return cast("Self", PairProblem(self.base.changed(**changes), *self.variants))
 
     def finer(self) -> PairProblem:
         """The same problem with records integrated more finely, for differences between them."""
@@ -125,13 +121,9 @@ class ComposedProblem(Problem):
         self.base = base
         self.variants = (first, second)
 
-    def with_noise(self, noise: Noise) -> ComposedProblem:
-        """The same problem under another noise."""
-        return ComposedProblem(self.base.with_noise(noise), *self.variants)
-
-    def for_trials(self, trials: Sequence[int]) -> ComposedProblem:
-        """The same problem for other trials of the experiment."""
-        return ComposedProblem(self.base.for_trials(trials), *self.variants)
+    def changed(self, **changes: Any) -> Self:
+        """The same problem with other arguments."""
+        return cast("Self", ComposedProblem(self.base.changed(**changes), *self.variants))
 
 
 def pair_problem(base: Problem, first: Variant, second: Variant) -> PairProblem | ComposedProblem:

@@ -543,6 +543,25 @@ def test_two_effects_change_the_records_by_the_sum_of_their_changes():
     assert fewer.trials == coupled
 
 
+@pytest.mark.parametrize("kind", [PairProblem, ComposedProblem])
+def test_a_problem_with_two_effects_keeps_both_and_its_weights_when_something_else_changes(kind):
+    base = Problem(make_experiment(1, n=80))
+    both = kind(base, EFFECTS["spring_cubic"].variants[0], EFFECTS["inertia_error"].variants[0])
+    half = both.reweighted(dict.fromkeys(base.trials, 0.5))
+    coupled = next(g for g in both.groups if g.coupled).trials[:1]
+    for change in (
+        lambda p: p,
+        lambda p: p.with_noise(base.noise),
+        lambda p: p.for_trials(coupled),
+        lambda p: p.reweighted({coupled[0]: 1.0}),
+    ):
+        weighted, plain = change(half), change(both)
+        assert type(weighted) is kind
+        assert weighted.names == both.names
+        own, before = (next(g for g in p.groups if coupled[0] in g.trials) for p in (weighted, plain))
+        np.testing.assert_allclose(own.weight, 0.5 * before.weight)
+
+
 def test_a_wrong_constant_beside_another_effect_is_exact_and_needs_no_kernel_of_its_own():
     """Whichever comes first: the records are those of a rig that has the constant, under the other effect."""
     experiment = make_experiment(1, n=80)
