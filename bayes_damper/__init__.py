@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from bayes_damper.commands.resume import resume as resume
     from bayes_damper.commands.simulate import simulate_record as simulate_record
     from bayes_damper.fit import fit as fit
+    from bayes_damper.fit import load_fit as load_fit
     from bayes_damper.published.measurements import load_published as load_published
     from bayes_damper.report import report as report
     from bayes_damper.simulation.model import Model as Model
@@ -44,6 +45,7 @@ _PLACES = {
     "import_records": "campaign.importer",
     "init_campaign": "campaign.importer",
     "load_campaign": "campaign",
+    "load_fit": "fit",
     "load_published": "published.measurements",
     "plan": "commands.plan",
     "recompute": "thesis",
@@ -57,7 +59,7 @@ _PLACES = {
 
 __all__ = [
     "Model", "bench", "check", "compare", "demo", "diagnose", "examples", "fit", "import_records", "init_campaign",
-    "load_campaign", "load_published", "plan", "recompute", "report", "resume", "simulate_record", "tune",
+    "load_campaign", "load_fit", "load_published", "plan", "recompute", "report", "resume", "simulate_record", "tune",
     "variability", "withheld",
 ]  # fmt: skip
 
@@ -71,6 +73,8 @@ class _Package(ModuleType):
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return import_module("importlib.metadata").version("bayes-damper")
     if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)
@@ -79,7 +83,7 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_PLACES})
+    return sorted({*__all__, "__version__", *(name for name in globals() if name.startswith("__"))})
 
 
 sys.modules[__name__].__class__ = _Package

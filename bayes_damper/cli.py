@@ -136,6 +136,9 @@ def _init(args: Arguments) -> Any:
         _call("campaign.importer:import_records")(args.table, args.folder, args.raw, args.overwrite)
         return _call("commands.check:check")(args.folder, _call("campaign.importer:left_over")(args.folder, before))
     given = {key: value for key, value in vars(args).items() if key in args.options and value is not None}
+    if not args.files and given.get("words"):  # the option takes all that follows: what says no meaning is a file
+        args.files = [Path(str(word)) for word in given["words"] if "=" not in str(word)]
+        given["words"] = [word for word in given["words"] if "=" in str(word)]
     raw = args.raw or Path()
     if "columns" not in given and sys.stdin.isatty() and sys.stdout.isatty() and not args.quiet:
         if args.files:

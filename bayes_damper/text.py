@@ -103,6 +103,12 @@ def named_answers(probabilities: Mapping[str, float], pair: Mapping[str, Any] | 
     return {" + ".join(both) if both and name == both[0] else name: float(p) for name, p in probabilities.items()}
 
 
+def misses(entry: Mapping[str, Any]) -> bool:
+    """Whether the model of an entry of summary.json leaves clearly more than the noise: its numbers rest on less."""
+    channels = (entry.get("noise") or {}).get("channels", ())
+    return any(c.get("learnt_from") == "residuals" and c.get("left_over_floor") for c in channels)
+
+
 def number(x: Any, width: float | None = None) -> str:
     """A number as text, else four digits, with those that a 90 % interval of this width supports: two of its standard
     deviation; a dash for nothing.

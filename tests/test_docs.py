@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib.metadata
 import importlib.util
 import inspect
 import json
@@ -304,3 +305,9 @@ def test_pages_use_the_words_of_the_field(page):
     text = page.read_text(encoding="utf-8").replace("`cannot tell`", "")
     found = [f"line {n}: {line.strip()}" for n, line in enumerate(text.splitlines(), 1) if HOMEMADE.search(line)]
     assert not found, f"{page.name}: say shows, reports, gives, distinguishes: " + "; ".join(found)
+
+
+def test_the_package_shows_its_public_names_its_version_and_that_it_is_typed():
+    assert {name for name in dir(bayes_damper) if not name.startswith("__")} == set(bayes_damper.__all__)
+    assert bayes_damper.__version__ == importlib.metadata.version("bayes-damper")
+    assert (Path(bayes_damper.__file__).parent / "py.typed").is_file()

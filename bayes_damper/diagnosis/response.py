@@ -481,7 +481,9 @@ def project_parts(fit: Calibration, columns: Iterable[Array], part: Callable[[in
     S, g, inverses = normals.reduced()
     size = fit.problem.size
     pieces: dict[Any, _Piece] = {}
-    for (block, H, TJ, gT), inverse, every in zip(normals.parts, inverses, columns, strict=True):
+    columns = iter(columns)
+    for (block, H, TJ, gT), inverse in zip(normals.parts, inverses, strict=True):
+        every = next(columns)
         k = every.shape[1]
         full = np.concatenate([block.J, block.T, block.r[:, None, :]], axis=1)
         names = [part(i) for i in block.group.trials]
@@ -506,6 +508,8 @@ def project_parts(fit: Calibration, columns: Iterable[Array], part: Callable[[in
                 gram, mixed = gram + last.gram, mixed + last.mixed
                 product, raw = product + last.product, raw + last.raw
             pieces[name] = _Piece(gram, mixed, product, raw)
+            del d, flat
+        del every  # before the next ones are made
     return Pieces(tuple(pieces), tuple(pieces.values()), S, g)
 
 

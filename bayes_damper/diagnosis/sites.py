@@ -516,10 +516,20 @@ def _torque(
                 ])  # fmt: skip
                 torque[inertia] = mean @ features
                 sd[inertia] = np.sqrt(np.sum((root.T @ features) ** 2, axis=0))
-            at = m.at
+            # Repeats share a grid of times: none of this trial's own readings lies beyond its last.
+            read = np.flatnonzero(np.any(m.group.weight[k] > 0.0, axis=0))
+            own_times = slice(0, int(read[-1]) + 1 if read.size else 0)
+            at = m.at[own_times]
             out.append(
                 MissingTorque(
-                    trial, m.group.times, torque[:, at], sd[:, at], m.th1[k, at], m.w1[k, at], m.th2[k, at], m.w2[k, at]
+                    trial,
+                    m.group.times[own_times],
+                    torque[:, at],
+                    sd[:, at],
+                    m.th1[k, at],
+                    m.w1[k, at],
+                    m.th2[k, at],
+                    m.w2[k, at],
                 )
             )
     return tuple(sorted(out, key=lambda o: o.trial))

@@ -10,7 +10,7 @@ from bayes_damper.fit.draw import DRAWN, WARM, expected_steps, sampled
 from bayes_damper.fit.plan import OtherRun, kept, plan_fit, plan_in, recorded_experiment, refuse_changes, start_run
 from bayes_damper.fit.published import fit_published_case, published_posterior
 from bayes_damper.fit.recorded import fit_recorded_cases
-from bayes_damper.fit.result import Fit, finish_fit, fit
+from bayes_damper.fit.result import Fit, finish_fit, fit, load_fit
 
 __all__ = [
     "DRAWN",
@@ -23,6 +23,7 @@ __all__ = [
     "fit_published_case",
     "fit_recorded_cases",
     "kept",
+    "load_fit",
     "plan_fit",
     "plan_in",
     "published_posterior",

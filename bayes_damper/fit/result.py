@@ -8,23 +8,33 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bayes_damper.errors import ExitCode
+from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.fit.drawings import draw_overview
 from bayes_damper.fit.plan import kept, plan_fit, planned_campaign, start_run
 from bayes_damper.fit.published import fit_published_case
 from bayes_damper.fit.recorded import fit_recorded_cases
 from bayes_damper.fit.sensitivity import text as sensitivity_text
 from bayes_damper.fit.summary import table_text, write_table
-from bayes_damper.runs.execution import WAITING, Progress, Silent, Task, folder_name, run_tasks, stopped, write_json
+from bayes_damper.runs.execution import (
+    WAITING,
+    Progress,
+    Silent,
+    Task,
+    folder_name,
+    read_json,
+    run_tasks,
+    stopped,
+    write_json,
+)
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.sampling import arviz_adapter
-from bayes_damper.text import gathered
+from bayes_damper.text import gathered, misses
 
 SCHEMA = "bayes-damper/fit/1"
 _OVERVIEW = "overview"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Fit:
     """Posteriors of a campaign: `summary` is what summary.json holds, `folder` where all files are."""
 
@@ -40,6 +50,11 @@ class Fit:
     def exit_code(self) -> ExitCode:
         return ExitCode.DONE if self.converged else ExitCode.NOT_CONVERGED
 
+    def __repr__(self) -> str:
+        cases = ", ".join(self.summary.get("cases", {}))
+        ended = "converged" if self.converged else "did not converge"
+        return f"Fit({str(self.folder)!r}: {self.summary.get('campaign')}, cases {cases}, {ended})"
+
     def to_json(self) -> dict[str, Any]:
         """What summary.json holds."""
         return dict(self.summary)
@@ -52,11 +67,30 @@ class Fit:
             title = "all cases together" if name == "joint" else f"case {name}"
             if not found["converged"]:
                 title += "   *** DID NOT CONVERGE: do not use these numbers ***"
+            elif misses(found):
+                title += (
+                    "   *** THE MODEL MISSES SOMETHING: run `bayes-damper diagnose` before you use these numbers ***"
+                )
             parts.append(table_text(found["parameters"], title))
             parts += [f"  {sentence}" for sentence in found["sentences"]]
             parts += _more_text(found)
         parts.append(f"Files: {self.folder}")
         return "\n".join(parts)
+
+
+def load_fit(folder: str | Path) -> Fit:
+    """The fit that a folder holds, as `fit` returned it when it ended.
+
+    Raises
+    ------
+    InputError
+        if the folder holds no ended fit.
+    """
+    place = Path(folder)
+    summary = read_json(place / "summary.json")
+    if not isinstance(summary, dict) or summary.get("schema") != SCHEMA:
+        raise InputError(f"{place / 'summary.json'}: not the summary of a fit; name a folder that `fit` has written")
+    return Fit(place, summary)
 
 
 def _more_text(found: Mapping[str, Any]) -> list[str]:

@@ -18,6 +18,7 @@ from bayes_damper.published.measurements import load_published
 from bayes_damper.rig.parameters import unit_of
 from bayes_damper.runs.execution import folder_name, read_json
 from bayes_damper.sampling import arviz_adapter
+from bayes_damper.text import misses
 
 Array = NDArray[np.float64]
 Draws = Mapping[str, Array]
@@ -29,6 +30,10 @@ AMPLITUDES = (0.02, 0.05, 0.1, 0.2)  # N m
 """Exciting torques of the thesis's rig, and of draws whose campaign is not known."""
 OF_RELEASE = (0.025, 0.06, 0.12, 0.24)
 """Exciting torques (forces) of another rig, as shares of k1t theta0, which held it before the release."""
+_MISSES = (
+    "the fit of case {} misses something of the rig, so that the loss may be off by more than its interval says: run "
+    "`bayes-damper diagnose`, and tune the fit with the effect that it names"
+)
 _WITHOUT_LIMIT = 1e9  # m: a face so large that the pull does not fall with the overlap
 
 
@@ -172,7 +177,10 @@ def origin_of(
             "campaign": str(plan.get("name", "")),
             "sha256": plan.get("campaign_sha256"),
             "converged": bool((entry or {}).get("converged", True)),
-            "warnings": tuple(map(str, summary.get("warnings", ()))),
+            "warnings": (
+                *((_MISSES.format(case),) if misses(entry or {}) else ()),
+                *map(str, summary.get("warnings", ())),
+            ),
         }
     if plan.get("campaign") in (None, "thesis"):
         return Origin(**told)

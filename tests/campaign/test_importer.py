@@ -509,6 +509,18 @@ def test_words_of_the_names_say_which_trials_are_coupled(tmp_path: Path) -> None
         init_campaign(tmp_path / "other", sources, **BOTH, pattern=pattern, words=["free=loose"])
 
 
+def test_files_behind_the_words_are_files(tmp_path: Path) -> None:
+    sources, pattern = mixed_files(tmp_path), "{case}_{configuration}_{trial}"
+    options = [word for key, value in BOTH.items() for word in (f"--{key.replace('_', '-')}", *_words(value))]
+    words = ["--words", "free=uncoupled", "magnet=coupled", *map(str, sources)]
+    assert main(["init", str(tmp_path / "out"), *options, "--pattern", pattern, *words]) == 0
+    assert len(load_campaign(tmp_path / "out").trials) == 4
+
+
+def _words(value: object) -> list[str]:
+    return [str(v) for v in value] if isinstance(value, list | tuple) else [str(value)]
+
+
 def test_a_fault_of_many_files_is_told_once(tmp_path: Path) -> None:
     sources = [logger_file(tmp_path / f"run{i}.csv", wave(i)) for i in range(4)]
     with pytest.raises(InputError) as caught:

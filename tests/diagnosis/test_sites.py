@@ -298,3 +298,16 @@ def test_a_sharp_friction_does_not_ring_from_sample_to_sample():
     assert abs(step[0, 0, 2, 2]) < 0.05
     assert step[0, 0, 3, 3] == pytest.approx(np.exp(-0.2), rel=1e-4)
     assert push[0, 0, 3, 1] == pytest.approx((1.0 - np.exp(-0.2)) / 0.2, rel=1e-4)
+
+
+def test_a_missing_torque_ends_where_the_record_ends():
+    """Repeats share a grid of times; of a shorter one nothing is known behind its last reading."""
+    whole = measured(4, **CUBIC)
+    y = whole.trials[-3].y.copy()
+    y[:, 300:] = np.nan
+    short = replace(whole, trials=(*whole.trials[:-3], replace(whole.trials[-3], y=y), *whole.trials[-2:]))
+    found = site_map(calibrate_nominal(short))
+    ends = {m.trial: m.times.size for m in found.torque}
+    assert ends[len(whole.trials) - 3] == 300
+    assert set(ends.values()) == {300, 500}
+    assert all(m.torque.shape == (2, m.times.size) and m.sd.shape == m.torque.shape for m in found.torque)

@@ -22,7 +22,17 @@ from bayes_damper.commands.demo import demo
 from bayes_damper.commands.resume import resume
 from bayes_damper.effects import EFFECTS
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.fit import DRAWN, WARM, expected_steps, fit, plan_fit, published_posterior, sampled, start_run
+from bayes_damper.fit import (
+    DRAWN,
+    WARM,
+    expected_steps,
+    fit,
+    load_fit,
+    plan_fit,
+    published_posterior,
+    sampled,
+    start_run,
+)
 from bayes_damper.fit.draw import search
 from bayes_damper.fit.published import feature_posterior
 from bayes_damper.priors.files import load_priors
@@ -360,3 +370,21 @@ def test_ctrl_c_with_two_workers_saves_and_ends(tmp_path):
     assert "Traceback" not in told
     assert list(out.glob("*/state/*"))
     assert not list(out.glob("*/done.json"))
+
+
+def test_a_fit_is_read_from_its_folder_and_says_first_what_its_model_misses(tmp_path):
+    k2t = {"unit": "N m/rad", "mean": 1.0, "sd": 0.1, "median": 1.0, "hdi90": [0.9, 1.1], "r_hat": 1.0,
+           "ess_bulk": 1000.0, "ess_tail": 1000.0, "prior_share": 0.1}  # fmt: skip
+    channel = {"channel": 1, "left_over_floor": 1.9, "learnt_from": "residuals"}
+    case = {"converged": True, "parameters": {"k2t": k2t}, "sentences": [], "noise": {"channels": [channel]}}
+    summary = {"schema": "bayes-damper/fit/1", "campaign": "cart", "converged": True, "cases": {"IV": case}}
+    write_json(tmp_path / "summary.json", summary)
+    found = load_fit(tmp_path)
+    assert "case IV   *** THE MODEL MISSES SOMETHING: run `bayes-damper diagnose`" in found.text()
+    assert repr(found) == f"Fit({str(tmp_path)!r}: cart, cases IV, converged)"
+    case["noise"]["channels"][0]["learnt_from"] = "repeats"
+    write_json(tmp_path / "summary.json", summary)
+    assert "MISSES" not in load_fit(tmp_path).text()
+    write_json(tmp_path / "summary.json", {"schema": "bayes-damper/diagnosis/1"})
+    with pytest.raises(InputError, match="not the summary of a fit"):
+        load_fit(tmp_path)

@@ -204,11 +204,16 @@ def test_a_fit_opens_with_what_the_data_determine_and_what_the_model_misses(tmp_
     page = report(tmp_path).path.read_text(encoding="utf-8")
     text = words_of(page)
     first = (
-        "Determined by the data: the coefficient of friction at the magnetic interface (mu, ±30 %) in every case; the "
-        "stiffness of the magnetic coupling (k2t, ±30 %) in case III. All runs converged. None of 4 measurements lies"
+        "If the model were right: Determined by the data: the coefficient of friction at the magnetic interface (mu, "
+        "±30 %) in every case; the stiffness of the magnetic coupling (k2t, ±30 %) in case III. All runs converged. "
+        "None of 4 measurements lies"
     )
     assert first in text
-    assert "in case IV, channel 1, it leaves 5 rad/s² where repeats differ by 2. The intervals allow for it." in text
+    assert (
+        "in case IV, channel 1, it leaves 5 rad/s² where repeats differ by 2. The numbers below hold for a model"
+        in text
+    )
+    assert text.index("The model misses something") < text.index("Determined by the data")
     assert '<section class="answer open">' in page
     assert "Whether the model itself is right" not in text, "something else would change it"
     assert text.index("What would change it") < text.index("Median and 90 % interval")

@@ -521,3 +521,14 @@ def test_an_effect_that_tuning_leaves_out_is_told(tmp_path):
     sentence = "The fit has the effect stick_slip too, which is left out here"
     assert sentence in found.text()
     assert sentence in report(tmp_path / "tune").path.read_text(encoding="utf-8")
+
+
+def test_a_fit_that_misses_something_warns_what_is_tuned_from_it(tmp_path):
+    folder = fitted_folder(tmp_path)
+    summary = json.loads((folder / "summary.json").read_text())
+    channel = {"channel": 1, "left_over_floor": 1.9, "learnt_from": "residuals"}
+    summary["cases"]["IV"]["noise"] = {"channels": [channel]}
+    write_json(folder / "summary.json", summary)
+    found = tuning.tune(folder, case="IV", amplitudes=(), optimise=False, n_draws=10)
+    assert "warning: the fit of case IV misses something of the rig" in found.text()
+    assert "misses something" not in tuning.tune(folder, case="I", amplitudes=(), optimise=False, n_draws=10).text()

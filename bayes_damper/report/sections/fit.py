@@ -72,7 +72,8 @@ def _fit_headline(campaign: str, groups: Mapping[str, Any], converged: bool) -> 
         )
         title = f"Fit of {campaign}" if campaign else "Fit"
         return Headline(title, "bad", tuple(sentences), changes=tuple(changes), table=_overview(groups))
-    sentences.append(_determined(groups))
+    missed = _missed(groups)
+    sentences += [missed, f"If the model were right: {_determined(groups)}"] if missed else [_determined(groups)]
     sentences.append("All runs converged." if len(groups) > 1 else "The run converged.")
     checks = [row for entry in groups.values() for row in entry.get("predictive", [])]
     outside = [row for row in checks if _is_outside(row)]
@@ -88,10 +89,8 @@ def _fit_headline(campaign: str, groups: Mapping[str, Any], converged: bool) -> 
             worst = ", ".join(words(str(row["name"])) for row in outside[:3])
             sentences.append(f"The model cannot reproduce all of the data, whatever its parameters: {worst}.")
             changes.append("A diagnosis of recorded trials would tell what the model lacks.")
-    missed = _missed(groups)
     if missed:
         tone = "open"
-        sentences.append(missed)
         changes.append("A diagnosis (bayes-damper diagnose) looks for what the model misses.")
     elif noise := _left(groups, ("repeats", "fast content")):
         sentences.append(f"What the model leaves of the records is about as large as their noise: at worst, {noise}.")
@@ -166,7 +165,12 @@ def _in_words(
 def _missed(groups: Mapping[str, Any]) -> str:
     """The channel of which the fit leaves most beyond the noise, in a sentence; nothing where it leaves noise alone."""
     told = _left(groups, ("residuals",))
-    return f"The model misses something: {told}. The intervals allow for it." if told else ""
+    if not told:
+        return ""
+    return (
+        f"The model misses something: {told}. The numbers below hold for a model that is not the rig, and may be off "
+        "by more than their intervals say: run bayes-damper diagnose, and fit again with the effect that it names."
+    )
 
 
 def _left(groups: Mapping[str, Any], learnt_from: Collection[str]) -> str:
