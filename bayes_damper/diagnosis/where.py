@@ -28,7 +28,7 @@ BANDS = (1, 5)  # widths in lines of the periodogram
 CELLS = 6  # of phase space along each axis
 NOISE_SPREAD = 0.01  # relative uncertainty of the noise variance
 MOST_ENTRIES = 12
-AT_ONCE = 8_000_000  # changed readings that responses to short torques are held of at a time
+AT_ONCE = 2_000_000  # changed readings that responses to short torques are held of at a time
 EVENT_WIDTHS = (0.004, 0.012, 0.03)  # s
 
 

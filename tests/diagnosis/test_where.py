@@ -1,11 +1,14 @@
 """Where residuals exceed the noise: an event is found in time, looks are paid for, places are named."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
 from small_rig import knock, measured, variant
 
 from bayes_damper.calibration import calibrate_nominal
+from bayes_damper.diagnosis.response import motions
 from bayes_damper.diagnosis.where import (
     Repeats,
     _exceeds,
@@ -97,3 +100,16 @@ def test_holm_by_hand():
     """Sorted 0.01, 0.02, 0.04 times 3, 2, 1, never decreasing."""
     assert holm([0.04, 0.01, 0.02]) == pytest.approx([0.04, 0.03, 0.04])
     assert holm([0.9, 0.8]).max() <= 1.0
+
+
+@pytest.mark.slow
+def test_a_long_record_is_searched_in_little_memory() -> None:
+    long = measured(4, cases=(("I", 0, 0.1),), configurations=(False,), repeats=1, duration=14.0)
+    fit = calibrate_nominal(long)
+    moved = motions(fit)
+    tracemalloc.start()
+    try:
+        find_event(fit, moved)
+        assert tracemalloc.get_traced_memory()[1] < 200e6  # 14 000 readings against hundreds of instants
+    finally:
+        tracemalloc.stop()
