@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import importlib
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -18,14 +17,10 @@ from bayes_damper.runs.memory import seldom_collected
 Arguments = argparse.Namespace
 
 
-def _call(name: str) -> Callable[..., Any]:
-    """A function of the package by "module:name"; imported only when its command runs, so that --help stays quick."""
-    module, _, function = name.partition(":")
-    return getattr(importlib.import_module(f"bayes_damper.{module}"), function)  # type: ignore[no-any-return]
-
-
 def _progress(args: Arguments) -> Any:
-    args.shown = _call("runs.progress:make_progress")(quiet=args.quiet or args.json)
+    from bayes_damper.runs.progress import make_progress
+
+    args.shown = make_progress(quiet=args.quiet or args.json)
     return args.shown
 
 
@@ -40,21 +35,27 @@ def _closed_afterwards(args: Arguments) -> Iterator[None]:
 
 
 def _demo(args: Arguments) -> Any:
-    return _call("commands.demo:demo")(
-        out=args.out, seed=args.seed, workers=args.workers, quick=args.quick, progress=_progress(args)
-    )
+    from bayes_damper.commands.demo import demo
+
+    return demo(out=args.out, seed=args.seed, workers=args.workers, quick=args.quick, progress=_progress(args))
 
 
 def _examples(args: Arguments) -> Any:
-    return _call("commands.examples:examples")(args.out, seed=args.seed)
+    from bayes_damper.commands.examples import examples
+
+    return examples(args.out, seed=args.seed)
 
 
 def _check(args: Arguments) -> Any:
-    return _call("commands.check:check")(args.campaign)
+    from bayes_damper.commands.check import check
+
+    return check(args.campaign)
 
 
 def _simulate(args: Arguments) -> Any:
-    return _call("commands.simulate:simulate_record")(
+    from bayes_damper.commands.simulate import simulate_record
+
+    return simulate_record(
         case=args.case,
         coupled=not args.uncoupled,
         settings=args.set or [],
@@ -67,7 +68,9 @@ def _simulate(args: Arguments) -> Any:
 
 
 def _fit(args: Arguments) -> Any:
-    return _call("fit:fit")(
+    from bayes_damper.fit import fit
+
+    return fit(
         args.campaign,
         cases=args.case,
         priors=args.priors,
@@ -86,13 +89,15 @@ def _fit(args: Arguments) -> Any:
 
 
 def _resume(args: Arguments) -> Any:
-    return _call("commands.resume:resume")(
-        args.folder, more=args.more, effects=args.effects, workers=args.workers, progress=_progress(args)
-    )
+    from bayes_damper.commands.resume import resume
+
+    return resume(args.folder, more=args.more, effects=args.effects, workers=args.workers, progress=_progress(args))
 
 
 def _variability(args: Arguments) -> Any:
-    return _call("variability:variability")(
+    from bayes_damper.variability import variability
+
+    return variability(
         args.folder,
         out=args.out,
         seed=args.seed,
@@ -107,7 +112,9 @@ def _variability(args: Arguments) -> Any:
 
 
 def _compare(args: Arguments) -> Any:
-    return _call("commands.compare:compare")(args.folders, out=args.out, seed=args.seed)
+    from bayes_damper.commands.compare import compare
+
+    return compare(args.folders, out=args.out, seed=args.seed)
 
 
 _QUESTIONS = (
@@ -131,10 +138,14 @@ _QUESTIONS = (
 
 
 def _init(args: Arguments) -> Any:
-    before = _call("campaign.importer:records_in")(args.folder)
+    from bayes_damper.campaign.import_options import columns_of
+    from bayes_damper.campaign.importer import import_records, init_campaign, left_over, records_in
+    from bayes_damper.commands.check import check
+
+    before = records_in(args.folder)
     if args.table is not None:
-        _call("campaign.importer:import_records")(args.table, args.folder, args.raw, args.overwrite)
-        return _call("commands.check:check")(args.folder, _call("campaign.importer:left_over")(args.folder, before))
+        import_records(args.table, args.folder, args.raw, args.overwrite)
+        return check(args.folder, left_over(args.folder, before))
     given = {key: value for key, value in vars(args).items() if key in args.options and value is not None}
     if not args.files and given.get("words"):  # the option takes all that follows: what says no meaning is a file
         args.files = [Path(str(word)) for word in given["words"] if "=" not in str(word)]
@@ -142,10 +153,10 @@ def _init(args: Arguments) -> Any:
     raw = args.raw or Path()
     if "columns" not in given and sys.stdin.isatty() and sys.stdout.isatty() and not args.quiet:
         if args.files:
-            print(_call("campaign.import_options:columns_of")(raw / args.files[0]))
+            print(columns_of(raw / args.files[0]))
         given |= _answers(set(given))
-    _call("campaign.importer:init_campaign")(args.folder, [raw / f for f in args.files], args.overwrite, **given)
-    return _call("commands.check:check")(args.folder, _call("campaign.importer:left_over")(args.folder, before))
+    init_campaign(args.folder, [raw / f for f in args.files], args.overwrite, **given)
+    return check(args.folder, left_over(args.folder, before))
 
 
 def _answers(given: set[str]) -> dict[str, Any]:
@@ -192,8 +203,9 @@ class _OneOrEach(argparse.Action):
 
 def _init_options(sub: Any) -> list[str]:
     """An option for every key of the import's tables, and of [rig] and [measurement]; their names."""
-    tables = importlib.import_module("bayes_damper.campaign.import_options")
-    campaign = importlib.import_module("bayes_damper.campaign")
+    from bayes_damper import campaign
+    from bayes_damper.campaign import import_options as tables
+
     left_out = {"source", "sha256", "file", "trial", "holdout"}
     keys = {k: v for table in (tables.INIT, tables.TRIAL, tables.READER) for k, v in table.items() if k not in left_out}
     known = {"name": "of the campaign (default: that of the folder)", "description": "a sentence",
@@ -219,7 +231,10 @@ def _init_options(sub: Any) -> list[str]:
 
 
 def _diagnose(args: Arguments) -> Any:
-    return _call("commands.diagnose:diagnose")(
+    from bayes_damper.commands.diagnose import diagnose
+    from bayes_damper.runs.progress import make_teller
+
+    return diagnose(
         args.campaign,
         nominal=args.nominal,
         effects=args.effects,
@@ -227,12 +242,14 @@ def _diagnose(args: Arguments) -> Any:
         out=args.out,
         seed=args.seed,
         workers=args.workers,
-        tell=_call("runs.progress:make_teller")(quiet=args.quiet or args.json),
+        tell=make_teller(quiet=args.quiet or args.json),
     )
 
 
 def _plan(args: Arguments) -> Any:
-    return _call("commands.plan:plan")(
+    from bayes_damper.commands.plan import plan
+
+    return plan(
         args.campaign,
         nominal=args.nominal,
         effects=args.effects,
@@ -244,9 +261,11 @@ def _plan(args: Arguments) -> Any:
 
 
 def _withheld(args: Arguments) -> Any:
+    from bayes_damper.validation.withheld import verify, withheld
+
     if args.verify is not None:
-        return _call("validation.withheld:verify")(args.verify, args.folder)
-    return _call("validation.withheld:withheld")(
+        return verify(args.verify, args.folder)
+    return withheld(
         args.folder,
         full=args.full,
         key=args.key,
@@ -260,7 +279,9 @@ def _withheld(args: Arguments) -> Any:
 
 
 def _tune(args: Arguments) -> Any:
-    return _call("tuning:tune")(
+    from bayes_damper.tuning import tune
+
+    return tune(
         args.folder,
         case=args.case,
         J2=args.secondary_inertia,
@@ -275,17 +296,23 @@ def _tune(args: Arguments) -> Any:
 
 
 def _thesis(args: Arguments) -> Any:
-    return _call("thesis:recompute")(args.out)
+    from bayes_damper.thesis import recompute
+
+    return recompute(args.out)
 
 
 def _bench(args: Arguments) -> Any:
-    result = _call("validation.bench:bench")(repeats=args.repeats, peers=not args.no_peers)
-    _call("validation.bench:save")(result, args.out)
+    from bayes_damper.validation.bench import bench, save
+
+    result = bench(repeats=args.repeats, peers=not args.no_peers)
+    save(result, args.out)
     return result
 
 
 def _report(args: Arguments) -> Any:
-    return _call("report:report")(args.folder, out=args.out)
+    from bayes_damper.report import report
+
+    return report(args.folder, out=args.out)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -475,7 +502,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"bayes-damper {args.command}: stopped", file=sys.stderr)
         return int(ExitCode.INTERRUPTED)
     if not args.quiet:
-        print(_call("runs.execution:json_text")(result.to_json()) if args.json else result.text())
+        from bayes_damper.runs.execution import json_text
+
+        print(json_text(result.to_json()) if args.json else result.text())
     return int(result.exit_code)
 
 
