@@ -74,7 +74,7 @@ def test_bad_input_is_a_sentence_and_exit_code_2(arguments, capsys, tmp_path, mo
     ("arguments", "told"),
     [
         (["fit", "thesis", "--out", "file"], "file: File exists; choose another place, e.g. with --out"),
-        (["resume", "old"], "run.json: holds no plan of this version (campaign is missing); fit anew"),
+        (["resume", "old"], "run.json: holds no plan of this version: campaign is missing; fit anew"),
         (["tune", "old", "--case", "IV"], "has not ended; go on with: bayes-damper resume old"),
         (["resume", "old", "--more"], "holds no plan of this version"),
         (["init", "new", "file"], "file: holds no row of numbers; name a file of the logger"),
