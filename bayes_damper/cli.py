@@ -11,7 +11,7 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
-from bayes_damper.errors import BayesDamperError, ExitCode
+from bayes_damper.errors import BayesDamperError, ExitCode, printable
 from bayes_damper.runs.memory import seldom_collected
 
 Arguments = argparse.Namespace
@@ -498,13 +498,21 @@ def main(argv: Sequence[str] | None = None) -> int:
         told = error.strerror or type(error).__name__
         print(f"bayes-damper {args.command}: {place}{told}; choose another place, e.g. with --out", file=sys.stderr)
         return int(ExitCode.BAD_INPUT)
+    except MemoryError:
+        told = "the memory of this machine, or what it allows one process, is used up"
+        print(
+            f"bayes-damper {args.command}: {told}; give fewer trials or readings (every = N in [measurement] of "
+            "campaign.toml), fewer --workers, or more memory",
+            file=sys.stderr,
+        )
+        return int(ExitCode.BAD_INPUT)
     except KeyboardInterrupt:
         print(f"bayes-damper {args.command}: stopped", file=sys.stderr)
         return int(ExitCode.INTERRUPTED)
     if not args.quiet:
         from bayes_damper.runs.execution import json_text
 
-        print(json_text(result.to_json()) if args.json else result.text())
+        print(json_text(result.to_json()) if args.json else printable(result.text()))
     return int(result.exit_code)
 
 

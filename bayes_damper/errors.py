@@ -42,7 +42,14 @@ def _readable(sentence: str) -> str:
     """A sentence for a terminal: what it quotes from a file may be long, or hold what steers the terminal."""
     if len(sentence) > _LONGEST:
         sentence = f"{sentence[: _LONGEST // 2]} ... {sentence[-_LONGEST // 2 :]}"
-    return "".join(c if c == "\n" or c.isprintable() else ascii(c)[1:-1] for c in sentence)
+    return printable(sentence)
+
+
+def printable(text: str) -> str:
+    """A text without characters that steer a terminal, or that cannot be written: each as Python would escape it."""
+    return text if text.isprintable() else "".join(
+        c if c == "\n" or c.isprintable() else ascii(c)[1:-1] for c in text
+    )  # fmt: skip
 
 
 class SelfCheckError(BayesDamperError):

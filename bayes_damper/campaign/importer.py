@@ -51,7 +51,7 @@ _ITEMS: dict[str, tuple[type, ...]] = {
     "matlab_data": (str,), "wrap": (int, float), "scale": (int, float),
 }  # fmt: skip
 """What the lists of an import table may hold."""
-_LEAST: dict[str, float] = {"every": 1, "skip_lines": 0, "before": 0.0}
+_LEAST: dict[str, float] = {"every": 1, "skip_lines": 0, "before": 0.0, "k1t_std": 0.0}
 """Smallest values of some keys."""
 _LONGEST_SLUG = 80
 _NAMED = 12

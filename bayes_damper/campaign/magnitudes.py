@@ -63,7 +63,7 @@ def check_declared(head: Head, trials: Sequence[Trial], faults: list[str], warni
                 )
                 break
     for bandwidth in declared.sensor_bandwidth or ():
-        slowest = max((natural_period(rig, t) for t in trials), default=0.0)
+        slowest = max((natural_period(rig, t) for t in trials), default=math.inf)
         if bandwidth * slowest < 1.0:
             warnings.append(
                 f"{where}: sensor_bandwidth = {bandwidth:g} Hz lies below the rig's own frequency, "

@@ -111,6 +111,8 @@ def _row_from(cells: Mapping[str, str], kind: str, start: str, where: str, fault
     for key in ("file", "case"):
         if not cells[key]:
             faults.append(f"{where}: '{key}' is empty; fill it in")
+        elif not cells[key].isprintable():
+            faults.append(f"{where}: {key} {shown(cells[key])} holds characters that cannot be printed; write it anew")
     if cells["file"] and not inside(cells["file"]):
         faults.append(
             f"{where}: {cells['file']} leaves the campaign's folder, or is too long; give a relative path inside it"

@@ -136,7 +136,9 @@ def compare(folders: Sequence[str | Path], *, out: str | Path | None = None, see
         "variability": _turned({k: _pooling(v["variability"]) for k, v in found.items() if "variability" in v}),
         "prior_sensitivity": {label: piece["sensitivity"] for label, piece in pieces.items()},
     }
-    result["sentences"] = _sentences(result)
+    with as_written(" or ".join(map(str, paths)), "fit"):
+        result["sentences"] = _sentences(result)
+        Comparison(result).text()
     result["provenance"] = provenance()
     if out is not None:
         write_json(Path(out) / "comparison.json", result)

@@ -15,13 +15,15 @@ from bayes_damper.calibration.correlated_noise import KINDS
 from bayes_damper.campaign import Campaign, load_campaign
 from bayes_damper.effects import all_effects, effects_sha256, same_effects
 from bayes_damper.errors import InputError
-from bayes_damper.inputs import fields
+from bayes_damper.inputs import fields, shown
 from bayes_damper.priors.files import PriorSet, campaign_priors, load_priors
 from bayes_damper.published.measurements import load_published
 from bayes_damper.rig.parameters import hint
 from bayes_damper.runs.execution import run_record, write_json
 from bayes_damper.runs.provenance import code_sha256, package_version
 
+LAWS = (None, "linear", "constant")
+"""Laws of the magnet's pull that a plan may name; None: the campaign's own."""
 _TAKEN = ("joint", "variability")
 """Folders beside those of the cases: of all cases together, and of the pieces of `variability`."""
 _PLANNED: dict[str, tuple[type, ...]] = {
@@ -69,7 +71,7 @@ def plan_fit(
         raise InputError(
             f"case {taken[0]!r}: results have a folder of that name; give the case another label in trials.csv"
         )
-    if normal_force not in (None, "linear", "constant"):
+    if normal_force not in LAWS:
         raise InputError(f"normal_force {normal_force!r}: expected linear or constant")
     if noise not in KINDS:
         raise InputError(f"--noise {noise}: expected one of {', '.join(KINDS)}")
@@ -118,6 +120,15 @@ def plan_in(record: Mapping[str, Any], folder: Path, effects: str | Path | None 
     plan = fields(record.get("plan"), _PLANNED, where, "fit anew")
     if not plan["cases"] or not all(isinstance(case, str) for case in plan["cases"]):
         raise InputError(f"{where}: cases are no list of labels; fit anew")
+    sound = {
+        "seed": 0 <= plan["seed"] < 1 << 64,
+        "most_steps": plan["most_steps"] is None or plan["most_steps"] >= 1,
+        "normal_force": plan["normal_force"] in LAWS,
+        "noise": plan["noise"] in KINDS,
+        "cases": len(set(plan["cases"])) == len(plan["cases"]),
+    }
+    if wrong := [key for key, good in sound.items() if not good]:
+        raise InputError(f"{where}: {wrong[0]} = {shown(plan[wrong[0]])} cannot be; fit anew")
     same_effects(folder, plan["effects_sha256"], effects)
     return plan | {"effects": None if effects is None else str(Path(effects).resolve())}
 

@@ -174,6 +174,8 @@ def _check_sound(path: Path) -> None:
                 elif isinstance(item, h5py.Dataset):
                     if item.is_virtual or item.external:
                         raise ValueError(f"{name!r} lies in another file")
+                    if item.dtype.kind == "c":
+                        raise ValueError(f"{name!r} holds complex numbers")
                     total += item.size * item.dtype.itemsize
     if total > max(_UNPACKED, 20 * path.stat().st_size):
         raise ValueError(f"{total / 1e6:.0f} MB of numbers in {path.stat().st_size / 1e6:.0f} MB")
