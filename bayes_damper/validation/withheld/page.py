@@ -1,10 +1,10 @@
-"""Tables of a proof, for its page and for the README.
+"""Tables of a proof, for its page.
 
     python -m bayes_damper.validation.withheld.page EASY HARD
     python -m bayes_damper.validation.withheld.page LABORATORIES
 
 EASY, HARD: what `withheld.together` wrote of the two kinds. Printed are the tables of docs/proof/withheld.md, the
-misses one by one, and the table of the README; a test holds both files against them. LABORATORIES: the withheld.json of
+misses one by one, and the short table of counts; a test holds the page against them. LABORATORIES: the withheld.json of
 drawn laboratories, for docs/proof/laboratories.md.
 """
 
@@ -82,7 +82,7 @@ def misses(easy: Mapping[str, Any], hard: Mapping[str, Any]) -> str:
 
 
 def short_table(easy: Mapping[str, Any], hard: Mapping[str, Any]) -> str:
-    """Markdown for the README: counts alone."""
+    """Markdown: counts alone."""
     both = (easy, hard)
     levels = sorted({level for d in both for level in _unknown_by_level(d)}, reverse=True)
     gaps = ", ".join(f"{level:g}" for level in levels)
