@@ -201,7 +201,7 @@ def convert(readings: Array, unit: str, kind: str, quantity: str, radius: float 
         valid = {**_ANGULAR[quantity], **tangential}
     if unit not in valid:
         other = next((q for q in _TANGENTIAL if unit in _TANGENTIAL[q] or unit in _ANGULAR[q]), None)
-        told = f", but of {other}, and a campaign holds readings of one quantity" if other else ""
+        told = f", but of {other}: for such readings give --quantity {other}" if other else ""
         raise InputError(f"{where}: '{unit}' is no unit of {quantity}{told}; valid units: {', '.join(valid)}")
     if kind == "translational" or unit in _ANGULAR[quantity]:
         return readings * valid[unit]

@@ -89,6 +89,8 @@ class LoggerFile:
             [n == column for n in self.names],
             [n.lower() == wanted for n in self.names],
             [p == wanted for p in plain],
+            # Loggers put unit and run behind a name: "Position (m) Run #1".
+            [re.match(re.escape(wanted) + r"\b", n.strip().lower()) is not None for n in self.names] if wanted else [],
         )
         for found in tries:
             if sum(found) > 1:

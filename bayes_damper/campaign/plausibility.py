@@ -17,6 +17,8 @@ from bayes_damper.text import counted
 
 Array = NDArray[np.float64]
 _MISSING = 0.2  # share of the readings that are not there
+_RESTS = {"displacement": 1.0, "velocity": 0.5, "acceleration": 0.5}
+"""Radians of the oscillation for which a primary must rest, so that it is held and not at a turning point."""
 _SHORT = 0.8  # of the longest repeat's end, before which a record counts as ending early
 _UNLIKE = 0.3  # rms difference over rms, from which repeats are held to be of different channels
 _TURNED = "; where `init` made the campaign, run it again with --sign -1 (coupled: one for each channel, such as -1 1)"
@@ -118,7 +120,8 @@ def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]
     assert trial.theta0 is not None
     sign = math.copysign(1.0, trial.theta0.value) * (1.0 if power == 0 else -1.0)
     level = abs(trial.theta0.value) if power == 0 else 0.0
-    if not trial.driven and (onset_away := _moves_the_wrong_way(times, sign * y, quantity, omega)) is not None:
+    rest = _RESTS[quantity]
+    if not trial.driven and (onset_away := _moves_the_wrong_way(times, sign * y, quantity, omega, rest)) is not None:
         place = "on the other side of 0 than theta0" if power == 0 else "at rest"
         then = "" if power == 0 else " and then begins to move away from its rest position, not towards it"
         warnings.append(

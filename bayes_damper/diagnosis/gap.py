@@ -35,6 +35,8 @@ KEPT_WEIGHT = 0.5  # readings that a fit trusts less (release, friction reversal
 DRAWS = 2000
 _CORRELATED_SHARE = 6  # of a record: the longest lag of which its residuals tell a correlation
 _SLOW = 10.0  # times the rig's own frequency: torques on inertias show below
+LEAST_DIFFERENCE = 1.0
+"""Squared difference of two models over all held-out readings, in noise variances, below which it does not show."""
 
 
 @dataclass(frozen=True)
@@ -389,7 +391,7 @@ def share_closed(
     gained, reducible = x0 - x1, x0 - count
     floor_sd = known * float(count.sum())
     noise = math.hypot(math.sqrt(2.0 * float(count.sum())), floor_sd)
-    if float(difference.sum()) < 1e-9:
+    if float(difference.sum()) < LEAST_DIFFERENCE:
         return Closed(0.0, (0.0, 0.0), "none")
     method: Literal["held-out", "model difference"]
     if float(reducible.sum()) > 6.0 * noise:

@@ -101,7 +101,12 @@ def offered(
     """Every variant that this rig can have, with priors at the rig's scale."""
     scales = scales or scales_of(experiment)
     able = candidates(
-        experiment.coupled, experiment.face, "linear" if nominal == "linear" else "nonlinear", effects, experiment.start
+        experiment.coupled,
+        experiment.face,
+        "linear" if nominal == "linear" else "nonlinear",
+        effects,
+        experiment.start,
+        experiment.restoring,
     )
     pool = [(effect, scaled(variant, scales)) for effect in able.values() for variant in effect.variants]
     if experiment.coupling_law == "cosine":

@@ -357,14 +357,19 @@ def candidates(
     nominal: Literal["nonlinear", "linear"] = "nonlinear",
     effects: Mapping[str, Effect] = EFFECTS,
     start: Literal["rest", "free"] = "rest",
+    restoring: Literal["linear", "pendulum"] = "linear",
 ) -> dict[str, Effect]:
     """The effects that a rig can have, each with those of its variants that do anything there.
 
     rig_has_coupled : whether any trial is coupled; has_magnet : whether a pull presses the faces (mu is not 0);
     nominal : "linear" has mu = drag = 0, so that dry friction becomes a candidate and what scales with it none;
-    start : "free" records begin in motion, so nothing is known of a release.
+    start : "free" records begin in motion, so nothing is known of a release; restoring : what brings the primary back,
+    a spring or, of a "pendulum", its weight, which has neither play nor hysteresis.
     """
-    has = {"coupled": rig_has_coupled, "magnet": has_magnet, "linear_nominal": nominal == "linear"}
+    has = {
+        "coupled": rig_has_coupled, "magnet": has_magnet, "linear_nominal": nominal == "linear",
+        "spring": restoring == "linear",
+    }  # fmt: skip
     offered = {}
     for name, effect in effects.items():
         if not all(has[need] for need in effect.needs) or (start == "free" and effect.site == "release"):

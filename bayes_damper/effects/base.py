@@ -145,7 +145,7 @@ class Effect:
     """Nominal parameters that can take its place."""
     source: str
     variants: tuple[Variant, ...]
-    needs: tuple[Literal["coupled", "magnet", "linear_nominal"], ...] = ()
+    needs: tuple[Literal["coupled", "magnet", "linear_nominal", "spring"], ...] = ()
     """What a rig must have for the effect to be possible; "linear_nominal": only offered with `--nominal linear`."""
     exact: bool = False
     """Whether its formula is a definition, such as a factor on a constant, not one of many that a cause may follow."""

@@ -38,6 +38,7 @@ PLAY = EffectParameter(
 EFFECT = Effect(
     name="coupling_backlash",
     site="ground1",
+    needs=("spring",),
     summary="The coupling has play: about its middle position the spring carries no torque.",
     looks_like="The period grows as the motion decays, and the acceleration has a flat step at each zero crossing.",
     hides_behind=("k1t", "drag"),

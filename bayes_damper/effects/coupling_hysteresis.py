@@ -65,6 +65,7 @@ WOUND = EffectParameter(
 EFFECT = Effect(
     name="coupling_hysteresis",
     site="ground1",
+    needs=("spring",),
     summary="Part of the coupling's torque lags behind its angle, however slow the motion.",
     looks_like="More damping of small motions than drag explains, and a stiffer spring the smaller the motion.",
     hides_behind=("drag", "k1t", "c1t"),

@@ -189,7 +189,7 @@ def test_a_number_in_other_words_is_refused_once_for_all_files(tmp_path: Path) -
         ({"units": ["deg/s^2"]}, "it looks like"),
         ({"units": ["m/s^2"]}, "give mounting_radius in metres"),
         ({"units": ["furlong"]}, "'furlong' is no unit of acceleration;"),
-        ({"units": ["mm"]}, "but of displacement, and a campaign holds readings of one quantity"),
+        ({"units": ["mm"]}, "but of displacement: for such readings give --quantity displacement"),
         ({"colums": ["a"]}, "option 'colums' does not exist; did you mean 'columns'?"),
         ({"release": "guess"}, "release = 'guess' is none of"),
         ({"start": 900.0}, "only 0 readings"),
@@ -689,3 +689,15 @@ def test_an_import_table_writes_nothing_outside_its_campaign(tmp_path: Path, fil
     with pytest.raises(InputError, match="leaves the campaign's folder, or is too long"):
         import_records(table, tmp_path / "out")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["made", "run.csv", "table.toml"]
+
+
+def test_a_column_is_found_by_what_its_name_begins_with(tmp_path: Path) -> None:
+    """Some loggers put unit and run behind the name of a column."""
+    path = tmp_path / "run.csv"
+    rows = np.column_stack([np.arange(50) / 100.0, np.cos(np.arange(50)), np.sin(np.arange(50))])
+    head = "Time (s) Run #1,Position (m) Run #1,Positioner (m) Run #1"
+    np.savetxt(path, rows, delimiter=",", header=head, comments="", fmt="%.6f")
+    found = read_file(path, {})
+    assert (found.index("Position", "here"), found.index("time", "here")) == (1, 0)
+    with pytest.raises(InputError, match="here"):
+        found.index("Posi", "here")

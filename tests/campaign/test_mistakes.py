@@ -145,3 +145,14 @@ def test_missing_readings_are_counted(folder):
     write_table(path, names, [c[there] for c in columns])
     (told,) = [w for w in read(folder).warnings if "are missing" in w]
     assert 0.4 < float(told.split(": ")[1].split("%")[0]) / 100.0 < 0.6
+
+
+def test_a_reversed_primary_is_named_after_a_rest_of_half_a_radian(folder):
+    """What `init --release find` keeps before the release, 20 ms, is 1.2 rad at 9.3 Hz; 10 ms of it are enough."""
+    for path in folder.glob("trials/uncoupled_*.csv"):
+        names, (times, y) = read_table(path)
+        rest = 2.0 * np.random.default_rng(5).standard_normal(12)
+        early = np.concatenate([np.arange(-12, 0) / 1000.0, times])
+        write_table(path, names, [early, -np.concatenate([rest, y])])
+    told = [w for w in read(folder).warnings if "the sign of the channel looks reversed" in w]
+    assert len(told) == 2

@@ -145,6 +145,9 @@ def test_share_closed_by_hand():
     assert small.method == "model difference"
     assert small.hdi90[0] < small.median < small.hdi90[1]
     assert share_closed(count, count, np.zeros(4), count).method == "none"
+    # Of models that differ by less than a reading's noise, gains are noise over next to nothing.
+    nothing = share_closed(count, count - 3.0, np.full(4, 1e-4), count)
+    assert (nothing.median, nothing.hdi90, nothing.method) == (0.0, (0.0, 0.0), "none")
 
 
 def test_shortest_interval_of_a_skewed_sample():

@@ -556,6 +556,8 @@ def test_only_effects_that_the_rig_can_have_are_offered():
 def test_a_free_start_knows_nothing_of_a_release():
     assert "release" in {e.site for e in candidates(True).values()}
     assert "release" not in {e.site for e in candidates(True, start="free").values()}
+    hanging = set(candidates(True)) - set(candidates(True, restoring="pendulum"))
+    assert hanging == {"coupling_backlash", "coupling_hysteresis"}  # a weight has neither play nor hysteresis
 
 
 def test_classes_join_effects_that_agree_to_first_order():
