@@ -17,7 +17,7 @@ Nothing else has to be edited: registry, kernels, priors, ranking, tests and rep
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -92,7 +92,7 @@ class Variant:
     starts: tuple[tuple[float, ...], ...] = ()
     """Points from which a search begins: cover the shapes that the formula can take, both signs where both occur."""
     uncoupled: bool = True
-    """Whether the effect acts on the uncoupled rig too."""
+    """Whether the effect acts on the uncoupled rig too; none does that `needs` the coupled one, but sensors' do."""
 
     def __post_init__(self) -> None:
         if len(self.parameters) > MOST_PARAMETERS:
@@ -151,6 +151,11 @@ class Effect:
     """Whether its formula is a definition, such as a factor on a constant, not one of many that a cause may follow."""
     alike: frozenset[str] = field(default_factory=frozenset)
     """Effects that agree with it to first order (a class): a verdict inside the class is right."""
+
+    def __post_init__(self) -> None:
+        # Of what needs the coupled rig, the uncoupled one shows nothing, but for what the first channel reads.
+        if "coupled" in self.needs and self.site != "sensor":
+            object.__setattr__(self, "variants", tuple(replace(v, uncoupled=False) for v in self.variants))
 
     def variant(self, name: str) -> Variant:
         """The variant of that name; KeyError if there is none."""

@@ -51,7 +51,6 @@ EFFECT = Effect(
             torque=linear,
             couples="interface",
             starts=((0.05,), (0.5,), (0.95,)),
-            uncoupled=False,
         ),
         Variant(
             name="squared",
@@ -60,7 +59,6 @@ EFFECT = Effect(
             torque=squared,
             couples="interface",
             starts=((0.05,), (0.5,), (0.95,)),
-            uncoupled=False,
         ),
     ),
 )

@@ -52,7 +52,6 @@ EFFECT = Effect(
             torque=linear,
             couples="interface",
             starts=((3.0,), (-2.0,), (0.2,), (8.0,)),
-            uncoupled=False,
         ),
         Variant(
             name="quadratic",
@@ -66,7 +65,6 @@ EFFECT = Effect(
             torque=quadratic,
             couples="interface",
             starts=((30.0,), (-15.0,), (1.0,)),
-            uncoupled=False,
         ),
     ),
 )  # fmt: skip

@@ -42,7 +42,6 @@ EFFECT = Effect(
             ),
             amend=factor,
             starts=((0.08,), (-0.08,), (0.003,), (0.0003,), (-0.0003,)),
-            uncoupled=False,
         ),
     ),
 )  # fmt: skip

@@ -55,7 +55,6 @@ EFFECT = Effect(
             torque=with_overlap,
             couples="interface",
             starts=STARTS,
-            uncoupled=False,
         ),
         Variant(
             name="constant",
@@ -64,7 +63,6 @@ EFFECT = Effect(
             torque=constant,
             couples="interface",
             starts=STARTS,
-            uncoupled=False,
         ),
     ),
 )

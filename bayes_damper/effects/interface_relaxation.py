@@ -72,7 +72,6 @@ EFFECT = Effect(
             memory=1,
             memory_scale=(0.005,),
             starts=STARTS,
-            uncoupled=False,
         ),
         Variant(
             name="two_arms",
@@ -84,7 +83,6 @@ EFFECT = Effect(
             memory=2,
             memory_scale=(0.005, 0.005),
             starts=STARTS,
-            uncoupled=False,
         ),
     ),
 )

@@ -58,7 +58,6 @@ EFFECT = Effect(
             torque=cubic,
             couples="interface",
             starts=((30.0,), (-30.0,), (2.0,)),
-            uncoupled=False,
         ),
         Variant(
             name="share",
@@ -72,7 +71,6 @@ EFFECT = Effect(
             torque=share,
             couples="interface",
             starts=((20.0,), (-15.0,), (1.0,)),
-            uncoupled=False,
         ),
         Variant(
             name="fading",
@@ -86,7 +84,6 @@ EFFECT = Effect(
             torque=fading,
             couples="interface",
             starts=((1.0,), (4.0,), (8.0,)),
-            uncoupled=False,
         ),
     ),
 )  # fmt: skip

@@ -83,7 +83,6 @@ EFFECT = Effect(
             memory=1,
             memory_scale=(0.3,),
             starts=STARTS,
-            uncoupled=False,
         ),
         Variant(
             name="exponential",
@@ -95,7 +94,6 @@ EFFECT = Effect(
             memory=1,
             memory_scale=(0.3,),
             starts=STARTS,
-            uncoupled=False,
         ),
         Variant(
             name="whole",
@@ -107,7 +105,6 @@ EFFECT = Effect(
             memory=1,
             memory_scale=(0.3,),
             starts=STARTS,
-            uncoupled=False,
         ),
     ),
 )

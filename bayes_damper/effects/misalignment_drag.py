@@ -55,7 +55,6 @@ EFFECT = Effect(
             parameters=(SHARE,),
             torque=with_pull,
             starts=((0.01,), (0.1,), (0.4,)),
-            uncoupled=False,
         ),
         Variant(
             name="constant",
@@ -64,7 +63,6 @@ EFFECT = Effect(
             torque=constant,
             couples="bodies",
             starts=((0.01,), (0.1,), (0.4,)),
-            uncoupled=False,
         ),
         Variant(
             name="viscous",
@@ -77,7 +75,6 @@ EFFECT = Effect(
             ),
             torque=viscous,
             starts=((0.05,), (0.5,), (2.0,)),
-            uncoupled=False,
         ),
     ),
 )  # fmt: skip

@@ -69,7 +69,6 @@ EFFECT = Effect(
             torque=power,
             couples="interface",
             starts=((0.05,), (1.0,), (-0.4,), (2.0,)),
-            uncoupled=False,
         ),
         Variant(
             name="lens",
@@ -78,7 +77,6 @@ EFFECT = Effect(
             torque=lens,
             couples="interface",
             starts=((0.05,), (1.0,)),
-            uncoupled=False,
         ),
         Variant(
             name="bell",
@@ -93,7 +91,6 @@ EFFECT = Effect(
             torque=bell,
             couples="interface",
             starts=((0.1, 5.0), (1.0, 3.0), (1.0, 5.0), (1.0, 9.0)),
-            uncoupled=False,
         ),
     ),
 )  # fmt: skip

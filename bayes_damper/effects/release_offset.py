@@ -47,7 +47,6 @@ EFFECT = Effect(
             ),
             amend=offset,
             starts=((0.01,), (-0.01,), (0.0005,)),
-            uncoupled=False,
         ),
         Variant(
             name="share",
@@ -60,7 +59,6 @@ EFFECT = Effect(
             ),
             amend=share,
             starts=((0.1,), (-0.1,), (0.005,)),
-            uncoupled=False,
         ),
     ),
 )  # fmt: skip

@@ -97,7 +97,6 @@ EFFECT = Effect(
             torque=gaussian,
             couples="interface",
             starts=STRIBECK_STARTS,
-            uncoupled=False,
         ),
         Variant(
             name="exponential",
@@ -106,7 +105,6 @@ EFFECT = Effect(
             torque=exponential,
             couples="interface",
             starts=STRIBECK_STARTS,
-            uncoupled=False,
         ),
         Variant(
             name="bristle",
@@ -119,7 +117,6 @@ EFFECT = Effect(
             memory_scale=(0.3,),
             replaces_friction=True,
             starts=((0.0005, 0.0003), (0.002, 0.0003), (0.002, 0.003), (0.008, 0.001)),
-            uncoupled=False,
         ),
         Variant(
             name="lugre",
@@ -135,7 +132,6 @@ EFFECT = Effect(
                 (0.002, 0.001, 0.3, 0.3), (0.0005, 0.0003, 0.5, 0.1),
                 (0.002, 0.001, 0.5, 1.0), (0.006, 0.001, 0.8, 0.3),
             ),
-            uncoupled=False,
         ),
     ),
 )  # fmt: skip

@@ -695,3 +695,12 @@ def test_an_installed_package_can_bring_an_effect(tmp_path):
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
     assert done.stdout.strip() == "interface", done.stderr
+
+
+def test_what_needs_the_coupled_rig_is_silent_on_the_uncoupled_one():
+    """Said once, by `needs`: a variant need not say it again. A sensor's first channel is there on both rigs."""
+    friction = EFFECTS["interface_friction"]
+    anew = replace(friction, variants=tuple(replace(v, uncoupled=True) for v in friction.variants))
+    assert not any(v.uncoupled for v in anew.variants)
+    assert any(v.uncoupled for v in EFFECTS["sensor_delay"].variants)
+    assert all(v.uncoupled for v in EFFECTS["bearing_drag"].variants)
