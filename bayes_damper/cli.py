@@ -62,6 +62,7 @@ def _simulate(args: Arguments) -> Any:
         effect=args.effect,
         rate=args.rate,
         duration=args.duration,
+        inputs=args.inputs,
         out=args.out,
         effects_folder=args.effects,
     )
@@ -368,6 +369,10 @@ def _parser() -> argparse.ArgumentParser:
     own_effects(sub)
     sub.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="sample rate (default: 1000)")
     sub.add_argument("--duration", type=float, default=1.0, metavar="S", help="length of the record (default: 1)")
+    sub.add_argument(
+        "--inputs", type=Path, metavar="F.csv",
+        help="what acts: time_s and any of torque1_n_m, torque2_n_m, ground_rad, ground_rad_s2; gives the times",
+    )  # fmt: skip
     sub.add_argument("--out", type=Path, required=True, metavar="F.csv", help="the record to write")
 
     sub = command("fit", _fit, "posterior per case, and of all cases together for a campaign", out="results/fit")

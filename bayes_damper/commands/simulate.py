@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from bayes_damper.campaign import record_text
+from bayes_damper.campaign import INPUT_COLUMNS, Constant, Measurement, Trial, record_text
+from bayes_damper.campaign.logger_files import read_file
+from bayes_damper.campaign.structure import INPUTS
 from bayes_damper.effects import all_effects
 from bayes_damper.effects.base import Variant
 from bayes_damper.errors import ExitCode, InputError
@@ -51,6 +53,7 @@ def simulate_record(
     effect: str | None = None,
     rate: float = 1000.0,
     duration: float = 1.0,
+    inputs: str | Path | None = None,
     out: str | Path,
     effects_folder: str | Path | None = None,
 ) -> SimulatedRecord:
@@ -62,6 +65,8 @@ def simulate_record(
     settings : "NAME=VALUE" each: a parameter, a rig key of campaign.toml, or EFFECT.PARAMETER. SI units.
     effect : name of an effect, or NAME/VARIANT; at the first of its starts where `settings` say nothing else.
     rate : Hz; duration : s; out : the CSV file to write. coupled : False for the primary alone.
+    inputs : CSV file of what acts, time_s and any of torque1_n_m, torque2_n_m, ground_rad and ground_rad_s2, linear
+        between samples; the record has its times, in place of rate and duration, and absolute readings.
     effects_folder : folder with effects of your own.
 
     Raises
@@ -90,16 +95,24 @@ def simulate_record(
     path = Path(out)
     if path.suffix == ".toml":
         raise InputError(f"--out {path}: the values used go to that name; give the record another ending, e.g. .csv")
-    simulation = Model(coupled, words["normal_force"], words["restoring"], variant).simulate(  # type: ignore[arg-type]
-        {name: values[name] for name in ROWS if name in values},
-        times := np.arange(round(duration * rate) + 1) / rate,
-        effect=own or None,
-    )
+    trial = None if inputs is None else _driven(Path(inputs), coupled)
+    times = np.arange(round(duration * rate) + 1) / rate if trial is None else trial.times
+    try:
+        simulation = Model(coupled, words["normal_force"], words["restoring"], variant).simulate(  # type: ignore[arg-type]
+            {name: values[name] for name in ROWS if name in values},
+            times,
+            effect=own or None,
+            inputs=None if trial is None else trial.inputs(Measurement()),
+        )
+    except ValueError as error:
+        raise InputError(f"--inputs {inputs}: {error}") from None
     outcome = Outcome(int(simulation.outcome[0]))
     if outcome is not Outcome.COMPLETED:
         raise InputError(f"this record cannot be simulated: {outcome.sentence}")
-    write_text(path, record_text(times, simulation.y[0], "torsional", "acceleration"))
-    used = {"case": case, "configuration": "coupled" if coupled else "uncoupled", "rate": rate, "duration": duration}
+    acting = None if trial is None else {name: getattr(trial, name) for name in INPUTS}
+    write_text(path, record_text(times, simulation.y[0], "torsional", "acceleration", acting))
+    used: dict[str, Any] = {"case": case, "configuration": "coupled" if coupled else "uncoupled"}
+    used |= {"rate": rate, "duration": duration} if inputs is None else {"inputs": str(inputs)}
     used |= words | {name: values[name] for name in ROWS if name in values}
     lines = [f"{key} = {_toml(value)}{_comment(key)}" for key, value in used.items()]
     if variant is not None:
@@ -107,6 +120,34 @@ def simulate_record(
         lines += [f"{p.name} = {own[p.name]!r}  # {effect_unit(p.unit)}" for p in variant.parameters]
     write_text(path.with_suffix(".toml"), "\n".join(lines) + "\n")
     return SimulatedRecord(path, used | ({"effect": own} if variant is not None else {}))
+
+
+def _driven(path: Path, coupled: bool) -> Trial:
+    """A trial with the times and inputs of a CSV file, and nothing measured yet."""
+    columns = ("time_s", *INPUT_COLUMNS["torsional"])
+    file = read_file(path, {"header": True})
+    unknown = [name for name in file.names if name not in columns]
+    if unknown or "time_s" not in file.names or len(file.names) < 2:
+        found = ", ".join(file.names) or "none"
+        raise InputError(
+            f"--inputs {path}: expected a column time_s and some of {', '.join(columns[1:])}; found {found}"
+        )
+    table = {name: file.table[:, i] for i, name in enumerate(file.names)}
+    times = table.pop("time_s")
+    faults = [f"--inputs {path}: column '{n}' has gaps" for n, x in table.items() if not np.isfinite(x).all()]
+    if times.size < 2 or not np.isfinite(times).all() or np.any(np.diff(times) <= 0.0):
+        faults.append(f"--inputs {path}: time_s must rise from line to line")
+    if "torque2_n_m" in table and not coupled:
+        faults.append(f"--inputs {path}: torque2_n_m acts on the secondary; leave it or --uncoupled out")
+    if {"ground_rad", "ground_rad_s2"} <= set(table):
+        faults.append(f"--inputs {path}: ground_rad and ground_rad_s2 are one motion of the ground; keep one")
+    if faults:
+        raise InputError(faults)
+    names = dict(zip(INPUT_COLUMNS["torsional"], INPUTS, strict=True))
+    acting: dict[str, Any] = {names[n]: x for n, x in table.items()}
+    nothing = np.zeros((1 + int(coupled), times.size))
+    configuration = "coupled" if coupled else "uncoupled"
+    return Trial("", "", configuration, 1, Constant(1.0), None, times, nothing, **acting)
 
 
 def _variant(effect: str | None, folder: str | Path | None, faults: list[str]) -> Variant | None:

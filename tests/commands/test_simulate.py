@@ -6,6 +6,7 @@ import tomllib
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from bayes_damper.commands.simulate import simulate_record
 from bayes_damper.errors import InputError
@@ -68,3 +69,49 @@ def test_all_faults_are_told_at_once(tmp_path):
     with pytest.raises(InputError) as caught:
         simulate_record("IV", settings=["muu=1", "nu=x"], effect="stick", out=tmp_path / "F.csv")
     assert len(caught.value.faults) == 3
+
+
+def test_inputs_of_a_file_drive_the_record(tmp_path):
+    times = np.arange(0.0, 0.3, 1e-3)
+    columns = {"torque1_n_m": 0.2 * np.sin(40 * times), "torque2_n_m": 0.1 * np.cos(30 * times)}
+    columns["ground_rad_s2"] = 20.0 * np.sin(25 * times)
+    path = tmp_path / "inputs.csv"
+    header = ",".join(["time_s", *columns])
+    np.savetxt(path, np.column_stack([times, *columns.values()]), delimiter=",", header=header, comments="")
+    rig = ["theta0=0", "mu=0", "drag=0", "J12=1e-4"]
+    found = simulate_record(settings=rig, inputs=path, out=tmp_path / "record.csv")
+    names = (tmp_path / "record.csv").read_text().partition("\n")[0].split(",")
+    assert names == ["time_s", "alpha1_rad_s2", "alpha2_rad_s2", *columns]
+    table = np.loadtxt(tmp_path / "record.csv", delimiter=",", skiprows=1)
+    assert np.array_equal(table[:, 0], times)
+    # The linear rig in absolute coordinates, its angles and velocities and those of the ground as one state.
+    v = found.values
+    mass = np.linalg.inv([[v["J1"], v["J12"]], [v["J12"], v["J2"]]])
+    K = [[-v["k1t"] - v["k2t"], v["k2t"], v["k1t"]], [v["k2t"], -v["k2t"], 0.0]]
+    C = [[-v["c1t"] - v["c2t"], v["c2t"], v["c1t"]], [v["c2t"], -v["c2t"] - v["c3t"], v["c3t"]]]
+
+    def bodies(t: float, x: np.ndarray) -> np.ndarray:
+        push = [np.interp(t, times, columns[name]) for name in ("torque1_n_m", "torque2_n_m")]
+        return mass @ (np.array(K) @ x[:3] + np.array(C) @ x[3:] + push)
+
+    def rates(t: float, x: np.ndarray) -> np.ndarray:
+        return np.concatenate([x[3:], bodies(t, x), [np.interp(t, times, columns["ground_rad_s2"])]])
+
+    states = solve_ivp(rates, (0.0, times[-1]), np.zeros(6), "DOP853", times, rtol=1e-9, atol=1e-12, max_step=1e-3).y
+    exact = np.array([bodies(t, x) for t, x in zip(times, states.T, strict=True)])
+    assert np.abs(table[:, 1:3] - exact).max() < 1e-4 * np.abs(exact).max()
+
+
+@pytest.mark.parametrize(
+    ("header", "options", "words"),
+    [
+        ("time_s,torque3_n_m", {}, "expected a column time_s and some of torque1_n_m"),
+        ("time_s,torque2_n_m", {"coupled": False}, "acts on the secondary"),
+        ("time_s,ground_rad", {"settings": ["restoring=pendulum"]}, "gravity"),
+    ],
+)
+def test_inputs_that_cannot_act_are_told(tmp_path, header, options, words):
+    path = tmp_path / "inputs.csv"
+    path.write_text(header + "\n" + "\n".join(f"{k / 1000},{k % 5}" for k in range(20)) + "\n")
+    with pytest.raises(InputError, match=words):
+        simulate_record(inputs=path, out=tmp_path / "record.csv", **options)
