@@ -41,6 +41,7 @@ from bayes_damper.effects.base import SITES, Variant
 from bayes_damper.priors.distributions import Distribution, from_standard
 from bayes_damper.priors.files import PriorSet
 from bayes_damper.runs.execution import plain
+from bayes_damper.runs.memory import shortage
 
 Array = NDArray[np.float64]
 
@@ -223,6 +224,8 @@ def diagnose(
     began = time.perf_counter()
     name = getattr(campaign, "name", "campaign")
     experiment = campaign if isinstance(campaign, Experiment) else experiment_of(campaign, priors)
+    if short := shortage(sum(t.y.size for t in experiment.trials)):
+        tell(short)
     odd = odd_trials(experiment)
     notes = told_odd(experiment, odd)
     experiment = without_trials(experiment, odd)

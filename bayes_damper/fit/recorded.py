@@ -34,6 +34,7 @@ from bayes_damper.fit.plan import recorded_experiment
 from bayes_damper.fit.sensitivity import of_standard_draws
 from bayes_damper.rig.parameters import unit_of
 from bayes_damper.rig.units import effect_unit
+from bayes_damper.runs.memory import shortage
 from bayes_damper.sampling import Sampling, resampled_start
 from bayes_damper.sampling.arviz_adapter import hdi
 from bayes_damper.sampling.bridge import bridge
@@ -46,7 +47,7 @@ PROPOSALS = 4000
 def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping[str, Any], processes: int = 1) -> Any:
     """Task: fit one case of a campaign, or all together (`name` "joint"); its entry of summary.json."""
     experiment, kind = recorded_experiment(plan, None if name == "joint" else name)
-    report(0.0, "finding the best fit")
+    report(0.0, shortage(sum(t.y.size for t in experiment.trials)) or "finding the best fit")
     begin_with = None
     if plan.get("effect") is not None:
         begin_with = fit_with_effect(experiment, plan["effect"], plan["effects"])

@@ -6,7 +6,7 @@ import gc
 import subprocess
 import sys
 
-from bayes_damper.runs.memory import SELDOM, seldom_collected
+from bayes_damper.runs.memory import BASE, PER_READING, SELDOM, free_bytes, seldom_collected, shortage
 
 
 def test_the_thresholds_are_put_back():
@@ -27,3 +27,23 @@ def test_nothing_is_looked_at_when_the_process_ends():
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.split() == ["False", "True"]
+
+
+def test_a_campaign_that_needs_more_memory_than_is_free_gets_a_sentence_before_it_begins():
+    needed = BASE + 500_000 * PER_READING
+    assert shortage(500_000, left=1.01 * needed) == ""
+    told = shortage(500_000, left=0.5e9)
+    assert told.startswith("500000 readings take about 1.5 GB of memory, and 0.5 GB are free")
+    assert "`every = 2`" in told
+
+
+def test_a_limit_on_the_address_space_counts_as_what_is_free():
+    assert free_bytes() > 1e6
+    script = (
+        "import resource\n"
+        "from bayes_damper.runs.memory import free_bytes\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (3_000_000_000, resource.RLIM_INFINITY))\n"
+        "print(free_bytes() <= 3_000_000_000)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout.strip() == "True"
