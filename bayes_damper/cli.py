@@ -243,6 +243,7 @@ def _diagnose(args: Arguments) -> Any:
         out=args.out,
         seed=args.seed,
         workers=args.workers,
+        prior_unknown=args.prior_unknown,
         tell=make_teller(quiet=args.quiet or args.json),
     )
 
@@ -396,6 +397,8 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("diagnose", _diagnose, "the sim-to-real gap: where it lies, what causes it, how far it shrinks",
                   out="results/diagnose")  # fmt: skip
     sub.add_argument("campaign", help="folder of the campaign, or `thesis`")
+    sub.add_argument("--prior-unknown", type=float, default=0.15, metavar="P",
+                     help="prior probability that the cause is none of the library's (default 0.15)")  # fmt: skip
     weighing(sub)
 
     sub = command("plan", _plan, "before measuring: what the planned trials could tell apart, and with how many",

@@ -109,6 +109,46 @@ def misses(entry: Mapping[str, Any]) -> bool:
     return any(c.get("learnt_from") == "residuals" and c.get("left_over_floor") for c in channels)
 
 
+def budget_sentence(budget: Mapping[str, Any] | None) -> str:
+    """The gap by effects in a sentence; "" where no effect is present.
+
+    budget : as in diagnosis.json. Shares are those of the gap on held-out trials; effects that are less than even odds
+    are left to the table.
+    """
+    parts = [e for e in (budget or {}).get("effects", ()) if e["present"] >= 0.5]
+    if budget is None or not parts:
+        return ""
+    unexplained = budget["unexplained"]["share"].get("median")
+    named = [f"{e['name'].replace('_', ' ')} (p {_probable(e['present'])})" for e in parts]
+    named[0] = named[0][0].upper() + named[0][1:]
+    if unexplained is None:
+        verb = "is" if len(named) == 1 else "are"
+        return f"{' and '.join(named)} {verb} present; the gap on held-out trials is too faint to tell shares of it."
+    shares = [round(100.0 * e["share"]["median"]) for e in parts]
+    first = f"{named[0]} closes {shares[0]} % of the gap"
+    more = [f"{name} {share} %" for name, share in zip(named[1:], shares[1:], strict=True)]
+    left = 100 - sum(shares)
+    sites = budget["unexplained"].get("sites") or {}
+    where = ""
+    if left > 0 and sites:
+        place = max(sites, key=lambda site: sites[site])
+        where = f", most likely at {_AT.get(place, place)}"
+    rest = f"{left} % stays unexplained{where}" if left > 0 else "nothing stays unexplained"
+    return f"{', '.join([first, *more])}; {rest}."
+
+
+_AT = {
+    "ground1": "the primary's spring", "bearings": "the bearings", "interface": "the interface",
+    "ground2": "the secondary", "release": "the release", "sensor": "the sensors",
+}  # fmt: skip
+"""Sites within a sentence."""
+
+
+def _probable(p: float) -> str:
+    """A probability with two digits, never 1 unless it is exactly that."""
+    return f"{p:.2f}" if p < 0.995 or p == 1.0 else ">0.99"
+
+
 def number(x: Any, width: float | None = None) -> str:
     """A number as text, else four digits, with those that a 90 % interval of this width supports: two of its standard
     deviation; a dash for nothing.

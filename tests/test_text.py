@@ -3,7 +3,7 @@
 import pytest
 
 from bayes_damper.commands.diagnose import Diagnosed
-from bayes_damper.text import counted, gap_beside_verdict, gathered, p_value
+from bayes_damper.text import budget_sentence, counted, gap_beside_verdict, gathered, p_value
 
 
 @pytest.mark.parametrize(
@@ -73,3 +73,22 @@ def test_an_unknown_cause_is_told_at_a_place_and_as_surely_as_it_is_known(tmp_pa
     first = Diagnosed(tmp_path, result).text().splitlines()[0]
     assert first.startswith(begins)
     assert first.endswith("most likely at: sensor.")
+
+
+def divided(shares, left, present=0.96):
+    def share(x):
+        return {"median": x, "hdi90": None if x is None else [x, x]}
+
+    effects = [{"name": n, "present": present, "share": share(x)} for n, x in shares.items()]
+    return {"effects": effects, "unexplained": {"share": share(left), "sites": {"bearings": 0.7, "sensor": 0.3}}}
+
+
+def test_the_gap_by_effects_is_one_sentence():
+    assert budget_sentence(divided({"bearing_drag": 0.714, "quadratic_drag": 0.18}, 0.106)) == (
+        "Bearing drag (p 0.96) closes 71 % of the gap, quadratic drag (p 0.96) 18 %; 11 % stays unexplained, most "
+        "likely at the bearings."
+    )
+    whole = budget_sentence(divided({"stick_slip": 1.0}, 0.0, 0.999))
+    assert whole == "Stick slip (p >0.99) closes 100 % of the gap; nothing stays unexplained."
+    assert "too faint to tell shares" in budget_sentence(divided({"stick_slip": None}, None))
+    assert budget_sentence(divided({"stick_slip": 0.9}, 0.1, 0.4)) == budget_sentence(None) == ""

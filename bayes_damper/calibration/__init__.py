@@ -33,7 +33,7 @@ from bayes_damper.calibration.experiment import (
     thinned,
     with_priors,
 )
-from bayes_damper.calibration.heldout import predict
+from bayes_damper.calibration.heldout import Prediction, predict
 from bayes_damper.calibration.least_squares import Calibration, calibrate, default_starts, drawn_starts, summarise
 from bayes_damper.calibration.noise_level import (
     Noise,
@@ -70,6 +70,7 @@ __all__ = [
     "Linear",
     "Noise",
     "Normals",
+    "Prediction",
     "Problem",
     "Switches",
     "TrialRecord",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,6 +20,7 @@ from bayes_damper.diagnosis import Diagnosis
 from bayes_damper.diagnosis import diagnose as diagnose_campaign
 from bayes_damper.diagnosis.published import diagnose_published
 from bayes_damper.diagnosis.response import Motion, motions
+from bayes_damper.diagnosis.verdict import RULE
 from bayes_damper.effects import Effect, all_effects
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.priors.files import campaign_priors, load_priors
@@ -30,11 +31,12 @@ from bayes_damper.rig.units import effect_unit
 from bayes_damper.runs.execution import write_json
 from bayes_damper.runs.parallel_map import forked_map
 from bayes_damper.runs.provenance import provenance
-from bayes_damper.text import gap_beside_verdict, gathered, named_answers
+from bayes_damper.text import budget_sentence, gap_beside_verdict, gathered, named_answers
 from bayes_damper.text import p_value as told_p
 
 Array = NDArray[np.float64]
 NOMINALS = ("nonlinear", "linear")
+MOST_UNKNOWN = 0.6  # prior probability of a cause outside the library, at most
 CERTAIN = 0.9  # probability from which an answer is told without doubt
 
 
@@ -65,14 +67,15 @@ def diagnose(
     out: str | Path = "results/diagnose",
     seed: int = 1,
     workers: int = 2,
+    prior_unknown: float = RULE.prior_unknown,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Diagnosed:
     """Where the model and the rig differ, which unmodelled effect causes it, and how far adding it closes the gap.
 
     campaign : folder, or "thesis" for the published measurements; nominal : "linear" leaves dry friction out, which
     then is a candidate; effects : folder with effects of your own; priors : prior file, by default priors.toml in the
-    campaign; out : folder for all files; seed : decides every random number; workers : processes; tell : called with a
-    sentence for each step.
+    campaign; out : folder for all files; seed : decides every random number; workers : processes; prior_unknown :
+    prior probability that the cause is none of the library's; tell : called with a sentence for each step.
 
     Raises
     ------
@@ -81,6 +84,11 @@ def diagnose(
     """
     if nominal not in NOMINALS:
         raise InputError(f"--nominal {nominal}: expected one of {', '.join(NOMINALS)}")
+    if not 0.0 < prior_unknown <= MOST_UNKNOWN:
+        raise InputError(
+            f"--prior-unknown {prior_unknown:g}: a probability above 0 and up to {MOST_UNKNOWN:g} is expected, since "
+            "the other answers share the rest"
+        )
     if str(campaign) == "thesis":
         return _thesis(nominal, all_effects(effects), priors, Path(out), seed, workers, tell)
     loaded = load_campaign(campaign)
@@ -89,8 +97,9 @@ def diagnose(
     chosen = None if file is None else campaign_priors(file, loaded)
     library = all_effects(effects)
     found = diagnose_campaign(
-        loaded, nominal=nominal, effects=library, priors=chosen, seed=seed, workers=workers, tell=tell
-    )
+        loaded, nominal=nominal, effects=library, priors=chosen, seed=seed, workers=workers, tell=tell,
+        rule=replace(RULE, prior_unknown=prior_unknown),
+    )  # fmt: skip
     folder = Path(out)
     path = found.write(folder)
     ahead = forecasts(found.nominal, found.best)
@@ -111,7 +120,8 @@ def diagnose(
     for name, row in result["parameters"].items():
         row["unit"] = unit_of(name, *of_rig)
     both = (result["pair"] or {}).get("parameters", {})
-    for parameters in (*(row["parameters"] for row in result["effects"]), *both.values()):
+    rows = [*result["effects"], *result["budget"]["effects"]]
+    for parameters in (*(row["parameters"] for row in rows), *both.values()):
         for row in parameters.values():
             row["unit"] = effect_unit(row["unit"], *of_rig)
     _tell_meanings(result, library)
@@ -238,6 +248,8 @@ def _words(result: Mapping[str, Any]) -> list[str]:
         lines += [
             f"  {effect}, {name} = {_estimated(p)}" for effect, those in parameters.items() for name, p in those.items()
         ]
+    divided = budget_sentence(result.get("budget")) if verdict != "none" else ""
+    lines = [divided, *lines] if divided else lines
     lines.append(
         f"Gap on held-out trials: {gap['answer']} ({told_p(gap['p_value'])}); "
         + ("residual" if gap["augmented_rms"] is None else "residual before and after the answer is added")

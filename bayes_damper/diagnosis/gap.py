@@ -6,9 +6,8 @@ gap the product of such a prediction with the held-out residuals, both cleared o
 trial's own nuisances can do, is a standard Gaussian once divided by the prediction's length: a test of exact size,
 whatever was tried on the training trials. Chi-square alone would have to know the noise to a fraction of a per cent.
 
-Without repeats two things differ. What is left of a trial then counts as noise, and it is correlated: the product's
-variance takes in the correlation of the training residuals. And the held-out readings have had a say in which answer
-leads (lone.py), so its p-value is multiplied by the number of answers that it was chosen from.
+Without repeats what is left of a trial counts as noise, and it is correlated: the product's variance takes in the
+correlation of the training residuals. How much of the gap an answer closes: shares.py.
 """
 
 from __future__ import annotations
@@ -22,9 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from bayes_damper.calibration import Calibration, Group, Problem, calibrate, predict
+from bayes_damper.calibration import Calibration, Group, Prediction, Problem, calibrate, predict
 from bayes_damper.diagnosis.remainder import own_frequency
 from bayes_damper.diagnosis.response import on_trials
+from bayes_damper.diagnosis.shares import Closed, products
 from bayes_damper.text import p_value as told_p
 
 Array = NDArray[np.float64]
@@ -32,28 +32,8 @@ Array = NDArray[np.float64]
 SIZE = 0.05
 NEGLIGIBLE = 0.25  # of the noise sd: a gap below it adds 3 % to the residuals
 KEPT_WEIGHT = 0.5  # readings that a fit trusts less (release, friction reversals) are left out of sums of squares
-DRAWS = 2000
 _CORRELATED_SHARE = 6  # of a record: the longest lag of which its residuals tell a correlation
 _SLOW = 10.0  # times the rig's own frequency: torques on inertias show below
-LEAST_DIFFERENCE = 1.0
-"""Squared difference of two models over all held-out readings, in noise variances, below which it does not show."""
-
-
-@dataclass(frozen=True)
-class Closed:
-    """Share of the reducible gap that an answer closes, over held-out trials.
-
-    median and hdi90 of the bootstrap over trials; method: "held-out" (X0 - X1) / (X0 - floor), or "model difference"
-    (X0 - X1) / sum (A1 - A0)^2 where the gap is too small against the noise of its own sum of squares.
-    """
-
-    median: float
-    hdi90: tuple[float, float]
-    method: Literal["held-out", "model difference", "none"]
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain numbers."""
-        return {"median": self.median, "hdi90": list(self.hdi90), "method": self.method}
 
 
 @dataclass(frozen=True)
@@ -145,10 +125,8 @@ def measure_gap(
     nominal_rms = _rms({i: before[i].residual for i in heldout}, nominal.problem, heldout)
     augmented = None if after is None else _rms({i: after[i].residual for i in heldout}, nominal.problem, heldout)
     closed = None
-    if after is not None:
-        x1 = _squares({i: after[i].residual for i in heldout}, masks, noise)
-        d = _squares({i: after[i].model - before[i].model for i in heldout}, masks, noise)
-        closed = share_closed(x0, x1, d, count, rng, noise_spread(nominal.problem))
+    if winner is not None and after is not None:
+        closed = products(nominal, heldout, [_both(nominal, before), _both(winner, after)], rng).closed(1)
     answer: Literal["none", "gap", "cannot tell"]
     if p_value < size:
         answer, why = "gap", f"held-out residuals follow what the training trials predict ({told_p(p_value)})"
@@ -163,35 +141,27 @@ def measure_gap(
 
 
 def closing(
-    nominal: Calibration,
-    fits: Mapping[str, Calibration],
-    best: Calibration,
-    rng: np.random.Generator | None = None,
+    nominal: Calibration, fits: Mapping[str, Calibration], rng: np.random.Generator | None = None
 ) -> dict[str, tuple[float, Closed]]:
     """What each of several models leaves on held-out trials (rms, unit of the readings), and the share it closes.
 
-    best : the model whose change of the records stands for the gap's size where the gap itself is lost in the noise.
     Empty if no trial is held out.
     """
     heldout = nominal.problem.experiment.heldout
     if not heldout or not fits:
         return {}
-    problem, noise = nominal.problem, nominal.problem.noise.floor
-    masks = _masks(problem, heldout)
-    before = predict(nominal, heldout)
-    x0 = _squares({i: before[i].residual for i in heldout}, masks, noise)
-    count = np.array([sum(m.sum() for m in masks[i]) for i in heldout], float)
-    known = {id(fit): predict(fit, heldout) for fit in (*fits.values(), best)}
-    reference = known[id(best)]
-    d = _squares({i: reference[i].model - before[i].model for i in heldout}, masks, noise)
-    out = {}
-    for name, fit in fits.items():
-        after = known[id(fit)]
-        residuals = {i: after[i].residual for i in heldout}
-        x1 = _squares(residuals, masks, noise)
-        closed = share_closed(x0, x1, d, count, rng, noise_spread(problem))
-        out[name] = (_rms(residuals, problem, heldout), closed)
-    return out
+    after = {name: predict(fit, heldout) for name, fit in fits.items()}
+    sides = [_both(fits[name], after[name]) for name in fits]
+    found = products(nominal, heldout, [_both(nominal, predict(nominal, heldout)), *sides], rng)
+    return {
+        name: (_rms({i: p.residual for i, p in after[name].items()}, nominal.problem, heldout), found.closed(k))
+        for k, name in enumerate(fits, start=1)
+    }
+
+
+def _both(fit: Calibration, heldout: Mapping[int, Prediction]) -> tuple[dict[int, Array], dict[int, Array]]:
+    """Residuals of the fitted and of the held-out trials."""
+    return fit.residuals(), {i: p.residual for i, p in heldout.items()}
 
 
 def squares_of_trials(fit: Calibration) -> tuple[Array, Array]:
@@ -374,57 +344,6 @@ def noise_spread(problem: Problem) -> float:
     return math.sqrt(2.0 / freedom) if freedom > 100.0 else 0.05
 
 
-def share_closed(
-    x0: Array,
-    x1: Array,
-    difference: Array,
-    count: Array,
-    rng: np.random.Generator | None = None,
-    known: float = 0.0,
-) -> Closed:
-    """Share closed with its interval over trials.
-
-    x0, x1 (trials,): sums of squares before and after, over the noise variance; difference (trials,): of the two
-    models; count (trials,): readings; known: relative standard deviation of the noise variance.
-    """
-    rng = np.random.default_rng(0) if rng is None else rng
-    gained, reducible = x0 - x1, x0 - count
-    floor_sd = known * float(count.sum())
-    noise = math.hypot(math.sqrt(2.0 * float(count.sum())), floor_sd)
-    if float(difference.sum()) < LEAST_DIFFERENCE:
-        return Closed(0.0, (0.0, 0.0), "none")
-    method: Literal["held-out", "model difference"]
-    if float(reducible.sum()) > 6.0 * noise:
-        method, below = "held-out", reducible
-    else:
-        method, below = "model difference", difference
-    n = x0.size
-    if n >= 3:
-        pick = rng.integers(0, n, (DRAWS, n))
-        above_draws, below_draws = gained[pick].sum(axis=1), below[pick].sum(axis=1)
-        if method == "held-out":
-            below_draws = below_draws + floor_sd * rng.standard_normal(DRAWS)
-    else:
-        spread = 2.0 * math.sqrt(float(difference.sum()))
-        above_draws = gained.sum() + spread * rng.standard_normal(DRAWS)
-        wide = noise if method == "held-out" else 0.0
-        below_draws = below.sum() + wide * rng.standard_normal(DRAWS)
-    usable = below_draws > 0.05 * float(below.sum())
-    draws = np.sort(above_draws[usable] / below_draws[usable])
-    if draws.size < 20:
-        value = float(gained.sum() / below.sum())
-        return Closed(value, (-math.inf, math.inf), method)
-    return Closed(float(np.median(draws)), shortest_interval(draws), method)
-
-
-def shortest_interval(draws: Array, share: float = 0.9) -> tuple[float, float]:
-    """The shortest interval that holds `share` of sorted draws."""
-    inside = max(1, math.ceil(share * draws.size) - 1)
-    widths = draws[inside:] - draws[: draws.size - inside]
-    k = int(np.argmin(widths))
-    return float(draws[k]), float(draws[k + inside])
-
-
 # Parameters and extrapolation -----------------------------------------------------------------------------------------
 
 
@@ -488,14 +407,9 @@ def left_out_case(
         )  # fmt: skip
         predictions.append(predict(widened, out))
     before, after = predictions
-    masks = _masks(nominal.problem, out)
-    noise = nominal.problem.noise.floor
-    x0 = _squares({i: before[i].residual for i in out}, masks, noise)
-    x1 = _squares({i: after[i].residual for i in out}, masks, noise)
-    d = _squares({i: after[i].model - before[i].model for i in out}, masks, noise)
-    count = np.array([float(masks[i].sum()) for i in out])
+    closed = products(nominal, out, [({}, {i: p.residual for i, p in side.items()}) for side in predictions], rng)
     return Extrapolation(
         case, _rms({i: before[i].residual for i in out}, nominal.problem, out),
         _rms({i: after[i].residual for i in out}, nominal.problem, out), _floor_rms(nominal.problem, out),
-        share_closed(x0, x1, d, count, rng, noise_spread(nominal.problem)),
+        closed.closed(1),
     )  # fmt: skip

@@ -46,7 +46,6 @@ LEADERS = 4  # families that are held in turn
 LEAST_GAIN = 8.0  # nats of the second effect by the screening, below which no pair is fitted
 MOST_PAIRS = 4  # pairs fitted in full
 MOST_STEPS = 16
-MOST_STEPS_ALONE = 48  # over the many periods of a record without repeats valleys are long
 
 
 class PairProblem(Problem):
@@ -297,11 +296,7 @@ def _fitted(nominal: Calibration, s: Second, found: Sequence[Candidate]) -> Cali
             # Each effect as it is alone, the nominal parameters moved by both moves together, and by none.
             moved = first.q[:n] + c.fit.q[:n] - nominal.q
             starts += [_vector(problem, q, own, (s.variant, c.fit.q[n:])) for q in (moved, nominal.q)]
-    return calibrate(problem, starts, eta=first.eta, anneal=False, most=_most_steps(problem))
-
-
-def _most_steps(problem: Problem) -> int:
-    return MOST_STEPS_ALONE if problem.noise.sensor else MOST_STEPS
+    return calibrate(problem, starts, eta=first.eta, anneal=False, most=MOST_STEPS)
 
 
 def _pair(
@@ -319,12 +314,6 @@ def _pair(
     return Pair(first, second, fit, evidence, evidence - max(alone), remainder_of(fit))
 
 
-def refitted(nominal: Calibration, pair: Pair, fit: Calibration, found: Sequence[Candidate]) -> Pair | None:
-    """The pair with another fit of its two effects, its gain against the candidates; None without evidence."""
-    single = {c.effect.name: c.log_evidence for c in reversed(leaders_of(found, len(found)))}
-    return _pair(nominal, (pair.first, pair.second), fit, single)
-
-
 def exactly(nominal: Calibration, pair: Pair, found: Sequence[Candidate]) -> Pair:
     """The pair fitted with its formulas composed into one kernel; the pair itself where the kernel has no room."""
     problem = pair.fit.problem
@@ -334,6 +323,6 @@ def exactly(nominal: Calibration, pair: Pair, found: Sequence[Candidate]) -> Pai
     if compose(first, second) is None:
         return pair
     exact = ComposedProblem(nominal.problem, first, second)
-    again = calibrate(exact, [pair.fit.q], eta=pair.fit.eta, anneal=False, most=_most_steps(exact))
+    again = calibrate(exact, [pair.fit.q], eta=pair.fit.eta, anneal=False, most=MOST_STEPS)
     single = {c.effect.name: c.log_evidence for c in reversed(leaders_of(found, len(found)))}
     return _pair(nominal, (pair.first, pair.second), again, single) or pair

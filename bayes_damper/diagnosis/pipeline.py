@@ -22,16 +22,19 @@ from bayes_damper.calibration import (
     experiment_of,
     learn_noise,
 )
+from bayes_damper.diagnosis.budget import Budget, answers_of, budget_of, foreign_alone
 from bayes_damper.diagnosis.formula import widened
-from bayes_damper.diagnosis.gap import Closed, Gap, closing, measure_gap, shifts
+from bayes_damper.diagnosis.gap import Gap, closing, measure_gap, shifts
 from bayes_damper.diagnosis.generic import DRIFT
-from bayes_damper.diagnosis.lone import corroborated, corroborated_pairs, left_alone, with_pairs_noise
+from bayes_damper.diagnosis.lone import left_alone
 from bayes_damper.diagnosis.next_experiment import Proposal, propose
 from bayes_damper.diagnosis.outliers import odd_trials, outlying, told, told_odd, without, without_trials
 from bayes_damper.diagnosis.pairs import Pair, Second, best_pairs, exactly, seconds_of
 from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of
 from bayes_damper.diagnosis.search import Candidate, offered, scales_of, search
 from bayes_damper.diagnosis.sensitivity import Choice, in_a_sentence, sensitivity
+from bayes_damper.diagnosis.sets import SetFit, SetProblem, as_candidates, grown, probabilities
+from bayes_damper.diagnosis.shares import Closed
 from bayes_damper.diagnosis.sites import SiteMap, site_map, write_missing_torque
 from bayes_damper.diagnosis.verdict import RULE, Answers, Left, Rule, family_evidence, left_of, weigh
 from bayes_damper.diagnosis.where import Where, locate
@@ -49,7 +52,9 @@ SCHEMA = "bayes-damper/diagnosis/1"
 CLEANINGS = 2  # times that outlying readings are looked for: the first ones hide others
 INDISTINCT = 3.0  # nats between two families below which these data cannot tell them apart
 PAIR_FROM = 6.0  # nats left by the leading effect from which pairs are fitted
-WORTH_A_PAIR = 0.02  # share left, where no trial has repeats, from which pairs are fitted
+WORTH_RELEARNING = 10.0  # nats of the leading effect from which the noise is learnt again from what it leaves
+PRIORS_OF_UNKNOWN = (0.05, 0.15, 0.3, 0.5)  # prior probabilities of a foreign cause under which verdicts are given
+UNLIKELY = 0.01  # probability of a set below which it is not asked what it leaves
 JUDGED_PAIRS = 2  # pairs whose remainder is mapped
 TOLD = 3  # leading effects for which the gap they leave on held-out trials is told
 
@@ -98,6 +103,8 @@ class Diagnosis:
     closing: Mapping[str, tuple[float, Closed]] = field(default_factory=dict)
     weighed: Mapping[str, Any] = field(default_factory=dict)
     kind: str = "torsional"
+    budget: Budget | None = None
+    under_priors: tuple[tuple[float, str, float], ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -142,6 +149,7 @@ class Diagnosis:
             "effects": [self._row(name) for name in sorted(self.evidence, key=lambda n: -self.evidence[n])],
             "parameters": self._shifts(),
             "indistinguishable": [list(group) for group in self.indistinguishable],
+            "budget": None if self.budget is None else self.budget.to_json(self._of_budget),
             "remainder": {
                 "share_of_gap": self.answers.left.share,
                 "evidence_nats": self.answers.left.nats,
@@ -149,6 +157,9 @@ class Diagnosis:
                 "temperature": self.answers.temperature,
             },
             "sensitivity": [c.to_json() for c in self.choices],
+            "prior_unknown": [
+                {"prior": prior, "verdict": verdict, "probability": p} for prior, verdict, p in self.under_priors
+            ],
             "weighed": dict(self.weighed),
             "notes": list(self.notes),
             "seconds": self.seconds,
@@ -183,14 +194,27 @@ class Diagnosis:
             else {},
         }
 
+    def _of_budget(self, label: str, unit: str) -> dict[str, Any]:
+        """A parameter of the budget's best set."""
+        assert self.budget is not None
+        fit = self.budget.best.fit
+        # What the formulas of the named effects leave open widens the intervals of the same fit.
+        return _estimate(self.best if self.best is not None and self.best.problem is fit.problem else fit, label, unit)
+
     def _of_pair(self, pair: Pair) -> dict[str, Any]:
         """Parameters of both effects, fitted together."""
         units = {e.name: {p.name: p.unit for p in v.parameters} for e, v in (pair.first, pair.second)}
+        problem = pair.fit.problem
+        named = (
+            {effect: problem.parameters_of(effect) for effect in pair.effects}
+            if isinstance(problem, SetProblem)
+            else pair.parameters()
+        )
         return {
             effect: {
                 name: _estimate(self.best or pair.fit, label, units[effect][name]) for name, label in names.items()
             }
-            for effect, names in pair.parameters().items()
+            for effect, names in named.items()
         }
 
     def _shifts(self) -> dict[str, Any]:
@@ -241,14 +265,14 @@ def diagnose(
     found = search(fit, [*pool, *_drifts(experiment)], workers=workers, tell=tell)
     fit, found = _reseeded(fit, found)
     alone = bool(fit.problem.noise.sensor)
-    if alone:
-        found = corroborated(fit, found)
-    fit, found = _with_winners_noise(fit, found)
     pairs: list[Pair] = []
+    sets: list[SetFit] = []
     if alone:
-        found = corroborated(fit, found)
-        pairs = _pairs_alone(fit, found, pool, workers)
-        fit, found, pairs = with_pairs_noise(fit, found, pairs)
+        # No repeats tell the error of the model from noise, so that each answer is judged under what it leaves itself.
+        sets = grown(fit, found, pool, workers=workers, tell=tell)
+        found = as_candidates(found, sets)
+    else:
+        fit, found = _with_winners_noise(fit, found)
     winner = next((c for c in found if c.fit is not None), None)
     before = remainder_of(fit)
     after = before if winner is None or winner.fit is None else remainder_of(winner.fit)
@@ -257,6 +281,9 @@ def diagnose(
     wiring = miswired(fit)
     if wiring is not None and wiring.gain <= max(evidence.values(), default=0.0):
         wiring = None
+    first_set = next((s for s in sets if s.members), None)
+    if first_set is not None:
+        after = remainder_of(first_set.fit)
     tell("looking for what the leading effect leaves")
     before_map = site_map(fit)
     after_map = before_map if winner is None or winner.fit is None else site_map(winner.fit, torque=False)
@@ -270,32 +297,31 @@ def diagnose(
         explained=0.0 if winner is None else winner.log_evidence,
     )  # fmt: skip
     if alone:
-        none_left = left_alone(fit, fit)
-        left = none_left if winner is None or winner.fit is None else left_alone(fit, winner.fit)
-    seconds = [] if winner is None or winner.effect is DRIFT else seconds_of(winner, fit, pool, workers)
+        none_left = left = left_alone(fit, fit)
+    if first_set is not None:
+        after_map = site_map(first_set.fit, torque=False)
+        left = left_alone(fit, first_set.fit)
+    seconds = [] if alone or winner is None or winner.effect is DRIFT else seconds_of(winner, fit, pool, workers)
     gain = max((s.gain for s in seconds), default=0.0)
     if not alone and max(left.nats, gain) > PAIR_FROM:
         pairs = best_pairs(fit, found, pool, seconds, workers=workers)
     judged = []
 
-    def left_by(p: Pair) -> Left:
-        return replace(left_alone(fit, p.fit), exact=p.exact) if alone else _left_by(p, before, before_map)
-
     for k, p in enumerate(pairs[:JUDGED_PAIRS]):
-        remains = left_by(p)
+        remains = _left_by(p, before, before_map)
         # That two effects change the records by the sum of both holds the less, the larger the changes are.
-        promising = alone or p.gain > PAIR_FROM or remains.nats < left.nats - PAIR_FROM
+        promising = p.gain > PAIR_FROM or remains.nats < left.nats - PAIR_FROM
         if remains.nats > PAIR_FROM and promising:
             tell(f"composing {' and '.join(p.effects)}")
             pairs[k] = exactly(fit, p, found)
-            remains = left_by(pairs[k])
+            remains = _left_by(pairs[k], before, before_map)
         judged.append((pairs[k].effects, pairs[k].log_evidence, remains))
     pairs.sort(key=lambda p: -p.log_evidence)
     best_left = pairs[0].after if pairs and pairs[0].gain > 0.0 else after
     excess = best_left.low_excess - 2.0 * best_left.low_sd
     definitions = sorted({c.effect.name for c in found if c.effect.exact})
 
-    def judge(changes: Mapping[str, float], of_pairs: Mapping[str, float]) -> Answers:
+    def judge(changes: Mapping[str, float], of_pairs: Mapping[str, float], rule: Rule = rule) -> Answers:
         moved = {n: z + changes.get(n, 0.0) for n, z in evidence.items()}
         both = [(e, z + of_pairs.get("+".join(e), 0.0), remains) for e, z, remains in judged]
         other = drift + changes.get(DRIFT.name, 0.0)
@@ -304,6 +330,29 @@ def diagnose(
         return weigh(moved, none_left, left, excess, rule, both, other, definitions)
 
     answers = judge({}, {})
+    rng = np.random.default_rng(seed)
+    if not alone:
+        sets = grown(fit, found, pool, pairs, workers=workers, tell=tell)
+    names = sorted(evidence)
+    shares_left = _shares_left(fit, sets, len(names)) if alone else {}
+
+    def foreign_of(rule: Rule) -> dict[frozenset[str], float]:
+        if alone:
+            return {names: foreign_alone(share, rule) for names, share in shares_left.items()}
+        return dict.fromkeys((s.names for s in sets), given_a_gap(answers))
+
+    budget = _budget(fit, sets, len(names), foreign_of(rule), after_map, winner, rng)
+
+    def answered(rule: Rule) -> Answers:
+        if not alone:
+            return judge({}, {}, rule)
+        gain = -math.inf if wiring is None else wiring.gain
+        return answers_of(budget, sets, names, foreign_of(rule), none_left, left, gain, rule)
+
+    if alone:
+        answers = answered(rule)
+        winner = next((c for c in found for part in budget.parts[:1] if c.effect is part.member[0]), None)
+        pairs = _as_pairs(budget, evidence)
     weighed = {
         "before": asdict(none_left), "after": asdict(left), "excess": excess,
         "drift": drift if wiring is None else float(np.logaddexp(drift, wiring.gain)),
@@ -314,26 +363,29 @@ def diagnose(
     for c in found:
         if c.fit is not None and math.isfinite(c.log_evidence):
             fits.setdefault(c.effect.name, []).append(c.fit)
-    choices = sensitivity(
-        fit,
-        fits,
-        judge,
-        answers.verdict,
-        {**evidence, DRIFT.name: drift},
-        {"+".join(p.effects): p.fit for p in pairs[:JUDGED_PAIRS]},
+    choices = (
+        ()
+        if alone
+        else sensitivity(
+            fit,
+            fits,
+            judge,
+            answers.verdict,
+            {**evidence, DRIFT.name: drift},
+            {"+".join(p.effects): p.fit for p in pairs[:JUDGED_PAIRS]},
+        )
     )
     pair = next((p for p in pairs if p.effects == answers.pair_effects), None)
     tell(f"leading answer {answers.verdict}")
-    rng = np.random.default_rng(seed)
     best = pair.fit if pair is not None and answers.pair >= 0.5 else None if winner is None else winner.fit
     named = best if winner is not None and answers.verdict == winner.effect.name else None
     if wiring is not None:
         notes.insert(0, wiring.sentence())
-    notes += [*_notes(experiment, fit, named, answers, before_map), in_a_sentence(choices, answers.verdict)]
-    chosen_from = sum(c.fit is not None for c in found) + len(pairs) if alone else 1
-    gap = measure_gap(fit, best, rng=rng, chosen_from=chosen_from)
+    notes += _notes(experiment, fit, named, answers, before_map)
+    notes += [] if alone else [in_a_sentence(choices, answers.verdict)]
+    gap = measure_gap(fit, best, rng=rng)
     leading = sorted(evidence, key=lambda n: -evidence[n])[:TOLD]
-    closes = {} if best is None else closing(fit, {n: fits[n][0] for n in leading if n in fits}, best, rng)
+    closes = {} if best is None else closing(fit, {n: fits[n][0] for n in leading if n in fits}, rng)
     if best is not None and winner is not None and winner.effect is not DRIFT:
         acting = [winner.effect] if best is winner.fit or pair is None else [pair.first[0], pair.second[0]]
         best = widened(best, [effect.site for effect in acting])
@@ -343,7 +395,7 @@ def diagnose(
         _sites(answers, effects, before_map, after_map, wiring is not None), evidence,
         tuple(_indistinct(evidence, effects)), pair, tuple(notes), time.perf_counter() - began, {"seed": seed},
         tuple(pairs), tuple(seconds), drift, best, tuple(choices), closes, weighed,
-        getattr(getattr(campaign, "rig", None), "kind", "torsional"),
+        getattr(getattr(campaign, "rig", None), "kind", "torsional"), budget, _under_priors(answered, answers, rule),
     )  # fmt: skip
 
 
@@ -361,21 +413,51 @@ def _left_by(pair: Pair, before: Remainder, before_map: SiteMap) -> Left:
     )
 
 
-def _pairs_alone(
-    fit: Calibration, found: Sequence[Candidate], pool: Sequence[tuple[Effect, Variant]], workers: int
-) -> list[Pair]:
-    """Pairs for trials without repeats, whatever the screening promises, where the leading effect leaves enough."""
-    leader = next((c for c in found if c.fit is not None), None)
-    if leader is None or leader.fit is None or leader.effect is DRIFT:
+def _shares_left(fit: Calibration, sets: Sequence[SetFit], among: int) -> dict[frozenset[str], float]:
+    """Share of the gap that each likely set leaves, where no trial has repeats."""
+    weights = probabilities(sets, among)
+    likely = {s.names: s for s in reversed(sets) if weights[s.names] > UNLIKELY and s.members}
+    return {names: left_alone(fit, s.fit).share for names, s in likely.items()}
+
+
+def given_a_gap(answers: Answers) -> float:
+    """Probability that a gap, if there is one, is the work of a cause outside the library."""
+    return answers.probabilities["unknown"] / max(1.0 - answers.probabilities["none"], 1e-9)
+
+
+def _budget(
+    fit: Calibration, sets: Sequence[SetFit], among: int, foreign: Mapping[frozenset[str], float], after: SiteMap,
+    winner: Candidate | None, rng: np.random.Generator,
+) -> Budget:  # fmt: skip
+    """The gap as a budget; after: where what the leading answer leaves lies."""
+    found = budget_of(fit, sets, among, foreign, rng)
+    mapped = fit.problem.noise.sensor or (winner is not None and found.best.fit is winner.fit)
+    place = after if mapped or not found.parts else site_map(found.best.fit, torque=False)
+    # Of records that begin in motion nothing is known of a release.
+    known = [site for site in SITES if site != "release" or fit.problem.experiment.start == "rest"]
+    total = max(sum(place.probabilities.get(site, 0.0) for site in known), 1e-9)
+    return replace(found, sites={site: place.probabilities.get(site, 0.0) / total for site in known})
+
+
+def _under_priors(
+    answered: Callable[[Rule], Answers], answers: Answers, rule: Rule
+) -> tuple[tuple[float, str, float], ...]:
+    """Prior probability of a cause outside the library, verdict under it, and the verdict's probability."""
+    out = []
+    for prior in sorted({*PRIORS_OF_UNKNOWN, rule.prior_unknown}):
+        found = answers if prior == rule.prior_unknown else answered(replace(rule, prior_unknown=prior))
+        out.append((prior, found.verdict, found.probabilities[found.verdict]))
+    return tuple(out)
+
+
+def _as_pairs(budget: Budget, alone: Mapping[str, float]) -> list[Pair]:
+    """The two leading effects of the budget as a pair, where it has two or more."""
+    if len(budget.parts) < 2:
         return []
-    left = left_alone(fit, leader.fit)
-    if left.nats < PAIR_FROM or left.share < WORTH_A_PAIR:
-        return []
-    seconds = seconds_of(leader, fit, pool, workers)
-    pairs = best_pairs(fit, found, pool, seconds, workers=workers, least=-math.inf)
-    # Over many periods two effects change a record by far more than the sum of what each changes, and fits of the sum
-    # do not even tell the best pair.
-    return corroborated_pairs(fit, [exactly(fit, p, found) for p in pairs])
+    first, second = (part.member for part in budget.parts[:2])
+    best = budget.best
+    gain = best.evidence - max(alone[first[0].name], alone[second[0].name])
+    return [Pair(first, second, best.fit, best.evidence, gain, remainder_of(best.fit))]
 
 
 def _at(found: SiteMap, sites: Collection[str]) -> float:
@@ -412,9 +494,7 @@ def _reseeded(fit: Calibration, found: list[Candidate]) -> tuple[Calibration, li
 def _with_winners_noise(fit: Calibration, found: list[Candidate]) -> tuple[Calibration, list[Candidate]]:
     """Nominal model and leaders under the noise that the leader shows, where it is smaller: a bad model inflates it."""
     leader = next((c for c in found if c.fit is not None), None)
-    # Without repeats the noise stands for the nominal model's error too: any better model is asked what it leaves.
-    enough = 2.0 if fit.problem.noise.sensor else 10.0
-    if leader is None or leader.fit is None or leader.log_evidence < enough:
+    if leader is None or leader.fit is None or leader.log_evidence < WORTH_RELEARNING:
         return fit, found
     noise = learn_noise(leader.fit)
     shrunk = max(old / new for old, new in zip(fit.problem.noise.innovation, noise.innovation, strict=True))

@@ -152,6 +152,11 @@ class Screen:
 
         Both after everything that parameters and nuisances can do, priors included, has been taken out; (k, k), (k,).
         """
+        length, product, _ = self.projected(columns)
+        return length, product
+
+    def projected(self, columns: Sequence[Array]) -> tuple[Array, Array, Array]:
+        """The same, and by how much each parameter gives way to a column, (size, k)."""
         k = columns[0].shape[0]
         size = self.fit.problem.size
         length = np.zeros((k, k))
@@ -167,7 +172,7 @@ class Screen:
             mixed += np.sum(gram[:, :size] - TJ.transpose(0, 2, 1) @ HTd, axis=0)
             product += np.sum(gram[:, -1] - np.einsum("jmk,jm->jk", HTd, gT), axis=0)
         solved = np.linalg.solve(self.S, np.column_stack([mixed, self.g]))
-        return length - mixed.T @ solved[:, :k], product - mixed.T @ solved[:, k]
+        return length - mixed.T @ solved[:, :k], product - mixed.T @ solved[:, k], np.asarray(-solved[:, :k], float)
 
 
 def bases_of(fit: Calibration) -> list[Array]:

@@ -72,6 +72,8 @@ class Rule:
     few_readings: float = 0.8
     shape_readings: float = 2.0
     """Readings of a record that it takes to tell one formula's shape from another's."""
+    prior_unknown: float = PRIOR_UNKNOWN
+    """Prior probability that the cause is one that the library does not have."""
 
 
 RULE = Rule()
@@ -169,15 +171,15 @@ def _logistic(x: float) -> float:
     return 1.0 / (1.0 + math.exp(-max(min(x, 60.0), -60.0)))
 
 
-def _prior_of_one(among: int) -> float:
-    """Prior probability of one effect among so many candidates."""
-    return (1.0 - PRIOR_NONE - PRIOR_UNKNOWN - PRIOR_PAIRS) / among
+def _prior_of_one(among: int, unknown: float = PRIOR_UNKNOWN) -> float:
+    """Prior probability of one effect among so many candidates; unknown: that of a cause that is none of them."""
+    return (1.0 - PRIOR_NONE - unknown - PRIOR_PAIRS) / among
 
 
-def pair_log_prior(effects: Collection[str], among: int = USUAL) -> float:
-    """Logarithm of the prior probability of a pair of effects among so many candidates."""
+def pair_log_prior(effects: Collection[str], among: int = USUAL, unknown: float = PRIOR_UNKNOWN) -> float:
+    """Logarithm of the prior probability of a pair of effects among so many candidates; unknown: as for one."""
     one = set(effects) == FRICTIONS
-    return math.log(_prior_of_one(among) if one else 2.0 * PRIOR_PAIRS / (among * (among - 1.0)))
+    return math.log(_prior_of_one(among, unknown) if one else 2.0 * PRIOR_PAIRS / (among * (among - 1.0)))
 
 
 def foreign(left: Left, evidence: float, rule: Rule = RULE, easy: bool = False) -> float:
@@ -197,7 +199,7 @@ def foreign(left: Left, evidence: float, rule: Rule = RULE, easy: bool = False) 
         large = max(large, lined * _logistic((log_share - math.log(0.3 * limit)) / rule.share_width))
     least = rule.least_easy if easy else rule.least
     unnoticed = max(rule.unseen / max(evidence, 1e-9), least, rule.few_readings / max(left.readings, 1e-9))
-    base = float(PRIOR_UNKNOWN / (1.0 - PRIOR_NONE) * min(1.0, unnoticed) ** rule.imitated)
+    base = float(rule.prior_unknown / (1.0 - PRIOR_NONE) * min(1.0, unnoticed) ** rule.imitated)
     return 1.0 - (1.0 - base) * (1.0 - seen * large)
 
 
@@ -220,7 +222,7 @@ def weigh(
     """
     names = [n for n, z in evidence.items() if math.isfinite(z)]
     among = max(len(evidence), USUAL)
-    each = _prior_of_one(among)
+    each = _prior_of_one(among, rule.prior_unknown)
     temperature = 1.0 + max(0.0, excess) / (rule.tempering * 20.0)
     temperature *= 1.0 + rule.shape_readings / max(after.readings, 1e-9)
     best = max((evidence[n] for n in names), default=0.0)
@@ -233,7 +235,7 @@ def weigh(
     left: dict[str | tuple[str, str], Left] = {"none": before}
     for effects, value, remains in pairs:
         paid = value - (0.0 if remains.exact else mending * max(best, 0.0))
-        log_w[effects] = pair_log_prior(effects, among) + paid / temperature
+        log_w[effects] = pair_log_prior(effects, among, rule.prior_unknown) + paid / temperature
         left[effects] = remains
     top = max(log_w.values())
     weights = {n: math.exp(v - top) for n, v in log_w.items()}

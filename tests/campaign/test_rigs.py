@@ -26,6 +26,7 @@ from bayes_damper.campaign.importer import import_records
 from bayes_damper.cli import main
 from bayes_damper.diagnosis.gap import measure_gap
 from bayes_damper.diagnosis.search import offered
+from bayes_damper.diagnosis.sets import grown, probabilities
 from bayes_damper.effects import EFFECTS
 from bayes_damper.effects.base import Variant
 from bayes_damper.priors.files import campaign_priors
@@ -127,3 +128,17 @@ def test_the_tuned_mass_damper_shows_no_gap(tmp_path: Path) -> None:
     start = [coordinate_of(p.prior, x) for p, x in zip(variant.parameters, variant.starts[0], strict=True)]
     winner = calibrate(problem, [np.concatenate([fit.q, start])])
     assert measure_gap(fit, winner, chosen_from=len(pool)).p_value > 0.05
+
+
+@pytest.mark.slow
+def test_dry_friction_and_square_drag_that_hide_each_other_are_both_present(tmp_path: Path) -> None:
+    """Each alone leaves the other recording of the single pendulum as it was (12.9 mrad); both together close it."""
+    fit = calibrate_nominal(experiment(tmp_path, "single_pendulum"), nominal="linear")
+    names = {"bearing_drag", "quadratic_drag", "spring_cubic", "sensor_gain"}
+    pool = [m for m in offered(fit.problem.experiment, "linear", EFFECTS) if m[0].name in names]
+    sets = grown(fit, [], pool)
+    weights = probabilities(sets, len(names))
+    for name in ("bearing_drag", "quadratic_drag"):
+        assert sum(p for chosen, p in weights.items() if name in chosen) > 0.9
+    assert 1e3 * float(np.sqrt(np.nanmean(predict(fit, [2])[2].residual ** 2))) > 12.0
+    assert 1e3 * float(np.sqrt(np.nanmean(predict(sets[0].fit, [2])[2].residual ** 2))) < 4.0

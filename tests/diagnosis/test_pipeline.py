@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -24,7 +24,7 @@ from bayes_damper.calibration import (
 )
 from bayes_damper.commands.diagnose import _estimated, _maps, _shown_record
 from bayes_damper.diagnosis import diagnose, pairs, pipeline
-from bayes_damper.diagnosis.lone import corroborated, held_out_gain, left_of_squares
+from bayes_damper.diagnosis.lone import left_of_squares
 from bayes_damper.diagnosis.outliers import outlying, told, without
 from bayes_damper.diagnosis.pairs import ComposedProblem, PairProblem, Second, best_pairs, pair_problem
 from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of
@@ -34,7 +34,7 @@ from bayes_damper.diagnosis.verdict import RULE, Answers, Left, family_evidence,
 from bayes_damper.effects import EFFECTS
 from bayes_damper.errors import InputError
 from bayes_damper.figures import gap_figure
-from bayes_damper.priors.distributions import LogNormal, from_standard
+from bayes_damper.priors.distributions import from_standard
 from bayes_damper.simulation import integrator
 from bayes_damper.simulation.model import Model
 from bayes_damper.text import named_answers
@@ -421,66 +421,6 @@ def test_both_dry_frictions_are_one_answer_beside_a_linear_model():
     assert told["quadratic_drag"].pair < 0.5
 
 
-def decaying(number, amplitude, drag=0.0, noise=1e-4, heldout=False):
-    """A pendulum's displacement from a start in motion, with dry friction and an error of slow colour."""
-    times = np.arange(0.0, 6.0, 0.02)
-    model = Model(coupled=False, restoring="pendulum", longest_step=8e-3)
-    rig = {"J1": 1.0, "k1t": 60.0, "c1t": 0.1, "drag": drag, "nu": 100.0, "theta0": amplitude}
-    y = model.simulate(rig, times, quantity="displacement").y[0]
-    y = y + noise * np.random.default_rng(number).standard_normal(y.shape)
-    return TrialRecord(f"trial {number}", "a", False, number, times, y, 0, heldout=heldout)
-
-
-def freely(drag):
-    return Experiment(
-        {"J1": (1.0, 0.0)}, ((60.0, 20.0),),
-        (decaying(1, 0.3, drag), decaying(2, 0.2, drag), decaying(3, 0.25, drag, heldout=True)),
-        "displacement", restoring="pendulum", start="free",
-        priors={"c1t": LogNormal(0.2, 4.0)},
-    )  # fmt: skip
-
-
-def test_an_effect_counts_no_more_than_held_out_readings_gain():
-    """Dry friction that is there predicts unseen readings better; what is fitted to nothing gains nothing there."""
-    experiment = freely(0.3)
-    nominal = calibrate_nominal(experiment, nominal="linear")
-    assert nominal.problem.noise.sensor
-    dry = next(v for e, v in offered(experiment, "linear", EFFECTS) if e.name == "bearing_drag")
-    fit = calibrate(
-        nominal.problem.with_effect(dry),
-        [np.concatenate([nominal.q, [coordinate_of(p.prior, x) for p, x in zip(dry.parameters, start, strict=True)]])
-         for start in dry.starts],
-        eta=nominal.eta, anneal=False,
-    )  # fmt: skip
-    assert held_out_gain(nominal, fit) > 20.0
-    worse = replace(fit, q=fit.q + np.eye(fit.q.size)[-2] * 3.0)
-    rows = [Candidate(EFFECTS["bearing_drag"], dry, (), x, 50.0) for x in (worse, fit)]
-    best, other = corroborated(nominal, rows)
-    assert best.fit is fit
-    assert other.log_evidence < 0.0
-
-
-def test_without_repeats_the_third_pair_by_its_sum_may_be_the_first_by_its_composed_formula(monkeypatch):
-    """Over many periods the sum of two changes ranks pairs wrongly, so all that are fitted are composed."""
-
-    @dataclass
-    class Stub:
-        fit: object
-        effect: object = None
-        log_evidence: float = 0.0
-
-    by_sum, composed = (31.0, 29.0, 28.0, 27.0), (31.0, 29.0, 37.0, 27.5)
-    rows = [Stub(k, log_evidence=z) for k, z in enumerate(by_sum)]
-    monkeypatch.setattr(pipeline, "left_alone", lambda *_: Left(100.0, 0.5, lone=True))
-    monkeypatch.setattr(pipeline, "seconds_of", lambda *_: [])
-    monkeypatch.setattr(pipeline, "best_pairs", lambda *_, **__: list(rows))
-    monkeypatch.setattr(pipeline, "exactly", lambda _, p, __: replace(p, log_evidence=composed[p.fit]))
-    monkeypatch.setattr(pipeline, "corroborated_pairs", lambda _, found: sorted(found, key=lambda p: -p.log_evidence))
-    found = pipeline._pairs_alone(None, [Stub("a fit")], [], 1)
-    assert [p.fit for p in found] == [2, 0, 1, 3]
-    assert found[0].log_evidence == 37.0
-
-
 def test_pairs_are_fitted_in_the_order_of_evidence_and_prior(monkeypatch):
     """Both dry frictions at once are the usual nonlinear model, and as likely beforehand as a single effect."""
 
@@ -511,8 +451,9 @@ def test_pairs_are_fitted_in_the_order_of_evidence_and_prior(monkeypatch):
 
 def test_records_that_begin_in_motion_try_weak_effects_too():
     """A long decay adds up what a weak effect does, and a strong one would end it at once."""
-    own = {v.name: v for e, v in offered(freely(0.0), "linear", EFFECTS) if e.name == "bearing_drag"}["dry"]
-    at_rest = replace(freely(0.0), start="rest")
+    at_rest = replace(measured(1), quantity="displacement")
+    freely = replace(at_rest, start="free")
+    own = {v.name: v for e, v in offered(freely, "linear", EFFECTS) if e.name == "bearing_drag"}["dry"]
     usual = {v.name: v for e, v in offered(at_rest, "linear", EFFECTS) if e.name == "bearing_drag"}["dry"]
     assert min(s[0] for s in own.starts) == pytest.approx(0.1 * min(s[0] for s in usual.starts))
     assert {s[1] for s in own.starts} == {s[1] for s in usual.starts}

@@ -449,6 +449,22 @@ def test_a_verdict_says_what_the_effect_is_and_how_large(tmp_path):
     text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
     assert "there is too little of a gap to say which share of it anything closes" in text
     assert f"with stick slip 2.01 {NOTHING}" in text
+    data["gap"]["closed"] = {"median": None, "hdi90": None, "method": "cannot tell", "how": "too faint"}
+    share = {"median": 0.7, "hdi90": [0.6, 0.8]}
+    data["budget"] = {
+        "effects": [{"name": "stick_slip", "site": "interface", "present": 0.86, "share": share,
+                     "parameters": {"ratio": {"mean": 1.4, "hdi90": [1.2, 1.6], "unit": "1"}}}],
+        "unexplained": {"share": {"median": 0.3, "hdi90": [0.2, 0.4]}, "sites": {"interface": 0.6, "sensor": 0.4}},
+        "method": "products of residuals",
+    }  # fmt: skip
+    data["prior_unknown"] = [{"prior": 0.5, "verdict": "unknown", "probability": 0.6}]
+    (tmp_path / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
+    told = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
+    assert "too little of a gap to say" in told
+    assert "Stick slip (p 0.86) closes 70 % of the gap; 30 % stays unexplained, most likely at the interface." in told
+    assert "stick slip interface 86 % 70 % (60 to 80 %)" in told
+    assert f"unexplained interface 60 %, sensor 40 % {NOTHING} 30 % (20 to 40 %)" in told
+    assert "50 % unknown 60 %" in told
     assert re.search(r"Most probable places: interface, .* \(46 %\) and ground2, .* \(40 %\)\.", text)
     assert "4530" not in text
 

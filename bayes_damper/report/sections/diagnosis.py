@@ -18,6 +18,7 @@ from bayes_damper.rig.parameters import PARAMETERS
 from bayes_damper.text import (
     COORDINATES,
     NOTHING,
+    budget_sentence,
     gap_beside_verdict,
     gathered,
     interval,
@@ -54,7 +55,9 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
     share = dict(probabilities).get(verdict)
     sites = sorted((data.get("sites") or {}).items(), key=lambda item: -item[1])
     pair = data.get("pair")
-    sentences = _verdict_sentences(verdict, share, sites, pair, effects)
+    budget = data.get("budget") or {}
+    divided = budget_sentence(budget) if budget and verdict != "none" else ""
+    sentences = [divided, *_verdict_sentences(verdict, share, sites, pair, effects)]
     if pair:
         sentences.append(
             f"One effect does not close the gap; {listed([words(e) for e in pair['effects']])} together do "
@@ -91,15 +94,16 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
     rest = generic(
         data, "", ("schema", "campaign", "verdict", "credible_set", "probabilities", "sites", "effects", "provenance",
                    "campaign_sha256", "seed", "indistinguishable", "notes", "next_experiment", "gap", "parameters",
-                   "sensitivity", "where", "forecast", "reading_unit", "rig", "warnings"),
+                   "sensitivity", "budget", "prior_unknown", "where", "forecast", "reading_unit", "rig", "warnings"),
     )  # fmt: skip
     places = _where_sections(data.get("where") or {}, translational)
     every = (_effect_table(effects, probabilities),)
-    choices = _choice_tables(data.get("sensitivity") or [])
+    choices = _choice_tables(data.get("sensitivity") or []) + _prior_tables(data.get("prior_unknown") or [])
     section = Section(
         "Diagnosis",
         tuple(data.get("notes", ())),
         (
+            *_budget_tables(budget),
             _site_table(sites),
             *_gap_tables(gap, effects, pair, str(data.get("reading_unit") or "")),
             *_forecast_tables(data.get("forecast") or {}, str(data.get("reading_unit") or "")),
@@ -185,7 +189,8 @@ def _share_of(closed: Mapping[str, Any] | None) -> float | None:
 
 def _closed_sentence(gap: Mapping[str, Any], who: str) -> str:
     closed = gap.get("closed") or {}
-    if closed.get("median") is None:
+    faint = closed.get("method") == "cannot tell"
+    if closed.get("median") is None and not faint:
         return ""
     where = (
         "coupled peaks, predicted without the coupled numbers of their case,"
@@ -198,7 +203,8 @@ def _closed_sentence(gap: Mapping[str, Any], who: str) -> str:
     spread = f" (90 % interval {_whole(hdi[0])} to {_whole(hdi[1])} %)" if hdi else ""
     if share <= 0.0:
         return f"On {where} nothing that was tried is shown to close any of the gap{spread}."
-    return f"On {where} {who} {_whole(share)} % of the gap{spread}."
+    how = f"; measured by {closed['how']}" if closed.get("how") else ""
+    return f"On {where} {who} {_whole(share)} % of the gap{spread}{how}."
 
 
 def _whole(share: float) -> str:
@@ -460,6 +466,42 @@ def _choice_tables(choices: Sequence[Mapping[str, Any]]) -> tuple[Table, ...]:
     )  # fmt: skip
     columns = ("had it been otherwise", "verdict", "probability", "today's verdict keeps")
     return (Table("The verdict under other choices", columns, rows),) if rows else ()
+
+
+def _prior_tables(rows: Sequence[Mapping[str, Any]]) -> tuple[Table, ...]:
+    """The verdict under other prior probabilities of a cause that the library does not have."""
+    cells = tuple(Row((percent(r["prior"]), words(str(r["verdict"])), percent(r["probability"]))) for r in rows)
+    columns = ("prior probability", "verdict", "probability")
+    caption = "The verdict by the prior probability of a cause outside the library"
+    return (Table(caption, columns, cells),) if cells else ()
+
+
+def _budget_tables(budget: Mapping[str, Any]) -> list[Table]:
+    """Each effect of the best set with its share of the gap, and what stays unexplained."""
+    if not budget or not budget.get("effects"):
+        return []
+
+    def share(found: Mapping[str, Any]) -> str:
+        if found.get("median") is None:
+            return NOTHING
+        low, high = found["hdi90"]
+        return f"{_whole(found['median'])} % ({_whole(low)} to {_whole(high)} %)"
+
+    rows = [
+        Row((
+            words(str(e["name"])), str(e["site"]), percent(e["present"]), share(e["share"]),
+            "; ".join(_parameter(k, v) for k, v in e["parameters"].items()),
+        ))
+        for e in budget["effects"]
+    ]  # fmt: skip
+    left = budget["unexplained"]
+    places = sorted((left.get("sites") or {}).items(), key=lambda item: -item[1])[:2]
+    where = ", ".join(f"{site} {percent(p)}" for site, p in places)
+    rows.append(Row(("unexplained", where, NOTHING, share(left["share"]), NOTHING)))
+    how = str(budget["method"])
+    note = f"{how[0].upper()}{how[1:]}. Present: over all sets of effects that were fitted. Shares with 90 % intervals."
+    columns = ("effect", "site", "present", "share of the gap", "parameters")
+    return [Table("The gap as a budget", columns, tuple(rows), note)]
 
 
 def _effect_table(effects: Sequence[Mapping[str, Any]], probabilities: Sequence[tuple[str, float]]) -> Table:

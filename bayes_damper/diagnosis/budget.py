@@ -1,0 +1,241 @@
+"""The gap as a budget: every effect that is present with its share of the gap, and what stays unexplained.
+
+From sets of effects that were fitted together (sets.py): an effect is present with the probability of all sets that
+hold it, less the probability that a cause outside the library does what the set explains. Shares of the gap are those
+on held-out trials (shares.py), divided among the effects of the best set as Shapley (1953) does: what an effect closes
+beyond those before it, averaged over all orders, so that shares and what stays unexplained sum to 1, whichever effects
+hide each other. What is left does not speak against what is found; it stands beside it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper.calibration import Calibration, calibrate
+from bayes_damper.diagnosis.sets import Member, SetFit, SetProblem, log_prior, probabilities
+from bayes_damper.diagnosis.shares import IN_WORDS, UNTOLD, Closed, Products, products_of, shortest_interval
+from bayes_damper.diagnosis.verdict import FLOOR, PRIOR_NONE, RULE, Answers, Left, Rule
+
+Array = NDArray[np.float64]
+
+SUBSET_STEPS = 12  # of the fits of smaller sets, which begin where the best set's lies
+
+
+@dataclass(frozen=True)
+class Part:
+    """One effect of the budget: probability that it is present, its share of the gap, names of its coordinates."""
+
+    member: Member
+    present: float
+    share: Closed
+    parameters: Mapping[str, str]
+
+    @property
+    def name(self) -> str:
+        """The effect."""
+        return self.member[0].name
+
+
+@dataclass(frozen=True, eq=False)
+class Budget:
+    """Parts, the largest share first; unexplained: share of the gap; sites: where that lies; best: the set behind it.
+
+    leading: probability that each part, or "unknown", has the largest share.
+    """
+
+    best: SetFit
+    parts: tuple[Part, ...]
+    unexplained: Closed
+    sites: Mapping[str, float]
+    leading: Mapping[str, float]
+
+    @property
+    def method(self) -> str:
+        """How the shares were measured, in words."""
+        how = IN_WORDS[self.unexplained.method]
+        divided = "; divided among the effects by their mean over all orders (Shapley)"
+        return how if self.unexplained.median is None else how + divided
+
+    def to_json(self, estimate: Callable[[str, str], Mapping[str, Any]]) -> dict[str, Any]:
+        """The `budget` of diagnosis.json; estimate : (coordinate, unit) -> value, sd and interval of a parameter."""
+        return {
+            "effects": [
+                {
+                    "name": part.name,
+                    "variant": part.member[1].name,
+                    "formula": part.member[1].formula,
+                    "site": part.member[0].site,
+                    "present": part.present,
+                    "share": part.share.to_json(),
+                    "parameters": {
+                        p.name: estimate(part.parameters[p.name], p.unit) for p in part.member[1].parameters
+                    },
+                }
+                for part in self.parts
+            ],
+            "unexplained": {"share": self.unexplained.to_json(), "sites": dict(self.sites), "law": None},
+            "leading": dict(self.leading),
+            "method": self.method,
+        }
+
+
+def budget_of(
+    nominal: Calibration,
+    sets: Sequence[SetFit],
+    offered: int,
+    foreign: Mapping[frozenset[str], float],
+    rng: np.random.Generator | None = None,
+) -> Budget:
+    """The budget of weighed sets, without sites.
+
+    offered : effects that the rig can have; foreign : probability that a cause outside the library does what a set
+    explains, for the sets that are likely.
+    """
+    weights = probabilities(sets, offered)
+    top = max(weights, key=lambda names: weights[names])
+    top = frozenset() if "unknown" in top else top  # a drift of the nominal laws has no name
+    best = next(s for s in sets if s.names == top)
+    present = {
+        e.name: sum(p * (1.0 - foreign.get(names, 0.0)) for names, p in weights.items() if e.name in names)
+        for e, _ in best.members
+    }
+    heldout = nominal.problem.experiment.heldout
+    names = [e.name for e, _ in best.members]
+    shares, unexplained, leading = _shares(nominal, best, sets, heldout, rng) if heldout else _untold(names)
+    parts = [
+        Part(member, present[member[0].name], shares[member[0].name], _coordinates(best, member[0].name))
+        for member in best.members
+    ]
+    parts.sort(key=lambda part: -(part.share.median if part.share.median is not None else part.present))
+    return Budget(best, tuple(parts), unexplained, {}, leading)
+
+
+def _untold(names: Sequence[str]) -> tuple[dict[str, Closed], Closed, dict[str, float]]:
+    return dict.fromkeys(names, UNTOLD), UNTOLD, {}
+
+
+def _coordinates(best: SetFit, effect: str) -> dict[str, str]:
+    """Name of each parameter of an effect -> that of its coordinate in the best set's fit."""
+    problem = best.fit.problem
+    if isinstance(problem, SetProblem):
+        return problem.parameters_of(effect)
+    return {p.name: f"effect.{p.name}" for p in best.members[0][1].parameters}
+
+
+def _shares(
+    nominal: Calibration, best: SetFit, sets: Sequence[SetFit], heldout: Sequence[int], rng: np.random.Generator | None
+) -> tuple[dict[str, Closed], Closed, dict[str, float]]:
+    """Share of each effect, of what is unexplained, and the probability that each is the largest."""
+    names = [e.name for e, _ in best.members]
+    smaller = [frozenset(some) for n in range(1, len(names)) for some in combinations(names, n)]
+    fits = {some: _subset(nominal, best, sets, some) for some in smaller}
+    keys = [frozenset[str](), *smaller, best.names] if names else [frozenset[str]()]
+    models = [nominal, *(fits[k] for k in smaller), best.fit] if names else [nominal]
+    found = products_of(models, heldout, rng)
+    if not found.told():
+        return _untold(names)
+    left, draws = found.shares()
+    place = {k: i for i, k in enumerate(keys)}
+    return _divided(names, place, left, draws, found)
+
+
+def _divided(
+    names: Sequence[str], place: Mapping[frozenset[str], int], left: Array, draws: Array, found: Products
+) -> tuple[dict[str, Closed], Closed, dict[str, float]]:
+    """Shapley's shares of what each subset of effects leaves: left (subsets,), draws (draws, subsets)."""
+    out: dict[str, Closed] = {}
+    columns = {}
+    for name in names:
+        others = [n for n in names if n != name]
+        value, drawn = 0.0, np.zeros(len(draws))
+        for size in range(len(names)):
+            weight = math.factorial(size) * math.factorial(len(others) - size) / math.factorial(len(names))
+            for before in combinations(others, size):
+                a, b = place[frozenset(before)], place[frozenset((*before, name))]
+                value += weight * float(left[a] - left[b])
+                drawn = drawn + weight * (draws[:, a] - draws[:, b])
+        out[name], columns[name] = Closed(value, shortest_interval(np.sort(drawn)), found.method), drawn
+    last = place[frozenset(names)]
+    columns["unknown"] = draws[:, last]
+    unexplained = Closed(float(left[last]), shortest_interval(np.sort(draws[:, last])), found.method)
+    largest = np.argmax(np.stack(list(columns.values())), axis=0)
+    return out, unexplained, {n: float(np.mean(largest == k)) for k, n in enumerate(columns)}
+
+
+def _subset(nominal: Calibration, best: SetFit, sets: Sequence[SetFit], some: frozenset[str]) -> Calibration:
+    """The fit of some of the best set's effects: a known one of the same formulas, or one from the best's place."""
+    members = tuple(m for m in best.members if m[0].name in some)
+    for s in sets:
+        if s.names == some and all(any(v is w for _, w in s.members) for _, v in members):
+            return s.fit
+    whole = best.fit.problem
+    assert isinstance(whole, SetProblem)
+    problem = SetProblem(nominal.problem.with_noise(whole.noise), members, whole.exact)
+    labels = [label for m in members for label in whole.parameters_of(m[0].name).values()]
+    own = [whole.names.index(label) for label in labels]
+    n = nominal.problem.size
+    starts = [np.concatenate([q, best.fit.q[own]]) for q in (best.fit.q[:n], nominal.q)]
+    return calibrate(problem, starts, eta=best.fit.eta, anneal=False, most=SUBSET_STEPS, finish=False)
+
+
+# Answers where no trial has repeats ---------------------------------------------------------------------------------
+
+
+def foreign_alone(left: float, rule: Rule = RULE) -> float:
+    """Probability that a cause outside the library does what a set explains that leaves this share of the gap.
+
+    A foreign cause is imitated as well as that with the probability `left` ^ `rule.imitated`.
+    """
+    return float(rule.prior_unknown / (1.0 - PRIOR_NONE) * max(min(left, 1.0), rule.least) ** rule.imitated)
+
+
+def answers_of(
+    budget: Budget,
+    sets: Sequence[SetFit],
+    offered: Sequence[str],
+    foreign: Mapping[frozenset[str], float],
+    none: Left,
+    left: Left,
+    generic: float = -math.inf,
+    rule: Rule = RULE,
+) -> Answers:
+    """Probabilities of all answers from weighed sets: a set speaks for the effect with its largest share.
+
+    `unknown` stands for what a foreign cause does, for a gap that no set explains, and for the largest share being that
+    which stays unexplained. offered : all effects; none, left : what the nominal model and the best set leave;
+    generic : log evidence of an unnamed cause that was fitted, such as exchanged channels.
+    """
+    weights = probabilities(sets, len(offered))
+    alone = {names: s.evidence for s in reversed(sets) if len(names := s.names) == 1}
+    known = sets[0].evidence
+    other = math.exp(min(generic + log_prior(("unknown",), len(offered)) - known, 60.0)) if generic > 0.0 else 0.0
+    scale = 1.0 / (1.0 + other)
+    out = dict.fromkeys(("none", "unknown", *offered), 0.0)
+    out["unknown"] = other * scale
+    pair, pair_effects = 0.0, None
+    for names, weight in weights.items():
+        p = weight * scale
+        if not names:
+            lost = 1.0 / (1.0 + math.exp(min((rule.strength - none.nats) / rule.strength_width, 60.0)))
+            out["none"] += p * (1.0 - lost)
+            out["unknown"] += p * lost
+            continue
+        lost = 1.0 if "unknown" in names else foreign.get(names, foreign_alone(1.0, rule))
+        leading: Mapping[str, float] = budget.leading if names == budget.best.names else {}
+        if not leading:
+            leading = {max(names, key=lambda n: alone.get(frozenset((n,)), -math.inf)): 1.0}
+        for name, share in leading.items():
+            out[name] += p * (1.0 - lost) * share
+        out["unknown"] += p * lost
+        if names == budget.best.names and len(names) > 1:
+            pair, pair_effects = p * (1.0 - lost), (budget.parts[0].name, budget.parts[1].name)
+    mixed = {n: (1.0 - FLOOR) * p + FLOOR / len(out) for n, p in out.items()}
+    total = sum(mixed.values())
+    return Answers({n: p / total for n, p in mixed.items()}, 1.0, left, out["unknown"], pair, pair_effects)

@@ -1,0 +1,529 @@
+"""Sets of effects that explain a campaign together: screened jointly, fitted with everything free, weighed as models.
+
+Effects hide each other: beside a viscous damping, dry friction and square drag each gain nothing, and both together
+nearly everything. So sets are screened as sets: each formula's response where it is just switched on, cleared of all
+that parameters and nuisances can do, gives one Gram matrix, from which any combination follows at no cost; amplitudes
+that a formula cannot have (a negative drag) count as none. The best sets are fitted in full, and screened again from
+where the best fit lies, up to `LARGEST` effects.
+
+Each set is weighed under the discrepancy that it leaves itself. No formula is right to the last digit, and on a rig
+with a clean sensor it is what the model leaves, not the noise, that sets the scale of evidence. The discrepancy is
+taken as Gaussian with a size of its own that is learnt, in as many independent pieces N as the correlation of the
+residuals allows. With D the chi-square that is left beyond the sensors' noise,
+
+    log Z = log Z(noise alone) + D / 2 - N / 2 log(1 + D / N),
+
+the plain evidence where nothing is left, and -N/2 log of the sum of squares where the noise hardly matters. N is one
+for all sets that are compared, the smallest of the nominal model's and the leading sets'.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper.calibration import (
+    Calibration,
+    Coordinate,
+    Group,
+    Indices,
+    Noise,
+    Problem,
+    calibrate,
+    coordinate_of,
+    learn_noise,
+    summarise,
+)
+from bayes_damper.diagnosis.pairs import ComposedProblem, Pair, PairProblem
+from bayes_damper.diagnosis.remainder import LOW_BAND, own_frequency, repeats_of, whitened_records
+from bayes_damper.diagnosis.search import Candidate, Screen, essence
+from bayes_damper.diagnosis.verdict import FRICTIONS, USUAL
+from bayes_damper.effects.base import Effect, Variant
+from bayes_damper.priors.distributions import HalfNormal, from_standard
+from bayes_damper.runs.parallel_map import forked_map
+from bayes_damper.simulation.composition import compose
+
+Array = NDArray[np.float64]
+Member = tuple[Effect, Variant]
+
+LARGEST = 4  # effects at once
+KEPT = 60  # columns that sets are made of: the most promising ones of each formula
+SWITCHED_ON = 0.05  # of the residuals' sum of squares: the change of the records at which a response is taken
+FITTED = 3  # sets fitted in each round
+ROUNDS = 3
+RELEARNT = 2
+STARTS = (1.0, 0.6, 0.3)  # shares of the screening's amplitudes from which a set is fitted
+LEAST = 0.05  # of a parameter's value, to which it gives way at most at a start
+STEPS, STEPS_ALONE = 16, 40  # of a fit; over the many periods of a record without repeats valleys are long
+
+
+class SetProblem(Problem):
+    """The fit of a campaign with several effects at once.
+
+    Effects that share a kernel are composed into one and act on each other; the changes that the kernels make to the
+    records add up. Coordinates are the nominal model's, then `effect.K.NAME` of each member K (from 0) in order.
+    """
+
+    def __init__(self, base: Problem, members: Sequence[Member], exact: bool) -> None:
+        """`base`: the nominal problem, whose data, noise and nuisances are used; exact: compose wherever possible.
+
+        Otherwise only what needs no kernel of its own is composed with another effect.
+        """
+        self.__dict__.update(base.__dict__)
+        self.base, self.members, self.exact = base, tuple(members), exact
+        clusters = _clusters(self.members, exact)
+        self.parts = tuple(_cluster_problem(base, [members[k][1] for k in cluster]) for cluster in clusters)
+        self.effect = self.parts[0].effect
+        own = [
+            Coordinate(f"effect.{k}.{p.name}", "effect", p.prior)
+            for k, (_, v) in enumerate(self.members)
+            for p in v.parameters
+        ]
+        self.coordinates = (*base.coordinates, *own)
+        self.names = tuple(c.name for c in self.coordinates)
+        self.size = len(self.coordinates)
+        nominal = list(range(base.size))
+        labels = [[f"effect.{k}.{p.name}" for k in cluster for p in members[k][1].parameters] for cluster in clusters]
+        self._places = [np.array([*nominal, *map(self.names.index, names)]) for names in labels]
+
+    def with_noise(self, noise: Noise) -> SetProblem:
+        """The same problem under another noise."""
+        return SetProblem(self.base.with_noise(noise), self.members, self.exact)
+
+    def for_trials(self, trials: Sequence[int]) -> SetProblem:
+        """The same problem for other trials of the experiment."""
+        return SetProblem(self.base.for_trials(trials), self.members, self.exact)
+
+    def finer(self) -> SetProblem:
+        """The same problem with records integrated more finely, for differences between them."""
+        out = copy(self)
+        out.base, out.parts = self.base.finer(), tuple(part.finer() for part in self.parts)
+        return out
+
+    def _inputs(self, group: Group, which: Indices, q: Array, eta: Array) -> tuple[dict[str, Any], dict[str, Any]]:
+        # Whoever asks for the motion gets that of the first kernel, about which the others are small changes.
+        return self.parts[0]._inputs(group, which, q[:, self._places[0]], eta)  # noqa: SLF001 (the same class)
+
+    def simulate(self, group: Group, which: Indices, q: Array, eta: Array) -> Array:
+        """Readings (n, channels, n_times) of vectors q (n, size), eta (n, m) on the group's trials `which` (n,)."""
+        each = [
+            part.simulate(group, which, q[:, place], eta) for part, place in zip(self.parts, self._places, strict=True)
+        ]
+        if len(each) == 1:
+            return each[0]
+        alone = self.base.simulate(group, which, q[:, : self.base.size], eta)
+        return np.asarray(sum(each) - (len(each) - 1) * alone)
+
+    def _acts(self, c: Coordinate, group: Group) -> bool:
+        if c.role != "effect":
+            return super()._acts(c, group)
+        return group.coupled or self.members[int(c.name.split(".")[1])][1].uncoupled
+
+    def parameters_of(self, effect: str) -> dict[str, str]:
+        """Name of each parameter of an effect -> that of its coordinate."""
+        k, variant = next((k, v) for k, (e, v) in enumerate(self.members) if e.name == effect)
+        return {p.name: f"effect.{k}.{p.name}" for p in variant.parameters}
+
+
+def _clusters(members: Sequence[Member], exact: bool) -> list[list[int]]:
+    """Members, by number, in groups that share a kernel; those that need one come first."""
+    clusters: list[list[int]] = []
+    for k in sorted(range(len(members)), key=lambda k: not members[k][1].has_kernel):
+        for cluster in clusters:
+            together = [members[j][1] for j in (*cluster, k)]
+            if (exact or not members[k][1].has_kernel) and _composed(together) is not None:
+                cluster.append(k)
+                break
+        else:
+            clusters.append([k])
+    return clusters
+
+
+def _composed(variants: Sequence[Variant]) -> Variant | None:
+    """One variant for all of them, None where the kernel has no room."""
+    out: Variant | None = variants[0]
+    for second in variants[1:]:
+        out = None if out is None else compose(out, second)
+    return out
+
+
+def _cluster_problem(base: Problem, variants: Sequence[Variant]) -> Problem:
+    out = base.with_effect(variants[0])
+    for second in variants[1:]:
+        assert out.effect is not None
+        out = ComposedProblem(base, out.effect, second)
+    return out
+
+
+# Screening ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Responses of the records to effects that are just switched on, at one fit.
+
+    members, points : the formula of each column and the values of its parameters; gram (k, k), product (k,): after all
+    that parameters and nuisances can do; signed: whether the amplitude cannot be negative; absorbed (size, k): by how
+    much the fit's parameters give way to a column.
+    """
+
+    members: tuple[Member, ...]
+    points: tuple[tuple[float, ...], ...]
+    signed: tuple[bool, ...]
+    gram: Array
+    product: Array
+    absorbed: Array
+
+
+def columns_at(fit: Calibration, nominal: Calibration, pool: Sequence[Member], without: Collection[str]) -> Columns:
+    """Every start of every formula of the pool, brought to where its response is small, at a fit.
+
+    nominal : the fit of the nominal model; without : effects that are left out, those that the fit has. Responses are
+    those of the nominal model with the fit's parameters.
+    """
+    screen = Screen(fit)
+    target = SWITCHED_ON * max(fit.chi2, 1.0)
+    problem = nominal.problem.with_noise(fit.problem.noise)
+    base = fit.q[: problem.size]
+    before = None if fit.problem.size == problem.size else screen.responses(problem, base[None])
+
+    def responses(variant: Variant, starts: Sequence[tuple[float, ...]]) -> list[Array]:
+        z = [[coordinate_of(p.prior, x) for p, x in zip(variant.parameters, s, strict=True)] for s in starts]
+        q = np.concatenate([np.tile(base, (len(z), 1)), np.array(z)], axis=1)
+        found = screen.responses(problem.with_effect(variant), q)
+        return found if before is None else [r - b for r, b in zip(found, before, strict=True)]
+
+    rows: list[list[Array]] = []
+    members: list[Member] = []
+    points: list[tuple[float, ...]] = []
+    for member in pool:
+        variant = member[1]
+        if variant.null is None or member[0].name in without:
+            continue
+        starts = list(dict.fromkeys(variant.starts))
+        found = responses(variant, starts)
+        if variant.fades:
+            size = sum(np.sum(np.square(r), axis=(1, 2)) for r in found)
+            shares = np.sqrt(target / np.maximum(np.nan_to_num(size, nan=np.inf), 1e-300))
+            smaller = [variant.faded(s, min(1.0, float(x))) for s, x in zip(starts, shares, strict=True)]
+            if smaller != starts:
+                starts, found = smaller, responses(variant, smaller)
+        rows.append(found)
+        members += [member] * len(starts)
+        points += starts
+    blocks = [np.concatenate([r[b] for r in rows]) for b in range(len(screen.linear.blocks))]
+    bad = ~np.all([np.isfinite(b).all(axis=(1, 2)) for b in blocks], axis=0)
+    gram, product, absorbed = screen.projected([np.where(bad[:, None, None], 0.0, b) for b in blocks])
+    keep = np.flatnonzero(np.diag(gram) > 1e-9)
+    return Columns(
+        tuple(members[k] for k in keep),
+        tuple(points[k] for k in keep),
+        tuple(_signed(members[k][1]) for k in keep),
+        gram[np.ix_(keep, keep)],
+        -product[keep],
+        absorbed[:, keep],
+    )
+
+
+def _signed(variant: Variant) -> bool:
+    """Whether amplitudes of the formula cannot be negative."""
+    return any(isinstance(p.prior, HalfNormal) for p in variant.parameters if p.null is not None) or not variant.fades
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A set of columns that explain much together: explained chi-square, and the amplitude of each."""
+
+    columns: tuple[int, ...]
+    explained: float
+    amplitudes: tuple[float, ...]
+
+
+def proposals(columns: Columns, sizes: Sequence[int], most: int = FITTED) -> list[Proposal]:
+    """The best sets of so many different effects, by what they explain of the residuals, best first by family."""
+    d = np.sqrt(np.diag(columns.gram))
+    gram = columns.gram / np.outer(d, d)
+    b = columns.product / d
+    names = [e.name for e, _ in columns.members]
+    # Of one formula's columns that point the same way one is enough.
+    alone = np.where(np.array(columns.signed) & (b < 0.0), 0.0, b**2)
+    kept = _leading(names, gram, alone)
+    found: dict[int, dict[frozenset[str], Proposal]] = {}
+    beam: list[tuple[int, ...]] = [(k,) for k in kept]
+    for size in range(1, max(sizes) + 1):
+        level: dict[frozenset[str], Proposal] = {}
+        for chosen in beam:
+            best = _amplitudes(gram, b, columns.signed, chosen)
+            if best is None:
+                continue
+            key = frozenset(names[k] for k in chosen)
+            if key not in level or best[0] > level[key].explained:
+                level[key] = Proposal(chosen, best[0], tuple(best[1] / d[list(chosen)]))
+        found[size] = level
+        top = sorted(level.values(), key=lambda p: -p.explained)[:25] if size > 1 else list(level.values())
+        starting = beam if size == 1 else [p.columns for p in top]
+        beam = sorted({
+            tuple(sorted((*chosen, k))) for chosen in starting for k in kept
+            if names[k] not in {names[j] for j in chosen}
+        })  # fmt: skip
+    out = []
+    for size in sizes:
+        out += sorted(found[size].values(), key=lambda p: -p.explained)[:most]
+    return out
+
+
+def _leading(names: Sequence[str], gram: Array, alone: Array) -> list[int]:
+    """Columns to make sets of: of each effect those that do not nearly repeat a better one."""
+    kept: list[int] = []
+    for k in np.argsort(-alone):
+        if all(names[j] != names[k] or abs(gram[j, k]) < 0.98 for j in kept):
+            kept.append(int(k))
+    return kept[:KEPT]
+
+
+def _amplitudes(gram: Array, b: Array, signed: Sequence[bool], chosen: tuple[int, ...]) -> tuple[float, Array] | None:
+    """Explained chi-square and amplitudes of columns; None where one has an impossible sign, or repeats another."""
+    i = list(chosen)
+    g = gram[np.ix_(i, i)]
+    if len(i) > 1 and np.linalg.cond(g) > 1e8:
+        return None
+    x = np.asarray(np.linalg.solve(g, b[i]), float)
+    if any(s and a <= 0.0 for s, a in zip((signed[k] for k in i), x, strict=True)):
+        return None
+    return float(x @ b[i]), x
+
+
+# Sets and their evidence --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class SetFit:
+    """A set of effects fitted with everything free; without members the nominal model.
+
+    plain: log evidence without what the discrepancy costs; squares, pieces: chi-square left beyond the sensors' noise,
+    and in how many independent pieces; evidence: log Z over the nominal model (`weighed`).
+    """
+
+    members: tuple[Member, ...]
+    fit: Calibration
+    plain: float
+    squares: float
+    pieces: float
+    evidence: float = 0.0
+
+    @property
+    def names(self) -> frozenset[str]:
+        """The effects."""
+        return frozenset(e.name for e, _ in self.members)
+
+
+def set_fit(members: Sequence[Member], fit: Calibration) -> SetFit:
+    """A fit as one of the sets to be weighed."""
+    squares, pieces = left_over(fit)
+    explained = fit.chi2 if fit.problem.noise.sensor else squares
+    return SetFit(tuple(members), fit, fit.log_evidence + 0.5 * explained, squares, pieces)
+
+
+def left_over(fit: Calibration) -> tuple[float, float]:
+    """Chi-square that a fit leaves beyond the noise of the sensors, and in how many independent pieces.
+
+    Of what repeats share, below the frequencies at which torques show; of trials without repeats, over the noise of the
+    sensors. Pieces: 4 (sum P)^2 / sum P^2 over the lines of the periodograms, as many readings as for white residuals
+    (Bayley and Hammersley 1946).
+    """
+    noise = fit.problem.noise
+    scale = [a / b for a, b in zip(noise.innovation, noise.sensor or noise.innovation, strict=True)]
+    own = own_frequency(fit.problem.experiment)
+    records = whitened_records(fit)
+    lines = []
+    for members in repeats_of(fit):
+        mean = np.sum([records[i] for i in members], axis=0) / math.sqrt(len(members))
+        times = fit.problem.experiment.trials[members[0]].times
+        f = np.fft.rfftfreq(times.size, float(np.median(np.diff(times))))[1:-1]
+        low = np.ones(f.size, bool) if noise.sensor else f < LOW_BAND * own
+        for x, s in zip(mean, scale, strict=False):
+            lines.append(s**2 * np.abs(np.fft.rfft(x)[1:-1][low]) ** 2 / max(int(np.count_nonzero(x)), 1))
+    p = np.concatenate(lines)
+    beyond = np.maximum(p - 1.0, 0.0)
+    squares = 2.0 * float(np.sum(p - 1.0))
+    if squares <= 0.0:
+        return 0.0, float(2 * p.size)
+    return squares, 4.0 * float(beyond.sum()) ** 2 / float(beyond @ beyond)
+
+
+def weighed(sets: Sequence[SetFit]) -> list[SetFit]:
+    """The sets with their evidence over the nominal model (the one without members), best first."""
+
+    def cost(s: SetFit, pieces: float) -> float:
+        return 0.5 * pieces * math.log1p(s.squares / pieces)
+
+    none = next(s for s in sets if not s.members)
+    pieces = none.pieces
+    out = list(sets)
+    for _ in range(2):
+        base = none.plain - cost(none, pieces)
+        out = [replace(s, evidence=s.plain - cost(s, pieces) - base) for s in sets]
+        out = [s if math.isfinite(s.evidence) else replace(s, evidence=-math.inf) for s in out]
+        out.sort(key=lambda s: -s.evidence)
+        pieces = max(min(none.pieces, *(s.pieces for s in out[:FITTED])), 2.0)
+    return out
+
+
+def log_prior(names: Collection[str], offered: int) -> float:
+    """Each effect is missing on its own with the probability that makes one missing effect the expected number.
+
+    Both dry frictions beside a linear model are the usual nonlinear model, and count as one.
+    """
+    p = 1.0 / max(offered, USUAL)
+    return (len(names) - int(set(names) >= FRICTIONS)) * math.log(p / (1.0 - p))
+
+
+def probabilities(sets: Sequence[SetFit], offered: int) -> dict[frozenset[str], float]:
+    """Probability of each set of effects, over its formulas, among those that were fitted."""
+    weight: dict[frozenset[str], list[float]] = {}
+    for s in sets:
+        weight.setdefault(s.names, []).append(s.evidence + log_prior(s.names, offered))
+    logs = {names: max(values) for names, values in weight.items()}
+    top = max(logs.values())
+    total = sum(math.exp(v - top) for v in logs.values())
+    return {names: math.exp(v - top) / total for names, v in logs.items()}
+
+
+# Search -------------------------------------------------------------------------------------------------------------
+
+
+def grown(
+    nominal: Calibration,
+    found: Sequence[Candidate],
+    pool: Sequence[Member],
+    pairs: Sequence[Pair] = (),
+    *,
+    workers: int = 1,
+    tell: Callable[[str], None] = lambda _: None,
+) -> list[SetFit]:
+    """Sets of effects, weighed, best first: the nominal model, single effects, pairs, and what screening proposes.
+
+    found : fitted single effects; pool : all formulas that the rig can have; pairs : fitted already. Where trials have
+    repeats, pairs are known, and sets grow from the best one; else from the nominal model too, by two and three effects
+    at once.
+    """
+    exact = bool(nominal.problem.noise.sensor)
+    sets: dict[tuple[tuple[str, str], ...], SetFit] = {(): set_fit((), nominal)}
+
+    def add(members: tuple[Member, ...], fit: Calibration) -> None:
+        key = tuple(sorted((e.name, v.name) for e, v in members))
+        new = set_fit(members, fit)
+        if key not in sets or new.plain > sets[key].plain:
+            sets[key] = new
+
+    for c in found:
+        if c.fit is not None and math.isfinite(c.log_evidence):
+            add(((c.effect, c.variant),), _sharper(c.fit) if exact else c.fit)
+    for pair in pairs:
+        add(*_of_pair(pair))
+    ranked = weighed(list(sets.values()))
+    tried = {s.names for s in ranked}
+    done: set[frozenset[str]] = set()
+    for step in range(ROUNDS if exact else 1):
+        base = sets[()] if exact and step == 0 else ranked[0]
+        if base.names in done or not _can_grow(base, pool, 0 if exact else 2):
+            break
+        done.add(base.names)
+        wanted: list[tuple[Member, ...]] = []
+        starts: list[list[Array]] = []
+        columns = columns_at(base.fit, nominal, pool, base.names)
+        sizes = [n for n in ((1, 2, 3) if exact else (1,)) if 1 < n + len(base.members) <= LARGEST][:2]
+        for p in proposals(columns, sizes):
+            members = (*base.members, *(columns.members[k] for k in p.columns))
+            names = frozenset(e.name for e, _ in members)
+            if names not in tried:
+                tried.add(names)
+                starts.append(_starts(base, columns, p))
+                wanted.append(members)
+        if not wanted:
+            break
+        tell(f"fitting {len(wanted)} sets of effects")
+        jobs = list(zip(wanted, starts, strict=True))
+        packed = forked_map(lambda job: _packed(_fitted(nominal, *job, exact)), jobs, workers)
+        for members, (q, eta, converged, iterations, noise) in zip(wanted, packed, strict=True):
+            problem = SetProblem(nominal.problem, members, exact).with_noise(noise)
+            add(members, summarise(problem, q, eta, converged, iterations))
+        ranked = weighed(list(sets.values()))
+    return ranked
+
+
+def _can_grow(s: SetFit, pool: Sequence[Member], least: int) -> bool:
+    known = {e.name for e, _ in pool}
+    return least <= len(s.members) < LARGEST and s.names <= known
+
+
+def _of_pair(pair: Pair) -> tuple[tuple[Member, ...], Calibration]:
+    """A fitted pair as a set: its effects in the order of the fit's coordinates."""
+    problem = pair.fit.problem
+    assert isinstance(problem, PairProblem | ComposedProblem)
+    sides = (pair.first, pair.second)
+    members = tuple(next(m for m in sides if m[1] is v) for v in problem.variants)
+    exact = isinstance(problem, ComposedProblem)
+    return members, replace(pair.fit, problem=SetProblem(problem.base, members, exact))
+
+
+def _sharper(fit: Calibration) -> Calibration:
+    """The fit under the noise that it leaves itself, learnt twice: a better fit leaves less, which sharpens it."""
+    for _ in range(RELEARNT):
+        noise = learn_noise(fit)
+        fit = calibrate(fit.problem.with_noise(noise), [fit.q], eta=fit.eta, anneal=False, most=STEPS_ALONE)
+    return fit
+
+
+def _fitted(nominal: Calibration, members: tuple[Member, ...], starts: Sequence[Array], exact: bool) -> Calibration:
+    """A set fitted from several starts; where no trial has repeats, under the noise that it leaves itself."""
+    problem = SetProblem(nominal.problem, members, exact)
+    most = STEPS_ALONE if exact else STEPS
+    fit = calibrate(problem, starts, eta=nominal.eta, anneal=False, most=most, finish=not exact)
+    return _sharper(fit) if exact else fit
+
+
+def _starts(base: SetFit, columns: Columns, proposal: Proposal) -> list[Array]:
+    """Where a set's fit begins: shares of the screening's amplitudes, with what the parameters give way to them."""
+    out = []
+    move = columns.absorbed[:, list(proposal.columns)] @ np.array(proposal.amplitudes)
+    for share in STARTS:
+        z: list[float] = []
+        for k, amplitude in zip(proposal.columns, proposal.amplitudes, strict=True):
+            variant, point = columns.members[k][1], columns.points[k]
+            if variant.fades:
+                point = variant.faded(point, share * amplitude)
+            z += [coordinate_of(p.prior, x) for p, x in zip(variant.parameters, point, strict=True)]
+        own = [
+            _moved(c, x, share * dx) for c, x, dx in zip(base.fit.problem.coordinates, base.fit.q, move, strict=True)
+        ]
+        out.append(np.concatenate([own, z]))
+    return out
+
+
+def _moved(c: Coordinate, z: float, step: float) -> float:
+    """The coordinate z after a step that is linear in the value itself, which stops short of a change of sign."""
+    value, near = (float(from_standard(c.prior, x)) for x in (z, z + 1e-3))
+    to = value + (near - value) / 1e-3 * step
+    return coordinate_of(c.prior, to if to * value > 0.0 and abs(to) > LEAST * abs(value) else LEAST * value)
+
+
+def _packed(fit: Calibration) -> tuple[Array, dict[int, Array], bool, int, Noise]:
+    """Of a fit, what has to be sent from one process to another."""
+    return *essence(fit), fit.problem.noise
+
+
+def as_candidates(found: Sequence[Candidate], sets: Sequence[SetFit]) -> list[Candidate]:
+    """Single effects as weighed beside sets, best first; what was not fitted keeps the screening's evidence."""
+    alone = {s.members[0][1].name + s.members[0][0].name: s for s in sets if len(s.members) == 1}
+    out = []
+    for c in found:
+        s = alone.get(c.variant.name + c.effect.name)
+        out.append(c if s is None or c.fit is None else replace(c, fit=s.fit, log_evidence=s.evidence))
+    return sorted(out, key=lambda c: -c.log_evidence)

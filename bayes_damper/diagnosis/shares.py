@@ -1,0 +1,167 @@
+"""Which share of the gap a model closes, measured on trials that it was not fitted to, without a floor of noise.
+
+A sum of squared residuals holds the noise as well as the gap, and where the gap is faint their difference is lost. A
+product of two residuals whose noises are independent holds the gap alone: where g is what a model leaves in both and e,
+e' is the noise, the mean of (g + e)(g + e') is g^2, whatever the noise. So each held-out residual is multiplied with
+
+- the mean residual of the trials that repeat it (those that were fitted, or else the other held-out ones);
+- without repeats its own neighbour in time, where the sensors' noise is white and the gap is slow.
+
+With X the sum of such products over the noise's variance, before (0) and after (1), the share closed is 1 - X1 / X0.
+Every reading counts with its weight in the fit, those at the release and at reversals too. The interval comes from
+blocks of the records drawn again with replacement. Where 5 % of the draws have no gap left in X0, no share can be
+told. A model's readings are never their own judge: parameters are fitted to training trials, and held-out ones have
+only their own nuisances fitted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper.calibration import Calibration, predict
+from bayes_damper.diagnosis.remainder import own_frequency
+
+Array = NDArray[np.float64]
+Method = Literal["repeats", "neighbours", "cannot tell"]
+
+DRAWS = 2000
+DOUBT = 0.05  # share of draws without a gap from which no share of it is told
+BLOCKS = 6  # of a record without repeats: what its model misses is alike over long stretches
+IN_WORDS = {
+    "repeats": "products of held-out residuals with those of trials that repeat them, in which the noise averages out",
+    "neighbours": "products of neighbouring held-out residuals, in which the sensors' noise averages out",
+    "cannot tell": "on the held-out trials the gap is too faint to say which share of it anything closes",
+}
+
+
+@dataclass(frozen=True)
+class Closed:
+    """Share of the gap that an answer closes, over held-out trials: value and 90 % interval, None where none shows."""
+
+    median: float | None
+    hdi90: tuple[float, float] | None
+    method: Method
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers, and the method in words."""
+        interval = None if self.hdi90 is None else list(self.hdi90)
+        return {"median": self.median, "hdi90": interval, "method": self.method, "how": IN_WORDS[self.method]}
+
+
+UNTOLD = Closed(None, None, "cannot tell")
+
+
+@dataclass(frozen=True, eq=False)
+class Products:
+    """Squared gap that each of several models leaves, in blocks of the held-out trials.
+
+    values (models, blocks): sums of products over the noise's variance; draws (DRAWS, models): the same with blocks
+    drawn again, summed; method: how they were made.
+    """
+
+    values: Array
+    draws: Array
+    method: Method
+
+    @property
+    def total(self) -> Array:
+        """Over all blocks, (models,)."""
+        return np.asarray(self.values.sum(axis=1))
+
+    def told(self, before: int = 0) -> bool:
+        """Whether what model `before` leaves is a gap of which shares can be told."""
+        return self.total[before] > 0.0 and float(np.mean(self.draws[:, before] <= 0.0)) < DOUBT
+
+    def shares(self, before: int = 0) -> tuple[Array, Array]:
+        """Share of the gap of model `before` that each model leaves, (models,), and draws of it, (draws, models)."""
+        usable = self.draws[:, before] > DOUBT * self.total[before]
+        return self.total / self.total[before], self.draws[usable] / self.draws[usable, before][:, None]
+
+    def closed(self, after: int, before: int = 0) -> Closed:
+        """Share of the gap of model `before` that model `after` closes."""
+        if not self.told(before):
+            return UNTOLD
+        left, draws = self.shares(before)
+        return Closed(float(1.0 - left[after]), shortest_interval(np.sort(1.0 - draws[:, after])), self.method)
+
+
+def products_of(
+    fits: Sequence[Calibration], heldout: Sequence[int], rng: np.random.Generator | None = None
+) -> Products:  # fmt: skip
+    """Products of residuals of the held-out trials under each of the fits of one experiment, the nominal one first."""
+    residuals = []
+    for fit in fits:
+        inside = set(fit.problem.trials)
+        found = {i: p.residual for i, p in predict(fit, heldout).items()}
+        residuals.append(({i: r for i, r in fit.residuals().items() if i in inside}, found))
+    return products(fits[0], heldout, residuals, rng)
+
+
+def products(
+    fit: Calibration,
+    heldout: Sequence[int],
+    residuals: Sequence[tuple[Mapping[int, Array], Mapping[int, Array]]],
+    rng: np.random.Generator | None = None,
+) -> Products:
+    """The same from residuals of several models, fitted and held out: trial -> (channels, n) each.
+
+    fit : whose noise and weights are used; rng : draws the blocks (default: seed 0).
+    """
+    rng = np.random.default_rng(0) if rng is None else rng
+    problem = fit.problem
+    trials = problem.experiment.trials
+    weights = {i: g.weight[k] for g in problem.grouped(tuple(heldout)) for k, i in enumerate(g.trials)}
+    fitted_by_all = [j for j in problem.trials if all(j in fitted for fitted, _ in residuals)]
+    partners = {i: _repeats_of(i, fitted_by_all, trials, problem) for i in heldout}
+    spare = {i: _repeats_of(i, heldout, trials, problem) for i in heldout}
+    repeated = all(partners[i] or spare[i] for i in heldout)
+    sds = np.array(problem.noise.floor)
+    period = 1.0 / own_frequency(problem.experiment)
+    columns: list[list[float]] = []
+    for i in heldout:
+        t = trials[i].times
+        span = float(t[-1] - t[0])
+        count = max(1, math.ceil(span / period)) if repeated else BLOCKS
+        block = np.minimum((count * (t - t[0]) / max(span, 1e-300)).astype(int), count - 1)
+        rows = []
+        for fitted, held in residuals:
+            r = held[i] * weights[i] / sds[: held[i].shape[0], None]
+            if repeated:
+                others = [fitted[j] for j in partners[i]] or [held[j] for j in spare[i]]
+                both = r * np.mean(others, axis=0) * weights[i] / sds[: r.shape[0], None]
+            else:
+                both = np.zeros_like(r)
+                both[:, :-1] = r[:, :-1] * r[:, 1:]
+            rows.append(np.bincount(block, np.nan_to_num(both).sum(axis=0), count))
+        columns += np.array(rows).T.tolist()
+    values = np.array(columns).T
+    picked = rng.multinomial(values.shape[1], np.full(values.shape[1], 1.0 / values.shape[1]), DRAWS)
+    return Products(values, picked @ values.T, "repeats" if repeated else "neighbours")
+
+
+def _repeats_of(i: int, among: Sequence[int], trials: Sequence[Any], problem: Any) -> list[int]:
+    """Trials that repeat one: same case, configuration, release and times. Records that start in motion do not."""
+    if problem.experiment.start == "free":
+        return []
+    t = trials[i]
+    return [
+        j
+        for j in among
+        if j != i
+        and (trials[j].case, trials[j].coupled, trials[j].theta0) == (t.case, t.coupled, t.theta0)
+        and np.array_equal(trials[j].times, t.times)
+    ]
+
+
+def shortest_interval(draws: Array, share: float = 0.9) -> tuple[float, float]:
+    """The shortest interval that holds `share` of sorted draws."""
+    inside = max(1, math.ceil(share * draws.size) - 1)
+    widths = draws[inside:] - draws[: draws.size - inside]
+    k = int(np.argmin(widths))
+    return float(draws[k]), float(draws[k + inside])

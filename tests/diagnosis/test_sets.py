@@ -1,0 +1,160 @@
+"""Sets of effects: fitted exactly, found together where each hides the other, weighed under what they leave."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from small_rig import measured, variant
+
+from bayes_damper.calibration import Experiment, Problem, TrialRecord, calibrate_nominal
+from bayes_damper.diagnosis.budget import _divided, answers_of, foreign_alone
+from bayes_damper.diagnosis.search import offered
+from bayes_damper.diagnosis.sets import (
+    SetFit,
+    SetProblem,
+    columns_at,
+    grown,
+    log_prior,
+    probabilities,
+    proposals,
+    weighed,
+)
+from bayes_damper.diagnosis.shares import Products
+from bayes_damper.diagnosis.verdict import Left
+from bayes_damper.effects import EFFECTS
+from bayes_damper.priors.distributions import LogNormal
+from bayes_damper.simulation.composition import compose
+from bayes_damper.simulation.model import Model
+
+
+def member(effect, name=None):
+    return EFFECTS[effect], variant(effect, name)
+
+
+def swinging(number, amplitude, duration, heldout=False):
+    """A pendulum with dry friction and square drag, from a start in motion; nothing viscous to speak of."""
+    times = np.arange(0.0, duration, 0.02)
+    both = compose(variant("bearing_drag"), variant("quadratic_drag"))
+    model = Model(coupled=False, restoring="pendulum", longest_step=8e-3, effect=both)
+    rig = {"J1": 1.0, "k1t": 64.0, "c1t": 0.004, "drag": 0.0, "nu": 100.0, "theta0": amplitude}
+    values = {"first.drag": 0.15, "first.smoothing": 100.0, "second.coefficient": 0.004}
+    y = model.simulate(rig, times, quantity="displacement", effect=values).y[0]
+    # A law that no formula has: a slow error ten times the sensor's noise.
+    y = (
+        y
+        + 3e-4 * np.sin(8.0 * times + 0.3 * times**1.5)
+        + 2e-5 * np.random.default_rng(number).standard_normal(y.shape)
+    )
+    return TrialRecord(f"trial {number}", f"case {number}", False, 1, times, y, 0, heldout=heldout)
+
+
+@pytest.fixture(scope="module")
+def hidden():
+    trials = (swinging(1, 1.4, 24.0), swinging(2, 0.3, 6.0, heldout=True))
+    experiment = Experiment(
+        {"J1": (1.0, 0.0)}, ((64.0, 4.0),), trials, "displacement", restoring="pendulum", start="free",
+        priors={"c1t": LogNormal(0.02, 6.0)},
+    )  # fmt: skip
+    return calibrate_nominal(experiment, nominal="linear")
+
+
+def pool_of(fit):
+    names = {"bearing_drag", "quadratic_drag", "sensor_gain", "spring_cubic"}
+    return [m for m in offered(fit.problem.experiment, "linear", EFFECTS) if m[0].name in names]
+
+
+def test_two_effects_that_hide_each_other_are_screened_together(hidden):
+    """Beside the viscous term each alone gains far less than both."""
+    columns = columns_at(hidden, hidden, pool_of(hidden), ())
+    one, two = (proposals(columns, (n,), 1)[0] for n in (1, 2))
+    assert {columns.members[k][0].name for k in two.columns} == {"bearing_drag", "quadratic_drag"}
+    assert two.explained > 1.3 * one.explained
+    assert min(two.amplitudes) > 0.0
+
+
+@pytest.mark.slow
+def test_both_are_present_whatever_is_left(hidden):
+    """What stays unexplained is ten times the noise, and does not speak against what is found."""
+    pool = pool_of(hidden)
+    sets = grown(hidden, [], pool)
+    assert sets[0].names >= {"bearing_drag", "quadratic_drag"}
+    weights = probabilities(sets, len({e.name for e, _ in pool}))
+    for name in ("bearing_drag", "quadratic_drag"):
+        assert sum(p for names, p in weights.items() if name in names) > 0.9
+    values = sets[0].fit.parameters
+    k = next(k for k, (e, _) in enumerate(sets[0].members) if e.name == "bearing_drag")
+    assert 0.1 < values[f"effect.{k}.drag"][0] < 0.17
+    assert values["c1t"][0] < 0.5 * hidden.parameters["c1t"][0], "what the viscous term had taken goes back"
+
+
+def test_a_set_that_shares_a_kernel_is_the_composed_formula():
+    base = Problem(measured(1, repeats=1))
+    members = (member("inertia_error"), member("quadratic_drag"), member("sensor_gain"))
+    problem = SetProblem(base, members, exact=True)
+    assert [n for n in problem.names if n.startswith("effect.")] == [
+        "effect.0.error", "effect.1.coefficient", *(f"effect.2.{p.name}" for p in members[2][1].parameters)
+    ]  # fmt: skip
+    q = np.zeros((1, problem.size))
+    q[0, base.size :] = [0.7, -0.4, *([0.6] * (problem.size - base.size - 2))]
+    group = next(g for g in base.groups if g.coupled)
+    eta = np.zeros((1, len(group.nuisances)))
+    once = problem.simulate(group, np.array([0]), q, eta)
+    other = SetProblem(base, members[::-1], exact=True)
+    turned = np.zeros((1, other.size))
+    for i, name in enumerate(problem.names):
+        if name.startswith("effect."):
+            _, k, parameter = name.split(".")
+            turned[0, other.names.index(f"effect.{2 - int(k)}.{parameter}")] = q[0, i]
+    np.testing.assert_allclose(other.simulate(group, np.array([0]), turned, eta), once, rtol=1e-9, atol=1e-9)
+    alone = np.zeros((1, base.size + 1))
+    alone[0, -1] = -0.4
+    drag = base.with_effect(members[1][1]).simulate(group, np.array([0]), alone, eta)
+    assert np.abs(once - drag).max() > 1.0
+
+
+def stub(names, plain, squares, pieces=40.0):
+    members = tuple((SimpleNamespace(name=n), SimpleNamespace(name=n)) for n in names)
+    return SetFit(members, SimpleNamespace(), plain, squares, pieces)
+
+
+def test_what_all_sets_leave_sets_the_scale_of_evidence():
+    """A tenth less of a large remainder is worth what as many independent pieces of it are, not its chi-square."""
+    clean = weighed([stub((), -500.0, 0.0), stub(("a",), 0.0, 0.0)])
+    assert clean[0].evidence == pytest.approx(500.0)
+    rough = weighed([stub((), 0.0, 1e6), stub(("a",), 0.0, 0.9e6)])
+    assert rough[0].evidence == pytest.approx(20.0 * math.log(1.0 / 0.9), rel=1e-3)
+
+
+def test_an_effect_that_gains_nothing_costs_its_prior():
+    sets = weighed([stub((), 0.0, 0.0), stub(("a",), 30.0, 0.0), stub(("a", "b"), 30.0, 0.0)])
+    weights = probabilities(sets, 20)
+    assert weights[frozenset("a")] == pytest.approx(0.95, abs=0.01)
+    assert log_prior(("a", "b"), 20) == pytest.approx(2.0 * math.log(1.0 / 19.0))
+    assert log_prior(("bearing_drag", "interface_friction"), 20) == pytest.approx(math.log(1.0 / 19.0))
+
+
+def test_shares_of_effects_that_hide_each_other_sum_to_one():
+    """Neither closes anything alone, both together 80 %: each gets half of it."""
+    place = {frozenset[str](): 0, frozenset("a"): 1, frozenset("b"): 2, frozenset("ab"): 3}
+    left = np.array([1.0, 1.0, 1.0, 0.2])
+    draws = np.tile(left, (50, 1))
+    shares, unexplained, leading = _divided(["a", "b"], place, left, draws, Products(left[:, None], draws, "repeats"))
+    assert shares["a"].median == pytest.approx(0.4)
+    assert sum(s.median for s in shares.values()) + unexplained.median == pytest.approx(1.0)
+    assert sum(leading.values()) == pytest.approx(1.0)
+
+
+def test_the_answer_is_what_has_the_largest_share():
+    sets = weighed([stub((), -50.0, 0.0), stub(("a",), 0.0, 0.0)])
+    best = sets[0]
+    quiet = Left(0.0, 0.0, lone=True)
+
+    def verdict(leading, unknown=0.15):
+        budget = SimpleNamespace(best=best, parts=(), leading=leading)
+        return answers_of(budget, sets, ["a", "b"], {best.names: foreign_alone(0.1)}, quiet, quiet)
+
+    assert verdict({"a": 1.0}).verdict == "a"
+    assert verdict({"a": 1.0}).probabilities["a"] > 0.9
+    assert verdict({"a": 0.2, "unknown": 0.8}).verdict == "unknown"
+    assert foreign_alone(0.05) < foreign_alone(0.5) < foreign_alone(1.0) == pytest.approx(0.15 / 0.7)

@@ -1,0 +1,106 @@
+"""Shares of the gap without a floor of noise: exact without noise, covered with it, silent where no gap shows."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from small_rig import measured, variant
+
+from bayes_damper.calibration import Problem, calibrate_nominal, predict
+from bayes_damper.diagnosis.search import Screen, fit_variant, screen_variant
+from bayes_damper.diagnosis.shares import products, products_of, shortest_interval
+from bayes_damper.effects import EFFECTS
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return Problem(measured(1))
+
+
+def sides(problem, gaps, noise, rng):
+    """Residuals of models that leave gaps (share of the first one's amplitude), all under the same noise."""
+    e = problem.experiment
+    drawn = {i: noise * rng.standard_normal(t.y.shape) for i, t in enumerate(e.trials)}
+    shapes = {i: np.sin(60.0 * t.times) * np.exp(-4.0 * t.times) for i, t in enumerate(e.trials)}
+    every = [{i: drawn[i] + g * shapes[i] for i in drawn} for g in gaps]
+    return [({i: r[i] for i in problem.trials}, {i: r[i] for i in e.heldout}) for r in every]
+
+
+def test_without_noise_the_share_is_exact(problem):
+    found = products(
+        SimpleNamespace(problem=problem),
+        problem.experiment.heldout,
+        sides(problem, (2.0, 1.0), 0.0, np.random.default_rng(0)),
+    )
+    closed = found.closed(1)
+    assert found.method == "repeats"
+    assert closed.median == pytest.approx(0.75)
+    assert closed.hdi90 == pytest.approx((0.75, 0.75))
+
+
+def test_a_faint_gap_is_shared_out_evenly_and_covered(problem):
+    """A fifth of the noise's size; 30 % are closed. Sums of squares would be lost in the noise of their floor."""
+    fit, rng = SimpleNamespace(problem=problem), np.random.default_rng(1)
+    left = np.sqrt(0.7)
+    sd = problem.noise.total[0]
+    told = [
+        products(fit, problem.experiment.heldout, sides(problem, (1.2 * sd, 1.2 * sd * left), sd, rng)).closed(1)
+        for _ in range(120)
+    ]
+    values = [c.median for c in told if c.median is not None]
+    assert len(values) > 110
+    assert np.mean(values) == pytest.approx(0.3, abs=0.02)
+    covered = np.mean([c.hdi90[0] <= 0.3 <= c.hdi90[1] for c in told if c.hdi90])
+    assert 0.78 < covered < 0.98
+
+
+def test_where_no_gap_shows_no_share_is_told(problem):
+    fit, rng = SimpleNamespace(problem=problem), np.random.default_rng(2)
+    told = [
+        products(fit, problem.experiment.heldout, sides(problem, (0.0, 0.0), 2.0, rng)).closed(1) for _ in range(60)
+    ]
+    silent = [c for c in told if c.median is None]
+    assert len(silent) > 50
+    assert "too faint" in silent[0].to_json()["how"]
+
+
+def test_without_repeats_neighbouring_readings_take_the_place_of_repeats():
+    cases = (("a", 0, 0.1), ("b", 0, 0.08), ("c", 0, 0.09))
+    lone = Problem(measured(1, repeats=1, cases=cases, configurations=(False,)))
+    heldout, rng = (0, 1, 2), np.random.default_rng(3)
+    models = []
+    for size in (2.0, 1.0):
+        r = {i: size * np.sin(20.0 * lone.experiment.trials[i].times) for i in heldout}
+        models.append(({}, {i: (x + rng.standard_normal(x.size))[None] for i, x in r.items()}))
+    found = products(SimpleNamespace(problem=lone), heldout, models)
+    assert found.method == "neighbours"
+    assert found.closed(1).median == pytest.approx(0.75, abs=0.05)
+
+
+@pytest.mark.slow
+def test_what_a_wrong_effect_closes_of_a_faint_gap_is_what_it_closes():
+    """A cubic spring that the noise exceeds by half: a wrong stiffness closes about 72 % of it, and is told so."""
+    cubic = variant("spring_cubic")
+    kept = {"effect": cubic, "values": {"k3": 5.0}, "duration": 0.8}
+    for seed in (1, 2):
+        experiment, clean = measured(seed, **kept), measured(seed, noise=0.0, **kept)
+        nominal = calibrate_nominal(experiment)
+        screen, wrong = Screen(nominal), variant("stiffness_error", "factor")
+        fits = [
+            fit_variant(nominal, EFFECTS[name], v, screen_variant(screen, v), 2).fit
+            for name, v in (("stiffness_error", wrong), ("spring_cubic", cubic))
+        ]
+        left = [
+            sum(float(np.sum((clean.trials[i].y - p.model) ** 2)) for i, p in predict(fit, experiment.heldout).items())
+            for fit in (nominal, *fits)
+        ]
+        found = products_of([nominal, *fits], experiment.heldout)
+        for k in (1, 2):
+            true, told = 1.0 - left[k] / left[0], found.closed(k)
+            assert told.hdi90[0] < true < told.hdi90[1]
+            assert told.median == pytest.approx(true, abs=0.1)
+
+
+def test_shortest_interval_of_a_skewed_sample():
+    draws = np.sort(np.concatenate([np.linspace(0.0, 1.0, 91), np.full(9, 50.0)]))
+    assert shortest_interval(draws) == pytest.approx((0.0, 0.989), abs=0.02)
