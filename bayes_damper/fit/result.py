@@ -59,6 +59,24 @@ class Fit:
         """What summary.json holds."""
         return dict(self.summary)
 
+    def to_arviz(self, case: str | None = None) -> Any:
+        """The draws of one case (default: the joint fit, or the only case) as ArviZ's own object, a chain a walker.
+
+        An `arviz.InferenceData` with the 0.x line of ArviZ, a DataTree from 1.0 on: for `arviz.summary` and its plots.
+
+        Raises
+        ------
+        InputError
+            if the fit has no such case, or its file is damaged.
+        """
+        known = {**dict.fromkeys(self.summary["cases"]), **({"joint": None} if self.summary.get("joint") else {})}
+        chosen = case or ("joint" if "joint" in known else next(iter(known)) if len(known) == 1 else None)
+        if chosen not in known:
+            raise InputError(
+                f"{self.folder}: give one of the cases {', '.join(known)}; there is no {case or 'default'}"
+            )
+        return arviz_adapter.to_arviz(self.folder / folder_name(str(chosen)) / "posterior.nc")
+
     def text(self) -> str:
         """Tables for the terminal, warnings first."""
         parts = [f"warning: {w}" for w in gathered(self.summary.get("warnings", ()))]

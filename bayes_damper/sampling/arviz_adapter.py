@@ -11,6 +11,7 @@ from __future__ import annotations
 import errno
 import importlib
 import math
+import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
@@ -193,6 +194,38 @@ def read(path: Path | str) -> xr.DataTree:
 
     with opened(path), xr.open_datatree(path, engine="h5netcdf") as tree:
         return tree.load()
+
+
+def to_arviz(path: Path | str) -> Any:
+    """The draws of a `posterior.nc` as ArviZ's own object: InferenceData of its 0.x line, DataTree from 1.0 on.
+
+    Each walker is a chain of its own here, so that ArviZ's effective sample sizes are honest: folded into one chain per
+    ensemble, as they lie in the file, the walkers of a step would be taken for successive draws.
+
+    Raises
+    ------
+    InputError
+        as `opened`.
+    """
+    with warnings.catch_warnings():  # ArviZ 0.23 announces its successor on import
+        warnings.simplefilter("ignore", FutureWarning)
+        arviz = importlib.import_module("arviz")
+    tree = read(path)
+    groups = {name: _by_walker(tree, name) for name in ("posterior", "sample_stats")}
+    if int(arviz.__version__.partition(".")[0]) >= 1:
+        return arviz.from_dict(groups)
+    return arviz.from_dict(**groups)
+
+
+def _by_walker(tree: xr.DataTree, group: str) -> dict[str, Array]:
+    """Name -> (ensembles * walkers, steps, ...) of a group whose draws hold the walkers of a step together."""
+    walkers = int(tree["posterior"].attrs["walkers"])
+    found = {}
+    for name, variable in tree[group].data_vars.items():
+        ensembles, draws, *rest = variable.shape
+        steps = variable.values.reshape(ensembles, draws // walkers, walkers, *rest)
+        found[str(name)] = np.moveaxis(steps, 2, 1).reshape(ensembles * walkers, draws // walkers, *rest)
+    return found
 
 
 def combine_cases(files: Mapping[str, Path], path: Path, most: int = 1000) -> None:

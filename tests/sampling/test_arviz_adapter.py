@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
-from bayes_damper.sampling.arviz_adapter import hdi, read, results, write
+from bayes_damper.sampling.arviz_adapter import hdi, read, results, to_arviz, write
 
 
 def test_the_file_comes_back_and_arviz_opens_it(tmp_path):
@@ -23,3 +24,21 @@ def test_the_shortest_interval_of_a_normal():
     low, high = hdi(np.random.default_rng(0).standard_normal(200_000))
     assert low == pytest.approx(-1.645, abs=0.06)
     assert high == pytest.approx(1.645, abs=0.06)
+
+
+def test_arviz_gives_honest_sample_sizes_for_ensembles(tmp_path):
+    """Autoregressive walkers whose tau is known: (1 + phi) / (1 - phi) draws count as one."""
+    rng, phi, shape = np.random.default_rng(1), 0.9, (2, 400, 32)  # ensembles, steps, walkers
+    start = rng.standard_normal((shape[0], 1, shape[2]))
+    steps = np.sqrt(1.0 - phi**2) * rng.standard_normal(shape)
+    draws = lfilter([1.0], [1.0, -phi], np.concatenate([start, steps], axis=1), axis=1)[:, 1:]
+    write(results({"mu": draws}, log_prob=-draws), tmp_path / "posterior.nc")
+    found = to_arviz(tmp_path / "posterior.nc")
+    posterior = found["posterior"]["mu"]
+    assert posterior.dims == ("chain", "draw")
+    assert posterior.shape == (64, 400)
+    assert np.array_equal(posterior.values[33], draws[1, :, 1])
+    import arviz
+
+    ess = float(arviz.ess(np.asarray(posterior.values), method="bulk"))
+    assert ess == pytest.approx(draws.size * (1 - phi) / (1 + phi), rel=0.2)
