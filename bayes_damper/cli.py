@@ -5,13 +5,14 @@ from __future__ import annotations
 import argparse
 import contextlib
 import re
+import shlex
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
-from bayes_damper.errors import BayesDamperError, ExitCode, printable
+from bayes_damper.errors import BayesDamperError, ExitCode, InputError, printable
 from bayes_damper.runs.memory import seldom_collected
 
 Arguments = argparse.Namespace
@@ -119,6 +120,7 @@ def _compare(args: Arguments) -> Any:
 
 
 _QUESTIONS = (
+    ("kind", "Kind of rig: torsional or translational (empty: torsional)"),
     (
         "columns",
         "Columns of the channels, primary first, by number or name, with spaces between (empty: all but the time)",
@@ -152,20 +154,50 @@ def _init(args: Arguments) -> Any:
         args.files = [Path(str(word)) for word in given["words"] if "=" not in str(word)]
         given["words"] = [word for word in given["words"] if "=" in str(word)]
     raw = args.raw or Path()
+    answers: dict[str, Any] = {}
     if "columns" not in given and sys.stdin.isatty() and sys.stdout.isatty() and not args.quiet:
         if args.files:
             print(columns_of(raw / args.files[0]))
-        given |= _answers(set(given))
-    init_campaign(args.folder, [raw / f for f in args.files], args.overwrite, **given)
+        answers = _answers(set(given), given.get("kind"))
+        given |= answers
+    try:
+        init_campaign(args.folder, [raw / f for f in args.files], args.overwrite, **given)
+    except InputError as error:
+        if not answers:
+            raise
+        kept = f"what was answered, to be given again as options: {_as_options(answers)}"
+        raise InputError([*error.faults, kept]) from None
     return check(args.folder, left_over(args.folder, before))
 
 
-def _answers(given: set[str]) -> dict[str, Any]:
-    """What `init` asks for in a terminal when the columns were not given; an empty answer leaves the default."""
+def _as_options(answers: Mapping[str, Any]) -> str:
+    """Answers as options of a command line."""
+    words: list[str] = []
+    for key, value in answers.items():
+        words += [f"--{key.replace('_', '-')}", *(map(str, value) if isinstance(value, list) else [str(value)])]
+    return shlex.join(words)
+
+
+_OF_TURNING = ("mounting_radius", "bar_radius")
+_STRAIGHT = (
+    ("Inertia", "Mass"), ("kg m^2", "kg"), ("per unit inertia", "per unit mass"), ("g, m/s^2, rad/s^2", "g, m/s^2, mm"),
+    ("N m/rad", "N/m"), ("Release angle in degrees", "Distance in mm from which it is released"),
+    ("Stiffness k1t", "Stiffness k1"),
+)  # fmt: skip
+
+
+def _answers(given: set[str], kind: object = None) -> dict[str, Any]:
+    """What `init` asks for in a terminal when the columns were not given; an empty answer leaves the default.
+
+    kind : of the rig, where it was given.
+    """
     found: dict[str, Any] = {}
     for key, question in _QUESTIONS:
-        if key in given or (key == "sample_rate" and "time" in found):
+        straight = found.get("kind", kind) == "translational"
+        if key in given or (key == "sample_rate" and "time" in found) or (straight and key in _OF_TURNING):
             continue
+        for word, other in _STRAIGHT if straight else ():
+            question = question.replace(word, other)  # noqa: PLW2901 (the question in the rig's own units)
         words = [_number(w) for w in input(f"{question}: ").split()]
         if words:
             found[key] = words if key in ("columns", "units") else words[0]

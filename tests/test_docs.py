@@ -229,7 +229,7 @@ def test_init_asks_in_a_terminal(tmp_path, monkeypatch, capsys):
     y = decay(times, 0.082, 10.2, 0.031) + np.random.default_rng(3).standard_normal(times.size)
     rows = [f"{t:.3f},{v:.5f}" for t, v in zip(times, y, strict=True)]
     (tmp_path / "a.csv").write_text("\n".join(["t,a", *rows]) + "\n", encoding="utf-8")
-    answers = iter(["a", "t", "rad/s^2", "", "3.015e-3", "", "", "", "", "10.2", "4.7"])
+    answers = iter(["", "a", "t", "rad/s^2", "", "3.015e-3", "", "", "", "", "10.2", "4.7"])
     monkeypatch.setattr("builtins.input", lambda _: next(answers))
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)

@@ -71,15 +71,16 @@ def results(
 ) -> Results:
     """Draws as a file holds them: posterior and sample_stats (lp), plus `groups`.
 
-    posterior : name -> (ensembles, steps, walkers); log_prob likewise; diagnostics : r_hat, ess_bulk and ess_tail of
-    each where they are known already. groups : prior, posterior_predictive and log_likelihood hold (chain, draw, ...)
-    arrays, log_likelihood with one entry a trial; observed_data plain arrays.
+    posterior : name -> (ensembles, steps, walkers); log_prob likewise; diagnostics : r_hat, ess_bulk, ess_tail and unit
+    of each where they are known already. groups : prior, posterior_predictive and log_likelihood hold arrays of
+    (chain, draw, ...), log_likelihood with one entry a trial; observed_data plain arrays.
     """
     variables = {}
     for name, draws in posterior.items():
         known = vars(diagnose_draws(draws)) if diagnostics is None else diagnostics[name]
         told = {key: math.nan if known[key] is None else float(known[key]) for key in _TOLD}
-        variables[name] = Variable(("chain", "draw"), draws.reshape(len(draws), -1), told)
+        unit = {"units": str(known["unit"])} if known.get("unit") else {}
+        variables[name] = Variable(("chain", "draw"), draws.reshape(len(draws), -1), told | unit)
     lp = Variable(("chain", "draw"), log_prob.reshape(len(log_prob), -1))
     content: dict[str, Mapping[str, Variable]] = {"posterior": variables, "sample_stats": {"lp": lp}}
     for group, arrays in (groups or {}).items():

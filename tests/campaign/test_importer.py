@@ -163,7 +163,31 @@ def test_in_a_terminal_it_shows_the_columns_and_asks(
     assert trial.theta0 is not None
     assert abs(trial.times[np.argmax(np.abs(trial.channels[0]))]) < 0.005
     assert "run.csv has the columns: 1 t, 2 a" in capsys.readouterr().out
-    assert len(asked) == 13
+    assert len(asked) == 14
+
+
+def test_init_asks_in_the_units_of_the_rig_and_keeps_the_answers_where_they_do_not_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = tmp_path / "run.csv"
+    times = np.arange(400) / 100.0
+    np.savetxt(source, np.column_stack([times, np.cos(30.0 * times)]), delimiter=",", header="t,x", comments="")
+    answers = {"Kind of rig": "translational", "Mass J1 in kg (": "1.2", "Stiffness k1 in N/m": "500",
+               "Their units": "furlong"}  # fmt: skip
+    asked: list[str] = []
+
+    def reply(question: str) -> str:
+        asked.append(question)
+        return next((answer for key, answer in answers.items() if question.startswith(key)), "")
+
+    monkeypatch.setattr("builtins.input", reply)
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: True))
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    assert main(["init", str(tmp_path / "out"), str(source)]) == 2
+    assert len(asked) == 12
+    assert not any("N m/rad" in q or "kg m^2" in q or "axis" in q for q in asked)
+    told = capsys.readouterr().err
+    assert "to be given again as options: --kind translational --units furlong --primary-inertia 1.2 --k1t 500" in told
 
 
 def test_a_file_that_is_not_there_is_told_before_its_name_is_read(tmp_path: Path) -> None:

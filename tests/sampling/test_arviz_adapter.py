@@ -20,6 +20,18 @@ def test_the_file_comes_back_and_arviz_opens_it(tmp_path):
     assert peer["posterior"]["mu"].dims == ("chain", "draw")
 
 
+def test_variables_have_the_units_that_are_known(tmp_path):
+    draws = np.random.default_rng(0).standard_normal((4, 20, 8))
+    known = {"r_hat": 1.0, "ess_bulk": 100.0, "ess_tail": 90.0}
+    told = {"mu": known | {"unit": "1"}, "k2t": known | {"unit": "N m/rad"}, "shape": known}
+    made = results(dict.fromkeys(told, draws), log_prob=-draws, diagnostics=told)
+    write(made, tmp_path / "posterior.nc")
+    posterior = read(tmp_path / "posterior.nc")["posterior"]
+    assert (posterior["mu"].attrs["units"], posterior["k2t"].attrs["units"]) == ("1", "N m/rad")
+    assert "units" not in posterior["shape"].attrs
+    assert posterior["k2t"].attrs["ess_bulk"] == 100.0
+
+
 def test_the_shortest_interval_of_a_normal():
     low, high = hdi(np.random.default_rng(0).standard_normal(200_000))
     assert low == pytest.approx(-1.645, abs=0.06)
