@@ -8,7 +8,9 @@ from campaigns import write_table
 
 from bayes_damper.calibration.experiment import experiment_of
 from bayes_damper.calibration.forecast import forecast, summary
+from bayes_damper.calibration.noise_level import rough_noise
 from bayes_damper.calibration.nominal import calibrate_nominal
+from bayes_damper.calibration.problem import Problem
 from bayes_damper.campaign import load_campaign, write_campaign
 from bayes_damper.errors import InputError
 from bayes_damper.rig.inputs import Inputs
@@ -132,6 +134,21 @@ def test_a_torque_on_a_secondary_that_is_not_there_is_a_fault(tmp_path):
     (folder / "trials.csv").write_text(rows)
     with pytest.raises(InputError, match="which an uncoupled trial lacks"):
         load_campaign(folder)
+
+
+def test_fits_of_some_readings_see_every_sample_of_the_input(tmp_path):
+    whole, some = (
+        experiment_of(load_campaign(write(tmp_path / f"{n}", noise=0.0, extra=f"every = {n}\n"))) for n in (1, 7)
+    )
+    assert some.trials[3].times.size == -(-TIMES.size // 7)
+    simulated = []
+    for experiment in (whole, some):
+        problem = Problem(experiment, noise=rough_noise(experiment, (3,)), trials=(3,))
+        group = problem.groups[0]
+        own = np.zeros((1, len(group.nuisances)))
+        simulated.append(problem.simulate(group, np.zeros(1, int), np.zeros((1, problem.size)), own))
+    picked = simulated[0][:, :, ::7]
+    assert np.abs(picked - simulated[1]).max() < 1e-3 * np.abs(picked).max()  # the priors come from the readings
 
 
 @pytest.mark.slow
