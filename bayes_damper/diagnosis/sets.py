@@ -43,7 +43,7 @@ from bayes_damper.calibration import (
 from bayes_damper.diagnosis.pairs import ComposedProblem, Pair, PairProblem
 from bayes_damper.diagnosis.remainder import LOW_BAND, own_frequency, repeats_of, whitened_records
 from bayes_damper.diagnosis.search import Candidate, Screen, essence
-from bayes_damper.diagnosis.verdict import FRICTIONS, USUAL
+from bayes_damper.diagnosis.verdict import FRICTIONS, RULE, USUAL, Rule
 from bayes_damper.effects.base import Effect, Variant
 from bayes_damper.priors.distributions import HalfNormal, from_standard
 from bayes_damper.runs.parallel_map import forked_map
@@ -425,8 +425,10 @@ def grown(
     for c in found:
         if c.fit is not None and math.isfinite(c.log_evidence):
             add(((c.effect, c.variant),), _sharper(c.fit) if exact else c.fit)
+    explained = max((c.log_evidence for c in found if c.fit is not None), default=0.0)
     for pair in pairs:
-        add(*_of_pair(pair))
+        if not mends(pair.gain, explained, pair.exact):
+            add(*_of_pair(pair))
     ranked = weighed(list(sets.values()))
     tried = {s.names for s in ranked}
     done: set[frozenset[str]] = set()
@@ -453,9 +455,20 @@ def grown(
         packed = forked_map(lambda job: _packed(_fitted(nominal, *job, exact)), jobs, workers)
         for members, (q, eta, converged, iterations, noise) in zip(wanted, packed, strict=True):
             problem = SetProblem(nominal.problem, members, exact).with_noise(noise)
-            add(members, summarise(problem, q, eta, converged, iterations))
+            fit = summarise(problem, q, eta, converged, iterations)
+            if exact or not mends(fit.log_evidence - base.fit.log_evidence, explained, members[-1][0].exact):
+                add(members, fit)
         ranked = weighed(list(sets.values()))
     return ranked
+
+
+def mends(gain: float, explained: float, exact: bool, rule: Rule = RULE) -> bool:
+    """Whether a further effect gains no more than what mending the first one's formula would (verdict.py).
+
+    gain : nats over the set without it, explained : by the best single effect; exact : whether its formula, or the
+    first one's, is a definition, in which nothing is mended.
+    """
+    return not exact and not gain > rule.mismatch * max(explained, 0.0)
 
 
 def _can_grow(s: SetFit, pool: Sequence[Member], least: int) -> bool:

@@ -16,6 +16,7 @@ from bayes_damper.diagnosis.sets import (
     columns_at,
     grown,
     log_prior,
+    mends,
     probabilities,
     proposals,
     weighed,
@@ -132,6 +133,14 @@ def test_an_effect_that_gains_nothing_costs_its_prior():
     assert weights[frozenset("a")] == pytest.approx(0.95, abs=0.01)
     assert log_prior(("a", "b"), 20) == pytest.approx(2.0 * math.log(1.0 / 19.0))
     assert log_prior(("bearing_drag", "interface_friction"), 20) == pytest.approx(math.log(1.0 / 19.0))
+
+
+def test_a_second_effect_that_mends_the_first_ones_formula_is_none():
+    """What a Stribeck curve leaves of bristles is a few per cent of what it explains, and another law takes it up."""
+    assert mends(100.0, 4000.0, exact=False)
+    assert not mends(300.0, 4000.0, exact=False)
+    assert not mends(100.0, 4000.0, exact=True)
+    assert mends(math.nan, 4000.0, exact=False)
 
 
 def test_shares_of_effects_that_hide_each_other_sum_to_one():
