@@ -20,6 +20,7 @@ from bayes_damper.diagnosis import Diagnosis
 from bayes_damper.diagnosis import diagnose as diagnose_campaign
 from bayes_damper.diagnosis.published import diagnose_published
 from bayes_damper.diagnosis.response import Motion, motions
+from bayes_damper.diagnosis.sites import write_missing_torque
 from bayes_damper.diagnosis.verdict import RULE
 from bayes_damper.effects import Effect, all_effects
 from bayes_damper.errors import ExitCode, InputError
@@ -101,7 +102,8 @@ def diagnose(
         rule=replace(RULE, prior_unknown=prior_unknown),
     )  # fmt: skip
     folder = Path(out)
-    path = found.write(folder)
+    path = _emptied(folder)
+    write_missing_torque(folder / "missing_torque.csv", found.site_map)
     ahead = forecasts(found.nominal, found.best)
     result = found.to_json() | {
         "reading_unit": loaded.reading_unit,
@@ -125,8 +127,8 @@ def diagnose(
         for row in parameters.values():
             row["unit"] = effect_unit(row["unit"], *of_rig)
     _tell_meanings(result, library)
-    write_json(path, result)
     _draw(folder, found, workers)
+    write_json(path, result)  # last: a folder with it is whole
     return Diagnosed(folder, result)
 
 
@@ -148,10 +150,9 @@ def _thesis(
     found = diagnose_published(
         data, load_priors(priors or "thesis"), nominal=nominal, effects=effects, seed=seed, workers=workers, tell=tell
     )
-    path = found.write(folder)
+    path = _emptied(folder)
     result = found.to_json() | {"campaign_sha256": published.checksum, "provenance": provenance()}
     _tell_meanings(result, effects)
-    write_json(path, result)
     ranking = figures.ranking_figure(
         found.answers.probabilities, found.sites, title="thesis: what 24 numbers say is missing, and where"
     )
@@ -161,7 +162,16 @@ def _thesis(
         figures.published_figure(rows, title="published numbers and what each answer predicts for them"),
         folder / "published",
     )
+    write_json(path, result)  # last: a folder with it is whole
     return Diagnosed(folder, result)
+
+
+def _emptied(folder: Path) -> Path:
+    """Where diagnosis.json is to stand, in a folder that is made and holds none: not even that of an earlier run."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "diagnosis.json"
+    path.unlink(missing_ok=True)
+    return path
 
 
 def _tell_meanings(result: Mapping[str, Any], library: Mapping[str, Effect]) -> None:

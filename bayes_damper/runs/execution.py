@@ -16,8 +16,9 @@ import re
 import signal
 import threading
 import time
+from asyncio import CancelledError as AsyncCancelled
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -330,13 +331,25 @@ def _on_cluster(tasks: Sequence[Task], folder: Path, scheduler: str, progress: P
         distributed = importlib.import_module("distributed")
     except ImportError:
         raise InputError("--scheduler needs Dask: pip install 'bayes-damper[cluster]'") from None
-    with distributed.Client(scheduler) as client:
+    try:
+        client = distributed.Client(scheduler)
+    except (OSError, ValueError) as error:
+        raise InputError(f"--scheduler {scheduler}: no Dask scheduler answers there ({error}); check address") from None
+    results = {}
+    with client:
         futures = {
             client.submit(execute, task, (folder / task.name).resolve(), pure=False, retries=_MOST_BREAKDOWNS): task
             for task in tasks
         }
-        results = {}
-        for future, result in distributed.as_completed(futures, with_results=True):
-            results[futures[future].name] = result
-            progress.update(futures[future].name, 1.0, "done")
+        for future in distributed.as_completed(list(futures)):
+            task = futures[future]
+            try:
+                results[task.name] = future.result()
+            except (AsyncCancelled, CancelledError, OSError, distributed.KilledWorker) as error:
+                raise BayesDamperError(
+                    f"the cluster at {scheduler} gave up {task.name} ({type(error).__name__}): its scheduler has "
+                    "ended, or its workers were killed; what was saved is there, go on with: bayes-damper resume "
+                    f"{folder}"
+                ) from None
+            progress.update(task.name, 1.0, "done")
     return {task.name: results[task.name] for task in tasks}

@@ -26,8 +26,10 @@ def cores() -> int:
 
 
 def can_fork() -> bool:
-    """Whether processes can be forked safely here: elsewhere than on Linux system libraries forbid it."""
-    return sys.platform.startswith("linux")
+    """Whether processes can be forked safely here: elsewhere than on Linux system libraries forbid it, and processes
+    that are not to outlive their parent, as the workers of a cluster, may have no children.
+    """
+    return sys.platform.startswith("linux") and not multiprocessing.current_process().daemon
 
 
 def forked_map(work: Callable[[Item], Answer], items: Sequence[Item], count: int) -> list[Answer]:

@@ -8,8 +8,8 @@ of `bayes_damper.sampling`, kept in the attributes of the posterior's variables.
 
 from __future__ import annotations
 
-import errno
 import importlib
+import io
 import math
 import warnings
 from collections.abc import Iterator, Mapping
@@ -115,19 +115,19 @@ def write(content: Results, path: Path | str) -> None:
     """Writes `posterior.nc` (NetCDF 4), whole or not at all."""
     final = Path(path)
     scratch = final.with_name(f".{final.name}.part")
+    # HDF5 itself does not survive a disk that fills: it crashes when the process ends.
+    packed = io.BytesIO()
+    _write(content, packed)
     try:
-        _write(content, scratch)
+        scratch.write_bytes(packed.getbuffer())
         scratch.replace(final)
-    except (OSError, RuntimeError) as error:  # HDF5 raises either when a disk is full
-        told = getattr(error, "strerror", None) or "it cannot be written to its end (is the disk full?)"
-        raise OSError(getattr(error, "errno", None) or errno.EIO, told, str(final)) from error
     finally:
         with suppress(OSError):
             scratch.unlink(missing_ok=True)
 
 
-def _write(content: Results, scratch: Path) -> None:
-    with h5netcdf.File(scratch, "w") as file:
+def _write(content: Results, packed: io.BytesIO) -> None:
+    with h5netcdf.File(packed, "w") as file:
         file.attrs.update(content.attributes)
         for group, variables in content.groups.items():
             place = file.create_group(group)

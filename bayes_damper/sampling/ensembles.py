@@ -531,7 +531,7 @@ _TARGET: list[Target] = []  # in a worker process: the target, received once
 @contextmanager
 def _workers(target: Target, count: int) -> Iterator[_Advance]:
     """A function that advances ensembles, in this process or spread over `count` others."""
-    if count <= 1:
+    if count <= 1 or multiprocessing.current_process().daemon:  # as the workers of a cluster: may have no children
         yield lambda tasks: (_advance(target, state, thin) for state, thin in tasks)
         return
     # A fork hands compiled kernels over as they are; where there is none the target has to be picklable.

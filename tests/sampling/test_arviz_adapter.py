@@ -1,5 +1,8 @@
 """posterior.nc goes out and comes back, and ArviZ reads it."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -54,3 +57,23 @@ def test_arviz_gives_honest_sample_sizes_for_ensembles(tmp_path):
 
     ess = float(arviz.ess(np.asarray(posterior.values), method="bulk"))
     assert ess == pytest.approx(draws.size * (1 - phi) / (1 + phi), rel=0.2)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of a process")
+def test_a_posterior_that_finds_no_room_is_a_sentence_and_leaves_nothing(tmp_path):
+    """The system refuses to write on behind 50 kB, as a full disk does; the file of before stays."""
+    path = tmp_path / "posterior.nc"
+    path.write_bytes(b"of before")
+    code = (
+        "import resource, signal, sys, numpy as np; from bayes_damper.sampling import arviz_adapter as a;"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN); resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000));"
+        "x = np.random.default_rng(1).random((2, 100, 100));"
+        "found = a.results({'mu': x}, log_prob=x);\n"
+        "try: a.write(found, sys.argv[1])\n"
+        "except OSError as error: print(error.strerror, error.filename)"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "File too large" in done.stdout
+    assert [p.name for p in tmp_path.iterdir()] == ["posterior.nc"]
+    assert path.read_bytes() == b"of before"
