@@ -23,6 +23,7 @@ from bayes_damper.calibration import (
     coordinate_of,
 )
 from bayes_damper.commands.diagnose import _estimated, _maps, _shown_record
+from bayes_damper.commands.diagnose import diagnose as diagnose_folder
 from bayes_damper.diagnosis import diagnose, pairs, pipeline
 from bayes_damper.diagnosis.lone import left_of_squares
 from bayes_damper.diagnosis.outliers import outlying, told, without
@@ -668,3 +669,16 @@ def test_drags_of_single_trials_are_told_only_where_the_drag_itself_is_known():
     assert drags.size > 2
     assert np.std(drags) < 0.1
     assert pipeline.own_drags(replace(fit, covariance=1e4 * fit.covariance)).size == 0
+
+
+def test_the_prior_of_a_foreign_cause_moves_the_verdict_and_is_refused_where_it_leaves_no_room():
+    """The more is expected of causes outside the library, the less a faint gap is laid to one inside it."""
+    faint = [
+        weigh({"a": 40.0, "b": 1.0}, ALL, QUIET, rule=replace(RULE, prior_unknown=prior)).probabilities
+        for prior in (0.05, 0.15, 0.5)
+    ]
+    assert [p["a"] for p in faint] == sorted((p["a"] for p in faint), reverse=True)
+    assert faint[2]["unknown"] > 2.0 * faint[0]["unknown"]
+    for prior in (0.0, 0.9, math.nan):
+        with pytest.raises(InputError, match="--prior-unknown"):
+            diagnose_folder("no folder", prior_unknown=prior)
