@@ -41,7 +41,7 @@ from bayes_damper.campaign.import_options import (
 from bayes_damper.campaign.logger_files import LoggerFile, read_file, unit_of
 from bayes_damper.campaign.trials_table import inside
 from bayes_damper.errors import InputError
-from bayes_damper.inputs import collected, real, shown, toml_file
+from bayes_damper.inputs import collected, file_bytes, real, shown, text_of, toml_file
 
 Array = NDArray[np.float64]
 
@@ -101,7 +101,7 @@ def import_records(
     """
     table, name, home = _spec_table(spec)
     beside = home / "priors.toml"
-    priors = beside.read_bytes() if not isinstance(spec, Mapping) and beside.exists() else None
+    priors = file_bytes(beside) if not isinstance(spec, Mapping) and beside.exists() else None
     return _write(table, name, Path(folder), Path(raw) if raw is not None else home, priors, overwrite)
 
 
@@ -129,8 +129,8 @@ def records_in(folder: str | Path) -> tuple[str, ...]:
     """The records that are there of those that a folder's trials.csv names, whatever else is wrong with it."""
     path = Path(folder) / "trials.csv"
     try:
-        rows = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
-    except (OSError, ValueError, csv.Error):
+        rows = list(csv.DictReader(text_of(file_bytes(path), str(path)).splitlines()))
+    except (OSError, InputError, csv.Error):
         return ()
     named = dict.fromkeys((row.get("file") or "").strip() for row in rows)
     return tuple(name for name in named if name and (Path(folder) / name).is_file())
@@ -175,7 +175,7 @@ def init_campaign(
     folder = Path(folder)
     spec = spec_from_options(folder.resolve().name, [Path(s).resolve() for s in sources], options)
     beside = folder / "priors.toml"
-    found = beside.read_bytes() if beside.exists() else None
+    found = file_bytes(beside) if beside.exists() else None
     priors = _NO_FRICTION if NOTHING_RUBS in spec["caveats"] else None
     _write(spec, "import", folder, Path(), priors if found in (None, _NO_FRICTION) else found, overwrite)
     if priors is None and found == _NO_FRICTION:  # of an earlier call that knew no magnet

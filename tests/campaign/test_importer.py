@@ -15,7 +15,7 @@ from campaigns import decay
 from scipy.io import savemat
 
 from bayes_damper.campaign import load_campaign
-from bayes_damper.campaign.importer import convert, import_records, init_campaign
+from bayes_damper.campaign.importer import convert, import_records, init_campaign, records_in
 from bayes_damper.campaign.logger_files import read_file
 from bayes_damper.campaign.readings import find_first_peak, find_release
 from bayes_damper.cli import main
@@ -725,3 +725,19 @@ def test_a_column_is_found_by_what_its_name_begins_with(tmp_path: Path) -> None:
     assert (found.index("Position", "here"), found.index("time", "here")) == (1, 0)
     with pytest.raises(InputError, match="here"):
         found.index("Posi", "here")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
+def test_named_pipes_beside_a_campaign_do_not_hang_an_import(tmp_path: Path) -> None:
+    source = logger_file(tmp_path / "run.csv", wave())
+    folder = init_campaign(tmp_path / "made", [source], **OPTIONS)
+    os.mkfifo(folder / "priors.toml")
+    for call in (
+        lambda: import_records(folder / "import.toml", tmp_path / "out"),
+        lambda: init_campaign(folder, [source], overwrite=True, **OPTIONS),
+    ):
+        with pytest.raises(InputError, match="a named pipe, not a file"):
+            call()
+    (folder / "trials.csv").unlink()
+    os.mkfifo(folder / "trials.csv")
+    assert records_in(folder) == ()
