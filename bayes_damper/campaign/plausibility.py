@@ -65,7 +65,13 @@ def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
             )
         offset = look.offset_of(trial.times, y, noise, omega)
         if offset and not trial.driven and not (head.rig.restoring == "pendulum" and held):
-            warnings.append(f"{where}: rests at {offset:.3g} at the end, not at 0; the sensor has an offset")
+            half = _is_angle(head) and abs(abs(offset) - math.pi) < 0.1
+            turned = " (half a turn: it may count from the upper position)" if half else ""
+            warnings.append(
+                f"{where}: rests at {offset:.3g} at the end, not at 0{turned}; the sensor has an "
+                "offset: `init --offset tail` takes off what it reads at the end, offset_std under [measurement] of "
+                "campaign.toml lets fits infer it"
+            )
         if given is not None and noise > 0.0 and not 1.0 / 3.0 <= noise / given[i] <= 3.0:
             warnings.append(
                 f"{where}: noise is about {noise:.3g}, noise_std says {given[i]:.3g}; check unit and sensor"
@@ -80,6 +86,11 @@ def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
         )
     if head.measurement.start == "rest" and trial.theta0 is not None and not (trial.driven and not trial.theta0.value):
         _look_at_release(head, trial, omega, warnings)
+
+
+def _is_angle(head: Head) -> bool:
+    """Whether the readings are angles."""
+    return head.rig.kind == "torsional" and head.measurement.quantity == "displacement"
 
 
 def _look_at_clock(head: Head, trial: Trial, warnings: list[str]) -> None:
@@ -263,6 +274,7 @@ def _look_for_copies(trials: Sequence[Trial], warnings: list[str]) -> None:
 
 def _look_for_short_twin(group: Sequence[Trial], warnings: list[str]) -> None:
     """Names repeats that end much earlier than the longest one."""
+    group = [t for t in group if not t.holdout] or group  # stretches that were kept for a test may be shorter
     ends = [float(t.times[-1]) for t in group]
     short = [f"{t.file} at {end:.4g} s" for t, end in zip(group, ends, strict=True) if end < _SHORT * max(ends)]
     if short:

@@ -352,7 +352,7 @@ ODD = [
     (lambda c: [c[0], np.concatenate([0.1 * np.sin(np.arange(50)), c[1][:-50]])], "motion begins 0.05 s after"),
     (lambda c: [0.9 * c[0], c[1]], "the time column says 1111.1 Hz, sample_rate says 1000"),
     (lambda c: [c[0], 16.0 * np.round(c[1] / 16.0)], "quantised in steps of 16"),
-    (lambda c: [c[0], c[1] + 20.0], "the sensor has an offset"),
+    (lambda c: [c[0], c[1] + 20.0], "the sensor has an offset: `init --offset tail` takes off"),
     (lambda c: [c[0], c[1] + 9.0 * np.random.default_rng(3).standard_normal(len(c[0]))], "noise_std says 2"),
     (lambda c: [c[0], decay(c[0], 0.08, 12.5, 0.06) + 2.0 * np.sin(1e4 * c[0])], "unlike its repeats"),
 ]

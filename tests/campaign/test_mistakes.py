@@ -11,6 +11,7 @@ from campaigns import CAMPAIGN_TOML, read_table, write_table
 from small_rig import RIG
 
 from bayes_damper.campaign import Campaign, load_campaign
+from bayes_damper.campaign.importer import init_campaign
 from bayes_damper.errors import InputError
 from bayes_damper.simulation.model import Model
 
@@ -156,3 +157,36 @@ def test_a_reversed_primary_is_named_after_a_rest_of_half_a_radian(folder):
         write_table(path, names, [early, -np.concatenate([rest, y])])
     told = [w for w in read(folder).warnings if "the sign of the channel looks reversed" in w]
     assert len(told) == 2
+
+
+def test_a_stretch_that_was_held_out_may_be_short(folder):
+    path = folder / "trials/coupled_2.csv"
+    names, columns = read_table(path)
+    write_table(path, names, [c[:500] for c in columns])
+    assert any("was one cut off" in w for w in read(folder).warnings)
+    rows = (folder / "trials.csv").read_text(encoding="utf-8").splitlines()
+    marked = [f"{rows[0]},holdout", *(f"{row},{str(row.startswith('trials/coupled_2')).lower()}" for row in rows[1:])]
+    (folder / "trials.csv").write_text("\n".join(marked) + "\n", encoding="utf-8")
+    assert not any("was one cut off" in w for w in read(folder).warnings)
+
+
+def test_the_rate_of_a_thinned_import_is_that_of_its_records(folder, tmp_path):
+    source = folder / "trials/uncoupled_1.csv"
+    made = init_campaign(
+        tmp_path / "thinned", [source], columns=[2], time=1, sample_rate=1000.0, every=5, primary_inertia=3.015e-3,
+        k1t=10.2, theta0=4.7,
+    )  # fmt: skip
+    found = load_campaign(made)
+    assert found.measurement.sample_rate == 200.0
+    assert not any("sample_rate says" in w for w in found.warnings)
+
+
+def test_a_pendulum_that_hangs_at_half_a_turn_is_named(tmp_path):
+    times = np.arange(1000) / 100.0
+    y = np.pi + 0.5 * np.exp(-times) * np.cos(6.0 * times) + 1e-3 * np.random.default_rng(1).standard_normal(1000)
+    source = tmp_path / "swing.csv"
+    write_table(source, ["t", "angle"], [times, y])
+    made = init_campaign(
+        tmp_path / "rig", [source], columns=["angle"], time="t", quantity="displacement", primary_inertia=1.0, k1t=36.0
+    )
+    assert any("half a turn: it may count from the upper position" in w for w in load_campaign(made).warnings)
