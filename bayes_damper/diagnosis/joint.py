@@ -133,7 +133,8 @@ class Target(Protocol):
 class Joint:
     """All cases under one formula. Points (n, ndim) of the shared parameters are in `coordinates`.
 
-    data : case -> its published numbers; priors : of the nominal parameters.
+    data : case -> its published numbers; priors : of the nominal parameters; plain : whether coordinates are the unit
+    Gaussians of the priors, without sums and ratios of dampings; tolerance : factor on the integrator's.
 
     Raises
     ------
@@ -142,8 +143,9 @@ class Joint:
     """
 
     def __init__(
-        self, data: Mapping[str, Sequence[Datum]], priors: PriorSet, formula: Formula, normal_force: str = "linear"
-    ) -> None:
+        self, data: Mapping[str, Sequence[Datum]], priors: PriorSet, formula: Formula, normal_force: str = "linear",
+        *, plain: bool = False, tolerance: float = 1.0,
+    ) -> None:  # fmt: skip
         self.formula = formula
         self.data = {case: tuple(rows) for case, rows in data.items()}
         self.cases = tuple(self.data)
@@ -158,14 +160,16 @@ class Joint:
             if missing:
                 raise InputError(f"priors {priors.name!r}: {missing[0]} needs a prior with a width in case {case}")
         free = {name: prior for name, prior in first.free.items() if name not in OWN} | formula.extras
-        pairs = damping_pairs(first.medians())
+        pairs = () if plain else damping_pairs(first.medians())
         self.coordinates = Coordinates(
             free, first.fixed, first.tied, tuple(p for p in pairs if p.x in free and p.y in free)
         )
         self.own = {case: {name: own[case].free[name] for name in OWN} for case in self.cases}
         times = FEATURE_TIMES[FEATURE_TIMES <= LONGEST]
         self.models = {
-            case: FeaturePosterior(rows, self.coordinates, normal_force, case, effect=formula.variant, times=times)
+            case: FeaturePosterior(
+                rows, self.coordinates, normal_force, case, effect=formula.variant, times=times, tolerance=tolerance
+            )
             for case, rows in self.data.items()
         }
 
@@ -270,13 +274,26 @@ class Joint:
 
         Spring and angle are drawn from what the numbers of some configurations say about them.
         """
+        features, spring, _ = self._drawn(points, case, rng, configurations)
+        return features, spring
+
+    def own_draws(self, points: Array, case: str, rng: np.random.Generator) -> dict[str, Array]:
+        """Spring and release angle of a case, drawn from what all its numbers say about them: name -> (n,)."""
+        _, spring, angle = self._drawn(points, case, rng, ("uncoupled", "coupled"))
+        return dict(zip(OWN, (spring, angle), strict=True))
+
+    def _drawn(
+        self, points: Array, case: str, rng: np.random.Generator, configurations: tuple[str, ...]
+    ) -> tuple[Array, Array, Array]:
+        """Features of one case (n, k), its spring and its release angle (n,), nan where nothing has the features."""
         predicted = self.predict(points, case)
         rows = self.data[case]
         keep = [j for j, d in enumerate(rows) if d.configuration in configurations]
         u, width, v, weight = self._nodes[case]
         springs = predicted.spring[:, None] * np.exp(u)
         scale = self.scales(points, case, predicted.centre)
-        features, chosen = np.full(predicted.centre.shape, np.nan), np.full(len(points), np.nan)
+        features = np.full(predicted.centre.shape, np.nan)
+        chosen, angle = np.full((2, len(points)), np.nan)
         for i in np.flatnonzero(np.isfinite(predicted.centre).all(axis=1)):
             f = (
                 predicted.centre[i] + predicted.springs[i] * u[:, None, None] + predicted.angles[i] * v[:, None]
@@ -289,7 +306,8 @@ class Joint:
                 continue
             place = rng.choice(density.size, p=density.ravel() / total)
             features[i], chosen[i] = f.reshape(-1, f.shape[-1])[place], springs[i, place // len(v)]
-        return features, chosen
+            angle[i] = median_of(self.own[case]["theta0"]) * (1.0 + v[place % len(v)])
+        return features, chosen, angle
 
     def log_likelihood(self, points: Array) -> Array:
         """Log likelihood of each case, (n, cases)."""

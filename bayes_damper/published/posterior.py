@@ -236,7 +236,8 @@ class FeaturePosterior:
     features.py, so that they share the first peak as the measured ones do.
 
     effect : a formula that the rig follows beside the nominal ones; its parameters are among the coordinates as
-    "effect.NAME". times : of the simulated records, s; by default those that the data need.
+    "effect.NAME". times : of the simulated records, s; by default those that the data need. tolerance : factor on the
+    integrator's: at 10 features keep to 1 % of the published standard errors, for two thirds of the time.
     """
 
     def __init__(
@@ -248,11 +249,13 @@ class FeaturePosterior:
         *,
         effect: Variant | None = None,
         times: Array | None = None,
+        tolerance: float = 1.0,
     ) -> None:
         self.data = tuple(data)
         self.coordinates = coordinates
         self.case = case
         self.times = feature_times(self.data) if times is None else times
+        self.tolerance = tolerance
         self.models = {
             name: Model(coupled=name == "coupled", normal_force=normal_force, effect=effect)  # type: ignore[arg-type]
             for name in dict.fromkeys(d.configuration for d in self.data)
@@ -282,7 +285,7 @@ class FeaturePosterior:
         t_min = values.pop("t_min")
         changes = {name: values.pop(name) for name in list(values) if name.startswith(EFFECT_PREFIX)}
         effect = {name.removeprefix(EFFECT_PREFIX): x for name, x in changes.items()}
-        simulation = self.models[configuration].simulate(values, self.times, effect=effect)
+        simulation = self.models[configuration].simulate(values, self.times, effect=effect, tolerance=self.tolerance)
         self.outcomes.update(count_outcomes(simulation.outcome))
         return features(self.times, simulation.y[:, 0], t_min)
 

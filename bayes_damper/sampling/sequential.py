@@ -300,13 +300,15 @@ def temper(
     first: int | None = None,
     sweeps: int = _MOST_SWEEPS,
     checkpoint: Checkpoint | None = None,
+    start: Array | None = None,
 ) -> Tempered:
     """Draws and evidence of a target; `kept` places of each particle are returned.
 
     settle : whether the particles go on at the full temperature; False where the evidence is all that is asked for.
     first : draws of the prior that it begins with, 8 a particle by default. sweeps : most of a stage, which ends when
     the particles have forgotten their places. checkpoint : goes on from the state it holds, if any, to the same result,
-    and saves into it between stages.
+    and saves into it between stages. start : draws (times, chains, ndim) of prior times likelihood at temperature 0, in
+    place of draws of the prior: what is found is then the log evidence over that at temperature 0.
 
     Raises
     ------
@@ -320,15 +322,16 @@ def temper(
         checkpoint = checkpoint.bound_to({name: str(x) for name, x in about.items()})
     run = None if checkpoint is None else _restored(checkpoint, steps, rng)
     if run is None:
-        trail = target.draw(rng, _FIRST * particles if first is None else first)[None]
+        trail = target.draw(rng, _FIRST * particles if first is None else first)[None] if start is None else start
         size = trail.shape[1]
-        known = target.measure(trail[0], np.arange(target.parts))[None]
-        run = _State(trail, known, np.arange(size), np.zeros(size), evaluations=size)
+        known = target.measure(trail.reshape(-1, target.ndim), np.arange(target.parts))
+        known = known.reshape(*trail.shape[:2], *known.shape[1:])
+        run = _State(trail, known, np.arange(size), np.zeros(size), evaluations=trail.shape[0] * size)
     while not run.last:
         if checkpoint is not None and checkpoint.due():
             _save(checkpoint, run, steps, rng)
         settling = run.temperature == 1.0
-        _stage(run, target, steps, particles, settle, sweeps, rng)
+        _stage(run, target, steps, particles, settle, sweeps, rng, counts=start is not None)
         if tell is not None:
             tell(
                 run.temperature, "moving on at full power" if settling else f"likelihood at power {run.temperature:.3g}"
@@ -343,14 +346,17 @@ def temper(
 
 def _stage(
     run: _State, nominal: Target, steps: _Halves, particles: int, settle: bool, sweeps: int,
-    rng: np.random.Generator,
+    rng: np.random.Generator, counts: bool = False,
 ) -> None:  # fmt: skip
-    """Takes a run to the next temperature, or lets it settle at the full one."""
+    """Takes a run to the next temperature, or lets it settle at the full one.
+
+    counts : whether the likelihood at temperature 0 does.
+    """
     everything, (times, chains) = np.arange(nominal.parts), run.trail.shape[:2]
     order = rng.permutation(chains)
     places, measured = _by_chain(run.trail[:, order]), _by_chain(run.known[:, order])
     now = _height(nominal, measured, everything, run.temperature).sum(axis=1)
-    now = now if run.temperature else np.zeros(len(places))
+    now = now if run.temperature or counts else np.zeros(len(places))
     if not np.any(np.isfinite(_height(nominal, measured, everything, 1.0).sum(axis=1))):
         raise InputError(
             f"the likelihood is zero at all {len(places)} points drawn from the prior: widen the prior, or look "

@@ -20,13 +20,29 @@ from bayes_damper.runs.execution import Progress, Task, folder_name, plain, read
 from bayes_damper.runs.provenance import code_sha256, provenance
 from bayes_damper.sampling import arviz_adapter
 from bayes_damper.text import gathered
+from bayes_damper.variability.averaged import (
+    DRAWS,
+    Parts,
+    averaged,
+    mixture,
+    probabilities_of,
+    spread_of,
+    what_survives,
+)
 from bayes_damper.variability.decomposition import Sets, decompose, summary
 from bayes_damper.variability.pooling import POOLINGS, Direct, Recycled, recycle
-from bayes_damper.variability.published import PublishedCases, run_alone, run_pooling
+from bayes_damper.variability.published import PublishedCases, run_pooling, run_scenario
 from bayes_damper.variability.recorded import RecordedCases
+from bayes_damper.variability.scenarios import scenarios
 
 Array = NDArray[np.float64]
 SCHEMA = "bayes-damper/variability/1"
+WOULD_SETTLE = (
+    "Turn the coupled bar slowly out and back with a spring balance: slope k2t, half the loop's width mu N0 R, apart.",
+    "Record the uncoupled rig from the largest angle to rest: a straight envelope is drag, an exponential one c1t.",
+    "Release the coupled rig with one spring from all four angles on one day: friction alone must then give Table 9.",
+)
+"""What would decide why the cases of the thesis differ; each separates two unknowns that its numbers see as a sum."""
 MEANING = {
     "shared": "one parameter set for all cases",
     "separate": "each case its own parameter set",
@@ -91,7 +107,7 @@ def variability(
     *,
     out: str | Path | None = None,
     seed: int = 1,
-    particles: int = 256,
+    particles: int = 384,
     repeats: int = 2,
     draws: int = 200,
     unseen: bool = True,
@@ -129,31 +145,23 @@ def variability(
     rng = np.random.default_rng([seed, 5])
     settings = {"fit": plan, "seed": seed, "particles": particles, "repeats": repeats}
     _claim(target, settings | {"source": str(folder), "draws": draws, "unseen": unseen, "adapt": adapt}, workers)
+    more: dict[str, Any] = {}
+    check: dict[str, Any] | None = None
     if isinstance(cases, PublishedCases):
         work = target / "variability"
         runs, chosen = _run_published(cases, settings, work, unseen, adapt, workers, scheduler, progress)
-        models, published_sets = cases.models(runs, chosen, work, rng, draws)
-        sets: Sets | None = published_sets
-        whole = (
-            _fit_draws(fitted, plan, cases, lambda case: cases.posteriors[case].names)
-            if fitted is not None
-            else cases.own_draws(work, repeats)
-        )
-        draws_of = {case: z[:, cases.columns(case)] for case, z in whole.items()}
-        again = cases.again(whole, rng)
-        direct = cases.direct(runs, chosen, work, repeats)
-        particles = runs[chosen["partial-own"][0]]["particles"]  # as many as what they are held against
+        models = cases.models(runs, chosen, work)
+        more, parts = _averaged(cases, models, runs, chosen, work, rng)
+        sets: Sets | None = cases.sets(_some(parts, draws, rng), rng)
     else:
         models, sets = cases.models(rng, particles, draws)
         draws_of = {
             case: cases.reweighted(case, z, rng)
             for case, z in _fit_draws(fitted or target, plan, cases, lambda _: cases.pooled).items()
         }
-        again = None
-        direct = cases.direct(rng, particles)
-    check = _agreement(
-        recycle(draws_of, rng, particles, again=again), direct, cases.pooled, cases.priors(cases.names[0])
-    )
+        check = _agreement(
+            recycle(draws_of, rng, particles), cases.direct(rng, particles), cases.pooled, cases.priors(cases.names[0])
+        )
     found = None if sets is None else decompose(sets)
     _add_probabilities(models)
     fit_converged = bool(plan.get("fit_converged", True))
@@ -169,11 +177,14 @@ def variability(
         "common": list(cases.common),
         "method": cases.method,
         "models": models,
+        **more,
         "recycled": check,
         "effective": found.effective if found is not None else None,
         "decomposition": found.parts if found is not None else None,
         "method_of_effective": found.method if found is not None else None,
     }
+    if more:
+        result["would_settle"] = list(WOULD_SETTLE)
     result["warnings"] = [] if fitted is None else list(read_json(fitted / "summary.json").get("warnings", ()))
     result["sentences"] = _sentences(result, fit_converged)
     result["provenance"] = provenance()
@@ -267,53 +278,75 @@ def _run_published(
     cases: PublishedCases, settings: Mapping[str, Any], work: Path, unseen: bool, adapt: bool, workers: int,
     scheduler: str | None, progress: Progress | None,
 ) -> tuple[dict[str, Any], dict[str, list[str]]]:  # fmt: skip
-    """All runs of the tempering: each answer with all cases, and with each case left out.
+    """All runs: each answer from the prior, then each under other assumptions from the draws of those.
 
-    Returns what each run found, and the runs that count: those of the most particles, key -> names. A key is an answer
-    with "-all", or "partial-own" where each case has constants of the rig of its own.
+    Returns what each run found, and the runs that count: those of the most particles, "ANSWER-all" -> names.
     """
     repeats = range(settings["repeats"])
-    keys = [*(f"{pooling}-all" for pooling in POOLINGS), "partial-own"]
 
-    def pooled(name: str, pooling: str, case: str | None, k: int, particles: int, own: bool = False) -> Task:
-        more = {"settings": {**settings, "particles": particles}, "pooling": pooling, "without": case, "repeat": k}
-        return Task(name, run_pooling, more | {"own_constants": own})
-
-    def with_all(key: str, particles: int) -> list[Task]:
-        pooling, _, kind = key.partition("-")
+    def with_all(pooling: str, particles: int) -> list[Task]:
         grown = "" if particles == settings["particles"] else f"{particles}-"
-        return [pooled(f"{key}-{grown}{k}", pooling, None, k, particles, kind == "own") for k in repeats]
+        given = {"settings": {**settings, "particles": particles}, "pooling": pooling}
+        return [Task(f"{pooling}-all-{grown}{k}", run_pooling, given | {"repeat": k}) for k in repeats]
 
     base = settings["particles"]
-    tasks = [task for key in keys for task in with_all(key, base)]
-    chosen = {key: [task.name for task in with_all(key, base)] for key in keys}
-    tasks += [
-        pooled(f"{pooling}-without-{case}-0", pooling, case, 0, max(base // 2, _FEWEST_PARTICLES))
-        for pooling in POOLINGS
-        for case in cases.names
-        if unseen
-    ]
-    tasks += [
-        Task(
-            f"alone-{case}-{k}",
-            run_alone,
-            {"settings": dict(settings), "case": case, "repeat": k},
-        )
-        for case in cases.names
-        for k in repeats
-    ]
-    tasks.sort(key=lambda task: not task.name.startswith("partial"))  # the longest first
+    order = ("partial", "separate", "shared")  # the longest first
+    tasks = [task for pooling in order for task in with_all(pooling, base)]
+    chosen = {f"{pooling}-all": [task.name for task in with_all(pooling, base)] for pooling in POOLINGS}
     runs = run_tasks(tasks, work, workers=workers, scheduler=scheduler, progress=progress)
     particles = base
     while adapt and len(repeats) > 1 and particles * _MORE <= _MOST_PARTICLES:
-        apart = [key for key in keys if cases.apart(key, chosen[key], work) > _APART]
+        apart = [pooling for pooling in order if cases.apart(f"{pooling}-all", chosen[f"{pooling}-all"], work) > _APART]
         particles *= _MORE
-        again = [task for key in apart for task in with_all(key, particles)]
+        again = [task for pooling in apart for task in with_all(pooling, particles)]
         if not again:
             break
         runs |= run_tasks(again, work, workers=workers, scheduler=scheduler, progress=progress)
-        chosen |= {key: [task.name for task in with_all(key, particles)] for key in apart}
+        chosen |= {f"{pooling}-all": [task.name for task in with_all(pooling, particles)] for pooling in apart}
+    if unseen:
+        others = [
+            Task(
+                f"{pooling}-{scenario.name}", run_scenario,
+                {"settings": {**settings, "particles": runs[chosen[f"{pooling}-all"][0]]["particles"]},
+                 "pooling": pooling, "scenario": scenario.name, "runs": chosen[f"{pooling}-all"]},
+            )
+            for pooling in order for scenario in scenarios(cases.names)
+        ]  # fmt: skip
+        runs |= run_tasks(others, work, workers=workers, scheduler=scheduler, progress=progress)
     return runs, chosen
+
+
+def _averaged(
+    cases: PublishedCases, models: Mapping[str, Mapping[str, Any]], runs: Mapping[str, Any],
+    chosen: Mapping[str, Sequence[str]], work: Path, rng: np.random.Generator,
+) -> tuple[dict[str, Any], Parts]:  # fmt: skip
+    """The answer averaged over the three, the same under other assumptions, and its draws."""
+    height = {pooling: float(models[pooling]["log_evidence"]) for pooling in POOLINGS}
+    error = {pooling: float(models[pooling]["error"]) for pooling in POOLINGS}
+    draws = {pooling: cases.draws(chosen[f"{pooling}-all"], work) for pooling in POOLINGS}
+    parts = mixture(cases, draws, probabilities_of(height), DRAWS, rng)
+    answer = averaged(cases, parts, rng)
+    rows = [{"change": "as they are", "probabilities": probabilities_of(height),
+             "probability_errors": spread_of(height, error, rng), "averaged": answer}]  # fmt: skip
+    for scenario in scenarios(cases.names):
+        names = {pooling: f"{pooling}-{scenario.name}" for pooling in POOLINGS}
+        if any(name not in runs for name in names.values()):
+            continue
+        _, other = cases.bridge("shared", scenario)
+        moved = {pooling: height[pooling] + runs[names[pooling]]["gain"] for pooling in POOLINGS}
+        unsure = {pooling: math.hypot(error[pooling], runs[names[pooling]]["error"]) for pooling in POOLINGS}
+        there = {pooling: cases.draws([names[pooling]], work) for pooling in POOLINGS}
+        found = averaged(other, mixture(other, there, probabilities_of(moved), DRAWS, rng), rng, own=False)
+        rows.append({"change": scenario.words, "probabilities": probabilities_of(moved), "log_evidence": moved,
+                     "probability_errors": spread_of(moved, unsure, rng), "averaged": found})  # fmt: skip
+    return {"averaged": answer, "assumptions": rows, "survives": what_survives(rows)}, parts
+
+
+def _some(parts: Parts, count: int, rng: np.random.Generator) -> Parts:
+    """About `count` draws of each answer's, in the same shares."""
+    whole = sum(len(points) for _, points in parts)
+    taken = [(h, x, max(round(count * len(x) / whole), 2)) for h, x in parts if count * len(x) >= whole]
+    return [(h, x[rng.choice(len(x), n, replace=False)]) for h, x, n in taken]
 
 
 def _fit_draws(
@@ -432,6 +465,52 @@ def _sentences(result: Mapping[str, Any], fit_converged: bool) -> list[str]:
             f"{one['monte_carlo_error_sd']:.2f} standard deviations (at most "
             f"{one['largest_monte_carlo_error_sd']:.2f}, {one['largest_monte_carlo_error_at']})."
         )
+    out += _about_recycled(check) if check else []
+    out += _about_assumptions(result) if "averaged" in result else []
+    decomposition: Mapping[str, Any] = result["decomposition"] or {}
+    for name, parts in decomposition.items():
+        shares = {key: row["share"] for key, row in parts.items() if isinstance(row, Mapping) and "share" in row}
+        first = max(shares, key=lambda key: shares[key]["median"])
+        low, high = shares[first]["hdi90"]
+        sure = parts["probability_largest"][first]
+        out.append(
+            f"Scatter of the effective {name} over the cases, if they may differ: the largest share is "
+            f"{first.replace('_', ' ')} ({100 * shares[first]['median']:.0f} %, 90 % interval {100 * low:.0f} to "
+            f"{100 * high:.0f} %); that it is the largest has the probability {sure:.2f}."
+        )
+    if decomposition:
+        out.append(
+            f"That they differ at all has the probability {1.0 - models['shared']['probability']:.2f}: without a real "
+            "difference the other parts are all there is."
+        )
+    return out + (_about_cases(result) if "averaged" in result else [])
+
+
+def _about_cases(result: Mapping[str, Any]) -> list[str]:
+    """Of each case, whether what a linear fit found is what the averaged model gives by the same recipe."""
+    out = []
+    for case, row in (result["effective"] or {}).get("cases", {}).items():
+        told = []
+        for name, value in (row.get("measured") or {}).items():
+            (low, high), median = row[name]["hdi90"], row[name]["median"]
+            place = (
+                "as expected"
+                if low <= value <= high
+                else "more than expected"
+                if value > high
+                else "less than expected"
+            )
+            told.append(
+                f"{name} = {value:g} was fitted where {median:.2g} ({low:.2g} to {high:.2g}) is expected: {place}"
+            )
+        if told:
+            out.append(f"Case {case}: {'; '.join(told)}.")
+    return out
+
+
+def _about_recycled(check: Mapping[str, Any]) -> list[str]:
+    """Whether the draws of single cases, used again, agree with the direct way."""
+    out = []
     worst = max(check["pareto_k"].values())
     k = (
         f"effective draws {min(check['ess'].values()):.0f} or more, {min(check['ess_of_one_population'].values()):.0f} "
@@ -452,22 +531,35 @@ def _sentences(result: Mapping[str, Any], fit_converged: bool) -> list[str]:
             f"The fit's draws {again} by weights ({k}) differ from the direct way by "
             f"{check['largest_difference_sd']:.2f} standard deviations in {check['largest_at']}."
         )
-    decomposition: Mapping[str, Any] = result["decomposition"] or {}
-    for name, parts in decomposition.items():
-        shares = {key: row["share"] for key, row in parts.items() if isinstance(row, Mapping) and "share" in row}
-        first = max(shares, key=lambda key: shares[key]["median"])
-        low, high = shares[first]["hdi90"]
-        sure = parts["probability_largest"][first]
+    return out
+
+
+def _about_assumptions(result: Mapping[str, Any]) -> list[str]:
+    """What the table of assumptions lets one say without "if", and what not."""
+    rows, kept = result["assumptions"], result["survives"]
+    several = f"under each of the {len(rows)} sets of assumptions" if len(rows) > 1 else "under these assumptions"
+    out = []
+    low, high = kept["structures"]["separate"]
+    if high < 0.5:
+        out.append(f"A parameter set of its own for each case is improbable {several} ({low:.2f} to {high:.2f}).")
+    low, high = kept["structures"]["shared"]
+    if low < 0.5 < high:
         out.append(
-            f"Scatter of the effective {name} over the cases, if they may differ: the largest share is "
-            f"{first.replace('_', ' ')} ({100 * shares[first]['median']:.0f} %, 90 % interval {100 * low:.0f} to "
-            f"{100 * high:.0f} %); that it is the largest has the probability {sure:.2f}."
+            "Whether one set serves all cases or values scatter hangs on the assumptions "
+            f"(one set: {low:.2f} to {high:.2f})."
         )
-    if decomposition:
+    else:
+        out.append(f"One set for all cases has the probability {low:.2f} to {high:.2f} {several}.")
+    sure = [name for name, row in kept["parameters"].items() if row["survives"]]
+    for name in sure:
+        (first, last), (lowest, highest) = kept["parameters"][name]["medians"], kept["parameters"][name]["hdi90"]
         out.append(
-            f"That they differ at all has the probability {1.0 - models['shared']['probability']:.2f}: without a real "
-            "difference the other parts are all there is."
+            f"{name} lies between {lowest:.2g} and {highest:.2g} in every case {several} "
+            f"(medians {first:.2g} to {last:.2g})."
         )
+    rest = [name for name in kept["parameters"] if name not in sure]
+    if rest:
+        out.append(f"What is said of {', '.join(rest)} holds only if the priors do.")
     return out
 
 

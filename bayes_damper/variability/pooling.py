@@ -182,6 +182,12 @@ class Hierarchy(UnitPrior):
                 block = Block(columns[k], np.array([k - 3]), given=np.concatenate([self._common, population]))
             self.blocks.append(block)
 
+    @property
+    def owned_columns(self) -> list[tuple[int, Index]]:
+        """Where the unit Gaussians stand that the pooled values are made of: (number of the case, columns); 0 for m."""
+        found = [(0, self._m), *enumerate(self._e)]
+        return [(case, columns) for case, columns in found if len(columns)]
+
     def at(self, power: float) -> Hierarchy:
         """The same with coordinates that are straight where the likelihood bears so far."""
         found = copy(self)

@@ -12,89 +12,52 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.calibration import NOMINAL
+from bayes_damper.diagnosis.joint import OWN, Formula, Joint
+from bayes_damper.effects._other_law import OTHER_LAW
+from bayes_damper.effects.base import Variant
 from bayes_damper.errors import InputError
-from bayes_damper.fit import published_posterior
-from bayes_damper.priors.distributions import Distribution, LogNormal, Normal
+from bayes_damper.priors.distributions import Distribution, LogNormal, from_standard
 from bayes_damper.priors.files import load_priors, priors_from_dict
 from bayes_damper.published.measurements import load_published
-from bayes_damper.published.posterior import Coordinates, FeaturePosterior, ShrinkingErrors, feature_times
-from bayes_damper.sampling.sequential import move_on, temper
+from bayes_damper.published.posterior import Coordinates, Datum, damping_pairs
+from bayes_damper.sampling.sequential import Powers, Tempered, temper
 from bayes_damper.variability.decomposition import CaseDraws, Sets, curve_values, mean_over_cases, summary
 from bayes_damper.variability.equivalent import NAMES, bearing_damping, feature_scatter
-from bayes_damper.variability.pooling import POOLINGS, CaseLikelihood, Direct, Hierarchy, Pooling, Scaling, Tilt, Tilted
+from bayes_damper.variability.pooling import POOLINGS, CaseLikelihood, Hierarchy, Pooling, Scaling
+from bayes_damper.variability.scenarios import Bridge, Scenario, ratio_of, scenarios, widened
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+_Values = dict[str, tuple[dict[str, Array], dict[str, Array]]]
 _CURVE_DRAWS = 48
 _CURVE_POINTS = 8
-_SCALINGS: tuple[Mapping[str, float], ...] = (
-    dict.fromkeys(("J1", "J2", "k1t", "k2t", "c1t", "c3t", "c2t", "drag", "mu"), 1.0),
-    {"N0": 1.0, "mu": -1.0},
-    {"R": 1.0, "r": 1.0, "mu": -1.0},
-)
-"""Changes that leave the motion as it is: all torques with the inertias, and friction mu N0 R as a product."""
+_SCALINGS: tuple[Mapping[str, float], ...] = ({"N0": 1.0, "mu": -1.0}, {"R": 1.0, "r": 1.0, "mu": -1.0})
+"""Changes that leave the motion as it is: friction between the faces is the product mu N0 R."""
 _KEPT = 16
 """Places of a particle that are kept of each run."""
-_ROWS = 64
-"""Records that are simulated in one go at least, where points are judged by several cases."""
-_AGAIN = 1024
-"""Draws of a case that are moved on where its draws are too few."""
-
-
-class _Together:
-    """Measures several cases in one go: their uncoupled records first, which take a third of the time.
-
-    Points that these show to be too low already are left, however well what is to come would fit.
-    """
-
-    def __init__(self, posteriors: Sequence[FeaturePosterior]) -> None:
-        self._posteriors = list(posteriors)
-        self._paths = [ShrinkingErrors(p) for p in posteriors]
-        self._configurations = sorted({name for p in posteriors for name in p.models}, reverse=True)
-
-    def __call__(self, z: Sequence[Array], parts: Index, power: float, least: Array) -> Array:
-        """Distances (n, len(parts), data) as `Target.tried` asks for them."""
-        chosen = [self._posteriors[c] for c in parts]
-        values = [p.coordinates.values(x) for p, x in zip(chosen, z, strict=True)]
-        n, apart = len(z[0]), least.ndim == 2
-        found = np.full((n, len(parts), len(chosen[0].data)), np.nan)
-        best = np.zeros_like(found)  # what is not known yet may fit as well as can be
-        heights = np.stack([self._paths[c].height(best[:, k], power) for k, c in enumerate(parts)], axis=1)
-        # Cases that are judged together show one after the other what need not be simulated, unless points are few.
-        size = len(parts) if apart else max(1, _ROWS // max(n, 1))
-        for i in range(0, len(parts), size):
-            some = range(i, min(i + size, len(parts)))
-            for configuration in self._configurations:
-                alive = heights >= least if apart else np.tile(heights.sum(axis=1) >= least, (len(parts), 1)).T
-                rows = [np.flatnonzero(alive[:, k]) for k in some]
-                ends = np.cumsum([len(r) for r in rows])
-                if ends[-1] == 0:
-                    continue
-                table = {name: np.concatenate([values[k][name][r] for k, r in zip(some, rows, strict=True)])
-                         for name in values[0]}  # fmt: skip
-                records = self._posteriors[0].features_of(configuration, table)
-                for k, r, end in zip(some, rows, ends, strict=True):
-                    for j, d in enumerate(chosen[k].data):
-                        if d.configuration == configuration:
-                            value = getattr(records, d.quantity)[end - len(r) : end]
-                            found[r, k, j] = best[r, k, j] = (value - d.value) / d.standard_error
-                    heights[:, k] = self._paths[parts[k]].height(best[:, k], power)
-        return found
+_FEW = 6
+"""Places of a particle with which other assumptions begin."""
+_FEWEST = 32
+"""Particles of a run under other assumptions at least; a third of those that the answer itself takes."""
+_SWEEPS = 10
+"""Most sweeps of a stage on the way: more particles make evidences sharper than more sweeps at the same cost."""
+_TOLERANCE = 10.0
+"""Factor on the integrator's tolerance: features then err by less than 1 % of the published standard errors."""
 
 
 @dataclass(frozen=True)
 class _Flat:
-    """A case's coordinates as its fit samples them."""
+    """Sums and ratios of the dampings that one feature cannot tell apart."""
 
     coordinates: Coordinates
 
     def at(self, power: float) -> _Flat:
-        """Sheets as thick as errors that are 1 / power times as large make them."""
-        sheets = tuple(replace(s, width=s.width / max(power, 1e-6)) for s in self.coordinates.sheets)
-        return _Flat(replace(self.coordinates, sheets=sheets))
+        """Itself."""
+        del power
+        return self
 
     def sampled(self, z: Array) -> Array:
-        """Sums and ratios of pairs, distances from sheets."""
+        """Sums and ratios."""
         return self.coordinates.sampled(z)
 
     def standard(self, points: Array) -> Array:
@@ -102,14 +65,16 @@ class _Flat:
         return self.coordinates.standard(points)
 
     def log_volume(self, points: Array) -> Array:
-        """A sheet's x goes with sinh y."""
-        free, names = self.coordinates.free, self.coordinates.names
-        flat = [names.index(s.name) for s in self.coordinates.sheets if isinstance(free.get(s.name), Normal)]
-        return np.asarray(np.logaddexp(points[:, flat], -points[:, flat]).sum(axis=1))
+        """They keep volumes."""
+        return np.zeros(len(points))
 
 
 class PublishedCases:
-    """Published features of several cases under the priors of a fit's plan."""
+    """Published features of several cases under the priors of a fit's plan.
+
+    law : exchanges a formula of the model, such as the law of friction; data : other numbers than the published. Spring
+    and release angle of each case are integrated out; sampled is what cases may share, and the rig's constants.
+    """
 
     kind = "torsional"
     method = (
@@ -118,8 +83,10 @@ class PublishedCases:
         "'campaign' in the priors have one value for all cases in each of the three models."
     )
 
-    def __init__(self, plan: Mapping[str, Any]) -> None:
-        self.plan = dict(plan)
+    def __init__(
+        self, plan: Mapping[str, Any], law: Variant | None = None, data: Mapping[str, Sequence[Datum]] | None = None
+    ) -> None:
+        self.plan, self._law, self._data = dict(plan), law, data
         self.names = tuple(plan["cases"])
         self.normal_force: Literal["linear", "constant"] = plan["normal_force"] or "linear"
         self.prior_set = priors_from_dict(plan["priors"])
@@ -130,10 +97,13 @@ class PublishedCases:
             raise InputError(
                 "the priors leave no parameter to the cases: give some of mu, k2t, c2t ... the level 'case'"
             )
-        fitted = {case: published_posterior(case, self.prior_set, self.normal_force) for case in self.names}
-        # The same times for all cases, whose records are simulated together.
-        times = feature_times([datum for posterior in fitted.values() for datum in posterior.data])
-        self.posteriors = {case: self._posterior(case, fitted[case], times) for case in self.names}
+        published = load_published()
+        data = {
+            case: [Datum(m.configuration, m.quantity, m.value, m.standard_error, m.n) for m in published.of_case(case)]
+            for case in self.names
+        } if data is None else data  # fmt: skip
+        formula = Formula("none", "nominal", "", variant=law)
+        self.joint = Joint(data, self.prior_set, formula, self.normal_force, plain=True, tolerance=_TOLERANCE)
 
     @staticmethod
     def default_plan() -> dict[str, Any]:
@@ -152,36 +122,44 @@ class PublishedCases:
         """Distributions of the free parameters of one case."""
         return self.prior_set.for_case(case).free
 
-    def _posterior(self, case: str, fitted: FeaturePosterior, times: Array) -> FeaturePosterior:
-        """The fit's posterior, in plain standard coordinates."""
-        own = self.prior_set.for_case(case)
-        plain = Coordinates(own.free, own.fixed, own.tied)
-        return FeaturePosterior(fitted.data, plain, self.normal_force, case, times=times)
-
     def likelihood(self, case: str) -> CaseLikelihood:
         """The case as the hierarchy takes it."""
-        posterior = self.posteriors[case]
-        fitted = published_posterior(case, self.prior_set, self.normal_force).coordinates
-        pairs = tuple(pair for pair in fitted.shared if pair.x in self.pooled and pair.y in self.pooled)
-        moved = tuple(sheet for sheet in fitted.sheets if sheet.name not in self.pooled + self.common)
-        return CaseLikelihood(
-            case, posterior.names, ShrinkingErrors(posterior), _Flat(replace(fitted, shared=pairs, sheets=moved))
-        )
+        joint, own = self.joint, self.joint.coordinates
+        pairs = damping_pairs(self.prior_set.for_case(case).medians())
+        pairs = tuple(pair for pair in pairs if pair.x in self.pooled and pair.y in self.pooled)
 
-    def hierarchy(self, pooling: Pooling, without: str | None = None, own_constants: bool = False) -> Hierarchy:
-        """The joint posterior of all cases but one."""
-        cases = [self.likelihood(case) for case in self.names if case != without]
-        names, common = [c.name for c in cases], () if own_constants else self.common
-        scalings = self._scalings(names, pooling, common)
-        return Hierarchy(cases, pooling, self.pooled, common, scalings, self._together(names))
+        def log_likelihood(z: Array) -> Array:
+            return joint.case_likelihood(z, case, joint.predict(z, case))
 
-    def alone(self, case: str) -> Hierarchy:
-        """The posterior of one case by itself."""
-        scalings = self._scalings([case], "separate", ())
-        return Hierarchy([self.likelihood(case)], "separate", self.pooled, (), scalings, self._together([case]))
+        return CaseLikelihood(case, own.names, Powers(log_likelihood), _Flat(replace(own, shared=pairs)))
 
-    def _together(self, cases: Sequence[str]) -> _Together:
-        return _Together([self.posteriors[case] for case in cases])
+    def values(self, hierarchy: Hierarchy, points: Array, number: int, rng: np.random.Generator) -> dict[str, Array]:
+        """All parameters of one case at points (n, ndim): name -> (n,); spring and angle drawn, given the others."""
+        z = hierarchy.coordinates(points, number)
+        return self.joint.coordinates.values(z) | self.joint.own_draws(z, self.names[number], rng)
+
+    def hierarchy(self, pooling: Pooling) -> Hierarchy:
+        """The joint posterior of all cases."""
+        cases = [self.likelihood(case) for case in self.names]
+        return Hierarchy(cases, pooling, self.pooled, self.common, self._scalings(self.names, pooling, self.common))
+
+    def bridge(self, pooling: Pooling, scenario: Scenario) -> tuple[Bridge, PublishedCases]:
+        """The way from one answer to the same under other assumptions, and the cases under these."""
+        before = self.hierarchy(pooling)
+        if scenario.kind == "without":
+            return Bridge(before, before, without=self.names.index(scenario.case)), self
+        if scenario.kind == "law":
+            other = PublishedCases(self.plan, OTHER_LAW, self._data)
+            return Bridge(before, other.hierarchy(pooling)), other
+        priors = widened(self.plan["priors"], self.pooled, scenario.width)
+        other = PublishedCases(self.plan | {"priors": priors}, self._law, self._data)
+        first = self.names[0]
+        ratio = ratio_of(self.priors(first), other.priors(first), self.pooled)
+        return Bridge(before, other.hierarchy(pooling), ratio=ratio), other
+
+    def draws(self, names: Sequence[str], work: Path) -> Array:
+        """Draws of runs, one after the other, (n, ndim)."""
+        return np.concatenate([_points(work / name) for name in names])
 
     def _scalings(self, cases: Sequence[str], pooling: Pooling, common: Sequence[str]) -> list[list[Scaling]]:
         """What a free decay does not show, each for every case, as far as the priors leave it free."""
@@ -203,38 +181,10 @@ class PublishedCases:
                 found.append(each)
         return found
 
-    def own_draws(self, work: Path, repeats: int) -> dict[str, Array]:
-        """Draws of each case by itself from the runs in a folder: case -> (n, all its parameters), standard."""
-        return {
-            case: np.concatenate(
-                [self.alone(case).coordinates(_points(work / f"alone-{case}-{k}"), 0) for k in range(repeats)]
-            )
-            for case in self.names
-        }
-
-    def columns(self, case: str) -> list[int]:
-        """Where the pooled parameters stand among those of a case."""
-        return [self.posteriors[case].names.index(name) for name in self.pooled]
-
-    def again(self, draws: Mapping[str, Array], rng: np.random.Generator) -> Callable[[str, Tilt], Array]:
-        """What `recycle` takes to move draws of the cases (n, all parameters) on under another prior."""
-
-        def moved(case: str, tilt: Tilt) -> Array:
-            pooled = self.columns(case)
-            rest = [i for i in range(draws[case].shape[1]) if i not in pooled]
-            places = draws[case][:, pooled + rest]
-            weights = np.exp(tilt(draws[case][:, pooled]))
-            hierarchy = self.alone(case)
-            # The values of one case by itself stand before what is only its own.
-            found = move_on(Tilted(hierarchy, tilt), places, weights, _AGAIN, rng)
-            return hierarchy.values(found, 0)
-
-        return moved
-
     def apart(self, key: str, names: Sequence[str], work: Path) -> float:
         """Root mean square difference of the means of two repeats, in standard deviations, over the unknowns.
 
-        key : "shared-all", "separate-all", "partial-all" or "partial-own", of which `names` are the runs.
+        key : "shared-all", "separate-all" or "partial-all", of which `names` are the runs.
         """
         spread = self._spread(key, names, work)
         return math.sqrt(2.0 * float(np.mean(list(spread.values())))) if spread else 0.0
@@ -265,57 +215,33 @@ class PublishedCases:
         }
 
     def _of(self, key: str) -> Hierarchy:
-        pooling, _, kind = key.partition("-")
-        return self.hierarchy(next(p for p in POOLINGS if p == pooling), own_constants=kind == "own")
-
-    def direct(self, runs: Mapping[str, Any], chosen: Mapping[str, Sequence[str]], work: Path, repeats: int) -> Direct:
-        """Partial pooling of cases that have constants of the rig of their own each, as single fits have."""
-        hierarchy = self.hierarchy("partial", own_constants=True)
-        own = list(chosen["partial-own"])
-        points = np.concatenate([_points(work / name) for name in own])
-        heights = np.array(
-            [
-                runs[own[k]]["log_z"] - sum(runs[f"alone-{case}-{k}"]["log_z"] for case in self.names)
-                for k in range(repeats)
-            ]
-        )
-        names = own + [f"alone-{case}-{k}" for case in self.names for k in range(repeats)]
-        error = math.sqrt(sum(runs[name]["error"] ** 2 for name in names)) / repeats
-        return Direct(
-            hierarchy.means(points),
-            hierarchy.scatter(points),
-            {case: hierarchy.values(points, i) for i, case in enumerate(self.names)},
-            float(heights.mean()),
-            max(error, float(np.ptp(heights)) / 2.0),
-            self.apart("partial-own", own, work),
-        )
+        pooling = key.partition("-")[0]
+        return self.hierarchy(next(p for p in POOLINGS if p == pooling))
 
     def models(
-        self, runs: Mapping[str, Any], chosen: Mapping[str, Sequence[str]], work: Path, rng: np.random.Generator,
-        draws: int,
-    ) -> tuple[dict[str, dict[str, Any]], Sets]:  # fmt: skip
-        """What variability.json says of the three answers, and what the decomposition needs."""
+        self, runs: Mapping[str, Any], chosen: Mapping[str, Sequence[str]], work: Path
+    ) -> dict[str, dict[str, Any]]:
+        """What variability.json says of the three answers."""
         models: dict[str, dict[str, Any]] = {}
         for pooling in POOLINGS:
             names = list(chosen[f"{pooling}-all"])
             heights = np.array([runs[name]["log_z"] for name in names])
             error = math.sqrt(float(np.mean([runs[name]["error"] ** 2 for name in names])) / len(names))
             spread = float(np.ptp(heights)) if len(heights) > 1 else 0.0
-            height = float(heights.mean())
-            without = {case: runs[key] for case in self.names if (key := f"{pooling}-without-{case}-0") in runs}
-            unseen = {case: height - run["log_z"] for case, run in without.items()}
-            unsure = len(without) ** 2 * max(error, spread / 2.0) ** 2
-            unsure += sum(run["error"] ** 2 for run in without.values())
+            without = {case: runs[key] for case in self.names if (key := f"{pooling}-without-{case}") in runs}
+            unseen = {case: -run["gain"] for case, run in without.items()}
+            # The draws that a run without a case begins with pass on what they miss of the posterior.
+            unsure = math.sqrt(sum(run["error"] ** 2 + error**2 for run in without.values()))
             points = np.concatenate([_points(work / name) for name in names])
             models[pooling] = (
                 {
-                    "log_evidence": height,
+                    "log_evidence": float(heights.mean()),
                     "error": max(error, spread / 2.0),
                     "spread": spread,
                     "heldout": {
                         "what": "Each case's features, predicted from the other cases",
                         "log_score": float(sum(unseen.values())) if unseen else None,
-                        "error": math.sqrt(unsure) if unseen else None,
+                        "error": unsure if unseen else None,
                         "cases": unseen,
                     },
                     "memory": max(runs[name]["memory"] for name in names),
@@ -325,15 +251,13 @@ class PublishedCases:
                 | self._errors(f"{pooling}-all", names, work)
                 | self._described(self.hierarchy(pooling), points)
             )
-        points = np.concatenate([_points(work / name) for name in chosen["partial-all"]])
-        points = points[rng.permutation(len(points))[:draws]]
-        return models, self._sets(self.hierarchy("partial"), points, rng)
+        return models
 
     def _described(self, hierarchy: Hierarchy, points: Array) -> dict[str, Any]:
         """Intervals of the pooled parameters of each case, and of the scatter where it is inferred."""
         cases = {}
         for i, case in enumerate(self.names):
-            values = self.posteriors[case].coordinates.values(hierarchy.coordinates(points, i))
+            values = self.joint.coordinates.values(hierarchy.coordinates(points, i))
             cases[case] = {name: summary(values[name]) for name in self.pooled}
         if hierarchy.pooling == "shared":
             return {"parameters": next(iter(cases.values()))}
@@ -343,22 +267,35 @@ class PublishedCases:
         priors = self.priors(self.names[0])
         return {"cases": cases, "scatter": describe_scatter(s, self.pooled, priors)}
 
-    def _values(self, hierarchy: Hierarchy, points: Array) -> dict[str, tuple[dict[str, Array], dict[str, Array]]]:
-        """Parameters of each case, and the same with the pooled ones at the cases' mean."""
+    def _values(
+        self, hierarchy: Hierarchy, points: Array, rng: np.random.Generator, before: bool = False
+    ) -> _Values:  # fmt: skip
+        """Parameters of each case, and the same with the pooled ones at the cases' mean; before : the data."""
         mean = mean_over_cases([hierarchy.values(points, i) for i in range(len(self.names))])
+        coordinates = self.joint.coordinates
+        columns = [coordinates.names.index(name) for name in self.pooled]
         out = {}
         for i, case in enumerate(self.names):
-            coordinates = self.posteriors[case].coordinates
             z = hierarchy.coordinates(points, i)
             reference = z.copy()
-            reference[:, [coordinates.names.index(name) for name in self.pooled]] = mean
-            out[case] = coordinates.values(z), coordinates.values(reference)
+            reference[:, columns] = mean
+            prior = self.joint.own[case]
+            own = (
+                {name: from_standard(prior[name], rng.standard_normal(len(z))) for name in OWN}
+                if before else self.joint.own_draws(z, case, rng)
+            )  # fmt: skip
+            out[case] = coordinates.values(z) | own, coordinates.values(reference) | own
         return out
 
-    def _sets(self, hierarchy: Hierarchy, points: Array, rng: np.random.Generator) -> Sets:
+    def sets(
+        self, parts: Sequence[tuple[Hierarchy, Array]], rng: np.random.Generator
+    ) -> Sets:  # fmt: skip
+        """What the decomposition needs, of draws (n, ndim) of several answers together."""
         published = load_published()
-        found = self._values(hierarchy, points)
-        before = self._values(hierarchy, rng.standard_normal((max(len(points) // 2, 8), hierarchy.ndim)))
+        found = _joined([self._values(hierarchy, points, rng) for hierarchy, points in parts])
+        count = max(sum(len(points) for _, points in parts) // 6, 8)
+        every = [self.hierarchy(pooling) for pooling in POOLINGS]
+        before = _joined([self._values(h, rng.standard_normal((count, h.ndim)), rng, True) for h in every])
         energies = {case: 0.5 * published.cases[case].k1t * published.cases[case].theta0 ** 2 for case in self.names}
         grid = np.geomspace(0.6 * min(energies.values()), 1.3 * max(energies.values()), _CURVE_POINTS)
         reference = {name: x[:_CURVE_DRAWS] for name, x in found[self.names[0]][1].items()}
@@ -378,7 +315,7 @@ class PublishedCases:
         )
 
     def _scatter(self, case: str, values: Mapping[str, Array]) -> Callable[[Array], Array]:
-        errors = {d.quantity: d.standard_error for d in self.posteriors[case].data if d.configuration == "coupled"}
+        errors = {d.quantity: d.standard_error for d in self.joint.data[case] if d.configuration == "coupled"}
         priors = self.priors(case)
         sds = tuple(_log_sd(priors.get(name)) for name in NAMES)
         damping = bearing_damping(values, self.normal_force)
@@ -387,6 +324,16 @@ class PublishedCases:
             return feature_scatter(values, log_values, damping, errors, (sds[0], sds[1]))
 
         return scatter
+
+
+def _joined(parts: Sequence[_Values]) -> _Values:
+    """Draws of several answers, one after the other."""
+
+    def whole(case: str, which: int) -> dict[str, Array]:
+        names = parts[0][case][which]
+        return {name: np.concatenate([part[case][which][name] for part in parts]) for name in names}
+
+    return {case: (whole(case, 0), whole(case, 1)) for case in parts[0]}
 
 
 def describe_scatter(
@@ -427,37 +374,36 @@ def _points(folder: Path) -> Array:
 
 
 def run_pooling(
-    folder: Path, report: Callable[[float, str], None], *, settings: Mapping[str, Any], pooling: Pooling,
-    without: str | None, repeat: int, own_constants: bool,
-) -> Any:  # fmt: skip
-    """Task: one run of the tempering with all cases, or all but one; its draws go to points.npz."""
-    cases = PublishedCases(settings["fit"])
-    which = 0 if without is None else 1 + cases.names.index(without)
-    seed = [settings["seed"], POOLINGS.index(pooling), which, repeat, int(own_constants)]
-    hierarchy = cases.hierarchy(pooling, without, own_constants)
-    return _tempered(folder, hierarchy, seed, settings["particles"], report, settle=without is None)
-
-
-def run_alone(
-    folder: Path, report: Callable[[float, str], None], *, settings: Mapping[str, Any], case: str, repeat: int
+    folder: Path, report: Callable[[float, str], None], *, settings: Mapping[str, Any], pooling: Pooling, repeat: int
 ) -> Any:
-    """Task: one run of the tempering with one case; its draws go to points.npz."""
+    """Task: one answer's evidence and draws, from the prior; the draws go to points.npz."""
     cases = PublishedCases(settings["fit"])
-    seed = [settings["seed"], len(POOLINGS), cases.names.index(case), repeat]
-    return _tempered(folder, cases.alone(case), seed, settings["particles"], report)
+    rng = np.random.default_rng([settings["seed"], POOLINGS.index(pooling), repeat])
+    found = temper(cases.hierarchy(pooling), rng, settings["particles"], report, _KEPT, False, sweeps=_SWEEPS)
+    return _kept(folder, found) | {"log_z": found.log_z, "particles": settings["particles"]}
 
 
-def _tempered(
-    folder: Path, hierarchy: Hierarchy, seed: list[int], particles: int, report: Callable[[float, str], None],
-    settle: bool = True,
-) -> dict[str, Any]:  # fmt: skip
-    found = temper(hierarchy, np.random.default_rng(seed), particles, report, _KEPT, settle)
-    np.savez_compressed(folder / "points.npz", points=found.points, log_likelihood=found.log_likelihood)
+def run_scenario(
+    folder: Path, report: Callable[[float, str], None], *, settings: Mapping[str, Any], pooling: Pooling,
+    scenario: str, runs: Sequence[str],
+) -> Any:  # fmt: skip
+    """Task: one answer under other assumptions, from the draws of the runs of these names; what its evidence gains."""
+    cases = PublishedCases(settings["fit"])
+    every = {s.name: s for s in scenarios(cases.names)}
+    bridge, _ = cases.bridge(pooling, every[scenario])
+    rng = np.random.default_rng([settings["seed"], POOLINGS.index(pooling), list(every).index(scenario), 7])
+    first = [_points(folder.parent / run) for run in runs]
+    # Places of one particle stand together; a few of each do to begin with.
+    size = settings["particles"]
+    chains = [bridge.start(p.reshape(size, len(p) // size, -1)[:, -_FEW:]) for p in first]
+    start = np.swapaxes(np.concatenate(chains), 0, 1)
+    found = temper(bridge, rng, max(size // 3, _FEWEST), report, _KEPT, False, sweeps=_SWEEPS, start=start)
+    return _kept(folder, found) | {"gain": found.log_z}
+
+
+def _kept(folder: Path, found: Tempered) -> dict[str, Any]:
+    np.savez_compressed(folder / "points.npz", points=found.points)
     return {
-        "log_z": found.log_z,
-        "error": found.error,
-        "stages": found.stages,
-        "memory": found.forgotten,
-        "last_memory": found.last,
-        "particles": particles,
-    }
+        "error": found.error, "stages": found.stages, "memory": found.forgotten, "last_memory": found.last,
+        "evaluations": found.evaluations,
+    }  # fmt: skip

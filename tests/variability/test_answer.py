@@ -16,7 +16,9 @@ from bayes_damper.commands.resume import resume
 from bayes_damper.effects import EFFECTS
 from bayes_damper.errors import ExitCode, InputError, Interrupted
 from bayes_damper.fit import fit as fit_campaign
-from bayes_damper.priors.distributions import from_standard
+from bayes_damper.fit import published_posterior
+from bayes_damper.priors.distributions import from_standard, to_standard
+from bayes_damper.published.posterior import Coordinates, FeaturePosterior
 from bayes_damper.runs.execution import WAITING, read_json, write_json
 from bayes_damper.sampling import arviz_adapter
 from bayes_damper.sampling.guide import Guide
@@ -675,76 +677,45 @@ def test_direct_sampling_of_gaussian_cases_has_the_moments_of_the_cases_and_a_co
 # The thesis
 
 
-def test_levels_of_the_priors_say_what_is_compared():
-    cases = PublishedCases(PublishedCases.default_plan())
-    assert cases.pooled == ("k2t", "c2t", "c1t", "mu", "drag", "nu")
-    assert set(cases.common) == {"J1", "J2", "R", "r", "N0", "t_min"}
-    assert cases.hierarchy("shared").ndim == 6 + 6 + 4 * 2
-    assert cases.hierarchy("separate").ndim == 6 + 4 * (6 + 2)
-    assert cases.hierarchy("partial").ndim == 2 * 6 + 6 + 4 * (6 + 2)
+@pytest.fixture(scope="module")
+def thesis():
+    return PublishedCases(PublishedCases.default_plan())
 
 
-def test_hierarchy_gives_each_case_the_likelihood_of_its_posterior():
-    cases = PublishedCases(PublishedCases.default_plan())
-    hierarchy = cases.hierarchy("shared")
-    points = np.random.default_rng(1).standard_normal((32, hierarchy.ndim)) * 0.3
+def test_levels_of_the_priors_say_what_is_compared(thesis):
+    assert thesis.pooled == ("k2t", "c2t", "c1t", "mu", "drag", "nu")
+    assert set(thesis.common) == {"J1", "J2", "R", "r", "N0", "t_min"}
+    assert thesis.hierarchy("shared").ndim == 6 + 6
+    assert thesis.hierarchy("separate").ndim == 6 + 4 * 6
+    assert thesis.hierarchy("partial").ndim == 2 * 6 + 6 + 4 * 6
+
+
+def test_likelihood_of_a_case_is_that_of_its_six_numbers_with_spring_and_angle_integrated_out(thesis):
+    """By draws of both from their priors, the spring's from a window about the measured period that it is known in."""
+    hierarchy = thesis.hierarchy("shared")
+    rng = np.random.default_rng(1)
+    near = {"mu": 0.01, "k2t": 1.4, "c2t": 0.015, "drag": 0.04, "nu": 16.0, "c1t": 0.005}
+    points = 0.1 * rng.standard_normal((3, hierarchy.ndim))
+    points[:, :6] += [float(to_standard(thesis.priors("IV")[name], near[name])) for name in thesis.pooled]
     found = hierarchy.log_likelihood(points, np.arange(4))
-    for i, case in enumerate(cases.names):
-        z = hierarchy.coordinates(points, i)
-        assert found[:, i] == pytest.approx(cases.posteriors[case].log_likelihood(z).sum(axis=1))
-        values = cases.posteriors[case].coordinates.values(z)
-        first = cases.posteriors["I"].coordinates.values(hierarchy.coordinates(points, 0))
-        assert values["mu"] == pytest.approx(first["mu"])
-        assert values["J1"] == pytest.approx(first["J1"])
-    assert np.std(found, axis=1).min() > 0.0
-
-
-def _total(heights):
-    return np.where(np.isnan(heights), -np.inf, heights).sum(axis=1)
-
-
-@pytest.mark.parametrize("power", [0.2, 1.0])
-def test_what_is_refused_before_it_is_simulated_would_have_been_refused(power, monkeypatch):
-    cases = PublishedCases(PublishedCases.default_plan())
-    hierarchy, parts = cases.hierarchy("shared"), np.arange(4)
-    rng = np.random.default_rng(16)
-    points = 0.5 * rng.standard_normal((64, hierarchy.ndim))
-    measured = hierarchy.measure(points, parts)
-    height = _total(hierarchy.height(measured, parts, power))
-    least = np.quantile(height, 0.8) + rng.standard_normal(64)
-    simulated = []
-    run = Model._run
-
-    def counted(self, rows, *more):
-        simulated.append((self.coupled, rows.shape[1]))
-        return run(self, rows, *more)
-
-    monkeypatch.setattr(Model, "_run", counted)
-    found = hierarchy.tried([points] * 4, parts, power, least)
-    tried = _total(hierarchy.height(found, parts, power))
-    assert np.array_equal(tried > least, height > least)
-    assert 5 < np.sum(tried > least) < 30
-    assert tried[tried > least] == pytest.approx(height[tried > least], rel=1e-12)
-    whole = 4 * len(points)
-    assert sum(n for coupled, n in simulated if coupled) < 0.9 * whole
-    assert sum(n for coupled, n in simulated if not coupled) < whole
-
-
-def test_cases_moved_at_once_are_judged_each_by_itself():
-    """At points of their own: as if each had been measured alone, or left where it could not reach what it must."""
-    cases = PublishedCases(PublishedCases.default_plan())
-    hierarchy, parts = cases.hierarchy("separate"), np.arange(4)
-    rng = np.random.default_rng(17)
-    points = [0.5 * rng.standard_normal((16, hierarchy.ndim)) for _ in parts]
-    alone = np.concatenate([hierarchy.measure(x, parts[[k]]) for k, x in enumerate(points)], axis=1)
-    height = hierarchy.height(alone, parts, 0.5)
-    height = np.where(np.isnan(height), -np.inf, height)
-    least = np.quantile(height, 0.6, axis=0) + rng.standard_normal(height.shape)
-    found = hierarchy.height(hierarchy.tried(points, parts, 0.5, least), parts, 0.5)
-    found = np.where(np.isnan(found), -np.inf, found)
-    assert np.array_equal(found > least, height > least)
-    assert 8 < np.sum(found > least) < 40
-    assert found[found > least] == pytest.approx(height[found > least], rel=1e-12)
+    number = thesis.names.index("IV")
+    own = published_posterior("IV", thesis.prior_set)
+    plain = Coordinates(own.coordinates.free, own.coordinates.fixed, own.coordinates.tied)
+    exact = FeaturePosterior(own.data, plain, case="IV")
+    values = thesis.joint.coordinates.values(hierarchy.coordinates(points, number))
+    prior = thesis.joint.own["IV"]
+    spring = next(d.value for d in own.data if d.name == "period (uncoupled)")
+    u = np.linspace(-0.12, 0.06, 241)
+    angles = np.linspace(-3.0, 3.0, 31)
+    for i in range(len(points)):
+        centre = values["J1"][i] * (2.0 * math.pi / spring) ** 2
+        k1t, angle = (x.ravel() for x in np.meshgrid(centre * np.exp(u), from_standard(prior["theta0"], angles)))
+        table = {n: np.full(k1t.size, x[i]) for n, x in values.items()} | {"k1t": k1t, "theta0": angle}
+        heights = exact.log_likelihood(plain.points(table)).sum(axis=1).reshape(len(angles), len(u))
+        weight = np.exp(-0.5 * angles**2) / math.sqrt(2.0 * math.pi) * (angles[1] - angles[0])
+        density = np.exp(prior["k1t"].logpdf(k1t)) * k1t * (u[1] - u[0])
+        total = np.sum(np.exp(heights) * weight[:, None] * density.reshape(heights.shape))
+        assert found[i, number] == pytest.approx(math.log(total), abs=0.25)
 
 
 def test_only_blocks_that_have_nothing_to_do_with_each_other_move_at_once():
@@ -761,22 +732,18 @@ def test_only_blocks_that_have_nothing_to_do_with_each_other_move_at_once():
 
 
 @pytest.mark.parametrize("pooling", POOLINGS)
-@pytest.mark.parametrize("own", [False, True])
-def test_scalings_change_no_reading_and_keep_the_prior(pooling, own):
-    """All torques with the inertias, and friction as a product: the likelihood stays, the prior is kept."""
-    cases = PublishedCases(PublishedCases.default_plan())
-    hierarchy = cases.hierarchy(pooling, own_constants=own)
-    assert len(hierarchy.scalings) == (0 if own and pooling == "shared" else 3)
+def test_scalings_change_no_reading_and_keep_the_prior(pooling, thesis):
+    """Friction as a product: the likelihood stays, the prior is kept."""
+    hierarchy = thesis.hierarchy(pooling)
+    assert len(hierarchy.scalings) == 2
     rng = np.random.default_rng(15)
     points = rng.standard_normal((24, hierarchy.ndim)) * 0.4
     moved = points
     for each in hierarchy.scalings:
-        for together in [range(4)] if not own else [[c] for c in range(4)]:
-            moved = hierarchy._scaled(moved, each, 0.05, together, rng)
+        moved = hierarchy._scaled(moved, each, 0.05, range(4), rng)
     before, after = (hierarchy.log_likelihood(x, np.arange(4)) for x in (points, moved))
-    assert after == pytest.approx(before, rel=1e-6, abs=1e-6)
-    if hierarchy.scalings:
-        assert np.mean(np.any(moved != points, axis=1)) > 0.5
+    assert after == pytest.approx(before, rel=1e-4, abs=1e-4)
+    assert np.mean(np.any(moved != points, axis=1)) > 0.5
     points = rng.standard_normal((3000, hierarchy.ndim))
     moved = points
     for _ in range(4):
@@ -815,9 +782,7 @@ def test_thesis_end_to_end_interrupted_and_resumed(tmp_path):
     assert sum(m["probability"] for m in first.result["models"].values()) == pytest.approx(1.0)
     work = tmp_path / "a" / "variability"
     plan = {k: v for k, v in read_json(work / "run.json")["plan"].items() if k in ("fit", "seed", "particles")}
-    alone = run_pooling(
-        tmp_path, lambda *_: None, settings=plan, pooling="shared", without=None, repeat=0, own_constants=False
-    )
+    alone = run_pooling(tmp_path, lambda *_: None, settings=plan, pooling="shared", repeat=0)
     assert read_json(work / "shared-all-0" / "done.json")["log_z"] == alone["log_z"]
     assert first.result["models"]["shared"]["heldout"]["log_score"] is None
     again = variability("thesis", out=tmp_path / "a", **settings)
@@ -838,12 +803,12 @@ class Apart:
     def apart(self, key, names, work):
         del work
         grown = [int(name.split("-")[2]) for name in names if name.count("-") == 3]
-        return 0.9 if key.startswith("partial") and max(grown, default=0) < self.enough else 0.1
+        return 0.9 if key == "partial-all" and max(grown, default=0) < self.enough else 0.1
 
 
 @pytest.mark.parametrize(
     ("particles", "enough", "adapt", "last"),
-    [(64, 256, True, "partial-own-256-1"), (64, 10**6, True, "partial-own-1024-1"), (256, 10**6, False, None)],
+    [(64, 256, True, "partial-all-256-1"), (64, 10**6, True, "partial-all-1024-1"), (256, 10**6, False, None)],
 )
 def test_runs_whose_repeats_differ_are_made_again_with_more_particles(
     monkeypatch, tmp_path, particles, enough, adapt, last
@@ -860,9 +825,8 @@ def test_runs_whose_repeats_differ_are_made_again_with_more_particles(
     runs, chosen = answer._run_published(Apart(enough), settings, tmp_path, False, adapt, 1, None, None)
     assert set(runs) == set(made)
     assert chosen["shared-all"] == ["shared-all-0", "shared-all-1"]
-    assert chosen["partial-own"][-1] == (last or "partial-own-1")
+    assert chosen["partial-all"][-1] == (last or "partial-all-1")
     if last is not None:
-        assert made[last]["own_constants"]
         assert made[last]["settings"]["particles"] == int(last.split("-")[2])
     assert not any(name.startswith("shared-all-") and name.count("-") == 3 for name in made)
 

@@ -20,8 +20,8 @@ from bayes_damper.report.sections.withheld import withheld_result
 
 READERS: Mapping[str, tuple[str, Callable[[Mapping[str, Any], Path], Result]]] = {
     "diagnosis.json": ("bayes-damper/diagnosis/1", diagnosis_result),
-    "summary.json": ("bayes-damper/fit/1", fit_result),
     "variability.json": ("bayes-damper/variability/1", variability_result),
+    "summary.json": ("bayes-damper/fit/1", fit_result),
     "tune.json": ("bayes-damper/tune/1", tune_result),
     "plan.json": ("bayes-damper/plan/1", plan_result),
     "withheld.json": ("bayes-damper/withheld/1", withheld_result),

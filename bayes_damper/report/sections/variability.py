@@ -45,6 +45,7 @@ def variability_result(data: Mapping[str, Any], folder: Path) -> Result:
     changes = []
     if shown[0][1] < _SURE:
         changes.append("More data of each case, recorded trials with repeats best of all.")
+    changes += data.get("would_settle", ())
     if any("raise particles" in s for s in method):
         changes.append("Sharper probabilities from the same data: more --particles and --repeats (see below why).")
     rows = []
@@ -58,20 +59,68 @@ def variability_result(data: Mapping[str, Any], folder: Path) -> Result:
     name = str(data.get("campaign", ""))
     head = Headline(
         f"What the cases of {name} share" if name else "What the cases share", tone, tuple(sentences), shown,
-        tuple(changes),
+        tuple(changes), table=_averaged_table(data) if "averaged" in data else None,
     )  # fmt: skip
     rest = generic(
         data, "", ("schema", "campaign", "campaign_sha256", "seed", "converged", "sentences", "provenance", "models",
                    "effective", "decomposition", "recycled", "method", "kind", "method_of_effective", "cases", "pooled",
-                   "common", "warnings"),
+                   "common", "warnings", "averaged", "assumptions", "survives", "would_settle"),
     )  # fmt: skip
     pictures = pictures_of(folder, kind="variability")
     told = (*method, *(str(data[key]) for key in ("method", "method_of_effective") if data.get(key)))
-    tables = (compared, *_decomposition_tables(data), *_recycled_tables(data.get("recycled") or {}))
+    tables = (
+        compared,
+        *_assumption_tables(data),
+        *_decomposition_tables(data),
+        *_recycled_tables(data.get("recycled") or {}),
+    )
     section = Section("Variability", told, tables, (), pictures, folded(rest))
     warnings = () if converged else ("The comparison of the cases did not converge: do not use its numbers.",)
     about = dict(data.get("provenance", {})) | fingerprint(data)
     return Result(head, section, warnings, about, tuple(gathered(data.get("warnings", ()))))
+
+
+_SHOWN = ("mu", "friction_torque", "k2t", "c2t", "drag", "nu", "c1t", "k1t", "k1t_per_inertia")
+
+
+def _averaged_table(data: Mapping[str, Any]) -> Table:
+    """Each case's parameters under the average of the three answers."""
+    cases, kind = data["averaged"]["cases"], str(data.get("kind", "torsional"))
+    further = data["averaged"]["further"]
+    rows = []
+    for name in _SHOWN:
+        told = [row[name] for row in cases.values() if name in row]
+        if told:
+            one_more = _told(further[name]) if name in further else NOTHING
+            rows.append(Row((name.replace("_per_inertia", " / J1"), _unit(name, kind), *map(_told, told), one_more)))
+    columns = ("parameter", "unit", *(f"case {case}" for case in cases), "one more case")
+    note = "Median and 90 % interval of one set, scattered and separate cases, each as often as it is probable."
+    return Table("The answer: each case, averaged over what the cases may share", columns, tuple(rows), note)
+
+
+def _unit(name: str, kind: str) -> str:
+    return {"friction_torque": "N m", "k1t_per_inertia": "1/s²"}.get(name) or unit_of(name, kind)
+
+
+def _assumption_tables(data: Mapping[str, Any]) -> list[Table]:
+    """How the answer moves with its assumptions."""
+    rows = []
+    for row in data.get("assumptions", ()):
+        p, unsure = row["probabilities"], row["probability_errors"]
+        told = [f"{p[key]:.2f} ± {unsure[key]:.2f}" for key in ("shared", "partial", "separate")]
+        ranges = [_range(row["averaged"]["cases"], name) for name in ("mu", "k2t", "c2t", "drag", "nu")]
+        rows.append(Row((row["change"], *told, *ranges)))
+    if not rows:
+        return []
+    columns = ("assumptions", "one set", "scattered", "separate", "mu", "k2t", "c2t", "drag", "nu")
+    note = "Probabilities with the error of the computation; medians, from the lowest to the highest of the cases."
+    return [Table("How the answer moves with its assumptions", columns, tuple(rows), note)]
+
+
+def _range(cases: Mapping[str, Any], name: str) -> str:
+    medians = [row[name]["median"] for row in cases.values()]
+    low, high = f"{min(medians):.2g}", f"{max(medians):.2g}"
+    return low if low == high else f"{low} to {high}"
 
 
 _MEDIANS = "In every draw the shares add up to 100 %; their medians, each taken by itself, need not."
