@@ -202,7 +202,10 @@ def spec_from_options(name: str, sources: Sequence[Path], options: Mapping[str, 
     spec["rig"] = {"primary_inertia": 1.0, **{k: given[k] for k in _RIG if k in given}}
     spec["measurement"] = {"start": start, **{k: given[k] for k in MEASUREMENT if k in given}}
     if "sample_rate" in given:
-        spec["measurement"]["sample_rate"] = float(str(given["sample_rate"])) / float(str(given.get("every", 1)))
+        rate, every = given["sample_rate"], given.get("every", 1)
+        if isinstance(rate, int | float) and isinstance(every, int) and every > 0:
+            rate = rate / every
+        spec["measurement"]["sample_rate"] = rate
     spec["reader"] = {k: given[k] for k in READER if k in given}
     spec["trials"] = trials
     return spec

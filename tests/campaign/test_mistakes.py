@@ -190,3 +190,10 @@ def test_a_pendulum_that_hangs_at_half_a_turn_is_named(tmp_path):
         tmp_path / "rig", [source], columns=["angle"], time="t", quantity="displacement", primary_inertia=1.0, k1t=36.0
     )
     assert any("half a turn: it may count from the upper position" in w for w in load_campaign(made).warnings)
+
+
+@pytest.mark.parametrize(("rate", "every"), [("abc", 2), (1000.0, "x"), (1000.0, 0), (True, 2), (0, 2), (1e999, 2)])
+def test_a_rate_that_cannot_be_divided_is_refused_with_a_sentence(folder, tmp_path, rate, every):
+    source = folder / "trials/uncoupled_1.csv"
+    with pytest.raises(InputError):
+        init_campaign(tmp_path / "new", [source], columns=[2], time=1, sample_rate=rate, every=every)
