@@ -24,6 +24,7 @@ from bayes_damper.effects import EFFECTS, load_effects
 from bayes_damper.report.terms import _TERMS
 from bayes_damper.runs.execution import read_json
 from bayes_damper.validation.withheld import page as proof_page
+from bayes_damper.validation.withheld import verify
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
@@ -170,6 +171,14 @@ def test_the_tables_of_the_withheld_proof_are_those_of_its_results():
     assert proof_page.table(easy, hard) in page
     assert proof_page.misses(easy, hard) in page
     assert proof_page.short_table(easy, hard) in page
+
+
+def test_the_tables_of_drawn_laboratories_are_those_of_their_sealed_verdicts():
+    page = (DOCS / "proof" / "laboratories.md").read_text(encoding="utf-8")
+    assert proof_page.laboratories(read_json(DOCS / "proof" / "laboratories.json")) in page
+    archives = sorted((DOCS / "proof").glob("laboratories_*.zip"))
+    assert archives
+    assert all(f"({path.name})" in page and verify(path).exit_code == 0 for path in archives)
 
 
 def test_what_readers_of_the_repository_are_told_does_not_reach_the_pages():

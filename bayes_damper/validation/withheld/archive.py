@@ -40,7 +40,10 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)  # so that the same run gives the same bytes
 
 def write_archive(run: Path, key: Path, path: Path) -> Path:
     """The archive of the finished run in the folder `run`, whose key is the file `key`; the path written."""
-    members: dict[str, bytes] = {"key.json": key.read_bytes(), "withheld.json": (run / "withheld.json").read_bytes()}
+    results = read_json(run / "withheld.json")
+    results["folder"] = Path(results["folder"]).name  # where it lay on this machine concerns nobody
+    results["provenance"].pop("command", None)
+    members = {"key.json": key.read_bytes(), "withheld.json": json.dumps(results, indent=1).encode()}
     for part in PARTS:
         home = run / part
         if not (home / "freeze.json").exists():

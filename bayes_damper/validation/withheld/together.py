@@ -68,7 +68,7 @@ def together(runs: Sequence[tuple[Path, Path]], seed: int = 1) -> dict[str, Any]
                     raise InputError(f"{home}: campaign {name} is in another run too; give each run once")
                 verdicts[name], entries[name] = sealed, known[name]
                 rows.append(scores.score_one(name, sealed, known[name], groups))
-        parts.append({n: result[n] for n in ("folder", "chain_head", "freeze", "seed")})
+        parts.append({n: result[n] for n in ("chain_head", "freeze", "seed")} | {"folder": Path(result["folder"]).name})
     if len(codes) > 1:
         raise InputError("the runs were made by different versions of the code; score each version by itself")
     told = scores.all_scores(rows, seed)
