@@ -15,6 +15,7 @@ from small_rig import measured
 from bayes_damper.calibration import Experiment
 from bayes_damper.calibration.correlated_noise import fit_with_noise
 from bayes_damper.calibration.posterior import RecordPosterior
+from bayes_damper.calibration.scatter import TYPICAL
 from bayes_damper.priors.distributions import LogNormal, to_standard
 
 Array = NDArray[np.float64]
@@ -32,6 +33,8 @@ def campaign(
 ) -> tuple[Experiment, dict[str, float], np.random.Generator]:
     """A campaign whose truth is drawn from its priors, that truth, and the generator that drew it.
 
+    Nothing scatters from trial to trial, and the campaign says so.
+
     kind : "white"; "own", an autoregression in each trial beside the white noise; "shared", the same one in all
     repeats, as a model that is wrong leaves.
     """
@@ -48,7 +51,7 @@ def campaign(
 
     with mock.patch.dict(small_rig.RIG, truth):
         experiment = measured(seed, sensor=sensor, cases=[("IV", 1, 0.08)], duration=0.4, repeats=repeats)
-    return replace(experiment, priors=priors), truth, rng
+    return replace(experiment, priors=priors, scatter=dict.fromkeys(TYPICAL, 0.0)), truth, rng
 
 
 def covered(seed: int, kind: str, repeats: int, mode: str = "auto") -> Array:

@@ -67,7 +67,8 @@ class Experiment:
     priors: parameter -> distribution, or number where it is fixed, in place of the default; levels: parameter ->
     "campaign" (one value for all trials, the default), "case" or "trial"; case_priors: parameter -> case -> prior where
     cases differ; ties: parameter -> the one whose value it takes; rounding: step of each channel whose readings err by
-    their rounding alone, 0 for the others.
+    their rounding alone, 0 for the others; scatter: typical sizes by which things differ from trial to trial, in place
+    of the default (scatter.py).
     """
 
     constants: Mapping[str, tuple[float, float]]
@@ -87,6 +88,7 @@ class Experiment:
     lag_sd: tuple[float, ...] = ()
     coupling_law: Literal["constant", "cosine"] = "constant"
     rounding: tuple[float, ...] = ()
+    scatter: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def omegas(self) -> tuple[float, ...]:

@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.calibration.least_squares import Calibration
-from bayes_damper.calibration.problem import Group, Indices
+from bayes_damper.calibration.problem import LEAST_STEP, Group, Indices
+from bayes_damper.calibration.scatter import channel_of, of_readings, wave
 
 Array = NDArray[np.float64]
+RENEWED = (0, 3)  # rounds in which derivatives by what acts nearly linearly are taken
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,10 +62,20 @@ def predict(fit: Calibration, trials: Sequence[int], rounds: int = 12) -> dict[i
 
         r, cost = evaluate(eta)
         damping = np.full(n * k, 1e-2)
-        for _ in range(rounds if m else 0):
-            T = np.empty((n * k, m, r.shape[1]))
+        T = np.zeros((n * k, m, r.shape[1]))
+        for number in range(rounds if m else 0):
             for i, name in enumerate(names):
+                if number not in RENEWED and (name.startswith("ln_") or of_readings(name)):
+                    continue  # nearly linear
+                if of_readings(name) and not name.startswith("gain"):
+                    column = np.zeros_like(group.y)
+                    column[:, channel_of(name)] = wave(name, group.times)
+                    column *= group.nuisances[i][2][:, None, None]
+                    T[:, i] = problem.whitened(column, group.weight)[which]
+                    continue
                 step = np.full(n * k, 2e-3) if name != "delay" else 1e-6 / group.nuisances[i][2][which]
+                if name.startswith("ln_"):
+                    step = np.maximum(step, LEAST_STEP / group.nuisances[i][2][which])
                 step = np.where(eta[:, i] + step > high[:, i], -step, step)
                 moved = eta.copy()
                 moved[:, i] += step

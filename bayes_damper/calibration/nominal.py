@@ -14,6 +14,7 @@ from bayes_damper.calibration.experiment import Experiment, lone, repeats
 from bayes_damper.calibration.least_squares import Calibration, calibrate, default_starts, drawn_starts
 from bayes_damper.calibration.noise_level import learn_noise, rough_noise
 from bayes_damper.calibration.problem import Group, Problem, Switches
+from bayes_damper.calibration.scatter import carried, learn_scatter
 
 Array = NDArray[np.float64]
 VARIES = 9.0  # mean square, in variances, of a nuisance's differences between repeats from which it is each trial's own
@@ -23,66 +24,32 @@ FEW_TRIALS = 8  # trained on, up to which the cost may have more valleys than th
 FIRST_ERROR = 0.02  # of a channel's reach: noise of the first fit where there are no repeats
 
 
-def choose_switches(fit: Calibration) -> Switches:
-    """Which nuisances the repeats call for, from a fit in which all are free.
+def releases_vary(fit: Calibration) -> bool:
+    """Whether the repeats call for an instant of release of each trial's own, from a fit in which it is free.
 
-    Repeats of one case differ only in what is each trial's own, so the spread of the nuisances between repeats, beyond
-    their own uncertainty, tells whether release or friction vary, whatever the model leaves out. A release that is late
-    by the same time in all of them is left to the effects of release and sensor.
-    Trials without repeats cannot tell: there both stay free. So does the release where few repeats may be as late as
-    each other by chance: what that does to the first readings looks like an effect.
+    Repeats of one case differ only in what is each trial's own, so the spread of the instants between repeats, beyond
+    their own uncertainty, shows whether they vary, whatever the model leaves out. A release that is late by the same
+    time in all of them is left to the effects of release and sensor.
+    Trials without repeats cannot show it: there they stay free. So do they where few repeats may be as late as each
+    other by chance: what that does to the first readings looks like an effect.
     Nor can values that a wrong model has pressed against an end of their range other than the nominal one.
     """
     problem = fit.problem
-    wanted = {"delay": False, "ln_mu": False}
-    normals = fit.linear.normal()
-    for name in wanted:
-        z: list[float] = []
-        spare, pressed = 0, 0
-        enough = FEW_REPEATS if name == "delay" else 1
-        for block, H, _, _ in normals.parts:
-            names = [n for n, _, _ in block.group.nuisances]
-            if name not in names or not H.shape[1]:
-                continue
-            i = names.index(name)
-            sd = np.sqrt(np.linalg.inv(H)[:, i, i])
-            for members in repeats([problem.experiment.trials[j] for j in block.group.trials]):
-                spare += len(members) - 1
-                values = block.eta[members, i]
-                pressed += _pressed(block.group, i, members, values)
-                pull = sd[members]
-                z += list((values - values.mean()) / pull / math.sqrt(max(1.0 - 1.0 / len(members), 1e-9)))
-        wanted[name] = bool(z) and (spare < enough or 2 * pressed >= len(z) or float(np.mean(np.square(z))) > VARIES)
-    return Switches(delay=wanted["delay"], friction=wanted["ln_mu"])
-
-
-def drag_varies(fit: Calibration) -> bool:
-    """Whether the drag of the bearings differs between repeats of the primary alone, beyond its uncertainty.
-
-    By the linearised problem of the fit: each trial's own drag beside its other nuisances. Only repeats can tell, and
-    without them one drag for all it is.
-    """
-    problem = fit.problem
-    here = [i for i, c in enumerate(problem.coordinates) if c.parameter == "drag"]
-    if problem.experiment.start != "rest" or not here:
-        return False
     z: list[float] = []
-    spare = 0
-    for block in fit.linear.blocks:
-        if block.group.coupled:
+    spare, pressed = 0, 0
+    for block, H, _, _ in fit.linear.normal().parts:
+        names = [n for n, _, _ in block.group.nuisances]
+        if "delay" not in names:
             continue
-        m = block.T.shape[1]
-        rows = np.concatenate([block.T, block.J[:, here].sum(axis=1, keepdims=True)], axis=1)
-        H = rows @ rows.transpose(0, 2, 1) + np.diag(np.append(np.ones(m), 1e-12))
-        g = np.einsum("jmd,jd->jm", rows, block.r) + np.pad(block.eta, ((0, 0), (0, 1)))
-        values = -np.linalg.solve(H, g[:, :, None])[:, m, 0]
-        sd = np.sqrt(np.linalg.inv(H)[:, m, m])
+        i = names.index("delay")
+        sd = np.sqrt(np.linalg.inv(H)[:, i, i])
         for members in repeats([problem.experiment.trials[j] for j in block.group.trials]):
             spare += len(members) - 1
-            if len(members) > 1:
-                off = (values[members] - values[members].mean()) / sd[members]
-                z += list(off / math.sqrt(1.0 - 1.0 / len(members)))
-    return spare > 1 and float(np.mean(np.square(z))) > VARIES
+            values = block.eta[members, i]
+            pressed += _pressed(block.group, i, members, values)
+            z += list((values - values.mean()) / sd[members] / math.sqrt(max(1.0 - 1.0 / len(members), 1e-9)))
+    few = spare < FEW_REPEATS or 2 * pressed >= len(z)
+    return bool(z) and (few or float(np.mean(np.square(z))) > VARIES)
 
 
 def _pressed(group: Group, i: int, members: Sequence[int], values: Array) -> int:
@@ -139,20 +106,24 @@ def calibrate_nominal(
     problem = Problem(experiment, nominal=nominal, noise=first, threads=threads, switches=switches or Switches())
     long = grown(experiment, problem)
     fit = calibrate(problem, [*long, *default_starts(problem)], most=15, finish=False)
-    chosen = switches or choose_switches(fit)
+    chosen = switches or Switches(friction=False, scatter=learn_scatter(fit))
+    if switches is None:
+        # A scatter that has no place yet would look like releases late by different times.
+        problem = problem.changed(switches=chosen)
+        fit = calibrate(problem, [fit.q], eta=carried(fit, problem), most=8, finish=False, anneal=False)
+        chosen = replace(chosen, delay=releases_vary(fit))
     problem = Problem(experiment, nominal=nominal, noise=learn_noise(fit), switches=chosen, threads=threads)
     starts = [fit.q, *default_starts(problem)]
     if len(problem.trials) <= FEW_TRIALS and not long:
         starts += drawn_starts(problem)
     fit = calibrate(problem, starts, give_up=300.0)
-    if switches is None and not fit.problem.noise.sensor and drag_varies(fit):
-        chosen = replace(chosen, drag=True)
-        problem = Problem(experiment, nominal=nominal, noise=fit.problem.noise, switches=chosen, threads=threads)
-        fit = calibrate(problem, [fit.q], anneal=False)
     noise = learn_noise(fit)
+    if switches is None:
+        # The first noise held the scatter that was not learnt yet.
+        chosen = replace(chosen, scatter=learn_scatter(fit, noise))
     tell(f"noise sd {', '.join(f'{s:.3g}' for s in noise.total)}")
     problem = Problem(experiment, nominal=nominal, noise=noise, switches=chosen, threads=threads)
-    fit = calibrate(problem, [fit.q], eta=fit.eta, anneal=False)
+    fit = calibrate(problem, [fit.q], eta=carried(fit, problem), anneal=False)
     if noise.sensor:
         # A better fit leaves less error, which again sharpens the fit.
         fit = calibrate(problem.with_noise(learn_noise(fit)), [fit.q], eta=fit.eta, anneal=False)

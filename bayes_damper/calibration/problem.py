@@ -21,15 +21,14 @@ from bayes_damper.calibration.experiment import (
 )
 from bayes_damper.calibration.noise_level import Noise, rough_noise
 from bayes_damper.calibration.normal_equations import Block, Linear, Remade
+from bayes_damper.calibration.scatter import NO_SCATTER, Scatter, channel_of, of_readings, wave
 from bayes_damper.campaign.records import DERIVATIVE
 from bayes_damper.effects.base import Variant
 from bayes_damper.priors.distributions import (
     Distribution,
-    HalfNormal,
     LogNormal,
     LogUniform,
     Normal,
-    Uniform,
     from_standard,
     median,
     to_standard,
@@ -45,7 +44,7 @@ EVENT_THRESHOLD = 4.5  # robust sds of the second difference beyond which a samp
 EVENT_TIMING = 5e-5  # s, by which the instant of an event may be off without the model being wrong
 RELEASE_WEIGHT = 0.4  # of the first two readings
 FIRST_STAGE_EVENT_WEIGHT = 0.15
-OWN_FRICTION = ("ln_mu", "ln_drag")  # nuisances whose derivative is that of the parameter all trials share
+LEAST_STEP = 1e-4  # relative, of a difference quotient by a trial's own value of a parameter
 FINER = 0.01  # factor on the integrator's tolerance where records are subtracted from each other
 OFFSET_SHARE = 0.05  # of a channel's reach: prior sd of its unknown offset, where the campaign does not say
 READINGS_AT_ONCE = 100_000  # of the trials whose records are differentiated together
@@ -80,11 +79,15 @@ class Coordinate:
 
 @dataclass(frozen=True)
 class Switches:
-    """Which nuisances of the trials are free: the instant of release, each trial's own friction, its bearings' drag."""
+    """Which nuisances of the trials are free: the instant of release, each trial's own friction, its bearings' drag.
+
+    scatter : what else differs from trial to trial, and by how much; it takes the place of `friction` and `drag`.
+    """
 
     delay: bool = True
     friction: bool = True
     drag: bool = False
+    scatter: Scatter = NO_SCATTER
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,6 +346,7 @@ class Problem:
                 out.append((name, guess, 1.5 * reach + 1e-9))
                 bounds.append(wide)
             out += self._offsets(trials)
+            out += self._scattered(trials)
             bounds += [wide] * (len(out) - len(bounds))
             return tuple(out), np.array([b[0] for b in bounds]).T, np.array([b[1] for b in bounds]).T
         mean = np.array([t.theta0 for t in trials])
@@ -373,6 +377,7 @@ class Problem:
             out.append(("ln_drag", np.zeros(n), np.full(n, FRICTION_SPREAD)))
             bounds.append(wide)
         out += self._offsets(trials)
+        out += self._scattered(trials)
         bounds += [wide] * (len(out) - len(bounds))
         if not out:
             return (), np.zeros((n, 0)), np.zeros((n, 0))
@@ -392,6 +397,12 @@ class Problem:
             if np.any(sd > 0.0):
                 out.append((f"offset{c + 1}", np.zeros(len(trials)), np.maximum(sd, 1e-12)))
         return out
+
+    def _scattered(self, trials: list[TrialRecord]) -> list[tuple[str, Array, Array]]:
+        """What else each trial has for itself: values about those of all trials."""
+        n = len(trials)
+        columns = self.switches.scatter.columns(trials[0].coupled)
+        return [(name, np.zeros(n), np.full(n, sd)) for name, sd in columns]
 
     # Simulation
 
@@ -445,7 +456,7 @@ class Problem:
             x = mean[which] + sd[which] * eta[:, i]
             if name.startswith("ln_"):
                 rig[name[3:]] = rig[name[3:]] * np.exp(x)
-            elif not name.startswith("offset"):
+            elif not of_readings(name):
                 rig[name] = x
         for name, other in e.ties.items():
             if name in NOMINAL:
@@ -455,14 +466,42 @@ class Problem:
         return {"theta2_0": rig["theta0"]} | rig, effect
 
     def _read(self, y: Array, group: Group, which: Indices, q: Array, eta: Array) -> Array:
-        """Motions y (n, channels, n_times) as the sensors show them: each channel's scale and offset, in place."""
+        """Motions y (n, channels, n_times) as the sensors show them: scale, offset and drift of channels, in place."""
         for i, c in enumerate(self.coordinates):
             if c.role == "sensor" and c.index < y.shape[1]:
                 y[:, c.index] *= from_standard(c.prior, q[:, i])[:, None]
-        for i, (name, mean, sd) in enumerate(group.nuisances):
-            if name.startswith("offset"):
-                y[:, int(name[6:]) - 1] += (mean[which] + sd[which] * eta[:, i])[:, None]
+        for channel in range(y.shape[1]):
+            waves, sizes = [], []
+            for i, (name, mean, sd) in enumerate(group.nuisances):
+                if of_readings(name) and channel_of(name) == channel:
+                    x = mean[which] + sd[which] * eta[:, i]
+                    if name.startswith("gain"):
+                        y[:, channel] *= 1.0 + x[:, None]
+                    else:
+                        waves.append(wave(name, group.times))
+                        sizes.append(x)
+            if waves:
+                y[:, channel] += np.stack(sizes, axis=1) @ np.stack(waves)
         return y
+
+    @staticmethod
+    def _own_readings(group: Group, nuisance: int, shown: Array, eta: Array) -> Array:
+        """Change of the readings `shown` at eta by a unit of one trial's own gain, offset or drift, of their shape."""
+        name = group.nuisances[nuisance][0]
+        channel = channel_of(name)
+        out = np.zeros_like(shown)
+        if not name.startswith("gain"):
+            out[:, channel] = wave(name, group.times)
+            return out
+        out[:, channel] = shown[:, channel]
+        for k, (other, mean, sd) in enumerate(group.nuisances):
+            x = mean + sd * eta[:, k]
+            if k != nuisance and of_readings(other) and channel_of(other) == channel:
+                out[:, channel] -= np.outer(x, wave(other, group.times))
+            elif k == nuisance:
+                scale = 1.0 + x
+        out[:, channel] /= scale[:, None]
+        return out
 
     def simulate(self, group: Group, which: Indices, q: Array, eta: Array) -> Array:
         """Readings (n, channels, n_times) of vectors q (n, size), eta (n, m) on the group's trials `which` (n,)."""
@@ -569,11 +608,12 @@ class Problem:
         n = len(group.trials)
         m = len(group.nuisances)
         names = [name for name, _, _ in group.nuisances]
-        moved = [
-            i
-            for i, name in enumerate(names)
-            if not name.startswith("offset") and not (name in OWN_FRICTION and name[3:] in together)
-        ]
+        shared = {
+            name: together[name[3:]]
+            for name in names
+            if name.startswith("ln_") and self._touch_all(together.get(name[3:], []), group)
+        }
+        moved = [i for i, name in enumerate(names) if not of_readings(name) and name not in shared]
         lanes = 1 + len(together) + len(moved)
         sides = (1.0, -1.0) if central else (1.0,)
         base_q = np.tile(q, (n, 1))
@@ -584,6 +624,8 @@ class Problem:
         for i, name in enumerate(names):
             if name == "delay":
                 trial_steps[:, i] = 1e-6 / group.nuisances[i][2]
+            elif name.startswith("ln_"):
+                trial_steps[:, i] = np.maximum(trial_steps[:, i], LEAST_STEP / group.nuisances[i][2])
             trial_steps[:, i] *= np.where(base_eta[:, i] + trial_steps[:, i] > group.upper[:, i], -1.0, 1.0)
         for side in sides:
             for members in together.values():
@@ -626,15 +668,15 @@ class Problem:
         for k, i in enumerate(moved):
             own[:, i] = w[len(together) + k] / trial_steps[:, i, None]
         for i, name in enumerate(names):
-            if name.startswith("offset"):
-                shift = np.zeros_like(group.y)
-                shift[:, int(name[6:]) - 1] = group.nuisances[i][2][:, None]
-                own[:, i] = self.whitened(shift, weight)
-        for name in OWN_FRICTION:
-            for i in together.get(name[3:], ()) if name in names else ():
+            if of_readings(name):
+                column = self._own_readings(group, i, shown, base_eta)
+                own[:, i] = self.whitened(group.nuisances[i][2][:, None, None] * column, weight)
+        for name, members in shared.items():
+            place = names.index(name)
+            for i in members:
                 hit = self.touched(self.coordinates[i], group)
-                per_log = math.log(_factor(self.coordinates[i].prior))
-                own[hit, names.index(name)] = jac[hit, i] * (FRICTION_SPREAD / per_log)
+                per_log = _log_slope(self.coordinates[i].prior, float(q[i]))
+                own[hit, place] = jac[hit, i] * (group.nuisances[place][2][hit, None] / per_log)
         return Block(group, r, jac, own, base_eta)
 
     def touched(self, c: Coordinate, group: Group) -> NDArray[np.bool_]:
@@ -643,6 +685,11 @@ class Problem:
         if c.role == "stiffness":
             return np.array([t.k1t == c.index for t in trials])
         return np.array([c.case is None or t.case == c.case for t in trials])
+
+    def _touch_all(self, coordinates: Sequence[int], group: Group) -> bool:
+        """Whether every trial of a group has one of these unknowns."""
+        none = np.zeros(len(group.trials), dtype=np.bool_)
+        return bool(sum((self.touched(self.coordinates[i], group) for i in coordinates), none).all())
 
     def _acts(self, c: Coordinate, group: Group) -> bool:
         """Whether a coordinate can change the records of a group."""
@@ -709,11 +756,9 @@ def _spread(distribution: Distribution) -> float:
     return float(distribution.ppf(0.84) - distribution.ppf(0.16))
 
 
-def _factor(distribution: Distribution) -> float:
-    """Local factor per unit of z of a scale parameter at its median (exact for a LogNormal)."""
+def _log_slope(distribution: Distribution, z: float) -> float:
+    """Change of the logarithm of a scale parameter by one unit of its standard coordinate, at z."""
     if isinstance(distribution, LogNormal):
-        return distribution.factor
-    if isinstance(distribution, LogUniform | Uniform | HalfNormal | Normal):
-        low, high = float(from_standard(distribution, -0.1)), float(from_standard(distribution, 0.1))
-        return (high / low) ** 5.0 if low > 0.0 else math.e
-    return math.e
+        return math.log(distribution.factor)
+    low, high = float(from_standard(distribution, z - 1e-3)), float(from_standard(distribution, z + 1e-3))
+    return math.log(high / low) / 2e-3 if low > 0.0 else 1.0

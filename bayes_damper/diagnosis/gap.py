@@ -6,6 +6,12 @@ gap the product of such a prediction with the held-out residuals, both cleared o
 trial's own nuisances can do, is a standard Gaussian once divided by the prediction's length: a test of exact size,
 whatever was tried on the training trials. Chi-square alone would have to know the noise to a fraction of a per cent.
 
+Trials are what is independent, not readings: whatever differs from trial to trial and has no place in the model adds to
+the product's variance. So the length is taken from what the training trials' repeats do not share along the same
+prediction, beside what the noise model says, which counts as six such contrasts; the p-value is Student's t with the
+degrees of freedom of both. Where no training trial has a repeat, the products of the held-out trials themselves show
+how they vary.
+
 Without repeats what is left of a trial counts as noise, and it is correlated: the product's variance takes in the
 correlation of the training residuals. How much of the gap an answer closes: shares.py.
 """
@@ -19,9 +25,11 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import helmert
 from scipy.special import ndtr
+from scipy.stats import t as student
 
-from bayes_damper.calibration import Calibration, Group, Prediction, Problem, calibrate, predict
+from bayes_damper.calibration import Calibration, Group, Prediction, Problem, TrialRecord, calibrate, predict
 from bayes_damper.diagnosis.remainder import own_frequency
 from bayes_damper.diagnosis.response import on_trials
 from bayes_damper.diagnosis.shares import Closed, products
@@ -32,6 +40,8 @@ Array = NDArray[np.float64]
 SIZE = 0.05
 NEGLIGIBLE = 0.25  # of the noise sd: a gap below it adds 3 % to the residuals
 KEPT_WEIGHT = 0.5  # readings that a fit trusts less (release, friction reversals) are left out of sums of squares
+BELIEVED = 6.0  # degrees of freedom that the noise model counts as, beside what repeats do not share
+FEWEST_TRIALS = 4  # held out, from which they tell how they vary
 _CORRELATED_SHARE = 6  # of a record: the longest lag of which its residuals tell a correlation
 _SLOW = 10.0  # times the rig's own frequency: torques on inertias show below
 
@@ -189,11 +199,7 @@ def repeats_say(fit: Calibration) -> dict[int, Array]:
         return out  # no two such records begin alike
     for i in experiment.heldout:
         t = experiment.trials[i]
-        same = [
-            j
-            for j in fit.problem.trials
-            if experiment.trials[j].conditions == t.conditions and np.array_equal(experiment.trials[j].times, t.times)
-        ]
+        same = [j for j in fit.problem.trials if _repeat(experiment.trials[j], t)]
         if same:
             mean = np.mean([np.nan_to_num(residuals[j]) for j in same], axis=0)
             dt = float(np.median(np.diff(t.times)))
@@ -258,11 +264,59 @@ def held_out_test(
         x = cleared(x)
         x -= basis @ (basis.T @ x)
         length = float(np.linalg.norm(x))
-        if correlation is not None and length > 1e-12:
+        if length < 1e-12:
+            p_values.append(1.0)
+            continue
+        if correlation is not None:
             shapes = {i: x[s].reshape(group.y.shape[1], -1) for i, (group, s) in ranges.items()}
             length = max(length, _length(shapes, correlation))
-        p_values.append(tried * float(ndtr(-(x @ r) / length)) if length > 1e-12 else 1.0)
+        own = {i: x[s] for i, (_, s) in ranges.items()}
+        power, freedom = unshared_along(fit, own)
+        if freedom > 0.0:
+            both = BELIEVED + freedom
+            power = (BELIEVED + freedom * power) / both
+            p = float(student.sf(float(x @ r) / (length * math.sqrt(power)), both))
+        else:
+            p = _by_trials(np.array([float(own[i] @ r[s]) for i, (_, s) in ranges.items()]), float(x @ r) / length)
+        p_values.append(tried * p)
     return min(1.0, len(p_values) * min(p_values))
+
+
+def unshared_along(fit: Calibration, shapes: Mapping[int, Array]) -> tuple[float, float]:
+    """Power, over that of the noise, of what training repeats do not share along shapes; its degrees of freedom.
+
+    shapes : held-out trial -> (data,) whitened, cleared of what nuisances can do. Power 1 and no freedom where no
+    training trial of their kind has a repeat.
+    """
+    trials = fit.problem.experiment.trials
+    records = {i: block.r[k] for block in fit.linear.blocks for k, i in enumerate(block.group.trials)}
+    total, weight, square = 0.0, 0.0, 0.0
+    for i, x in shapes.items():
+        same = [j for j in records if _repeat(trials[j], trials[i]) and records[j].size == x.size]
+        length = float(x @ x)
+        if len(same) < 2 or fit.problem.experiment.start == "free":
+            continue
+        contrasts = helmert(len(same)) @ np.array([records[j] for j in same])
+        total += float(np.sum((contrasts @ x) ** 2))
+        weight += len(contrasts) * length
+        square += len(contrasts) * length**2
+    if weight <= 0.0:
+        return 1.0, 0.0
+    return max(total / weight, 1e-12), weight**2 / square
+
+
+def _repeat(one: TrialRecord, other: TrialRecord) -> bool:
+    """Whether two trials are repeats of each other."""
+    return one.conditions == other.conditions and np.array_equal(one.times, other.times)
+
+
+def _by_trials(products: Array, z: float) -> float:
+    """p-value of products (trials,) that vary as they do, each about nothing; z: their sum if noise alone makes it."""
+    p, n = float(ndtr(-z)), np.count_nonzero(products)
+    if n < FEWEST_TRIALS:
+        return p
+    share = float(products.sum() / math.sqrt(float(products @ products)))
+    return max(p, float(student.sf(share * math.sqrt((n - 1.0) / max(n - share**2, 1e-12)), n - 1.0)))
 
 
 def _correlation(fit: Calibration) -> list[Array]:

@@ -22,6 +22,7 @@ from bayes_damper.calibration import (
     experiment_of,
     learn_noise,
 )
+from bayes_damper.calibration.scatter import scatter_in_words, scatter_shown
 from bayes_damper.diagnosis.budget import Budget, answers_of, budget_of, foreign_alone
 from bayes_damper.diagnosis.formula import widened
 from bayes_damper.diagnosis.gap import Gap, closing, measure_gap, shifts
@@ -30,7 +31,7 @@ from bayes_damper.diagnosis.lone import left_alone
 from bayes_damper.diagnosis.next_experiment import Proposal, propose
 from bayes_damper.diagnosis.outliers import odd_trials, outlying, told, told_odd, without, without_trials
 from bayes_damper.diagnosis.pairs import Pair, Second, best_pairs, exactly, seconds_of
-from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of
+from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of, unlike_in_words
 from bayes_damper.diagnosis.search import Candidate, offered, scales_of, search
 from bayes_damper.diagnosis.sensitivity import Choice, in_a_sentence, sensitivity
 from bayes_damper.diagnosis.sets import SetFit, SetProblem, as_candidates, grown, probabilities
@@ -43,6 +44,7 @@ from bayes_damper.effects import EFFECTS, Effect, classes, scaled
 from bayes_damper.effects.base import SITES, Variant
 from bayes_damper.priors.distributions import Distribution, from_standard
 from bayes_damper.priors.files import PriorSet
+from bayes_damper.rig.parameters import unit_of
 from bayes_damper.runs.execution import plain
 from bayes_damper.runs.memory import shortage
 
@@ -161,6 +163,7 @@ class Diagnosis:
                 {"prior": prior, "verdict": verdict, "probability": p} for prior, verdict, p in self.under_priors
             ],
             "weighed": dict(self.weighed),
+            "scatter": scatter_shown(self.nominal, unit_of("sigma1", self.kind, self.experiment.quantity)),
             "notes": list(self.notes),
             "seconds": self.seconds,
         }
@@ -570,12 +573,7 @@ def _notes(
         for key in {(t.case, t.coupled) for t in experiment.trials}
     ):
         notes.append("There are no repeats, so the noise is judged by its fast content alone; repeat a case.")
-    drags = own_drags(fit)
-    if drags.size:
-        notes.append(
-            f"The drag of the bearings differs from trial to trial by {100.0 * float(np.std(drags)):.2g} %; each trial "
-            "was given its own. If it grows or falls in the order of the trials, something warms up or wears."
-        )
+    notes += [*scatter_in_words(fit), *unlike_in_words(fit)]
     still = {} if named is None else named.pulled
     priors = {} if named is None else {c.name: c.prior for c in named.problem.coordinates}
     for name, z in still.items():
@@ -600,25 +598,6 @@ def _notes(
     if answers.probabilities["none"] > 0.5 and hidden:
         notes += hidden
     return notes
-
-
-def own_drags(fit: Calibration) -> Array:
-    """Logarithm of each trial's drag over that of all, where it differs between repeats; else empty.
-
-    Empty too where the drag itself is not known to a quarter: a friction that hardly acts differs by any factor.
-    """
-    for i, c in enumerate(fit.problem.coordinates):
-        if c.parameter == "drag":
-            own_sd = math.sqrt(max(float(fit.covariance[i, i]), 0.0))
-            low, high = (float(from_standard(c.prior, float(fit.q[i]) + step)) for step in (-own_sd, own_sd))
-            if high - low > 0.25 * (high + low):
-                return np.zeros(0)
-    found = []
-    for group in fit.problem.groups:
-        for k, (name, mean, sd) in enumerate(group.nuisances):
-            if name == "ln_drag":
-                found += [float(mean[j] + sd[j] * fit.eta[i][k]) for j, i in enumerate(group.trials)]
-    return np.array(found)
 
 
 def hidden_by(fit: Calibration) -> list[str]:

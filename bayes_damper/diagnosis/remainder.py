@@ -2,8 +2,13 @@
 
 What the repeats of one case share is the model's fault. So the whitened residuals of repeats are averaged, and the
 periodogram of the mean is held against that of white noise, Exp(1): a smooth excess at low frequency (torques that are
-missing), a narrow line or band (a resonance, a hum), or an event in time. Lines that keep no phase from trial to trial
-drop out of the mean and are looked for in the single records.
+missing), a narrow line or band (a resonance, a hum), or an event in time.
+
+What repeats do not share is the laboratory's, not the model's. Trials are what is independent, so the mean is held
+against what the repeats do differ by, where that is more than the noise, at the frequencies where it is. Lines that
+keep no phase from trial to trial drop out of the mean and are looked for in the single records: above the frequencies
+of the rig's own motion, which differs from trial to trial with whatever scatters, and in more than one record. A trial
+that differs from its repeats by more than anything that scatters accounts for is reported by its name (`unlike`).
 """
 
 from __future__ import annotations
@@ -14,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import helmert
 from scipy.stats import gamma
 
 from bayes_damper.calibration import Calibration, Experiment
@@ -25,6 +31,9 @@ CORNERS = (1.8, 4.8, 12.0, 30.0)  # of the generic spectra tried
 LOW_BAND = 12.0  # torques that act on inertias show below
 BAND_WIDTH = 0.6  # of the bands of the omnibus test
 STRENGTHS = np.geomspace(0.05, 3e4, 28)
+ALONE_FROM = 3.0  # lines of single records count above it
+SMOOTHED = 60.0  # degrees of freedom over which what repeats do not share is averaged
+UNLIKE_BY, UNLIKE_SURE = 0.2, 6.0  # of the noise's power, and in standard deviations: a trial unlike its repeats
 
 
 @dataclass(frozen=True)
@@ -101,6 +110,7 @@ def remainder_of(fit: Calibration) -> Remainder:
     own = own_frequency(fit.problem.experiment)
     power: list[tuple[Array, Array]] = []
     shared: list[tuple[Array, Array]] = []
+    unshared: list[tuple[Array, Array]] = []
     for members in repeats_of(fit):
         stack = np.array([records[i] for i in members])
         mean = stack.sum(axis=0) / math.sqrt(len(members))
@@ -113,20 +123,108 @@ def remainder_of(fit: Calibration) -> Remainder:
             shared.append((f, np.abs(np.fft.rfft(mean[channel])[1:-1]) ** 2 / np.mean(kept)))
             for k in range(len(members)):
                 power.append((f, np.abs(np.fft.rfft(stack[k, channel])[1:-1]) ** 2 / kept[k]))
+            if len(members) > 1:
+                apart = np.fft.rfft(helmert(len(members)) @ stack[:, channel])[:, 1:-1]
+                unshared += [(f, np.abs(a) ** 2 / np.mean(kept)) for a in apart]
     if not shared or shared[0][0].size < 8:
         return Remainder(0.0, 0.0, 0.0, 0.0, 1.0, fit.excess, own)
+    floors = _floors(unshared)
+    shared = [(f, p / floors.get(f.tobytes(), 1.0)) for f, p in shared]
     generic, level, corner = _generic(shared, own)
     # A peak of a smooth excess is no line: what the smooth spectrum explains is taken out first.
     smooth = level if generic > 0.0 else 0.0
     line, peak = _lines([(f, p / (1.0 + smooth * _shape(f, corner))) for f, p in shared], own)
-    single, single_peak = _lines([(f, p / (1.0 + smooth * _shape(f, corner))) for f, p in power], own)
+    alone = [(f, p / (1.0 + smooth * _shape(f, corner))) for f, p in power]
+    if unshared:
+        single, single_peak = _lines(_of_several([(f, np.where(f > ALONE_FROM * own, p, 0.0)) for f, p in alone]), own)
+    else:
+        single, single_peak = _lines(alone, own)
     if single > line:
         line, peak = single, single_peak
     low = float(sum(np.sum(p[f < LOW_BAND * own] - 1.0) for f, p in shared))
     count = sum(int(np.sum(f < LOW_BAND * own)) for f, _ in shared)
     # Each ordinate is Exp(1); an uncertain noise level adds to the spread of the sum.
     low_sd = math.sqrt(count + (0.01 * count) ** 2)
-    return Remainder(generic, line, peak, 2.0 * low, 2.0 * low_sd, fit.excess, own)
+    return Remainder(generic, line, peak, 2.0 * low + _taken_up(fit), 2.0 * low_sd, fit.excess, own)
+
+
+def _taken_up(fit: Calibration) -> float:
+    """Chi-square that the own values of trials take out of the mean of each set of repeats, where noise is all."""
+    taken: dict[int, float] = {}
+    for block in fit.linear.blocks:
+        gram = block.T @ block.T.transpose(0, 2, 1)
+        share = np.linalg.solve(np.eye(gram.shape[1]) + gram, gram)
+        taken |= dict(zip(block.group.trials, np.trace(share, axis1=1, axis2=2), strict=True))
+    return float(sum(np.mean([taken[i] for i in members]) for members in repeats_of(fit)))
+
+
+def _floors(unshared: Sequence[tuple[Array, Array]]) -> dict[bytes, Array]:
+    """Power of what repeats do not share over the noise where it is clearly more, else 1; by grid of frequencies."""
+    rows: dict[bytes, list[Array]] = {}
+    for f, p in unshared:
+        rows.setdefault(f.tobytes(), []).append(p)
+    out = {}
+    for key, powers in rows.items():
+        mean = np.mean(powers, axis=0)
+        wide = min(max(1, math.ceil(SMOOTHED / (2.0 * len(powers)))) | 1, mean.size)
+        level = np.convolve(mean, np.ones(wide), "same") / np.convolve(np.ones(mean.size), np.ones(wide), "same")
+        sd = math.sqrt(1.0 / (wide * len(powers)))  # of a mean of so many Exp(1)
+        out[key] = np.where(level > 1.0 + 2.0 * sd, level, 1.0)
+    return out
+
+
+def _of_several(spectra: Sequence[tuple[Array, Array]]) -> list[tuple[Array, Array]]:
+    """The spectra without, at each frequency, the strongest record of each kind: what a single trial has is its own."""
+    rows: dict[bytes, list[tuple[Array, Array]]] = {}
+    for f, p in spectra:
+        rows.setdefault(f.tobytes(), []).append((f, p))
+    out = []
+    for found in rows.values():
+        sorted_powers = np.sort([p for _, p in found], axis=0)
+        out += [(found[0][0], p) for p in sorted_powers[: max(len(found) - 1, 1)]]
+    return out
+
+
+@dataclass(frozen=True)
+class Unlike:
+    """A trial that differs from its repeats: power of the difference over that of the noise, less 1."""
+
+    trial: int
+    excess: float
+
+
+def unlike(fit: Calibration) -> list[Unlike]:
+    """Trials that differ from their repeats by more than noise and what is known to scatter, the worst first."""
+    records = whitened_records(fit)
+    out = []
+    for members in repeats_of(fit):
+        if len(members) < 2:
+            continue
+        stack = np.array([records[i] for i in members])
+        deviation = (stack - stack.mean(axis=0)) * math.sqrt(len(members) / (len(members) - 1.0))
+        for i, d in zip(members, deviation, strict=True):
+            n = max(int(np.count_nonzero(d)), 1)
+            excess = float(np.sum(d**2)) / n - 1.0
+            if excess > UNLIKE_BY and excess > UNLIKE_SURE * math.sqrt(2.0 / n):
+                out.append(Unlike(i, excess))
+    return sorted(out, key=lambda u: -u.excess)
+
+
+def unlike_in_words(fit: Calibration) -> list[str]:
+    """A sentence for each set of repeats that differ, naming the trials."""
+    found = unlike(fit)
+    trials = fit.problem.experiment.trials
+    out = []
+    for members in repeats_of(fit):
+        odd = [u for u in found if u.trial in members]
+        if odd and (len(odd) > 1 or len(members) > 2):
+            names = ", ".join(trials[u.trial].label for u in odd)
+            out.append(
+                f"{names}: differs from {'each other' if len(odd) == len(members) else 'the repeats'} by up to "
+                f"{math.sqrt(odd[0].excess):.2g} times the noise beyond all that is known to scatter. Repeats do not "
+                "share it, so it is the laboratory's and no cause is named for it."
+            )
+    return out
 
 
 def _shape(f: Array, corner: float) -> Array:

@@ -15,6 +15,7 @@ from bayes_damper.calibration import Calibration, Experiment, calibrate, calibra
 from bayes_damper.calibration.correlated_noise import FittedNoise, fit_with_noise
 from bayes_damper.calibration.influence import comparison, influence, without
 from bayes_damper.calibration.posterior import RecordPosterior, trial_label
+from bayes_damper.calibration.scatter import scatter_in_words, scatter_shown
 from bayes_damper.effects import all_effects
 from bayes_damper.errors import InputError
 from bayes_damper.fit.draw import DRAWN, Report, number_of, sampled, shaped
@@ -57,6 +58,7 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
     own = {f"effect.{p.name}": effect_unit(p.unit, kind, experiment.quantity) for p in declared}
 
     def units(name: str) -> str:
+        name = "sigma1" if name.startswith("offset") else name
         return own.get(name) or unit_of(name, kind, experiment.quantity)
 
     freedom = noise.freedom if noise.kind == "student" else None
@@ -78,7 +80,8 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
     labels = {i: trial_label(experiment.trials[i]) for i in posterior.trials}
     report(0.76, "predicted; left: trials left out, evidence, files, figures")
     entry["noise"] = noise.to_json(units("sigma1"))
-    entry["sentences"] += noise.sentences(units("sigma1"))
+    entry["scatter"] = scatter_shown(best, units("sigma1"))
+    entry["sentences"] += [*noise.sentences(units("sigma1")), *scatter_in_words(best)]
     entry |= _trials_apart(experiment, noise, labels, plan.get("noise", "auto"))
     entry["prior_sensitivity"] = of_standard_draws(posterior.names, sampling.flat(4 * KEPT_DRAWS))
     report(0.8, "trials compared; left: evidence, files, figures")
@@ -191,8 +194,8 @@ def _evidence(posterior: RecordPosterior, sampling: Sampling, rng: np.random.Gen
 def _trial_draws(posterior: RecordPosterior, drawn: Mapping[int, Array]) -> dict[int, dict[str, Array]]:
     """What each trial has for itself, from draws of its nuisances in standard coordinates: trial -> name -> (n,).
 
-    Release angle (rad), instant (s), friction and drag relative to those of all trials (ln_mu, ln_drag), and what the
-    prior file gives to trials.
+    Release angle (rad), instant (s), parameters relative to those of all trials (ln_mu, ln_k1t), gains and offsets of
+    channels, and what the prior file gives to trials. Waves of a drift are left out.
     """
     out: dict[int, dict[str, Array]] = {}
     problem = posterior.problem
@@ -200,6 +203,8 @@ def _trial_draws(posterior: RecordPosterior, drawn: Mapping[int, Array]) -> dict
         for k, i in enumerate(part.group.trials):
             out[i] = {}
             for m, (name, mean, sd) in enumerate(part.group.nuisances):
+                if name.startswith("drift"):
+                    continue
                 value = mean[k] + sd[k] * drawn[i][:, m]
                 own = name.removeprefix("ln_")
                 if own != name and problem.experiment.levels.get(own) == "trial":

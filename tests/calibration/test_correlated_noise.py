@@ -18,6 +18,7 @@ from bayes_damper.calibration import Calibration, Noise, Problem, Switches, cali
 from bayes_damper.calibration.correlated_noise import FittedNoise, fit_with_noise, student_log_density
 from bayes_damper.calibration.influence import comparison, influence, without
 from bayes_damper.calibration.posterior import RecordPosterior
+from bayes_damper.calibration.scatter import TYPICAL
 from bayes_damper.errors import InputError
 from bayes_damper.fit import plan_fit
 from bayes_damper.fit.sensitivity import of_standard_draws, text
@@ -27,7 +28,9 @@ ONE_CASE: dict[str, Any] = {"cases": [("IV", 1, 0.08)], "duration": 0.4, "repeat
 
 
 def _fitted(sensor: Callable[..., Any] | None = None, kind: str = "auto", **more: Any) -> FittedNoise:
-    return fit_with_noise(measured(1, sensor=sensor, **(ONE_CASE | more)), kind)
+    """A fit of a campaign that says that nothing scatters from trial to trial, so that noise alone widens it."""
+    experiment = measured(1, sensor=sensor, **(ONE_CASE | more))
+    return fit_with_noise(replace(experiment, scatter=dict.fromkeys(TYPICAL, 0.0)), kind)
 
 
 def _same_misfit(times, y):

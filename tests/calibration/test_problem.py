@@ -11,11 +11,9 @@ from scipy.linalg import block_diag
 from small_rig import measured
 
 from bayes_damper.calibration import (
-    FRICTION_SPREAD,
     Experiment,
     Noise,
     Problem,
-    Switches,
     TrialRecord,
     calibrate,
     calibrate_nominal,
@@ -28,6 +26,7 @@ from bayes_damper.calibration import (
     thinned,
 )
 from bayes_damper.calibration.experiment import unrounded
+from bayes_damper.calibration.scatter import TYPICAL
 from bayes_damper.campaign.records import crossings
 from bayes_damper.diagnosis.remainder import remainder_of
 from bayes_damper.effects import EFFECTS
@@ -148,7 +147,7 @@ def test_a_motion_may_be_released_on_either_side_of_the_first_reading(quantity, 
 def test_lone_trials_keep_their_own_release():
     """One training trial of a kind cannot tell whether releases vary, so each keeps its own."""
     fit = calibrate_nominal(with_release("velocity", 5e-3, repeats=2))
-    assert fit.problem.switches == Switches(delay=True, friction=True)
+    assert fit.problem.switches.delay
     assert max(fit.problem.noise.total) < 2.0 * 5e-3
 
 
@@ -174,12 +173,14 @@ def test_drag_that_differs_between_repeats_is_each_trials_own(scatter):
         y = Model(coupled=False).simulate(RIG | TRUE | own, t.times).y[0]
         trials.append(replace(t, y=y + 0.3 * rng.standard_normal(y.shape)))
     fit = calibrate_nominal(replace(drawn, trials=tuple(trials)))
-    assert fit.problem.switches.drag is (scatter > 0.0)
+    (size,) = (s for s in fit.problem.switches.scatter.sizes if s.name == "drag")
+    assert (size.gained > 3.0) is (scatter > 0.0)
+    assert size.low < scatter < size.high or not scatter
     assert abs(fit.excess) < 4.0 * math.sqrt(2.0 * fit.problem.n_data)
     assert max(fit.problem.noise.total) < 0.33
     if scatter:
         names = [n for n, _, _ in fit.problem.groups[0].nuisances]
-        found = np.array([fit.eta[i][names.index("ln_drag")] for i in fit.problem.trials]) * FRICTION_SPREAD
+        found = np.array([fit.eta[i][names.index("ln_drag")] for i in fit.problem.trials]) * size.sd
         assert np.corrcoef(found, np.log(drags[list(fit.problem.trials)]))[0, 1] > 0.9
 
 
@@ -316,8 +317,9 @@ def test_heldout_trials_cost_no_more_than_noise(fitted):
 
 
 def test_switches_stay_off_where_the_repeats_agree(fitted):
-    """Easy data do not pay for triggers and frictions of their own."""
-    assert fitted.problem.switches == Switches(delay=False, friction=False)
+    """Easy data do not pay for triggers of their own, and show no friction that differs."""
+    assert not fitted.problem.switches.delay
+    assert max(s.gained for s in fitted.problem.switches.scatter.sizes) < 3.0
 
 
 def test_a_point_that_cannot_be_simulated_has_no_evidence(fitted):
@@ -441,9 +443,9 @@ def test_the_level_of_an_error_is_that_of_its_noise_where_it_is_white():
 
 def test_without_repeats_the_noise_allows_for_an_error_of_the_model():
     rng = np.random.default_rng(5)
-    right = calibrate_nominal(swing(noise=2e-3), nominal="linear")
+    wrong = replace(swing(noise=2e-3), scatter=dict.fromkeys(TYPICAL, 0.0))  # which would widen c1t in both
+    right = calibrate_nominal(wrong, nominal="linear")
     assert right.problem.noise.sensor == ()
-    wrong = swing(noise=2e-3)
     slow = [np.convolve(rng.standard_normal(t.y.size), np.hanning(25), "same")[None] * 5e-3 for t in wrong.trials]
     bent = replace(wrong, trials=tuple(replace(t, y=t.y + s) for t, s in zip(wrong.trials, slow, strict=True)))
     fit = calibrate_nominal(bent, nominal="linear")

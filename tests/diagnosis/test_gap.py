@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from small_rig import measured, variant
+from scipy.stats import norm
+from small_rig import NOISE, measured, variant
 
 from bayes_damper.calibration import Problem, Switches, calibrate, calibrate_nominal
 from bayes_damper.diagnosis.gap import (
+    _by_trials,
     _correlation,
     _length,
     held_out_test,
@@ -175,3 +177,29 @@ def test_a_choice_that_looked_at_the_held_out_trials_is_paid_for(both):
     shape = {i: rng.standard_normal(experiment.trials[i].y.shape) for i in experiment.heldout}
     once = held_out_test(nominal, eta, [shape])
     assert held_out_test(nominal, eta, [shape], [3]) == pytest.approx(min(1.0, 3.0 * once))
+
+
+def test_what_repeats_do_not_share_is_no_gap():
+    """A slow wave of each trial's own size, for which the model has no place: called a gap as rarely as noise is."""
+    alarms = 0
+    switches = Switches(delay=False, friction=False)
+    start = None
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+
+        def wave(times, y, rng=rng):
+            return y + 0.7 * NOISE * rng.standard_normal() * np.sin(30.0 * times)
+
+        experiment = measured(2000 + seed, configurations=(False,), duration=0.25, rate=500.0, repeats=6, sensor=wave)
+        problem = Problem(experiment, switches=switches)
+        fit = calibrate(problem, [np.zeros(problem.size) if start is None else start], anneal=False, finish=False)
+        start = fit.q
+        alarms += measure_gap(fit).answer == "gap"
+    assert alarms <= 9  # 3 expected; by the noise alone a third of them would be
+
+
+def test_held_out_trials_show_how_they_vary_where_nothing_else_does():
+    """Eight products of one sign and size are no chance; one large among seven small ones may be."""
+    assert _by_trials(np.ones(8), 8.0) < 1e-4
+    assert _by_trials(np.array([8.0, *np.zeros(3), 0.1, -0.1, 0.1, 0.05]), 8.0) > 0.1
+    assert _by_trials(np.array([2.0]), 2.0) == pytest.approx(float(norm.sf(2.0)))

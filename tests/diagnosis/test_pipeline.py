@@ -16,7 +16,6 @@ from test_problem import RIG, TRUE, make_experiment
 from bayes_damper.calibration import (
     Experiment,
     Problem,
-    Switches,
     TrialRecord,
     calibrate,
     calibrate_nominal,
@@ -24,7 +23,7 @@ from bayes_damper.calibration import (
 )
 from bayes_damper.commands.diagnose import _estimated, _maps, _shown_record
 from bayes_damper.commands.diagnose import diagnose as diagnose_folder
-from bayes_damper.diagnosis import diagnose, pairs, pipeline
+from bayes_damper.diagnosis import diagnose, pairs
 from bayes_damper.diagnosis.lone import left_of_squares
 from bayes_damper.diagnosis.outliers import outlying, told, without
 from bayes_damper.diagnosis.pairs import ComposedProblem, PairProblem, Second, best_pairs, pair_problem
@@ -660,15 +659,6 @@ def test_slightly_coloured_noise_without_repeats_is_no_gap():
     found = diagnose(experiment)
     assert found.verdict == "none"
     assert found.answers.probabilities["unknown"] < 0.2
-
-
-def test_drags_of_single_trials_are_told_only_where_the_drag_itself_is_known():
-    """A friction that hardly acts differs from trial to trial by any factor, which means nothing."""
-    fit = calibrate_nominal(measured(5), switches=Switches(drag=True))
-    drags = pipeline.own_drags(fit)
-    assert drags.size > 2
-    assert np.std(drags) < 0.1
-    assert pipeline.own_drags(replace(fit, covariance=1e4 * fit.covariance)).size == 0
 
 
 def test_the_prior_of_a_foreign_cause_moves_the_verdict_and_is_refused_where_it_leaves_no_room():

@@ -1,0 +1,362 @@
+"""What differs from trial to trial, how much of it, learnt from what repeats do not share.
+
+A spring that seats differently, a bearing that warms, a gain that wanders: each trial j has its own x_j = s eta_j about
+the value that the campaign (or the case) has, relative for parameters of the rig and gains, in the unit of the readings
+for offsets and slow drift. The trials' own values are integrated out with the release angle and its instant; their
+sizes s are learnt here, all at once.
+
+Repeats of one case share the motion and whatever the model lacks of it. With r_j the whitened residuals of repeat j
+with its own values at 0, and T_j their derivatives by these, in units of typical sizes, the model of a set is
+
+    r_j = -T_j (m + eta_j) + noise,   m ~ flat,   eta_j ~ N(0, D),
+
+D the squares of the sizes over the typical ones: what is shared goes into m, and only what the repeats differ by is
+left to judge D (Patterson and Thompson 1971, Biometrika 58, 545: restricted likelihood). It needs T_j T_j' and T_j r_j
+alone, so that an evaluation costs microseconds, and repeats may have other clocks and lengths. The instant of release
+has a flat prior here: it is not linear.
+
+The prior of a size is half a Student t of 4 degrees of freedom with the typical size as its scale (Gelman 2006,
+Bayesian Analysis 1, 515): it lets a scatter be absent, and far larger than usual. What enters a fit is the root of the
+posterior mean of s^2. Where nothing is repeated that is 1.4 times the typical size: priors carry it, answers widen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.optimize import minimize
+from scipy.stats import t as student
+
+from bayes_damper.calibration.experiment import repeats
+
+if TYPE_CHECKING:
+    from bayes_damper.calibration.least_squares import Calibration
+    from bayes_damper.calibration.noise_level import Noise
+    from bayes_damper.calibration.problem import Problem
+
+Array = NDArray[np.float64]
+
+TYPICAL: Mapping[str, float] = {
+    "k1t": 0.002,  # a spring seats anew, and warms by some kelvin
+    "k2t": 0.005,  # a magnet's pull falls by 0.1 % a kelvin and varies with the gap as that is set
+    "c1t": 0.05,  # lubricants lose 3 to 5 % of their viscosity a kelvin
+    "c3t": 0.05,
+    "c2t": 0.05,
+    "mu": 0.05,  # dry friction repeats to 4 to 6 % between runs of one day
+    "drag": 0.05,
+    "gain": 0.002,  # an amplifier in a room
+    "offset": 0.5,  # of the channel's noise
+    "drift": 0.5,  # of the channel's noise, over the record
+}
+"""Typical standard deviation from trial to trial: the scale of a size's prior where the campaign gives none."""
+FREEDOM = 4.0  # of the half Student t
+RELATIVE = ("k1t", "k2t", "c1t", "c3t", "c2t", "mu", "drag")
+COUPLED_ONLY = ("k2t", "c2t", "c3t", "mu")
+READINGS = ("gain", "offset", "drift")  # of each channel
+DRIFT_WAVES = 3  # half periods of the slowest cosine that a drift may have over a record
+_FLAT = 1e8  # prior variance of what has a flat prior, in its own units
+_GRID = np.linspace(-5.0, 3.5, 35)  # of ln(size / typical size)
+_FINE = np.linspace(-5.0, 3.5, 681)
+SHOWN_FROM = 3.0  # nats by which the repeats' likelihood must gain from a scatter for it to be reported
+SURE_OF_TREND = 0.01
+NEGLIGIBLE = 0.05  # information s^2 T'T of every trial's own value, below which it is left out
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much one thing scatters from trial to trial.
+
+    sd : what fits use, the root of the posterior mean of its square; low, high : shortest interval holding 90 % of the
+    probability; typical : scale of its prior; gained : nats of the repeats' likelihood by the likeliest size over none.
+    """
+
+    name: str
+    sd: float
+    low: float
+    high: float
+    typical: float
+    gained: float = 0.0
+
+    @property
+    def columns(self) -> tuple[tuple[str, float], ...]:
+        """Names and standard deviations of the nuisances that it makes in each trial."""
+        if self.name.startswith("drift"):
+            return tuple((f"{self.name}_{k}", self.sd / k) for k in range(1, DRIFT_WAVES + 1))
+        return ((nuisance(self.name), self.sd),)
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """The sizes of all that may scatter."""
+
+    sizes: tuple[Size, ...] = ()
+
+    def columns(self, coupled: bool) -> list[tuple[str, float]]:
+        """Names and standard deviations of the nuisances of a trial."""
+        return [
+            column
+            for size in self.sizes
+            if coupled or (size.name not in COUPLED_ONLY and not size.name.endswith("2"))
+            for column in size.columns
+        ]
+
+
+NO_SCATTER = Scatter()
+
+
+def nuisance(name: str) -> str:
+    """Name of the nuisance that scatters."""
+    return f"ln_{name}" if name in RELATIVE else name
+
+
+def of_readings(name: str) -> bool:
+    """Whether a nuisance acts on the readings, not on the motion."""
+    return name.startswith(READINGS)
+
+
+def channel_of(name: str) -> int:
+    """Channel, from 0, of a nuisance of the readings."""
+    return int(name.partition("_")[0][-1]) - 1
+
+
+def wave(name: str, times: Array) -> Array:
+    """Shape (n,) in time of an offset, or of a half-period cosine of mean square 1 of a drift."""
+    kind, _, number = name.partition("_")
+    if kind.startswith("offset"):
+        return np.ones_like(times)
+    span = max(float(times[-1] - times[0]), 1e-300)
+    return np.asarray(math.sqrt(2.0) * np.cos(int(number) * math.pi * (times - times[0]) / span))
+
+
+def typical_scatter(problem: Problem) -> Scatter:
+    """All that may scatter in a problem, at its typical size, or the size that the campaign gives."""
+    e = problem.experiment
+    coupled = any(e.trials[i].coupled for i in problem.trials)
+    found: dict[str, float] = {}
+    for name in RELATIVE:
+        absent = name in e.ties or e.levels.get(name) == "trial" or (name in COUPLED_ONLY and not coupled)
+        absent |= name in ("mu", "drag") and problem.nominal == "linear"
+        absent |= name == "mu" and not e.magnet
+        if not absent:
+            found[name] = TYPICAL[name]
+    for channel in range(1 + int(coupled)):
+        noise = problem.noise.floor[min(channel, len(problem.noise.floor) - 1)]
+        own_offset = e.offset_sd is not None or e.quantity == "displacement"
+        for kind in READINGS:
+            if not (kind == "offset" and own_offset):
+                found[f"{kind}{channel + 1}"] = TYPICAL[kind] * (1.0 if kind == "gain" else noise)
+    for name, size in e.scatter.items():
+        for key in found:
+            if key == name or (name in READINGS and key[:-1] == name):
+                found[key] = size
+    return Scatter(tuple(Size(n, s, 0.0, math.inf, s) for n, s in found.items() if s > 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Repeats:
+    """Sums over the readings of a set of n repeats, from whitened residuals and what m own values change in them.
+
+    names : of the m own values; gram (n, m, m) : T T' of each repeat; product (n, m) : T r, with own values at 0.
+    """
+
+    names: tuple[str, ...]
+    gram: Array
+    product: Array
+
+    def log_likelihood(self, variances: Array) -> tuple[float, Array]:
+        """Log likelihood of what repeats do not share, up to a constant; its derivatives by ln variances (m,).
+
+        By the normal equations of mean and deviations: the derivative is half the sum over the repeats of
+        <eta^2> / variance - 1, <eta^2> being the posterior mean square of a deviation (as in the EM algorithm).
+        """
+        H = self.gram + np.diag(1.0 / variances)
+        inverse = np.linalg.inv(H)
+        pulled = self.gram @ inverse
+        S = np.sum(self.gram - pulled @ self.gram, axis=0) + np.eye(variances.size) / _FLAT
+        g = np.sum(self.product - np.einsum("jmn,jn->jm", pulled, self.product), axis=0)
+        spread = np.linalg.inv(S)
+        mean = spread @ g
+        eta = np.einsum("jmn,jn->jm", inverse, self.product - self.gram @ mean)
+        square = eta**2 + np.diagonal(inverse + pulled.transpose(0, 2, 1) @ spread @ pulled, axis1=1, axis2=2)
+        log_det = np.linalg.slogdet(S)[1] + np.sum(np.linalg.slogdet(H)[1]) + len(H) * np.sum(np.log(variances))
+        explained = float(g @ mean) + float(np.einsum("jm,jmn,jn->", self.product, inverse, self.product))
+        return 0.5 * (explained - float(log_det)), 0.5 * np.sum(square / variances - 1.0, axis=0)
+
+
+def learn_scatter(fit: Calibration, noise: Noise | None = None) -> Scatter:
+    """Sizes of all scatters, from what the repeats of a fit do not share, under a noise (default: that of the fit)."""
+    problem = fit.problem if noise is None else fit.problem.with_noise(noise)
+    typical = typical_scatter(problem)
+    wide = problem.changed(switches=replace(problem.switches, friction=False, drag=False, scatter=typical))
+    linear = wide.linearise(fit.q, carried(fit, wide))
+    found: dict[Hashable, list[tuple[tuple[str, ...], Array, Array]]] = {}
+    information: dict[str, float] = {}
+    trials = problem.experiment.trials
+    for block in linear.blocks:
+        names = tuple(name for name, _, _ in block.group.nuisances)
+        free = np.array([name == "delay" for name in names])
+        residual = block.r - np.einsum("jmd,jm->jd", block.T, np.where(free, 0.0, block.eta))
+        gram = block.T @ block.T.transpose(0, 2, 1)
+        product = np.einsum("jmd,jd->jm", block.T, residual)
+        for k, name in enumerate(names):
+            information[name] = max(information.get(name, 0.0), float(np.max(gram[:, k, k])))
+        for k, i in enumerate(block.group.trials):
+            found.setdefault(trials[i].conditions, []).append((names, gram[k], product[k]))
+    sets = [
+        Repeats(rows[0][0], np.array([r[1] for r in rows]), np.array([r[2] for r in rows]))
+        for rows in found.values()
+        if len(rows) > 1 and problem.experiment.start != "free"  # no two of those begin alike
+    ]
+    sizes = _posterior(sets, typical.sizes)
+    return Scatter(tuple(s for s in sizes if _matters(s, information)))
+
+
+def _matters(size: Size, information: Mapping[str, float]) -> bool:
+    return any((size.sd / size.typical) ** 2 * information.get(name, 0.0) > NEGLIGIBLE for name, _ in size.columns)
+
+
+def carried(fit: Calibration, problem: Problem) -> dict[int, Array]:
+    """Nuisances of a fit for the same trials of another problem: the same values where both have them, else 0."""
+    known = {
+        i: {name: float(mean[k] + sd[k] * fit.eta[i][m]) for m, (name, mean, sd) in enumerate(group.nuisances)}
+        for group in fit.problem.groups
+        for k, i in enumerate(group.trials)
+    }
+    out = {}
+    for group in problem.groups:
+        for k, i in enumerate(group.trials):
+            value = [
+                (known[i][name] - float(mean[k])) / float(sd[k]) if name in known[i] else 0.0
+                for name, mean, sd in group.nuisances
+            ]
+            out[i] = np.clip(np.array(value), group.lower[k], group.upper[k])
+    return out
+
+
+def _posterior(sets: Sequence[Repeats], typical: Sequence[Size]) -> tuple[Size, ...]:
+    """Posterior of each size: the others at the posterior mode, its own over a grid of its logarithm."""
+    which = {name: k for k, size in enumerate(typical) for name, _ in size.columns}
+    placed = [np.array([which.get(name, -1) for name in s.names]) for s in sets]
+    fixed = [np.where([name == "delay" for name in s.names], _FLAT, 1.0) for s in sets]
+
+    def log_density(u: Array) -> tuple[float, Array]:
+        z = np.exp(2.0 * u) / FREEDOM
+        value = float(np.sum(u - 0.5 * (FREEDOM + 1.0) * np.log1p(z)))
+        slope = 1.0 - (FREEDOM + 1.0) * z / (1.0 + z)
+        for s, place, start in zip(sets, placed, fixed, strict=True):
+            gain, by_log = s.log_likelihood(start * np.where(place >= 0, np.exp(2.0 * u)[place], 1.0))
+            value += gain
+            np.add.at(slope, place[place >= 0], 2.0 * by_log[place >= 0])
+        return value, slope
+
+    begin: Array = np.zeros(len(typical))
+    bounds = [(float(_GRID[0]), float(_GRID[-1]))] * len(typical)
+    found = begin
+    if sets and len(typical):
+        found = minimize(
+            lambda u: tuple(-x for x in log_density(u)), begin, jac=True, method="L-BFGS-B", bounds=bounds
+        ).x
+    out = []
+    for k, size in enumerate(typical):
+        line = np.tile(found, (_GRID.size, 1))
+        line[:, k] = _GRID
+        logs = np.array([log_density(u)[0] for u in line]) if sets else log_prior(_GRID)
+        smooth = CubicSpline(_GRID, logs)(_FINE)
+        share = np.exp(smooth - smooth.max())
+        share /= share.sum()
+        sd = math.sqrt(float(share @ np.exp(2.0 * _FINE)))
+        low, high = _shortest(share)
+        likelihood = logs - log_prior(_GRID)
+        gained = float(likelihood[np.argmax(logs)] - likelihood[0])
+        t = size.typical
+        out.append(Size(size.name, t * sd, t * low, t * high, t, gained))
+    return tuple(out)
+
+
+def log_prior(u: Array) -> Array:
+    """Log density, up to a constant, of the logarithm u of a size over its typical one."""
+    return np.asarray(u - 0.5 * (FREEDOM + 1.0) * np.log1p(np.exp(2.0 * u) / FREEDOM))
+
+
+def _shortest(share: Array, of: float = 0.9) -> tuple[float, float]:
+    """The shortest interval of the size, in typical ones, that holds so much of the probability on the grid."""
+    sizes = np.exp(_FINE)
+    total = np.concatenate([[0.0], np.cumsum(share)])
+    best = (0.0, float(sizes[-1]))
+    for first in range(share.size):
+        last = int(np.searchsorted(total, total[first] + of - 1e-12))
+        if last > share.size:
+            break
+        low = 0.0 if first == 0 else float(sizes[first])
+        high = float(sizes[min(last, share.size) - 1])
+        if high - low < best[1] - best[0]:
+            best = (low, high)
+    return best
+
+
+# What is reported of it ----------------------------------------------------------------------------------------------
+
+
+def scatter_shown(fit: Calibration, unit: str) -> dict[str, dict[str, Any]]:
+    """Entry `scatter` of the results: what the repeats show to differ from trial to trial; unit : of the readings.
+
+    trend_with_order : correlation, from -1 to 1, of the trials' own values with their order among repeats.
+    """
+    return {
+        size.name: {
+            "sd": size.sd,
+            "unit": "relative" if size.name in RELATIVE or size.name.startswith("gain") else unit,
+            "hdi90": [size.low, size.high],
+            "trend_with_order": trend_with_order(fit, size)[0],
+        }
+        for size in fit.problem.switches.scatter.sizes
+        if size.gained > SHOWN_FROM
+    }
+
+
+def trend_with_order(fit: Calibration, size: Size) -> tuple[float, float]:
+    """Correlation of the trials' own values with their order among the repeats, and the p-value of none."""
+    column = size.columns[0][0]
+    values, order, sets = [], [], 0
+    trials = fit.problem.experiment.trials
+    for group in fit.problem.groups:
+        names = [name for name, _, _ in group.nuisances]
+        if column not in names:
+            continue
+        own = np.array([fit.eta[i][names.index(column)] for i in group.trials])
+        for members in repeats([trials[i] for i in group.trials]):
+            number = np.array([float(trials[group.trials[k]].number) for k in members])
+            values += list(own[members] - own[members].mean())
+            order += list(number - number.mean())
+            sets += 1
+    x, y = np.array(order), np.array(values)
+    freedom = x.size - sets - 1
+    both = float(np.sum(x * x) * np.sum(y * y))
+    if freedom < 1 or both <= 0.0:
+        return 0.0, 1.0
+    r = float(np.clip(x @ y / math.sqrt(both), -1.0, 1.0))
+    return r, float(2.0 * student.sf(abs(r) * math.sqrt(freedom / max(1.0 - r * r, 1e-12)), freedom))
+
+
+def scatter_in_words(fit: Calibration) -> list[str]:
+    """Sentences on what the repeats show to differ from trial to trial."""
+    shown = [s for s in fit.problem.switches.scatter.sizes if s.gained > SHOWN_FROM]
+    relative = [s for s in shown if s.name in RELATIVE or s.name.startswith("gain")]
+    out = []
+    if relative:
+        listed = ", ".join(f"{s.name} by {100.0 * s.sd:.2g} %" for s in relative)
+        out.append(f"From trial to trial {listed} scatter; each trial was given its own, and no cause is named for it.")
+    for size in shown:
+        r, p = trend_with_order(fit, size)
+        if p < SURE_OF_TREND:
+            out.append(
+                f"The own value of {size.name} {'grows' if r > 0.0 else 'falls'} with the order of the repeats "
+                f"(correlation {r:+.2f}): something warms up or wears."
+            )
+    return out
