@@ -59,6 +59,7 @@ FITTED = 3  # sets fitted in each round
 ROUNDS = 3
 RELEARNT = 2
 STARTS = (1.0, 0.6, 0.3)  # shares of the screening's amplitudes from which a set is fitted
+LEAST_DROPPED = 3  # effects of a set from which each is left out once
 LEAST = 0.05  # of a parameter's value, to which it gives way at most at a start
 STEPS, STEPS_ALONE = 16, 40  # of a fit; over the many periods of a record without repeats valleys are long
 
@@ -459,7 +460,24 @@ def grown(
             if exact or not mends(fit.log_evidence - base.fit.log_evidence, explained, members[-1][0].exact):
                 add(members, fit)
         ranked = weighed(list(sets.values()))
-    return ranked
+    # A smaller set may have ended short of where the best one leads: each effect is left out of that once.
+    best = ranked[0]
+    for members, start in _without_one(best) if exact else ():
+        add(members, _fitted(nominal, members, [start], exact))
+    return weighed(list(sets.values()))
+
+
+def _without_one(best: SetFit) -> list[tuple[tuple[Member, ...], Array]]:
+    """Each smaller set with one effect less than the best one, and where the best one's fit lies for it."""
+    problem = best.fit.problem
+    if not isinstance(problem, SetProblem) or len(best.members) < LEAST_DROPPED:
+        return []
+    out = []
+    for effect, _ in best.members:
+        left_out = set(problem.parameters_of(effect.name).values())
+        kept = [i for i, name in enumerate(problem.names) if name not in left_out]
+        out.append((tuple(m for m in best.members if m[0] is not effect), best.fit.q[kept]))
+    return out
 
 
 def mends(gain: float, explained: float, exact: bool, rule: Rule = RULE) -> bool:

@@ -13,6 +13,7 @@ from bayes_damper.diagnosis.search import offered
 from bayes_damper.diagnosis.sets import (
     SetFit,
     SetProblem,
+    _without_one,
     columns_at,
     grown,
     log_prior,
@@ -112,6 +113,18 @@ def test_a_set_that_shares_a_kernel_is_the_composed_formula():
     alone[0, -1] = -0.4
     drag = base.with_effect(members[1][1]).simulate(group, np.array([0]), alone, eta)
     assert np.abs(once - drag).max() > 1.0
+
+
+def test_each_effect_is_left_out_of_the_best_set_from_where_that_lies():
+    members = [member("inertia_error"), member("quadratic_drag"), member("sensor_gain")]
+    problem = SetProblem(Problem(measured(1, repeats=1)), members, exact=True)
+    q = np.arange(float(problem.size))
+    smaller = _without_one(SetFit(problem.members, SimpleNamespace(problem=problem, q=q), 0.0, 0.0, 1.0))
+    assert [[e.name for e, _ in members] for members, _ in smaller] == [
+        ["quadratic_drag", "sensor_gain"], ["inertia_error", "sensor_gain"], ["inertia_error", "quadratic_drag"]
+    ]  # fmt: skip
+    n = problem.base.size
+    np.testing.assert_array_equal(smaller[1][1], np.delete(q, n + 1))
 
 
 def stub(names, plain, squares, pieces=40.0):
