@@ -53,6 +53,9 @@ TOML = [
     ("noise_std = 2.0", f"{'.'.join('a' * 200)} = 1", "nested more than"),
     ('quantity = "acceleration"', "quantity = []", "quantity = [] is not one of"),
     ('name = "synthetic"', "name = 1979-02-30", "Invalid date"),
+    ("secondary_inertia = 2.474e-3", "secondary_inertia = 1e12", "one cannot show the other"),
+    ("magnet_pull = 100.0", "magnet_pull = 100.0\nground2_stiffness = 1e12", "the secondary could not move"),
+    ("noise_std = 2.0", "noise_std = 1e12", "times the largest reading"),
 ]
 
 

@@ -24,6 +24,7 @@ from bayes_damper.inputs import collected, real, shown, toml_file, toml_of
 
 TomlValue = Any  # whatever a TOML file can hold: checked by those who take it
 _SINGLE = {"sample_rate": "one number, in Hz", "duration": "one number, in s", "every": "one whole number"}
+_MOST_APART = 1e6  # a ratio of inertias, or of springs, beyond which one of them does not act
 _MOST_UNKNOWN = 20
 _TOP = ("name", "description", "source", "caveats", "rig", "measurement")
 _TABLES = {"rig": (*RIG_NUMBERS, *RIG_WORDS),
@@ -235,6 +236,13 @@ def check_rig(folder: Path, rig: Rig, coupled: bool, faults: list[str]) -> None:
         rig.inertial_coupling.value**2 >= rig.primary_inertia.value * rig.secondary_inertia.value
     ):
         faults.append(f"{where}: inertial_coupling must be smaller than sqrt(J1 J2): no rig has such an inertia matrix")
+    elif min(rig.primary_inertia.value, rig.secondary_inertia.value) > 0.0:
+        ratio = rig.secondary_inertia.value / rig.primary_inertia.value
+        if not 1.0 / _MOST_APART <= ratio <= _MOST_APART:
+            faults.append(
+                f"{where}: secondary_inertia is {ratio:.3g} times primary_inertia: of two bodies so far apart one "
+                "cannot show the other; give both in the same unit"
+            )
     if _friction_fixed_at_zero(folder):
         return
     needed = {"bar_radius": "R, m", "magnet_pull": "N0, N, the force that presses the faces together"}

@@ -15,6 +15,8 @@ from bayes_damper.campaign.structure import COLUMNS, Rig, Trial, natural_period
 _FEWEST = 4.0  # readings in a period of the primary, below which a motion is not seen
 _ABOVE_ZERO = ("primary_inertia", "secondary_inertia", "bar_radius", "magnet_radius", "magnet_pull")
 
+_MOST_APART = 1e6  # a ratio beyond which one of two numbers does not act
+
 
 def check_declared(head: Head, trials: Sequence[Trial], faults: list[str], warnings: list[str]) -> None:
     """What campaign.toml and trials.csv declare, held against itself and the length and rate of the records."""
@@ -44,7 +46,20 @@ def check_declared(head: Head, trials: Sequence[Trial], faults: list[str], warni
                 f"trials.csv: case {trial.case}: theta0 is declared with an uncertainty larger than itself; the sign "
                 "of the release is then open: check the unit of the uncertainty"
             )
+    stiffest = max((t.k1t.value for t in trials), default=math.inf)
+    if rig.ground2_stiffness.value > _MOST_APART * stiffest:
+        faults.append(
+            f"{where}: ground2_stiffness is {rig.ground2_stiffness.value / stiffest:.3g} times the stiffest k1t: the "
+            "secondary could not move; check its unit"
+        )
     where = "campaign.toml [measurement]"
+    largest = max((float(np.max(np.abs(t.channels))) for t in trials), default=math.inf)
+    for key in ("noise_std", "offset_std"):
+        if any(x > _MOST_APART * largest for x in getattr(declared, key) or ()):
+            faults.append(
+                f"{where}: {key} is more than {_MOST_APART:g} times the largest reading, {largest:.3g}; give it in the "
+                "unit of the readings"
+            )
     if any(x >= 1.0 for x in declared.scale_std or ()):
         faults.append(
             f"{where}: scale_std is relative, 0.01 for 1 %; a scale uncertain by 100 % and more means nothing"
