@@ -523,7 +523,7 @@ def plan_of(folder):
     campaign = load_campaign(folder)
     return {
         "campaign": str(folder), "name": campaign.name, "campaign_sha256": campaign.sha256,
-        "cases": [case for case, _, _ in CASES], "priors": None, "normal_force": None,
+        "cases": [case for case, _, _ in CASES], "priors": None, "normal_force": None, "effect": None, "seed": 1,
     }  # fmt: skip
 
 
@@ -847,6 +847,10 @@ def test_repeats_apart_by_one_standard_deviation_are_found(tmp_path):
 
 
 def test_bad_folders_are_refused_with_a_sentence(tmp_path):
+    plan = {
+        "campaign": "thesis", "name": "thesis", "campaign_sha256": "", "priors": None, "normal_force": None,
+        "effect": None, "seed": 1,
+    }  # fmt: skip
     with pytest.raises(InputError, match="there is no such folder"):
         variability(tmp_path / "nothing")
     with pytest.raises(InputError, match="holds no results of `bayes-damper fit`"):
@@ -856,10 +860,10 @@ def test_bad_folders_are_refused_with_a_sentence(tmp_path):
     with pytest.raises(InputError, match="needs the results of"):
         variability(tmp_path)
     write_json(tmp_path / "summary.json", {"schema": "bayes-damper/fit/1", "converged": True})
-    write_json(tmp_path / "run.json", {"command": "fit", "plan": {"campaign": "thesis", "cases": ["I"]}})
+    write_json(tmp_path / "run.json", {"command": "fit", "plan": plan | {"cases": ["I"]}})
     with pytest.raises(InputError, match="one case only"):
         variability(tmp_path)
-    plan = {"campaign": "rig", "cases": ["I", "IV"], "effect": "stick_slip"}
+    plan |= {"campaign": "rig", "cases": ["I", "IV"], "effect": "stick_slip"}
     write_json(tmp_path / "run.json", {"command": "fit", "plan": plan})
     with pytest.raises(InputError, match="has the effect stick_slip; variability knows the nominal model only"):
         variability(tmp_path)
