@@ -190,7 +190,13 @@ class Repeats:
 
 
 def learn_scatter(fit: Calibration, noise: Noise | None = None) -> Scatter:
-    """Sizes of all scatters, from what the repeats of a fit do not share, under a noise (default: that of the fit)."""
+    """Sizes of all scatters, from what the repeats of a fit do not share, under a noise (default: that of the fit).
+
+    None where trials start free: no two of those begin alike, most are stretches of one decay, and what they leave is
+    taken for the error of the model (noise_level.py). Springs of their own would take a gap that they share.
+    """
+    if fit.problem.experiment.start == "free":
+        return NO_SCATTER
     problem = fit.problem if noise is None else fit.problem.with_noise(noise)
     typical = typical_scatter(problem)
     wide = problem.changed(switches=replace(problem.switches, friction=False, drag=False, scatter=typical))
@@ -211,7 +217,7 @@ def learn_scatter(fit: Calibration, noise: Noise | None = None) -> Scatter:
     sets = [
         Repeats(rows[0][0], np.array([r[1] for r in rows]), np.array([r[2] for r in rows]))
         for rows in found.values()
-        if len(rows) > 1 and problem.experiment.start != "free"  # no two of those begin alike
+        if len(rows) > 1
     ]
     sizes = _posterior(sets, typical.sizes)
     return Scatter(tuple(s for s in sizes if _matters(s, information)))

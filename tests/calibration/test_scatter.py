@@ -175,6 +175,12 @@ def test_without_repeats_priors_carry_the_scatter():
     assert "c1t" not in sizes_of(given.problem.switches.scatter)
 
 
+def test_stretches_of_one_decay_have_no_springs_of_their_own():
+    stretches = laboratory(5, {}, repeats=1)
+    assert sizes_of(calibrate_nominal(stretches).problem.switches.scatter)
+    assert calibrate_nominal(replace(stretches, start="free")).problem.switches.scatter.sizes == ()
+
+
 def test_a_held_out_trial_has_values_of_its_own():
     experiment = laboratory(6, {"k1t": 0.005, "c1t": 0.1, "offset": 2.0}, repeats=4, coupled=True)
     fit = calibrate_nominal(experiment)
