@@ -26,10 +26,14 @@ def write_fit(folder, normal_force, rng, converged=True):
     cases = PublishedCases(plan)
     hierarchy = Hierarchy([cases.likelihood("IV")], "separate", cases.pooled)
     found = temper(hierarchy, rng, 256)
-    z = hierarchy.coordinates(found.points, 0)
-    values = cases.posteriors["IV"].coordinates.values(z)
+    values = cases.values(hierarchy, found.points, 0, rng)
     posterior = published_posterior("IV", load_priors("thesis"), normal_force)
     points = posterior.coordinates.points(values)
+    # Spring and angle were drawn by linear features: a draw without the features that were measured gives its place.
+    sound = np.flatnonzero(np.isfinite(posterior(points)))
+    assert len(sound) > 0.9 * len(points)
+    kept = np.where(np.isin(np.arange(len(points)), sound), np.arange(len(points)), sound[:1])
+    points, values = points[kept], {name: x[kept] for name, x in values.items()}
     draws = {name: values[name].reshape(2, 8, 16) for name in posterior.names}
     folder.mkdir()
     write_json(folder / "run.json", {"command": "fit", "plan": plan, "workers": 1})

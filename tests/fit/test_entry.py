@@ -315,7 +315,12 @@ def test_another_plan_is_refused_with_every_difference(tmp_path):
     plan["priors"]["mu"]["median"] = 0.5
     with pytest.raises(InputError) as raised:
         start_run(tmp_path, before | {"plan": plan})
-    for said in ("seed was 1 and is 2 now", "cases was I, II and is I now", "priors.mu.median was 0.01 and is 0.5 now"):
+    median = before["plan"]["priors"]["mu"]["median"]
+    for said in (
+        "seed was 1 and is 2 now",
+        "cases was I, II and is I now",
+        f"priors.mu.median was {median} and is 0.5 now",
+    ):
         assert said in str(raised.value)
     start_run(tmp_path, before | {"workers": 2})  # as many processes as one likes
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+from importlib import import_module
 
 import pytest
 from rich.console import Console
@@ -90,9 +91,8 @@ def test_commands_without_a_terminal_tell_in_lines_unless_asked_for_quiet(words,
             tell("screening")
         return FoundPlain()
 
-    real = cli._call
-    replaced = ("fit:fit", "commands.diagnose:diagnose")
-    monkeypatch.setattr(cli, "_call", lambda name: run if name in replaced else real(name))
+    monkeypatch.setattr(import_module("bayes_damper.fit"), "fit", run)
+    monkeypatch.setattr(import_module("bayes_damper.commands.diagnose"), "diagnose", run)
     assert cli.main([*words, "somewhere"]) == 0
     told = capsys.readouterr().err
     assert re.match(begins, told) if begins else told == ""
@@ -141,8 +141,8 @@ def test_bars_are_closed_before_anything_is_printed(error, monkeypatch, capsys):
             raise error
         return Found(progress)
 
-    calls = {"runs.progress:make_progress": lambda quiet: shown, "fit:fit": fit}
-    monkeypatch.setattr(cli, "_call", calls.__getitem__)
+    monkeypatch.setattr(import_module("bayes_damper.runs.progress"), "make_progress", lambda quiet: shown)
+    monkeypatch.setattr(import_module("bayes_damper.fit"), "fit", fit)
     code = cli.main(["fit", "somewhere"])
     assert shown.closed
     printed = capsys.readouterr()
