@@ -59,8 +59,9 @@ def test_the_wheel_is_small_and_holds_data_and_priors(wheel):
 def test_data_and_priors_are_found_outside_the_checkout(run):
     done = run(
         "-c",
-        "from bayes_damper import published, priors; print(published.__file__); "
-        "print(len(published.load_published().measurements), priors.load_priors('thesis').name)",
+        "from bayes_damper.published import measurements; from bayes_damper.priors.files import load_priors; "
+        "print(measurements.__file__); "
+        "print(len(measurements.load_published().measurements), load_priors('thesis').name)",
     )
     assert done.returncode == 0, done.stderr
     place, numbers = done.stdout.splitlines()

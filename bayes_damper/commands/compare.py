@@ -123,13 +123,15 @@ def compare(folders: Sequence[str | Path], *, out: str | Path | None = None, see
     for label, summary in fits.items():
         with as_written(where[label], "fit"):
             pieces[label] = _fit_pieces(where[label], summary, seed)
+    with as_written(" or ".join(map(str, paths)), "fit"):
+        parameters = _parameters(fits)
     result: dict[str, Any] = {
         "schema": SCHEMA,
         "folders": {label: str(path) for label, path in where.items()},
         "campaigns": {label: _told_of(results, "campaign") for label, results in found.items()},
         "campaign_sha256": {label: _told_of(results, "campaign_sha256") for label, results in found.items()},
         "converged": {label: _converged(results) for label, results in found.items()},
-        "parameters": _parameters(fits),
+        "parameters": parameters,
         "evidence": _turned({label: piece["evidence"] for label, piece in pieces.items()}),
         "heldout": _turned({label: piece["heldout"] for label, piece in pieces.items()}),
         "diagnosis": _turned({k: _diagnosis(v["diagnosis"]) for k, v in found.items() if "diagnosis" in v}),

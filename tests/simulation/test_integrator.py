@@ -523,7 +523,7 @@ def test_two_copies_of_the_package_share_their_compiled_kernels(tmp_path):
     skipped = shutil.ignore_patterns("__pycache__", "_shipped")
     shutil.copytree(package, tmp_path / "copy" / "bayes_damper", ignore=skipped)
     code = (
-        "from bayes_damper import integrator; from bayes_damper.effects import EFFECTS;"
+        "from bayes_damper.simulation import integrator; from bayes_damper.effects import EFFECTS;"
         "variant = EFFECTS['stick_slip'].variants[0];"
         "print(integrator.__file__, integrator._fingerprint("
         "integrator.specialised_globals(True, True, False, False, variant)))"
