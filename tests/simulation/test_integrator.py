@@ -519,7 +519,7 @@ def test_a_kernel_is_compiled_anew_when_anything_that_it_calls_changes(tmp_path,
 
 @pytest.mark.slow
 def test_two_copies_of_the_package_share_their_compiled_kernels(tmp_path):
-    package = Path(integrator.__file__).parent
+    package = Path(integrator.__file__).parents[1]
     skipped = shutil.ignore_patterns("__pycache__", "_shipped")
     shutil.copytree(package, tmp_path / "copy" / "bayes_damper", ignore=skipped)
     code = (
