@@ -1,6 +1,6 @@
 """Fitting: from published features or recorded trials to posteriors per case, and of all cases together.
 
-`fit` is what `bayes-damper fit` calls. Each case is a task of run.py in a folder of its own, so that cases run side by
+`fit` is what `bayes-damper fit` calls. Each case is a task of `runs` in a folder of its own, so that cases run side by
 side, and an interrupted fit goes on where it stopped.
 """
 
