@@ -18,7 +18,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 from bayes_damper.campaign import readings as look
 from bayes_damper.campaign.head import Head
@@ -179,6 +178,8 @@ def _balance(head: Head, trials: Sequence[Trial], lag: float) -> _Sum | None:
         rows.append(np.stack([-a2, -w1, -w2, one, -one], axis=1))
     if not rows:
         return None
+    from scipy.optimize import nnls  # slow to load, and the help of the command line reads this module
+
     A, y = np.concatenate(rows), np.concatenate(targets)
     size = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
     x, left = nnls(A / size, y)

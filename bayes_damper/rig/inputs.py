@@ -18,7 +18,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicSpline
 
 Array = NDArray[np.float64]
 _SAME = 1e-6  # of a step, by which two clocks may differ and still name one sample
@@ -76,6 +75,8 @@ class Inputs:
         if ground_quantity == "displacement":
             if held:
                 raise ValueError("an angle of the ground held between samples would jump; give its acceleration")
+            from scipy.interpolate import CubicSpline  # slow to load, and few rigs stand on a ground that moves
+
             spline = CubicSpline(t, rows["ground"])
             motion = {"displacement": rows["ground"], "velocity": spline(t, 1), "acceleration": spline(t, 2)}
         else:
