@@ -422,7 +422,7 @@ def _parser() -> argparse.ArgumentParser:
         "--most-steps",
         type=_count,
         metavar="N",
-        help="give up after N steps of each ensemble, or after the fewest that can be judged, beside the warm-up",
+        help="at most N steps of each ensemble, not counting the warm-up (or the fewest that can be judged)",
     )
     workers(sub)
 
@@ -433,7 +433,7 @@ def _parser() -> argparse.ArgumentParser:
                      help="prior probability that the cause is none of the library's (default 0.15)")  # fmt: skip
     weighing(sub)
 
-    sub = command("plan", _plan, "before measuring: what the planned trials could tell apart, and with how many",
+    sub = command("plan", _plan, "before measuring: effects the planned trials could distinguish, and with how many",
                   out="results/plan")  # fmt: skip
     sub.add_argument("campaign", help="folder with campaign.toml and trials.csv; the records need not exist")
     weighing(sub)
@@ -485,7 +485,7 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument(
         "--overwrite",
         action="store_true",
-        help="replace the campaign that the folder holds; its records that the new one does not name are left and told",
+        help="replace the campaign that the folder holds; records that the new one does not name stay, with a warning",
     )
     sub.set_defaults(options=_init_options(sub))
 

@@ -123,7 +123,7 @@ def budget_sentence(budget: Mapping[str, Any] | None) -> str:
     named[0] = named[0][0].upper() + named[0][1:]
     if unexplained is None:
         verb = "is" if len(named) == 1 else "are"
-        return f"{' and '.join(named)} {verb} present; the gap on held-out trials is too faint to tell shares of it."
+        return f"{' and '.join(named)} {verb} present; the gap on held-out trials is too faint to give shares of it."
     shares = [round(100.0 * e["share"]["median"]) for e in parts]
     first = f"{named[0]} closes {shares[0]} % of the gap"
     more = [f"{name} {share} %" for name, share in zip(named[1:], shares[1:], strict=True)]

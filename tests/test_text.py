@@ -90,5 +90,5 @@ def test_the_gap_by_effects_is_one_sentence():
     )
     whole = budget_sentence(divided({"stick_slip": 1.0}, 0.0, 0.999))
     assert whole == "Stick slip (p >0.99) closes 100 % of the gap; nothing stays unexplained."
-    assert "too faint to tell shares" in budget_sentence(divided({"stick_slip": None}, None))
+    assert "too faint to give shares" in budget_sentence(divided({"stick_slip": None}, None))
     assert budget_sentence(divided({"stick_slip": 0.9}, 0.1, 0.4)) == budget_sentence(None) == ""

@@ -70,7 +70,7 @@ TRIAL: dict[str, tuple[tuple[type, ...], str]] = {
 INIT: dict[str, tuple[tuple[type, ...], str]] = {
     "pattern": (
         (str,),
-        "what the files' names tell, e.g. 'case{case}_{configuration}_{trial}'; also {theta0} and {k1t}",
+        "what the files' names mean, e.g. 'case{case}_{configuration}_{trial}'; also {theta0} and {k1t}",
     ),
     "words": ((list,), "what the names call the configurations, e.g. free=uncoupled magnet=coupled"),
     "sheet": ((str,), "a CSV table of the trials: a column file or case, then any of the other keys as columns"),
@@ -99,8 +99,9 @@ MEASUREMENT = (
 LEAST_KNOWN = 0.5
 """Share of a file's lines that must hold readings."""
 NOTHING_RUBS = (
-    "No magnet_pull was given: taken was that nothing rubs between the bodies (mu = 0 in priors.toml). If something "
-    "does, give the force that presses the faces together; `diagnose --nominal linear` tells if friction is missing."
+    "No magnet_pull was given: taken was that nothing rubs between the bodies (mu = 0 in priors.toml). If "
+    "something does, give the force that presses the faces together; `diagnose --nominal linear` shows whether "
+    "friction is missing."
 )
 _ANGLE_ASSUMED = (
     "How sure the release angle is was not given: 0.1 deg (mm), or 2 % of it where that is more, was assumed "

@@ -204,7 +204,7 @@ def read_text(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
     comma = option["decimal"] == "," if "decimal" in option else _has_decimal_commas(lines, mark)
     if comma and mark == "," and not any('"' in x for _, x in lines):
         raise InputError(
-            f"{name}: decimal commas and commas between columns cannot be told apart; export with semicolons"
+            f"{name}: decimal commas and commas between columns cannot be distinguished; export with semicolons"
         )
     begin, named = _begin(lines, option, mark, comma)
     head = _split(lines[begin][1], mark) if named else []

@@ -81,7 +81,7 @@ def campaign_toml(campaign: Campaign) -> str:
             lines.append(f"{key} = {quoted(getattr(campaign, key))}")
     if campaign.caveats:
         lines += [
-            "caveats = [  # told as warnings by every command",
+            "caveats = [  # every command shows them as warnings",
             *(f"    {quoted(c)}," for c in campaign.caveats),
             "]",
         ]

@@ -341,7 +341,7 @@ def _sentences(result: Mapping[str, Any]) -> list[str]:
         best = max(total, key=lambda label: total[label])
         lead = total[best] - sorted(total.values())[-2]
         if lead < 1.0:
-            out.append("Evidence does not tell the best two apart (less than 1 nat).")
+            out.append("The evidence does not distinguish the best two (less than 1 nat).")
         else:
             out.append(f"Evidence is highest for {best}, by {lead:.1f} nats.")
     far = [

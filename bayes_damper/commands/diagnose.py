@@ -238,7 +238,7 @@ def _words(result: Mapping[str, Any]) -> list[str]:
         lines = [f"No gap beyond the noise is shown (probability {share:.2f})."]
         if share < CERTAIN:
             lines = [
-                f"No cause is shown: that nothing is missing is the most probable answer ({share:.2f}), not a sure one."
+                f"No missing effect found (probability {share:.2f} that the model is complete, which is not certain)."
             ]
     elif verdict == "unknown":
         site = max((s for s in result["sites"] if s != "none"), key=lambda s: result["sites"][s])
@@ -278,7 +278,7 @@ def _words(result: Mapping[str, Any]) -> list[str]:
     lines.append("Sites: " + ", ".join(f"{site} {result['sites'][site]:.2f}" for site in sites))
     if result["indistinguishable"]:
         lines.append(
-            "Not to be told apart by these data: " + "; ".join(" / ".join(g) for g in result["indistinguishable"])
+            "Not distinguished by these data: " + "; ".join(" / ".join(g) for g in result["indistinguishable"])
         )
     return lines + [f"note: {note}" for note in result.get("notes", [])]
 

@@ -133,7 +133,7 @@ def plan(
     chosen = campaign_priors(file, loaded) if priors is not None or file.exists() else None
     if loaded.measurement.start != "rest":
         raise InputError(
-            f'{campaign}: a plan needs a release from rest; with start = "free" nothing tells how large the motion is'
+            f'{campaign}: a plan needs a release from rest; with start = "free" nothing gives the size of the motion'
         )
     measured = loaded.measurement.noise_std is None
     if measured:
@@ -144,7 +144,8 @@ def plan(
     result |= {"campaign_sha256": loaded.sha256, "seed": seed, "provenance": provenance()}
     if out is not None:
         write_json(Path(out) / "plan.json", result)
-        figures.save(figures.plan_figure(result, title=f"{loaded.name}: what could be told apart"), Path(out) / "plan")
+        drawn = figures.plan_figure(result, title=f"{loaded.name}: what could be distinguished")
+        figures.save(drawn, Path(out) / "plan")
     return Plan(result, None if out is None else Path(out))
 
 
@@ -606,7 +607,7 @@ def _sentences(
     for row in blind:
         if row["repeats_to_see"] is not None:
             out.append(f"{row['name']} would be seen with {row['repeats_to_see']} times as many trials.")
-    out += [f"{a} and {b} could not be told apart." for a, b in groups]
+    out += [f"{a} and {b} could not be distinguished." for a, b in groups]
     unknown = [name for name, p in parameters.items() if decided_by(p["sd_over_prior"] ** 2) == "prior"]
     if unknown:
         out.append(f"Nothing would be learnt about {', '.join(unknown)}: the prior would decide.")

@@ -171,7 +171,7 @@ def fit(
     learnt from what the fit leaves) or "auto", by the data. effect : name of one effect of the library that the model
     gets, in the formula that fits best, e.g. the verdict of a diagnosis; effects : folder with effects of your own.
     seed : decides every random number. workers : processes. thorough : 50 autocorrelation times in place of 20.
-    most_steps : give up after so many steps of each ensemble, the warm-up not counted, or after the fewest that can be
+    most_steps : at most so many steps of each ensemble, the warm-up not counted, or as many as the fewest that can be
     judged. joint : whether to fit all cases of a campaign together too. out : folder for all files. scheduler : address
     of a Dask cluster that works in place of processes.
     progress : told how far it is by `update(task, share, sentence)`; None: silence.

@@ -317,7 +317,7 @@ def priors_from_dict(
             if not isinstance(entry, str):
                 faults.append(f"{where}: {key} must be a text, got {shown(entry)}")
         elif recorded and key in _ELSEWHERE:
-            faults.append(f"{where}: {key} of a recorded campaign is told by {_ELSEWHERE[key]}; write it there")
+            faults.append(f"{where}: {key} of a recorded campaign is given by {_ELSEWHERE[key]}; write it there")
         elif key not in units or (recorded and key not in (*RECORDED, *(extra or {}))):
             valid = [*(defaults or units), *(extra or {}), *_HEAD]
             faults.append(f"{where}: {key!r} is no parameter; {hint(key, valid)}")

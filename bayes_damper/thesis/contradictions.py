@@ -425,7 +425,7 @@ def _model_against_measurement() -> list[Contradiction]:
             "Of the 6 pairs of cases, ordered by energy, "
             f"{pairs_against_energy([float(printed_case(c).ratio[0]) for c in CASES])} show the first and "
             f"{pairs_against_energy([-float(printed_case(c).coupled_acceleration[0]) for c in CASES])} the second. "
-            "Four cases of two stiffnesses cannot tell energy from stiffness and angle.",
+            "Four cases of two stiffnesses cannot separate energy from stiffness and angle.",
         ),
         Contradiction(
             "scatter of three trials",

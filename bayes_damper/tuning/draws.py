@@ -203,7 +203,7 @@ def origin_of(
     constants |= known or {}
     if "J2" not in constants:
         raise InputError(
-            f"{campaign.name}: the rig has no secondary_inertia and no coupled trials, so nothing tells how a second "
+            f"{campaign.name}: the rig has no secondary_inertia and no coupled trials, so nothing says how a second "
             "body would be coupled; fit coupled trials, or pass draws as arrays"
         )
     springs = dict.fromkeys(t.k1t.value for t in campaign.trials if case in ("joint", t.case))

@@ -240,7 +240,7 @@ def test_parameters_on_the_first_screen_are_told_in_words_with_how_well_they_are
     for entry in data["cases"].values():
         entry["parameters"].pop("nu")
     (tmp_path / "summary.json").write_text(json.dumps(data))
-    assert "Whether the model itself is right, on which every" in words_of(report(tmp_path).path.read_text("utf-8"))
+    assert "Every number assumes that the model is right" in words_of(report(tmp_path).path.read_text("utf-8"))
 
 
 def test_the_legend_of_a_corner_figure_shows_the_line_of_each_case():
@@ -267,7 +267,7 @@ def test_oddities_of_the_records_stand_on_the_page_once(tmp_path):
         (tmp_path / name).write_text(json.dumps(data | {"warnings": [told]}))
     page = report(tmp_path).path.read_text()
     assert page.count(told) == 1
-    assert page.index('id="answers"') < page.index('href="#records">1 is listed below') < page.index(told)
+    assert page.index('id="answers"') < page.index('href="#records">1 remark on the records') < page.index(told)
 
 
 def write_tuning(folder: Path) -> None:
@@ -388,9 +388,9 @@ def test_everything_a_folder_holds_is_on_the_page(tmp_path):
     assert "Most probable, but not sure: stick slip (86 %). Most probable place: interface, what acts" in text
     assert "The rig and the model differ by more than the noise (p = 1e-09)." in text
     assert "With 90 % probability it is one of stick slip and unknown" in text
-    assert "stick slip and bearing stribeck cannot be told apart" in text
+    assert "stick slip and bearing stribeck cannot be distinguished" in text
     assert "friction displacement and normal force law cannot" not in text
-    assert "Next experiment: coupled, k1t 10.2 N m/rad, released at 2.7 deg (expected to tell 1.80 nats about " in text
+    assert "Next experiment: coupled, k1t 10.2 N m/rad, released at 2.7 deg (expected to give 1.80 nats about " in text
     assert "closes 97 % of the gap" in text
     assert "Nothing was learnt about the smoothing constant of every tanh (nu)" in text
     assert "The cases do not share one parameter set (2 %)" in text
@@ -419,7 +419,7 @@ def test_figures_say_how_they_are_read_once_and_words_are_explained(tmp_path):
         save(forest_figure({"mu": {case: (1.0, 2.0, 3.0)}}, {}, title="mu"), tmp_path / "fit" / case / "corner")
     page = report(tmp_path / "fit").path.read_text(encoding="utf-8")
     assert page.count("<figcaption><strong>Pairs of parameters</strong>") == 2
-    assert page.count("contours hold 50 and 90 % of the draws. A slanted one ties the two.</figcaption>") == 1
+    assert page.count("of the draws. A slanted contour: the two are correlated.</figcaption>") == 1
     words = re.findall(r"<dt>(.*?)</dt>", page.partition('id="words"')[2].partition("</section>")[0])
     assert {"prior", "R-hat", "evidence", "nat", "90 % interval"} <= set(words)
     assert "insertion loss" not in words, "a word that does not stand on the page"
@@ -713,7 +713,7 @@ def test_a_plan_and_a_decomposition_read_as_tables(tmp_path):
     assert "magnet cubic interface 22 % cubic 66 N m/rad³ interface relaxation 2.4 6 times" in text
     assert (
         "typical size. What would change it magnet cubic would be seen with 6 times as many trials. One more trial "
-        "helps most if coupled, k1t 14.3 N m/rad, released at 7.4 deg: to tell magnet cubic." in text
+        "helps most if coupled, k1t 14.3 N m/rad, released at 7.4 deg: to distinguish magnet cubic." in text
     )
     assert "real difference 0.200 0.100 to 0.400 60 % (20 to 90 %) In every draw the shares add up to 100 %" in text
     assert "IV 34.3 1.10 (0.90 to 1.40) 1" in text

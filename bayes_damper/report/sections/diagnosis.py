@@ -73,7 +73,7 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
         who = "what comes closest to a cause would close"
     sentences.append(_closed_sentence(gap, who))
     changes = [
-        f"{listed([words(n) for n in group])} cannot be told apart by these data."
+        f"{listed([words(n) for n in group])} cannot be distinguished by these data."
         for group in data.get("indistinguishable", [])
         if set(group) & set(data.get("credible_set", []))
     ]
@@ -173,7 +173,7 @@ def _gap_sentence(gap: Mapping[str, Any]) -> str:
     return {
         "gap": f"The rig and the model differ by more than the noise{told}.",
         "none": f"The rig and the model differ by no more than the noise{told}.",
-        "cannot tell": f"These data cannot tell whether the rig and the model differ{told}.",
+        "cannot tell": f"These data do not decide whether the rig and the model differ{told}.",
     }.get(str(answer), "")
 
 
@@ -227,7 +227,7 @@ def _experiment_sentence(e: Mapping[str, Any]) -> str:
     if gain is None:
         return f"{told}."
     among = "about which of the leading answers it is, if it is one of them; to settle an even choice takes 0.69"
-    return f"{told} (expected to tell {gain:.2f} nats {among})."
+    return f"{told} (expected to give {gain:.2f} nats {among})."
 
 
 def _site_table(sites: Sequence[tuple[str, float]]) -> Table:

@@ -88,7 +88,7 @@ def _fit_headline(campaign: str, groups: Mapping[str, Any], converged: bool) -> 
             tone = "open"
             worst = ", ".join(words(str(row["name"])) for row in outside[:3])
             sentences.append(f"The model cannot reproduce all of the data, whatever its parameters: {worst}.")
-            changes.append("A diagnosis of recorded trials would tell what the model lacks.")
+            changes.append("A diagnosis of recorded trials would show what the model lacks.")
     if missed:
         tone = "open"
         changes.append("A diagnosis (bayes-damper diagnose) looks for what the model misses.")
@@ -110,9 +110,7 @@ def _fit_headline(campaign: str, groups: Mapping[str, Any], converged: bool) -> 
         if able:
             changes.append(f"Measuring {listed(able)} directly would replace an assumption by a fact.")
     if not changes:
-        changes.append(
-            "Whether the model itself is right, on which every number rests, a diagnosis tells (bayes-damper diagnose)."
-        )
+        changes.append("Every number assumes that the model is right; bayes-damper diagnose tests that.")
     title = f"Fit of {campaign}" if campaign else "Fit"
     return Headline(title, tone, tuple(sentences), changes=tuple(changes), table=_overview(groups))
 

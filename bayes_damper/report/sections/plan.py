@@ -34,9 +34,9 @@ def plan_result(data: Mapping[str, Any], folder: Path) -> Result:
     columns = ("effect", "site", "seen", "smallest seen", "strongest rival", "nats over it", "trials needed")
     note = (
         "Seen: share of the sizes and shapes that the library holds plausible. Trials needed: how many times those "
-        "planned until the effect is seen and told from every rival."
+        "planned until the effect is seen and distinguished from every rival."
     )
-    tables = [Table("What the planned trials could tell", columns, tuple(rows), note)]
+    tables = [Table("What the planned trials could show", columns, tuple(rows), note)]
     parameters = []
     for name, p in data["parameters"].items():
         low, high = p["expected90"]
@@ -51,7 +51,7 @@ def plan_result(data: Mapping[str, Any], folder: Path) -> Result:
     given = [_spelt_out(s, [e["name"] for e in data["effects"]]) for s in data["sentences"]]
     changes = [s for s in given if "times as many trials" in s] + _best_trial(data.get("add") or [])
     sentences = (
-        f"{told} of {len(rows)} effects would be seen and told from all others.",
+        f"{told} of {len(rows)} effects would be seen and distinguished from all others.",
         *(s for s in given if s not in changes),
     )
     name = str(data.get("campaign", ""))
@@ -76,4 +76,4 @@ def _best_trial(proposals: Sequence[Mapping[str, Any]]) -> list[str]:
              "theta0_deg": "released at {} deg", "theta0_mm": "released at {} mm"}  # fmt: skip
     details = [form.format(f"{best[key]:.3g}") for key, form in forms.items() if best.get(key) is not None]
     helps = listed([words(n) for n in best["helps"]])
-    return [f"One more trial helps most if {', '.join([best['configuration'], *details])}: to tell {helps}."]
+    return [f"One more trial helps most if {', '.join([best['configuration'], *details])}: to distinguish {helps}."]

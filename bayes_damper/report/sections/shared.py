@@ -31,7 +31,8 @@ _PICTURES = {
         "Pairs of parameters",
         (
             "Each parameter by itself (in a single case dashed: the median and the 90 % interval written above; grey: "
-            "what was assumed), and each pair: contours hold 50 and 90 % of the draws. A slanted one ties the two."
+            "what was assumed), and each pair: contours hold 50 and 90 % of the draws. "
+            "A slanted contour: the two are correlated."
         ),
     ),
     "trace": (
@@ -73,7 +74,7 @@ _MORE = {
         "Insertion loss against the exciting torque, and over the inertia and the radius of the secondary.",
     ),
     "plan": (
-        "What could be told apart",
+        "What could be distinguished",
         "Share of plausible sizes of each effect that would be seen, and nats by which it stands out beside rivals.",
     ),
 }

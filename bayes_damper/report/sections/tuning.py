@@ -29,7 +29,7 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
         loss, p = found["linear"]["insertion_loss_db"], found["linear"]["probability_of_target"]
         who = f"{name[0].upper() + name[1:]}, linear model"
         if loss["interval90"] is None:
-            sentences.append(f"{who}: damping leaves no resonance, so no loss can be told.")
+            sentences.append(f"{who}: damping leaves no resonance, so no loss can be given.")
             continue
         low, high = loss["interval90"]
         sentences.append(
@@ -78,7 +78,7 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
     note = f"{data.get('definition', '')}." if data.get("definition") else ""
     if any(row.cells[1] == NOTHING for row in rows):
         note += (
-            f" {NOTHING}: at that {effort} the rig sticks or no steady response was found, so there is no loss to tell."
+            f" {NOTHING}: at that {effort} the rig sticks or no steady response was found, so there is no loss to give."
         )
     tables = [Table("Insertion loss and resonance", columns, tuple(rows), note.strip())]
     described = _design_table(designs, "translational" if translational else "torsional")

@@ -160,7 +160,7 @@ def _against_the_key(home: Path, frozen: Mapping[str, Any], verdicts: Mapping[st
         raise SelfCheckError("broken seal: the key in the archive is not the one that was frozen")
     links = read_json(home / "chain.json")["links"]
     if results["chain_head"] != links[-1] or set(results["campaigns"]) != set(verdicts):
-        raise SelfCheckError("broken seal: withheld.json in the archive tells of other verdicts")
+        raise SelfCheckError("broken seal: withheld.json in the archive holds other verdicts")
     entries = read_key(key, verdicts)
     groups = classes(all_effects())
     right = {n: scores.score_one(n, verdicts[n], entries[n], groups).is_right for n in verdicts}
