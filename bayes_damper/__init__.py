@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from bayes_damper.commands.demo import demo as demo
     from bayes_damper.commands.diagnose import diagnose as diagnose
     from bayes_damper.commands.examples import examples as examples
+    from bayes_damper.commands.fleet import diagnose_fleet as diagnose_fleet
     from bayes_damper.commands.plan import plan as plan
     from bayes_damper.commands.resume import resume as resume
     from bayes_damper.commands.simulate import simulate_record as simulate_record
@@ -40,6 +41,7 @@ _PLACES = {
     "compare": "commands.compare",
     "demo": "commands.demo",
     "diagnose": "commands.diagnose",
+    "diagnose_fleet": "commands.fleet",
     "examples": "commands.examples",
     "fit": "fit",
     "import_records": "campaign.importer",
@@ -58,9 +60,9 @@ _PLACES = {
 }
 
 __all__ = [
-    "Model", "bench", "check", "compare", "demo", "diagnose", "examples", "fit", "import_records", "init_campaign",
-    "load_campaign", "load_fit", "load_published", "plan", "recompute", "report", "resume", "simulate_record", "tune",
-    "variability", "withheld",
+    "Model", "bench", "check", "compare", "demo", "diagnose", "diagnose_fleet", "examples", "fit", "import_records",
+    "init_campaign", "load_campaign", "load_fit", "load_published", "plan", "recompute", "report", "resume", "simulate_record",
+    "tune", "variability", "withheld",
 ]  # fmt: skip
 
 

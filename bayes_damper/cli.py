@@ -265,10 +265,26 @@ def _init_options(sub: Any) -> list[str]:
 
 def _diagnose(args: Arguments) -> Any:
     from bayes_damper.commands.diagnose import diagnose
+    from bayes_damper.commands.fleet import diagnose_fleet
     from bayes_damper.runs.progress import make_teller
 
+    if len(args.campaign) > 1:
+        return diagnose_fleet(
+            args.campaign,
+            nominal=args.nominal,
+            effects=args.effects,
+            priors=args.priors,
+            out=args.out,
+            seed=args.seed,
+            workers=args.workers,
+            scheduler=args.scheduler,
+            prior_unknown=args.prior_unknown,
+            progress=_progress(args),
+        )
+    if args.scheduler is not None:
+        raise InputError("--scheduler: it spreads several campaigns over a cluster; leave it out for one")
     return diagnose(
-        args.campaign,
+        args.campaign[0],
         nominal=args.nominal,
         effects=args.effects,
         priors=args.priors,
@@ -428,7 +444,8 @@ def _parser() -> argparse.ArgumentParser:
 
     sub = command("diagnose", _diagnose, "the sim-to-real gap: where it lies, what causes it, how far it shrinks",
                   out="results/diagnose")  # fmt: skip
-    sub.add_argument("campaign", help="folder of the campaign, or `thesis`")
+    sub.add_argument("campaign", nargs="+", help="folder of the campaign, or `thesis`; several: one page for all")
+    sub.add_argument("--scheduler", metavar="ADDRESS", help="spread several campaigns over an existing Dask cluster")
     sub.add_argument("--prior-unknown", type=float, default=0.15, metavar="P",
                      help="prior probability that the cause is none of the library's (default 0.15)")  # fmt: skip
     weighing(sub)

@@ -83,13 +83,7 @@ def diagnose(
     InputError
         if the campaign, the priors or an effect cannot be used.
     """
-    if nominal not in NOMINALS:
-        raise InputError(f"--nominal {nominal}: expected one of {', '.join(NOMINALS)}")
-    if not 0.0 < prior_unknown <= MOST_UNKNOWN:
-        raise InputError(
-            f"--prior-unknown {prior_unknown:g}: a probability above 0 and up to {MOST_UNKNOWN:g} is expected, since "
-            "the other answers share the rest"
-        )
+    check_choices(nominal, prior_unknown)
     if str(campaign) == "thesis":
         return _thesis(nominal, all_effects(effects), priors, Path(out), seed, workers, tell)
     loaded = load_campaign(campaign)
@@ -130,6 +124,17 @@ def diagnose(
     _draw(folder, found, workers)
     write_json(path, result)  # last: a folder with it is whole
     return Diagnosed(folder, result)
+
+
+def check_choices(nominal: str, prior_unknown: float) -> None:
+    """Refuse, with InputError, what neither a nominal model nor a prior probability of `unknown` can be."""
+    if nominal not in NOMINALS:
+        raise InputError(f"--nominal {nominal}: expected one of {', '.join(NOMINALS)}")
+    if not 0.0 < prior_unknown <= MOST_UNKNOWN:
+        raise InputError(
+            f"--prior-unknown {prior_unknown:g}: a probability above 0 and up to {MOST_UNKNOWN:g} is expected, since "
+            "the other answers share the rest"
+        )
 
 
 def _thesis(

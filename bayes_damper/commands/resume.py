@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from bayes_damper.commands.fleet import finish_fleet
 from bayes_damper.errors import InputError
 from bayes_damper.fit import finish_fit, kept, plan_in, refuse_changes
 from bayes_damper.inputs import shown
@@ -12,7 +13,7 @@ from bayes_damper.runs.execution import Progress, run_record, write_json
 from bayes_damper.validation.withheld.check import finish_withheld
 from bayes_damper.variability import finish_variability
 
-GOES_ON = ("fit", "variability", "withheld")
+GOES_ON = ("fit", "diagnose", "variability", "withheld")
 """Commands that can be resumed: run.json names one of these, and nothing else is taken for what to run."""
 
 
@@ -42,8 +43,9 @@ def resume(
     command = record["command"]
     if command not in GOES_ON or (more and command != "fit"):
         raise InputError(
-            f"{path}: run.json names the command {shown(command)}; fits, variability and withheld checks can be "
-            "resumed, and only fits extended; other commands go on when the same command is given again"
+            f"{path}: run.json names the command {shown(command)}; fits, variability, withheld checks and diagnoses of "
+            "several campaigns can be resumed, and only fits extended; other commands go on when the same command is "
+            "given again"
         )
     if command == "variability" and effects is not None:
         raise InputError("--effects: variability knows the nominal model only; leave it out")
@@ -52,6 +54,8 @@ def resume(
     processes = workers or record["workers"]
     if command == "withheld":
         return finish_withheld(path, record["plan"], effects=effects, workers=processes, progress=progress)
+    if command == "diagnose":
+        return finish_fleet(path, record, effects=effects, workers=processes, progress=progress)
     plan = plan_in(record, path, effects)
     refuse_changes(path, record)
     if more:

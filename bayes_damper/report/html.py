@@ -135,8 +135,15 @@ def listed_results(names: tuple[str, ...]) -> str:
 
 
 def _result_files(home: Path) -> Iterator[tuple[Path, str]]:
-    """Files of results in a folder and directly below it, in the order of the page."""
-    places = [home, *sorted(p for p in home.iterdir() if p.is_dir() and not p.name.startswith("."))]
+    """Files of results in a folder and directly below it, in the order of the page.
+
+    A fleet's campaigns have pages of their own.
+    """
+    places = (
+        [home]
+        if (home / "fleet.json").is_file()
+        else [home, *sorted(p for p in home.iterdir() if p.is_dir() and not p.name.startswith("."))]
+    )
     for kind in READERS:
         yield from ((place / kind, kind) for place in places if (place / kind).is_file())
 

@@ -11,10 +11,14 @@ from bayes_damper.text import NOTHING, number, p_value
 
 @dataclass(frozen=True)
 class Row:
-    """Cells of a table row; `mark` is "", "prior" (decided by the prior) or "bad" (do not use, or outside)."""
+    """Cells of a table row; `mark` is "", "prior" (decided by the prior) or "bad" (do not use, or outside).
+
+    link : of the first cell, to a page beside this one; "": none.
+    """
 
     cells: tuple[str, ...]
     mark: str = ""
+    link: str = ""
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from typing import Any
 from bayes_damper.report.parts import Result
 from bayes_damper.report.sections.diagnosis import diagnosis_result
 from bayes_damper.report.sections.fit import fit_result
+from bayes_damper.report.sections.fleet import fleet_result
 from bayes_damper.report.sections.other import other_result
 from bayes_damper.report.sections.plan import plan_result
 from bayes_damper.report.sections.tuning import tune_result
@@ -19,6 +20,7 @@ from bayes_damper.report.sections.variability import variability_result
 from bayes_damper.report.sections.withheld import withheld_result
 
 READERS: Mapping[str, tuple[str, Callable[[Mapping[str, Any], Path], Result]]] = {
+    "fleet.json": ("bayes-damper/fleet/1", fleet_result),
     "diagnosis.json": ("bayes-damper/diagnosis/1", diagnosis_result),
     "variability.json": ("bayes-damper/variability/1", variability_result),
     "summary.json": ("bayes-damper/fit/1", fit_result),
