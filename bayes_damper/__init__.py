@@ -61,8 +61,8 @@ _PLACES = {
 
 __all__ = [
     "Model", "bench", "check", "compare", "demo", "diagnose", "diagnose_fleet", "examples", "fit", "import_records",
-    "init_campaign", "load_campaign", "load_fit", "load_published", "plan", "recompute", "report", "resume", "simulate_record",
-    "tune", "variability", "withheld",
+    "init_campaign", "load_campaign", "load_fit", "load_published", "plan", "recompute", "report", "resume",
+    "simulate_record", "tune", "variability", "withheld",
 ]  # fmt: skip
 
 

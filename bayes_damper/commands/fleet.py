@@ -69,8 +69,9 @@ def diagnose_fleet(
     """Diagnose several campaigns, each as `diagnose` does alone; the same call goes on with a run that was stopped.
 
     campaigns : folders, each of which gets a folder of its own name in `out`, with a page; fleet.json and report.html
-    beside them show all. workers : processes, one campaign each; scheduler : address of a Dask cluster in their place;
-    progress : receives how far it is, as in `fit`; the others as in `diagnose`, the same for each campaign.
+    beside them show all. nominal, effects, priors, seed and prior_unknown : as in `diagnose`, the same for all. out :
+    folder for all files; workers : processes, one campaign each; scheduler : address of a Dask cluster in their place;
+    progress : receives how far it is, as in `fit`.
 
     Raises
     ------
