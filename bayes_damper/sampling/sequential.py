@@ -98,13 +98,8 @@ class Target(Protocol):
     def measure(self, points: Array, parts: Index) -> Array:
         """What it takes to know of the chosen parts at points (n, ndim), computed once: (n, len(parts), k)."""
 
-    def tried(self, points: Sequence[Array], parts: Index, temperature: float, least: Array) -> Array:
-        """As `measure`, each part at points of its own (n, ndim) or all at the same ones: (n, len(parts), k).
-
-        nan may stand where the height at this temperature is below `least` for certain: that of each part if `least` is
-        (n, len(parts)), that of their sum if it is (n,). What is found out before all is simulated need not be
-        simulated to the end.
-        """
+    def tried(self, points: Sequence[Array], parts: Index) -> Array:
+        """As `measure`, each part at points of its own (n, ndim) or all at the same ones: (n, len(parts), k)."""
 
     def height(self, measured: Array, parts: Index, temperature: float) -> Array:
         """Tempered log likelihood (n, len(parts)) of what was measured: all of it at 1, and none at 0."""
@@ -155,9 +150,8 @@ class Plain(ABC):
     def height(self, measured: Array, parts: Index, temperature: float) -> Array:
         """Tempered log likelihood (n, len(parts)) of what was measured."""
 
-    def tried(self, points: Sequence[Array], parts: Index, temperature: float, least: Array) -> Array:
-        """All of it."""
-        del temperature, least
+    def tried(self, points: Sequence[Array], parts: Index) -> Array:
+        """As `measure`, which is asked once where all parts are tried at the same points."""
         if all(x is points[0] for x in points):
             return self.measure(points[0], parts)
         return np.concatenate([self.measure(x, parts[[k]]) for k, x in enumerate(points)], axis=1)
@@ -395,22 +389,6 @@ def _stage(
     run.last = run.last or (run.temperature == 1.0 and not settle)
 
 
-def move_on(target: Target, places: Array, weights: Array, count: int, rng: np.random.Generator) -> Array:
-    """Places (n', ndim) that `count` draws of a target go through until each unknown is forgotten.
-
-    places : (n, ndim) that are draws of the target by their weights (n,); those of one chain stand together.
-    """
-    share = weights / weights.sum()
-    points = places[systematic(share, count, rng)]
-    measured = target.measure(points, np.arange(target.parts))
-    steps = _steps_of(target)
-    for each in (*steps[0], *steps[1]):
-        each.size = min(each.size, 0.3)
-    slopes = _learn(target, places[systematic(share, min(_LEARNT, 2 * count), rng)], steps, _PARTS_AT_LAST)
-    trail, *_ = _move(target, points, measured, 1.0, steps, slopes, _LAST * _MOST_SWEEPS, True, rng)
-    return _by_chain(trail)
-
-
 def _steps_of(target: Target) -> _Halves:
     """How steps are proposed in each block, for each half of the particles."""
     first, second = ([block.own_steps() for block in target.blocks] for _ in range(2))
@@ -576,10 +554,9 @@ def _step(
         heights = _height(target, measured[np.ix_(own, parts)], parts, temperature)
         now = np.stack([heights[:, k].sum(axis=1) for k in judged], axis=1)
         gain = np.stack([gain for _, gain in proposed], axis=1)
-        # The random number first: most steps that are refused show it before they are simulated to the end.
         least = np.log(rng.random(gain.shape)) - gain + now
         least = np.where(np.isnan(least), np.inf, least)
-        fresh = target.tried(there, parts, temperature, least if len(group) > 1 else least[:, 0])
+        fresh = target.tried(there, parts)
         heights = _height(target, fresh, parts, temperature)
         for j, (i, block, (moved, _), k) in enumerate(zip(group, blocks, proposed, judged, strict=True)):
             taken = heights[:, k].sum(axis=1) > least[:, j]

@@ -403,7 +403,7 @@ def _agreement(
         "pareto_k": dict(recycled.pareto_k),
         "ess_of_one_population": dict(recycled.ess_of_one),
         "draws": recycled.used,
-        "drawn_again": recycled.moved,
+        "drawn_again": False,  # kept for readers of the file: no draw is made anew any more
         "reliable": recycled.reliable,
         "log_evidence_over_separate": recycled.log_z,
         "error": recycled.error,
@@ -516,19 +516,18 @@ def _about_recycled(check: Mapping[str, Any]) -> list[str]:
         f"effective draws {min(check['ess'].values()):.0f} or more, {min(check['ess_of_one_population'].values()):.0f} "
         f"under one population, Pareto k at most {worst:.2f}"
     )
-    again = "moved on towards the populations and used" if check["drawn_again"] else "used again"
     if not check["reliable"]:
-        out.append(f"The fit's draws {again} by weights cannot be trusted here ({k}): the direct runs count.")
+        out.append(f"The fit's draws used again by weights cannot be trusted here ({k}): the direct runs count.")
     elif check["agree"]:
-        out.append(f"The fit's draws {again} by weights ({k}) agree with the direct way.")
+        out.append(f"The fit's draws used again by weights ({k}) agree with the direct way.")
     elif check["direct_repeats_apart_sd"] > _APART:
         out.append(
-            f"The fit's draws {again} by weights ({k}) cannot be held against the direct way, whose own repeats "
+            f"The fit's draws used again by weights ({k}) cannot be held against the direct way, whose own repeats "
             f"differ by {check['direct_repeats_apart_sd']:.2f} standard deviations: raise particles."
         )
     else:
         out.append(
-            f"The fit's draws {again} by weights ({k}) differ from the direct way by "
+            f"The fit's draws used again by weights ({k}) differ from the direct way by "
             f"{check['largest_difference_sd']:.2f} standard deviations in {check['largest_at']}."
         )
     return out

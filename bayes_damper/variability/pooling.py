@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Literal, Protocol
@@ -26,24 +26,17 @@ from scipy.special import logsumexp, ndtr
 from bayes_damper.errors import InputError
 from bayes_damper.priors.distributions import Distribution, LogNormal, from_standard, to_standard
 from bayes_damper.sampling.arviz_adapter import pareto_k
-from bayes_damper.sampling.moves import Independence, fit_mixture
 from bayes_damper.sampling.sequential import Block, Path, Plain, UnitPrior, power_of, temper
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Pooling = Literal["shared", "separate", "partial"]
-Tilt = Callable[[Array], Array]
-"""Log of a density over that of the unit Gaussian, at points (n, pooled): (n,)."""
 POOLINGS: tuple[Pooling, ...] = ("shared", "separate", "partial")
 _REFRESHES = 8
 _SCALES = (0.02, 0.1, 0.4)
 """Sizes of the steps along a scaling, in ln f."""
 _LEVELS = (1500, 50_000)
 """Draws of a case that are used again: the second number where the weights of the first cannot be trusted."""
-_ROUNDS = 2
-"""How often the draws are moved on at most, each time towards what the last ones found."""
-_EACH = 16
-"""Values drawn from each population to describe where the populations are."""
 _FEWEST_OF_ONE = 30
 """Effective draws below which the likelihood of a population is known to no better than a fifth of a nat."""
 _LARGEST = 100_000
@@ -64,10 +57,6 @@ class Straightener(Protocol):
 
     def log_volume(self, points: Array) -> Array:
         """Log of the volume of standard coordinates over that of straight ones at these, (n,), up to a constant."""
-
-
-Together = Callable[[Sequence[Array], Index, float, Array], Array]
-"""Measures several cases in one go: `tried` of a `Target`, but with each case's coordinates (n, len(names))."""
 
 
 @dataclass(frozen=True)
@@ -111,16 +100,15 @@ class Hierarchy(UnitPrior):
     """The joint posterior of several cases under one pooling: a target for `temper`.
 
     pooled : parameters that the pooling is about; common : those with one value for all cases; all others of a case
-    are its own; scalings : changes of a case's parameters that its likelihood does not see, each for every case;
-    together : measures several cases at once, in place of their paths one by one.
+    are its own; scalings : changes of a case's parameters that its likelihood does not see, each for every case.
     Columns: m (pooled), s (as Phi^-1(s), only `partial`), common, then for each case e and its own.
     """
 
     def __init__(
         self, cases: Sequence[CaseLikelihood], pooling: Pooling, pooled: Sequence[str], common: Sequence[str] = (),
-        scalings: Sequence[Sequence[Scaling]] = (), together: Together | None = None,
+        scalings: Sequence[Sequence[Scaling]] = (),
     ) -> None:  # fmt: skip
-        self.cases, self.pooling, self._together = tuple(cases), pooling, together
+        self.cases, self.pooling = tuple(cases), pooling
         self.scalings = [tuple(each) for each in scalings]
         self.pooled, self.common = tuple(pooled), tuple(common)
         for case in self.cases:
@@ -320,11 +308,9 @@ class Hierarchy(UnitPrior):
         """What it takes to know of the chosen cases, (n, len(parts), k)."""
         return np.stack([self.cases[c].path.measure(self.coordinates(points, c)) for c in parts], axis=1)
 
-    def tried(self, points: Sequence[Array], parts: Index, power: float, least: Array) -> Array:
-        """As `measure`, each case at points of its own; nan may stand where the height is below `least` for certain."""
+    def tried(self, points: Sequence[Array], parts: Index) -> Array:
+        """As `measure`, each case at points of its own."""
         z = [self.coordinates(x, c) for x, c in zip(points, parts, strict=True)]
-        if self._together is not None:
-            return self._together(z, parts, power, least)
         return np.stack([self.cases[c].path.measure(x) for x, c in zip(z, parts, strict=True)], axis=1)
 
     def height(self, measured: Array, parts: Index, power: float) -> Array:
@@ -443,8 +429,7 @@ class Recycled:
     of its draws and shape of the tail of their weights, averaged over all populations: what the posterior of the
     case's values rests on; ess_of_one: case -> effective number of its draws under a single population (median over
     populations); in both a place that a chain did not leave for a while is one draw; used: largest number of draws of a
-    case; log_z: log evidence of `partial` over that of `separate`, with its error; moved: whether the draws had to be
-    moved towards the populations first, with new simulations.
+    case; log_z: log evidence of `partial` over that of `separate`, with its error.
     """
 
     mean: Array
@@ -456,7 +441,6 @@ class Recycled:
     used: int
     log_z: float
     error: float
-    moved: bool = False
 
     @property
     def reliable(self) -> bool:
@@ -466,22 +450,15 @@ class Recycled:
 
 @dataclass(frozen=True)
 class _Draws:
-    """Draws of one case, none twice: z (n, pooled), how often each was drawn, and what they are draws under.
-
-    tilt : (n,) log of the density of the case's values that they were drawn under, over the unit Gaussian; scale : log
-    of the case's evidence under that density over that under the unit Gaussian, with its error.
-    """
+    """Draws of one case, none twice: z (n, pooled), and how often each was drawn."""
 
     z: Array
     times: Array
-    tilt: Array
-    scale: float = 0.0
-    error: float = 0.0
 
 
-def _distinct(z: Array, tilt: Tilt | None = None, scale: float = 0.0, error: float = 0.0) -> _Draws:
+def _distinct(z: Array) -> _Draws:
     places, times = np.unique(z, axis=0, return_counts=True)
-    return _Draws(places, times.astype(float), np.zeros(len(places)) if tilt is None else tilt(places), scale, error)
+    return _Draws(places, times.astype(float))
 
 
 class _Powers(UnitPrior, Plain):
@@ -507,7 +484,7 @@ class _Population(_Powers):
     def __init__(self, draws: Sequence[_Draws]) -> None:
         self.draws = draws
         self.powers = [np.concatenate([(d.z**2).T, d.z.T, np.ones((1, len(d.z)))]) for d in draws]
-        self.shift = [np.log(d.times / d.times.sum()) - d.tilt + d.scale for d in draws]
+        self.shift = [np.log(d.times / d.times.sum()) for d in draws]
         self.pooled = draws[0].z.shape[1]
         self.ndim, self.parts = 2 * self.pooled, len(draws)
         everything = np.arange(self.parts)
@@ -539,20 +516,14 @@ class _Population(_Powers):
 
 
 def recycle(
-    draws: Mapping[str, Array], rng: np.random.Generator, particles: int = 256, levels: Sequence[int] = _LEVELS,
-    again: Callable[[str, Tilt], Array] | None = None,
-) -> Recycled:  # fmt: skip
+    draws: Mapping[str, Array], rng: np.random.Generator, particles: int = 256, levels: Sequence[int] = _LEVELS
+) -> Recycled:
     """Partial pooling from each case's own draws (n, pooled) in standard coordinates.
 
     A case's draws belong to its posterior under the unit Gaussian prior; under a population (m, s) each counts by the
     ratio of the population's density to that prior's (Hogg, Myers and Bovy 2010, ApJ 725:2166). A narrow population in
     p dimensions holds a share of about s^p of the draws: where the weights of a few draws cannot be trusted, more are
     taken, as `levels` says, up to all there are. So far nothing is simulated anew.
-
-    Where all of them are still too few, and `again` is given, the draws are moved on under another prior, half the unit
-    Gaussian and half a likeness of the populations found (a defensive mixture; Hesterberg 1995, Technometrics 37:185),
-    so that no weight exceeds twice what it was and most draws lie where the populations are. again(case, tilt) gives
-    draws (n, pooled) of the case under the prior whose log density over the unit Gaussian `tilt` gives.
     """
     found = None
     for level in levels:
@@ -562,66 +533,7 @@ def recycle(
             break
     if found is None:
         raise InputError("recycle needs at least one level of draws")
-    for _ in range(_ROUNDS if again is not None else 0):
-        if found.reliable or again is None:
-            break
-        tilt = _towards(found, rng)
-        moved = {}
-        for name, z in draws.items():
-            weights = np.exp(tilt(z))
-            share = weights / weights.sum()
-            error = math.sqrt(float(np.sum(share**2)) - 1.0 / len(z))
-            moved[name] = _distinct(again(name, tilt), tilt, float(np.log(weights.mean())), error)
-        found = replace(_recycled(moved, rng, particles), moved=True)
     return found
-
-
-def _towards(found: Recycled, rng: np.random.Generator) -> Tilt:
-    """Log of half the unit Gaussian and half a likeness of the populations, over the unit Gaussian."""
-    mean = np.repeat(np.sqrt(1.0 - found.scatter**2) * found.mean, _EACH, axis=0)
-    scatter = np.repeat(found.scatter, _EACH, axis=0)
-    values = mean + scatter * rng.standard_normal(mean.shape)
-    likeness = Independence(*fit_mixture(rng.permutation(values)))
-
-    def tilt(z: Array) -> Array:
-        unit = -0.5 * (np.sum(z**2, axis=1) + z.shape[1] * math.log(2.0 * math.pi))
-        return np.asarray(np.logaddexp(0.0, likeness.log_density(z) - unit) - math.log(2.0))
-
-    return tilt
-
-
-class Tilted(UnitPrior):
-    """One case by itself under another prior of what is pooled: a target for `move_on`."""
-
-    def __init__(self, alone: Hierarchy, tilt: Tilt) -> None:
-        self._alone, self._tilt = alone, tilt
-        self.ndim, self.parts, self.blocks = alone.ndim, alone.parts, alone.blocks
-        self.straight, self.bent, self.log_volume = alone.straight, alone.bent, alone.log_volume
-        self.unknowns = alone.unknowns
-
-    def at(self, power: float) -> Tilted:
-        """The same with coordinates that are straight where the likelihood bears so far."""
-        return Tilted(self._alone.at(power), self._tilt)
-
-    def measure(self, points: Array, parts: Index) -> Array:
-        """Those of the case, and the other prior over the unit Gaussian, (n, 1, k + 1)."""
-        tilt = self._tilt(self._alone.values(points, 0))
-        return np.concatenate([self._alone.measure(points, parts), tilt[:, None, None]], axis=2)
-
-    def tried(self, points: Sequence[Array], parts: Index, power: float, least: Array) -> Array:
-        """As `measure`; the other prior is known before anything is simulated."""
-        tilt = self._tilt(self._alone.values(points[0], 0))
-        found = self._alone.tried(points, parts, power, least - tilt)
-        return np.concatenate([found, tilt[:, None, None]], axis=2)
-
-    def height(self, measured: Array, parts: Index, power: float) -> Array:
-        """Log likelihood times the other prior over the unit Gaussian, (n, 1)."""
-        return self._alone.height(measured[:, :, :-1], parts, power) + measured[:, :, -1]
-
-    def refresh(self, points: Array, rng: np.random.Generator) -> Array:
-        """The points as they are: what the likelihood does not see the other prior does."""
-        del rng
-        return points
 
 
 def _recycled(draws: Mapping[str, _Draws], rng: np.random.Generator, particles: int) -> Recycled:
@@ -654,7 +566,7 @@ def _recycled(draws: Mapping[str, _Draws], rng: np.random.Generator, particles: 
         of_one,
         round(max(float(case.times.sum()) for case in draws.values())),
         found.log_z,
-        math.sqrt(found.error**2 + sum(1.0 / x for x in of_one.values()) + sum(d.error**2 for d in draws.values())),
+        math.sqrt(found.error**2 + sum(1.0 / x for x in of_one.values())),
     )
 
 

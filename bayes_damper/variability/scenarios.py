@@ -96,9 +96,8 @@ class Bridge(UnitPrior):
         found.append(np.stack([self._tilt(points, c) for c in parts], axis=1)[:, :, None])
         return np.concatenate(found, axis=2)
 
-    def tried(self, points: Sequence[Array], parts: Index, power: float, least: Array) -> Array:
-        """All of it."""
-        del power, least
+    def tried(self, points: Sequence[Array], parts: Index) -> Array:
+        """As `measure`, each part at points of its own."""
         return np.concatenate([self.measure(x, parts[[k]]) for k, x in enumerate(points)], axis=1)
 
     def height(self, measured: Array, parts: Index, power: float) -> Array:

@@ -22,7 +22,7 @@ from bayes_damper.published.posterior import Coordinates, FeaturePosterior
 from bayes_damper.runs.execution import WAITING, read_json, write_json
 from bayes_damper.sampling import arviz_adapter
 from bayes_damper.sampling.guide import Guide
-from bayes_damper.sampling.sequential import Block, Powers, _groups, move_on, temper
+from bayes_damper.sampling.sequential import Block, Powers, _groups, temper
 from bayes_damper.simulation.model import Model
 from bayes_damper.variability import answer, variability
 from bayes_damper.variability.decomposition import CaseDraws, Sets, decompose
@@ -33,7 +33,6 @@ from bayes_damper.variability.pooling import (
     GaussianCase,
     GaussianHierarchy,
     Hierarchy,
-    Tilted,
     recycle,
 )
 from bayes_damper.variability.published import PublishedCases, run_pooling
@@ -299,32 +298,6 @@ def test_more_draws_are_taken_where_few_cannot_be_trusted():
     assert found.reliable
     assert found.used == 1500
     assert min(found.ess.values()) > 10.0 * min(few.ess.values())
-
-
-def test_draws_that_are_too_few_are_moved_on_towards_the_populations():
-    """Of draws that hold next to none of a narrow population, none of what they lack is made up: the case is asked."""
-    rng = np.random.default_rng(12)
-    gaussians, likelihoods, draws = linear_cases(rng, "shared", sharpness=0.5, cases=6)
-    draws = {name: np.repeat(z[:100], 3, axis=0) for name, z in draws.items()}  # as of a chain that stays
-    own = {c.name: Hierarchy([c], "separate", POOLED) for c in likelihoods}
-
-    def again(case, tilt):
-        g = gaussians[int(case)]
-        whole = rng.multivariate_normal(g.mean, g.covariance, 4000)
-        return own[case].values(move_on(Tilted(own[case], tilt), whole, np.exp(tilt(whole[:, :3])), 400, rng), 0)
-
-    few = recycle(draws, np.random.default_rng(3), 96)
-    found = recycle(draws, np.random.default_rng(3), 96, again=again)
-    assert not few.reliable
-    assert not few.moved
-    assert found.reliable
-    assert found.moved
-    assert min(found.ess_of_one.values()) > 5.0 * min(few.ess_of_one.values())
-    exact = GaussianHierarchy(gaussians, POOLED).direct(rng, 512)
-    assert found.log_z == pytest.approx(exact.log_z, abs=0.6)
-    assert found.scatter.mean(axis=0) == pytest.approx(exact.scatter.mean(axis=0), abs=0.1)
-    for case, z in found.values.items():
-        assert z.mean(axis=0) == pytest.approx(exact.values[case].mean(axis=0), abs=0.4 * z.std(axis=0).max())
 
 
 def test_a_place_that_a_chain_does_not_leave_is_one_draw():
