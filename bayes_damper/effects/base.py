@@ -28,7 +28,7 @@ from bayes_damper.priors.distributions import Distribution, LogUniform
 Site = Literal["ground1", "bearings", "interface", "ground2", "release", "sensor"]
 SITES: tuple[Site, ...] = ("ground1", "bearings", "interface", "ground2", "release", "sensor")
 Kernel = Callable[..., Any]
-MOST_PARAMETERS = 4
+MOST_PARAMETERS = 12
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class EffectParameter:
 class Variant:
     """One formula of an effect, with the functions that compute it. Hooks not used keep their neutral defaults.
 
-    Kernel hooks (see the numbered duties of this module); `p` is a tuple of four floats, the effect's parameters in
+    Kernel hooks (see the numbered duties of this module); `p` is a tuple of twelve floats, the effect's parameters in
     order and zeros; `rig` has the fields of `equations.Rig` (J1 ... nu, theta0, slope):
 
     torque : (t, th1, th2, w1, w2, z1, z2, p, rig) -> (Q1, Q2), N m added on the right-hand side; t in s since release
@@ -151,6 +151,8 @@ class Effect:
     """Whether its formula is a definition, such as a factor on a constant, not one of many that a cause may follow."""
     alike: frozenset[str] = field(default_factory=frozenset)
     """Effects that agree with it to first order (a class): a verdict inside the class is right."""
+    law: Any = None
+    """What was learnt and from which rig (_law.Law), for an effect that comes from the file of a learnt law."""
 
     def __post_init__(self) -> None:
         # Of what needs the coupled rig, the uncoupled one shows nothing, but for what the first channel reads.

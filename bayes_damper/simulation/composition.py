@@ -11,8 +11,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from bayes_damper.effects.base import MOST_PARAMETERS, Kernel, Variant
+from bayes_damper.effects.base import Kernel, Variant
 from bayes_damper.rig.vector_math import lane
+
+MOST_COMPOSED = 4  # parameters of two variants that are composed
 
 
 def compose(first: Variant, second: Variant, *, coupled: bool = True) -> Variant | None:
@@ -22,7 +24,7 @@ def compose(first: Variant, second: Variant, *, coupled: bool = True) -> Variant
     parameters of the others are kept, so that both configurations take the same ones.
     """
     split = len(first.parameters)
-    if split + len(second.parameters) > MOST_PARAMETERS or first.memory + second.memory > 2:
+    if split + len(second.parameters) > MOST_COMPOSED or first.memory + second.memory > 2:
         return None
     if (first.sense and second.sense) or (first.replaces_friction and second.replaces_friction):
         return None
@@ -65,8 +67,8 @@ def _shifted(v: Variant, start: int) -> Variant:
     """The variant with kernels that read their parameters from the place `start` on."""
     if start == 0:
         return v
-    i0, i1, i2, i3 = (min(start + k, MOST_PARAMETERS - 1) for k in range(4))
-    g1, g2, g3 = (1.0 if start + k < MOST_PARAMETERS else 0.0 for k in (1, 2, 3))
+    i0, i1, i2, i3 = (min(start + k, MOST_COMPOSED - 1) for k in range(4))
+    g1, g2, g3 = (1.0 if start + k < MOST_COMPOSED else 0.0 for k in (1, 2, 3))
 
     def moved(kernel: Kernel) -> Kernel:
         @lane

@@ -44,7 +44,7 @@ import numba
 import numpy as np
 from numba import float64, int64, njit, types
 
-from bayes_damper.effects.base import Variant
+from bayes_damper.effects.base import MOST_PARAMETERS, Variant
 from bayes_damper.rig import equations, vector_math
 from bayes_damper.rig.equations import Rig, friction_torques, linearised, smooth_torques
 from bayes_damper.rig.vector_math import TANH_SCALE, fourth_root_of_inverse
@@ -76,7 +76,7 @@ G1, G2, G3, G4 = 0.5, -1.5, 2.42, 0.116
 
 # Rows of the block: parameters in the order of equations.ROWS, those of the effect, what is derived from them once,
 J1, J2, J12, K1, K3, C1, C3, K2, C2, MU, N0, R_BAR, R_FACE, DRAG, NU, THETA0, TH20, W10, W20, DELAY = range(20)
-EXTRA = 20  # and the three after it
+EXTRA = 20  # and the three after it; MORE has the rest
 FRICTION, SLOPE, MI11, MI12, MI22, PER_SPEED, PER_ACC1, PER_ACC2, EPS_TH, EPS_W, HELD1, HELD2 = range(24, 36)
 # the state, and what a step leaves behind for the next.
 TH1, TH2, W1, W2, Z1, Z2, HTRY, REST, TIME, Y1, Y2, U1, U2, S1, S2, HLAST, FIRST, NOW, AFTER, NEXT = range(36, 56)
@@ -85,7 +85,8 @@ SAMPLE, SLOT, ATTEMPTS, GIVEN_UP = range(56, 60)
 # and the same of the next.
 DRIVE1, DRIVE2, SHOWN, RAMP1, RAMP2, RISE = range(60, 66)
 DRIVE1_NEXT, DRIVE2_NEXT, SHOWN_NEXT, RAMP1_NEXT, RAMP2_NEXT, RISE_NEXT = range(66, 72)
-BLOCK_ROWS = 72
+MORE = 72  # and the seven after it
+BLOCK_ROWS = 80
 
 
 @lru_cache(maxsize=None, typed=True)  # True, 1 and 1.0 are equal, but different constants
@@ -143,7 +144,7 @@ def effect_sense(h, u1, u2, y1, y2, s1, s2, p, first):
 def advance(times, parameters, extras, inputs, weights, memory_weights, read, out, final, status):
     """Integrate one block of lanes over the sample times and write what the channels read.
 
-    times (n,) s; parameters (20, LANES) rows of equations.ROWS; extras (4, LANES) parameters of the effect; inputs
+    times (n,) s; parameters (20, LANES) rows of equations.ROWS; extras (12, LANES) parameters of the effect; inputs
     (8, n) as Inputs.pieces gives them, read where the record is driven; weights (LANES,) factor on the error tolerance;
     memory_weights (2,);
     read (3,) selects acceleration, velocity or displacement by a one among zeros; out (LANES, 2, n + 1) receives the
@@ -184,6 +185,8 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, read, ou
             block[row, lane] = parameters[row, lane]
         for row in range(4):
             block[EXTRA + row, lane] = extras[row, lane]
+        for row in range(8):
+            block[MORE + row, lane] = extras[4 + row, lane]
         j1 = block[J1, lane]
         j2 = block[J2, lane]
         j12 = block[J12, lane] if coupled() else 0.0
@@ -220,7 +223,11 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, read, ou
                 block[C2, lane], block[MU, lane], block[N0, lane], block[R_BAR, lane], block[R_FACE, lane],
                 block[DRAG, lane], block[NU, lane], block[THETA0, lane], block[SLOPE, lane],
             )  # fmt: skip
-            p = (block[EXTRA, lane], block[EXTRA + 1, lane], block[EXTRA + 2, lane], block[EXTRA + 3, lane])
+            p = (
+                block[EXTRA, lane], block[EXTRA + 1, lane], block[EXTRA + 2, lane], block[EXTRA + 3, lane],
+                block[MORE, lane], block[MORE + 1, lane], block[MORE + 2, lane], block[MORE + 3, lane],
+                block[MORE + 4, lane], block[MORE + 5, lane], block[MORE + 6, lane], block[MORE + 7, lane],
+            )  # fmt: skip
             block[Z1, lane], block[Z2, lane] = effect_start(p, rig)
         now = max(clock[0] - block[DELAY, lane], 0.0)
         block[REST, lane] = max(clock[1] - block[DELAY, lane], 0.0) - now
@@ -274,7 +281,11 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, read, ou
             tries = max(rest / block[HTRY, lane] - 1e-9, 0.5)
             tries = (tries + 0.5 + 6755399441055744.0) - 6755399441055744.0
             h = rest / max(tries, 1.0)
-            p = (block[EXTRA, lane], block[EXTRA + 1, lane], block[EXTRA + 2, lane], block[EXTRA + 3, lane])
+            p = (
+                block[EXTRA, lane], block[EXTRA + 1, lane], block[EXTRA + 2, lane], block[EXTRA + 3, lane],
+                block[MORE, lane], block[MORE + 1, lane], block[MORE + 2, lane], block[MORE + 3, lane],
+                block[MORE + 4, lane], block[MORE + 5, lane], block[MORE + 6, lane], block[MORE + 7, lane],
+            )  # fmt: skip
             rig = Rig(
                 j1, j2, j12, k1t, k3t, c1t, c3t, k2t, c2t, block[MU, lane], block[N0, lane], block[R_BAR, lane],
                 block[R_FACE, lane], drag, nu, block[THETA0, lane], slope,
@@ -752,7 +763,7 @@ _COUPLES = {"bodies": 0, "interface": 1, "all": 2}
 _ROW, _TABLE, _CUBE = float64[::1], float64[:, ::1], float64[:, :, ::1]
 _SIGNATURE = (_ROW, _TABLE, _TABLE, _TABLE, _ROW, _ROW, _ROW, _CUBE, _ROW, int64[::1])
 """Of the arguments of `advance`."""
-_P, _RIG = types.UniTuple(float64, 4), types.NamedUniTuple(float64, len(Rig._fields), Rig)
+_P, _RIG = types.UniTuple(float64, MOST_PARAMETERS), types.NamedUniTuple(float64, len(Rig._fields), Rig)
 _TWO, _FOUR, _MOTION = types.UniTuple(float64, 2), types.UniTuple(float64, 4), (float64,) * 7
 _SPECIAL: dict[str, Any] = {
     "effect_torque": _TWO(*_MOTION, _P, _RIG),

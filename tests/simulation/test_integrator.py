@@ -256,7 +256,7 @@ def test_compiled_and_plain_python_agree(coupled):
         )
         out, final, status = np.empty((LANES, 2, n + 1)), np.empty(LANES), np.empty(LANES, np.int64)
         advance(
-            SHORT[:n], np.array(rows), np.zeros((4, LANES)), np.zeros((8, n)), np.ones(LANES), np.zeros(2),
+            SHORT[:n], np.array(rows), np.zeros((12, LANES)), np.zeros((8, n)), np.ones(LANES), np.zeros(2),
             np.array([1.0, 0.0, 0.0]), out, final, status,
         )  # fmt: skip
         results.append(out[:, : 1 + coupled, :n])
