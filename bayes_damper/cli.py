@@ -387,7 +387,8 @@ def _parser() -> argparse.ArgumentParser:
         return sub
 
     def own_effects(sub: Any) -> None:
-        sub.add_argument("--effects", type=Path, metavar="DIR", help="a folder with effects of your own")
+        told = "a folder with effects of your own or learnt laws, or one such file"
+        sub.add_argument("--effects", type=Path, metavar="DIR", help=told)
 
     def weighing(sub: Any) -> None:
         told = "linear: a nominal model without dry friction, which is then a candidate"

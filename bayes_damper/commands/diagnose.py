@@ -23,6 +23,7 @@ from bayes_damper.diagnosis.response import Motion, motions
 from bayes_damper.diagnosis.sites import write_missing_torque
 from bayes_damper.diagnosis.verdict import RULE
 from bayes_damper.effects import Effect, all_effects
+from bayes_damper.effects._law import laws_on
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.priors.files import campaign_priors, load_priors
 from bayes_damper.published.measurements import load_published
@@ -91,6 +92,7 @@ def diagnose(
     file = Path(priors) if priors is not None else beside if beside.exists() else None
     chosen = None if file is None else campaign_priors(file, loaded)
     library = all_effects(effects)
+    beyond = laws_on(library, loaded)
     found = diagnose_campaign(
         loaded, nominal=nominal, effects=library, priors=chosen, seed=seed, workers=workers, tell=tell,
         rule=replace(RULE, prior_unknown=prior_unknown),
@@ -108,7 +110,7 @@ def diagnose(
             "magnet": loaded.rig.has_magnet,
         },
         "forecast": ahead,
-        "warnings": list(loaded.warnings),
+        "warnings": [*loaded.warnings, *beyond],
         "campaign_sha256": loaded.sha256,
         "provenance": provenance(),
     }

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayes_damper.campaign import INPUT_COLUMNS, Constant, Measurement, Trial, record_text
 from bayes_damper.campaign.logger_files import read_file
 from bayes_damper.campaign.structure import INPUTS
-from bayes_damper.effects import all_effects
+from bayes_damper.effects import Effect, all_effects
+from bayes_damper.effects._law import Law
 from bayes_damper.effects.base import Variant
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.priors.distributions import Normal
@@ -23,7 +25,7 @@ from bayes_damper.rig.parameters import RIG_KEYS, hint, unit_of
 from bayes_damper.rig.units import effect_unit
 from bayes_damper.runs.execution import write_text
 from bayes_damper.runs.outcome import Outcome
-from bayes_damper.simulation.model import Model
+from bayes_damper.simulation.model import Model, Quantity, Simulation
 
 _WORDS = {"normal_force": ("linear", "constant"), "restoring": ("linear", "pendulum")}
 
@@ -35,14 +37,17 @@ class SimulatedRecord:
     path: Path
     values: dict[str, Any]
     exit_code: ExitCode = ExitCode.DONE
+    warnings: tuple[str, ...] = ()
 
     def text(self) -> str:
         """For people."""
-        return f"{self.path}: the record; {self.path.with_suffix('.toml')}: all values used"
+        files = f"{self.path}: the record; {self.path.with_suffix('.toml')}: all values used"
+        return "\n".join([*(f"warning: {w}" for w in self.warnings), files])
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""
-        return {"schema": "bayes-damper/simulate/1", "record": str(self.path), "values": self.values}
+        told = {"schema": "bayes-damper/simulate/1", "record": str(self.path), "values": self.values}
+        return told | ({"warnings": list(self.warnings)} if self.warnings else {})
 
 
 def simulate_record(
@@ -67,7 +72,7 @@ def simulate_record(
     rate : Hz; duration : s; out : the CSV file to write. coupled : False for the primary alone.
     inputs : CSV file of what acts, time_s and any of torque1_n_m, torque2_n_m, ground_rad and ground_rad_s2, linear
         between samples; the record has its times, in place of rate and duration, and absolute readings.
-    effects_folder : folder with effects of your own.
+    effects_folder : folder with effects of your own or learnt laws, or one such file.
 
     Raises
     ------
@@ -82,7 +87,8 @@ def simulate_record(
         faults.append(f"--rate {rate}: expected a positive number of samples per second")
     if not (np.isfinite(duration) and duration > 0.0) or duration * rate > 1e7:
         faults.append(f"--duration {duration}: expected a positive number of seconds, at most ten million samples")
-    variant = _variant(effect, effects_folder, faults)
+    chosen = _chosen(effect, effects_folder, faults)
+    variant = None if chosen is None else chosen[1]
     priors = load_priors("thesis").for_case(case)
     # Cut at physical bounds, a normal prior's median lies a little off the declared value: that one is meant.
     values = priors.medians() | {name: d.mean for name, d in priors.free.items() if isinstance(d, Normal)}
@@ -90,6 +96,9 @@ def simulate_record(
     words = {key: choices[0] for key, choices in _WORDS.items()}
     own = {} if variant is None else dict(zip((p.name for p in variant.parameters), variant.starts[0], strict=True))
     _apply(settings, values, words, own, effect, faults)
+    law: Law | None = None if chosen is None else chosen[0].law
+    if law is not None and (told := law.foreign("torsional", values)) is not None:
+        faults.append(f"--effect {effect}: {told}")
     if faults:
         raise InputError(faults)
     path = Path(out)
@@ -97,13 +106,19 @@ def simulate_record(
         raise InputError(f"--out {path}: the values used go to that name; give the record another ending, e.g. .csv")
     trial = None if inputs is None else _driven(Path(inputs), coupled)
     times = np.arange(round(duration * rate) + 1) / rate if trial is None else trial.times
-    try:
-        simulation = Model(coupled, words["normal_force"], words["restoring"], variant).simulate(  # type: ignore[arg-type]
+    model = Model(coupled, words["normal_force"], words["restoring"], variant)  # type: ignore[arg-type]
+
+    def run(quantity: Quantity) -> Simulation:
+        return model.simulate(
             {name: values[name] for name in ROWS if name in values},
             times,
             effect=own or None,
             inputs=None if trial is None else trial.inputs(Measurement()),
+            quantity=quantity,
         )
+
+    try:
+        simulation = run("acceleration")
     except ValueError as error:
         raise InputError(f"--inputs {inputs}: {error}") from None
     outcome = Outcome(int(simulation.outcome[0]))
@@ -119,7 +134,26 @@ def simulate_record(
         lines += ["", "[effect]", f'name = "{str(effect).partition("/")[0]}"', f'variant = "{variant.name}"']
         lines += [f"{p.name} = {own[p.name]!r}  # {effect_unit(p.unit)}" for p in variant.parameters]
     write_text(path.with_suffix(".toml"), "\n".join(lines) + "\n")
-    return SimulatedRecord(path, used | ({"effect": own} if variant is not None else {}))
+    warnings = [] if law is None else _beyond(law, run, times, coupled)
+    return SimulatedRecord(path, used | ({"effect": own} if variant is not None else {}), warnings=tuple(warnings))
+
+
+def _beyond(law: Law, run: Callable[[Quantity], Simulation], times: NDArray[np.float64], coupled: bool) -> list[str]:
+    """Sentences where a record leaves the range of a learnt law."""
+    angles, speeds = (run(quantity).y[0] for quantity in ("displacement", "velocity"))
+    if law.site == "interface":
+        own = [(angles[0] - angles[-1], speeds[0] - speeds[-1])] if coupled else []
+    else:
+        bodies = {"ground2": [1], "bearings": [0, 1]}.get(law.site, [0])[: 1 if law.bodies == "primary" else None]
+        own = [(angles[b], speeds[b]) for b in bodies if b < len(angles)]
+    seen = {"time": (0.0, float(times[-1] - times[0]))}
+    for k, name in enumerate(("angle", "speed")):
+        values = [pair[k] for pair in own]
+        seen |= {name: (min(v.min() for v in values), max(v.max() for v in values))} if values else {}
+    out = law.outside(seen)
+    if law.beside:
+        out.append(f"{law.name} was learnt beside {' and '.join(law.beside)}, which this record does not have")
+    return out
 
 
 def _driven(path: Path, coupled: bool) -> Trial:
@@ -150,7 +184,7 @@ def _driven(path: Path, coupled: bool) -> Trial:
     return Trial("", "", configuration, 1, Constant(1.0), None, times, nothing, **acting)
 
 
-def _variant(effect: str | None, folder: str | Path | None, faults: list[str]) -> Variant | None:
+def _chosen(effect: str | None, folder: str | Path | None, faults: list[str]) -> tuple[Effect, Variant] | None:
     if effect is None:
         return None
     known = all_effects(folder)
@@ -162,7 +196,7 @@ def _variant(effect: str | None, folder: str | Path | None, faults: list[str]) -
     if wanted and wanted not in variants:
         faults.append(f"--effect {effect}: {name} has the variants {', '.join(variants)}")
         return None
-    return variants[wanted] if wanted else known[name].variants[0]
+    return known[name], variants[wanted] if wanted else known[name].variants[0]
 
 
 def _apply(

@@ -22,8 +22,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from bayes_damper.effects._law import is_law, read_law
 from bayes_damper.effects.base import SITES, Effect, EffectParameter, Variant
 from bayes_damper.errors import InputError
+from bayes_damper.inputs import is_file
 from bayes_damper.priors.distributions import Distribution, HalfNormal, LogNormal, LogUniform, Normal, Uniform
 from bayes_damper.rig.equations import Rig
 
@@ -230,10 +232,15 @@ def _module(path: Path) -> ModuleType:
 
 
 def effects_sha256(folder: str | Path) -> str:
-    """Checksum of a folder with effects of one's own: of every .py file in and below it, names and bytes."""
+    """Checksum of a folder with effects of one's own, names and bytes of every file: or of one such file.
+
+    Files are those with effects (.py) in and below the folder, and learnt laws (.toml) in it.
+    """
     digest = hashlib.sha256()
-    for path in sorted(Path(folder).rglob("*.py")):
-        digest.update(path.relative_to(folder).as_posix().encode() + b"\0")
+    home = Path(folder)
+    files = [*home.rglob("*.py"), *(f for f in home.glob("*.toml") if is_law(f))] if home.is_dir() else [home]
+    for path in sorted(files):
+        digest.update(path.relative_to(home if home.is_dir() else home.parent).as_posix().encode() + b"\0")
         digest.update(hashlib.sha256(path.read_bytes()).digest())
     return digest.hexdigest()
 
@@ -267,7 +274,10 @@ def same_effects(run: Path, begun: str | None, folder: str | Path | None) -> Non
 
 
 def load_effects(folder: str | Path, known: Mapping[str, Effect] = EFFECTS) -> dict[str, Effect]:
-    """Effects of a user's folder: name -> effect, from every .py file whose name does not begin with an underscore.
+    """Effects of a user's own: name -> effect.
+
+    folder : with a .py file per effect (names that begin with an underscore are left out), files of learnt laws
+    (.toml), or both; or one such file.
 
     Raises
     ------
@@ -276,16 +286,26 @@ def load_effects(folder: str | Path, known: Mapping[str, Effect] = EFFECTS) -> d
         one of its duties or has a name that is taken; all faults at once.
     """
     path = Path(folder)
-    if not path.is_dir():
-        raise InputError(f"{path}: there is no such folder of effects; give one that holds a .py file per effect")
-    files = sorted(f for f in path.glob("*.py") if not f.name.startswith("_"))
+    if path.is_dir():
+        files = sorted(f for f in path.glob("*.py") if not f.name.startswith("_"))
+        files += sorted(f for f in path.glob("*.toml") if is_law(f))
+    else:
+        files = [path] if path.suffix in (".py", ".toml") and is_file(path) else []
+        if not files:
+            raise InputError(
+                f"{path}: there is no such folder of effects; give one that holds a .py file per effect, or one file: "
+                "an effect (.py) or a learnt law (.toml)"
+            )
     if not files:
         raise InputError(f"{path}: holds no .py file; write one per effect, each with an EFFECT")
     loaded: dict[str, Effect] = {}
     wrong: list[str] = []
     for file in files:
         try:
-            effect = getattr(_module(file), "EFFECT", None)
+            effect = _effect_in(file)
+        except InputError as error:
+            wrong += error.faults
+            continue
         except Exception as error:  # noqa: BLE001 (a user's file may fail in any way)
             wrong.append(f"{file}: cannot be imported ({type(error).__name__}: {error}); run it with python")
             continue
@@ -296,6 +316,11 @@ def load_effects(folder: str | Path, known: Mapping[str, Effect] = EFFECTS) -> d
     if wrong:
         raise InputError(wrong)
     return loaded
+
+
+def _effect_in(file: Path) -> Any:
+    """What a user's file offers as an effect."""
+    return read_law(file).effect() if file.suffix == ".toml" else getattr(_module(file), "EFFECT", None)
 
 
 def all_effects(folder: str | Path | None = None) -> dict[str, Effect]:

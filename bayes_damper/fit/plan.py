@@ -14,6 +14,7 @@ from bayes_damper.calibration import Experiment, experiment_of
 from bayes_damper.calibration.correlated_noise import KINDS
 from bayes_damper.campaign import Campaign, load_campaign
 from bayes_damper.effects import all_effects, effects_sha256, same_effects
+from bayes_damper.effects._law import laws_on
 from bayes_damper.errors import InputError
 from bayes_damper.inputs import fields, shown
 from bayes_damper.priors.files import PriorSet, campaign_priors, load_priors
@@ -83,6 +84,7 @@ def plan_fit(
         known_effects = all_effects(effects)
         if effect not in known_effects:
             raise InputError(f"--effect {effect}: there is no such effect; {hint(effect, known_effects)}")
+        laws_on({effect: known_effects[effect]}, loaded)
     if noise != "auto" and thesis:
         raise InputError("--noise: the published features have standard errors of their own; leave it out")
     return {
@@ -205,6 +207,13 @@ def planned_campaign(plan: Mapping[str, Any]) -> Campaign:
             f"{plan['campaign']}: the campaign has changed since this run began; start a new run with another --out"
         )
     return campaign
+
+
+def planned_warnings(plan: Mapping[str, Any]) -> list[str]:
+    """What is odd in the campaign that a fit was planned for, and where a learnt law does not reach."""
+    campaign, effect = planned_campaign(plan), plan["effect"]
+    beyond = [] if effect is None else laws_on({effect: all_effects(plan["effects"])[effect]}, campaign)
+    return [*campaign.warnings, *beyond]
 
 
 def recorded_experiment(plan: Mapping[str, Any], case: str | None) -> tuple[Experiment, str]:

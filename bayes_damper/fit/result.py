@@ -10,7 +10,7 @@ from typing import Any
 
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.fit.drawings import draw_overview
-from bayes_damper.fit.plan import kept, plan_fit, planned_campaign, start_run
+from bayes_damper.fit.plan import kept, plan_fit, planned_warnings, start_run
 from bayes_damper.fit.published import fit_published_case
 from bayes_damper.fit.recorded import fit_recorded_cases
 from bayes_damper.fit.sensitivity import text as sensitivity_text
@@ -208,7 +208,7 @@ def finish_fit(
     InputError
         if the campaign is not the one that the fit was planned for.
     """
-    warnings = () if plan["campaign"] == "thesis" else planned_campaign(plan).warnings
+    warnings = () if plan["campaign"] == "thesis" else planned_warnings(plan)
     call = fit_published_case if plan["campaign"] == "thesis" else fit_recorded_cases
     names = [*plan["cases"], *(["joint"] if plan["joint"] else [])]
     # The joint fit is the longest: it starts first.
