@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
+from scipy.special import ndtr, ndtri
 
 from bayes_damper.calibration import Calibration, Experiment, Group, Problem, predict
 
@@ -57,7 +57,64 @@ class Forecast:
 
     def inside(self, share: float) -> NDArray[np.bool_]:
         """Which readings lie in the band that is to hold `share` of them, (channels, n); a missing one does not."""
-        return np.abs(self.miss) <= float(ndtri(0.5 + 0.5 * share)) * self.sd
+        return np.abs(self.miss) <= 0.5 * self.width(share)
+
+    def width(self, share: float) -> Array:
+        """Of the band that is to hold `share` of the readings, (channels, n)."""
+        return 2.0 * float(ndtri(0.5 + 0.5 * share)) * self.sd
+
+
+@dataclass(frozen=True, eq=False)
+class Averaged(Forecast):
+    """One trial by several answers: centre and sd are those of the mixture, bands hold its central part.
+
+    weights (answers,): probabilities, of sum 1; centres, sds (answers, channels, n).
+    """
+
+    weights: Array
+    centres: Array
+    sds: Array
+
+    def inside(self, share: float) -> NDArray[np.bool_]:
+        """Which readings lie in the central band that is to hold `share` of them, (channels, n)."""
+        below = np.einsum("k,kcn->cn", self.weights, ndtr((self.reading - self.centres) / self.sds))
+        return np.asarray(np.abs(below - 0.5) <= 0.5 * share)
+
+    def width(self, share: float) -> Array:
+        """Of the band that is to hold `share` of the readings, (channels, n)."""
+        return self._quantile(0.5 + 0.5 * share) - self._quantile(0.5 - 0.5 * share)
+
+    def _quantile(self, level: float) -> Array:
+        """By bisection between the quantiles of the parts, (channels, n)."""
+        each = self.centres + float(ndtri(level)) * self.sds
+        low, high = each.min(axis=0), each.max(axis=0)
+        for _ in range(50):
+            middle = 0.5 * (low + high)
+            below = np.einsum("k,kcn->cn", self.weights, ndtr((middle - self.centres) / self.sds)) < level
+            low, high = np.where(below, middle, low), np.where(below, high, middle)
+        return np.asarray(0.5 * (low + high))
+
+
+def averaged(parts: Sequence[tuple[float, Forecast]]) -> Averaged:
+    """Forecasts of one trial by several answers, each with its probability (any positive factor), as one."""
+    weights = np.array([p for p, _ in parts])
+    weights = weights / weights.sum()
+    first = parts[0][1]
+    centres, sds = (np.array([getattr(f, name) for _, f in parts]) for name in ("centre", "sd"))
+    centre = np.einsum("k,kcn->cn", weights, centres)
+    variance = np.einsum("k,kcn->cn", weights, sds**2 + (centres - centre) ** 2)
+    return Averaged(
+        first.trial,
+        first.seen_s,
+        first.swing,
+        first.times,
+        first.reading,
+        centre,
+        np.sqrt(variance),
+        weights,
+        centres,
+        sds,
+    )
 
 
 def summary(forecasts: Sequence[Forecast]) -> dict[str, Any]:
@@ -68,7 +125,7 @@ def summary(forecasts: Sequence[Forecast]) -> dict[str, Any]:
     miss = [np.concatenate([f.miss[c] for f in forecasts if c < len(f.miss)]) for c in range(_channels(forecasts))]
     every = np.concatenate(miss)
     known = float(np.isfinite(every).sum())
-    widths = np.concatenate([f.sd.ravel() for f in forecasts]) * 2.0 * float(ndtri(0.95))
+    widths = np.concatenate([f.width(0.9).ravel() for f in forecasts])
     return {
         "rms": _rms(every),
         "rms_by_channel": [_rms(m) for m in miss],
@@ -85,11 +142,18 @@ def forecast(fit: Calibration, trials: Sequence[int], periods: float = PERIODS) 
     return _ahead(fit, trials, periods, _missed(fit, periods)) if trials else {}
 
 
-def forecasts(before: Calibration, after: Calibration | None, periods: float = PERIODS) -> dict[str, Any]:
+def forecasts(
+    before: Calibration,
+    after: Calibration | None,
+    answers: Sequence[tuple[float, Calibration]] = (),
+    periods: float = PERIODS,
+) -> dict[str, Any]:
     """Entry `forecast` of diagnosis.json: held-out trials by the nominal model and with the answer, one by one and all.
 
-    Beside each forecast stands `rms_whole`: what is missed where a trial's state is inferred from all of its readings,
-    as by a least-squares fit of that trial. Empty without a held-out trial that is long enough.
+    answers : the probability of each answer and its fit; where there are several, "averaged" weighs their forecasts
+    (Hoeting, Madigan, Raftery and Volinsky, 1999, Stat. Sci. 14, 382, equation 1). Beside each other forecast stands
+    `rms_whole`: what is missed where a trial's state is inferred from all of its readings, as by a least-squares fit
+    of that trial. Empty without a held-out trial that is long enough.
     """
     experiment = before.problem.experiment
     found = {
@@ -97,6 +161,10 @@ def forecasts(before: Calibration, after: Calibration | None, periods: float = P
         for name, fit in (("before", before), ("after", after))
         if fit is not None
     }
+    if len(answers) > 1 and found["before"]:
+        known = {id(fit): found[name] for name, fit in (("before", before), ("after", after)) if fit is not None}
+        each = [(p, known.get(id(fit)) or forecast(fit, experiment.heldout, periods)) for p, fit in answers]
+        found["averaged"] = {i: averaged([(p, own[i]) for p, own in each]) for i in found["before"]}
     whole = {
         name: {i: p.residual for i, p in predict(fit, tuple(found[name])).items()}
         for name, fit in (("before", before), ("after", after))
@@ -105,7 +173,10 @@ def forecasts(before: Calibration, after: Calibration | None, periods: float = P
     rows = []
     for i, first in found["before"].items():
         t = experiment.trials[i]
-        sides = {name: summary([those[i]]) | {"rms_whole": _rms(whole[name][i])} for name, those in found.items()}
+        sides = {
+            name: summary([those[i]]) | ({"rms_whole": _rms(whole[name][i])} if name in whole else {})
+            for name, those in found.items()
+        }
         rows.append({
             "file": t.label, "case": t.case, "configuration": "coupled" if t.coupled else "uncoupled",
             "trial": t.number, "seen_s": first.seen_s, "readings": int(np.isfinite(first.reading).sum()), **sides,
@@ -114,7 +185,7 @@ def forecasts(before: Calibration, after: Calibration | None, periods: float = P
         return {}
     together = {
         name: summary(list(those.values()))
-        | {"rms_whole": _rms(np.concatenate([r.ravel() for r in whole[name].values()]))}
+        | ({"rms_whole": _rms(np.concatenate([r.ravel() for r in whole[name].values()]))} if name in whole else {})
         for name, those in found.items()
     }
     return {"periods": periods, "bands": list(BANDS), **together, "trials": rows}

@@ -100,7 +100,7 @@ def diagnose(
     folder = Path(out)
     path = _emptied(folder)
     write_missing_torque(folder / "missing_torque.csv", found.site_map)
-    ahead = forecasts(found.nominal, found.best)
+    ahead = forecasts(found.nominal, found.best, found.weighed_fits())
     result = found.to_json() | {
         "reading_unit": loaded.reading_unit,
         "rig": {
@@ -292,7 +292,8 @@ def _words(result: Mapping[str, Any]) -> list[str]:
 
 def _forecast_words(ahead: Mapping[str, Any], unit: str) -> list[str]:
     """What held-out trials do after the two periods that their own state is inferred from; `unit`: of readings."""
-    sides = {name: ahead[name] for name in ("before", "after") if name in ahead}
+    said = {"before": "before", "after": "after", "averaged": "over all answers"}
+    sides = {words: ahead[name] for name, words in said.items() if name in ahead}
     if not sides:
         return []
     misses = ", ".join(f"{s['rms']:.3g}{f' {unit}' if unit else ''} {name}" for name, s in sides.items())

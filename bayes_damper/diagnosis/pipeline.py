@@ -118,6 +118,19 @@ class Diagnosis:
         rows = [c for c in self.candidates if c.effect.name == effect and c.fit is not None]
         return rows[0] if rows else None
 
+    def weighed_fits(self, least: float = 0.02) -> list[tuple[float, Calibration]]:
+        """Probability and fit of every answer of at least that probability; `unknown` predicts as what closes most."""
+        best = self.best or self.nominal
+        fits: dict[int, tuple[float, Calibration]] = {}
+        for name, p in self.answers.probabilities.items():
+            row = self.best_of(name)
+            own = {"none": self.nominal, "unknown": best}.get(name, None if row is None else row.fit)
+            if self.winner is not None and name == self.winner.effect.name:
+                own = best
+            if own is not None and p >= least:
+                fits[id(own)] = (p + fits.get(id(own), (0.0,))[0], own)
+        return list(fits.values())
+
     def to_json(self) -> dict[str, Any]:
         """The fields of diagnosis.json (schema bayes-damper/diagnosis/1)."""
         noise = self.nominal.problem.noise.total

@@ -11,7 +11,16 @@ from scipy.optimize import least_squares
 from small_rig import measured, variant
 
 from bayes_damper.calibration import Calibration, Experiment, Noise, Problem, TrialRecord, calibrate
-from bayes_damper.calibration.forecast import PERIODS, _ahead, forecast, forecasts, period_of, summary
+from bayes_damper.calibration.forecast import (
+    PERIODS,
+    Forecast,
+    _ahead,
+    averaged,
+    forecast,
+    forecasts,
+    period_of,
+    summary,
+)
 from bayes_damper.priors.distributions import LogNormal, Normal
 
 K, VISCOUS, DRY, NU = 90.0, 0.30, 1.1, 30.0  # per unit inertia: s^-2, s^-1, s^-2, s
@@ -86,6 +95,38 @@ def test_bands_hold_the_share_they_are_to_hold():
                 shares.append(float(found.inside(share).mean()))
     assert 0.44 < np.mean(held[0.5]) < 0.58
     assert 0.86 < np.mean(held[0.9]) < 0.95
+
+
+def test_bands_over_several_answers_are_those_of_draws_from_them():
+    """Against the quantiles of draws from the mixture; one answer alone changes nothing."""
+    rng = np.random.default_rng(11)
+    times, reading = np.arange(5.0), rng.normal(0.0, 3.0, (2, 5))
+    centres, sds = rng.normal(0.0, 2.0, (3, 2, 5)), rng.uniform(0.3, 1.5, (3, 2, 5))
+    parts = [Forecast(0, 1.0, np.ones(2), times, reading, c, s) for c, s in zip(centres, sds, strict=True)]
+    found = averaged([(3.0, parts[0]), (1.0, parts[1]), (1.0, parts[2])])
+    which = rng.choice(3, 200_000, p=(0.6, 0.2, 0.2))
+    draws = centres[which] + sds[which] * rng.standard_normal((which.size, 2, 5))
+    for share in (0.5, 0.9):
+        low, high = np.quantile(draws, (0.5 - 0.5 * share, 0.5 + 0.5 * share), axis=0)
+        np.testing.assert_allclose(found.width(share), high - low, rtol=0.02)
+        clear = np.minimum(np.abs(reading - low), np.abs(reading - high)) > 0.05
+        np.testing.assert_array_equal(found.inside(share)[clear], ((low <= reading) & (reading <= high))[clear])
+    np.testing.assert_allclose(found.sd, draws.std(axis=0), rtol=0.02)
+    alone = averaged([(0.2, parts[0])])
+    np.testing.assert_array_equal(alone.inside(0.9), parts[0].inside(0.9))
+    np.testing.assert_allclose(alone.width(0.9), parts[0].width(0.9))
+
+
+def test_answers_are_weighed_in_the_forecasts_of_a_diagnosis(pendulum):
+    """Between a model without dry friction and the right one, by their probabilities."""
+    viscous = fitted(pendulum.problem.experiment, "linear")
+    told = forecasts(viscous, pendulum, [(0.01, viscous), (0.99, pendulum)])
+    assert told["averaged"]["rms"] == pytest.approx(told["after"]["rms"], rel=0.2)
+    assert told["averaged"]["rms"] < 0.5 * told["before"]["rms"]
+    even = forecasts(viscous, pendulum, [(0.5, viscous), (0.5, pendulum)])
+    assert even["averaged"]["width90"] > told["averaged"]["width90"]
+    assert "averaged" not in forecasts(viscous, pendulum, [(1.0, pendulum)])
+    assert "averaged" in even["trials"][0]
 
 
 def test_the_spread_is_that_of_forecasts_from_other_noise():

@@ -412,7 +412,7 @@ def _forecast_tables(ahead: Mapping[str, Any], unit: str = "") -> list[Table]:
     """Held-out trials forecast from their first periods: what is missed, and what share the bands hold."""
     if "before" not in ahead:
         return []
-    sides = [side for side in ("before", "after") if side in ahead]
+    sides = [side for side in ("before", "after", "averaged") if side in ahead]
 
     def cells(row: Mapping[str, Any]) -> tuple[str, ...]:
         found = [row[side] for side in sides if row.get(side) is not None]
@@ -429,9 +429,9 @@ def _forecast_tables(ahead: Mapping[str, Any], unit: str = "") -> list[Table]:
         rows.append(Row(("all", str(sum(t["readings"] for t in ahead["trials"])), *cells(ahead))))
     heads = ("trial", "readings", f"rms miss [{unit}]" if unit else "rms miss", "in the 50 % band", "in the 90 % band")
     note = (
-        f"Each trial's own state is inferred from its first {ahead['periods']:g} periods, the rest is predicted; "
-        "by the nominal model → with the leading effect added. Fewer readings in a band than it should hold: "
-        "the model is surer than it may be."
+        f"Each trial's own state is inferred from its first {ahead['periods']:g} periods, the rest is predicted; by "
+        "the nominal model → with the leading effect added → over all answers, each by its probability. Fewer readings "
+        "in a band than it should hold: the model is surer than it may be."
     )
     return [Table("Forecasts of held-out trials", heads, tuple(rows), note)]
 

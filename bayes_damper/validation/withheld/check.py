@@ -95,7 +95,9 @@ def _under_the_answer(found: Any) -> dict[str, Any]:
     from bayes_damper.diagnosis.gap import left_out_case
 
     fit = found.best
-    out: dict[str, Any] = {"forecast": {k: v for k, v in forecasts(found.nominal, fit).items() if k != "trials"}}
+    out: dict[str, Any] = {
+        "forecast": {k: v for k, v in forecasts(found.nominal, fit, found.weighed_fits()).items() if k != "trials"}
+    }
     told = found.nominal if found.verdict == "none" else fit
     if told is not None:
         names = told.problem.names

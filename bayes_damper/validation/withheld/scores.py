@@ -248,9 +248,9 @@ def _scatter_covered(verdict: Mapping[str, Any], entry: Mapping[str, Any]) -> di
 
 
 def _bands(verdict: Mapping[str, Any]) -> tuple[float, float] | None:
-    """Shares of held-out readings within the bands of the forecast with the answer, or of the nominal rig's."""
+    """Shares of held-out readings within the bands over all answers, with the leading one, or of the nominal rig."""
     told = verdict.get("forecast") or {}
-    row = told.get("after") or told.get("before") or {}
+    row = told.get("averaged") or told.get("after") or told.get("before") or {}
     found = _float(row.get("coverage50")), _float(row.get("coverage90"))
     return None if found[0] is None or found[1] is None else (found[0], found[1])
 
