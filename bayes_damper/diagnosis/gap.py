@@ -94,15 +94,13 @@ def measure_gap(
     nominal: Calibration,
     winner: Calibration | None = None,
     *,
-    shapes: Mapping[int, Array] | None = None,
     size: float = SIZE,
     rng: np.random.Generator | None = None,
     chosen_from: int = 1,
 ) -> Gap:
     """The gap of the nominal model on held-out trials, and what is left of it under the winner.
 
-    shapes : what the training trials say is missing, held-out trial -> (channels, n), e.g. from `sites.predicted_gap`;
-    further predictions come from the repeats and from the winner. `rng` draws the bootstrap (default: seed 0).
+    Predictions of what is missing come from the repeats and the winner. `rng` draws the bootstrap (default: seed 0).
     chosen_from : number of answers from which the held-out readings helped to choose the winner; 1 if they did not.
     """
     experiment = nominal.problem.experiment
@@ -122,9 +120,6 @@ def measure_gap(
     if winner is not None and after is not None:
         predictions.append({i: after[i].model - before[i].model for i in heldout})
         choices.append(chosen_from)
-    if shapes:
-        predictions.append(dict(shapes))
-        choices.append(1)
     predictions.append(repeats_say(nominal))
     choices.append(1)
     p_value = held_out_test(nominal, {i: before[i].eta for i in heldout}, predictions, choices)

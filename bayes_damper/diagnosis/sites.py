@@ -21,14 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln, logsumexp
 
-from bayes_damper.calibration import Calibration, TrialRecord, predict
+from bayes_damper.calibration import Calibration, TrialRecord
 from bayes_damper.diagnosis.response import (
     Motion,
     Projected,
     in_slices,
     motions,
     nominal_slopes,
-    on_trials,
     project_parts,
     whiten,
 )
@@ -104,9 +103,7 @@ class SiteMap:
 
     log_evidence: of each site over no gap, nats; strength: that of the best site, as far as its cause acts in all
     trials; probabilities: of the sites and "none", sum 1; leaders: the leading
-    hypothesis of each site; torque: what is missing at the best site (empty for a sensor: no torque is wrong there);
-    coefficients: of the best site's leading hypothesis, in the units of its shapes; shift: what the parameters q of the
-    fit give way to it.
+    hypothesis of each site; torque: what is missing at the best site (empty for a sensor: no torque is wrong there).
     """
 
     log_evidence: Mapping[str, float]
@@ -115,8 +112,6 @@ class SiteMap:
     torque: tuple[MissingTorque, ...]
     fit: Calibration
     scale: Scale
-    coefficients: Array
-    shift: Array
     strength: float
     torque_site: str | None = None
 
@@ -217,15 +212,12 @@ def site_map(fit: Calibration, *, torque: bool = True, prior_none: float = PRIOR
     evidence = {
         s: float(logsumexp([v + math.log(priors[n]) for (site, n), v in by_part.items() if site == s])) for s in leaders
     }
-    best = max(leaders, key=lambda s: probabilities[s])
-    mean, _ = _coefficients(judged[leaders[best].only], leaders[best])
     missing: tuple[MissingTorque, ...] = ()
     silent = {s for s, leader in leaders.items() if not any(vocabulary[c][2] for c in leader.columns)}
     place = _torque_site(probabilities, silent) if torque else None
     if place is not None:
         missing = _torque(fit, moved, scale, judged[leaders[place].only], leaders[place])
-    shift = judged[leaders[best].only].absorbed[:, leaders[best].columns] @ mean
-    return SiteMap(evidence, probabilities, leaders, missing, fit, scale, mean, shift, strength, place)
+    return SiteMap(evidence, probabilities, leaders, missing, fit, scale, strength, place)
 
 
 _Sites = tuple[dict[str, float], dict[str, Hypothesis]]
@@ -295,56 +287,6 @@ def peak_of(fit: Calibration) -> float:
         if power[k] > best:
             best, peak = float(power[k]), float(omega[k])
     return peak
-
-
-def predicted_gap(found: SiteMap) -> dict[int, Array]:
-    """What the best site's shapes, learnt on the training trials, change in the model's held-out records.
-
-    Held-out trial -> (channels, n), unit of the readings. Parameters give way to the shapes as they do in training, and
-    each trial's nuisances to both; none of it depends on the noise of the held-out records.
-    """
-    fit = found.fit
-    heldout = fit.problem.experiment.heldout
-    if not heldout:
-        return {}
-    unseen = on_trials(fit, {i: p.eta for i, p in predict(fit, heldout).items()})
-    keep = [fit.problem.names.index(name) for name in unseen.problem.names]
-    shift = found.shift[keep]
-    coupled = any(t.coupled for t in fit.problem.experiment.trials)
-    leader = found.leaders[found.best]
-    trials = unseen.problem.experiment.trials
-    out = {}
-    for motion, block in zip(motions(unseen), unseen.linear.blocks, strict=True):
-        group = motion.group
-        every = shapes_of(motion, found.scale, coupled)
-        named = {c: shape for c, shape in enumerate(every) if c in leader.columns}
-        y = np.einsum("jkcn,k->jcn", _changes(motion, [named[c] for c in leader.columns]), found.coefficients)
-        y *= np.array([[[_acts_in(leader.only, trials[i])]] for i in group.trials])
-        d = whiten(fit, group, y[:, None])[:, 0] + np.einsum("jqd,q->jd", block.J, shift)
-        H = block.T @ block.T.transpose(0, 2, 1) + np.eye(block.T.shape[1])
-        own = -np.linalg.solve(H, np.einsum("jmd,jd->jm", block.T, d)[:, :, None])[:, :, 0]
-        n = len(group.trials)
-        twice: Any = np.tile(np.arange(n), 2)
-        q = np.concatenate([np.tile(unseen.q, (n, 1)), np.tile(unseen.q + shift, (n, 1))])
-        eta = np.concatenate([block.eta, np.clip(block.eta + own, group.lower, group.upper)])
-        before, after = np.split(unseen.problem.simulate(group, twice, q, eta), 2)
-        y = y + np.nan_to_num(after - before)
-        out.update({i: y[k] for k, i in enumerate(group.trials)})
-    return out
-
-
-def _changes(motion: Motion, shapes: Sequence[Shape]) -> Array:
-    """Changes of the readings (trials, k, channels, n) by a few shapes."""
-    zero, still = np.zeros_like(motion.th1), np.zeros((motion.th1.shape[0], 4))
-    y = motion.respond(
-        np.stack([_or(s.q1, zero) for s in shapes], axis=1),
-        np.stack([_or(s.q2, zero) for s in shapes], axis=1),
-        np.stack([_or(s.start, still) for s in shapes], axis=1),
-    )
-    for k, s in enumerate(shapes):
-        if s.reading is not None:
-            y[:, k] = s.reading
-    return y
 
 
 def _noted(shapes: Iterable[Shape], notes: list[tuple[str, str, bool]]) -> Iterator[Shape]:

@@ -2,7 +2,7 @@
 
 from bayes_damper.sampling.convergence import Diagnostic, StoppingRule, Verdict, diagnose_draws, judge
 from bayes_damper.sampling.ensembles import Progress, Sampling, Target, sample
-from bayes_damper.sampling.start import Start, annealed_start, find_start, resampled_start
+from bayes_damper.sampling.start import Start, annealed_start, resampled_start
 
 __all__ = [
     "Diagnostic",
@@ -14,7 +14,6 @@ __all__ = [
     "Verdict",
     "annealed_start",
     "diagnose_draws",
-    "find_start",
     "judge",
     "resampled_start",
     "sample",

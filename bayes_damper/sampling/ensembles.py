@@ -359,7 +359,7 @@ def _begin(
 ) -> _Ensemble:
     """An ensemble at its start, with a generator of its own; `learnt` is a mixture that resembles the target."""
     child = np.random.SeedSequence(seed).spawn(ensemble + 1)[ensemble]
-    coords, log_prob = cloud(target, start, walkers, np.random.default_rng(child), ensemble)
+    coords, log_prob = cloud(target, start, walkers, np.random.default_rng(child))
     random = np.random.RandomState(np.random.MT19937(child.spawn(1)[0])).get_state(legacy=True)
     state = _Ensemble(coords, log_prob, _packed(random))
     if learnt is None:
@@ -513,7 +513,7 @@ def _check(target: Target, start: Start, ensembles: int, walkers: int) -> None:
 def _fingerprint(target: Target, start: Start, seed: int, ensembles: int, walkers: int) -> dict[str, str]:
     import hashlib
 
-    shape = np.concatenate([start.point, start.covariance.ravel(), start.others.ravel()])
+    shape = np.concatenate([start.point, start.covariance.ravel()])
     return {
         "parameters": ", ".join(target.names),
         "seed": str(seed),

@@ -19,7 +19,6 @@ from bayes_damper.diagnosis.gap import (
     repeats_say,
     shifts,
 )
-from bayes_damper.diagnosis.sites import predicted_gap, site_map
 
 CUBIC = variant("magnet_cubic", "cubic")
 
@@ -68,15 +67,6 @@ def test_a_gap_is_found_and_closed_by_its_cause(both):
 def test_no_gap_is_left_under_the_cause(both):
     _, winner = both
     assert measure_gap(winner).p_value > 0.01
-
-
-def test_shapes_of_the_site_map_sharpen_the_test():
-    """A gap that the repeats alone hardly show is seen when the site map says what to look for."""
-    nominal = calibrate_nominal(measured(13, effect=CUBIC, values={"cubic": 70.0}))
-    plain = measure_gap(nominal).p_value
-    helped = measure_gap(nominal, shapes=predicted_gap(site_map(nominal, torque=False))).p_value
-    assert helped < 0.05
-    assert helped < plain
 
 
 def test_predictions_made_of_noise_find_nothing():

@@ -9,13 +9,12 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 from small_rig import RIG, knock, measured, variant
 
-from bayes_damper.calibration import Switches, calibrate_nominal, predict
+from bayes_damper.calibration import Switches, calibrate_nominal
 from bayes_damper.diagnosis.response import _steps, motions, project, project_parts
 from bayes_damper.diagnosis.sites import (
     STRENGTHS,
     _torque_site,
     dense_evidence,
-    predicted_gap,
     shares_of,
     site_map,
     write_missing_torque,
@@ -208,19 +207,6 @@ def test_missing_torque_is_written_as_a_table(tmp_path, interface):
     assert float(row["torque1_sd_n_m"]) > 0.0
 
 
-def test_shapes_learnt_in_training_predict_the_held_out_trials(interface):
-    """Adding what the site map learnt brings held-out residuals closer to the noise."""
-    fit, found = interface
-    heldout = fit.problem.experiment.heldout
-    before = predict(fit, heldout)
-    extra = predicted_gap(found)
-    x0 = sum(np.sum(before[i].residual[:, 3:] ** 2) for i in heldout)
-    x1 = sum(np.sum((before[i].residual - extra[i])[:, 3:] ** 2) for i in heldout)
-    floor = sum(4.0 * before[i].residual[:, 3:].size for i in heldout)
-    assert x0 - floor > 500.0
-    assert (x0 - x1) / (x0 - floor) > 0.7
-
-
 def test_evidence_equals_the_ratio_of_densities():
     """Against the two multivariate normal densities of the data, averaged over the strengths of the prior."""
     rng = np.random.default_rng(2)
@@ -274,7 +260,6 @@ def test_columns_on_a_part_of_the_trials_are_columns_that_are_nothing_elsewhere(
 
 
 def test_a_sensor_that_lags_in_one_case_is_found_there_and_said_to_lag_in_that_case():
-    """In other cases nothing is missing, on held-out trials either."""
     made = measured(3, cases=(("I", 0, 0.1), ("II", 0, 0.06), ("IV", 1, 0.08)))
 
     def read(t):
@@ -285,11 +270,6 @@ def test_a_sensor_that_lags_in_one_case_is_found_there_and_said_to_lag_in_that_c
     assert found.best == "sensor"
     assert found.only == "case II"
     assert found.to_json()["only"]["sensor"] == "case II"
-    sizes = {True: [], False: []}
-    for i, change in predicted_gap(found).items():
-        trial = made.trials[i]
-        sizes[trial.coupled and trial.case == "II"].append(float(np.sqrt(np.mean(change**2))))
-    assert min(sizes[True]) > 3.0 * max(sizes[False])
 
 
 def test_a_sharp_friction_does_not_ring_from_sample_to_sample():

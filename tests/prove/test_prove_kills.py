@@ -149,7 +149,7 @@ class _Banana:
 
 def _draw(folder: Path) -> None:
     """Draws of the banana into `folder`, going on from the state that is there."""
-    start = Start(np.zeros(4), np.diag([1.0, 2.0, 4.0, 5.0]), 0.0, np.empty((0, 4)), 1)
+    start = Start(np.zeros(4), np.diag([1.0, 2.0, 4.0, 5.0]), 0.0, 1)
     rule = StoppingRule(ess=1e9, max_steps=600)
     sampling = sample(
         _Banana(), start, seed=11, rule=rule, checkpoint=Checkpoint(folder, {"proof": "kills"}, every=0.1)

@@ -12,7 +12,7 @@ from scipy.special import digamma, polygamma
 
 from bayes_damper.errors import InputError, Interrupted
 from bayes_damper.runs.checkpoint import Checkpoint
-from bayes_damper.sampling import StoppingRule, diagnose_draws, find_start, sample
+from bayes_damper.sampling import Start, StoppingRule, diagnose_draws, sample
 from bayes_damper.sampling.convergence import stranded_walkers
 from bayes_damper.sampling.moves import fit_mixture
 from bayes_damper.sampling.sequential import Powers
@@ -38,23 +38,7 @@ class Gaussian:
 
 
 def start_of(target):
-    rng = np.random.default_rng(0)
-    draws = 8.0 * rng.standard_normal((300, target.ndim)) * np.sqrt(np.diag(target.covariance))
-    return find_start(target, draws, rng)
-
-
-def test_start_is_the_optimum_with_the_local_covariance():
-    target = Gaussian(6)
-    start = start_of(target)
-    shape = target.inverse_root @ start.covariance @ target.inverse_root.T
-    assert start.log_prob > -0.1
-    assert np.linalg.eigvalsh(shape).min() > 0.7
-    assert np.linalg.eigvalsh(shape).max() < 1.4
-
-
-def test_start_without_any_finite_point_says_so():
-    with pytest.raises(InputError, match="zero at all 20 points"):
-        find_start(lambda x: np.full(len(x), -np.inf), np.zeros((20, 2)), np.random.default_rng(0))
+    return Start(np.zeros(target.ndim), target.covariance, 0.0, 1)
 
 
 def unit_normal(points):
