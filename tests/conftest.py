@@ -15,7 +15,7 @@ if not os.environ.get("FUZZ"):
 os.environ.setdefault("MPLBACKEND", "Agg")
 HERE = Path(__file__).parent
 # Helpers of tests/, e.g. campaigns.py, and test modules that lend others their campaigns.
-LENDING = ("", "calibration", "diagnosis", "fit", "runs", "sampling", "validation")
+LENDING = ("", "calibration", "diagnosis", "fit", "runs", "sampling", "validation/withheld")
 sys.path[:0] = [str(HERE / folder) for folder in LENDING]
 
 

@@ -59,9 +59,13 @@ def rings(graph: dict[str, set[str]]) -> int:
 
 
 def mirrored(root: Path, package: Path) -> float:
-    """The share of test modules whose place mirrors that of a module."""
+    """The share of test modules whose place mirrors that of a module, here or in `validation`, or of a folder's own."""
     tests = [p for p in (root / "tests").rglob("test_*.py") if "prove" not in p.parts]
-    places = {p.relative_to(package).with_suffix("").as_posix() for p in package.rglob("*.py")}
+    modules = [p.relative_to(package) for p in package.rglob("*.py")]
+    modules += [p.relative_to(root) for p in (root / "validation").rglob("*.py")]
+    folders = {m.parent for m in modules} - {Path()}
+    own = {place for p in folders for place in (p, p / p.name)}  # beside the folder's tests, or among them
+    places = {p.with_suffix("").as_posix() for p in (*modules, *own)}
     mirror = [t.relative_to(root / "tests").parent / t.stem.removeprefix("test_") for t in tests]
     return sum(place.as_posix() in places for place in mirror) / len(tests)
 

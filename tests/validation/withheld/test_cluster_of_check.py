@@ -8,9 +8,9 @@ import time
 from pathlib import Path
 
 import pytest
-from test_withheld_check import calls, run, write_set
+from test_check import calls, run, write_set
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 
 pytest.importorskip("distributed", reason="needs the extra `cluster`")
 

@@ -144,7 +144,7 @@ def test_medians_have_an_interval_over_campaigns():
 
 
 def test_the_page_of_the_proof_repeats_the_table():
-    proof = Path(__file__).resolve().parents[2] / "docs" / "proof"
+    proof = Path(__file__).resolve().parents[3] / "docs" / "proof"
     told = json.loads((proof / "withheld_torque.json").read_text(encoding="utf-8"))
     assert told["summary"] == torque.grouped(told["campaigns"])
     places = {name: part for name, part in told["summary"].items() if not name.startswith("`")}

@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from bayes_damper.effects import EFFECTS
 from bayes_damper.simulation.model import Model
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 sys.path.append(str(ROOT))
 
 from validation.laboratories import kinds, motion  # noqa: E402
