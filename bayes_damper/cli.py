@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import logging
 import re
 import shlex
 import sys
@@ -16,6 +17,8 @@ from bayes_damper.errors import BayesDamperError, ExitCode, InputError, printabl
 from bayes_damper.runs.memory import seldom_collected
 
 Arguments = argparse.Namespace
+LOG_LEVELS = ("debug", "info", "warning", "error")
+LOG = logging.getLogger("bayes_damper.cli")
 
 
 def _progress(args: Arguments) -> Any:
@@ -227,6 +230,28 @@ def _number(text: str) -> int | float | str:
     return text
 
 
+class _Completion(argparse.Action):
+    """Prints the completion of this command line for a shell, and ends."""
+
+    def __call__(self, parser: Any, _namespace: Any, values: Any, _option: Any = None) -> None:
+        import shtab
+
+        for sub in _with_commands(parser):
+            for action in sub._actions:  # noqa: SLF001 (argparse shows them in no other way)
+                if action.type is Path or action.dest in ("campaign", "folder", "folders"):
+                    setattr(action, "complete", shtab.FILE)  # noqa: B010 (where shtab looks; argparse has no such field)
+        print(shtab.complete(parser, values))
+        parser.exit(0)
+
+
+def _with_commands(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
+    """A parser and those of its commands."""
+    yield parser
+    for action in parser._actions:  # noqa: SLF001 (as above)
+        if isinstance(action, argparse._SubParsersAction):  # noqa: SLF001
+            yield from action.choices.values()
+
+
 class _OneOrEach(argparse.Action):
     """One value for all channels, or one for each of them."""
 
@@ -246,16 +271,16 @@ def _init_options(sub: Any) -> list[str]:
     for key in (*campaign.Rig.__dataclass_fields__, *tables.MEASUREMENT):
         known[key] = campaign.COMMENTS.get(key, "of campaign.toml").replace("%", "%%")
     for key, (types, text) in keys.items():
-        flag, told = f"--{key.replace('_', '-')}", text.replace("%", "%%")
+        flag, about = f"--{key.replace('_', '-')}", text.replace("%", "%%")
         if bool in types:
-            sub.add_argument(flag, action=argparse.BooleanOptionalAction, default=None, help=told)
+            sub.add_argument(flag, action=argparse.BooleanOptionalAction, default=None, help=about)
         elif types == (list,):
-            sub.add_argument(flag, nargs="+", type=_number, metavar="X", help=told)
+            sub.add_argument(flag, nargs="+", type=_number, metavar="X", help=about)
         elif list in types:
-            sub.add_argument(flag, nargs="+", type=_number, metavar="X", help=told, action=_OneOrEach)
+            sub.add_argument(flag, nargs="+", type=_number, metavar="X", help=about, action=_OneOrEach)
         else:
             kind = str if types == (str,) else _number
-            sub.add_argument(flag, type=kind, metavar="X", help=told)
+            sub.add_argument(flag, type=kind, metavar="X", help=about)
     for key, text in known.items():
         kind = str if key in ("name", "description", "source_text") else _number
         several = {"nargs": "+", "action": _OneOrEach} if "per channel" in text else {}
@@ -374,6 +399,12 @@ def _parser() -> argparse.ArgumentParser:
         "failed, 130 interrupted (state saved).",
     )
     parser.add_argument("--version", action="version", version=_version())
+    parser.add_argument(
+        "--print-completion",
+        action=_Completion,
+        choices=("bash", "zsh", "tcsh"),
+        help="print what makes that shell complete commands and options with the Tab key",
+    )
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     def command(name: str, run: Callable[[Arguments], Any], text: str, *, out: str | None = None) -> Any:
@@ -384,6 +415,8 @@ def _parser() -> argparse.ArgumentParser:
         sub.add_argument("--seed", type=_seed, default=1, metavar="N", help="decides every random number (default: 1)")
         sub.add_argument("--quiet", action="store_true", help="no progress, no summary: only errors")
         sub.add_argument("--json", action="store_true", help="print the result as JSON instead of text")
+        about = "what goes to standard error beside progress: files read and written, kernels compiled"
+        sub.add_argument("--log-level", choices=LOG_LEVELS, default="warning", help=about)
         return sub
 
     def own_effects(sub: Any) -> None:
@@ -391,15 +424,15 @@ def _parser() -> argparse.ArgumentParser:
         sub.add_argument("--effects", type=Path, metavar="DIR", help=told)
 
     def weighing(sub: Any) -> None:
-        told = "linear: a nominal model without dry friction, which is then a candidate"
-        sub.add_argument("--nominal", choices=("nonlinear", "linear"), default="nonlinear", help=told)
+        about = "linear: a nominal model without dry friction, which is then a candidate"
+        sub.add_argument("--nominal", choices=("nonlinear", "linear"), default="nonlinear", help=about)
         own_effects(sub)
         sub.add_argument("--priors", type=Path, metavar="F.toml", help="priors of the nominal parameters")
         sub.add_argument("--workers", type=_count, default=2, metavar="N", help="simulations side by side (default: 2)")
 
     def workers(sub: Any) -> None:
-        told = "processes on this machine (default: 2)"
-        sub.add_argument("--workers", type=_count, default=2, metavar="N", help=told)
+        about = "processes on this machine (default: 2)"
+        sub.add_argument("--workers", type=_count, default=2, metavar="N", help=about)
         sub.add_argument("--scheduler", metavar="ADDRESS", help="run on an existing Dask cluster instead")
 
     sub = command("demo", _demo, "the main job on the shipped data, start to report", out="results/demo")
@@ -491,8 +524,8 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("resume", _resume, "go on with an interrupted run; --more extends a finished one")
     sub.add_argument("folder", type=Path, help="the folder that the run writes to")
     sub.add_argument("--more", action="store_true", help="extend a run that has finished")
-    told = "the folder with effects of your own that the run began with (no code is taken from results)"
-    sub.add_argument("--effects", type=Path, metavar="DIR", help=told)
+    about = "the folder with effects of your own that the run began with (no code is taken from results)"
+    sub.add_argument("--effects", type=Path, metavar="DIR", help=about)
     sub.add_argument("--workers", type=_count, metavar="N", help="processes on this machine (default: as before)")
 
     sub = command("init", _init, "a commented campaign from a pile of logger files")
@@ -542,9 +575,20 @@ def _written_out(word: str) -> str:
     return f"{Decimal(word):f}" if re.fullmatch(r"-(\d+\.?\d*|\.\d+)[eE][-+]?\d{1,3}", word) else word
 
 
+def _log_from(level: str) -> None:
+    """The package's own log from this level on, to standard error."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    log = logging.getLogger("bayes_damper")
+    log.handlers[:] = [handler]
+    log.setLevel(level.upper())
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; its exit code (see --help)."""
     args = _parser().parse_args([_written_out(word) for word in (sys.argv[1:] if argv is None else argv)])
+    _log_from(args.log_level)
+    LOG.info("bayes_damper %s, %s, seed %s", _version(), args.command, args.seed)
     try:
         with seldom_collected(), _closed_afterwards(args):
             result = args.run(args)
@@ -553,13 +597,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         return int(error.exit_code)
     except OSError as error:  # a folder that cannot be written, a full disk
         place = f"{error.filename}: " if error.filename else ""
-        told = error.strerror or type(error).__name__
-        print(f"bayes-damper {args.command}: {place}{told}; choose another place, e.g. with --out", file=sys.stderr)
+        reason = error.strerror or type(error).__name__
+        print(f"bayes-damper {args.command}: {place}{reason}; choose another place, e.g. with --out", file=sys.stderr)
         return int(ExitCode.BAD_INPUT)
     except MemoryError:
-        told = "the memory of this machine, or what it allows one process, is used up"
+        reason = "the memory of this machine, or what it allows one process, is used up"
         print(
-            f"bayes-damper {args.command}: {told}; give fewer trials or readings (every = N in [measurement] of "
+            f"bayes-damper {args.command}: {reason}; give fewer trials or readings (every = N in [measurement] of "
             "campaign.toml), fewer --workers, or more memory",
             file=sys.stderr,
         )

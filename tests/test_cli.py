@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
+import shutil
+import subprocess
+import tomllib
+from pathlib import Path
 
 import pytest
 
@@ -108,3 +113,50 @@ def test_an_unknown_command_is_refused():
     with pytest.raises(SystemExit) as ended:
         main(["fly"])
     assert ended.value.code == 2
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])
+def test_completion_for_a_shell_names_every_command_and_option(capsys, shell):
+    with pytest.raises(SystemExit, match="0"):
+        main(["--print-completion", shell])
+    script = capsys.readouterr().out
+    assert all(word in script for word in ("diagnose", "variability", "prior-unknown", "most-steps", "mounting-radius"))
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash")
+def test_bash_completes_commands_and_options(capsys):
+    with pytest.raises(SystemExit):
+        main(["--print-completion", "bash"])
+    script = capsys.readouterr().out
+    function = re.search(r"^complete .* -F (\S+) bayes-damper$", script, re.MULTILINE)[1]
+    for words, wanted in ((("bayes-damper", "dia"), "diagnose"), (("bayes-damper", "fit", "--most"), "--most-steps")):
+        line = f"COMP_WORDS=({' '.join(words)}); COMP_CWORD={len(words) - 1}; {function}; echo ${{COMPREPLY[@]}}"
+        found = subprocess.run(["bash", "-c", f"{script}\n{line}"], capture_output=True, text=True, check=True)
+        assert found.stdout.split() == [wanted]
+
+
+def test_the_log_level_decides_what_goes_to_standard_error(tmp_path, capsys):
+    assert main(["examples", "--out", str(tmp_path / "a")]) == 0
+    assert main(["check", str(tmp_path / "a")]) == 0
+    assert capsys.readouterr().err == ""
+    assert main(["check", str(tmp_path / "a"), "--log-level", "info"]) == 0
+    log = capsys.readouterr().err
+    assert "INFO bayes_damper.cli: bayes_damper" in log
+    assert "6 trials, 4806 readings" in log
+
+
+def test_the_recipe_for_conda_asks_for_what_the_package_needs():
+    """Of pyproject.toml, those that hold for the Python that the recipe names; matplotlib without its windows."""
+    root = Path(__file__).parent.parent
+    recipe = (root / "conda" / "meta.yaml").read_text(encoding="utf-8")
+    run = re.findall(r"^    - (\S+) ?(.*)$", recipe.partition("  run:")[2].partition("test:")[0], re.MULTILINE)
+    asked = {name.replace("matplotlib-base", "matplotlib"): bounds for name, bounds in run if name != "python"}
+    project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    needed = {}
+    for line in project["dependencies"]:
+        requirement, _, marker = (part.strip() for part in line.partition(";"))
+        if "< '3.12'" not in marker:
+            name = re.match(r"[\w-]+", requirement)[0]
+            needed[name] = requirement[len(name) :]
+    assert asked == needed
+    assert f'version = "{project["version"]}"' in recipe

@@ -2,7 +2,7 @@
 
 import pytest
 
-from bayes_damper.commands.diagnose import Diagnosed
+from bayes_damper.commands.diagnose import Diagnosed, next_steps
 from bayes_damper.text import budget_sentence, counted, gap_beside_verdict, gathered, p_value
 
 
@@ -73,6 +73,30 @@ def test_an_unknown_cause_is_told_at_a_place_and_as_surely_as_it_is_known(tmp_pa
     first = Diagnosed(tmp_path, result).text().splitlines()[0]
     assert first.startswith(begins)
     assert first.endswith("most likely at: sensor.")
+
+
+PROPOSED = {"configuration": "uncoupled", "k1_n_per_m": 500.0, "theta0_mm": 40.0}
+MORE = "Next, to decide: measure one more uncoupled trial, k1 500 N/m, released at 40 mm, put it into the campaign"
+
+
+@pytest.mark.parametrize(
+    ("verdict", "share", "steps"),
+    [
+        ("spring_cubic", 0.97, ["Next: bayes-damper fit 'my cart' --effect spring_cubic --out results/fit"]),
+        ("spring_cubic", 0.6, [MORE, "If you take this answer: bayes-damper fit 'my cart' --effect spring_cubic"]),
+        ("none", 0.95, ["Next: bayes-damper fit 'my cart' --out results/fit"]),
+        ("none", 0.7, [MORE, "If you take this answer: bayes-damper fit 'my cart' --out"]),
+        ("unknown", 0.96, ["Next: look at sensor on the rig and at missing_torque.csv"]),
+    ],
+)
+def test_a_diagnosis_ends_with_what_to_do(verdict, share, steps):
+    result = {
+        "where": {}, "verdict": verdict, "probabilities": {verdict: share}, "next_experiment": [PROPOSED],
+        "credible_set": [verdict], "sites": {"none": 0.5, "sensor": 0.3, "ground1": 0.2},
+    }  # fmt: skip
+    found = next_steps(result, "my cart")
+    assert len(found) == len(steps)
+    assert all(line.startswith(begins) for line, begins in zip(found, steps, strict=True))
 
 
 def divided(shares, left, present=0.96):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,6 +21,7 @@ from bayes_damper.campaign.structure import Campaign, Measurement, Trial
 from bayes_damper.campaign.trials_table import Row, read_rows
 from bayes_damper.errors import InputError
 
+LOG = logging.getLogger(__name__)
 PLANNED_PERIODS = 8.0
 """Natural periods of the slowest case that a planned record lasts where no duration is declared."""
 
@@ -39,20 +41,22 @@ def load_campaign(folder: str | Path) -> Campaign:
     trials = tuple(t for row in rows if (t := read_trial(folder, row, head, faults, digest)) is not None)
     check_rig(folder, head.rig, any(row.configuration == "coupled" for row in rows), faults)
     warnings: list[str] = list(head.notes)
+    of_records: list[str] = []
     if not head.broken:
         check_declared(head, trials, faults, warnings)
         look_at_balance(head, trials, faults, warnings)
     for trial in trials:
         if not head.broken:
-            check_magnitudes(head, trial, faults, warnings)
-            look_at_trial(head, trial, warnings)
+            check_magnitudes(head, trial, faults, of_records)
+            look_at_trial(head, trial, of_records)
     if faults:
         if rows and not any((folder / row.file).exists() for row in rows):
             faults.append("none of the records is there: `bayes-damper plan` judges a campaign before it is measured")
         raise InputError(faults)
+    LOG.info("read %s: %d trials, %d readings", folder, len(trials), sum(t.channels.size for t in trials))
     look_at_declarations(head, trials, warnings)
     look_at_repeats(head, trials, warnings)
-    look_at_rates(head, trials, warnings)
+    look_at_rates(head, trials, of_records)
     both = any(t.coupled for t in trials)
     declared = head.measurement
     measurement = replace(
@@ -62,7 +66,8 @@ def load_campaign(folder: str | Path) -> Campaign:
         scale_std=per_channel(declared.scale_std, both),
         lag_std=per_channel(declared.lag_std, both),
     )
-    return _campaign(folder, head, measurement, trials, (*head.caveats, *warnings), digest)
+    # What was written down wrongly first, then what the records show, then what the import assumed.
+    return _campaign(folder, head, measurement, trials, (*warnings, *of_records, *head.caveats), digest)
 
 
 def load_plan(folder: str | Path) -> Campaign:

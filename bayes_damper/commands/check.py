@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,11 +21,14 @@ class Check:
     description: str
     warnings: tuple[str, ...]
     sha256: str
+    next: str = ""
+    """The command to run next."""
     exit_code: ExitCode = ExitCode.DONE
 
     def text(self) -> str:
         """For people."""
-        return f"{self.description}\n{'No fault; read the warnings.' if self.warnings else 'No fault found.'}"
+        found = "No fault; read the warnings." if self.warnings else "No fault found."
+        return f"{self.description}\n{found} Next: {self.next}"
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""
@@ -34,13 +38,14 @@ class Check:
             "campaign_sha256": self.sha256,
             "description": self.description,
             "warnings": list(self.warnings),
+            "next": self.next,
         }
 
 
 def check(campaign: str | Path, notes: Sequence[str] = ()) -> Check:
     """Read and validate a campaign folder with its priors.toml, or ``thesis``, the published measurements.
 
-    notes : sentences on the folder that its campaign does not tell; they become warnings.
+    notes : sentences on the folder that its campaign does not give; they become warnings.
 
     Raises
     ------
@@ -51,7 +56,7 @@ def check(campaign: str | Path, notes: Sequence[str] = ()) -> Check:
         published = load_published()
         cases = ", ".join(published.cases)
         text = f"thesis: cases {cases}; {len(published.measurements)} published measurements (Augustine 2013)"
-        return Check("thesis", text, (), published.checksum)
+        return Check("thesis", text, (), published.checksum, "bayes-damper fit thesis --out results/fit")
     found = load_campaign(campaign)
     beside = Path(campaign) / "priors.toml"
     if beside.exists():
@@ -59,5 +64,6 @@ def check(campaign: str | Path, notes: Sequence[str] = ()) -> Check:
         from bayes_damper.priors.files import campaign_priors
 
         experiment_of(found, campaign_priors(beside, found))
-    told = "\n".join([found.describe(), *(f"  warning: {note}" for note in notes)])
-    return Check(found.name, told, (*found.warnings, *notes), found.sha256)
+    lines = "\n".join([found.describe(), *(f"  warning: {note}" for note in notes)])
+    follows = f"bayes-damper fit {shlex.quote(str(campaign))} --out results/fit"
+    return Check(found.name, lines, (*found.warnings, *notes), found.sha256, follows)

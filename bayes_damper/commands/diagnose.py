@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -33,13 +34,12 @@ from bayes_damper.rig.units import effect_unit
 from bayes_damper.runs.execution import write_json
 from bayes_damper.runs.parallel_map import forked_map
 from bayes_damper.runs.provenance import provenance
-from bayes_damper.text import budget_sentence, gap_beside_verdict, gathered, named_answers
-from bayes_damper.text import p_value as told_p
+from bayes_damper.text import budget_sentence, gap_beside_verdict, gathered, named_answers, p_value
 
 Array = NDArray[np.float64]
 NOMINALS = ("nonlinear", "linear")
 MOST_UNKNOWN = 0.6  # prior probability of a cause outside the library, at most
-CERTAIN = 0.9  # probability from which an answer is told without doubt
+CERTAIN = 0.9  # probability from which an answer is given without doubt
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,8 @@ class Diagnosed:
 
     folder: Path
     result: Mapping[str, Any]
+    campaign: str = ""
+    """What was diagnosed, as the command line names it."""
     exit_code: ExitCode = ExitCode.DONE
 
     def to_json(self) -> dict[str, Any]:
@@ -57,7 +59,8 @@ class Diagnosed:
     def text(self) -> str:
         """The verdict in plain words, what speaks for it, and what to do next."""
         warnings = [f"warning: {w}" for w in gathered(self.result.get("warnings", ()))]
-        return "\n".join([*_words(self.result), *warnings, f"Files: {self.folder}"])
+        follows = next_steps(self.result, self.campaign)
+        return "\n".join([*_words(self.result), *warnings, f"Files: {self.folder}", *follows])
 
 
 def diagnose(
@@ -122,10 +125,10 @@ def diagnose(
     for parameters in (*(row["parameters"] for row in rows), *both.values()):
         for row in parameters.values():
             row["unit"] = effect_unit(row["unit"], *of_rig)
-    _tell_meanings(result, library)
+    _add_meanings(result, library)
     _draw(folder, found, workers)
     write_json(path, result)  # last: a folder with it is whole
-    return Diagnosed(folder, result)
+    return Diagnosed(folder, result, str(campaign))
 
 
 def check_choices(nominal: str, prior_unknown: float) -> None:
@@ -159,7 +162,7 @@ def _thesis(
     )
     path = _emptied(folder)
     result = found.to_json() | {"campaign_sha256": published.checksum, "provenance": provenance()}
-    _tell_meanings(result, effects)
+    _add_meanings(result, effects)
     ranking = figures.ranking_figure(
         found.answers.probabilities, found.sites, title="thesis: what 24 numbers say is missing, and where"
     )
@@ -181,7 +184,7 @@ def _emptied(folder: Path) -> Path:
     return path
 
 
-def _tell_meanings(result: Mapping[str, Any], library: Mapping[str, Effect]) -> None:
+def _add_meanings(result: Mapping[str, Any], library: Mapping[str, Effect]) -> None:
     """Adds to each effect of a result the sentence that says what it is."""
     for row in result["effects"]:
         if row["name"] in library:
@@ -196,9 +199,9 @@ def _published_words(result: Mapping[str, Any]) -> list[str]:
     names = {"none": "no effect at all", "unknown": "a cause outside the library"}
     first = f"Most probable: {names.get(verdict, verdict)}, probability {share:.2f} +- {errors[verdict]:.2f}"
     lines = [first + ("." if share >= 0.9 else "; that is no finding, the numbers leave other answers open.")]
-    told = {"gap": "gap", "none": "no gap shown", "cannot tell": "cannot tell"}[gap["answer"]]
+    found = {"gap": "gap", "none": "no gap shown", "cannot tell": "cannot tell"}[gap["answer"]]
     lines.append(
-        f"Gap on the coupled numbers: {told} ({told_p(gap['p_value'])}). Coupled peaks, each predicted without the "
+        f"Gap on the coupled numbers: {found} ({p_value(gap['p_value'])}). Coupled peaks, each predicted without the "
         f"coupled numbers of its case: the nominal model lies {gap['mean_difference']:+.0f} rad/s^2 off on average, "
         f"{gap['nominal_rms']:.0f} rms; the leading effect {gap['augmented_rms']:.0f} rms; "
         f"standard errors {gap['noise_rms']:.1f}."
@@ -234,6 +237,42 @@ def _estimated(p: Mapping[str, Any]) -> str:
     return f"{p['mean']:.4g}{unit}, 90 % interval {p['hdi90'][0]:.4g} to {p['hdi90'][1]:.4g}"
 
 
+def next_steps(result: Mapping[str, Any], campaign: str) -> list[str]:
+    """What to do with a verdict: the fit that it asks for, or the trial to measure while the answer is open.
+
+    result : what diagnosis.json holds, of recorded trials; campaign : its folder. Nothing for published numbers.
+    """
+    if not campaign or "feature" in result["where"]:
+        return []
+    verdict, share = result["verdict"], result["probabilities"][result["verdict"]]
+    fit = f"bayes-damper fit {shlex.quote(campaign)}"
+    steps = []
+    open_ = share < CERTAIN or len(result["credible_set"]) > 1
+    proposals = result.get("next_experiment") or ()
+    if open_ and proposals:
+        steps.append(
+            f"Next, to decide: measure {_trial_words(proposals[0])}, put it into the campaign, diagnose again."
+        )
+    if verdict not in ("none", "unknown"):
+        steps.append(f"{'If you take this answer' if open_ else 'Next'}: {fit} --effect {verdict} --out results/fit")
+    elif verdict == "none":
+        steps.append(f"{'If you take this answer' if open_ else 'Next'}: {fit} --out results/fit")
+    else:
+        place = max((s for s in result["sites"] if s != "none"), key=lambda s: result["sites"][s])
+        steps.append(
+            f"Next: look at {place} on the rig and at missing_torque.csv; --effects DIR adds an effect of your own."
+        )
+    return steps
+
+
+def _trial_words(proposal: Mapping[str, Any]) -> str:
+    """A proposed trial in words, in the units of its rig."""
+    forms = {"k1t_n_m_per_rad": "k1t {:.3g} N m/rad", "k1_n_per_m": "k1 {:.3g} N/m",
+             "theta0_deg": "released at {:.3g} deg", "theta0_mm": "released at {:.3g} mm"}  # fmt: skip
+    details = [form.format(proposal[key]) for key, form in forms.items() if proposal.get(key) is not None]
+    return ", ".join([f"one more {proposal['configuration']} trial", *details])
+
+
 def _words(result: Mapping[str, Any]) -> list[str]:
     if "feature" in result["where"]:
         return _published_words(result)
@@ -250,8 +289,8 @@ def _words(result: Mapping[str, Any]) -> list[str]:
     elif verdict == "unknown":
         site = max((s for s in result["sites"] if s != "none"), key=lambda s: result["sites"][s])
         sure = "There is" if share >= CERTAIN else "Most probable, but not sure:"
-        told = f"{sure} a gap that no effect of the library explains (probability {share:.2f}); "
-        lines = [f"{told}it lies most likely at: {site}."]
+        first = f"{sure} a gap that no effect of the library explains (probability {share:.2f}); "
+        lines = [f"{first}it lies most likely at: {site}."]
     else:
         row = next(r for r in result["effects"] if r["name"] == verdict)
         sure = "The missing effect is" if share >= CERTAIN else "Most probable, but not sure:"
@@ -268,7 +307,7 @@ def _words(result: Mapping[str, Any]) -> list[str]:
     divided = budget_sentence(result.get("budget")) if verdict != "none" else ""
     lines = [divided, *lines] if divided else lines
     lines.append(
-        f"Gap on held-out trials: {gap['answer']} ({told_p(gap['p_value'])}); "
+        f"Gap on held-out trials: {gap['answer']} ({p_value(gap['p_value'])}); "
         + ("residual" if gap["augmented_rms"] is None else "residual before and after the answer is added")
         + f" {gap['nominal_rms']:.3g}"
         + ("" if gap["augmented_rms"] is None else f" and {gap['augmented_rms']:.3g}")

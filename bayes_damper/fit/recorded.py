@@ -39,6 +39,7 @@ from bayes_damper.runs.memory import shortage
 from bayes_damper.sampling import Sampling, resampled_start
 from bayes_damper.sampling.arviz_adapter import hdi
 from bayes_damper.sampling.bridge import bridge
+from bayes_damper.text import misses
 
 Array = NDArray[np.float64]
 PROPOSALS = 4000
@@ -53,6 +54,8 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
     if plan.get("effect") is not None:
         begin_with = fit_with_effect(experiment, plan["effect"], plan["effects"])
     noise = fit_with_noise(experiment, plan.get("noise", "auto"), lambda text: report(0.0, text), begin_with)
+    if misses({"noise": noise.to_json("")}):
+        report = _with_a_warning(report)
     best = noise.fit
     declared = () if best.problem.effect is None else best.problem.effect.parameters
     own = {f"effect.{p.name}": effect_unit(p.unit, kind, experiment.quantity) for p in declared}
@@ -123,6 +126,15 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
     draw_case(folder, title, draws, sampling, entry, assumed, units)
     draw_records(folder, experiment, bands, sampling.converged, units("sigma1"))
     return entry
+
+
+def _with_a_warning(report: Report) -> Report:
+    """Progress that says at each stage that the model misses something, so that nobody need wait for the draws."""
+
+    def warned(share: float, text: str) -> None:
+        report(share, f"{text}; THE MODEL MISSES SOMETHING, `bayes-damper diagnose` looks for what")
+
+    return warned
 
 
 def fit_with_effect(experiment: Experiment, effect: str, folder: str | None = None) -> Calibration:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import importlib
 import json
+import logging
 import math
 import os
 import re
@@ -36,8 +37,9 @@ _POLL_S = 0.2
 _STATUS_EVERY_S = 0.5
 _MOST_BREAKDOWNS = 3
 _MOST_WORKERS = 10_000
+LOG = logging.getLogger(__name__)
 WAITING = "waiting"
-"""What progress is told of a task that has not begun."""
+"""What progress shows of a task that has not begun."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ class Task:
     """One independent piece of a run.
 
     call : a function of a module, so that other processes can import it, called as f(folder, report, **arguments),
-    where `folder` is the task's own and `report(share, text)` tells how far it is. It returns plain JSON data.
+    where `folder` is the task's own and `report(share, text)` says how far it is. It returns plain JSON data.
     """
 
     name: str
@@ -92,6 +94,7 @@ def write_text(path: Path, text: str) -> None:
     """Write a text file so that a reader sees either the old or the new one, whole; its folder is made."""
     with whole(path) as partial:
         partial.write_text(text, encoding="utf-8")
+    LOG.debug("wrote %s, %d characters", path, len(text))
 
 
 def json_text(data: Any) -> str:
@@ -259,7 +262,7 @@ _WORKER = {"busy": False, "stopped": False}
 
 
 def _begin_worker() -> None:
-    """In a worker: Ctrl-C in a terminal reaches all processes at once, so it is left to the parent, which tells each
+    """In a worker: Ctrl-C in a terminal reaches all processes at once, so it is left to the parent, which asks each
     worker once to stop.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -320,8 +323,8 @@ def _collect(futures: dict[Future[Any], Task], folder: Path, progress: Progress,
             name = futures[future].name
             status = folder / name / "status.json"
             if status.exists():
-                told = read_json(status)
-                progress.update(name, told["share"], told["text"])
+                status_now = read_json(status)
+                progress.update(name, status_now["share"], status_now["text"])
     if failure is not None:
         raise failure
 

@@ -6,6 +6,7 @@ the first call of each they take as long on many cores as on one.
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -17,6 +18,7 @@ from bayes_damper.runs.parallel_map import can_fork, cores, forked_map
 from bayes_damper.simulation import integrator
 from bayes_damper.simulation.model import Model
 
+LOG = logging.getLogger(__name__)
 FEWEST = 4  # kernels for which it pays to start processes
 _SECONDS = 0.65  # that a kernel takes, about, after what all of them share (6 s, mostly done by the first simulation)
 
@@ -34,6 +36,7 @@ def compile_ahead(models: Iterable[Model], driven: bool = False, tell: Callable[
     if len(_missing(bounds)) < FEWEST:
         return 0
     with _alone(cache_folder() / "compiling.lock"):
+        LOG.info("%d kernels, %d of them in %s", len(bounds), len(bounds) - len(_missing(bounds)), cache_folder())
         names = _missing(bounds)  # another process may have compiled them while this one waited
         if names:
             seconds = max(1.0, len(names) * _SECONDS / count)

@@ -603,7 +603,7 @@ def test_single_trials_and_caveats_are_told(tmp_path: Path) -> None:
     folder = write_synthetic(tmp_path, repeats=1)
     edit(folder / "campaign.toml", "[rig]", 'caveats = ["The clock may be 2 % off."]\n[rig]')
     campaign = load_campaign(folder)
-    assert campaign.warnings[0] == "The clock may be 2 % off."
+    assert campaign.warnings[-1] == "The clock may be 2 % off.", "after what was found"
     assert any("only one trial of IV uncoupled, IV coupled" in w for w in campaign.warnings)
     assert campaign.heldout == ()
     assert "warning: The clock" in campaign.describe()

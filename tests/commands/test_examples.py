@@ -5,6 +5,8 @@ import pytest
 from bayes_damper import check, diagnose, examples
 from bayes_damper.cli import main
 from bayes_damper.errors import InputError
+from bayes_damper.fit.plan import plan_fit
+from bayes_damper.fit.recorded import fit_recorded_cases
 
 
 def test_the_example_is_a_campaign_without_a_fault(tmp_path):
@@ -12,6 +14,7 @@ def test_the_example_is_a_campaign_without_a_fault(tmp_path):
     found = check(written.folder)
     assert found.warnings == ()
     assert "6 trials, 2 cases" in found.text()
+    assert found.text().endswith(f"No fault found. Next: bayes-damper fit {written.folder} --out results/fit")
     assert f"bayes-damper diagnose {written.folder}" in written.text()
     assert examples(tmp_path / "again").folder != written.folder
     assert check(tmp_path / "again").sha256 == found.sha256  # the same seed
@@ -24,6 +27,37 @@ def test_it_never_writes_over_a_campaign(tmp_path, capsys):
         examples(tmp_path)
     assert main(["examples", "--out", str(tmp_path)]) == 2
     assert "give another folder" in capsys.readouterr().err
+
+
+class Stopped(Exception):
+    """Raised by the test's own progress."""
+
+
+@pytest.mark.slow
+def test_a_fit_that_misses_something_says_so_before_it_draws(tmp_path):
+    """The cart without its hardening: known from the best fit, before the draws that take most of the time."""
+    written = examples(tmp_path / "cart")
+    plan = plan_fit(
+        str(written.folder),
+        cases=None,
+        priors=None,
+        normal_force=None,
+        seed=1,
+        thorough=False,
+        most_steps=None,
+        joint=False,
+    )
+    news = []
+
+    def report(share, text):
+        news.append(text)
+        if "finding the start" in text:
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        fit_recorded_cases(tmp_path, report, name="large", plan=plan)
+    assert "MISSES SOMETHING" not in news[0]
+    assert news[-1].endswith("THE MODEL MISSES SOMETHING, `bayes-damper diagnose` looks for what")
 
 
 @pytest.mark.slow
