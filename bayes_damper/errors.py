@@ -33,8 +33,8 @@ class InputError(BayesDamperError):
     exit_code = ExitCode.BAD_INPUT
 
     def __init__(self, faults: str | Sequence[str]) -> None:
-        told = (faults,) if isinstance(faults, str) else tuple(faults)
-        self.faults: tuple[str, ...] = tuple(map(_readable, told))
+        sentences = (faults,) if isinstance(faults, str) else tuple(faults)
+        self.faults: tuple[str, ...] = tuple(map(_readable, sentences))
         super().__init__("\n".join(self.faults))
 
 

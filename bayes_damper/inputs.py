@@ -73,9 +73,9 @@ def as_written(path: Path | str, command: str) -> Iterator[None]:
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RuntimeError, OSError) as error:
         if isinstance(error, OSError) and error.errno in _OF_THE_DISK:
             raise
-        told = f"{type(error).__name__}: {error}".replace("\n", " ")
+        reason = f"{type(error).__name__}: {error}".replace("\n", " ")
         raise InputError(
-            f"{path}: damaged, or not what `bayes-damper {command}` writes ({told[:120]}); run that command again"
+            f"{path}: damaged, or not what `bayes-damper {command}` writes ({reason[:120]}); run that command again"
         ) from error
 
 
@@ -109,8 +109,8 @@ def file_bytes(
     except FileNotFoundError:
         raise
     except (OSError, ValueError) as error:  # ValueError: a name with a byte of 0 in it
-        told = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"{name}: cannot be read ({told}); {remedy}") from None
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(f"{name}: cannot be read ({reason}); {remedy}") from None
     if len(raw) > most:
         raise InputError(f"{name}: more than the {most / 1e6:.0f} MB that are read; {remedy}")
     return raw

@@ -71,9 +71,9 @@ def gap_beside_verdict(verdict: str, share: float, gap: Mapping[str, Any]) -> st
     """
     answer, p = gap.get("answer"), gap.get("p_value")
     if answer == "gap" and verdict == "none":
-        told = "" if p is None else f" ({p_value(p)})"
+        chance = "" if p is None else f" ({p_value(p)})"
         rare = p is not None and p < 0.1 * gap.get("size", 0.05)
-        first = f"The test of the held-out residuals alone says gap{told}"
+        first = f"The test of the held-out residuals alone says gap{chance}"
         if rare:
             return (
                 f"{first}, yet no cause explains it better than no cause at all ({share:.2f}): look at the residuals, "

@@ -42,7 +42,7 @@ Array = NDArray[np.float64]
 Kind = Literal["gaussian", "student", "ar"]
 KINDS = ("auto", "gaussian", "student", "ar")
 CLEARLY = 8.0  # nats by which another noise has to describe the residuals better
-TOLD_CORRELATION = 0.05  # of neighbouring residuals from which it is told
+REPORTED_CORRELATION = 0.05  # of neighbouring residuals from which it is reported
 APART = 1.5  # times the residual power of its repeats from which a trial is unlike them
 SURE = 8.0  # standard errors by which it must be so
 CUT = 4.0  # innovations beyond which a reading counts no further where noise is learnt
@@ -131,7 +131,7 @@ class FittedNoise:
                 )
                 shown = (
                     f"residuals are correlated by {c.correlation:.2f} from reading to reading"
-                    if abs(c.correlation) >= TOLD_CORRELATION
+                    if abs(c.correlation) >= REPORTED_CORRELATION
                     else "residuals have more slow content than white noise"
                 )
                 out.append(
@@ -158,7 +158,7 @@ def fit_with_noise(
     """
     first = calibrate_nominal(experiment) if begin is None else begin
     if sensor := first.problem.noise.sensor:
-        # What the model leaves is told from the noise of the sensors below, with its colour.
+        # What the model leaves is separated from the noise of the sensors below, with its colour.
         first = _again(first, Noise(sensor, (0.0,) * len(sensor), (0.0,) * len(sensor)))
     fit, unlike = _own_weights(first)
     repeats = _repeats(fit)
@@ -441,7 +441,7 @@ def _mean_residuals(fit: Calibration, channel: int) -> list[tuple[Array, Array]]
         keep = np.min([weights[i][channel] for i in members], axis=0) > 0.9
         if keep.sum() < 60:
             continue
-        # Of three repeats or more the middle one tells what they share; else what is usual over time must do.
+        # Of three repeats or more the middle one shows what they share; else what is usual over time must do.
         centre = np.median(stack, axis=0) if len(members) > 2 else np.zeros(stack.shape[1])
         spread = 1.4826 * float(np.median(np.abs(stack - centre)[:, keep]))
         spread = max(spread, (1e-3 if len(members) > 2 else 1.0) * total[channel])

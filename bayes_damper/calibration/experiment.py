@@ -215,13 +215,13 @@ def with_priors(experiment: Experiment, priors: PriorSet) -> Experiment:
     ties = priors.tied
     known = set(dict.fromkeys(t.case for t in experiment.trials))
     for name, entry in priors.entries.items():
-        told = f"priors {priors.name!r}: {name}"
+        prior = f"priors {priors.name!r}: {name}"
         if name in ties:
             if name in ("theta0", "delay"):
-                faults.append(f"{told} cannot be tied; give it a level, a number or a prior")
+                faults.append(f"{prior} cannot be tied; give it a level, a number or a prior")
             continue
         if name in ("theta0", "delay") and experiment.start == "free":
-            faults.append(f'{told} has no meaning where start is "free"; leave it out')
+            faults.append(f'{prior} has no meaning where start is "free"; leave it out')
         levels[name] = entry.level
         if entry.cases:
             own[name] = {case: value for case, value in entry.cases.items() if case in known}
@@ -230,12 +230,12 @@ def with_priors(experiment: Experiment, priors: PriorSet) -> Experiment:
             values[name] = entry.value
         elif entry.value == "" and known - set(entry.cases):
             missing = ", ".join(sorted(known - set(entry.cases)))
-            faults.append(f"{told} has numbers for some cases only; add those of {missing}")
+            faults.append(f"{prior} has numbers for some cases only; add those of {missing}")
         elif entry.value is None and name == "theta0" and entry.level != "trial":
             angles = {(t.theta0, t.theta0_sd) for t in experiment.trials}
             if entry.level == "campaign" and len(angles) > 1:
                 faults.append(
-                    f"{told} is one for the campaign, but trials.csv has several angles; give it a level of case"
+                    f"{prior} is one for the campaign, but trials.csv has several angles; give it a level of case"
                 )
             own[name] = {t.case: Normal(t.theta0, max(t.theta0_sd, 1e-12)) for t in experiment.trials}
         elif entry.value is None and name == "theta0":
@@ -284,7 +284,7 @@ def thinned(experiment: Experiment, every: int | None = None) -> Experiment:
 
 
 def unrounded(experiment: Experiment) -> Experiment:
-    """The experiment with what rounded channels tell in place of their readings, and with their steps told.
+    """The experiment with what rounded channels hold in place of their readings, and with their steps.
 
     A channel counts as rounded where most of its records do (`records.rounding_of`).
     """

@@ -140,7 +140,7 @@ def error_level(residuals: Sequence[Array]) -> float:
     """Level, as of white noise, at which residuals with correlated errors carry the information that they do carry.
 
     Half of sum P^2 / sum P over the lines P of the periodograms: the variance times the sum of all squared
-    autocorrelations (Bayley and Hammersley, 1946, J. R. Stat. Soc. Suppl. 8, 184: n readings tell as much of a variance
+    autocorrelations (Bayley and Hammersley, 1946, J. R. Stat. Soc. Suppl. 8, 184: n readings say as much of a variance
     as n over that sum independent ones do). For white residuals it is their standard deviation.
     """
     lines = [np.abs(np.fft.rfft(r - r.mean())[1:-1]) ** 2 / r.size for r in residuals if r.size > 8]
@@ -166,8 +166,8 @@ def learn_noise(fit: Calibration, colour: bool = True) -> Noise:
 
     What the repeats share is the model's fault, not noise: it drops out of the differences. Colour is only claimed
     where it raises the likelihood by more than 3 nats. Without repeats the residuals' fast content is the noise of the
-    sensors, and nothing tells the rest from a model that is wrong in a way that would repeat. Posteriors and evidences
-    must allow for that error, so the noise is then white at the `error_level` of the residuals.
+    sensors, and nothing separates the rest from a model that is wrong in a way that would repeat. Posteriors and
+    evidences must allow for that error, so the noise is then white at the `error_level` of the residuals.
 
     A channel that errs by its rounding alone has at least the noise of that, as far as repeats share it.
     """

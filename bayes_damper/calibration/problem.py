@@ -305,7 +305,7 @@ class Problem:
                 annealed[k] = np.where(jump > 0.0, FIRST_STAGE_EVENT_WEIGHT, 1.0)
         nuisances, lower, upper = self._nuisances(trials)
         if e.start == "rest" and first.times.size > 2 and e.quantity == "acceleration":
-            # The release itself: what rig and sensor do within a sample of it is told by no formula exactly.
+            # The release itself: what rig and sensor do within a sample of it is given by no formula exactly.
             early = first.times <= first.times[0] + 1.5 * float(np.median(np.diff(first.times)))
             for k, t in enumerate(trials):
                 if t.times[0] <= 0.0:

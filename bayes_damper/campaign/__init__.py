@@ -1,7 +1,7 @@
 """A campaign: the measured trials of one rig, read from a folder, checked, and written back.
 
 `load_campaign` either returns a `Campaign` or raises `InputError` with every fault of every file at once. What can be
-read but looks odd is told in `Campaign.warnings`. Nothing is repaired or dropped here: readings arrive as recorded.
+read but looks odd stands in `Campaign.warnings`. Nothing is repaired or dropped here: readings arrive as recorded.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 _OFF = 0.1  # of the frequency: nonlinear springs and viscous damping of a free decay stay below it, as a rule
 _HIGHER, _LOWER = 1.25, 0.6  # first swing over the declared one: friction makes it smaller
 _STILL = 0.1  # of the largest reading, below which a rig is held to have come to rest
-_FEWEST = 3.0  # swings that tell a frequency
+_FEWEST = 3.0  # swings that give a frequency
 _FIRST = 0.5  # rad of the primary's oscillation, in which the release shows and nothing has turned round
 
 
@@ -69,17 +69,17 @@ def _moving(trial: Trial) -> tuple[float, float]:
 
 
 def _frequency(trials: Sequence[Trial]) -> tuple[float, float] | None:
-    """Frequency of the swings of a case, Hz, and how finely its records tell it; None where they hold too few."""
-    told = []
+    """Frequency of the swings of a case, Hz, and how finely its records give it; None where they hold too few."""
+    measured = []
     for trial in trials:
         start, end = _moving(trial)
         inside = (trial.times >= start) & (trial.times <= end)
         frequency = look.dominant_frequency(trial.times[inside], trial.channels[0][inside])
         if frequency * (end - start) >= _FEWEST:
-            told.append((frequency, 0.3 / (end - start)))
-    if not told:
+            measured.append((frequency, 0.3 / (end - start)))
+    if not measured:
         return None
-    return float(np.median([f for f, _ in told])), float(np.median([error for _, error in told]))
+    return float(np.median([f for f, _ in measured])), float(np.median([error for _, error in measured]))
 
 
 def _look_at_springs(
@@ -137,10 +137,10 @@ def _look_at_releases(first: Mapping[str, Trial], swings: Mapping[str, float], w
             off[case] = ratio
     if not off:
         return
-    told = "; ".join(f"case {case} {ratio:.2g} times the declared one" for case, ratio in off.items())
+    ratios = "; ".join(f"case {case} {ratio:.2g} times the declared one" for case, ratio in off.items())
     rest = ", ".join(f"{ratio:.2g}" for case, ratio in swings.items() if case not in off)
     warnings.append(
-        f"trials.csv: uncoupled, the first swing is that of another release than declared: {told}"
+        f"trials.csv: uncoupled, the first swing is that of another release than declared: {ratios}"
         + (f" (other cases {rest})" if rest else "")
         + "; correct theta0 there, or see whether the sensor's scale is right and it does not saturate"
     )
@@ -149,7 +149,7 @@ def _look_at_releases(first: Mapping[str, Trial], swings: Mapping[str, float], w
 def _drives(head: Head, trial: Trial) -> tuple[float, float, float] | None:
     """How far each channel has gone after the release, over what a free primary does; and what noise makes of it.
 
-    1, 0: a primary without friction and a secondary that stays. None where that cannot be told: an unknown release,
+    1, 0: a primary without friction and a secondary that stays. None where that is unknown: an unknown release,
     a torque, inertias that are coupled, a record that begins too late or holds too few readings.
     """
     if len(trial.channels) < 2 or trial.theta0 is None or trial.theta0.value == 0.0 or trial.driven:

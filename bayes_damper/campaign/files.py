@@ -1,4 +1,4 @@
-"""Files of a campaign as bytes and text, with what to tell when one is absent or no text."""
+"""Files of a campaign as bytes and text, with what to say when one is absent or no text."""
 
 from __future__ import annotations
 

@@ -257,7 +257,7 @@ def check_rig(folder: Path, rig: Rig, coupled: bool, faults: list[str]) -> None:
 
 
 def _friction_fixed_at_zero(folder: Path) -> bool:
-    """Whether the campaign's own priors.toml fixes mu at 0; a file that cannot be read is told by the prior reader."""
+    """Whether the campaign's own priors.toml fixes mu at 0; the prior reader reports a file that cannot be read."""
     try:
         table = toml_file(folder / "priors.toml", "")
     except (FileNotFoundError, InputError):

@@ -123,8 +123,8 @@ def columns_of(path: str | Path) -> str:
         if it cannot be read.
     """
     source = read_file(Path(path), {})
-    told = [f"{i} {name}".strip() for i, name in enumerate(source.names or ("",) * source.table.shape[1], start=1)]
-    return f"{Path(path).name} has the columns: {', '.join(told)}"
+    numbered = [f"{i} {name}".strip() for i, name in enumerate(source.names or ("",) * source.table.shape[1], start=1)]
+    return f"{Path(path).name} has the columns: {', '.join(numbered)}"
 
 
 def spec_from_options(name: str, sources: Sequence[Path], options: Mapping[str, object]) -> dict[str, Any]:
@@ -133,7 +133,7 @@ def spec_from_options(name: str, sources: Sequence[Path], options: Mapping[str, 
     Raises
     ------
     InputError
-        for options that do not exist, files that cannot be read, and columns that are not told and not to be guessed.
+        for options that do not exist, files that cannot be read, and columns that are not given and not to be guessed.
     """
     valid = (*READER, *TRIAL, *_RIG, *MEASUREMENT, *INIT, "name", "description", "source_text", "free_start")
     faults = [
@@ -172,12 +172,14 @@ def spec_from_options(name: str, sources: Sequence[Path], options: Mapping[str, 
     if "primary_inertia" not in given:
         caveats.append("The inertia was not given: everything is per unit inertia (primary_inertia = 1).")
     pattern = given.get("pattern")
-    told = "configuration" in given or "{configuration}" in str(pattern) or any("configuration" in row for row in rows)
+    declared = (
+        "configuration" in given or "{configuration}" in str(pattern) or any("configuration" in row for row in rows)
+    )
     own: dict[Path, dict[str, Any]] = {}
     if "columns" not in given and several == 1 and sources[0].is_file():
-        own = _guessed_all([s for s in sources if s.is_file()], given, caveats, told)
+        own = _guessed_all([s for s in sources if s.is_file()], given, caveats, declared)
         given |= own.pop(Path(), {})
-    elif not told and several == 1 and isinstance(named := given.get("columns"), list) and len(named) == 2:
+    elif not declared and several == 1 and isinstance(named := given.get("columns"), list) and len(named) == 2:
         own = _configurations([s for s in sources if s.is_file()], given, caveats)
     if "columns" in given and several == 1 and not {"time", "sample_rate"} & given.keys():
         given |= _guessed_time(sources, given, caveats)
@@ -216,7 +218,7 @@ def _trial_row(
     files: Sequence[Path], common: Mapping[str, Any], pattern: object, rows: Sequence[Mapping[str, Any]],
     words: Mapping[str, str],
 ) -> dict[str, Any]:  # fmt: skip
-    """One [[trials]]: what holds for all, over it what the file's name tells, over it what the sheet tells."""
+    """One [[trials]]: what holds for all, over it what the file's name says, over it what the sheet says."""
     sums = [_sha256(path) for path in files if path.is_file()]
     single = len(files) == 1
     row: dict[str, Any] = {"source": str(files[0]) if single else [str(path) for path in files]}
@@ -259,7 +261,7 @@ def _words_of(given: object) -> dict[str, str]:
 
 
 def _named_in(file: Path, pattern: str, words: Mapping[str, str]) -> dict[str, Any]:
-    """What a file's name tells by a pattern such as 'case{case}_{configuration}_{trial}'."""
+    """What a file's name says by a pattern such as 'case{case}_{configuration}_{trial}'."""
     fields = re.findall(r"\{(\w*)\}", pattern)
     wrong = [f for f in fields if f not in _PATTERN]
     if wrong or not fields or len(set(fields)) < len(fields):
@@ -301,7 +303,7 @@ def _named_in(file: Path, pattern: str, words: Mapping[str, str]) -> dict[str, A
 
 
 def _sheet_rows(sheet: object, faults: list[str]) -> list[dict[str, Any]]:
-    """Rows of a table that tells trials apart: a column 'file' or 'case' (or both), and any key of TRIAL and READER."""
+    """Rows of a table of trials: a column 'file' or 'case' (or both), and any key of TRIAL and READER."""
     if sheet is None:
         return []
     path = Path(str(sheet))
@@ -345,11 +347,11 @@ def _sheet_rows(sheet: object, faults: list[str]) -> list[dict[str, Any]]:
 
 
 def _guessed_all(
-    paths: Sequence[Path], given: Mapping[str, Any], caveats: list[str], told: bool
+    paths: Sequence[Path], given: Mapping[str, Any], caveats: list[str], declared: bool
 ) -> dict[Path, dict[str, Any]]:
     """Columns where none were named and only one choice is left, for all files under `Path()`, else for each file.
 
-    told : whether something else says which trials are coupled. Where nothing does and some files hold one channel
+    declared : whether something else says which trials are coupled. Where nothing does and some files hold one channel
     and others two, the former are uncoupled.
     """
     found = {path: _guessed(path, given) for path in paths}
@@ -357,14 +359,14 @@ def _guessed_all(
     if all(other == first for other in found.values()):
         columns, words = first
         caveats.append(f"The columns were not named; taken: {words}.")
-        if len(columns["columns"]) == 2 and not told:
+        if len(columns["columns"]) == 2 and not declared:
             caveats.append(_ALL_COUPLED)
         return {Path(): columns}
     counts = {len(columns["columns"]) for columns, _ in found.values()}
     for words in dict.fromkeys(words for _, words in found.values()):
         where = [path.name for path, (_, other) in found.items() if other == words]
         caveats.append(f"The columns were not named; taken from {file_names(where)}: {words}.")
-    if told or len(counts) == 1:
+    if declared or len(counts) == 1:
         return {path: dict(columns) for path, (columns, _) in found.items()}
     single = [path.name for path, (columns, _) in found.items() if len(columns["columns"]) == 1]
     caveats.append(_SINGLE.format(file_names(single)))
@@ -376,7 +378,7 @@ def _guessed_all(
 
 def _guessed_time(paths: Sequence[Path], given: Mapping[str, Any], caveats: list[str]) -> dict[str, Any]:
     """The column of the time where none was named and all files have the same one, beside the named channels."""
-    found, told = set(), ""
+    found, chosen = set(), ""
     for path in paths:
         source = read_file(path, given)
         time = source.time_column()
@@ -385,10 +387,10 @@ def _guessed_time(paths: Sequence[Path], given: Mapping[str, Any], caveats: list
         except InputError:
             taken = []  # a channel that this file lacks: the reader says so, or the trial is uncoupled
         found.add(None if time is None or time in taken else time + 1)
-        told = told or ("" if time is None else source.column(time))
+        chosen = chosen or ("" if time is None else source.column(time))
     if len(found) != 1 or None in found:
         return {}
-    caveats.append(f"The time was not named; taken: {told}.")
+    caveats.append(f"The time was not named; taken: {chosen}.")
     return {"time": found.pop()}
 
 
@@ -432,11 +434,11 @@ def _guessed(path: Path, given: Mapping[str, Any]) -> tuple[dict[str, Any], str]
             "with --time (or give --sample-rate)"
         )
     found: dict[str, Any] = {"columns": [i + 1 for i in readings]}
-    told = [f"{source.column(i)} for the {who}" for i, who in zip(readings, ("primary", "secondary"), strict=False)]
+    taken = [f"{source.column(i)} for the {who}" for i, who in zip(readings, ("primary", "secondary"), strict=False)]
     if time is not None:
         found["time"] = time + 1
-        told.append(f"{source.column(time)} for the time")
-    return found, ", ".join(told)
+        taken.append(f"{source.column(time)} for the time")
+    return found, ", ".join(taken)
 
 
 def _sha256(path: Path) -> str:

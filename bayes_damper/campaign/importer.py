@@ -147,8 +147,8 @@ def left_over(folder: str | Path, before: Sequence[str]) -> list[str]:
         return []
     some = ", ".join(stale[:_NAMED]) + (f" and {len(stale) - _NAMED} more" if len(stale) > _NAMED else "")
     them = "them" if len(stale) > 1 else "it"
-    told = f"no command reads {them} now, remove {them} or keep {them} elsewhere"
-    return [f"{some}: left over from the campaign that was here before; {told}"]
+    remedy = f"no command reads {them} now, remove {them} or keep {them} elsewhere"
+    return [f"{some}: left over from the campaign that was here before; {remedy}"]
 
 
 _NO_FRICTION = (
@@ -163,7 +163,7 @@ def init_campaign(
 
     sources : the logger's files, in the order of the trials; overwrite : replace the campaign that `folder` holds.
     options : any key of READER and TRIAL (for all files alike), of [rig] and of [measurement] of campaign.toml, and
-    name, description, source_text (where the data come from). What is not given is assumed and told as a caveat: an
+    name, description, source_text (where the data come from). What is not given is assumed and noted as a caveat: an
     inertia of 1 (all per unit inertia), k1t from the strongest frequency, no friction between the bodies (mu = 0 in the
     campaign's priors.toml) where coupled trials come without a magnet_pull.
 
@@ -201,8 +201,8 @@ def convert(readings: Array, unit: str, kind: str, quantity: str, radius: float 
         valid = {**_ANGULAR[quantity], **tangential}
     if unit not in valid:
         other = next((q for q in _TANGENTIAL if unit in _TANGENTIAL[q] or unit in _ANGULAR[q]), None)
-        told = f", but of {other}: for such readings give --quantity {other}" if other else ""
-        raise InputError(f"{where}: '{unit}' is no unit of {quantity}{told}; valid units: {', '.join(valid)}")
+        other_quantity = f", but of {other}: for such readings give --quantity {other}" if other else ""
+        raise InputError(f"{where}: '{unit}' is no unit of {quantity}{other_quantity}; valid units: {', '.join(valid)}")
     if kind == "translational" or unit in _ANGULAR[quantity]:
         return readings * valid[unit]
     if radius is None:
@@ -417,7 +417,7 @@ def _trial_from(
     places = [source.index(c, where) for c in wanted[:n_channels]]
     channels = _unwrapped(source.table[:, places].T, option)
     contradicted += _other_units(source, places, option.get("units", []), where)
-    option = {"units": _told_units(source, places, rig.kind, measurement.quantity), **option}
+    option = {"units": _named_units(source, places, rig.kind, measurement.quantity), **option}
     inputs = _inputs_of(source, option, rig.kind, where)
     known = np.isfinite(times) & np.isfinite(channels).all(axis=0)
     known &= np.all([np.isfinite(x) for x in inputs.values()], axis=0)
@@ -534,7 +534,7 @@ def _source_of(
     return both, where, {**plain, "time": 1, "columns": [k + 2 for k in range(len(parts))]}
 
 
-def _told_units(source: LoggerFile, places: Sequence[int], kind: str, quantity: str) -> list[str]:
+def _named_units(source: LoggerFile, places: Sequence[int], kind: str, quantity: str) -> list[str]:
     """Units that the file gives for its channels; those of SI where it gives none."""
     default = next(iter({"torsional": _ANGULAR, "translational": _TANGENTIAL}[kind][quantity]))
     return [source.unit(i) or default for i in places]
@@ -543,9 +543,9 @@ def _told_units(source: LoggerFile, places: Sequence[int], kind: str, quantity: 
 def _other_units(source: LoggerFile, places: Sequence[int], given: Sequence[str], where: str) -> list[str]:
     """Notes where a file names another unit for a channel than `units` does."""
     return [
-        f"{where}: the file gives {source.column(place)} in {told}, 'units' in {unit}; {unit} was taken."
+        f"{where}: the file gives {source.column(place)} in {named}, 'units' in {unit}; {unit} was taken."
         for place, unit in zip(places, given, strict=False)
-        if (told := source.unit(place)) is not None and told != unit
+        if (named := source.unit(place)) is not None and named != unit
     ]
 
 

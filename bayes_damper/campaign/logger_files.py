@@ -2,7 +2,7 @@
 
 Text is read as it comes: in UTF-8, UTF-16 or the code page of Windows, with lines of a head before the columns' names,
 a line of units below them, decimal commas, times of the day, quotes, an empty last column, words for missing readings,
-and a foot below the numbers. What was left out is told in `LoggerFile.notes`. Nothing here knows of rigs or quantities.
+and a footer below the numbers. `LoggerFile.notes` says what was left out. Nothing here knows of rigs or quantities.
 """
 
 from __future__ import annotations
@@ -332,7 +332,7 @@ def _seconds(cell: str) -> float:
     year = int(part.get("y", part.get("y2", 0.0)))
     if year:
         day = dt.date(year, int(part.get("m", part.get("m2", 0.0))), int(part.get("d", part.get("d2", 0.0))))
-        # Days of the year alone, so that a double still tells microseconds.
+        # Days of the year alone, so that a double still resolves microseconds.
         seconds += 86400.0 * (day - dt.date(year, 1, 1)).days
     return seconds
 
@@ -355,7 +355,7 @@ def _cells(line: str, mark: str, comma: bool) -> list[float] | None:
 def _begin(lines: Sequence[Line], option: Mapping[str, Any], mark: str, comma: bool) -> tuple[int, bool]:
     """Which line holds the names of the columns (or their units), or the first numbers, and whether it holds names.
 
-    Told by skip_lines and header where these are given; else the numbers begin with the first of five rows of numbers
+    Given by skip_lines and header where these are set; else the numbers begin with the first of five rows of numbers
     of one length, and the line before them holds names if it has as many cells and is no row of numbers itself.
     """
     if "skip_lines" in option:
@@ -368,7 +368,7 @@ def _begin(lines: Sequence[Line], option: Mapping[str, Any], mark: str, comma: b
     first = next(starts, None)
     if first is None:
         return 0, bool(option.get("header", True))
-    # A line with words between rows of numbers is no head: it is told as a bad line.
+    # A line with words between rows of numbers is no head: it is reported as a bad line.
     while first > 1 and widths[first - 2] == widths[first] and _half_numbers(lines[first - 1][1], mark, comma):
         first -= 2
     # The names may do without the empty last column, or have one (of comments) that the rows do without.

@@ -2,7 +2,7 @@
 
 Names, units and the clock come from the file's own header. TDMS, MDF4 and UFF-58 need the extra `readers`. A file may
 hold channels of several clocks: those of the longest common one are taken, or those whose name begins with the option
-`group`; what was left out is told in the notes.
+`group`; the notes say what was left out.
 """
 
 from __future__ import annotations

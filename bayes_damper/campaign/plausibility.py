@@ -22,7 +22,7 @@ _RESTS = {"displacement": 1.0, "velocity": 0.5, "acceleration": 0.5}
 _SHORT = 0.8  # of the longest repeat's end, before which a record counts as ending early
 _UNLIKE = 0.3  # rms difference over rms, from which repeats are held to be of different channels
 _TURNED = "; where `init` made the campaign, run it again with --sign -1 (coupled: one for each channel, such as -1 1)"
-_FEW = 3  # readings at rest, and in the first swing, that tell which way it goes
+_FEW = 3  # readings at rest, and in the first swing, that show which way it goes
 
 
 def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
@@ -78,7 +78,7 @@ def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
             )
     wiring = wiring_of(head, trial)
     if wiring == "exchanged":
-        return  # told with its repeats
+        return  # reported with its repeats
     if wiring == "reversed":
         warnings.append(
             f"{trial.file}: at the release the second channel goes the other way than the primary, which drags the "
@@ -123,7 +123,7 @@ def _look_at_clock(head: Head, trial: Trial, warnings: list[str]) -> None:
 
 
 def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]) -> None:
-    """Late trigger, start in the middle of the motion, reversed sign: told from the first readings."""
+    """Late trigger, start in the middle of the motion, reversed sign: seen in the first readings."""
     y, times = trial.channels[0], trial.times
     noise = look.noise_floor_of(y)
     quantity = head.measurement.quantity
@@ -180,8 +180,8 @@ def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]
 def _moves_the_wrong_way(times: Array, y: Array, quantity: str, omega: float, rest: float = 1.0) -> float | None:
     """When the motion begins, in s, where a primary that is held at first then moves as if released on the other side.
 
-    None where it moves as it should, or where the record holds too little to tell: a shorter rest (what is shorter than
-    a radian of the oscillation may be a turning point), or fewer than three readings of the first swing.
+    None where it moves as it should, or where the record holds too little to judge: a shorter rest (what is shorter
+    than a radian of the oscillation may be a turning point), or fewer than three readings of the first swing.
 
     y : (n,) the readings, times the sign that they should have at first; omega : rad/s of the primary on its spring;
     rest : rad of that oscillation
@@ -217,10 +217,10 @@ def look_at_rates(head: Head, trials: Sequence[Trial], warnings: list[str]) -> N
     if swings or max(picked) == 1:
         return
     few, most = min(picked), max(picked)
-    told = f"{most}" if few == most else f"{few} to {most}"
+    per_period = f"{most}" if few == most else f"{few} to {most}"
     warnings.append(
         f"{sum(t.channels.size for t in trials)} readings, {period / min(steps):.0f} in a period: fits use one in "
-        f"{told}, enough to show the motion, for less time and memory; `every = 1` under [measurement] of "
+        f"{per_period}, enough to show the motion, for less time and memory; `every = 1` under [measurement] of "
         "campaign.toml uses all"
     )
 
@@ -356,16 +356,16 @@ def _look_for_exchanged_twin(group: Sequence[Trial], warnings: list[str]) -> boo
     even = [group[0], *(other for other, mark in zip(group[1:], crossed, strict=True) if not mark)]
     fewer, more = sorted((odd, even), key=len)
     straight, exchanged = found[crossed.index(True)]
-    told = (
+    alike = (
         f"unlike: {straight:.0%} apart as they are, {exchanged:.0%} with the channels of one exchanged; correct the "
         "order of the columns"
     )
     if len(fewer) == len(more):
         warnings.append(
-            f"{', '.join(t.file for t in even)} and {', '.join(t.file for t in odd)}: repeats {told} of one"
+            f"{', '.join(t.file for t in even)} and {', '.join(t.file for t in odd)}: repeats {alike} of one"
         )
     else:
-        warnings.append(f"{', '.join(t.file for t in fewer)}: channels exchanged? It and its repeats are {told}")
+        warnings.append(f"{', '.join(t.file for t in fewer)}: channels exchanged? It and its repeats are {alike}")
     return True
 
 

@@ -50,7 +50,7 @@ def release_of(times: Array, readings: Array, quantity: str, theta0: float, omeg
     Returns
     -------
     first : index of the first reading to keep: the last one of the held rig, or the first after the nominal release.
-    shift : s to take from the clock. 0 where the release lies within one and a half steps of t = 0 or cannot be told.
+    shift : s to take from the clock. 0 where the release lies within one and a half steps of t = 0 or is not found.
     """
     usable = np.isfinite(readings)
     if usable.sum() < 8 or theta0 == 0.0:
@@ -120,9 +120,9 @@ def rounding_of(readings: Array) -> float:
 
 
 def crossings(times: Array, readings: Array, step: float, period: float) -> tuple[Array, Array]:
-    """What the readings of a rounded channel tell: values (n,), nan where nothing, and their weights (n,).
+    """What the readings of a rounded channel hold: values (n,), nan where nothing, and their weights (n,).
 
-    Equal readings share one error of rounding: all of a run tell no more than that a step was passed when it began. So
+    Equal readings share one error of rounding: all of a run show no more than that a step was passed when it began. So
     the first reading of each run is kept, at the value to be expected there: where a run lasts k readings, 1 / k of a
     step beyond the edge between the two, give or take half of that; a swing is not flattened at its ends, as it is
     where the middles of steps stand for all that is rounded to them. Of a run that lasts longer than a period one

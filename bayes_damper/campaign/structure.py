@@ -263,7 +263,7 @@ class Campaign:
 
 
 def _use_of(trial: Trial, held: Collection[tuple[str, str, int]]) -> str:
-    """What is told of a trial that not every command fits."""
+    """What the description of a trial says where not every command fits it."""
     if trial.holdout:
         return ", held out of every fit"
     return ", held out by diagnose and variability, fitted by fit" if trial.key in held else ""

@@ -43,7 +43,7 @@ class Comparison:
 
     @property
     def exit_code(self) -> ExitCode:
-        """Always done: whether the compared runs converged is told in the table."""
+        """Always done: whether the compared runs converged stands in the table."""
         return ExitCode.DONE
 
     def to_json(self) -> dict[str, Any]:
@@ -77,8 +77,8 @@ class Comparison:
                 f"{label}: shift of each mean, in standard deviations, when its own prior is half / twice as wide"
             )
             for case, rows in cases.items():
-                told = ", ".join(f"{n} {' / '.join(_shift(p[w]) for w in WIDTHS)}" for n, p in rows.items())
-                lines.append(f"  case {case}: {told}")
+                shifts = ", ".join(f"{n} {' / '.join(_shift(p[w]) for w in WIDTHS)}" for n, p in rows.items())
+                lines.append(f"  case {case}: {shifts}")
         return "\n".join([*lines, *r["sentences"]])
 
 
@@ -128,8 +128,8 @@ def compare(folders: Sequence[str | Path], *, out: str | Path | None = None, see
     result: dict[str, Any] = {
         "schema": SCHEMA,
         "folders": {label: str(path) for label, path in where.items()},
-        "campaigns": {label: _told_of(results, "campaign") for label, results in found.items()},
-        "campaign_sha256": {label: _told_of(results, "campaign_sha256") for label, results in found.items()},
+        "campaigns": {label: _entry_of(results, "campaign") for label, results in found.items()},
+        "campaign_sha256": {label: _entry_of(results, "campaign_sha256") for label, results in found.items()},
         "converged": {label: _converged(results) for label, results in found.items()},
         "parameters": parameters,
         "evidence": _turned({label: piece["evidence"] for label, piece in pieces.items()}),
@@ -179,7 +179,7 @@ def _results(path: Path) -> dict[str, Any]:
     return out
 
 
-def _told_of(results: Mapping[str, Any], key: str) -> str:
+def _entry_of(results: Mapping[str, Any], key: str) -> str:
     return next((str(content[key]) for content in results.values() if content.get(key)), "")
 
 
@@ -204,7 +204,7 @@ def _parameters(fits: Mapping[str, Any]) -> dict[str, dict[str, dict[str, Any]]]
     return out
 
 
-def _told(summary: Mapping[str, Any]) -> list[str]:
+def _of_fit(summary: Mapping[str, Any]) -> list[str]:
     """Every parameter of a fit as the table shows it."""
     return [
         _cell(found) for rows in _parameters({"": summary}).values() for row in rows.values() for found in row.values()
@@ -237,7 +237,7 @@ def _pooling(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 _READ: dict[str, Callable[[Mapping[str, Any]], object]] = {
-    "fit": _told, "diagnosis": _diagnosis, "variability": _pooling,
+    "fit": _of_fit, "diagnosis": _diagnosis, "variability": _pooling,
 }  # fmt: skip
 """What is taken of each kind of results."""
 
@@ -272,8 +272,8 @@ def _fit_pieces(path: Path, summary: Mapping[str, Any], seed: int) -> dict[str, 
             if case not in sensitivity:
                 points = np.stack([to_standard(priors[name], x.ravel()) for name, x in draws.items()], axis=1)
                 sensitivity[case] = of_standard_draws(tuple(draws), points)
-        told = [np.asarray(x.values, float) for x in tree["log_likelihood"].data_vars.values()]
-        likelihood = np.concatenate([x.reshape(x.shape[0] * x.shape[1], -1) for x in told], axis=1)
+        pieces = [np.asarray(x.values, float) for x in tree["log_likelihood"].data_vars.values()]
+        likelihood = np.concatenate([x.reshape(x.shape[0] * x.shape[1], -1) for x in pieces], axis=1)
         heldout[row] = float(sum(leave_out(column)[0] for column in likelihood.T))
     if evidence:
         evidence["sum over cases"] = float(sum(evidence.values()))

@@ -14,7 +14,7 @@ from bayes_damper.variability import Variability, variability
 
 QUICK_STEPS = 300
 PARTICLES, QUICK_PARTICLES = 128, 32
-"""Of each run of `variability`: fewer than that takes by itself, with the error that this leaves told."""
+"""Of each run of `variability`: fewer than that takes by itself, with the error that this leaves."""
 _DRAWS = 100
 
 
@@ -46,8 +46,8 @@ def demo(
     """Fit the four cases of the thesis, ask what they share, and write the report.
 
     out : folder for all files; seed : decides every random number; workers : processes; quick : stop early, marked as
-    not converged; scheduler : address of a Dask cluster that works in place of processes; progress : told how far it
-    is, as `fit` does.
+    not converged; scheduler : address of a Dask cluster that works in place of processes; progress : as in
+    `fit`.
 
     Raises
     ------

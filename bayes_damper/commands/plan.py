@@ -1,4 +1,4 @@
-"""Before measuring: what a planned rig and its trials could tell apart at all, and with how many trials.
+"""Before measuring: what a planned rig and its trials could distinguish at all, and with how many trials.
 
 The plan is a campaign without records. Its trials are simulated at the prior medians, without noise, and the problem is
 linearised there. What an effect changes in the records is projected off everything that the nominal parameters, within
@@ -45,9 +45,9 @@ Array = NDArray[np.float64]
 
 SCHEMA = "bayes-damper/plan/1"
 NATS = 10.0
-"""Expected evidence from which an effect counts as seen, or as told apart from a rival."""
+"""Expected evidence from which an effect counts as seen, or as distinguished from a rival."""
 ALIKE = 3.0
-"""Nats below which two effects count as not to be told apart, as in a diagnosis."""
+"""Nats below which two effects count as not distinguished, as in a diagnosis."""
 FACTORS = tuple(float(x) for x in np.geomspace(1.0 / 1024.0, 4.0, 25))
 """Sizes tried, relative to the typical one."""
 PRIOR_DRAWS = 48
@@ -60,7 +60,7 @@ _PROPOSED = 5
 
 @dataclass(frozen=True)
 class Plan:
-    """What a plan could tell apart; `result` is what plan.json holds, `folder` where it is (None: not written)."""
+    """What a plan could distinguish; `result` is what plan.json holds, `folder` where it is (None: not written)."""
 
     result: Mapping[str, Any]
     folder: Path | None
@@ -114,12 +114,12 @@ def plan(
     seed: int = 1,
     workers: int = 2,
 ) -> Plan:
-    """What a planned campaign could tell apart at all, and with how many trials.
+    """What a planned campaign could distinguish at all, and with how many trials.
 
     Parameters
     ----------
     campaign : folder with campaign.toml and trials.csv; the records need not exist. [measurement] must declare
-    noise_std, unless records that are there tell it, and, where records are missing, sample_rate. nominal, effects,
+    noise_std, unless records that are there give it, and, where records are missing, sample_rate. nominal, effects,
     priors : as for `diagnose`. out : folder for plan.json and its figure, None to write nothing. seed : of the draws
     from the priors of the effects. workers : simulations side by side.
 
@@ -243,7 +243,7 @@ class Pieces:
         return np.asarray(0.5 * (gram + gram.T))
 
     def joined(self, other: Pieces, places: Sequence[int | None]) -> Pieces:
-        """With other trials; `places` tells where each of their parameters stands here, None for a new one."""
+        """With other trials; `places` says where each of their parameters stands here, None for a new one."""
         size, new = self.S.shape[1], sum(p is None for p in places)
         fresh = iter(range(size, size + new))
         at = np.array([next(fresh) if p is None else p for p in places])
@@ -408,7 +408,8 @@ def _lengths(bench: Bench, variant: Variant, z: Array) -> Array:
 @dataclass(frozen=True)
 class Rivals:
     """What is left of one effect beside each rival: nats: rival -> at the plan's trials; first: the strongest one, with
-    its formula and start; needed: number of repeats at which the effect is told from all, None beyond the last tried.
+    its formula and start; needed: number of repeats at which the effect is distinguished from all, None beyond the last
+    tried.
     """
 
     nats: dict[str, float]
@@ -460,7 +461,7 @@ def _rivals(
                 [(variant, start) if c else w for c, w in zip(closer, where, strict=True)],
             )
             foreign = np.array([effect.name not in kin.get(name, {name}) for name in own_names])
-            # More repeats matter only where the plan itself does not tell the two apart.
+            # More repeats matter only where the plan itself does not distinguish the two.
             if np.any(foreign & (now < NATS)):
                 for i, m in enumerate(REPEATS):
                     lengths = 0.5 * _beside(pieces.left(m), n)
@@ -520,8 +521,8 @@ def _additions(
 
         def worth(pieces: Pieces, parameters: int = parameters, rival: Any = rival) -> float:
             gram = pieces.left()
-            told = float(expected(gram[0, 0], parameters))
-            return min(told, NATS) if rival is None else min(told, 0.5 * float(_beside(gram, 1)[0]), NATS)
+            gained = float(expected(gram[0, 0], parameters))
+            return min(gained, NATS) if rival is None else min(gained, 0.5 * float(_beside(gram, 1)[0]), NATS)
 
         before = worth(here)
         if before >= NATS:
@@ -572,7 +573,7 @@ def _row(view: View, rivals: Rivals, campaign: Campaign) -> dict[str, Any]:
 
 
 def _alike(rows: Sequence[Mapping[str, Any]]) -> list[list[str]]:
-    """Pairs that the plan's trials could not tell apart, though at least one of the two would be seen."""
+    """Pairs that the plan's trials could not distinguish, though at least one of the two would be seen."""
     out: list[list[str]] = []
     for row in rows:
         if row["nats"] >= NATS and row["rival"] is not None and row["rival"]["nats"] < ALIKE:

@@ -30,7 +30,7 @@ def resume(
     The folder is data: it names a command and its settings, and what is run for them stands here. more : extend a
     finished run: four times the autocorrelation times, and twice the most steps if those were given. effects : the
     folder with effects of your own that the run began with, if it did; it is compared by its checksum. workers :
-    processes; default as before. progress : told how far it is, as in `fit`.
+    processes; default as before. progress : as in `fit`.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """What the formula of an effect, right in kind but not to the last digit, leaves open about the parameters.
 
 An effect of the library is a family: its formula stands for others that differ by a share of their torque. Where such a
-difference looks like one of the nominal laws, the records cannot tell how much of the torque belongs to which, however
+difference looks like one of the nominal laws, the records cannot show how much of the torque belongs to which, however
 small the residuals are: the tail of a Stribeck hump is a dry friction, a second relaxation time a damping. So a
 discrepancy is added where the effect lives (Kennedy and O'Hagan, JRSS B 63 (2001) 425, with what is known of the
 physics): generic laws of its site (shapes.py), Gaussian coefficients, of which all together change the records SHARE

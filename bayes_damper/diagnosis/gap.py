@@ -33,7 +33,7 @@ from bayes_damper.calibration import Calibration, Group, Prediction, Problem, Tr
 from bayes_damper.diagnosis.remainder import own_frequency
 from bayes_damper.diagnosis.response import on_trials
 from bayes_damper.diagnosis.shares import Closed, products
-from bayes_damper.text import p_value as told_p
+from bayes_damper.text import p_value as words_of_p
 
 Array = NDArray[np.float64]
 
@@ -41,8 +41,8 @@ SIZE = 0.05
 NEGLIGIBLE = 0.25  # of the noise sd: a gap below it adds 3 % to the residuals
 KEPT_WEIGHT = 0.5  # readings that a fit trusts less (release, friction reversals) are left out of sums of squares
 BELIEVED = 6.0  # degrees of freedom that the noise model counts as, beside what repeats do not share
-FEWEST_TRIALS = 4  # held out, from which they tell how they vary
-_CORRELATED_SHARE = 6  # of a record: the longest lag of which its residuals tell a correlation
+FEWEST_TRIALS = 4  # held out, from which they show how they vary
+_CORRELATED_SHARE = 6  # of a record: the longest lag of which its residuals give a correlation
 _SLOW = 10.0  # times the rig's own frequency: torques on inertias show below
 
 
@@ -134,7 +134,7 @@ def measure_gap(
         closed = products(nominal, heldout, [_both(nominal, before), _both(winner, after)], rng).closed(1)
     answer: Literal["none", "gap", "cannot tell"]
     if p_value < size:
-        answer, why = "gap", f"held-out residuals follow what the training trials predict ({told_p(p_value)})"
+        answer, why = "gap", f"held-out residuals follow what the training trials predict ({words_of_p(p_value)})"
     elif upper < NEGLIGIBLE:
         answer, why = "none", f"no sign of a gap, and one above {upper:.2f} of the noise is excluded"
     else:
@@ -317,7 +317,7 @@ def _by_trials(products: Array, z: float) -> float:
 def _correlation(fit: Calibration) -> list[Array]:
     """Autocovariance of each channel's training residuals over lags from 0, in units of the noise's variance.
 
-    Bartlett's window brings it to zero at a sixth of the longest record, beyond which it cannot be told.
+    Bartlett's window brings it to zero at a sixth of the longest record, beyond which it cannot be estimated.
     """
     problem = fit.problem
     found = fit.residuals()
@@ -448,7 +448,7 @@ def left_out_case(
         fewer = problem.for_trials(rest)
         keep = [problem.names.index(n) for n in fewer.names]
         again = calibrate(fewer, [fit.q[keep]], eta={i: fit.eta[i] for i in rest}, anneal=False, finish=False)
-        q = np.zeros(problem.size)  # what only the left-out case could tell keeps its prior
+        q = np.zeros(problem.size)  # what only the left-out case could teach keeps its prior
         q[keep] = again.q
         widened = Calibration(
             problem, q, again.eta, fit.covariance, again.cost, again.chi2, again.log_evidence, again.converged,

@@ -1,6 +1,6 @@
 """Campaigns without repeats: what an answer leaves there.
 
-Without repeats nothing tells a wrong model from correlated noise; sums of squares on held-out readings against the
+Without repeats nothing separates a wrong model from correlated noise; sums of squares on held-out readings against the
 noise of the sensors show what is left. Which effects are present is decided on fitted readings alone (sets.py), so that
 held-out ones can score it.
 """

@@ -66,13 +66,15 @@ def told(experiment: Experiment, far: dict[int, NDArray[np.bool_]]) -> list[str]
         t = experiment.trials[i]
         times = t.times[mask.any(axis=0)]
         if mask.sum() == 1:
-            told = f"one reading at {times.min():.4g} s is far from those of its repeats; it was left out as a fault"
+            left_out = (
+                f"one reading at {times.min():.4g} s is far from those of its repeats; it was left out as a fault"
+            )
         else:
-            told = (
+            left_out = (
                 f"{int(mask.sum())} readings between {times.min():.4g} s and {times.max():.4g} s are far from those of "
                 "its repeats; they were left out as faults"
             )
-        out.append(f"{t.label}: {told} of the measurement.")
+        out.append(f"{t.label}: {left_out} of the measurement.")
     return out
 
 
@@ -95,7 +97,7 @@ class Odd:
 def odd_trials(experiment: Experiment) -> list[Odd]:
     """Trials that at least two others of the same release agree to be none of theirs: another spring, case or rig.
 
-    Told from the records alone, so that a fit which such a trial has spoilt does not judge it. A trigger that is late
+    Judged by the records alone, so that a fit which such a trial has spoilt does not judge it. A trigger that is late
     within a quarter of a period, and a share of the release angle, are no reason.
     """
     if experiment.start != "rest":
@@ -179,7 +181,7 @@ def _known(times: Array, readings: Array) -> tuple[Array, Array]:
 
 def _resembled(experiment: Experiment, trial: int, own: Sequence[int], sets: Sequence[Sequence[int]]) -> str:
     """The set to which an odd trial is as near as two of its trials are to each other, channels as they are or not."""
-    told = []
+    similar = []
     for members in sets:
         if len(members) < 2:
             continue
@@ -191,8 +193,8 @@ def _resembled(experiment: Experiment, trial: int, own: Sequence[int], sets: Seq
             off = _distance(experiment, trial, members[0], swapped)
             if off < max(2.0 * usual, VISIBLY):
                 kind = "coupled" if t.coupled else "uncoupled"
-                told.append((off, f"case {t.case} {kind}" + (" with its channels exchanged" if swapped else "")))
-    return min(told)[1] if told else ""
+                similar.append((off, f"case {t.case} {kind}" + (" with its channels exchanged" if swapped else "")))
+    return min(similar)[1] if similar else ""
 
 
 def without_trials(experiment: Experiment, odd: Sequence[Odd]) -> Experiment:

@@ -41,7 +41,7 @@ MOST_SHAPES = 6  # in a sparse hypothesis
 USABLE = 1e-3  # a column of which parameters leave less than this share of its length is not used
 PRIOR_NONE = 0.4
 CONFIGURATIONS = {False: "uncoupled", True: "coupled"}
-WORTH_A_TORQUE = 0.1  # probability of a site, given a gap, from which the torque that is missing there is told
+WORTH_A_TORQUE = 0.1  # probability of a site, given a gap, from which the torque that is missing there is given
 LAWS = {
     "ground1": {"k1t", "c1t", "J1"},
     "bearings": {"drag", "c1t", "c3t"},
@@ -478,7 +478,7 @@ def _torque(
 
 
 def write_missing_torque(path: str | Path, found: SiteMap) -> None:
-    """The missing torque of every fitted trial as CSV, one row a sample; a header alone if no torque is told."""
+    """The missing torque of every fitted trial as CSV, one row a sample; a header alone if no torque is given."""
     trials = found.fit.problem.experiment.trials
     names = (
         "case", "configuration", "trial", "time_s", "torque1_n_m", "torque1_sd_n_m", "torque2_n_m", "torque2_sd_n_m",

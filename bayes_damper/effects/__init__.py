@@ -2,7 +2,7 @@
 
 `EFFECTS` holds those of this folder, found by scanning it; a file whose name begins with an underscore holds shapes
 that effects share. Effects of a user's own come from a folder (`load_effects`) or from installed packages (entry points
-of the group "bayes_damper.effects"). `candidates` tells which effects a rig can have.
+of the group "bayes_damper.effects"). `candidates` gives the effects that a rig can have.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """One channel lags behind the other.
 
     m(t) = y(t - T)    on channel 1 or on channel 2
-    m2(t) = y2(t + T)  where the instant of the release is told by a late channel 1
+    m2(t) = y2(t + T)  where a late channel 1 gives the instant of the release
 
 Source: Wilson (2005), Sensor Technology Handbook, ch. 4 (a multiplexed converter reads one channel after the other).
 """

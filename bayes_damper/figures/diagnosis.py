@@ -38,8 +38,8 @@ def _draw_probabilities(axis: Any, values: Mapping[str, float], rows: int, headi
     heights = [values[name] for name in names]
     axis.barh(range(len(names)), heights, color=COLOURS[0])
     for y, height in enumerate(heights):
-        told = "< 0.01" if height < 0.005 else "> 0.99" if 0.995 <= height < 1.0 else f"{height:.2f}"
-        axis.text(height + 0.02, y, told, va="center")
+        label = "< 0.01" if height < 0.005 else "> 0.99" if 0.995 <= height < 1.0 else f"{height:.2f}"
+        axis.text(height + 0.02, y, label, va="center")
     axis.set_yticks(range(len(names)), names)
     axis.set_ylim(max(rows, len(names)) - 0.5, -0.5)
     axis.set_xlim(0.0, 1.2)
@@ -123,8 +123,8 @@ def residual_maps_figure(maps: Sequence[Mapping[str, Any]], *, title: str) -> Fi
             places[0].set_title(column["title"], loc="left")
         bar = figure.colorbar(drawn, ax=axes, shrink=0.5, aspect=30, extend="max")
         bar.set_label("rms residual / noise (1: noise alone)")
-        told = [x for x in (1, 2, 3, 5, 10, 20, 50, 100, 200, 500, 1000) if x <= most]
-        bar.set_ticks(told, labels=[str(x) for x in told])
+        ticks = [x for x in (1, 2, 3, 5, 10, 20, 50, 100, 200, 500, 1000) if x <= most]
+        bar.set_ticks(ticks, labels=[str(x) for x in ticks])
         bar.minorticks_off()
         figure.suptitle(title)
     return figure

@@ -25,14 +25,14 @@ _LOGARITHMIC = ("nu",)
 
 def corner_figure(
     draws: Mapping[str, Mapping[str, Array]], labels: Mapping[str, str], *, title: str, converged: bool = True,
-    told: Mapping[str, tuple[float, float, float]] = MappingProxyType({}),
+    intervals: Mapping[str, tuple[float, float, float]] = MappingProxyType({}),
     assumed: Mapping[str, Array] = MappingProxyType({}),
 ) -> Figure:  # fmt: skip
     """Corner plot of one posterior, or of several overlaid. The contours hold 50 and 90 % of the draws.
 
     draws : group (e.g. case) -> parameter -> (n_draws,); all groups have the same parameters.
     labels : parameter -> axis label.
-    told : parameter -> (low, median, high) of its interval, dashed in its own panel and written above it.
+    intervals : parameter -> (low, median, high) of its interval, dashed in its own panel and written above it.
     assumed : parameter -> draws of its prior, (n,); a grey line to the scale of the posterior.
     """
     names = list(next(iter(draws.values())))
@@ -81,9 +81,9 @@ def corner_figure(
                 axis.set_ylim(0.0, 1.05 * max(tops, default=1.0))
         _keep_numbers_apart(figure)
         for axis, name, ends in zip(figure.axes[:: len(names) + 1], names, ranges, strict=True):
-            _tell_of_one(axis, ends, told.get(name), assumed.get(name))
+            _mark_interval(axis, ends, intervals.get(name), assumed.get(name))
         margin = 1.05 / figure.get_figwidth()  # room for the labels beside the slanted numbers
-        above = (0.45 if told else 0.15) / figure.get_figheight()
+        above = (0.45 if intervals else 0.15) / figure.get_figheight()
         figure.subplots_adjust(left=margin, bottom=margin, top=1.0 - above)
         figure.suptitle(title, x=0.98 if single else 0.75, y=0.99, ha="right", va="top", fontsize=12)
     if not converged:
@@ -108,7 +108,9 @@ def _keep_numbers_apart(figure: Figure) -> None:
                 line.set_major_locator(FixedLocator(inside))
 
 
-def _tell_of_one(axis: Axes, ends: Array, told: tuple[float, float, float] | None, assumed: Array | None) -> None:
+def _mark_interval(
+    axis: Axes, ends: Array, intervals: tuple[float, float, float] | None, assumed: Array | None
+) -> None:
     """In the panel of a parameter by itself: its prior in grey, its interval dashed and in numbers."""
     logarithmic = axis.get_xscale() == "log"
     edges = (np.geomspace if logarithmic else np.linspace)(float(ends[0]), float(ends[1]), _BINS + 1)
@@ -118,9 +120,9 @@ def _tell_of_one(axis: Axes, ends: Array, told: tuple[float, float, float] | Non
         middles = np.sqrt(edges[:-1] * edges[1:]) if logarithmic else 0.5 * (edges[:-1] + edges[1:])
         axis.plot(middles, heights, color="#888888", lw=1.2, label="prior")
         axis.set_ylim(0.0, max(axis.get_ylim()[1], 1.1 * float(heights.max())))
-    if told is not None:
-        low, median, high = told
-        for x in told:
+    if intervals is not None:
+        low, median, high = intervals
+        for x in intervals:
             axis.axvline(x, ls="--", lw=0.9, color=COLOURS[0])
         axis.set_title(f"{number(median, high - low)}\n({interval(low, high)})", fontsize=8)
 

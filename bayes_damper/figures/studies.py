@@ -53,13 +53,13 @@ def variability_figure(result: Mapping[str, Any], *, title: str, converged: bool
             for i, (case, row) in enumerate(result["effective"]["cases"].items()):
                 energy = 1e3 * row["energy_j"]
                 upper.plot([energy] * 2, row[name]["hdi90"], color=COLOURS[0], lw=1.6)
-                told = "each case, 90 %" if i == 0 else None
-                upper.plot(energy, row[name]["median"], "o", color=COLOURS[0], ms=5, label=told)
+                shown = "each case, 90 %" if i == 0 else None
+                upper.plot(energy, row[name]["median"], "o", color=COLOURS[0], ms=5, label=shown)
                 upper.annotate(case, (energy, row[name]["median"]), xytext=(4, 4), textcoords="offset points")
                 if "measured" in row:
                     words = "Table 9 (p. 20)" if result["campaign"] == "thesis" else "linear fit to the measurements"
-                    told = words if i == 0 else None
-                    upper.plot(energy, row["measured"][name], "D", color=COLOURS[1], ms=5, label=told)
+                    shown = words if i == 0 else None
+                    upper.plot(energy, row["measured"][name], "D", color=COLOURS[1], ms=5, label=shown)
             upper.set_yscale("log")
             upper.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             upper.yaxis.set_major_formatter("{x:g}")
@@ -136,11 +136,11 @@ def tuning_figure(result: Mapping[str, Any], *, title: str) -> Figure:
     with mpl.rc_context(RC):
         axes = figure.subplots(1, max(columns, 1), squeeze=False, sharey=True)[0]
         for k, (name, rows) in enumerate(driven.items()):
-            told = [r for r in rows if r["insertion_loss_db"]["median"] is not None]
-            x = np.array([r["torque_amplitude_n_m"] for r in told]) * (0.97 if k else 1.03)
-            for at, row in zip(x, told, strict=True):
+            finite = [r for r in rows if r["insertion_loss_db"]["median"] is not None]
+            x = np.array([r["torque_amplitude_n_m"] for r in finite]) * (0.97 if k else 1.03)
+            for at, row in zip(x, finite, strict=True):
                 axes[0].plot([at] * 2, row["insertion_loss_db"]["interval90"], color=COLOURS[k], lw=1.5)
-            y = [r["insertion_loss_db"]["median"] for r in told]
+            y = [r["insertion_loss_db"]["median"] for r in finite]
             axes[0].plot(x, y, color=COLOURS[k], ls=STYLES[k], marker="os"[k], ms=4, label=name)
         if first:
             axes[0].set_xscale("log")
@@ -179,23 +179,23 @@ def thesis_figure(found: Mapping[str, Any]) -> Figure:
     figure = new_figure(10.0, 2.9 * rows + 0.4)
     with mpl.rc_context(RC):
         axes = figure.subplots(rows, columns, squeeze=False).ravel()
-        for axis, (name, told) in zip(axes, found.items(), strict=False):
-            response = "frequency" in told.x
-            for k, (words, (x, y)) in enumerate(told.curves.items()):
+        for axis, (name, curve) in zip(axes, found.items(), strict=False):
+            response = "frequency" in curve.x
+            for k, (words, (x, y)) in enumerate(curve.curves.items()):
                 shown = x <= _SHOWN_HZ if response else np.ones(x.size, dtype=bool)
                 axis.plot(
                     *(x[shown], y[shown]), color=COLOURS[k % len(COLOURS)], ls=STYLES[k % len(STYLES)], lw=1.1,
                     label=words,
                 )  # fmt: skip
-            for k, (words, (x, y)) in enumerate(told.printed.items()):
+            for k, (words, (x, y)) in enumerate(curve.printed.items()):
                 axis.plot(x, y, "x^sD"[k % 4], color="#000000", ms=5, mfc="none", label=f"printed: {words}")
             if response:
                 axis.set_yscale("log")
                 axis.set_ylim(bottom=max(axis.get_ylim()[0], 1e-3 * axis.get_ylim()[1]))
-            axis.set_xlabel(told.x.replace("(", "[", 1).replace(")", "]", 1))
-            axis.set_ylabel(told.y.replace("(", "[", 1)[::-1].replace(")", "]", 1)[::-1], fontsize=8)
-            axis.set_title(f"{name} (p. {told.page})", loc="left")
-            axis.legend(loc="lower right" if told.printed else "best", fontsize=7)
+            axis.set_xlabel(curve.x.replace("(", "[", 1).replace(")", "]", 1))
+            axis.set_ylabel(curve.y.replace("(", "[", 1)[::-1].replace(")", "]", 1)[::-1], fontsize=8)
+            axis.set_title(f"{name} (p. {curve.page})", loc="left")
+            axis.legend(loc="lower right" if curve.printed else "best", fontsize=7)
         for axis in axes[len(found) :]:
             axis.set_visible(False)
         figure.suptitle("The figures of the thesis, recomputed from its equations and constants")
@@ -203,10 +203,10 @@ def thesis_figure(found: Mapping[str, Any]) -> Figure:
 
 
 def plan_figure(result: Mapping[str, Any], *, title: str) -> Figure:
-    """What a plan could see and tell apart: chance of each effect to be seen, and nats of each beside each rival.
+    """What a plan could see and distinguish: chance of each effect to be seen, and nats of each beside each rival.
 
-    result : what plan.json holds. The numbers in the right part are expected nats, left out from 10 on (told apart);
-    dark cells are pairs that the planned trials cannot tell apart.
+    result : what plan.json holds. The numbers in the right part are expected nats, left out from 10 on (distinguished);
+    dark cells are pairs that the planned trials cannot distinguish.
     """
     names = [row["name"] for row in result["effects"]]
     figure = new_figure(4.0 + 0.36 * len(names), 1.9 + 0.26 * len(names))
@@ -242,9 +242,9 @@ def withheld_figure(scores: Mapping[str, Any], *, rehearsal: bool = False) -> Fi
         parts = figure.subplot_mosaic("ns;nr;nl", width_ratios=[3, 2])
         _draw_counts(parts["n"], scores["confusion"], "what was taken for what")
         _draw_counts(parts["s"], scores["sites"], "true site and most probable site")
-        axis, told = parts["r"], scores["reliability"]["all"]
+        axis, reliability = parts["r"], scores["reliability"]["all"]
         axis.plot([0, 1], [0, 1], color="#888888", lw=0.8)
-        for row in told["bins"]:
+        for row in reliability["bins"]:
             at = row["confidence"]
             axis.plot([at, at], row["twin95"], color=COLOURS[5], lw=7, alpha=0.5, solid_capstyle="butt")
             axis.plot([at, at], row["right"]["interval95"], color=COLOURS[0], lw=1.2)
@@ -269,8 +269,8 @@ def withheld_figure(scores: Mapping[str, Any], *, rehearsal: bool = False) -> Fi
         axis.set_xlabel("level: gap after the best nominal fit / noise")
         axis.set_ylabel("right answer first")
     if rehearsal:
-        told = "REHEARSAL: the code has changed since these campaigns were sealed"
-        figure.suptitle(told, color="#B00020", weight="bold")
+        warning = "REHEARSAL: the code has changed since these campaigns were sealed"
+        figure.suptitle(warning, color="#B00020", weight="bold")
     return figure
 
 

@@ -1,4 +1,4 @@
-"""Drawing the posterior of a case until the stopping rule is met, with progress told."""
+"""Drawing the posterior of a case until the stopping rule is met, with its progress reported."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ Report = Callable[[float, str], None]
 WARM = 0.15
 """Share of a case's time after which the warm-up is over."""
 DRAWN = 0.7
-"""Share of a case's time after which its draws are there, as seen in runs of some trials: what follows is told too."""
+"""Share of a case's time after which its draws are there, as seen in runs of some trials: what follows counts too."""
 
 
 def stopping_rule(plan: Mapping[str, Any]) -> StoppingRule:
     """The rule that a plan asks for.
 
     Ensembles that begin as an annealed sample of the posterior have little of a start to forget, and their warm-up
-    takes six autocorrelation times as far as it can tell: for published features a quarter of those of the rule will
-    do, R-hat and effective sample sizes being asked for as ever.
+    takes six autocorrelation times as far as it can estimate: for published features a quarter of those of the rule
+    will do, R-hat and effective sample sizes being asked for as ever.
     """
     rule = StoppingRule.thorough() if plan["thorough"] else StoppingRule()
     if plan["campaign"] == "thesis":
@@ -69,7 +69,7 @@ def sampled(
     rule = stopping_rule(plan)
     share = 0.0
 
-    def tell(stage: Stage) -> None:
+    def show_stage(stage: Stage) -> None:
         nonlocal share
         if stage.phase == "warm-up":
             share = max(share, 0.01 + (WARM - 0.01) * stage.part)  # waits where more is expected than before
@@ -86,7 +86,7 @@ def sampled(
         seed=int(np.random.SeedSequence([plan["seed"], number_of(folder.name)]).generate_state(1)[0]),
         rule=rule,
         checkpoint=Checkpoint(folder / "state", fingerprint),
-        progress=tell,
+        progress=show_stage,
         workers=processes,
         monitor=monitor,
     )
@@ -111,7 +111,7 @@ def expected_steps(stage: Stage, rule: StoppingRule) -> int:
 
 def _walkers(ndim: int, known: int) -> int:
     """Walkers of an ensemble, a multiple of 32 to fill the lanes of the kernel; fewer where independent draws of the
-    posterior are known, the more of them the more coordinates: most moves are then drawn from what they tell, not from
+    posterior are known, the more of them the more coordinates: most moves are then drawn from what they show, not from
     other walkers.
     """
     few = (known > 0 and ndim <= 12) or (known >= 512 and ndim <= 16)

@@ -41,15 +41,17 @@ def draw_case(
     assumed: Mapping[str, Array],
     units: Units = unit_of,
 ) -> None:
-    """Figures of one case: its entry of summary.json is what they tell, `assumed` draws of the priors."""
+    """Figures of one case: its entry of summary.json is what they show, `assumed` draws of the priors."""
     thinned = thinned_draws(draws, sampling)
     names = [name for main in _MAIN for name in thinned if name.partition("[")[0] == main]
     labels = _axis_labels({name: units(name) for name in draws})
     beside = {"friction_torque", "sigma1", "sigma2"} & set(names) if len(names) > _CROWDED else set()
     flat = {name: thinned[name].ravel() for name in names if name not in beside}
     converged = sampling.converged
-    told = {name: _told(entry["parameters"][name]) for name in flat}
-    figure = figures.corner_figure({title: flat}, labels, title=title, converged=converged, told=told, assumed=assumed)
+    intervals = {name: _interval_of(entry["parameters"][name]) for name in flat}
+    figure = figures.corner_figure(
+        {title: flat}, labels, title=title, converged=converged, intervals=intervals, assumed=assumed
+    )
     figures.save(figure, folder / "corner")
     trace = {name: value[:, ::_TRACED] for name, value in thinned.items() if value.std() > 0.0}
     figures.save(figures.trace_figure(trace, labels, title=title, converged=converged), folder / "trace")
@@ -57,7 +59,7 @@ def draw_case(
         figures.save(figures.feature_check_figure(checks, title=title, converged=converged), folder / "predictive")
 
 
-def _told(numbers: Mapping[str, Any]) -> tuple[float, float, float]:
+def _interval_of(numbers: Mapping[str, Any]) -> tuple[float, float, float]:
     """Low end, median and high end of a parameter's entry."""
     return numbers["hdi90"][0], numbers["median"], numbers["hdi90"][1]
 
@@ -68,7 +70,11 @@ def draw_overview(folder: Path, summary: Mapping[str, Any]) -> None:
     names = [name for name in _MAIN if all(name in entry["parameters"] for entry in cases.values())]
     groups = dict(cases) | ({"all": summary["joint"]} if summary.get("joint") else {})
     intervals = {
-        name: {group: _told(p) for group, entry in groups.items() if (p := entry["parameters"].get(name)) is not None}
+        name: {
+            group: _interval_of(p)
+            for group, entry in groups.items()
+            if (p := entry["parameters"].get(name)) is not None
+        }
         for name in names
     }
     assumed = {

@@ -84,8 +84,8 @@ def entry_of(
     failed = {name: count for name, count in outcomes.items() if name != "COMPLETED" and count}
     sentences = list(verdict.sentences)
     if failed:
-        told = ", ".join(f"{count} {name}" for name, count in failed.items())
-        sentences.append(f"Simulations that failed and were given no weight: {told} of {sum(outcomes.values())}.")
+        counts = ", ".join(f"{count} {name}" for name, count in failed.items())
+        sentences.append(f"Simulations that failed and were given no weight: {counts} of {sum(outcomes.values())}.")
     return {
         "converged": verdict.converged,
         "parameters": summarise(draws, {name: units(name) for name in draws}, prior_shares),

@@ -63,7 +63,7 @@ def plan_fit(
         beside = Path(campaign) / "priors.toml"
         file = Path(priors) if priors is not None else beside if beside.exists() else None
         prior_set = None if file is None else campaign_priors(file, loaded)
-        experiment_of(loaded, prior_set)  # tells what the file and the campaign contradict each other in
+        experiment_of(loaded, prior_set)  # raises where the file and the campaign contradict each other
     chosen = list(known) if cases is None else list(dict.fromkeys(cases))
     unknown = [case for case in chosen if case not in known]
     if unknown:

@@ -125,12 +125,12 @@ def _more_text(found: Mapping[str, Any]) -> list[str]:
         if apart["answers"]:
             shifts = {n: p["shift_sd"] for n, p in apart["answers"].items() if not math.isclose(p["shift_sd"], 0.0)}
             worst = sorted(shifts, key=lambda n: -abs(shifts[n]))[:4]
-            told = ", ".join(
+            names = ", ".join(
                 f"{n} {apart['answers'][n]['with']['value']:.4g} -> {apart['answers'][n]['without']['value']:.4g} "
                 f"({shifts[n]:+.1f} sd)"
                 for n in worst
             )
-            lines.append(f"  Without: {told}.")
+            lines.append(f"  Without: {names}.")
         else:
             lines.append("  Without it a configuration would have no trial left: no answer without it.")
     if found.get("prior_sensitivity"):
@@ -174,7 +174,7 @@ def fit(
     most_steps : at most so many steps of each ensemble, the warm-up not counted, or as many as the fewest that can be
     judged. joint : whether to fit all cases of a campaign together too. out : folder for all files. scheduler : address
     of a Dask cluster that works in place of processes.
-    progress : told how far it is by `update(task, share, sentence)`; None: silence.
+    progress : its `update(task, share, sentence)` is called with how far it is; None: silence.
 
     Raises
     ------

@@ -17,7 +17,7 @@ WIDTHS = {"half": 0.5, "double": 2.0}
 DATA_DECIDE, PRIOR_DECIDES = 0.3, 0.8
 """Shares of the prior's variance that are left: below the first the data decide, from the other on the prior."""
 _REACHED = 0.5  # the same, up to which draws lie where a wider prior would let them go
-RELIABLE = 0.05  # effective share of the draws below which only a new fit can tell
+RELIABLE = 0.05  # effective share of the draws below which only a new fit can show it
 _TAIL = 0.5  # Pareto k of the weights from which a spread is carried by the few draws that lie farthest out
 
 

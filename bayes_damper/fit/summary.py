@@ -29,7 +29,7 @@ def summarise(
     """
     out = {}
     for name, values in draws.items():
-        told = diagnose_draws(values)
+        checked = diagnose_draws(values)
         flat = values.ravel()
         out[name] = {
             "unit": units.get(name, ""),
@@ -38,9 +38,9 @@ def summarise(
             "median": float(np.median(flat)),
             "hdi90": list(hdi(flat)),
             "quartiles": np.quantile(flat, (0.25, 0.75)).tolist(),
-            "r_hat": _finite(told.r_hat),
-            "ess_bulk": _finite(told.ess_bulk),
-            "ess_tail": _finite(told.ess_tail),
+            "r_hat": _finite(checked.r_hat),
+            "ess_bulk": _finite(checked.ess_bulk),
+            "ess_tail": _finite(checked.ess_tail),
             "prior_share": prior_shares.get(name),
         }
     return out

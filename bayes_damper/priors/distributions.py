@@ -1,7 +1,7 @@
 """The one-dimensional distributions that priors are made of.
 
 Each is a small frozen record with its log density, quantile function and draws; priors.py reads them from TOML.
-`coordinate` tells the samplers in which coordinate a parameter moves best: "log" for scales, else "linear".
+`coordinate` says in which coordinate a parameter moves best: "log" for scales, else "linear".
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 A TOML file has one entry per parameter. An entry is a number (fixed), a name (tied to that parameter), a pair
 (uniform) or a table with `dist` and its numbers; `cases` in a table gives numbers of their own to single cases. Nothing
-in a file is evaluated as code, and every fault of a file is told at once.
+in a file is evaluated as code, and every fault of a file is reported at once.
 """
 
 from __future__ import annotations
@@ -450,7 +450,7 @@ class _Reader:
     def distribution(
         self, numbers: Mapping[str, Any], kind: str, scale: float, prefix: str
     ) -> Distribution | float | None:
-        """The distribution of these numbers, or None with the faults told."""
+        """The distribution of these numbers, or None with the faults reported."""
         required, optional = _NUMBERS[kind]
         x: dict[str, float] = {}
         sound = True
@@ -501,14 +501,14 @@ def _impossible(name: str, value: Distribution | float) -> str | None:
     if name not in _NEVER_NEGATIVE:
         return None
     zero = name in _NEVER_ZERO
-    told = f"{_NEVER_NEGATIVE[name]} is {'above 0' if zero else '0 or more'}"
+    range_ = f"{_NEVER_NEGATIVE[name]} is {'above 0' if zero else '0 or more'}"
     if isinstance(value, float):
         wrong = value < 0.0 or (zero and value == 0.0)
-        return f"{value:g} cannot be: {told}" if wrong else None
+        return f"{value:g} cannot be: {range_}" if wrong else None
     low, high = value.support
     below = 1.0 if high <= 0.0 else 0.0 if low >= 0.0 else float(ndtr(to_standard(value, 0.0)))
     if below > (_OUTSIDE if zero else 0.5):
-        return f"{below:.0%} of this prior lies below 0, but {told}; cut it with lower, or take a lognormal"
+        return f"{below:.0%} of this prior lies below 0, but {range_}; cut it with lower, or take a lognormal"
     return None
 
 

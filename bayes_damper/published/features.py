@@ -37,7 +37,7 @@ SHORTEST_LOBE = 0.5
 class Features:
     """Features of n records, each (n,): rad/s^2, 1, s, s; NaN where a record has no such feature.
 
-    `valid` tells which records have all of them: a heavily damped one has no second peak.
+    `valid` marks the records that have all of them: a heavily damped one has no second peak.
     """
 
     max_acceleration: Array

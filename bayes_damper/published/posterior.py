@@ -333,7 +333,7 @@ class ShrinkingErrors:
 
 
 def damping_pairs(values: Mapping[str, float]) -> tuple[Shared, ...]:
-    """Viscous and dry damping that one feature cannot tell apart: at the bearings, and between the faces.
+    """Viscous and dry damping that one feature cannot distinguish: at the bearings, and between the faces.
 
     A cycle's log decrement is pi c / sqrt(k J) from a viscous torque and about 4 d / (k theta0) from a dry one
     (energy lost per cycle over twice the energy); the same for the interface, seen from the primary.
@@ -347,7 +347,7 @@ def damping_pairs(values: Mapping[str, float]) -> tuple[Shared, ...]:
 
 
 def feature_sheets(data: Sequence[Datum], values: Mapping[str, float]) -> tuple[Sheet, ...]:
-    """The spring as the uncoupled period tells it, the release angle as the coupled rig's highest acceleration does.
+    """The spring from the uncoupled period, the release angle from the coupled rig's highest acceleration.
 
     values : typical ones, for the widths. With the error of two degrees of freedom that three trials leave, the density
     of y falls as cosh^-2 if the width is that of sqrt(2) standard errors.

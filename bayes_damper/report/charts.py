@@ -56,14 +56,14 @@ def series(name: str, kind: str, colour: int, **values: ArrayLike) -> dict[str, 
 def record_chart(file: Path, unit: str = "") -> Chart | None:
     """Records of the trials in a posterior.nc under their posterior band, with residuals; None where it holds none.
 
-    unit : of the readings, as summary.json tells it; "" for one that does not.
+    unit : of the readings, as summary.json gives it; "" for one that does not.
     """
     observed, predicted, times, attributes = _trials_of(file)
     shared = [label for label in observed if label in predicted and predicted[label].ndim >= 3]
     if not shared:
         return None
-    clock, told = _clock(attributes)
-    told = (unit or told).replace("^2", "²") or "SI"
+    clock, shown = _clock(attributes)
+    shown = (unit or shown).replace("^2", "²") or "SI"
     views = []
     for label in shared[:MOST_VIEWS]:
         y, model = np.atleast_2d(observed[label]), predicted[label]
@@ -79,7 +79,7 @@ def record_chart(file: Path, unit: str = "") -> Chart | None:
         for c in range(y.shape[0]):
             who = "primary" if c == 0 else "secondary"
             panels.append({
-                "y": f"{who} [{told}]",
+                "y": f"{who} [{shown}]",
                 "height": 2,
                 "series": [
                     series("model, 90 %", "band", 0, low=low[c, keep], high=high[c, keep]),
@@ -88,7 +88,7 @@ def record_chart(file: Path, unit: str = "") -> Chart | None:
                 ],
             })  # fmt: skip
             panels.append({
-                "y": f"residual [{told}]",
+                "y": f"residual [{shown}]",
                 "height": 1,
                 "series": [series("measured - median", "points", 1, y=(y - middle)[c, keep])],
             })  # fmt: skip
@@ -227,12 +227,12 @@ def _coordinates(column: dict[str, Array], translational: bool) -> dict[str, str
     """
     first, second = (np.nan_to_num(column.get(f"torque{i}_n_m", np.zeros(1))) for i in (1, 2))
     names, keys = ("th1", "w1"), ("theta1_rad", "omega1_rad_s")
-    told = second.any() and {"theta2_rad", "omega2_rad_s"} <= column.keys()
-    if told and first.shape == second.shape and np.allclose(first, -second, rtol=1e-3, atol=1e-9):
+    shown = second.any() and {"theta2_rad", "omega2_rad_s"} <= column.keys()
+    if shown and first.shape == second.shape and np.allclose(first, -second, rtol=1e-3, atol=1e-9):
         names, keys = ("phi", "slip"), ("phi_rad", "slip_rad_s")
         column["phi_rad"] = column["theta1_rad"] - column["theta2_rad"]
         column["slip_rad_s"] = column["omega1_rad_s"] - column["omega2_rad_s"]
-    elif told and not first.any():
+    elif shown and not first.any():
         names, keys = ("th2", "w2"), ("theta2_rad", "omega2_rad_s")
     known = (COORDINATES[name][translational] for name in names)
     return {key: f"{symbol} [{unit}]" for key, (symbol, unit) in zip(keys, known, strict=True)}

@@ -195,14 +195,14 @@ def _name(results: list[Result]) -> str:
 
 
 def _numbered(sections: list[Section], names: tuple[str, ...]) -> list[Section]:
-    """Sections with titles of their own: two of one kind tell their folders. Every figure stands once on a page."""
+    """Sections with titles of their own: two of one kind name their folders. Every figure stands once on a page."""
     out: list[Section] = []
     shown: set[str] = set()
     titles = [section.title for section in sections]
     for section, name in zip(sections, names, strict=True):
         place = Path(name).parent.as_posix()
-        told = place != "." and titles.count(section.title) > 1
-        title = f"{section.title} ({place})" if told else section.title
+        repeated = place != "." and titles.count(section.title) > 1
+        title = f"{section.title} ({place})" if repeated else section.title
         pictures = tuple(p for p in section.pictures if p.path not in shown)
         shown |= {p.path for p in pictures}
         out.append(replace(section, title=title, pictures=pictures))
@@ -210,13 +210,13 @@ def _numbered(sections: list[Section], names: tuple[str, ...]) -> list[Section]:
     return [_explained_once(section, said) for section in out]
 
 
-def _explained_once(section: Section, told: set[str]) -> Section:
-    """The section with each way to read a figure said only where it comes first; adds what it says to `told`."""
+def _explained_once(section: Section, explained: set[str]) -> Section:
+    """The section with each way to read a figure said only where it comes first; adds what it says to `explained`."""
     pictures = []
     for picture in section.pictures:
-        pictures.append(replace(picture, note="") if picture.note in told else picture)
-        told.add(picture.note)
-    parts = tuple(_explained_once(part, told) for part in section.parts)
+        pictures.append(replace(picture, note="") if picture.note in explained else picture)
+        explained.add(picture.note)
+    parts = tuple(_explained_once(part, explained) for part in section.parts)
     return replace(section, pictures=tuple(pictures), parts=parts)
 
 

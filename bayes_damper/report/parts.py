@@ -169,7 +169,7 @@ def _records(caption: str, records: Sequence[Mapping[str, Any]], most: int = 40)
 
 
 def _text(value: Any, name: str = "") -> str:
-    """A value of a JSON file; the name of its key tells p values."""
+    """A value of a JSON file; the name of its key marks p values."""
     if name.endswith("p_value") and isinstance(value, int | float) and not isinstance(value, bool):
         return p_value(value).removeprefix("p ").removeprefix("= ")
     if isinstance(value, bool):

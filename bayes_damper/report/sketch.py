@@ -78,12 +78,12 @@ def sketch(
     titles = _TITLES | dict(drawn.titles)
     sites = [_site(s, boxes, titles[s], s in named, s in drawn.below) for s, boxes in drawn.boxes.items()]
     bodies = "one body" if not coupled else "two bodies"
-    told = f"Sketch of a {kind} rig with {bodies}" + (f"; highlighted: {', '.join(sorted(named))}" if named else "")
+    label = f"Sketch of a {kind} rig with {bodies}" + (f"; highlighted: {', '.join(sorted(named))}" if named else "")
     sheet = '<rect width="100%" height="100%" fill="#fff"/>' if paper else ""
     inside = f"<style>{_STYLE}</style>" + sheet + "".join(sites) + "".join(drawn.parts)
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" class="rig" viewBox="0 0 760 {drawn.height:g}" role="img" '
-        f'aria-label="{escape(told)}">{inside}</svg>'
+        f'aria-label="{escape(label)}">{inside}</svg>'
     )
 
 

@@ -26,8 +26,8 @@ def free_bytes() -> float:
     """Memory that this process may still take: what the machine has left, or what a limit leaves; inf if unknown."""
     left = float("inf")
     with suppress(OSError, ValueError, IndexError):
-        told = Path("/proc/meminfo").read_text(encoding="ascii").partition("MemAvailable:")[2]
-        left = 1024.0 * float(told.split()[0])
+        available = Path("/proc/meminfo").read_text(encoding="ascii").partition("MemAvailable:")[2]
+        left = 1024.0 * float(available.split()[0])
     with suppress(ImportError, OSError, ValueError):
         import resource
 

@@ -44,7 +44,7 @@ def forked_map(work: Callable[[Item], Answer], items: Sequence[Item], count: int
     turn = context.Value("i", 0)
 
     def serve(answers: Connection) -> None:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent is told, and ends us
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent gets it too, and ends us
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         while True:
             with turn.get_lock():

@@ -1,4 +1,4 @@
-"""What is told of a long run while it goes on: bars in a terminal, plain lines in a log, nothing where nobody asked."""
+"""How far a long run is, while it goes on: bars in a terminal, plain lines in a log, nothing where nobody asked."""
 
 from __future__ import annotations
 
@@ -65,15 +65,15 @@ class Bars:
 
 
 _REPEATED_S = 60.0
-"""Seconds after which a stage that lasts is told again."""
+"""Seconds after which a stage that lasts is reported again."""
 
 
 @dataclass
 class _Part:
-    """A task as lines tell it: s of the clock when it began and when it was last told, and its stage then."""
+    """A task as lines report it: s of the clock when it began and when it was last reported, and its stage then."""
 
     begun: float | None = None
-    told: float = 0.0
+    reported: float = 0.0
     stage: str = ""
     done: bool = False
 
@@ -81,7 +81,7 @@ class _Part:
 class Lines:
     """A line for each task that begins, for each of its stages and for its end, with the time since all began.
 
-    A stage that lasts is told again once a minute. file : default standard error; clock : s.
+    A stage that lasts is reported again once a minute. file : default standard error; clock : s.
     """
 
     def __init__(self, file: TextIO | None = None, clock: Callable[[], float] = time.monotonic) -> None:
@@ -94,7 +94,7 @@ class Lines:
         print(f"{_hours(self._clock() - self._begun)}  {text}", file=self._file or sys.stderr, flush=True)
 
     def update(self, task: str, share: float, text: str) -> None:
-        """Tell how far a task is, where that is news."""
+        """Report how far a task is, where that is news."""
         part = self._parts.setdefault(task, _Part())
         if text == WAITING or part.done:
             return
@@ -102,19 +102,19 @@ class Lines:
         if part.begun is None:
             part.begun = now
         stage, part.done = _stage(text), share >= 1.0
-        if stage == part.stage and not part.done and now - part.told < _REPEATED_S:
+        if stage == part.stage and not part.done and now - part.reported < _REPEATED_S:
             return
-        part.stage, part.told = stage, now
+        part.stage, part.reported = stage, now
         self.tell(f"{task}: {self._ended(part, text)}" if part.done else f"{task}, {share:.0%} done: {text}")
 
     def _ended(self, part: _Part, text: str) -> str:
         assert part.begun is not None
         left = sum(not p.done for p in self._parts.values())
         waiting = sum(p.begun is None for p in self._parts.values())
-        told = f"{text} in {_hours(part.told - part.begun)}" if part.told > part.begun else text
+        ending = f"{text} in {_hours(part.reported - part.begun)}" if part.reported > part.begun else text
         if len(self._parts) > 1:
-            told += f"; left: {left} of {len(self._parts)} parts" + (f", {waiting} not begun" if waiting else "")
-        return told
+            ending += f"; left: {left} of {len(self._parts)} parts" + (f", {waiting} not begun" if waiting else "")
+        return ending
 
     def close(self) -> None:
         """Nothing to close."""
@@ -142,5 +142,5 @@ def make_progress(quiet: bool) -> Any:
 
 
 def make_teller(quiet: bool) -> Callable[[str], None]:
-    """What tells the stages of a command that has no parts: lines, or nothing for `quiet`."""
+    """What reports the stages of a command that has no parts: lines, or nothing for `quiet`."""
     return (lambda _: None) if quiet else Lines().tell

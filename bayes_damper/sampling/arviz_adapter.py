@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 _UNPACKED = 1 << 28  # bytes that a file may hold however small it is
-_TOLD = ("r_hat", "ess_bulk", "ess_tail")
+_HEALTH = ("r_hat", "ess_bulk", "ess_tail")
 
 
 def hdi(draws: Array, probability: float = 0.9) -> tuple[float, float]:
@@ -78,9 +78,9 @@ def results(
     variables = {}
     for name, draws in posterior.items():
         known = vars(diagnose_draws(draws)) if diagnostics is None else diagnostics[name]
-        told = {key: math.nan if known[key] is None else float(known[key]) for key in _TOLD}
+        health = {key: math.nan if known[key] is None else float(known[key]) for key in _HEALTH}
         unit = {"units": str(known["unit"])} if known.get("unit") else {}
-        variables[name] = Variable(("chain", "draw"), draws.reshape(len(draws), -1), told | unit)
+        variables[name] = Variable(("chain", "draw"), draws.reshape(len(draws), -1), health | unit)
     lp = Variable(("chain", "draw"), log_prob.reshape(len(log_prob), -1))
     content: dict[str, Mapping[str, Variable]] = {"posterior": variables, "sample_stats": {"lp": lp}}
     for group, arrays in (groups or {}).items():

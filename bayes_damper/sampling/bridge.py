@@ -45,13 +45,13 @@ class Evidence:
 
     def words(self, constant: float = 0.0) -> str:
         """The same of a density that is larger by exp(constant)."""
-        told = (
+        sentence = (
             f"Log evidence {self.log_z + constant:.3f} +- {self.error:.3f} nats; {self.health:.0%} of the proposals "
             "count."
         )
         if not self.trusted:
-            told += " Distrust it: the posterior is unlike any Student t; check with `nested`."
-        return told
+            sentence += " Distrust it: the posterior is unlike any Student t; check with `nested`."
+        return sentence
 
 
 def bridge(

@@ -4,7 +4,7 @@ The walkers of one ensemble are no independent chains: each moves with the help 
 step by step would claim twenty times the draws there are. Here the effective sample size is draws / tau, with tau from
 the autocorrelation averaged over the walkers of an ensemble, and R-hat compares ensembles, which are independent.
 Deviations are taken from the mean of all ensembles, so that a walker or an ensemble which stays by itself lengthens
-tau instead of hiding. Nothing here raises on a short run: what cannot be told yet is NaN.
+tau instead of hiding. Nothing here raises on a short run: what cannot be computed yet is NaN.
 
 Arrays of draws of one quantity are (ensembles, steps, walkers) throughout.
 """

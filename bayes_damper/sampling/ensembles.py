@@ -72,7 +72,7 @@ class Target(Protocol):
 
 @dataclass(frozen=True)
 class Progress:
-    """What a progress display is told: phase "warm-up" or "drawing", steps of each ensemble so far, part done of the
+    """What a progress display gets: phase "warm-up" or "drawing", steps of each ensemble so far, part done of the
     phase (0..1), seconds since the start of this process's work, the latest verdict; and what is known before the
     first: tau, the autocorrelation time in steps that the warm-up lets expect (0 during it), and least, the steps after
     which that verdict comes.
@@ -96,7 +96,7 @@ class Sampling:
     warm_up : (ensembles,) steps; evaluations : of the target; undefined : how many of them were NaN (such points are
     never accepted);
     reseated : walkers that were stranded in the warm-up and moved to a better place; outcomes : how the target's
-    simulations ended, where it tells, and how often.
+    simulations ended, where it says so, and how often.
     """
 
     names: tuple[str, ...]
@@ -238,7 +238,7 @@ class _Run:
                 self.states[i] = state
                 ahead = sum(_warm_up_ahead(s) for s in self.states)
                 done = sum(s.steps for s in self.states)
-                self._tell("warm-up", max(s.steps for s in self.states), done / (done + ahead))
+                self._announce("warm-up", max(s.steps for s in self.states), done / (done + ahead))
                 self._save_if_due()
         if self.thin == 0:
             self.thin = max(1, int(max(s.tau for s in self.states) / 8))
@@ -259,7 +259,7 @@ class _Run:
             steps = self.draws.shape[1] * self.thin
             if self.draws.shape[1] >= _FEWEST_STORED and steps >= 1.2 * self.judged:
                 self._judge()
-            self._tell("drawing", steps, min(1.0, self._part()))
+            self._announce("drawing", steps, min(1.0, self._part()))
             self._save_if_due()
         if self.verdict is None or self.judged != self.draws.shape[1] * self.thin:
             self._judge()
@@ -320,10 +320,10 @@ class _Run:
 
     def _judge(self) -> None:
         pace = (time.monotonic() - self.begun) / self.done_here if self.done_here else 0.0
-        told = self.draws
+        draws = self.draws
         if self.monitor is not None:
-            told = self.monitor(told.reshape(-1, self.target.ndim)).reshape(told.shape)
-        self.verdict = judge(tuple(self.target.names), told, self.log_prob, self.thin, self.rule, pace)
+            draws = self.monitor(draws.reshape(-1, self.target.ndim)).reshape(draws.shape)
+        self.verdict = judge(tuple(self.target.names), draws, self.log_prob, self.thin, self.rule, pace)
         self.judged = self.draws.shape[1] * self.thin
 
     def _finished(self) -> bool:
@@ -343,7 +343,7 @@ class _Run:
         least = min(verdict.ess_bulk.min(), verdict.ess_tail.min()) / rule.ess
         return float(min(least, verdict.steps / (rule.taus * verdict.tau.max())))
 
-    def _tell(self, phase: str, steps: int, part: float) -> None:
+    def _announce(self, phase: str, steps: int, part: float) -> None:
         if self.progress is not None:
             tau = max(s.tau for s in self.states) if self.thin else 0.0
             seconds = time.monotonic() - self.begun
@@ -450,7 +450,7 @@ def _tuning(weight: float) -> float:
 
 
 def _warm_up_ahead(state: _Ensemble) -> float:
-    """Steps of warm-up that an ensemble still has before it, as far as can be told: a round or more."""
+    """Steps of warm-up that an ensemble still has before it, as far as can be foreseen: a round or more."""
     if state.warm:
         return 0.0
     if state.annealed:

@@ -60,7 +60,7 @@ class Guide:
         self, x: Array, y: Array, owner: NDArray[np.intp], squares: Array, freedom: float, b: Array,
         rng: np.random.Generator,
     ) -> Array:  # fmt: skip
-        """Steps of size b from x within the normals of given parts; `squares` and `freedom` tell their widths."""
+        """Steps of size b from x within the normals of given parts; `squares` and `freedom` give their widths."""
         n = len(x)
         width = (_FREEDOM + squares) / (2.0 * rng.standard_gamma(0.5 * freedom, n))
         apart = y - self._centres[owner, self._k :]

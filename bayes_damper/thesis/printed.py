@@ -1,4 +1,4 @@
-"""What the thesis prints: constants and cases as strings, whose last digit tells how far a number was rounded."""
+"""What the thesis prints: constants and cases as strings, whose last digit shows how far a number was rounded."""
 
 from __future__ import annotations
 

@@ -45,8 +45,8 @@ def tuning_curves(
         found = [linear_performance(draws, replace(design, **{name: float(x)})) for x in values]
         losses = np.array([p.insertion_loss for p in found])
         low_loss, _, high_loss = quantiles(losses)
-        told = np.isfinite(losses)
-        mean = np.where(told, losses, 0.0).sum(axis=1) / np.where(told.any(axis=1), told.sum(axis=1), np.nan)
+        finite = np.isfinite(losses)
+        mean = np.where(finite, losses, 0.0).sum(axis=1) / np.where(finite.any(axis=1), finite.sum(axis=1), np.nan)
         reached = np.array([probability_of(p, target_db) for p in found])
         out[name] = Curve(values, mean, low_loss, high_loss, reached)
     return out
@@ -68,9 +68,9 @@ def _band(frequency: Array, accelerance: Array) -> Band:
 
 def quantiles(x: Array) -> Array:
     """Quantiles 5, 50 and 95 % over the draws, the last axis: (3, n); nan where no draw has a value."""
-    told = np.isfinite(x)
-    some = np.asarray(told.any(axis=-1))
-    found = np.nanquantile(np.where(told, x, np.where(some[:, None], np.nan, 0.0)), [0.05, 0.5, 0.95], axis=-1)
+    finite = np.isfinite(x)
+    some = np.asarray(finite.any(axis=-1))
+    found = np.nanquantile(np.where(finite, x, np.where(some[:, None], np.nan, 0.0)), [0.05, 0.5, 0.95], axis=-1)
     return np.where(some, found, np.nan)
 
 

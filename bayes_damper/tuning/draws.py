@@ -48,7 +48,7 @@ def complete(
     Raises
     ------
     InputError
-        if a value has no physical meaning, lengths differ, or nothing tells k1t.
+        if a value has no physical meaning, lengths differ, or nothing gives k1t.
     """
     constants = dict(rig or {})
     unknown = sorted(set(constants) - set(NONLINEAR))
@@ -112,7 +112,7 @@ class Origin:
     """Where draws come from: name of the campaign, its checksum, and the rig's constants that are not among them.
 
     kind : of the rig; amplitudes : torques (N m; forces, N) that suit its size; converged : whether the fit of the case
-    did, True where nothing tells; warnings : what is odd in the records that were fitted; effect : that the fit has
+    did, True where nothing says; warnings : what is odd in the records that were fitted; effect : that the fit has
     beside the nominal model, which tuning leaves out, or "".
     """
 
@@ -173,7 +173,7 @@ def origin_of(
     with as_written(folder, "fit"):
         plan = dict(read_json(folder / "run.json").get("plan", {}))
         entry = summary.get("joint") if case == "joint" else (summary.get("cases") or {}).get(case)
-        told: dict[str, Any] = {
+        about: dict[str, Any] = {
             "campaign": str(plan.get("name", "")),
             "sha256": plan.get("campaign_sha256"),
             "converged": bool((entry or {}).get("converged", True)),
@@ -183,7 +183,7 @@ def origin_of(
             ),
         }
     if plan.get("campaign") in (None, "thesis"):
-        return Origin(**told)
+        return Origin(**about)
     campaign = load_campaign(str(plan["campaign"]))
     if campaign.sha256 != plan.get("campaign_sha256"):
         raise InputError(f"{plan['campaign']}: the campaign has changed since it was fitted; fit it again")
@@ -216,7 +216,7 @@ def origin_of(
         unit = unit_of("k1t", rig.kind)
         raise InputError(f"case {case!r} has several springs ({listed} {unit}): name one case, or give k1t in `rig`")
     return Origin(
-        **told,
+        **about,
         constants=constants,
         kind=rig.kind,
         amplitudes=_suitable(campaign, case),

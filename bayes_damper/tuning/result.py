@@ -130,8 +130,8 @@ class TuneResult:
         if self.optimum is not None:
             d = self.optimum.design
             units = {"J2": "J2", "k2t": "k2t", "R": "R", "magnet_pull": "N0", "bar_inertia": "J2"}
-            told = {k: f"{v:.4g} {unit_of(units[k], self.origin.kind)}" for k, v in d.to_json().items() if v}
-            free = ", ".join(f"{k} = {v}" for k, v in told.items())
+            values = {k: f"{v:.4g} {unit_of(units[k], self.origin.kind)}" for k, v in d.to_json().items() if v}
+            free = ", ".join(f"{k} = {v}" for k, v in values.items())
             bound = f" (at the bound: {', '.join(self.optimum.at_bound)})" if self.optimum.at_bound else ""
             lines.append(f"best design: {free}{bound}; {_sentence(self.optimum.performance, self.target_db)}")
             lines += [f"  at {a:g} {unit}: {_sentence(p, self.target_db)}" for a, p in self.optimum_nonlinear.items()]
@@ -263,9 +263,9 @@ def tune(
         tuning_curves(draws, design, target_db, ("J2", *lengths)), origin, seed, provenance(),
     )  # fmt: skip
     if out is not None:
-        told = result.to_json()
-        write_json(Path(out) / "tune.json", told)
+        saved = result.to_json()
+        write_json(Path(out) / "tune.json", saved)
         about = f"{origin.campaign or 'design'}, case {case}"
-        figures.save(figures.response_figure(told, title=f"{about}: frequency response"), Path(out) / "tune_response")
-        figures.save(figures.tuning_figure(told, title=f"{about}: insertion loss"), Path(out) / "tune_loss")
+        figures.save(figures.response_figure(saved, title=f"{about}: frequency response"), Path(out) / "tune_response")
+        figures.save(figures.tuning_figure(saved, title=f"{about}: insertion loss"), Path(out) / "tune_loss")
     return result

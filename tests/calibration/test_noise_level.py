@@ -189,8 +189,8 @@ def test_a_declared_noise_is_a_prior_of_ten_per_cent(experiment: Experiment) -> 
 @pytest.mark.parametrize(
     ("entries", "told"),
     [
-        ({"k1t": 3.0}, "told by the columns of k1t in trials.csv"),
-        ({"J1": 3.0}, "told by primary_inertia"),
+        ({"k1t": 3.0}, "given by the columns of k1t in trials.csv"),
+        ({"J1": 3.0}, "given by primary_inertia"),
         ({"theta0": "c1t"}, "cannot be tied"),
         ({"theta0": {"level": "campaign"}}, "give it a level of case"),
         ({"c3t": "c1"}, "did you mean 'c1t'"),

@@ -656,7 +656,7 @@ def test_a_corner_figure_tells_each_interval_and_what_was_assumed():
     rng = np.random.default_rng(1)
     draws = {"mu": rng.normal(1.0, 0.1, 4000), "nu": rng.lognormal(4.0, 1.5, 4000)}
     told = {"mu": (0.84, 1.0, 1.16), "nu": (2.0, 55.0, 400.0)}
-    figure = corner_figure({"I": draws}, {}, title="I", told=told, assumed=draws)
+    figure = corner_figure({"I": draws}, {}, title="I", intervals=told, assumed=draws)
     for axis, name in zip(figure.axes[::3], draws, strict=True):
         prior = next(line for line in axis.lines if line.get_label() == "prior")
         assert np.max(prior.get_ydata()) == pytest.approx(np.max(axis.lines[0].get_ydata()), rel=1e-6), name

@@ -24,10 +24,10 @@ from bayes_damper.text import (
     interval,
     named_answers,
     number,
+    p_value,
     percent,
     plus_minus,
 )
-from bayes_damper.text import p_value as told_p
 
 _SITES = {
     "ground1": "the primary's spring to ground and what couples it",
@@ -134,32 +134,34 @@ def _verdict_sentences(
     """The verdict in plain words, with its probability, what the effect is, its size, and the most probable place."""
     sure = (share or 0.0) >= 0.9
     if verdict == "none":
-        told = "Nothing is missing from the model" if sure else "Most probable, but not sure: nothing is missing"
-        return [f"{told} ({percent(share)})."]
+        said = "Nothing is missing from the model" if sure else "Most probable, but not sure: nothing is missing"
+        return [f"{said} ({percent(share)})."]
     places = [(s, p) for s, p in sites if s != "none"]
     likely = [(s, p) for s, p in places[:2] if p > 0.5 * places[0][1]] or places[:1]
-    told = " and ".join(f"{_place(s)} ({percent(p)})" for s, p in likely)
-    where = [f"Most probable place{'s' if len(likely) > 1 else ''}: {told}."] if likely else []
+    said = " and ".join(f"{_place(s)} ({percent(p)})" for s, p in likely)
+    where = [f"Most probable place{'s' if len(likely) > 1 else ''}: {said}."] if likely else []
     if verdict == "unknown":
-        told = "Something is missing" if sure else "Most probable, but not sure: something is missing"
-        return [f"{told} that no effect of the library explains ({percent(share)}).", *where]
+        said = "Something is missing" if sure else "Most probable, but not sure: something is missing"
+        return [f"{said} that no effect of the library explains ({percent(share)}).", *where]
     if pair:
         return [f"Two causes; the stronger one is {words(verdict)} ({percent(share)})."]
-    told = "The missing effect is" if sure else "Most probable, but not sure:"
+    said = "The missing effect is" if sure else "Most probable, but not sure:"
     found: Mapping[str, Any] = next((e for e in effects if e.get("name") == verdict), {})
     size = "; ".join(_parameter(k, v) for k, v in (found.get("parameters") or {}).items())
     meant = [str(found["meaning"])] if found.get("meaning") else []
     if size and found.get("formula"):
         meant.append(f"Its law: {found['formula']}, with {size} (90 % intervals). {_meanings(found)}".strip())
-    return [f"{told} {words(verdict)} ({percent(share)}).", *meant, *where]
+    return [f"{said} {words(verdict)} ({percent(share)}).", *meant, *where]
 
 
 def _meanings(found: Mapping[str, Any]) -> str:
     """What the parameters of an effect are, in sentences; nothing for effects that are none of the library's."""
     known = EFFECTS.get(str(found["name"]))
     variants = [v for v in known.variants if v.name == found.get("variant")] if known else []
-    told = {p.name: p.meaning for v in variants for p in v.parameters}
-    return " ".join(f"{name[0].upper() + name[1:]}: {told[name]}" for name in found["parameters"] if name in told)
+    meanings = {p.name: p.meaning for v in variants for p in v.parameters}
+    return " ".join(
+        f"{name[0].upper() + name[1:]}: {meanings[name]}" for name in found["parameters"] if name in meanings
+    )
 
 
 def _place(site: str) -> str:
@@ -169,20 +171,20 @@ def _place(site: str) -> str:
 def _gap_sentence(gap: Mapping[str, Any]) -> str:
     answer = gap.get("answer")
     p = gap.get("p_value")
-    told = "" if p is None else f" ({told_p(p)})"
+    chance = "" if p is None else f" ({p_value(p)})"
     return {
-        "gap": f"The rig and the model differ by more than the noise{told}.",
-        "none": f"The rig and the model differ by no more than the noise{told}.",
-        "cannot tell": f"These data do not decide whether the rig and the model differ{told}.",
+        "gap": f"The rig and the model differ by more than the noise{chance}.",
+        "none": f"The rig and the model differ by no more than the noise{chance}.",
+        "cannot tell": f"These data do not decide whether the rig and the model differ{chance}.",
     }.get(str(answer), "")
 
 
 _WIDEST = 4.0
-"""Width of the interval of a share of the gap, from which on there is no gap of which a share could be told."""
+"""Width of the interval of a share of the gap, from which on there is no gap of which a share could be given."""
 
 
 def _share_of(closed: Mapping[str, Any] | None) -> float | None:
-    """Share of the gap that is closed; None where none can be told."""
+    """Share of the gap that is closed; None where none can be given."""
     median, hdi = (closed or {}).get("median"), (closed or {}).get("hdi90")
     return None if median is None or (hdi and hdi[1] - hdi[0] > _WIDEST) else float(median)
 
@@ -222,12 +224,12 @@ def _experiment_sentence(e: Mapping[str, Any]) -> str:
         for key, form in forms.items()
         if e.get(key) is not None
     ]
-    told = f"Next experiment: {', '.join(details)}"
+    proposal = f"Next experiment: {', '.join(details)}"
     gain = e.get("expected_information_nats")
     if gain is None:
-        return f"{told}."
+        return f"{proposal}."
     among = "about which of the leading answers it is, if it is one of them; to settle an even choice takes 0.69"
-    return f"{told} (expected to give {gain:.2f} nats {among})."
+    return f"{proposal} (expected to give {gain:.2f} nats {among})."
 
 
 def _site_table(sites: Sequence[tuple[str, float]]) -> Table:
@@ -287,7 +289,7 @@ def _where_sections(where: Mapping[str, Any], translational: bool) -> tuple[Sect
         return _CHANNELS.get(row.get("channel", 0), str(row.get("channel", NOTHING)))
 
     def p(row: Mapping[str, Any]) -> str:
-        return NOTHING if row.get("p_value") is None else told_p(row["p_value"]).removeprefix("p ").removeprefix("= ")
+        return NOTHING if row.get("p_value") is None else p_value(row["p_value"]).removeprefix("p ").removeprefix("= ")
 
     def span(low: float, high: float) -> str:
         return f"{low:.3g} to {high:.3g}"
@@ -379,14 +381,14 @@ def _gap_tables(
         Row(("noise alone", number(gap.get("noise_rms")), NOTHING)),
         Row(("nominal model", number(gap["nominal_rms"]), "0 %")),
     ]
-    told = [e for e in effects if e.get("augmented_rms") is not None]
+    closing = [e for e in effects if e.get("augmented_rms") is not None]
     if pair and gap.get("augmented_rms") is not None:
         both = " and ".join(str(name) for name in pair["effects"])
-        told.append({"name": both, "augmented_rms": gap["augmented_rms"], "closed": gap.get("closed")})
-    if not told and gap.get("augmented_rms") is not None:
+        closing.append({"name": both, "augmented_rms": gap["augmented_rms"], "closed": gap.get("closed")})
+    if not closing and gap.get("augmented_rms") is not None:
         leader = str(effects[0]["name"]) if effects else "the leading effect"
-        told = [{"name": leader, "augmented_rms": gap["augmented_rms"], "closed": gap.get("closed")}]
-    for e in told:
+        closing = [{"name": leader, "augmented_rms": gap["augmented_rms"], "closed": gap.get("closed")}]
+    for e in closing:
         closed = e.get("closed") or {}
         share = NOTHING
         if _share_of(closed) is not None:
@@ -534,8 +536,8 @@ def _parameter(name: str, value: Any) -> str:
         sd = value.get("sd")
         spread = f" ({interval(low, high)})" if low is not None else f" ± {number(sd)}" if sd is not None else ""
         unit = value.get("unit", "")
-        told = number(middle, None if low is None else high - low)
-        return f"{name} {told}{spread} {'' if unit == '1' else unit}".strip()
+        estimate = number(middle, None if low is None else high - low)
+        return f"{name} {estimate}{spread} {'' if unit == '1' else unit}".strip()
     if isinstance(value, list) and len(value) == 2:
         return f"{name} {number(value[0])} ± {number(value[1])}"
     return f"{name} {number(value)}"

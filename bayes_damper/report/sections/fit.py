@@ -66,9 +66,9 @@ def _fit_headline(campaign: str, groups: Mapping[str, Any], converged: bool) -> 
             f"{listed(failed)} did not converge: the run was too short to trust. Do not use these numbers."
         )
         longer = {s for e in groups.values() for s in e.get("sentences", ()) if s.startswith("Let it go on")}
-        told = f" {longer.pop()}" if len(longer) == 1 else ""
+        advice = f" {longer.pop()}" if len(longer) == 1 else ""
         changes.append(
-            f"More steps: bayes-damper resume FOLDER --more.{told} The sentences of each case say what fell short."
+            f"More steps: bayes-damper resume FOLDER --more.{advice} The sentences of each case say what fell short."
         )
         title = f"Fit of {campaign}" if campaign else "Fit"
         return Headline(title, "bad", tuple(sentences), changes=tuple(changes), table=_overview(groups))
@@ -129,8 +129,8 @@ def _determined(groups: Mapping[str, Any]) -> str:
         fits = listed([place if place.startswith("all") else f"case {place}" for place in places])
         everywhere = len(places) == len(groups)
         known = {name: _precision(name, [groups[place] for place in places]) for name in names}
-        told = _in_words(names, known, _SPELT_FIRST)
-        parts.append(told + ("" if len(groups) == 1 else " in every case" if everywhere else f" in {fits}"))
+        known_best = _in_words(names, known, _SPELT_FIRST)
+        parts.append(known_best + ("" if len(groups) == 1 else " in every case" if everywhere else f" in {fits}"))
     return f"Determined by the data: {'; '.join(parts)}."
 
 
@@ -149,24 +149,24 @@ def _in_words(
     names: Sequence[str], more: Mapping[str, str] = MappingProxyType({}), most: int = _SPELT_OUT
 ) -> str:  # fmt: skip
     """Parameters in a sentence, each with what it is, unless they are more than `most`; `more` stands behind each."""
-    told = []
+    spelt = []
     for name in names:
         known = PARAMETERS.get(name.partition("[")[0]) if len(names) <= most else None
         beside = more.get(name, "")
         if known is None:
-            told.append(f"{name} ({beside})" if beside else name)
+            spelt.append(f"{name} ({beside})" if beside else name)
         else:
-            told.append(f"the {known.meaning} ({name}{', ' if beside else ''}{beside})")
-    return listed(told)
+            spelt.append(f"the {known.meaning} ({name}{', ' if beside else ''}{beside})")
+    return listed(spelt)
 
 
 def _missed(groups: Mapping[str, Any]) -> str:
     """The channel of which the fit leaves most beyond the noise, in a sentence; nothing where it leaves noise alone."""
-    told = _left(groups, ("residuals",))
-    if not told:
+    left = _left(groups, ("residuals",))
+    if not left:
         return ""
     return (
-        f"The model misses something: {told}. The numbers below hold for a model that is not the rig, and may be off "
+        f"The model misses something: {left}. The numbers below hold for a model that is not the rig, and may be off "
         "by more than their intervals say: run bayes-damper diagnose, and fit again with the effect that it names."
     )
 
@@ -204,7 +204,7 @@ def _overview(groups: Mapping[str, Any]) -> Table:
             low, high = p["hdi90"]
             star = " *" if _decided(p) == "prior" else ""
             cells.append(f"{number(p['median'], high - low)}{star}\n({interval(low, high)})")
-        rows.append(Row((_told_name(name), unit, *cells)))
+        rows.append(Row((_shown_name(name), unit, *cells)))
     heads = [
         (name if name.startswith("all") else f"case {name}")
         + (": median\n(90 %)" if entry.get("converged") else ": median\n(90 %) NOT CONVERGED")
@@ -216,7 +216,7 @@ def _overview(groups: Mapping[str, Any]) -> Table:
     return Table("Median and 90 % interval", columns, tuple(rows), note)
 
 
-def _told_name(name: str) -> str:
+def _shown_name(name: str) -> str:
     """A parameter for the first column of a table: its name, and below what it is."""
     known = PARAMETERS.get(name.partition("[")[0])
     if known is None:
@@ -274,7 +274,7 @@ def _case_section(name: str, entry: Mapping[str, Any], folder: Path, shown: Coll
 
 
 def _more_tables(name: str, entry: Mapping[str, Any]) -> list[Table]:
-    """What a fit tells beside its parameters, as far as it is there: noise, odd trials, priors, the best fit."""
+    """What a fit gives beside its parameters, as far as it is there: noise, odd trials, priors, the best fit."""
     tables: list[Table] = []
     columns: tuple[str, ...]
     apart = entry.get("unlike_repeats") or {}

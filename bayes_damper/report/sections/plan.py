@@ -47,11 +47,11 @@ def plan_result(data: Mapping[str, Any], folder: Path) -> Result:
     tables.append(Table("What they would teach about each parameter", columns, tuple(parameters)))
     if data.get("add"):
         tables.append(records_table("Single trials that would help most", data["add"]))
-    told = sum(e["repeats_needed"] == 1 for e in data["effects"])
+    distinct = sum(e["repeats_needed"] == 1 for e in data["effects"])
     given = [_spelt_out(s, [e["name"] for e in data["effects"]]) for s in data["sentences"]]
     changes = [s for s in given if "times as many trials" in s] + _best_trial(data.get("add") or [])
     sentences = (
-        f"{told} of {len(rows)} effects would be seen and distinguished from all others.",
+        f"{distinct} of {len(rows)} effects would be seen and distinguished from all others.",
         *(s for s in given if s not in changes),
     )
     name = str(data.get("campaign", ""))

@@ -83,7 +83,7 @@ UNCONVERGED = "The run did not converge: do not use these numbers."
 
 
 def fingerprint(data: Mapping[str, Any]) -> dict[str, Any]:
-    """What tells of which data and seed a result is, as far as it says so."""
+    """Data and seed that a result is of, as far as it says so."""
     return {k: data[k] for k in ("campaign", "campaign_sha256", "seed") if k in data}
 
 

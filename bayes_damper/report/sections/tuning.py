@@ -54,8 +54,8 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
     if data.get("hangs_most_on"):
         name = data["hangs_most_on"]
         share = data.get("variance_shares", {}).get(name)
-        told = f"{meaning_of(name)} ({percent(share)} of its variance)"
-        changes.append(f"The insertion loss hangs most on {told}: measure that better.")
+        what = f"{meaning_of(name)} ({percent(share)} of its variance)"
+        changes.append(f"The insertion loss hangs most on {what}: measure that better.")
     if data.get("optimum") and data["optimum"].get("at_bound"):
         changes.append(
             f"The best design lies at the bound of {listed(data['optimum']['at_bound'])}: wider bounds may give more."
@@ -117,13 +117,13 @@ def _performance_row(name: str, p: Mapping[str, Any]) -> Row:
     low, high = loss["interval90"] or (None, None)
     cells = (
         name, number(loss["mean"], None if low is None else _wide(high - low, _DB)), _interval(low, high, _DB),
-        *(_told_or_nothing(p[key]) for key in ("resonance_hz", "resonance_shift_hz")),
+        *(_shown_or_nothing(p[key]) for key in ("resonance_hz", "resonance_shift_hz")),
         NOTHING if low is None else percent(p["probability_of_target"]),
     )  # fmt: skip
     return Row(cells)
 
 
-def _told_or_nothing(found: Mapping[str, Any]) -> str:
+def _shown_or_nothing(found: Mapping[str, Any]) -> str:
     """Median and 90 % interval; nothing where no draw has the quantity."""
     if found.get("median") is None or not found.get("interval90"):
         return number(found.get("median"))

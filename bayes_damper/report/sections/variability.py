@@ -67,14 +67,14 @@ def variability_result(data: Mapping[str, Any], folder: Path) -> Result:
                    "common", "warnings", "averaged", "assumptions", "survives", "would_settle"),
     )  # fmt: skip
     pictures = pictures_of(folder, kind="variability")
-    told = (*method, *(str(data[key]) for key in ("method", "method_of_effective") if data.get(key)))
+    notes = (*method, *(str(data[key]) for key in ("method", "method_of_effective") if data.get(key)))
     tables = (
         compared,
         *_assumption_tables(data),
         *_decomposition_tables(data),
         *_recycled_tables(data.get("recycled") or {}),
     )
-    section = Section("Variability", told, tables, (), pictures, folded(rest))
+    section = Section("Variability", notes, tables, (), pictures, folded(rest))
     warnings = () if converged else ("The comparison of the cases did not converge: do not use its numbers.",)
     about = dict(data.get("provenance", {})) | fingerprint(data)
     return Result(head, section, warnings, about, tuple(gathered(data.get("warnings", ()))))
@@ -89,10 +89,12 @@ def _averaged_table(data: Mapping[str, Any]) -> Table:
     further = data["averaged"]["further"]
     rows = []
     for name in _SHOWN:
-        told = [row[name] for row in cases.values() if name in row]
-        if told:
-            one_more = _told(further[name]) if name in further else NOTHING
-            rows.append(Row((name.replace("_per_inertia", " / J1"), _unit(name, kind), *map(_told, told), one_more)))
+        of_cases = [row[name] for row in cases.values() if name in row]
+        if of_cases:
+            one_more = _shown(further[name]) if name in further else NOTHING
+            rows.append(
+                Row((name.replace("_per_inertia", " / J1"), _unit(name, kind), *map(_shown, of_cases), one_more))
+            )
     columns = ("parameter", "unit", *(f"case {case}" for case in cases), "one more case")
     note = "Median and 90 % interval of one set, scattered and separate cases, each as often as it is probable."
     return Table("The answer: each case, averaged over what the cases may share", columns, tuple(rows), note)
@@ -107,9 +109,9 @@ def _assumption_tables(data: Mapping[str, Any]) -> list[Table]:
     rows = []
     for row in data.get("assumptions", ()):
         p, unsure = row["probabilities"], row["probability_errors"]
-        told = [f"{p[key]:.2f} ± {unsure[key]:.2f}" for key in ("shared", "partial", "separate")]
+        chances = [f"{p[key]:.2f} ± {unsure[key]:.2f}" for key in ("shared", "partial", "separate")]
         ranges = [_range(row["averaged"]["cases"], name) for name in ("mu", "k2t", "c2t", "drag", "nu")]
-        rows.append(Row((row["change"], *told, *ranges)))
+        rows.append(Row((row["change"], *chances, *ranges)))
     if not rows:
         return []
     columns = ("assumptions", "one set", "scattered", "separate", "mu", "k2t", "c2t", "drag", "nu")
@@ -135,12 +137,12 @@ def _decomposition_tables(data: Mapping[str, Any]) -> list[Table]:
             if not isinstance(row, Mapping) or "median" not in row:
                 continue
             share = row.get("share")
-            told = NOTHING
+            explained = NOTHING
             if share:
                 low, high = share["hdi90"]
-                told = f"{100.0 * share['median']:.0f} % ({100.0 * low:.0f} to {100.0 * high:.0f} %)"
+                explained = f"{100.0 * share['median']:.0f} % ({100.0 * low:.0f} to {100.0 * high:.0f} %)"
             width = row["hdi90"][1] - row["hdi90"][0]
-            cells = (words(key), number(row["median"], width), interval(*row["hdi90"]), told)
+            cells = (words(key), number(row["median"], width), interval(*row["hdi90"]), explained)
             rows.append(Row(cells))
         columns = ("part", f"variance of ln {name}", "90 %", "share (90 %)")
         caption = f"Where the scatter of the effective {name} over the cases comes from"
@@ -151,7 +153,7 @@ def _decomposition_tables(data: Mapping[str, Any]) -> list[Table]:
         for case, row in cases.items():
             line = [case, number(1e3 * row["energy_j"])]
             for name in ("k2t", "c2t"):
-                line.append(_told(row[name]))
+                line.append(_shown(row[name]))
                 line.append(number((row.get("measured") or {}).get(name)))
             rows.append(Row(tuple(line)))
         heads = ["case", "initial energy [mJ]"]
@@ -178,7 +180,7 @@ def _recycled_tables(recycled: Mapping[str, Any]) -> list[Table]:
     columns: tuple[str, ...] = ("case", "effective draws", "under one population", "Pareto k")
     tables = [Table("Draws of each case, used again by weights", columns, rows, note)]
     compared = [
-        Row((name, *(_told(row[key][way]) for key in ("common", "scatter") for way in ("recycled", "direct"))))
+        Row((name, *(_shown(row[key][way]) for key in ("common", "scatter") for way in ("recycled", "direct"))))
         for name, row in (recycled.get("parameters") or {}).items()
     ]
     if compared:
@@ -187,7 +189,7 @@ def _recycled_tables(recycled: Mapping[str, Any]) -> list[Table]:
         columns = ("parameter", "common value, by weights", "directly", "scatter, by weights", "directly")
         tables.append(Table("Values scattered about a common mean, found in two ways", columns, tuple(compared), note))
     cases = [
-        Row((f"{name} of case {case}", _told(ways["recycled"]), _told(ways["direct"])))
+        Row((f"{name} of case {case}", _shown(ways["recycled"]), _shown(ways["direct"])))
         for name, row in (recycled.get("parameters") or {}).items()
         for case, ways in row.get("cases", {}).items()
     ]
@@ -199,5 +201,5 @@ def _recycled_tables(recycled: Mapping[str, Any]) -> list[Table]:
 _HEIGHTS = (("log_evidence_over_separate", "error"), ("direct_log_evidence_over_separate", "direct_error"))
 
 
-def _told(row: Mapping[str, Any]) -> str:
+def _shown(row: Mapping[str, Any]) -> str:
     return f"{number(row['median'], row['hdi90'][1] - row['hdi90'][0])} ({interval(*row['hdi90'])})"

@@ -36,10 +36,10 @@ def withheld_result(data: Mapping[str, Any], folder: Path) -> Result:
         low, high = (100.0 * x for x in score.get("interval95") or (float("nan"),) * 2)
         rows.append(Row((what, f"{score['hits']} of {score['n']}", f"{low:.0f} to {high:.0f} %")))
     if rows:
-        told = {row.cells[0]: row.cells[1] for row in rows}
-        first = next(iter(told.items()))
+        by_name = {row.cells[0]: row.cells[1] for row in rows}
+        first = next(iter(by_name.items()))
         sentences = [f"{first[0].capitalize()}: {first[1]} campaigns whose causes were withheld."]
-        sentences += [f"{what.capitalize()}: {n}." for what, n in list(told.items())[1:4]]
+        sentences += [f"{what.capitalize()}: {n}." for what, n in list(by_name.items())[1:4]]
     if rehearsal:
         sentences.insert(
             0, "A rehearsal: the causes could have been known. " + " ".join(data.get("why_rehearsal") or ())

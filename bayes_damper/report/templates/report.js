@@ -149,7 +149,7 @@
       canvas.addEventListener("pointermove", (event) => {
         this.cursor = at(event);
         this.chosen = from === null ? null : [Math.min(from, this.cursor), Math.max(from, this.cursor)];
-        this.tell();
+        this.announce();
         this.draw();
       });
       const end = () => {
@@ -173,7 +173,7 @@
         else if (event.key === "0") this.zoom("all");
         else return;
         event.preventDefault();
-        this.tell();
+        this.announce();
         this.draw();
       });
       new ResizeObserver(() => this.draw()).observe(canvas);
@@ -190,7 +190,7 @@
       return best;
     }
 
-    tell() {
+    announce() {
       if (this.cursor === null || this.cursor === undefined) return;
       const own = this.view.points;
       const i = this.nearest(own);

@@ -6,9 +6,9 @@
 - `stacking`: weights that maximise the log predictive density of the held-out trials under the same fits;
 - `sparse_regression`: the missing torque by inverse dynamics, regressed on one term per effect (the first step of
   sparse identification of dynamics), weighed by BIC;
-- `random_forest`: trained on features of the nominal residual, campaigns in five folds, each told by a forest that has
-  seen the truths of the other four: more than any other method here is given. Causes outside the library are a class
-  of their own there, `unknown`, by which it rejects.
+- `random_forest`: trained on features of the nominal residual, campaigns in five folds, each judged by a forest that
+  has seen the truths of the other four: more than any other method here is given. Causes outside the library are
+  a class of their own there, `unknown`, by which it rejects.
 
 `bic_gate` and the forest can answer `unknown`. The forest needs scikit-learn, an extra: `FOREST_ABSENT` is what is
 reported where it is not installed.
@@ -277,8 +277,8 @@ def forest_out_of_fold(
             # Many answers with few campaigns each: it asks whether these are numbers. They are names.
             warnings.filterwarnings("ignore", message="The number of unique classes is greater")
             model.fit(table[train], answers[train])
-        told = model.predict_proba(table[test])
-        for name, row in zip(np.array(names)[test], told, strict=True):
+        predicted = model.predict_proba(table[test])
+        for name, row in zip(np.array(names)[test], predicted, strict=True):
             p = dict.fromkeys(every, 0.0) | dict(zip(model.classes_.tolist(), row.tolist(), strict=True))
             mixed = {answer: 0.98 * x + 0.02 / len(every) for answer, x in p.items()}
             out[str(name)] = mixed

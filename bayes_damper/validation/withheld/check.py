@@ -16,8 +16,7 @@ from bayes_damper.files import shipped_path
 from bayes_damper.inputs import fields
 from bayes_damper.runs.execution import Progress, Task, plain, read_json, run_tasks, write_json, write_text
 from bayes_damper.runs.provenance import provenance
-from bayes_damper.text import counted
-from bayes_damper.text import p_value as told_p
+from bayes_damper.text import counted, p_value
 from bayes_damper.validation.withheld import scores
 from bayes_damper.validation.withheld.archive import NAME as ARCHIVE
 from bayes_damper.validation.withheld.archive import write_archive
@@ -79,10 +78,10 @@ def verdict_of(
 
     offered = {name: effect for name, effect in all_effects(effects).items() if name not in leave_out}
     found = diagnose(load_campaign(campaign), seed=seed, effects=offered, workers=workers)
-    told = found.to_json()
+    verdict = found.to_json()
     if leave_out:
-        return told
-    return {**told, "baselines": baselines_of(found), **_under_the_answer(found)}
+        return verdict
+    return {**verdict, "baselines": baselines_of(found), **_under_the_answer(found)}
 
 
 def _under_the_answer(found: Any) -> dict[str, Any]:
@@ -98,10 +97,10 @@ def _under_the_answer(found: Any) -> dict[str, Any]:
     out: dict[str, Any] = {
         "forecast": {k: v for k, v in forecasts(found.nominal, fit, found.weighed_fits()).items() if k != "trials"}
     }
-    told = found.nominal if found.verdict == "none" else fit
-    if told is not None:
-        names = told.problem.names
-        out["intervals90"] = {n: list(told.interval(n)) for n in scores.PARAMETERS if n in names}
+    answer = found.nominal if found.verdict == "none" else fit
+    if answer is not None:
+        names = answer.problem.names
+        out["intervals90"] = {n: list(answer.interval(n)) for n in scores.PARAMETERS if n in names}
     if fit is None or found.winner is None:
         return out
     cases = sorted({trial.case for trial in found.experiment.trials})
@@ -136,8 +135,8 @@ def give_verdict(
     try:
         verdict = call(campaign, seed=seed, leave_out=list(leave_out), workers=workers, **own)
     except Exception as error:  # noqa: BLE001 (whatever a diagnosis dies of, its verdict is "failed")
-        told = traceback.format_exception_only(error)[-1].strip()
-        verdict = {"verdict": scores.FAILED, "probabilities": {}, "credible_set": [], "sites": {}, "error": told}
+        reason = traceback.format_exception_only(error)[-1].strip()
+        verdict = {"verdict": scores.FAILED, "probabilities": {}, "credible_set": [], "sites": {}, "error": reason}
     report(1.0, "sealed")
     return {"seal": write_verdict(path, name, plain(verdict), freeze_seal)["seal"]}
 
@@ -185,7 +184,7 @@ def withheld(
     called as `verdict_of` is. effects : folder with effects of your own, candidates beside those of the library and of
     installed packages; in the key they are effects of the library. leave_one_out : whether campaigns are judged again
     without the effect that they have; None: as `full`. workers : processes; scheduler : address of a Dask cluster in
-    their place; seed : decides every random number; progress : told how far it is, as in `fit`.
+    their place; seed : decides every random number; progress : scored how far it is, as in `fit`.
 
     Raises
     ------
@@ -225,9 +224,9 @@ def withheld(
     if full if leave_one_out is None else leave_one_out:
         removed, more = run.without_the_truth(opened.entries, key_file, groups)
         reasons += [reason for reason in more if reason not in reasons]
-    told = scores.all_scores(rows, seed)
+    scored = scores.all_scores(rows, seed)
     if removed:
-        told["targets"] = [target.judge([*rows, *removed]) for target in scores.TARGETS]
+        scored["targets"] = [target.judge([*rows, *removed]) for target in scores.TARGETS]
     results: dict[str, Any] = {
         "schema": SCHEMA,
         "rehearsal": bool(reasons),
@@ -238,9 +237,9 @@ def withheld(
         "freeze": {k: frozen[k] for k in ("seal", "code_sha256", "effects_sha256", "key_sha256", "commit", "written")},
         "chain_head": opened.head,
         "campaigns": {
-            row.name: {**_told(opened.verdicts[row.name]), "score": row.to_json()} for row in rows
+            row.name: {**_shown_verdict(opened.verdicts[row.name]), "score": row.to_json()} for row in rows
         },
-        "scores": told,
+        "scores": scored,
         "leave_one_out": left_out_scores(removed),
         "baselines": baseline_scores(rows, opened, groups, seed),
         "baselines_skipped": skipped_baselines(),
@@ -392,7 +391,7 @@ class _Run:
         return rows, [*opened.rehearsal, *differences(self.now, now)]
 
 
-def _told(verdict: Mapping[str, Any]) -> dict[str, Any]:
+def _shown_verdict(verdict: Mapping[str, Any]) -> dict[str, Any]:
     """What withheld.json repeats of a sealed verdict."""
     names = ("verdict", "credible_set", "probabilities", "pair", "sites", "gap", "seconds", "error")
     return {name: verdict[name] for name in names if name in verdict}
@@ -429,11 +428,11 @@ def baseline_scores(
     answers: dict[str, dict[str, Mapping[str, float]]] = {}
     features: dict[str, Sequence[float]] = {}
     for name, verdict in opened.verdicts.items():
-        told = dict(verdict.get("baselines") or {})
-        feature = told.pop("features", None)
+        baselines = dict(verdict.get("baselines") or {})
+        feature = baselines.pop("features", None)
         if feature:
             features[name] = feature
-        for method, probabilities in told.items():
+        for method, probabilities in baselines.items():
             answers.setdefault(method, {})[name] = probabilities
     forest = forest_out_of_fold(features, {r.name: _label(r) for r in rows if r.group != "pair"}, seed)
     if forest:
@@ -466,12 +465,12 @@ def _label(row: scores.Scored) -> str:
 
 
 def _compared(rows: Sequence[scores.Scored]) -> dict[str, Any]:
-    told = scores.summarise(rows)
-    return {name: told[name] for name in ("campaigns", "accepted_first", "log_score", "brier", "false_and_confident")}
+    scored = scores.summarise(rows)
+    return {name: scored[name] for name in ("campaigns", "accepted_first", "log_score", "brier", "false_and_confident")}
 
 
 def _who_wins(theirs: Sequence[scores.Scored], ours: Sequence[scores.Scored]) -> str:
-    """Paired over campaigns: whose log score is better, or that these campaigns cannot tell."""
+    """Paired over campaigns: whose log score is better, or "cannot tell" where these campaigns do not decide."""
     gained = [a - b for a, b in zip(scores.log_scores(theirs), scores.log_scores(ours), strict=True)]
     low, high = scores.bootstrap(gained, _mean)["interval95"]
     if low is None or low <= 0.0 <= high:
@@ -511,13 +510,13 @@ def _earlier(key: Path, now: Mapping[str, Any]) -> list[str]:
     if not path.exists():
         return []
     sealed = read_freeze(path)
-    told = differences({**sealed, "call": now["call"]}, now) if "code_sha256" in sealed else []
+    reasons = differences({**sealed, "call": now["call"]}, now) if "code_sha256" in sealed else []
     if sealed["key_sha256"] != now["key_sha256"]:
-        told.append(f"{path.name} was written for another key")
+        reasons.append(f"{path.name} was written for another key")
     changed = [n for n, seal in now["campaigns"].items() if sealed["campaigns"].get(n, seal) != seal]
     if changed:
-        told.append(f"the data of {', '.join(changed[:3])} have changed")
-    return [f"these campaigns were sealed on {sealed['written'][:10]}: {reason}" for reason in told]
+        reasons.append(f"the data of {', '.join(changed[:3])} have changed")
+    return [f"these campaigns were sealed on {sealed['written'][:10]}: {reason}" for reason in reasons]
 
 
 def _remember(key: Path, now: Mapping[str, Any]) -> bool:
@@ -579,46 +578,46 @@ _CLASS_LINES = (
 
 def table_text(results: Mapping[str, Any]) -> str:
     """The scores as a table: figures with 95 % intervals by kind, targets, reliability, baselines, misses."""
-    told = results["scores"]
+    scored = results["scores"]
     lines = []
     if results["rehearsal"]:
         lines += ["REHEARSAL, not a proof:", *(f"  {reason}" for reason in results["why_rehearsal"]), ""]
-    lines.append(f"{counted(told['all']['campaigns'], 'campaign')}, chain {results['chain_head'][:16]}")
-    for kind, found in told["by_kind"].items():
+    lines.append(f"{counted(scored['all']['campaigns'], 'campaign')}, chain {results['chain_head'][:16]}")
+    for kind, found in scored["by_kind"].items():
         lines += [
             "",
             f"{kind} ({counted(found['campaigns'], 'campaign')}, {found['hidden']} hidden behind the constants)",
         ]
         lines += [f"  {words:32s}{_figure(found[name])}" for words, name in _LINES]
-        r = told["reliability"][kind]
+        r = scored["reliability"][kind]
         if r["n"]:
             lines.append(
                 f"  {'calibration error':32s}{r['error']:.3f}  (calibrated twin: {r['twin_error']['mean']:.3f}, 95 % "
-                f"below {r['twin_error']['upper95']:.3f}; {told_p(r['p_value'])})"
+                f"below {r['twin_error']['upper95']:.3f}; {p_value(r['p_value'])})"
             )
-    for name, found in (told.get("by_class") or {}).items():
+    for name, found in (scored.get("by_class") or {}).items():
         r = found["reliability"]
         lines += ["", f"{name} ({counted(found['campaigns'], 'campaign')})"]
         lines += [f"  {words:32s}{_figure(found[key])}" for words, key in (*_LINES, *_CLASS_LINES) if found[key]["n"]]
         if r["n"]:
-            lines.append(f"  {'calibration error':32s}{r['error']:.3f}  ({told_p(r['p_value'])})")
-    if told["by_level"]:
+            lines.append(f"  {'calibration error':32s}{r['error']:.3f}  ({p_value(r['p_value'])})")
+    if scored["by_level"]:
         lines += ["", f"  {'level':>12s}  {'right first':32s}share of gap closed"]
         lines += [
             f"  {row['kind']:>6s}{row['level']:6g}  {_figure(row['accepted_first']):32s}{_figure(row['closed_median'])}"
-            for row in told["by_level"]
+            for row in scored["by_level"]
         ]
     lines += ["", "targets"]
-    for t in told["targets"]:
+    for t in scored["targets"]:
         if t["status"] != "not tested":
             goal = " and ".join(
                 f"{sign} {x:g}" for sign, x in ((">=", t["least"]), ("<=", t["most"])) if x is not None
             )  # fmt: skip
             few = "" if t["enough"] else ", too few campaigns"
             lines.append(f"  {t['status']:8s}{t['where']:22s}{t['what']:44s}{goal:22s}{_figure(t)}{few}")
-    untested = sum(t["status"] == "not tested" for t in told["targets"])
+    untested = sum(t["status"] == "not tested" for t in scored["targets"])
     if untested:
-        lines.append(f"  {untested} of {len(told['targets'])} targets are not touched by these campaigns")
+        lines.append(f"  {untested} of {len(scored['targets'])} targets are not touched by these campaigns")
     if results.get("leave_one_out"):
         found = results["leave_one_out"]
         lines += ["", f"effect taken out of the library ({found['visible']} visible campaigns)"]
@@ -635,5 +634,5 @@ def table_text(results: Mapping[str, Any]) -> str:
             for name, b in results["baselines"].items()
         ]
     lines += [f"  {sentence}" for sentence in results.get("baselines_skipped") or ()]
-    lines += ["", f"misses ({len(told['misses'])})", *(f"  {miss}" for miss in told["misses"])]
+    lines += ["", f"misses ({len(scored['misses'])})", *(f"  {miss}" for miss in scored["misses"])]
     return "\n".join(lines)

@@ -9,7 +9,7 @@ a proof any more: a proof needs campaigns of other seeds.
 
 What is minimised is the mean log score, the four kinds of truth (nothing, one effect, another cause, two effects)
 counted as the rule's own prior probabilities have them, whatever their numbers in the runs are, plus a weak prior: each
-constant's logarithm about its present value. The score of constants fitted to one half and tried on the other tells
+constant's logarithm about its present value. The score of constants fitted to one half and tried on the other shows
 what the fit is worth.
 """
 
@@ -80,26 +80,28 @@ def replay(verdict: Mapping[str, Any], rule: Rule = RULE) -> Answers:
     InputError
         if the verdict does not hold what the rule weighed.
     """
-    told = verdict.get("weighed")
-    if not told or not verdict.get("effects"):
+    weighed = verdict.get("weighed")
+    if not weighed or not verdict.get("effects"):
         raise InputError("a verdict does not hold what was `weighed`: it was given by an older version; diagnose again")
     evidence = {str(row["name"]): _number(row["log_evidence"], -math.inf) for row in verdict["effects"]}
     pairs = [
         ((str(p["effects"][0]), str(p["effects"][1])), float(p["log_evidence"]), _left(p["left"]))
-        for p in told["pairs"]
+        for p in weighed["pairs"]
     ]
-    drift = _number(told["drift"], -math.inf)
-    left = _left(told["before"]), _left(told["after"])
-    return weigh(evidence, *left, float(told["excess"]), rule, pairs, drift, told.get("definitions", ()))
+    drift = _number(weighed["drift"], -math.inf)
+    left = _left(weighed["before"]), _left(weighed["after"])
+    return weigh(evidence, *left, float(weighed["excess"]), rule, pairs, drift, weighed.get("definitions", ()))
 
 
 def _number(x: Any, missing: float) -> float:
     return missing if x is None else float(x)
 
 
-def _left(told: Mapping[str, Any]) -> Left:
-    numbers = {name: value for name, value in told.items() if value is not None}
-    return Left(**{**numbers, "nats": _number(told["nats"], 1e6), "readings": _number(told.get("readings"), math.inf)})
+def _left(entry: Mapping[str, Any]) -> Left:
+    numbers = {name: value for name, value in entry.items() if value is not None}
+    return Left(
+        **{**numbers, "nats": _number(entry["nats"], 1e6), "readings": _number(entry.get("readings"), math.inf)}
+    )
 
 
 def read_run(run: Path, key: Path) -> list[Known]:

@@ -45,12 +45,12 @@ _BY_CLASS = (
 
 def laboratories(results: Mapping[str, Any]) -> str:
     """Markdown: targets over laboratories, what each class of them came to, the baselines, the misses."""
-    told = results["scores"]
+    scored = results["scores"]
     lines = [_line(("what", "where", "came out", "asked")), _line(["---"] * 4)]
-    for t in (t for t in told["targets"] if t["where"].startswith("laboratories") and t["n"]):
+    for t in (t for t in scored["targets"] if t["where"].startswith("laboratories") and t["n"]):
         came, _, asked = _cell(t).partition("; ")
         lines.append(_line((t["what"], t["where"], came, asked)))
-    found = told["by_class"] | {"all": {**told["all"], "reliability": told["reliability"]["all"]}}
+    found = scored["by_class"] | {"all": {**scored["all"], "reliability": scored["reliability"]["all"]}}
     lines += ["", _line(("what", *found)), _line(["---"] * (1 + len(found)))]
     lines.append(_line(("campaigns", *(str(c["campaigns"]) for c in found.values()))))
     lines += [_line((words, *(_short(c[name]) for c in found.values()))) for words, name in _BY_CLASS]
@@ -63,7 +63,7 @@ def laboratories(results: Mapping[str, Any]) -> str:
         lines.append(
             _line((name, *(_short(b["baseline"][n]) for n in ("accepted_first", "log_score")), b["better_log_score"]))
         )
-    lines += ["", *(f"- {miss}" for miss in told["misses"])]
+    lines += ["", *(f"- {miss}" for miss in scored["misses"])]
     return "\n".join(lines)
 
 

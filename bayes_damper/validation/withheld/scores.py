@@ -92,7 +92,7 @@ class Scored:
         return "library" if self.standing == "library" else "foreign"
 
     def to_json(self) -> dict[str, Any]:
-        """What withheld.json tells of the campaign beside the sealed verdict."""
+        """What withheld.json gives of the campaign beside the sealed verdict."""
         return {
             "kind": self.kind, "truth": self.truth, "standing": self.standing, "level": self.level,
             "true_sites": list(self.sites), "visible_chi2": self.visible, "accepted": sorted(self.right),
@@ -249,8 +249,8 @@ def _scatter_covered(verdict: Mapping[str, Any], entry: Mapping[str, Any]) -> di
 
 def _bands(verdict: Mapping[str, Any]) -> tuple[float, float] | None:
     """Shares of held-out readings within the bands over all answers, with the leading one, or of the nominal rig."""
-    told = verdict.get("forecast") or {}
-    row = told.get("averaged") or told.get("after") or told.get("before") or {}
+    bands = verdict.get("forecast") or {}
+    row = bands.get("averaged") or bands.get("after") or bands.get("before") or {}
     found = _float(row.get("coverage50")), _float(row.get("coverage90"))
     return None if found[0] is None or found[1] is None else (found[0], found[1])
 
@@ -687,7 +687,7 @@ def misses(rows: Iterable[Scored]) -> list[str]:
 
 
 def all_scores(rows: Sequence[Scored], seed: int = 0) -> dict[str, Any]:
-    """Everything withheld.json tells of a set of verdicts: together, by kind, by level, matrices, targets, misses."""
+    """Everything withheld.json gives of a set of verdicts: together, by kind, by level, matrices, targets, misses."""
     kinds = sorted({row.kind for row in rows})
     return {
         "all": summarise(rows),

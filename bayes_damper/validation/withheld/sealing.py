@@ -90,14 +90,14 @@ def freeze(
 
 def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
     """What differs between two freezes in code, effects or call, one sentence each: reasons for a rehearsal."""
-    told = {
+    hashed = {
         "code_sha256": "the code of the diagnosis",
         "effects_sha256": "the library of effects",
         "call": "the function that gives the verdicts",
     }
     return [
         f"{words} has changed since the seal ({str(old.get(name))[:12]}, now {str(new.get(name))[:12]})"
-        for name, words in told.items()
+        for name, words in hashed.items()
         if old.get(name) != new.get(name)
     ]
 
@@ -184,7 +184,7 @@ def verdict_path(run: Path, name: str) -> Path:
 def open_key(run: Path, key: Path, campaigns: Mapping[str, Path], now: Mapping[str, Any]) -> Opened:
     """The key, read only when every verdict of the run is sealed and every checksum of its freeze still holds.
 
-    now : a freeze of this moment, to tell whether code or library have changed since.
+    now : a freeze of this moment, to see whether code or library have changed since.
 
     Raises
     ------

@@ -71,8 +71,8 @@ def together(runs: Sequence[tuple[Path, Path]], seed: int = 1) -> dict[str, Any]
         parts.append({n: result[n] for n in ("chain_head", "freeze", "seed")} | {"folder": Path(result["folder"]).name})
     if len(codes) > 1:
         raise InputError("the runs were made by different versions of the code; score each version by itself")
-    told = scores.all_scores(rows, seed)
-    told["targets"] = [target.judge([*rows, *removed]) for target in scores.TARGETS]
+    scored = scores.all_scores(rows, seed)
+    scored["targets"] = [target.judge([*rows, *removed]) for target in scores.TARGETS]
     opened = SimpleNamespace(verdicts=verdicts, entries=entries)
     return {
         "schema": SCHEMA, "rehearsal": False, "why_rehearsal": [], "parts": parts,
@@ -82,7 +82,7 @@ def together(runs: Sequence[tuple[Path, Path]], seed: int = 1) -> dict[str, Any]
             | {"probability": row.confidence, "score": row.to_json()}
             for row in rows
         },
-        "scores": told, "leave_one_out": left_out_scores(removed),
+        "scores": scored, "leave_one_out": left_out_scores(removed),
         "baselines": baseline_scores(rows, opened, groups, seed), "baselines_skipped": skipped_baselines(),
         "provenance": provenance(),
     }  # fmt: skip
