@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 import logging
 import re
 import shlex
@@ -17,6 +18,7 @@ from bayes_damper.errors import BayesDamperError, ExitCode, InputError, printabl
 from bayes_damper.runs.memory import seldom_collected
 
 Arguments = argparse.Namespace
+Adding = Callable[..., argparse.ArgumentParser]  # name, what it runs, help, and `out` where it writes by default
 LOG_LEVELS = ("debug", "info", "warning", "error")
 LOG = logging.getLogger("bayes_damper.cli")
 
@@ -390,54 +392,46 @@ def _report(args: Arguments) -> Any:
     return report(args.folder, out=args.out)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="bayes-damper",
-        description="Calibrate a magnetically coupled mass damper against measurements, with honest uncertainty, and "
-        "find out where and why the model and the rig differ.",
-        epilog="Exit codes: 0 done, 2 bad input, 3 did not converge (results written and marked), 4 a self-check "
-        "failed, 130 interrupted (state saved).",
-    )
-    parser.add_argument("--version", action="version", version=_version())
-    parser.add_argument(
-        "--print-completion",
-        action=_Completion,
-        choices=("bash", "zsh", "tcsh"),
-        help="print what makes that shell complete commands and options with the Tab key",
-    )
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+def _command(
+    commands: Any, name: str, run: Callable[[Arguments], Any], text: str, *, out: str | None = None
+) -> argparse.ArgumentParser:
+    """A command with the options that all have."""
+    sub: argparse.ArgumentParser = commands.add_parser(name, help=text, description=text)
+    sub.set_defaults(run=run)
+    if out is not None:
+        sub.add_argument("--out", type=Path, default=Path(out), help=f"folder for the results (default: {out})")
+    sub.add_argument("--seed", type=_seed, default=1, metavar="N", help="decides every random number (default: 1)")
+    sub.add_argument("--quiet", action="store_true", help="no progress, no summary: only errors")
+    sub.add_argument("--json", action="store_true", help="print the result as JSON instead of text")
+    about = "what goes to standard error beside progress: files read and written, kernels compiled"
+    sub.add_argument("--log-level", choices=LOG_LEVELS, default="warning", help=about)
+    return sub
 
-    def command(name: str, run: Callable[[Arguments], Any], text: str, *, out: str | None = None) -> Any:
-        sub = commands.add_parser(name, help=text, description=text)
-        sub.set_defaults(run=run)
-        if out is not None:
-            sub.add_argument("--out", type=Path, default=Path(out), help=f"folder for the results (default: {out})")
-        sub.add_argument("--seed", type=_seed, default=1, metavar="N", help="decides every random number (default: 1)")
-        sub.add_argument("--quiet", action="store_true", help="no progress, no summary: only errors")
-        sub.add_argument("--json", action="store_true", help="print the result as JSON instead of text")
-        about = "what goes to standard error beside progress: files read and written, kernels compiled"
-        sub.add_argument("--log-level", choices=LOG_LEVELS, default="warning", help=about)
-        return sub
 
-    def own_effects(sub: Any) -> None:
-        told = "a folder with effects of your own or learnt laws, or one such file"
-        sub.add_argument("--effects", type=Path, metavar="DIR", help=told)
+def _own_effects(sub: argparse.ArgumentParser) -> None:
+    told = "a folder with effects of your own or learnt laws, or one such file"
+    sub.add_argument("--effects", type=Path, metavar="DIR", help=told)
 
-    def weighing(sub: Any) -> None:
-        about = "linear: a nominal model without dry friction, which is then a candidate"
-        sub.add_argument("--nominal", choices=("nonlinear", "linear"), default="nonlinear", help=about)
-        own_effects(sub)
-        sub.add_argument("--priors", type=Path, metavar="F.toml", help="priors of the nominal parameters")
-        sub.add_argument("--workers", type=_count, default=2, metavar="N", help="simulations side by side (default: 2)")
 
-    def workers(sub: Any) -> None:
-        about = "processes on this machine (default: 2)"
-        sub.add_argument("--workers", type=_count, default=2, metavar="N", help=about)
-        sub.add_argument("--scheduler", metavar="ADDRESS", help="run on an existing Dask cluster instead")
+def _weighing(sub: argparse.ArgumentParser) -> None:
+    about = "linear: a nominal model without dry friction, which is then a candidate"
+    sub.add_argument("--nominal", choices=("nonlinear", "linear"), default="nonlinear", help=about)
+    _own_effects(sub)
+    sub.add_argument("--priors", type=Path, metavar="F.toml", help="priors of the nominal parameters")
+    sub.add_argument("--workers", type=_count, default=2, metavar="N", help="simulations side by side (default: 2)")
 
+
+def _workers(sub: argparse.ArgumentParser) -> None:
+    about = "processes on this machine (default: 2)"
+    sub.add_argument("--workers", type=_count, default=2, metavar="N", help=about)
+    sub.add_argument("--scheduler", metavar="ADDRESS", help="run on an existing Dask cluster instead")
+
+
+def _first_steps(command: Adding) -> None:
+    """Commands that show the program or look at data."""
     sub = command("demo", _demo, "the main job on the shipped data, start to report", out="results/demo")
     sub.add_argument("--quick", action="store_true", help="a tenth of the draws: for a first look, marked as such")
-    workers(sub)
+    _workers(sub)
 
     command("examples", _examples, "a small campaign to play with: a cart whose spring hides something", out="example")
 
@@ -449,7 +443,7 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--uncoupled", action="store_true", help="the primary inertia alone")
     sub.add_argument("--set", action="append", metavar="NAME=VALUE", help="a parameter, a rig key, or EFFECT.PARAMETER")
     sub.add_argument("--effect", metavar="NAME", help="an effect of the library, at the first of its typical values")
-    own_effects(sub)
+    _own_effects(sub)
     sub.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="sample rate (default: 1000)")
     sub.add_argument("--duration", type=float, default=1.0, metavar="S", help="length of the record (default: 1)")
     sub.add_argument(
@@ -458,6 +452,9 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     sub.add_argument("--out", type=Path, required=True, metavar="F.csv", help="the record to write")
 
+
+def _fitting(command: Adding) -> None:
+    """Fit, diagnosis and plan."""
     sub = command("fit", _fit, "posterior per case, and of all cases together for a campaign", out="results/fit")
     sub.add_argument("campaign", help="folder of the campaign, or `thesis`")
     sub.add_argument("--case", action="append", metavar="C", help="only this case (repeat for several)")
@@ -466,7 +463,7 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--noise", choices=("auto", "gaussian", "student", "ar"), default="auto",
                      help="white, with outliers, or correlated by what the fit leaves (default: by data)")  # fmt: skip
     sub.add_argument("--effect", metavar="NAME", help="give the model this effect, e.g. the verdict of a diagnosis")
-    own_effects(sub)
+    _own_effects(sub)
     sub.add_argument("--thorough", action="store_true", help="50 autocorrelation times instead of 20")
     sub.add_argument(
         "--most-steps",
@@ -474,7 +471,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="N",
         help="at most N steps of each ensemble, not counting the warm-up (or the fewest that can be judged)",
     )
-    workers(sub)
+    _workers(sub)
 
     sub = command("diagnose", _diagnose, "the sim-to-real gap: where it lies, what causes it, how far it shrinks",
                   out="results/diagnose")  # fmt: skip
@@ -482,13 +479,16 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--scheduler", metavar="ADDRESS", help="spread several campaigns over an existing Dask cluster")
     sub.add_argument("--prior-unknown", type=float, default=0.15, metavar="P",
                      help="prior probability that the cause is none of the library's (default 0.15)")  # fmt: skip
-    weighing(sub)
+    _weighing(sub)
 
     sub = command("plan", _plan, "before measuring: effects the planned trials could distinguish, and with how many",
                   out="results/plan")  # fmt: skip
     sub.add_argument("campaign", help="folder with campaign.toml and trials.csv; the records need not exist")
-    weighing(sub)
+    _weighing(sub)
 
+
+def _figures_and_proofs(command: Adding) -> None:
+    """The check on withheld data, designs, the thesis and the bench."""
     sub = command("withheld", _withheld, "the check on data whose effect is withheld: sealed verdicts, then scores",
                   out="results/withheld")  # fmt: skip
     sub.add_argument("folder", nargs="?", type=Path, help="campaigns, one folder each (default: those shipped)")
@@ -500,8 +500,8 @@ def _parser() -> argparse.ArgumentParser:
         metavar="F.zip",
         help="hold the seals of a finished run's archive again, and those of its campaigns in FOLDER",
     )
-    own_effects(sub)
-    workers(sub)
+    _own_effects(sub)
+    _workers(sub)
 
     sub = command("tune", _tune, "insertion loss and resonance shift of a design, with uncertainty", out="results/tune")
     sub.add_argument("folder", type=Path, help="folder of a fit")
@@ -521,6 +521,9 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--repeats", type=_count, default=7, metavar="N", help="rounds over all rows (default: 7)")
     sub.add_argument("--no-peers", action="store_true", help="time only our own kernels")
 
+
+def _results(command: Adding) -> None:
+    """Commands about folders: runs to go on with, campaigns from logger files, results."""
     sub = command("resume", _resume, "go on with an interrupted run; --more extends a finished one")
     sub.add_argument("folder", type=Path, help="the folder that the run writes to")
     sub.add_argument("--more", action="store_true", help="extend a run that has finished")
@@ -549,7 +552,7 @@ def _parser() -> argparse.ArgumentParser:
                      help="other priors, another law of friction, each case left out (published features)")  # fmt: skip
     sub.add_argument("--adapt", action=argparse.BooleanOptionalAction, default=True,
                      help="more particles, up to 1024, where repeated runs differ (published features)")  # fmt: skip
-    workers(sub)
+    _workers(sub)
 
     sub = command("compare", _compare, "results side by side")
     sub.add_argument("folders", nargs="+", metavar="FOLDER", help="folders that other commands have written to")
@@ -558,6 +561,27 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("report", _report, "one self-contained HTML page from whatever results the folder holds")
     sub.add_argument("folder", type=Path, help="a folder that other commands have written to")
     sub.add_argument("--out", type=Path, metavar="F.html", help="the page (default: report.html in the folder)")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="bayes-damper",
+        description="Calibrate a magnetically coupled mass damper against measurements, with honest uncertainty, and "
+        "find out where and why the model and the rig differ.",
+        epilog="Exit codes: 0 done, 2 bad input, 3 did not converge (results written and marked), 4 a self-check "
+        "failed, 130 interrupted (state saved).",
+    )
+    parser.add_argument("--version", action="version", version=_version())
+    parser.add_argument(
+        "--print-completion",
+        action=_Completion,
+        choices=("bash", "zsh", "tcsh"),
+        help="print what makes that shell complete commands and options with the Tab key",
+    )
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    for add in (_first_steps, _fitting, _figures_and_proofs, _results):
+        add(functools.partial(_command, commands))
     return parser
 
 
