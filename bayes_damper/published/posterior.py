@@ -218,14 +218,15 @@ EFFECT_PREFIX = "effect."
 """Begins the name of a coordinate that belongs to an effect."""
 
 
-def feature_times(data: Sequence[Datum]) -> Array:
-    """Sample times that the features of these data need, s: twice the longest measured period.
+def feature_times(data: Sequence[Datum], longest: float = math.inf) -> Array:
+    """Sample times that the features of these data need, s: twice the longest measured period, `longest` at most.
 
     A record's second lobe ends after one and a quarter of its own periods; one that takes half as long again as any
     measured record has no features.
     """
     periods = [d.value for d in data if d.quantity == "period"]
-    return FEATURE_TIMES[2.0 * max(periods) >= FEATURE_TIMES] if periods else FEATURE_TIMES
+    end = min(2.0 * max(periods, default=math.inf), longest)
+    return FEATURE_TIMES if math.isinf(end) else FEATURE_TIMES[end >= FEATURE_TIMES]
 
 
 class FeaturePosterior:

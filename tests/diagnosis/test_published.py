@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 from bayes_damper.commands.diagnose import Diagnosed, diagnose
-from bayes_damper.diagnosis.joint import Formula, Joint, simulated, weigh_formula
+from bayes_damper.diagnosis.joint import Formula, Joint, _integrate, simulated, weigh_formula
 from bayes_damper.diagnosis.published import (
     BLUR_PRIOR,
     Result,
@@ -70,6 +70,20 @@ def test_spring_and_angle_are_integrated_out_as_a_grid_of_simulations_does():
     prior = np.exp(joint.own["IV"]["k1t"].logpdf(k))[:, None] * stats.norm.pdf(z)
     expected = np.log(np.trapezoid(np.trapezoid(np.exp(density.reshape(51, 41)) * prior, z, axis=1), k))
     assert found == pytest.approx(expected, abs=0.1)
+
+
+@pytest.mark.parametrize("dof", [2.0, 4.0])
+def test_the_quadrature_is_the_sum_over_its_nodes(dof):
+    rng = np.random.default_rng(3)
+    centre, springs, angles = rng.standard_normal((3, 5, 6))
+    scale, weight_u = rng.uniform(0.5, 2.0, (5, 6)), rng.uniform(size=(5, 7))
+    measured, u, v, weight_v = rng.standard_normal(6), rng.standard_normal(7), *rng.standard_normal((2, 9))
+    found = np.empty(5)
+    _integrate(centre, springs, angles, measured, scale, dof, u, weight_u, v, weight_v, found)
+    at = centre[:, None, None] + springs[:, None, None] * u[:, None, None] + angles[:, None, None] * v[:, None]
+    t = (at - measured) / scale[:, None, None]
+    density = np.prod((1.0 + t**2 / dof) ** (-0.5 * (dof + 1.0)), axis=-1)
+    assert found == pytest.approx(np.einsum("nuv,nu,v->n", density, weight_u, weight_v), rel=1e-12)
 
 
 class Bell:
