@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,16 +13,19 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from bayes_damper.calibration import NOMINAL
 from bayes_damper.diagnosis.joint import OWN, Formula, Joint
 from bayes_damper.effects._other_law import OTHER_LAW
 from bayes_damper.effects.base import Variant
 from bayes_damper.errors import InputError
-from bayes_damper.priors.distributions import Distribution, LogNormal, from_standard
+from bayes_damper.priors.distributions import Distribution, LogNormal, LogUniform, from_standard
 from bayes_damper.priors.files import load_priors, priors_from_dict
 from bayes_damper.published.measurements import load_published
 from bayes_damper.published.posterior import Coordinates, Datum, damping_pairs
+from bayes_damper.runs.checkpoint import Checkpoint
+from bayes_damper.runs.provenance import code_sha256
 from bayes_damper.sampling.sequential import Powers, Tempered, temper
 from bayes_damper.variability.decomposition import CaseDraws, Sets, curve_values, mean_over_cases, summary
 from bayes_damper.variability.equivalent import NAMES, bearing_damping, feature_scatter
@@ -153,9 +159,10 @@ class PublishedCases:
             return Bridge(before, other.hierarchy(pooling)), other
         priors = widened(self.plan["priors"], self.pooled, scenario.width)
         other = PublishedCases(self.plan | {"priors": priors}, self._law, self._data)
-        first = self.names[0]
-        ratio = ratio_of(self.priors(first), other.priors(first), self.pooled)
-        return Bridge(before, other.hierarchy(pooling), ratio=ratio), other
+        own, there = (x.priors(self.names[0]) for x in (self, other))
+        # A log-uniform value moves with its range, and the likelihood with it; a lognormal one stays.
+        moves = any(isinstance(own[name], LogUniform) for name in self.pooled)
+        return Bridge(before, other.hierarchy(pooling), ratio=ratio_of(own, there, self.pooled), two=moves), other
 
     def draws(self, names: Sequence[str], work: Path) -> Array:
         """Draws of runs, one after the other, (n, ndim)."""
@@ -227,7 +234,10 @@ class PublishedCases:
             names = list(chosen[f"{pooling}-all"])
             heights = np.array([runs[name]["log_z"] for name in names])
             error = math.sqrt(float(np.mean([runs[name]["error"] ** 2 for name in names])) / len(names))
+            # A run's evidence has the right mean, its logarithm lies below: the repeats' mean is taken before the log.
+            height = float(logsumexp(heights)) - math.log(len(heights))
             spread = float(np.ptp(heights)) if len(heights) > 1 else 0.0
+            seen = float(heights.std(ddof=1)) / math.sqrt(len(heights)) if len(heights) > 1 else 0.0
             without = {case: runs[key] for case in self.names if (key := f"{pooling}-without-{case}") in runs}
             unseen = {case: -run["gain"] for case, run in without.items()}
             # The draws that a run without a case begins with pass on what they miss of the posterior.
@@ -235,8 +245,8 @@ class PublishedCases:
             points = np.concatenate([_points(work / name) for name in names])
             models[pooling] = (
                 {
-                    "log_evidence": float(heights.mean()),
-                    "error": max(error, spread / 2.0),
+                    "log_evidence": height,
+                    "error": max(error, seen),
                     "spread": spread,
                     "heldout": {
                         "what": "Each case's features, predicted from the other cases",
@@ -379,7 +389,10 @@ def run_pooling(
     """Task: one answer's evidence and draws, from the prior; the draws go to points.npz."""
     cases = PublishedCases(settings["fit"])
     rng = np.random.default_rng([settings["seed"], POOLINGS.index(pooling), repeat])
-    found = temper(cases.hierarchy(pooling), rng, settings["particles"], report, _KEPT, False, sweeps=_SWEEPS)
+    found = temper(
+        cases.hierarchy(pooling), rng, settings["particles"], report, _KEPT, False, sweeps=_SWEEPS,
+        checkpoint=_state(folder, settings, pooling, str(repeat)),
+    )  # fmt: skip
     return _kept(folder, found) | {"log_z": found.log_z, "particles": settings["particles"]}
 
 
@@ -397,11 +410,21 @@ def run_scenario(
     size = settings["particles"]
     chains = [bridge.start(p.reshape(size, len(p) // size, -1)[:, -_FEW:]) for p in first]
     start = np.swapaxes(np.concatenate(chains), 0, 1)
-    found = temper(bridge, rng, max(size // 3, _FEWEST), report, _KEPT, False, sweeps=_SWEEPS, start=start)
+    found = temper(
+        bridge, rng, max(size // 3, _FEWEST), report, _KEPT, False, sweeps=_SWEEPS, start=start,
+        checkpoint=_state(folder, settings, pooling, scenario),
+    )  # fmt: skip
     return _kept(folder, found) | {"gain": found.log_z}
 
 
+def _state(folder: Path, settings: Mapping[str, Any], pooling: str, which: str) -> Checkpoint:
+    """Where a task keeps its state until it is done."""
+    decided = json.dumps({"settings": settings, "pooling": pooling, "which": which}, sort_keys=True)
+    return Checkpoint(folder / "state", {"task": hashlib.sha256(decided.encode()).hexdigest(), "code": code_sha256()})
+
+
 def _kept(folder: Path, found: Tempered) -> dict[str, Any]:
+    shutil.rmtree(folder / "state", ignore_errors=True)
     np.savez_compressed(folder / "points.npz", points=found.points)
     return {
         "error": found.error, "stages": found.stages, "memory": found.forgotten, "last_memory": found.last,

@@ -27,8 +27,8 @@ Kind = Literal["width", "law", "without"]
 
 @dataclass(frozen=True)
 class Scenario:
-    """One assumption changed: `width` on the log factors of what is pooled, another `law` of friction, or a case
-    `without` whose measurements the rest is fitted.
+    """One assumption changed: `width` on the log factors and log ranges of what is pooled, another `law` of friction,
+    or a case `without` whose measurements the rest is fitted.
     """
 
     name: str
@@ -49,11 +49,19 @@ def scenarios(cases: Sequence[str]) -> list[Scenario]:
 
 
 def widened(priors: Mapping[str, Any], names: Sequence[str], width: float) -> dict[str, Any]:
-    """A prior set (as `PriorSet.to_dict` gives it) with the log factors of some parameters `width` times as large."""
+    """A prior set (as `PriorSet.to_dict` gives it) with the log factors of some parameters `width` times as large.
+
+    The range of a log-uniform one becomes so many times as long, about its geometric middle.
+    """
     found = {key: dict(entry) if isinstance(entry, Mapping) else entry for key, entry in priors.items()}
     for name in names:
-        if found[name].get("dist") == "lognormal":
-            found[name]["factor"] = float(found[name]["factor"]) ** width
+        entry = found[name]
+        if entry.get("dist") == "lognormal":
+            entry["factor"] = float(entry["factor"]) ** width
+        elif entry.get("dist") == "loguniform":
+            low, high = float(entry["lower"]), float(entry["upper"])
+            middle, reach = math.sqrt(low * high), (high / low) ** (0.5 * width)
+            entry["lower"], entry["upper"] = middle / reach, middle * reach
     return found
 
 
@@ -61,16 +69,18 @@ class Bridge(UnitPrior):
     """A way from the posterior of one hierarchy to that of another with the same coordinates: a target for `temper`.
 
     before, after : the two, the same object where only a case is left out; without : that case's number, or -1; ratio :
-    of the prior widths of `after` over `before`, for each pooled parameter (pooled,).
+    of the prior widths of `after` over `before`, for each pooled parameter (pooled,), whose values stay what they are;
+    two : whether the likelihoods differ otherwise, too: by default where the widths do not.
     """
 
     def __init__(
-        self, before: Hierarchy, after: Hierarchy, without: int = -1, ratio: Array | None = None, power: float = 0.0
-    ) -> None:
+        self, before: Hierarchy, after: Hierarchy, without: int = -1, ratio: Array | None = None, power: float = 0.0,
+        two: bool | None = None,
+    ) -> None:  # fmt: skip
         self._before, self._after, self._without, self._power = before, after, without, power
         self._ratio = np.ones(len(after.pooled)) if ratio is None else ratio
         self._widened = bool(np.any(self._ratio != 1.0))
-        self._two = before is not after and not self._widened
+        self._two = (before is not after and not self._widened) if two is None else two
         self.ndim, self.parts, self.blocks = after.ndim, after.parts, after.blocks
         self._straight = after.at(1.0)
         self.unknowns = after.unknowns
@@ -79,20 +89,23 @@ class Bridge(UnitPrior):
 
     def at(self, power: float) -> Bridge:
         """The same at another power."""
-        return Bridge(self._before, self._after, self._without, self._ratio, power)
+        return Bridge(self._before, self._after, self._without, self._ratio, power, self._two)
 
     def start(self, points: Array) -> Array:
         """Draws (..., ndim) of `before` in the coordinates of `after`: the same values under priors of other widths."""
+        return self._scaled(points, 1.0 / self._ratio)
+
+    def _scaled(self, points: Array, ratio: Array) -> Array:
         found = points.copy()
         for _, columns in self._after.owned_columns:
-            found[..., columns] /= self._ratio
+            found[..., columns] *= ratio
         return found
 
     def measure(self, points: Array, parts: Index) -> Array:
         """Misfits of the one or of both, and what the change of the prior does, (n, len(parts), k)."""
         found = [self._after.measure(points, parts)]
         if self._two:
-            found.append(self._before.measure(points, parts))
+            found.append(self._before.measure(self._scaled(points, self._ratio), parts))
         found.append(np.stack([self._tilt(points, c) for c in parts], axis=1)[:, :, None])
         return np.concatenate(found, axis=2)
 

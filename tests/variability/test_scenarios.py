@@ -9,9 +9,11 @@ from scipy.integrate import solve_ivp
 
 from bayes_damper.effects._other_law import OTHER_LAW
 from bayes_damper.priors.distributions import LogNormal
+from bayes_damper.runs.checkpoint import Checkpoint
 from bayes_damper.sampling.sequential import Powers, temper
 from bayes_damper.simulation.model import Model
 from bayes_damper.variability.pooling import POOLINGS, CaseLikelihood, GaussianCase, GaussianHierarchy, Hierarchy
+from bayes_damper.variability.published import PublishedCases, run_pooling
 from bayes_damper.variability.scenarios import Bridge, ratio_of, scenarios, widened
 
 NAMES = ("a", "b", "J")
@@ -90,6 +92,19 @@ def test_another_likelihood_is_reached(pooling):
     assert found.log_z == pytest.approx(gain, abs=0.1 + 4.0 * math.hypot(found.error, error))
 
 
+@pytest.mark.parametrize("pooling", POOLINGS)
+def test_both_ends_are_the_two_posteriors_where_priors_and_likelihood_change(pooling):
+    (before, _), (after, _) = hierarchies(pooling), hierarchies(pooling, (2.0, 1.0), seed=6)
+    bridge = Bridge(before, after, ratio=np.array([2.0, 1.0]), two=True)
+    points, everything = np.random.default_rng(7).standard_normal((40, before.ndim)), np.arange(3)
+    started = bridge.start(points)
+    measured = bridge.measure(started, everything)
+    for power, end, x in ((0.0, before, points), (1.0, after, started)):
+        found = bridge.height(measured, everything, power).sum(axis=1) + bridge.log_prior(started)
+        known = end.log_likelihood(x, everything).sum(axis=1) + end.log_prior(x)
+        assert np.ptp(found - known) < 1e-9 * np.abs(known).max()
+
+
 def test_start_keeps_the_values_of_the_cases():
     for pooling in POOLINGS:
         before, _ = hierarchies(pooling)
@@ -101,11 +116,14 @@ def test_start_keeps_the_values_of_the_cases():
 
 
 def test_widened_priors_have_the_log_factors_that_were_asked_for():
-    priors = {"name": "x", "mu": {"dist": "lognormal", "factor": 4.0}, "nu": {"dist": "loguniform"}}
-    wide = widened(priors, ("mu", "nu"), 2.0)
+    nu = {"dist": "loguniform", "lower": 10.0, "upper": 1000.0}
+    priors = {"name": "x", "mu": {"dist": "lognormal", "factor": 4.0}, "nu": nu}
+    wide, narrow = (widened(priors, ("mu", "nu"), width) for width in (2.0, 0.5))
     assert wide["mu"]["factor"] == pytest.approx(16.0)
-    assert wide["nu"] == priors["nu"]
+    assert (wide["nu"]["lower"], wide["nu"]["upper"]) == pytest.approx((1.0, 10_000.0))
+    assert (narrow["nu"]["lower"], narrow["nu"]["upper"]) == pytest.approx((10.0**1.5, 10.0**2.5))
     assert priors["mu"]["factor"] == 4.0
+    assert priors["nu"]["lower"] == 10.0
     before, after = {"mu": LogNormal(1.0, 4.0), "nu": None}, {"mu": LogNormal(1.0, 16.0), "nu": None}
     assert ratio_of(before, after, ("mu", "nu")) == pytest.approx([2.0, 1.0])
 
@@ -114,6 +132,33 @@ def test_each_case_is_left_out_once():
     tried = scenarios(("I", "II"))
     assert [s.case for s in tried if s.kind == "without"] == ["I", "II"]
     assert {s.kind for s in tried} == {"width", "law", "without"}
+
+
+def test_a_task_that_was_stopped_goes_on_to_the_same_result(tmp_path, monkeypatch):
+    """Inside a task, from the stage it had reached: what was measured before is not measured again."""
+    plan = {"fit": PublishedCases.default_plan(), "seed": 1, "particles": 32}
+    whole, stopped = tmp_path / "whole", tmp_path / "stopped"
+    for folder in (whole, stopped):
+        folder.mkdir()
+    monkeypatch.setattr(Checkpoint, "due", lambda _: True)
+    expected = run_pooling(whole, lambda *_: None, settings=plan, pooling="shared", repeat=0)
+    stages = []
+
+    def stops(share, text):
+        stages.append((share, text))
+        if len(stages) == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_pooling(stopped, stops, settings=plan, pooling="shared", repeat=0)
+    assert (stopped / "state").is_dir()
+    left = []
+    found = run_pooling(stopped, lambda *x: left.append(x), settings=plan, pooling="shared", repeat=0)
+    assert found == expected
+    assert len(left) == expected["stages"] - 2
+    points = [np.load(folder / "points.npz")["points"] for folder in (whole, stopped)]
+    np.testing.assert_array_equal(*points)
+    assert not (stopped / "state").exists()
 
 
 @pytest.mark.parametrize("coupled", [False, True])
