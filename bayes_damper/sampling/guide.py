@@ -9,7 +9,7 @@ from bayes_damper.sampling.moves import fit_mixture
 
 Array = NDArray[np.float64]
 _FREEDOM = 6.0
-_SHORTEST = 0.1
+_SHORTEST = 0.2
 
 
 class Guide:
@@ -19,7 +19,8 @@ class Guide:
     probability that it came from there, and its t is seen as a normal of random width. Given both, x has a normal
     distribution about a mean that hangs on y, and x' = mean + sqrt(1 - b^2) (x - mean) + b e, e drawn from what that
     normal leaves, keeps it; so q(x | y) is kept, and x' is accepted with the ratio of target over q there and here. b
-    lies between 0.1 and 1. Such steps seldom lead from one part to another, which fresh draws of q(x | y) do.
+    is uniform between 0.2 and 1: shorter steps are accepted and lead nowhere. Such steps seldom lead from one part to
+    another, which fresh draws of q(x | y) do.
 
     places : (n, k + g), x before y; k : coordinates of x; most : parts of the mixture. It must be fixed before the
     steps that count.
@@ -52,7 +53,7 @@ class Guide:
         """Where steps from x (n, k) with y (n, g) at rest lead, and log q here minus log q there, (n,)."""
         n = len(x)
         squares, terms, here = self._seen(x, y)
-        owner, b = _choose(terms, rng), np.power(_SHORTEST, rng.random(n))
+        owner, b = _choose(terms, rng), rng.uniform(_SHORTEST, 1.0, n)
         there = self._about(x, y, owner, squares[np.arange(n), owner], _FREEDOM + self._size, b, rng)
         return there, here - self._seen(there, y)[2]
 

@@ -56,7 +56,10 @@ class Shaped(Steps):
 
 
 class Guided(Steps):
-    """In turn fresh draws of a mixture learnt beforehand, steps within its parts, and differential evolution."""
+    """In turn fresh draws of a mixture learnt beforehand and steps within its parts, at times differential evolution.
+
+    On a thin, broad posterior it is fresh draws that lead furthest, few as are taken.
+    """
 
     def learn(self, x: Array, given: Array, most: int) -> None:
         self._guide = Guide(np.concatenate([x, given], axis=1), x.shape[1], most)
@@ -64,7 +67,7 @@ class Guided(Steps):
     def propose(
         self, turn: int, x: Array, given: Array, others: Callable[[], Array], rng: np.random.Generator
     ) -> _PROPOSED:
-        kind = ("draw", "near", "along", "near", "along")[turn % 5]
+        kind = ("draw", "near", "draw", "near", "along")[turn % 5]
         if kind == "along":
             return _along(others(), x, rng)
         return (self._guide.draw if kind == "draw" else self._guide.step)(x, given, rng)
