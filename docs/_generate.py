@@ -103,7 +103,14 @@ def effects() -> str:
     for site in SITES:
         parts.append(f"## {site}")
         for effect in (e for e in EFFECTS.values() if e.site == site):
-            lines = [f"### {effect.name}", "", effect.summary, "", f"Seen as: {effect.looks_like}", ""]
+            lines = [
+                f"### {effect.name}",
+                "",
+                f"*{effect.title[0].upper() + effect.title[1:]}.* {effect.summary}",
+                "",
+                f"Seen as: {effect.looks_like}",
+                "",
+            ]
             if effect.hides_behind:
                 lines += [f"Can hide behind {', '.join(f'`{n}`' for n in effect.hides_behind)}.", ""]
             if effect.name in alike:

@@ -7,6 +7,7 @@ import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from textwrap import wrap
 from typing import Any, Literal
 
 import numpy as np
@@ -23,14 +24,15 @@ from bayes_damper.diagnosis.published import diagnose_published
 from bayes_damper.diagnosis.response import Motion, motions
 from bayes_damper.diagnosis.sites import write_missing_torque
 from bayes_damper.diagnosis.verdict import RULE
-from bayes_damper.effects import Effect, all_effects
+from bayes_damper.effects import EFFECTS, Effect, all_effects
 from bayes_damper.effects._law import laws_on
+from bayes_damper.effects.base import SITE_TITLES
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.priors.files import campaign_priors, load_priors
 from bayes_damper.published.measurements import load_published
 from bayes_damper.published.posterior import Datum
 from bayes_damper.rig.parameters import unit_of
-from bayes_damper.rig.units import effect_unit
+from bayes_damper.rig.units import effect_unit, in_words_of
 from bayes_damper.runs.execution import write_json
 from bayes_damper.runs.parallel_map import forked_map
 from bayes_damper.runs.provenance import provenance
@@ -125,8 +127,8 @@ def diagnose(
     for parameters in (*(row["parameters"] for row in rows), *both.values()):
         for row in parameters.values():
             row["unit"] = effect_unit(row["unit"], *of_rig)
-    _add_meanings(result, library)
-    _draw(folder, found, workers)
+    _add_meanings(result, library, loaded.rig.kind, loaded.rig.has_magnet)
+    _draw(folder, found, workers, loaded.rig.has_magnet)
     write_json(path, result)  # last: a folder with it is whole
     return Diagnosed(folder, result, str(campaign))
 
@@ -184,11 +186,19 @@ def _emptied(folder: Path) -> Path:
     return path
 
 
-def _add_meanings(result: Mapping[str, Any], library: Mapping[str, Effect]) -> None:
-    """Adds to each effect of a result the sentence that says what it is."""
-    for row in result["effects"]:
+def _add_meanings(
+    result: Mapping[str, Any], library: Mapping[str, Effect], kind: str = "torsional", magnet: bool = True
+) -> None:
+    """Adds to each effect of a result what it is, in a few words and in a sentence, in the words of the rig."""
+    for row in (*result["effects"], *(result.get("budget") or {}).get("effects", ())):
         if row["name"] in library:
-            row["meaning"] = library[row["name"]].summary
+            row["title"] = in_words_of(library[row["name"]].title, kind, magnet)
+            row["meaning"] = in_words_of(library[row["name"]].summary, kind, magnet)
+            for p in (p for v in library[row["name"]].variants if v.name == row.get("variant") for p in v.parameters):
+                if p.name in row.get("parameters", {}):
+                    row["parameters"][p.name]["meaning"] = in_words_of(p.meaning, kind, magnet)
+        if row.get("formula"):
+            row["formula"] = in_words_of(row["formula"], kind)
 
 
 def _published_words(result: Mapping[str, Any]) -> list[str]:
@@ -290,11 +300,12 @@ def _words(result: Mapping[str, Any]) -> list[str]:
         site = max((s for s in result["sites"] if s != "none"), key=lambda s: result["sites"][s])
         sure = "There is" if share >= CERTAIN else "Most probable, but not sure:"
         first = f"{sure} a gap that no effect of the library explains (probability {share:.2f}); "
-        lines = [f"{first}it lies most likely at: {site}."]
+        lines = [f"{first}it lies most likely at: {_place(site)}."]
     else:
         row = next(r for r in result["effects"] if r["name"] == verdict)
         sure = "The missing effect is" if share >= CERTAIN else "Most probable, but not sure:"
-        lines = [f"{sure} {verdict} ({row['site']}), probability {share:.2f}: {row['formula']}."]
+        title = f", {row['title']}" if row.get("title") else ""
+        lines = [f"{sure} {verdict}{title} ({row['site']}), probability {share:.2f}: {row['formula']}."]
         lines += [f"  {row['meaning']}"] if row.get("meaning") else []
         parameters = {verdict: row["parameters"]}
         if result.get("pair"):
@@ -321,12 +332,18 @@ def _words(result: Mapping[str, Any]) -> list[str]:
     ranked = sorted(answers, key=lambda name: -answers[name])[:5]
     lines.append("Answers: " + ", ".join(f"{name} {answers[name]:.2f}" for name in ranked))
     sites = sorted(result["sites"], key=lambda s: -result["sites"][s])[:3]
-    lines.append("Sites: " + ", ".join(f"{site} {result['sites'][site]:.2f}" for site in sites))
+    lines.append("Sites: " + ", ".join(f"{_place(site)} {result['sites'][site]:.2f}" for site in sites))
     if result["indistinguishable"]:
         lines.append(
             "Not distinguished by these data: " + "; ".join(" / ".join(g) for g in result["indistinguishable"])
         )
     return lines + [f"note: {note}" for note in result.get("notes", [])]
+
+
+def _place(site: str) -> str:
+    """A site with what it is."""
+    title = SITE_TITLES.get(site, site)
+    return site if title in (site, f"{site}s") else f"{site} ({title})"
 
 
 def _forecast_words(ahead: Mapping[str, Any], unit: str) -> list[str]:
@@ -341,7 +358,7 @@ def _forecast_words(ahead: Mapping[str, Any], unit: str) -> list[str]:
     return [f"{first}50 and 90 % bands hold {held}."]
 
 
-def _draw(folder: Path, found: Diagnosis, workers: int) -> None:
+def _draw(folder: Path, found: Diagnosis, workers: int, magnet: bool) -> None:
     """Every figure of a diagnosis, side by side in `workers` processes."""
     answers = found.answers
     pair = {"effects": answers.pair_effects, "probability": answers.pair} if answers.pair_effects else None
@@ -351,7 +368,9 @@ def _draw(folder: Path, found: Diagnosis, workers: int) -> None:
             _maps(found), title=f"{found.campaign}: where the residuals exceed the noise"
         ),
         "ranking": lambda: figures.ranking_figure(
-            probabilities, found.sites, title=f"{found.campaign}: what is missing, and where"
+            {_label(name, found.kind, magnet): p for name, p in probabilities.items()},
+            {_place(site): p for site, p in found.sites.items()},
+            title=f"{found.campaign}: what is missing, and where",
         ),
     }
     record = _shown_record(found)
@@ -373,14 +392,18 @@ def _draw(folder: Path, found: Diagnosis, workers: int) -> None:
     forked_map(lambda name: figures.save(drawn[name](), folder / name), list(drawn), workers)
 
 
+def _label(name: str, kind: str, magnet: bool) -> str:
+    """An answer for the axis of a figure: its name, and below what it is."""
+    titles = [in_words_of(EFFECTS[n].title, kind, magnet) for n in name.split(" + ") if n in EFFECTS]
+    return "\n".join([name, *(line for title in titles for line in wrap(title, 30))])
+
+
 def _torque_title(found: Diagnosis) -> str:
     """What the figure shows, and under which condition where another site is as likely."""
     place = found.site_map.torque_site
     where = " at" if place == found.site_map.best else ", if the cause lies at"
-    return f"torque that the nominal laws lack{where} {'the ' if place in _WITH_ARTICLE else ''}{place}"
-
-
-_WITH_ARTICLE = ("bearings", "interface", "release", "sensor")
+    effort = "force" if found.kind == "translational" else "torque"
+    return f"{effort} that the nominal model lacks{where} {_place(place or '')}"
 
 
 _CELLS = {"time": 48, "frequency": 24, "plane": 16}  # of the maps of residuals, along each axis, at most

@@ -27,6 +27,11 @@ from bayes_damper.priors.distributions import Distribution, LogUniform
 
 Site = Literal["ground1", "bearings", "interface", "ground2", "release", "sensor"]
 SITES: tuple[Site, ...] = ("ground1", "bearings", "interface", "ground2", "release", "sensor")
+SITE_TITLES: dict[str, str] = {
+    "ground1": "spring to ground", "bearings": "bearings", "interface": "between the bodies",
+    "ground2": "secondary alone", "release": "release", "sensor": "sensors",
+}  # fmt: skip
+"""Site -> what it is in a few words, beside its name wherever a person reads it."""
 Kernel = Callable[..., Any]
 MOST_PARAMETERS = 12
 
@@ -149,6 +154,8 @@ class Effect:
     """What a rig must have for the effect to be possible; "linear_nominal": only offered with `--nominal linear`."""
     exact: bool = False
     """Whether its formula is a definition, such as a factor on a constant, not one of many that a cause may follow."""
+    title: str = ""
+    """What it is in a few words of a torsional rig, beside its name wherever a person reads it."""
     alike: frozenset[str] = field(default_factory=frozenset)
     """Effects that agree with it to first order (a class): a verdict inside the class is right."""
     law: Any = None

@@ -21,6 +21,7 @@ def dry(t, th1, th2, w1, w2, z1, z2, p, rig):
 EFFECT = Effect(
     name="bearing_drag",
     site="bearings",
+    title="dry drag in the bearings",
     summary="The bearings have dry drag.",
     looks_like="The decay is nearly a straight line and ends abruptly, in uncoupled trials too.",
     hides_behind=("c1t", "c3t"),

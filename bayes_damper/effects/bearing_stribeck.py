@@ -46,6 +46,7 @@ STARTS = ((0.5, 0.1), (0.5, 0.3), (0.5, 1.0), (0.5, 2.5), (1.5, 0.3), (0.02, 0.4
 EFFECT = Effect(
     name="bearing_stribeck",
     site="bearings",
+    title="drag in the bearings that is larger at low speed",
     summary="The drag of both bearings is larger at low speed than at high speed.",
     looks_like="The last swings die faster than the first ones foretell, in uncoupled trials too.",
     hides_behind=("drag", "nu", "c1t", "c3t"),

@@ -38,6 +38,7 @@ PARAMETERS = (
 EFFECT = Effect(
     name="eddy_overlap",
     site="interface",
+    title="damping that follows the overlap of the faces",
     summary="The damping between the bodies is largest where their faces overlap most.",
     looks_like="Sliding is damped strongly while the bars are aligned and hardly where they are apart.",
     hides_behind=("c2t", "mu"),

@@ -32,6 +32,7 @@ def quadratic(t, th1, th2, w1, w2, z1, z2, p, rig):
 EFFECT = Effect(
     name="friction_displacement",
     site="interface",
+    title="friction that depends on the relative angle",
     summary="The coefficient of friction depends on how far the bars are turned against each other.",
     looks_like="Jumps at reversals of sliding whose height varies with the relative angle, but not as the overlap.",
     hides_behind=("mu", "R", "r"),

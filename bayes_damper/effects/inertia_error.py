@@ -24,6 +24,7 @@ def factor(parameters: Mapping[str, Any], p: Mapping[str, Any]) -> Mapping[str, 
 EFFECT = Effect(
     name="inertia_error",
     site="ground2",
+    title="wrong inertia of the secondary",
     summary="The secondary inertia is off by more than its declaration allows.",
     looks_like="Coupled trials only: the secondary's acceleration is off by one factor while both torques fit.",
     hides_behind=("J2", "k2t", "mu"),

@@ -42,6 +42,7 @@ STARTS = ((0.003, 60.0), (0.05, 20.0), (0.05, 100.0), (0.15, 60.0))
 EFFECT = Effect(
     name="interface_friction",
     site="interface",
+    title="dry friction between the bodies",
     summary="There is dry friction between the faces.",
     looks_like="Both accelerations jump against each other at each reversal of sliding, in coupled trials only.",
     hides_behind=("c2t", "k2t"),

@@ -56,6 +56,7 @@ STARTS = ((0.05, 0.02), (0.5, 0.004), (0.5, 0.015), (0.5, 0.05), (0.5, 0.2), (2.
 EFFECT = Effect(
     name="interface_relaxation",
     site="interface",
+    title="viscoelastic coupling between the bodies",
     summary="A viscoelastic arm, a spring and a dashpot in series, acts between the bodies.",
     looks_like="Coupling that is stiff for quick and soft for slow relative motion, with damping in between.",
     hides_behind=("k2t", "c2t"),

@@ -40,6 +40,7 @@ def fading(t, th1, th2, w1, w2, z1, z2, p, rig):
 EFFECT = Effect(
     name="magnet_cubic",
     site="interface",
+    title="magnet whose restoring torque is not linear",
     summary="The restoring torque of the magnet is not in proportion to the relative angle.",
     looks_like="A slow swing of both bodies against each other whose period depends on its amplitude.",
     hides_behind=("k2t", "mu"),

@@ -67,6 +67,7 @@ STARTS = ((0.5,), (5.0,), (20.0,))
 EFFECT = Effect(
     name="magnet_fade",
     site="interface",
+    title="magnet that loses pull as it heats",
     summary="The pull of the magnet falls with the heat that the interface dissipates.",
     looks_like="Friction between the bodies that is strong in the first swings and weak in the last.",
     hides_behind=("mu", "c2t"),

@@ -43,6 +43,7 @@ SHARE = EffectParameter(
 EFFECT = Effect(
     name="misalignment_drag",
     site="bearings",
+    title="bearing drag from the pull of the magnet",
     summary="The bearings drag more the harder the magnet pulls them askew.",
     looks_like="Coupled trials lose more energy than uncoupled ones and the interface explain, on both bodies alike.",
     hides_behind=("drag", "mu", "c1t", "c3t"),

@@ -50,6 +50,7 @@ SHARE = EffectParameter(
 EFFECT = Effect(
     name="normal_force_law",
     site="interface",
+    title="other law of the magnet's pull",
     summary="The pull of the magnet falls otherwise than linearly with the offset of the faces.",
     looks_like="Jumps at reversals of sliding whose height varies with the relative angle, but not as the overlap.",
     hides_behind=("mu", "R", "r"),

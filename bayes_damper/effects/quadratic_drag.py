@@ -35,6 +35,7 @@ PARAMETERS = (
 EFFECT = Effect(
     name="quadratic_drag",
     site="bearings",
+    title="drag that grows with the square of the speed",
     summary="Every inertia feels a drag that grows with the square of their speed.",
     looks_like="Large swings decay faster than small ones, most in the cases with the largest release angle.",
     hides_behind=("c1t", "c3t", "drag"),

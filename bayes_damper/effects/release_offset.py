@@ -29,6 +29,7 @@ def share(parameters: Mapping[str, Any], p: Mapping[str, Any]) -> Mapping[str, A
 EFFECT = Effect(
     name="release_offset",
     site="release",
+    title="secondary at another angle at release",
     summary="At release the secondary stands at another angle than the primary.",
     looks_like="The secondary accelerates unlike the primary in the first milliseconds, in coupled trials only.",
     hides_behind=("theta0", "k2t", "mu"),

@@ -41,6 +41,7 @@ STARTS = ((0.0003,), (0.001,), (0.003,), (0.008,))
 EFFECT = Effect(
     name="release_ramp",
     site="release",
+    title="release that takes time",
     summary="The actuator lets go of the primary over a finite time.",
     looks_like="The first acceleration peak is lower and later than after a sudden release; then the phase is off.",
     hides_behind=("delay", "theta0"),

@@ -60,6 +60,7 @@ STARTS = ((0.00005,), (0.0005,), (0.002,), (0.005,))
 EFFECT = Effect(
     name="sensor_bandwidth",
     site="sensor",
+    title="sensors that are too slow",
     summary="The sensors are too slow to follow quick changes of the motion.",
     looks_like="Jumps and the first peak are rounded and late, slow content is right.",
     hides_behind=("nu", "delay"),

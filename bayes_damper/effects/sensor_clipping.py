@@ -56,6 +56,7 @@ STARTS = ((240.0,), (200.0,), (160.0,), (110.0,), (70.0,), (30.0,))
 EFFECT = Effect(
     name="sensor_clipping",
     site="sensor",
+    title="sensor range that ends too early",
     summary="The range of the channels ends below the largest readings.",
     looks_like="Flat tops at one level in the first swings of the strongest trials.",
     hides_behind=("theta0", "mu"),

@@ -42,6 +42,7 @@ STARTS = ((0.00001,), (0.0001,), (0.0007,), (0.002,), (0.004,))
 EFFECT = Effect(
     name="sensor_delay",
     site="sensor",
+    title="one channel later than the other",
     summary="One channel is recorded later than the other.",
     looks_like="One channel is shifted in time by a constant amount, the release included; the other one fits.",
     hides_behind=("delay",),

@@ -34,6 +34,7 @@ PARAMETERS = (
 EFFECT = Effect(
     name="sensor_gain",
     site="sensor",
+    title="wrong scale of one channel",
     summary="One channel reads too much or too little by a constant factor.",
     looks_like="One channel is off by a factor at all times; the other one fits.",
     hides_behind=("theta0", "J2", "mu"),

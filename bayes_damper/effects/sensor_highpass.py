@@ -52,6 +52,7 @@ STARTS = ((0.1,), (1.0,), (4.0,), (12.0,))
 EFFECT = Effect(
     name="sensor_highpass",
     site="sensor",
+    title="channels that lose slow content",
     summary="The channels are AC coupled and lose slow content.",
     looks_like="After a strong first swing the record dips below its middle line and creeps back; phases lead.",
     hides_behind=("c1t", "delay"),

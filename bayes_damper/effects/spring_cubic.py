@@ -27,6 +27,7 @@ def share_of_spring(t, th1, th2, w1, w2, z1, z2, p, rig):
 EFFECT = Effect(
     name="spring_cubic",
     site="ground1",
+    title="spring to ground that hardens or softens",
     summary="The torque of the spring to ground grows faster or slower than its angle.",
     looks_like="The period changes while the motion decays, and the first peak is too high or too low for it.",
     hides_behind=("k1t", "theta0"),

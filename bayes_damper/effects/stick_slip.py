@@ -84,6 +84,7 @@ STRIBECK_STARTS = ((0.3, 0.1), (0.3, 0.3), (0.3, 1.0), (0.3, 2.5), (1.0, 0.2), (
 EFFECT = Effect(
     name="stick_slip",
     site="interface",
+    title="sticking between the faces",
     summary="The faces stick: friction is larger at rest than in sliding, or gives way elastically before it slides.",
     looks_like="Short phases in which both bodies move together, with a jump in both accelerations where they end.",
     hides_behind=("mu", "nu", "k2t", "c2t"),

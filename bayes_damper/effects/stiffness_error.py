@@ -29,6 +29,7 @@ def addition(parameters: Mapping[str, Any], p: Mapping[str, Any]) -> Mapping[str
 EFFECT = Effect(
     name="stiffness_error",
     site="ground1",
+    title="wrong stiffness of the spring to ground",
     summary="The stiffness of the spring to ground is off by more than its declaration allows.",
     looks_like="All periods are off by one factor from the first to the last, in coupled and uncoupled trials alike.",
     hides_behind=("k1t", "theta0"),

@@ -14,10 +14,11 @@ from bayes_damper.text import COORDINATES
 
 
 def ranking_figure(probabilities: Mapping[str, float], sites: Mapping[str, float], *, title: str) -> Figure:
-    """Probabilities of the answers (those above 0.5 %, at most twelve) and of the sites, as bars."""
+    """Probabilities of the answers (those above 0.5 %, at most twelve) and of the sites; names may have lines."""
     shown = {name: p for name, p in _leading(probabilities, 12).items() if p > 0.005}
     rows = max(len(shown), len(sites))
-    figure = new_figure(8.0, 0.28 * rows + 1.2)
+    lines = max((name.count("\n") + 1 for name in (*shown, *sites)), default=1)
+    figure = new_figure(9.0, (0.28 if lines == 1 else 0.17 * lines + 0.1) * rows + 1.2)
     with mpl.rc_context(RC):
         left, right = figure.subplots(1, 2)
         _draw_probabilities(left, shown, rows, "answer")

@@ -13,6 +13,8 @@ from html import escape
 from pathlib import Path
 from typing import Literal
 
+from bayes_damper.effects.base import SITE_TITLES
+
 Kind = Literal["torsional", "translational", "pendulum"]
 KINDS: tuple[Kind, ...] = ("torsional", "translational", "pendulum")
 
@@ -26,11 +28,6 @@ _STYLE = (
     ".rig .named rect{fill:#d55e00;fill-opacity:.16;stroke:#d55e00;stroke-width:2.5;stroke-dasharray:none}"
     ".rig .named text{fill:#d55e00}"
 )
-_TITLES = {
-    "ground1": "spring to ground", "bearings": "bearings", "interface": "between the bodies",
-    "ground2": "secondary alone", "release": "release", "sensor": "sensors",
-}  # fmt: skip
-"""Site -> the words that stand over it."""
 
 Box = tuple[float, float, float, float]  # x, y, width, height
 
@@ -71,11 +68,11 @@ def sketch(
     """
     if kind not in KINDS:
         raise ValueError(f"kind is {kind!r}; give one of {', '.join(KINDS)}")
-    if wrong := set(named) - set(_TITLES):
-        raise ValueError(f"{sorted(wrong)}: no such site; sites are {', '.join(_TITLES)}")
+    if wrong := set(named) - set(SITE_TITLES):
+        raise ValueError(f"{sorted(wrong)}: no such site; sites are {', '.join(SITE_TITLES)}")
     draw = {"torsional": _torsional, "translational": _translational, "pendulum": _pendulum}[kind]
     drawn = draw(coupled, magnet)
-    titles = _TITLES | dict(drawn.titles)
+    titles = SITE_TITLES | dict(drawn.titles)
     sites = [_site(s, boxes, titles[s], s in named, s in drawn.below) for s, boxes in drawn.boxes.items()]
     bodies = "one body" if not coupled else "two bodies"
     label = f"Sketch of a {kind} rig with {bodies}" + (f"; highlighted: {', '.join(sorted(named))}" if named else "")

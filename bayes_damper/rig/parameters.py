@@ -21,9 +21,9 @@ class Parameter:
 
 
 _ALL = (
-    Parameter("mu", "mu", "1", "coefficient of friction at the magnetic interface"),
-    Parameter("k2t", "k2t", "N m/rad", "stiffness of the magnetic coupling"),
-    Parameter("c2t", "c2t", "N m s/rad", "damping of the magnetic coupling"),
+    Parameter("mu", "mu", "1", "coefficient of friction between the bodies"),
+    Parameter("k2t", "k2t", "N m/rad", "stiffness of the coupling between the bodies"),
+    Parameter("c2t", "c2t", "N m s/rad", "damping of the coupling between the bodies"),
     Parameter("drag", "d", "N m", "bearing drag torque, each bearing"),
     Parameter("nu", "nu", "s/rad", "smoothing constant of every tanh"),
     Parameter("c1t", "c1t", "N m s/rad", "viscous damping of the primary's bearing"),

@@ -1,10 +1,12 @@
-"""Units of the parameters of effects on the rig that they are found on.
+"""Units and words of parameters and effects on the rig that they are found on.
 
 Effects declare them for a torsional rig (N m, rad), and those on the scale of a sensor as `reading`; parameters.py does
 the same for the parameters of the model.
 """
 
 from __future__ import annotations
+
+import re
 
 from bayes_damper.rig.parameters import unit_of
 
@@ -14,3 +16,26 @@ def effect_unit(declared: str, kind: str = "torsional", quantity: str = "acceler
     if declared == "reading":
         return unit_of("sigma1", kind, quantity)
     return declared.replace("N m", "N").replace("rad", "m") if kind == "translational" else declared
+
+
+_STRAIGHT = {
+    "moment of inertia": "mass", "moments of inertia": "masses", "inertia": "mass", "inertias": "masses",
+    "bearing drag torque": "drag force", "torque": "force", "torques": "forces",
+    "release angle": "release displacement", "angle": "displacement", "angles": "displacements",
+    "turned against": "moved against", "bars": "bodies", "turn": "travel", "angular": "",
+    "th1": "x1", "th2": "x2", "w": "v", "w1": "v1", "w2": "v2", "ws": "vs", "Q": "F", "Q1": "F1", "Q2": "F2",
+    "theta0": "x0", "theta1": "x1", "theta2": "x2",
+}  # fmt: skip
+_PLAIN = {"the faces": "the bodies", "faces": "bodies"}
+
+
+def in_words_of(text: str, kind: str = "torsional", magnet: bool = True) -> str:
+    """A text about a torsional rig with a magnet in the words of another rig: force for torque, mass for inertia.
+
+    text : a title, a meaning or a formula; kind : of the rig; magnet : whether it has one.
+    """
+    words = (_STRAIGHT if kind == "translational" else {}) | ({} if magnet else _PLAIN)
+    for word in sorted(words, key=len, reverse=True):
+        for old, new in ((word, words[word]), (word[0].upper() + word[1:], words[word].capitalize())):
+            text = re.sub(rf"\b{re.escape(old)}\b(?! \d)", new, text)
+    return text

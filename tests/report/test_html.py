@@ -204,9 +204,9 @@ def test_a_fit_opens_with_what_the_data_determine_and_what_the_model_misses(tmp_
     page = report(tmp_path).path.read_text(encoding="utf-8")
     text = words_of(page)
     first = (
-        "If the model were right: Determined by the data: the coefficient of friction at the magnetic interface (mu, "
-        "±30 %) in every case; the stiffness of the magnetic coupling (k2t, ±30 %) in case III. All runs converged. "
-        "None of 4 measurements lies"
+        "If the model were right: Determined by the data: the coefficient of friction between the bodies (mu, "
+        "±30 %) in every case; the stiffness of the coupling between the bodies (k2t, ±30 %) in case III. All "
+        "runs converged. None of 4 measurements lies"
     )
     assert first in text
     assert (
@@ -395,7 +395,10 @@ def test_everything_a_folder_holds_is_on_the_page(tmp_path):
     assert "Nothing was learnt about the smoothing constant of every tanh (nu)" in text
     assert "The cases do not share one parameter set (2 %)" in text
     assert "insertion loss 12.0 dB (90 %: 10.4 to 13.6 dB)" in text
-    assert "hangs most on c2t: damping of the magnetic coupling (70 % of its variance): measure that better." in text
+    assert (
+        "hangs most on c2t: damping of the coupling between the bodies (70 % of its variance): measure that better."
+        in text
+    )
     assert "your design probably has no resonance left" in text, "12 dB where there is one, but few have one"
     assert "synthetic <rig>" in text
     assert text.index("Most probable, but") < text.index("Case III: parameters")
@@ -476,7 +479,7 @@ def test_the_parameters_of_an_effect_of_the_library_are_explained(tmp_path):
     data["effects"][0] |= {"variant": "gaussian", "formula": "a law", "parameters": {"speed": value, "other": value}}
     (tmp_path / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
     text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
-    assert "rad/s (90 % intervals). Speed: Sliding speed over which the excess is lost. Most probable place" in text
+    assert "rad/s (90 % intervals). speed: Sliding speed over which the excess is lost. Most probable place" in text
 
 
 def test_the_figure_of_the_missing_torque_names_its_record():

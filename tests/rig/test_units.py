@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,8 @@ import pytest
 from bayes_damper.campaign import load_plan
 from bayes_damper.commands.plan import judge
 from bayes_damper.effects import EFFECTS
-from bayes_damper.rig.units import effect_unit
+from bayes_damper.rig.parameters import PARAMETERS
+from bayes_damper.rig.units import effect_unit, in_words_of
 
 
 @pytest.mark.parametrize(
@@ -42,3 +44,38 @@ def test_a_plan_of_carts_tells_effects_in_newtons_and_metres(tmp_path: Path) -> 
     typical = {row["name"]: {p["unit"] for p in row["typical"].values()} for row in found["effects"]}
     assert typical["sensor_clipping"] == {"m"}
     assert not any("rad" in unit for units in typical.values() for unit in units)
+
+
+def test_words_of_a_cart_are_force_mass_and_displacement_and_its_symbols_are_of_a_line() -> None:
+    cart = ("translational", False)
+    assert in_words_of("The torque of the spring grows faster than its angle.", *cart) == (
+        "The force of the spring grows faster than its displacement."
+    )
+    assert in_words_of("Q1 = -k3 th1^3", *cart) == "F1 = -k3 x1^3"
+    assert in_words_of("Q = -d tanh(n w)", *cart) == "F = -d tanh(n v)"
+    assert in_words_of("Inertia of the bars", *cart) == "Mass of the bodies"
+    assert in_words_of("missing_torque.csv, inertia_error", *cart) == "missing_torque.csv, inertia_error", "names stay"
+
+
+@pytest.mark.parametrize("effect", [e for e in EFFECTS.values() if "magnet" not in e.needs], ids=lambda e: e.name)
+def test_no_effect_speaks_of_torque_angle_or_magnet_on_a_cart_that_has_none(effect) -> None:
+    assert effect.title, "each effect has a title beside its name"
+    meanings = [p.meaning for v in effect.variants for p in v.parameters]
+    text = " ".join([effect.title, effect.summary, *meanings, *(v.formula for v in effect.variants)])
+    words = set(re.findall(r"[a-z]+\d?", in_words_of(text, "translational", False).lower()))
+    assert not words & {
+        "torque",
+        "torques",
+        "angle",
+        "angles",
+        "inertia",
+        "inertias",
+        "magnet",
+        "magnetic",
+        "faces",
+        "th1",
+    }
+
+
+def test_parameters_of_a_torsional_rig_keep_their_words() -> None:
+    assert all(in_words_of(p.meaning) == p.meaning for p in PARAMETERS.values())

@@ -151,7 +151,8 @@ def _verdict_sentences(
     meant = [str(found["meaning"])] if found.get("meaning") else []
     if size and found.get("formula"):
         meant.append(f"Its law: {found['formula']}, with {size} (90 % intervals). {_meanings(found)}".strip())
-    return [f"{said} {words(verdict)} ({percent(share)}).", *meant, *where]
+    named = f"{words(verdict)}, {found['title']}" if found.get("title") else words(verdict)
+    return [f"{said} {named} ({percent(share)}).", *meant, *where]
 
 
 def _meanings(found: Mapping[str, Any]) -> str:
@@ -159,9 +160,8 @@ def _meanings(found: Mapping[str, Any]) -> str:
     known = EFFECTS.get(str(found["name"]))
     variants = [v for v in known.variants if v.name == found.get("variant")] if known else []
     meanings = {p.name: p.meaning for v in variants for p in v.parameters}
-    return " ".join(
-        f"{name[0].upper() + name[1:]}: {meanings[name]}" for name in found["parameters"] if name in meanings
-    )
+    meanings |= {k: v["meaning"] for k, v in found["parameters"].items() if isinstance(v, Mapping) and "meaning" in v}
+    return " ".join(f"{name}: {meanings[name]}" for name in found["parameters"] if name in meanings)
 
 
 def _place(site: str) -> str:
@@ -442,7 +442,8 @@ def _shift_tables(parameters: Mapping[str, Any]) -> list[Table]:
     """Parameters of the nominal model before and after the leading effect is added."""
     rows = []
     for name, p in parameters.items():
-        meant, unit = meaning_of(name), PARAMETERS[k].unit if (k := name.partition("[")[0]) in PARAMETERS else ""
+        unit = p.get("unit") or (PARAMETERS[k].unit if (k := name.partition("[")[0]) in PARAMETERS else "")
+        meant = meaning_of(name, unit)
         if (own := re.fullmatch(r"(scale|lag)(\d)", name)) is not None:
             meant, unit = f"{name}: {_OTHER[own[1]][0]} {own[2]}", _OTHER[own[1]][1]
         cells = [meant]
@@ -491,7 +492,7 @@ def _budget_tables(budget: Mapping[str, Any]) -> list[Table]:
 
     rows = [
         Row((
-            words(str(e["name"])), str(e["site"]), percent(e["present"]), share(e["share"]),
+            titled(e), str(e["site"]), percent(e["present"]), share(e["share"]),
             "; ".join(_parameter(k, v) for k, v in e["parameters"].items()),
         ))
         for e in budget["effects"]
@@ -506,6 +507,12 @@ def _budget_tables(budget: Mapping[str, Any]) -> list[Table]:
     return [Table("The gap as a budget", columns, tuple(rows), note)]
 
 
+def titled(e: Mapping[str, Any]) -> str:
+    """An effect for the first column of a table: its name, and below what it is."""
+    name = words(str(e.get("name", "")))
+    return f"{name}\n{e['title']}" if e.get("title") else name
+
+
 def _effect_table(effects: Sequence[Mapping[str, Any]], probabilities: Sequence[tuple[str, float]]) -> Table:
     """Every answer, the most probable first; `none` and `unknown` have no formula."""
     named = {e.get("name") for e in effects}
@@ -516,7 +523,7 @@ def _effect_table(effects: Sequence[Mapping[str, Any]], probabilities: Sequence[
         closed = e.get("closed")
         closed = _share_of(closed) if isinstance(closed, Mapping) else closed
         cells = (
-            words(str(e.get("name", ""))),
+            titled(e),
             words(str(e.get("variant") or NOTHING)),
             str(e.get("site") or NOTHING),
             percent(e.get("probability")),

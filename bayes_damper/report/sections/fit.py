@@ -11,7 +11,7 @@ from typing import Any
 from bayes_damper.fit.sensitivity import decided_by
 from bayes_damper.report.charts import record_chart
 from bayes_damper.report.parts import Headline, Result, Row, Section, Table, generic, listed, words
-from bayes_damper.report.sections.shared import UNCONVERGED, fingerprint, meaning_of, pictures_of
+from bayes_damper.report.sections.shared import UNCONVERGED, fingerprint, meaning_of, pictures_of, plain_meaning
 from bayes_damper.rig.parameters import PARAMETERS
 from bayes_damper.runs.execution import folder_name
 from bayes_damper.text import NOTHING, counted, gathered, interval, number, plus_minus
@@ -129,7 +129,8 @@ def _determined(groups: Mapping[str, Any]) -> str:
         fits = listed([place if place.startswith("all") else f"case {place}" for place in places])
         everywhere = len(places) == len(groups)
         known = {name: _precision(name, [groups[place] for place in places]) for name in names}
-        known_best = _in_words(names, known, _SPELT_FIRST)
+        units = {name: groups[places[0]]["parameters"][name].get("unit", "") for name in names}
+        known_best = _in_words(names, known, _SPELT_FIRST, units)
         parts.append(known_best + ("" if len(groups) == 1 else " in every case" if everywhere else f" in {fits}"))
     return f"Determined by the data: {'; '.join(parts)}."
 
@@ -146,17 +147,18 @@ def _precision(name: str, entries: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _in_words(
-    names: Sequence[str], more: Mapping[str, str] = MappingProxyType({}), most: int = _SPELT_OUT
+    names: Sequence[str], more: Mapping[str, str] = MappingProxyType({}), most: int = _SPELT_OUT,
+    units: Mapping[str, str] = MappingProxyType({}),
 ) -> str:  # fmt: skip
     """Parameters in a sentence, each with what it is, unless they are more than `most`; `more` stands behind each."""
     spelt = []
     for name in names:
-        known = PARAMETERS.get(name.partition("[")[0]) if len(names) <= most else None
+        meant = plain_meaning(name, units.get(name, "")) if len(names) <= most else ""
         beside = more.get(name, "")
-        if known is None:
+        if not meant:
             spelt.append(f"{name} ({beside})" if beside else name)
         else:
-            spelt.append(f"the {known.meaning} ({name}{', ' if beside else ''}{beside})")
+            spelt.append(f"the {meant} ({name}{', ' if beside else ''}{beside})")
     return listed(spelt)
 
 
@@ -204,7 +206,7 @@ def _overview(groups: Mapping[str, Any]) -> Table:
             low, high = p["hdi90"]
             star = " *" if _decided(p) == "prior" else ""
             cells.append(f"{number(p['median'], high - low)}{star}\n({interval(low, high)})")
-        rows.append(Row((_shown_name(name), unit, *cells)))
+        rows.append(Row((_shown_name(name, unit), unit, *cells)))
     heads = [
         (name if name.startswith("all") else f"case {name}")
         + (": median\n(90 %)" if entry.get("converged") else ": median\n(90 %) NOT CONVERGED")
@@ -216,13 +218,13 @@ def _overview(groups: Mapping[str, Any]) -> Table:
     return Table("Median and 90 % interval", columns, tuple(rows), note)
 
 
-def _shown_name(name: str) -> str:
+def _shown_name(name: str, unit: str) -> str:
     """A parameter for the first column of a table: its name, and below what it is."""
     known = PARAMETERS.get(name.partition("[")[0])
     if known is None:
         return name
     formula = f" = {known.symbol}" if " " in known.symbol else ""
-    return f"{name}{formula}\n{known.meaning}"
+    return f"{name}{formula}\n{plain_meaning(name, unit)}"
 
 
 def _is_outside(row: Mapping[str, Any]) -> bool:
@@ -242,7 +244,14 @@ def _case_section(name: str, entry: Mapping[str, Any], folder: Path, shown: Coll
             number(p.get("r_hat")),
             *(f"{v:.0f}" if (v := p.get(k)) else NOTHING for k in ("ess_bulk", "ess_tail")),
         )
-        cells = (meaning_of(key), number(p["median"], width), number(low, width), number(high, width), p["unit"], who)
+        cells = (
+            meaning_of(key, p["unit"]),
+            number(p["median"], width),
+            number(low, width),
+            number(high, width),
+            p["unit"],
+            who,
+        )
         before = (interval(*p["prior"]["hdi90"]) if p.get("prior") else NOTHING,) if assumed else ()
         rows.append(Row(cells + before + health, "bad" if not good else "prior" if who == "prior" else ""))
     columns = (
@@ -344,7 +353,7 @@ def _trial_table(name: str, trials: Mapping[str, Any]) -> Table:
     rows = []
     for label, nuisances in trials.items():
         for key, p in nuisances.items():
-            middle, (low, high), unit, what = p["mean"], p["hdi90"], p["unit"], meaning_of(key)
+            middle, (low, high), unit, what = p["mean"], p["hdi90"], p["unit"], meaning_of(key, p["unit"])
             if key.startswith("ln_"):  # readers think in factors
                 middle, low, high, unit = math.exp(middle), math.exp(low), math.exp(high), "1"
                 what = f"{key.removeprefix('ln_')} of this trial over that of all"

@@ -41,7 +41,7 @@ def plan_result(data: Mapping[str, Any], folder: Path) -> Result:
     for name, p in data["parameters"].items():
         low, high = p["expected90"]
         who = decided_by(p["sd_over_prior"] ** 2)
-        cells = (meaning_of(name), interval(low, high), p["unit"], number(p["sd_over_prior"], 0.1), who)
+        cells = (meaning_of(name, p["unit"]), interval(low, high), p["unit"], number(p["sd_over_prior"], 0.1), who)
         parameters.append(Row(cells, "prior" if who == "prior" else ""))
     columns = ("parameter", "expected 90 %", "unit", "sd / prior sd", "decided by")
     tables.append(Table("What they would teach about each parameter", columns, tuple(parameters)))

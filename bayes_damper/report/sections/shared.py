@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from bayes_damper.report.parts import Picture, Table, generic, words
-from bayes_damper.rig.parameters import PARAMETERS
+from bayes_damper.rig.parameters import PARAMETERS, unit_of
+from bayes_damper.rig.units import in_words_of
 
 _HEADS = {
     "k1t n m per rad": "k1t [N m/rad]", "k1 n per m": "k1 [N/m]", "theta0 deg": "theta0 [deg]",
@@ -52,8 +53,8 @@ _MORE = {
     "ranking": ("Which effect, and where", "Bars: probability of each answer, and of each site of the rig."),
     "published": ("Published numbers", "Each published number beside what the leading answers predict for it."),
     "missing_torque": (
-        "Missing torque",
-        "The torque that the nominal model lacks, against time, angle and velocity, with its uncertainty.",
+        "What the model lacks",
+        "The torque (force) that the nominal model lacks, against time, place and speed, with its uncertainty.",
     ),
     "variability_effective": (
         "Effective stiffness and damping",
@@ -87,10 +88,22 @@ def fingerprint(data: Mapping[str, Any]) -> dict[str, Any]:
     return {k: data[k] for k in ("campaign", "campaign_sha256", "seed") if k in data}
 
 
-def meaning_of(name: str) -> str:
-    """A parameter's name, with what it means where the library knows it."""
+def meaning_of(name: str, unit: str = "") -> str:
+    """A parameter's name, with what it means where the library knows it.
+
+    unit : its own, which shows whether the rig turns or slides.
+    """
+    meant = plain_meaning(name, unit)
+    return f"{name}: {meant}" if meant else name
+
+
+def plain_meaning(name: str, unit: str = "") -> str:
+    """What a parameter is, in the words of the rig that its unit belongs to; "" where the library does not know it."""
     known = PARAMETERS.get(name.partition("[")[0])
-    return f"{name}: {known.meaning}" if known else name
+    if known is None:
+        return ""
+    slides = unit == unit_of(name, "translational") != unit_of(name)
+    return in_words_of(known.meaning, "translational" if slides else "torsional")
 
 
 def pictures_of(folder: Path, group: str = "", *, kind: str = "") -> tuple[Picture, ...]:
