@@ -141,57 +141,7 @@ def _design(rows: Rows) -> None:
 def _uncoupled(rows: Rows) -> None:
     """Tables 3, 4 and 5, pp. 13-16."""
     for case in CASES:
-        p = printed_case(case)
-        rows.add(
-            *("Table 3", 13, f"{case}: damping ratio", "1", p.ratio_table_3[0]),
-            linear.damping_ratio_of_decrement,
-            (p.decrement[0],),
-            "Eq. 11 from the decrement of Table 6.",
-        )
-        rows.add(
-            *("Table 4", 14, f"{case}: designed natural frequency", "Hz", p.designed),
-            lambda k, j: linear.natural_frequency(k, 1e-6 * j),
-            (p.k1t, INERTIA),
-            f"Eq. 6; the printed value belongs to k1t = {linear.stiffness_for(float(p.designed), J1):.3f} N m/rad.",
-        )
-        rows.add(
-            *("Table 4", 14, f"{case}: measured natural frequency", "Hz", p.measured_frequency[0]),
-            lambda t, z: linear.natural_frequency_of_period(1e-3 * t, z),
-            (p.period[0], p.ratio[0]),
-            "The damped period of Table 7 corrected by the damping ratio of Table 6: the same measurement twice.",
-        )
-        rows.add(
-            *("Table 4", 14, f"{case}: its standard error", "Hz", p.measured_frequency[1]),
-            lambda t, e, z: e * 1e3 / t**2 / np.sqrt(1 - z**2),
-            (p.period[0], p.period[1], p.ratio[0]),
-            "From the error of the period alone; that of the damping ratio is left out (see the contradictions).",
-        )
-        rows.add(
-            *("Table 4", 14, f"{case}: difference", "%", p.frequency_difference),
-            lambda a, b: linear.percent_difference(a, b, "predicted"),
-            (p.designed, p.measured_frequency[0]),
-            "Relative to the prediction. Eq. 14 divides by the measurement, which would give "
-            f"{linear.percent_difference(float(p.designed), float(p.measured_frequency[0])):.2f} %.",
-        )
-        rows.add(
-            *("Table 5", 16, f"{case}: undamped bound", "rad/s^2", p.bound),
-            lambda k, th, j: linear.acceleration_bound(k, np.deg2rad(th), 1e-6 * j),
-            (p.k1t, p.theta0, INERTIA),
-            "Eq. 16 (the table cites eq. 14); the printed value belongs to k1t = "
-            f"{float(p.bound) * J1 / np.deg2rad(float(p.theta0)):.3f} N m/rad at the printed angle.",
-        )
-        rows.add(
-            *("Table 5", 16, f"{case}: measured acceleration", "rad/s^2", p.acceleration_table_5, lambda x: x),
-            (float(p.acceleration[0]),),
-            "The same measurement as in Table 8 (p. 18).",
-        )
-        rows.add(
-            *("Table 5", 16, f"{case}: difference", "%", p.acceleration_difference),
-            lambda a, b: linear.percent_difference(a, b, "predicted"),
-            (p.bound, p.acceleration_table_5),
-            "Relative to the prediction; by eq. 14 it would be "
-            f"{linear.percent_difference(float(p.bound), float(p.acceleration_table_5)):.1f} %.",
-        )
+        _uncoupled_case(rows, case)
     differences = [printed_case(c).acceleration_difference for c in CASES]
     rows.add(
         *("text", 16, "low-stiffness cases deviate more, on average, by", "%", "11"),
@@ -204,6 +154,61 @@ def _uncoupled(rows: Rows) -> None:
         *("text", 13, "damping ratio against energy", "falls", CONTRADICTION),
         f"It falls in {pairs} of the 6 pairs of cases, rises in {6 - pairs}: case I damps more than III, II more than "
         "IV.",
+    )
+
+
+def _uncoupled_case(rows: Rows, case: str) -> None:
+    """One case's row of Tables 3, 4 and 5."""
+    p = printed_case(case)
+    rows.add(
+        *("Table 3", 13, f"{case}: damping ratio", "1", p.ratio_table_3[0]),
+        linear.damping_ratio_of_decrement,
+        (p.decrement[0],),
+        "Eq. 11 from the decrement of Table 6.",
+    )
+    rows.add(
+        *("Table 4", 14, f"{case}: designed natural frequency", "Hz", p.designed),
+        lambda k, j: linear.natural_frequency(k, 1e-6 * j),
+        (p.k1t, INERTIA),
+        f"Eq. 6; the printed value belongs to k1t = {linear.stiffness_for(float(p.designed), J1):.3f} N m/rad.",
+    )
+    rows.add(
+        *("Table 4", 14, f"{case}: measured natural frequency", "Hz", p.measured_frequency[0]),
+        lambda t, z: linear.natural_frequency_of_period(1e-3 * t, z),
+        (p.period[0], p.ratio[0]),
+        "The damped period of Table 7 corrected by the damping ratio of Table 6: the same measurement twice.",
+    )
+    rows.add(
+        *("Table 4", 14, f"{case}: its standard error", "Hz", p.measured_frequency[1]),
+        lambda t, e, z: e * 1e3 / t**2 / np.sqrt(1 - z**2),
+        (p.period[0], p.period[1], p.ratio[0]),
+        "From the error of the period alone; that of the damping ratio is left out (see the contradictions).",
+    )
+    rows.add(
+        *("Table 4", 14, f"{case}: difference", "%", p.frequency_difference),
+        lambda a, b: linear.percent_difference(a, b, "predicted"),
+        (p.designed, p.measured_frequency[0]),
+        "Relative to the prediction. Eq. 14 divides by the measurement, which would give "
+        f"{linear.percent_difference(float(p.designed), float(p.measured_frequency[0])):.2f} %.",
+    )
+    rows.add(
+        *("Table 5", 16, f"{case}: undamped bound", "rad/s^2", p.bound),
+        lambda k, th, j: linear.acceleration_bound(k, np.deg2rad(th), 1e-6 * j),
+        (p.k1t, p.theta0, INERTIA),
+        "Eq. 16 (the table cites eq. 14); the printed value belongs to k1t = "
+        f"{float(p.bound) * J1 / np.deg2rad(float(p.theta0)):.3f} N m/rad at the printed angle.",
+    )
+    rows.add(
+        *("Table 5", 16, f"{case}: measured acceleration", "rad/s^2", p.acceleration_table_5, lambda x: x),
+        (float(p.acceleration[0]),),
+        "The same measurement as in Table 8 (p. 18).",
+    )
+    rows.add(
+        *("Table 5", 16, f"{case}: difference", "%", p.acceleration_difference),
+        lambda a, b: linear.percent_difference(a, b, "predicted"),
+        (p.bound, p.acceleration_table_5),
+        "Relative to the prediction; by eq. 14 it would be "
+        f"{linear.percent_difference(float(p.bound), float(p.acceleration_table_5)):.1f} %.",
     )
 
 
@@ -397,6 +402,11 @@ def _frequency_response(rows: Rows) -> None:
         (table_12()["uncoupled"][0][1], table_12()["with effective stiffness"][0][1]),
         "772.1 / 680.7: the figure and the table have the same source.",
     )
+    _figures(rows)
+
+
+def _figures(rows: Rows) -> None:
+    """Figures whose scale, caption or label contradicts the text."""
     peak = linear.transmissibility(np.linspace(0.6, 2.0, 2801), 0.07).max()
     rows.say(
         *("Fig. 2", 2, "scale of the ordinate", "1e-4 to 1e-1", CONTRADICTION),

@@ -316,50 +316,59 @@ def _peers(nu: float, truth: Array) -> tuple[dict[str, tuple[Callable[[], Any], 
     return found, missing
 
 
+def _own_calls(
+    nu: float,
+    kernel: Callable[..., Any],
+    calls: dict[Any, tuple[Callable[[], Any], int]],
+    errors: dict[Any, Callable[[], float]],
+) -> Array:
+    """Our own ways to simulate at one sharpness, added to what is timed and held against the truth, which it gives."""
+    model, plain, data = Model(), libm_kernel(), np.zeros((2, TIMES.size))
+    call, truth = fixed_step(nu, 8000 if nu > 500.0 else 1000)
+    call()
+    truth = truth.copy()
+    table, sixteen = vectors(nu), vectors(nu, LANES)
+    arguments = _block(nu)
+    speed = BASE["theta0"] * math.sqrt(BASE["k1t"] / BASE["J1"])
+
+    def own_error(table: dict[str, Any] = sixteen, truth: Array = truth, tolerance: float = 1.0) -> float:
+        return _error(model.simulate(table, TIMES, tolerance=tolerance).y, truth)
+
+    def as_a_fit_does(table: dict[str, Any] = table) -> Array:
+        """Records, then the sums of squares of their residuals."""
+        return np.asarray(np.square(model.simulate(table, TIMES).y - data).sum(axis=(1, 2)))
+
+    calls[_OWN, nu] = as_a_fit_does, _VECTORS
+    errors[_OWN, nu] = own_error
+    calls["kernel alone", nu] = (lambda a=arguments: kernel(*a), LANES)  # type: ignore[misc]
+    errors["kernel alone", nu] = own_error
+    fixed = min(integrator.SPEED_TOLERANCE * speed, integrator.SWITCH_TOLERANCE / nu)
+    at_fixed = list(_block(nu))
+    at_fixed[4] = np.full(LANES, FIXED_TOLERANCE / fixed)
+    calls["kernel, one fixed tolerance", nu] = (lambda a=tuple(at_fixed): kernel(*a), LANES)  # type: ignore[misc]
+    errors["kernel, one fixed tolerance", nu] = lambda e=own_error, w=FIXED_TOLERANCE / fixed: e(tolerance=w)  # type: ignore[misc]
+    calls["same source, libm tanh", nu] = (lambda a=arguments: plain(*a), LANES)  # type: ignore[misc]
+    errors["same source, libm tanh", nu] = own_error
+    rk4, out = fixed_step(nu, _SUBSTEPS[nu])
+    calls["RK4 in lanes", nu] = (rk4, LANES)
+    errors["RK4 in lanes", nu] = lambda out=out, truth=truth: _error(out, truth)  # type: ignore[misc]
+    return truth
+
+
 def bench(*, repeats: int = 7, peers: bool = True) -> Bench:
     """Measure speed and accuracy; about two minutes with all peers, half a minute without.
 
     repeats : rounds over all rows; peers : whether other packages that are installed are timed too.
     """
-    model = Model()
-    kernel: Callable[..., Any] = model.compile()
-    plain = libm_kernel()
-    data = np.zeros((2, TIMES.size))
+    kernel: Callable[..., Any] = Model().compile()
     calls: dict[Any, tuple[Callable[[], Any], int]] = {}
     slow: dict[Any, tuple[Callable[[], Any], int]] = {}
     errors: dict[Any, Callable[[], float]] = {}
     missing: list[str] = []
     passes: dict[float, int] = {}
     for nu in SHARPNESS:
-        call, truth = fixed_step(nu, 8000 if nu > 500.0 else 1000)
-        call()
-        truth = truth.copy()
-        table, sixteen = vectors(nu), vectors(nu, LANES)
-        arguments = _block(nu)
-        passes[nu] = int(kernel(*arguments))
-        speed = BASE["theta0"] * math.sqrt(BASE["k1t"] / BASE["J1"])
-
-        def own_error(table: dict[str, Any] = sixteen, truth: Array = truth, tolerance: float = 1.0) -> float:
-            return _error(model.simulate(table, TIMES, tolerance=tolerance).y, truth)
-
-        def as_a_fit_does(table: dict[str, Any] = table) -> Array:
-            """Records, then the sums of squares of their residuals."""
-            return np.asarray(np.square(model.simulate(table, TIMES).y - data).sum(axis=(1, 2)))
-
-        calls[_OWN, nu] = as_a_fit_does, _VECTORS
-        errors[_OWN, nu] = own_error
-        calls["kernel alone", nu] = (lambda a=arguments: kernel(*a), LANES)  # type: ignore[misc]
-        errors["kernel alone", nu] = own_error
-        fixed = min(integrator.SPEED_TOLERANCE * speed, integrator.SWITCH_TOLERANCE / nu)
-        at_fixed = list(_block(nu))
-        at_fixed[4] = np.full(LANES, FIXED_TOLERANCE / fixed)
-        calls["kernel, one fixed tolerance", nu] = (lambda a=tuple(at_fixed): kernel(*a), LANES)  # type: ignore[misc]
-        errors["kernel, one fixed tolerance", nu] = lambda e=own_error, w=FIXED_TOLERANCE / fixed: e(tolerance=w)  # type: ignore[misc]
-        calls["same source, libm tanh", nu] = (lambda a=arguments: plain(*a), LANES)  # type: ignore[misc]
-        errors["same source, libm tanh", nu] = own_error
-        rk4, out = fixed_step(nu, _SUBSTEPS[nu])
-        calls["RK4 in lanes", nu] = (rk4, LANES)
-        errors["RK4 in lanes", nu] = lambda out=out, truth=truth: _error(out, truth)  # type: ignore[misc]
+        truth = _own_calls(nu, kernel, calls, errors)
+        passes[nu] = int(kernel(*_block(nu)))
         if peers:
             found, missing = _peers(nu, truth)
             for name, (peer, records, error) in found.items():
