@@ -331,27 +331,27 @@ def _own_calls(
     arguments = _block(nu)
     speed = BASE["theta0"] * math.sqrt(BASE["k1t"] / BASE["J1"])
 
-    def own_error(table: dict[str, Any] = sixteen, truth: Array = truth, tolerance: float = 1.0) -> float:
-        return _error(model.simulate(table, TIMES, tolerance=tolerance).y, truth)
+    def own_error(tolerance: float = 1.0) -> float:
+        return _error(model.simulate(sixteen, TIMES, tolerance=tolerance).y, truth)
 
-    def as_a_fit_does(table: dict[str, Any] = table) -> Array:
+    def as_a_fit_does() -> Array:
         """Records, then the sums of squares of their residuals."""
         return np.asarray(np.square(model.simulate(table, TIMES).y - data).sum(axis=(1, 2)))
 
     calls[_OWN, nu] = as_a_fit_does, _VECTORS
     errors[_OWN, nu] = own_error
-    calls["kernel alone", nu] = (lambda a=arguments: kernel(*a), LANES)  # type: ignore[misc]
+    calls["kernel alone", nu] = lambda: kernel(*arguments), LANES
     errors["kernel alone", nu] = own_error
     fixed = min(integrator.SPEED_TOLERANCE * speed, integrator.SWITCH_TOLERANCE / nu)
     at_fixed = list(_block(nu))
     at_fixed[4] = np.full(LANES, FIXED_TOLERANCE / fixed)
-    calls["kernel, one fixed tolerance", nu] = (lambda a=tuple(at_fixed): kernel(*a), LANES)  # type: ignore[misc]
-    errors["kernel, one fixed tolerance", nu] = lambda e=own_error, w=FIXED_TOLERANCE / fixed: e(tolerance=w)  # type: ignore[misc]
-    calls["same source, libm tanh", nu] = (lambda a=arguments: plain(*a), LANES)  # type: ignore[misc]
+    calls["kernel, one fixed tolerance", nu] = lambda: kernel(*at_fixed), LANES
+    errors["kernel, one fixed tolerance", nu] = lambda: own_error(FIXED_TOLERANCE / fixed)
+    calls["same source, libm tanh", nu] = lambda: plain(*arguments), LANES
     errors["same source, libm tanh", nu] = own_error
     rk4, out = fixed_step(nu, _SUBSTEPS[nu])
     calls["RK4 in lanes", nu] = (rk4, LANES)
-    errors["RK4 in lanes", nu] = lambda out=out, truth=truth: _error(out, truth)  # type: ignore[misc]
+    errors["RK4 in lanes", nu] = lambda: _error(out, truth)
     return truth
 
 
