@@ -130,6 +130,9 @@ def scaled(variant: Variant, scales: Scales) -> Variant:
     return replace(variant, parameters=parameters, starts=starts)
 
 
+_SENTENCE = "must be a sentence: a capital letter first, three words or more, a full stop last"
+
+
 def _is_sentence(text: str) -> bool:
     return len(text.split()) >= 3 and text[0].isupper() and text.endswith(".")
 
@@ -139,8 +142,9 @@ def _variant_faults(variant: Variant) -> Iterable[str]:
     if not names or len(set(names)) != len(names):
         yield "needs parameters, each with a name of its own"
     for p in variant.parameters:
-        if not (_is_sentence(p.meaning) and _is_sentence(p.reason)):
-            yield f"parameter {p.name}: meaning and reason must each be a sentence that ends in a full stop"
+        for name in ("meaning", "reason"):
+            if not _is_sentence(text := getattr(p, name)):
+                yield f"parameter {p.name}: {name} {text!r} {_SENTENCE}"
         try:
             _exponents(p.unit)
         except ValueError as error:
@@ -175,9 +179,9 @@ def faults(effect: Effect) -> list[str]:
     if effect.site not in SITES:
         found.append(f"its site {effect.site!r} is none of {', '.join(SITES)}")
     found += [
-        f"`{name}` must be a sentence that ends in a full stop"
+        f"{name} {text!r} {_SENTENCE}"
         for name in ("summary", "looks_like", "source")
-        if not _is_sentence(getattr(effect, name))
+        if not _is_sentence(text := getattr(effect, name))
     ]
     if not effect.variants or len({v.name for v in effect.variants}) != len(effect.variants):
         found.append("it needs variants, each with a name of its own")
