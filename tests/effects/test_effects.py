@@ -77,10 +77,13 @@ def named(variant, values):
 
 @pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
 def test_effect_meets_the_duties_of_an_author(effect):
-    assert faults(effect) == []
-    assert effect.hides_behind
-    assert set(effect.hides_behind) <= set(equations.ROWS)
-    assert all(effect.name in EFFECTS[other].alike for other in effect.alike)
+    found = faults(effect)
+    assert not found, "\n".join(found)
+    unknown = set(effect.hides_behind) - set(equations.ROWS)
+    assert effect.hides_behind, f"hides_behind: name one or more of {', '.join(equations.ROWS)}"
+    assert not unknown, f"hides_behind: {sorted(unknown)} is none of {', '.join(equations.ROWS)}"
+    one_sided = [other for other in effect.alike if effect.name not in EFFECTS[other].alike]
+    assert not one_sided, f"alike holds both ways: write {effect.name!r} into alike of {one_sided} too"
 
 
 @pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
@@ -88,15 +91,17 @@ def test_file_of_effect_names_its_source_and_keeps_each_formula_short(effect):
     kernels = {
         k for v in effect.variants for k in (v.torque, v.rate, v.start, v.sense, v.lag, v.amend) if k is not None
     }
-    module = sys.modules[next(iter(effect.variants)).__class__.__module__.rsplit(".", 1)[0] + "." + effect.name]
-    assert "Source:" in module.__doc__
+    module = sys.modules.get(f"bayes_damper.effects.{effect.name}")
+    assert module, f"the file of an effect bears its name: bayes_damper/effects/{effect.name}.py"
+    assert "Source:" in (module.__doc__ or ""), f"{module.__file__}: its first docstring needs a line `Source: ...`"
     for kernel in kernels:
         source = inspect.getsource(getattr(kernel, "py_func", kernel))
         body = [
             line for line in source.splitlines() if line.strip() and not line.strip().startswith(('"""', "@", "def"))
         ]
-        assert len(body) <= 8
-        assert not re.search(r"\bmath\.|\bnp\.(?!asarray)|\bfor\b|\bwhile\b", source)
+        assert len(body) <= 8, f"{len(body)} lines of formula, 8 at most: move parts that effects share to _shapes.py"
+        wrong = re.search(r"\bmath\.|\bnp\.(?!asarray)|\bfor\b|\bwhile\b", source)
+        assert not wrong, f"{wrong[0]}: no loops, math or numpy in a formula; use functions of rig/vector_math.py"
 
 
 @every_variant
@@ -111,7 +116,12 @@ def test_priors_are_proper_and_their_scale_is_that_of_the_starts(effect, variant
         assert all(low <= start[i] <= high for start in variant.starts)
         if not log:
             typical = np.abs(parameter.prior.ppf([0.1, 0.9])).max()
-            assert max(abs(start[i]) for start in variant.starts) > 0.1 * typical
+            largest = max(abs(start[i]) for start in variant.starts)
+            told = "make one start larger, or the prior narrower"
+            assert largest > 0.1 * typical, (
+                f"{parameter.name}: the largest start, {largest:g}, is below a tenth of the prior's typical size, "
+                f"{typical:g}: {told}"
+            )
 
 
 @of(lambda e, v: any(p.null == 0.0 and p.prior.support[0] < 0.0 for p in v.parameters))
@@ -119,14 +129,17 @@ def test_an_amplitude_of_either_sign_is_searched_on_both_sides(effect, variant):
     for i, parameter in enumerate(variant.parameters):
         if parameter.null == 0.0 and parameter.prior.support[0] < 0.0:
             found = [start[i] for start in variant.starts]
-            assert min(found) < 0.0 < max(found)
+            assert min(found) < 0.0 < max(found), f"{parameter.name} takes either sign: add a start of the other one"
 
 
 @of(lambda e, v: v.null is not None and any(p.null == 0.0 for p in v.parameters))
 def test_one_start_lies_near_the_null(effect, variant):
     i = next(i for i, p in enumerate(variant.parameters) if p.null is not None)
     amplitudes = np.abs([start[i] for start in variant.starts])
-    assert amplitudes.min() <= 0.2 * amplitudes.max()
+    assert amplitudes.min() <= 0.2 * amplitudes.max(), (
+        f"starts of {variant.parameters[i].name}: add one at a fifth of the largest or less, e.g. "
+        f"{0.1 * amplitudes.max():g}, so that a search finds small effects"
+    )
 
 
 @of(lambda e, v: v.fades)
@@ -223,13 +236,14 @@ def test_torque_of_each_body_depends_on_that_body_alone(effect, variant):
     p = padded(variant.starts[-1])
     for t, th1, th2, w1, w2, z1, z2 in states():
         q1, q2 = variant.torque.py_func(t, th1, th2, w1, w2, z1, z2, p, RIG)
-        assert variant.torque.py_func(t, th1, th2 + 0.03, w1, w2 - 0.7, z1, z2, p, RIG)[0] == q1
-        assert variant.torque.py_func(t, th1 - 0.02, th2, w1 + 0.9, w2, z1, z2, p, RIG)[1] == q2
+        told = "couples='bodies' is for Q1 on th1, w1 alone and Q2 on th2, w2 alone: leave it out (or correct the law)"
+        assert variant.torque.py_func(t, th1, th2 + 0.03, w1, w2 - 0.7, z1, z2, p, RIG)[0] == q1, told
+        assert variant.torque.py_func(t, th1 - 0.02, th2, w1 + 0.9, w2, z1, z2, p, RIG)[1] == q2, told
 
 
 @of(lambda e, v: v.torque is not None and e.site == "interface")
 def test_interface_torque_is_equal_and_opposite_and_relative(effect, variant):
-    assert variant.couples == "interface"
+    assert variant.couples == "interface", "an effect of the interface has couples='interface' in each variant"
     for values in variant.starts:
         p = padded(values)
         for t, th1, th2, w1, w2, z1, z2 in states():
@@ -248,7 +262,8 @@ def test_a_variant_says_whether_it_depends_on_time(effect, variant):
         for hook in (variant.torque, variant.rate)
         if hook is not None
     ]
-    assert any(changes) == variant.timed
+    told = "depends on t: write timed=True" if any(changes) else "does not depend on t: leave timed out"
+    assert any(changes) == variant.timed, f"{effect.name}/{variant.name} {told}"
 
 
 @of(lambda e, v: v.torque is not None)
@@ -260,18 +275,26 @@ def test_mirrored_motion_feels_mirrored_torque(effect, variant):
         memory = effect.name == "magnet_fade"  # heat does not change its sign
         if memory:
             back = variant.torque.py_func(t, *(-x for x in rest[:4]), *rest[4:], p, mirrored)
-        np.testing.assert_allclose(np.negative(back), variant.torque.py_func(t, *rest, p, RIG), rtol=1e-9, atol=1e-15)
+        told = "the torque of the mirrored motion must be mirrored: write th1 * abs(th1), say, in place of th1 * th1"
+        there = variant.torque.py_func(t, *rest, p, RIG)
+        np.testing.assert_allclose(np.negative(back), there, rtol=1e-9, atol=1e-15, err_msg=told)
 
 
-DISSIPATIVE = ("quadratic_drag", "misalignment_drag", "bearing_stribeck", "bearing_drag", "interface_friction")
-
-
-@of(lambda e, v: e.name in DISSIPATIVE or (e.name == "stick_slip" and v.memory == 0))
+@of(
+    lambda e, v: (
+        v.torque is not None
+        and (e.site == "bearings" or e.name == "interface_friction" or (e.name == "stick_slip" and v.memory == 0))
+    )
+)
 def test_friction_never_feeds_energy_in(effect, variant):
     for values in variant.starts:
         for state in states(seed=4, n=40):
             q1, q2 = variant.torque.py_func(*state, padded(values), RIG)
-            assert q1 * state[3] + q2 * state[4] <= 0.0
+            power = q1 * state[3] + q2 * state[4]
+            assert power <= 0.0, (
+                f"bearings and friction only take energy; at w1 = {state[3]:.3g}, w2 = {state[4]:.3g} rad/s this one "
+                f"gives {power:.3g} W: check its signs"
+            )
 
 
 @of(
@@ -515,8 +538,11 @@ def test_every_start_changes_the_record(effect, variant):
     bare = Model().simulate(PARAMETERS, TIMES).y
     assert (record.outcome == 0).all()
     changed = np.sqrt(((record.y - bare) ** 2).mean((1, 2)))
-    assert changed.max() > 1.0
-    assert (changed > 0.0).mean() > 0.6
+    assert changed.max() > 1.0, (
+        f"the largest start changes the record of this rig by {changed.max():.2g} rad/s^2 rms, more than 1 is asked "
+        f"for: make starts, and the prior, {1.2 / max(changed.max(), 1e-12):.2g} times as large, so that it can be seen"
+    )
+    assert (changed > 0.0).mean() > 0.6, f"starts {starts[changed == 0.0].tolist()} change nothing: replace them"
 
 
 # The registry
