@@ -11,26 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from bayes_damper.cli import main
+from bayes_damper.cli import _parser, main
 
-COMMANDS = (
-    "demo",
-    "examples",
-    "check",
-    "simulate",
-    "fit",
-    "resume",
-    "diagnose",
-    "tune",
-    "bench",
-    "init",
-    "report",
-    "thesis",
-    "variability",
-    "compare",
-    "plan",
-    "withheld",
-)
+COMMANDS = next(a.choices for a in _parser()._actions if a.dest == "command")
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -41,6 +24,8 @@ def test_every_command_explains_itself(command, capsys):
     text = capsys.readouterr().out
     assert "--seed" in text
     assert "--quiet" in text
+    silent = [a.dest for a in COMMANDS[command]._actions if not a.help]
+    assert not silent, f"{command}: {', '.join(silent)} needs help=, which the reference of commands is made of"
 
 
 def test_check_of_the_thesis(capsys):
