@@ -18,6 +18,8 @@ from bayes_damper.priors.distributions import from_standard, median
 Array = NDArray[np.float64]
 GAINED = 0.02  # of the cost by a step, below which a descent has ended
 RECORDS_AT_ONCE = 1024  # simulated in one go where draws from the prior are compared
+NEAR_END = 0.1  # of the way to where a value's prior ends that a step along the values leaves
+SMALL = 1e-3
 HOPELESS, HURRY = 60.0, 6.0  # cost above a target, and in how many such steps it must be reachable, to go on
 
 
@@ -98,6 +100,7 @@ def calibrate(
     anneal: bool = True,
     give_up: float = math.inf,
     target: float = -math.inf,
+    straight: bool = False,
 ) -> Calibration:
     """The best fit over the starts, each by annealed, damped Gauss-Newton steps.
 
@@ -105,7 +108,9 @@ def calibrate(
     eta : nuisances to start from; most : iterations per stage; finish : central differences at the end, and steps by
     them for as long as they gain;
     give_up : a start whose cost after the first stage exceeds the best by more is not followed; target : a cost that
-    another model has reached: a descend that gets nowhere near it ends early.
+    another model has reached: a descend that gets nowhere near it ends early; straight : each step is tried along the
+    values themselves too, not only along the coordinates, in which a valley of two terms that stand for each other is
+    bent.
 
     A fit in which every simulation fails has cost inf and log_evidence -inf.
     """
@@ -120,7 +125,7 @@ def calibrate(
             if best is not None and cost > best[0] + give_up:
                 continue
         goal = target if best is None else max(target, best[0])
-        q, own, cost, converged, more = _descend(problem, q, own, most, annealed=False, tolerance=GAINED, target=goal)
+        q, own, cost, converged, more = _descend(problem, q, own, most, False, GAINED, goal, straight)
         if best is None or cost < best[0]:
             best = (cost, q, own, converged, used + more)
     assert best is not None
@@ -186,7 +191,7 @@ def summarise(
 
 def _descend(
     problem: Problem, q: Array, eta: dict[int, Array], most: int, annealed: bool, tolerance: float,
-    target: float = -math.inf,
+    target: float = -math.inf, straight: bool = False,
 ) -> tuple[Array, dict[int, Array], float, bool, int]:  # fmt: skip
     """Levenberg-Marquardt from one start: q, eta, cost, whether it converged, Jacobians used."""
     damping = 1e-2
@@ -198,7 +203,7 @@ def _descend(
         accepted = False
         gained = 0.0
         for _ in range(3):
-            tried, moved_q, moved, moved_cost = _tried(problem, normals, damping, q, eta, annealed)
+            tried, moved_q, moved, moved_cost = _tried(problem, normals, damping, q, eta, annealed, straight)
             if moved_cost < cost:
                 gained = cost - moved_cost
                 cost, q, eta = moved_cost, moved_q, moved
@@ -214,9 +219,12 @@ def _descend(
 
 
 def _tried(
-    problem: Problem, normals: Normals, damping: float, q: Array, eta: Mapping[int, Array], annealed: bool
-) -> tuple[float, Array, dict[int, Array], float]:
+    problem: Problem, normals: Normals, damping: float, q: Array, eta: Mapping[int, Array], annealed: bool,
+    straight: bool = False,
+) -> tuple[float, Array, dict[int, Array], float]:  # fmt: skip
     """The best of four steps, damped by about `damping`: its damping, where it leads, and the cost there.
+
+    straight : of eight, the same four along the values too.
 
     The cost is inf where no step can be made.
     """
@@ -230,6 +238,10 @@ def _tried(
         shrink = min(1.0, 1.5 / max(float(np.max(np.abs(dq), initial=0.0)), 1e-12))
         moved = {i: np.clip(eta[i] + shrink * deta[i], *bounds[i]) for i in eta}
         steps.append((damping * factor, q + shrink * dq, moved))
+        if straight:
+            along, share = _along_values(problem, q, dq)
+            moved = {i: np.clip(eta[i] + share * deta[i], *bounds[i]) for i in eta}
+            steps.append((damping * factor, along, moved))
     if not steps:
         return damping, q, dict(eta), math.inf
     costs = problem.costs(
@@ -237,3 +249,18 @@ def _tried(
     )
     k = int(np.argmin(costs))
     return *steps[k], float(costs[k])
+
+
+def _along_values(problem: Problem, q: Array, dq: Array) -> tuple[Array, float]:
+    """Where a step leads that is linear in the values, and the share of it after which one of them nears its end."""
+    values, moves = np.empty(q.size), np.empty(q.size)
+    share = 1.0
+    for i, c in enumerate(problem.coordinates):
+        values[i] = from_standard(c.prior, q[i])
+        moves[i] = (float(from_standard(c.prior, q[i] + SMALL)) - values[i]) / SMALL * dq[i]
+        low, high = c.prior.support
+        room = values[i] - low if moves[i] < 0.0 else high - values[i]
+        if abs(moves[i]) > (1.0 - NEAR_END) * room:
+            share = min(share, (1.0 - NEAR_END) * room / abs(moves[i]))
+    there = zip(problem.coordinates, values + share * moves, moves, q, strict=True)
+    return np.array([coordinate_of(c.prior, float(x)) if move else z for c, x, move, z in there]), share

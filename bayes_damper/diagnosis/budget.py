@@ -182,7 +182,9 @@ def _subset(nominal: Calibration, best: SetFit, sets: Sequence[SetFit], some: fr
     own = [whole.names.index(label) for label in labels]
     n = nominal.problem.size
     starts = [np.concatenate([q, best.fit.q[own]]) for q in (best.fit.q[:n], nominal.q)]
-    return calibrate(problem, starts, eta=best.fit.eta, anneal=False, most=SUBSET_STEPS, finish=False)
+    return calibrate(
+        problem, starts, eta=best.fit.eta, anneal=False, most=SUBSET_STEPS, finish=False, straight=whole.exact
+    )  # fmt: skip
 
 
 # Answers where no trial has repeats ---------------------------------------------------------------------------------

@@ -508,7 +508,9 @@ def _sharper(fit: Calibration) -> Calibration:
     """The fit under the noise that it leaves itself, learnt twice: a better fit leaves less, which sharpens it."""
     for _ in range(RELEARNT):
         noise = learn_noise(fit)
-        fit = calibrate(fit.problem.with_noise(noise), [fit.q], eta=fit.eta, anneal=False, most=STEPS_ALONE)
+        fit = calibrate(
+            fit.problem.with_noise(noise), [fit.q], eta=fit.eta, anneal=False, most=STEPS_ALONE, straight=True
+        )  # fmt: skip
     return fit
 
 
@@ -516,7 +518,7 @@ def _fitted(nominal: Calibration, members: tuple[Member, ...], starts: Sequence[
     """A set fitted from several starts; where no trial has repeats, under the noise that it leaves itself."""
     problem = SetProblem(nominal.problem, members, exact)
     most = STEPS_ALONE if exact else STEPS
-    fit = calibrate(problem, starts, eta=nominal.eta, anneal=False, most=most, finish=not exact)
+    fit = calibrate(problem, starts, eta=nominal.eta, anneal=False, most=most, finish=not exact, straight=exact)
     return _sharper(fit) if exact else fit
 
 

@@ -1,13 +1,14 @@
 """Sets of effects: fitted exactly, found together where each hides the other, weighed under what they leave."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from small_rig import measured, variant
 
-from bayes_damper.calibration import Experiment, Problem, TrialRecord, calibrate_nominal
+from bayes_damper.calibration import Experiment, Problem, TrialRecord, calibrate, calibrate_nominal, coordinate_of
 from bayes_damper.diagnosis.budget import _divided, answers_of, foreign_alone
 from bayes_damper.diagnosis.search import offered
 from bayes_damper.diagnosis.sets import (
@@ -73,6 +74,24 @@ def test_two_effects_that_hide_each_other_are_screened_together(hidden):
     assert {columns.members[k][0].name for k in two.columns} == {"bearing_drag", "quadratic_drag"}
     assert two.explained > 1.3 * one.explained
     assert min(two.amplitudes) > 0.0
+
+
+def test_a_descent_follows_terms_that_stand_for_each_other(hidden):
+    """Drag goes up as the viscous damping goes down: a valley that is straight in their values, bent in coordinates."""
+    members = (member("bearing_drag"), member("quadratic_drag"))
+    sharper = replace(hidden.problem.noise, innovation=(2e-3,))
+    problem = SetProblem(hidden.problem, members, exact=True).with_noise(sharper)
+    values = (0.15, 100.0, 0.004)
+    own = [
+        coordinate_of(p.prior, x) for p, x in zip((p for _, v in members for p in v.parameters), values, strict=True)
+    ]
+    bent, straight = (
+        calibrate(problem, [np.r_[hidden.q, own]], eta=hidden.eta, anneal=False, most=25, finish=False, straight=along)
+        for along in (False, True)
+    )
+    assert straight.converged
+    assert straight.cost < bent.cost - 1.0
+    assert straight.parameters["c1t"][0] < 0.5 * bent.parameters["c1t"][0]
 
 
 @pytest.mark.slow
