@@ -5,6 +5,13 @@ hold it, less the probability that a cause outside the library does what the set
 on held-out trials (shares.py), divided among the effects of the best set as Shapley (1953) does: what an effect closes
 beyond those before it, averaged over all orders, so that shares and what stays unexplained sum to 1, whichever effects
 hide each other. What is left does not speak against what is found; it stands beside it.
+
+Held-out trials have chosen no set, so they judge it. With s the share that an effect closes there, e its standard
+error and S what it would be without noise: an effect that acts has S anywhere between 0 and 1; one that only stands for
+something else, be it another effect, a cause outside the library or what does not repeat, has as often nothing to do
+with other trials, S = 0, as it does good or harm there, -1 to 1. Bayes' rule on the two takes an effect away that
+closes nothing on data that did not choose it. It makes none more probable: an impostor closes a gap as well. What loses
+more than half of its probability leaves the set, one effect after the other; shares are those of what remains.
 """
 
 from __future__ import annotations
@@ -17,25 +24,39 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from bayes_damper.calibration import Calibration, calibrate
-from bayes_damper.diagnosis.sets import Member, SetFit, SetProblem, log_prior, probabilities
+from bayes_damper.diagnosis.sets import (
+    Member,
+    SetFit,
+    SetProblem,
+    log_prior,
+    probabilities,
+    set_fit,
+    weighed,
+)
 from bayes_damper.diagnosis.shares import IN_WORDS, UNTOLD, Closed, Products, products_of, shortest_interval
 from bayes_damper.diagnosis.verdict import FLOOR, PRIOR_NONE, RULE, Answers, Left, Rule
 
 Array = NDArray[np.float64]
 
 SUBSET_STEPS = 12  # of the fits of smaller sets, which begin where the best set's lies
+BORNE_OUT = 0.5  # of its probability that an effect must keep on held-out trials to be in the budget
 
 
 @dataclass(frozen=True)
 class Part:
-    """One effect of the budget: probability that it is present, its share of the gap, names of its coordinates."""
+    """One effect of the budget: probability that it is present, its share of the gap, names of its coordinates.
+
+    kept: share of its probability that held-out trials leave it.
+    """
 
     member: Member
     present: float
     share: Closed
     parameters: Mapping[str, str]
+    kept: float = 1.0
 
     @property
     def name(self) -> str:
@@ -47,7 +68,8 @@ class Part:
 class Budget:
     """Parts, the largest share first; unexplained: share of the gap; sites: where that lies; best: the set behind it.
 
-    leading: probability that each part, or "unknown", has the largest share.
+    leading: probability that each part, or "unknown", has the largest share; absent: effects of the set that readings
+    chose which close nothing on held-out ones.
     """
 
     best: SetFit
@@ -55,6 +77,7 @@ class Budget:
     unexplained: Closed
     sites: Mapping[str, float]
     leading: Mapping[str, float]
+    absent: tuple[Part, ...] = ()
 
     @property
     def method(self) -> str:
@@ -82,6 +105,7 @@ class Budget:
             ],
             "unexplained": {"share": self.unexplained.to_json(), "sites": dict(self.sites), "law": None},
             "leading": dict(self.leading),
+            "absent": [{"name": p.name, "present": p.present, "share": p.share.to_json()} for p in self.absent],
             "method": self.method,
         }
 
@@ -102,23 +126,55 @@ def budget_of(
     top = max(weights, key=lambda names: weights[names])
     top = frozenset() if "unknown" in top else top  # a drift of the nominal laws has no name
     best = next(s for s in sets if s.names == top)
-    present = {
-        e.name: sum(p * (1.0 - foreign.get(names, 0.0)) for names, p in weights.items() if e.name in names)
-        for e, _ in best.members
-    }
+    absent: list[Part] = []
+    while True:
+        parts, unexplained, leading = _parts(nominal, best, sets, weights, foreign, rng)
+        least = min(parts, key=lambda part: part.kept, default=None)
+        if least is None or least.kept >= BORNE_OUT:
+            return Budget(best, parts, unexplained, {}, leading, tuple(absent))
+        absent.append(least)
+        best = _smaller(nominal, best, sets, best.names - {least.name})
+
+
+def _parts(
+    nominal: Calibration,
+    best: SetFit,
+    sets: Sequence[SetFit],
+    weights: Mapping[frozenset[str], float],
+    foreign: Mapping[frozenset[str], float],
+    rng: np.random.Generator | None,
+) -> tuple[tuple[Part, ...], Closed, dict[str, float]]:
+    """Effects of a set with their shares, largest first, what is unexplained, and which share is the largest."""
     heldout = nominal.problem.experiment.heldout
     names = [e.name for e, _ in best.members]
-    shares, unexplained, leading = _shares(nominal, best, sets, heldout, rng) if heldout else _untold(names)
-    parts = [
-        Part(member, present[member[0].name], shares[member[0].name], _coordinates(best, member[0].name))
-        for member in best.members
-    ]
+    shares, errors, unexplained, leading = _shares(nominal, best, sets, heldout, rng) if heldout else _untold(names)
+    parts = []
+    for member in best.members:
+        name = member[0].name
+        acts = sum(p * (1.0 - foreign.get(names, 0.0)) for names, p in weights.items() if name in names)
+        share = shares[name]
+        present = acts if share.median is None else borne_out(share.median, errors[name], acts)
+        parts.append(Part(member, present, share, _coordinates(best, name), present / max(acts, 1e-300)))
     parts.sort(key=lambda part: -(part.share.median if part.share.median is not None else part.present))
-    return Budget(best, tuple(parts), unexplained, {}, leading)
+    return tuple(parts), unexplained, leading
 
 
-def _untold(names: Sequence[str]) -> tuple[dict[str, Closed], Closed, dict[str, float]]:
-    return dict.fromkeys(names, UNTOLD), UNTOLD, {}
+def borne_out(share: float, error: float, acts: float) -> float:
+    """Probability that an effect acts, after its share of the gap on held-out trials is known with standard error.
+
+    acts : the probability before.
+    """
+    share, error = max(-1.0, min(share, 1.0)), max(error, 1e-9)
+    above = ndtr((1.0 - share) / error)
+    inside = acts * (above - ndtr(-share / error))
+    harm = 0.5 * (above - ndtr((-1.0 - share) / error))
+    nothing = math.exp(-0.5 * min((share / error) ** 2, 1400.0)) / (error * math.sqrt(2.0 * math.pi))
+    other = (1.0 - acts) * 0.5 * (harm + nothing)
+    return min(acts, float(inside / (inside + other))) if inside > 0.0 else 0.0
+
+
+def _untold(names: Sequence[str]) -> tuple[dict[str, Closed], dict[str, float], Closed, dict[str, float]]:
+    return dict.fromkeys(names, UNTOLD), {}, UNTOLD, {}
 
 
 def _coordinates(best: SetFit, effect: str) -> dict[str, str]:
@@ -131,8 +187,8 @@ def _coordinates(best: SetFit, effect: str) -> dict[str, str]:
 
 def _shares(
     nominal: Calibration, best: SetFit, sets: Sequence[SetFit], heldout: Sequence[int], rng: np.random.Generator | None
-) -> tuple[dict[str, Closed], Closed, dict[str, float]]:
-    """Share of each effect, of what is unexplained, and the probability that each is the largest."""
+) -> tuple[dict[str, Closed], dict[str, float], Closed, dict[str, float]]:
+    """Share of each effect and its standard error, share unexplained, and the probability that each is the largest."""
     names = [e.name for e, _ in best.members]
     smaller = [frozenset(some) for n in range(1, len(names)) for some in combinations(names, n)]
     fits = {some: _subset(nominal, best, sets, some) for some in smaller}
@@ -148,7 +204,7 @@ def _shares(
 
 def _divided(
     names: Sequence[str], place: Mapping[frozenset[str], int], left: Array, draws: Array, found: Products
-) -> tuple[dict[str, Closed], Closed, dict[str, float]]:
+) -> tuple[dict[str, Closed], dict[str, float], Closed, dict[str, float]]:
     """Shapley's shares of what each subset of effects leaves: left (subsets,), draws (draws, subsets)."""
     out: dict[str, Closed] = {}
     columns = {}
@@ -162,11 +218,22 @@ def _divided(
                 value += weight * float(left[a] - left[b])
                 drawn = drawn + weight * (draws[:, a] - draws[:, b])
         out[name], columns[name] = Closed(value, shortest_interval(np.sort(drawn)), found.method), drawn
+    errors = {name: float(np.std(drawn)) for name, drawn in columns.items()}
     last = place[frozenset(names)]
     columns["unknown"] = draws[:, last]
     unexplained = Closed(float(left[last]), shortest_interval(np.sort(draws[:, last])), found.method)
     largest = np.argmax(np.stack(list(columns.values())), axis=0)
-    return out, unexplained, {n: float(np.mean(largest == k)) for k, n in enumerate(columns)}
+    return out, errors, unexplained, {n: float(np.mean(largest == k)) for k, n in enumerate(columns)}
+
+
+def _smaller(nominal: Calibration, best: SetFit, sets: Sequence[SetFit], some: frozenset[str]) -> SetFit:
+    """The set of some of the best one's effects, weighed beside the others."""
+    known = next((s for s in sets if s.names == some), None)
+    if known is not None:
+        return known
+    members = tuple(m for m in best.members if m[0].name in some)
+    new = set_fit(members, _subset(nominal, best, sets, some))
+    return next(s for s in weighed([*sets, new]) if s.members is members)
 
 
 def _subset(nominal: Calibration, best: SetFit, sets: Sequence[SetFit], some: frozenset[str]) -> Calibration:

@@ -366,6 +366,11 @@ def diagnose(
         return answers_of(budget, sets, names, foreign_of(rule), none_left, left, gain, rule)
 
     if alone:
+        # Sets with an effect that closes nothing on held-out trials are no answers.
+        absent = {part.name for part in budget.absent}
+        sets = [s for s in sets if not s.names & absent]
+        sets += [] if any(s is budget.best for s in sets) else [budget.best]
+        shares_left = _shares_left(fit, sets, len(names))
         answers = answered(rule)
         winner = next((c for c in found for part in budget.parts[:1] if c.effect is part.member[0]), None)
         pairs = _as_pairs(budget, evidence)
@@ -447,7 +452,8 @@ def _budget(
 ) -> Budget:  # fmt: skip
     """The gap as a budget; after: where what the leading answer leaves lies."""
     found = budget_of(fit, sets, among, foreign, rng)
-    mapped = fit.problem.noise.sensor or (winner is not None and found.best.fit is winner.fit)
+    known_map = bool(fit.problem.noise.sensor) and not found.absent
+    mapped = known_map or (winner is not None and found.best.fit is winner.fit)
     place = after if mapped or not found.parts else site_map(found.best.fit, torque=False)
     # Of records that begin in motion nothing is known of a release.
     known = [site for site in SITES if site != "release" or fit.problem.experiment.start == "rest"]

@@ -9,7 +9,7 @@ import pytest
 from small_rig import measured, variant
 
 from bayes_damper.calibration import Experiment, Problem, TrialRecord, calibrate, calibrate_nominal, coordinate_of
-from bayes_damper.diagnosis.budget import _divided, answers_of, foreign_alone
+from bayes_damper.diagnosis.budget import _divided, answers_of, borne_out, budget_of, foreign_alone
 from bayes_damper.diagnosis.search import offered
 from bayes_damper.diagnosis.sets import (
     SetFit,
@@ -23,7 +23,7 @@ from bayes_damper.diagnosis.sets import (
     proposals,
     weighed,
 )
-from bayes_damper.diagnosis.shares import Products
+from bayes_damper.diagnosis.shares import Closed, Products
 from bayes_damper.diagnosis.verdict import Left
 from bayes_damper.effects import EFFECTS
 from bayes_damper.priors.distributions import LogNormal
@@ -180,10 +180,50 @@ def test_shares_of_effects_that_hide_each_other_sum_to_one():
     place = {frozenset[str](): 0, frozenset("a"): 1, frozenset("b"): 2, frozenset("ab"): 3}
     left = np.array([1.0, 1.0, 1.0, 0.2])
     draws = np.tile(left, (50, 1))
-    shares, unexplained, leading = _divided(["a", "b"], place, left, draws, Products(left[:, None], draws, "repeats"))
+    shares, errors, unexplained, leading = _divided(
+        ["a", "b"], place, left, draws, Products(left[:, None], draws, "repeats")
+    )
     assert shares["a"].median == pytest.approx(0.4)
     assert sum(s.median for s in shares.values()) + unexplained.median == pytest.approx(1.0)
     assert sum(leading.values()) == pytest.approx(1.0)
+    assert errors["a"] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_held_out_trials_take_away_what_closes_nothing_there_and_add_nothing():
+    """A clear share leaves an effect as it was; one of nothing, or a negative one, does not."""
+    assert borne_out(0.7, 0.05, 0.95) == 0.95
+    assert borne_out(0.02, 0.005, 0.95) == 0.95
+    assert borne_out(1.2, 0.01, 0.96) == 0.96
+    assert 0.85 < borne_out(0.2, 0.2, 0.95) <= 0.95
+    assert borne_out(0.0, 0.02, 0.83) < 0.4
+    assert borne_out(0.0, 0.001, 0.98) < 0.2
+    assert borne_out(-0.1, 0.03, 0.83) < 0.02
+    assert borne_out(-9.0, 0.01, 0.96) < 1e-6
+
+
+def test_an_effect_that_closes_nothing_on_held_out_trials_leaves_the_budget(monkeypatch):
+    told = {"a": (0.8, 0.02), "b": (-0.1, 0.03)}
+
+    def shares(nominal, best, sets, heldout, rng):
+        of = {n: Closed(told[n][0], (told[n][0] - 0.1, told[n][0] + 0.1), "repeats") for n in best.names}
+        return of, {n: told[n][1] for n in best.names}, Closed(0.2, (0.1, 0.3), "repeats"), {}
+
+    monkeypatch.setattr("bayes_damper.diagnosis.budget._shares", shares)
+    monkeypatch.setattr("bayes_damper.diagnosis.budget._coordinates", lambda best, effect: {})
+    nominal = SimpleNamespace(problem=SimpleNamespace(experiment=SimpleNamespace(heldout=(1,))))
+    known = {(): -60.0, ("a",): -10.0, ("b",): -70.0, ("a", "b"): 0.0}
+    sets = weighed([stub(names, plain, 0.0) for names, plain in known.items()])
+    foreign = dict.fromkeys((s.names for s in sets), 0.02)
+    budget = budget_of(nominal, sets, 20, foreign)
+    assert [part.name for part in budget.parts] == ["a"]
+    assert [part.name for part in budget.absent] == ["b"]
+    assert budget.best.names == {"a"}
+    assert budget.parts[0].present == pytest.approx(0.98, abs=1e-3)
+    assert budget.absent[0].present < 0.1
+    told["b"] = (0.05, 0.01)
+    assert {part.name for part in budget_of(nominal, sets, 20, foreign).parts} == {"a", "b"}
+    told["a"] = (0.0, 0.001)
+    assert not {part.name for part in budget_of(nominal, sets, 20, foreign).parts} & {"a"}
 
 
 def test_the_answer_is_what_has_the_largest_share():

@@ -459,6 +459,7 @@ def test_a_verdict_says_what_the_effect_is_and_how_large(tmp_path):
                      "parameters": {"ratio": {"mean": 1.4, "hdi90": [1.2, 1.6], "unit": "1"}}}],
         "unexplained": {"share": {"median": 0.3, "hdi90": [0.2, 0.4]}, "sites": {"interface": 0.6, "sensor": 0.4}},
         "method": "products of residuals",
+        "absent": [{"name": "sensor_gain", "present": 0.1, "share": {"median": -0.1, "hdi90": [-0.2, 0.0]}}],
     }  # fmt: skip
     data["prior_unknown"] = [{"prior": 0.5, "verdict": "unknown", "probability": 0.6}]
     (tmp_path / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
@@ -468,6 +469,7 @@ def test_a_verdict_says_what_the_effect_is_and_how_large(tmp_path):
     assert "stick slip interface 86 % 70 % (60 to 80 %)" in told
     assert f"unexplained interface 60 %, sensor 40 % {NOTHING} 30 % (20 to 40 %)" in told
     assert "50 % unknown 60 %" in told
+    assert "closing nothing of the gap on held-out trials: sensor gain (-10 % (-20 to 0 %))." in told
     assert re.search(r"Most probable places: interface, .* \(46 %\) and ground2, .* \(40 %\)\.", text)
     assert "4530" not in text
 

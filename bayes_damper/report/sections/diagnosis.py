@@ -503,6 +503,8 @@ def _budget_tables(budget: Mapping[str, Any]) -> list[Table]:
     rows.append(Row(("unexplained", where, NOTHING, share(left["share"]), NOTHING)))
     how = str(budget["method"])
     note = f"{how[0].upper()}{how[1:]}. Present: over all sets of effects that were fitted. Shares with 90 % intervals."
+    if absent := [f"{words(str(e['name']))} ({share(e['share'])})" for e in budget.get("absent") or ()]:
+        note += f" Fitted beside these, but closing nothing of the gap on held-out trials: {listed(absent)}."
     columns = ("effect", "site", "present", "share of the gap", "parameters")
     return [Table("The gap as a budget", columns, tuple(rows), note)]
 
