@@ -33,7 +33,7 @@ from bayes_damper.diagnosis.outliers import odd_trials, outlying, told, told_odd
 from bayes_damper.diagnosis.pairs import Pair, Second, best_pairs, exactly, seconds_of
 from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of, unlike_in_words
 from bayes_damper.diagnosis.search import Candidate, offered, scales_of, search
-from bayes_damper.diagnosis.sensitivity import Choice, in_a_sentence, sensitivity
+from bayes_damper.diagnosis.sensitivity import Choice, in_a_sentence, sensitivity, sensitivity_of_sets
 from bayes_damper.diagnosis.sets import SetFit, SetProblem, as_candidates, grown, probabilities
 from bayes_damper.diagnosis.shares import Closed
 from bayes_damper.diagnosis.sites import SiteMap, site_map, write_missing_torque
@@ -359,18 +359,19 @@ def diagnose(
 
     budget = _budget(fit, sets, len(names), foreign_of(rule), after_map, winner, rng)
 
-    def answered(rule: Rule) -> Answers:
+    # Sets with an effect that closes nothing on held-out trials are no answers.
+    absent = {part.name for part in budget.absent}
+    judged_sets = [s for s in sets if not s.names & absent]
+    judged_sets += [] if any(s is budget.best for s in judged_sets) else [budget.best]
+
+    def answered(rule: Rule, sets: Sequence[SetFit] = judged_sets) -> Answers:
         if not alone:
             return judge({}, {}, rule)
         gain = -math.inf if wiring is None else wiring.gain
         return answers_of(budget, sets, names, foreign_of(rule), none_left, left, gain, rule)
 
     if alone:
-        # Sets with an effect that closes nothing on held-out trials are no answers.
-        absent = {part.name for part in budget.absent}
-        sets = [s for s in sets if not s.names & absent]
-        sets += [] if any(s is budget.best for s in sets) else [budget.best]
-        shares_left = _shares_left(fit, sets, len(names))
+        shares_left = _shares_left(fit, judged_sets, len(names))
         answers = answered(rule)
         winner = next((c for c in found for part in budget.parts[:1] if c.effect is part.member[0]), None)
         pairs = _as_pairs(budget, evidence)
@@ -385,7 +386,7 @@ def diagnose(
         if c.fit is not None and math.isfinite(c.log_evidence):
             fits.setdefault(c.effect.name, []).append(c.fit)
     choices = (
-        ()
+        sensitivity_of_sets(fit, judged_sets, lambda sets: answered(rule, sets), answers.verdict)
         if alone
         else sensitivity(
             fit,
@@ -403,7 +404,7 @@ def diagnose(
     if wiring is not None:
         notes.insert(0, wiring.sentence())
     notes += _notes(experiment, fit, named, answers, before_map)
-    notes += [] if alone else [in_a_sentence(choices, answers.verdict)]
+    notes.append(in_a_sentence(choices, answers.verdict))
     gap = measure_gap(fit, best, rng=rng)
     leading = sorted(evidence, key=lambda n: -evidence[n])[:TOLD]
     closes = {} if best is None else closing(fit, {n: fits[n][0] for n in leading if n in fits}, rng)

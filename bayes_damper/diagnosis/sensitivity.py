@@ -7,6 +7,8 @@ Each model is taken as quadratic about its best fit, in its parameters and in th
 with every trial's own nuisances eliminated from its A_j, b_j, c_j; so a choice costs no simulation. Only where leaving
 trials out changes the verdict the fits concerned are made again. P is 1 over the square of the factor on the prior
 widths; a trial left out loses its term. What each answer leaves unexplained is taken from the verdict on all trials.
+Where no trial has repeats each set of effects is weighed under what it leaves itself (sets.py), which differs from set
+to set and from choice to choice, so the likely sets are fitted again without the trials that are left out.
 Nothing in a diagnosis is drawn at random but the bootstrap of the interval of the share closed, so another seed gives
 the same verdict.
 """
@@ -15,13 +17,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.calibration import Calibration, TrialRecord, calibrate
+from bayes_damper.diagnosis.sets import SetFit, set_fit, weighed
 from bayes_damper.diagnosis.verdict import Answers
 from bayes_damper.text import counted
 
@@ -29,6 +32,7 @@ Array = NDArray[np.float64]
 
 MOST_REFITS, REFIT_STEPS = 4, 12
 MOST_TRIALS = 40  # beyond, only cases are left out one by one
+MOST_SETS, MOST_TRIALS_REFITTED = 4, 6  # where every choice is fitted again
 
 
 @dataclass(frozen=True)
@@ -112,10 +116,59 @@ class Quadratic:
 
 def refitted(fit: Calibration, without: Collection[int]) -> float:
     """Laplace evidence of a fit made again without some trials."""
+    return _again(fit, without).log_evidence
+
+
+def _again(fit: Calibration, without: Collection[int], straight: bool = False) -> Calibration:
     problem = fit.problem.for_trials([i for i in fit.problem.trials if i not in without])
     keep = [fit.problem.names.index(n) for n in problem.names]
     eta = {i: v for i, v in fit.eta.items() if i not in without}
-    return calibrate(problem, [fit.q[keep]], eta=eta, anneal=False, most=REFIT_STEPS).log_evidence
+    return calibrate(problem, [fit.q[keep]], eta=eta, anneal=False, most=REFIT_STEPS, straight=straight)
+
+
+def _other_choices(fit: Calibration, most: int) -> list[tuple[str, Collection[int], float]]:
+    """What could have been chosen otherwise: words, trials left out, factor on prior widths; trials up to `most`."""
+    choices: list[tuple[str, Collection[int], float]] = [
+        ("prior widths halved", (), 0.5), ("prior widths doubled", (), 2.0),
+    ]  # fmt: skip
+    experiment, trials = fit.problem.experiment, fit.problem.trials
+    cases = list(dict.fromkeys(experiment.trials[i].case for i in trials))
+    of_case = {case: [i for i in trials if experiment.trials[i].case == case] for case in cases}
+    if len(cases) > 1:
+        choices += [(f"without case {case}", of_case[case], 1.0) for case in cases]
+    if 1 < len(trials) <= most:
+        # A case of one trial has been left out already.
+        alone = {those[0] for those in of_case.values() if len(those) == 1} if len(cases) > 1 else set()
+        choices += [(f"without {_named(experiment.trials[i])}", [i], 1.0) for i in sorted(trials) if i not in alone]
+    return choices
+
+
+def sensitivity_of_sets(
+    nominal: Calibration, sets: Sequence[SetFit], answered: Callable[[Sequence[SetFit]], Answers], leading: str
+) -> list[Choice]:
+    """The verdict under every other choice, where no trial has repeats.
+
+    sets : weighed, best first, the nominal model among them; answered : gives the answers from weighed sets; leading :
+    the verdict on all data. Sets far behind the best ones stay where they are.
+    """
+    none = next(s for s in sets if not s.members)
+    likely = [*(s for s in sets if s.members and math.isfinite(s.evidence)), none][:MOST_SETS]
+    likely += [] if none in likely else [none]
+    quadratic = [Quadratic.of(s.fit) for s in likely]
+    out = []
+    for what, without, widths in _other_choices(nominal, MOST_TRIALS_REFITTED):
+        if without:
+            changed = [set_fit(s.members, _again(s.fit, without, straight=True)) for s in likely]
+        else:
+            changed = [
+                replace(s, plain=s.plain + q.log_evidence(widths=widths) - q.log_evidence())
+                for s, q in zip(likely, quadratic, strict=True)
+            ]
+        if not math.isfinite(changed[likely.index(none)].plain):
+            continue
+        p = (answers := answered(weighed(changed))).probabilities
+        out.append(Choice(what, answers.verdict, p[answers.verdict], p[leading]))
+    return out
 
 
 def sensitivity(
@@ -140,16 +193,7 @@ def sensitivity(
     both = {label: Quadratic.of(f) for label, f in (pairs or {}).items()}
     whole = {label: q.log_evidence() for label, q in both.items()}
     known = {name: [q.log_evidence() for q in each] for name, each in families.items()}
-    experiment = nominal.problem.experiment
-    choices: list[tuple[str, Collection[int], float]] = [
-        ("prior widths halved", (), 0.5), ("prior widths doubled", (), 2.0),
-    ]  # fmt: skip
-    cases = list(dict.fromkeys(experiment.trials[i].case for i in base.trials))
-    if len(cases) > 1:
-        for case in cases:
-            choices.append((f"without case {case}", [i for i in base.trials if experiment.trials[i].case == case], 1.0))
-    if 1 < len(base.trials) <= MOST_TRIALS:
-        choices += [(f"without {_named(experiment.trials[i])}", [i], 1.0) for i in sorted(base.trials)]
+    choices = _other_choices(nominal, MOST_TRIALS)
 
     def moved(name: str, values: Sequence[float], zero: float) -> float:
         """Change of a family's evidence when those of its fits become `values`, the nominal model's `zero`."""

@@ -11,9 +11,11 @@ from small_rig import measured, variant
 from bayes_damper.calibration import Experiment, Problem, TrialRecord, calibrate, calibrate_nominal, coordinate_of
 from bayes_damper.diagnosis.budget import _divided, answers_of, borne_out, budget_of, foreign_alone
 from bayes_damper.diagnosis.search import offered
+from bayes_damper.diagnosis.sensitivity import sensitivity_of_sets
 from bayes_damper.diagnosis.sets import (
     SetFit,
     SetProblem,
+    _sharper,
     _without_one,
     columns_at,
     grown,
@@ -21,6 +23,7 @@ from bayes_damper.diagnosis.sets import (
     mends,
     probabilities,
     proposals,
+    set_fit,
     weighed,
 )
 from bayes_damper.diagnosis.shares import Closed, Products
@@ -239,3 +242,39 @@ def test_the_answer_is_what_has_the_largest_share():
     assert verdict({"a": 1.0}).probabilities["a"] > 0.9
     assert verdict({"a": 0.2, "unknown": 0.8}).verdict == "unknown"
     assert foreign_alone(0.05) < foreign_alone(0.5) < foreign_alone(1.0) == pytest.approx(0.15 / 0.7)
+
+
+@pytest.mark.slow
+def test_without_repeats_each_choice_weighs_the_sets_again():
+    """Fits under noise of their own are not left out: without a trial the named effects stay, on what is left."""
+    trials = (swinging(1, 1.4, 24.0), swinging(3, 1.2, 24.0), swinging(2, 0.3, 6.0, heldout=True))
+    experiment = Experiment(
+        {"J1": (1.0, 0.0)}, ((64.0, 4.0),), trials, "displacement", restoring="pendulum", start="free",
+        priors={"c1t": LogNormal(0.02, 6.0)},
+    )  # fmt: skip
+    nominal = calibrate_nominal(experiment, nominal="linear")
+    members = (member("bearing_drag"), member("quadratic_drag"))
+    problem = SetProblem(nominal.problem, members, exact=True)
+    values = (0.15, 100.0, 0.004)
+    own = [
+        coordinate_of(p.prior, x) for p, x in zip((p for _, v in members for p in v.parameters), values, strict=True)
+    ]
+    fit = _sharper(calibrate(problem, [np.r_[nominal.q, own]], eta=nominal.eta, anneal=False, straight=True))
+    assert fit.problem.noise != nominal.problem.noise
+    sets = weighed([set_fit((), nominal), set_fit(members, fit)])
+    parts = [SimpleNamespace(name=e.name) for e, _ in members]
+    budget = SimpleNamespace(best=sets[0], parts=parts, leading={"bearing_drag": 1.0})
+    quiet = Left(0.0, 0.0, lone=True)
+    asked = []
+
+    def answered(sets):
+        asked.append({s.fit.problem.trials for s in sets})
+        return answers_of(budget, sets, ["bearing_drag", "quadratic_drag"], {sets[0].names: 0.02}, quiet, quiet)
+
+    choices = sensitivity_of_sets(nominal, sets, answered, "bearing_drag")
+    assert [c.what for c in choices] == [
+        "prior widths halved", "prior widths doubled", "without case case 1", "without case case 3"
+    ]  # fmt: skip
+    assert asked[:2] == [{(0, 1)}] * 2
+    assert asked[2:] == [{(1,)}, {(0,)}]
+    assert all(c.verdict == "bearing_drag" and c.of_leading > 0.9 for c in choices)
