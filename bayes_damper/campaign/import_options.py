@@ -127,14 +127,8 @@ def columns_of(path: str | Path) -> str:
     return f"{Path(path).name} has the columns: {', '.join(numbered)}"
 
 
-def spec_from_options(name: str, sources: Sequence[Path], options: Mapping[str, object]) -> dict[str, Any]:
-    """The table that `init` carries out; see `importer.init_campaign` for the options.
-
-    Raises
-    ------
-    InputError
-        for options that do not exist, files that cannot be read, and columns that are not given and not to be guessed.
-    """
+def _check_options(options: Mapping[str, object]) -> None:
+    """Raises InputError where an option does not exist or a number is beyond reason."""
     valid = (*READER, *TRIAL, *_RIG, *MEASUREMENT, *INIT, "name", "description", "source_text", "free_start")
     faults = [
         f"option '{key}' does not exist; " + (f"did you mean '{near[0]}'?" if near else f"options: {', '.join(valid)}")
@@ -150,6 +144,18 @@ def spec_from_options(name: str, sources: Sequence[Path], options: Mapping[str, 
                 )
     if faults:
         raise InputError(faults)
+
+
+def spec_from_options(name: str, sources: Sequence[Path], options: Mapping[str, object]) -> dict[str, Any]:
+    """The table that `init` carries out; see `importer.init_campaign` for the options.
+
+    Raises
+    ------
+    InputError
+        for options that do not exist, files that cannot be read, and columns that are not given and not to be guessed.
+    """
+    _check_options(options)
+    faults: list[str] = []
     rows = _sheet_rows(options.get("sheet"), faults)
     folder = Path(str(options["sheet"])).resolve().parent if rows else Path()
     if not sources:
@@ -200,18 +206,22 @@ def spec_from_options(name: str, sources: Sequence[Path], options: Mapping[str, 
     if start == "rest" and not all("theta0_std" in trial for trial in trials):
         caveats.append(_ANGLE_ASSUMED)
     spec: dict[str, Any] = {"name": given.get("name", name), "description": given.get("description", "")}
-    spec["source"] = given.get("source_text", "")
-    spec["caveats"] = caveats
+    spec |= {"source": given.get("source_text", ""), "caveats": caveats}
     spec["rig"] = {"primary_inertia": 1.0, **{k: given[k] for k in _RIG if k in given}}
-    spec["measurement"] = {"start": start, **{k: given[k] for k in MEASUREMENT if k in given}}
+    spec["measurement"] = {"start": start, **_measurement_of(given)}
+    spec["reader"] = {k: given[k] for k in READER if k in given}
+    return spec | {"trials": trials}
+
+
+def _measurement_of(given: Mapping[str, Any]) -> dict[str, Any]:
+    """The table [measurement]; the sample rate is that of the readings kept."""
+    found = {k: given[k] for k in MEASUREMENT if k in given}
     if "sample_rate" in given:
         rate, every = given["sample_rate"], given.get("every", 1)
         if isinstance(rate, int | float) and isinstance(every, int) and every > 0:
             rate = rate / every
-        spec["measurement"]["sample_rate"] = rate
-    spec["reader"] = {k: given[k] for k in READER if k in given}
-    spec["trials"] = trials
-    return spec
+        found["sample_rate"] = rate
+    return found
 
 
 def _trial_row(

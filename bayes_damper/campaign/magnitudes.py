@@ -20,7 +20,11 @@ _MOST_APART = 1e6  # a ratio beyond which one of two numbers does not act
 
 def check_declared(head: Head, trials: Sequence[Trial], faults: list[str], warnings: list[str]) -> None:
     """What campaign.toml and trials.csv declare, held against itself and the length and rate of the records."""
-    rig, declared = head.rig, head.measurement
+    _check_rig(head.rig, trials, faults, warnings)
+    _check_measurement(head, trials, faults, warnings)
+
+
+def _check_rig(rig: Rig, trials: Sequence[Trial], faults: list[str], warnings: list[str]) -> None:
     where = "campaign.toml [rig]"
     for key in _ABOVE_ZERO:
         constant = getattr(rig, key)
@@ -52,6 +56,10 @@ def check_declared(head: Head, trials: Sequence[Trial], faults: list[str], warni
             f"{where}: ground2_stiffness is {rig.ground2_stiffness.value / stiffest:.3g} times the stiffest k1t: the "
             "secondary could not move; check its unit"
         )
+
+
+def _check_measurement(head: Head, trials: Sequence[Trial], faults: list[str], warnings: list[str]) -> None:
+    rig, declared = head.rig, head.measurement
     where = "campaign.toml [measurement]"
     largest = max((float(np.max(np.abs(t.channels))) for t in trials), default=math.inf)
     for key in ("noise_std", "offset_std"):

@@ -12,6 +12,8 @@ from bayes_damper.report.sections.shared import fingerprint, meaning_of, picture
 from bayes_damper.rig.parameters import unit_of
 from bayes_damper.text import NOTHING, SDS_WIDE, counted, gathered, number, percent
 
+_Designs = Sequence[tuple[str, Mapping[str, Any], Mapping[str, Any]]]  # name, what was chosen, results
+
 
 def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
     """Headline and section of tune.json."""
@@ -25,31 +27,9 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
         designs.append(("best design", data["optimum"]["design"], data["optimum"]))
     converged = bool(data.get("converged", True))
     sentences = [] if converged else ["The fit that this rests on did not converge: do not use these numbers."]
-    for name, _, found in designs:
-        loss, p = found["linear"]["insertion_loss_db"], found["linear"]["probability_of_target"]
-        who = f"{name[0].upper() + name[1:]}, linear model"
-        if loss["interval90"] is None:
-            sentences.append(f"{who}: damping leaves no resonance, so no loss can be given.")
-            continue
-        low, high = loss["interval90"]
-        sentences.append(
-            f"{who}: insertion loss {number(loss['mean'], _wide(high - low, _DB))} dB (90 %: "
-            f"{_interval(low, high, _DB)} dB); it reaches {target:g} dB with probability {percent(p)}."
-        )
+    sentences += _loss_sentences(designs, target)
     sentences += data.get("notes", ())
-    weak = [row for row in data.get("nonlinear", []) if row["probability_of_target"] < 0.5]
-    # Draws without a resonance do not reach the target; where there is one they may well.
-    silent = [row for row in weak if (row["insertion_loss_db"]["mean"] or target) >= target]
-    weak = [row for row in weak if row not in silent]
-    if weak:
-        at = listed([f"{row['torque_amplitude_n_m']:g} {newton}" for row in weak])
-        sentences.append(f"With dry friction, {own} probably misses the target where the {effort} is {at}.")
-    if silent:
-        at = listed([f"{row['torque_amplitude_n_m']:g} {newton}" for row in silent])
-        sentences.append(
-            f"Where the {effort} is {at}, {own} probably has no resonance left to compare: dry friction holds it or "
-            "damps it away."
-        )
+    sentences += _friction_sentences(data.get("nonlinear", []), target, own, effort, newton)
     changes = []
     if data.get("hangs_most_on"):
         name = data["hangs_most_on"]
@@ -60,27 +40,7 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
         changes.append(
             f"The best design lies at the bound of {listed(data['optimum']['at_bound'])}: wider bounds may give more."
         )
-    rows = []
-    for name, _, found in designs:
-        rows.append(_performance_row(f"{name}, linear", found["linear"]))
-        rows += [
-            _performance_row(f"{name}, {effort} {r['torque_amplitude_n_m']:g} {newton}", r)
-            for r in found.get("nonlinear", [])
-        ]
-    columns = (
-        "design and model",
-        "loss, mean [dB]",
-        "loss, 90 % [dB]",
-        "resonance (90 %) [Hz]",
-        "shift (90 %) [Hz]",
-        f"P(loss ≥ {target:g} dB)",
-    )
-    note = f"{data.get('definition', '')}." if data.get("definition") else ""
-    if any(row.cells[1] == NOTHING for row in rows):
-        note += (
-            f" {NOTHING}: at that {effort} the rig sticks or no steady response was found, so there is no loss to give."
-        )
-    tables = [Table("Insertion loss and resonance", columns, tuple(rows), note.strip())]
+    tables = [_loss_table(designs, target, effort, newton, str(data.get("definition") or ""))]
     described = _design_table(designs, "translational" if translational else "torsional")
     tables += [described] if described.rows else []
     if data.get("variance_shares"):
@@ -110,6 +70,68 @@ _SHARES = (
     "What each parameter explains by itself. Parameters that the data tie together share what they explain: the shares "
     "then add up to more than 100 %."
 )
+
+
+def _loss_sentences(designs: _Designs, target: float) -> list[str]:
+    """What each design's insertion loss is in the linear model, and how probably it reaches the target."""
+    sentences = []
+    for name, _, found in designs:
+        loss, p = found["linear"]["insertion_loss_db"], found["linear"]["probability_of_target"]
+        who = f"{name[0].upper() + name[1:]}, linear model"
+        if loss["interval90"] is None:
+            sentences.append(f"{who}: damping leaves no resonance, so no loss can be given.")
+            continue
+        low, high = loss["interval90"]
+        sentences.append(
+            f"{who}: insertion loss {number(loss['mean'], _wide(high - low, _DB))} dB (90 %: "
+            f"{_interval(low, high, _DB)} dB); it reaches {target:g} dB with probability {percent(p)}."
+        )
+    return sentences
+
+
+def _friction_sentences(
+    rows: Sequence[Mapping[str, Any]], target: float, own: str, effort: str, newton: str
+) -> list[str]:
+    """Where dry friction keeps the design from its target, and where it leaves no resonance."""
+    sentences = []
+    weak = [row for row in rows if row["probability_of_target"] < 0.5]
+    # Draws without a resonance do not reach the target; where there is one they may well.
+    silent = [row for row in weak if (row["insertion_loss_db"]["mean"] or target) >= target]
+    weak = [row for row in weak if row not in silent]
+    if weak:
+        at = listed([f"{row['torque_amplitude_n_m']:g} {newton}" for row in weak])
+        sentences.append(f"With dry friction, {own} probably misses the target where the {effort} is {at}.")
+    if silent:
+        at = listed([f"{row['torque_amplitude_n_m']:g} {newton}" for row in silent])
+        sentences.append(
+            f"Where the {effort} is {at}, {own} probably has no resonance left to compare: dry friction holds it or "
+            "damps it away."
+        )
+    return sentences
+
+
+def _loss_table(designs: _Designs, target: float, effort: str, newton: str, definition: str) -> Table:
+    rows = []
+    for name, _, found in designs:
+        rows.append(_performance_row(f"{name}, linear", found["linear"]))
+        rows += [
+            _performance_row(f"{name}, {effort} {r['torque_amplitude_n_m']:g} {newton}", r)
+            for r in found.get("nonlinear", [])
+        ]
+    columns = (
+        "design and model",
+        "loss, mean [dB]",
+        "loss, 90 % [dB]",
+        "resonance (90 %) [Hz]",
+        "shift (90 %) [Hz]",
+        f"P(loss ≥ {target:g} dB)",
+    )
+    note = f"{definition}." if definition else ""
+    if any(row.cells[1] == NOTHING for row in rows):
+        note += (
+            f" {NOTHING}: at that {effort} the rig sticks or no steady response was found, so there is no loss to give."
+        )
+    return Table("Insertion loss and resonance", columns, tuple(rows), note.strip())
 
 
 def _performance_row(name: str, p: Mapping[str, Any]) -> Row:
