@@ -20,7 +20,7 @@ from bayes_damper.campaign.structure import Trial, natural_period
 
 Array = NDArray[np.float64]
 _OFF = 0.1  # of the frequency: nonlinear springs and viscous damping of a free decay stay below it, as a rule
-_HIGHER, _LOWER = 1.25, 0.6  # first swing over the declared one: friction makes it smaller
+_HIGHER, _LOWER = 1.25, 0.7  # first swing, less what friction takes of it, over the declared one
 _STILL = 0.1  # of the largest reading, below which a rig is held to have come to rest
 _FEWEST = 3.0  # swings that give a frequency
 _FIRST = 0.5  # rad of the primary's oscillation, in which the release shows and nothing has turned round
@@ -122,6 +122,10 @@ def _first_swing(trial: Trial, power: int, found: tuple[float, float]) -> float:
     y = trial.channels[0][(trial.times >= start) & (trial.times <= start + 1.0 / frequency)]
     noise = look.noise_floor_of(trial.channels[0]) * math.sqrt(2.0 * math.log(max(y.size, 2)))
     half = max(0.5 * float(np.ptp(y)) - noise, 0.0)
+    after = (trial.times >= start + 1.0 / frequency) & (trial.times <= start + 2.0 / frequency)
+    if half > 0.0 and np.count_nonzero(after) > 4:  # what a period loses, taken off again from the first half of one
+        kept = max(0.5 * float(np.ptp(trial.channels[0][after])) - noise, 0.0) / half
+        half *= 2.0 / (1.0 + math.sqrt(min(1.0, max(kept, 0.25))))
     return half / (abs(trial.theta0.value) * (2.0 * math.pi * frequency) ** power)
 
 

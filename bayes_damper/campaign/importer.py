@@ -413,6 +413,11 @@ def _trial_from(
         raise InputError(
             f"{option['where']}: a coupled trial needs two columns, primary and secondary; 'columns' has one"
         )
+    if len(wanted) > 2:
+        raise InputError(
+            f"{option['where']}: 'columns' names {len(wanted)} channels, {', '.join(map(str, wanted))}; a rig has one, "
+            "or when coupled two: the primary's, then the secondary's"
+        )
     n_channels = 2 if coupled else 1
     places = [source.index(c, where) for c in wanted[:n_channels]]
     channels = _unwrapped(source.table[:, places].T, option)

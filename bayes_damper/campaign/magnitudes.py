@@ -15,6 +15,10 @@ from bayes_damper.campaign.structure import COLUMNS, Rig, Trial, natural_period
 _FEWEST = 4.0  # readings in a period of the primary, below which a motion is not seen
 _ABOVE_ZERO = ("primary_inertia", "secondary_inertia", "bar_radius", "magnet_radius", "magnet_pull")
 
+_POSSIBLE = {
+    "magnet_pull": (1e-6, 1e6, "N"), "magnet_radius": (1e-6, 1e2, "m"), "bar_radius": (1e-6, 1e3, "m"),
+}  # fmt: skip
+"""What a magnet and its arm can be at all, from micromachines to cranes."""
 _MOST_APART = 1e6  # a ratio beyond which one of two numbers does not act
 
 
@@ -38,6 +42,13 @@ def _check_rig(rig: Rig, trials: Sequence[Trial], faults: list[str], warnings: l
             f"{where}: magnet_radius = {rig.magnet_radius.value:g} m is not smaller than bar_radius = "
             f"{rig.bar_radius.value:g} m, at which the magnet sits; exchanged, or a diameter?"
         )
+    for key, (least, most, unit) in _POSSIBLE.items():
+        constant = getattr(rig, key)
+        if constant is not None and not least <= constant.value <= most:
+            faults.append(
+                f"{where}: {key} = {constant.value:g} {unit} is none of a rig ({least:g} to {most:g} {unit} are read): "
+                "check its unit"
+            )
     for trial in {t.k1t: t for t in trials}.values():
         if trial.k1t.std >= trial.k1t.value > 0.0:
             faults.append(
@@ -75,6 +86,12 @@ def _check_measurement(head: Head, trials: Sequence[Trial], faults: list[str], w
     shortest = min((float(np.ptp(t.times)) for t in trials), default=math.inf)
     if any(x >= shortest for x in declared.lag_std or ()):
         faults.append(f"{where}: lag_std is as long as the shortest record, {shortest:.3g} s; give it in seconds")
+    period = min((natural_period(rig, t) for t in trials), default=math.inf)
+    if any(0.5 * period < x < shortest for x in declared.lag_std or ()):
+        warnings.append(
+            f"{where}: lag_std = {max(declared.lag_std or ()):g} s is more than half a period, {period:.3g} s: such a "
+            "channel can be placed anywhere; give what its clock may be off by, in seconds"
+        )
     if declared.every is not None and not head.broken:
         for trial in trials:
             left = natural_period(rig, trial) / (declared.every * float(np.median(np.diff(trial.times))))

@@ -22,6 +22,7 @@ _RESTS = {"displacement": 1.0, "velocity": 0.5, "acceleration": 0.5}
 _SHORT = 0.8  # of the longest repeat's end, before which a record counts as ending early
 _UNLIKE = 0.3  # rms difference over rms, from which repeats are held to be of different channels
 _TURNED = "; where `init` made the campaign, run it again with --sign -1 (coupled: one for each channel, such as -1 1)"
+_GROWS = 0.4  # of the largest excursion, which a free decay exceeds within its first period
 _FEW = 3  # readings at rest, and in the first swing, that show which way it goes
 
 
@@ -54,7 +55,7 @@ def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
             warnings.append(f"{where}: flat tops at {level:.4g}; it looks clipped there")
         if limits is not None and np.max(np.abs(y)) > 0.98 * limits[i]:
             warnings.append(f"{where}: readings reach the sensor's range of {limits[i]:.4g}; it may be clipped")
-        spikes = look.outliers_of(trial.times, y, noise, omega)
+        spikes = look.outliers_of(trial.times, y, noise, omega, head.measurement.quantity == "displacement")
         if spikes:
             some = ", ".join(f"{trial.times[j]:.4g}" for j in spikes[:SHOWN])
             more = f" and {len(spikes) - SHOWN} more" if len(spikes) > SHOWN else ""
@@ -66,11 +67,12 @@ def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
         offset = look.offset_of(trial.times, y, noise, omega)
         if offset and not trial.driven and not (head.rig.restoring == "pendulum" and held):
             half = _is_angle(head) and abs(abs(offset) - math.pi) < 0.1
+            held_off = ", or dry friction holds it there" if head.measurement.quantity == "displacement" else ""
             turned = " (half a turn: it may count from the upper position)" if half else ""
             warnings.append(
                 f"{where}: rests at {offset:.3g} at the end, not at 0{turned}; the sensor has an "
-                "offset: `init --offset tail` takes off what it reads at the end, offset_std under [measurement] of "
-                "campaign.toml lets fits infer it"
+                f"offset{held_off}: `init --offset tail` takes off what it reads at the end, offset_std under "
+                "[measurement] of campaign.toml lets fits infer it"
             )
         if given is not None and noise > 0.0 and not 1.0 / 3.0 <= noise / given[i] <= 3.0:
             warnings.append(
@@ -86,6 +88,25 @@ def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
         )
     if head.measurement.start == "rest" and trial.theta0 is not None and not (trial.driven and not trial.theta0.value):
         _look_at_release(head, trial, omega, warnings)
+    if head.measurement.start == "free" and not trial.driven:
+        _look_at_growth(trial, warnings)
+
+
+def _look_at_growth(trial: Trial, warnings: list[str]) -> None:
+    """A decay that begins small and then grows was at rest, or in a hand, before it was let go."""
+    frequency = look.dominant_frequency(trial.times, trial.channels[0])
+    if frequency == 0.0 or np.ptp(trial.times) < 3.0 / frequency:
+        return
+    first = trial.times < trial.times[0] + 1.0 / frequency
+    sizes = [np.abs(y - np.median(y[trial.times > np.median(trial.times)])) for y in trial.channels]
+    if np.count_nonzero(first) < 4 or any(np.max(s[first]) > _GROWS * np.max(s) for s in sizes):
+        return
+    largest = float(trial.times[int(np.argmax(sizes[0]))])
+    warnings.append(
+        f"{trial.file}: the motion grows until {largest:.4g} s: the rig rests, or a hand moves it, before it is let "
+        'go; fits with start = "free" need a record of the decay alone: `init --release first_peak`, or take the first '
+        "readings off"
+    )
 
 
 def _is_angle(head: Head) -> bool:

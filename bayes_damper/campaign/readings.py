@@ -118,8 +118,8 @@ def flat_tops_of(times: Array, readings: Array, noise: float, omega: float, held
         top = float(np.max(y))
         if top <= 12.0 * max(noise, step):
             continue
-        if _flat_by_equality(y, top, step, dt, omega, held_at_first) or _flat_by_spread(
-            y, top, max(noise, step / 3.0), dt, omega, held_at_first
+        if _flat_by_equality(y, top, step, dt, omega, held_at_first) or (
+            step < 2.0 * noise and _flat_by_spread(y, top, max(noise, step / 3.0), dt, omega, held_at_first)
         ):
             levels.append(centre + side * top)
     return levels
@@ -132,9 +132,27 @@ def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def _flat_by_equality(y: Array, top: float, step: float, dt: float, omega: float, held_at_first: bool) -> bool:
-    runs = [b - a for a, b in _runs(y >= top - 1e-9 * abs(top)) if not (held_at_first and a == 0)]
+    runs = [
+        b - a
+        for a, b in _runs(y >= top - 1e-9 * abs(top))
+        if not (held_at_first and a == 0) and (step == 0.0 or _cut_off(y, a, b, step))
+    ]
+    if step > 0.0:
+        return bool(runs) and max(runs) >= 3
     turn = 2.0 * math.acos(max(-1.0, 1.0 - step / top)) / (omega * dt)  # samples that a rounded sinusoid stays there
     return bool(runs) and max(runs) >= 3 and max(runs) > 2.0 * turn + 1.0
+
+
+def _cut_off(y: Array, a: int, b: int, step: float) -> bool:
+    """Whether rounded readings end at the level of y[a:b], and do not just turn round within one step.
+
+    A smooth turn spends at most 4.9 times as long in its last step as in the one before it, whatever its frequency.
+    """
+    below = (y > y[a] - 1.5 * step) & (y < y[a] - 0.5 * step)
+    before = next((i for i in range(a - 1, -1, -1) if not below[i]), -1)
+    after = next((i for i in range(b, y.size) if not below[i]), y.size)
+    sides = [n for n, inside in ((a - 1 - before, a > 0), (after - b, b < y.size)) if inside]
+    return b - a > 6 * (min(sides, default=0) + 1)
 
 
 def _flat_by_spread(y: Array, top: float, noise: float, dt: float, omega: float, held_at_first: bool) -> bool:
@@ -151,10 +169,11 @@ def _flat_by_spread(y: Array, top: float, noise: float, dt: float, omega: float,
     return False
 
 
-def outliers_of(times: Array, readings: Array, noise: float, omega: float) -> list[int]:
+def outliers_of(times: Array, readings: Array, noise: float, omega: float, smooth: bool = False) -> list[int]:
     """Indices of single readings that leave both neighbours by ten standard deviations and more.
 
-    The bend of the motion itself, of angular frequency up to 5 `omega` (rad/s), is allowed for.
+    The bend of the motion itself, of angular frequency up to 5 `omega` (rad/s), is allowed for. smooth : the readings
+    are of displacement, which has no jumps: then coarse records are judged by the cubic through the readings around.
     """
     if len(readings) < 7:
         return []
@@ -165,7 +184,22 @@ def outliers_of(times: Array, readings: Array, noise: float, omega: float) -> li
     bend = 2.0 * np.ptp(readings) * min(1.0, (5.0 * omega * dt) ** 2)
     bound = max(10.0 * noise, bend, 1e-9 * float(np.ptp(readings)))
     spike = (np.abs(departure) > bound) & (np.abs(departure) > 3.0 * np.ptp(around[1:3], axis=0))
-    return [int(i) + 2 for i in np.flatnonzero(spike)]
+    return [int(i) + 2 for i in np.flatnonzero(spike | (smooth and _off_the_cubic(readings, noise)))]
+
+
+def _off_the_cubic(readings: Array, noise: float) -> NDArray[np.bool_]:
+    """Which of readings[2:-2] stick out of the cubic through the four around them, by far more than others do.
+
+    A motion that is sampled coarsely bends between readings, and hardly departs from the cubic. A step departs as much
+    on both sides of it, a kink less than it differs from its neighbours; a single wrong reading does neither.
+    """
+    off = np.zeros(readings.size)
+    off[2:-2] = readings[2:-2] - (4.0 * (readings[1:-3] + readings[3:-1]) - readings[:-4] - readings[4:]) / 6.0
+    size = np.abs(off)
+    bound = max(10.0 * noise, 5.0 * float(np.quantile(size[2:-2], 0.98)), 1e-9 * float(np.ptp(readings)))
+    beside = np.maximum(size[1:-3], size[3:-1])
+    nearest = np.minimum(np.abs(readings[2:-2] - readings[1:-3]), np.abs(readings[2:-2] - readings[3:-1]))
+    return (size[2:-2] > bound) & (size[2:-2] > 1.3 * beside) & (size[2:-2] > 0.8 * nearest) & (nearest > 0.5 * bound)
 
 
 def offset_of(times: Array, readings: Array, noise: float, omega: float) -> float:
@@ -178,6 +212,9 @@ def offset_of(times: Array, readings: Array, noise: float, omega: float) -> floa
     if len(tail) < 8:
         return 0.0
     mean, scatter = float(np.average(tail, weights=np.hanning(len(tail) + 2)[1:-1])), float(np.std(tail))
+    large = (tail - mean)[np.abs(tail - mean) > 0.5 * scatter]
+    if scatter > 5.0 * noise and np.count_nonzero(np.diff(np.sign(large))) < 3:
+        return 0.0  # less than two swings: the mean of a part of one is no level of rest
     return mean if abs(mean) > max(0.15 * scatter, 8.0 * noise / math.sqrt(len(tail))) else 0.0
 
 

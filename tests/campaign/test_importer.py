@@ -140,7 +140,7 @@ def test_the_time_need_not_be_named_beside_the_channels(tmp_path: Path) -> None:
     campaign = load_campaign(init_campaign(tmp_path / "out", [source], **options))
     named = load_campaign(init_campaign(tmp_path / "named", [source], **OPTIONS))
     assert np.array_equal(campaign.trials[0].times, named.trials[0].times)
-    assert campaign.warnings == ("The time was not named; taken: column 1 (t).", *named.warnings)
+    assert campaign.warnings == (*named.warnings, "The time was not named; taken: column 1 (t).")
 
 
 def test_in_a_terminal_it_shows_the_columns_and_asks(
