@@ -636,7 +636,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"bayes-damper {args.command}: stopped", file=sys.stderr)
         return int(ExitCode.INTERRUPTED)
     if not args.quiet:
-        from bayes_damper.runs.execution import json_text
+        from bayes_damper.runs.json_files import json_text
 
         print(json_text(result.to_json()) if args.json else printable(result.text()))
     return int(result.exit_code)

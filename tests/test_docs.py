@@ -24,7 +24,7 @@ from bayes_damper.calibration import Experiment, TrialRecord, default_priors
 from bayes_damper.cli import _parser, main
 from bayes_damper.effects import EFFECTS, load_effects
 from bayes_damper.report.terms import _TERMS
-from bayes_damper.runs.execution import read_json
+from bayes_damper.runs.json_files import read_json
 from bayes_damper.validation.withheld import page as proof_page
 from bayes_damper.validation.withheld import verify
 

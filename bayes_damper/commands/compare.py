@@ -24,7 +24,7 @@ from bayes_damper.inputs import as_written
 from bayes_damper.priors.distributions import to_standard
 from bayes_damper.priors.files import priors_from_dict
 from bayes_damper.rig.parameters import PARAMETERS
-from bayes_damper.runs.execution import folder_name, read_json, write_json
+from bayes_damper.runs.json_files import folder_name, read_json, write_json
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.sampling import arviz_adapter
 from bayes_damper.sampling.bridge import bridge

@@ -17,7 +17,8 @@ from bayes_damper.effects import all_effects, effects_sha256, same_effects
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.inputs import fields, file_bytes
 from bayes_damper.report import report
-from bayes_damper.runs.execution import Progress, Task, folder_name, run_record, run_tasks, write_json
+from bayes_damper.runs.execution import Progress, Task, run_record, run_tasks
+from bayes_damper.runs.json_files import folder_name, write_json
 from bayes_damper.runs.provenance import code_sha256, provenance
 from bayes_damper.text import NOTHING, counted
 

@@ -37,7 +37,7 @@ from bayes_damper.priors.distributions import from_standard
 from bayes_damper.priors.files import PriorSet, campaign_priors
 from bayes_damper.rig.parameters import unit_of
 from bayes_damper.rig.units import effect_unit
-from bayes_damper.runs.execution import write_json
+from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.text import counted
 

@@ -9,7 +9,8 @@ from bayes_damper.commands.fleet import finish_fleet
 from bayes_damper.errors import InputError
 from bayes_damper.fit import finish_fit, kept, plan_in, refuse_changes
 from bayes_damper.inputs import shown
-from bayes_damper.runs.execution import Progress, run_record, write_json
+from bayes_damper.runs.execution import Progress, run_record
+from bayes_damper.runs.json_files import write_json
 from bayes_damper.validation.withheld.check import finish_withheld
 from bayes_damper.variability import finish_variability
 

@@ -45,7 +45,7 @@ from bayes_damper.effects.base import SITES, Variant
 from bayes_damper.priors.distributions import Distribution, from_standard
 from bayes_damper.priors.files import PriorSet
 from bayes_damper.rig.parameters import unit_of
-from bayes_damper.runs.execution import plain
+from bayes_damper.runs.json_files import plain
 from bayes_damper.runs.memory import shortage
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from bayes_damper.runs.execution import whole
+from bayes_damper.runs.json_files import whole
 
 mpl.use("Agg", force=False)
 

@@ -20,7 +20,8 @@ from bayes_damper.inputs import fields, shown
 from bayes_damper.priors.files import PriorSet, campaign_priors, load_priors
 from bayes_damper.published.measurements import load_published
 from bayes_damper.rig.parameters import hint
-from bayes_damper.runs.execution import run_record, write_json
+from bayes_damper.runs.execution import run_record
+from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.provenance import code_sha256, package_version
 
 LAWS = (None, "linear", "constant")

@@ -15,17 +15,8 @@ from bayes_damper.fit.published import fit_published_case
 from bayes_damper.fit.recorded import fit_recorded_cases
 from bayes_damper.fit.sensitivity import text as sensitivity_text
 from bayes_damper.fit.summary import table_text, write_table
-from bayes_damper.runs.execution import (
-    WAITING,
-    Progress,
-    Silent,
-    Task,
-    folder_name,
-    read_json,
-    run_tasks,
-    stopped,
-    write_json,
-)
+from bayes_damper.runs.execution import WAITING, Progress, Silent, Task, run_tasks, stopped
+from bayes_damper.runs.json_files import folder_name, read_json, write_json
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.sampling import arviz_adapter
 from bayes_damper.text import gathered, misses

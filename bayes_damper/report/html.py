@@ -23,7 +23,7 @@ from bayes_damper.inputs import as_written
 from bayes_damper.report.parts import Picture, Result, Section
 from bayes_damper.report.sections import READERS
 from bayes_damper.report.terms import terms
-from bayes_damper.runs.execution import read_json, write_text
+from bayes_damper.runs.json_files import read_json, write_text
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.text import NOTHING, counted, percent
 

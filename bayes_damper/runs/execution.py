@@ -7,30 +7,24 @@ missing. Results do not depend on the number of workers or on the order, because
 
 from __future__ import annotations
 
-import hashlib
 import importlib
-import json
 import logging
-import math
 import os
-import re
 import signal
 import threading
 import time
 from asyncio import CancelledError as AsyncCancelled
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any, Protocol
 
-import numpy as np
-
 from bayes_damper.errors import BayesDamperError, ExitCode, InputError, Interrupted
-from bayes_damper.inputs import fields, file_bytes, json_of, text_of
+from bayes_damper.inputs import fields
+from bayes_damper.runs.json_files import read_json, write_json
 from bayes_damper.runs.memory import collect_seldom
 
 _POLL_S = 0.2
@@ -66,76 +60,6 @@ class Silent:
 
     def update(self, task: str, share: float, text: str) -> None:
         """Nothing."""
-
-
-def folder_name(case: str) -> str:
-    """The folder of a case: its label where that is a plain word, else one that no file system minds."""
-    if re.fullmatch(r"[\w-]+", case):
-        return case
-    return re.sub(r"[^\w-]+", "_", case) + "-" + hashlib.sha256(case.encode()).hexdigest()[:6]
-
-
-@contextmanager
-def whole(path: Path) -> Iterator[Path]:
-    """Where to write a file so that a reader sees either the old or the new one, whole; its folder is made.
-
-    A file that could not be written to its end is removed and leaves the old one in place.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
-    try:
-        yield partial
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text file so that a reader sees either the old or the new one, whole; its folder is made."""
-    with whole(path) as partial:
-        partial.write_text(text, encoding="utf-8")
-    LOG.debug("wrote %s, %d characters", path, len(text))
-
-
-def json_text(data: Any) -> str:
-    """JSON as every file and `--json` have it: null in place of numbers that are not finite, which JSON cannot hold."""
-    return json.dumps(plain(data), indent=1, allow_nan=False)
-
-
-def write_json(path: Path, data: Any) -> None:
-    """Write JSON so that a reader sees either the old or the new file, whole."""
-    write_text(path, json_text(data) + "\n")
-
-
-def plain(x: Any) -> Any:
-    """Data as JSON takes it: arrays as lists, and null in place of numbers that are not finite."""
-    if isinstance(x, Mapping):
-        return {str(key): plain(value) for key, value in x.items()}
-    if isinstance(x, list | tuple):
-        return [plain(value) for value in x]
-    if isinstance(x, np.ndarray):
-        return plain(x.tolist())
-    if isinstance(x, np.generic):
-        return plain(x.item())
-    return None if isinstance(x, float) and not math.isfinite(x) else x
-
-
-def read_json(path: Path) -> Any:
-    """Contents of a JSON file.
-
-    Raises
-    ------
-    InputError
-        if the file is missing or is not JSON.
-    """
-    remedy = "run the command that wrote it again"
-    try:
-        return json_of(text_of(file_bytes(path, remedy=remedy), str(path)), str(path), remedy)
-    except FileNotFoundError:
-        hint = "name a folder that bayes-damper has written"
-        if path.name != "run.json" and (path.parent / "run.json").is_file():
-            hint = f"the run in that folder has not ended; go on with: bayes-damper resume {path.parent}"
-        raise InputError(f"{path}: there is no such file; {hint}") from None
 
 
 def run_record(folder: Path) -> dict[str, Any]:

@@ -18,7 +18,7 @@ import pandas as pd
 
 from bayes_damper import figures as drawing
 from bayes_damper.errors import ExitCode
-from bayes_damper.runs.execution import plain, write_json, write_text
+from bayes_damper.runs.json_files import plain, write_json, write_text
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.text import counted
 from bayes_damper.thesis.contradictions import Contradiction, Needed, contradictions

@@ -16,7 +16,7 @@ from bayes_damper.errors import InputError
 from bayes_damper.inputs import as_written
 from bayes_damper.published.measurements import load_published
 from bayes_damper.rig.parameters import unit_of
-from bayes_damper.runs.execution import folder_name, read_json
+from bayes_damper.runs.json_files import folder_name, read_json
 from bayes_damper.sampling import arviz_adapter
 from bayes_damper.text import misses
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from bayes_damper import figures
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.rig.parameters import unit_of
-from bayes_damper.runs.execution import write_json
+from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.text import counted, gathered
 from bayes_damper.tuning.curves import Band, Curve, frequency_responses, tuning_curves

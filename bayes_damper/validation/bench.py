@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from bayes_damper.errors import ExitCode
 from bayes_damper.rig import equations, vector_math
 from bayes_damper.rig.equations import ROWS
-from bayes_damper.runs.execution import write_json, write_text
+from bayes_damper.runs.json_files import write_json, write_text
 from bayes_damper.sampling.moves import DifferentialEvolution, Snooker
 from bayes_damper.simulation import integrator
 from bayes_damper.simulation.integrator import LANES

@@ -16,7 +16,8 @@ from bayes_damper import figures
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.inputs import fields
 from bayes_damper.priors.distributions import Distribution, from_standard, to_standard
-from bayes_damper.runs.execution import Progress, Task, folder_name, plain, read_json, run_record, run_tasks, write_json
+from bayes_damper.runs.execution import Progress, Task, run_record, run_tasks
+from bayes_damper.runs.json_files import folder_name, plain, read_json, write_json
 from bayes_damper.runs.provenance import code_sha256, provenance
 from bayes_damper.sampling import arviz_adapter
 from bayes_damper.text import gathered

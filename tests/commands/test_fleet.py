@@ -14,7 +14,7 @@ from bayes_damper.commands.diagnose import diagnose
 from bayes_damper.commands.fleet import diagnose_fleet, sentences
 from bayes_damper.commands.resume import resume
 from bayes_damper.errors import InputError, Interrupted
-from bayes_damper.runs.execution import read_json, write_json
+from bayes_damper.runs.json_files import read_json, write_json
 
 
 def told(verdict="none", p=0.8):

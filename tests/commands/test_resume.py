@@ -15,7 +15,7 @@ from bayes_damper.effects import effects_sha256
 from bayes_damper.errors import InputError
 from bayes_damper.fit.plan import kept, plan_fit, plan_in, start_run
 from bayes_damper.runs.checkpoint import Checkpoint
-from bayes_damper.runs.execution import read_json, write_json
+from bayes_damper.runs.json_files import read_json, write_json
 
 EVIL = "from pathlib import Path\nPath({mark!r}).touch()\n\ndef run(*a, **k):\n    Path({mark!r}).touch()\n"
 OWN = '''"""An effect."""

@@ -37,7 +37,7 @@ from bayes_damper.fit.draw import search
 from bayes_damper.fit.published import feature_posterior
 from bayes_damper.priors.files import load_priors
 from bayes_damper.published.posterior import Datum
-from bayes_damper.runs.execution import write_json
+from bayes_damper.runs.json_files import write_json
 from bayes_damper.sampling import Progress, StoppingRule, arviz_adapter
 from bayes_damper.simulation.model import Model
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayes_damper.runs.execution import read_json, write_json
+from bayes_damper.runs.json_files import read_json, write_json
 
 ENDLESS = """
 import os, time

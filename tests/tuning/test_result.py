@@ -12,7 +12,7 @@ from bayes_damper import figures, report, tuning
 from bayes_damper.campaign import load_campaign
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.rig import linear
-from bayes_damper.runs.execution import folder_name, write_json
+from bayes_damper.runs.json_files import folder_name, write_json
 from bayes_damper.sampling import arviz_adapter
 from bayes_damper.tuning import Design
 

@@ -19,7 +19,8 @@ from bayes_damper.fit import fit as fit_campaign
 from bayes_damper.fit import published_posterior
 from bayes_damper.priors.distributions import from_standard, to_standard
 from bayes_damper.published.posterior import Coordinates, FeaturePosterior
-from bayes_damper.runs.execution import WAITING, read_json, write_json
+from bayes_damper.runs.execution import WAITING
+from bayes_damper.runs.json_files import read_json, write_json
 from bayes_damper.sampling import arviz_adapter
 from bayes_damper.sampling.guide import Guide
 from bayes_damper.sampling.sequential import Block, Powers, _groups, temper

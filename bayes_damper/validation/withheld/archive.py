@@ -20,7 +20,7 @@ from typing import Any
 
 from bayes_damper.effects import all_effects, classes
 from bayes_damper.errors import ExitCode, InputError, SelfCheckError
-from bayes_damper.runs.execution import read_json
+from bayes_damper.runs.json_files import read_json
 from bayes_damper.text import counted
 from bayes_damper.validation.withheld import scores
 from bayes_damper.validation.withheld.sealing import (

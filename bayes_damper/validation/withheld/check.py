@@ -14,7 +14,8 @@ from bayes_damper.effects import EFFECTS, Effect, all_effects, classes, effects_
 from bayes_damper.errors import ExitCode, InputError, Interrupted, SelfCheckError
 from bayes_damper.files import shipped_path
 from bayes_damper.inputs import fields
-from bayes_damper.runs.execution import Progress, Task, plain, read_json, run_tasks, write_json, write_text
+from bayes_damper.runs.execution import Progress, Task, run_tasks
+from bayes_damper.runs.json_files import plain, read_json, write_json, write_text
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.text import counted, p_value
 from bayes_damper.validation.withheld import scores

@@ -39,7 +39,7 @@ from bayes_damper.diagnosis.verdict import (
 )
 from bayes_damper.effects import EFFECTS, classes
 from bayes_damper.errors import InputError
-from bayes_damper.runs.execution import read_json
+from bayes_damper.runs.json_files import read_json
 from bayes_damper.validation.withheld.scores import LEAST_PROBABILITY, Scored, score_one
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bayes_damper.runs.execution import read_json
+from bayes_damper.runs.json_files import read_json
 from bayes_damper.text import p_value
 from bayes_damper.validation.withheld.scores import status
 

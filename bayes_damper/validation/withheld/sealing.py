@@ -22,7 +22,7 @@ from typing import Any
 
 from bayes_damper.effects import Effect, classes
 from bayes_damper.errors import InputError, SelfCheckError
-from bayes_damper.runs.execution import read_json, write_json
+from bayes_damper.runs.json_files import read_json, write_json
 from bayes_damper.runs.provenance import code_sha256, commit, package_version
 
 FREEZE_SCHEMA = "bayes-damper/withheld-freeze/1"

@@ -18,7 +18,7 @@ from typing import Any
 from bayes_damper import figures
 from bayes_damper.effects import all_effects, classes
 from bayes_damper.errors import InputError
-from bayes_damper.runs.execution import read_json, write_json, write_text
+from bayes_damper.runs.json_files import read_json, write_json, write_text
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.validation.withheld import scores
 from bayes_damper.validation.withheld.check import (
