@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -43,6 +44,7 @@ SIZE = 0.05  # of the test for a gap
 LOOSE, FEW_DRAWS = 1.5, 30.0  # nats between repeats, effective draws: from which an evidence is poorly known
 _DRAWS = 240
 _TOLD_OF_WEIGHING = 20  # times
+_LEAST, _CAUTION = 0.01, 2.0  # probability, and nats, below which a formula is looked at once only
 _LEADING = 4  # answers between which the next experiment is to decide
 _NOISE = 2.0  # rad/s^2, of the records that a next experiment would take
 _COMPONENTS = 12
@@ -51,12 +53,14 @@ _UNITS = {"log_decrement": "1", "period": "s", "max_acceleration": "rad/s^2"}
 
 @dataclass(frozen=True)
 class Settings:
-    """How much is computed: rounds and draws of the search that begins at the prior; draws carried along and most
-    sweeps a stage on the way to each formula's evidence; independent repeats of everything.
+    """How much is computed: rounds and draws of the search that begins at the prior; draws carried along in a first
+    look at every formula; draws carried along and most sweeps a stage on the way to the evidence of those that may
+    matter, in independent repeats.
     """
 
     search_rounds: int = 8
     search_count: int = 768
+    look: int = 64
     count: int = 192
     sweeps: int = 8
     repeats: int = 2
@@ -316,20 +320,30 @@ def diagnose_published(
         shapes = list(pool.map(lambda rng: search(joints[0], rng, settings), seeds))
         tell(f"nominal model fitted; weighing {len(everything) - 1} formulas")
         loud = list(pool.map(lambda j: _acts(j, joints[0], shapes[0], seed), joints))
-        jobs = [(i, r) for i in range(len(joints)) if loud[i] for r in range(settings.repeats)]
 
-        def run(job: tuple[int, int]) -> Weighed:
+        def run(job: tuple[int, int], count: int) -> Weighed:
             i, r = job
-            rng = np.random.default_rng([seed, r, i])
-            # Everything is measured against the nominal model: it gets four times the draws.
-            count = settings.count * (4 if i == 0 else 1)
-            return weigh_formula(joints[i], beginning(shapes[r], joints[i]), rng, count=count, sweeps=settings.sweeps)
+            rng = np.random.default_rng([seed, r, i, count])
+            begin = beginning(shapes[r], joints[i])
+            return weigh_formula(joints[i], begin, rng, count=count, sweeps=settings.sweeps)
 
-        found: dict[int, list[Weighed]] = {}
-        for done, ((i, _), weighed) in enumerate(zip(jobs, pool.map(run, jobs), strict=True), 1):
-            found.setdefault(i, []).append(weighed)
-            if done % max(1, len(jobs) // _TOLD_OF_WEIGHING) == 0:
-                tell(f"{done} of {len(jobs)} weighings done, each formula {settings.repeats} times where it acts")
+        def weighed(jobs: Sequence[tuple[int, int]], count: int, what: str) -> dict[int, list[Weighed]]:
+            out: dict[int, list[Weighed]] = {}
+            runs = pool.map(partial(run, count=count), jobs)
+            for done, ((i, _), one) in enumerate(zip(jobs, runs, strict=True), 1):
+                out.setdefault(i, []).append(one)
+                if done % max(1, len(jobs) // _TOLD_OF_WEIGHING) == 0:
+                    tell(f"{done} of {len(jobs)} {what}")
+            return out
+
+        found = weighed([(i, 0) for i in range(len(joints)) if loud[i]], settings.look, "formulas looked at")
+        again = contenders(everything, {i: runs[0].log_z for i, runs in found.items()})
+        jobs = [(i, r) for i in again for r in range(settings.repeats)]
+        found |= weighed(jobs, settings.count, f"weighings done, {settings.repeats} of each formula that may matter")
+        # Everything is measured against the nominal model: it gets four times the draws.
+        found |= weighed(
+            [(0, r) for r in range(settings.repeats)], 4 * settings.count, "weighings of the nominal model"
+        )
     base, base_error = _pooled(found[0])
     results = []
     for i, formula in enumerate(everything):
@@ -350,8 +364,22 @@ def diagnose_published(
     return PublishedDiagnosis(
         campaign, nominal, data, tuple(results), answers, spread, evidence, errors,
         _sites(answers, results, evidence), rows, p_value, gap, _indistinct(evidence), tuple(proposals[:5]),
-        tuple(_notes(answers, results, data)), (base, base_error), seed, time.perf_counter() - began,
+        tuple(_notes(answers, results, data, cannot_rank(evidence, errors))), (base, base_error), seed,
+        time.perf_counter() - began,
     )  # fmt: skip
+
+
+def contenders(everything: Sequence[Formula], heights: Mapping[int, float]) -> list[int]:
+    """Formulas (numbers) whose answer could keep 1 % if its first look were wrong by `_CAUTION` nats; not the nominal.
+
+    heights : number -> log evidence of a first look; of those without one the nominal model's.
+    """
+    known = np.array([heights.get(i, heights[0]) for i in range(len(everything))])
+    families = [f.family for f in everything]
+    prior = prior_probabilities(sorted(set(families) - {"none", "unknown"}))
+    log_w = np.log([prior[name] / families.count(name) for name in families]) + known
+    share = log_w - logsumexp(log_w)
+    return [i for i in heights if i > 0 and share[i] > math.log(_LEAST / families.count(families[i])) - _CAUTION]
 
 
 def search(joint: Joint, rng: np.random.Generator, settings: Settings) -> StudentT:
@@ -415,15 +443,19 @@ class PublishedAnswers:
         return self.ranked[: int(np.searchsorted(total, share - 1e-12)) + 1]
 
 
+def prior_probabilities(names: Sequence[str]) -> dict[str, float]:
+    """Of `none`, `unknown` and effects of these names."""
+    each = (1.0 - PRIOR_NONE - PRIOR_UNKNOWN) / max(len(names), USUAL)
+    return {"none": PRIOR_NONE, "unknown": PRIOR_UNKNOWN} | dict.fromkeys(names, each)
+
+
 def weigh_answers(evidence: Mapping[str, float]) -> PublishedAnswers:
     """Probabilities of `none`, `unknown` and the effects from log evidences over the nominal model.
 
     Prior probabilities are those of a diagnosis of records. Unlike there, nothing is tempered: 24 numbers with
     heavy-tailed errors make no evidence that would have to be distrusted.
     """
-    names = [n for n in evidence if n != "unknown"]
-    each = (1.0 - PRIOR_NONE - PRIOR_UNKNOWN) / max(len(names), USUAL)
-    prior = {"none": PRIOR_NONE, "unknown": PRIOR_UNKNOWN} | dict.fromkeys(names, each)
+    prior = prior_probabilities([n for n in evidence if n != "unknown"])
     log_w = np.array([math.log(prior[n]) + (0.0 if n == "none" else evidence[n]) for n in prior])
     share = np.exp(log_w - logsumexp(log_w))
     probabilities = {n: float(p) for n, p in zip(prior, share, strict=True)}
@@ -563,26 +595,44 @@ def _loose(result: Result) -> bool:
     return result.spread > LOOSE or min(w.ess for w in result.runs) < FEW_DRAWS
 
 
-def _notes(answers: PublishedAnswers, results: Sequence[Result], data: Data) -> list[str]:
-    """What could not be told, in sentences."""
+def _notes(answers: PublishedAnswers, results: Sequence[Result], data: Data, close: Sequence[str]) -> list[str]:
+    """What could not be found out, in sentences; close : effects that cannot be ranked among each other."""
     count = sum(len(rows) for rows in data.values())
     shared = "One set of parameters is shared by all cases; each case has a spring and a release angle of its own."
     notes = [f"The answer rests on {count} published numbers, not on records. {shared}"]
     kept = [n for n in answers.ranked if answers.probabilities[n] >= 0.01]
     if answers.probabilities[answers.verdict] < 0.9:
         notes.append(f"No answer reaches 90 %: {len(kept)} answers keep at least 1 % each and cannot be excluded.")
+    if len(close) > 1:
+        notes.append(
+            f"Which named effect comes first cannot be said: {', '.join(close)} differ by less than the errors of "
+            "their evidences."
+        )
     silent = sorted({r.formula.family for r in results if r.silent})
     loud = {r.formula.family for r in results if not r.silent}
     mute = [n for n in silent if n not in loud]
     if mute:
         notes.append(f"These numbers say nothing at all about: {', '.join(mute)}.")
-    loose = sorted({r.formula.family for r in results if not r.silent and _loose(r)})
+    loose = sorted({r.formula.family for r in results if not r.silent and len(r.runs) > 1 and _loose(r)})
     if loose:
         notes.append(
             f"The evidence of a formula of {', '.join(loose)} differs by more than {LOOSE:g} nats between repeats, or "
             f"rests on fewer than {FEW_DRAWS:g} effective draws: its place in the ranking is not sure."
         )
+    once = sorted(loud - {r.formula.family for r in results if len(r.runs) > 1})
+    if once and len(results[0].runs) > 1:
+        notes.append(
+            f"Looked at once, with few draws: {', '.join(once)}. {_CAUTION:g} nats more would not bring them to "
+            f"{100 * _LEAST:g} %."
+        )
     return notes
+
+
+def cannot_rank(evidence: Mapping[str, float], errors: Mapping[str, float]) -> list[str]:
+    """Effects whose evidence lies within two standard errors of the best effect's, that one first."""
+    names = sorted((n for n in evidence if n != "unknown"), key=lambda n: -evidence[n])
+    first = names[0]
+    return [n for n in names if evidence[first] - evidence[n] <= 2.0 * math.hypot(errors[first], errors[n])]
 
 
 # What to measure next -------------------------------------------------------------------------------------------------

@@ -108,7 +108,7 @@ def variability(
     *,
     out: str | Path | None = None,
     seed: int = 1,
-    particles: int = 384,
+    particles: int = 320,
     repeats: int = 2,
     draws: int = 200,
     unseen: bool = True,
@@ -453,9 +453,10 @@ def _sentences(result: Mapping[str, Any], fit_converged: bool) -> list[str]:
     ]
     slow = [name for name, m in models.items() if m.get("memory", 0.0) > _WORST_MEMORY]
     if slow:
+        known_by = min(m.get("repeats", 1) for m in models.values())
         out.append(
-            f"Particles moved slowly ({', '.join(slow)}): the errors of the evidence are too small by an unknown "
-            "factor; raise particles and repeats, and look at the spread."
+            f"Particles moved slowly ({', '.join(slow)}): the error that one run states can be half of its scatter; "
+            + ("give --repeats 2 or more." if known_by < 2 else f"the errors hold what {known_by} repeats show of it.")
         )
     known = [m["repeats_apart_sd"] for m in models.values() if m.get("repeats_apart_sd") is not None]
     if known:

@@ -257,6 +257,7 @@ class PublishedCases:
                     "memory": max(runs[name]["memory"] for name in names),
                     "last_memory": max(runs[name]["last_memory"] for name in names),
                     "particles": runs[names[0]]["particles"],
+                    "repeats": len(names),
                 }
                 | self._errors(f"{pooling}-all", names, work)
                 | self._described(self.hierarchy(pooling), points)

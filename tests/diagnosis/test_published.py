@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,6 +18,8 @@ from bayes_damper.diagnosis.published import (
     Settings,
     _information,
     _parameters,
+    cannot_rank,
+    contenders,
     diagnose_published,
     formulas,
     weigh_answers,
@@ -173,6 +176,22 @@ def test_the_figure_has_a_panel_for_each_feature_and_all_answers(tmp_path):
     assert labels == ["measured", "nominal", "release offset"]
     save(figure, tmp_path / "published")
     assert (tmp_path / "published.png").stat().st_size > 10_000
+
+
+def test_only_what_may_matter_is_weighed_again():
+    names = ["none", "unknown", "unknown", "release_offset", "release_offset", "inertia_error"]
+    every = [replace(NONE, family=name, name=str(i)) for i, name in enumerate(names)]
+    heights = {0: -30.0, 1: -22.0, 2: -40.0, 3: -30.0, 4: -21.0, 5: -29.5}
+    assert contenders(every, heights) == [1, 4]
+    # Behind a formula that says nothing of these numbers, which counts as the nominal model does.
+    assert contenders(every, {i: z for i, z in heights.items() if i != 5}) == [1, 4]
+    assert contenders(every, dict.fromkeys(heights, -30.0)) == [1, 2, 3, 4, 5]
+
+
+def test_effects_are_not_ranked_by_less_than_the_errors_of_their_evidences():
+    evidence = {"unknown": 9.0, "a": 3.0, "b": 2.2, "c": -1.0}
+    assert cannot_rank(evidence, dict.fromkeys(evidence, 0.3)) == ["a", "b"]
+    assert cannot_rank(evidence, dict.fromkeys(evidence, 0.2)) == ["a"]
 
 
 @pytest.fixture(scope="module")
