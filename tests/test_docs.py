@@ -155,7 +155,8 @@ def test_the_reference_holds_every_command_name_and_effect():
     names = made.python()
     assert all(f"from bayes_damper import {name}`" in names for name in bayes_damper.__all__)
     effects = made.effects()
-    left_out = [name for name in EFFECTS if f"### {name}\n\n{EFFECTS[name].summary}" not in effects]
+    described = {name: f"*{e.title[0].upper() + e.title[1:]}.* {e.summary}" for name, e in EFFECTS.items()}
+    left_out = [name for name in EFFECTS if f"### {name}\n\n{described[name]}" not in effects]
     assert not left_out, f"{left_out}: not in the reference, which lists effects by site; is theirs one of SITES?"
     assert "`friction_torque`" in made.parameters()
 
@@ -330,3 +331,25 @@ def test_the_package_shows_its_public_names_its_version_and_that_it_is_typed():
     assert {name for name in dir(bayes_damper) if not name.startswith("__")} == set(bayes_damper.__all__)
     assert bayes_damper.__version__ == importlib.metadata.version("bayes-damper")
     assert (Path(bayes_damper.__file__).parent / "py.typed").is_file()
+
+
+def test_the_gallery_shows_the_pictures_that_its_script_draws_with_the_commands_that_it_runs():
+    spec = importlib.util.spec_from_file_location("gallery", ROOT / "tools" / "gallery.py")
+    gallery = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(gallery)
+    page = (DOCS / "gallery.md").read_text(encoding="utf-8")
+    assert re.findall(r"\(gallery/(\w+)\.png\)", page) == list(gallery.PICTURES)
+    assert set(re.findall(r"^    bayes-damper (.*)$", page, re.MULTILINE)) == set(gallery.COMMANDS)
+    sizes = {name: (DOCS / "gallery" / f"{name}.png").stat().st_size for name in gallery.PICTURES}
+    assert max(sizes.values()) < 80_000, "small enough for a page on a phone"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_sentences_of_a_page_are_short(page):
+    """On average at most 25 words: what a reading grade of 10 asks for (`tools/readability.py` gives the grade)."""
+    spec = importlib.util.spec_from_file_location("readability", ROOT / "tools" / "readability.py")
+    readability = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(readability)
+    text = readability.prose(page.read_text(encoding="utf-8"))
+    lengths = [len(s.split()) for s in re.split(r"[.!?:;](?:\s|$)", text) if s.split()]
+    assert sum(lengths) / max(len(lengths), 1) <= 25.0
