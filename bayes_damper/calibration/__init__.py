@@ -33,24 +33,17 @@ from bayes_damper.calibration.experiment import (
     thinned,
     with_priors,
 )
+from bayes_damper.calibration.groups import Group
 from bayes_damper.calibration.heldout import Prediction, predict
 from bayes_damper.calibration.least_squares import Calibration, calibrate, default_starts, drawn_starts, summarise
-from bayes_damper.calibration.noise_level import (
-    Noise,
-    error_level,
-    evenly_sampled,
-    learn_noise,
-    rough_noise,
-    spectrum_bins,
-    whittle,
-)
+from bayes_damper.calibration.noise import Noise, rough_noise
+from bayes_damper.calibration.noise_level import error_level, evenly_sampled, learn_noise, spectrum_bins, whittle
 from bayes_damper.calibration.nominal import calibrate_nominal, grown
 from bayes_damper.calibration.normal_equations import Block, Linear, Normals
 from bayes_damper.calibration.problem import (
     FRICTION_SPREAD,
     NOMINAL,
     Coordinate,
-    Group,
     Indices,
     Problem,
     Switches,

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bayes_damper.calibration.groups import Group
 from bayes_damper.calibration.least_squares import Calibration
-from bayes_damper.calibration.problem import LEAST_STEP, Group, Indices
+from bayes_damper.calibration.problem import LEAST_STEP, Indices
 from bayes_damper.calibration.scatter import channel_of, of_readings, wave
 
 Array = NDArray[np.float64]

@@ -6,13 +6,12 @@ import math
 import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from bayes_damper.calibration.problem import Group, Problem
+from bayes_damper.calibration.groups import Group
 
 Array = NDArray[np.float64]
 MOST_BYTES = 250_000_000
@@ -71,9 +70,8 @@ class Remade:
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """The problem linearised at q: what steps, covariance, evidence and screening are computed from."""
+    """A problem linearised at q (size,): what steps, covariance, evidence and screening are computed from."""
 
-    problem: Problem
     q: Array
     given: Callable[[], tuple[Block, ...]]
 
@@ -84,7 +82,7 @@ class Linear:
 
     def with_blocks(self, blocks: tuple[Block, ...]) -> Linear:
         """The same problem with other blocks, which are held."""
-        return Linear(self.problem, self.q, lambda: blocks)
+        return Linear(self.q, lambda: blocks)
 
     def sliced(self, readings: int) -> Linear:
         """The same with the trials in blocks of at most so many readings, or of one trial: for what takes much more
@@ -105,7 +103,7 @@ class Linear:
         extra: for each block further columns (trials, k, data) to carry along, such as an effect to be screened.
         """
         k = 0 if extra is None else extra[0].shape[1]
-        size = self.problem.size
+        size = self.q.size
         S = np.eye(size + k)
         S[size:, size:] = 0.0
         g = np.concatenate([self.q, np.zeros(k)])

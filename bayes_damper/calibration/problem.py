@@ -19,7 +19,8 @@ from bayes_damper.calibration.experiment import (
     release_window,
     repeats,
 )
-from bayes_damper.calibration.noise_level import Noise, rough_noise
+from bayes_damper.calibration.groups import Group
+from bayes_damper.calibration.noise import Noise, rough_noise
 from bayes_damper.calibration.normal_equations import Block, Linear, Remade
 from bayes_damper.calibration.scatter import NO_SCATTER, Scatter, channel_of, of_readings, wave
 from bayes_damper.campaign.records import DERIVATIVE
@@ -33,7 +34,6 @@ from bayes_damper.priors.distributions import (
     median,
     to_standard,
 )
-from bayes_damper.rig.inputs import Inputs
 from bayes_damper.simulation.model import Model, delayed
 
 Array = NDArray[np.float64]
@@ -88,34 +88,6 @@ class Switches:
     friction: bool = True
     drag: bool = False
     scatter: Scatter = NO_SCATTER
-
-
-@dataclass(frozen=True, eq=False)
-class Group:
-    """Training trials that can share one simulation: same configuration, times and inputs."""
-
-    coupled: bool
-    trials: tuple[int, ...]
-    times: Array
-    inputs: Inputs | None
-    y: Array  # (trials, channels, n), missing readings 0
-    weight: Array  # the same shape; 0 where missing
-    first_weight: Array
-    nuisances: tuple[tuple[str, Array, Array], ...]  # name, prior mean and sd for each trial
-    lower: Array  # (trials, m) bounds of eta
-    upper: Array
-
-    def weights(self, annealed: bool) -> Array:
-        """Weights of the residuals; annealed: samples beside friction reversals count little, for a smoother cost."""
-        return self.first_weight if annealed else self.weight
-
-    def only(self, at: slice) -> Group:
-        """The group of some of its trials."""
-        return replace(
-            self, trials=self.trials[at], y=self.y[at], weight=self.weight[at], first_weight=self.first_weight[at],
-            nuisances=tuple((name, mean[at], sd[at]) for name, mean, sd in self.nuisances), lower=self.lower[at],
-            upper=self.upper[at],
-        )  # fmt: skip
 
 
 def _event_strength(y: Array, noise: Array) -> Array:
@@ -571,7 +543,7 @@ class Problem:
         so that a few digits of them would pretend to know that factor.
         """
         q, fixed = np.array(q), {i: np.array(v) for i, v in eta.items()}
-        return Linear(self, q, Remade(lambda: self._linearised(q, fixed, annealed, central, steps)))
+        return Linear(q, Remade(lambda: self._linearised(q, fixed, annealed, central, steps)))
 
     def _linearised(
         self, q: Array, eta: Mapping[int, Array], annealed: bool, central: bool, steps: Array | None

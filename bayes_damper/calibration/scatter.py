@@ -37,7 +37,7 @@ from bayes_damper.calibration.experiment import repeats
 
 if TYPE_CHECKING:
     from bayes_damper.calibration.least_squares import Calibration
-    from bayes_damper.calibration.noise_level import Noise
+    from bayes_damper.calibration.noise import Noise
     from bayes_damper.calibration.problem import Problem
 
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ from campaigns import write_table
 
 from bayes_damper.calibration.experiment import experiment_of
 from bayes_damper.calibration.forecast import forecast, summary
-from bayes_damper.calibration.noise_level import rough_noise
+from bayes_damper.calibration.noise import rough_noise
 from bayes_damper.calibration.nominal import calibrate_nominal
 from bayes_damper.calibration.problem import Problem
 from bayes_damper.calibration.scatter import TYPICAL

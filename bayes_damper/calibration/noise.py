@@ -1,0 +1,106 @@
+"""The noise of the sensors, by channel, and a first guess of it from fast content of the readings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from bayes_damper.calibration.experiment import Experiment
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of each channel: an ARMA(1, 1) process (a white one plus an AR(1) one); phi = theta = 0 is white.
+
+    innovation: sd of the innovations, the channel's unit; total: sd of the noise itself; longer: for each channel the
+    coefficients of a longer autoregression that takes the place of phi and theta, empty where there is none.
+    Without repeats the noise stands for the model's own error too (`error_level`); sensor is then the sd of the
+    readings' noise alone.
+    """
+
+    innovation: tuple[float, ...]
+    phi: tuple[float, ...]
+    theta: tuple[float, ...]
+    longer: tuple[tuple[float, ...], ...] = ()
+    sensor: tuple[float, ...] = ()
+
+    @property
+    def floor(self) -> tuple[float, ...]:
+        """Standard deviation of what no model could explain, each channel."""
+        return self.sensor or self.total
+
+    def filter(self, channel: int) -> tuple[list[float], list[float]]:
+        """Numerator and denominator of the filter that turns the noise into its innovations."""
+        if self.longer and self.longer[channel]:
+            return [1.0, *(-a for a in self.longer[channel])], [1.0]
+        return [1.0, -self.phi[channel]], [1.0, -self.theta[channel]]
+
+    @property
+    def total(self) -> tuple[float, ...]:
+        """Standard deviation of the noise of each channel."""
+        out = []
+        for channel, (s, p, t) in enumerate(zip(self.innovation, self.phi, self.theta, strict=True)):
+            if self.longer and self.longer[channel]:
+                impulse = np.zeros(20_000)
+                impulse[0] = 1.0
+                ahead, back = self.filter(channel)
+                out.append(s * math.sqrt(float(np.sum(np.square(lfilter(back, ahead, impulse))))))
+            else:
+                out.append(s * math.sqrt((1.0 + t * t - 2.0 * p * t) / (1.0 - p * p)))
+        return tuple(out)
+
+    def density(self, channel: int, omega: Array) -> Array:
+        """Spectral density at angular frequencies omega (rad per sample), the channel's unit squared."""
+        ahead, back = self.filter(channel)
+        z = np.exp(-1j * omega)
+        gain = np.polyval(back[::-1], z) / np.polyval(ahead[::-1], z)
+        return np.asarray(self.innovation[channel] ** 2 * np.abs(gain) ** 2)
+
+    def coloured(self, channel: int) -> bool:
+        """Whether the noise of a channel is correlated."""
+        ahead, back = self.filter(channel)
+        return any(ahead[1:]) or any(back[1:])
+
+    def whiten(self, channel: int, r: Array) -> Array:
+        """Innovations of residuals r (..., n), in units of their standard deviation."""
+        s = self.innovation[channel]
+        ahead, back = self.filter(channel)
+        if not self.coloured(channel):
+            return r / s
+        return np.asarray(lfilter(ahead, back, r, axis=-1)) / s
+
+
+def rough_noise(experiment: Experiment, trials: Sequence[int]) -> Noise:
+    """White noise per channel from the fast content of the readings: for a first fit."""
+    channels = 1 + int(any(experiment.trials[i].coupled for i in trials))
+    sds = []
+    for c in range(channels):
+        pieces = []
+        for i in trials:
+            y = experiment.trials[i].y
+            if c < y.shape[0] and y.shape[1] > 12:
+                pieces.append(y[c])
+        sd = fast_level(pieces)
+        declared = experiment.noise_sd[min(c, len(experiment.noise_sd) - 1)] if experiment.noise_sd else 0.0
+        scale = max((float(np.nanmax(np.abs(experiment.trials[i].y))) for i in trials), default=1.0)
+        sds.append(max(sd if sd > 0.0 else declared, rounding(experiment, c), 1e-6 * scale, 1e-300))
+    return Noise(tuple(sds), (0.0,) * channels, (0.0,) * channels)
+
+
+def fast_level(series: Sequence[Array]) -> float:
+    """Standard deviation of the white noise in series, from their fourth differences; 0 where there is too little."""
+    fast = [np.diff(x, n=4)[4:] for x in series if x.size > 12]
+    kept = np.concatenate([f[np.isfinite(f)] for f in fast]) if fast else np.zeros(0)
+    return 1.4826 * float(np.median(np.abs(kept))) / math.sqrt(70.0) if kept.size else 0.0
+
+
+def rounding(experiment: Experiment, channel: int) -> float:
+    """Standard deviation of the rounding of a channel that errs by nothing else, else 0."""
+    return experiment.rounding_step(channel) / math.sqrt(12.0)
