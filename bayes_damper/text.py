@@ -137,6 +137,19 @@ def budget_sentence(budget: Mapping[str, Any] | None) -> str:
     return f"{', '.join([first, *more])}; {rest}."
 
 
+def law_sentence(law: Mapping[str, Any] | None) -> str:
+    """What was learnt in place of a cause that has no name, in a sentence; law : as in diagnosis.json, "" for None."""
+    if not law:
+        return ""
+    low, high = (100.0 * min(max(x, 0.0), 1.0) for x in law["closes"]["hdi90"])
+    share = 100.0 * min(max(law["closes"]["median"], 0.0), 1.0)
+    beside = f" beside {' and '.join(e.replace('_', ' ') for e in law['beside'])}" if law["beside"] else ""
+    return (
+        f"A law learnt at {_AT.get(law['site'], law['site'])}{beside}, Q = {law['formula']}, closes {share:.0f} % "
+        f"({low:.0f} to {high:.0f} %) of the gap on held-out trials; it is an effect for other commands: {law['file']}."
+    )
+
+
 _AT = {
     "ground1": "the primary's spring", "bearings": "the bearings", "interface": "the interface",
     "ground2": "the secondary", "release": "the release", "sensor": "the sensors",

@@ -36,7 +36,7 @@ from bayes_damper.rig.units import effect_unit, in_words_of
 from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.parallel_map import forked_map
 from bayes_damper.runs.provenance import provenance
-from bayes_damper.text import budget_sentence, gap_beside_verdict, gathered, named_answers, p_value
+from bayes_damper.text import budget_sentence, gap_beside_verdict, gathered, law_sentence, named_answers, p_value
 
 Array = NDArray[np.float64]
 NOMINALS = ("nonlinear", "linear")
@@ -61,7 +61,7 @@ class Diagnosed:
     def text(self) -> str:
         """The verdict in plain words, what speaks for it, and what to do next."""
         warnings = [f"warning: {w}" for w in gathered(self.result.get("warnings", ()))]
-        follows = next_steps(self.result, self.campaign)
+        follows = next_steps(self.result, self.campaign, str(self.folder))
         return "\n".join([*_words(self.result), *warnings, f"Files: {self.folder}", *follows])
 
 
@@ -105,6 +105,14 @@ def diagnose(
     folder = Path(out)
     path = _emptied(folder)
     write_missing_torque(folder / "missing_torque.csv", found.site_map)
+    for stale in (
+        *(folder / "learnt").glob("*.toml"),
+        *(folder / "learnt").glob("*.csv"),
+        *folder.glob("learnt_law.*"),
+    ):
+        stale.unlink()
+    if found.law is not None:
+        found.law.write(folder)
     ahead = forecasts(found.nominal, found.best, found.weighed_fits())
     result = found.to_json() | {
         "reading_unit": loaded.reading_unit,
@@ -247,10 +255,11 @@ def _estimated(p: Mapping[str, Any]) -> str:
     return f"{p['mean']:.4g}{unit}, 90 % interval {p['hdi90'][0]:.4g} to {p['hdi90'][1]:.4g}"
 
 
-def next_steps(result: Mapping[str, Any], campaign: str) -> list[str]:
+def next_steps(result: Mapping[str, Any], campaign: str, folder: str = "") -> list[str]:
     """What to do with a verdict: the fit that it asks for, or the trial to measure while the answer is open.
 
-    result : what diagnosis.json holds, of recorded trials; campaign : its folder. Nothing for published numbers.
+    result : what diagnosis.json holds, of recorded trials; campaign : its folder; folder : of the results.
+    Nothing for published numbers.
     """
     if not campaign or "feature" in result["where"]:
         return []
@@ -272,6 +281,9 @@ def next_steps(result: Mapping[str, Any], campaign: str) -> list[str]:
         steps.append(
             f"Next: look at {place} on the rig and at missing_torque.csv; --effects DIR adds an effect of your own."
         )
+    if law := result.get("law"):
+        file = shlex.quote(str(Path(folder) / law["file"]))
+        steps.append(f"With the learnt law: {fit} --effects {file} --effect {law['effect']} --out results/fit")
     return steps
 
 
@@ -317,6 +329,8 @@ def _words(result: Mapping[str, Any]) -> list[str]:
         ]
     divided = budget_sentence(result.get("budget")) if verdict != "none" else ""
     lines = [divided, *lines] if divided else lines
+    learnt = law_sentence(result.get("law"))
+    lines += [learnt] if learnt else []
     lines.append(
         f"Gap on held-out trials: {gap['answer']} ({p_value(gap['p_value'])}); "
         + ("residual" if gap["augmented_rms"] is None else "residual before and after the answer is added")
@@ -389,6 +403,12 @@ def _draw(folder: Path, found: Diagnosis, workers: int, magnet: bool) -> None:
             record=trial_label(found.nominal.problem.experiment.trials[shown.trial]),
             translational=found.kind == "translational",
         )
+    if found.law is not None:
+        learnt = found.law
+        drawn["learnt_law"] = lambda: figures.learnt_law_figure(
+            learnt.law, learnt.density, title=f"{found.campaign}: the law that was learnt",
+            translational=found.kind == "translational",
+        )  # fmt: skip
     forked_map(lambda name: figures.save(drawn[name](), folder / name), list(drawn), workers)
 
 

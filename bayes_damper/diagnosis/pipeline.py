@@ -27,6 +27,7 @@ from bayes_damper.diagnosis.budget import Budget, answers_of, budget_of, foreign
 from bayes_damper.diagnosis.formula import widened
 from bayes_damper.diagnosis.gap import Gap, closing, measure_gap, shifts
 from bayes_damper.diagnosis.generic import DRIFT
+from bayes_damper.diagnosis.law import Learnt, learn
 from bayes_damper.diagnosis.lone import left_alone
 from bayes_damper.diagnosis.next_experiment import Proposal, propose
 from bayes_damper.diagnosis.outliers import odd_trials, outlying, told, told_odd, without, without_trials
@@ -107,6 +108,7 @@ class Diagnosis:
     kind: str = "torsional"
     budget: Budget | None = None
     under_priors: tuple[tuple[float, str, float], ...] = ()
+    law: Learnt | None = None
 
     @property
     def verdict(self) -> str:
@@ -180,6 +182,9 @@ class Diagnosis:
             "notes": list(self.notes),
             "seconds": self.seconds,
         }
+        if self.law is not None and out["budget"] is not None:
+            out["budget"]["unexplained"]["law"] = self.law.file
+        out["law"] = None if self.law is None else self.law.to_json()
         return plain(out | dict(self.extra))  # type: ignore[no-any-return]
 
     def write(self, folder: str | Path) -> Path:
@@ -189,6 +194,8 @@ class Diagnosis:
         path = home / "diagnosis.json"
         path.write_text(json.dumps(self.to_json(), indent=1) + "\n", encoding="utf-8")
         write_missing_torque(home / "missing_torque.csv", self.site_map)
+        if self.law is not None:
+            self.law.write(home)
         return path
 
     def _row(self, name: str) -> dict[str, Any]:
@@ -411,13 +418,15 @@ def diagnose(
     if best is not None and winner is not None and winner.effect is not DRIFT:
         acting = [winner.effect] if best is winner.fit or pair is None else [pair.first[0], pair.second[0]]
         best = widened(best, [effect.site for effect in acting])
+    kind = getattr(getattr(campaign, "rig", None), "kind", "torsional")
+    law = learn(fit, budget, answers.verdict, before_map, name, kind, np.random.default_rng(seed), tell)
     return Diagnosis(
         name, experiment, nominal, fit, tuple(found), winner, answers, before, after, gap, locate(fit), before_map,
         after_map, tuple(_proposals(fit, found, answers)),
         _sites(answers, effects, before_map, after_map, wiring is not None), evidence,
         tuple(_indistinct(evidence, effects)), pair, tuple(notes), time.perf_counter() - began, {"seed": seed},
         tuple(pairs), tuple(seconds), drift, best, tuple(choices), closes, weighed,
-        getattr(getattr(campaign, "rig", None), "kind", "torsional"), budget, _under_priors(answered, answers, rule),
+        kind, budget, _under_priors(answered, answers, rule), law,
     )  # fmt: skip
 
 

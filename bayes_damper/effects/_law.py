@@ -17,7 +17,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,7 @@ SITES = ("ground1", "bearings", "interface", "ground2")
 ORDER = 12  # coefficients of a curve
 MOST_TERMS = 4
 MOST_DIRECTIONS = MOST_PARAMETERS  # in which a law that is being learnt can move
+FINE = 0.2  # share of the largest velocity below which a curve along the velocity is spread
 OTHER_RIG = 0.2  # relative difference of an inertia beyond which a law is another rig's
 
 
@@ -91,6 +92,14 @@ class Law:
         roots = np.array(self.roots).reshape(-1, coefficients.size)
         return features @ coefficients, np.sqrt(np.sum((features @ roots.T) ** 2, axis=1))
 
+    def curve(self, k: int) -> tuple[Array, Array, Array]:
+        """Term k's curve without its carrier: 101 places in its range, torque there, and its standard deviation."""
+        term = self.terms[k]
+        roots = tuple(r[k * ORDER : (k + 1) * ORDER] for r in self.roots)
+        at = np.linspace(*self.ranges[term.along], 101)
+        alone = replace(self, terms=(replace(term, carrier="one"),), roots=roots)
+        return at, *alone.torque(at, at, at)
+
     def outside(self, seen: Mapping[str, tuple[float, float]]) -> list[str]:
         """Sentences on coordinates whose values in `seen` (lowest, highest) leave the range, by more than 2 % of it."""
         out = []
@@ -138,6 +147,7 @@ class Law:
                 variant_of("learnt", self.site, self.bodies, _fixed(self.terms, self.ranges), self.terms, (size,),
                            ((1.0,), (0.2,)), f"Q = size * ({terms}), learnt"),
             ),
+            title="a law that was learnt",
             law=self,
         )  # fmt: skip
 
@@ -151,9 +161,17 @@ def term_words(term: Term) -> str:
     return f"{carrier}f({ {'angle': 'x', 'speed': 'v', 'time': 't'}[term.along] })"
 
 
-def scaled_coordinate(x: Array, low: float, high: float) -> Array:
-    """The coordinate brought from its range to [-1, 1], values beyond it to the ends."""
-    return np.clip((2.0 * x - (high + low)) / (high - low), -1.0, 1.0)
+def scaled_coordinate(along: str, x: Array, low: float, high: float) -> Array:
+    """The coordinate brought from its range to [-1, 1], values beyond it to the ends.
+
+    Friction has its detail where the motion reverses, so a velocity is spread there: u = (1 + FINE) w / (FINE + |w|)
+    with w = v over its largest size.
+    """
+    x = np.clip(x, low, high)
+    if along == "speed":
+        w = x / max(abs(low), abs(high))
+        return np.asarray((1.0 + FINE) * w / (FINE + np.abs(w)))
+    return np.asarray((2.0 * x - (high + low)) / (high - low))
 
 
 def basis_of(
@@ -164,7 +182,7 @@ def basis_of(
     values = {"angle": angle, "speed": speed, "time": time}
     out = []
     for term in terms:
-        u = scaled_coordinate(values[term.along], *ranges[term.along])
+        u = scaled_coordinate(term.along, values[term.along], *ranges[term.along])
         series = np.polynomial.chebyshev.chebvander(u, ORDER - 1)
         out.append(_carried(term.carrier, ranges, nu, angle, speed)[..., None] * series)
     return np.concatenate(out, axis=-1)
@@ -237,7 +255,7 @@ def _place(along: str, low: float, high: float) -> Kernel:
 
     Kernels are told apart by their names and what they bind (integrator._fingerprint): each has a name of its own.
     """
-    middle, per = 0.5 * (low + high), 2.0 / (high - low)
+    middle, per, reach = 0.5 * (low + high), 2.0 / (high - low), max(abs(low), abs(high))
 
     @lane
     def by_time(t, x, v):
@@ -249,7 +267,8 @@ def _place(along: str, low: float, high: float) -> Kernel:
 
     @lane
     def by_speed(t, x, v):
-        return min(max((v - middle) * per, -1.0), 1.0)
+        w = min(max(v, low), high) / reach
+        return (1.0 + FINE) * w / (FINE + abs(w))
 
     return {"time": by_time, "angle": by_angle, "speed": by_speed}[along]
 
@@ -391,7 +410,8 @@ def written(law: Law) -> str:
     units = ("N", "m", "m/s") if rig.get("kind") == "translational" else ("N m", "rad", "rad/s")
     lines = [
         "# A law of torque that `bayes-damper diagnose` learnt. Use it: --effects THIS_FILE --effect " + law.name,
-        "# Q = sum of carrier * (Chebyshev series over the range of `along`); beyond a range its last value is held.",
+        "# Q = sum of carrier * (Chebyshev series at u); beyond a range its last value is held. Angle, time: u from -1",
+        f"# to 1 over the range; speed: u = {1.0 + FINE} w / ({FINE} + |w|), w = speed over its largest in the range",
         f'schema = "{SCHEMA}"',
         f'site = "{law.site}"',
         f'bodies = "{law.bodies}"',

@@ -5,6 +5,7 @@ styles and markers that differ too), every axis with symbol and unit. Nothing is
 """
 
 from bayes_damper.figures.diagnosis import gap_figure as gap_figure
+from bayes_damper.figures.diagnosis import learnt_law_figure as learnt_law_figure
 from bayes_damper.figures.diagnosis import missing_torque_figure as missing_torque_figure
 from bayes_damper.figures.diagnosis import published_figure as published_figure
 from bayes_damper.figures.diagnosis import ranking_figure as ranking_figure

@@ -166,6 +166,56 @@ def published_figure(rows: Mapping[str, Sequence[Mapping[str, Any]]], *, title: 
     return figure
 
 
+_LAW_AXES = {"angle": ("angle", "rad", "m"), "speed": ("velocity", "rad/s", "m/s"), "time": ("time", "s", "s")}
+_CARRIERS = {"one": "f", "dry": "f, times tanh(nu v)", "angle": "f, times x/max|x|", "speed": "f, times v/max|v|"}
+
+
+def learnt_law_figure(law: Any, density: Sequence[Any], *, title: str, translational: bool = False) -> Figure:
+    """A learnt law: the curve of each term with its 90 % band, and all of it over angle and velocity.
+
+    law : terms (carrier, along), ranges, torque and curve, as effects/_law.py has it; density : readings in cells of
+    angle and velocity (n, n), and the edges of the cells (n + 1,), their logarithm in grey below the
+    curves.
+    """
+    count, *edges = (np.asarray(d) for d in density)
+    effort = "force [N]" if translational else "torque [N m]"
+    figure = new_figure(9.0, 6.0)
+    with mpl.rc_context(RC):
+        top, bottom = figure.subfigures(2, 1)
+        axes = np.atleast_1d(top.subplots(1, len(law.terms)))
+        for k, (axis, term) in enumerate(zip(axes, law.terms, strict=True)):
+            at, value, sd = law.curve(k)
+            axis.plot(at, value, color=COLOURS[k], ls=STYLES[k])
+            axis.fill_between(at, value - 1.645 * sd, value + 1.645 * sd, color=COLOURS[k], alpha=0.25, lw=0)
+            axis.axhline(0.0, color="0.5", lw=0.6)
+            if term.along in ("angle", "speed"):
+                along = ("angle", "speed").index(term.along)
+                below = axis.twinx()
+                seen = np.log1p(count.sum(axis=1 - along))
+                below.stairs(seen, edges[along], fill=True, color="0.9")
+                below.set_ylim(0.0, 4.0 * seen.max())
+                below.set_yticks([])
+                axis.set_zorder(below.get_zorder() + 1)
+                axis.patch.set_visible(False)
+            name, *units = _LAW_AXES[term.along]
+            axis.set_xlabel(f"{name} [{units[translational]}]")
+            axis.set_ylabel(f"{_CARRIERS[term.carrier]}; {effort}" if k else f"{effort}: {_CARRIERS[term.carrier]}")
+        whole = bottom.subplots()
+        middle = [0.5 * (e[1:] + e[:-1]) for e in edges]
+        angle, speed = np.meshgrid(*middle, indexing="ij")
+        torque = law.torque(angle.ravel(), speed.ravel(), np.zeros(angle.size))[0].reshape(angle.shape)
+        torque = np.where(count > 0, torque, np.nan)
+        most = float(np.nanmax(np.abs(torque))) or 1.0
+        drawn = whole.pcolormesh(edges[0], edges[1], torque.T, cmap="PuOr", vmin=-most, vmax=most)
+        figure.colorbar(drawn, ax=whole, label=effort)
+        whole.set_xlabel(f"angle [{_LAW_AXES['angle'][1 + translational]}]")
+        whole.set_ylabel(f"velocity [{_LAW_AXES['speed'][1 + translational]}]")
+        if any(term.along == "time" for term in law.terms):
+            whole.set_title("at release", loc="left")
+        figure.suptitle(title)
+    return figure
+
+
 def missing_torque_figure(
     torque: Any, curve: Mapping[str, Mapping[str, Any]], *, body: int, title: str, record: str = "",
     translational: bool = False,

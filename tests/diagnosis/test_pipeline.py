@@ -168,6 +168,7 @@ def test_nothing_wrong_is_called_none():
     found = diagnose(make_experiment(6, late=True, k1t_sd=0.01, n=500), effects=FEW)
     assert found.verdict == "none"
     assert found.answers.probabilities["none"] > 0.7
+    assert found.to_json()["law"] is None
 
 
 @pytest.mark.slow
@@ -184,11 +185,16 @@ def test_a_constant_that_the_named_effect_does_not_free_is_told():
     assert wanted == pytest.approx(RIG["J2"], rel=0.03)
 
 
-def test_an_effect_outside_the_candidates_is_unknown():
-    """When quadratic drag is taken out of the library, no other effect takes its name."""
+def test_an_effect_outside_the_candidates_is_unknown_and_its_law_is_learnt(tmp_path):
+    """When quadratic drag is taken out of the library, no other effect takes its name; its law is learnt."""
     others = {name: EFFECTS[name] for name in ("sensor_gain", "inertia_error", "sensor_delay")}
     found = diagnose(with_effect("quadratic_drag", "alike", {"coefficient": 0.8}), effects=others)
     assert found.verdict == "unknown"
+    found.write(tmp_path)
+    table = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
+    assert table["law"]["closes"]["hdi90"][0] > 0.8
+    assert table["budget"]["unexplained"]["law"] == table["law"]["file"] == f"learnt/{table['law']['site']}.toml"
+    assert (tmp_path / table["law"]["file"]).exists()
 
 
 def test_the_screening_puts_the_truth_first():

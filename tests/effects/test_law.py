@@ -40,6 +40,9 @@ def by_hand(law, x, v, t, nu):
         low, high = RANGES[term.along]
         at = {"angle": x, "speed": v, "time": t}[term.along]
         u = 2.0 * (min(max(at, low), high) - low) / (high - low) - 1.0
+        if term.along == "speed":
+            w = min(max(at, low), high) / 5.0
+            u = 1.2 * w / (0.2 + abs(w))
         share = {"angle": x / 0.09, "speed": v / 5.0}.get(term.carrier, 1.0)
         carrier = math.tanh(nu * v) if term.carrier == "dry" else min(max(share, -1.0), 1.0)
         total += carrier * chebval(u, term.coefficients)

@@ -462,6 +462,12 @@ def test_a_verdict_says_what_the_effect_is_and_how_large(tmp_path):
         "absent": [{"name": "sensor_gain", "present": 0.1, "share": {"median": -0.1, "hdi90": [-0.2, 0.0]}}],
     }  # fmt: skip
     data["prior_unknown"] = [{"prior": 0.5, "verdict": "unknown", "probability": 0.6}]
+    data["law"] = {
+        "site": "interface", "bodies": "both", "effect": "learnt_interface", "file": "learnt/interface.toml",
+        "formula": "f(x) + tanh(nu v) f(v)", "beside": ["stick_slip"], "effective_degrees_of_freedom": 9.66,
+        "closes": {"median": 0.27, "hdi90": [0.2, 1.02]}, "ranges": {"angle": [-0.1, 0.12], "time": [0.0, 1.0]},
+        "tables": ["learnt/interface.csv", "learnt/interface_table.csv"],
+    }  # fmt: skip
     (tmp_path / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
     told = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
     assert "too little of a gap to say" in told
@@ -470,6 +476,12 @@ def test_a_verdict_says_what_the_effect_is_and_how_large(tmp_path):
     assert f"unexplained interface 60 %, sensor 40 % {NOTHING} 30 % (20 to 40 %)" in told
     assert "50 % unknown 60 %" in told
     assert "closing nothing of the gap on held-out trials: sensor gain (-10 % (-20 to 0 %))." in told
+    assert (
+        "A law learnt at the interface beside stick slip, Q = f(x) + tanh(nu v) f(v), closes 27 % (20 to 100 %) of the "
+        "gap on held-out trials; it is an effect for other commands: learnt/interface.toml." in told
+    )
+    assert "as an effect --effects learnt/interface.toml --effect learnt_interface" in told
+    assert "angle -0.1 to 0.12 rad (m); time 0 to 1 s" in told
     assert re.search(r"Most probable places: interface, .* \(46 %\) and ground2, .* \(40 %\)\.", text)
     assert "4530" not in text
 

@@ -120,6 +120,55 @@ def compared(entry: Mapping[str, Any], curve: Mapping[str, Mapping[str, Any]]) -
     return cosine, sizes[0] / max(sizes[1], 1e-300), sizes[1] / max(whole, 1e-300)
 
 
+def law_torque(law: Mapping[str, Any], x: Array, t: Array, body: int, coupled: bool, nu: float) -> Array:
+    """Torque (n,) of a file of a learnt law (TOML, read by whoever calls) on one inertia along a motion (n, 6)."""
+    site = law["site"]
+    if site == "interface":
+        sign, angle, speed = (-1.0, 1.0)[body] * float(coupled), COORDINATES["phi"](x), COORDINATES["slip"](x)
+    else:
+        sign = float(body == BODY[site] or (site == "bearings" and law["bodies"] == "both" and coupled))
+        angle, speed = x[:, body], x[:, 2 + body]
+    values, total = {"angle": angle, "speed": speed, "time": t}, np.zeros(len(x))
+    for term in law["term"]:
+        low, high = law["ranges"][term["along"]]
+        at = np.clip(values[term["along"]], low, high)
+        w = at / max(abs(low), abs(high))
+        u = 1.2 * w / (0.2 + np.abs(w)) if term["along"] == "speed" else (2.0 * at - low - high) / (high - low)
+        curve = np.polynomial.chebyshev.chebval(u, term["coefficients"])
+        if term["carrier"] == "dry":
+            curve *= np.tanh(nu * speed)
+        elif term["carrier"] != "one":
+            curve *= np.clip(values[term["carrier"]] / max(map(abs, law["ranges"][term["carrier"]])), -1.0, 1.0)
+        total += curve
+    return np.asarray(sign * total)
+
+
+def shape_of_law(entry: Mapping[str, Any], law: Mapping[str, Any]) -> float:
+    """Cosine between a learnt law and the torque that is truly missing, instant by instant along the true motions.
+
+    What is missing is what balances the nominal equations with the parameters that go with the law (its table
+    `nominal`). Nominal laws are taken out of both, as in `compared`, and of the primary's spring so is a constant: with
+    release angles that are not known exactly, it is a release from another angle.
+    """
+    body = BODY[entry["site"]]
+    own = [
+        (x, {**p, **{n: v for n, v in law["nominal"].items() if n in p}}, coupled)
+        for x, p, coupled in true_motion(entry, body)
+    ]
+    constant = float("ground1" in (entry["site"], law["site"]))
+    b = np.concatenate([missing(x, p, body, coupled) for x, p, coupled in own])
+    a = np.concatenate([
+        law_torque(law, x, 1e-3 * np.arange(len(x)), body, coupled, p["nu"]) for x, p, coupled in own
+    ])  # fmt: skip
+    m = np.concatenate(
+        [np.column_stack([laws(x, p, body, coupled), constant * np.ones(len(x))]) for x, p, coupled in own]
+    )
+    m = m[:, np.linalg.norm(m, axis=0) > 0.0]
+    basis, _ = np.linalg.qr(m / np.linalg.norm(m, axis=0))
+    a, b = a - basis @ (basis.T @ a), b - basis @ (basis.T @ b)
+    return float(a @ b) / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-300)
+
+
 def rows_of(run: Path, key: Path, left_out: bool = False) -> Iterator[dict[str, Any]]:
     """Every campaign of a run whose one cause is a torque: what it is, what the verdict drew and how alike that is."""
     entries = json.loads(key.read_text(encoding="utf-8"))["campaigns"]

@@ -22,6 +22,7 @@ from bayes_damper.text import (
     gap_beside_verdict,
     gathered,
     interval,
+    law_sentence,
     named_answers,
     number,
     p_value,
@@ -63,6 +64,7 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
             f"One effect does not close the gap; {listed([words(e) for e in pair['effects']])} together do "
             f"({percent(pair['probability'])})."
         )
+    sentences.append(law_sentence(data.get("law")))
     beside = gap_beside_verdict(verdict, share or 0.0, gap)
     sentences += [beside] if beside and verdict == "none" else [_gap_sentence(gap), beside]
     credible = [words(n) for n in data.get("credible_set", [])]
@@ -94,7 +96,8 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
     rest = generic(
         data, "", ("schema", "campaign", "verdict", "credible_set", "probabilities", "sites", "effects", "provenance",
                    "campaign_sha256", "seed", "indistinguishable", "notes", "next_experiment", "gap", "parameters",
-                   "sensitivity", "budget", "prior_unknown", "where", "forecast", "reading_unit", "rig", "warnings"),
+                   "sensitivity", "budget", "prior_unknown", "law", "where", "forecast", "reading_unit", "rig",
+                   "warnings"),
     )  # fmt: skip
     places = _where_sections(data.get("where") or {}, translational)
     every = (_effect_table(effects, probabilities),)
@@ -104,6 +107,7 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
         tuple(data.get("notes", ())),
         (
             *_budget_tables(budget),
+            *_law_tables(data.get("law") or {}),
             _site_table(sites),
             *_gap_tables(gap, effects, pair, str(data.get("reading_unit") or "")),
             *_forecast_tables(data.get("forecast") or {}, str(data.get("reading_unit") or "")),
@@ -513,6 +517,22 @@ def titled(e: Mapping[str, Any]) -> str:
     """An effect for the first column of a table: its name, and below what it is."""
     name = words(str(e.get("name", "")))
     return f"{name}\n{e['title']}" if e.get("title") else name
+
+
+def _law_tables(law: Mapping[str, Any]) -> list[Table]:
+    """The learnt law: where it acts, what it closes, and its files."""
+    if not law:
+        return []
+    units = {"angle": "rad (m)", "speed": "rad/s (m/s)", "time": "s"}
+    seen = "; ".join(f"{name} {number(a)} to {number(b)} {units[name]}" for name, (a, b) in law["ranges"].items())
+    rows = (
+        Row(("formula", f"Q = {law['formula']}, curves f in {law['tables'][0]}")),
+        Row(("range that was seen", seen)),
+        Row(("degrees of freedom", number(law["effective_degrees_of_freedom"]))),
+        Row(("as an effect", f"--effects {law['file']} --effect {law['effect']}")),
+        Row(("as a table, for another simulator", law["tables"][1])),
+    )
+    return [Table("The law that was learnt", ("", ""), rows, law_sentence(law))]
 
 
 def _effect_table(effects: Sequence[Mapping[str, Any]], probabilities: Sequence[tuple[str, float]]) -> Table:

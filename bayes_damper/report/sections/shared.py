@@ -60,6 +60,10 @@ _MORE = {
         "Effective stiffness and damping",
         "Effective linear stiffness and damping of each case, and what shared friction at another amplitude explains.",
     ),
+    "learnt_law": (
+        "The law that was learnt",
+        "Each term's curve with its 90 % band (grey: where readings lie), and all terms over angle and velocity.",
+    ),
     "variability_scatter": ("Scatter over the cases", "Median and 90 % interval of each part of the scatter."),
     "withheld": (
         "What was taken for what",

@@ -2,6 +2,7 @@
 
 import json
 import math
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -149,3 +150,42 @@ def test_the_page_of_the_proof_repeats_the_table():
     assert told["summary"] == torque.grouped(told["campaigns"])
     places = {name: part for name, part in told["summary"].items() if not name.startswith("`")}
     assert torque.table(places) in (proof / "withheld.md").read_text(encoding="utf-8")
+
+
+def law_of(site, terms, bodies="both"):
+    """A learnt law as its file holds it."""
+    ranges = {"angle": [-0.15, 0.15], "speed": [-8.0, 8.0], "time": [0.0, 1.0]}
+    parts = [{"carrier": c, "along": along, "coefficients": list(k)} for c, along, k in terms]
+    return {"site": site, "bodies": bodies, "ranges": ranges, "term": parts, "nominal": {}}
+
+
+def test_a_learnt_law_is_read_as_the_package_reads_it(tmp_path):
+    """Two codes, one file: the script's torque on each inertia, and the package's at the site's coordinates."""
+    from bayes_damper.effects._law import Law, Term, read_law, written
+
+    rng = np.random.default_rng(3)
+    kinds = (("one", "angle"), ("dry", "speed"), ("angle", "time"), ("speed", "angle"))
+    terms = tuple(Term(c, along, tuple(rng.standard_normal(12))) for c, along in kinds)
+    ranges = {"angle": (-0.08, 0.1), "speed": (-5.0, 3.0), "time": (0.0, 0.7)}
+    x, t, nu = rng.standard_normal((40, 6)) * 0.2, np.linspace(0.0, 1.0, 40), 30.0
+    for site, bodies in (("interface", "both"), ("bearings", "both"), ("bearings", "primary"), ("ground2", "both")):
+        path = tmp_path / f"{site}.toml"
+        path.write_text(written(Law(site, bodies, ranges, nu, terms, rig={"kind": "torsional", "J1": 1.0})))
+        law, mine = tomllib.loads(path.read_text()), read_law(path)
+        for body in (0, 1):
+            acts = {"interface": (True, True), "ground2": (False, True)}.get(site, (True, bodies == "both"))[body]
+            place = (x[:, 0] - x[:, 1], x[:, 2] - x[:, 3]) if site == "interface" else (x[:, body], x[:, 2 + body])
+            sign = -1.0 if site == "interface" and body == 0 else 1.0
+            expected = sign * acts * mine.torque(*place, t)[0]
+            np.testing.assert_allclose(torque.law_torque(law, x, t, body, True, nu), expected, atol=1e-7)
+
+
+def test_a_law_of_the_right_shape_has_the_cosine_one():
+    e = entry(SPRING)
+    cubic = [0.0, 0.75, 0.0, 0.25] + [0.0] * 8  # x^3 of the scaled angle
+    square = [0.5, 0.0, 0.5] + [0.0] * 9
+    sign = math.copysign(1.0, torque.shape_of_law(e, law_of("ground1", [("one", "angle", cubic)])))
+    assert torque.shape_of_law(e, law_of("ground1", [("one", "angle", [sign * c for c in cubic])])) > 0.98, (
+        "a share of each spring"
+    )
+    assert abs(torque.shape_of_law(e, law_of("ground1", [("one", "angle", square)]))) < 0.3
