@@ -40,16 +40,8 @@ from bayes_damper.calibration.noise import Noise, rough_noise
 from bayes_damper.calibration.noise_level import error_level, evenly_sampled, learn_noise, spectrum_bins, whittle
 from bayes_damper.calibration.nominal import calibrate_nominal, grown
 from bayes_damper.calibration.normal_equations import Block, Linear, Normals
-from bayes_damper.calibration.problem import (
-    FRICTION_SPREAD,
-    NOMINAL,
-    Coordinate,
-    Indices,
-    Problem,
-    Switches,
-    coordinate_of,
-    middle,
-)
+from bayes_damper.calibration.problem import FRICTION_SPREAD, Indices, Problem, Switches
+from bayes_damper.calibration.unknowns import NOMINAL, Coordinate, coordinate_of, middle
 
 __all__ = [
     "FRICTION_SPREAD",

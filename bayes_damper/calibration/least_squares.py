@@ -12,7 +12,8 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import ndtri
 
 from bayes_damper.calibration.normal_equations import Linear, Normals
-from bayes_damper.calibration.problem import Problem, coordinate_of
+from bayes_damper.calibration.problem import Problem
+from bayes_damper.calibration.unknowns import coordinate_of
 from bayes_damper.priors.distributions import from_standard, median
 
 Array = NDArray[np.float64]

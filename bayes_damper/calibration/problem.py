@@ -23,22 +23,19 @@ from bayes_damper.calibration.groups import Group
 from bayes_damper.calibration.noise import Noise, rough_noise
 from bayes_damper.calibration.normal_equations import Block, Linear, Remade
 from bayes_damper.calibration.scatter import NO_SCATTER, Scatter, channel_of, of_readings, wave
+from bayes_damper.calibration.unknowns import NOMINAL, Coordinate, acting_alone, coordinates_of, middle
 from bayes_damper.campaign.records import DERIVATIVE
 from bayes_damper.effects.base import Variant
 from bayes_damper.priors.distributions import (
     Distribution,
     LogNormal,
     LogUniform,
-    Normal,
     from_standard,
-    median,
-    to_standard,
 )
 from bayes_damper.simulation.model import Model, delayed
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.signedinteger[Any]]
-NOMINAL = ("k2t", "c2t", "c1t", "c3t", "mu", "drag", "nu")
 FRICTION_SPREAD = 0.04  # prior sd of ln mu from trial to trial, where the repeats show that it varies
 EVENT_THRESHOLD = 4.5  # robust sds of the second difference beyond which a sample counts as an event
 EVENT_TIMING = 5e-5  # s, by which the instant of an event may be off without the model being wrong
@@ -50,31 +47,6 @@ OFFSET_SHARE = 0.05  # of a channel's reach: prior sd of its unknown offset, whe
 READINGS_AT_ONCE = 100_000  # of the trials whose records are differentiated together
 _KEPT = ("nominal", "noise", "switches", "threads", "tolerance", "trials", "factors")  # arguments of a `Problem`
 _FARTHEST = 37.0  # standard deviations beyond which a coordinate is not followed
-
-
-def coordinate_of(distribution: Distribution, x: float) -> float:
-    """The standard Gaussian coordinate of the value `x`, cut to +-8."""
-    return float(np.clip(to_standard(distribution, x), -8.0, 8.0))
-
-
-@dataclass(frozen=True)
-class Coordinate:
-    """One unknown of the whole campaign, or of one `case` if that is given.
-
-    role: "nominal", "release" (angle or instant), "constant", "stiffness" (k1t number `index`), "sensor" (scale of
-    channel `index`), "lag" (of its readings, s) or "effect".
-    """
-
-    name: str
-    role: Literal["nominal", "release", "constant", "stiffness", "sensor", "lag", "effect"]
-    prior: Distribution
-    index: int = 0
-    case: str | None = None
-
-    @property
-    def parameter(self) -> str:
-        """The name without its case."""
-        return self.name.partition("[")[0]
 
 
 @dataclass(frozen=True)
@@ -130,7 +102,6 @@ class Problem:
         factors: trial -> what multiplies the weights of its readings, (channels, n) or a number.
         """
         self.experiment = experiment
-        self.effect = effect
         self.nominal = nominal
         self.threads = threads
         self.tolerance = tolerance
@@ -143,10 +114,7 @@ class Problem:
         self._medians = {
             name: {case: middle(self.prior(name, case)) for case in self._cases} for name in NOMINAL
         }  # of each case
-        self.coordinates = self._coordinates()
-        self.names = tuple(c.name for c in self.coordinates)
-        self.size = len(self.coordinates)
-        self.models = {coupled: _model(experiment, coupled, effect) for coupled in (False, True)}
+        self._take(effect)
         self._groups: dict[tuple[int, ...], list[Group]] = {}
         self.groups = self.grouped(self.trials)
 
@@ -172,12 +140,18 @@ class Problem:
         """The same data, noise and nuisances under another effect; groups are shared."""
         other = Problem.__new__(Problem)
         other.__dict__.update(self.__dict__)
-        other.effect = effect
-        other.coordinates = other._coordinates()  # noqa: SLF001 (the same class)
-        other.names = tuple(c.name for c in other.coordinates)
-        other.size = len(other.coordinates)
-        other.models = {coupled: _model(self.experiment, coupled, effect) for coupled in (False, True)}
+        other._take(effect)  # noqa: SLF001 (the same class)
         return other
+
+    def _take(self, effect: Variant | None) -> None:
+        """Unknowns and models with an effect, or without one."""
+        e = self.experiment
+        used = [e.trials[i] for i in self.trials] or e.trials
+        self.effect = effect
+        self.coordinates = coordinates_of(e, used, self.nominal, effect, self.prior)
+        self.names = tuple(c.name for c in self.coordinates)
+        self.size = len(self.coordinates)
+        self.models = {coupled: _model(e, coupled, effect) for coupled in (False, True)}
 
     @property
     def n_data(self) -> float:
@@ -191,57 +165,6 @@ class Problem:
         e = self.experiment
         own = e.case_priors.get(name, {})
         return own[case] if case in own else e.priors[name] if name in e.priors else self._defaults[name]
-
-    def _coordinates(self) -> tuple[Coordinate, ...]:
-        e = self.experiment
-        used = [e.trials[i] for i in self.trials] or list(e.trials)
-        coupled = any(t.coupled for t in used)
-        names = ["k2t", "c2t", "c1t", "c3t"] if coupled else ["c1t"]
-        if self.nominal == "nonlinear":
-            names += ["mu", "drag", "nu"] if coupled and e.magnet else ["drag", "nu"]
-        out = []
-        for name in dict.fromkeys(e.ties.get(n, n) for n in names):
-            out += self._shared(name, "nominal", [t for t in used if t.coupled or name in self._alone()])
-        for name in ("theta0", "delay"):
-            if e.start == "rest" and e.levels.get(name, "trial") != "trial":
-                out += self._shared(name, "release", used)
-        for name, (value, sd) in e.constants.items():
-            if sd > 0.0 and (coupled or name == "J1"):
-                out.append(Coordinate(name, "constant", Normal(value, sd)))
-        for i, (value, sd) in enumerate(e.stiffnesses):
-            if sd > 0.0 and any(t.k1t == i for t in used):
-                label = "k1t" if len(e.stiffnesses) == 1 else f"k1t[{value:g}]"
-                out.append(Coordinate(label, "stiffness", Normal(value, sd), i))
-        for c, sd in enumerate(e.scale_sd[: 1 + int(coupled)]):
-            if sd > 0.0:
-                out.append(Coordinate(f"scale{c + 1}", "sensor", Normal(1.0, sd), c))
-        for c, sd in enumerate(e.lag_sd[: 1 + int(coupled)]):
-            if sd > 0.0:
-                out.append(Coordinate(f"lag{c + 1}", "lag", Normal(0.0, sd), c))
-        if self.effect is not None:
-            out += [Coordinate(f"effect.{p.name}", "effect", p.prior) for p in self.effect.parameters]
-        return tuple(out)
-
-    def _shared(
-        self, name: str, role: Literal["nominal", "release"], trials: Sequence[TrialRecord]
-    ) -> list[Coordinate]:
-        """The unknowns that a parameter has at its level: one, or one for each case; none if it is each trial's own."""
-        e = self.experiment
-        cases = list(dict.fromkeys(t.case for t in trials))
-        level = e.levels.get(name, "campaign")
-        free = {
-            case: p for case in cases if not isinstance(p := self.prior(name, case), float | int) and _spread(p) > 0
-        }
-        if level == "trial" or not free:
-            return []
-        if len(cases) > 1 and (level == "case" or name in e.case_priors):
-            return [Coordinate(f"{name}[{case}]", role, p, case=case) for case, p in free.items()]
-        return [Coordinate(name, role, next(iter(free.values())))]
-
-    def _alone(self) -> set[str]:
-        """Parameters that act on trials of the primary alone."""
-        alone = {"J1", "c1t", "drag", "nu", "theta0", "delay"}
-        return alone | {other for name, other in self.experiment.ties.items() if name in alone}
 
     def grouped(self, trials: Sequence[int]) -> list[Group]:
         """The trials in groups that share a simulation."""
@@ -329,7 +252,11 @@ class Problem:
         absent = {"mu"} if not e.magnet else set()
         absent |= {"mu", "drag"} if self.nominal == "linear" else set()
         for name in (*NOMINAL, "theta0", "delay"):
-            if e.levels.get(name) == "trial" and name not in absent and (trials[0].coupled or name in self._alone()):
+            if (
+                e.levels.get(name) == "trial"
+                and name not in absent
+                and (trials[0].coupled or name in acting_alone(self.experiment))
+            ):
                 found = _own_value(name, [self.prior(name, t.case) for t in trials])
                 if found is not None:
                     out.append(found[0])
@@ -669,13 +596,8 @@ class Problem:
             return self.effect is not None and (group.coupled or self.effect.uncoupled)
         if c.role in ("sensor", "lag"):
             return group.coupled or c.index == 0
-        free = group.coupled or c.role == "stiffness" or c.parameter in self._alone()
+        free = group.coupled or c.role == "stiffness" or c.parameter in acting_alone(self.experiment)
         return free and bool(self.touched(c, group).any())
-
-
-def middle(prior: Distribution | float) -> float:
-    """The median of a prior, or the number it is fixed at."""
-    return float(prior) if isinstance(prior, float | int) else median(prior)
 
 
 def _own_value(
@@ -722,10 +644,6 @@ def _first_slope(times: Array, y: Array, within: float) -> float:
     if np.count_nonzero(near) < 4:
         return 0.0
     return float(np.polynomial.polynomial.polyfit(times[near] - times[0], y[near], 2)[1])
-
-
-def _spread(distribution: Distribution) -> float:
-    return float(distribution.ppf(0.84) - distribution.ppf(0.16))
 
 
 def _log_slope(distribution: Distribution, z: float) -> float:
