@@ -409,8 +409,8 @@ def _command(
 
 
 def _own_effects(sub: argparse.ArgumentParser) -> None:
-    told = "a folder with effects of your own or learnt laws, or one such file"
-    sub.add_argument("--effects", type=Path, metavar="DIR", help=told)
+    about = "a folder with effects of your own or learnt laws, or one such file"
+    sub.add_argument("--effects", type=Path, metavar="DIR", help=about)
 
 
 def _weighing(sub: argparse.ArgumentParser) -> None:

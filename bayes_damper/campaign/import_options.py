@@ -103,10 +103,12 @@ NOTHING_RUBS = (
     "something does, give the force that presses the faces together; `diagnose --nominal linear` shows whether "
     "friction is missing."
 )
-_ANGLE_ASSUMED = (
-    "How sure the release angle is was not given: 0.1 deg (mm), or 2 % of it where that is more, was assumed "
-    "(theta0_std_deg, theta0_std_mm in trials.csv)."
-)
+_RELEASE_ASSUMED = {
+    "torsional": "How sure the release angle is was not given: 0.1 deg, or 2 % of it where that is more, was assumed "
+    "(theta0_std_deg in trials.csv).",
+    "translational": "How sure the place of release is was not given: 0.1 mm, or 2 % of the way where that is more, "
+    "was assumed (theta0_std_mm in trials.csv).",
+}
 _SINGLE = "One channel only, so taken as uncoupled: {}. Say otherwise with --pattern or --sheet."
 _ALL_COUPLED = (
     "Every file has two channels, so all trials were taken as coupled; say otherwise with --configuration, --pattern "
@@ -204,7 +206,7 @@ def spec_from_options(name: str, sources: Sequence[Path], options: Mapping[str, 
     known = all("theta0" in trial for trial in trials)
     start = "rest" if known and not given.get("free_start") else "free"
     if start == "rest" and not all("theta0_std" in trial for trial in trials):
-        caveats.append(_ANGLE_ASSUMED)
+        caveats.append(_RELEASE_ASSUMED["translational" if given.get("kind") == "translational" else "torsional"])
     spec: dict[str, Any] = {"name": given.get("name", name), "description": given.get("description", "")}
     spec |= {"source": given.get("source_text", ""), "caveats": caveats}
     spec["rig"] = {"primary_inertia": 1.0, **{k: given[k] for k in _RIG if k in given}}

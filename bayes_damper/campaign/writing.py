@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import gzip
 import io
+import re
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,9 @@ from bayes_damper.campaign.structure import (
     record_text,
 )
 from bayes_damper.errors import InputError
+from bayes_damper.rig.units import in_words_of
 
+_BOTH_UNITS = re.compile(r"(kg m\^2|N m/rad) \((kg|N/m)\)")
 COMMENTS = {
     "kind": "torsional, or translational (m, kg, N)",
     "primary_inertia": "J1, kg m^2 (kg); 1 for a rig known only per unit inertia",
@@ -47,6 +50,12 @@ COMMENTS = {
     "scale_std": "relative standard uncertainty of the scale, one per channel",
     "lag_std": "s, standard uncertainty of the instant of reading against the time stamp, one per channel",
 }
+
+
+def _comment(key: str, kind: str) -> str:
+    """What a key of campaign.toml is, in the units of the rig."""
+    text = _BOTH_UNITS.sub(r"\2" if kind == "translational" else r"\1", COMMENTS[key])
+    return text if key == "kind" else in_words_of(text, kind)
 
 
 def write_campaign(folder: str | Path, campaign: Campaign, overwrite: bool = False) -> Path:
@@ -91,12 +100,12 @@ def campaign_toml(campaign: Campaign) -> str:
         if key == "inertial_coupling_law" and not campaign.rig.inertial_coupling.value:
             continue
         if value is not None and not (key == "bar_radius" and campaign.rig.kind == "translational"):
-            lines.append(f"{key} = {_toml(value)}  # {COMMENTS[key]}")
+            lines.append(f"{key} = {_toml(value)}  # {_comment(key, campaign.rig.kind)}")
     lines += ["", "[measurement]"]
     for key in ("quantity", "start", "frame", "input", *MEASUREMENT_NUMBERS, *MEASUREMENT_SPREADS):
         value = getattr(campaign.measurement, key)
         if value is not None and not (key in ("frame", "input") and not any(t.given for t in campaign.trials)):
-            lines.append(f"{key} = {_toml(value)}  # {COMMENTS[key]}")
+            lines.append(f"{key} = {_toml(value)}  # {_comment(key, campaign.rig.kind)}")
     return "\n".join(lines) + "\n"
 
 

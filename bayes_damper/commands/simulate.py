@@ -46,8 +46,8 @@ class SimulatedRecord:
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""
-        told = {"schema": "bayes-damper/simulate/1", "record": str(self.path), "values": self.values}
-        return told | ({"warnings": list(self.warnings)} if self.warnings else {})
+        result = {"schema": "bayes-damper/simulate/1", "record": str(self.path), "values": self.values}
+        return result | ({"warnings": list(self.warnings)} if self.warnings else {})
 
 
 def simulate_record(
@@ -97,8 +97,8 @@ def simulate_record(
     own = {} if variant is None else dict(zip((p.name for p in variant.parameters), variant.starts[0], strict=True))
     _apply(settings, values, words, own, effect, faults)
     law: Law | None = None if chosen is None else chosen[0].law
-    if law is not None and (told := law.foreign("torsional", values)) is not None:
-        faults.append(f"--effect {effect}: {told}")
+    if law is not None and (why := law.foreign("torsional", values)) is not None:
+        faults.append(f"--effect {effect}: {why}")
     if faults:
         raise InputError(faults)
     path = Path(out)

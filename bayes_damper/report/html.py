@@ -169,7 +169,7 @@ def _page(home: Path, names: tuple[str, ...], results: list[Result], warnings: l
         sections=sections,
         warnings=warnings,
         terms=terms([r.headline for r in results], sections),
-        oddities=list(dict.fromkeys(o for r in results for o in r.oddities)),
+        remarks=list(dict.fromkeys(o for r in results for o in r.remarks)),
         images=budget.used,
         left_out=budget.left_out,
         origins=[(n, _origin(home / n, r)) for n, r in zip(names, results, strict=True)],

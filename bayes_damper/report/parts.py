@@ -97,13 +97,13 @@ class Headline:
 
 @dataclass(frozen=True)
 class Result:
-    """What one file of results contributes to the page; `oddities` are those of the records that it is made from."""
+    """What one file of results contributes to the page; `remarks` are those of the records that it is made from."""
 
     headline: Headline
     section: Section
     warnings: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    oddities: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
 def words(name: str) -> str:

@@ -147,3 +147,23 @@ def test_three_columns_given_to_init_are_refused_by_name(tmp_path):
             tmp_path / "rig", [tmp_path / "a.csv"], columns=["a", "b", "c"], time="t", kind="translational",
             quantity="displacement", primary_inertia=1.0, secondary_inertia=1.0, k1t=36.0, theta0=100.0,
         )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("kind", "own", "other"),
+    [
+        ("translational", ("# J1, kg;", "0.1 mm, or 2 %", "theta0_std_mm"), ("kg m^2", "N m/rad", " deg", "angle")),
+        ("torsional", ("# J1, kg m^2;", "0.1 deg, or 2 %", "theta0_std_deg"), ("(kg)", "(N/m)", " mm")),
+    ],
+)
+def test_what_init_writes_speaks_of_one_kind_of_rig(tmp_path, kind, own, other):
+    rows = [f"{t},{x}" for t, x in zip(TIMES, swing(TIMES), strict=True)]
+    (tmp_path / "a.csv").write_text("\n".join(["t,a", *rows]))
+    theta0 = 100.0 if kind == "translational" else 5.73
+    folder = init_campaign(
+        tmp_path / "rig", [tmp_path / "a.csv"], columns=["a"], time="t", kind=kind, quantity="displacement",
+        primary_inertia=1.0, k1t=36.0, theta0=theta0,
+    )  # fmt: skip
+    written = (folder / "campaign.toml").read_text(encoding="utf-8")
+    assert all(words in written for words in own)
+    assert not any(words in written for words in other)
