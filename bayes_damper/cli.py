@@ -546,7 +546,7 @@ def _results(command: Adding) -> None:
     sub = command("variability", _variability, "what the cases of a fit share and where they differ")
     sub.add_argument("folder", help="results of `fit`, or `thesis`")
     sub.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default: the folder itself)")
-    sub.add_argument("--particles", type=_count, default=320, metavar="N", help="particles of each run (default: 320)")
+    sub.add_argument("--particles", type=_count, default=288, metavar="N", help="particles of each run (default: 288)")
     sub.add_argument("--repeats", type=_count, default=2, metavar="N", help="runs of each model (default: 2)")
     sub.add_argument("--unseen", action=argparse.BooleanOptionalAction, default=True,
                      help="other priors, another law of friction, each case left out (published features)")  # fmt: skip

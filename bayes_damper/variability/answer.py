@@ -108,7 +108,7 @@ def variability(
     *,
     out: str | Path | None = None,
     seed: int = 1,
-    particles: int = 320,
+    particles: int = 288,
     repeats: int = 2,
     draws: int = 200,
     unseen: bool = True,
@@ -334,8 +334,12 @@ def _averaged(
         if any(name not in runs for name in names.values()):
             continue
         _, other = cases.bridge("shared", scenario)
-        moved = {pooling: height[pooling] + runs[names[pooling]]["gain"] for pooling in POOLINGS}
-        unsure = {pooling: math.hypot(error[pooling], runs[names[pooling]]["error"]) for pooling in POOLINGS}
+        moved, unsure = {}, {}
+        for pooling in POOLINGS:
+            run = runs[names[pooling]]
+            anew = "log_z" in run
+            moved[pooling] = run["log_z"] if anew else height[pooling] + run["gain"]
+            unsure[pooling] = run["error"] if anew else math.hypot(error[pooling], run["error"])
         there = {pooling: cases.draws([names[pooling]], work) for pooling in POOLINGS}
         found = averaged(other, mixture(other, there, probabilities_of(moved), DRAWS, rng), rng, own=False)
         rows.append({"change": scenario.words, "probabilities": probabilities_of(moved), "log_evidence": moved,

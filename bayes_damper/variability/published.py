@@ -44,7 +44,8 @@ _KEPT = 16
 _FEW = 6
 """Places of a particle with which other assumptions begin."""
 _FEWEST = 32
-"""Particles of a run under other assumptions at least; a third of those that the answer itself takes."""
+"""Particles of a run under other assumptions at least; otherwise a third of those that the answer itself takes, half if
+it begins at the prior."""
 _SWEEPS = 10
 """Most sweeps of a stage on the way: more particles make evidences sharper than more sweeps at the same cost."""
 _TOLERANCE = 10.0
@@ -159,10 +160,14 @@ class PublishedCases:
             return Bridge(before, other.hierarchy(pooling)), other
         priors = widened(self.plan["priors"], self.pooled, scenario.width)
         other = PublishedCases(self.plan | {"priors": priors}, self._law, self._data)
-        own, there = (x.priors(self.names[0]) for x in (self, other))
-        # A log-uniform value moves with its range, and the likelihood with it; a lognormal one stays.
-        moves = any(isinstance(own[name], LogUniform) for name in self.pooled)
-        return Bridge(before, other.hierarchy(pooling), ratio=ratio_of(own, there, self.pooled), two=moves), other
+        first = self.names[0]
+        ratio = ratio_of(self.priors(first), other.priors(first), self.pooled)
+        return Bridge(before, other.hierarchy(pooling), ratio=ratio), other
+
+    def anew(self, scenario: Scenario) -> bool:
+        """Whether other assumptions want draws of their own: those of one range do not show what lies outside it."""
+        priors = self.priors(self.names[0])
+        return scenario.kind == "width" and any(isinstance(priors[name], LogUniform) for name in self.pooled)
 
     def draws(self, names: Sequence[str], work: Path) -> Array:
         """Draws of runs, one after the other, (n, ndim)."""
@@ -401,20 +406,25 @@ def run_scenario(
     folder: Path, report: Callable[[float, str], None], *, settings: Mapping[str, Any], pooling: Pooling,
     scenario: str, runs: Sequence[str],
 ) -> Any:  # fmt: skip
-    """Task: one answer under other assumptions, from the draws of the runs of these names; what its evidence gains."""
+    """Task: one answer under other assumptions, from the draws of the runs of these names; what its evidence gains.
+
+    Where those draws do not do, from the prior; what its evidence is.
+    """
     cases = PublishedCases(settings["fit"])
     every = {s.name: s for s in scenarios(cases.names)}
-    bridge, _ = cases.bridge(pooling, every[scenario])
+    bridge, other = cases.bridge(pooling, every[scenario])
+    few, state = max(settings["particles"] // 3, _FEWEST), _state(folder, settings, pooling, scenario)
     rng = np.random.default_rng([settings["seed"], POOLINGS.index(pooling), list(every).index(scenario), 7])
+    if cases.anew(every[scenario]):
+        half = max(settings["particles"] // 2, _FEWEST)
+        found = temper(other.hierarchy(pooling), rng, half, report, _KEPT, False, sweeps=_SWEEPS, checkpoint=state)
+        return _kept(folder, found) | {"log_z": found.log_z}
     first = [_points(folder.parent / run) for run in runs]
     # Places of one particle stand together; a few of each do to begin with.
     size = settings["particles"]
     chains = [bridge.start(p.reshape(size, len(p) // size, -1)[:, -_FEW:]) for p in first]
     start = np.swapaxes(np.concatenate(chains), 0, 1)
-    found = temper(
-        bridge, rng, max(size // 3, _FEWEST), report, _KEPT, False, sweeps=_SWEEPS, start=start,
-        checkpoint=_state(folder, settings, pooling, scenario),
-    )  # fmt: skip
+    found = temper(bridge, rng, few, report, _KEPT, False, sweeps=_SWEEPS, start=start, checkpoint=state)
     return _kept(folder, found) | {"gain": found.log_z}
 
 

@@ -1,6 +1,6 @@
 """What the answer hangs on: the same structures under other priors, another law of friction, and without one case.
 
-Nothing begins anew: the draws of a structure under the assumptions as they are become those under others on a way from
+Little begins anew: the draws of a structure under the assumptions as they are become those under others on a way from
 the one posterior to the other, and the evidence changes by what that way gains (sampling by a sequence of densities, as
 from the prior to the posterior; Del Moral, Doucet and Jasra 2006, J. R. Stat. Soc. B 68:411). Where the two resemble
 each other, which they mostly do, that takes a stage or two.
@@ -69,18 +69,16 @@ class Bridge(UnitPrior):
     """A way from the posterior of one hierarchy to that of another with the same coordinates: a target for `temper`.
 
     before, after : the two, the same object where only a case is left out; without : that case's number, or -1; ratio :
-    of the prior widths of `after` over `before`, for each pooled parameter (pooled,), whose values stay what they are;
-    two : whether the likelihoods differ otherwise, too: by default where the widths do not.
+    of the prior widths of `after` over `before`, for each pooled parameter (pooled,).
     """
 
     def __init__(
-        self, before: Hierarchy, after: Hierarchy, without: int = -1, ratio: Array | None = None, power: float = 0.0,
-        two: bool | None = None,
-    ) -> None:  # fmt: skip
+        self, before: Hierarchy, after: Hierarchy, without: int = -1, ratio: Array | None = None, power: float = 0.0
+    ) -> None:
         self._before, self._after, self._without, self._power = before, after, without, power
         self._ratio = np.ones(len(after.pooled)) if ratio is None else ratio
         self._widened = bool(np.any(self._ratio != 1.0))
-        self._two = (before is not after and not self._widened) if two is None else two
+        self._two = before is not after and not self._widened
         self.ndim, self.parts, self.blocks = after.ndim, after.parts, after.blocks
         self._straight = after.at(1.0)
         self.unknowns = after.unknowns
@@ -89,23 +87,20 @@ class Bridge(UnitPrior):
 
     def at(self, power: float) -> Bridge:
         """The same at another power."""
-        return Bridge(self._before, self._after, self._without, self._ratio, power, self._two)
+        return Bridge(self._before, self._after, self._without, self._ratio, power)
 
     def start(self, points: Array) -> Array:
         """Draws (..., ndim) of `before` in the coordinates of `after`: the same values under priors of other widths."""
-        return self._scaled(points, 1.0 / self._ratio)
-
-    def _scaled(self, points: Array, ratio: Array) -> Array:
         found = points.copy()
         for _, columns in self._after.owned_columns:
-            found[..., columns] *= ratio
+            found[..., columns] /= self._ratio
         return found
 
     def measure(self, points: Array, parts: Index) -> Array:
         """Misfits of the one or of both, and what the change of the prior does, (n, len(parts), k)."""
         found = [self._after.measure(points, parts)]
         if self._two:
-            found.append(self._before.measure(self._scaled(points, self._ratio), parts))
+            found.append(self._before.measure(points, parts))
         found.append(np.stack([self._tilt(points, c) for c in parts], axis=1)[:, :, None])
         return np.concatenate(found, axis=2)
 

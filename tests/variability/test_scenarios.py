@@ -92,17 +92,11 @@ def test_another_likelihood_is_reached(pooling):
     assert found.log_z == pytest.approx(gain, abs=0.1 + 4.0 * math.hypot(found.error, error))
 
 
-@pytest.mark.parametrize("pooling", POOLINGS)
-def test_both_ends_are_the_two_posteriors_where_priors_and_likelihood_change(pooling):
-    (before, _), (after, _) = hierarchies(pooling), hierarchies(pooling, (2.0, 1.0), seed=6)
-    bridge = Bridge(before, after, ratio=np.array([2.0, 1.0]), two=True)
-    points, everything = np.random.default_rng(7).standard_normal((40, before.ndim)), np.arange(3)
-    started = bridge.start(points)
-    measured = bridge.measure(started, everything)
-    for power, end, x in ((0.0, before, points), (1.0, after, started)):
-        found = bridge.height(measured, everything, power).sum(axis=1) + bridge.log_prior(started)
-        known = end.log_likelihood(x, everything).sum(axis=1) + end.log_prior(x)
-        assert np.ptp(found - known) < 1e-9 * np.abs(known).max()
+def test_only_a_range_of_another_length_is_drawn_anew():
+    cases = PublishedCases(PublishedCases.default_plan())
+    assert {s.kind for s in scenarios(cases.names) if cases.anew(s)} == {"width"}
+    fixed = cases.plan | {"priors": cases.plan["priors"] | {"nu": {"dist": "fixed", "value": 50.0, "unit": "s/rad"}}}
+    assert not any(PublishedCases(fixed).anew(s) for s in scenarios(cases.names))
 
 
 def test_start_keeps_the_values_of_the_cases():
