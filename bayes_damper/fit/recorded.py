@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -89,28 +89,10 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
     entry["prior_sensitivity"] = of_standard_draws(posterior.names, sampling.flat(4 * KEPT_DRAWS))
     report(0.8, "trials compared; left: evidence, files, figures")
     entry["log_evidence"] = _evidence(posterior, sampling, rng)
-    entry["trials"] = {
-        labels[i]: {
-            key: {"mean": float(x.mean()), "sd": float(x.std()), "hdi90": list(hdi(x)), "unit": units(key)}
-            for key, x in values.items()
-        }
-        for i, values in nuisances.items()
-    }
-    entry["best_fit"] = {
-        "chi2": best.chi2,
-        "readings": best.problem.n_data,
-        "log_evidence_laplace": best.log_evidence,
-        "noise_learnt": list(best.problem.noise.total),
-        "noise_correlation": list(best.problem.noise.phi),
-        "constants_pulled": best.pulled,
-        "effect": plan.get("effect"),
-        "formula": None if best.problem.effect is None else best.problem.effect.formula,
-    }
-    per_trial = {
-        f"{key}[{labels[i]}]": as_chains(x, sampling) for i, values in nuisances.items() for key, x in values.items()
-    }
+    entry["trials"] = _trials_entry(nuisances, labels, units)
+    entry["best_fit"] = _best_fit_entry(best, plan.get("effect"))
     groups: dict[str, Mapping[str, Array]] = {
-        "trial_posterior": per_trial,
+        "trial_posterior": _per_trial(nuisances, labels, sampling),
         "prior": one_chain(posterior.values(rng.standard_normal((2000, posterior.ndim)))),
         "posterior_predictive": {labels[i]: y[None] for i, y in bands.items()},
         "log_likelihood": {"trials": as_chains(likelihood + posterior.constant, sampling)},
@@ -126,6 +108,40 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
     draw_case(folder, title, draws, sampling, entry, assumed, units)
     draw_records(folder, experiment, bands, sampling.converged, units("sigma1"))
     return entry
+
+
+def _trials_entry(
+    nuisances: Mapping[int, Mapping[str, Array]], labels: Mapping[int, str], units: Callable[[str], str]
+) -> dict[str, Any]:
+    return {
+        labels[i]: {
+            key: {"mean": float(x.mean()), "sd": float(x.std()), "hdi90": list(hdi(x)), "unit": units(key)}
+            for key, x in values.items()
+        }
+        for i, values in nuisances.items()
+    }
+
+
+def _per_trial(
+    nuisances: Mapping[int, Mapping[str, Array]], labels: Mapping[int, str], sampling: Sampling
+) -> dict[str, Array]:
+    """Draws of what each trial has for itself, by name and trial."""
+    return {
+        f"{key}[{labels[i]}]": as_chains(x, sampling) for i, values in nuisances.items() for key, x in values.items()
+    }
+
+
+def _best_fit_entry(best: Calibration, effect: str | None) -> dict[str, Any]:
+    return {
+        "chi2": best.chi2,
+        "readings": best.problem.n_data,
+        "log_evidence_laplace": best.log_evidence,
+        "noise_learnt": list(best.problem.noise.total),
+        "noise_correlation": list(best.problem.noise.phi),
+        "constants_pulled": best.pulled,
+        "effect": effect,
+        "formula": None if best.problem.effect is None else best.problem.effect.formula,
+    }
 
 
 def _with_a_warning(report: Report) -> Report:

@@ -281,52 +281,73 @@ def _is_translational(data: Mapping[str, Any]) -> bool:
     return unit.startswith("m") or any("k1_n_per_m" in e for e in data.get("next_experiment") or ())
 
 
+_POWER = "power above the noise"
+_EXCESS = (
+    "Power of the residuals above that of the noise, in units of the noise's: 0 is noise alone, 1 is twice as much."
+)
+
+
 def _where_sections(where: Mapping[str, Any], translational: bool) -> tuple[Section, ...]:
     """Where residuals exceed the noise, one table for each way to look; nothing where nothing does."""
     if "feature" in where:
         return _published_sections(where["feature"])
 
-    def cells(row: Mapping[str, Any], *names: str) -> tuple[str, ...]:
-        return tuple(str(row[n]) if row.get(n) is not None else "all" for n in names)
+    tables = [
+        *_record_tables(where),
+        *_phase_tables(where, translational),
+        *_event_tables(where, translational),
+    ]
+    return (Section("Where the model and the rig differ", tables=tuple(tables)),) if tables else ()
 
-    def channel(row: Mapping[str, Any]) -> str:
-        return _CHANNELS.get(row.get("channel", 0), str(row.get("channel", NOTHING)))
 
-    def p(row: Mapping[str, Any]) -> str:
-        return NOTHING if row.get("p_value") is None else p_value(row["p_value"]).removeprefix("p ").removeprefix("= ")
+def _cells(row: Mapping[str, Any], *names: str) -> tuple[str, ...]:
+    return tuple(str(row[n]) if row.get(n) is not None else "all" for n in names)
 
-    def span(low: float, high: float) -> str:
-        return f"{low:.3g} to {high:.3g}"
 
+def _channel(row: Mapping[str, Any]) -> str:
+    return _CHANNELS.get(row.get("channel", 0), str(row.get("channel", NOTHING)))
+
+
+def _p(row: Mapping[str, Any]) -> str:
+    return NOTHING if row.get("p_value") is None else p_value(row["p_value"]).removeprefix("p ").removeprefix("= ")
+
+
+def _span(low: float, high: float) -> str:
+    return f"{low:.3g} to {high:.3g}"
+
+
+def _table(caption: str, columns: tuple[str, ...], rows: Sequence[tuple[str, ...]], note: str = "") -> list[Table]:
+    """One table, or none where it would have no rows."""
+    return [Table(caption, columns, tuple(Row(r) for r in rows), note)] if rows else []
+
+
+def _record_tables(where: Mapping[str, Any]) -> list[Table]:
+    """Stretches of time, bands of frequency, channels and cases."""
     tables: list[Table] = []
-
-    def add(caption: str, columns: tuple[str, ...], rows: Sequence[tuple[str, ...]], note: str = "") -> None:
-        if rows:
-            tables.append(Table(caption, columns, tuple(Row(r) for r in rows), note))
-
     times = "Trials: those repeats whose residuals were taken together."
     rows = [
-        (span(r["start_s"], r["end_s"]), channel(r), *cells(r, "case", "configuration"),
-         ", ".join(map(str, r.get("trials") or [r.get("trial", NOTHING)])), p(r))
+        (_span(r["start_s"], r["end_s"]), _channel(r), *_cells(r, "case", "configuration"),
+         ", ".join(map(str, r.get("trials") or [r.get("trial", NOTHING)])), _p(r))
         for r in where.get("time") or ()
     ]  # fmt: skip
-    add("In time", ("time [s]", "channel", "case", "configuration", "trials", "p value"), rows, times)
+    tables += _table("In time", ("time [s]", "channel", "case", "configuration", "trials", "p value"), rows, times)
     rows = [
-        (span(r["low_hz"], r["high_hz"]), channel(r), *cells(r, "case", "configuration"), p(r))
+        (_span(r["low_hz"], r["high_hz"]), _channel(r), *_cells(r, "case", "configuration"), _p(r))
         for r in where.get("frequency") or ()
     ]
-    add("In frequency", ("band [Hz]", "channel", "case", "configuration", "p value"), rows)
-    power = "power above the noise"
-    note = (
-        "Power of the residuals above that of the noise, in units of the noise's: 0 is noise alone, 1 is twice as much."
-    )
-    rows = [(channel(r), f"{r['excess_over_noise']:+.2f}", p(r)) for r in (where.get("channel") or {}).values()]
-    add("By channel", ("channel", power, "p value"), rows, note)
+    tables += _table("In frequency", ("band [Hz]", "channel", "case", "configuration", "p value"), rows)
+    rows = [(_channel(r), f"{r['excess_over_noise']:+.2f}", _p(r)) for r in (where.get("channel") or {}).values()]
+    tables += _table("By channel", ("channel", _POWER, "p value"), rows, _EXCESS)
     rows = [
-        (*cells(r, "case", "configuration"), f"{r['excess_over_noise']:+.2f}", p(r))
+        (*_cells(r, "case", "configuration"), f"{r['excess_over_noise']:+.2f}", _p(r))
         for r in (where.get("case") or {}).values()
     ]
-    add("By case", ("case", "configuration", power, "p value"), rows, note)
+    tables += _table("By case", ("case", "configuration", _POWER, "p value"), rows, _EXCESS)
+    return tables
+
+
+def _phase_tables(where: Mapping[str, Any], translational: bool) -> list[Table]:
+    """Regions of the phase space."""
 
     def named(coordinate: str) -> tuple[str, str]:
         return COORDINATES[coordinate][translational] if coordinate in COORDINATES else (coordinate, "")
@@ -334,24 +355,28 @@ def _where_sections(where: Mapping[str, Any], translational: bool) -> tuple[Sect
     rows = []
     for r in where.get("phase_space") or ():
         both = [
-            f"{symbol} {span(*reach)} {unit}".rstrip()
+            f"{symbol} {_span(*reach)} {unit}".rstrip()
             for (symbol, unit), reach in zip(map(named, r["coordinates"]), r["range"], strict=True)
         ]
-        rows.append((both[0], both[1], channel(r), f"{r['excess_over_noise']:+.2f}", p(r)))
+        rows.append((both[0], both[1], _channel(r), f"{r['excess_over_noise']:+.2f}", _p(r)))
     letters = "x and v" if translational else "θ and ω"
-    moves = f"{letters}: position and velocity of the primary (1) and the secondary (2). {note}"
-    add("In phase space", ("where", "and", "channel", power, "p value"), rows, moves)
+    moves = f"{letters}: position and velocity of the primary (1) and the secondary (2). {_EXCESS}"
+    return _table("In phase space", ("where", "and", "channel", _POWER, "p value"), rows, moves)
+
+
+def _event_tables(where: Mapping[str, Any], translational: bool) -> list[Table]:
+    """A knock, where it explains most of the misfit."""
     event = where.get("event")
     if event and event.get("local"):  # else it only says that a law is wrong everywhere
         unit = "N s" if translational else "N m s"
         impulse = f"{event['impulse_n_m_s']:.3g} ± {event['impulse_sd_n_m_s']:.2g} {unit}"
         row = (
-            span(event["start_s"], event["end_s"]), str(event["site"]), impulse, f"{event['gain_nats']:.0f} nats",
+            _span(event["start_s"], event["end_s"]), str(event["site"]), impulse, f"{event['gain_nats']:.0f} nats",
             percent(event["share"]),
         )  # fmt: skip
         columns = ("time [s]", "site", "impulse ± sd", "gain", "share of the misfit")
-        add("A knock at one instant explains most of the misfit", columns, [row])
-    return (Section("Where the model and the rig differ", tables=tuple(tables)),) if tables else ()
+        return _table("A knock at one instant explains most of the misfit", columns, [row])
+    return []
 
 
 def _published_sections(features: Sequence[Mapping[str, Any]]) -> tuple[Section, ...]:
