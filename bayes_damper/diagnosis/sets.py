@@ -360,20 +360,26 @@ def left_over(fit: Calibration) -> tuple[float, float]:
 
 def weighed(sets: Sequence[SetFit]) -> list[SetFit]:
     """The sets with their evidence over the nominal model (the one without members), best first."""
-
-    def cost(s: SetFit, pieces: float) -> float:
-        return 0.5 * pieces * math.log1p(s.squares / pieces)
-
     none = next(s for s in sets if not s.members)
     pieces = none.pieces
     out = list(sets)
     for _ in range(2):
-        base = none.plain - cost(none, pieces)
-        out = [replace(s, evidence=s.plain - cost(s, pieces) - base) for s in sets]
+        base = none.plain - _cost(none, pieces)
+        out = [replace(s, evidence=s.plain - _cost(s, pieces) - base) for s in sets]
         out = [s if math.isfinite(s.evidence) else replace(s, evidence=-math.inf) for s in out]
         out.sort(key=lambda s: -s.evidence)
         pieces = max(min(none.pieces, *(s.pieces for s in out[:FITTED])), 2.0)
     return out
+
+
+def better(new: SetFit, old: SetFit, pieces: float) -> bool:
+    """Whether one fit of a set explains more than another, each under the noise that it leaves itself."""
+    return new.plain - _cost(new, pieces) > old.plain - _cost(old, pieces)
+
+
+def _cost(s: SetFit, pieces: float) -> float:
+    """What a discrepancy of a size of its own, in so many pieces, costs a set in nats."""
+    return 0.5 * pieces * math.log1p(s.squares / pieces)
 
 
 def log_prior(names: Collection[str], offered: int) -> float:
@@ -420,7 +426,7 @@ def grown(
     def add(members: tuple[Member, ...], fit: Calibration) -> None:
         key = tuple(sorted((e.name, v.name) for e, v in members))
         new = set_fit(members, fit)
-        if key not in sets or new.plain > sets[key].plain:
+        if key not in sets or better(new, sets[key], sets[()].pieces):
             sets[key] = new
 
     for c in found:

@@ -13,7 +13,7 @@ from bayes_damper.commands import diagnose as command
 def test_a_diagnosis_stopped_while_drawing_does_not_look_whole(tmp_path, monkeypatch):
     out = tmp_path / "out"
     found = SimpleNamespace(
-        site_map=None, nominal=None, best=None,
+        site_map=None, nominal=None, best=None, law=None, weighed_fits=list,
         to_json=lambda: {"parameters": {}, "pair": None, "effects": [], "budget": {"effects": []}},
     )  # fmt: skip
     monkeypatch.setattr(command, "diagnose_campaign", lambda *_, **__: found)

@@ -17,6 +17,7 @@ from bayes_damper.diagnosis.sets import (
     SetProblem,
     _sharper,
     _without_one,
+    better,
     columns_at,
     grown,
     log_prior,
@@ -160,6 +161,14 @@ def test_what_all_sets_leave_sets_the_scale_of_evidence():
     assert clean[0].evidence == pytest.approx(500.0)
     rough = weighed([stub((), 0.0, 1e6), stub(("a",), 0.0, 0.9e6)])
     assert rough[0].evidence == pytest.approx(20.0 * math.log(1.0 / 0.9), rel=1e-3)
+
+
+def test_of_two_fits_of_a_set_the_one_that_leaves_less_is_kept():
+    """The sharper noise of a better fit narrows its posterior, which lowers the plain evidence."""
+    stalled, ended = stub(("a", "b"), -46.4, 3.3e7), stub(("a", "b"), -47.9, 2.3e7)
+    assert better(ended, stalled, 36.0)
+    assert not better(stalled, ended, 36.0)
+    assert better(stub(("a",), -46.4, 0.0), stub(("a",), -47.9, 0.0), 36.0)
 
 
 def test_an_effect_that_gains_nothing_costs_its_prior():
