@@ -123,7 +123,8 @@ def calibrate_nominal(
     if switches is None:
         # The first noise held the scatter that was not learnt yet.
         chosen = replace(chosen, scatter=learn_scatter(fit, noise))
-    tell(f"noise sd {', '.join(f'{s:.3g}' for s in noise.total)}")
+    left = ", ".join(f"{s:.3g}" for s in noise.total)
+    tell(f"nominal model fitted; sd of what it leaves, correlation counted, by channel: {left}")
     problem = Problem(experiment, nominal=nominal, noise=noise, switches=chosen, threads=threads)
     fit = calibrate(problem, [fit.q], eta=carried(fit, problem), anneal=False)
     if noise.sensor:

@@ -355,7 +355,7 @@ def search(
         for k in order:
             leading.setdefault(pool[k][0].name, int(k))
         chosen += sorted(set(leading.values()) - set(chosen))
-    tell(f"screened {len(pool)} formulas, fitting {len(chosen)}")
+    tell(f"looked at {len(pool)} formulas of effects; fitting the {len(chosen)} most promising")
 
     def refine(k: int, target: float) -> Candidate:
         effect, variant = pool[k]

@@ -28,6 +28,11 @@ _STYLE = (
     ".rig .named rect{fill:#d55e00;fill-opacity:.16;stroke:#d55e00;stroke-width:2.5;stroke-dasharray:none}"
     ".rig .named text{fill:#d55e00}"
 )
+_DARK = (
+    "@media(prefers-color-scheme:dark){.rig .site rect{stroke:#56b4e9}.rig .site text{fill:#56b4e9}"
+    ".rig .named rect{fill:#ff9348;stroke:#ff9348}.rig .named text{fill:#ff9348}}"
+)
+"""The same on a page that follows the reader's dark scheme; a file of its own is black on white in any."""
 
 Box = tuple[float, float, float, float]  # x, y, width, height
 
@@ -77,7 +82,7 @@ def sketch(
     bodies = "one body" if not coupled else "two bodies"
     label = f"Sketch of a {kind} rig with {bodies}" + (f"; highlighted: {', '.join(sorted(named))}" if named else "")
     sheet = '<rect width="100%" height="100%" fill="#fff"/>' if paper else ""
-    inside = f"<style>{_STYLE}</style>" + sheet + "".join(sites) + "".join(drawn.parts)
+    inside = f"<style>{_STYLE}{'' if paper else _DARK}</style>" + sheet + "".join(sites) + "".join(drawn.parts)
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" class="rig" viewBox="0 0 760 {drawn.height:g}" role="img" '
         f'aria-label="{escape(label)}">{inside}</svg>'

@@ -226,6 +226,19 @@ def test_a_fit_opens_with_what_the_data_determine_and_what_the_model_misses(tmp_
     assert "IV coupled #1 mu of this trial over that of all 1.010 0.970 to 1.048 1" in text
 
 
+def test_the_first_screen_of_a_fit_with_an_effect_has_the_parameters_of_the_effect(tmp_path):
+    write_fit(tmp_path)
+    data = json.loads((tmp_path / "summary.json").read_text())
+    for entry in data["cases"].values():
+        entry["parameters"]["effect.k3"] = parameter(120.0, 0.01) | {"unit": "N m/rad^3"}
+        entry["best_fit"] = {"effect": "spring_cubic"}
+    (tmp_path / "summary.json").write_text(json.dumps(data))
+    text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
+    first = text[: text.index("What would change it")]
+    assert "Determined by the data: k3 (" in first
+    assert "k3 of spring cubic N m/rad^3 120" in text.replace("³", "^3")
+
+
 def test_parameters_on_the_first_screen_are_told_in_words_with_how_well_they_are_known(tmp_path):
     write_fit(tmp_path)
     text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))

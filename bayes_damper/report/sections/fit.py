@@ -20,6 +20,7 @@ _OUTSIDE = 5.0  # per cent: a measurement below this percentile, or as far above
 _MAIN = (
     "mu", "friction_torque", "friction_torque_per_inertia", "k2t", "c2t", "drag", "nu", "c1t", "c3t", "k1t", "J1", "J2",
 )  # fmt: skip
+_OF_EFFECT = "effect."  # before the name of a parameter of the effect that a fit was given
 _SPELT_OUT = 7  # parameters in a sentence; of more, the names alone
 _SPELT_FIRST = 4  # the same in the first sentence
 _MEASURABLE = ("J1", "J2", "R", "r", "N0", "k1t", "k2t", "theta0", "drag", "mu")
@@ -118,7 +119,8 @@ def _fit_headline(campaign: str, groups: Mapping[str, Any], converged: bool) -> 
 def _determined(groups: Mapping[str, Any]) -> str:
     """Which parameters the data decide about, and in which cases, in a sentence."""
     where: dict[tuple[str, ...], list[str]] = {}
-    for name in _MAIN:
+    added = dict.fromkeys(n for e in groups.values() for n in e.get("parameters", {}) if n.startswith(_OF_EFFECT))
+    for name in (*added, *_MAIN):
         found = [g for g, e in groups.items() if _decided(e.get("parameters", {}).get(name, {})) == "data"]
         if found:
             where.setdefault(tuple(found), []).append(name)
@@ -156,7 +158,8 @@ def _in_words(
         meant = plain_meaning(name, units.get(name, "")) if len(names) <= most else ""
         beside = more.get(name, "")
         if not meant:
-            spelt.append(f"{name} ({beside})" if beside else name)
+            own = name.removeprefix(_OF_EFFECT)
+            spelt.append(f"{own} ({beside})" if beside else own)
         else:
             spelt.append(f"the {meant} ({name}{', ' if beside else ''}{beside})")
     return listed(spelt)
@@ -193,7 +196,8 @@ def _left(groups: Mapping[str, Any], learnt_from: Collection[str]) -> str:
 
 
 def _overview(groups: Mapping[str, Any]) -> Table:
-    names = [n for n in _MAIN if any(n in e.get("parameters", {}) for e in groups.values())]
+    found = dict.fromkeys(n for e in groups.values() for n in e.get("parameters", {}))
+    names = [n for n in found if n.startswith(_OF_EFFECT)] + [n for n in _MAIN if n in found]
     rows = []
     for name in names:
         cells, unit = [], ""
@@ -206,7 +210,8 @@ def _overview(groups: Mapping[str, Any]) -> Table:
             low, high = p["hdi90"]
             star = " *" if _decided(p) == "prior" else ""
             cells.append(f"{number(p['median'], high - low)}{star}\n({interval(low, high)})")
-        rows.append(Row((_shown_name(name, unit), unit, *cells)))
+        who = next((str((e.get("best_fit") or {}).get("effect") or "") for e in groups.values()), "")
+        rows.append(Row((_shown_name(name, unit, who), unit, *cells)))
     heads = [
         (name if name.startswith("all") else f"case {name}")
         + (": median\n(90 %)" if entry.get("converged") else ": median\n(90 %) NOT CONVERGED")
@@ -218,8 +223,10 @@ def _overview(groups: Mapping[str, Any]) -> Table:
     return Table("Median and 90 % interval", columns, tuple(rows), note)
 
 
-def _shown_name(name: str, unit: str) -> str:
-    """A parameter for the first column of a table: its name, and below what it is."""
+def _shown_name(name: str, unit: str, effect: str = "") -> str:
+    """A parameter for the first column of a table: its name, and below what it is; `effect` : given to the model."""
+    if name.startswith(_OF_EFFECT):
+        return f"{name.removeprefix(_OF_EFFECT)}\nof {words(effect)}"
     known = PARAMETERS.get(name.partition("[")[0])
     if known is None:
         return name
