@@ -25,7 +25,7 @@ from bayes_damper.diagnosis.response import Motion, motions
 from bayes_damper.diagnosis.sites import write_missing_torque
 from bayes_damper.diagnosis.verdict import RULE
 from bayes_damper.effects import EFFECTS, Effect, all_effects
-from bayes_damper.effects._law import laws_on
+from bayes_damper.effects._law import SITES, laws_on
 from bayes_damper.effects.base import SITE_TITLES
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.priors.files import campaign_priors, load_priors
@@ -105,12 +105,9 @@ def diagnose(
     folder = Path(out)
     path = _emptied(folder)
     write_missing_torque(folder / "missing_torque.csv", found.site_map)
-    for stale in (
-        *(folder / "learnt").glob("*.toml"),
-        *(folder / "learnt").glob("*.csv"),
-        *folder.glob("learnt_law.*"),
-    ):
-        stale.unlink()
+    earlier = [folder / "learnt" / f"{site}{end}" for site in SITES for end in (".toml", ".csv", "_table.csv")]
+    for path_of_law in (*earlier, *(folder / f"learnt_law{end}" for end in (".svg", ".png"))):
+        path_of_law.unlink(missing_ok=True)
     if found.law is not None:
         found.law.write(folder)
     ahead = forecasts(found.nominal, found.best, found.weighed_fits())

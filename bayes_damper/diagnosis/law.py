@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.calibration import Calibration, calibrate
+from bayes_damper.calibration import Calibration, calibrate, learn_noise
 from bayes_damper.diagnosis.budget import Budget
 from bayes_damper.diagnosis.response import Motion, Projected, in_slices, motions, project, whiten
 from bayes_damper.diagnosis.sets import Member, SetProblem
@@ -56,6 +56,8 @@ SIZES = np.geomspace(1.0, 1e4, 9)  # prior sizes of a term's response, in noise 
 SMOOTHNESS = (0.5, 0.75, 1.0)  # factor on the prior size from one Chebyshev order to the next
 PRESENT = 0.5  # probability from which an effect stands beside the law
 STEPS = 14
+RELEARNT = 2
+WORTH_RELEARNING = 0.7  # share of the noise that a law leaves, below which it is learnt again
 STARTS = (1.0, 0.6, 0.3, 0.0)  # shares of the linearised answer from which the fit may begin
 TABLE = {1: 101, 2: 41, 3: 17}  # points along each coordinate of the table, by the number of coordinates
 
@@ -177,10 +179,20 @@ def learn(
     if site not in SITES or (site == "ground2" and not nominal.problem.experiment.coupled):
         return None
     tell(f"learning the law that is missing at {site}")
-    law, start = _linear(base, site)
+    law, start = _linear(base, site, max(base.chi2 / max(base.problem.n_data, 1.0), 1.0))
     if law is None or start is None:
         return None
     fit, law, freedom = _refitted(nominal, base, budget, members, law, start)
+    for _ in range(RELEARNT if nominal.problem.noise.sensor else 0):
+        # Without repeats what a model leaves is its noise: a law that leaves less is learnt again under that.
+        noise = learn_noise(fit)
+        if noise.innovation[0] > WORTH_RELEARNING * fit.problem.noise.innovation[0]:
+            break
+        again = calibrate(base.problem.with_noise(noise), [base.q], eta=base.eta, anneal=False, most=STEPS)
+        finer, start = _linear(again, site, 1.0)
+        if finer is None or start is None:
+            break
+        fit, law, freedom = _refitted(nominal, again, budget, members, finer, start)
     shown = products_of([nominal, base, fit], heldout, rng)
     rest = shown.closed(2, before=1)
     closes = _beyond(shown, rest)
@@ -285,8 +297,11 @@ class _Prior:
     smooth: float
 
 
-def _linear(fit: Calibration, site: str) -> tuple[Law | None, tuple[Array, Array, Array] | None]:
-    """The law's terms and the linearised answer: directions (k, terms * ORDER), p (k,), and the fit's shift."""
+def _linear(fit: Calibration, site: str, heat: float) -> tuple[Law | None, tuple[Array, Array, Array] | None]:
+    """The law's terms and the linearised answer: directions (k, terms * ORDER), p (k,), and the fit's shift.
+
+    heat : as in `_chosen`.
+    """
     fit = in_slices(fit)
     moved = motions(fit)
     best: tuple[float, str, list[Term], dict[str, tuple[float, float]], Projected, list[_Prior]] | None = None
@@ -294,7 +309,7 @@ def _linear(fit: Calibration, site: str) -> tuple[Law | None, tuple[Array, Array
         ranges = ranges_of(moved, site, bodies)
         terms = [Term(c, along, (0.0,) * ORDER) for c, along in TERMS]
         judged = project(fit, (_columns(fit, m, site, bodies, terms, ranges) for m in moved))
-        chosen, gain = _best_terms(judged, max(fit.chi2 / max(fit.problem.n_data, 1.0), 1.0))
+        chosen, gain = _best_terms(judged, heat)
         if chosen and (best is None or gain > best[0]):
             best = (gain, bodies, terms, ranges, judged, chosen)
     if best is None:

@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from small_rig import measured, variant
+from test_sets import swinging
 
-from bayes_damper.calibration import calibrate, calibrate_nominal
+from bayes_damper.calibration import Experiment, calibrate, calibrate_nominal
 from bayes_damper.diagnosis.budget import Budget, Part
 from bayes_damper.diagnosis.law import TERMS, _best_terms, learn, used_coordinates
 from bayes_damper.diagnosis.response import Projected
@@ -17,7 +18,7 @@ from bayes_damper.diagnosis.sites import site_map
 from bayes_damper.effects import EFFECTS, load_effects
 from bayes_damper.effects._law import ORDER, Term
 from bayes_damper.effects.base import EffectParameter, Variant
-from bayes_damper.priors.distributions import Normal
+from bayes_damper.priors.distributions import LogNormal, Normal
 from bayes_damper.rig.vector_math import lane, sin
 
 
@@ -155,3 +156,20 @@ def test_coordinates_that_a_law_uses():
     assert used_coordinates((Term("dry", "angle", zero),)) == ["angle", "speed"]
     assert used_coordinates((Term("angle", "time", zero),)) == ["angle", "time"]
     assert used_coordinates((Term("one", "speed", zero),)) == ["speed"]
+
+
+@pytest.mark.slow
+def test_without_repeats_a_law_is_learnt_again_under_the_noise_that_it_leaves():
+    """Dry friction and square drag on a pendulum, whose fit took them for damping and for noise."""
+    trials = (swinging(1, 1.4, 24.0), swinging(2, 0.3, 6.0, heldout=True))
+    experiment = Experiment(
+        {"J1": (1.0, 0.0)}, ((64.0, 4.0),), trials, "displacement", restoring="pendulum", start="free",
+        priors={"c1t": LogNormal(0.02, 6.0)},
+    )  # fmt: skip
+    fit = calibrate_nominal(experiment, nominal="linear")
+    learnt = learn(fit, without_effects(fit), "unknown", site_map(fit, torque=False))
+    assert learnt.law.site == "bearings"
+    assert learnt.fit.problem.noise.innovation[0] < 0.3 * fit.problem.noise.innovation[0]
+    assert learnt.closes.median > 0.2, "0.05 under the nominal fit's noise"
+    left, before = (float(np.nanstd(f.residuals()[0])) for f in (learnt.fit, fit))
+    assert left < 0.3 * before
