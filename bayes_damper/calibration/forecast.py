@@ -24,6 +24,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from bayes_damper.calibration import Calibration, Experiment, Group, Problem, predict
+from bayes_damper.calibration.problem import RELEASE_STEP
+from bayes_damper.calibration.scatter import RELEASE
 
 Array = NDArray[np.float64]
 
@@ -325,8 +327,8 @@ def _slopes(problem: Problem, group: Group, q: Array, eta: Array) -> tuple[Array
     n, m = eta.shape
     steps = np.full((n, q.size + m), STEP)
     for i, (name, _, sd) in enumerate(group.nuisances):
-        if name == "delay":
-            steps[:, q.size + i] = 1e-6 / sd
+        if name in ("delay", RELEASE):
+            steps[:, q.size + i] = (1e-6 if name == "delay" else RELEASE_STEP) / sd
     copies = 1 + q.size + m
     moves = np.concatenate([np.zeros((n, 1, q.size + m)), steps[:, :, None] * np.eye(q.size + m)], axis=1)
     moves = moves.reshape(n * copies, -1)

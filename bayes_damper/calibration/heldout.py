@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from bayes_damper.calibration.groups import Group
 from bayes_damper.calibration.least_squares import Calibration
-from bayes_damper.calibration.problem import LEAST_STEP, Indices
-from bayes_damper.calibration.scatter import channel_of, of_readings, wave
+from bayes_damper.calibration.problem import LEAST_STEP, RELEASE_STEP, Indices
+from bayes_damper.calibration.scatter import RELEASE, channel_of, middle_of, of_readings, wave
 
 Array = NDArray[np.float64]
 RENEWED = (0, 3)  # rounds in which derivatives by what acts nearly linearly are taken
@@ -46,6 +46,8 @@ def predict(fit: Calibration, trials: Sequence[int], rounds: int = 12) -> dict[i
                 point = np.zeros(m)
                 point[names.index("delay")] = value
                 starts.append(point)
+        if RELEASE in names:
+            starts += [point + middle_of(RELEASE) * np.eye(m)[names.index(RELEASE)] for point in starts]
         k = len(starts)
         which = np.repeat(np.arange(n), k)
         eta = np.tile(np.array(starts).reshape(k, m), (n, 1))
@@ -75,7 +77,9 @@ def predict(fit: Calibration, trials: Sequence[int], rounds: int = 12) -> dict[i
                     T[:, i] = problem.whitened(column, group.weight)[which]
                     continue
                 step = np.full(n * k, 2e-3) if name != "delay" else 1e-6 / group.nuisances[i][2][which]
-                if name.startswith("ln_"):
+                if name == RELEASE:
+                    step = RELEASE_STEP / group.nuisances[i][2][which]
+                elif name.startswith("ln_"):
                     step = np.maximum(step, LEAST_STEP / group.nuisances[i][2][which])
                 step = np.where(eta[:, i] + step > high[:, i], -step, step)
                 moved = eta.copy()

@@ -16,11 +16,12 @@ from bayes_damper.calibration.least_squares import Calibration, calibrate, defau
 from bayes_damper.calibration.noise import rough_noise
 from bayes_damper.calibration.noise_level import learn_noise
 from bayes_damper.calibration.problem import Problem, Switches
-from bayes_damper.calibration.scatter import carried, learn_scatter
+from bayes_damper.calibration.scatter import RELEASE, carried, learn_scatter, with_releases
 
 Array = NDArray[np.float64]
 VARIES = 9.0  # mean square, in variances, of a nuisance's differences between repeats from which it is each trial's own
 FEW_REPEATS = 4  # repeats beyond the first of their kind, over all kinds, below which they may be late alike by chance
+RELEASES = (0.0, 2.0)  # sizes of the time of release from which each trial's is looked for
 LONG_PERIODS, FIRST_PERIODS, GROWING_STEPS = 12.0, 3.0, 20  # of records fitted window by window
 FEW_TRIALS = 8  # trained on, up to which the cost may have more valleys than the prior medians lead to
 FIRST_ERROR = 0.02  # of a channel's reach: noise of the first fit where there are no repeats
@@ -35,6 +36,7 @@ def releases_vary(fit: Calibration) -> bool:
     Trials without repeats cannot show it: there they stay free. So do they where few repeats may be as late as each
     other by chance: what that does to the first readings looks like an effect.
     Nor can values that a wrong model has pressed against an end of their range other than the nominal one.
+    What a release that takes its time does like a later one counts as a later one.
     """
     problem = fit.problem
     z: list[float] = []
@@ -44,11 +46,16 @@ def releases_vary(fit: Calibration) -> bool:
         if "delay" not in names:
             continue
         i = names.index("delay")
-        sd = np.sqrt(np.linalg.inv(H)[:, i, i])
+        kept = [k for k, name in enumerate(names) if name != RELEASE]
+        sd = np.sqrt(np.linalg.inv(H[:, kept][:, :, kept])[:, kept.index(i), kept.index(i)])
+        instants = block.eta[:, i].copy()
+        if RELEASE in names:
+            k = names.index(RELEASE)
+            instants += block.eta[:, k] * H[:, i, k] / np.maximum(H[:, i, i] - 1.0, 1e-12)
         for members in repeats([problem.experiment.trials[j] for j in block.group.trials]):
             spare += len(members) - 1
-            values = block.eta[members, i]
-            pressed += _pressed(block.group, i, members, values)
+            values = instants[members]
+            pressed += _pressed(block.group, i, members, block.eta[members, i])
             z += list((values - values.mean()) / sd[members] / math.sqrt(max(1.0 - 1.0 / len(members), 1e-9)))
     few = spare < FEW_REPEATS or 2 * pressed >= len(z)
     return bool(z) and (few or float(np.mean(np.square(z))) > VARIES)
@@ -89,6 +96,36 @@ def grown(experiment: Experiment, problem: Problem) -> list[Array]:
     return starts
 
 
+def _each_release(fit: Calibration) -> Calibration:
+    """The fit with each trial's time of release in the deepest of its valleys: sudden, as found, or slow.
+
+    A reading within the release is met by a sudden one at that very instant, too, and no descent leads from there to
+    a slow one. The trials are apart but for the common parameters: the best of three fits is taken for each.
+    """
+
+    def costs(found: Calibration) -> dict[int, float]:
+        return {
+            i: float(b.r[k] @ b.r[k] + b.eta[k] @ b.eta[k])
+            for b in found.linear.blocks
+            for k, i in enumerate(b.group.trials)
+        }
+
+    places = {i: n for g in fit.problem.groups for i in g.trials for n, u in enumerate(g.nuisances) if u[0] == RELEASE}
+    if not places:
+        return fit
+    found = [fit]
+    for start in RELEASES:
+        eta = {i: np.where(np.arange(v.size) == places.get(i, -1), start, v) for i, v in fit.eta.items()}
+        found.append(calibrate(fit.problem, [fit.q], eta=eta, anneal=False, finish=False))
+    own = [costs(f) for f in found]
+    best = {i: min(range(len(found)), key=lambda k: own[k][i]) for i in places}
+    if not any(best.values()):
+        return fit
+    eta = {i: found[best.get(i, 0)].eta[i] for i in fit.eta}
+    found.append(calibrate(fit.problem, [min(found, key=lambda f: f.cost).q], eta=eta, anneal=False))
+    return min(found, key=lambda f: f.cost)
+
+
 def calibrate_nominal(
     experiment: Experiment,
     *,
@@ -110,15 +147,19 @@ def calibrate_nominal(
     fit = calibrate(problem, [*long, *default_starts(problem)], most=15, finish=False)
     chosen = switches or Switches(friction=False, scatter=learn_scatter(fit))
     if switches is None:
-        # A scatter that has no place yet would look like releases late by different times.
-        problem = problem.changed(switches=chosen)
-        fit = calibrate(problem, [fit.q], eta=carried(fit, problem), most=8, finish=False, anneal=False)
-        chosen = replace(chosen, delay=releases_vary(fit))
+        # A scatter that has no place yet would look like releases late by different times; so do slow ones.
+        for scatter in (chosen.scatter, with_releases(problem, chosen.scatter)):
+            problem = problem.changed(switches=replace(chosen, scatter=scatter))
+            fit = calibrate(problem, [fit.q], eta=carried(fit, problem), most=8, finish=False, anneal=False)
+            vary = releases_vary(fit)
+            if not vary:
+                break
+        chosen = replace(chosen, delay=vary, scatter=with_releases(problem, chosen.scatter))
     problem = Problem(experiment, nominal=nominal, noise=learn_noise(fit), switches=chosen, threads=threads)
     starts = [fit.q, *default_starts(problem)]
     if len(problem.trials) <= FEW_TRIALS and not long:
         starts += drawn_starts(problem)
-    fit = calibrate(problem, starts, give_up=300.0)
+    fit = _each_release(calibrate(problem, starts, give_up=300.0))
     noise = learn_noise(fit)
     if switches is None:
         # The first noise held the scatter that was not learnt yet.

@@ -18,11 +18,12 @@ from bayes_damper.calibration.experiment import (
     longest_step,
     release_window,
     repeats,
+    still_rising,
 )
 from bayes_damper.calibration.groups import Group
 from bayes_damper.calibration.noise import Noise, rough_noise
 from bayes_damper.calibration.normal_equations import Block, Linear, Remade
-from bayes_damper.calibration.scatter import NO_SCATTER, Scatter, channel_of, of_readings, wave
+from bayes_damper.calibration.scatter import NO_SCATTER, RELEASE, Scatter, channel_of, middle_of, of_readings, wave
 from bayes_damper.calibration.unknowns import NOMINAL, Coordinate, acting_alone, coordinates_of, middle
 from bayes_damper.campaign.records import DERIVATIVE
 from bayes_damper.effects.base import Variant
@@ -40,7 +41,9 @@ FRICTION_SPREAD = 0.04  # prior sd of ln mu from trial to trial, where the repea
 EVENT_THRESHOLD = 4.5  # robust sds of the second difference beyond which a sample counts as an event
 EVENT_TIMING = 5e-5  # s, by which the instant of an event may be off without the model being wrong
 RELEASE_WEIGHT = 0.4  # of the first two readings
+FALL_SHAPE = 0.1  # of the peak: how far from a straight line the torque that held the rig may fall
 FIRST_STAGE_EVENT_WEIGHT = 0.15
+RELEASE_STEP = 5e-6  # s, of a difference quotient by a trial's time of release: from none to some, readings jump
 LEAST_STEP = 1e-4  # relative, of a difference quotient by a trial's own value of a parameter
 FINER = 0.01  # factor on the integrator's tolerance where records are subtracted from each other
 OFFSET_SHARE = 0.05  # of a channel's reach: prior sd of its unknown offset, where the campaign does not say
@@ -202,9 +205,12 @@ class Problem:
         if e.start == "rest" and first.times.size > 2 and e.quantity == "acceleration":
             # The release itself: what rig and sensor do within a sample of it is given by no formula exactly.
             early = first.times <= first.times[0] + 1.5 * float(np.median(np.diff(first.times)))
+            falling = ~early & (first.times <= first.times[0] + 2.0 * self.switches.scatter.sd(RELEASE))
             for k, t in enumerate(trials):
                 if t.times[0] <= 0.0:
                     weight[k][:, early] *= RELEASE_WEIGHT
+                    jump = e.stiffnesses[t.k1t][0] * t.theta0 / e.constants["J1"][0]
+                    weight[k][0, falling] /= math.hypot(1.0, FALL_SHAPE * jump / spread[0])
         for k, i in enumerate(members):
             weight[k] *= self.factors.get(i, 1.0)
             own = trials[k].weight
@@ -241,7 +247,7 @@ class Problem:
                 out.append((name, guess, 1.5 * reach + 1e-9))
                 bounds.append(wide)
             out += self._offsets(trials)
-            out += self._scattered(trials)
+            out += self._scattered(trials, released=False)
             bounds += [wide] * (len(out) - len(bounds))
             return tuple(out), np.array([b[0] for b in bounds]).T, np.array([b[1] for b in bounds]).T
         mean = np.array([t.theta0 for t in trials])
@@ -264,6 +270,8 @@ class Problem:
         forced = trials[0].inputs is not None and trials[0].inputs.active and not np.any(mean)
         if self.switches.delay and "delay" not in e.levels and not forced:  # nothing is released
             low, high = np.array([release_window(t, e.quantity) for t in trials]).T
+            if (slow := self.switches.scatter.sd(RELEASE)) and e.quantity == "acceleration":
+                high = high + slow * np.array([still_rising(t, end) for t, end in zip(trials, high, strict=True)])
             middle, half = 0.5 * (low + high), 0.35 * (high - low)
             out.append(("delay", middle, half))
             # A rig seen held at the first reading bounds the release from below; else the logger may be later yet.
@@ -276,8 +284,11 @@ class Problem:
             out.append(("ln_drag", np.zeros(n), np.full(n, FRICTION_SPREAD)))
             bounds.append(wide)
         out += self._offsets(trials)
-        out += self._scattered(trials)
+        out += self._scattered(trials, released=not forced)
         bounds += [wide] * (len(out) - len(bounds))
+        for k, (name, _, spread) in enumerate(out):
+            if name == RELEASE:  # no longer than 1 / omega of the primary: what falls more slowly is no release
+                bounds[k] = (np.zeros(n), 1.0 / np.array([e.omegas[t.k1t] for t in trials]) / spread)
         if not out:
             return (), np.zeros((n, 0)), np.zeros((n, 0))
         return tuple(out), np.array([b[0] for b in bounds]).T, np.array([b[1] for b in bounds]).T
@@ -297,11 +308,11 @@ class Problem:
                 out.append((f"offset{c + 1}", np.zeros(len(trials)), np.maximum(sd, 1e-12)))
         return out
 
-    def _scattered(self, trials: list[TrialRecord]) -> list[tuple[str, Array, Array]]:
-        """What else each trial has for itself: values about those of all trials."""
+    def _scattered(self, trials: list[TrialRecord], released: bool) -> list[tuple[str, Array, Array]]:
+        """What else each trial has for itself: values about those of all trials; released : from a known angle."""
         n = len(trials)
         columns = self.switches.scatter.columns(trials[0].coupled)
-        return [(name, np.zeros(n), np.full(n, sd)) for name, sd in columns]
+        return [(name, np.zeros(n), np.full(n, sd)) for name, sd in columns if released or name != RELEASE]
 
     # Simulation
 
@@ -311,7 +322,7 @@ class Problem:
 
     def no_nuisance(self) -> dict[int, Array]:
         """Nuisances at their prior means: trial -> (m,)."""
-        return {i: np.zeros(len(g.nuisances)) for g in self.groups for i in g.trials}
+        return {i: np.array([middle_of(n) for n, _, _ in g.nuisances]) for g in self.groups for i in g.trials}
 
     def parameters(self, q: Array) -> dict[str, Array]:
         """Values of the coordinates q (..., size) by name."""
@@ -362,6 +373,12 @@ class Problem:
                 rig[name] = rig[other]
         if e.start == "free":
             rig["delay"] = float(group.times[0])
+        if RELEASE in rig and any(name == "delay" for name, _, _ in group.nuisances):
+            # The own instant is that of the end: a reading that shows all of the jump bounds it, whatever the time.
+            rig["delay"] = rig["delay"] - rig[RELEASE]
+        acting = self.models[group.coupled].acting
+        if RELEASE in rig and acting is not None and acting.lets_go in effect:
+            effect[acting.lets_go] = effect[acting.lets_go] + rig.pop(RELEASE)
         return {"theta2_0": rig["theta0"]} | rig, effect
 
     def _read(self, y: Array, group: Group, which: Indices, q: Array, eta: Array) -> Array:
@@ -523,6 +540,8 @@ class Problem:
         for i, name in enumerate(names):
             if name == "delay":
                 trial_steps[:, i] = 1e-6 / group.nuisances[i][2]
+            elif name == RELEASE:
+                trial_steps[:, i] = RELEASE_STEP / group.nuisances[i][2]
             elif name.startswith("ln_"):
                 trial_steps[:, i] = np.maximum(trial_steps[:, i], LEAST_STEP / group.nuisances[i][2])
             trial_steps[:, i] *= np.where(base_eta[:, i] + trial_steps[:, i] > group.upper[:, i], -1.0, 1.0)

@@ -15,6 +15,10 @@ left to judge D (Patterson and Thompson 1971, Biometrika 58, 545: restricted lik
 alone, so that an evaluation costs microseconds, and repeats may have other clocks and lengths. The instant of release
 has a flat prior here: it is not linear.
 
+Nor is the time that a release takes, over which what holds the primary gives way in proportion (equations.ROWS): a fit
+follows it first. It is never negative, so eta is half a normal variable, which differs from its mean by less than from
+0 (ABOUT_ITS_MEAN): repeats that all take the same time show no scatter, and what they share is a gap, release_ramp.
+
 The prior of a size is half a Student t of 4 degrees of freedom with the typical size as its scale (Gelman 2006,
 Bayesian Analysis 1, 515): it lets a scatter be absent, and far larger than usual. What enters a fit is the root of the
 posterior mean of s^2. Where nothing is repeated that is 1.4 times the typical size: priors carry it, answers widen.
@@ -53,9 +57,11 @@ TYPICAL: Mapping[str, float] = {
     "gain": 0.002,  # an amplifier in a room
     "offset": 0.5,  # of the channel's noise
     "drift": 0.5,  # of the channel's noise, over the record
+    "release_time": 3e-4,  # s, over which what holds the rig gives way: valves and latches take that long
 }
 """Typical standard deviation from trial to trial: the scale of a size's prior where the campaign gives none."""
 FREEDOM = 4.0  # of the half Student t
+RELEASE = "release_time"
 RELATIVE = ("k1t", "k2t", "c1t", "c3t", "c2t", "mu", "drag")
 COUPLED_ONLY = ("k2t", "c2t", "c3t", "mu")
 READINGS = ("gain", "offset", "drift")  # of each channel
@@ -65,6 +71,8 @@ _GRID = np.linspace(-5.0, 3.5, 35)  # of ln(size / typical size)
 _FINE = np.linspace(-5.0, 3.5, 681)
 SHOWN_FROM = 3.0  # nats by which the repeats' likelihood must gain from a scatter for it to be reported
 SURE_OF_TREND = 0.01
+SUDDEN, WORTH_IT = 0.3, 1.0  # of the typical time of release, and nats, below both of which there is none
+ABOUT_ITS_MEAN = 1.0 - 2.0 / math.pi  # variance of half a normal distribution over its mean square
 NEGLIGIBLE = 0.05  # information s^2 T'T of every trial's own value, below which it is left out
 
 
@@ -97,6 +105,10 @@ class Scatter:
 
     sizes: tuple[Size, ...] = ()
 
+    def sd(self, name: str) -> float:
+        """Size of one of them, 0 if it does not scatter."""
+        return next((size.sd for size in self.sizes if size.name == name), 0.0)
+
     def columns(self, coupled: bool) -> list[tuple[str, float]]:
         """Names and standard deviations of the nuisances of a trial."""
         return [
@@ -113,6 +125,11 @@ NO_SCATTER = Scatter()
 def nuisance(name: str) -> str:
     """Name of the nuisance that scatters."""
     return f"ln_{name}" if name in RELATIVE else name
+
+
+def middle_of(name: str) -> float:
+    """Mean of a nuisance, in units of its size: a time is never negative, so its prior is half a normal one."""
+    return math.sqrt(2.0 / math.pi) if name == RELEASE else 0.0
 
 
 def of_readings(name: str) -> bool:
@@ -134,8 +151,11 @@ def wave(name: str, times: Array) -> Array:
     return np.asarray(math.sqrt(2.0) * np.cos(int(number) * math.pi * (times - times[0]) / span))
 
 
-def typical_scatter(problem: Problem) -> Scatter:
-    """All that may scatter in a problem, at its typical size, or the size that the campaign gives."""
+def typical_scatter(problem: Problem, releases: bool = False) -> Scatter:
+    """All that may scatter in a problem, at its typical size, or the size that the campaign gives.
+
+    releases : the time of release too, which is not linear and has to be followed by a fit first.
+    """
     e = problem.experiment
     coupled = any(e.trials[i].coupled for i in problem.trials)
     found: dict[str, float] = {}
@@ -151,6 +171,8 @@ def typical_scatter(problem: Problem) -> Scatter:
         for kind in READINGS:
             if not (kind == "offset" and own_offset):
                 found[f"{kind}{channel + 1}"] = TYPICAL[kind] * (1.0 if kind == "gain" else noise)
+    if releases and e.start == "rest" and "delay" not in e.levels:
+        found[RELEASE] = TYPICAL[RELEASE]
     for name, size in e.scatter.items():
         for key in found:
             if key == name or (name in READINGS and key[:-1] == name):
@@ -198,7 +220,7 @@ def learn_scatter(fit: Calibration, noise: Noise | None = None) -> Scatter:
     if fit.problem.experiment.start == "free":
         return NO_SCATTER
     problem = fit.problem if noise is None else fit.problem.with_noise(noise)
-    typical = typical_scatter(problem)
+    typical = typical_scatter(problem, releases=fit.problem.switches.scatter.sd(RELEASE) > 0.0)
     wide = problem.changed(switches=replace(problem.switches, friction=False, drag=False, scatter=typical))
     linear = wide.linearise(fit.q, carried(fit, wide))
     found: dict[Hashable, list[tuple[tuple[str, ...], Array, Array]]] = {}
@@ -211,7 +233,10 @@ def learn_scatter(fit: Calibration, noise: Noise | None = None) -> Scatter:
         gram = block.T @ block.T.transpose(0, 2, 1)
         product = np.einsum("jmd,jd->jm", block.T, residual)
         for k, name in enumerate(names):
-            information[name] = max(information.get(name, 0.0), float(np.max(gram[:, k, k])))
+            known = gram[:, k, k]
+            if name == RELEASE and free.any():  # what a later instant of release does not do as well
+                known = known - gram[:, k, free][:, 0] ** 2 / np.maximum(gram[:, free, free][:, 0], 1e-300)
+            information[name] = max(information.get(name, 0.0), float(np.max(known)))
         for k, i in enumerate(block.group.trials):
             found.setdefault(trials[i].conditions, []).append((names, gram[k], product[k]))
     sets = [
@@ -223,12 +248,20 @@ def learn_scatter(fit: Calibration, noise: Noise | None = None) -> Scatter:
     return Scatter(tuple(s for s in sizes if _matters(s, information)))
 
 
+def with_releases(problem: Problem, scatter: Scatter) -> Scatter:
+    """The sizes with that of the time of release, at what its prior says, where trials are released."""
+    added = tuple(s for s in typical_scatter(problem, releases=True).sizes if s.name == RELEASE)
+    return Scatter((*scatter.sizes, *_posterior((), added)))
+
+
 def _matters(size: Size, information: Mapping[str, float]) -> bool:
+    if size.name == RELEASE and size.sd < SUDDEN * size.typical and size.gained < WORTH_IT:
+        return False
     return any((size.sd / size.typical) ** 2 * information.get(name, 0.0) > NEGLIGIBLE for name, _ in size.columns)
 
 
 def carried(fit: Calibration, problem: Problem) -> dict[int, Array]:
-    """Nuisances of a fit for the same trials of another problem: the same values where both have them, else 0."""
+    """Nuisances of a fit for the same trials of another problem: the same values where both have them."""
     known = {
         i: {name: float(mean[k] + sd[k] * fit.eta[i][m]) for m, (name, mean, sd) in enumerate(group.nuisances)}
         for group in fit.problem.groups
@@ -238,7 +271,7 @@ def carried(fit: Calibration, problem: Problem) -> dict[int, Array]:
     for group in problem.groups:
         for k, i in enumerate(group.trials):
             value = [
-                (known[i][name] - float(mean[k])) / float(sd[k]) if name in known[i] else 0.0
+                (known[i][name] - float(mean[k])) / float(sd[k]) if name in known[i] else middle_of(name)
                 for name, mean, sd in group.nuisances
             ]
             out[i] = np.clip(np.array(value), group.lower[k], group.upper[k])
@@ -249,7 +282,7 @@ def _posterior(sets: Sequence[Repeats], typical: Sequence[Size]) -> tuple[Size, 
     """Posterior of each size: the others at the posterior mode, its own over a grid of its logarithm."""
     which = {name: k for k, size in enumerate(typical) for name, _ in size.columns}
     placed = [np.array([which.get(name, -1) for name in s.names]) for s in sets]
-    fixed = [np.where([name == "delay" for name in s.names], _FLAT, 1.0) for s in sets]
+    fixed = [np.array([{"delay": _FLAT, RELEASE: ABOUT_ITS_MEAN}.get(name, 1.0) for name in s.names]) for s in sets]
 
     def log_density(u: Array) -> tuple[float, Array]:
         z = np.exp(2.0 * u) / FREEDOM

@@ -92,6 +92,8 @@ class Variant:
     sense: Kernel | None = None
     lag: Callable[[Mapping[str, Any]], tuple[Any, Any]] | None = None
     amend: Callable[[Mapping[str, Any], Mapping[str, Any]], Mapping[str, Any]] | None = None
+    lets_go: str = ""
+    """Name of the parameter that is the time a release takes, if there is one: a trial's own time is added to it."""
     replaces_friction: bool = False
     """The variant brings its own friction between the faces in place of the nominal mu N R tanh."""
     starts: tuple[tuple[float, ...], ...] = ()

@@ -54,6 +54,7 @@ EFFECT = Effect(
             torque=linear,
             couples="bodies",
             timed=True,
+            lets_go="time",
             starts=STARTS,
         ),
         Variant(
@@ -63,6 +64,7 @@ EFFECT = Effect(
             torque=cosine,
             couples="bodies",
             timed=True,
+            lets_go="time",
             starts=STARTS,
         ),
         Variant(
@@ -72,6 +74,7 @@ EFFECT = Effect(
             torque=exponential,
             couples="bodies",
             timed=True,
+            lets_go="time",
             starts=STARTS,
         ),
     ),

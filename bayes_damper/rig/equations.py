@@ -17,9 +17,11 @@ from bayes_damper.rig.vector_math import TANH_SCALE, cos, lane, sin, tanh_scaled
 
 ROWS = (
     *("J1", "J2", "J12", "k1t", "k3t", "c1t", "c3t", "k2t", "c2t", "mu", "N0", "R", "r", "drag", "nu"),
-    *("theta0", "theta2_0", "omega1_0", "omega2_0", "delay"),
+    *("theta0", "theta2_0", "omega1_0", "omega2_0", "delay", "release_time"),
 )
-"""What one simulation needs, in the order of the kernel's rows (SI; angles in rad, delay in s)."""
+"""What one simulation needs, in the order of the kernel's rows (SI; angles in rad, delay and release_time in s).
+
+While t < release_time, what holds the primary at theta0 still holds by k1t g(theta0) (1 - t / release_time)."""
 
 
 class Rig(NamedTuple):

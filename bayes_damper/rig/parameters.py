@@ -30,6 +30,7 @@ _ALL = (
     Parameter("c3t", "c3t", "N m s/rad", "viscous damping of the secondary's bearing"),
     Parameter("theta0", "theta0", "rad", "release angle"),
     Parameter("delay", "t0", "s", "instant of the true release on the record's clock"),
+    Parameter("release_time", "T", "s", "time over which the torque that holds the primary falls to nothing"),
     Parameter("sigma1", "sigma1", "rad/s^2", "noise of the primary's channel"),
     Parameter("sigma2", "sigma2", "rad/s^2", "noise of the secondary's channel"),
     Parameter("noise_freedom", "f", "1", "degrees of freedom of Student's t noise: few where there are outliers"),

@@ -50,6 +50,7 @@ def compose(first: Variant, second: Variant, *, coupled: bool = True) -> Variant
         sense=a.sense or b.sense,
         lag=_both_lags(acting),
         amend=_both_amendments(acting),
+        lets_go=f"first.{a.lets_go}" if a.lets_go else f"second.{b.lets_go}" if b.lets_go else "",
         replaces_friction=a.replaces_friction or b.replaces_friction,
         uncoupled=first.uncoupled or second.uncoupled,
     )
@@ -59,7 +60,7 @@ def _silent(v: Variant) -> Variant:
     """The variant's parameters without what they do."""
     return replace(
         v, torque=None, rate=None, start=None, memory=0, memory_scale=(), sense=None, lag=None, amend=None,
-        timed=False, replaces_friction=False,
+        timed=False, lets_go="", replaces_friction=False,
     )  # fmt: skip
 
 

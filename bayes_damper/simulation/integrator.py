@@ -53,6 +53,7 @@ from bayes_damper.simulation import late_binding
 
 LANES = 16
 LONGEST_STEP = 1e-3
+AT_ONCE = 1e-6  # s, of a release that takes no time; it begins by as much early
 MOST_PASSES = 5_000.0  # step attempts within one sample interval before a lane is given up
 # Velocity errors allowed per step: a share of the lane's typical speed, and of the width 1 / nu over which friction
 # reverses; and the error of the acceleration that they make at once, as a share of its typical size. The last is what
@@ -75,18 +76,19 @@ T2, T3 = 1.0, 0.6
 G1, G2, G3, G4 = 0.5, -1.5, 2.42, 0.116
 
 # Rows of the block: parameters in the order of equations.ROWS, those of the effect, what is derived from them once,
-J1, J2, J12, K1, K3, C1, C3, K2, C2, MU, N0, R_BAR, R_FACE, DRAG, NU, THETA0, TH20, W10, W20, DELAY = range(20)
-EXTRA = 20  # and the three after it; MORE has the rest
-FRICTION, SLOPE, MI11, MI12, MI22, PER_SPEED, PER_ACC1, PER_ACC2, EPS_TH, EPS_W, HELD1, HELD2 = range(24, 36)
+J1, J2, J12, K1, K3, C1, C3, K2, C2, MU, N0, R_BAR, R_FACE, DRAG, NU, THETA0, TH20, W10, W20, DELAY, LETS_GO = range(21)
+EXTRA = 21  # and the three after it; MORE has the rest
+FRICTION, SLOPE, MI11, MI12, MI22, PER_SPEED, PER_ACC1, PER_ACC2, EPS_TH, EPS_W, HELD1, HELD2 = range(25, 37)
+HOLD, FALL = range(37, 39)  # torque that holds the primary at its release, and the share of it that goes in a second
 # the state, and what a step leaves behind for the next.
-TH1, TH2, W1, W2, Z1, Z2, HTRY, REST, TIME, Y1, Y2, U1, U2, S1, S2, HLAST, FIRST, NOW, AFTER, NEXT = range(36, 56)
-SAMPLE, SLOT, ATTEMPTS, GIVEN_UP = range(56, 60)
+TH1, TH2, W1, W2, Z1, Z2, HTRY, REST, TIME, Y1, Y2, U1, U2, S1, S2, HLAST, FIRST, NOW, AFTER, NEXT = range(39, 59)
+SAMPLE, SLOT, ATTEMPTS, GIVEN_UP = range(59, 63)
 # Inputs: torques on both bodies and what the ground adds to readings, at the end of this interval with their slopes,
 # and the same of the next.
-DRIVE1, DRIVE2, SHOWN, RAMP1, RAMP2, RISE = range(60, 66)
-DRIVE1_NEXT, DRIVE2_NEXT, SHOWN_NEXT, RAMP1_NEXT, RAMP2_NEXT, RISE_NEXT = range(66, 72)
-MORE = 72  # and the seven after it
-BLOCK_ROWS = 80
+DRIVE1, DRIVE2, SHOWN, RAMP1, RAMP2, RISE = range(63, 69)
+DRIVE1_NEXT, DRIVE2_NEXT, SHOWN_NEXT, RAMP1_NEXT, RAMP2_NEXT, RISE_NEXT = range(69, 75)
+MORE = 75  # and the seven after it
+BLOCK_ROWS = 83
 
 
 @lru_cache(maxsize=None, typed=True)  # True, 1 and 1.0 are equal, but different constants
@@ -144,7 +146,7 @@ def effect_sense(h, u1, u2, y1, y2, s1, s2, p, first):
 def advance(times, parameters, extras, inputs, weights, memory_weights, read, out, final, status):
     """Integrate one block of lanes over the sample times and write what the channels read.
 
-    times (n,) s; parameters (20, LANES) rows of equations.ROWS; extras (12, LANES) parameters of the effect; inputs
+    times (n,) s; parameters (21, LANES) rows of equations.ROWS; extras (12, LANES) parameters of the effect; inputs
     (8, n) as Inputs.pieces gives them, read where the record is driven; weights (LANES,) factor on the error tolerance;
     memory_weights (2,);
     read (3,) selects acceleration, velocity or displacement by a one among zeros; out (LANES, 2, n + 1) receives the
@@ -181,7 +183,7 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, read, ou
                 high = max(high, total)
             swing[row] = high - low
     for lane in range(width):
-        for row in range(20):
+        for row in range(21):
             block[row, lane] = parameters[row, lane]
         for row in range(4):
             block[EXTRA + row, lane] = extras[row, lane]
@@ -215,6 +217,10 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, read, ou
         block[W2, lane] = block[W20, lane]
         block[HELD1, lane] = read_displacement * block[THETA0, lane]
         block[HELD2, lane] = read_displacement * block[TH20, lane]
+        slow = max(block[LETS_GO, lane], AT_ONCE)
+        away = np.sin(block[THETA0, lane]) if pendulum() else block[THETA0, lane]
+        block[HOLD, lane] = block[K1, lane] * away if slow > AT_ONCE else 0.0
+        block[FALL, lane] = 1.0 / slow
         block[HTRY, lane] = 1e-5
         block[FIRST, lane] = 1.0
         if starts():
@@ -295,9 +301,13 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, read, ou
             tau1, tau2, a1, a2, t_phi, b1, b2, t_slip = linearised(
                 th1, th2, w1, w2, k1t, k3t, c1t, c3t, k2t, c2t, friction, slope, drag, nu, coupled(), pendulum()
             )
+            hold = block[HOLD, lane]
+            fall = block[FALL, lane]
             rate1 = 0.0
             rate2 = 0.0
             shown = 0.0
+            left = 1.0 - (t + AT_ONCE) * fall
+            tau1 = tau1 + hold * max(left, 0.0)
             if driven():
                 rate1 = block[RAMP1, lane]
                 tau1 = tau1 + (block[DRIVE1, lane] - rate1 * rest)
@@ -305,6 +315,7 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, read, ou
                 if coupled():
                     rate2 = block[RAMP2, lane]
                     tau2 = tau2 + (block[DRIVE2, lane] - rate2 * rest)
+            rate1 = rate1 - (hold * fall if left > 0.0 else 0.0)
             q1 = 0.0
             q2 = 0.0
             f1 = 0.0
@@ -554,6 +565,7 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, read, ou
             aw2 = w2 + A21 * r12
             tau1, tau2 = smooth_torques(ath1, ath2, aw1, aw2, k1t, k3t, c1t, c3t, k2t, c2t, coupled(), pendulum())
             held1, held2 = friction_torques(ath1, ath2, aw1, aw2, friction, slope, drag, sharpness, coupled())
+            tau1 = tau1 + hold * max(1.0 - (t + AT_ONCE + T2 * h) * fall, 0.0)
             if driven():
                 tau1 = tau1 + (block[DRIVE1, lane] - block[RAMP1, lane] * (rest - T2 * h))
                 if coupled():
@@ -597,6 +609,7 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, read, ou
             az2 = z2 + A31 * m12 + A32 * m22
             tau1, tau2 = smooth_torques(ath1, ath2, aw1, aw2, k1t, k3t, c1t, c3t, k2t, c2t, coupled(), pendulum())
             held1, held2 = friction_torques(ath1, ath2, aw1, aw2, friction, slope, drag, sharpness, coupled())
+            tau1 = tau1 + hold * max(1.0 - (t + AT_ONCE + T3 * h) * fall, 0.0)
             if driven():
                 tau1 = tau1 + (block[DRIVE1, lane] - block[RAMP1, lane] * (rest - T3 * h))
                 if coupled():

@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 Parameters = Mapping[str, ArrayLike]
 
 # What a rig has when nothing is said: no second stiffness, a start at rest, both bodies at one angle, no late trigger.
-_OPTIONAL = {"J12": 0.0, "k3t": 0.0, "omega1_0": 0.0, "omega2_0": 0.0, "delay": 0.0}
+_OPTIONAL = {"J12": 0.0, "k3t": 0.0, "omega1_0": 0.0, "omega2_0": 0.0, "delay": 0.0, "release_time": 0.0}
 # What the uncoupled rig does not see.
 _COUPLED_ONLY = {"J2": 1.0, "c3t": 0.0, "k2t": 0.0, "c2t": 0.0, "mu": 0.0, "N0": 0.0, "R": 1.0, "r": 1.0}
 _POSITIVE = ("J1", "J2", "R", "r", "nu")
@@ -116,7 +116,8 @@ class Model:
         Parameters
         ----------
         parameters : name -> scalar or (n,), SI; names of `equations.ROWS` (theta2_0 defaults to theta0; J12, k3t,
-            initial velocities and delay to 0; what only the coupled rig has may be left out for the uncoupled one).
+            initial velocities, delay and release_time to 0; what only the coupled rig has may be left out for the
+            uncoupled one).
         times : (n_times,) s on the record's clock, increasing. The rig is released at `delay`; before, it is held.
             A delay below times[0] means that the record begins after the release.
         effect : parameters of the effect, name -> scalar or (n,), if the model has one.
@@ -188,7 +189,7 @@ class Model:
         return self._rows(amended), extras, grid, drive, lags
 
     def _rows(self, parameters: Parameters) -> Array:
-        """Parameters as rows of equations.ROWS, (20, n)."""
+        """Parameters as rows of equations.ROWS, (21, n)."""
         given = _complete(parameters)
         if not self.coupled:
             # Placeholders of what is not there: an uncoupled kernel reads none of it into the motion.

@@ -169,7 +169,7 @@ def vectors(nu: float, n: int = _VECTORS, spread: float = 0.01) -> dict[str, Any
 
 def _block(nu: float) -> tuple[Any, ...]:
     """Arguments of a kernel for one block of lanes."""
-    table = vectors(nu, LANES) | {"J12": 0.0, "k3t": 0.0, "omega1_0": 0.0, "omega2_0": 0.0, "delay": 0.0}
+    table = vectors(nu, LANES) | dict.fromkeys(("J12", "k3t", "omega1_0", "omega2_0", "delay", "release_time"), 0.0)
     table["theta2_0"] = table["theta0"]
     rows = np.array([np.broadcast_to(table[name], LANES) for name in ROWS], float)
     n = TIMES.size

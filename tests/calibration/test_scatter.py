@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -11,21 +11,36 @@ import pytest
 from scipy.linalg import helmert
 from scipy.stats import multivariate_normal
 
-from bayes_damper.calibration import Experiment, Noise, Problem, Switches, TrialRecord, calibrate_nominal, predict
+from bayes_damper.calibration import (
+    Experiment,
+    Noise,
+    Problem,
+    Switches,
+    TrialRecord,
+    calibrate,
+    calibrate_nominal,
+    nominal,
+    predict,
+)
 from bayes_damper.calibration import scatter as scatters
 from bayes_damper.calibration.scatter import (
+    RELEASE,
     TYPICAL,
     Repeats,
     Scatter,
     Size,
     learn_scatter,
     typical_scatter,
+    with_releases,
 )
-from bayes_damper.simulation.model import Model
+from bayes_damper.effects import EFFECTS
+from bayes_damper.priors.distributions import from_standard
+from bayes_damper.simulation.model import Model, Quantity
 
 RIG = {"J1": 3.015e-3, "J2": 2.474e-3, "R": 0.10, "r": 0.0127, "N0": 100.0}
 TRUE = {"mu": 0.006, "k2t": 1.4, "c2t": 0.07, "drag": 0.005, "nu": 40.0, "c1t": 0.011, "c3t": 0.009}
 CASES = (("I", 6.2, 5.7), ("IV", 10.2, 4.7))
+COSINE = EFFECTS["release_ramp"].variant("cosine")
 
 
 def laboratory(
@@ -36,8 +51,16 @@ def laboratory(
     coupled: bool = False,
     stiffer: float = 1.0,
     n: int = 500,
+    releases: Callable[[np.random.Generator], float] = lambda _: 0.0,
+    quantity: Quantity = "acceleration",
+    noise: float = 2.0,
+    instants: float = 0.0,
 ) -> Experiment:
-    """Trials of a rig whose parameters, gains and offsets scatter; the last repeat of each is held out."""
+    """Trials of a rig whose parameters, gains and offsets scatter; the last repeat of each is held out.
+
+    releases : gives the time of a trial's release, s, during which the held torque falls along half a cosine;
+    instants : standard deviation of the instants at which that begins, s.
+    """
     rng = np.random.default_rng(seed)
     times = np.arange(n) * 1e-3
     trials = []
@@ -47,17 +70,19 @@ def laboratory(
                 angle = math.radians(degrees)
                 rig = RIG | TRUE | {"k1t": k1t * stiffer, "theta0": angle * (1.0 + 0.01 * rng.standard_normal())}
                 rig |= {p: rig[p] * math.exp(sizes.get(p, 0.0) * rng.standard_normal()) for p in (*TRUE, "k1t")}
-                y = Model(both).simulate(rig, times).y[0]
+                slow = {"time": releases(rng)}
+                rig |= {"delay": instants * rng.standard_normal()} if instants else {}
+                y = Model(both, effect=COSINE).simulate(rig, times, effect=slow, quantity=quantity).y[0]
                 y *= 1.0 + sizes.get("gain", 0.0) * rng.standard_normal((len(y), 1))
                 y += sizes.get("offset", 0.0) * rng.standard_normal((len(y), 1))
-                y += 2.0 * rng.standard_normal(y.shape)
+                y += noise * rng.standard_normal(y.shape)
                 label = f"{case}{number}{both}"
                 last = 1 < repeats == number
                 trials.append(
                     TrialRecord(label, case, both, number, times, y, index, angle, 0.01 * angle, heldout=last)
                 )
     constants = {name: (value, 0.0) for name, value in RIG.items()}
-    return Experiment(constants, tuple((k, 0.0) for _, k, _ in CASES), tuple(trials))
+    return Experiment(constants, tuple((k, 0.0) for _, k, _ in CASES), tuple(trials), quantity)
 
 
 def sizes_of(scatter: Scatter) -> dict[str, Size]:
@@ -118,14 +143,15 @@ def test_every_own_value_changes_the_record_as_its_column_says(coupled):
     experiment = replace(experiment, stiffnesses=((6.2, 0.06), (10.2, 0.0)))
     noise = Noise((2.0, 2.0), (0.0, 0.0), (0.0, 0.0))
     bare = Problem(experiment, noise=noise, switches=Switches(delay=False, friction=False))
-    problem = bare.changed(switches=replace(bare.switches, scatter=typical_scatter(bare)))
+    problem = bare.changed(switches=replace(bare.switches, scatter=typical_scatter(bare, releases=True)))
     rng = np.random.default_rng(5)
     q = 0.2 * rng.standard_normal(problem.size)
-    eta = {i: rng.standard_normal(len(g.nuisances)) for g in problem.groups for i in g.trials}
+    eta = {i: np.maximum(rng.standard_normal(len(g.nuisances)), g.lower[k] + 5.0 * (g.lower[k] == 0.0))
+           for g in problem.groups for k, i in enumerate(g.trials)}  # fmt: skip
     fine = problem.finer()
     for block in problem.linearise(q, eta, central=True).blocks:
         group = block.group
-        expected = {"theta0", "ln_k1t", "ln_c1t", "ln_drag", "gain1", "offset1", "drift1_1", "drift1_3"}
+        expected = {"theta0", RELEASE, "ln_k1t", "ln_c1t", "ln_drag", "gain1", "offset1", "drift1_1", "drift1_3"}
         expected |= {"ln_mu", "ln_k2t", "ln_c2t", "ln_c3t", "gain2", "drift2_2"} if group.coupled else set()
         names = [name for name, _, _ in group.nuisances]
         assert expected <= set(names)
@@ -155,6 +181,64 @@ def test_sizes_are_learnt_from_repeats():
     assert found["gain1"].gained < 3.0
     assert abs(fit.excess) < 4.0 * math.sqrt(2.0 * fit.problem.n_data)
     assert fit.problem.noise.total[0] == pytest.approx(2.0, rel=0.03)
+
+
+@pytest.mark.parametrize(("quantity", "noise"), [("acceleration", 2.0), ("displacement", 2e-5)])
+def test_releases_that_take_another_time_in_each_trial_are_no_gap(quantity, noise):
+    """A quarter of a millisecond on average, along another law than the one that is fitted."""
+    experiment = laboratory(
+        7, {}, repeats=5, releases=lambda rng: rng.uniform(0.0, 5e-4), quantity=quantity, noise=noise
+    )
+    fit = calibrate_nominal(experiment)
+    assert fit.problem.switches.delay or 1e-4 < fit.problem.switches.scatter.sd(RELEASE) < 1e-3
+    assert abs(fit.excess) < 5.0 * math.sqrt(2.0 * fit.problem.n_data)
+    ramped = calibrate(fit.problem.with_effect(EFFECTS["release_ramp"].variant("linear")), [np.append(fit.q, 0.3)],
+                       eta=fit.eta, anneal=False)  # fmt: skip
+    assert ramped.log_evidence - fit.log_evidence < 2.0
+
+
+def test_releases_that_are_under_way_at_a_reading_are_followed():
+    """A sudden one at the very instant of the reading shows the same, and no descent leads from there to a slow one."""
+    experiment = laboratory(11, {}, repeats=7, releases=lambda rng: rng.uniform(1e-4, 1.2e-3), instants=2e-4, noise=0.5)
+    fit = calibrate_nominal(experiment)
+    eta = {}
+    for g in fit.problem.groups:
+        names = [name for name, _, _ in g.nuisances]
+        late, slow = names.index("delay"), names.index(RELEASE)
+        for k, i in enumerate(g.trials):
+            _, mean, sd = g.nuisances[late]
+            at_once = np.where(np.arange(len(names)) == slow, 0.0, fit.eta[i])
+            at_once[late] = (1e-6 - mean[k]) / sd[k]
+            eta[i] = np.clip(at_once, g.lower[k], g.upper[k])
+    stuck = calibrate(fit.problem, [fit.q], eta=eta, anneal=False)
+    assert stuck.cost > fit.cost + 1000.0
+    assert nominal._each_release(stuck).cost < fit.cost + 10.0
+
+
+def test_a_release_that_takes_the_same_time_in_each_trial_is_a_gap():
+    fit = calibrate_nominal(laboratory(8, {}, repeats=5, releases=lambda _: 2e-3))
+    assert fit.problem.switches.scatter.sd(RELEASE) == 0.0
+    ramped = calibrate(fit.problem.with_effect(COSINE), [np.append(fit.q, 0.7)], eta=fit.eta, anneal=False)
+    assert ramped.log_evidence - fit.log_evidence > 100.0
+    assert ramped.parameters["effect.time"][0] == pytest.approx(2e-3, rel=0.05)
+
+
+def test_a_trials_own_time_of_release_adds_to_that_of_the_effect():
+    """So that a common time with some scatter is one effect with trials about it, not two that hold the rig at once."""
+    bare = Problem(laboratory(9, {}, repeats=1), noise=Noise((2.0,), (0.0,), (0.0,)))
+    problem = bare.changed(switches=Switches(delay=False, scatter=with_releases(bare, Scatter())))
+    together = problem.with_effect(EFFECTS["release_ramp"].variant("linear"))
+    (group, *_) = problem.groups
+    spread = group.nuisances[-1][2][0]
+    eta = np.zeros((1, len(group.nuisances)))
+    z = 0.4
+    time = from_standard(together.coordinates[-1].prior, z)
+    eta[0, -1] = time / spread
+    which, q = np.zeros(1, int), np.zeros((1, problem.size))
+    alone = problem.simulate(group, which, q, 2.0 * eta)
+    assert (
+        np.abs(together.simulate(group, which, np.append(q, [[z]], 1), eta) - alone).max() < 1e-6 * np.abs(alone).max()
+    )
 
 
 def test_what_repeats_share_is_no_scatter():
@@ -196,3 +280,69 @@ def test_a_size_that_nothing_shows_keeps_its_prior():
     assert size.sd == pytest.approx(0.002 * math.sqrt(2.0), rel=0.05)
     assert size.low < 1e-4
     assert size.gained == pytest.approx(0.0, abs=1e-3)
+
+
+def _nothing_in_common(experiment: Experiment) -> Experiment:
+    """Each trial of another rig: records of repeats multiplied by anything, in either sign."""
+    factors = np.random.default_rng(1).uniform(-3.0, 3.0, len(experiment.trials))
+    return replace(
+        experiment, trials=tuple(replace(t, y=f * t.y) for f, t in zip(factors, experiment.trials, strict=True))
+    )
+
+
+def _without_a_second_channel(experiment: Experiment) -> Experiment:
+    """Every other coupled trial has lost it."""
+    lost = {t.label for t in [t for t in experiment.trials if t.coupled][::2]}
+    return replace(
+        experiment,
+        trials=tuple(
+            replace(t, y=np.array([t.y[0], np.full_like(t.y[0], np.nan)])) if t.label in lost else t
+            for t in experiment.trials
+        ),
+    )
+
+
+def _of_other_lengths_in_any_order(experiment: Experiment) -> Experiment:
+    rng = np.random.default_rng(2)
+    cut = [t.at(slice(None, int(rng.integers(150, 300)))) for t in experiment.trials]
+    return replace(experiment, trials=tuple(cut[i] for i in rng.permutation(len(cut))))
+
+
+def _one_trial_beside_the_others(experiment: Experiment) -> Experiment:
+    kept = [t for t in experiment.trials if t.case == "I" or t.number == 1]
+    return replace(experiment, trials=tuple(kept))
+
+
+def _on_clocks_that_slow_down(experiment: Experiment) -> Experiment:
+    def slowed(t: TrialRecord) -> TrialRecord:
+        u = np.linspace(0.0, 1.0, t.times.size // 2)
+        times = t.times[-1] * (2.0 * u + u * u) / 3.0
+        return replace(t, times=times, y=np.array([np.interp(times, t.times, y) for y in t.y]))
+
+    return replace(experiment, trials=tuple(map(slowed, experiment.trials)))
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "sound"),
+    [
+        pytest.param(_nothing_in_common, False, marks=pytest.mark.slow),
+        (_without_a_second_channel, True),
+        pytest.param(_of_other_lengths_in_any_order, True, marks=pytest.mark.slow),
+        (_one_trial_beside_the_others, True),
+        (_on_clocks_that_slow_down, True),
+    ],
+)
+def test_trials_of_any_kind_are_fitted(spoilt, sound):
+    """Sizes that are finite, and where the rig is sound, readings that differ from the model by the noise alone."""
+    experiment = spoilt(laboratory(10, {"k1t": 0.004}, repeats=4, coupled=True, n=300))
+    fit = calibrate_nominal(experiment)
+    assert np.isfinite(fit.cost)
+    assert np.isfinite(fit.log_evidence)
+    for size in fit.problem.switches.scatter.sizes:
+        assert 0.0 <= size.low <= size.high < math.inf
+        assert 0.0 < size.sd < math.inf
+    found = predict(fit, experiment.heldout or experiment.training[:1])
+    assert all(np.isfinite(p.chi2) for p in found.values())
+    if sound:
+        assert 0.0 < fit.problem.noise.total[0] < 2.4
+        assert abs(fit.excess) < 6.0 * math.sqrt(2.0 * fit.problem.n_data)

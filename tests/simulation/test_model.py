@@ -8,6 +8,7 @@ import reference
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bayes_damper.effects import EFFECTS
 from bayes_damper.runs.outcome import Outcome
 from bayes_damper.simulation.model import Model
 
@@ -105,3 +106,25 @@ def test_velocity_and_displacement_are_read(quantity):
     expected = reference.solve({}, np.concatenate([[0.0], TIMES[after] - 0.0103]))[row][:, 1:]
     assert np.abs(y[:, after] - expected).max() < 2e-5 * np.abs(expected).max()
     np.testing.assert_array_equal(y[:, ~after], reference.BASE["theta0"] if quantity == "displacement" else 0.0)
+
+
+@pytest.mark.parametrize("coupled", [True, False])
+@pytest.mark.parametrize("quantity", ["acceleration", "displacement"])
+def test_a_release_that_takes_its_time_is_that_of_a_torque_that_falls(coupled, quantity):
+    """Against the effect of that formula, whose torque comes from a kernel of its own."""
+    falling = Model(coupled, effect=EFFECTS["release_ramp"].variant("linear"))
+    time = np.array([0.0, 4e-4, 3e-3, 7e-3])
+    rig = _take(_table(4), 0) | {"delay": 3.1e-4}
+    found = Model(coupled).simulate(rig | {"release_time": time}, TIMES, quantity=quantity).y
+    expected = falling.simulate(rig, TIMES, effect={"time": time}, quantity=quantity).y
+    np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max(), rtol=0.0)
+    assert np.abs(found[3] - found[0]).max() > 0.05 * np.abs(expected).max()
+    np.testing.assert_array_equal(found[0], Model(coupled).simulate(rig, TIMES, quantity=quantity).y[0])
+
+
+def test_a_pendulum_is_held_by_its_own_torque():
+    """At the release nothing accelerates it, also where sin(theta0) is far from theta0."""
+    rig = _take(_table(1), 0) | {"theta0": 1.2, "theta2_0": 1.2, "release_time": 0.01}
+    y = Model(False, restoring="pendulum").simulate(rig, np.array([0.0, 5e-3])).y[0, 0]
+    assert abs(y[0]) < 2e-4 * rig["k1t"] / rig["J1"]
+    assert abs(y[1] + 0.5 * np.sin(1.2) * rig["k1t"] / rig["J1"]) < 0.05 * rig["k1t"] / rig["J1"]
