@@ -333,6 +333,8 @@ def experiment_of(campaign: Any, priors: PriorSet | Mapping[str, Distribution | 
     stiffnesses: list[tuple[float, float]] = []
     records = []
     heldout = {id(t) for t in campaign.heldout}
+    scatter = dict(getattr(campaign, "scatter", {}))
+    apart = scatter.pop("theta0", 0.0)
     for t in campaign.trials:
         key = (float(getattr(t.k1t, "value", t.k1t)), float(getattr(t.k1t, "std", 0.0) or 0.0))
         if key not in stiffnesses:
@@ -354,7 +356,7 @@ def experiment_of(campaign: Any, priors: PriorSet | Mapping[str, Distribution | 
                 y=np.atleast_2d(np.array(t.channels, float))[:, first:],
                 k1t=stiffnesses.index(key),
                 theta0=theta0,
-                theta0_sd=0.0 if angle is None else float(getattr(angle, "std", 0.0) or 0.0),
+                theta0_sd=0.0 if angle is None else math.hypot(float(getattr(angle, "std", 0.0) or 0.0), apart),
                 inputs=t.inputs(measurement),
                 heldout=id(t) in heldout,
             )
@@ -365,7 +367,7 @@ def experiment_of(campaign: Any, priors: PriorSet | Mapping[str, Distribution | 
         constants, tuple(stiffnesses), tuple(records), measurement.quantity, rig.normal_force, rig.restoring,
         measurement.start, given, offset_sd=measurement.offset_std, scale_sd=measurement.scale_std or (),
         lag_sd=measurement.lag_std or (),
-        coupling_law=rig.inertial_coupling_law,
+        coupling_law=rig.inertial_coupling_law, scatter=scatter,
     )  # fmt: skip
     experiment = unrounded(thinned(gridded(experiment), measurement.every))
     if isinstance(priors, PriorSet):

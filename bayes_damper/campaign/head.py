@@ -15,6 +15,10 @@ from bayes_damper.campaign.structure import (
     MEASUREMENT_WORDS,
     RIG_NUMBERS,
     RIG_WORDS,
+    SCATTER_RELATIVE,
+    SCATTER_SIZES,
+    TO_SI,
+    TRIAL_COLUMNS,
     Constant,
     Measurement,
     Rig,
@@ -26,9 +30,10 @@ TomlValue = Any  # whatever a TOML file can hold: checked by those who take it
 _SINGLE = {"sample_rate": "one number, in Hz", "duration": "one number, in s", "every": "one whole number"}
 _MOST_APART = 1e6  # a ratio of inertias, or of springs, beyond which one of them does not act
 _MOST_UNKNOWN = 20
-_TOP = ("name", "description", "source", "caveats", "rig", "measurement")
+_TOP = ("name", "description", "source", "caveats", "rig", "measurement", "scatter")
 _TABLES = {"rig": (*RIG_NUMBERS, *RIG_WORDS),
-           "measurement": (*MEASUREMENT_WORDS, *MEASUREMENT_NUMBERS, *MEASUREMENT_SPREADS)}  # fmt: skip
+           "measurement": (*MEASUREMENT_WORDS, *MEASUREMENT_NUMBERS, *MEASUREMENT_SPREADS),
+           "scatter": (*SCATTER_RELATIVE, *SCATTER_SIZES)}  # fmt: skip
 
 
 @dataclass
@@ -43,6 +48,7 @@ class Head:
     measurement: Measurement
     broken: bool
     notes: list[str] = field(default_factory=list)
+    scatter: dict[str, float] = field(default_factory=dict)
 
 
 def read_head(folder: Path, faults: list[str], digest: hashlib._Hash) -> Head | None:
@@ -81,8 +87,11 @@ def head_from_table(table: Mapping[str, Any], name: str, faults: list[str]) -> H
         caveats = []
     rig = _read_rig(_subtable(table, "rig", name, faults), name, faults)
     measurement = _read_measurement(_subtable(table, "measurement", name, faults), name, faults)
+    scatter = _read_scatter(_subtable(table, "scatter", name, faults), rig.kind, name, faults)
     broken = len(faults) > before
-    return Head(words["name"], words["description"], words["source"], tuple(caveats), rig, measurement, broken)
+    return Head(
+        words["name"], words["description"], words["source"], tuple(caveats), rig, measurement, broken, scatter=scatter
+    )
 
 
 def _few(table: Mapping[str, Any], valid: Sequence[str], where: str, faults: list[str]) -> list[str]:
@@ -200,6 +209,29 @@ def _read_measurement(table: Mapping[str, Any], name: str, faults: list[str]) ->
         single[key] = found[0] if found else None
     every = single.pop("every")
     return Measurement(**words, **tuples, **single, every=None if every is None else round(every))  # type: ignore[arg-type]
+
+
+def _read_scatter(table: Mapping[str, Any], kind: str, name: str, faults: list[str]) -> dict[str, float]:
+    """Sizes of [scatter] by name, in SI units; the release angle is given in the unit that trials.csv has."""
+    where = f"{name} [scatter]"
+    angle = TRIAL_COLUMNS[kind][2]
+    valid = (*SCATTER_RELATIVE, *SCATTER_SIZES, angle)
+    found = {}
+    for key in _few(table, valid, where, faults):
+        if key not in valid:
+            faults.append(f"{where}: nothing that scatters is called '{key}'; {nearest_name(key, valid)}")
+            continue
+        with collected(faults):
+            size = real(table[key], f"{where}: {key}", "one number, a standard deviation from trial to trial")
+            if size < 0.0:
+                faults.append(
+                    f"{where}: {key} = {size!r} is negative; give a standard deviation, 0 where it is the same"
+                )
+            elif key in SCATTER_RELATIVE and size >= 1.0:
+                faults.append(f"{where}: {key} = {size!r} is relative: half a percent is 0.005; give it below 1")
+            else:
+                found["theta0" if key == angle else key] = size * (TO_SI[kind] if key == angle else 1.0)
+    return found
 
 
 def _positives(value: TomlValue, where: str, faults: list[str], zero: bool = False) -> tuple[float, ...] | None:

@@ -306,7 +306,10 @@ def _build(table: Mapping[str, Any], name: str, raw: Path) -> Campaign:
     notes = [note for source in files.values() for note in source.notes if note not in head.caveats]
     notes = _gathered([*notes, *contradicted]) + _resting(trials, options) + _idle(trials)
     caveats = (*head.caveats, *notes)
-    return Campaign(head.name, head.rig, head.measurement, tuple(trials), head.description, head.source, caveats)
+    return Campaign(
+        head.name, head.rig, head.measurement, tuple(trials), head.description, head.source, caveats,
+        scatter=head.scatter,
+    )  # fmt: skip
 
 
 _REST = 0.05  # share of a record; one that rests for longer began before the release

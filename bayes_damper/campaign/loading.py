@@ -140,5 +140,5 @@ def _campaign(
     """The campaign of a folder that has been read."""
     return Campaign(
         head.name, head.rig, measurement, tuple(trials), head.description, head.source, head.caveats, folder, warnings,
-        digest.hexdigest(),
+        digest.hexdigest(), head.scatter,
     )  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +57,8 @@ MEASUREMENT_WORDS = {
     "input": ("linear", "held"),
 }
 MEASUREMENT_NUMBERS = ("sample_rate", "duration", "noise_std", "sensor_range", "sensor_bandwidth", "every")
+SCATTER_RELATIVE = ("k1t", "k2t", "c1t", "c2t", "c3t", "mu", "drag", "gain", "gain1", "gain2")
+SCATTER_SIZES = ("offset", "offset1", "offset2", "drift", "drift1", "drift2", "release_time")  # in SI units
 MEASUREMENT_SPREADS = ("offset_std", "scale_std", "lag_std")  # may be 0: known
 SHOWN = 5  # faults of one kind shown for one file
 
@@ -191,7 +193,11 @@ class Trial:
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """The measured trials of one rig. `sha256` covers every byte that was read, in order."""
+    """The measured trials of one rig. `sha256` covers every byte that was read, in order.
+
+    scatter : expected size by which something differs from trial to trial, by name: relative (SCATTER_RELATIVE) or in
+    SI units, the release angle `theta0` in rad (m) among them.
+    """
 
     name: str
     rig: Rig
@@ -203,6 +209,7 @@ class Campaign:
     folder: Path | None = None
     warnings: tuple[str, ...] = ()
     sha256: str = ""
+    scatter: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def cases(self) -> tuple[str, ...]:

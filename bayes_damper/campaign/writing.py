@@ -106,6 +106,13 @@ def campaign_toml(campaign: Campaign) -> str:
         value = getattr(campaign.measurement, key)
         if value is not None and not (key in ("frame", "input") and not any(t.given for t in campaign.trials)):
             lines.append(f"{key} = {_toml(value)}  # {_comment(key, campaign.rig.kind)}")
+    if campaign.scatter:
+        kind = campaign.rig.kind
+        lines += ["", "[scatter]"]
+        for key, size in campaign.scatter.items():
+            angle = key == "theta0"
+            name, value = (TRIAL_COLUMNS[kind][2], _declared(size, TO_SI[kind])) if angle else (key, repr(size))
+            lines.append(f"{name} = {value}  # standard deviation from trial to trial")
     return "\n".join(lines) + "\n"
 
 

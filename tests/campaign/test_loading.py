@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import math
+import re
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,8 +16,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from bayes_damper.calibration import experiment_of
+from bayes_damper.calibration import Problem, experiment_of
+from bayes_damper.calibration.scatter import typical_scatter
 from bayes_damper.campaign import Constant, load_campaign, noise_floor, write_campaign
+from bayes_damper.campaign.structure import SCATTER_RELATIVE, SCATTER_SIZES
 from bayes_damper.commands.check import check
 from bayes_damper.errors import InputError
 from bayes_damper.fit import recorded_experiment
@@ -129,6 +132,60 @@ def test_what_is_written_reads_back_the_same(folder: Path, tmp_path: Path) -> No
         assert np.array_equal(a.channels, b.channels)
     with pytest.raises(InputError, match="holds a campaign already"):
         write_campaign(tmp_path / "copy", campaign)
+
+
+def test_sizes_of_scatter_are_read_and_reach_the_fit(folder: Path, tmp_path: Path) -> None:
+    plain = experiment_of(load_campaign(folder))
+    with (folder / "campaign.toml").open("a") as head:
+        head.write("\n[scatter]\nk1t = 0.004\ngain = 0\ndrift2 = 0.25\nrelease_time = 1e-3\ntheta0_deg = 0.2\n")
+    found = experiment_of(load_campaign(folder))
+    assert found.scatter == {"k1t": 0.004, "gain": 0.0, "drift2": 0.25, "release_time": 1e-3}
+    for before, after in zip(plain.trials, found.trials, strict=True):
+        assert after.theta0_sd == pytest.approx(math.hypot(before.theta0_sd, math.radians(0.2)))
+    assert load_campaign(write_campaign(tmp_path / "again", load_campaign(folder))).scatter == {
+        **found.scatter,
+        "theta0": math.radians(0.2),
+    }
+    sizes = {s.name: s.typical for s in typical_scatter(Problem(found), releases=True).sizes}
+    assert {name: sizes[name] for name in ("k1t", "drift2", "release_time")} == {
+        "k1t": 0.004,
+        "drift2": 0.25,
+        "release_time": 1e-3,
+    }
+    assert "gain1" not in sizes
+    assert "gain2" not in sizes
+
+
+def test_every_name_of_a_scatter_can_be_given(folder: Path) -> None:
+    """What a result calls by a name is what the campaign calls so."""
+    experiment = experiment_of(load_campaign(folder))
+    names = {s.name for s in typical_scatter(Problem(experiment), releases=True).sizes}
+    assert names == {*SCATTER_RELATIVE, *SCATTER_SIZES} - {"gain", "offset", "drift"}
+
+
+@pytest.mark.parametrize(
+    ("entry", "sentence"),
+    [
+        ("k1 = 0.002", r"campaign.toml \[scatter\]: nothing that scatters is called 'k1'; did you mean 'k1t'"),
+        ("theta0_mm = 0.1", r"nothing that scatters is called 'theta0_mm'; did you mean 'theta0_deg'"),
+        ("k1t = -0.002", r"\[scatter\]: k1t = -0.002 is negative; give a standard deviation"),
+        ("mu = nan", r"\[scatter\]: mu"),
+        ("mu = inf", r"\[scatter\]: mu"),
+        ('mu = "5 %"', r"\[scatter\]: mu .*one number, a standard deviation from trial to trial"),
+        ("mu = [0.05, 0.05]", r"\[scatter\]: mu .*one number"),
+        ("c1t = 5", r"c1t = 5.* is relative: half a percent is 0.005"),
+    ],
+)
+def test_faults_of_the_table_of_scatter(folder: Path, entry: str, sentence: str) -> None:
+    with (folder / "campaign.toml").open("a") as head:
+        head.write(f"\n[scatter]\n{entry}\n")
+    (told,) = faults_of(folder)
+    assert re.search(sentence, told)
+
+
+def test_a_scatter_that_is_no_table_is_a_fault(folder: Path) -> None:
+    edit(folder / "campaign.toml", "[rig]", "scatter = 0.002\n\n[rig]")
+    assert any("'scatter' must be a table, [scatter]" in told for told in faults_of(folder))
 
 
 def test_the_checksum_changes_with_any_byte(folder: Path) -> None:
