@@ -15,8 +15,9 @@ from bayes_damper.calibration.groups import Group
 from bayes_damper.calibration.least_squares import Calibration, calibrate, default_starts, drawn_starts
 from bayes_damper.calibration.noise import rough_noise
 from bayes_damper.calibration.noise_level import learn_noise
+from bayes_damper.calibration.own_values import RELEASE
 from bayes_damper.calibration.problem import Problem, Switches
-from bayes_damper.calibration.scatter import RELEASE, carried, learn_scatter, with_releases
+from bayes_damper.calibration.scatter import carried, learn_scatter, with_releases
 
 Array = NDArray[np.float64]
 VARIES = 9.0  # mean square, in variances, of a nuisance's differences between repeats from which it is each trial's own

@@ -23,7 +23,7 @@ from bayes_damper.calibration.experiment import (
 from bayes_damper.calibration.groups import Group
 from bayes_damper.calibration.noise import Noise, rough_noise
 from bayes_damper.calibration.normal_equations import Block, Linear, Remade
-from bayes_damper.calibration.scatter import NO_SCATTER, RELEASE, Scatter, channel_of, middle_of, of_readings, wave
+from bayes_damper.calibration.own_values import NO_SCATTER, RELEASE, Scatter, channel_of, middle_of, of_readings, wave
 from bayes_damper.calibration.unknowns import NOMINAL, Coordinate, acting_alone, coordinates_of, middle
 from bayes_damper.campaign.records import DERIVATIVE
 from bayes_damper.effects.base import Variant

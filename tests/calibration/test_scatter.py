@@ -23,16 +23,8 @@ from bayes_damper.calibration import (
     predict,
 )
 from bayes_damper.calibration import scatter as scatters
-from bayes_damper.calibration.scatter import (
-    RELEASE,
-    TYPICAL,
-    Repeats,
-    Scatter,
-    Size,
-    learn_scatter,
-    typical_scatter,
-    with_releases,
-)
+from bayes_damper.calibration.own_values import RELEASE, Scatter, Size
+from bayes_damper.calibration.scatter import TYPICAL, Repeats, learn_scatter, typical_scatter, with_releases
 from bayes_damper.effects import EFFECTS
 from bayes_damper.priors.distributions import from_standard
 from bayes_damper.simulation.model import Model, Quantity

@@ -1,0 +1,91 @@
+"""What each trial may have for itself: how much it scatters, and how it acts on motion or readings."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+RELEASE = "release_time"
+RELATIVE = ("k1t", "k2t", "c1t", "c3t", "c2t", "mu", "drag")
+COUPLED_ONLY = ("k2t", "c2t", "c3t", "mu")
+READINGS = ("gain", "offset", "drift")  # of each channel
+DRIFT_WAVES = 3  # half periods of the slowest cosine that a drift may have over a record
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much one thing scatters from trial to trial.
+
+    sd : what fits use, the root of the posterior mean of its square; low, high : shortest interval holding 90 % of the
+    probability; typical : scale of its prior; gained : nats of the repeats' likelihood by the likeliest size over none.
+    """
+
+    name: str
+    sd: float
+    low: float
+    high: float
+    typical: float
+    gained: float = 0.0
+
+    @property
+    def columns(self) -> tuple[tuple[str, float], ...]:
+        """Names and standard deviations of the nuisances that it makes in each trial."""
+        if self.name.startswith("drift"):
+            return tuple((f"{self.name}_{k}", self.sd / k) for k in range(1, DRIFT_WAVES + 1))
+        return ((nuisance(self.name), self.sd),)
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """The sizes of all that may scatter."""
+
+    sizes: tuple[Size, ...] = ()
+
+    def sd(self, name: str) -> float:
+        """Size of one of them, 0 if it does not scatter."""
+        return next((size.sd for size in self.sizes if size.name == name), 0.0)
+
+    def columns(self, coupled: bool) -> list[tuple[str, float]]:
+        """Names and standard deviations of the nuisances of a trial."""
+        return [
+            column
+            for size in self.sizes
+            if coupled or (size.name not in COUPLED_ONLY and not size.name.endswith("2"))
+            for column in size.columns
+        ]
+
+
+NO_SCATTER = Scatter()
+
+
+def nuisance(name: str) -> str:
+    """Name of the nuisance that scatters."""
+    return f"ln_{name}" if name in RELATIVE else name
+
+
+def middle_of(name: str) -> float:
+    """Mean of a nuisance, in units of its size: a time is never negative, so its prior is half a normal one."""
+    return math.sqrt(2.0 / math.pi) if name == RELEASE else 0.0
+
+
+def of_readings(name: str) -> bool:
+    """Whether a nuisance acts on the readings, not on the motion."""
+    return name.startswith(READINGS)
+
+
+def channel_of(name: str) -> int:
+    """Channel, from 0, of a nuisance of the readings."""
+    return int(name.partition("_")[0][-1]) - 1
+
+
+def wave(name: str, times: Array) -> Array:
+    """Shape (n,) in time of an offset, or of a half-period cosine of mean square 1 of a drift."""
+    kind, _, number = name.partition("_")
+    if kind.startswith("offset"):
+        return np.ones_like(times)
+    span = max(float(times[-1] - times[0]), 1e-300)
+    return np.asarray(math.sqrt(2.0) * np.cos(int(number) * math.pi * (times - times[0]) / span))
