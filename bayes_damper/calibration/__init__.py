@@ -33,14 +33,14 @@ from bayes_damper.calibration.experiment import (
     thinned,
     with_priors,
 )
-from bayes_damper.calibration.groups import Group
+from bayes_damper.calibration.groups import FRICTION_SPREAD, Group, Switches
 from bayes_damper.calibration.heldout import Prediction, predict
 from bayes_damper.calibration.least_squares import Calibration, calibrate, default_starts, drawn_starts, summarise
 from bayes_damper.calibration.noise import Noise, rough_noise
 from bayes_damper.calibration.noise_level import error_level, evenly_sampled, learn_noise, spectrum_bins, whittle
 from bayes_damper.calibration.nominal import calibrate_nominal, grown
 from bayes_damper.calibration.normal_equations import Block, Linear, Normals
-from bayes_damper.calibration.problem import FRICTION_SPREAD, Indices, Problem, Switches
+from bayes_damper.calibration.problem import Indices, Problem
 from bayes_damper.calibration.unknowns import NOMINAL, Coordinate, coordinate_of, middle
 
 __all__ = [

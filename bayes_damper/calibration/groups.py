@@ -2,14 +2,31 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayes_damper.calibration.experiment import Experiment, TrialRecord, release_window, repeats, still_rising
+from bayes_damper.calibration.noise import Noise
+from bayes_damper.calibration.own_values import NO_SCATTER, RELEASE, Scatter
+from bayes_damper.calibration.unknowns import NOMINAL, Coordinate, Priors, acting_alone, middle
+from bayes_damper.campaign.records import DERIVATIVE
+from bayes_damper.priors.distributions import Distribution, LogNormal, LogUniform
 from bayes_damper.rig.inputs import Inputs
 
 Array = NDArray[np.float64]
+FRICTION_SPREAD = 0.04  # prior sd of ln mu from trial to trial, where the repeats show that it varies
+EVENT_THRESHOLD = 4.5  # robust sds of the second difference beyond which a sample counts as an event
+EVENT_TIMING = 5e-5  # s, by which the instant of an event may be off without the model being wrong
+RELEASE_WEIGHT = 0.4  # of the first two readings
+FALL_SHAPE = 0.1  # of the peak: how far from a straight line the torque that held the rig may fall
+FIRST_STAGE_EVENT_WEIGHT = 0.15
+OFFSET_SHARE = 0.05  # of a channel's reach: prior sd of its unknown offset, where the campaign does not say
+_FARTHEST = 37.0  # standard deviations beyond which a coordinate is not followed
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,3 +55,224 @@ class Group:
             nuisances=tuple((name, mean[at], sd[at]) for name, mean, sd in self.nuisances), lower=self.lower[at],
             upper=self.upper[at],
         )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Switches:
+    """Which nuisances of the trials are free: the instant of release, each trial's own friction, its bearings' drag.
+
+    scatter : what else differs from trial to trial, and by how much; it takes the place of `friction` and `drag`.
+    """
+
+    delay: bool = True
+    friction: bool = True
+    drag: bool = False
+    scatter: Scatter = NO_SCATTER
+
+
+@dataclass(frozen=True)
+class Grouping:
+    """How trials become groups: weights of their readings, and what each trial has for itself.
+
+    factors : trial -> what multiplies the weights of its readings, (channels, n) or a number; coordinates : unknowns
+    that trials share; prior : of a parameter, by name and case.
+    """
+
+    experiment: Experiment
+    noise: Noise
+    switches: Switches
+    nominal: Literal["nonlinear", "linear"]
+    factors: Mapping[int, Array]
+    coordinates: Sequence[Coordinate]
+    prior: Priors
+
+    def group(self, members: Sequence[int]) -> Group:
+        """The group of trials that share times, inputs and configuration."""
+        e = self.experiment
+        trials = [e.trials[i] for i in members]
+        first = trials[0]
+        raw = np.array([t.y for t in trials])
+        y = np.nan_to_num(raw)
+        spread = np.array(self.noise.total[: y.shape[1]])
+        weight = np.ones_like(y)
+        annealed = np.ones_like(y)
+        for same in repeats(trials):
+            jump = np.max([_event_strength(raw[k], 2.4 * spread) for k in same], axis=0)
+            jump = jump * (first.times > first.times[0])
+            rate = 1.0 / max(float(np.median(np.diff(first.times))), 1e-12) if first.times.size > 1 else 0.0
+            extra = (jump * rate * EVENT_TIMING / spread[:, None]) ** 2
+            for k in same:
+                weight[k] /= np.sqrt(1.0 + extra)
+                annealed[k] = np.where(jump > 0.0, FIRST_STAGE_EVENT_WEIGHT, 1.0)
+        nuisances, lower, upper = self._nuisances(trials)
+        if e.start == "rest" and first.times.size > 2 and e.quantity == "acceleration":
+            # The release itself: what rig and sensor do within a sample of it is given by no formula exactly.
+            early = first.times <= first.times[0] + 1.5 * float(np.median(np.diff(first.times)))
+            falling = ~early & (first.times <= first.times[0] + 2.0 * self.switches.scatter.sd(RELEASE))
+            for k, t in enumerate(trials):
+                if t.times[0] <= 0.0:
+                    weight[k][:, early] *= RELEASE_WEIGHT
+                    jump = e.stiffnesses[t.k1t][0] * t.theta0 / e.constants["J1"][0]
+                    weight[k][0, falling] /= math.hypot(1.0, FALL_SHAPE * jump / spread[0])
+        for k, i in enumerate(members):
+            weight[k] *= self.factors.get(i, 1.0)
+            own = trials[k].weight
+            if own is not None:
+                weight[k] *= own
+        missing = ~np.isfinite(raw)
+        weight[missing] = 0.0
+        annealed = np.minimum(annealed, weight)
+        return Group(
+            first.coupled, tuple(members), first.times, first.inputs, y, weight, annealed, nuisances, lower, upper
+        )
+
+    def _nuisances(self, trials: list[TrialRecord]) -> tuple[tuple[tuple[str, Array, Array], ...], Array, Array]:
+        e = self.experiment
+        n = len(trials)
+        out: list[tuple[str, Array, Array]] = []
+        bounds: list[tuple[Array, Array]] = []
+        wide = (np.full(n, -_FARTHEST), np.full(n, _FARTHEST))
+        if e.start == "free":
+            omega = math.sqrt(e.stiffnesses[0][0] / e.constants["J1"][0])
+            for name, order in (("theta0", 0), ("omega1_0", 1), ("theta2_0", 0), ("omega2_0", 1)):
+                if name in ("theta2_0", "omega2_0") and not trials[0].coupled:
+                    continue
+                channel = 1 if "2_0" in name else 0
+                power = order - DERIVATIVE[e.quantity]
+                reach = np.array([float(np.nanmax(np.abs(t.y[channel]))) for t in trials]) * omega**power
+                guess = np.zeros(n)
+                if power == 0:
+                    guess = np.array([float(np.nan_to_num(t.y[channel][0])) for t in trials])
+                elif power == 1 and e.quantity == "displacement":
+                    guess = np.array([_first_slope(t.times, t.y[channel], 1.0 / omega) for t in trials])
+                elif power == -2:
+                    guess = -np.array([float(np.nan_to_num(t.y[channel][0])) for t in trials]) / omega**2
+                out.append((name, guess, 1.5 * reach + 1e-9))
+                bounds.append(wide)
+            out += self._offsets(trials)
+            out += self._scattered(trials, released=False)
+            bounds += [wide] * (len(out) - len(bounds))
+            return tuple(out), np.array([b[0] for b in bounds]).T, np.array([b[1] for b in bounds]).T
+        mean = np.array([t.theta0 for t in trials])
+        sd = np.array([t.theta0_sd for t in trials])
+        if np.any(sd > 0.0) and "theta0" not in e.levels:
+            out.append(("theta0", mean, np.maximum(sd, 1e-12)))
+            bounds.append(wide)
+        absent = {"mu"} if not e.magnet else set()
+        absent |= {"mu", "drag"} if self.nominal == "linear" else set()
+        for name in (*NOMINAL, "theta0", "delay"):
+            if (
+                e.levels.get(name) == "trial"
+                and name not in absent
+                and (trials[0].coupled or name in acting_alone(self.experiment))
+            ):
+                found = _own_value(name, [self.prior(name, t.case) for t in trials])
+                if found is not None:
+                    out.append(found[0])
+                    bounds.append(found[1])
+        forced = trials[0].inputs is not None and trials[0].inputs.active and not np.any(mean)
+        if self.switches.delay and "delay" not in e.levels and not forced:  # nothing is released
+            low, high = np.array([release_window(t, e.quantity) for t in trials]).T
+            if (slow := self.switches.scatter.sd(RELEASE)) and e.quantity == "acceleration":
+                high = high + slow * np.array([still_rising(t, end) for t, end in zip(trials, high, strict=True)])
+            middle, half = 0.5 * (low + high), 0.35 * (high - low)
+            out.append(("delay", middle, half))
+            # A rig seen held at the first reading bounds the release from below; else the logger may be later yet.
+            slack = np.where(low >= np.array([t.times[0] for t in trials]), -1e-6, 0.4)
+            bounds.append(((low - middle) / half - slack, (high - middle) / half * (1.0 - 1e-9)))
+        if self.switches.friction and trials[0].coupled and any(c.parameter == "mu" for c in self.coordinates):
+            out.append(("ln_mu", np.zeros(n), np.full(n, FRICTION_SPREAD)))
+            bounds.append(wide)
+        if self.switches.drag and any(c.parameter == "drag" for c in self.coordinates):
+            out.append(("ln_drag", np.zeros(n), np.full(n, FRICTION_SPREAD)))
+            bounds.append(wide)
+        out += self._offsets(trials)
+        out += self._scattered(trials, released=not forced)
+        bounds += [wide] * (len(out) - len(bounds))
+        for k, (name, _, spread) in enumerate(out):
+            if name == RELEASE:  # no longer than 1 / omega of the primary: what falls more slowly is no release
+                bounds[k] = (np.zeros(n), 1.0 / np.array([e.omegas[t.k1t] for t in trials]) / spread)
+        if not out:
+            return (), np.zeros((n, 0)), np.zeros((n, 0))
+        return tuple(out), np.array([b[0] for b in bounds]).T, np.array([b[1] for b in bounds]).T
+
+    def _offsets(self, trials: list[TrialRecord]) -> list[tuple[str, Array, Array]]:
+        """Reading of each channel at rest, unknown for each trial; its prior is a share of the channel's reach."""
+        e = self.experiment
+        out = []
+        for c in range(1 + int(trials[0].coupled)):
+            if e.offset_sd is not None:
+                sd = np.full(len(trials), e.offset_sd[min(c, len(e.offset_sd) - 1)])
+            elif e.quantity == "displacement":
+                sd = OFFSET_SHARE * np.array([float(np.nanmax(np.abs(t.y[c]))) for t in trials])
+            else:
+                continue
+            if np.any(sd > 0.0):
+                out.append((f"offset{c + 1}", np.zeros(len(trials)), np.maximum(sd, 1e-12)))
+        return out
+
+    def _scattered(self, trials: list[TrialRecord], released: bool) -> list[tuple[str, Array, Array]]:
+        """What else each trial has for itself: values about those of all trials; released : from a known angle."""
+        n = len(trials)
+        columns = self.switches.scatter.columns(trials[0].coupled)
+        return [(name, np.zeros(n), np.full(n, sd)) for name, sd in columns if released or name != RELEASE]
+
+
+def _event_strength(y: Array, noise: Array) -> Array:
+    """How far each sample's neighbourhood jumps, in the unit of y: 0 away from events. y (channels, n)."""
+    jump = np.zeros_like(y)
+    if y.shape[1] < 8:
+        return jump
+    second = np.zeros_like(y)
+    second[:, 1:-1] = y[:, 2:] - 2.0 * y[:, 1:-1] + y[:, :-2]
+    second[~np.isfinite(second[:, 2:-2]).any(axis=1)] = 0.0  # no three readings in a row
+    scale = 1.4826 * np.nanmedian(np.abs(second[:, 2:-2]), axis=1) + 1e-300
+    scale = np.maximum(scale, noise)
+    hit = np.abs(second) > EVENT_THRESHOLD * scale[:, None]
+    step = np.zeros_like(y)
+    step[:, 1:] = np.abs(np.diff(y, axis=1))
+    step[:, :-1] = np.maximum(step[:, :-1], step[:, 1:])
+    for shift in (-1, 0, 1):
+        rolled = np.roll(np.where(hit, step, 0.0), shift, axis=1)
+        jump = np.maximum(jump, rolled)
+    return np.asarray(np.nan_to_num(jump))
+
+
+def _own_value(
+    name: str, priors: Sequence[Distribution | float]
+) -> tuple[tuple[str, Array, Array], tuple[Array, Array]] | None:
+    """Nuisance of a parameter that each trial has for itself, with its bounds; None if it is fixed.
+
+    Scales are followed by their logarithm, relative to the median. What is not Gaussian there already (uniform,
+    half-normal) gets the Gaussian of the same middle and spread, cut where the prior ends.
+    """
+    if all(isinstance(p, float | int) for p in priors):
+        return None
+    means, sds, lows, highs = [], [], [], []
+    log = all(isinstance(p, float | int | LogNormal | LogUniform) for p in priors) and name not in ("theta0", "delay")
+    for p in priors:
+        value = middle(p)
+        if isinstance(p, float | int):
+            spread, low, high = 1e-12, -math.inf, math.inf
+        elif isinstance(p, LogNormal):
+            spread, low, high = math.log(p.factor) * (1.0 if log else value), -math.inf, math.inf
+        else:
+            (low, high), edge = p.support, (float(p.ppf(0.16)), float(p.ppf(0.84)))
+            spread = 0.5 * (math.log(edge[1] / edge[0]) if log else edge[1] - edge[0])
+            if log:
+                low, high = math.log(low / value), math.log(high / value)
+        centre = 0.0 if log else value
+        means.append(centre)
+        sds.append(spread)
+        lows.append(max((low - centre) / spread, -_FARTHEST))
+        highs.append(min((high - centre) / spread, _FARTHEST))
+    label = f"ln_{name}" if log else name
+    return (label, np.array(means), np.array(sds)), (np.array(lows), np.array(highs))
+
+
+def _first_slope(times: Array, y: Array, within: float) -> float:
+    """Rate of change at the first reading, from a parabola through the readings `within` so many seconds."""
+    near = (times <= times[0] + within) & np.isfinite(y)
+    if np.count_nonzero(near) < 4:
+        return 0.0
+    return float(np.polynomial.polynomial.polyfit(times[near] - times[0], y[near], 2)[1])

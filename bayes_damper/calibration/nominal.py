@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.calibration.experiment import Experiment, lone, repeats
-from bayes_damper.calibration.groups import Group
+from bayes_damper.calibration.groups import Group, Switches
 from bayes_damper.calibration.least_squares import Calibration, calibrate, default_starts, drawn_starts
 from bayes_damper.calibration.noise import rough_noise
 from bayes_damper.calibration.noise_level import learn_noise
 from bayes_damper.calibration.own_values import RELEASE
-from bayes_damper.calibration.problem import Problem, Switches
+from bayes_damper.calibration.problem import Problem
 from bayes_damper.calibration.scatter import carried, learn_scatter, with_releases
 
 Array = NDArray[np.float64]
