@@ -55,6 +55,7 @@ WORTH_TIME = 2.0  # tempered nats from which a law depends on the time
 SIZES = np.geomspace(1.0, 1e4, 9)  # prior sizes of a term's response, in noise standard deviations
 SMOOTHNESS = (0.5, 0.75, 1.0)  # factor on the prior size from one Chebyshev order to the next
 PRESENT = 0.5  # probability from which an effect stands beside the law
+LEAST_SHARE = 0.02  # of the nominal model's gap: less than that, beside effects that close nearly all, is no law
 STEPS = 14
 RELEARNT = 2
 WORTH_RELEARNING = 0.7  # share of the noise that a law leaves, below which it is learnt again
@@ -196,7 +197,7 @@ def learn(
     shown = products_of([nominal, base, fit], heldout, rng)
     rest = shown.closed(2, before=1)
     closes = _beyond(shown, rest)
-    if not _above_nothing(rest) or closes.median is None or closes.hdi90 is None:
+    if not _above_nothing(rest) or not worth_offering(closes) or closes.median is None or closes.hdi90 is None:
         return None
     rig = {name: value for name, (value, _) in nominal.problem.experiment.constants.items() if name in ("J1", "J2")}
     moved = motions(in_slices(fit))
@@ -211,6 +212,11 @@ def learn(
 def _above_nothing(share: Closed) -> bool:
     """Whether a share's interval lies above 0."""
     return share.hdi90 is not None and share.hdi90[0] > 0.0
+
+
+def worth_offering(closes: Closed) -> bool:
+    """Whether a law closes enough of the nominal model's gap, beyond the effects beside it, to be kept."""
+    return _above_nothing(closes) and closes.median is not None and closes.median >= LEAST_SHARE
 
 
 def _beyond(shown: Any, rest: Closed) -> Closed:

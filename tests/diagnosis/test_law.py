@@ -10,7 +10,7 @@ from test_sets import swinging
 
 from bayes_damper.calibration import Experiment, calibrate, calibrate_nominal
 from bayes_damper.diagnosis.budget import Budget, Part
-from bayes_damper.diagnosis.law import TERMS, _best_terms, learn, used_coordinates
+from bayes_damper.diagnosis.law import TERMS, _best_terms, learn, used_coordinates, worth_offering
 from bayes_damper.diagnosis.response import Projected
 from bayes_damper.diagnosis.sets import SetProblem, set_fit
 from bayes_damper.diagnosis.shares import UNTOLD, Closed
@@ -117,6 +117,14 @@ def test_a_law_stands_beside_the_effects_that_are_present(found):
     assert learnt.of_the_rest.hdi90[0] > 0.8
     nothing_left = replace(budget, unexplained=Closed(0.02, (-0.1, 0.1), "repeats"))
     assert learn(fit, nothing_left, "quadratic_drag", place) is None
+
+
+def test_a_law_that_closes_next_to_nothing_is_no_law():
+    """Beside an effect that closes 98 % of the gap something may still be learnt, with certainty, and be of no use."""
+    assert not worth_offering(Closed(0.003, (0.002, 0.004), "repeats"))
+    assert not worth_offering(Closed(0.3, (-0.1, 0.7), "repeats"))
+    assert not worth_offering(UNTOLD)
+    assert worth_offering(Closed(0.05, (0.03, 0.07), "repeats"))
 
 
 def columns_of(true, noise=0.0, seed=0):
