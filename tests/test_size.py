@@ -10,7 +10,7 @@ import pytest
 from campaigns import CAMPAIGN_TOML
 from small_rig import measured
 
-from bayes_damper.calibration import Problem, calibrate, normal_equations, posterior, problem
+from bayes_damper.calibration import Problem, calibrate, derivatives, normal_equations, posterior
 from bayes_damper.campaign import Constant, Trial, head_from_table
 from bayes_damper.campaign.plausibility import look_at_repeats
 from bayes_damper.diagnosis import response, sites, where
@@ -98,7 +98,7 @@ def test_what_is_held_of_linearised_problems_is_limited_and_made_again_the_same(
 
 def test_trials_are_differentiated_in_turns_with_the_same_results(fit, monkeypatch):
     at_once = fit.problem.linearise(fit.q, fit.eta, central=True).blocks
-    monkeypatch.setattr(problem, "READINGS_AT_ONCE", 600)
+    monkeypatch.setattr(derivatives, "READINGS_AT_ONCE", 600)
     in_turns = fit.problem.linearise(fit.q, fit.eta, central=True).blocks
     for a, b in zip(at_once, in_turns, strict=True):
         assert a.group is b.group

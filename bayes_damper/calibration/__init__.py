@@ -24,6 +24,7 @@ All vectors of a Jacobian, of all trials that share their sample times, go throu
 
 from __future__ import annotations
 
+from bayes_damper.calibration.derivatives import Indices
 from bayes_damper.calibration.experiment import (
     Experiment,
     TrialRecord,
@@ -40,7 +41,7 @@ from bayes_damper.calibration.noise import Noise, rough_noise
 from bayes_damper.calibration.noise_level import error_level, evenly_sampled, learn_noise, spectrum_bins, whittle
 from bayes_damper.calibration.nominal import calibrate_nominal, grown
 from bayes_damper.calibration.normal_equations import Block, Linear, Normals
-from bayes_damper.calibration.problem import Indices, Problem
+from bayes_damper.calibration.problem import Problem
 from bayes_damper.calibration.unknowns import NOMINAL, Coordinate, coordinate_of, middle
 
 __all__ = [

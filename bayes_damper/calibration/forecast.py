@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from bayes_damper.calibration import Calibration, Experiment, Group, Problem, predict
+from bayes_damper.calibration.derivatives import RELEASE_STEP
 from bayes_damper.calibration.own_values import RELEASE
-from bayes_damper.calibration.problem import RELEASE_STEP
 
 Array = NDArray[np.float64]
 

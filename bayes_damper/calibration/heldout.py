@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bayes_damper.calibration.derivatives import LEAST_STEP, RELEASE_STEP, Indices
 from bayes_damper.calibration.groups import Group
 from bayes_damper.calibration.least_squares import Calibration
 from bayes_damper.calibration.own_values import RELEASE, channel_of, middle_of, of_readings, wave
-from bayes_damper.calibration.problem import LEAST_STEP, RELEASE_STEP, Indices
 
 Array = NDArray[np.float64]
 RENEWED = (0, 3)  # rounds in which derivatives by what acts nearly linearly are taken

@@ -91,9 +91,9 @@ class PairProblem(Problem):
         first, second = (part.simulate(group, which, x, eta) for part, x in zip(self.parts, alone, strict=True))
         return first + second - self.base.simulate(group, which, q[:, :n], eta)
 
-    def _acts(self, c: Coordinate, group: Group) -> bool:
+    def acts(self, c: Coordinate, group: Group) -> bool:
         if c.role != "effect":
-            return super()._acts(c, group)
+            return super().acts(c, group)
         variant = self.parts[1 if c.name.startswith("second.") else 0].effect
         return group.coupled or (variant is not None and variant.uncoupled)
 

@@ -121,9 +121,9 @@ class SetProblem(Problem):
         alone = self.base.simulate(group, which, q[:, : self.base.size], eta)
         return np.asarray(sum(each) - (len(each) - 1) * alone)
 
-    def _acts(self, c: Coordinate, group: Group) -> bool:
+    def acts(self, c: Coordinate, group: Group) -> bool:
         if c.role != "effect":
-            return super()._acts(c, group)
+            return super().acts(c, group)
         return group.coupled or self.members[int(c.name.split(".")[1])][1].uncoupled
 
     def parameters_of(self, effect: str) -> dict[str, str]:
