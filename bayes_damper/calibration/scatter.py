@@ -75,6 +75,7 @@ _FINE = np.linspace(-5.0, 3.5, 681)
 SHOWN_FROM = 3.0  # nats by which the repeats' likelihood must gain from a scatter for it to be reported
 SURE_OF_TREND = 0.01
 SUDDEN, WORTH_IT = 0.3, 1.0  # of the typical time of release, and nats, below both of which there is none
+USUAL = (0.3, 2.5)  # range of times of release over their size, root mean square, in which they scatter about none
 ABOUT_ITS_MEAN = 1.0 - 2.0 / math.pi  # variance of half a normal distribution over its mean square
 NEGLIGIBLE = 0.05  # information s^2 T'T of every trial's own value, below which it is left out
 
@@ -173,7 +174,19 @@ def learn_scatter(fit: Calibration, noise: Noise | None = None) -> Scatter:
         if len(rows) > 1
     ]
     sizes = _posterior(sets, typical.sizes)
-    return Scatter(tuple(s for s in sizes if _matters(s, information)))
+    times = math.sqrt(float(np.mean(np.square(_times_of_release(fit) or [0.0]))))
+    return Scatter(tuple(s for s in sizes if _matters(s, information, times)))
+
+
+def _times_of_release(fit: Calibration) -> list[float]:
+    """That of each trial, s; empty where the fit has none."""
+    return [
+        float(mean[k] + sd[k] * fit.eta[i][m])
+        for group in fit.problem.groups
+        for m, (name, mean, sd) in enumerate(group.nuisances)
+        for k, i in enumerate(group.trials)
+        if name == RELEASE
+    ]
 
 
 def with_releases(problem: Problem, scatter: Scatter) -> Scatter:
@@ -182,8 +195,14 @@ def with_releases(problem: Problem, scatter: Scatter) -> Scatter:
     return Scatter((*scatter.sizes, *_posterior((), added)))
 
 
-def _matters(size: Size, information: Mapping[str, float]) -> bool:
-    if size.name == RELEASE and size.sd < SUDDEN * size.typical and size.gained < WORTH_IT:
+def _matters(size: Size, information: Mapping[str, float], times: float) -> bool:
+    """Whether a size is kept; times : root mean square of the fit's times of release.
+
+    Small ones are, where the times are neither all none nor all the same: the gain is that of the linearised problem,
+    in which an instant of each trial's own makes up for a release that has no time.
+    """
+    small = size.name == RELEASE and size.sd < SUDDEN * size.typical and size.gained < WORTH_IT
+    if small and not USUAL[0] * size.sd < times < USUAL[1] * size.sd:
         return False
     return any((size.sd / size.typical) ** 2 * information.get(name, 0.0) > NEGLIGIBLE for name, _ in size.columns)
 
