@@ -37,7 +37,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize
 from scipy.stats import t as student
 
-from bayes_damper.calibration.experiment import repeats
+from bayes_damper.calibration.experiment import lone, repeats
 from bayes_damper.calibration.least_squares import Calibration
 from bayes_damper.calibration.noise import Noise
 from bayes_damper.calibration.own_values import (
@@ -190,7 +190,12 @@ def _times_of_release(fit: Calibration) -> list[float]:
 
 
 def with_releases(problem: Problem, scatter: Scatter) -> Scatter:
-    """The sizes with that of the time of release, at what its prior says, where trials are released."""
+    """The sizes with that of the time of release, at what its prior says, where trials are released and repeat.
+
+    Without repeats it would be taken for a lag of sensors, or the other way round, as the prior has it.
+    """
+    if lone(problem.experiment, problem.trials):
+        return scatter
     added = tuple(s for s in typical_scatter(problem, releases=True).sizes if s.name == RELEASE)
     return Scatter((*scatter.sizes, *_posterior((), added)))
 

@@ -217,7 +217,7 @@ def test_a_release_that_takes_the_same_time_in_each_trial_is_a_gap():
 
 def test_a_trials_own_time_of_release_adds_to_that_of_the_effect():
     """So that a common time with some scatter is one effect with trials about it, not two that hold the rig at once."""
-    bare = Problem(laboratory(9, {}, repeats=1), noise=Noise((2.0,), (0.0,), (0.0,)))
+    bare = Problem(laboratory(9, {}, repeats=3), noise=Noise((2.0,), (0.0,), (0.0,)))
     problem = bare.changed(switches=Switches(delay=False, scatter=with_releases(bare, Scatter())))
     together = problem.with_effect(EFFECTS["release_ramp"].variant("linear"))
     (group, *_) = problem.groups
