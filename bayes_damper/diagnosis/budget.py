@@ -195,7 +195,7 @@ def _shares(
     keys = [frozenset[str](), *smaller, best.names] if names else [frozenset[str]()]
     models = [nominal, *(fits[k] for k in smaller), best.fit] if names else [nominal]
     found = products_of(models, heldout, rng)
-    if not found.told():
+    if not found.is_known():
         return _untold(names)
     left, draws = found.shares()
     place = {k: i for i, k in enumerate(keys)}

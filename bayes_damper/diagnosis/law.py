@@ -221,7 +221,7 @@ def worth_offering(closes: Closed) -> bool:
 
 def _beyond(shown: Any, rest: Closed) -> Closed:
     """Share of the nominal model's gap that model 2 closes beyond model 1."""
-    if not shown.told():
+    if not shown.is_known():
         return Closed(None, None, rest.method)
     left, draws = shown.shares()
     drawn = np.sort(draws[:, 1] - draws[:, 2])

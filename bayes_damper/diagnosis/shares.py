@@ -74,8 +74,8 @@ class Products:
         """Over all blocks, (models,)."""
         return np.asarray(self.values.sum(axis=1))
 
-    def told(self, before: int = 0) -> bool:
-        """Whether what model `before` leaves is a gap of which shares can be told."""
+    def is_known(self, before: int = 0) -> bool:
+        """Whether what model `before` leaves is a gap of which shares can be given."""
         return self.total[before] > 0.0 and float(np.mean(self.draws[:, before] <= 0.0)) < DOUBT
 
     def shares(self, before: int = 0) -> tuple[Array, Array]:
@@ -85,7 +85,7 @@ class Products:
 
     def closed(self, after: int, before: int = 0) -> Closed:
         """Share of the gap of model `before` that model `after` closes."""
-        if not self.told(before):
+        if not self.is_known(before):
             return UNTOLD
         left, draws = self.shares(before)
         return Closed(float(1.0 - left[after]), shortest_interval(np.sort(1.0 - draws[:, after])), self.method)

@@ -119,7 +119,7 @@ def test_the_uncertainty_of_the_angle_is_told_where_it_was_assumed(tmp_path: Pat
     source = logger_file(tmp_path / "run.csv", wave())
     options = {key: value for key, value in OPTIONS.items() if key != "theta0_std"}
     campaign = load_campaign(init_campaign(tmp_path / "out", [source], **options))
-    assert any("0.1 deg (mm), or 2 % of it" in w for w in campaign.warnings)
+    assert any("0.1 deg, or 2 % of it" in w for w in campaign.warnings)
 
 
 def test_a_unit_that_contradicts_the_file_is_told(tmp_path: Path) -> None:
