@@ -14,7 +14,10 @@ residuals allows. With D the chi-square that is left beyond the sensors' noise,
     log Z = log Z(noise alone) + D / 2 - N / 2 log(1 + D / N),
 
 the plain evidence where nothing is left, and -N/2 log of the sum of squares where the noise hardly matters. N is one
-for all sets that are compared, the smallest of the nominal model's and the leading sets'.
+for all sets that are compared, the smallest of the nominal model's and the leading sets'. So is the noise by which the
+parameters are known that all sets have, nuisances among them: beside so few pieces of discrepancy the readings fix them
+as well whichever set is true, and none may count as less informed because it leaves more. That noise is the smallest
+that any set leaves; what an effect adds is known by the noise that its own set leaves.
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.calibration import (
+    Block,
     Calibration,
     Coordinate,
     Group,
@@ -59,7 +63,7 @@ FITTED = 3  # sets fitted in each round
 ROUNDS = 3
 RELEARNT = 2
 STARTS = (1.0, 0.6, 0.3)  # shares of the screening's amplitudes from which a set is fitted
-LEAST_DROPPED = 3  # effects of a set from which each is left out once
+LEAST_DROPPED = 2  # effects of a set from which each is left out once
 LEAST = 0.05  # of a parameter's value, to which it gives way at most at a start
 STEPS, STEPS_ALONE = 16, 40  # of a fit; over the many periods of a record without repeats valleys are long
 
@@ -308,7 +312,8 @@ class SetFit:
     """A set of effects fitted with everything free; without members the nominal model.
 
     plain: log evidence without what the discrepancy costs; squares, pieces: chi-square left beyond the sensors' noise,
-    and in how many independent pieces; evidence: log Z over the nominal model (`weighed`).
+    and in how many independent pieces; grams: what `known_by` needs of each group of trials, empty where trials have
+    repeats; evidence: log Z over the nominal model (`weighed`).
     """
 
     members: tuple[Member, ...]
@@ -316,6 +321,7 @@ class SetFit:
     plain: float
     squares: float
     pieces: float
+    grams: tuple[Array, ...] = ()
     evidence: float = 0.0
 
     @property
@@ -323,12 +329,55 @@ class SetFit:
         """The effects."""
         return frozenset(e.name for e, _ in self.members)
 
+    @property
+    def noise(self) -> Array:
+        """Of the fit, sd of each channel's innovation."""
+        return np.array(self.fit.problem.noise.innovation)
+
+    def beside(self, others: Sequence[SetFit]) -> float:
+        """`plain` where the parameters that all sets have are known by the smallest noise that any of them leaves."""
+        noises = [s.noise for s in others if s.grams and math.isfinite(s.plain)]
+        if not self.grams or not noises:
+            return self.plain
+        return self.plain + self.known_by(self.noise) - self.known_by(np.min(noises, axis=0))
+
+    def known_by(self, noise: Array) -> float:
+        """Half the log determinant of the information on the parameters that all sets have, under a noise."""
+        problem = self.fit.problem
+        common = problem.base.size if isinstance(problem, SetProblem) else problem.size - _own_size(self.members)
+        total, S = 0.0, np.eye(common)
+        for gram in self.grams:
+            factor = (self.noise / noise)[: len(gram)] ** 2
+            g = np.einsum("c,cjkl->jkl", factor, gram)
+            S += g[:, :common, :common].sum(axis=0)
+            if g.shape[1] > problem.size:
+                H, TJ = g[:, problem.size :, problem.size :], g[:, problem.size :, :common]
+                H = H + np.eye(H.shape[1])
+                S -= np.sum(TJ.transpose(0, 2, 1) @ np.linalg.solve(H, TJ), axis=0)
+                total += 0.5 * float(np.linalg.slogdet(H)[1].sum())
+        return total + 0.5 * float(np.linalg.slogdet(S)[1])
+
 
 def set_fit(members: Sequence[Member], fit: Calibration) -> SetFit:
     """A fit as one of the sets to be weighed."""
     squares, pieces = left_over(fit)
-    explained = fit.chi2 if fit.problem.noise.sensor else squares
-    return SetFit(tuple(members), fit, fit.log_evidence + 0.5 * explained, squares, pieces)
+    alone = bool(fit.problem.noise.sensor)
+    explained = fit.chi2 if alone else squares
+    grams = tuple(_gram_by_channel(b) for b in fit.linear.blocks) if alone else ()
+    return SetFit(tuple(members), fit, fit.log_evidence + 0.5 * explained, squares, pieces, grams)
+
+
+def _own_size(members: Sequence[Member]) -> int:
+    """How many parameters the effects of a set have."""
+    return sum(len(variant.parameters) for _, variant in members)
+
+
+def _gram_by_channel(block: Block) -> Array:
+    """Products of the derivatives by parameters and nuisances, (channels, trials, size + m, size + m)."""
+    rows = np.concatenate([block.J, block.T], axis=1)
+    channels = block.group.y.shape[1]
+    rows = rows.reshape(*rows.shape[:2], channels, -1).transpose(2, 0, 1, 3)
+    return np.asarray(rows @ rows.transpose(0, 1, 3, 2))
 
 
 def left_over(fit: Calibration) -> tuple[float, float]:
@@ -362,10 +411,14 @@ def weighed(sets: Sequence[SetFit]) -> list[SetFit]:
     """The sets with their evidence over the nominal model (the one without members), best first."""
     none = next(s for s in sets if not s.members)
     pieces = none.pieces
+    sharp = [s.beside(sets) for s in sets]
+    base = sharp[next(k for k, s in enumerate(sets) if s is none)]
     out = list(sets)
     for _ in range(2):
-        base = none.plain - _cost(none, pieces)
-        out = [replace(s, evidence=s.plain - _cost(s, pieces) - base) for s in sets]
+        out = [
+            replace(s, evidence=plain - _cost(s, pieces) - base + _cost(none, pieces))
+            for s, plain in zip(sets, sharp, strict=True)
+        ]
         out = [s if math.isfinite(s.evidence) else replace(s, evidence=-math.inf) for s in out]
         out.sort(key=lambda s: -s.evidence)
         pieces = max(min(none.pieces, *(s.pieces for s in out[:FITTED])), 2.0)
@@ -374,7 +427,8 @@ def weighed(sets: Sequence[SetFit]) -> list[SetFit]:
 
 def better(new: SetFit, old: SetFit, pieces: float) -> bool:
     """Whether one fit of a set explains more than another, each under the noise that it leaves itself."""
-    return new.plain - _cost(new, pieces) > old.plain - _cost(old, pieces)
+    both = (new, old)
+    return new.beside(both) - _cost(new, pieces) > old.beside(both) - _cost(old, pieces)
 
 
 def _cost(s: SetFit, pieces: float) -> float:
@@ -514,6 +568,9 @@ def _sharper(fit: Calibration) -> Calibration:
     """The fit under the noise that it leaves itself, learnt twice: a better fit leaves less, which sharpens it."""
     for _ in range(RELEARNT):
         noise = learn_noise(fit)
+        if not noise.sensor:  # it leaves noise alone, and is still weighed beside sets that leave more
+            none = (0.0,) * len(noise.total)
+            noise = Noise(noise.total, none, none, sensor=noise.total)
         fit = calibrate(
             fit.problem.with_noise(noise), [fit.q], eta=fit.eta, anneal=False, most=STEPS_ALONE, straight=True
         )  # fmt: skip

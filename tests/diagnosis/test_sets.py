@@ -6,9 +6,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from small_rig import measured, variant
 
-from bayes_damper.calibration import Experiment, Problem, TrialRecord, calibrate, calibrate_nominal, coordinate_of
+from bayes_damper.calibration import (
+    Experiment,
+    Problem,
+    TrialRecord,
+    calibrate,
+    calibrate_nominal,
+    coordinate_of,
+    summarise,
+)
+from bayes_damper.diagnosis import diagnose
 from bayes_damper.diagnosis.budget import _divided, answers_of, borne_out, budget_of, foreign_alone
 from bayes_damper.diagnosis.search import offered
 from bayes_damper.diagnosis.sensitivity import sensitivity_of_sets
@@ -287,3 +297,42 @@ def test_without_repeats_each_choice_weighs_the_sets_again():
     assert asked[:2] == [{(0, 1)}] * 2
     assert asked[2:] == [{(1,)}, {(0,)}]
     assert all(c.verdict == "bearing_drag" and c.of_leading > 0.9 for c in choices)
+
+
+def test_common_parameters_are_known_by_a_noise_as_a_fit_under_it_knows_them(hidden):
+    """Against the Laplace evidence of the same point linearised under that noise; effects keep what they add."""
+    noise = hidden.problem.noise
+    finer = replace(noise, innovation=tuple(0.1 * x for x in noise.innovation))
+    alone = set_fit((), hidden)
+    under = summarise(hidden.problem.with_noise(finer), hidden.q, hidden.eta, True, 0)
+    informed = -(under.log_evidence + 0.5 * under.cost) + hidden.log_evidence + 0.5 * hidden.cost
+    assert alone.known_by(np.array(finer.innovation)) - alone.known_by(alone.noise) == pytest.approx(informed, rel=1e-4)
+    problem = SetProblem(hidden.problem, (member("quadratic_drag"),), True)
+    q = np.concatenate([hidden.q, [-5.0]])  # next to none of it
+    with_drag = set_fit(problem.members, summarise(problem, q, hidden.eta, True, 0))
+    assert with_drag.known_by(alone.noise) == pytest.approx(alone.known_by(alone.noise), rel=1e-3)
+
+
+def cart(number, release, heldout=False):
+    """A cart on a spring that hardens, with dry friction, by scipy: displacement, m, to 0.02 mm."""
+
+    def rate(_, x):
+        return x[1], (-620.0 * x[0] - 6e4 * x[0] ** 3 - 1.1 * x[1] - 0.15 * np.tanh(x[1] / 0.003)) / 1.8
+
+    times = np.arange(0.0, 3.0, 0.005)
+    y = solve_ivp(rate, (0.0, 3.0), (release, 0.0), "LSODA", times, rtol=1e-9, atol=1e-11).y[0]
+    y = y + 2e-5 * np.random.default_rng(number).standard_normal(y.size)
+    return TrialRecord(f"{number}.csv", f"from {release}", False, 1, times, y[None], 0, release, 2e-4, heldout=heldout)
+
+
+@pytest.mark.slow
+def test_a_spring_that_hardens_is_named_from_two_single_trials():
+    """It leaves nothing but the sensor's noise; that its parameters are known the better for it must not count against
+    it beside a nominal model that misses the records by half of their size."""
+    trials = (cart(1, 0.03), cart(2, 0.012), cart(3, 0.02, heldout=True))
+    experiment = Experiment({"J1": (1.8, 0.002)}, ((620.0, 12.0),), trials, "displacement")
+    found = diagnose(experiment)
+    assert found.verdict == "spring_cubic"
+    assert found.answers.probabilities["spring_cubic"] > 0.9
+    assert found.budget is not None
+    assert found.budget.parts[0].share.median > 0.99
