@@ -610,7 +610,9 @@ def test_a_case_is_as_uncertain_as_in_its_fit_where_the_model_misses_something(t
     cases = RecordedCases(plan)
     names = cases.fits["IV"].problem.names
     known = np.sqrt(np.diag(cases.fits["IV"].covariance))[[names.index(name) for name in cases.pooled]]
-    drawn = answer._fit_draws(tmp_path / "fit", plan, cases, lambda _: cases.pooled)["IV"].std(axis=0)
+    draws = answer._fit_draws(tmp_path / "fit", plan, cases, lambda _: cases.pooled)["IV"]
+    # Half the central 68 %: that of nu has one long tail, of frictions too sharp for records whose releases take time.
+    drawn = 0.5 * np.diff(np.quantile(draws, (0.1587, 0.8413), axis=0), axis=0)[0]
     ratio = dict(zip(cases.pooled, known / drawn, strict=True))
     assert all(0.6 < x < 1.7 for x in ratio.values()), ratio
 
