@@ -579,7 +579,9 @@ def _sharper(fit: Calibration) -> Calibration:
 
 def _fitted(nominal: Calibration, members: tuple[Member, ...], starts: Sequence[Array], exact: bool) -> Calibration:
     """A set fitted from several starts; where no trial has repeats, under the noise that it leaves itself."""
-    problem = SetProblem(nominal.problem, members, exact)
+    problem: Problem = SetProblem(nominal.problem, members, exact)
+    if len(members) == 1:  # as single effects are fitted everywhere else
+        problem = nominal.problem.with_effect(members[0][1])
     most = STEPS_ALONE if exact else STEPS
     fit = calibrate(problem, starts, eta=nominal.eta, anneal=False, most=most, finish=not exact, straight=exact)
     return _sharper(fit) if exact else fit

@@ -25,6 +25,7 @@ from bayes_damper.diagnosis.sensitivity import sensitivity_of_sets
 from bayes_damper.diagnosis.sets import (
     SetFit,
     SetProblem,
+    _fitted,
     _sharper,
     _without_one,
     better,
@@ -311,6 +312,16 @@ def test_common_parameters_are_known_by_a_noise_as_a_fit_under_it_knows_them(hid
     q = np.concatenate([hidden.q, [-5.0]])  # next to none of it
     with_drag = set_fit(problem.members, summarise(problem, q, hidden.eta, True, 0))
     assert with_drag.known_by(alone.noise) == pytest.approx(alone.known_by(alone.noise), rel=1e-3)
+
+
+def test_a_single_effect_left_of_a_pair_is_fitted_as_single_effects_are(hidden):
+    """Under the names that its row of the result asks for."""
+    drag = member("quadratic_drag")
+    start = np.concatenate([hidden.q, [-2.0]])
+    found = _fitted(hidden, (drag,), [start], True)
+    assert [n for n in found.problem.names if n.startswith("effect")] == [
+        f"effect.{p.name}" for p in drag[1].parameters
+    ]
 
 
 def cart(number, release, heldout=False):
