@@ -290,51 +290,29 @@ def _init_options(sub: Any) -> list[str]:
     return [*keys, *known]
 
 
+def _weighed(args: Arguments) -> dict[str, Any]:
+    """What every command that weighs effects takes (`weighing`), and where its files and random numbers come from."""
+    names = ("nominal", "effects", "priors", "out", "seed", "workers")
+    return {name: getattr(args, name) for name in names}
+
+
 def _diagnose(args: Arguments) -> Any:
     from bayes_damper.commands.diagnose import diagnose
     from bayes_damper.commands.fleet import diagnose_fleet
     from bayes_damper.runs.progress import make_teller
 
+    given = _weighed(args) | {"prior_unknown": args.prior_unknown}
     if len(args.campaign) > 1:
-        return diagnose_fleet(
-            args.campaign,
-            nominal=args.nominal,
-            effects=args.effects,
-            priors=args.priors,
-            out=args.out,
-            seed=args.seed,
-            workers=args.workers,
-            scheduler=args.scheduler,
-            prior_unknown=args.prior_unknown,
-            progress=_progress(args),
-        )
+        return diagnose_fleet(args.campaign, scheduler=args.scheduler, progress=_progress(args), **given)
     if args.scheduler is not None:
         raise InputError("--scheduler: it spreads several campaigns over a cluster; leave it out for one")
-    return diagnose(
-        args.campaign[0],
-        nominal=args.nominal,
-        effects=args.effects,
-        priors=args.priors,
-        out=args.out,
-        seed=args.seed,
-        workers=args.workers,
-        prior_unknown=args.prior_unknown,
-        tell=make_teller(quiet=args.quiet or args.json),
-    )
+    return diagnose(args.campaign[0], tell=make_teller(quiet=args.quiet or args.json), **given)
 
 
 def _plan(args: Arguments) -> Any:
     from bayes_damper.commands.plan import plan
 
-    return plan(
-        args.campaign,
-        nominal=args.nominal,
-        effects=args.effects,
-        priors=args.priors,
-        out=args.out,
-        seed=args.seed,
-        workers=args.workers,
-    )
+    return plan(args.campaign, **_weighed(args))
 
 
 def _withheld(args: Arguments) -> Any:

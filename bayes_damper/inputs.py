@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import errno
 import gzip
+import hashlib
 import io
 import json
 import math
@@ -246,6 +247,20 @@ def fields(table: object, types: Mapping[str, tuple[type, ...]], where: str, rem
                 f"{where}: {key} = {shown(table[key])} is of another type than it was written with; {remedy}"
             )
     return {key: table[key] for key in types}
+
+
+def file_sha256(path: Path) -> str:
+    """Checksum of a file's bytes.
+
+    Raises
+    ------
+    InputError
+        if there is none, or it cannot be read.
+    """
+    try:
+        return hashlib.sha256(file_bytes(path)).hexdigest()
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file; give one that is there") from None
 
 
 def in_lines(text: str) -> str:

@@ -42,7 +42,7 @@ from bayes_damper.calibration.noise_level import error_level, evenly_sampled, le
 from bayes_damper.calibration.nominal import calibrate_nominal, grown
 from bayes_damper.calibration.normal_equations import Block, Linear, Normals
 from bayes_damper.calibration.problem import Problem
-from bayes_damper.calibration.unknowns import NOMINAL, Coordinate, coordinate_of, middle
+from bayes_damper.calibration.unknowns import NOMINAL, Coordinate, coordinate_of, middle, value_and_slope
 
 __all__ = [
     "FRICTION_SPREAD",
@@ -78,6 +78,7 @@ __all__ = [
     "spectrum_bins",
     "summarise",
     "thinned",
+    "value_and_slope",
     "whittle",
     "with_priors",
 ]

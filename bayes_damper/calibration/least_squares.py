@@ -13,14 +13,13 @@ from scipy.special import ndtri
 
 from bayes_damper.calibration.normal_equations import Linear, Normals
 from bayes_damper.calibration.problem import Problem
-from bayes_damper.calibration.unknowns import coordinate_of
+from bayes_damper.calibration.unknowns import coordinate_of, value_and_slope
 from bayes_damper.priors.distributions import from_standard, median
 
 Array = NDArray[np.float64]
 GAINED = 0.02  # of the cost by a step, below which a descent has ended
 RECORDS_AT_ONCE = 1024  # simulated in one go where draws from the prior are compared
 NEAR_END = 0.1  # of the way to where a value's prior ends that a step along the values leaves
-SMALL = 1e-3
 HOPELESS, HURRY = 60.0, 6.0  # cost above a target, and in how many such steps it must be reachable, to go on
 
 
@@ -257,8 +256,8 @@ def _along_values(problem: Problem, q: Array, dq: Array) -> tuple[Array, float]:
     values, moves = np.empty(q.size), np.empty(q.size)
     share = 1.0
     for i, c in enumerate(problem.coordinates):
-        values[i] = from_standard(c.prior, q[i])
-        moves[i] = (float(from_standard(c.prior, q[i] + SMALL)) - values[i]) / SMALL * dq[i]
+        values[i], slope = value_and_slope(c.prior, float(q[i]))
+        moves[i] = slope * dq[i]
         low, high = c.prior.support
         room = values[i] - low if moves[i] < 0.0 else high - values[i]
         if abs(moves[i]) > (1.0 - NEAR_END) * room:

@@ -10,7 +10,7 @@ import numpy as np
 
 from bayes_damper.calibration.experiment import Experiment, TrialRecord
 from bayes_damper.effects.base import Variant
-from bayes_damper.priors.distributions import Distribution, Normal, median, to_standard
+from bayes_damper.priors.distributions import Distribution, Normal, from_standard, median, to_standard
 
 Priors = Callable[[str, str], Distribution | float]
 """Of a parameter, by name and case: a distribution, or a number where it is fixed."""
@@ -20,6 +20,12 @@ NOMINAL = ("k2t", "c2t", "c1t", "c3t", "mu", "drag", "nu")
 def coordinate_of(distribution: Distribution, x: float) -> float:
     """The standard Gaussian coordinate of the value `x`, cut to +-8."""
     return float(np.clip(to_standard(distribution, x), -8.0, 8.0))
+
+
+def value_and_slope(distribution: Distribution, z: float, step: float = 1e-3) -> tuple[float, float]:
+    """The value at a standard Gaussian coordinate, and its derivative by that."""
+    value, near = (float(from_standard(distribution, x)) for x in (z, z + step))
+    return value, (near - value) / step
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ stretches become trials. importer.py carries it out.
 from __future__ import annotations
 
 import difflib
-import hashlib
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,7 +18,7 @@ from bayes_damper import campaign as campaigns
 from bayes_damper.campaign import Rig
 from bayes_damper.campaign.logger_files import number_of, read_file
 from bayes_damper.errors import InputError
-from bayes_damper.inputs import LARGEST, csv_rows, file_bytes, shown, text_of
+from bayes_damper.inputs import LARGEST, csv_rows, file_bytes, file_sha256, shown, text_of
 
 READER: dict[str, tuple[tuple[type, ...], str]] = {
     "delimiter": ((str,), "mark between columns; 'auto' (default), ',', ';', 'tab' or 'space'"),
@@ -231,7 +230,7 @@ def _trial_row(
     words: Mapping[str, str],
 ) -> dict[str, Any]:  # fmt: skip
     """One [[trials]]: what holds for all, over it what the file's name says, over it what the sheet says."""
-    sums = [_sha256(path) for path in files if path.is_file()]
+    sums = [file_sha256(path) for path in files if path.is_file()]
     single = len(files) == 1
     row: dict[str, Any] = {"source": str(files[0]) if single else [str(path) for path in files]}
     if len(sums) == len(files):
@@ -451,10 +450,6 @@ def _guessed(path: Path, given: Mapping[str, Any]) -> tuple[dict[str, Any], str]
         found["time"] = time + 1
         taken.append(f"{source.column(time)} for the time")
     return found, ", ".join(taken)
-
-
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def spec_text(spec: Mapping[str, Any]) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,9 +14,9 @@ from bayes_damper.commands.diagnose import check_choices, diagnose
 from bayes_damper.diagnosis.verdict import RULE
 from bayes_damper.effects import all_effects, effects_sha256, same_effects
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.inputs import fields, file_bytes
+from bayes_damper.inputs import fields, file_sha256
 from bayes_damper.report import report
-from bayes_damper.runs.execution import Progress, Task, run_record, run_tasks
+from bayes_damper.runs.execution import Progress, Task, claim, run_tasks
 from bayes_damper.runs.json_files import folder_name, write_json
 from bayes_damper.runs.provenance import code_sha256, provenance
 from bayes_damper.text import NOTHING, counted
@@ -89,10 +88,12 @@ def diagnose_fleet(
     plan = {
         "campaigns": folders, "sha256": checksums, "nominal": nominal, "seed": seed,
         "prior_unknown": float(prior_unknown), "priors": None if file is None else str(file),
-        "priors_sha256": None if file is None else _sha256(file),
+        "priors_sha256": None if file is None else file_sha256(file),
         "effects_sha256": None if effects is None else effects_sha256(effects),
     }  # fmt: skip
-    _begin(home, {"command": "diagnose", "plan": plan, "code": code_sha256()}, workers)
+    if (home / "diagnosis.json").exists() and not (home / "run.json").exists():
+        raise InputError(f"{home}: holds the diagnosis of one campaign; name another --out, or remove that folder")
+    claim(home, {"command": "diagnose", "plan": plan, "code": code_sha256()}, workers)
     given = {
         "nominal": nominal, "seed": seed, "prior_unknown": prior_unknown, "priors": plan["priors"],
         "effects": None if effects is None else str(Path(effects).resolve()),
@@ -181,25 +182,3 @@ def _checksums(places: Mapping[str, Path]) -> dict[str, str]:
     if faults:
         raise InputError(faults)
     return found
-
-
-def _sha256(priors: Path) -> str:
-    try:
-        return hashlib.sha256(file_bytes(priors)).hexdigest()
-    except FileNotFoundError:
-        raise InputError(f"--priors {priors}: there is no such file") from None
-
-
-def _begin(home: Path, record: Mapping[str, Any], workers: int) -> None:
-    """Note what runs in `home`; another run's diagnoses are not mixed with this one's."""
-    path = home / "run.json"
-    if path.exists():
-        before = {k: v for k, v in run_record(home).items() if k != "workers"}
-        if before != record:
-            plans = [r.get("plan") or {} for r in (before, record)]
-            changed = [key for key in _PLANNED if plans[0].get(key) != plans[1].get(key)]
-            what = f"with other {', '.join(changed)}" if changed else "of another command or version of the package"
-            raise InputError(f"{home}: holds a run {what}; name another --out, or remove that folder")
-    elif (home / "diagnosis.json").exists():
-        raise InputError(f"{home}: holds the diagnosis of one campaign; name another --out, or remove that folder")
-    write_json(path, {**record, "workers": workers})

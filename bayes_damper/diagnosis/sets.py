@@ -43,13 +43,14 @@ from bayes_damper.calibration import (
     coordinate_of,
     learn_noise,
     summarise,
+    value_and_slope,
 )
 from bayes_damper.diagnosis.pairs import ComposedProblem, Pair, PairProblem
 from bayes_damper.diagnosis.remainder import LOW_BAND, own_frequency, repeats_of, whitened_records
 from bayes_damper.diagnosis.search import Candidate, Screen, essence
 from bayes_damper.diagnosis.verdict import FRICTIONS, RULE, USUAL, Rule
 from bayes_damper.effects.base import Effect, Variant
-from bayes_damper.priors.distributions import HalfNormal, from_standard
+from bayes_damper.priors.distributions import HalfNormal
 from bayes_damper.runs.parallel_map import forked_map
 from bayes_damper.simulation.composition import compose
 
@@ -334,17 +335,14 @@ class SetFit:
         """Of the fit, sd of each channel's innovation."""
         return np.array(self.fit.problem.noise.innovation)
 
-    def beside(self, others: Sequence[SetFit]) -> float:
-        """`plain` where the parameters that all sets have are known by the smallest noise that any of them leaves."""
-        noises = [s.noise for s in others if s.grams and math.isfinite(s.plain)]
-        if not self.grams or not noises:
-            return self.plain
-        return self.plain + self.known_by(self.noise) - self.known_by(np.min(noises, axis=0))
+    def under(self, noise: Array) -> float:
+        """`plain` where the parameters that all sets have are known by another noise, sd of each channel."""
+        return self.plain + self.known_by(self.noise) - self.known_by(noise) if self.grams else self.plain
 
     def known_by(self, noise: Array) -> float:
         """Half the log determinant of the information on the parameters that all sets have, under a noise."""
         problem = self.fit.problem
-        common = problem.base.size if isinstance(problem, SetProblem) else problem.size - _own_size(self.members)
+        common = sum(c.role != "effect" for c in problem.coordinates)  # they stand first
         total, S = 0.0, np.eye(common)
         for gram in self.grams:
             factor = (self.noise / noise)[: len(gram)] ** 2
@@ -365,11 +363,6 @@ def set_fit(members: Sequence[Member], fit: Calibration) -> SetFit:
     explained = fit.chi2 if alone else squares
     grams = tuple(_gram_by_channel(b) for b in fit.linear.blocks) if alone else ()
     return SetFit(tuple(members), fit, fit.log_evidence + 0.5 * explained, squares, pieces, grams)
-
-
-def _own_size(members: Sequence[Member]) -> int:
-    """How many parameters the effects of a set have."""
-    return sum(len(variant.parameters) for _, variant in members)
 
 
 def _gram_by_channel(block: Block) -> Array:
@@ -411,7 +404,7 @@ def weighed(sets: Sequence[SetFit]) -> list[SetFit]:
     """The sets with their evidence over the nominal model (the one without members), best first."""
     none = next(s for s in sets if not s.members)
     pieces = none.pieces
-    sharp = [s.beside(sets) for s in sets]
+    sharp = _alike(sets)
     base = sharp[next(k for k, s in enumerate(sets) if s is none)]
     out = list(sets)
     for _ in range(2):
@@ -427,8 +420,14 @@ def weighed(sets: Sequence[SetFit]) -> list[SetFit]:
 
 def better(new: SetFit, old: SetFit, pieces: float) -> bool:
     """Whether one fit of a set explains more than another, each under the noise that it leaves itself."""
-    both = (new, old)
-    return new.beside(both) - _cost(new, pieces) > old.beside(both) - _cost(old, pieces)
+    ours, theirs = _alike((new, old))
+    return ours - _cost(new, pieces) > theirs - _cost(old, pieces)
+
+
+def _alike(sets: Sequence[SetFit]) -> list[float]:
+    """`plain` of each, with what all sets know known by the smallest noise that any of them leaves."""
+    noises = [s.noise for s in sets if s.grams and math.isfinite(s.plain)]
+    return [s.under(np.min(noises, axis=0)) if noises else s.plain for s in sets]
 
 
 def _cost(s: SetFit, pieces: float) -> float:
@@ -607,8 +606,8 @@ def _starts(base: SetFit, columns: Columns, proposal: Proposal) -> list[Array]:
 
 def _moved(c: Coordinate, z: float, step: float) -> float:
     """The coordinate z after a step that is linear in the value itself, which stops short of a change of sign."""
-    value, near = (float(from_standard(c.prior, x)) for x in (z, z + 1e-3))
-    to = value + (near - value) / 1e-3 * step
+    value, slope = value_and_slope(c.prior, z)
+    to = value + slope * step
     return coordinate_of(c.prior, to if to * value > 0.0 and abs(to) > LEAST * abs(value) else LEAST * value)
 
 

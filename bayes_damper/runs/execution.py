@@ -99,6 +99,24 @@ def execute(task: Task, folder: Path) -> Any:
     return result
 
 
+def claim(folder: Path, record: Mapping[str, Any], workers: int) -> None:
+    """Note in run.json of `folder` what runs there (`command`, `plan`, and more); the same run goes on.
+
+    Raises
+    ------
+    InputError
+        if another run is there, whose pieces are not mixed with this one's.
+    """
+    path = folder / "run.json"
+    if path.exists():
+        before = {key: value for key, value in run_record(folder).items() if key != "workers"}
+        if before != record:
+            changed = [key for key, value in record["plan"].items() if before["plan"].get(key) != value]
+            what = f", with other {', '.join(changed)}" if changed else ", or one of another version of the package"
+            raise InputError(f"{folder}: holds another run{what}; name another --out, or remove that folder")
+    write_json(path, {**record, "workers": workers})
+
+
 def stopped(folder: Path) -> Interrupted:
     """What is raised after Ctrl-C in a run that `resume` goes on with: the sentence says how."""
     return Interrupted(f"stopped, the state is saved; go on with: bayes-damper resume {folder}")

@@ -16,7 +16,7 @@ from bayes_damper import figures
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.inputs import fields
 from bayes_damper.priors.distributions import Distribution, from_standard, to_standard
-from bayes_damper.runs.execution import Progress, Task, run_record, run_tasks
+from bayes_damper.runs.execution import Progress, Task, claim, run_record, run_tasks
 from bayes_damper.runs.json_files import folder_name, plain, read_json, write_json
 from bayes_damper.runs.provenance import code_sha256, provenance
 from bayes_damper.sampling import arviz_adapter
@@ -145,7 +145,8 @@ def variability(
     cases = PublishedCases(plan) if plan["campaign"] == "thesis" else RecordedCases(plan)
     rng = np.random.default_rng([seed, 5])
     settings = {"fit": plan, "seed": seed, "particles": particles, "repeats": repeats}
-    _claim(target, settings | {"source": str(folder), "draws": draws, "unseen": unseen, "adapt": adapt}, workers)
+    run = settings | {"source": str(folder), "draws": draws, "unseen": unseen, "adapt": adapt}
+    claim(target / "variability", {"command": "variability", "plan": run, "code": code_sha256()}, workers)
     more: dict[str, Any] = {}
     check: dict[str, Any] | None = None
     if isinstance(cases, PublishedCases):
@@ -261,18 +262,6 @@ def finish_variability(
         draws=plan["draws"], unseen=plan["unseen"], adapt=plan["adapt"], workers=workers or record.get("workers", 1),
         progress=progress,
     )  # fmt: skip
-
-
-def _claim(target: Path, plan: Mapping[str, Any], workers: int) -> None:
-    """Note what runs in the working folder; another run's pieces are not mixed with this one's."""
-    path = target / "variability" / "run.json"
-    record = {"command": "variability", "plan": dict(plan), "code": code_sha256()}
-    if path.exists() and {k: v for k, v in run_record(path.parent).items() if k != "workers"} != record:
-        raise InputError(
-            f"{path.parent}: holds pieces of another run, or of another version of the package; remove that folder, "
-            "or name another --out"
-        )
-    write_json(path, record | {"workers": workers})
 
 
 def _run_published(
