@@ -138,7 +138,10 @@ _QUESTIONS = (
     ("secondary_inertia", "Inertia J2 in kg m^2 (empty: no second body)"),
     ("bar_radius", "Radius R at which the magnets sit in m (empty: no magnets)"),
     ("magnet_radius", "Radius r of the magnet's face in m (empty: no magnets)"),
-    ("magnet_pull", "Pull N0 of the magnet in N (empty: nothing rubs between the bodies)"),
+    (
+        "magnet_pull",
+        "Pull N0 of the magnet in N, 9.81 times the kg of a catalogue (empty: nothing rubs between the bodies)",
+    ),
     ("k1t", "Stiffness k1t in N m/rad (empty: from the strongest frequency)"),
     ("theta0", "Release angle in degrees (empty: not released at rest, it is inferred)"),
     ("release", "Release: start (of the record), find (in it), first_peak, or s on its clock (empty: start)"),
@@ -166,7 +169,7 @@ def _init(args: Arguments) -> Any:
         answers = _answers(set(given), given.get("kind"))
         given |= answers
     try:
-        init_campaign(args.folder, [raw / f for f in args.files], args.overwrite, **given)
+        init_campaign(args.folder, [raw / f for f in args.files], args.overwrite, args.raw, **given)
     except InputError as error:
         if not answers:
             raise

@@ -147,8 +147,12 @@ def _check_options(options: Mapping[str, object]) -> None:
         raise InputError(faults)
 
 
-def spec_from_options(name: str, sources: Sequence[Path], options: Mapping[str, object]) -> dict[str, Any]:
+def spec_from_options(
+    name: str, sources: Sequence[Path], options: Mapping[str, object], raw: Path | None = None
+) -> dict[str, Any]:
     """The table that `init` carries out; see `importer.init_campaign` for the options.
+
+    raw : folder of the files that a sheet names, by default that of the sheet.
 
     Raises
     ------
@@ -158,7 +162,7 @@ def spec_from_options(name: str, sources: Sequence[Path], options: Mapping[str, 
     _check_options(options)
     faults: list[str] = []
     rows = _sheet_rows(options.get("sheet"), faults)
-    folder = Path(str(options["sheet"])).resolve().parent if rows else Path()
+    folder = raw if raw is not None else Path(str(options["sheet"])).resolve().parent if rows else Path()
     if not sources:
         sources = [folder / str(row["file"]) for row in rows if "file" in row]
     faults += [f"{path}: there is no such file; correct the name or --raw" for path in sources if not path.is_file()]

@@ -157,11 +157,13 @@ _NO_FRICTION = (
 
 
 def init_campaign(
-    folder: str | Path, sources: Sequence[str | Path], overwrite: bool = False, **options: object
-) -> Path:
+    folder: str | Path, sources: Sequence[str | Path], overwrite: bool = False, raw: str | Path | None = None,
+    **options: object,
+) -> Path:  # fmt: skip
     """A commented campaign from logger files, one trial a file; gives its folder, which also gets import.toml.
 
-    sources : the logger's files, in the order of the trials; overwrite : replace the campaign that `folder` holds.
+    sources : the logger's files, in the order of the trials; overwrite : replace the campaign that `folder` holds;
+    raw : where the files lie that a sheet names, by default beside the sheet.
     options : any key of READER and TRIAL (for all files alike), of [rig] and of [measurement] of campaign.toml, and
     name, description, source_text (where the data come from). What is not given is assumed and noted as a caveat: an
     inertia of 1 (all per unit inertia), k1t from the strongest frequency, no friction between the bodies (mu = 0 in the
@@ -173,7 +175,8 @@ def init_campaign(
         as `import_records`, and for options that do not exist.
     """
     folder = Path(folder)
-    spec = spec_from_options(folder.resolve().name, [Path(s).resolve() for s in sources], options)
+    paths = [Path(s).resolve() for s in sources]
+    spec = spec_from_options(folder.resolve().name, paths, options, None if raw is None else Path(raw).resolve())
     beside = folder / "priors.toml"
     found = file_bytes(beside) if beside.exists() else None
     priors = _NO_FRICTION if NOTHING_RUBS in spec["caveats"] else None
@@ -283,6 +286,7 @@ def _build(table: Mapping[str, Any], name: str, raw: Path) -> Campaign:
         raise InputError(_gathered(faults))
     trials: list[Trial] = []
     contradicted: list[str] = []
+    unnamed: list[str] = []
     files: dict[Path, LoggerFile] = {}
     faults += _repeated(options)
     counts: dict[tuple[str, str], int] = {}
@@ -297,14 +301,16 @@ def _build(table: Mapping[str, Any], name: str, raw: Path) -> Campaign:
             )
             continue
         try:
-            trials.append(_trial_from(option, head.rig, head.measurement, raw, files, contradicted))
+            trials.append(_trial_from(option, head.rig, head.measurement, raw, files, contradicted, unnamed))
         except InputError as error:
             faults.extend(error.faults)
     if faults:
         raise InputError(_gathered(faults))
     trials = _with_estimates(trials, head.rig)
     notes = [note for source in files.values() for note in source.notes if note not in head.caveats]
-    notes = _gathered([*notes, *contradicted]) + _resting(trials, options) + _idle(trials)
+    if "quantity" in table.get("measurement", {}):
+        unnamed = []
+    notes = _gathered([*notes, *contradicted, *unnamed]) + _resting(trials, options) + _idle(trials)
     caveats = (*head.caveats, *notes)
     return Campaign(
         head.name, head.rig, head.measurement, tuple(trials), head.description, head.source, caveats,
@@ -396,9 +402,11 @@ def _with_estimates(trials: list[Trial], rig: Rig) -> list[Trial]:
 
 def _trial_from(
     option: Mapping[str, Any], rig: Rig, measurement: Measurement, raw: Path, files: dict[Path, LoggerFile],
-    contradicted: list[str],
+    contradicted: list[str], unnamed: list[str],
 ) -> Trial:  # fmt: skip
-    """One trial in SI units; adds to `contradicted` what its file says otherwise than the options."""
+    """One trial in SI units; adds to `contradicted` what its file says otherwise than the options, to `unnamed` a
+    sentence where neither says what is read.
+    """
     source, where, option = _source_of(option, raw, files)
     times = _times_of(source, option, where)
     wanted = option.get("columns")
@@ -425,6 +433,13 @@ def _trial_from(
     places = [source.index(c, where) for c in wanted[:n_channels]]
     channels = _unwrapped(source.table[:, places].T, option)
     contradicted += _other_units(source, places, option.get("units", []), where)
+    released = measurement.start == "rest"  # then the size of the first peak shows what is read
+    if "units" not in option and not released and not all(source.unit(place) for place in places):
+        unit, slow = ("m/s^2", "positions") if rig.kind == "translational" else ("rad/s^2", "angles")
+        unnamed.append(
+            f"{where}: no unit is named, so the readings were taken as accelerations in {unit}; for {slow} or speeds "
+            "give --quantity, and --units where they are not in SI."
+        )
     option = {"units": _named_units(source, places, rig.kind, measurement.quantity), **option}
     inputs = _inputs_of(source, option, rig.kind, where)
     known = np.isfinite(times) & np.isfinite(channels).all(axis=0)

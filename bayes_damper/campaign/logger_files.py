@@ -49,6 +49,8 @@ _CLOCK = re.compile(
 _TIME_NAMES = re.compile(
     r"(t|time|zeit|temps|tiempo|tempo|x_value|timestamp|elapsed|seconds|sec|clock)\b.*", re.IGNORECASE
 )
+_BEHIND = r"(?:rad|mrad|deg|mm|cm|um|m)(?:_s2?)?|n_m|g|mg|ms|us|s|rpm"
+"""Units that a name ends with, as in x_mm, alpha1_rad_s2, t_ms; one letter that may mean something else is none."""
 _MISREAD = str.maketrans({"²": "^2", "µ": "u", "μ": "u", "°": "deg"})
 _UNITS = {
     "s", "ms", "us", "min", "sec", "seconds", "g", "mg", "m/s^2", "mm/s^2", "cm/s^2", "um/s^2", "rad/s^2", "deg/s^2",
@@ -109,8 +111,14 @@ class LoggerFile:
         """The unit that the file gives for a column (from 0), as the tables of units write it; None for none."""
         if self.units and self.units[column]:
             return self.units[column]
-        found = re.search(r"[\[(]([^\[\]()]+(?:\([^()]*\))?)[\])]\s*$", self.names[column]) if self.names else None
-        return unit_of(found[1]) if found else None
+        if not self.names:
+            return None
+        name = self.names[column].strip().strip('"')
+        found = re.search(r"[\[(]([^\[\]()]+(?:\([^()]*\))?)[\])]\s*$", name)
+        if found:
+            return unit_of(found[1])
+        behind = re.search(rf"(?<=[^_\W])_({_BEHIND})$", name)
+        return unit_of(behind[1].replace("n_m", "N m").replace("_", "/")) if behind else None
 
     def column(self, i: int) -> str:
         """A column for a sentence: its number, and its name where it has one."""

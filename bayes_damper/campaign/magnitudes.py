@@ -19,6 +19,8 @@ _POSSIBLE = {
     "magnet_pull": (1e-6, 1e6, "N"), "magnet_radius": (1e-6, 1e2, "m"), "bar_radius": (1e-6, 1e3, "m"),
 }  # fmt: skip
 """What a magnet and its arm can be at all, from micromachines to cranes."""
+_STRONGEST = 1.5e6
+"""Pull of a magnet per area of its face, Pa, that none reaches: B^2 / (2 mu0) of 1.9 T; neodymium keeps 1.5 T."""
 _MOST_APART = 1e6  # a ratio beyond which one of two numbers does not act
 
 
@@ -42,6 +44,13 @@ def _check_rig(rig: Rig, trials: Sequence[Trial], faults: list[str], warnings: l
             f"{where}: magnet_radius = {rig.magnet_radius.value:g} m is not smaller than bar_radius = "
             f"{rig.bar_radius.value:g} m, at which the magnet sits; exchanged, or a diameter?"
         )
+    if rig.has_magnet and rig.magnet_pull is not None and rig.magnet_radius is not None:
+        most_pull = _STRONGEST * math.pi * rig.magnet_radius.value**2
+        if rig.magnet_pull.value > most_pull:
+            warnings.append(
+                f"{where}: magnet_pull = {rig.magnet_pull.value:g} N is more than any magnet with a face of "
+                f"{rig.magnet_radius.value:g} m radius pulls, {most_pull:.2g} N; in newtons (a pull of 1 kg is 9.81 N)?"
+            )
     for key, (least, most, unit) in _POSSIBLE.items():
         constant = getattr(rig, key)
         if constant is not None and not least <= constant.value <= most:

@@ -16,7 +16,7 @@ from scipy.io import savemat
 
 from bayes_damper.campaign import load_campaign
 from bayes_damper.campaign.importer import convert, import_records, init_campaign, records_in
-from bayes_damper.campaign.logger_files import read_file
+from bayes_damper.campaign.logger_files import LoggerFile, read_file
 from bayes_damper.campaign.readings import find_first_peak, find_release
 from bayes_damper.cli import main
 from bayes_damper.commands.check import check
@@ -589,6 +589,41 @@ def test_names_and_a_sheet_tell_the_trials_apart(tmp_path: Path) -> None:
         init_campaign(tmp_path / "wrong", sources, **options)
     sheet.write_text("file,case,trial,k1t,theta0\ncaseI_uncoupled_1.csv,I,1,6.2,5.7\n", encoding="utf-8")
     assert len(load_campaign(init_campaign(tmp_path / "sheet", [], **options)).trials) == 1
+
+
+def test_raw_says_where_the_files_lie_that_a_sheet_names(tmp_path: Path) -> None:
+    (tmp_path / "raw").mkdir()
+    logger_file(tmp_path / "raw" / "one.csv", wave())
+    sheet = tmp_path / "sheet.csv"
+    sheet.write_text("file,case,k1t,theta0,theta0_std\none.csv,IV,10.2,4.7,0.1\n", encoding="utf-8")
+    options = ["--time", "t", "--columns", "a", "--release", "find", "--primary-inertia", "3.015e-3"]
+    folder, raw = str(tmp_path / "out"), str(tmp_path / "raw")
+    assert main(["init", folder, "--sheet", str(sheet), "--raw", raw, *options]) == 0
+    assert load_campaign(folder).trials[0].case == "IV"
+    assert main(["init", str(tmp_path / "other"), "--sheet", str(sheet), *options]) == 2
+
+
+@pytest.mark.parametrize(("name", "unit"), [
+    ("x_mm", "mm"), ("alpha1_rad_s2", "rad/s^2"), ("v_m_s", "m/s"), ("torque1_n_m", "N m"), ("t_ms", "ms"),
+    ("x1_m", "m"), ("position", None), ("x_px", None), ("gram", None), ("_mm", None), ("Weg [mm]", "mm"),
+])  # fmt: skip
+def test_the_end_of_a_name_is_its_unit(name: str, unit: str | None) -> None:
+    assert LoggerFile((name,), np.zeros((3, 1))).unit(0) == unit
+
+
+def test_positions_are_not_silently_taken_as_accelerations(tmp_path: Path) -> None:
+    """A column whose name or unit says a length asks for --quantity; where nothing says what it is, a caveat does."""
+    y = 12.0 * decay(TIMES, 1.0, 10.2, 0.031)[200:] / 3383.0  # mm
+    source = logger_file(tmp_path / "cart.csv", y, times=TIMES[200:])
+    kind = {"kind": "translational", "primary_inertia": 1.0, "k1t": 3383.0, "columns": [2]}
+    campaign = load_campaign(init_campaign(tmp_path / "out", [source], **kind))
+    assert any("no unit is named" in w and "--quantity" in w for w in campaign.warnings)
+    source.write_text(source.read_text().replace("t,a", "t,x_mm"))
+    with pytest.raises(InputError, match="give --quantity displacement"):
+        init_campaign(tmp_path / "named", [source], **kind)
+    campaign = load_campaign(init_campaign(tmp_path / "named", [source], quantity="displacement", **kind))
+    assert np.abs(campaign.trials[0].channels).max() == pytest.approx(1e-3 * np.abs(y).max())
+    assert not any("no unit" in w for w in campaign.warnings)
 
 
 @pytest.mark.parametrize(

@@ -120,23 +120,33 @@ def test_a_lag_uncertain_by_more_than_half_a_period_is_named(tmp_path):
     assert not any("lag_std" in w for w in found)
 
 
-@pytest.mark.parametrize(
-    ("key", "value"), [("magnet_pull", 1e29), ("magnet_radius", 1e-29), ("bar_radius", 1e-29), ("magnet_pull", 1e-29)]
-)
-def test_a_magnet_that_cannot_be_is_refused(tmp_path, key, value):
-    constants = {"magnet_pull": 100.0, "magnet_radius": 0.0127, "bar_radius": 0.1} | {key: value}
-    (tmp_path / "campaign.toml").write_text(
+def magnet_rig(folder, **changed):
+    constants = {"magnet_pull": 100.0, "magnet_radius": 0.0127, "bar_radius": 0.1} | changed
+    (folder / "campaign.toml").write_text(
         'name = "rig"\n[rig]\nprimary_inertia = 0.003\nsecondary_inertia = 0.002\n'
         + "".join(f"{k} = {v}\n" for k, v in constants.items())
         + '[measurement]\nquantity = "displacement"\n'
     )
-    (tmp_path / "trials.csv").write_text(
+    (folder / "trials.csv").write_text(
         "file,case,configuration,k1t_n_m_per_rad,theta0_deg,theta0_std_deg,trial\na.csv,I,uncoupled,0.108,5.73,0.1,1\n"
     )
     rows = [f"{t!r},{x!r}" for t, x in zip(TIMES.tolist(), swing(TIMES).tolist(), strict=True)]
-    (tmp_path / "a.csv").write_text("\n".join(["time_s,theta1_rad", *rows]))
+    (folder / "a.csv").write_text("\n".join(["time_s,theta1_rad", *rows]))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("magnet_pull", 1e29), ("magnet_radius", 1e-29), ("bar_radius", 1e-29), ("magnet_pull", 1e-29)]
+)
+def test_a_magnet_that_cannot_be_is_refused(tmp_path, key, value):
     with pytest.raises(InputError, match=re.escape(f"{key} = {value:g}") + ".* is none of a rig"):
-        load_campaign(tmp_path)
+        load_campaign(magnet_rig(tmp_path, **{key: value}))
+
+
+@pytest.mark.parametrize(("pull", "said"), [(100.0, False), (400.0, False), (10_200.0, True)])
+def test_a_pull_that_no_magnet_of_that_face_has_is_named(tmp_path, pull, said):
+    warnings = load_campaign(magnet_rig(tmp_path, magnet_pull=pull)).warnings
+    assert any("more than any magnet" in w and "1 kg is 9.81 N" in w for w in warnings) == said
 
 
 def test_three_columns_given_to_init_are_refused_by_name(tmp_path):
