@@ -64,6 +64,12 @@ def gathered(warnings: Iterable[str]) -> list[str]:
     return out
 
 
+def held_out_of(gap: Mapping[str, Any]) -> bool:
+    """Whether any trial tests the verdict: False where each case has one trial only; gap : `gap` of diagnosis.json."""
+    nothing = gap.get("p_value") in (None, 1.0) and gap.get("upper_rms_over_noise") is None
+    return not (nothing and gap.get("answer") == "cannot tell")
+
+
 def gap_beside_verdict(verdict: str, share: float, gap: Mapping[str, Any]) -> str:
     """Why the test of the gap and the verdict point different ways, in a sentence; "" where they agree.
 
@@ -84,7 +90,7 @@ def gap_beside_verdict(verdict: str, share: float, gap: Mapping[str, Any]) -> st
             f"cause, that nothing is missing stays the most probable answer ({share:.2f}). Repeats would decide."
         )
     if verdict != "none" and answer in ("none", "cannot tell"):
-        if gap.get("augmented_rms") is None and gap.get("closed") is None:
+        if not held_out_of(gap):
             return "No trial could be held out, so nothing tests this answer but the trials it was found in."
         return (
             "The test of the held-out trials alone does not show it"

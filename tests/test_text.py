@@ -36,10 +36,15 @@ def test_a_p_value_has_no_digits_where_they_mean_nothing(p, told):
         ("none", {"answer": "gap", "p_value": 1e-30, "size": 0.05}, "p below 1e-12"),
         ("stick_slip", {"answer": "none", "p_value": 0.4, "augmented_rms": 1.0}, "rests on all trials together"),
         ("unknown", {"answer": "cannot tell", "p_value": 1.0, "augmented_rms": None}, "No trial could be held out"),
+        # Nothing could be added (unknown), though trials were held out.
+        ("unknown", {"answer": "cannot tell", "p_value": 0.2, "augmented_rms": None, "closed": None,
+                     "upper_rms_over_noise": 0.4}, "held-out trials alone does not show it (p = 0.2)"),
+        ("unknown", {"answer": "cannot tell", "p_value": 1.0, "augmented_rms": None, "closed": None,
+                     "upper_rms_over_noise": 0.4}, "held-out trials alone does not show it"),
         ("none", {"answer": "none", "p_value": 0.4}, ""),
         ("stick_slip", {"answer": "gap", "p_value": 0.0}, ""),
     ],
-)
+)  # fmt: skip
 def test_a_verdict_that_the_test_of_the_gap_does_not_share_is_explained(verdict, gap, told):
     sentence = gap_beside_verdict(verdict, 0.7, gap)
     assert told in sentence

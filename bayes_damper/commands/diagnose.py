@@ -36,7 +36,15 @@ from bayes_damper.rig.units import effect_unit, in_words_of
 from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.parallel_map import forked_map
 from bayes_damper.runs.provenance import provenance
-from bayes_damper.text import budget_sentence, gap_beside_verdict, gathered, law_sentence, named_answers, p_value
+from bayes_damper.text import (
+    budget_sentence,
+    gap_beside_verdict,
+    gathered,
+    held_out_of,
+    law_sentence,
+    named_answers,
+    p_value,
+)
 
 Array = NDArray[np.float64]
 NOMINALS = ("nonlinear", "linear")
@@ -329,7 +337,11 @@ def _words(result: Mapping[str, Any]) -> list[str]:
     learnt = law_sentence(result.get("law"))
     lines += [learnt] if learnt else []
     lines.append(
-        f"Gap on held-out trials: {gap['answer']} ({p_value(gap['p_value'])}); "
+        (
+            f"Gap on held-out trials: {gap['answer']} ({p_value(gap['p_value'])}); "
+            if held_out_of(gap)
+            else "Gap on the fitted trials, as none is held out: cannot tell; "
+        )
         + ("residual" if gap["augmented_rms"] is None else "residual before and after the answer is added")
         + f" {gap['nominal_rms']:.3g}"
         + ("" if gap["augmented_rms"] is None else f" and {gap['augmented_rms']:.3g}")

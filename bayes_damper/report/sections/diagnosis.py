@@ -21,6 +21,7 @@ from bayes_damper.text import (
     budget_sentence,
     gap_beside_verdict,
     gathered,
+    held_out_of,
     interval,
     law_sentence,
     named_answers,
@@ -434,6 +435,8 @@ def _gap_tables(
         else (
             f"On held-out trials{'' if unit else ', in the unit of the readings'}; only what each trial has for itself "
             "(release angle, instant) is fitted there."
+            if held_out_of(gap)
+            else "No trial is held out: this is what the fit leaves of the trials that it was made from."
         )
     )
     return [Table("The gap before and after", columns, tuple(rows), note)]
