@@ -125,7 +125,7 @@ def budget_sentence(budget: Mapping[str, Any] | None) -> str:
     if budget is None or not parts:
         return ""
     unexplained = budget["unexplained"]["share"].get("median")
-    named = [f"{e['name'].replace('_', ' ')} (p {_probable(e['present'])})" for e in parts]
+    named = [f"{e.get('title') or e['name'].replace('_', ' ')} (p {_probable(e['present'])})" for e in parts]
     named[0] = named[0][0].upper() + named[0][1:]
     if unexplained is None:
         verb = "is" if len(named) == 1 else "are"

@@ -90,7 +90,11 @@ MORE = "Next, to decide: measure one more uncoupled trial, k1 500 N/m, released 
 @pytest.mark.parametrize(
     ("verdict", "share", "steps"),
     [
-        ("spring_cubic", 0.97, ["Next: bayes-damper fit 'my cart' --effect spring_cubic --out results/fit"]),
+        (
+            "spring_cubic",
+            0.97,
+            ["Next: bayes-damper fit 'my cart' --effect spring_cubic --out results/fit-spring_cubic"],
+        ),
         ("spring_cubic", 0.6, [MORE, "If you take this answer: bayes-damper fit 'my cart' --effect spring_cubic"]),
         ("none", 0.95, ["Next: bayes-damper fit 'my cart' --out results/fit"]),
         ("none", 0.7, [MORE, "If you take this answer: bayes-damper fit 'my cart' --out"]),

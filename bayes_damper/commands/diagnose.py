@@ -6,6 +6,7 @@ import math
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from textwrap import wrap
 from typing import Any, Literal
@@ -24,7 +25,7 @@ from bayes_damper.diagnosis.published import diagnose_published
 from bayes_damper.diagnosis.response import Motion, motions
 from bayes_damper.diagnosis.sites import write_missing_torque
 from bayes_damper.diagnosis.verdict import RULE
-from bayes_damper.effects import EFFECTS, Effect, all_effects
+from bayes_damper.effects import Effect, all_effects
 from bayes_damper.effects._law import SITES, laws_on
 from bayes_damper.effects.base import SITE_TITLES
 from bayes_damper.errors import ExitCode, InputError
@@ -32,7 +33,7 @@ from bayes_damper.priors.files import campaign_priors, load_priors
 from bayes_damper.published.measurements import load_published
 from bayes_damper.published.posterior import Datum
 from bayes_damper.rig.parameters import unit_of
-from bayes_damper.rig.units import effect_unit, in_words_of
+from bayes_damper.rig.units import BODIES, effect_unit, in_words_of
 from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.parallel_map import forked_map
 from bayes_damper.runs.provenance import provenance
@@ -141,7 +142,7 @@ def diagnose(
         for row in parameters.values():
             row["unit"] = effect_unit(row["unit"], *of_rig)
     _add_meanings(result, library, loaded.rig.kind, loaded.rig.has_magnet)
-    _draw(folder, found, workers, loaded.rig.has_magnet)
+    _draw(folder, found, workers, library, loaded.rig.has_magnet)
     write_json(path, result)  # last: a folder with it is whole
     return Diagnosed(folder, result, str(campaign))
 
@@ -278,7 +279,9 @@ def next_steps(result: Mapping[str, Any], campaign: str, folder: str = "") -> li
             f"Next, to decide: measure {_trial_words(proposals[0])}, put it into the campaign, diagnose again."
         )
     if verdict not in ("none", "unknown"):
-        steps.append(f"{'If you take this answer' if open_ else 'Next'}: {fit} --effect {verdict} --out results/fit")
+        steps.append(
+            f"{'If you take this answer' if open_ else 'Next'}: {fit} --effect {verdict} --out results/fit-{verdict}"
+        )
     elif verdict == "none":
         steps.append(f"{'If you take this answer' if open_ else 'Next'}: {fit} --out results/fit")
     else:
@@ -288,7 +291,7 @@ def next_steps(result: Mapping[str, Any], campaign: str, folder: str = "") -> li
         )
     if law := result.get("law"):
         file = shlex.quote(str(Path(folder) / law["file"]))
-        steps.append(f"With the learnt law: {fit} --effects {file} --effect {law['effect']} --out results/fit")
+        steps.append(f"With the learnt law: {fit} --effects {file} --effect {law['effect']} --out results/fit-learnt")
     return steps
 
 
@@ -303,6 +306,8 @@ def _trial_words(proposal: Mapping[str, Any]) -> str:
 def _words(result: Mapping[str, Any]) -> list[str]:
     if "feature" in result["where"]:
         return _published_words(result)
+    rig = result.get("rig") or {}
+    said = partial(in_words_of, kind=rig.get("kind", "torsional"), magnet=rig.get("magnet", True))
     probabilities = result["probabilities"]
     verdict = result["verdict"]
     share = probabilities[verdict]
@@ -317,7 +322,7 @@ def _words(result: Mapping[str, Any]) -> list[str]:
         site = max((s for s in result["sites"] if s != "none"), key=lambda s: result["sites"][s])
         sure = "There is" if share >= CERTAIN else "Most probable, but not sure:"
         first = f"{sure} a gap that no effect of the library explains (probability {share:.2f}); "
-        lines = [f"{first}it lies most likely at: {_place(site)}."]
+        lines = [f"{first}it lies most likely at: {said(_place(site))}."]
     else:
         row = next(r for r in result["effects"] if r["name"] == verdict)
         sure = "The missing effect is" if share >= CERTAIN else "Most probable, but not sure:"
@@ -332,9 +337,9 @@ def _words(result: Mapping[str, Any]) -> list[str]:
         lines += [
             f"  {effect}, {name} = {_estimated(p)}" for effect, those in parameters.items() for name, p in those.items()
         ]
-    divided = budget_sentence(result.get("budget")) if verdict != "none" else ""
+    divided = said(budget_sentence(result.get("budget"))) if verdict != "none" else ""
     lines = [divided, *lines] if divided else lines
-    learnt = law_sentence(result.get("law"))
+    learnt = said(law_sentence(result.get("law")))
     lines += [learnt] if learnt else []
     lines.append(
         (
@@ -355,12 +360,12 @@ def _words(result: Mapping[str, Any]) -> list[str]:
     ranked = sorted(answers, key=lambda name: -answers[name])[:5]
     lines.append("Answers: " + ", ".join(f"{name} {answers[name]:.2f}" for name in ranked))
     sites = sorted(result["sites"], key=lambda s: -result["sites"][s])[:3]
-    lines.append("Sites: " + ", ".join(f"{_place(site)} {result['sites'][site]:.2f}" for site in sites))
+    lines.append("Sites: " + ", ".join(f"{said(_place(site))} {result['sites'][site]:.2f}" for site in sites))
     if result["indistinguishable"]:
         lines.append(
             "Not distinguished by these data: " + "; ".join(" / ".join(g) for g in result["indistinguishable"])
         )
-    return lines + [f"note: {note}" for note in result.get("notes", [])]
+    return lines + [f"note: {said(note)}" for note in result.get("notes", [])]
 
 
 def _place(site: str) -> str:
@@ -381,25 +386,29 @@ def _forecast_words(ahead: Mapping[str, Any], unit: str) -> list[str]:
     return [f"{first}50 and 90 % bands hold {held}."]
 
 
-def _draw(folder: Path, found: Diagnosis, workers: int, magnet: bool) -> None:
-    """Every figure of a diagnosis, side by side in `workers` processes."""
+def _draw(folder: Path, found: Diagnosis, workers: int, library: Mapping[str, Effect], magnet: bool) -> None:
+    """Every figure of a diagnosis, side by side in `workers` processes, in the words of the rig."""
+    said = partial(in_words_of, kind=found.kind, magnet=magnet)
+    titles = {name: said(effect.title) for name, effect in library.items()}
+    added = _added(found, titles)
     answers = found.answers
     pair = {"effects": answers.pair_effects, "probability": answers.pair} if answers.pair_effects else None
     probabilities = named_answers(answers.probabilities, pair)
     drawn = {
         "residuals": lambda: figures.residual_maps_figure(
-            _maps(found), title=f"{found.campaign}: where the residuals exceed the noise"
+            _maps(found, added), title=f"{found.campaign}: where the residuals exceed the noise"
         ),
         "ranking": lambda: figures.ranking_figure(
-            {_label(name, found.kind, magnet): p for name, p in probabilities.items()},
-            {_place(site): p for site, p in found.sites.items()},
+            {_label(name, titles): p for name, p in probabilities.items()},
+            {said(_place(site)): p for site, p in found.sites.items()},
             title=f"{found.campaign}: what is missing, and where",
         ),
     }
-    record = _shown_record(found)
+    record = _shown_record(found, added)
     if record is not None:
+        plain = {_plain(name, titles): p for name, p in probabilities.items()}
         drawn["gap"] = lambda: figures.gap_figure(
-            record, probabilities, title=f"{found.campaign}: what the model misses, and which effect adds it"
+            record, plain, title=f"{found.campaign}: what the model misses, and which effect adds it"
         )
     torques = found.site_map.torque
     if torques:
@@ -408,7 +417,7 @@ def _draw(folder: Path, found: Diagnosis, workers: int, magnet: bool) -> None:
             shown,
             found.site_map.curve(),
             body=found.site_map.torque_body,
-            title=_torque_title(found),
+            title=said(_torque_title(found)),
             record=trial_label(found.nominal.problem.experiment.trials[shown.trial]),
             translational=found.kind == "translational",
         )
@@ -421,10 +430,18 @@ def _draw(folder: Path, found: Diagnosis, workers: int, magnet: bool) -> None:
     forked_map(lambda name: figures.save(drawn[name](), folder / name), list(drawn), workers)
 
 
-def _label(name: str, kind: str, magnet: bool) -> str:
+def _label(name: str, titles: Mapping[str, str]) -> str:
     """An answer for the axis of a figure: its name, and below what it is."""
-    titles = [in_words_of(EFFECTS[n].title, kind, magnet) for n in name.split(" + ") if n in EFFECTS]
-    return "\n".join([name, *(line for title in titles for line in wrap(title, 30))])
+    return "\n".join([name, *(line for n in name.split(" + ") if n in titles for line in wrap(titles[n], 30))])
+
+
+_NO_EFFECT = {"none": "nothing", "unknown": "a cause outside the library"}
+
+
+def _plain(name: str, titles: Mapping[str, str]) -> str:
+    """An answer in words alone, for the narrow panel beside a record."""
+    parts = [titles.get(n, _NO_EFFECT.get(n, n)) for n in name.split(" + ")]
+    return "\n".join(wrap(" and ".join(parts), 26))
 
 
 def _torque_title(found: Diagnosis) -> str:
@@ -440,15 +457,18 @@ _FEWEST = 3.0  # readings that a cell needs
 _PLANES = (("th1", "w1", "", "velocity"), ("phi", "slip", "relative ", "relative velocity"))
 
 
-def _maps(found: Diagnosis) -> list[dict[str, Any]]:
+def _maps(found: Diagnosis, added: str) -> list[dict[str, Any]]:
     """Columns of the figure of residuals: each channel under the nominal model, then with the answer added."""
     sides = [("nominal model", found.nominal)]
     if found.verdict != "none" and found.best is not None:
-        sides.append((f"with {_added(found)}".replace(", ", ",\n"), found.best))
+        sides.append(("\n".join(wrap(f"with {added}", 40)), found.best))
     rows = [(name, _whitened(fit)) for name, fit in sides]
     channels = range(max(len(r) for _, trials in rows for _, _, r, _, _ in trials))
     return [
-        {"title": f"{name}\n{('primary', 'secondary')[c]}", **_maps_of([t for t in trials if len(t[2]) > c], c, found)}
+        {
+            "title": f"{name}\n{BODIES[found.kind][c].removeprefix('the ')}",
+            **_maps_of([t for t in trials if len(t[2]) > c], c, found),
+        }
         for name, trials in rows
         for c in channels
     ]
@@ -519,16 +539,17 @@ def _rms(cell: NDArray[np.intp], squares: Array, weights: Array, cells: int, few
     return np.sqrt(np.where(count >= fewest, total / np.maximum(count, 1e-9), np.nan))
 
 
-def _added(found: Diagnosis) -> str:
+def _added(found: Diagnosis, titles: Mapping[str, str]) -> str:
     """What the answer adds to the nominal model, in words."""
     if found.pair is not None and found.answers.pair >= 0.5:
-        return " and ".join(found.pair.effects)
+        return " and ".join(titles.get(n, n) for n in found.pair.effects)
     if found.verdict == "unknown" and found.winner is not None:
-        return f"{found.winner.effect.name}, which does not explain it"
-    return found.verdict
+        name = found.winner.effect.name
+        return f"{titles.get(name, name)}, which does not explain it"
+    return titles.get(found.verdict, found.verdict)
 
 
-def _shown_record(found: Diagnosis) -> dict[str, Any] | None:
+def _shown_record(found: Diagnosis, added: str) -> dict[str, Any] | None:
     """The record that the answer changes most, held-out ones first, as the figure of the gap takes it.
 
     Where the answer adds nothing ("none", or nothing could be fitted), the record that is explained worst.
@@ -554,7 +575,7 @@ def _shown_record(found: Diagnosis) -> dict[str, Any] | None:
         "measured": trial.y[channel],
         "nominal": trial.y[channel] - before[i][channel],
         "augmented": None if after is None else trial.y[channel] - after[i][channel],
-        "added": _added(found),
+        "added": added,
         "noise": noise[channel],
     }
 

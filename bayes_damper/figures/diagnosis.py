@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bayes_damper.figures.style import COLOURS, RC, STYLES, new_figure, raised
+from bayes_damper.rig.units import BODIES
 from bayes_damper.text import COORDINATES
 
 
@@ -228,7 +229,7 @@ def missing_torque_figure(
     record : the name of that trial.
     """
     figure = new_figure(9.0, 6.0)
-    names = ("primary", "secondary")
+    names = BODIES["translational" if translational else "torsional"]
     effort = "force [N]" if translational else "torque [N m]"
     with mpl.rc_context(RC):
         axes = figure.subplot_mosaic([["time", "time"], ["left", "right"]])
@@ -237,7 +238,7 @@ def missing_torque_figure(
             value, sd = np.asarray(torque.torque[k]), np.asarray(torque.sd[k])
             if not np.any(value):
                 continue
-            over_time.plot(torque.times, value, color=colour, lw=1.0, ls=STYLES[k], label=f"on the {names[k]}")
+            over_time.plot(torque.times, value, color=colour, lw=1.0, ls=STYLES[k], label=f"on {names[k]}")
             over_time.fill_between(torque.times, value - 1.645 * sd, value + 1.645 * sd, color=colour, alpha=0.25, lw=0)
         over_time.set_xlabel("time since release [s]")
         over_time.set_ylabel(effort)
@@ -254,7 +255,7 @@ def missing_torque_figure(
             axis.fill_between(centre, mean - 1.645 * sd, mean + 1.645 * sd, color=COLOURS[body], alpha=0.25, lw=0)
             symbol, unit = COORDINATES[name][translational]
             axis.set_xlabel(f"{symbol} [{unit}]")
-            axis.set_ylabel(f"{effort} on the {names[body]}")
+            axis.set_ylabel(f"{effort} on {names[body]}")
         axes["left"].legend(loc="best")
         figure.suptitle(title)
     return figure

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from bayes_damper.campaign import load_campaign
 from bayes_damper.errors import InputError
 from bayes_damper.report.parts import Chart
+from bayes_damper.rig.units import BODIES
 from bayes_damper.sampling import arviz_adapter
 from bayes_damper.text import COORDINATES
 
@@ -64,6 +65,7 @@ def record_chart(file: Path, unit: str = "") -> Chart | None:
         return None
     clock, shown = _clock(attributes)
     shown = (unit or shown).replace("^2", "²") or "SI"
+    bodies = BODIES["translational" if shown.startswith("m") else "torsional"]
     views = []
     for label in shared[:MOST_VIEWS]:
         y, model = np.atleast_2d(observed[label]), predicted[label]
@@ -77,9 +79,8 @@ def record_chart(file: Path, unit: str = "") -> Chart | None:
         keep = slice(None, None, every)
         panels = []
         for c in range(y.shape[0]):
-            who = "primary" if c == 0 else "secondary"
             panels.append({
-                "y": f"{who} [{shown}]",
+                "y": f"{bodies[c].removeprefix('the ')} [{shown}]",
                 "height": 2,
                 "series": [
                     series("model, 90 %", "band", 0, low=low[c, keep], high=high[c, keep]),
@@ -151,6 +152,7 @@ def response_chart(
 ) -> Chart | None:
     """Frequency responses of tune.json, one view for each way of exciting."""
     effort, unit = ("force", "1/kg") if translational else ("torque", "1/(kg m²)")
+    first, second = BODIES["translational" if translational else "torsional"]
     views: dict[str, list[tuple[str, Mapping[str, Any]]]] = {}
     for name, band in responses.items():
         excited, _, design = name.partition(", ")
@@ -171,8 +173,8 @@ def response_chart(
         out.append({"label": label, "x": "frequency [Hz]", "at": pack(at), "panels": [panel]})
     if not out:
         return None
-    text = f"Median and 90 % band of the primary's acceleration per {effort}, without a secondary and with each design."
-    return Chart("Frequency response of the primary", text, {"views": out})
+    text = f"Median and 90 % band of {first}'s acceleration per {effort}, without {second} and with each design."
+    return Chart(f"Frequency response of {first}", text, {"views": out})
 
 
 def torque_chart(file: Path, *, translational: bool = False) -> Chart | None:
@@ -188,6 +190,7 @@ def torque_chart(file: Path, *, translational: bool = False) -> Chart | None:
         head = f"{row.get('case', '')} {row.get('configuration', '')} #{row.get('trial', '')}"
         trials.setdefault(head.strip(), []).append(row)
     views: list[dict[str, Any]] = []
+    bodies = BODIES["translational" if translational else "torsional"]
     for label, part in trials.items():
         if len(views) + 3 > MOST_VIEWS:
             break
@@ -201,7 +204,7 @@ def torque_chart(file: Path, *, translational: bool = False) -> Chart | None:
                 continue
             kind = "line" if axis == "time_s" else "points"
             panels = []
-            for i, who in ((1, "primary"), (2, "secondary")):
+            for i, who in enumerate(bodies, start=1):
                 torque, sd = column.get(f"torque{i}_n_m"), column.get(f"torque{i}_sd_n_m")
                 if torque is None or sd is None or not np.any(np.nan_to_num(torque)):
                     continue
@@ -209,7 +212,7 @@ def torque_chart(file: Path, *, translational: bool = False) -> Chart | None:
                 if kind == "line":
                     band = series("90 % band", "band", i - 1, low=torque - 1.64 * sd, high=torque + 1.64 * sd)
                     drawn.insert(0, band)
-                panels.append({"y": f"on the {who} [{'N' if translational else 'N m'}]", "height": 2, "series": drawn})
+                panels.append({"y": f"on {who} [{'N' if translational else 'N m'}]", "height": 2, "series": drawn})
             if panels:
                 view = {"label": f"{label}, against {name}", "x": name, "at": pack(column[axis]), "panels": panels}
                 views.append(view)

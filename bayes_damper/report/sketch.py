@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Literal
 
 from bayes_damper.effects.base import SITE_TITLES
+from bayes_damper.rig.units import in_words_of
 
 Kind = Literal["torsional", "translational", "pendulum"]
 KINDS: tuple[Kind, ...] = ("torsional", "translational", "pendulum")
@@ -77,7 +78,7 @@ def sketch(
         raise ValueError(f"{sorted(wrong)}: no such site; sites are {', '.join(SITE_TITLES)}")
     draw = {"torsional": _torsional, "translational": _translational, "pendulum": _pendulum}[kind]
     drawn = draw(coupled, magnet)
-    titles = SITE_TITLES | dict(drawn.titles)
+    titles = {s: in_words_of(t, kind) for s, t in (SITE_TITLES | dict(drawn.titles)).items()}
     sites = [_site(s, boxes, titles[s], s in named, s in drawn.below) for s, boxes in drawn.boxes.items()]
     bodies = "one body" if not coupled else "two bodies"
     label = f"Sketch of a {kind} rig with {bodies}" + (f"; highlighted: {', '.join(sorted(named))}" if named else "")

@@ -87,7 +87,7 @@ _TERMS = (
     _Term(
         "insertion loss",
         r"\b[Ii]nsertion loss\b",
-        "By how many dB the highest acceleration per exciting torque (force) falls when the secondary is added.",
+        "By how many dB the highest acceleration per exciting torque (force) falls when the second body is added.",
     ),
     _Term("accelerance", r"\b[Aa]ccelerance\b", "Acceleration per exciting torque (force), over frequency."),
 )

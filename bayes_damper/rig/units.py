@@ -18,7 +18,11 @@ def effect_unit(declared: str, kind: str = "torsional", quantity: str = "acceler
     return declared.replace("N m", "N").replace("rad", "m") if kind == "translational" else declared
 
 
+BODIES = {"torsional": ("the primary", "the secondary"), "translational": ("body 1", "body 2")}
+"""What the two bodies of a rig are called where a person reads: carts and masses go by number, as x1 and m2 do."""
 _STRAIGHT = {
+    "the primary inertia": "the mass of body 1", "the secondary inertia": "the mass of body 2", "the primary": "body 1",
+    "the secondary": "body 2", "primary": "body 1", "secondary": "body 2",
     "moment of inertia": "mass", "moments of inertia": "masses", "inertia": "mass", "inertias": "masses",
     "bearing drag torque": "drag force", "torque": "force", "torques": "forces",
     "release angle": "release displacement", "angle": "displacement", "angles": "displacements",

@@ -1,9 +1,12 @@
 """Figures as files: whole or not at all."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from matplotlib.lines import Line2D
+from matplotlib.text import Text
 
 from bayes_damper import figures
 
@@ -43,6 +46,17 @@ def test_a_forest_shows_the_middle_half_inside_the_interval() -> None:
         ([0.2, 0.5], 1),
     ]
     assert bars[1].get_linewidth() > 2.0 * bars[0].get_linewidth()
+
+
+@pytest.mark.parametrize(("translational", "body"), [(False, "the primary"), (True, "body 1")])
+def test_missing_torque_is_drawn_on_bodies_that_bear_the_names_of_their_rig(translational: bool, body: str) -> None:
+    t = np.linspace(0.0, 1.0, 50)
+    torque = SimpleNamespace(times=t, torque=np.array([np.sin(t), 0 * t]), sd=np.full((2, 50), 0.1), th1=t, w1=t)
+    curve = {name: {"centre": t, "torque_n_m": t, "sd_n_m": 0.1 + 0 * t} for name in ("th1", "w1")}
+    figure = figures.missing_torque_figure(torque, curve, body=0, title="", translational=translational)
+    words = [text.get_text() for text in figure.findobj(Text)]
+    assert f"on {body}" in words
+    assert f"{'force [N]' if translational else 'torque [N m]'} on {body}" in words
 
 
 def test_a_matrix_of_answers_has_the_diagonal_first_and_no_column_that_was_never_given() -> None:

@@ -40,6 +40,12 @@ from bayes_damper.text import NOTHING, number, percent
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 TIMES = np.arange(0.0, 0.5, 1e-3)
+LAW = {
+    "site": "interface", "bodies": "both", "effect": "learnt_interface", "file": "learnt/interface.toml",
+    "formula": "f(x) + tanh(nu v) f(v)", "beside": ["stick_slip"], "effective_degrees_of_freedom": 9.66,
+    "closes": {"median": 0.27, "hdi90": [0.2, 1.02]}, "ranges": {"angle": [-0.1, 0.12], "time": [0.0, 1.0]},
+    "tables": ["learnt/interface.csv", "learnt/interface_table.csv"],
+}  # fmt: skip
 
 
 def parameter(median: float, share: float | None, unit: str = "1") -> dict:
@@ -182,14 +188,30 @@ def test_missing_torque_is_drawn_against_the_coordinates_of_its_site(tmp_path, t
 def test_charts_of_a_translational_rig_are_in_newtons_and_metres(tmp_path):
     write_fit(tmp_path)
     chart = record_chart(tmp_path / "III" / "posterior.nc", "m/s^2")
-    assert [panel["y"] for panel in chart.data["views"][0]["panels"]][:2] == ["primary [m/s²]", "residual [m/s²]"]
+    assert [panel["y"] for panel in chart.data["views"][0]["panels"]][:2] == ["body 1 [m/s²]", "residual [m/s²]"]
     write_diagnosis(tmp_path)
     chart = torque_chart(tmp_path / "missing_torque.csv", translational=True)
     assert chart.title == "Missing force"
     assert [view["x"] for view in chart.data["views"]] == ["time [s]", "x1 [m]", "v1 [m/s]"]
     assert {panel["y"] for view in chart.data["views"] for panel in view["panels"]} == {
-        "on the primary [N]", "on the secondary [N]"
+        "on body 1 [N]", "on body 2 [N]"
     }  # fmt: skip
+
+
+def test_the_page_of_a_cart_numbers_its_bodies_and_speaks_of_force(tmp_path):
+    write_diagnosis(tmp_path)
+    data = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
+    data |= {"rig": {"kind": "translational", "coupled": True, "magnet": False}, "reading_unit": "m"}
+    data["sites"] = {"ground2": 0.6, "ground1": 0.4}
+    data["notes"] = ["Nothing can be said about the secondary."]
+    data["law"] = LAW
+    (tmp_path / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
+    text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
+    assert not re.search(r"primary|secondary", text)
+    assert "ground2, what acts on body 2 alone: its mass" in text
+    assert "Nothing can be said about body 2." in text
+    assert "F = f(x) + tanh(nu v) f(v)" in text
+    assert "displacement -0.1 to 0.12 m;" in text
 
 
 def test_a_fit_opens_with_what_the_data_determine_and_what_the_model_misses(tmp_path):
@@ -475,12 +497,7 @@ def test_a_verdict_says_what_the_effect_is_and_how_large(tmp_path):
         "absent": [{"name": "sensor_gain", "present": 0.1, "share": {"median": -0.1, "hdi90": [-0.2, 0.0]}}],
     }  # fmt: skip
     data["prior_unknown"] = [{"prior": 0.5, "verdict": "unknown", "probability": 0.6}]
-    data["law"] = {
-        "site": "interface", "bodies": "both", "effect": "learnt_interface", "file": "learnt/interface.toml",
-        "formula": "f(x) + tanh(nu v) f(v)", "beside": ["stick_slip"], "effective_degrees_of_freedom": 9.66,
-        "closes": {"median": 0.27, "hdi90": [0.2, 1.02]}, "ranges": {"angle": [-0.1, 0.12], "time": [0.0, 1.0]},
-        "tables": ["learnt/interface.csv", "learnt/interface_table.csv"],
-    }  # fmt: skip
+    data["law"] = LAW
     (tmp_path / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
     told = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
     assert "too little of a gap to say" in told
@@ -494,7 +511,7 @@ def test_a_verdict_says_what_the_effect_is_and_how_large(tmp_path):
         "gap on held-out trials; it is an effect for other commands: learnt/interface.toml." in told
     )
     assert "as an effect --effects learnt/interface.toml --effect learnt_interface" in told
-    assert "angle -0.1 to 0.12 rad (m); time 0 to 1 s" in told
+    assert "angle -0.1 to 0.12 rad; time 0 to 1 s" in told
     assert re.search(r"Most probable places: interface, .* \(46 %\) and ground2, .* \(40 %\)\.", text)
     assert "4530" not in text
 

@@ -54,6 +54,7 @@ def test_words_of_a_cart_are_force_mass_and_displacement_and_its_symbols_are_of_
     assert in_words_of("Q1 = -k3 th1^3", *cart) == "F1 = -k3 x1^3"
     assert in_words_of("Q = -d tanh(n w)", *cart) == "F = -d tanh(n v)"
     assert in_words_of("Inertia of the bars", *cart) == "Mass of the bodies"
+    assert in_words_of("The secondary inertia is off.", *cart) == "The mass of body 2 is off."
     assert in_words_of("missing_torque.csv, inertia_error", *cart) == "missing_torque.csv, inertia_error", "names stay"
 
 
@@ -74,6 +75,8 @@ def test_no_effect_speaks_of_torque_angle_or_magnet_on_a_cart_that_has_none(effe
         "magnetic",
         "faces",
         "th1",
+        "primary",
+        "secondary",
     }
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from bayes_damper.report.parts import Headline, Result, Row, Section, Table, fol
 from bayes_damper.report.sections.shared import fingerprint, meaning_of, pictures_of, records_table
 from bayes_damper.report.sketch import KINDS, sketch
 from bayes_damper.rig.parameters import PARAMETERS
+from bayes_damper.rig.units import BODIES, in_words_of
 from bayes_damper.text import (
     COORDINATES,
     NOTHING,
@@ -31,6 +33,8 @@ from bayes_damper.text import (
     plus_minus,
 )
 
+Said = Callable[[str], str]
+"""Puts a text into the words of the rig."""
 _SITES = {
     "ground1": "the primary's spring to ground and what couples it",
     "bearings": "drag and friction in the bearings",
@@ -58,14 +62,16 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
     sites = sorted((data.get("sites") or {}).items(), key=lambda item: -item[1])
     pair = data.get("pair")
     budget = data.get("budget") or {}
-    divided = budget_sentence(budget) if budget and verdict != "none" else ""
-    sentences = [divided, *_verdict_sentences(verdict, share, sites, pair, effects)]
+    kind = _kind_of(data)
+    said = partial(in_words_of, kind=kind, magnet=bool((data.get("rig") or {}).get("magnet", True)))
+    divided = said(budget_sentence(budget)) if budget and verdict != "none" else ""
+    sentences = [divided, *_verdict_sentences(verdict, share, sites, pair, effects, said)]
     if pair:
         sentences.append(
             f"One effect does not close the gap; {listed([words(e) for e in pair['effects']])} together do "
             f"({percent(pair['probability'])})."
         )
-    sentences.append(law_sentence(data.get("law")))
+    sentences.append(said(law_sentence(data.get("law"))))
     beside = gap_beside_verdict(verdict, share or 0.0, gap)
     sentences += [beside] if beside and verdict == "none" else [_gap_sentence(gap), beside]
     credible = [words(n) for n in data.get("credible_set", [])]
@@ -92,7 +98,7 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
     head = Headline(
         f"Diagnosis of {name}" if name else "Diagnosis", tone, tuple(s for s in sentences if s), shown, tuple(changes)
     )
-    translational = _is_translational(data)
+    translational = kind == "translational"
     charts = [torque_chart(f, translational=translational) for f in sorted(folder.glob("*torque*.csv"))]
     rest = generic(
         data, "", ("schema", "campaign", "verdict", "credible_set", "probabilities", "sites", "effects", "provenance",
@@ -100,16 +106,16 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
                    "sensitivity", "budget", "prior_unknown", "law", "where", "forecast", "reading_unit", "rig",
                    "warnings"),
     )  # fmt: skip
-    places = _where_sections(data.get("where") or {}, translational)
+    places = _where_sections(data.get("where") or {}, kind)
     every = (_effect_table(effects, probabilities),)
     choices = _choice_tables(data.get("sensitivity") or []) + _prior_tables(data.get("prior_unknown") or [])
     section = Section(
         "Diagnosis",
-        tuple(data.get("notes", ())),
+        tuple(map(said, data.get("notes", ()))),
         (
             *_budget_tables(budget),
-            *_law_tables(data.get("law") or {}),
-            _site_table(sites),
+            *_law_tables(data.get("law") or {}, said, translational),
+            _site_table(sites, said),
             *_gap_tables(gap, effects, pair, str(data.get("reading_unit") or "")),
             *_forecast_tables(data.get("forecast") or {}, str(data.get("reading_unit") or "")),
             *_shift_tables(data.get("parameters") or {}),
@@ -135,29 +141,33 @@ def _verdict_sentences(
     sites: Sequence[tuple[str, float]],
     pair: Mapping[str, Any] | None,
     effects: Sequence[Mapping[str, Any]] = (),
+    said: Said = str,
 ) -> list[str]:
-    """The verdict in plain words, with its probability, what the effect is, its size, and the most probable place."""
+    """The verdict in plain words, with its probability, what the effect is, its size, and the most probable place.
+
+    said : puts a text into the words of the rig.
+    """
     sure = (share or 0.0) >= 0.9
     if verdict == "none":
-        said = "Nothing is missing from the model" if sure else "Most probable, but not sure: nothing is missing"
-        return [f"{said} ({percent(share)})."]
+        first = "Nothing is missing from the model" if sure else "Most probable, but not sure: nothing is missing"
+        return [f"{first} ({percent(share)})."]
     places = [(s, p) for s, p in sites if s != "none"]
     likely = [(s, p) for s, p in places[:2] if p > 0.5 * places[0][1]] or places[:1]
-    said = " and ".join(f"{_place(s)} ({percent(p)})" for s, p in likely)
-    where = [f"Most probable place{'s' if len(likely) > 1 else ''}: {said}."] if likely else []
+    named = " and ".join(f"{said(_place(s))} ({percent(p)})" for s, p in likely)
+    where = [f"Most probable place{'s' if len(likely) > 1 else ''}: {named}."] if likely else []
     if verdict == "unknown":
-        said = "Something is missing" if sure else "Most probable, but not sure: something is missing"
-        return [f"{said} that no effect of the library explains ({percent(share)}).", *where]
+        first = "Something is missing" if sure else "Most probable, but not sure: something is missing"
+        return [f"{first} that no effect of the library explains ({percent(share)}).", *where]
     if pair:
         return [f"Two causes; the stronger one is {words(verdict)} ({percent(share)})."]
-    said = "The missing effect is" if sure else "Most probable, but not sure:"
+    first = "The missing effect is" if sure else "Most probable, but not sure:"
     found: Mapping[str, Any] = next((e for e in effects if e.get("name") == verdict), {})
     size = "; ".join(_parameter(k, v) for k, v in (found.get("parameters") or {}).items())
     meant = [str(found["meaning"])] if found.get("meaning") else []
     if size and found.get("formula"):
         meant.append(f"Its law: {found['formula']}, with {size} (90 % intervals). {_meanings(found)}".strip())
     named = f"{words(verdict)}, {found['title']}" if found.get("title") else words(verdict)
-    return [f"{said} {named} ({percent(share)}).", *meant, *where]
+    return [f"{first} {named} ({percent(share)}).", *meant, *where]
 
 
 def _meanings(found: Mapping[str, Any]) -> str:
@@ -237,8 +247,8 @@ def _experiment_sentence(e: Mapping[str, Any]) -> str:
     return f"{proposal} (expected to give {gain:.2f} nats {among})."
 
 
-def _site_table(sites: Sequence[tuple[str, float]]) -> Table:
-    rows = tuple(Row((words(name), percent(p), _SITES.get(name, NOTHING))) for name, p in sites)
+def _site_table(sites: Sequence[tuple[str, float]], said: Said) -> Table:
+    rows = tuple(Row((words(name), percent(p), said(_SITES.get(name, NOTHING)))) for name, p in sites)
     return Table("Probability of each site", ("site", "probability", "what belongs to it"), rows)
 
 
@@ -256,7 +266,6 @@ def _experiment_tables(proposals: Sequence[Mapping[str, Any]]) -> list[Table]:
 
 
 _OTHER = {"scale": ("scale of the readings of channel", "1"), "lag": ("lag of the readings of channel", "s")}
-_CHANNELS = {1: "1, primary", 2: "2, secondary"}
 
 
 def _sketch(rig: Any, sites: Sequence[tuple[str, float]]) -> str:
@@ -277,9 +286,11 @@ def _sketch(rig: Any, sites: Sequence[tuple[str, float]]) -> str:
     return sketch(kind, coupled=coupled, named=there, magnet=bool(rig.get("magnet")))
 
 
-def _is_translational(data: Mapping[str, Any]) -> bool:
+def _kind_of(data: Mapping[str, Any]) -> str:
+    """Of the rig, "torsional" or "translational": what the file says, or what its units show."""
     unit = str(data.get("reading_unit") or "")
-    return unit.startswith("m") or any("k1_n_per_m" in e for e in data.get("next_experiment") or ())
+    slides = unit.startswith("m") or any("k1_n_per_m" in e for e in data.get("next_experiment") or ())
+    return str((data.get("rig") or {}).get("kind") or ("translational" if slides else "torsional"))
 
 
 _POWER = "power above the noise"
@@ -288,15 +299,15 @@ _EXCESS = (
 )
 
 
-def _where_sections(where: Mapping[str, Any], translational: bool) -> tuple[Section, ...]:
+def _where_sections(where: Mapping[str, Any], kind: str) -> tuple[Section, ...]:
     """Where residuals exceed the noise, one table for each way to look; nothing where nothing does."""
     if "feature" in where:
         return _published_sections(where["feature"])
 
     tables = [
-        *_record_tables(where),
-        *_phase_tables(where, translational),
-        *_event_tables(where, translational),
+        *_record_tables(where, kind),
+        *_phase_tables(where, kind),
+        *_event_tables(where, kind),
     ]
     return (Section("Where the model and the rig differ", tables=tuple(tables)),) if tables else ()
 
@@ -305,8 +316,12 @@ def _cells(row: Mapping[str, Any], *names: str) -> tuple[str, ...]:
     return tuple(str(row[n]) if row.get(n) is not None else "all" for n in names)
 
 
-def _channel(row: Mapping[str, Any]) -> str:
-    return _CHANNELS.get(row.get("channel", 0), str(row.get("channel", NOTHING)))
+def _channel(row: Mapping[str, Any], kind: str) -> str:
+    """The channel of a row, by its number and its body."""
+    number_, bodies = row.get("channel"), BODIES[kind]
+    if number_ not in (1, 2):
+        return str(number_ or NOTHING)
+    return f"{number_}, {bodies[number_ - 1].removeprefix('the ')}"
 
 
 def _p(row: Mapping[str, Any]) -> str:
@@ -322,22 +337,22 @@ def _table(caption: str, columns: tuple[str, ...], rows: Sequence[tuple[str, ...
     return [Table(caption, columns, tuple(Row(r) for r in rows), note)] if rows else []
 
 
-def _record_tables(where: Mapping[str, Any]) -> list[Table]:
+def _record_tables(where: Mapping[str, Any], kind: str) -> list[Table]:
     """Stretches of time, bands of frequency, channels and cases."""
     tables: list[Table] = []
     times = "Trials: those repeats whose residuals were taken together."
     rows = [
-        (_span(r["start_s"], r["end_s"]), _channel(r), *_cells(r, "case", "configuration"),
+        (_span(r["start_s"], r["end_s"]), _channel(r, kind), *_cells(r, "case", "configuration"),
          ", ".join(map(str, r.get("trials") or [r.get("trial", NOTHING)])), _p(r))
         for r in where.get("time") or ()
     ]  # fmt: skip
     tables += _table("In time", ("time [s]", "channel", "case", "configuration", "trials", "p value"), rows, times)
     rows = [
-        (_span(r["low_hz"], r["high_hz"]), _channel(r), *_cells(r, "case", "configuration"), _p(r))
+        (_span(r["low_hz"], r["high_hz"]), _channel(r, kind), *_cells(r, "case", "configuration"), _p(r))
         for r in where.get("frequency") or ()
     ]
     tables += _table("In frequency", ("band [Hz]", "channel", "case", "configuration", "p value"), rows)
-    rows = [(_channel(r), f"{r['excess_over_noise']:+.2f}", _p(r)) for r in (where.get("channel") or {}).values()]
+    rows = [(_channel(r, kind), f"{r['excess_over_noise']:+.2f}", _p(r)) for r in (where.get("channel") or {}).values()]
     tables += _table("By channel", ("channel", _POWER, "p value"), rows, _EXCESS)
     rows = [
         (*_cells(r, "case", "configuration"), f"{r['excess_over_noise']:+.2f}", _p(r))
@@ -347,8 +362,9 @@ def _record_tables(where: Mapping[str, Any]) -> list[Table]:
     return tables
 
 
-def _phase_tables(where: Mapping[str, Any], translational: bool) -> list[Table]:
+def _phase_tables(where: Mapping[str, Any], kind: str) -> list[Table]:
     """Regions of the phase space."""
+    translational = kind == "translational"
 
     def named(coordinate: str) -> tuple[str, str]:
         return COORDINATES[coordinate][translational] if coordinate in COORDINATES else (coordinate, "")
@@ -359,17 +375,18 @@ def _phase_tables(where: Mapping[str, Any], translational: bool) -> list[Table]:
             f"{symbol} {_span(*reach)} {unit}".rstrip()
             for (symbol, unit), reach in zip(map(named, r["coordinates"]), r["range"], strict=True)
         ]
-        rows.append((both[0], both[1], _channel(r), f"{r['excess_over_noise']:+.2f}", _p(r)))
+        rows.append((both[0], both[1], _channel(r, kind), f"{r['excess_over_noise']:+.2f}", _p(r)))
     letters = "x and v" if translational else "θ and ω"
-    moves = f"{letters}: position and velocity of the primary (1) and the secondary (2). {_EXCESS}"
+    first, second = BODIES[kind]
+    moves = f"{letters}: position and velocity, 1 of {first}, 2 of {second}. {_EXCESS}"
     return _table("In phase space", ("where", "and", "channel", _POWER, "p value"), rows, moves)
 
 
-def _event_tables(where: Mapping[str, Any], translational: bool) -> list[Table]:
+def _event_tables(where: Mapping[str, Any], kind: str) -> list[Table]:
     """A knock, where it explains most of the misfit."""
     event = where.get("event")
     if event and event.get("local"):  # else it only says that a law is wrong everywhere
-        unit = "N s" if translational else "N m s"
+        unit = "N s" if kind == "translational" else "N m s"
         impulse = f"{event['impulse_n_m_s']:.3g} ± {event['impulse_sd_n_m_s']:.2g} {unit}"
         row = (
             _span(event["start_s"], event["end_s"]), str(event["site"]), impulse, f"{event['gain_nats']:.0f} nats",
@@ -547,20 +564,20 @@ def titled(e: Mapping[str, Any]) -> str:
     return f"{name}\n{e['title']}" if e.get("title") else name
 
 
-def _law_tables(law: Mapping[str, Any]) -> list[Table]:
+def _law_tables(law: Mapping[str, Any], said: Said, translational: bool) -> list[Table]:
     """The learnt law: where it acts, what it closes, and its files."""
     if not law:
         return []
-    units = {"angle": "rad (m)", "speed": "rad/s (m/s)", "time": "s"}
-    seen = "; ".join(f"{name} {number(a)} to {number(b)} {units[name]}" for name, (a, b) in law["ranges"].items())
+    units = {"angle": "m" if translational else "rad", "speed": "m/s" if translational else "rad/s", "time": "s"}
+    seen = "; ".join(f"{said(name)} {number(a)} to {number(b)} {units[name]}" for name, (a, b) in law["ranges"].items())
     rows = (
-        Row(("formula", f"Q = {law['formula']}, curves f in {law['tables'][0]}")),
+        Row(("formula", f"{said('Q')} = {said(law['formula'])}, curves f in {law['tables'][0]}")),
         Row(("range that was seen", seen)),
         Row(("degrees of freedom", number(law["effective_degrees_of_freedom"]))),
         Row(("as an effect", f"--effects {law['file']} --effect {law['effect']}")),
         Row(("as a table, for another simulator", law["tables"][1])),
     )
-    return [Table("The law that was learnt", ("", ""), rows, law_sentence(law))]
+    return [Table("The law that was learnt", ("", ""), rows, said(law_sentence(law)))]
 
 
 def _effect_table(effects: Sequence[Mapping[str, Any]], probabilities: Sequence[tuple[str, float]]) -> Table:

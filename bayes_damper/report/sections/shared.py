@@ -72,11 +72,11 @@ _MORE = {
     "comparison": ("Parameters side by side", "Median and 90 % interval of each parameter in each folder."),
     "tune_response": (
         "Frequency response",
-        "Acceleration of the primary per exciting torque over frequency, without a secondary and with each design.",
+        "Acceleration of the first body per exciting torque (force), without the second body and with each design.",
     ),
     "tune_loss": (
         "Insertion loss",
-        "Insertion loss against the exciting torque, and over the inertia and the radius of the secondary.",
+        "Insertion loss against the exciting torque (force), and over what a design of the second body can change.",
     ),
     "plan": (
         "What could be distinguished",
