@@ -116,7 +116,6 @@ starts = constant(False)
 memory = constant(0)
 memory_scale1 = constant(1.0)
 memory_scale2 = constant(1.0)
-longest_step = constant(LONGEST_STEP)
 
 
 @vector_math.lane
@@ -143,12 +142,12 @@ def effect_sense(h, u1, u2, y1, y2, s1, s2, p, first):
     return y1, y2, s1, s2
 
 
-def advance(times, parameters, extras, inputs, weights, memory_weights, read, out, final, status):
+def advance(times, parameters, extras, inputs, weights, memory_weights, longest_step, read, out, final, status):
     """Integrate one block of lanes over the sample times and write what the channels read.
 
     times (n,) s; parameters (21, LANES) rows of equations.ROWS; extras (12, LANES) parameters of the effect; inputs
     (8, n) as Inputs.pieces gives them, read where the record is driven; weights (LANES,) factor on the error tolerance;
-    memory_weights (2,);
+    memory_weights (2,); longest_step: of a rig, s, an argument so that rigs of any pace share a kernel;
     read (3,) selects acceleration, velocity or displacement by a one among zeros; out (LANES, 2, n + 1) receives the
     readings (the last column is for what nobody reads), final (LANES,) a sum over the last state, which is finite if
     all of the record is, status (LANES,). Returns the number of steps that the slowest lane attempted.
@@ -681,7 +680,7 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, read, ou
             factor = min(max(0.9 * fourth_root_of_inverse(max(error, 1e-8)), 0.2), 5.0)
             proposal = h * factor
             proposal = max(proposal, block[HTRY, lane]) if accepted and factor >= 1.0 else proposal
-            block[HTRY, lane] = min(proposal, longest_step()) if rest > 0.0 else block[HTRY, lane]
+            block[HTRY, lane] = min(proposal, longest_step) if rest > 0.0 else block[HTRY, lane]
             block[TH1, lane] = th1 + B1 * p11 + B2 * p21 + B3 * p31 + B4 * p41 if accepted else th1
             block[W1, lane] = w1 + B1 * r11 + B2 * r21 + B3 * r31 + B4 * r41 if accepted else w1
             if coupled():
@@ -761,10 +760,10 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, read, ou
     return passes
 
 
-def linked(times, parameters, extras, inputs, weights, memory_weights, read, out, final, status):
+def linked(times, parameters, extras, inputs, weights, memory_weights, longest_step, read, out, final, status):
     """`advance` with what `define` says: the source of every kernel."""
     define()
-    return advance(times, parameters, extras, inputs, weights, memory_weights, read, out, final, status)
+    return advance(times, parameters, extras, inputs, weights, memory_weights, longest_step, read, out, final, status)
 
 
 @vector_math.lane
@@ -774,7 +773,7 @@ def define():
 
 _COUPLES = {"bodies": 0, "interface": 1, "all": 2}
 _ROW, _TABLE, _CUBE = float64[::1], float64[:, ::1], float64[:, :, ::1]
-_SIGNATURE = (_ROW, _TABLE, _TABLE, _TABLE, _ROW, _ROW, _ROW, _CUBE, _ROW, int64[::1])
+_SIGNATURE = (_ROW, _TABLE, _TABLE, _TABLE, _ROW, _ROW, float64, _ROW, _CUBE, _ROW, int64[::1])
 """Of the arguments of `advance`."""
 _P, _RIG = types.UniTuple(float64, MOST_PARAMETERS), types.NamedUniTuple(float64, len(Rig._fields), Rig)
 _TWO, _FOUR, _MOTION = types.UniTuple(float64, 2), types.UniTuple(float64, 4), (float64,) * 7
@@ -786,7 +785,7 @@ _SPECIAL: dict[str, Any] = {
     **dict.fromkeys(("coupled", "pendulum", "linear_normal_force", "frictionless", "driven"), types.boolean()),
     **dict.fromkeys(("acts", "timed", "senses", "starts"), types.boolean()),
     **dict.fromkeys(("couples", "memory"), int64()),
-    **dict.fromkeys(("memory_scale1", "memory_scale2", "longest_step"), float64()),
+    **dict.fromkeys(("memory_scale1", "memory_scale2"), float64()),
 }
 """Signatures of what `advance` is specialised in."""
 _LOADED: dict[Path, Callable[..., Any]] = {}
@@ -802,7 +801,7 @@ def specialised_globals(
     """The globals that `advance` reads, for one combination of rig options and effect."""
     bound: dict[str, Any] = {
         "coupled": constant(coupled),
-        "linear_normal_force": constant(linear_normal_force),
+        "linear_normal_force": constant(coupled and linear_normal_force),
         "pendulum": constant(pendulum),
         "driven": constant(driven),
     }

@@ -89,8 +89,7 @@ class Model:
                 raise ValueError('a measured input needs coupling_law = "constant"')
             variant = links.linked(variant, pendulum)
         linear = self.normal_force == "linear"
-        bound = integrator.specialised_globals(self.coupled, linear, pendulum, driven, variant)
-        return bound | {"longest_step": integrator.constant(float(self.longest_step))}
+        return integrator.specialised_globals(self.coupled, linear, pendulum, driven, variant)
 
     def compile(self, driven: bool = False) -> Callable[..., None]:
         """The kernel, for records with (driven) or without inputs.
@@ -250,7 +249,7 @@ class Model:
                 lanes = which[np.minimum(np.arange(start, start + LANES), which.size - 1)]
                 kernel(
                     *(grid, np.ascontiguousarray(rows[:, lanes]), np.ascontiguousarray(extras[:, lanes]), pieces),
-                    *(np.full(LANES, tolerance), memory_weights, read, out, final, status),
+                    *(np.full(LANES, tolerance), memory_weights, self.longest_step, read, out, final, status),
                 )
                 status[(status == integrator.COMPLETED) & ~np.isfinite(final)] = integrator.NOT_FINITE_RECORD
                 kept = min(LANES, which.size - start)

@@ -22,13 +22,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from bayes_damper.effects.base import MOST_PARAMETERS
 from bayes_damper.errors import ExitCode
 from bayes_damper.rig import equations, vector_math
 from bayes_damper.rig.equations import ROWS
 from bayes_damper.runs.json_files import write_json, write_text
 from bayes_damper.sampling.moves import DifferentialEvolution, Snooker
 from bayes_damper.simulation import integrator
-from bayes_damper.simulation.integrator import LANES
+from bayes_damper.simulation.integrator import LANES, LONGEST_STEP
 from bayes_damper.simulation.model import Model
 from bayes_damper.validation import bench_peers
 
@@ -174,8 +175,8 @@ def _block(nu: float) -> tuple[Any, ...]:
     rows = np.array([np.broadcast_to(table[name], LANES) for name in ROWS], float)
     n = TIMES.size
     return (
-        *(TIMES, rows, np.zeros((4, LANES)), np.zeros((8, n)), np.ones(LANES), np.zeros(2), np.array([1.0, 0.0, 0.0])),
-        *(np.empty((LANES, 2, n + 1)), np.empty(LANES), np.empty(LANES, np.int64)),
+        *(TIMES, rows, np.zeros((MOST_PARAMETERS, LANES)), np.zeros((8, n)), np.ones(LANES), np.zeros(2), LONGEST_STEP),
+        *(np.array([1.0, 0.0, 0.0]), np.empty((LANES, 2, n + 1)), np.empty(LANES), np.empty(LANES, np.int64)),
     )
 
 

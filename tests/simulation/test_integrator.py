@@ -257,7 +257,7 @@ def test_compiled_and_plain_python_agree(coupled):
         out, final, status = np.empty((LANES, 2, n + 1)), np.empty(LANES), np.empty(LANES, np.int64)
         advance(
             SHORT[:n], np.array(rows), np.zeros((12, LANES)), np.zeros((8, n)), np.ones(LANES), np.zeros(2),
-            np.array([1.0, 0.0, 0.0]), out, final, status,
+            integrator.LONGEST_STEP, np.array([1.0, 0.0, 0.0]), out, final, status,
         )  # fmt: skip
         results.append(out[:, : 1 + coupled, :n])
     np.testing.assert_allclose(results[0], results[1], rtol=1e-9, atol=1e-9)
@@ -385,10 +385,11 @@ def _block(parameters):
         *(
             SHORT,
             rows,
-            np.full((4, LANES), 0.5),
+            np.full((12, LANES), 0.5),
             np.zeros((8, n)),
             np.ones(LANES),
             np.ones(2),
+            integrator.LONGEST_STEP,
             np.array([1.0, 0.0, 0.0]),
         ),
         *(np.zeros((LANES, 2, n + 1)), np.zeros(LANES), np.zeros(LANES, np.int64)),
@@ -398,7 +399,7 @@ def _block(parameters):
 def _record(kernel):
     block = _block(reference.BASE | {"theta2_0": reference.BASE["theta0"]})
     kernel(*block)
-    return block[7][:, :, :-1]
+    return block[8][:, :, :-1]
 
 
 @pytest.mark.slow
@@ -515,6 +516,19 @@ def test_a_kernel_is_compiled_anew_when_anything_that_it_calls_changes(tmp_path,
     assert mark(1.0) != before
     helper.write_text(HELPER)
     assert mark(1.0) == before
+
+
+def test_rigs_share_a_kernel_whatever_their_pace_and_without_a_magnet_whatever_its_law():
+    slow = Model(longest_step=32.0 * integrator.LONGEST_STEP)
+    assert integrator.kernel_file(slow.bound()) == integrator.kernel_file(Model().bound())
+    free = [Model(False, law) for law in ("linear", "constant")]
+    assert integrator.kernel_file(free[0].bound()) == integrator.kernel_file(free[1].bound())
+    # The step is still the rig's own: a record of long intervals is another one, within the tolerance.
+    times = np.arange(9) * 0.032
+    parameters = reference.BASE | {"k1t": 0.01, "k2t": 0.01, "mu": 0.0, "drag": 0.0}
+    y = [model.simulate(parameters, times).y for model in (Model(), slow)]
+    assert not np.array_equal(y[0], y[1])
+    np.testing.assert_allclose(y[1], y[0], atol=1e-4 * np.abs(y[0]).max())
 
 
 @pytest.mark.slow
