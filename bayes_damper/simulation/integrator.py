@@ -37,7 +37,7 @@ import warnings
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
-from types import FunctionType, ModuleType
+from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 import numba
@@ -838,7 +838,7 @@ def _ingredients(name: str, value: Any, files: set[Path], callers: tuple[Any, ..
     source = inspect.getsourcefile(function) if function is not None else getattr(module, "__file__", None)
     path = Path(source) if source else None
     ours = path is not None and path.suffix == ".py" and "site-packages" not in path.parts
-    parts = [name if function is None else f"{name}:{function.__qualname__}"]
+    parts = [name if function is None else f"{name}:{function.__qualname__}:{_code(function.__code__)}"]
     if path is not None and (function is not None or ours):
         files.add(path)
     if function is not None:
@@ -848,6 +848,13 @@ def _ingredients(name: str, value: Any, files: set[Path], callers: tuple[Any, ..
             if part is not value and not any(part is caller for caller in callers):
                 parts += _ingredients(f"{name}.{inner}", part, files, (*callers, value))
     return parts
+
+
+def _code(code: CodeType) -> str:
+    """A checksum of what a function does: two that a factory makes may share name, file and all that they use."""
+    constants = [_code(c) if isinstance(c, CodeType) else repr(c) for c in code.co_consts]
+    used = (constants, code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars)
+    return hashlib.sha256(code.co_code + repr(used).encode()).hexdigest()
 
 
 def _fingerprint(bound: dict[str, Any]) -> str:

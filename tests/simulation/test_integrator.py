@@ -518,6 +518,30 @@ def test_a_kernel_is_compiled_anew_when_anything_that_it_calls_changes(tmp_path,
     assert mark(1.0) == before
 
 
+def test_closures_of_one_name_and_the_same_numbers_do_not_share_a_kernel():
+    def factory(size, squared):
+        if squared:
+
+            @vector_math.lane
+            def drag(t, th1, th2, w1, w2, z1, z2, p, rig):
+                return -size * w1 * abs(w1), 0.0
+        else:
+
+            @vector_math.lane
+            def drag(t, th1, th2, w1, w2, z1, z2, p, rig):
+                return -size * w1, 0.0
+
+        return drag
+
+    def mark(torque):
+        return integrator._fingerprint(
+            integrator.specialised_globals(True, True, False, False, Variant("drag", "drag", (), torque=torque))
+        )
+
+    assert mark(factory(1.0, False)) == mark(factory(1.0, False))
+    assert mark(factory(1.0, False)) != mark(factory(1.0, True))
+
+
 def test_rigs_share_a_kernel_whatever_their_pace_and_without_a_magnet_whatever_its_law():
     slow = Model(longest_step=32.0 * integrator.LONGEST_STEP)
     assert integrator.kernel_file(slow.bound()) == integrator.kernel_file(Model().bound())
