@@ -1,4 +1,5 @@
-"""Measured inputs of a record: torques on both bodies and the motion of the ground that carries springs and bearings.
+"""Measured inputs of a record: torques on both bodies, the motion of the ground that carries springs and bearings, or
+a motion that something strong imposes on the primary.
 
 Angles counted from the ground obey the rig's own equations with two torques more, so that no formula of spring,
 bearing, interface or effect changes where the ground moves:
@@ -7,6 +8,12 @@ bearing, interface or effect changes where the ground moves:
 
 A torque and an acceleration of the ground are linear between samples, or held. A ground that was measured as an angle
 is joined by a cubic spline: its second derivative, the acceleration that drives the rig, is linear between samples.
+
+Where the primary's motion th1(t) is prescribed, its equation gives the torque that this takes, the reaction:
+
+    reaction = J1 a1 + J12 a2 + c1t w1 + k1t g(th1) + drag tanh(nu w1) + T - Q1
+
+which is what the primary's channel reads then; the secondary moves as its own equation says.
 """
 
 from __future__ import annotations
@@ -31,6 +38,8 @@ class Inputs:
     torque1, torque2 : (m,) N m (N) on primary and secondary; ground : (m,) rad/s^2 (m/s^2), its acceleration.
     shown : (m,) what the motion of the ground adds to the readings, in their unit; zeros where the sensors read in the
     frame of the ground. held : whether inputs keep their value until the next sample; else they are linear between.
+    motion : (3, m) angle, speed and acceleration of a primary whose motion is prescribed, else None; unit : of its
+    reaction, N m (N): a simulation gives reaction / unit.
     """
 
     times: Array
@@ -39,6 +48,8 @@ class Inputs:
     ground: Array
     shown: Array
     held: bool = False
+    motion: Array | None = None
+    unit: float = 1.0
 
     @classmethod
     def measured(
@@ -52,42 +63,47 @@ class Inputs:
         quantity: Literal["displacement", "velocity", "acceleration"] = "acceleration",
         frame: Literal["absolute", "ground"] = "absolute",
         held: bool = False,
+        motion: ArrayLike | None = None,
+        motion_quantity: Literal["displacement", "acceleration"] = "displacement",
     ) -> Inputs:
         """Inputs as they were measured, all (m,), SI; None for those that were not there.
 
         ground : angle (rad, m) or acceleration of the ground; quantity : what the sensors on the bodies read, and frame
-        in which. A ground measured by its acceleration is at angle 0 and at rest at times[0].
+        in which. motion : prescribed angle (rad, m) or acceleration of the primary. What is measured by its
+        acceleration is at angle 0 and at rest at times[0].
 
         Raises
         ------
         ValueError
-            for arrays of other lengths than `times`, or an angle of the ground that is to be held between samples.
+            for arrays of other lengths than `times`, an angle that is to be held between samples, or a prescribed
+            motion beside a torque on the primary or a ground that moves.
         """
         t = np.ascontiguousarray(times, float)
         nothing = np.zeros(t.size)
-        given = {"torque1": torque1, "torque2": torque2, "ground": ground}
+        given = {"torque1": torque1, "torque2": torque2, "ground": ground, "motion": motion}
         rows = {name: nothing if x is None else np.ascontiguousarray(x, float) for name, x in given.items()}
         for name, row in rows.items():
             if row.shape != t.shape:
                 raise ValueError(f"{name} has {row.size} samples, times has {t.size}; give one value per sample")
+        if motion is not None:
+            if torque1 is not None or ground is not None:
+                raise ValueError(
+                    "a prescribed motion leaves no room for a torque on the primary or a moving ground; keep one"
+                )
+            moved = _motion(t, rows["motion"], motion_quantity, held, "the primary")
+            return cls(t, nothing, rows["torque2"], nothing, nothing, held, np.stack(list(moved.values())))
         if ground is None:
             return cls(t, rows["torque1"], rows["torque2"], nothing, nothing, held)
-        if ground_quantity == "displacement":
-            if held:
-                raise ValueError("an angle of the ground held between samples would jump; give its acceleration")
-            from scipy.interpolate import CubicSpline  # slow to load, and few rigs stand on a ground that moves
-
-            spline = CubicSpline(t, rows["ground"])
-            motion = {"displacement": rows["ground"], "velocity": spline(t, 1), "acceleration": spline(t, 2)}
-        else:
-            motion = _integrated(t, rows["ground"], held)
-        shown = motion[quantity] if frame == "absolute" else nothing
-        return cls(t, rows["torque1"], rows["torque2"], motion["acceleration"], shown, held)
+        moved = _motion(t, rows["ground"], ground_quantity, held, "the ground")
+        shown = moved[quantity] if frame == "absolute" else nothing
+        return cls(t, rows["torque1"], rows["torque2"], moved["acceleration"], shown, held)
 
     @cached_property
     def active(self) -> bool:
-        """Whether anything acts or shows at any time."""
-        return any(bool(np.any(x)) for x in (self.torque1, self.torque2, self.ground, self.shown))
+        """Whether anything acts or shows at any time, or the primary's motion is prescribed."""
+        return self.motion is not None or any(
+            bool(np.any(x)) for x in (self.torque1, self.torque2, self.ground, self.shown)
+        )
 
     @cached_property
     def moving_ground(self) -> bool:
@@ -97,7 +113,8 @@ class Inputs:
     @cached_property
     def key(self) -> str:
         """A checksum, equal for equal inputs."""
-        rows = (self.times, self.torque1, self.torque2, self.ground, self.shown)
+        moved = () if self.motion is None else (self.motion,)
+        rows = (self.times, self.torque1, self.torque2, self.ground, self.shown, *moved)
         return hashlib.sha256(b"".join([bytes([self.held]), *(row.tobytes() for row in rows)])).hexdigest()
 
     def seen_from_ground(self) -> Inputs:
@@ -114,9 +131,23 @@ class Inputs:
         merged = np.union1d(times, inner[beside > _SAME * self._step])
         return merged, np.searchsorted(merged, times)
 
+    def begun(self, instant: float) -> tuple[float, float]:
+        """Angle and speed of a primary whose motion is prescribed, at an instant."""
+        assert self.motion is not None
+        k = int(np.clip(np.searchsorted(self.times, instant, side="right") - 1, 0, self.times.size - 1))
+        angle, speed, a = (float(x) for x in self.motion[:, k])
+        later = min(k + 1, self.times.size - 1)
+        h, u = float(self.times[later] - self.times[k]), float(instant - self.times[k])
+        slope = 0.0 if self.held or h == 0.0 else (float(self.motion[2, later]) - a) / h
+        return angle + u * (speed + u * (0.5 * a + slope * u / 6.0)), speed + u * (a + 0.5 * slope * u)
+
     def at(self, grid: Array) -> Array:
-        """Values of torque1, torque2, ground and shown at the instants `grid`, (4, n)."""
-        rows = (self.torque1, self.torque2, self.ground, self.shown)
+        """Values of torque1, torque2, ground and shown at the instants `grid`, (4, n).
+
+        Where the primary's motion is prescribed, its acceleration takes the place of torque1.
+        """
+        first = self.torque1 if self.motion is None else self.motion[2]
+        rows = (first, self.torque2, self.ground, self.shown)
         if not self.held:
             return np.array([np.interp(grid, self.times, row) for row in rows])
         index = np.searchsorted(self.times, grid + _SAME * self._step, side="right") - 1
@@ -146,6 +177,18 @@ class Inputs:
         return float(np.median(np.diff(self.times))) if self.times.size > 1 else 1.0
 
 
+def _motion(times: Array, values: Array, quantity: str, held: bool, whose: str) -> dict[str, Array]:
+    """Angle, velocity and acceleration at the samples, from an angle that was measured or an acceleration."""
+    if quantity == "acceleration":
+        return _integrated(times, values, held)
+    if held:
+        raise ValueError(f"an angle of {whose} held between samples would jump; give its acceleration")
+    from scipy.interpolate import CubicSpline  # slow to load, and few rigs are moved so
+
+    spline = CubicSpline(times, values)
+    return {"displacement": values, "velocity": spline(times, 1), "acceleration": spline(times, 2)}
+
+
 def _integrated(times: Array, acceleration: Array, held: bool) -> dict[str, Array]:
     """Acceleration, velocity and angle of a ground at rest at times[0], exact for linear (or held) accelerations."""
     h = np.diff(times)
@@ -153,4 +196,4 @@ def _integrated(times: Array, acceleration: Array, held: bool) -> dict[str, Arra
     right = left if held else acceleration[1:]
     velocity = np.concatenate([[0.0], np.cumsum(0.5 * h * (left + right))])
     angle = np.concatenate([[0.0], np.cumsum(h * velocity[:-1] + h**2 * (2.0 * left + right) / 6.0)])
-    return {"acceleration": acceleration, "velocity": velocity, "displacement": angle}
+    return {"displacement": angle, "velocity": velocity, "acceleration": acceleration}

@@ -108,6 +108,7 @@ pendulum = constant(False)
 linear_normal_force = constant(True)
 frictionless = constant(False)
 driven = constant(False)
+prescribed = constant(False)  # whether the primary moves as the first input says, and channel 1 reads the reaction
 acts = constant(False)  # whether the effect has a torque
 couples = constant(2)
 timed = constant(False)
@@ -146,7 +147,8 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
     """Integrate one block of lanes over the sample times and write what the channels read.
 
     times (n,) s; parameters (21, LANES) rows of equations.ROWS; extras (12, LANES) parameters of the effect; inputs
-    (8, n) as Inputs.pieces gives them, read where the record is driven; weights (LANES,) factor on the error tolerance;
+    (8, n) as Inputs.pieces gives them, read where the record is driven (prescribed: the first is the acceleration of
+    the primary, and channel 1 reads the torque that it takes, N m); weights (LANES,) factor on the error tolerance;
     memory_weights (2,); longest_step: of a rig, s, an argument so that rigs of any pace share a kernel;
     read (3,) selects acceleration, velocity or displacement by a one among zeros; out (LANES, 2, n + 1) receives the
     readings (the last column is for what nobody reads), final (LANES,) a sum over the last state, which is finite if
@@ -202,7 +204,8 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
         angle = max(abs(block[THETA0, lane]), abs(block[TH20, lane]))
         speed = max(angle * omega, abs(block[W10, lane]), abs(block[W20, lane])) + 1e-9
         if driven():
-            speed = max(speed, min(most[0] / omega, swing[0]) / j1, min(most[2] / omega, swing[2]))
+            per_input = 1.0 if prescribed() else 1.0 / j1
+            speed = max(speed, min(most[0] / omega, swing[0]) * per_input, min(most[2] / omega, swing[2]))
             speed = max(speed, min(most[1] / omega, swing[1]) / j2) if coupled() else speed
         block[EPS_W, lane] = 1e-8 * speed
         block[EPS_TH, lane] = 1e-8 * speed / omega
@@ -307,9 +310,11 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
             shown = 0.0
             left = 1.0 - (t + AT_ONCE) * fall
             tau1 = tau1 + hold * max(left, 0.0)
+            moved = 0.0  # acceleration of a primary that is moved as prescribed
             if driven():
                 rate1 = block[RAMP1, lane]
-                tau1 = tau1 + (block[DRIVE1, lane] - rate1 * rest)
+                moved = block[DRIVE1, lane] - rate1 * rest
+                tau1 = tau1 + (0.0 if prescribed() else moved)
                 shown = block[SHOWN, lane] - block[RISE, lane] * rest
                 if coupled():
                     rate2 = block[RAMP2, lane]
@@ -383,6 +388,21 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
             y2 = read_acceleration * (block[MI12, lane] * tau1 + block[MI22, lane] * tau2)
             y1 = y1 + read_velocity * w1 + read_displacement * th1
             y2 = y2 + read_velocity * w2 + read_displacement * th2
+            j11 = j1
+            j1x = j12
+            if prescribed():
+                carried = (tau2 - j12 * moved) * (1.0 / j2) if coupled() else 0.0
+                y1 = j1 * moved + j12 * carried - tau1  # the reaction, N m
+                y2 = read_acceleration * carried + read_velocity * w2 + read_displacement * th2
+                # The first line of the equations becomes a1 = moved.
+                j11 = 1.0
+                j1x = 0.0
+                tau1 = moved
+                rate1 = block[RAMP1, lane]
+                d11 = 0.0
+                d12 = 0.0
+                v11 = 0.0
+                v12 = 0.0
             rest1 = block[HELD1, lane]
             rest2 = block[HELD2, lane]
             if driven():
@@ -477,18 +497,22 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
                     grow1 = (m1 - f1) / ept
                     grow2 = (m2 - f2) / ept
 
+            if prescribed():
+                y11 = 0.0
+                y12 = 0.0
+
             # The matrix of all stages, after the angles (and the memory) are eliminated.
             gh = GAMMA * h
             gd11 = gh * d11
             gd12 = gh * d12
             gd21 = gh * d21
             gd22 = gh * d22
-            s11 = j1 * (1.0 / GAMMA) - h * (v11 + gd11)
+            s11 = j11 * (1.0 / GAMMA) - h * (v11 + gd11)
             s12 = 0.0
             s21 = 0.0
             s22 = 1.0
             if coupled():
-                s12 = j12 * (1.0 / GAMMA) - h * (v12 + gd12)
+                s12 = j1x * (1.0 / GAMMA) - h * (v12 + gd12)
                 s21 = j12 * (1.0 / GAMMA) - h * (v21 + gd21)
                 s22 = j2 * (1.0 / GAMMA) - h * (v22 + gd22)
             i11 = 0.0
@@ -573,13 +597,16 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
                 q1, q2 = effect_torque(t + T2 * h, ath1, ath2, aw1, aw2, z1 + A21 * m11, z2 + A21 * m12, p, rig)
                 tau1 = tau1 + q1
                 tau2 = tau2 + q2
+            if prescribed():
+                tau1 = block[DRIVE1, lane] - block[RAMP1, lane] * (rest - T2 * h)
+                held1 = 0.0
             c_1 = C21 * p11
             c_2 = C21 * p12
             e_1 = C21 * r11
             e_2 = C21 * r12
             hw1 = h * aw1 + c_1
             hw2 = h * aw2 + c_2
-            rhs1 = h * tau1 + (j1 * e_1 + j12 * e_2) + (gd11 * hw1 + gd12 * hw2) + (hh * G2) * rate1 - h * held1
+            rhs1 = h * tau1 + (j11 * e_1 + j1x * e_2) + (gd11 * hw1 + gd12 * hw2) + (hh * G2) * rate1 - h * held1
             rhs2 = h * tau2 + (j12 * e_1 + j2 * e_2) + (gd21 * hw1 + gd22 * hw2) + (hh * G2) * rate2 - h * held2
             if memory() > 0:
                 f1, f2 = effect_rate(t + T2 * h, ath1, ath2, aw1, aw2, z1 + A21 * m11, z2 + A21 * m12, p, rig)
@@ -617,11 +644,14 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
                 q1, q2 = effect_torque(t + T3 * h, ath1, ath2, aw1, aw2, az1, az2, p, rig)
                 tau1 = tau1 + q1
                 tau2 = tau2 + q2
+            if prescribed():
+                tau1 = block[DRIVE1, lane] - block[RAMP1, lane] * (rest - T3 * h)
+                held1 = 0.0
             e_1 = C31 * r11 + C32 * r21
             e_2 = C31 * r12 + C32 * r22
             hw1 = h * aw1 + (C31 * p11 + C32 * p21)
             hw2 = h * aw2 + (C31 * p12 + C32 * p22)
-            rhs1 = h * tau1 + (j1 * e_1 + j12 * e_2) + (gd11 * hw1 + gd12 * hw2) + (hh * G3) * rate1 - h * held1
+            rhs1 = h * tau1 + (j11 * e_1 + j1x * e_2) + (gd11 * hw1 + gd12 * hw2) + (hh * G3) * rate1 - h * held1
             rhs2 = h * tau2 + (j12 * e_1 + j2 * e_2) + (gd21 * hw1 + gd22 * hw2) + (hh * G3) * rate2 - h * held2
             if memory() > 0:
                 f1, f2 = effect_rate(t + T3 * h, ath1, ath2, aw1, aw2, az1, az2, p, rig)
@@ -646,7 +676,7 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
             e_2 = C41 * r12 + C42 * r22 + C43 * r32
             hw1 = h * aw1 + (C41 * p11 + C42 * p21 + C43 * p31)
             hw2 = h * aw2 + (C41 * p12 + C42 * p22 + C43 * p32)
-            rhs1 = h * tau1 + (j1 * e_1 + j12 * e_2) + (gd11 * hw1 + gd12 * hw2) + (hh * G4) * rate1 - h * held1
+            rhs1 = h * tau1 + (j11 * e_1 + j1x * e_2) + (gd11 * hw1 + gd12 * hw2) + (hh * G4) * rate1 - h * held1
             rhs2 = h * tau2 + (j12 * e_1 + j2 * e_2) + (gd21 * hw1 + gd22 * hw2) + (hh * G4) * rate2 - h * held2
             if memory() > 0:
                 rz1 = h * f1 + (C41 * m11 + C42 * m21 + C43 * m31) + gh * (x11 * hw1 + x12 * hw2)
@@ -783,7 +813,7 @@ _SPECIAL: dict[str, Any] = {
     "effect_start": _TWO(_P, _RIG),
     "effect_sense": _FOUR(*_MOTION, _P, float64),
     **dict.fromkeys(("coupled", "pendulum", "linear_normal_force", "frictionless", "driven"), types.boolean()),
-    **dict.fromkeys(("acts", "timed", "senses", "starts"), types.boolean()),
+    **dict.fromkeys(("prescribed", "acts", "timed", "senses", "starts"), types.boolean()),
     **dict.fromkeys(("couples", "memory"), int64()),
     **dict.fromkeys(("memory_scale1", "memory_scale2"), float64()),
 }
@@ -796,7 +826,12 @@ _NUMBA_OPTIONS: dict[str, Any] = {"fastmath": vector_math.FASTMATH, "error_model
 
 
 def specialised_globals(
-    coupled: bool, linear_normal_force: bool, pendulum: bool, driven: bool, variant: Variant | None
+    coupled: bool,
+    linear_normal_force: bool,
+    pendulum: bool,
+    driven: bool,
+    variant: Variant | None,
+    prescribed: bool = False,
 ) -> dict[str, Any]:
     """The globals that `advance` reads, for one combination of rig options and effect."""
     bound: dict[str, Any] = {
@@ -804,6 +839,7 @@ def specialised_globals(
         "linear_normal_force": constant(coupled and linear_normal_force),
         "pendulum": constant(pendulum),
         "driven": constant(driven),
+        "prescribed": constant(prescribed),
     }
     if variant is not None:
         hooks = {f"effect_{name}": getattr(variant, name) for name in ("torque", "rate", "start", "sense")}

@@ -43,8 +43,8 @@ class Simulation:
 
 
 @cache
-def _kernel(model: Model, driven: bool) -> Callable[..., None]:
-    return integrator.specialise(model.bound(driven))
+def _kernel(model: Model, driven: bool, prescribed: bool) -> Callable[..., None]:
+    return integrator.specialise(model.bound(driven, prescribed))
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,10 @@ class Model:
         """The effect, if it acts in this configuration."""
         return self.effect if self.effect is not None and (self.coupled or self.effect.uncoupled) else None
 
-    def bound(self, driven: bool = False) -> dict[str, Any]:
+    def bound(self, driven: bool = False, prescribed: bool = False) -> dict[str, Any]:
         """What the kernel's globals are bound to, for records with (driven) or without inputs.
+
+        prescribed : whether one of the inputs is the motion of the primary.
 
         Raises
         ------
@@ -89,14 +91,14 @@ class Model:
                 raise ValueError('a measured input needs coupling_law = "constant"')
             variant = links.linked(variant, pendulum)
         linear = self.normal_force == "linear"
-        return integrator.specialised_globals(self.coupled, linear, pendulum, driven, variant)
+        return integrator.specialised_globals(self.coupled, linear, pendulum, driven, variant, prescribed)
 
-    def compile(self, driven: bool = False) -> Callable[..., None]:
-        """The kernel, for records with (driven) or without inputs.
+    def compile(self, driven: bool = False, prescribed: bool = False) -> Callable[..., None]:
+        """The kernel, for records with (driven) or without inputs, and with the primary's motion prescribed.
 
         From the on-disk cache if it was compiled before (0.02 s), else compiled (seconds).
         """
-        return _kernel(self, driven)
+        return _kernel(self, driven, prescribed)
 
     def simulate(
         self,
@@ -124,6 +126,8 @@ class Model:
         inputs : torques on both bodies and the motion of the ground, on a clock of their own. Where the ground moves,
             theta0, theta2_0 and the initial velocities are counted from the ground, and readings are what
             `Inputs.shown` makes of them. A sensor that lags shows what a smooth curve through its readings showed.
+            Where the motion of the primary is prescribed, channel 1 reads the reaction over `Inputs.unit`, the record
+            begins at times[0], and of theta0, theta2_0 and initial velocities the differences between the bodies count.
         quantity : what the channels read.
         tolerance : factor on the integrator's error tolerance: 1 keeps errors below 1e-4 of the peak, 0.1 below 1e-5.
         threads : blocks of 16 vectors integrated side by side; the result does not depend on it.
@@ -224,15 +228,24 @@ class Model:
         which = which[np.argsort(rows[ROWS.index("nu"), which], kind="stable")]
         if which.size == 0:
             return Simulation(y, outcome)
+        if inputs is not None and inputs.motion is not None:
+            for name, other, value in zip(
+                ("theta2_0", "omega2_0"), ("theta0", "omega1_0"), inputs.begun(float(times[0])), strict=True
+            ):
+                second, primary = ROWS.index(name), ROWS.index(other)
+                rows[second] += value - rows[primary]
+                rows[primary] = value
+            rows[ROWS.index("delay")], rows[ROWS.index("release_time")] = times[0], 0.0
         first = rows[ROWS.index("delay"), which].min()
         grid = np.concatenate([[first], times]) if first < times[0] else times
         skip = grid.size - times.size
         pieces, at = np.zeros((8, 1)), None
+        prescribed = inputs is not None and inputs.motion is not None
         if inputs is not None:
             grid, where = inputs.grid(grid)
             pieces = inputs.pieces(grid)
             at = where[skip:] if grid.size > times.size + skip else None
-        kernel = self.compile(driven=inputs is not None)
+        kernel = self.compile(driven=inputs is not None, prescribed=prescribed)
         read = np.array([float(quantity == name) for name in QUANTITIES])
         variant = self.acting
         scales = (*variant.memory_scale, np.inf, np.inf)[:2] if variant is not None else (np.inf, np.inf)
@@ -263,6 +276,8 @@ class Model:
         else:
             work(0)
         y[outcome != integrator.COMPLETED] = np.nan
+        if inputs is not None and prescribed:
+            y[:, 0] /= inputs.unit
         return Simulation(y, outcome)
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -173,7 +175,104 @@ def test_a_sensor_that_lags_shows_what_was_there_before():
         assert np.abs(late[c, 10:] - wanted).max() < 2e-4 * np.abs(wanted).max()
 
 
+def moved(p, times, motion, torque2, coupled=True, apart=(0.0, 0.0), cubic=0.0, sine=False, knots=None):
+    """Reaction on a primary that moves as prescribed, and the secondary's acceleration, speed and angle: (n,), (3, n).
+
+    motion : t -> angle, speed, acceleration; apart : what the secondary's angle and speed are ahead of it at first.
+    """
+
+    def parts(t, x):
+        (th1, w1, a1), (th2, w2) = motion(t), x
+        restoring = p["k1t"] * (math.sin(th1) if sine else th1) + cubic * th1**3
+        own = p["c1t"] * w1 + restoring + p["drag"] * math.tanh(p["nu"] * w1)
+        if not coupled:
+            return p["J1"] * a1 + own, 0.0
+        pull = p["N0"] * max(0.0, 1.0 - p["R"] * abs(th1 - th2) / (2.0 * p["r"]))
+        joint = p["k2t"] * (th1 - th2) + p["c2t"] * (w1 - w2) + p["mu"] * pull * p["R"] * math.tanh(p["nu"] * (w1 - w2))
+        held = p["c3t"] * w2 + p["k3t"] * (math.sin(th2) if sine else th2) + p["drag"] * math.tanh(p["nu"] * w2)
+        a2 = (torque2(t) + joint - held - p["J12"] * a1) / p["J2"]
+        return p["J1"] * a1 + p["J12"] * a2 + own + joint, a2
+
+    th1, w1, _ = motion(times[0])
+    x = np.array([th1 + apart[0], w1 + apart[1]])
+    reaction, second = np.empty(times.size), np.empty((3, times.size))
+    for k, t in enumerate(times):
+        reaction[k], a2 = parts(t + 1e-12, x)
+        second[:, k] = a2, x[1], x[0]
+        inside = [] if k + 1 == times.size else np.union1d([t, times[k + 1]], knots if knots is not None else [])
+        inside = [u for u in inside if t <= u <= times[min(k + 1, times.size - 1)]]
+        for u, v in itertools.pairwise(inside):
+            span = (u + 1e-12, v - 1e-12)
+            x = solve_ivp(lambda s, y: [y[1], parts(s, y)[1]], span, x, "DOP853", rtol=1e-10, atol=1e-12).y[:, -1]
+    return reaction, second
+
+
+def _swept(t):
+    """A prescribed sweep, by its formula: angle, speed, acceleration."""
+    rate, phase = 2.0 * np.pi * (2.0 + 16.0 * t), 2.0 * np.pi * (2.0 + 8.0 * t) * t
+    bend = 2.0 * np.pi * 16.0
+    return 0.1 * np.sin(phase), 0.1 * rate * np.cos(phase), 0.1 * (bend * np.cos(phase) - rate**2 * np.sin(phase))
+
+
+@pytest.mark.parametrize(("quantity", "row"), [("acceleration", 0), ("velocity", 1), ("displacement", 2)])
+@pytest.mark.parametrize("coupled", [True, False])
+def test_a_primary_that_is_moved_needs_the_torque_that_its_equation_says(quantity, row, coupled):
+    torque2 = between(TIMES, series()[1], False) if coupled else (lambda _: 0.0)
+    given = series()[1] if coupled else None
+    reaction, second = moved(P, TIMES, _swept, torque2, coupled, (0.02, -0.5))
+    rig = P | {"theta0": 0.3, "theta2_0": 0.32, "omega1_0": 1.0, "omega2_0": 0.5, "delay": -1.0}  # differences count
+    inputs = Inputs.measured(TIMES, None, given, motion=_swept(TIMES)[0])
+    y = Model(coupled=coupled).simulate(rig, TIMES, inputs=inputs, quantity=quantity).y[0]
+    inner = slice(3, -3)  # at both ends a spline's second derivative is off
+    assert np.abs(y[0] - reaction)[inner].max() < 3e-4 * np.abs(reaction).max()
+    if coupled:
+        assert np.abs(y[1] - second[row])[inner].max() < 3e-4 * np.abs(second[row]).max()
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_a_prescribed_acceleration_is_exact_between_its_samples(held):
+    ground = series()[2]
+    angle = motion_of(TIMES, ground, held)
+    acceleration = between(TIMES, ground, held)
+    reaction, second = moved(P, TIMES, lambda t: (*angle(t), acceleration(t)), lambda _: 0.0)
+    inputs = Inputs.measured(TIMES, motion=ground, motion_quantity="acceleration", held=held)
+    y = Model().simulate(P, TIMES, inputs=inputs, tolerance=0.1).y[0]
+    assert np.abs(y[0] - reaction).max() < 1e-5 * np.abs(reaction).max()
+    assert np.abs(y[1] - second[0]).max() < 1e-5 * np.abs(second[0]).max()
+    per_inertia = replace(inputs, unit=P["J1"])
+    assert np.allclose(Model().simulate(P, TIMES, inputs=per_inertia, tolerance=0.1).y[0, 0], y[0] / P["J1"])
+
+
+def test_readings_of_a_moved_primary_may_begin_late_and_be_few():
+    times = TIMES[20:230:7] + 3e-4
+    angle = motion_of(TIMES, series()[2], False)
+    acceleration = between(TIMES, series()[2], False)
+    reaction, second = moved(P, times, lambda t: (*angle(t), acceleration(t)), lambda _: 0.0, knots=TIMES)
+    y = Model().simulate(P, times, inputs=Inputs.measured(TIMES, motion=series()[2], motion_quantity="acceleration"))
+    assert np.abs(y.y[0, 0] - reaction).max() < 1e-4 * np.abs(reaction).max()
+    assert np.abs(y.y[0, 1] - second[0]).max() < 1e-4 * np.abs(second[0]).max()
+
+
+def test_a_moved_pendulum_and_an_effect_in_its_spring():
+    cubic = all_effects()["spring_cubic"].variants[0]
+    size = 900.0
+    angle = motion_of(TIMES, series()[2], False)
+    acceleration = between(TIMES, series()[2], False)
+    reaction, second = moved(
+        P, TIMES, lambda t: (*angle(t), acceleration(t)), lambda _: 0.0, cubic=size, sine=True
+    )  # fmt: skip
+    inputs = Inputs.measured(TIMES, motion=series()[2], motion_quantity="acceleration")
+    model = Model(effect=cubic, restoring="pendulum")
+    y = model.simulate(P, TIMES, effect={cubic.parameters[0].name: size}, inputs=inputs).y[0]
+    assert np.abs(y[0] - reaction).max() < 1e-4 * np.abs(reaction).max()
+    assert np.abs(y[1] - second[0]).max() < 1e-4 * np.abs(second[0]).max()
+
+
 def test_what_cannot_be_driven_is_refused():
+    with pytest.raises(ValueError, match="jump"):
+        Inputs.measured(TIMES, motion=TIMES, held=True)
+    with pytest.raises(ValueError, match="keep one"):
+        Inputs.measured(TIMES, TIMES, motion=TIMES)
     with pytest.raises(ValueError, match="jump"):
         Inputs.measured(TIMES, ground=TIMES, ground_quantity="displacement", held=True)
     with pytest.raises(ValueError, match="one value per sample"):
