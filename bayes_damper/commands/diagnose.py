@@ -432,10 +432,11 @@ def _draw(folder: Path, found: Diagnosis, workers: int, library: Mapping[str, Ef
 
 def _label(name: str, titles: Mapping[str, str]) -> str:
     """An answer for the axis of a figure: its name, and below what it is."""
-    return "\n".join([name, *(line for n in name.split(" + ") if n in titles for line in wrap(titles[n], 30))])
+    known = _NO_EFFECT | titles
+    return "\n".join([name, *(line for n in name.split(" + ") if n in known for line in wrap(known[n], 30))])
 
 
-_NO_EFFECT = {"none": "nothing", "unknown": "a cause outside the library"}
+_NO_EFFECT = {"none": "nothing is missing", "unknown": "a cause outside the library"}
 
 
 def _plain(name: str, titles: Mapping[str, str]) -> str:
@@ -545,7 +546,7 @@ def _added(found: Diagnosis, titles: Mapping[str, str]) -> str:
         return " and ".join(titles.get(n, n) for n in found.pair.effects)
     if found.verdict == "unknown" and found.winner is not None:
         name = found.winner.effect.name
-        return f"{titles.get(name, name)}, which does not explain it"
+        return f"{titles.get(name, 'laws that drift')}, which does not explain it"
     return titles.get(found.verdict, found.verdict)
 
 

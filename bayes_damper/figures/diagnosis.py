@@ -62,14 +62,14 @@ def gap_figure(record: Mapping[str, Any], probabilities: Mapping[str, float], *,
     figure = new_figure(9.0, 1.2 + 1.2 * len(rows))
     dots: dict[str, Any] = {"color": "#777777", "ms": 2.0, "rasterized": True}
     times, measured, nominal = record["times"], np.asarray(record["measured"]), np.asarray(record["nominal"])
-    unit, noise = raised(record["unit"]), record["noise"]
+    reading, noise = f"reading [{raised(record['unit'])}]", record["noise"]
     with mpl.rc_context(RC):
         axes = figure.subplot_mosaic([[row, "answers"] for row in rows], width_ratios=[2.6, 1.0])
         axes["record"].plot(times, measured, ".", label="measured", **dots)
         axes["record"].plot(times, nominal, color=COLOURS[0], lw=1.0, label="fitted nominal model")
         axes["record"].set_title(record["label"], loc="left")
         axes["record"].legend(loc="upper right", ncols=2)
-        axes["record"].set_ylabel(unit)
+        axes["record"].set_ylabel(reading)
         axes["before"].set_title("measured minus nominal model (band: two sd of the noise)", loc="left")
         axes["before"].plot(times, measured - nominal, ".", **dots)
         if augmented is not None:
@@ -83,11 +83,13 @@ def gap_figure(record: Mapping[str, Any], probabilities: Mapping[str, float], *,
         for name in rows:
             if name != "record":
                 axes[name].axhspan(-2.0 * noise, 2.0 * noise, color="#cccccc", alpha=0.5, lw=0, zorder=0)
-                axes[name].set_ylabel(unit)
+                axes[name].set_ylabel(reading)
             axes[name].sharex(axes["record"])
             axes[name].tick_params(labelbottom=name == rows[-1])
         axes[rows[-1]].set_xlabel("time [s]")
-        _draw_probabilities(axes["answers"], _leading(probabilities, 10), 10, "what is missing")
+        shown = _leading(probabilities, 10)
+        likely = {name: p for name, p in shown.items() if p > 0.005} if len(shown) > 3 else shown
+        _draw_probabilities(axes["answers"], likely, 6, "what is missing")
         figure.suptitle(title)
     return figure
 
@@ -119,6 +121,7 @@ def residual_maps_figure(maps: Sequence[Mapping[str, Any]], *, title: str) -> Fi
                 axis.set_facecolor("#eeeeee")
                 if name == "frequency":
                     axis.set_xscale("log")
+                    axis.xaxis.set_major_formatter("{x:g}")
                 if panel["labels"] is not None:
                     axis.set_yticks(np.arange(len(panel["labels"])) + 0.5, panel["labels"], fontsize=7)
                     axis.invert_yaxis()
@@ -167,7 +170,11 @@ def published_figure(rows: Mapping[str, Sequence[Mapping[str, Any]]], *, title: 
     return figure
 
 
-_LAW_AXES = {"angle": ("angle", "rad", "m"), "speed": ("velocity", "rad/s", "m/s"), "time": ("time", "s", "s")}
+_LAW_AXES = {
+    "angle": ("angle [rad]", "displacement [m]"), "speed": ("velocity [rad/s]", "velocity [m/s]"),
+    "time": ("time [s]", "time [s]"),
+}  # fmt: skip
+"""Axis labels along which a law's terms run: on a torsional rig, and on a translational one."""
 _CARRIERS = {"one": "f", "dry": "f, times tanh(nu v)", "angle": "f, times x/max|x|", "speed": "f, times v/max|v|"}
 
 
@@ -198,8 +205,7 @@ def learnt_law_figure(law: Any, density: Sequence[Any], *, title: str, translati
                 below.set_yticks([])
                 axis.set_zorder(below.get_zorder() + 1)
                 axis.patch.set_visible(False)
-            name, *units = _LAW_AXES[term.along]
-            axis.set_xlabel(f"{name} [{units[translational]}]")
+            axis.set_xlabel(_LAW_AXES[term.along][translational])
             axis.set_ylabel(f"{_CARRIERS[term.carrier]}; {effort}" if k else f"{effort}: {_CARRIERS[term.carrier]}")
         whole = bottom.subplots()
         middle = [0.5 * (e[1:] + e[:-1]) for e in edges]
@@ -207,10 +213,15 @@ def learnt_law_figure(law: Any, density: Sequence[Any], *, title: str, translati
         torque = law.torque(angle.ravel(), speed.ravel(), np.zeros(angle.size))[0].reshape(angle.shape)
         torque = np.where(count > 0, torque, np.nan)
         most = float(np.nanmax(np.abs(torque))) or 1.0
+        whole.grid(visible=False)
+        whole.patch.set(hatch="////", edgecolor="#c4c4c4", facecolor="white")  # no readings
         drawn = whole.pcolormesh(edges[0], edges[1], torque.T, cmap="PuOr", vmin=-most, vmax=most)
         figure.colorbar(drawn, ax=whole, label=effort)
-        whole.set_xlabel(f"angle [{_LAW_AXES['angle'][1 + translational]}]")
-        whole.set_ylabel(f"velocity [{_LAW_AXES['speed'][1 + translational]}]")
+        if min(torque.shape) > 1:  # signs in grey print: matplotlib draws lines below 0 broken
+            levels = most * np.array([-0.6, -0.3, -0.1, 0.1, 0.3, 0.6])
+            whole.contour(*middle, torque.T, levels, colors="black", linewidths=0.6)
+        whole.set_xlabel(_LAW_AXES["angle"][translational])
+        whole.set_ylabel(_LAW_AXES["speed"][translational])
         if any(term.along == "time" for term in law.terms):
             whole.set_title("at release", loc="left")
         figure.suptitle(title)

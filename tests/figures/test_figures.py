@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from matplotlib.contour import ContourSet
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
 
@@ -57,6 +58,34 @@ def test_missing_torque_is_drawn_on_bodies_that_bear_the_names_of_their_rig(tran
     words = [text.get_text() for text in figure.findobj(Text)]
     assert f"on {body}" in words
     assert f"{'force [N]' if translational else 'torque [N m]'} on {body}" in words
+
+
+def test_the_gap_names_its_axes_and_only_answers_that_count() -> None:
+    t = np.linspace(0.0, 1.0, 50)
+    record = {
+        "label": "A #1, channel 1", "unit": "m", "times": t, "measured": np.sin(t), "nominal": t,
+        "augmented": np.sin(t), "added": "a stop", "noise": 0.1,
+    }  # fmt: skip
+    answers = {"a stop": 0.9, "nothing": 0.09, "rust": 0.006, "dust": 0.004, "a cause outside the library": 1e-9}
+    words = [text.get_text() for text in figures.gap_figure(record, answers, title="").findobj(Text)]
+    assert words.count("reading [m]") == 3
+    assert {"a stop", "nothing", "rust", "measured minus model with a stop"} <= set(words)
+    assert not {"dust", "a cause outside the library"} & set(words)
+
+
+@pytest.mark.parametrize(("translational", "place"), [(False, "angle [rad]"), (True, "displacement [m]")])
+def test_a_learnt_law_is_drawn_in_the_units_of_its_rig_and_with_signs_in_grey(translational: bool, place: str) -> None:
+    edges = np.linspace(-1.0, 1.0, 9)
+    law = SimpleNamespace(
+        terms=(SimpleNamespace(carrier="speed", along="angle"),),
+        torque=lambda angle, speed, time: (angle * speed, 0.0 * angle),
+        curve=lambda k: (edges, edges, 0.1 + 0.0 * edges),
+    )
+    figure = figures.learnt_law_figure(law, (np.ones((8, 8)), edges, edges), title="", translational=translational)
+    assert [axis.get_xlabel() for axis in figure.axes].count(place) == 2
+    lines = [drawn for drawn in figure.findobj(ContourSet) if not drawn.filled]
+    assert len(lines) == 1
+    assert {dashes is None for _, dashes in lines[0].get_linestyle()} == {True, False}, "broken below 0"
 
 
 def test_a_matrix_of_answers_has_the_diagonal_first_and_no_column_that_was_never_given() -> None:

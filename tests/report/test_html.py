@@ -578,7 +578,7 @@ def test_the_gap_stands_before_and_after_each_effect(tmp_path):
     (tmp_path / "diagnosis" / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
     text = words_of(report(tmp_path / "diagnosis").path.read_text(encoding="utf-8"))
     assert "with stick slip and magnet cubic 2.01 97 % (90 to 100 %)" in text
-    assert "case IV, coupled, trial 4 812 3.4 → 2.1 31 % → 52 % 62 % → 91 %" in text
+    assert "case IV, coupled, trial 4 812 readings nominal model 3.4 31 % 62 % with the leading effect 2.1" in text
     assert "model rms residual [rad/s²] gap closed (90 %) noise alone 2" in text
     assert "nominal model 2.9 0 %" in text
     assert "with stick slip 2.01 97 % (90 to 100 %)" in text

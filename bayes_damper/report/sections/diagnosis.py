@@ -463,26 +463,31 @@ def _forecast_tables(ahead: Mapping[str, Any], unit: str = "") -> list[Table]:
     """Held-out trials forecast from their first periods: what is missed, and what share the bands hold."""
     if "before" not in ahead:
         return []
-    sides = [side for side in ("before", "after", "averaged") if side in ahead]
+    models = {"before": "nominal model", "after": "with the leading effect", "averaged": "all answers, weighted"}
 
-    def cells(row: Mapping[str, Any]) -> tuple[str, ...]:
-        found = [row[side] for side in sides if row.get(side) is not None]
-        return tuple(
-            " → ".join(number(f["rms"]) if name == "rms" else percent(f[name]) for f in found)
-            for name in ("rms", "coverage50", "coverage90")
-        )
+    def rows_of(name: str, readings: int, found: Mapping[str, Any]) -> list[Row]:
+        sides = [(model, found[side]) for side, model in models.items() if found.get(side) is not None]
+        return [
+            Row((
+                "" if k else f"{name}\n{readings} readings", model, number(f["rms"]), percent(f["coverage50"]),
+                percent(f["coverage90"]),
+            ))
+            for k, (model, f) in enumerate(sides)
+        ]  # fmt: skip
 
+    trials = ahead["trials"]
     rows = [
-        Row((f"case {t['case']}, {t['configuration']}, trial {t['trial']}", str(t["readings"]), *cells(t)))
-        for t in ahead["trials"]
+        row
+        for t in trials
+        for row in rows_of(f"case {t['case']}, {t['configuration']}, trial {t['trial']}", t["readings"], t)
     ]
-    if len(rows) > 1:
-        rows.append(Row(("all", str(sum(t["readings"] for t in ahead["trials"])), *cells(ahead))))
-    heads = ("trial", "readings", f"rms miss [{unit}]" if unit else "rms miss", "in the 50 % band", "in the 90 % band")
+    if len(trials) > 1:
+        rows += rows_of("all", sum(t["readings"] for t in trials), ahead)
+    heads = ("trial", "model", f"rms miss [{unit}]" if unit else "rms miss", "in the 50 % band", "in the 90 % band")
     note = (
-        f"Each trial's own state is inferred from its first {ahead['periods']:g} periods, the rest is predicted; by "
-        "the nominal model → with the leading effect added → over all answers, each by its probability. Fewer readings "
-        "in a band than it should hold: the model is surer than it may be."
+        f"Each trial's own state is inferred from its first {ahead['periods']:g} periods, the rest is predicted. All "
+        "answers, weighted: each by its probability. Fewer readings in a band than it should hold: the model is surer "
+        "than it may be."
     )
     return [Table("Forecasts of held-out trials", heads, tuple(rows), note)]
 

@@ -48,7 +48,7 @@ _MORE = {
     ),
     "residuals": (
         "Where the residuals lie",
-        "Residuals over the noise, by trial over time and frequency, and over angle and velocity. White: noise alone.",
+        "Residuals over the noise, by trial over time and frequency, and over place and velocity. 1: noise alone.",
     ),
     "ranking": ("Which effect, and where", "Bars: probability of each answer, and of each site of the rig."),
     "published": ("Published numbers", "Each published number beside what the leading answers predict for it."),
@@ -62,7 +62,10 @@ _MORE = {
     ),
     "learnt_law": (
         "The law that was learnt",
-        "Each term's curve with its 90 % band (grey: where readings lie), and all terms over angle and velocity.",
+        (
+            "Each term's curve with its 90 % band (grey: where readings lie), and all terms over place and velocity "
+            "(lines of one force or torque, broken below 0; hatched: no readings)."
+        ),
     ),
     "variability_scatter": ("Scatter over the cases", "Median and 90 % interval of each part of the scatter."),
     "withheld": (
