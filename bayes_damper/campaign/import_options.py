@@ -28,6 +28,7 @@ READER: dict[str, tuple[tuple[type, ...], str]] = {
     "time": ((str, int), "column of the time, by name or number from 1; absent: sample_rate makes it"),
     "time_unit": ((str,), "s (default), ms, us, min"),
     "sample_rate": ((int, float), "Hz, nominal, where there is no time column"),
+    "clock": ((list,), "s that each file's clock shows at one instant, where both channels have files of their own"),
     "columns": ((list,), "columns of the channels, primary first, by name or number from 1"),
     "units": ((list,), "their units (default: as the file names them, else SI); mV or V with sensitivity"),
     "sensitivity": ((list,), "of sensors whose voltage was recorded, one per channel, e.g. '100 mV/g'"),

@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from bayes_damper import campaign as campaigns
 from bayes_damper.campaign import Campaign, Constant, Measurement, Rig, Trial
@@ -48,7 +49,7 @@ Array = NDArray[np.float64]
 _ITEMS: dict[str, tuple[type, ...]] = {
     "source": (str,), "sha256": (str,), "columns": (str, int), "units": (str,), "sensitivity": (str,),
     "mounting_radius": (int, float), "sign": (int, float), "offset": (str, int, float), "matlab_time": (str,),
-    "matlab_data": (str,), "wrap": (int, float), "scale": (int, float),
+    "matlab_data": (str,), "clock": (int, float), "wrap": (int, float), "scale": (int, float),
 }  # fmt: skip
 """What the lists of an import table may hold."""
 _LEAST: dict[str, float] = {"every": 1, "skip_lines": 0, "before": 0.0, "k1t_std": 0.0}
@@ -542,19 +543,71 @@ def _source_of(
             "first, and 'columns' with one column of each"
         )
     parts = [read(s, digest) for s, digest in zip(sources, sums, strict=True)]
-    clocks = [_times_of(part, option, Path(s).name) for part, s in zip(parts, sources, strict=True)]
+    clocks = [_own_times(part, option, Path(s).name) for part, s in zip(parts, sources, strict=True)]
     places = [p.index(c, Path(s).name) for p, c, s in zip(parts, columns, sources, strict=True)]
-    step = float(np.median(np.diff(clocks[0])))
-    if any(len(c) != len(clocks[0]) or np.max(np.abs(c - clocks[0])) > 0.5 * step for c in clocks):
-        raise InputError(
-            f"{where}: the channels were not read at the same times; export them with one clock, or in one file"
-        )
-    table = np.column_stack([clocks[0], *(p.table[:, i] for p, i in zip(parts, places, strict=True))])
+    channels = [p.table[:, i] for p, i in zip(parts, places, strict=True)]
     units = ("s", *(p.unit(i) or "" for p, i in zip(parts, places, strict=True)))
-    notes = tuple(note for p in parts for note in p.notes)
+    notes: tuple[str, ...] = ()
+    step = float(np.median(np.diff(clocks[0])))
+    if "clock" in option or any(len(c) != len(clocks[0]) or np.max(np.abs(c - clocks[0])) > 0.5 * step for c in clocks):
+        times, channels, note = _on_one_clock(clocks, channels, option, where)
+        table, notes = np.column_stack([times, *channels]), (note,)
+    else:
+        table = np.column_stack([clocks[0], *channels])
     both = LoggerFile(("time", *(f"channel {k + 1}" for k in range(len(parts)))), table, units, notes)
+    files[raw / where] = both  # for its note; those of the parts stand beside it
     plain = {k: v for k, v in option.items() if k not in ("time_unit", "sample_rate")}
     return both, where, {**plain, "time": 1, "columns": [k + 2 for k in range(len(parts))]}
+
+
+def _own_times(part: LoggerFile, option: Mapping[str, Any], where: str) -> Array:
+    """The clock of a file that may name its time otherwise than the other file of a trial does."""
+    try:
+        return _times_of(part, option, where)
+    except InputError:
+        column = part.time_column()
+        if column is None or "sample_rate" in option:
+            raise
+        return _times_of(part, {**option, "time": column + 1}, where)
+
+
+def _on_one_clock(
+    clocks: Sequence[Array], channels: Sequence[Array], option: Mapping[str, Any], where: str
+) -> tuple[Array, list[Array], str]:
+    """Two channels at the times of the slower one, while both were read, on the clock of the first file; and a note.
+
+    The faster channel goes through its readings as a cubic spline; where either lacks a reading nearby, there is none.
+    """
+    steps = [float(np.median(np.diff(c))) for c in clocks]
+    spans = " and ".join(f"{c[0]:g} to {c[-1]:g} s in steps of {d:.4g} s" for c, d in zip(clocks, steps, strict=True))
+    if "clock" not in option:
+        raise InputError(
+            f"{where}: the channels were not read at the same times ({spans}); export them with one clock, or give "
+            "with --clock what the clock of each file shows at one instant that both saw, such as a trigger (0 0 where "
+            "it is one clock)"
+        )
+    common = option["clock"]
+    if len(common) != len(clocks):
+        raise InputError(f"{option['where']}: clock = {common}: give one instant for each of the {len(clocks)} files")
+    if any(not (np.diff(c) > 0.0).all() for c in clocks):
+        raise InputError(f"{where}: the time of a file does not increase or has gaps; sort its rows, fill its times")
+    shifted = [c - at for c, at in zip(clocks, common, strict=True)]
+    slow = int(np.argmax(steps))
+    fast = 1 - slow
+    known = np.isfinite(channels[fast])
+    have = shifted[fast][known]
+    times = shifted[slow]
+    if known.sum() < _FEWEST or np.sum((times >= have[0]) & (times <= have[-1])) < _FEWEST:
+        raise InputError(
+            f"{where}: the channels were never read at one time ({spans}, clock = {common}); correct clock"
+        )
+    inside = (times >= have[0]) & (times <= have[-1])
+    times = times[inside]
+    after = np.clip(np.searchsorted(have, times), 1, len(have) - 1)
+    near = have[after] - have[after - 1] < 3.0 * steps[fast]
+    found = [channels[slow][inside], np.where(near, CubicSpline(have, channels[fast][known])(times), np.nan)]
+    note = f"{where}: the clocks differ; channel {fast + 1} was brought to the times of channel {slow + 1}."
+    return times + common[0], found if slow == 0 else found[::-1], note
 
 
 def _named_units(source: LoggerFile, places: Sequence[int], kind: str, quantity: str) -> list[str]:

@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 Line = tuple[int, str]
 _LOOKED_AT = 400
 """Lines in which the first numbers are looked for."""
+_FEWEST_ROWS = 5
+"""Rows of which on a column of words is no column of readings that failed."""
 _LONGEST_LINE = 100_000
 """Characters of a line in which quotes are looked for: whatever is longer is no row of a logger's table."""
 _MISSING = {"", "-", "--", "---", "na", "n/a", "nan", "null", "none"}
@@ -214,6 +216,7 @@ def read_text(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
         raise InputError(
             f"{name}: decimal commas and commas between columns cannot be distinguished; export with semicolons"
         )
+    lines, wordy = _without_words(lines, mark, comma)
     begin, named = _begin(lines, option, mark, comma)
     head = _split(lines[begin][1], mark) if named else []
     rows, notes = _rows(lines[begin + named :], mark, comma, name, named, len(_trimmed(head)))
@@ -227,6 +230,9 @@ def read_text(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
             "decimal = ',' and delimiter"
         )
     names, units = _names(lines[: begin + 1] if named else [], mark, width)
+    for i in wordy:
+        called = f"column {i + 1}" + (f" ({names[i]})" if names[i : i + 1] not in ((), ("",)) else "")
+        notes.append(f"{name}: {called} holds words, no numbers, and was left out.")
     return LoggerFile(names, table[:, :width], units, tuple(notes))
 
 
@@ -349,6 +355,30 @@ def _has_decimal_commas(lines: Sequence[Line], mark: str) -> bool:
     """Whether the later half of the lines writes its numbers with decimal commas."""
     cells = [c.strip() for _, line in lines[len(lines) // 2 :] for c in _split(line, mark)]
     return any("," in c for c in cells) and not any("." in c for c in cells)
+
+
+def _without_words(lines: Sequence[Line], mark: str, comma: bool) -> tuple[Sequence[Line], list[int]]:
+    """The lines with columns of words ("OK", a date) as missing readings, and which columns these are, from 0.
+
+    A column is one of words if none of its cells in the later half is a number, beside one of numbers alone.
+    """
+    later = [_split(line, mark) for _, line in lines[len(lines) // 2 :]]
+    width = Counter(map(len, later)).most_common(1)[0][0]
+    rows = [cells for cells in later if len(cells) == width]
+    numbers = [sum(_is_number(row[i], comma) for row in rows) for i in range(width)]
+    wordy = [
+        i for i in range(width) if not numbers[i] and all(row[i].strip(' "').lower() not in _MISSING for row in rows)
+    ]
+    if not wordy or max(numbers) < len(rows) or len(rows) < _FEWEST_ROWS:
+        return lines, []
+
+    def numbers_of(line: str) -> str:
+        cells = _split(line, mark)
+        if len(cells) != width or not any(_is_number(c, comma) for c in cells):
+            return line
+        return mark.join("nan" if i in wordy else f'"{c}"' if mark in c else c for i, c in enumerate(cells))
+
+    return [(number, numbers_of(line)) for number, line in lines], wordy
 
 
 def _cells(line: str, mark: str, comma: bool) -> list[float] | None:

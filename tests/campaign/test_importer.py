@@ -419,6 +419,29 @@ def test_channels_in_files_of_their_own(tmp_path: Path) -> None:
         init_campaign(tmp_path / "other", [first], **options)
 
 
+def test_channels_with_clocks_of_their_own_are_brought_to_one(tmp_path: Path) -> None:
+    """Another rate, another zero, another name of the time, a column of words: as two loggers have it."""
+    slower = np.arange(TIMES[0] + 0.1, TIMES[-1] - 0.1, 1.6 * (TIMES[1] - TIMES[0]))
+    first = logger_file(tmp_path / "run1_a.csv", wave())
+    second = tmp_path / "run1_b.csv"
+    rows = [f"{t + 12.5:.6f},{y:.9f},OK" for t, y in zip(slower, np.interp(slower, TIMES, 0.3 * wave(1)), strict=True)]
+    second.write_text("Elapsed Time,a,Status\n" + "\n".join(rows) + "\n")
+    options = {**TWO, "columns": ["a", "a"], "files_per_trial": 2, "release": 5.0}
+    with pytest.raises(InputError, match=r"not read at the same times .* in steps of .* --clock"):
+        init_campaign(tmp_path / "out", [first, second], **options)
+    campaign = load_campaign(init_campaign(tmp_path / "out", [first, second], **{**options, "clock": [0.0, 7.5]}))
+    trial = campaign.trials[0]
+    np.testing.assert_allclose(np.diff(trial.times), slower[1] - slower[0], rtol=1e-4)
+    clear = (trial.times > 0.02) & (trial.times < trial.times[-1] - 0.02)  # of the jump at the release
+    at = np.array(trial.times)[clear]
+    for channel, of in zip(trial.channels, (wave(), 0.3 * wave(1)), strict=True):
+        np.testing.assert_allclose(np.array(channel)[clear], np.interp(at, TIMES, of), atol=0.02 * np.ptp(of))
+    assert any("channel 1 was brought to the times of channel 2" in w for w in campaign.warnings)
+    assert any("column 3 (Status) holds words, no numbers, and was left out" in w for w in campaign.warnings)
+    with pytest.raises(InputError, match="never read at one time"):
+        init_campaign(tmp_path / "other", [first, second], **{**options, "clock": [0.0, 700.0]})
+
+
 def test_a_copied_record_is_told(tmp_path: Path) -> None:
     sources = [logger_file(tmp_path / f"run{i}.csv", wave(i % 2)) for i in range(3)]
     told = check(init_campaign(tmp_path / "out", sources, **OPTIONS))
