@@ -341,7 +341,7 @@ def scatter_in_words(fit: Calibration) -> list[str]:
     relative = [s for s in shown if s.name in RELATIVE or s.name.startswith("gain")]
     out = []
     if relative:
-        listed = ", ".join(f"{s.name} by {100.0 * s.sd:.2g} %" for s in relative)
+        listed = ", ".join(f"{s.name} by {float(f'{100.0 * s.sd:.2g}'):g} %" for s in relative)
         out.append(f"From trial to trial {listed} scatter; each trial was given its own, and no cause is named for it.")
     for size in shown:
         r, p = trend_with_order(fit, size)

@@ -357,7 +357,7 @@ def _has_decimal_commas(lines: Sequence[Line], mark: str) -> bool:
     return any("," in c for c in cells) and not any("." in c for c in cells)
 
 
-def _without_words(lines: Sequence[Line], mark: str, comma: bool) -> tuple[Sequence[Line], list[int]]:
+def _without_words(lines: list[Line], mark: str, comma: bool) -> tuple[list[Line], list[int]]:
     """The lines with columns of words ("OK", a date) as missing readings, and which columns these are, from 0.
 
     A column is one of words if none of its cells in the later half is a number, beside one of numbers alone.

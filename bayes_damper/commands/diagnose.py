@@ -432,7 +432,7 @@ def _draw(folder: Path, found: Diagnosis, workers: int, library: Mapping[str, Ef
 
 def _label(name: str, titles: Mapping[str, str]) -> str:
     """An answer for the axis of a figure: its name, and below what it is."""
-    known = _NO_EFFECT | titles
+    known = {**_NO_EFFECT, **titles}
     return "\n".join([name, *(line for n in name.split(" + ") if n in known for line in wrap(known[n], 30))])
 
 

@@ -219,10 +219,12 @@ def unlike_in_words(fit: Calibration) -> list[str]:
         odd = [u for u in found if u.trial in members]
         if odd and (len(odd) > 1 or len(members) > 2):
             names = ", ".join(trials[u.trial].label for u in odd)
+            differ = "differ" if len(odd) > 1 else "differs"
+            others = "each other" if len(odd) == len(members) else "the repeats"
             out.append(
-                f"{names}: differs from {'each other' if len(odd) == len(members) else 'the repeats'} by up to "
-                f"{math.sqrt(odd[0].excess):.2g} times the noise beyond all that is known to scatter. Repeats do not "
-                "share it, so it is the laboratory's and no cause is named for it."
+                f"{names}: {differ} from {others} by up to {math.sqrt(odd[0].excess):.2g} times the noise beyond all "
+                "that is known to scatter. Repeats do not share it: it comes from how single trials were made, and no "
+                "cause is named for it."
             )
     return out
 

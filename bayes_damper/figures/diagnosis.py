@@ -15,15 +15,16 @@ from bayes_damper.text import COORDINATES
 
 
 def ranking_figure(probabilities: Mapping[str, float], sites: Mapping[str, float], *, title: str) -> Figure:
-    """Probabilities of the answers (those above 0.5 %, at most twelve) and of the sites; names may have lines."""
+    """Probabilities of the answers (at most twelve) and of the sites, those above 0.5 %; names may have lines."""
     shown = {name: p for name, p in _leading(probabilities, 12).items() if p > 0.005}
-    rows = max(len(shown), len(sites))
-    lines = max((name.count("\n") + 1 for name in (*shown, *sites)), default=1)
+    places = {site: p for site, p in sites.items() if p > 0.005}
+    rows = max(len(shown), len(places), 3)
+    lines = max((name.count("\n") + 1 for name in (*shown, *places)), default=1)
     figure = new_figure(9.0, (0.28 if lines == 1 else 0.17 * lines + 0.1) * rows + 1.2)
     with mpl.rc_context(RC):
         left, right = figure.subplots(1, 2)
         _draw_probabilities(left, shown, rows, "answer")
-        _draw_probabilities(right, sites, rows, "site")
+        _draw_probabilities(right, places, rows, "site")
         figure.suptitle(title)
     return figure
 
@@ -60,7 +61,7 @@ def gap_figure(record: Mapping[str, Any], probabilities: Mapping[str, float], *,
     augmented = record["augmented"]
     rows = ["record", "before"] + (["after"] if augmented is not None else [])
     figure = new_figure(9.0, 1.2 + 1.2 * len(rows))
-    dots: dict[str, Any] = {"color": "#777777", "ms": 2.0, "rasterized": True}
+    dots: dict[str, Any] = {"color": "#9a9a9a", "ms": 2.0, "rasterized": True}
     times, measured, nominal = record["times"], np.asarray(record["measured"]), np.asarray(record["nominal"])
     reading, noise = f"reading [{raised(record['unit'])}]", record["noise"]
     with mpl.rc_context(RC):
@@ -70,13 +71,11 @@ def gap_figure(record: Mapping[str, Any], probabilities: Mapping[str, float], *,
         axes["record"].set_title(record["label"], loc="left")
         axes["record"].legend(loc="upper right", ncols=2)
         axes["record"].set_ylabel(reading)
-        axes["before"].set_title("measured minus nominal model (band: two sd of the noise)", loc="left")
+        line = "" if augmented is None else f"\nline: what {record['added']} adds"
+        axes["before"].set_title(f"measured minus nominal model (band: two sd of the noise){line}", loc="left")
         axes["before"].plot(times, measured - nominal, ".", **dots)
         if augmented is not None:
-            axes["before"].plot(
-                *(times, np.asarray(augmented) - nominal), color=COLOURS[1], lw=1.0, label=f"added by {record['added']}"
-            )
-            axes["before"].legend(loc="best")
+            axes["before"].plot(times, np.asarray(augmented) - nominal, color=COLOURS[1], lw=1.0)
             axes["after"].set_title(f"measured minus model with {record['added']}", loc="left")
             axes["after"].plot(times, measured - augmented, ".", **dots)
             axes["after"].sharey(axes["before"])
@@ -266,6 +265,7 @@ def missing_torque_figure(
             axis.fill_between(centre, mean - 1.645 * sd, mean + 1.645 * sd, color=COLOURS[body], alpha=0.25, lw=0)
             symbol, unit = COORDINATES[name][translational]
             axis.set_xlabel(f"{symbol} [{unit}]")
+            axis.locator_params(axis="x", nbins=6)
             axis.set_ylabel(f"{effort} on {names[body]}")
         axes["left"].legend(loc="best")
         figure.suptitle(title)

@@ -289,8 +289,8 @@ def record_figure(trials: Sequence[Mapping[str, Any]], unit: str, *, title: str,
                 _draw_residuals(lower, times, np.asarray(trial["measured"][c]) - np.asarray(trial["median"][c]))
                 upper.set_title(f"{trial['label']}, channel {c + 1}", loc="left")
                 if c == 0:
-                    upper.set_ylabel(raised(unit))
-                    lower.set_ylabel("residual")
+                    upper.set_ylabel(f"reading [{raised(unit)}]")
+                    lower.set_ylabel("residual", fontsize=7.5)
         figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="lower center", ncols=3, markerscale=4.0)
         for axis in axes[-1]:
             axis.set_xlabel("time [s]")

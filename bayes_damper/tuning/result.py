@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,7 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayes_damper import figures
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.rig.parameters import unit_of
+from bayes_damper.rig.parameters import PARAMETERS, unit_of
+from bayes_damper.rig.units import in_words_of
 from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.text import counted, gathered
@@ -53,6 +55,7 @@ class TuneResult:
     origin: Origin = field(default_factory=Origin)
     seed: int = 1
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    folder: Path | None = None
 
     @property
     def exit_code(self) -> ExitCode:
@@ -141,7 +144,11 @@ class TuneResult:
             lines.append(_LEFT_OUT.format(self.origin.effect))
         if self.shares:
             name, share = next(iter(self.shares.items()))
-            lines.append(f"The insertion loss hangs most on {name}: {100 * share:.0f} % of its variance.")
+            meant = in_words_of(PARAMETERS[name].meaning, self.origin.kind) if name in PARAMETERS else ""
+            what = f"{name} ({meant})" if meant else name
+            lines.append(f"The insertion loss depends most on {what}: {100 * share:.0f} % of its variance.")
+        if self.folder is not None:
+            lines += [f"Files: {self.folder}", f"Next: bayes-damper report {shlex.quote(str(self.folder))}"]
         return "\n".join(lines)
 
 
@@ -261,6 +268,7 @@ def tune(
     result = TuneResult(
         case, design, draws, target_db, performance, nonlinear, optimum, at_optimum, shares, response,
         tuning_curves(draws, design, target_db, ("J2", *lengths)), origin, seed, provenance(),
+        None if out is None else Path(out),
     )  # fmt: skip
     if out is not None:
         saved = result.to_json()

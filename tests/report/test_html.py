@@ -431,7 +431,7 @@ def test_everything_a_folder_holds_is_on_the_page(tmp_path):
     assert "The cases do not share one parameter set (2 %)" in text
     assert "insertion loss 12.0 dB (90 %: 10.4 to 13.6 dB)" in text
     assert (
-        "hangs most on c2t: damping of the coupling between the bodies (70 % of its variance): measure that better."
+        "depends most on c2t: damping of the coupling between the bodies (70 % of its variance): measure that better."
         in text
     )
     assert "your design probably has no resonance left" in text, "12 dB where there is one, but few have one"

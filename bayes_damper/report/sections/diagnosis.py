@@ -36,9 +36,9 @@ from bayes_damper.text import (
 Said = Callable[[str], str]
 """Puts a text into the words of the rig."""
 _SITES = {
-    "ground1": "the primary's spring to ground and what couples it",
+    "ground1": "the primary's spring to ground and its fixings",
     "bearings": "drag and friction in the bearings",
-    "interface": "what acts between the two bodies: faces, magnet, coupling",
+    "interface": "what acts between the two bodies: friction and coupling",
     "ground2": "what acts on the secondary alone: its inertia, a spring to ground if it has one",
     "release": "how the rig is let go",
     "sensor": "sensors and logger",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -103,9 +103,11 @@ def _fit_headline(campaign: str, groups: Mapping[str, Any], converged: bool) -> 
                 by_prior[name] += 1
     everywhere = [name for name, count in by_prior.items() if count == len(groups)]
     if everywhere:
+        units = {name: _unit_in(groups.values(), name) for name in everywhere}
         repeat = "its number repeats" if len(everywhere) == 1 else "their numbers repeat"
         sentences.append(
-            f"Nothing was learnt about {_in_words(everywhere)}: {repeat} what was assumed beforehand (the prior)."
+            f"Nothing was learnt about {_in_words(everywhere, units=units)}: {repeat} what was assumed beforehand (the "
+            "prior)."
         )
         able = [name for name in everywhere if name in _MEASURABLE]
         if able:
@@ -163,6 +165,12 @@ def _in_words(
         else:
             spelt.append(f"the {meant} ({name}{', ' if beside else ''}{beside})")
     return listed(spelt)
+
+
+def _unit_in(entries: Iterable[Mapping[str, Any]], name: str) -> str:
+    """The unit of a parameter in the first of these entries that has it."""
+    found = (e["parameters"][name].get("unit", "") for e in entries if name in e.get("parameters", {}))
+    return str(next(found, ""))
 
 
 def _missed(groups: Mapping[str, Any]) -> str:
@@ -300,7 +308,14 @@ def _more_tables(name: str, entry: Mapping[str, Any]) -> list[Table]:
         tables.append(Table(f"{_title(name)}: trials unlike their repeats", columns, rows))
     if apart.get("answers"):
         rows = tuple(
-            Row((meaning_of(n), number(p["with"]["value"]), number(p["without"]["value"]), f"{p['shift_sd']:+.1f} sd"))
+            Row(
+                (
+                    meaning_of(n, _unit_in([entry], n)),
+                    number(p["with"]["value"]),
+                    number(p["without"]["value"]),
+                    f"{p['shift_sd']:+.1f} sd",
+                )
+            )
             for n, p in apart["answers"].items()
         )
         columns = ("parameter", "with them", "without them", "shift")
@@ -312,20 +327,20 @@ def _more_tables(name: str, entry: Mapping[str, Any]) -> list[Table]:
         columns = ("trial left out", "moves most", "by")
         tables.append(Table(f"{_title(name)}: what each trial decides", columns, rows))
     if entry.get("prior_sensitivity"):
-        tables.append(_sensitivity_table(f"{_title(name)}: how the answers hang on the priors",
-                                         entry["prior_sensitivity"]))  # fmt: skip
+        tables.append(_sensitivity_table(f"{_title(name)}: how the answers depend on the priors",
+                                         entry["prior_sensitivity"], entry))  # fmt: skip
     for key in ("noise", "best_fit"):
         if isinstance(entry.get(key), Mapping):
             tables += generic({words(key): entry[key]}, "").tables
     return tables
 
 
-def _sensitivity_table(caption: str, rows: Mapping[str, Any]) -> Table:
+def _sensitivity_table(caption: str, rows: Mapping[str, Any], entry: Mapping[str, Any]) -> Table:
     """Shifts when one prior is half or twice as wide."""
     out = []
     for name, p in rows.items():
         half, double = p["half"], p["double"]
-        cells = [meaning_of(name)]
+        cells = [meaning_of(name, _unit_in([entry], name))]
         for found in (half, double):
             cells.append(f"{found['shift']:+.2f}" + ("" if found["reliable"] else " ?"))
         most = max((half, double), key=lambda found: abs(found["shift_of_that"]))

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from bayes_damper.report.parts import Picture, Table, generic, words
-from bayes_damper.rig.parameters import PARAMETERS, unit_of
-from bayes_damper.rig.units import in_words_of
+from bayes_damper.rig.parameters import PARAMETERS, READING_UNITS, unit_of
+from bayes_damper.rig.units import BODIES, in_words_of
 
 _HEADS = {
     "k1t n m per rad": "k1t [N m/rad]", "k1 n per m": "k1 [N/m]", "theta0 deg": "theta0 [deg]",
@@ -109,7 +109,8 @@ def plain_meaning(name: str, unit: str = "") -> str:
     known = PARAMETERS.get(name.partition("[")[0])
     if known is None:
         return ""
-    slides = unit == unit_of(name, "translational") != unit_of(name)
+    units = {kind: {unit_of(name, kind, quantity) for quantity in READING_UNITS} for kind in BODIES}
+    slides = unit in units["translational"] - units["torsional"]
     return in_words_of(known.meaning, "translational" if slides else "torsional")
 
 

@@ -34,8 +34,9 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
     if data.get("hangs_most_on"):
         name = data["hangs_most_on"]
         share = data.get("variance_shares", {}).get(name)
-        what = f"{meaning_of(name)} ({percent(share)} of its variance)"
-        changes.append(f"The insertion loss hangs most on {what}: measure that better.")
+        unit = unit_of(name, str(data.get("kind") or "torsional"))
+        what = f"{meaning_of(name, unit)} ({percent(share)} of its variance)"
+        changes.append(f"The insertion loss depends most on {what}: measure that better.")
     if data.get("optimum") and data["optimum"].get("at_bound"):
         changes.append(
             f"The best design lies at the bound of {listed(data['optimum']['at_bound'])}: wider bounds may give more."
@@ -46,7 +47,7 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
     if data.get("variance_shares"):
         shares = tuple(Row((k, percent(v))) for k, v in data["variance_shares"].items())
         tables.append(
-            Table("What the insertion loss hangs on", ("parameter", "share of its variance"), shares, _SHARES)
+            Table("What the insertion loss depends on", ("parameter", "share of its variance"), shares, _SHARES)
         )
     chart = response_chart(data.get("frequency_response", {}), translational=translational)
     p = data["linear"]["probability_of_target"]
