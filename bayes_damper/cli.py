@@ -429,7 +429,7 @@ def _first_steps(command: Adding) -> None:
     sub.add_argument("--duration", type=float, default=1.0, metavar="S", help="length of the record (default: 1)")
     sub.add_argument(
         "--inputs", type=Path, metavar="F.csv",
-        help="what acts: time_s and any of torque1_n_m, torque2_n_m, ground_rad, ground_rad_s2; gives the times",
+        help="what acts: time_s and any of torque1_n_m, torque2_n_m, ground_rad, motion1_rad, ...; gives the times",
     )  # fmt: skip
     sub.add_argument("--out", type=Path, required=True, metavar="F.csv", help="the record to write")
 

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.campaign.records import common_grid, crossings, picks, release_of, rounding_of
+from bayes_damper.campaign.records import DERIVATIVE, common_grid, crossings, picks, release_of, rounding_of
 from bayes_damper.errors import InputError
 from bayes_damper.priors.distributions import Distribution, LogNormal, Normal
 from bayes_damper.priors.files import PriorSet
@@ -51,6 +51,11 @@ class TrialRecord:
         """The trial with these of its readings only; inputs stay as they were measured."""
         weight = None if self.weight is None else self.weight[:, which]
         return replace(self, times=self.times[which], y=self.y[:, which], weight=weight)
+
+    @property
+    def prescribed(self) -> bool:
+        """Whether the motion of the primary is an input, and its channel reads the reaction."""
+        return self.inputs is not None and self.inputs.motion is not None
 
     @property
     def conditions(self) -> tuple[Any, ...]:
@@ -315,6 +320,17 @@ def unrounded(experiment: Experiment) -> Experiment:
     return replace(experiment, trials=tuple(trials), rounding=tuple(rounding)) if any(rounding) else experiment
 
 
+def reaction_unit(campaign: Any) -> float:
+    """What a reaction, N m (N), is divided by to be a reading like the others of its campaign.
+
+    The inertia where accelerations are read, the stiffness where angles are, the root of their product between: so the
+    readings of both channels are of one size and unit. One number for all trials, since they share a sensor.
+    """
+    inertia = float(campaign.rig.primary_inertia.value)
+    stiffness = float(np.median([t.k1t.value for t in campaign.trials]))
+    return inertia * _omega(stiffness, inertia) ** (2 - DERIVATIVE[campaign.measurement.quantity])
+
+
 def experiment_of(campaign: Any, priors: PriorSet | Mapping[str, Distribution | float] | None = None) -> Experiment:
     """A campaign.Campaign as an Experiment; priors override those of `default_priors`.
 
@@ -335,6 +351,7 @@ def experiment_of(campaign: Any, priors: PriorSet | Mapping[str, Distribution | 
     heldout = {id(t) for t in campaign.heldout}
     scatter = dict(getattr(campaign, "scatter", {}))
     apart = scatter.pop("theta0", 0.0)
+    reaction = reaction_unit(campaign) if any(t.prescribed for t in campaign.trials) else 1.0
     for t in campaign.trials:
         key = (float(getattr(t.k1t, "value", t.k1t)), float(getattr(t.k1t, "std", 0.0) or 0.0))
         if key not in stiffnesses:
@@ -346,6 +363,10 @@ def experiment_of(campaign: Any, priors: PriorSet | Mapping[str, Distribution | 
             omega = _omega(key[0], constants["J1"][0])
             primary = np.atleast_2d(np.array(t.channels, float))[0]
             first, shift = release_of(np.array(t.times, float), primary, measurement.quantity, theta0, omega)
+        inputs, channels = t.inputs(measurement), np.atleast_2d(np.array(t.channels, float))
+        if inputs is not None and inputs.motion is not None:
+            inputs = replace(inputs, unit=reaction)
+            channels[0] /= reaction
         records.append(
             TrialRecord(
                 label=str(t.file),
@@ -353,19 +374,21 @@ def experiment_of(campaign: Any, priors: PriorSet | Mapping[str, Distribution | 
                 coupled=t.configuration == "coupled",
                 number=int(t.trial),
                 times=np.array(t.times, float)[first:] - shift,
-                y=np.atleast_2d(np.array(t.channels, float))[:, first:],
+                y=channels[:, first:],
                 k1t=stiffnesses.index(key),
                 theta0=theta0,
                 theta0_sd=0.0 if angle is None else math.hypot(float(getattr(angle, "std", 0.0) or 0.0), apart),
-                inputs=t.inputs(measurement),
+                inputs=inputs,
                 heldout=id(t) in heldout,
             )
         )
     sd = getattr(measurement, "noise_std", None)
     given = () if sd is None else tuple(float(x) for x in np.atleast_1d(np.asarray(sd, float)))
+    offset = measurement.offset_std
+    given, offset = (s and (s[0] / reaction, *s[1:]) for s in (given, offset))
     experiment = Experiment(
         constants, tuple(stiffnesses), tuple(records), measurement.quantity, rig.normal_force, rig.restoring,
-        measurement.start, given, offset_sd=measurement.offset_std, scale_sd=measurement.scale_std or (),
+        measurement.start, given, offset_sd=offset, scale_sd=measurement.scale_std or (),
         lag_sd=measurement.lag_std or (),
         coupling_law=rig.inertial_coupling_law, scatter=scatter,
     )  # fmt: skip

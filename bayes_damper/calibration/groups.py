@@ -134,9 +134,13 @@ class Grouping:
         wide = (np.full(n, -_FARTHEST), np.full(n, _FARTHEST))
         if e.start == "free":
             omega = math.sqrt(e.stiffnesses[0][0] / e.constants["J1"][0])
+            given = trials[0].inputs
+            moved = None if given is None else given.motion
             for name, order in (("theta0", 0), ("omega1_0", 1), ("theta2_0", 0), ("omega2_0", 1)):
                 if name in ("theta2_0", "omega2_0") and not trials[0].coupled:
                     continue
+                if moved is not None and name in ("theta0", "omega1_0"):
+                    continue  # the primary begins as its motion is prescribed, and the secondary is counted from it
                 channel = 1 if "2_0" in name else 0
                 power = order - DERIVATIVE[e.quantity]
                 reach = np.array([float(np.nanmax(np.abs(t.y[channel]))) for t in trials]) * omega**power
@@ -147,6 +151,8 @@ class Grouping:
                     guess = np.array([_first_slope(t.times, t.y[channel], 1.0 / omega) for t in trials])
                 elif power == -2:
                     guess = -np.array([float(np.nan_to_num(t.y[channel][0])) for t in trials]) / omega**2
+                if moved is not None:
+                    guess = guess - moved[order, 0]
                 out.append((name, guess, 1.5 * reach + 1e-9))
                 bounds.append(wide)
             out += self._offsets(trials)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from bayes_damper.campaign import readings as look
 from bayes_damper.campaign.head import Head
-from bayes_damper.campaign.structure import COLUMNS, Trial, natural_period
+from bayes_damper.campaign.structure import Trial, channel_columns, natural_period
 
 Array = NDArray[np.float64]
 _SHOWN = 0.95  # share of the primary's torques that the second body must explain, for its inertia to be believed
@@ -121,7 +121,7 @@ def _is_copy(trial: Trial, head: Head, faults: list[str]) -> bool:
     if copied and look.noise_floor_of(trial.channels[0]) > 1e-5 * float(
         np.max(np.abs(a))
     ):  # noise never repeats itself
-        names = COLUMNS[(head.rig.kind, head.measurement.quantity)]
+        names = channel_columns(trial, head.rig.kind, head.measurement.quantity)
         times = "" if abs(scale - 1.0) < 1e-6 else f"{scale:.4g} times "
         faults.append(
             f"{trial.file}: column '{names[1]}' is {times}column '{names[0]}', noise and all: give the readings of "
@@ -135,7 +135,7 @@ def _is_noise(trial: Trial, head: Head, warnings: list[str]) -> bool:
     first, second = (float(np.std(c)) / max(look.noise_floor_of(c), 1e-300) for c in trial.channels)
     silent = second < _ALONE and first > 10.0
     if silent and np.ptp(trial.channels[1]) > 0.0:
-        name = COLUMNS[(head.rig.kind, head.measurement.quantity)][1]
+        name = channel_columns(trial, head.rig.kind, head.measurement.quantity)[1]
         warnings.append(
             f"{trial.file}, column '{name}': shows nothing but noise while the primary moves; is the second sensor "
             "connected, and the trial coupled?"

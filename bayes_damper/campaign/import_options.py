@@ -40,6 +40,11 @@ READER: dict[str, tuple[tuple[type, ...], str]] = {
         (str,),
         "rad/s^2, deg/s^2 or rad, deg, ...; m/s^2, g, ... or m, mm, ... (default: as the file names it)",
     ),
+    "motion": (
+        (str, int),
+        "column of the motion that is imposed on the primary; the first of 'columns' is then the reaction, in N m (N)",
+    ),
+    "motion_unit": ((str,), "as ground_unit, of 'motion'"),
     "mounting_radius": ((int, float, list), "m, of tangential sensors on a torsional rig, one or per channel"),
     "sign": ((list,), "1 or -1 per channel"),
     "offset": ((str, int, float, list), "to take off: 'none' (default), 'mean', 'tail', or numbers in the raw unit"),

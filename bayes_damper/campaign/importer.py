@@ -435,13 +435,16 @@ def _trial_from(
     channels = _unwrapped(source.table[:, places].T, option)
     contradicted += _other_units(source, places, option.get("units", []), where)
     released = measurement.start == "rest"  # then the size of the first peak shows what is read
-    if "units" not in option and not released and not all(source.unit(place) for place in places):
+    if not {"units", "motion"} & set(option) and not released and not all(source.unit(place) for place in places):
         unit, slow = ("m/s^2", "positions") if rig.kind == "translational" else ("rad/s^2", "angles")
         unnamed.append(
             f"{where}: no unit is named, so the readings were taken as accelerations in {unit}; for {slow} or speeds "
             "give --quantity, and --units where they are not in SI."
         )
-    option = {"units": _named_units(source, places, rig.kind, measurement.quantity), **option}
+    named = _named_units(source, places, rig.kind, measurement.quantity)
+    if "motion" in option:
+        named[0] = source.unit(places[0]) or next(iter(_INPUT[rig.kind]))
+    option = {"units": named, **option}
     inputs = _inputs_of(source, option, rig.kind, where)
     known = np.isfinite(times) & np.isfinite(channels).all(axis=0)
     known &= np.all([np.isfinite(x) for x in inputs.values()], axis=0)
@@ -479,15 +482,16 @@ def _trial_from(
 def _inputs_of(source: LoggerFile, option: Mapping[str, Any], kind: str, where: str) -> dict[str, Array]:
     """Measured inputs in SI units, by their names in structure.INPUTS."""
     out: dict[str, Array] = {}
-    for key in ("torque", "torque2", "ground"):
+    for key in ("torque", "torque2", "ground", "motion"):
         if key not in option:
             continue
         place = source.index(option[key], where)
-        name = "torque_unit" if key != "ground" else "ground_unit"
+        moves = key in ("ground", "motion")
+        name = f"{key}_unit" if moves else "torque_unit"
         tables = {key: _INPUT[kind]}
-        if key == "ground":
+        if moves:
             known = {"torsional": _ANGULAR, "translational": _TANGENTIAL}[kind]
-            tables = {"ground_acceleration": known["acceleration"], "ground": known["displacement"]}
+            tables = {f"{key}_acceleration": known["acceleration"], key: known["displacement"]}
         every = {unit: (target, factor) for target, table in tables.items() for unit, factor in table.items()}
         unit = option.get(name) or source.unit(place) or next(iter(every))
         if unit not in every:
@@ -663,18 +667,23 @@ def _in_si(channels: Array, option: Mapping[str, Any], kind: str, quantity: str,
             )
     if any(s not in (1, -1) for s in signs):
         raise InputError(f"{option['where']}: sign must be 1 or -1 for each channel")
-    rows = []
+    rows: list[Array] = []
     sensitivities = option.get("sensitivity", [None] * count)
     if len(sensitivities) < count:
         raise InputError(f"{option['where']}: 'sensitivity' has {len(sensitivities)} entries for {count} channels")
     columns = zip(channels, units, signs, radii, offsets, sensitivities, strict=False)
     for y, unit, sign, r, offset, sensitivity in columns:
         centred = sign * (y - _offset(y, offset, option["where"]))
-        if str(unit) in _VOLTAGE:
-            factor, sensed = _sensed(str(unit), sensitivity, option["where"])
-            rows.append(convert(factor * centred, sensed, kind, quantity, r, where))
+        factor, sensed = 1.0, str(unit)
+        if sensed in _VOLTAGE:
+            factor, sensed = _sensed(sensed, sensitivity, option["where"])
+        if "motion" in option and not rows:  # the reaction
+            if sensed not in _INPUT[kind]:
+                valid = ", ".join(_INPUT[kind])
+                raise InputError(f"{where}: '{sensed}' is no unit of a reaction on the primary; valid units: {valid}")
+            rows.append(factor * centred * _INPUT[kind][sensed])
         else:
-            rows.append(convert(centred, str(unit), kind, quantity, r, where))
+            rows.append(convert(factor * centred, sensed, kind, quantity, r, where))
     return np.stack(rows)
 
 

@@ -40,6 +40,7 @@ def load_campaign(folder: str | Path) -> Campaign:
     head, rows = _head_and_rows(folder, faults, digest)
     trials = tuple(t for row in rows if (t := read_trial(folder, row, head, faults, digest)) is not None)
     check_rig(folder, head.rig, any(row.configuration == "coupled" for row in rows), faults)
+    _check_reactions(trials, faults)
     warnings: list[str] = list(head.notes)
     of_records: list[str] = []
     if not head.broken:
@@ -68,6 +69,17 @@ def load_campaign(folder: str | Path) -> Campaign:
     )
     # What was written down wrongly first, then what the records show, then what the import assumed.
     return _campaign(folder, head, measurement, trials, (*warnings, *of_records, *head.caveats), digest)
+
+
+def _check_reactions(trials: Sequence[Trial], faults: list[str]) -> None:
+    """A fault where some trials read a reaction and others a motion: noise and gain of channel 1 are one for all."""
+    moved = [t.file for t in trials if t.prescribed]
+    if moved and len(moved) < len(trials):
+        other = next(t.file for t in trials if not t.prescribed)
+        faults.append(
+            f"trials.csv: in {moved[0]} the primary's motion is prescribed and its channel reads the reaction, in "
+            f"{other} it reads the motion; make a campaign of each, since a campaign has one sensor a channel"
+        )
 
 
 def load_plan(folder: str | Path) -> Campaign:

@@ -10,7 +10,7 @@ import numpy as np
 from bayes_damper.campaign import readings as look
 from bayes_damper.campaign.head import Head
 from bayes_damper.campaign.records import DERIVATIVE
-from bayes_damper.campaign.structure import COLUMNS, Rig, Trial, natural_period
+from bayes_damper.campaign.structure import Rig, Trial, channel_columns, natural_period
 
 _FEWEST = 4.0  # readings in a period of the primary, below which a motion is not seen
 _ABOVE_ZERO = ("primary_inertia", "secondary_inertia", "bar_radius", "magnet_radius", "magnet_pull")
@@ -126,7 +126,7 @@ def check_magnitudes(head: Head, trial: Trial, faults: list[str], warnings: list
     power = DERIVATIVE[head.measurement.quantity]
     centred = trial.channels[0] - (0.0 if power else float(np.median(trial.channels[0])))
     largest = float(np.quantile(np.abs(centred), 1.0 - min(0.002, 2.0 / len(centred))))
-    names = COLUMNS[(head.rig.kind, head.measurement.quantity)]
+    names = channel_columns(trial, head.rig.kind, head.measurement.quantity)
     if np.ptp(trial.channels[0]) == 0.0:
         faults.append(f"{trial.file}, column '{names[0]}': every reading is the same; the sensor was not connected?")
         return

@@ -12,7 +12,7 @@ from bayes_damper.campaign import readings as look
 from bayes_damper.campaign.declarations import wiring_of
 from bayes_damper.campaign.head import Head, per_channel
 from bayes_damper.campaign.records import DERIVATIVE, USUAL_LAG, departure, picks
-from bayes_damper.campaign.structure import COLUMNS, SHOWN, Trial, groups_of, natural_period
+from bayes_damper.campaign.structure import SHOWN, Trial, channel_columns, groups_of, natural_period
 from bayes_damper.text import counted
 
 Array = NDArray[np.float64]
@@ -35,7 +35,7 @@ def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
     given = per_channel(head.measurement.noise_std, coupled)
     limits = per_channel(head.measurement.sensor_range, coupled)
     for i, y in enumerate(trial.channels):
-        where = f"{trial.file}, column '{COLUMNS[(head.rig.kind, head.measurement.quantity)][i]}'"
+        where = f"{trial.file}, column '{channel_columns(trial, head.rig.kind, head.measurement.quantity)[i]}'"
         noise = look.noise_floor_of(y)
         step = look.resolution_of(y)
         if np.ptp(y) == 0.0:
@@ -51,7 +51,9 @@ def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
         if step > noise:
             warnings.append(f"{where}: quantised in steps of {step:.3g}; noise below that cannot be seen")
         slowest = 2.0 * math.pi * look.dominant_frequency(trial.times, y)  # of a coupled rig's slow mode: round tops
-        for level in look.flat_tops_of(trial.times, y, noise, min(omega, max(slowest, 0.25 * omega)), held):
+        reacts = trial.prescribed and i == 0  # dry friction has flat tops
+        tops = look.flat_tops_of(trial.times, y, noise, min(omega, max(slowest, 0.25 * omega)), held)
+        for level in [] if reacts else tops:
             warnings.append(f"{where}: flat tops at {level:.4g}; it looks clipped there")
         if limits is not None and np.max(np.abs(y)) > 0.98 * limits[i]:
             warnings.append(f"{where}: readings reach the sensor's range of {limits[i]:.4g}; it may be clipped")
@@ -74,7 +76,7 @@ def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
                 f"offset{held_off}: `init --offset tail` takes off what it reads at the end, offset_std under "
                 "[measurement] of campaign.toml lets fits infer it"
             )
-        if given is not None and noise > 0.0 and not 1.0 / 3.0 <= noise / given[i] <= 3.0:
+        if given is not None and noise > 0.0 and not reacts and not 1.0 / 3.0 <= noise / given[i] <= 3.0:
             warnings.append(
                 f"{where}: noise is about {noise:.3g}, noise_std says {given[i]:.3g}; check unit and sensor"
             )

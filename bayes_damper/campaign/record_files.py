@@ -18,6 +18,8 @@ from bayes_damper.campaign.structure import (
     COLUMNS,
     INPUT_COLUMNS,
     INPUTS,
+    MOTIONS,
+    REACTION,
     SHOWN,
     Trial,
     natural_period,
@@ -72,6 +74,19 @@ def _check_inputs(trial: Trial, head: Head, name: str, faults: list[str]) -> boo
     columns = dict(zip(INPUTS, INPUT_COLUMNS[head.rig.kind], strict=True))
     torque2, angle, acceleration = (columns[key] for key in ("torque2", "ground", "ground_acceleration"))
     before = len(faults)
+    motion, accelerated = columns["motion"], columns["motion_acceleration"]
+    if trial.prescribed and any(x is not None for x in (trial.torque, trial.ground, trial.ground_acceleration)):
+        faults.append(
+            f"{name}: a motion of the primary that is prescribed ('{motion}', '{accelerated}') leaves no room for "
+            f"'{columns['torque']}', which is then part of the reaction, nor for a moving ground; remove one of them"
+        )
+    if trial.motion is not None and trial.motion_acceleration is not None:
+        faults.append(f"{name}: columns '{motion}' and '{accelerated}' are one motion of the primary; keep one")
+    if trial.motion is not None and head.measurement.input == "held":
+        faults.append(
+            f"{name}: column '{motion}' would jump from sample to sample, as campaign.toml says with input = 'held'; "
+            f"give '{accelerated}', or input = 'linear'"
+        )
     if trial.torque2 is not None and not trial.coupled:
         faults.append(f"{name}: column '{torque2}' acts on the secondary, which an uncoupled trial lacks; remove it")
     if trial.ground is not None and trial.ground_acceleration is not None:
@@ -105,15 +120,18 @@ def _columns_of(header: str, row: Row, head: Head, name: str, faults: list[str])
             "decimal points, or import it with `bayes-damper init`"
         )
         return None
-    needed = list(record_columns(kind, quantity, coupled))
+    moved = [key for key, column in zip(INPUTS, INPUT_COLUMNS[kind], strict=True) if key in MOTIONS and column in names]
+    needed = list(record_columns(kind, quantity, coupled, moved))[: 2 + coupled]
     missing = [column for column in needed if column not in names]
     sources = INPUT_COLUMNS[kind]
-    spare = record_columns(kind, quantity, True, INPUTS)
+    spare = (*record_columns(kind, quantity, True), *sources)
     for column in missing:
         reason = f"expected {', '.join(needed)}, found {', '.join(names)}"
         other = [f'{k}, quantity = "{q}"' for (k, q), pair in COLUMNS.items() if set(pair) & set(names)]
         if coupled and column == COLUMNS[(kind, quantity)][1] and len(missing) == 1:
             hint = "a coupled trial needs its second channel: add it or call the trial uncoupled"
+        elif moved and column == REACTION[kind]:
+            hint = "where the primary's motion is prescribed, its channel is the torque (force) that this takes"
         elif other and column != "time_s":
             hint = f"these are the columns of kind = {other[0]}: correct campaign.toml or the names"
         else:
@@ -233,7 +251,7 @@ def _check_times(trial: Trial, head: Head, name: str, faults: list[str]) -> bool
         )
         return False
     duration = times[-1] - max(times[0], 0.0)
-    if duration < period:
+    if duration < period and not trial.prescribed:
         faults.append(
             f"{name}: {duration:.4g} s of motion is less than one natural period, {period:.4g} s (2 pi sqrt(J1/k1t)); "
             "record longer, or correct the unit of time, k1t or primary_inertia"

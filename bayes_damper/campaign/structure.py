@@ -25,11 +25,14 @@ COLUMNS = {
     ("translational", "displacement"): ("x1_m", "x2_m"),
 }
 INPUT_COLUMNS = {
-    "torsional": ("torque1_n_m", "torque2_n_m", "ground_rad", "ground_rad_s2"),
-    "translational": ("force1_n", "force2_n", "ground_m", "ground_m_s2"),
+    "torsional": ("torque1_n_m", "torque2_n_m", "ground_rad", "ground_rad_s2", "motion1_rad", "motion1_rad_s2"),
+    "translational": ("force1_n", "force2_n", "ground_m", "ground_m_s2", "motion1_m", "motion1_m_s2"),
 }
 """Measured inputs in the order of `INPUTS`."""
-INPUTS = ("torque", "torque2", "ground", "ground_acceleration")
+INPUTS = ("torque", "torque2", "ground", "ground_acceleration", "motion", "motion_acceleration")
+MOTIONS = ("motion", "motion_acceleration")
+"""Those of `INPUTS` that prescribe how the primary moves: channel 1 is then the reaction."""
+REACTION = {"torsional": "reaction1_n_m", "translational": "reaction1_n"}
 TRIAL_COLUMNS = {
     "torsional": ("k1t_n_m_per_rad", "k1t_std_n_m_per_rad", "theta0_deg", "theta0_std_deg"),
     "translational": ("k1_n_per_m", "k1_std_n_per_m", "theta0_mm", "theta0_std_mm"),
@@ -132,7 +135,8 @@ class Trial:
 
     times : (n,) s, 0 = nominal release; channels : (n_channels, n), SI; theta0 : rad (m), None when the start is free;
     k1t : N m/rad (N/m). Measured inputs, (n,) or None: torque and torque2 : N m (N) on primary and secondary;
-    ground : rad (m), or ground_acceleration : rad/s^2 (m/s^2)
+    ground : rad (m), or ground_acceleration : rad/s^2 (m/s^2); motion : rad (m) of a primary whose motion is
+    prescribed, or motion_acceleration : its acceleration. The first channel is then the reaction, N m (N).
     """
 
     file: str
@@ -148,6 +152,13 @@ class Trial:
     torque2: Array | None = None
     ground: Array | None = None
     ground_acceleration: Array | None = None
+    motion: Array | None = None
+    motion_acceleration: Array | None = None
+
+    @property
+    def prescribed(self) -> bool:
+        """Whether the motion of the primary is an input."""
+        return self.motion is not None or self.motion_acceleration is not None
 
     @property
     def coupled(self) -> bool:
@@ -156,8 +167,8 @@ class Trial:
 
     @property
     def driven(self) -> bool:
-        """Whether a measured torque or the ground acts at some time."""
-        return any(bool(np.any(x != 0.0)) for x in self.given)
+        """Whether a measured torque or the ground acts at some time, or the primary's motion is prescribed."""
+        return self.prescribed or any(bool(np.any(x != 0.0)) for x in self.given)
 
     @property
     def given(self) -> tuple[Array, ...]:
@@ -168,7 +179,7 @@ class Trial:
         """The measured inputs as a simulation takes them; None where there are none."""
         if not self.given:
             return None
-        angle = self.ground is not None
+        angle, moved = self.ground is not None, self.motion is not None
         return Inputs.measured(
             self.times,
             self.torque,
@@ -178,6 +189,8 @@ class Trial:
             quantity=measurement.quantity,  # type: ignore[arg-type]
             frame=measurement.frame,  # type: ignore[arg-type]
             held=measurement.input == "held",
+            motion=self.motion if moved else self.motion_acceleration,
+            motion_quantity="displacement" if moved else "acceleration",
         )
 
     @property
@@ -260,10 +273,18 @@ class Campaign:
         held = {t.key for t in self.heldout}
         for t in self.trials:
             angle = "free start" if t.theta0 is None else f"{t.theta0.value / TO_SI[self.rig.kind]:.3g} {unit}"
-            noise = ", ".join(f"{x:.2g}" for x in noise_floor(t))
+            units = [unit_of("friction_torque", self.rig.kind) if t.prescribed else self.reading_unit]
+            units += [self.reading_unit] * (len(t.channels) - 1)
+            floors = [f"{x:.2g}" for x in noise_floor(t)]
+            noise = (
+                " ".join([", ".join(floors), units[0]])
+                if len(set(units)) == 1
+                else ", ".join(f"{x} {u}" for x, u in zip(floors, units, strict=True))
+            )
+            begun = "primary moved as prescribed" if t.prescribed else angle
             lines.append(
-                f"  {t.label}: {counted(len(t.times), 'reading')}, {t.times[0]:.4g} to {t.times[-1]:.4g} s, {angle}, "
-                f"noise about {noise} {self.reading_unit}{_use_of(t, held)}"
+                f"  {t.label}: {counted(len(t.times), 'reading')}, {t.times[0]:.4g} to {t.times[-1]:.4g} s, {begun}, "
+                f"noise about {noise}{_use_of(t, held)}"
             )
         lines += [f"  warning: {w}" for w in gathered(self.warnings)]
         return "\n".join(lines)
@@ -292,8 +313,15 @@ def natural_period(rig: Rig, trial: Trial) -> float:
 def record_columns(kind: str, quantity: str, coupled: bool, inputs: Collection[str] = ()) -> tuple[str, ...]:
     """Column names of a record, the time first; inputs : those of `INPUTS` that it has."""
     first, second = COLUMNS[(kind, quantity)]
+    first = REACTION[kind] if set(inputs) & set(MOTIONS) else first
     given = [column for name, column in zip(INPUTS, INPUT_COLUMNS[kind], strict=True) if name in inputs]
     return ("time_s", first, *((second,) if coupled else ()), *given)
+
+
+def channel_columns(trial: Trial, kind: str, quantity: str) -> tuple[str, ...]:
+    """Column names of the channels of a trial."""
+    moved = MOTIONS if trial.prescribed else ()
+    return record_columns(kind, quantity, trial.coupled, moved)[1 : 1 + len(trial.channels)]
 
 
 def record_text(

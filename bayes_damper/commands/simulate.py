@@ -71,7 +71,8 @@ def simulate_record(
     effect : name of an effect, or NAME/VARIANT; at the first of its starts where `settings` say nothing else.
     rate : Hz; duration : s; out : the CSV file to write. coupled : False for the primary alone.
     inputs : CSV file of what acts, time_s and any of torque1_n_m, torque2_n_m, ground_rad and ground_rad_s2, linear
-        between samples; the record has its times, in place of rate and duration, and absolute readings.
+        between samples; the record has its times, in place of rate and duration, and absolute readings. With
+        motion1_rad or motion1_rad_s2 the primary moves so, and its channel is the reaction (reaction1_n_m).
     effects_folder : folder with effects of your own or learnt laws, or one such file.
 
     Raises
@@ -175,6 +176,13 @@ def _driven(path: Path, coupled: bool) -> Trial:
         faults.append(f"--inputs {path}: torque2_n_m acts on the secondary; leave it or --uncoupled out")
     if {"ground_rad", "ground_rad_s2"} <= set(table):
         faults.append(f"--inputs {path}: ground_rad and ground_rad_s2 are one motion of the ground; keep one")
+    if {"motion1_rad", "motion1_rad_s2"} <= set(table):
+        faults.append(f"--inputs {path}: motion1_rad and motion1_rad_s2 are one motion of the primary; keep one")
+    if {"motion1_rad", "motion1_rad_s2"} & set(table) and {"torque1_n_m", "ground_rad", "ground_rad_s2"} & set(table):
+        faults.append(
+            f"--inputs {path}: a prescribed motion of the primary leaves no room for torque1_n_m or a moving ground; "
+            "keep one"
+        )
     if faults:
         raise InputError(faults)
     names = dict(zip(INPUT_COLUMNS["torsional"], INPUTS, strict=True))
