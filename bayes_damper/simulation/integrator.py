@@ -836,7 +836,7 @@ def specialised_globals(
     """The globals that `advance` reads, for one combination of rig options and effect."""
     bound: dict[str, Any] = {
         "coupled": constant(coupled),
-        "linear_normal_force": constant(coupled and linear_normal_force),
+        "linear_normal_force": constant(linear_normal_force),
         "pendulum": constant(pendulum),
         "driven": constant(driven),
         "prescribed": constant(prescribed),
