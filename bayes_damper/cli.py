@@ -302,14 +302,14 @@ def _weighed(args: Arguments) -> dict[str, Any]:
 def _diagnose(args: Arguments) -> Any:
     from bayes_damper.commands.diagnose import diagnose
     from bayes_damper.commands.fleet import diagnose_fleet
-    from bayes_damper.runs.progress import make_teller
+    from bayes_damper.runs.progress import make_reporter
 
     given = _weighed(args) | {"prior_unknown": args.prior_unknown}
     if len(args.campaign) > 1:
         return diagnose_fleet(args.campaign, scheduler=args.scheduler, progress=_progress(args), **given)
     if args.scheduler is not None:
         raise InputError("--scheduler: it spreads several campaigns over a cluster; leave it out for one")
-    return diagnose(args.campaign[0], tell=make_teller(quiet=args.quiet or args.json), **given)
+    return diagnose(args.campaign[0], report=make_reporter(quiet=args.quiet or args.json), **given)
 
 
 def _plan(args: Arguments) -> Any:

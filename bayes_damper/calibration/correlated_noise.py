@@ -149,7 +149,7 @@ class FittedNoise:
 def fit_with_noise(
     experiment: Experiment,
     kind: str = "auto",
-    tell: Callable[[str], None] = lambda _: None,
+    report: Callable[[str], None] = lambda _: None,
     begin: Calibration | None = None,
 ) -> FittedNoise:
     """The best fit under the noise asked for: "gaussian" (white), "student", "ar" or "auto".
@@ -163,20 +163,20 @@ def fit_with_noise(
     fit, unlike = _own_weights(first)
     repeats = _repeats(fit)
     if kind == "gaussian":
-        tell("white noise")
+        report("white noise")
         fit = _again(fit, _white(fit))
         return _described(fit, "gaussian", False, repeats, [False] * len(repeats), math.inf, unlike)
     freedom, gain = _tails(fit)
     heavy = kind == "student" or (kind == "auto" and gain > CLEARLY)
     if heavy:
-        tell("outliers: weighing them down")
+        report("outliers: weighing them down")
         fit = _robust(fit, freedom)
         freedom, _ = _tails(fit)
     wide = [False] * len(repeats)
     if kind in ("auto", "ar"):
         learnt, wide = _learn_from_what_is_left(fit, always=kind == "ar")
         if any(wide):
-            tell("the fit leaves more than noise: learning the noise from that")
+            report("the fit leaves more than noise: learning the noise from that")
             for _ in range(2):
                 fit = _anew(fit, learnt)
                 learnt, _ = _learn_from_what_is_left(fit, always=True, only=wide)

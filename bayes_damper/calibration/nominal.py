@@ -133,7 +133,7 @@ def calibrate_nominal(
     nominal: Literal["nonlinear", "linear"] = "nonlinear",
     threads: int = 1,
     switches: Switches | None = None,
-    tell: Callable[[str], None] = lambda _: None,
+    report: Callable[[str], None] = lambda _: None,
 ) -> Calibration:
     """The nominal model fitted to the training trials: roughly, then with the nuisances and noise that they show."""
     first = rough_noise(experiment, experiment.training)
@@ -166,7 +166,7 @@ def calibrate_nominal(
         # The first noise held the scatter that was not learnt yet.
         chosen = replace(chosen, scatter=learn_scatter(fit, noise))
     left = ", ".join(f"{s:.3g}" for s in noise.total)
-    tell(f"nominal model fitted; sd of what it leaves, correlation counted, by channel: {left}")
+    report(f"nominal model fitted; sd of what it leaves, correlation counted, by channel: {left}")
     problem = Problem(experiment, nominal=nominal, noise=noise, switches=chosen, threads=threads)
     fit = calibrate(problem, [fit.q], eta=carried(fit, problem), anneal=False)
     if noise.sensor:

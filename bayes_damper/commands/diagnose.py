@@ -84,14 +84,14 @@ def diagnose(
     seed: int = 1,
     workers: int = 2,
     prior_unknown: float = RULE.prior_unknown,
-    tell: Callable[[str], None] = lambda _: None,
+    report: Callable[[str], None] = lambda _: None,
 ) -> Diagnosed:
     """Where the model and the rig differ, which unmodelled effect causes it, and how far adding it closes the gap.
 
     campaign : folder, or "thesis" for the published measurements; nominal : "linear" leaves dry friction out, which
     then is a candidate; effects : folder with effects of your own; priors : prior file, by default priors.toml in the
     campaign; out : folder for all files; seed : decides every random number; workers : processes; prior_unknown :
-    prior probability that the cause is none of the library's; tell : called with a sentence for each step.
+    prior probability that the cause is none of the library's; report : called with a sentence for each step.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def diagnose(
     """
     check_choices(nominal, prior_unknown)
     if str(campaign) == "thesis":
-        return _thesis(nominal, all_effects(effects), priors, Path(out), seed, workers, tell)
+        return _thesis(nominal, all_effects(effects), priors, Path(out), seed, workers, report)
     loaded = load_campaign(campaign)
     beside = Path(campaign) / "priors.toml"
     file = Path(priors) if priors is not None else beside if beside.exists() else None
@@ -108,7 +108,7 @@ def diagnose(
     library = all_effects(effects)
     beyond = laws_on(library, loaded)
     found = diagnose_campaign(
-        loaded, nominal=nominal, effects=library, priors=chosen, seed=seed, workers=workers, tell=tell,
+        loaded, nominal=nominal, effects=library, priors=chosen, seed=seed, workers=workers, report=report,
         rule=replace(RULE, prior_unknown=prior_unknown),
     )  # fmt: skip
     folder = Path(out)
@@ -165,7 +165,7 @@ def _thesis(
     folder: Path,
     seed: int,
     workers: int,
-    tell: Callable[[str], None],
+    report: Callable[[str], None],
 ) -> Diagnosed:
     """The same answers from the 24 published numbers."""
     published = load_published()
@@ -174,7 +174,13 @@ def _thesis(
         for case in published.cases
     }
     found = diagnose_published(
-        data, load_priors(priors or "thesis"), nominal=nominal, effects=effects, seed=seed, workers=workers, tell=tell
+        data,
+        load_priors(priors or "thesis"),
+        nominal=nominal,
+        effects=effects,
+        seed=seed,
+        workers=workers,
+        report=report,
     )
     path = _emptied(folder)
     result = found.to_json() | {"campaign_sha256": published.checksum, "provenance": provenance()}

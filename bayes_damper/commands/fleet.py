@@ -133,7 +133,7 @@ def finish_fleet(
 
 def diagnose_one(folder: Path, report_share: Callable[[float, str], None], *, campaign: str, **given: Any) -> Any:
     """A task of the run: diagnose one campaign into `folder`, write its page, and give its row of the table."""
-    result = diagnose(campaign, out=folder, tell=lambda words: report_share(0.0, words), **given).result
+    result = diagnose(campaign, out=folder, report=lambda words: report_share(0.0, words), **given).result
     report(folder)
     verdict, gap = result["verdict"], result["gap"]
     closed = (gap.get("closed") or {}).get("median")

@@ -162,7 +162,7 @@ def _write_rows(path: Path, head: Sequence[str], rows: Sequence[Sequence[Any]]) 
 
 def learn(
     nominal: Calibration, budget: Budget, verdict: str, place: SiteMap, campaign: str = "", kind: str = "torsional",
-    rng: np.random.Generator | None = None, tell: Callable[[str], None] = lambda _: None,
+    rng: np.random.Generator | None = None, report: Callable[[str], None] = lambda _: None,
 ) -> Learnt | None:  # fmt: skip
     """The law of what stays unexplained; None where nothing is missing, or no torque, or nothing that is learnt helps.
 
@@ -179,7 +179,7 @@ def learn(
     site = max((s for s in sites if s != "none"), key=lambda s: sites[s], default="none")
     if site not in SITES or (site == "ground2" and not nominal.problem.experiment.coupled):
         return None
-    tell(f"learning the law that is missing at {site}")
+    report(f"learning the law that is missing at {site}")
     law, start = _linear(base, site, max(base.chi2 / max(base.problem.n_data, 1.0), 1.0))
     if law is None or start is None:
         return None

@@ -267,12 +267,12 @@ def diagnose(
     seed: int = 1,
     workers: int = 1,
     rule: Rule = RULE,
-    tell: Callable[[str], None] = lambda _: None,
+    report: Callable[[str], None] = lambda _: None,
 ) -> Diagnosis:
     """The sim-to-real gap of a campaign (campaign.Campaign, or an Experiment): whether, which, how far it shrinks.
 
     effects : name -> Effect, the candidates; priors : of nominal parameters, in place of the defaults; seed : kept in
-    the record of the run (every step is deterministic); workers : processes; tell : receives a line per stage.
+    the record of the run (every step is deterministic); workers : processes; report : receives a line per stage.
     """
     began = time.perf_counter()
     name = getattr(campaign, "name", "campaign")
@@ -284,27 +284,27 @@ def diagnose(
             "without --effect NAME"
         )
     if short := shortage(sum(t.y.size for t in experiment.trials)):
-        tell(short)
+        report(short)
     odd = odd_trials(experiment)
     notes = told_odd(experiment, odd)
     experiment = without_trials(experiment, odd)
-    fit = calibrate_nominal(experiment, nominal=nominal, tell=tell)
+    fit = calibrate_nominal(experiment, nominal=nominal, report=report)
     for _ in range(CLEANINGS):
         far = outlying(fit)
         if not far:
             break
         notes += told(experiment, far)
         experiment = without(experiment, far)
-        fit = calibrate_nominal(experiment, nominal=nominal, tell=tell)
+        fit = calibrate_nominal(experiment, nominal=nominal, report=report)
     pool = offered(experiment, nominal, effects)
-    found = search(fit, [*pool, *_drifts(experiment)], workers=workers, tell=tell)
+    found = search(fit, [*pool, *_drifts(experiment)], workers=workers, report=report)
     fit, found = _reseeded(fit, found)
     alone = bool(fit.problem.noise.sensor)
     pairs: list[Pair] = []
     sets: list[SetFit] = []
     if alone:
         # No repeats tell the error of the model from noise, so that each answer is judged under what it leaves itself.
-        sets = grown(fit, found, pool, workers=workers, tell=tell)
+        sets = grown(fit, found, pool, workers=workers, report=report)
         found = as_candidates(found, sets)
     else:
         fit, found = _with_winners_noise(fit, found)
@@ -319,7 +319,7 @@ def diagnose(
     first_set = next((s for s in sets if s.members), None)
     if first_set is not None:
         after = remainder_of(first_set.fit)
-    tell("looking for what the leading effect leaves")
+    report("looking for what the leading effect leaves")
     before_map = site_map(fit)
     after_map = before_map if winner is None or winner.fit is None else site_map(winner.fit, torque=False)
     none_left = left_of(before, before_map.strength, before, before_map.strength)
@@ -347,7 +347,7 @@ def diagnose(
         # That two effects change the records by the sum of both holds the less, the larger the changes are.
         promising = p.gain > PAIR_FROM or remains.nats < left.nats - PAIR_FROM
         if remains.nats > PAIR_FROM and promising:
-            tell(f"composing {' and '.join(p.effects)}")
+            report(f"composing {' and '.join(p.effects)}")
             pairs[k] = exactly(fit, p, found)
             remains = _left_by(pairs[k], before, before_map)
         judged.append((pairs[k].effects, pairs[k].log_evidence, remains))
@@ -367,7 +367,7 @@ def diagnose(
     answers = judge({}, {})
     rng = np.random.default_rng(seed)
     if not alone:
-        sets = grown(fit, found, pool, pairs, workers=workers, tell=tell)
+        sets = grown(fit, found, pool, pairs, workers=workers, report=report)
     names = sorted(evidence)
     shares_left = _shares_left(fit, sets, len(names)) if alone else {}
 
@@ -417,7 +417,7 @@ def diagnose(
         )
     )
     pair = next((p for p in pairs if p.effects == answers.pair_effects), None)
-    tell(f"leading answer {answers.verdict}")
+    report(f"leading answer {answers.verdict}")
     best = pair.fit if pair is not None and answers.pair >= 0.5 else None if winner is None else winner.fit
     named = best if winner is not None and answers.verdict == winner.effect.name else None
     if wiring is not None:
@@ -431,7 +431,7 @@ def diagnose(
         acting = [winner.effect] if best is winner.fit or pair is None else [pair.first[0], pair.second[0]]
         best = widened(best, [effect.site for effect in acting])
     kind = getattr(getattr(campaign, "rig", None), "kind", "torsional")
-    law = learn(fit, budget, answers.verdict, before_map, name, kind, np.random.default_rng(seed), tell)
+    law = learn(fit, budget, answers.verdict, before_map, name, kind, np.random.default_rng(seed), report)
     return Diagnosis(
         name, experiment, nominal, fit, tuple(found), winner, answers, before, after, gap, locate(fit), before_map,
         after_map, tuple(_proposals(fit, found, answers)),

@@ -298,7 +298,7 @@ def diagnose_published(
     seed: int = 1,
     workers: int = 2,
     settings: Settings = Settings(),
-    tell: Callable[[str], None] = lambda _: None,
+    report: Callable[[str], None] = lambda _: None,
 ) -> PublishedDiagnosis:
     """Which effects explain published features, which cannot be excluded, and what measurement would decide.
 
@@ -314,11 +314,13 @@ def diagnose_published(
         priors = priors.replace(mu=0.0, drag=0.0)
     everything = formulas(nominal, effects)
     joints = [Joint(data, priors, f, normal_force) for f in everything]
-    compile_ahead((m for joint in joints for case in joint.models.values() for m in case.models.values()), tell=tell)
+    compile_ahead(
+        (m for joint in joints for case in joint.models.values() for m in case.models.values()), report=report
+    )
     with ThreadPoolExecutor(max(workers, 1)) as pool:
         seeds = [np.random.default_rng([seed, r]) for r in range(settings.repeats)]
         shapes = list(pool.map(lambda rng: search(joints[0], rng, settings), seeds))
-        tell(f"nominal model fitted; weighing {len(everything) - 1} formulas")
+        report(f"nominal model fitted; weighing {len(everything) - 1} formulas")
         loud = list(pool.map(lambda j: _acts(j, joints[0], shapes[0], seed), joints))
 
         def run(job: tuple[int, int], count: int) -> Weighed:
@@ -333,7 +335,7 @@ def diagnose_published(
             for done, ((i, _), one) in enumerate(zip(jobs, runs, strict=True), 1):
                 out.setdefault(i, []).append(one)
                 if done % max(1, len(jobs) // _TOLD_OF_WEIGHING) == 0:
-                    tell(f"{done} of {len(jobs)} {what}")
+                    report(f"{done} of {len(jobs)} {what}")
             return out
 
         found = weighed([(i, 0) for i in range(len(joints)) if loud[i]], settings.look, "formulas looked at")
@@ -355,7 +357,7 @@ def diagnose_published(
     leading = [n for n in answers.ranked if n not in ("none", "unknown")][:3]
     best = {n: max((r for r in results if r.formula.family == n), key=lambda r: r.log_evidence) for n in evidence}
     best["none"] = results[0]
-    tell("comparing the numbers with what is predicted for them")
+    report("comparing the numbers with what is predicted for them")
     rows = {name: predicted_rows(best[name].runs, rng) for name in ("none", *leading)}
     p_value = _gap_p(results[0].runs[0], rng)
     gap = _gap(rows["none"], rows[leading[0]] if leading else rows["none"], p_value, answers)

@@ -319,13 +319,13 @@ def search(
     *,
     workers: int = 1,
     full_fits: int = FULL_FITS,
-    tell: Callable[[str], None] = lambda _: None,
+    report: Callable[[str], None] = lambda _: None,
 ) -> list[Candidate]:
     """All candidates, best first: screened, and the leading ones fitted, by `workers` processes."""
     groups = nominal.problem.groups
     models = [nominal.problem.models[coupled] for coupled in {g.coupled for g in groups}]
     driven = any(g.inputs is not None and g.inputs.active for g in groups)
-    compile_ahead((replace(model, effect=variant) for model in models for _, variant in pool), driven, tell)
+    compile_ahead((replace(model, effect=variant) for model in models for _, variant in pool), driven, report)
     screen = Screen(nominal)
 
     def judge(item: tuple[Effect, Variant]) -> tuple[Screened, ...]:
@@ -355,7 +355,7 @@ def search(
         for k in order:
             leading.setdefault(pool[k][0].name, int(k))
         chosen += sorted(set(leading.values()) - set(chosen))
-    tell(f"looked at {len(pool)} formulas of effects; fitting the {len(chosen)} most promising")
+    report(f"looked at {len(pool)} formulas of effects; fitting the {len(chosen)} most promising")
 
     def refine(k: int, target: float) -> Candidate:
         effect, variant = pool[k]

@@ -465,7 +465,7 @@ def grown(
     pairs: Sequence[Pair] = (),
     *,
     workers: int = 1,
-    tell: Callable[[str], None] = lambda _: None,
+    report: Callable[[str], None] = lambda _: None,
 ) -> list[SetFit]:
     """Sets of effects, weighed, best first: the nominal model, single effects, pairs, and what screening proposes.
 
@@ -510,7 +510,7 @@ def grown(
                 wanted.append(members)
         if not wanted:
             break
-        tell(f"fitting {len(wanted)} sets of effects")
+        report(f"fitting {len(wanted)} sets of effects")
         jobs = list(zip(wanted, starts, strict=True))
         packed = forked_map(lambda job: _packed(_fitted(nominal, *job, exact)), jobs, workers)
         for members, (q, eta, converged, iterations, noise) in zip(wanted, packed, strict=True):

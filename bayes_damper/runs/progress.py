@@ -89,7 +89,7 @@ class Lines:
         self._begun = clock()
         self._parts: dict[str, _Part] = {}
 
-    def tell(self, text: str) -> None:
+    def write(self, text: str) -> None:
         """Write one line."""
         print(f"{_hours(self._clock() - self._begun)}  {text}", file=self._file or sys.stderr, flush=True)
 
@@ -105,7 +105,7 @@ class Lines:
         if stage == part.stage and not part.done and now - part.reported < _REPEATED_S:
             return
         part.stage, part.reported = stage, now
-        self.tell(f"{task}: {self._ended(part, text)}" if part.done else f"{task}, {share:.0%} done: {text}")
+        self.write(f"{task}: {self._ended(part, text)}" if part.done else f"{task}, {share:.0%} done: {text}")
 
     def _ended(self, part: _Part, text: str) -> str:
         assert part.begun is not None
@@ -141,6 +141,6 @@ def make_progress(quiet: bool) -> Any:
     return progress
 
 
-def make_teller(quiet: bool) -> Callable[[str], None]:
+def make_reporter(quiet: bool) -> Callable[[str], None]:
     """What reports the stages of a command that has no parts: lines, or nothing for `quiet`."""
-    return (lambda _: None) if quiet else Lines().tell
+    return (lambda _: None) if quiet else Lines().write

@@ -287,7 +287,7 @@ def temper(
     target: Target,
     rng: np.random.Generator,
     particles: int = 512,
-    tell: Callable[[float, str], None] | None = None,
+    report: Callable[[float, str], None] | None = None,
     kept: int = 1,
     settle: bool = True,
     *,
@@ -326,8 +326,8 @@ def temper(
             _save(checkpoint, run, steps, rng)
         settling = run.temperature == 1.0
         _stage(run, target, steps, particles, settle, sweeps, rng, counts=start is not None)
-        if tell is not None:
-            tell(
+        if report is not None:
+            report(
                 run.temperature, "moving on at full power" if settling else f"likelihood at power {run.temperature:.3g}"
             )
     trail, known = run.trail, run.known

@@ -23,10 +23,10 @@ FEWEST = 4  # kernels for which it pays to start processes
 _SECONDS = 0.65  # that a kernel takes, about, after what all of them share (6 s, mostly done by the first simulation)
 
 
-def compile_ahead(models: Iterable[Model], driven: bool = False, tell: Callable[[str], None] = lambda _: None) -> int:
+def compile_ahead(models: Iterable[Model], driven: bool = False, report: Callable[[str], None] = lambda _: None) -> int:
     """Compile the kernels of all models that this machine has none of, in as many processes as it has cores.
 
-    driven : for records with an input torque; tell : receives a line before. Returns how many were compiled: 0 where
+    driven : for records with an input torque; report : receives a line before. Returns how many were compiled: 0 where
     processes cannot be forked; kernels are compiled when first called then, as they are after any failure here.
     """
     count = cores()
@@ -40,7 +40,7 @@ def compile_ahead(models: Iterable[Model], driven: bool = False, tell: Callable[
         names = _missing(bounds)  # another process may have compiled them while this one waited
         if names:
             seconds = max(1.0, len(names) * _SECONDS / count)
-            tell(f"compiling {len(names)} kernels, once on this machine: about {seconds:.0f} s")
+            report(f"compiling {len(names)} kernels, once on this machine: about {seconds:.0f} s")
             integrator.compile_common()  # else each process would
             forked_map(lambda name: integrator.specialise(bounds[name]) is None, names, count)
     return len(names)

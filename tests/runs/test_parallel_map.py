@@ -72,10 +72,10 @@ def test_kernels_are_compiled_ahead_and_not_again(tmp_path, monkeypatch):
     wanted = {
         integrator.kernel_file(model.bound()).stem for model in models
     }  # what acts on both bodies alone is nothing
-    assert compile_ahead([*models, *models], tell=told.append) == len(wanted) == 4
+    assert compile_ahead([*models, *models], report=told.append) == len(wanted) == 4
     assert len(told) == 1
     assert {path.name.split(".")[0] for path in (tmp_path / "__pycache__").glob("advance_*.nbi")} == wanted
-    assert compile_ahead(models, tell=told.append) == 0
+    assert compile_ahead(models, report=told.append) == 0
     assert len(told) == 1
     kernel = integrator.specialise(models[0].bound())
     assert sum(kernel.stats.cache_hits.values()) == 1

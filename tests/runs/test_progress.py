@@ -84,11 +84,11 @@ def test_a_log_has_a_line_for_each_stage_and_each_end_with_what_is_left():
                                                (["fit", "--json"], ""), (["diagnose"], r"0:00:0\d  screening"),
                                                (["diagnose", "--quiet"], "")])  # fmt: skip
 def test_commands_without_a_terminal_tell_in_lines_unless_asked_for_quiet(words, begins, monkeypatch, capsys):
-    def run(*_, progress=None, tell=None, **__):
+    def run(*_, progress=None, report=None, **__):
         if progress is not None:
             progress.update("IV", 0.0, "fitting")
-        if tell is not None:
-            tell("screening")
+        if report is not None:
+            report("screening")
         return FoundPlain()
 
     monkeypatch.setattr(import_module("bayes_damper.fit"), "fit", run)
