@@ -98,7 +98,7 @@ def simulate_record(
     own = {} if variant is None else dict(zip((p.name for p in variant.parameters), variant.starts[0], strict=True))
     _apply(settings, values, words, own, effect, faults)
     law: Law | None = None if chosen is None else chosen[0].law
-    if law is not None and (why := law.foreign("torsional", values)) is not None:
+    if law is not None and (why := law.mismatch("torsional", values)) is not None:
         faults.append(f"--effect {effect}: {why}")
     if faults:
         raise InputError(faults)

@@ -36,7 +36,7 @@ from bayes_damper.diagnosis.sets import (
     set_fit,
     weighed,
 )
-from bayes_damper.diagnosis.shares import IN_WORDS, UNTOLD, Closed, Products, products_of, shortest_interval
+from bayes_damper.diagnosis.shares import IN_WORDS, NO_SHARE, Closed, Products, products_of, shortest_interval
 from bayes_damper.diagnosis.verdict import FLOOR, PRIOR_NONE, RULE, Answers, Left, Rule
 
 Array = NDArray[np.float64]
@@ -114,12 +114,12 @@ def budget_of(
     nominal: Calibration,
     sets: Sequence[SetFit],
     offered: int,
-    foreign: Mapping[frozenset[str], float],
+    outside: Mapping[frozenset[str], float],
     rng: np.random.Generator | None = None,
 ) -> Budget:
     """The budget of weighed sets, without sites.
 
-    offered : effects that the rig can have; foreign : probability that a cause outside the library does what a set
+    offered : effects that the rig can have; outside : probability that a cause outside the library does what a set
     explains, for the sets that are likely.
     """
     weights = probabilities(sets, offered)
@@ -128,7 +128,7 @@ def budget_of(
     best = next(s for s in sets if s.names == top)
     absent: list[Part] = []
     while True:
-        parts, unexplained, leading = _parts(nominal, best, sets, weights, foreign, rng)
+        parts, unexplained, leading = _parts(nominal, best, sets, weights, outside, rng)
         least = min(parts, key=lambda part: part.kept, default=None)
         if least is None or least.kept >= BORNE_OUT:
             return Budget(best, parts, unexplained, {}, leading, tuple(absent))
@@ -141,17 +141,17 @@ def _parts(
     best: SetFit,
     sets: Sequence[SetFit],
     weights: Mapping[frozenset[str], float],
-    foreign: Mapping[frozenset[str], float],
+    outside: Mapping[frozenset[str], float],
     rng: np.random.Generator | None,
 ) -> tuple[tuple[Part, ...], Closed, dict[str, float]]:
     """Effects of a set with their shares, largest first, what is unexplained, and which share is the largest."""
     heldout = nominal.problem.experiment.heldout
     names = [e.name for e, _ in best.members]
-    shares, errors, unexplained, leading = _shares(nominal, best, sets, heldout, rng) if heldout else _untold(names)
+    shares, errors, unexplained, leading = _shares(nominal, best, sets, heldout, rng) if heldout else _no_shares(names)
     parts = []
     for member in best.members:
         name = member[0].name
-        acts = sum(p * (1.0 - foreign.get(names, 0.0)) for names, p in weights.items() if name in names)
+        acts = sum(p * (1.0 - outside.get(names, 0.0)) for names, p in weights.items() if name in names)
         share = shares[name]
         present = acts if share.median is None else borne_out(share.median, errors[name], acts)
         parts.append(Part(member, present, share, _coordinates(best, name), present / max(acts, 1e-300)))
@@ -173,8 +173,8 @@ def borne_out(share: float, error: float, acts: float) -> float:
     return min(acts, float(inside / (inside + other))) if inside > 0.0 else 0.0
 
 
-def _untold(names: Sequence[str]) -> tuple[dict[str, Closed], dict[str, float], Closed, dict[str, float]]:
-    return dict.fromkeys(names, UNTOLD), {}, UNTOLD, {}
+def _no_shares(names: Sequence[str]) -> tuple[dict[str, Closed], dict[str, float], Closed, dict[str, float]]:
+    return dict.fromkeys(names, NO_SHARE), {}, NO_SHARE, {}
 
 
 def _coordinates(best: SetFit, effect: str) -> dict[str, str]:
@@ -196,7 +196,7 @@ def _shares(
     models = [nominal, *(fits[k] for k in smaller), best.fit] if names else [nominal]
     found = products_of(models, heldout, rng)
     if not found.is_known():
-        return _untold(names)
+        return _no_shares(names)
     left, draws = found.shares()
     place = {k: i for i, k in enumerate(keys)}
     return _divided(names, place, left, draws, found)
@@ -260,7 +260,7 @@ def _subset(nominal: Calibration, best: SetFit, sets: Sequence[SetFit], some: fr
 def foreign_alone(left: float, rule: Rule = RULE) -> float:
     """Probability that a cause outside the library does what a set explains that leaves this share of the gap.
 
-    A foreign cause is imitated as well as that with the probability `left` ^ `rule.imitated`.
+    A cause outside the library is imitated as well as that with the probability `left` ^ `rule.imitated`.
     """
     return float(rule.prior_unknown / (1.0 - PRIOR_NONE) * max(min(left, 1.0), rule.least) ** rule.imitated)
 
@@ -269,7 +269,7 @@ def answers_of(
     budget: Budget,
     sets: Sequence[SetFit],
     offered: Sequence[str],
-    foreign: Mapping[frozenset[str], float],
+    outside: Mapping[frozenset[str], float],
     none: Left,
     left: Left,
     generic: float = -math.inf,
@@ -277,9 +277,9 @@ def answers_of(
 ) -> Answers:
     """Probabilities of all answers from weighed sets: a set speaks for the effect with its largest share.
 
-    `unknown` stands for what a foreign cause does, for a gap that no set explains, and for the largest share being that
-    which stays unexplained. offered : all effects; none, left : what the nominal model and the best set leave;
-    generic : log evidence of an unnamed cause that was fitted, such as exchanged channels.
+    `unknown` stands for what a cause outside the library does, for a gap that no set explains, and for the largest
+    share being that which stays unexplained. offered : all effects; none, left : what the nominal model and the best
+    set leave; generic : log evidence of an unnamed cause that was fitted, such as exchanged channels.
     """
     weights = probabilities(sets, len(offered))
     alone = {names: s.evidence for s in reversed(sets) if len(names := s.names) == 1}
@@ -296,7 +296,7 @@ def answers_of(
             out["none"] += p * (1.0 - lost)
             out["unknown"] += p * lost
             continue
-        lost = 1.0 if "unknown" in names else foreign.get(names, foreign_alone(1.0, rule))
+        lost = 1.0 if "unknown" in names else outside.get(names, foreign_alone(1.0, rule))
         leading: Mapping[str, float] = budget.leading if names == budget.best.names else {}
         if not leading:
             leading = {max(names, key=lambda n: alone.get(frozenset((n,)), -math.inf)): 1.0}

@@ -59,7 +59,7 @@ def without(experiment: Experiment, far: dict[int, NDArray[np.bool_]]) -> Experi
     return replace(experiment, trials=tuple(trials))
 
 
-def told(experiment: Experiment, far: dict[int, NDArray[np.bool_]]) -> list[str]:
+def outlying_in_words(experiment: Experiment, far: dict[int, NDArray[np.bool_]]) -> list[str]:
     """What was left out, a sentence for each trial."""
     out = []
     for i, mask in far.items():
@@ -209,7 +209,7 @@ def without_trials(experiment: Experiment, odd: Sequence[Odd]) -> Experiment:
     return replace(experiment, trials=tuple(trials))
 
 
-def told_odd(experiment: Experiment, odd: Sequence[Odd]) -> list[str]:
+def odd_in_words(experiment: Experiment, odd: Sequence[Odd]) -> list[str]:
     """Which trials were left out as a whole and why, a sentence each."""
     out = []
     for o in odd:

@@ -30,7 +30,14 @@ from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.law import Learnt, learn
 from bayes_damper.diagnosis.lone import left_alone
 from bayes_damper.diagnosis.next_experiment import Proposal, propose
-from bayes_damper.diagnosis.outliers import odd_trials, outlying, told, told_odd, without, without_trials
+from bayes_damper.diagnosis.outliers import (
+    odd_in_words,
+    odd_trials,
+    outlying,
+    outlying_in_words,
+    without,
+    without_trials,
+)
 from bayes_damper.diagnosis.pairs import Pair, Second, best_pairs, exactly, seconds_of
 from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of, unlike_in_words
 from bayes_damper.diagnosis.search import Candidate, offered, scales_of, search
@@ -286,14 +293,14 @@ def diagnose(
     if short := shortage(sum(t.y.size for t in experiment.trials)):
         report(short)
     odd = odd_trials(experiment)
-    notes = told_odd(experiment, odd)
+    notes = odd_in_words(experiment, odd)
     experiment = without_trials(experiment, odd)
     fit = calibrate_nominal(experiment, nominal=nominal, report=report)
     for _ in range(CLEANINGS):
         far = outlying(fit)
         if not far:
             break
-        notes += told(experiment, far)
+        notes += outlying_in_words(experiment, far)
         experiment = without(experiment, far)
         fit = calibrate_nominal(experiment, nominal=nominal, report=report)
     pool = offered(experiment, nominal, effects)

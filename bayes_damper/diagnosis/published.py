@@ -105,8 +105,8 @@ class Result:
     @property
     def spread(self) -> float:
         """Largest difference between the log evidences of independent repeats; 0 if there is one, or if silent."""
-        heights = [w.log_z for w in self.runs]
-        return 0.0 if self.silent else max(heights) - min(heights)
+        evidences = [w.log_z for w in self.runs]
+        return 0.0 if self.silent else max(evidences) - min(evidences)
 
 
 @dataclass(frozen=True)
@@ -371,17 +371,17 @@ def diagnose_published(
     )  # fmt: skip
 
 
-def contenders(everything: Sequence[Formula], heights: Mapping[int, float]) -> list[int]:
+def contenders(everything: Sequence[Formula], evidences: Mapping[int, float]) -> list[int]:
     """Formulas (numbers) whose answer could keep 1 % if its first look were wrong by `_CAUTION` nats; not the nominal.
 
-    heights : number -> log evidence of a first look; of those without one the nominal model's.
+    evidences : number -> log evidence of a first look; of those without one the nominal model's.
     """
-    known = np.array([heights.get(i, heights[0]) for i in range(len(everything))])
+    known = np.array([evidences.get(i, evidences[0]) for i in range(len(everything))])
     families = [f.family for f in everything]
     prior = prior_probabilities(sorted(set(families) - {"none", "unknown"}))
     log_w = np.log([prior[name] / families.count(name) for name in families]) + known
     share = log_w - logsumexp(log_w)
-    return [i for i in heights if i > 0 and share[i] > math.log(_LEAST / families.count(families[i])) - _CAUTION]
+    return [i for i in evidences if i > 0 and share[i] > math.log(_LEAST / families.count(families[i])) - _CAUTION]
 
 
 def search(joint: Joint, rng: np.random.Generator, settings: Settings) -> StudentT:
@@ -403,12 +403,12 @@ def _acts(joint: Joint, nominal: Joint, known: StudentT, seed: int) -> bool:
 
 def _pooled(runs: Sequence[Weighed]) -> tuple[float, float]:
     """Log of the mean evidence of independent runs; of its error the larger of what they say and what they show."""
-    heights = np.array([r.log_z for r in runs])
-    value = float(logsumexp(heights) - math.log(len(runs)))
+    evidences = np.array([r.log_z for r in runs])
+    value = float(logsumexp(evidences) - math.log(len(runs)))
     # Few effective draws cannot tell how few they are: each run's error is taken as at least that of so many.
-    told = math.sqrt(sum(max(r.error, 1.0 / math.sqrt(r.ess)) ** 2 for r in runs)) / len(runs)
-    shown = float(heights.std(ddof=1)) / math.sqrt(len(runs)) if len(runs) > 1 else 0.0
-    return value, max(told, shown)
+    stated = math.sqrt(sum(max(r.error, 1.0 / math.sqrt(r.ess)) ** 2 for r in runs)) / len(runs)
+    shown = float(evidences.std(ddof=1)) / math.sqrt(len(runs)) if len(runs) > 1 else 0.0
+    return value, max(stated, shown)
 
 
 def _families(results: Sequence[Result]) -> tuple[dict[str, float], dict[str, float]]:

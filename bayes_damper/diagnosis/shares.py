@@ -10,7 +10,7 @@ e' is the noise, the mean of (g + e)(g + e') is g^2, whatever the noise. So each
 With X the sum of such products over the noise's variance, before (0) and after (1), the share closed is 1 - X1 / X0.
 Every reading counts with its weight in the fit, those at the release and at reversals too. The interval comes from
 blocks of the records drawn again with replacement. Where 5 % of the draws have no gap left in X0, no share can be
-told. A model's readings are never their own judge: parameters are fitted to training trials, and held-out ones have
+given. A model's readings are never their own judge: parameters are fitted to training trials, and held-out ones have
 only their own nuisances fitted.
 """
 
@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 Method = Literal["repeats", "neighbours", "cannot tell"]
 
 DRAWS = 2000
-DOUBT = 0.05  # share of draws without a gap from which no share of it is told
+DOUBT = 0.05  # share of draws without a gap from which no share of it is given
 BLOCKS = 6  # of a record without repeats: what its model misses is alike over long stretches
 IN_WORDS = {
     "repeats": "products of held-out residuals with those of trials that repeat them, in which the noise averages out",
@@ -54,7 +54,7 @@ class Closed:
         return {"median": self.median, "hdi90": interval, "method": self.method, "how": IN_WORDS[self.method]}
 
 
-UNTOLD = Closed(None, None, "cannot tell")
+NO_SHARE = Closed(None, None, "cannot tell")
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,7 @@ class Products:
     def closed(self, after: int, before: int = 0) -> Closed:
         """Share of the gap of model `before` that model `after` closes."""
         if not self.is_known(before):
-            return UNTOLD
+            return NO_SHARE
         left, draws = self.shares(before)
         return Closed(float(1.0 - left[after]), shortest_interval(np.sort(1.0 - draws[:, after])), self.method)
 

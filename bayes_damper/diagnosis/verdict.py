@@ -4,13 +4,13 @@ Naive evidence is overconfident with tens of thousands of samples, because every
 
 - the evidence of a family is the mean over its formulas;
 - evidences are tempered by T = 1 + (excess of the winner's mean residual beyond 2 sd) / TEMPERING, and more where so
-  few readings of a record carry the change that they tell its size but not its shape;
+  few readings of a record carry the change that they show its size but not its shape;
 - a pair must gain more than the share of the stronger one's evidence by which a formula may be wrong;
 - `unknown` competes with each answer through what that answer leaves: the evidence that something is left, and its
   share of the evidence of the gap. A right effect under a slightly wrong formula leaves a small share, and at its own
-  site; a foreign effect under its best impostor a larger one, and mostly at another site;
-- and where the gap is so faint that a remainder could not be seen, through how often a foreign cause is imitated that
-  well.
+  site; an effect outside the library under its best impostor a larger one, and mostly at another site;
+- and where the gap is so faint that a remainder could not be seen, through how often a cause outside the library is
+  imitated that well.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class Rule:
     off; tempering : of the evidences; mismatch : share of the stronger effect's evidence that a second one gains by
     mending the first one's formula, where what the first one leaves lies at its own site (less by share_away /
     share_home where it does not); unseen : nats that may be left without being seen; imitated : exponent of the share
-    left by foreign causes, P(share < s) = s^imitated, and least : its smallest value with a meaning; few_readings : of
-    a record: a gap that shows in these alone is imitated by any cause that acts there.
+    left by causes outside the library, P(share < s) = s^imitated, and least : its smallest value with a meaning;
+    few_readings : of a record: a gap that shows in these alone is imitated by any cause that acts there.
     """
 
     strength: float = 12.0
@@ -71,7 +71,7 @@ class Rule:
     formulas at once bend further than one."""
     few_readings: float = 0.8
     shape_readings: float = 2.0
-    """Readings of a record that it takes to tell one formula's shape from another's."""
+    """Readings of a record that it takes to distinguish one formula's shape from another's."""
     prior_unknown: float = PRIOR_UNKNOWN
     """Prior probability that the cause is one that the library does not have."""
 
@@ -182,10 +182,10 @@ def pair_log_prior(effects: Collection[str], among: int = USUAL, unknown: float 
     return math.log(_prior_of_one(among, unknown) if one else 2.0 * PRIOR_PAIRS / (among * (among - 1.0)))
 
 
-def foreign(left: Left, evidence: float, rule: Rule = RULE, easy: bool = False) -> float:
+def outside_library(left: Left, evidence: float, rule: Rule = RULE, easy: bool = False) -> float:
     """Probability that what an answer explains is the work of a cause outside the library.
 
-    By what it leaves; and, because a remainder of some nats goes unseen, by how often a foreign cause would be imitated
+    By what it leaves; and, because a remainder of some nats goes unseen, by how often such a cause would be imitated
     well enough for that: the fainter the gap and the fewer the readings that show it, the easier. evidence : of the
     answer over the nominal model, nats; easy : whether the answer is one of those that imitate easily.
     """
@@ -252,7 +252,7 @@ def weigh(
             lost = _logistic((remains.nats - rule.strength) / rule.strength_width)
         else:
             easy = set(answer) != FRICTIONS if isinstance(answer, tuple) else answer in definitions
-            lost = foreign(remains, log_evidence_of(answer, evidence, pairs), rule, easy)
+            lost = outside_library(remains, log_evidence_of(answer, evidence, pairs), rule, easy)
         probabilities["unknown"] += p * lost
         unknown += p * lost
         if isinstance(answer, tuple):

@@ -113,7 +113,7 @@ class Law:
                 )
         return out
 
-    def foreign(self, kind: str, inertias: Mapping[str, float]) -> str | None:
+    def mismatch(self, kind: str, inertias: Mapping[str, float]) -> str | None:
         """A sentence if the law is that of another rig: another kind, or an inertia that differs by a fifth."""
         if self.rig is None:
             return None
@@ -253,7 +253,7 @@ def _over(reach: float, of_angle: bool) -> Kernel:
 def _place(along: str, low: float, high: float) -> Kernel:
     """The coordinate of a curve, from its range to [-1, 1].
 
-    Kernels are told apart by their names and what they bind (integrator._fingerprint): each has a name of its own.
+    Kernels are distinguished by their names and what they bind (integrator._fingerprint): each has a name of its own.
     """
     middle, per, reach = 0.5 * (low + high), 2.0 / (high - low), max(abs(low), abs(high))
 
@@ -388,7 +388,7 @@ def laws_on(effects: Mapping[str, Effect], campaign: Campaign) -> list[str]:
     seen = {"time": (0.0, max(float(t.times[-1] - t.times[0]) for t in trials))}
     released = [abs(t.theta0.value) for t in trials if t.theta0 is not None]
     laws = [e.law for e in effects.values() if e.law is not None]
-    if wrong := [told for law in laws if (told := law.foreign(rig.kind, inertias)) is not None]:
+    if wrong := [said for law in laws if (said := law.mismatch(rig.kind, inertias)) is not None]:
         raise InputError(wrong)
     out = []
     for law in laws:
@@ -491,10 +491,10 @@ def _law(held: Mapping[str, Any], where: str) -> Law:
         "site": (str,), "bodies": (str,), "ranges": (dict,), "nu": (float, int), "term": (list,), "rig": (dict,),
         "campaign": (str,), "beside": (list,),
     }  # fmt: skip
-    told = "this is not what diagnose writes"
-    own = fields(held, types, where, told)
+    remedy = "this is not what diagnose writes"
+    own = fields(held, types, where, remedy)
     if own["site"] not in SITES or own["bodies"] not in ("both", "primary"):
-        raise InputError(f"{where}: site {shown(own['site'])}, bodies {shown(own['bodies'])}: {told}")
+        raise InputError(f"{where}: site {shown(own['site'])}, bodies {shown(own['bodies'])}: {remedy}")
     ranges = {}
     for name in COORDINATES:
         low, high = _numbers(own["ranges"].get(name), f"{where}: range of {name}", 2)
@@ -506,16 +506,16 @@ def _law(held: Mapping[str, Any], where: str) -> Law:
     terms, roots = [], []
     for k, part in enumerate(own["term"], 1):
         here = f"{where}: term {k}"
-        entry = fields(part, _TERM_TYPES, here, told)
+        entry = fields(part, _TERM_TYPES, here, remedy)
         if entry["carrier"] not in CARRIERS or entry["along"] not in COORDINATES:
-            raise InputError(f"{here}: carrier {shown(entry['carrier'])}, along {shown(entry['along'])}: {told}")
+            raise InputError(f"{here}: carrier {shown(entry['carrier'])}, along {shown(entry['along'])}: {remedy}")
         terms.append(
             Term(entry["carrier"], entry["along"], _numbers(entry["coefficients"], f"{here}: coefficients", ORDER))
         )
         roots.append([_numbers(r, f"{here}: roots", ORDER) for r in entry["roots"]])
     if len({len(r) for r in roots}) > 1 or len(roots[0]) > 10 * MOST_DIRECTIONS:
-        raise InputError(f"{where}: terms have roots of different number: {told}")
-    rig = fields(own["rig"], {"kind": (str,), "J1": (float, int)}, f"{where}: [rig]", told)
+        raise InputError(f"{where}: terms have roots of different number: {remedy}")
+    rig = fields(own["rig"], {"kind": (str,), "J1": (float, int)}, f"{where}: [rig]", remedy)
     if "J2" in own["rig"]:
         rig = {**rig, "J2": own["rig"]["J2"]}
     rig = {k: v if isinstance(v, str) else real(v, f"{where}: {k}") for k, v in rig.items()}
@@ -523,7 +523,7 @@ def _law(held: Mapping[str, Any], where: str) -> Law:
     nu = real(own["nu"], f"{where}: nu")
     nominal = held.get("nominal")
     if nominal is not None and not isinstance(nominal, dict):
-        raise InputError(f"{where}: nominal = {shown(nominal)} is no table: {told}")
+        raise InputError(f"{where}: nominal = {shown(nominal)} is no table: {remedy}")
     return Law(
         own["site"], own["bodies"], ranges, nu, tuple(terms),
         tuple(tuple(sum(r, ())) for r in zip(*roots, strict=True)), rig, own["campaign"],

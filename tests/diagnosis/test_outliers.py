@@ -8,7 +8,7 @@ from small_rig import measured
 
 from bayes_damper.calibration import Experiment
 from bayes_damper.diagnosis import diagnose
-from bayes_damper.diagnosis.outliers import odd_trials, told_odd, without_trials
+from bayes_damper.diagnosis.outliers import odd_in_words, odd_trials, without_trials
 from bayes_damper.effects import EFFECTS
 
 
@@ -35,7 +35,7 @@ def test_two_records_filed_as_each_other_are_found_and_told(noise):
     e, i, j = exchanged(noise=noise)
     found = odd_trials(e)
     assert {o.trial for o in found} == {i, j}
-    sentences = told_odd(e, found)
+    sentences = odd_in_words(e, found)
     assert any(e.trials[i].label in s and "case IV coupled" in s for s in sentences)
     assert any(e.trials[j].label in s and "case I coupled" in s for s in sentences)
 
@@ -55,7 +55,7 @@ def test_exchanged_channels_of_one_trial_are_told():
     i = place(e, "I", True, 1)
     found = odd_trials(with_records(e, {i: e.trials[i].y[::-1]}))
     assert [o.trial for o in found] == [i]
-    assert "channels exchanged" in told_odd(e, found)[0]
+    assert "channels exchanged" in odd_in_words(e, found)[0]
 
 
 def test_a_record_of_an_unknown_rig_is_told_without_a_likeness():
@@ -64,7 +64,7 @@ def test_a_record_of_an_unknown_rig_is_told_without_a_likeness():
     t = e.trials[i]
     found = odd_trials(with_records(e, {i: np.array([np.interp(0.8 * t.times, t.times, r) for r in t.y])}))
     assert [o.trial for o in found] == [i]
-    assert "another spring, case or rig?" in told_odd(e, found)[0]
+    assert "another spring, case or rig?" in odd_in_words(e, found)[0]
 
 
 @pytest.mark.parametrize("noise", [0.1, 2.0, 30.0])

@@ -25,7 +25,7 @@ from bayes_damper.commands.diagnose import _estimated, _maps, _shown_record
 from bayes_damper.commands.diagnose import diagnose as diagnose_folder
 from bayes_damper.diagnosis import diagnose, pairs
 from bayes_damper.diagnosis.lone import left_of_squares
-from bayes_damper.diagnosis.outliers import outlying, told, without
+from bayes_damper.diagnosis.outliers import outlying, outlying_in_words, without
 from bayes_damper.diagnosis.pairs import ComposedProblem, PairProblem, Second, best_pairs, pair_problem
 from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of
 from bayes_damper.diagnosis.search import Candidate, Screen, fainter, fit_variant, offered, scales_of, screen_variant
@@ -602,7 +602,7 @@ def test_a_burst_in_one_trial_is_left_out_and_one_in_all_repeats_is_not():
     assert set(np.flatnonzero(far[coupled[0]].any(axis=0))) == set(range(100, 106))
     clean = without(dirty, far)
     assert np.isnan(clean.trials[coupled[0]].y[0, 100:106]).all()
-    assert "left out" in told(dirty, far)[0]
+    assert "left out" in outlying_in_words(dirty, far)[0]
     assert found(coupled)[1] == {}
 
 
