@@ -74,10 +74,15 @@ def _spring(period: float, values: Mapping[str, Array]) -> Array:
 
 def _angle(acceleration: float, values: Mapping[str, Array]) -> Array:
     """The release angle that gives the coupled rig an acceleration when t_min has passed, rad."""
+    without = acceleration + taken_by_friction(acceleration, values)
+    return np.asarray(without * values["J1"] / values["k1t"])
+
+
+def taken_by_friction(acceleration: float, values: Mapping[str, Array]) -> Array:
+    """By how much the coupled rig's acceleration would be higher without friction when t_min has passed, rad/s^2."""
     speed = acceleration * values["t_min"]
     dry = (values["drag"] + values["mu"] * values["N0"] * values["R"]) * np.tanh(values["nu"] * speed)
-    viscous = (values["c1t"] + values["c2t"]) * speed
-    return np.asarray((acceleration * values["J1"] + dry + viscous) / values["k1t"])
+    return np.asarray((dry + (values["c1t"] + values["c2t"]) * speed) / values["J1"])
 
 
 @dataclass(frozen=True)
@@ -229,6 +234,15 @@ def feature_times(data: Sequence[Datum], longest: float = math.inf) -> Array:
     return FEATURE_TIMES if math.isinf(end) else FEATURE_TIMES[end >= FEATURE_TIMES]
 
 
+_SOON = 1.45
+"""Measured periods after which uncoupled records have their features: the second lobe ends after one and a quarter."""
+
+
+def _some(x: Any, which: NDArray[np.intp], n: int) -> Array:
+    """Some of n values, or of the one that they all are."""
+    return np.broadcast_to(np.asarray(x, float), (n,))[which]
+
+
 class FeaturePosterior:
     """Posterior of one thesis case from its published features (log decrement, damped period, maximum acceleration).
 
@@ -286,9 +300,33 @@ class FeaturePosterior:
         t_min = values.pop("t_min")
         changes = {name: values.pop(name) for name in list(values) if name.startswith(EFFECT_PREFIX)}
         effect = {name.removeprefix(EFFECT_PREFIX): x for name, x in changes.items()}
-        simulation = self.models[configuration].simulate(values, self.times, effect=effect, tolerance=self.tolerance)
+        found = self._seen(configuration, values, effect, t_min, self._soon[configuration])
+        left = np.flatnonzero(~found.valid)
+        if left.size == 0 or self._soon[configuration].size == self.times.size:
+            return found
+        # What takes longer than the measured rig did, or has no second peak at all.
+        n = len(found.valid)
+        some = {name: _some(x, left, n) for name, x in values.items()}
+        changes = {name: _some(x, left, n) for name, x in effect.items()}
+        later = self._seen(configuration, some, changes, _some(t_min, left, n), self.times)
+        for name in vars(found):
+            getattr(found, name)[left] = getattr(later, name)
+        return found
+
+    def _seen(
+        self, configuration: str, values: Mapping[str, Array], effect: Mapping[str, Array], t_min: Array, times: Array
+    ) -> Features:
+        """Features of records of so many sample times."""
+        simulation = self.models[configuration].simulate(values, times, effect=effect, tolerance=self.tolerance)
         self.outcomes.update(count_outcomes(simulation.outcome))
-        return features(self.times, simulation.y[:, 0], t_min)
+        return features(times, simulation.y[:, 0], t_min)
+
+    @cached_property
+    def _soon(self) -> dict[str, Array]:
+        """Sample times in which a record of each configuration mostly has its features: of a coupled one, all."""
+        ends = dict.fromkeys(self.models, math.inf)
+        ends |= {d.configuration: _SOON * d.value for d in self.data if d.name == "period (uncoupled)"}
+        return {name: self.times[self.times <= end] for name, end in ends.items()}
 
     def misfits(self, points: Array) -> Array:
         """Distances of the features from the data in standard errors, (n, n_data); nan where the record has none."""

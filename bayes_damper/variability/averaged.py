@@ -50,10 +50,10 @@ def averaged(cases: PublishedCases, parts: Parts, rng: np.random.Generator, own:
 
     own : whether spring and angle of each case are drawn, too.
     """
-    first = cases.joint.coordinates
+    first = cases.features[cases.names[0]].coordinates
 
     def of(h: Hierarchy, x: Array, i: int) -> dict[str, Array]:
-        return cases.values(h, x, i, rng) if own else first.values(h.coordinates(x, i))
+        return cases.values(h, x, i, rng if own else None)
 
     values = {case: _joined([of(h, x, i) for h, x in parts]) for i, case in enumerate(cases.names)}
     columns = [first.names.index(name) for name in cases.pooled]

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from bayes_damper.calibration import NOMINAL
-from bayes_damper.diagnosis.joint import OWN, Formula, Joint
 from bayes_damper.effects._other_law import OTHER_LAW
 from bayes_damper.effects.base import Variant
 from bayes_damper.errors import InputError
 from bayes_damper.priors.distributions import Distribution, LogNormal, LogUniform, from_standard
 from bayes_damper.priors.files import load_priors, priors_from_dict
+from bayes_damper.published.marginal import OWN, CaseFeatures
 from bayes_damper.published.measurements import load_published
 from bayes_damper.published.posterior import Coordinates, Datum, damping_pairs
 from bayes_damper.runs.checkpoint import Checkpoint
@@ -54,7 +54,7 @@ _TOLERANCE = 10.0
 
 @dataclass(frozen=True)
 class _Flat:
-    """Sums and ratios of the dampings that one feature cannot tell apart."""
+    """Sums and ratios of the dampings that one feature cannot distinguish."""
 
     coordinates: Coordinates
 
@@ -79,8 +79,8 @@ class _Flat:
 class PublishedCases:
     """Published features of several cases under the priors of a fit's plan.
 
-    law : exchanges a formula of the model, such as the law of friction; data : other numbers than the published. Spring
-    and release angle of each case are integrated out; sampled is what cases may share, and the rig's constants.
+    law : exchanges a formula of the model, such as the law of friction; data : other numbers than the published.
+    Spring and release angle of each case are integrated out; sampled is what cases may share, and the rig's constants.
     """
 
     kind = "torsional"
@@ -109,8 +109,10 @@ class PublishedCases:
             case: [Datum(m.configuration, m.quantity, m.value, m.standard_error, m.n) for m in published.of_case(case)]
             for case in self.names
         } if data is None else data  # fmt: skip
-        formula = Formula("none", "nominal", "", variant=law)
-        self.joint = Joint(data, self.prior_set, formula, self.normal_force, plain=True, tolerance=_TOLERANCE)
+        self.features = {
+            case: CaseFeatures(case, data[case], self.prior_set.for_case(case), self.normal_force, law, _TOLERANCE)
+            for case in self.names
+        }
 
     @staticmethod
     def default_plan() -> dict[str, Any]:
@@ -131,19 +133,22 @@ class PublishedCases:
 
     def likelihood(self, case: str) -> CaseLikelihood:
         """The case as the hierarchy takes it."""
-        joint, own = self.joint, self.joint.coordinates
+        found = self.features[case]
+        own = found.coordinates
         pairs = damping_pairs(self.prior_set.for_case(case).medians())
         pairs = tuple(pair for pair in pairs if pair.x in self.pooled and pair.y in self.pooled)
+        return CaseLikelihood(case, own.names, Powers(found.log_likelihood), _Flat(replace(own, shared=pairs)))
 
-        def log_likelihood(z: Array) -> Array:
-            return joint.case_likelihood(z, case, joint.predict(z, case))
+    def values(
+        self, hierarchy: Hierarchy, points: Array, number: int, rng: np.random.Generator | None = None
+    ) -> dict[str, Array]:
+        """All parameters of one case at points (n, ndim): name -> (n,).
 
-        return CaseLikelihood(case, own.names, Powers(log_likelihood), _Flat(replace(own, shared=pairs)))
-
-    def values(self, hierarchy: Hierarchy, points: Array, number: int, rng: np.random.Generator) -> dict[str, Array]:
-        """All parameters of one case at points (n, ndim): name -> (n,); spring and angle drawn, given the others."""
-        z = hierarchy.coordinates(points, number)
-        return self.joint.coordinates.values(z) | self.joint.own_draws(z, self.names[number], rng)
+        With rng also spring and angle, drawn given the others.
+        """
+        found = self.features[self.names[number]]
+        values = found.coordinates.values(hierarchy.coordinates(points, number))
+        return values if rng is None else values | found.own_draws(values, rng)
 
     def hierarchy(self, pooling: Pooling) -> Hierarchy:
         """The joint posterior of all cases."""
@@ -273,7 +278,7 @@ class PublishedCases:
         """Intervals of the pooled parameters of each case, and of the scatter where it is inferred."""
         cases = {}
         for i, case in enumerate(self.names):
-            values = self.joint.coordinates.values(hierarchy.coordinates(points, i))
+            values = self.values(hierarchy, points, i)
             cases[case] = {name: summary(values[name]) for name in self.pooled}
         if hierarchy.pooling == "shared":
             return {"parameters": next(iter(cases.values()))}
@@ -288,19 +293,17 @@ class PublishedCases:
     ) -> _Values:  # fmt: skip
         """Parameters of each case, and the same with the pooled ones at the cases' mean; before : the data."""
         mean = mean_over_cases([hierarchy.values(points, i) for i in range(len(self.names))])
-        coordinates = self.joint.coordinates
-        columns = [coordinates.names.index(name) for name in self.pooled]
         out = {}
         for i, case in enumerate(self.names):
-            z = hierarchy.coordinates(points, i)
-            reference = z.copy()
-            reference[:, columns] = mean
-            prior = self.joint.own[case]
+            found = self.features[case]
+            coordinates, z = found.coordinates, hierarchy.coordinates(points, i)
+            values, reference = coordinates.values(z), z.copy()
+            reference[:, [coordinates.names.index(name) for name in self.pooled]] = mean
             own = (
-                {name: from_standard(prior[name], rng.standard_normal(len(z))) for name in OWN}
-                if before else self.joint.own_draws(z, case, rng)
+                {name: from_standard(found.own[name], rng.standard_normal(len(z))) for name in OWN}
+                if before else found.own_draws(values, rng)
             )  # fmt: skip
-            out[case] = coordinates.values(z) | own, coordinates.values(reference) | own
+            out[case] = values | own, coordinates.values(reference) | own
         return out
 
     def sets(
@@ -331,7 +334,7 @@ class PublishedCases:
         )
 
     def _scatter(self, case: str, values: Mapping[str, Array]) -> Callable[[Array], Array]:
-        errors = {d.quantity: d.standard_error for d in self.joint.data[case] if d.configuration == "coupled"}
+        errors = {d.quantity: d.standard_error for d in self.features[case].data if d.configuration == "coupled"}
         priors = self.priors(case)
         sds = tuple(_log_sd(priors.get(name)) for name in NAMES)
         damping = bearing_damping(values, self.normal_force)

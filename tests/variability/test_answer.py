@@ -679,8 +679,8 @@ def test_likelihood_of_a_case_is_that_of_its_six_numbers_with_spring_and_angle_i
     own = published_posterior("IV", thesis.prior_set)
     plain = Coordinates(own.coordinates.free, own.coordinates.fixed, own.coordinates.tied)
     exact = FeaturePosterior(own.data, plain, case="IV")
-    values = thesis.joint.coordinates.values(hierarchy.coordinates(points, number))
-    prior = thesis.joint.own["IV"]
+    values = thesis.values(hierarchy, points, number)
+    prior = thesis.features["IV"].own
     spring = next(d.value for d in own.data if d.name == "period (uncoupled)")
     u = np.linspace(-0.12, 0.06, 241)
     angles = np.linspace(-3.0, 3.0, 31)
