@@ -36,6 +36,8 @@ _LAST = 10
 _FORGOTTEN, _FORGOTTEN_AT_LAST = 0.1, 0.25
 """Correlation of the particles with their places at the start of a stage below which they have moved enough: the mean
 over the unknowns at a stage on the way, the largest at the full temperature."""
+_MOST_HELD = 0.95
+"""Correlation with their places at which particles count as standing still."""
 _KEPT = 30
 """Most places of a particle that are kept of a stage."""
 _FIRST = 8
@@ -245,8 +247,9 @@ class Tempered:
 
     points (n, ndim), equally weighted: each particle at several times of the last stage, which stand together;
     log_likelihood (n, parts); log evidence with its standard error (from what the descendants of each draw of the prior
-    added to it); stages; forgotten: worst mean correlation that a stage left; last: largest correlation of an unknown
-    with its place before the last stage; evaluations: points at which the likelihood was asked for.
+    added to it, wider by what particles hold of their places); stages; forgotten: worst mean correlation that a stage
+    left; last: largest correlation of an unknown with its place before the last stage; evaluations: points at which the
+    likelihood was asked for.
     """
 
     points: Array
@@ -266,7 +269,8 @@ class _State:
     trail, known : where the particles were in the last one (times, particles, ndim), and what was measured there;
     family : the draw of the prior that each descends from; influence : of each draw of the prior, what its descendants
     added to the log evidence, which is what the evidence varies by (after Lee and Whiteley 2018, Biometrika 105:609);
-    variance : the same if every stage's particles were new ones.
+    variance : the same if every stage's particles were new ones; held : mean correlation of an unknown with its place
+    that the last stage left, worst that any did; left : largest that the last one left.
     """
 
     trail: Array
@@ -278,6 +282,7 @@ class _State:
     variance: float = 0.0
     stages: int = 0
     worst: float = 0.0
+    held: float = 0.0
     left: float = 1.0
     last: bool = False
     evaluations: int = 0
@@ -372,7 +377,9 @@ def _stage(
     whole = float(logsumexp(weights))
     run.log_z += whole - math.log(len(places))
     share = np.exp(weights - whole)
-    each = share.reshape(chains, times).sum(axis=1) - 1.0 / chains
+    # What particles hold of their places they hold of the errors that put them there, from stage to stage.
+    widen = math.sqrt((1.0 + run.held) / (1.0 - run.held))
+    each = widen * (share.reshape(chains, times).sum(axis=1) - 1.0 / chains)
     run.family = run.family[order]
     run.influence += np.bincount(run.family, each, len(run.influence))
     run.variance += float(np.sum(each**2))
@@ -380,12 +387,13 @@ def _stage(
     run.family = run.family[chosen // times]
     target = nominal.at(run.temperature)
     slopes = _learn(target, places[lessons], steps, _PARTS_AT_LAST if run.temperature == 1.0 else _PARTS)
-    run.trail, run.known, mean, run.left, asked = _move(
+    run.trail, run.known, run.held, run.left, asked = _move(
         target, places[chosen], measured[chosen], run.temperature, steps, slopes,
         _LAST * sweeps if run.last else sweeps, run.last, rng,
     )  # fmt: skip
     run.evaluations += asked
-    run.worst = max(run.worst, mean)
+    run.held = min(max(run.held, 0.0), _MOST_HELD)
+    run.worst = max(run.worst, run.held)
     run.last = run.last or (run.temperature == 1.0 and not settle)
 
 
