@@ -448,8 +448,8 @@ def _sentences(result: Mapping[str, Any], fit_converged: bool) -> list[str]:
     if slow:
         known_by = min(m.get("repeats", 1) for m in models.values())
         out.append(
-            f"Particles moved slowly ({', '.join(slow)}): the error that one run states can be half of its scatter; "
-            + ("give --repeats 2 or more." if known_by < 2 else f"the errors hold what {known_by} repeats show of it.")
+            f"Particles moved slowly ({', '.join(slow)}), which widens the errors of their evidences; "
+            + ("give --repeats 2 or more." if known_by < 2 else f"they hold what {known_by} repeats show of it, too.")
         )
     known = [m["repeats_apart_sd"] for m in models.values() if m.get("repeats_apart_sd") is not None]
     if known:
