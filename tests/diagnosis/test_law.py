@@ -13,7 +13,7 @@ from bayes_damper.diagnosis.budget import Budget, Part
 from bayes_damper.diagnosis.law import TERMS, _best_terms, learn, used_coordinates, worth_offering
 from bayes_damper.diagnosis.response import Projected
 from bayes_damper.diagnosis.sets import SetProblem, set_fit
-from bayes_damper.diagnosis.shares import UNTOLD, Closed
+from bayes_damper.diagnosis.shares import NO_SHARE, Closed
 from bayes_damper.diagnosis.sites import site_map
 from bayes_damper.effects import EFFECTS, load_effects
 from bayes_damper.effects._law import ORDER, Term
@@ -36,7 +36,7 @@ SIZE = 0.02
 
 def without_effects(fit):
     """The budget of a gap that no effect explains."""
-    return Budget(set_fit((), fit), (), UNTOLD, {}, {})
+    return Budget(set_fit((), fit), (), NO_SHARE, {}, {})
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +110,7 @@ def test_a_law_stands_beside_the_effects_that_are_present(found):
     member = (EFFECTS["quadratic_drag"], variant("quadratic_drag"))
     problem = SetProblem(fit.problem, [member], exact=False)
     both = calibrate(problem, [np.append(fit.q, 0.0)], eta=fit.eta, anneal=False)
-    part = Part(member, 0.9, UNTOLD, problem.parameters_of("quadratic_drag"))
+    part = Part(member, 0.9, NO_SHARE, problem.parameters_of("quadratic_drag"))
     budget = Budget(set_fit([member], both), (part,), Closed(0.9, (0.7, 1.0), "repeats"), {"interface": 1.0}, {})
     learnt = learn(fit, budget, "quadratic_drag", place)
     assert learnt.law.beside == ("quadratic_drag",)
@@ -123,7 +123,7 @@ def test_a_law_that_closes_next_to_nothing_is_no_law():
     """Beside an effect that closes 98 % of the gap something may still be learnt, with certainty, and be of no use."""
     assert not worth_offering(Closed(0.003, (0.002, 0.004), "repeats"))
     assert not worth_offering(Closed(0.3, (-0.1, 0.7), "repeats"))
-    assert not worth_offering(UNTOLD)
+    assert not worth_offering(NO_SHARE)
     assert worth_offering(Closed(0.05, (0.03, 0.07), "repeats"))
 
 
