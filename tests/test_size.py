@@ -74,6 +74,22 @@ def test_a_site_map_takes_the_trials_slice_by_slice(fit, monkeypatch):
     assert sliced.leaders[sliced.best].columns.tolist() == whole.leaders[whole.best].columns.tolist()
 
 
+def test_a_site_map_is_the_same_with_however_many_trials_at_once(fit, monkeypatch):
+    found = []
+    for readings in (1_000_000, 300):
+        monkeypatch.setattr(response, "AT_ONCE", readings)
+        with monkeypatch.context() as noted:
+            sizes = recorded(noted, sites, "_columns")
+            found.append((sites.site_map(fit), len(sizes)))
+    (whole, few), (turns, many) = found
+    assert many > few
+    for site, value in whole.log_evidence.items():
+        assert turns.log_evidence[site] == pytest.approx(value, rel=1e-9)
+    for a, b in zip(whole.torque, turns.torque, strict=True):
+        assert a.trial == b.trial
+        np.testing.assert_allclose(b.torque, a.torque, rtol=0.0, atol=1e-7 * np.abs(a.torque).max())
+
+
 def test_short_torques_are_tried_in_turns_with_the_same_results(fit, monkeypatch):
     moved = response.motions(fit)
     instants = np.linspace(0.01, 0.1, 7)

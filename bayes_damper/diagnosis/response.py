@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -27,7 +27,8 @@ from bayes_damper.simulation.model import Model
 Array = NDArray[np.float64]
 
 ANGLE_PER_STEP = 0.08  # largest omega dt of a step, rad: keeps the response within 1e-3
-SLICE = 25_000  # readings of a block of trials whose responses to hundreds of shapes are held at a time
+SLICE = 25_000  # readings of a block of trials whose motions are held at a time
+AT_ONCE = 5_000  # readings of those whose responses to hundreds of shapes are: what the processor's caches hold
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +79,11 @@ class Motion:
     def overlap(self) -> Array:
         """N / N0, the share of the pull that is left; (trials, N)."""
         return np.asarray(np.maximum(0.0, 1.0 - self.slope[:, None] * np.abs(self.phi)))
+
+    def only(self, at: slice) -> Motion:
+        """The motion of some of its trials."""
+        rest = {f.name: getattr(self, f.name)[at] for f in fields(self) if f.name not in ("group", "grid", "at")}
+        return replace(self, group=self.group.only(at), **rest)
 
     def respond(self, q1: Array | None, q2: Array | None, start: Array | None = None) -> Array:
         """Changes of the readings, (trials, k, channels, n), that k torques make.
@@ -147,6 +153,20 @@ def in_slices(fit: Calibration) -> Calibration:
 def motions(fit: Calibration) -> list[Motion]:
     """The motion of every fitted trial, one entry for each group of the problem."""
     return [_motion(fit, block) for block in fit.linear.blocks]
+
+
+def in_turns(fit: Calibration, moved: Sequence[Motion]) -> tuple[Calibration, list[Motion]]:
+    """The fit and its motions by so few trials that the responses to many shapes stay in the processor's caches."""
+    turns = fit.linear.sliced(AT_ONCE)
+    places = iter(len(block.group.trials) for block in turns.blocks)
+    parts = []
+    for motion in moved:
+        first = 0
+        while first < len(motion.group.trials):
+            end = first + next(places)
+            parts.append(motion if end - first == len(motion.group.trials) else motion.only(slice(first, end)))
+            first = end
+    return replace(fit, linear=turns), parts
 
 
 def on_trials(fit: Calibration, eta: Mapping[int, Array]) -> Calibration:
@@ -484,13 +504,16 @@ def project_parts(fit: Calibration, columns: Iterable[Array], part: Callable[[in
     columns = iter(columns)
     for (block, H, TJ, gT), inverse in zip(normals.parts, inverses, strict=True):
         every = next(columns)
+        live = _live(every)
         k = every.shape[1]
+        if live.size < k:
+            every = every[:, live]
         full = np.concatenate([block.J, block.T, block.r[:, None, :]], axis=1)
         names = [part(i) for i in block.group.trials]
         for name in dict.fromkeys(names):
             own = np.array([n == name for n in names])
             d = every if own.all() else every[own]
-            flat = d.transpose(1, 0, 2).reshape(k, -1)
+            flat = d.transpose(1, 0, 2).reshape(live.size, d.shape[0] * d.shape[2])
             gram = flat @ flat.T
             raw = np.diag(gram).copy()
             cross = full[own] @ d.transpose(0, 2, 1)  # (trials, size + m + 1, k)
@@ -503,14 +526,24 @@ def project_parts(fit: Calibration, columns: Iterable[Array], part: Callable[[in
                 gram -= np.tensordot(td, solved, axes=([0, 1], [0, 1]))
                 mixed -= np.tensordot(TJ[own], solved, axes=([0, 1], [0, 1]))
                 product -= np.tensordot(solved, gT[own], axes=([0, 1], [0, 1]))
-            last = pieces.get(name)
-            if last is not None:
-                gram, mixed = gram + last.gram, mixed + last.mixed
-                product, raw = product + last.product, raw + last.raw
-            pieces[name] = _Piece(gram, mixed, product, raw)
+            if name not in pieces:
+                pieces[name] = _Piece(np.zeros((k, k)), np.zeros((size, k)), np.zeros(k), np.zeros(k))
+            whole = pieces[name]
+            whole.gram[np.ix_(live, live)] += gram
+            whole.mixed[:, live] += mixed
+            whole.product[live] += product
+            whole.raw[live] += raw
             del d, flat
         del every  # before the next ones are made
     return Pieces(tuple(pieces), tuple(pieces.values()), S, g)
+
+
+def _live(columns: Array) -> NDArray[np.intp]:
+    """Which columns (trials, k, data) are not zero throughout: most show that at a few readings."""
+    live = np.asarray(columns[:, :, ::16].any(axis=(0, 2)))
+    silent = np.flatnonzero(~live)
+    live[silent] = columns[:, silent].any(axis=(0, 2))
+    return np.flatnonzero(live)
 
 
 def project(fit: Calibration, columns: Iterable[Array]) -> Projected:

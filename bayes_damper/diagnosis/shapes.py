@@ -22,6 +22,7 @@ from scipy.signal import lfilter
 
 from bayes_damper.diagnosis.response import Motion, scale_of
 from bayes_damper.effects.base import SITES
+from bayes_damper.rig.kernels import compiled
 
 Array = NDArray[np.float64]
 
@@ -71,6 +72,11 @@ class Shape:
         """Whether it is a torque."""
         return self.q1 is not None or self.q2 is not None
 
+    @property
+    def silent(self) -> bool:
+        """Whether it is nothing on these trials, as all that has to do with a secondary is on uncoupled ones."""
+        return not any(x.any() for x in (self.q1, self.q2, self.start, self.reading) if x is not None)
+
 
 def scale_of_motions(motions: Sequence[Motion], peak: float = 0.0) -> Scale:
     """The campaign's largest values; peak as in `Scale`."""
@@ -119,22 +125,25 @@ def _relaxed(motion: Motion, rate: Array, tau: float) -> Array:
     h = np.diff(motion.grid)
     keep = np.exp(-h / tau)
     gain = tau * (1.0 - keep)
-    out = np.zeros_like(rate)
     mean = 0.5 * (rate[:, 1:] + rate[:, :-1])
-    for i in range(h.size):
-        out[:, i + 1] = keep[i] * out[:, i] + gain[i] * mean[:, i]
+    return np.asarray(_followed(np.tile(keep, (len(mean), 1)), gain * mean))
+
+
+@compiled()
+def _followed(keep: Array, added: Array) -> Array:
+    """x[0] = 0, x[i + 1] = keep[i] x[i] + added[i], along each row; (trials, steps) -> (trials, steps + 1)."""
+    out = np.zeros((keep.shape[0], keep.shape[1] + 1))
+    for j in range(keep.shape[0]):
+        for i in range(keep.shape[1]):
+            out[j, i + 1] = keep[j, i] * out[j, i] + added[j, i]
     return out
 
 
 def _dahl(angle: Array, breakaway: float) -> Array:
     """Rate-independent memory of an angle: h follows it over `breakaway` rad and then saturates at +-1; (trials, N)."""
-    out = np.zeros_like(angle)
     moved = np.diff(angle, axis=1) / breakaway
     keep = np.exp(-np.abs(moved))
-    aim = np.sign(moved)
-    for i in range(moved.shape[1]):
-        out[:, i + 1] = aim[:, i] + (out[:, i] - aim[:, i]) * keep[:, i]
-    return out
+    return np.asarray(_followed(keep, np.sign(moved) * (1.0 - keep)))
 
 
 def _resonances(drive: Array, h: float, scale: Scale) -> Iterator[Array]:

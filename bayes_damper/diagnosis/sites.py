@@ -26,6 +26,7 @@ from bayes_damper.diagnosis.response import (
     Motion,
     Projected,
     in_slices,
+    in_turns,
     motions,
     nominal_slopes,
     project_parts,
@@ -194,6 +195,7 @@ def site_map(fit: Calibration, *, torque: bool = True, prior_none: float = PRIOR
     fit = in_slices(fit)
     moved = motions(fit)
     scale = scale_of_motions(moved, peak_of(fit))
+    fit, moved = in_turns(fit, moved)
     coupled = any(m.group.coupled for m in moved)
     vocabulary: list[tuple[str, str, bool]] = []  # known when the first columns have been made
     columns = (
@@ -299,17 +301,30 @@ def _noted(shapes: Iterable[Shape], notes: list[tuple[str, str, bool]]) -> Itera
 def _columns(fit: Calibration, motion: Motion, shapes: Iterable[Shape], most: int = 64) -> Array:
     """Whitened responses (trials, k, data) to the shapes, of which so many are held at a time."""
     zero, still = np.zeros_like(motion.th1), np.zeros((motion.th1.shape[0], 4))
-    parts = []
-    for of_sensor, alike in groupby(shapes, key=lambda s: s.reading is not None):
+    parts: list[tuple[list[int], Array]] = []
+    count = 0
+
+    def numbered() -> Iterator[tuple[int, Shape]]:
+        nonlocal count
+        for shape in shapes:
+            count += 1
+            if not shape.silent:
+                yield count - 1, shape
+
+    for of_sensor, alike in groupby(numbered(), key=lambda s: s[1].reading is not None):
         while chunk := list(islice(alike, most)):
             if of_sensor:
-                y = np.stack([s.reading for s in chunk if s.reading is not None], axis=1)
+                y = np.stack([s.reading for _, s in chunk if s.reading is not None], axis=1)
             else:
-                q1 = np.stack([_or(s.q1, zero) for s in chunk], axis=1)
-                q2 = np.stack([_or(s.q2, zero) for s in chunk], axis=1)
-                y = motion.respond(q1, q2, np.stack([_or(s.start, still) for s in chunk], axis=1))
-            parts.append(whiten(fit, motion.group, y))
-    return np.concatenate(parts, axis=1)
+                q1 = np.stack([_or(s.q1, zero) for _, s in chunk], axis=1)
+                q2 = np.stack([_or(s.q2, zero) for _, s in chunk], axis=1)
+                y = motion.respond(q1, q2, np.stack([_or(s.start, still) for _, s in chunk], axis=1))
+            parts.append(([k for k, _ in chunk], whiten(fit, motion.group, y)))
+    # Column after column in memory, as their products are made.
+    out = np.zeros((count, len(motion.group.trials), motion.group.y[0].size))
+    for places, part in parts:
+        out[places] = part.transpose(1, 0, 2)
+    return out.transpose(1, 0, 2)
 
 
 def _or(shape: Array | None, zero: Array) -> Array:
@@ -358,7 +373,8 @@ def dense_evidence(gram: Array, product: Array) -> tuple[float, float]:
     along = (vectors.T @ product) ** 2
     s2 = STRENGTHS[:, None] ** 2
     nats = 0.5 * np.sum(along / (1.0 / s2 + values), axis=1) - 0.5 * np.sum(np.log1p(s2 * values), axis=1)
-    return float(logsumexp(nats) - math.log(nats.size)), float(STRENGTHS[int(np.argmax(nats))])
+    best = int(np.argmax(nats))
+    return float(nats[best] + math.log(np.mean(np.exp(nats - nats[best])))), float(STRENGTHS[best])
 
 
 def _sparse(gram: Array, product: Array, members: NDArray[np.int64], site: str) -> list[Hypothesis]:

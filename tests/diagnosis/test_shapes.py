@@ -7,7 +7,8 @@ from small_rig import measured
 from bayes_damper.calibration import Problem, calibrate
 from bayes_damper.diagnosis.formula import LAWS
 from bayes_damper.diagnosis.response import motions
-from bayes_damper.diagnosis.shapes import scale_of_motions, shapes_of
+from bayes_damper.diagnosis.shapes import Shape, _dahl, _relaxed, scale_of_motions, shapes_of
+from bayes_damper.diagnosis.sites import _columns
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +41,35 @@ def test_shapes_are_finite_and_as_large_as_the_motion(made, coupled):
             assert array.shape == given[name], f"{where}: {name} is {array.shape}, and {given[name]} is asked for"
             assert np.isfinite(array).all(), f"{where}: {name} is not finite; scale by `Scale`, which is never 0"
         assert shape.reading is None or shape.site == "sensor", f"{where}: only a sensor changes readings"
+
+
+def test_shapes_with_a_memory_follow_their_equations(made):
+    motion = made[True][0]
+    rate, tau, breakaway = motion.w1, 0.02, 0.01
+    h = np.diff(motion.grid)
+    spring, hysteresis = np.zeros_like(rate), np.zeros_like(rate)
+    for i in range(h.size):
+        keep = np.exp(-h[i] / tau)
+        mean = 0.5 * (rate[:, i] + rate[:, i + 1])
+        spring[:, i + 1] = keep * spring[:, i] + tau * (1.0 - keep) * mean
+        moved = motion.th1[:, i + 1] - motion.th1[:, i]
+        aim = np.sign(moved)
+        hysteresis[:, i + 1] = aim + (hysteresis[:, i] - aim) * np.exp(-np.abs(moved) / breakaway)
+    for found, wanted in ((_relaxed(motion, rate, tau), spring), (_dahl(motion.th1, breakaway), hysteresis)):
+        np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-12 * np.abs(wanted).max())
+
+
+def test_what_is_silent_on_uncoupled_trials_is_left_out_and_changes_nothing(made, monkeypatch):
+    motion, shapes = made[False]
+    silent = np.array([s.silent for s in shapes])
+    assert silent.any()
+    assert not silent.all()
+    fit = calibrate(Problem(measured(repeats=2, duration=0.15)), anneal=False)
+    found = _columns(fit, motion, shapes)
+    monkeypatch.setattr(Shape, "silent", property(lambda _: False))
+    every = _columns(fit, motion, shapes)
+    np.testing.assert_array_equal(found, every)
+    assert not every[:, silent].any()
 
 
 def test_what_stands_for_another_formula_is_a_group_of_shapes(made):
