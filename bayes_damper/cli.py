@@ -337,6 +337,7 @@ def _withheld(args: Arguments) -> Any:
 
 
 def _tune(args: Arguments) -> Any:
+    from bayes_damper.runs.progress import make_reporter
     from bayes_damper.tuning import tune
 
     return tune(
@@ -350,6 +351,7 @@ def _tune(args: Arguments) -> Any:
         amplitudes=args.torque,
         seed=args.seed,
         out=args.out,
+        report=make_reporter(quiet=args.quiet or args.json),
     )
 
 

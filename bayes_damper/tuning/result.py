@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -209,6 +209,7 @@ def tune(
     n_nonlinear: int = 50,
     seed: int = 1,
     out: Path | str | None = None,
+    report: Callable[[str], None] = lambda _: None,
 ) -> TuneResult:
     """Insertion loss and resonance shift of a design over a posterior, and the design of highest expected loss.
 
@@ -222,7 +223,7 @@ def tune(
     driven, by default of the size of the rig.
     bounds : where the best design is sought, SI (see `best_design`); out : folder for `tune.json` and figures.
     n_draws, n_nonlinear : draws for the linear and, among them, for the nonlinear model; seed : picks them.
-    optimise : False leaves out the search for the best design.
+    optimise : False leaves out the search for the best design; report : called with a sentence for each step.
 
     Raises
     ------
@@ -250,15 +251,19 @@ def tune(
     if bounds is None:
         bounds = usual_bounds(draws, ("J2", "k2t", *lengths))
     performance = linear_performance(draws, design)
+    if optimise:
+        report("looking for the best design")
     optimum = best_design(draws, design, bounds) if optimise else None
     if optimum is not None and not np.isfinite(optimum.performance.insertion_loss).any():
         optimum = None
     designs = {"design": design} | ({} if optimum is None else {"best design": optimum.design})
     few = {name: column[:n_nonlinear] for name, column in draws.items()}
+    report(f"driving the nonlinear rig at {counted(len(amplitudes), 'amplitude')}")
     driven = {float(a): nonlinear_performances(few, float(a), designs) for a in amplitudes}
     nonlinear = {a: found["design"] for a, found in driven.items()}
     at_optimum = {a: found["best design"] for a, found in driven.items() if "best design" in found}
     with_present = designs if design == Design() else {"present": Design()} | designs
+    report("frequency responses of each design")
     response = {f"linear, {name}": band for name, band in frequency_responses(draws, with_present).items()}
     fewer = {name: column[:20] for name, column in draws.items()}
     for a in driven:

@@ -250,10 +250,13 @@ def test_constants_of_another_rig_take_the_place_of_the_thesiss():
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("tune")
+    folder, lines = tmp_path_factory.mktemp("tune"), []
     found = tuning.tune(
-        spread(60, mu=(0.009, 0.2)), J2=2.474e-3 / 8, amplitudes=(0.05, 0.2), n_draws=60, n_nonlinear=6, out=folder
-    )
+        spread(60, mu=(0.009, 0.2)), J2=2.474e-3 / 8, amplitudes=(0.05, 0.2), n_draws=60, n_nonlinear=6, out=folder,
+        report=lines.append,
+    )  # fmt: skip
+    assert [line.split()[0] for line in lines] == ["looking", "driving", "frequency"]
+    assert "2 amplitudes" in lines[1]
     return found, json.loads((folder / "tune.json").read_text(encoding="utf-8"))
 
 
