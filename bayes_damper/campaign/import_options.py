@@ -45,6 +45,8 @@ READER: dict[str, tuple[tuple[type, ...], str]] = {
         "column of the motion that is imposed on the primary; the first of 'columns' is then the reaction, in N m (N)",
     ),
     "motion_unit": ((str,), "as ground_unit, of 'motion'"),
+    "pivot": ((str, int), "column of the sideways acceleration of a pendulum's pivot"),
+    "pivot_unit": ((str,), "m/s^2 (default), g, ..."),
     "mounting_radius": ((int, float, list), "m, of tangential sensors on a torsional rig, one or per channel"),
     "sign": ((list,), "1 or -1 per channel"),
     "offset": ((str, int, float, list), "to take off: 'none' (default), 'mean', 'tail', or numbers in the raw unit"),

@@ -482,16 +482,18 @@ def _trial_from(
 def _inputs_of(source: LoggerFile, option: Mapping[str, Any], kind: str, where: str) -> dict[str, Array]:
     """Measured inputs in SI units, by their names in structure.INPUTS."""
     out: dict[str, Array] = {}
-    for key in ("torque", "torque2", "ground", "motion"):
+    for key in ("torque", "torque2", "ground", "motion", "pivot"):
         if key not in option:
             continue
         place = source.index(option[key], where)
         moves = key in ("ground", "motion")
-        name = f"{key}_unit" if moves else "torque_unit"
+        name = f"{key}_unit" if moves or key == "pivot" else "torque_unit"
         tables = {key: _INPUT[kind]}
         if moves:
             known = {"torsional": _ANGULAR, "translational": _TANGENTIAL}[kind]
             tables = {f"{key}_acceleration": known["acceleration"], key: known["displacement"]}
+        if key == "pivot":
+            tables = {key: _TANGENTIAL["acceleration"]}
         every = {unit: (target, factor) for target, table in tables.items() for unit, factor in table.items()}
         unit = option.get(name) or source.unit(place) or next(iter(every))
         if unit not in every:

@@ -80,6 +80,17 @@ def _check_inputs(trial: Trial, head: Head, name: str, faults: list[str]) -> boo
             f"{name}: a motion of the primary that is prescribed ('{motion}', '{accelerated}') leaves no room for "
             f"'{columns['torque']}', which is then part of the reaction, nor for a moving ground; remove one of them"
         )
+    moving = trial.ground is not None or trial.ground_acceleration is not None
+    if trial.pivot is not None and head.rig.restoring != "pendulum":
+        faults.append(
+            f"{name}: column '{columns['pivot']}' is the motion of a pendulum's pivot; set restoring = "
+            '"pendulum", or give the motion of the ground'
+        )
+    if trial.pivot is not None and (trial.prescribed or moving):
+        faults.append(
+            f"{name}: column '{columns['pivot']}' leaves no room for a motion of the ground or one that is imposed on "
+            "the primary; remove one of them"
+        )
     if trial.motion is not None and trial.motion_acceleration is not None:
         faults.append(f"{name}: columns '{motion}' and '{accelerated}' are one motion of the primary; keep one")
     if trial.motion is not None and head.measurement.input == "held":
@@ -96,11 +107,10 @@ def _check_inputs(trial: Trial, head: Head, name: str, faults: list[str]) -> boo
             f"{name}: column '{angle}' would jump from sample to sample, as campaign.toml says with input = 'held'; "
             f"give '{acceleration}', or input = 'linear'"
         )
-    moving = trial.ground is not None or trial.ground_acceleration is not None
     if moving and head.rig.restoring == "pendulum":
         faults.append(
-            f'{name}: a ground that moves cannot be taken into account where restoring = "pendulum", since gravity '
-            "does not turn with it; give a linear spring"
+            f'{name}: a ground that turns cannot be taken into account where restoring = "pendulum", since gravity '
+            f"does not turn with it; give a linear spring, or '{columns['pivot']}' where the pivot is moved sideways"
         )
     if trial.given and trial.coupled and head.rig.inertial_coupling_law == "cosine":
         faults.append(

@@ -25,11 +25,13 @@ COLUMNS = {
     ("translational", "displacement"): ("x1_m", "x2_m"),
 }
 INPUT_COLUMNS = {
-    "torsional": ("torque1_n_m", "torque2_n_m", "ground_rad", "ground_rad_s2", "motion1_rad", "motion1_rad_s2"),
-    "translational": ("force1_n", "force2_n", "ground_m", "ground_m_s2", "motion1_m", "motion1_m_s2"),
+    "torsional": (
+        *("torque1_n_m", "torque2_n_m", "ground_rad", "ground_rad_s2", "motion1_rad", "motion1_rad_s2", "pivot_m_s2"),
+    ),
+    "translational": (*("force1_n", "force2_n", "ground_m", "ground_m_s2", "motion1_m", "motion1_m_s2", "pivot_m_s2"),),
 }
 """Measured inputs in the order of `INPUTS`."""
-INPUTS = ("torque", "torque2", "ground", "ground_acceleration", "motion", "motion_acceleration")
+INPUTS = ("torque", "torque2", "ground", "ground_acceleration", "motion", "motion_acceleration", "pivot")
 MOTIONS = ("motion", "motion_acceleration")
 """Those of `INPUTS` that prescribe how the primary moves: channel 1 is then the reaction."""
 REACTION = {"torsional": "reaction1_n_m", "translational": "reaction1_n"}
@@ -136,7 +138,8 @@ class Trial:
     times : (n,) s, 0 = nominal release; channels : (n_channels, n), SI; theta0 : rad (m), None when the start is free;
     k1t : N m/rad (N/m). Measured inputs, (n,) or None: torque and torque2 : N m (N) on primary and secondary;
     ground : rad (m), or ground_acceleration : rad/s^2 (m/s^2); motion : rad (m) of a primary whose motion is
-    prescribed, or motion_acceleration : its acceleration. The first channel is then the reaction, N m (N).
+    prescribed, or motion_acceleration : its acceleration. The first channel is then the reaction, N m (N). pivot :
+    m/s^2, sideways acceleration of a pendulum's pivot.
     """
 
     file: str
@@ -154,6 +157,7 @@ class Trial:
     ground_acceleration: Array | None = None
     motion: Array | None = None
     motion_acceleration: Array | None = None
+    pivot: Array | None = None
 
     @property
     def prescribed(self) -> bool:
@@ -191,6 +195,7 @@ class Trial:
             held=measurement.input == "held",
             motion=self.motion if moved else self.motion_acceleration,
             motion_quantity="displacement" if moved else "acceleration",
+            pivot=self.pivot,
         )
 
     @property

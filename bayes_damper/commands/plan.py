@@ -214,10 +214,10 @@ def planned_fit(
 ) -> Calibration:
     """The nominal model at its prior medians, linearised on the readings that it predicts itself."""
     experiment = experiment_of(campaign, priors)
-    if any(t.prescribed for t in experiment.trials):
+    if any(t.prescribed or t.carried for t in experiment.trials):
         raise InputError(
-            f"{campaign.name}: the motion of the primary is prescribed, which plan cannot take into account; plan free "
-            "decays or trials under a measured torque"
+            f"{campaign.name}: the motion of the primary, or of a pendulum's pivot, is prescribed, which plan cannot "
+            "take into account; plan free decays or trials under a measured torque"
         )
     sd = campaign.measurement.noise_std or ()
     channels = 2 if experiment.coupled else 1

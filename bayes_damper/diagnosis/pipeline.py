@@ -284,11 +284,11 @@ def diagnose(
     began = time.perf_counter()
     name = getattr(campaign, "name", "campaign")
     experiment = campaign if isinstance(campaign, Experiment) else experiment_of(campaign, priors)
-    if any(t.prescribed for t in experiment.trials):
+    if any(t.prescribed or t.carried for t in experiment.trials):
         raise InputError(
-            f"{name}: the motion of the primary is prescribed, which diagnose cannot take into account: where it looks "
-            "for a missing torque both bodies move freely; compare the log evidence of `bayes-damper fit` with and "
-            "without --effect NAME"
+            f"{name}: the motion of the primary, or of a pendulum's pivot, is prescribed, which diagnose cannot take "
+            "into account: where it looks for a missing torque both bodies move freely; compare the log evidence of "
+            "`bayes-damper fit` with and without --effect NAME"
         )
     if short := shortage(sum(t.y.size for t in experiment.trials)):
         report(short)

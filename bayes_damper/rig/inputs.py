@@ -39,7 +39,8 @@ class Inputs:
     shown : (m,) what the motion of the ground adds to the readings, in their unit; zeros where the sensors read in the
     frame of the ground. held : whether inputs keep their value until the next sample; else they are linear between.
     motion : (3, m) angle, speed and acceleration of a primary whose motion is prescribed, else None; unit : of its
-    reaction, N m (N): a simulation gives reaction / unit.
+    reaction, N m (N): a simulation gives reaction / unit. pivot : (m,) m/s^2, sideways acceleration of the pivot of a
+    pendulum, or None.
     """
 
     times: Array
@@ -50,6 +51,7 @@ class Inputs:
     held: bool = False
     motion: Array | None = None
     unit: float = 1.0
+    pivot: Array | None = None
 
     @classmethod
     def measured(
@@ -65,26 +67,32 @@ class Inputs:
         held: bool = False,
         motion: ArrayLike | None = None,
         motion_quantity: Literal["displacement", "acceleration"] = "displacement",
+        pivot: ArrayLike | None = None,
     ) -> Inputs:
         """Inputs as they were measured, all (m,), SI; None for those that were not there.
 
         ground : angle (rad, m) or acceleration of the ground; quantity : what the sensors on the bodies read, and frame
         in which. motion : prescribed angle (rad, m) or acceleration of the primary. What is measured by its
-        acceleration is at angle 0 and at rest at times[0].
+        acceleration is at angle 0 and at rest at times[0]. pivot : sideways acceleration of a pendulum's pivot, m/s^2,
+        to the side to which a positive angle swings.
 
         Raises
         ------
         ValueError
             for arrays of other lengths than `times`, an angle that is to be held between samples, or a prescribed
-            motion beside a torque on the primary or a ground that moves.
+            motion beside a torque on the primary or a ground that moves, or a pivot that moves beside either motion.
         """
         t = np.ascontiguousarray(times, float)
         nothing = np.zeros(t.size)
-        given = {"torque1": torque1, "torque2": torque2, "ground": ground, "motion": motion}
+        given = {"torque1": torque1, "torque2": torque2, "ground": ground, "motion": motion, "pivot": pivot}
         rows = {name: nothing if x is None else np.ascontiguousarray(x, float) for name, x in given.items()}
         for name, row in rows.items():
             if row.shape != t.shape:
                 raise ValueError(f"{name} has {row.size} samples, times has {t.size}; give one value per sample")
+        if pivot is not None:
+            if motion is not None or ground is not None:
+                raise ValueError("a pivot that is moved sideways is the only motion that acts; keep one of them")
+            return cls(t, rows["torque1"], rows["torque2"], nothing, nothing, held, pivot=rows["pivot"])
         if motion is not None:
             if torque1 is not None or ground is not None:
                 raise ValueError(
@@ -101,8 +109,10 @@ class Inputs:
     @cached_property
     def active(self) -> bool:
         """Whether anything acts or shows at any time, or the primary's motion is prescribed."""
-        return self.motion is not None or any(
-            bool(np.any(x)) for x in (self.torque1, self.torque2, self.ground, self.shown)
+        return (
+            self.motion is not None
+            or self.pivot is not None
+            or any(bool(np.any(x)) for x in (self.torque1, self.torque2, self.ground, self.shown))
         )
 
     @cached_property
@@ -113,7 +123,7 @@ class Inputs:
     @cached_property
     def key(self) -> str:
         """A checksum, equal for equal inputs."""
-        moved = () if self.motion is None else (self.motion,)
+        moved = [x for x in (self.motion, self.pivot) if x is not None]
         rows = (self.times, self.torque1, self.torque2, self.ground, self.shown, *moved)
         return hashlib.sha256(b"".join([bytes([self.held]), *(row.tobytes() for row in rows)])).hexdigest()
 
@@ -144,15 +154,18 @@ class Inputs:
     def at(self, grid: Array) -> Array:
         """Values of torque1, torque2, ground and shown at the instants `grid`, (4, n).
 
-        Where the primary's motion is prescribed, its acceleration takes the place of torque1.
+        Where the primary's motion is prescribed, its acceleration takes the place of torque1; where a pivot moves, its
+        acceleration that of shown.
         """
         first = self.torque1 if self.motion is None else self.motion[2]
-        rows = (first, self.torque2, self.ground, self.shown)
+        rows = (first, self.torque2, self.ground, self.shown if self.pivot is None else self.pivot)
         if not self.held:
             return np.array([np.interp(grid, self.times, row) for row in rows])
         index = np.searchsorted(self.times, grid + _SAME * self._step, side="right") - 1
-        out = np.array([row[np.maximum(index, 0)] for row in rows[:3]])
-        return np.concatenate([out, np.interp(grid, self.times, self.shown)[None]])
+        out = np.array([row[np.maximum(index, 0)] for row in rows])
+        if self.pivot is None:
+            out[3] = np.interp(grid, self.times, self.shown)
+        return out
 
     def pieces(self, grid: Array) -> Array:
         """As the integrator takes them, (8, n): values at the end of each interval of the grid, then their slopes.
@@ -162,7 +175,8 @@ class Inputs:
         begin = self.at(grid)
         end = np.concatenate([begin[:, 1:], begin[:, -1:]], axis=1)
         if self.held:
-            end[:3] = begin[:3]
+            last = 3 if self.pivot is None else 4
+            end[:last] = begin[:last]
         steps = np.append(np.diff(grid), 1.0)
         return np.ascontiguousarray(np.concatenate([end, (end - begin) / steps]))
 

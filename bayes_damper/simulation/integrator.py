@@ -47,12 +47,13 @@ from numba import float64, int64, njit, types
 from bayes_damper.effects.base import MOST_PARAMETERS, Variant
 from bayes_damper.rig import equations, vector_math
 from bayes_damper.rig.equations import Rig, friction_torques, linearised, smooth_torques
-from bayes_damper.rig.vector_math import TANH_SCALE, fourth_root_of_inverse
+from bayes_damper.rig.vector_math import TANH_SCALE, cos, fourth_root_of_inverse, sin
 from bayes_damper.runs.cache_folder import cache_folder
 from bayes_damper.simulation import late_binding
 
 LANES = 16
 LONGEST_STEP = 1e-3
+PER_GRAVITY = 1.0 / 9.80665  # s^2/m
 AT_ONCE = 1e-6  # s, of a release that takes no time; it begins by as much early
 MOST_PASSES = 5_000.0  # step attempts within one sample interval before a lane is given up
 # Velocity errors allowed per step: a share of the lane's typical speed, and of the width 1 / nu over which friction
@@ -108,6 +109,7 @@ pendulum = constant(False)
 linear_normal_force = constant(True)
 frictionless = constant(False)
 driven = constant(False)
+swings = constant(False)  # whether the fourth input is the acceleration of a pendulum's pivot
 prescribed = constant(False)  # whether the primary moves as the first input says, and channel 1 reads the reaction
 acts = constant(False)  # whether the effect has a torque
 couples = constant(2)
@@ -148,7 +150,8 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
 
     times (n,) s; parameters (21, LANES) rows of equations.ROWS; extras (12, LANES) parameters of the effect; inputs
     (8, n) as Inputs.pieces gives them, read where the record is driven (prescribed: the first is the acceleration of
-    the primary, and channel 1 reads the torque that it takes, N m); weights (LANES,) factor on the error tolerance;
+    the primary, and channel 1 reads the torque that it takes, N m; swings: the fourth is that of a pendulum's pivot,
+    m/s^2, in place of what the ground adds to readings); weights (LANES,) factor on the error tolerance;
     memory_weights (2,); longest_step: of a rig, s, an argument so that rigs of any pace share a kernel;
     read (3,) selects acceleration, velocity or displacement by a one among zeros; out (LANES, 2, n + 1) receives the
     readings (the last column is for what nobody reads), final (LANES,) a sum over the last state, which is finite if
@@ -168,11 +171,11 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
     clock = np.empty(n + 3)  # sample times, and more that make the intervals after the end empty
     for i in range(n + 3):
         clock[i] = times[min(i, n - 1)]
-    # Of torque1, torque2 and the ground's acceleration: the largest value, and the range of the integral.
-    most = np.zeros(3)
-    swing = np.zeros(3)
+    # Of torque1, torque2, the ground's and the pivot's acceleration: the largest value, and the range of the integral.
+    most = np.zeros(4)
+    swing = np.zeros(4)
     if driven():
-        for row in range(3):
+        for row in range(4 if swings() else 3):
             total = 0.0
             low = 0.0
             high = 0.0
@@ -207,6 +210,7 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
             per_input = 1.0 if prescribed() else 1.0 / j1
             speed = max(speed, min(most[0] / omega, swing[0]) * per_input, min(most[2] / omega, swing[2]))
             speed = max(speed, min(most[1] / omega, swing[1]) / j2) if coupled() else speed
+            speed = max(speed, min(most[3] / omega, swing[3]) * omega * omega * PER_GRAVITY) if swings() else speed
         block[EPS_W, lane] = 1e-8 * speed
         block[EPS_TH, lane] = 1e-8 * speed / omega
         allowed = weights[lane] * min(SPEED_TOLERANCE * speed, SWITCH_TOLERANCE / block[NU, lane])
@@ -332,6 +336,18 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
             d12 = t_phi
             d21 = t_phi
             d22 = a2 - t_phi
+            if swings():
+                # A pivot that is moved sideways pulls at what hangs from it as gravity does, across.
+                pushed = -PER_GRAVITY * shown
+                pace = -PER_GRAVITY * block[RISE, lane]
+                tau1 = tau1 + k1t * pushed * cos(th1)
+                rate1 = rate1 + k1t * pace * cos(th1)
+                d11 = d11 - k1t * pushed * sin(th1)
+                if coupled():
+                    tau2 = tau2 + k3t * pushed * cos(th2)
+                    rate2 = rate2 + k3t * pace * cos(th2)
+                    d22 = d22 - k3t * pushed * sin(th2)
+                shown = 0.0
             v11 = b1 - t_slip
             v12 = t_slip
             v21 = t_slip
@@ -409,6 +425,7 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
                 y1 = y1 + shown
                 y2 = y2 + shown
                 held_shown = block[SHOWN, lane] - block[RISE, lane] * (block[AFTER, lane] - block[NOW, lane])
+                held_shown = 0.0 if swings() else held_shown
                 rest1 = rest1 + held_shown
                 rest2 = rest2 + held_shown
             if senses():
@@ -593,6 +610,10 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
                 tau1 = tau1 + (block[DRIVE1, lane] - block[RAMP1, lane] * (rest - T2 * h))
                 if coupled():
                     tau2 = tau2 + (block[DRIVE2, lane] - block[RAMP2, lane] * (rest - T2 * h))
+            if swings():
+                pushed = PER_GRAVITY * (block[RISE, lane] * (rest - T2 * h) - block[SHOWN, lane])
+                tau1 = tau1 + k1t * pushed * cos(ath1)
+                tau2 = tau2 + k3t * pushed * cos(ath2) if coupled() else tau2
             if acts():
                 q1, q2 = effect_torque(t + T2 * h, ath1, ath2, aw1, aw2, z1 + A21 * m11, z2 + A21 * m12, p, rig)
                 tau1 = tau1 + q1
@@ -640,6 +661,10 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
                 tau1 = tau1 + (block[DRIVE1, lane] - block[RAMP1, lane] * (rest - T3 * h))
                 if coupled():
                     tau2 = tau2 + (block[DRIVE2, lane] - block[RAMP2, lane] * (rest - T3 * h))
+            if swings():
+                pushed = PER_GRAVITY * (block[RISE, lane] * (rest - T3 * h) - block[SHOWN, lane])
+                tau1 = tau1 + k1t * pushed * cos(ath1)
+                tau2 = tau2 + k3t * pushed * cos(ath2) if coupled() else tau2
             if acts():
                 q1, q2 = effect_torque(t + T3 * h, ath1, ath2, aw1, aw2, az1, az2, p, rig)
                 tau1 = tau1 + q1
@@ -813,7 +838,7 @@ _SPECIAL: dict[str, Any] = {
     "effect_start": _TWO(_P, _RIG),
     "effect_sense": _FOUR(*_MOTION, _P, float64),
     **dict.fromkeys(("coupled", "pendulum", "linear_normal_force", "frictionless", "driven"), types.boolean()),
-    **dict.fromkeys(("prescribed", "acts", "timed", "senses", "starts"), types.boolean()),
+    **dict.fromkeys(("prescribed", "swings", "acts", "timed", "senses", "starts"), types.boolean()),
     **dict.fromkeys(("couples", "memory"), int64()),
     **dict.fromkeys(("memory_scale1", "memory_scale2"), float64()),
 }
@@ -832,6 +857,7 @@ def specialised_globals(
     driven: bool,
     variant: Variant | None,
     prescribed: bool = False,
+    swings: bool = False,
 ) -> dict[str, Any]:
     """The globals that `advance` reads, for one combination of rig options and effect."""
     bound: dict[str, Any] = {
@@ -840,6 +866,7 @@ def specialised_globals(
         "pendulum": constant(pendulum),
         "driven": constant(driven),
         "prescribed": constant(prescribed),
+        "swings": constant(swings),
     }
     if variant is not None:
         hooks = {f"effect_{name}": getattr(variant, name) for name in ("torque", "rate", "start", "sense")}

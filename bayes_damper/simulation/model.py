@@ -43,8 +43,8 @@ class Simulation:
 
 
 @cache
-def _kernel(model: Model, driven: bool, prescribed: bool) -> Callable[..., None]:
-    return integrator.specialise(model.bound(driven, prescribed))
+def _kernel(model: Model, driven: bool, prescribed: bool, swings: bool) -> Callable[..., None]:
+    return integrator.specialise(model.bound(driven, prescribed, swings))
 
 
 @dataclass(frozen=True)
@@ -73,10 +73,10 @@ class Model:
         """The effect, if it acts in this configuration."""
         return self.effect if self.effect is not None and (self.coupled or self.effect.uncoupled) else None
 
-    def bound(self, driven: bool = False, prescribed: bool = False) -> dict[str, Any]:
+    def bound(self, driven: bool = False, prescribed: bool = False, swings: bool = False) -> dict[str, Any]:
         """What the kernel's globals are bound to, for records with (driven) or without inputs.
 
-        prescribed : whether one of the inputs is the motion of the primary.
+        prescribed : whether one of the inputs is the motion of the primary; swings : or of a pendulum's pivot.
 
         Raises
         ------
@@ -91,14 +91,16 @@ class Model:
                 raise ValueError('a measured input needs coupling_law = "constant"')
             variant = links.linked(variant, pendulum)
         linear = self.normal_force == "linear"
-        return integrator.specialised_globals(self.coupled, linear, pendulum, driven, variant, prescribed)
+        return integrator.specialised_globals(self.coupled, linear, pendulum, driven, variant, prescribed, swings)
 
-    def compile(self, driven: bool = False, prescribed: bool = False) -> Callable[..., None]:
-        """The kernel, for records with (driven) or without inputs, and with the primary's motion prescribed.
+    def compile(self, driven: bool = False, prescribed: bool = False, swings: bool = False) -> Callable[..., None]:
+        """The kernel, for records with (driven) or without inputs.
+
+        prescribed : whether one of the inputs is the motion of the primary; swings : or of a pendulum's pivot.
 
         From the on-disk cache if it was compiled before (0.02 s), else compiled (seconds).
         """
-        return _kernel(self, driven, prescribed)
+        return _kernel(self, driven, prescribed, swings)
 
     def simulate(
         self,
@@ -137,7 +139,7 @@ class Model:
         KeyError
             if a parameter that the configuration needs is missing.
         ValueError
-            if times do not increase, a name is unknown, or the ground of a pendulum moves.
+            if times do not increase, a name is unknown, the ground of a pendulum moves, or the pivot of a spring.
         """
         rows, extras, grid, drive, lags = self._prepared(parameters, times, effect, torque, inputs)
         if lags is None:
@@ -176,7 +178,11 @@ class Model:
             drive = Inputs.measured(grid, torque)
         drive = drive if drive is not None and drive.active else None
         if drive is not None and drive.moving_ground and self.restoring == "pendulum":
-            raise ValueError('a moving ground needs restoring = "linear": gravity does not turn with the ground')
+            raise ValueError(
+                'a moving ground needs restoring = "linear": gravity does not turn with the ground (a pivot may move)'
+            )
+        if drive is not None and drive.pivot is not None and self.restoring != "pendulum":
+            raise ValueError('a pivot that is moved sideways needs restoring = "pendulum"')
         variant = self.acting
         changes = dict(effect or {})
         if self.effect is not None:
@@ -245,7 +251,8 @@ class Model:
             grid, where = inputs.grid(grid)
             pieces = inputs.pieces(grid)
             at = where[skip:] if grid.size > times.size + skip else None
-        kernel = self.compile(driven=inputs is not None, prescribed=prescribed)
+        swings = inputs is not None and inputs.pivot is not None
+        kernel = self.compile(driven=inputs is not None, prescribed=prescribed, swings=swings)
         read = np.array([float(quantity == name) for name in QUANTITIES])
         variant = self.acting
         scales = (*variant.memory_scale, np.inf, np.inf)[:2] if variant is not None else (np.inf, np.inf)

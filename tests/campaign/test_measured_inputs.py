@@ -15,6 +15,7 @@ from bayes_damper.calibration.nominal import calibrate_nominal
 from bayes_damper.calibration.problem import Problem
 from bayes_damper.calibration.scatter import TYPICAL
 from bayes_damper.campaign import load_campaign, write_campaign
+from bayes_damper.diagnosis import diagnose
 from bayes_damper.errors import InputError
 from bayes_damper.rig.inputs import Inputs
 from bayes_damper.simulation.model import Model
@@ -129,6 +130,57 @@ def test_readings_are_absolute_unless_the_campaign_says_otherwise(tmp_path):
 def test_inputs_that_a_rig_cannot_take_are_faults(tmp_path, options, words):
     with pytest.raises(InputError, match=words):
         load_campaign(write(tmp_path / "a", **options))
+
+
+def write_carried(folder, restoring="pendulum", column="pivot_m_s2", also=None):
+    """A pendulum on a cart that is shaken: two trials, the second at twice the level and held out."""
+    rng = np.random.default_rng(2)
+    folder.mkdir()
+    constants = f'name = "cart"\n[rig]\nprimary_inertia = 0.02\nrestoring = "{restoring}"\n'
+    (folder / "campaign.toml").write_text(constants + '[measurement]\nquantity = "displacement"\nstart = "free"\n')
+    rows = ["file,case,configuration,k1t_n_m_per_rad,k1t_std_n_m_per_rad,trial,holdout"]
+    times = np.arange(0.0, 6.0, 1e-2)
+    for k, level in enumerate((0.5, 0.6, 1.0)):
+        waves = 2.0 * np.pi * np.outer(np.arange(0.4, 3.0, 0.2), times) + rng.uniform(0.0, 6.3, (13, 1))
+        pushed = level * np.cos(waves).sum(axis=0)
+        p = {"J1": 0.02, "k1t": 1.6, "c1t": 0.004, "drag": 0.003, "nu": 80.0, "theta0": 0.1 * k, "omega1_0": 0.3}
+        y = Model(coupled=False, restoring="pendulum").simulate(
+            p, times, inputs=Inputs.measured(times, pivot=pushed), quantity="displacement"
+        ).y[0, 0]  # fmt: skip
+        table = [times, y + 1e-3 * rng.standard_normal(y.size), pushed, *([] if also is None else [pushed])]
+        write_table(folder / f"{k}.csv", ["time_s", "theta1_rad", column, *([] if also is None else [also])], table)
+        rows.append(f"{k}.csv,A,uncoupled,1.55,0.1,{k + 1},{str(k == 2).lower()}")
+    (folder / "trials.csv").write_text("\n".join(rows) + "\n")
+    return folder
+
+
+def test_a_pendulum_on_a_moving_pivot_is_read_fitted_and_forecast(tmp_path):
+    campaign = load_campaign(write_carried(tmp_path / "a"))
+    again = load_campaign(write_campaign(tmp_path / "b", campaign))
+    np.testing.assert_array_equal(campaign.trials[0].pivot, again.trials[0].pivot)
+    experiment = experiment_of(campaign)
+    fit = calibrate_nominal(replace(experiment, scatter=dict.fromkeys(TYPICAL, 0.0)))
+    for name, truth in (("k1t", 1.6), ("c1t", 0.004), ("drag", 0.003)):
+        low, high = fit.interval(name, 0.9999)
+        assert low < truth < high, (name, low, high)
+    found = summary(list(forecast(fit, experiment.heldout).values()))
+    assert found["coverage90"] > 0.85  # one record, whose errors go together: from its state, which grows by then
+    assert max(found["rms_by_channel"]) < 1.5e-3
+    with pytest.raises(InputError, match="pivot, is prescribed"):
+        diagnose(campaign)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"restoring": "linear"}, "pendulum's pivot; set restoring"),
+        ({"also": "ground_rad_s2"}, "leaves no room"),
+        ({"column": "ground_rad_s2"}, "'pivot_m_s2' where the pivot"),
+    ],
+)
+def test_a_pivot_that_cannot_be_taken_is_a_fault(tmp_path, options, words):
+    with pytest.raises(InputError, match=words):
+        load_campaign(write_carried(tmp_path / "a", **options))
 
 
 def test_a_torque_on_a_secondary_that_is_not_there_is_a_fault(tmp_path):

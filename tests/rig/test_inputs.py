@@ -268,7 +268,47 @@ def test_a_moved_pendulum_and_an_effect_in_its_spring():
     assert np.abs(y[1] - second[0]).max() < 1e-4 * np.abs(second[0]).max()
 
 
+@pytest.mark.parametrize("held", [False, True])
+@pytest.mark.parametrize("coupled", [True, False])
+def test_a_pendulum_on_a_pivot_that_is_moved_sideways(held, coupled):
+    """Against Lagrange's equations of a bob whose pivot moves: m l (l th'' + g sin th + x'' cos th) = torques."""
+    rng = np.random.default_rng(6)
+    pushed = 6.0 * np.sin(20.0 * TIMES) + rng.normal(size=TIMES.size)
+    across, gravity = between(TIMES, pushed, held), 9.80665
+    p = P | {"k1t": 10.2, "k3t": 3.0}
+
+    def rates(t, x):
+        th1, th2, w1, w2 = x
+        tau1 = -p["c1t"] * w1 - p["drag"] * math.tanh(p["nu"] * w1)
+        tau1 -= p["k1t"] / gravity * (gravity * math.sin(th1) + across(t) * math.cos(th1))
+        if not coupled:
+            return [w1, 0.0, tau1 / p["J1"], 0.0]
+        tau2 = -p["c3t"] * w2 - p["drag"] * math.tanh(p["nu"] * w2)
+        tau2 -= p["k3t"] / gravity * (gravity * math.sin(th2) + across(t) * math.cos(th2))
+        pull = p["N0"] * max(0.0, 1.0 - p["R"] * abs(th1 - th2) / (2.0 * p["r"]))
+        joint = p["k2t"] * (th1 - th2) + p["c2t"] * (w1 - w2) + p["mu"] * pull * p["R"] * math.tanh(p["nu"] * (w1 - w2))
+        return [w1, w2, *np.linalg.solve([[p["J1"], p["J12"]], [p["J12"], p["J2"]]], [tau1 - joint, tau2 + joint])]
+
+    x = np.array([0.6, 0.6, 0.0, 0.0])
+    exact = np.empty((3, 2, TIMES.size))
+    for k, t in enumerate(TIMES):
+        exact[:, :, k] = rates(t + 1e-12, x)[2:], x[2:], x[:2]
+        if k + 1 < TIMES.size:
+            x = solve_ivp(rates, (t + 1e-12, TIMES[k + 1] - 1e-12), x, "DOP853", rtol=1e-10, atol=1e-12).y[:, -1]
+    rig = p | {"theta0": 0.6, "theta2_0": 0.6}
+    inputs = Inputs.measured(TIMES, pivot=pushed, held=held)
+    model = Model(coupled=coupled, restoring="pendulum")
+    for row, quantity in enumerate(QUANTITIES):
+        y = model.simulate(rig, TIMES, inputs=inputs, quantity=quantity, tolerance=0.1).y[0]
+        wanted = exact[row, : 1 + coupled]
+        assert np.abs(y - wanted).max() < 2e-5 * np.abs(wanted).max(), quantity
+
+
 def test_what_cannot_be_driven_is_refused():
+    with pytest.raises(ValueError, match="keep one"):
+        Inputs.measured(TIMES, motion=TIMES, pivot=TIMES)
+    with pytest.raises(ValueError, match='needs restoring = "pendulum"'):
+        Model().simulate(P, TIMES, inputs=Inputs.measured(TIMES, pivot=TIMES))
     with pytest.raises(ValueError, match="jump"):
         Inputs.measured(TIMES, motion=TIMES, held=True)
     with pytest.raises(ValueError, match="keep one"):
