@@ -8,7 +8,7 @@ Neither is known as well as it decides the features, and neither says anything o
   proportion but for what friction takes off. Decrement and period of the coupled rig do not: a jag of dry friction that
   just reaches across zero makes the period jump by half. Drawn out linearly from two angles they would meet the
   measured ones where no record does, and what looks for high likelihoods finds just those places: at draws of such a
-  posterior it was too high by 0.4 to 1.5 nats on average, by 8 at worst. So what the smooth features leave of the angle
+  posterior it was too high by 0.4 to 0.9 nats on average, by 8 at worst. So what the smooth features leave of the angle
   is cut into parts of equal weight, and one coupled record is simulated in the middle of each.
 """
 
