@@ -347,18 +347,7 @@ def _words(result: Mapping[str, Any]) -> list[str]:
     lines = [divided, *lines] if divided else lines
     learnt = said(law_sentence(result.get("law")))
     lines += [learnt] if learnt else []
-    lines.append(
-        (
-            f"Gap on held-out trials: {gap['answer']} ({p_value(gap['p_value'])}); "
-            if held_out_of(gap)
-            else "Gap on the fitted trials, as none is held out: cannot tell; "
-        )
-        + ("residual" if gap["augmented_rms"] is None else "residual before and after the answer is added")
-        + f" {gap['nominal_rms']:.3g}"
-        + ("" if gap["augmented_rms"] is None else f" and {gap['augmented_rms']:.3g}")
-        + f", noise {gap['noise_rms']:.3g} {result.get('reading_unit', '')}".rstrip()
-        + "."
-    )
+    lines.append(_gap_words(gap, str(result.get("reading_unit") or "")))
     beside = gap_beside_verdict(verdict, share, gap)
     lines += [beside] if beside else []
     lines += _forecast_words(result.get("forecast") or {}, str(result.get("reading_unit") or ""))
@@ -372,6 +361,22 @@ def _words(result: Mapping[str, Any]) -> list[str]:
             "Not distinguished by these data: " + "; ".join(" / ".join(g) for g in result["indistinguishable"])
         )
     return lines + [f"note: {said(note)}" for note in result.get("notes", [])]
+
+
+def _gap_words(gap: Mapping[str, Any], unit: str) -> str:
+    """What the test of the gap says, and what is left of it; unit : of readings."""
+    return (
+        (
+            f"Gap on held-out trials: {gap['answer']} ({p_value(gap['p_value'])}); "
+            if held_out_of(gap)
+            else "Gap on the fitted trials, as none is held out: cannot tell; "
+        )
+        + ("residual" if gap["augmented_rms"] is None else "residual before and after the answer is added")
+        + f" {gap['nominal_rms']:.3g}"
+        + ("" if gap["augmented_rms"] is None else f" and {gap['augmented_rms']:.3g}")
+        + f", noise {gap['noise_rms']:.3g} {unit}".rstrip()
+        + "."
+    )
 
 
 def _place(site: str) -> str:

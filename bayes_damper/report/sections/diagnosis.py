@@ -98,6 +98,25 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
     head = Headline(
         f"Diagnosis of {name}" if name else "Diagnosis", tone, tuple(s for s in sentences if s), shown, tuple(changes)
     )
+    section = _section(data, folder, effects, probabilities, sites, said)
+    about = dict(data.get("provenance", {})) | fingerprint(data)
+    return Result(head, section, (), about, tuple(gathered(data.get("warnings", ()))))
+
+
+def _section(
+    data: Mapping[str, Any],
+    folder: Path,
+    effects: Sequence[Mapping[str, Any]],
+    probabilities: Sequence[tuple[str, float]],
+    sites: Sequence[tuple[str, float]],
+    said: Said,
+) -> Section:
+    """Tables, charts and figures of a diagnosis.
+
+    effects : with the share of the gap that the first screen gives; probabilities, sites : the largest first; said :
+    puts a text into the words of the rig.
+    """
+    kind, gap, pair, budget = _kind_of(data), data.get("gap") or {}, data.get("pair"), data.get("budget") or {}
     translational = kind == "translational"
     charts = [torque_chart(f, translational=translational) for f in sorted(folder.glob("*torque*.csv"))]
     rest = generic(
@@ -109,7 +128,7 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
     places = _where_sections(data.get("where") or {}, kind)
     every = (_effect_table(effects, probabilities),)
     choices = _choice_tables(data.get("sensitivity") or []) + _prior_tables(data.get("prior_unknown") or [])
-    section = Section(
+    return Section(
         "Diagnosis",
         tuple(map(said, data.get("notes", ()))),
         (
@@ -131,8 +150,6 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
         ),
         sketch=_sketch(data.get("rig"), sites),
     )
-    about = dict(data.get("provenance", {})) | fingerprint(data)
-    return Result(head, section, (), about, tuple(gathered(data.get("warnings", ()))))
 
 
 def _verdict_sentences(
