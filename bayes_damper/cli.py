@@ -362,6 +362,12 @@ def _thesis(args: Arguments) -> Any:
 
 
 def _bench(args: Arguments) -> Any:
+    if args.timed == "diagnose":
+        from bayes_damper.commands import bench_parts
+
+        found = bench_parts.diagnose_by_parts(args.campaign)
+        bench_parts.save(found, args.out)
+        return found
     from bayes_damper.validation.bench import bench, save
 
     result = bench(repeats=args.repeats, peers=not args.no_peers)
@@ -503,6 +509,10 @@ def _figures_and_proofs(command: Adding) -> None:
     sub = command("bench", _bench, "speed and accuracy on this machine beside the peers installed", out="results/bench")
     sub.add_argument("--repeats", type=_count, default=7, metavar="N", help="rounds over all rows (default: 7)")
     sub.add_argument("--no-peers", action="store_true", help="time only our own kernels")
+    sub.add_argument("--command", dest="timed", choices=["diagnose"], help="where a command spends its time instead")
+    sub.add_argument(
+        "--campaign", type=Path, metavar="DIR", help="with --command: which campaign (default: a shipped one)"
+    )
 
 
 def _results(command: Adding) -> None:
