@@ -13,25 +13,34 @@ from numba import njit
 
 BASE = {
     "J1": 3.015e-3, "J2": 2.474e-3, "J12": 0.0, "k1t": 6.2, "k3t": 0.0, "c1t": 0.01, "c3t": 0.01, "k2t": 1.0,
-    "c2t": 0.03, "mu": 0.009, "N0": 100.0, "R": 0.1, "r": 0.0127, "drag": 0.015, "nu": 100.0, "theta0": np.radians(5.0),
+    "c2t": 0.03, "mu": 0.009, "N0": 100.0, "R": 0.1, "r": 0.0127, "drag": 0.015, "nu": 100.0, "tail": 0.0,
+    "theta0": np.radians(5.0),
 }  # fmt: skip
 NAMES = tuple(BASE)
 
 
 @njit
+def _sign(x, tail):
+    """The parabola in `tail` through three curves at 0, 1/2 and 1."""
+    curves = math.tanh(x), x / math.sqrt(1.0 + x * x), 2.0 / math.pi * math.atan(0.5 * math.pi * x)
+    middle = curves[1] - 0.5 * (curves[0] + curves[2])
+    return curves[0] + tail * (curves[2] - curves[0]) + 4.0 * tail * (1.0 - tail) * middle
+
+
+@njit
 def _forces(q, x, torque, coupled, linear, pendulum):
-    J1, J2, J12, k1, k3, c1, c3, k2, c2, mu, N0, R, r, d, nu = q[:15]
+    J1, J2, J12, k1, k3, c1, c3, k2, c2, mu, N0, R, r, d, nu, tail = q[:16]
     th1, th2, w1, w2 = x[0], x[1], x[2], x[3]
     g1 = math.sin(th1) if pendulum else th1
-    tau1 = torque - c1 * w1 - k1 * g1 - d * math.tanh(nu * w1)
+    tau1 = torque - c1 * w1 - k1 * g1 - d * _sign(nu * w1, tail)
     if not coupled:
         return tau1 / J1, 0.0
     g2 = math.sin(th2) if pendulum else th2
     phi = th1 - th2
     N = N0 * max(0.0, 1.0 - R * abs(phi) / (2.0 * r)) if linear else N0
-    T = k2 * phi + c2 * (w1 - w2) + mu * N * R * math.tanh(nu * (w1 - w2))
+    T = k2 * phi + c2 * (w1 - w2) + mu * N * R * _sign(nu * (w1 - w2), tail)
     tau1 -= T
-    tau2 = T - c3 * w2 - k3 * g2 - d * math.tanh(nu * w2)
+    tau2 = T - c3 * w2 - k3 * g2 - d * _sign(nu * w2, tail)
     det = J1 * J2 - J12 * J12
     return (J2 * tau1 - J12 * tau2) / det, (J1 * tau2 - J12 * tau1) / det
 

@@ -23,6 +23,9 @@ STEPS_PER_PERIOD = 120.0  # at least, of the primary on its spring
 RISEN = 0.8  # of the peak, from which an acceleration has jumped as far as it will
 SHARPNESS = 200.0
 """nu times the peak speed before any reading is seen: dry friction changes sign within a two hundredth of it."""
+TAIL = (0.5, 0.4, -0.5, 1.5)
+"""Mean, sd and ends of `tail` before any reading is seen: of the curves in use for a smoothed sign tanh has 0,
+x / sqrt(1 + x^2) 1/2 and the arctangent 1; the error function lies below, x / (1 + |x|) above (with nu free)."""
 
 
 @dataclass(frozen=True)
@@ -159,6 +162,7 @@ def default_priors(experiment: Experiment) -> dict[str, Distribution]:
         "c2t": LogNormal(0.48 * math.sqrt(k1 * j2) * 1.2, 2.7),
         "drag": LogNormal(0.0065 * k1 * angle, 3.0),
         "nu": LogNormal(SHARPNESS / (omega * angle), 5.0),
+        "tail": Normal(*TAIL),
         "c1t": LogNormal(viscous, 2.7),
         "c3t": LogNormal(viscous * j2 / j1, 2.7),
     }

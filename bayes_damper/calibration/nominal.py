@@ -18,6 +18,7 @@ from bayes_damper.calibration.noise_level import learn_noise
 from bayes_damper.calibration.own_values import RELEASE
 from bayes_damper.calibration.problem import Problem
 from bayes_damper.calibration.scatter import carried, learn_scatter, with_releases
+from bayes_damper.calibration.unknowns import middle
 
 Array = NDArray[np.float64]
 VARIES = 9.0  # mean square, in variances, of a nuisance's differences between repeats from which it is each trial's own
@@ -127,6 +128,27 @@ def _each_release(fit: Calibration) -> Calibration:
     return min(found, key=lambda f: f.cost)
 
 
+def _begun(problem: Problem) -> tuple[Calibration, bool]:
+    """A rough fit, and whether the records are long: with the usual curve of dry friction first, which is then free.
+
+    Far from the best fit a slow end of the friction stands for any damping, in a valley of its own.
+    """
+    e = problem.experiment
+    usual = problem
+    if "tail" in problem.names and e.levels.get("tail", "campaign") == "campaign" and "tail" not in e.case_priors:
+        at_median = replace(e, priors=dict(e.priors) | {"tail": middle(problem.prior("tail", ""))})
+        usual = Problem(
+            at_median, nominal=problem.nominal, noise=problem.noise, switches=problem.switches, threads=problem.threads
+        )
+    long = grown(usual.experiment, usual)
+    fit = calibrate(usual, [*long, *default_starts(usual)], most=15, finish=False)
+    if usual is not problem:
+        start = problem.prior_mean()
+        start[[problem.names.index(name) for name in usual.names]] = fit.q
+        fit = calibrate(problem, [start], eta=fit.eta, most=15, finish=False, anneal=False)
+    return fit, bool(long)
+
+
 def calibrate_nominal(
     experiment: Experiment,
     *,
@@ -144,8 +166,7 @@ def calibrate_nominal(
         level = tuple(max(s, FIRST_ERROR * r) for s, r in zip(first.innovation, reach, strict=True))
         first = replace(first, innovation=level, sensor=first.total)
     problem = Problem(experiment, nominal=nominal, noise=first, threads=threads, switches=switches or Switches())
-    long = grown(experiment, problem)
-    fit = calibrate(problem, [*long, *default_starts(problem)], most=15, finish=False)
+    fit, long = _begun(problem)
     chosen = switches or Switches(friction=False, scatter=learn_scatter(fit))
     if switches is None:
         # A scatter that has no place yet would look like releases late by different times; so do slow ones.

@@ -14,7 +14,7 @@ from bayes_damper.priors.distributions import Distribution, Normal, from_standar
 
 Priors = Callable[[str, str], Distribution | float]
 """Of a parameter, by name and case: a distribution, or a number where it is fixed."""
-NOMINAL = ("k2t", "c2t", "c1t", "c3t", "mu", "drag", "nu")
+NOMINAL = ("k2t", "c2t", "c1t", "c3t", "mu", "drag", "nu", "tail")
 
 
 def coordinate_of(distribution: Distribution, x: float) -> float:
@@ -59,7 +59,7 @@ def coordinates_of(
     coupled = any(t.coupled for t in used)
     names = ["k2t", "c2t", "c1t", "c3t"] if coupled else ["c1t"]
     if nominal == "nonlinear":
-        names += ["mu", "drag", "nu"] if coupled and e.magnet else ["drag", "nu"]
+        names += ["mu", "drag", "nu", "tail"] if coupled and e.magnet else ["drag", "nu", "tail"]
     out = []
     alone = acting_alone(e)
     for name in dict.fromkeys(e.ties.get(n, n) for n in names):
@@ -101,7 +101,7 @@ def _shared(
 
 def acting_alone(e: Experiment) -> set[str]:
     """Parameters that act on trials of the primary alone."""
-    alone = {"J1", "c1t", "drag", "nu", "theta0", "delay"}
+    alone = {"J1", "c1t", "drag", "nu", "tail", "theta0", "delay"}
     return alone | {other for name, other in e.ties.items() if name in alone}
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
 from bayes_damper.priors.distributions import Normal
-from bayes_damper.rig.vector_math import lane, tanh
+from bayes_damper.rig.vector_math import lane, smooth_sign
 
 
 @lane
@@ -18,10 +18,10 @@ def drifting(t, th1, th2, w1, w2, z1, z2, p, rig):
     phi = th1 - th2
     v = w1 - w2
     spring = p[0] * rig.k1t * th1
-    bearing1 = p[1] * (rig.c1t * w1 + rig.drag * tanh(rig.nu * w1))
-    bearing2 = p[1] * (rig.c3t * w2 + rig.drag * tanh(rig.nu * w2))
+    bearing1 = p[1] * (rig.c1t * w1 + rig.drag * smooth_sign(rig.nu * w1, rig.tail))
+    bearing2 = p[1] * (rig.c3t * w2 + rig.drag * smooth_sign(rig.nu * w2, rig.tail))
     pull = rig.mu * rig.N0 * rig.R * max(0.0, 1.0 - rig.slope * abs(phi))
-    joint = p[2] * (rig.k2t * phi + rig.c2t * v) + p[3] * pull * tanh(rig.nu * v)
+    joint = p[2] * (rig.k2t * phi + rig.c2t * v) + p[3] * pull * smooth_sign(rig.nu * v, rig.tail)
     return -t * (spring + bearing1 + joint), t * (joint - bearing2)
 
 

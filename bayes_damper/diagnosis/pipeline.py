@@ -66,11 +66,6 @@ PAIR_FROM = 6.0  # nats left by the leading effect from which pairs are fitted
 WORTH_RELEARNING = 10.0  # nats of the leading effect from which the noise is learnt again from what it leaves
 PRIORS_OF_UNKNOWN = (0.05, 0.15, 0.3, 0.5)  # prior probabilities of a foreign cause under which verdicts are given
 UNLIKELY = 0.01  # probability of a set below which it is not asked what it leaves
-OTHER_CURVE = (
-    "A sound bearing whose dry friction changes its sign along another curve than the model's tanh(nu w), say an "
-    "arctangent, is mostly taken for bearing_stribeck: the curve is not learnt. Trust the site, and the name only "
-    "where friction is seen to fall with speed, as in a slow pull."
-)
 JUDGED_PAIRS = 2  # pairs whose remainder is mapped
 TOLD = 3  # leading effects for which the gap they leave on held-out trials is told
 
@@ -622,8 +617,6 @@ def _notes(
     ):
         notes.append("There are no repeats, so the noise is judged by its fast content alone; repeat a case.")
     notes += [*scatter_in_words(fit), *unlike_in_words(fit)]
-    if answers.verdict == "bearing_stribeck":
-        notes.append(OTHER_CURVE)
     still = {} if named is None else named.pulled
     priors = {} if named is None else {c.name: c.prior for c in named.problem.coordinates}
     for name, z in still.items():

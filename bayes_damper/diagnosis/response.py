@@ -6,7 +6,7 @@ would the readings change? Along the motion of a fitted rig the change obeys the
     M d(dw)/dt = K(t) dth + C(t) dw + q(t),    d(dth)/dt = dw,
 
 stepped here by an L-stable rule of third order for many torques at once. A reversal of dry friction lasts far less
-than a step; over a step the slope of tanh is therefore the secant (tanh(nu b) - tanh(nu a)) / (b - a), which conserves
+than a step; over a step the slope of s(nu w) is therefore the secant (s(nu b) - s(nu a)) / (b - a), which conserves
 the jump.
 """
 
@@ -37,7 +37,7 @@ class Motion:
 
     th1, th2, w1, w2, a1, a2 : (trials, N), zeros for the secondary of an uncoupled rig; before the release the rig is
     held. since (trials, N): time since the release, s, 0 before. y (trials, channels, n): readings of sensors that show
-    what there is. at (n,): the samples' places in the grid. friction, slope, nu, k1t (trials,): what the features need.
+    what there is. at (n,): the samples' places in the grid. friction, slope, nu, tail, k1t (trials,): what shapes need.
     step (trials, N - 1, 4, 4), push (trials, N - 1, 4, 2): transition of (dth1, dth2, dw1, dw2) and of the torque's
     mean over the step; read_state (trials, channels, n, 4), read_torque (trials, channels, n, 2): the readings of both.
     added (trials, 2, N): torque on each inertia beyond the nominal laws, N m: that of the fit's effect.
@@ -57,6 +57,7 @@ class Motion:
     friction: Array
     slope: Array
     nu: Array
+    tail: Array
     k1t: Array
     theta0: Array
     step: Array
@@ -64,6 +65,10 @@ class Motion:
     read_state: Array
     read_torque: Array
     added: Array
+
+    def dry(self, w: Array) -> Array:
+        """The sign that dry friction gives speeds (trials, N), -1 to 1."""
+        return dry_sign(w, self.nu, self.tail)
 
     @property
     def phi(self) -> Array:
@@ -260,14 +265,14 @@ def _motion(fit: Calibration, block: Block) -> Motion:
             added[:, : 1 + coupled] -= acting[:, : 1 + coupled]
         added *= (since > 0.0)[:, None]
     return Motion(
-        group, grid, at, th[:, 0], th[:, 1], w[:, 0], w[:, 1], a[:, 0], a[:, 1], since, y, friction, slope, nu, k1t,
-        theta0, step, push, read_state, read_torque, added,
+        group, grid, at, th[:, 0], th[:, 1], w[:, 0], w[:, 1], a[:, 0], a[:, 1], since, y, friction, slope, nu,
+        value("tail"), k1t, theta0, step, push, read_state, read_torque, added,
     )  # fmt: skip
 
 
 def _parts(e: Experiment, value: Callable[[str, float], Array], coupled: bool) -> dict[str, Array]:
     """What the nominal laws need, by name, (trials,) each."""
-    parts = {name: value(name, 0.0) for name in ("k1t", "k3t", "c1t", "c3t", "k2t", "c2t", "drag", "nu")}
+    parts = {name: value(name, 0.0) for name in ("k1t", "k3t", "c1t", "c3t", "k2t", "c2t", "drag", "nu", "tail")}
     nothing = np.zeros_like(parts["nu"])
     magnet = coupled and e.magnet
     parts["friction"] = value("mu", 0.0) * value("N0", 0.0) * value("R", 1.0) if magnet else nothing
@@ -316,7 +321,7 @@ def _nominal_torques(th: Array, w: Array, p: dict[str, Array], coupled: bool, pe
         return p[name][:, None]
 
     def dry(x: Array) -> Array:
-        return np.tanh(column("nu") * x)
+        return dry_sign(x, p["nu"], p["tail"])
 
     bent = np.sin(th) if pendulum else th
     out = np.zeros_like(th)
@@ -331,15 +336,22 @@ def _nominal_torques(th: Array, w: Array, p: dict[str, Array], coupled: bool, pe
     return out
 
 
-def _secant(nu: Array, a: Array, b: Array) -> tuple[Array, Array]:
-    """Slope of tanh(nu x) averaged between a and b, and its mean value."""
-    scaled = nu[:, None]
-    low, high = np.tanh(scaled * a), np.tanh(scaled * b)
-    difference = b - a
-    near = np.abs(scaled * difference) < 1e-4
-    middle = np.tanh(0.5 * scaled * (a + b))
-    slope = np.where(near, scaled * (1.0 - middle**2), (high - low) / np.where(near, 1.0, difference))
-    return slope, 0.5 * (low + high)
+def dry_sign(w: Array, nu: Array, tail: Array) -> Array:
+    """The sign that dry friction gives speeds w (trials, N), -1 to 1: vector_math.smooth_sign; nu, tail (trials,)."""
+    x, t = nu[:, None] * w, tail[:, None]
+    if not tail.any():
+        return np.asarray(np.tanh(x))
+    root, arc = x / np.sqrt(1.0 + x * x), 2.0 / np.pi * np.arctan(0.5 * np.pi * x)
+    return np.asarray(np.tanh(x) + 4.0 * t * (1.0 - t) * (root - np.tanh(x)) + t * (2.0 * t - 1.0) * (arc - np.tanh(x)))
+
+
+def _secant(nu: Array, tail: Array, a: Array, b: Array) -> tuple[Array, Array]:
+    """Slope of dry friction's sign averaged between the speeds a and b, and its mean value."""
+    least = 1e-4 / np.maximum(nu, 1e-9)[:, None]
+    near = np.abs(b - a) < least
+    a, b = np.where(near, 0.5 * (a + b - least), a), np.where(near, 0.5 * (a + b + least), b)
+    low, high = dry_sign(a, nu, tail), dry_sign(b, nu, tail)
+    return (high - low) / (b - a), 0.5 * (low + high)
 
 
 def _jacobian(
@@ -354,16 +366,16 @@ def _jacobian(
         return p[name][:, None]
 
     bend = np.cos(th) if pendulum else np.ones_like(th)
-    slope1, _ = _secant(p["nu"], w_a[:, 0], w_b[:, 0])
+    slope1, _ = _secant(p["nu"], p["tail"], w_a[:, 0], w_b[:, 0])
     K[:, :, 0, 0] = -column("k1t") * bend[:, 0]
     C[:, :, 0, 0] = -column("c1t") - column("drag") * slope1
     if coupled:
-        slope2, _ = _secant(p["nu"], w_a[:, 1], w_b[:, 1])
+        slope2, _ = _secant(p["nu"], p["tail"], w_a[:, 1], w_b[:, 1])
         K[:, :, 1, 1] = -column("k3t") * bend[:, 1]
         C[:, :, 1, 1] = -column("c3t") - column("drag") * slope2
         phi = th[:, 0] - th[:, 1]
         ratio = np.maximum(0.0, 1.0 - column("slope") * np.abs(phi))
-        slip_slope, slip_sign = _secant(p["nu"], w_a[:, 0] - w_a[:, 1], w_b[:, 0] - w_b[:, 1])
+        slip_slope, slip_sign = _secant(p["nu"], p["tail"], w_a[:, 0] - w_a[:, 1], w_b[:, 0] - w_b[:, 1])
         t_phi = column("k2t") - column("friction") * column("slope") * np.sign(phi) * (ratio > 0.0) * slip_sign
         t_slip = column("c2t") + column("friction") * ratio * slip_slope
         sign = np.array([[-1.0, 1.0], [1.0, -1.0]])

@@ -324,8 +324,9 @@ def search(
     """All candidates, best first: screened, and the leading ones fitted, by `workers` processes."""
     groups = nominal.problem.groups
     models = [nominal.problem.models[coupled] for coupled in {g.coupled for g in groups}]
+    curved = nominal.problem.nominal == "nonlinear"
     driven = any(g.inputs is not None and g.inputs.active for g in groups)
-    compile_ahead((replace(model, effect=variant) for model in models for _, variant in pool), driven, report)
+    compile_ahead((replace(model, effect=variant) for model in models for _, variant in pool), driven, curved, report)
     screen = Screen(nominal)
 
     def judge(item: tuple[Effect, Variant]) -> tuple[Screened, ...]:

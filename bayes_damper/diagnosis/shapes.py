@@ -189,10 +189,10 @@ def _contacts(m: Motion, s: Scale) -> Iterator[Array]:
         yield np.asarray(np.sin(0.5 * np.pi * np.minimum(rising, falling)) ** 2)
 
 
-def _drags(w: Array, reach: float, nu: Array) -> list[Array]:
+def _drags(m: Motion, w: Array, reach: float) -> list[Array]:
     """Odd functions of a velocity: dry, smoother dry, Stribeck humps, square, cube, root."""
     v = w / reach
-    dry = np.tanh(nu[:, None] * w)
+    dry = m.dry(w)
     return [
         dry, np.tanh(v / 0.1), np.tanh(v / 0.3), dry * np.exp(-np.abs(v) / 0.02), dry * np.exp(-np.abs(v) / 0.06),
         dry * np.exp(-np.abs(v) / 0.2), v * np.abs(v), v**3, dry * np.sqrt(np.abs(v)),
@@ -234,8 +234,8 @@ def _own_spring(u: Array) -> Iterator[Array]:
 
 def _bearings(m: Motion, s: Scale) -> Iterator[Shape]:
     coupled = m.group.coupled
-    d1 = _drags(m.w1, s.w1, m.nu)
-    d2 = _drags(m.w2, s.w2, m.nu) if coupled else [np.zeros_like(m.w1)] * len(d1)
+    d1 = _drags(m, m.w1, s.w1)
+    d2 = _drags(m, m.w2, s.w2) if coupled else [np.zeros_like(m.w1)] * len(d1)
     wide = [s.w2 / s.w1 if coupled else 1.0] * len(d1)
     for k in (6, 7):  # the same law on both inertias, in the same units
         wide[k] = (s.w2 / s.w1) ** (2.0 if k == 6 else 3.0)
@@ -271,7 +271,7 @@ def _interface(m: Motion, s: Scale) -> Iterator[Shape]:
 
     phi, slip, t = m.phi, m.slip, m.since / s.duration
     p, v = phi / s.phi, slip / s.slip
-    dry = np.tanh(m.nu[:, None] * slip)
+    dry = m.dry(slip)
     pull = m.overlap
     for f in _tensor(p, v):
         yield pair("law", f)
@@ -317,7 +317,7 @@ def _ground2(m: Motion, s: Scale) -> Iterator[Shape]:
         yield own("spring", f)
     for f in _places(m.th2, s.th2):
         yield own("place", f)
-    for f in _drags(m.w2, s.w2, m.nu):
+    for f in _drags(m, m.w2, s.w2):
         yield own("drag", f)
     for f in (u * t, v * t, t, t * t):
         yield own("drift", f)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bayes_damper.rig.equations import normal_force_ratio
-from bayes_damper.rig.vector_math import lane, tanh
+from bayes_damper.rig.vector_math import lane, smooth_sign
 
 
 @lane
@@ -20,5 +20,5 @@ def pull(phi, rig):
 
 @lane
 def friction(phi, slip, rig):
-    """Nominal friction torque between the faces, mu N R tanh(nu slip), under the rig's own law of the pull (N m)."""
-    return rig.mu * rig.N0 * rig.R * pull(phi, rig) * tanh(rig.nu * slip)
+    """Nominal friction torque between the faces, mu N R s(nu slip), under the rig's own law of the pull (N m)."""
+    return rig.mu * rig.N0 * rig.R * pull(phi, rig) * smooth_sign(rig.nu * slip, rig.tail)

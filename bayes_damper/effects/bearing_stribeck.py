@@ -1,6 +1,6 @@
 """Bearing drag that is larger at rest than in motion.
 
-    Q = -f drag S(w) tanh(nu w) on each inertia,    S = exp(-(w/ws)^2)   or   exp(-|w|/ws)
+    Q = -f drag S(w) s(nu w) on each inertia,    S = exp(-(w/ws)^2)   or   exp(-|w|/ws)
 
 Source: Armstrong-Helouvry et al. (1994), Automatica 30, 1083; Bo and Pavelescu (1982), Wear 82, 277 (exponential).
 """
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
 from bayes_damper.priors.distributions import HalfNormal, LogNormal
-from bayes_damper.rig.vector_math import exp, lane, tanh
+from bayes_damper.rig.vector_math import exp, lane, smooth_sign
 
 
 @lane
@@ -18,7 +18,9 @@ def gaussian(t, th1, th2, w1, w2, z1, z2, p, rig):
     excess = rig.drag * p[0]
     x1 = w1 / p[1]
     x2 = w2 / p[1]
-    return -excess * exp(-x1 * x1) * tanh(rig.nu * w1), -excess * exp(-x2 * x2) * tanh(rig.nu * w2)
+    return -excess * exp(-x1 * x1) * smooth_sign(rig.nu * w1, rig.tail), -excess * exp(-x2 * x2) * smooth_sign(
+        rig.nu * w2, rig.tail
+    )
 
 
 @lane
@@ -26,8 +28,8 @@ def exponential(t, th1, th2, w1, w2, z1, z2, p, rig):
     """An excess that falls exponentially with the speed."""
     excess = rig.drag * p[0]
     return (
-        -excess * exp(-abs(w1) / p[1]) * tanh(rig.nu * w1),
-        -excess * exp(-abs(w2) / p[1]) * tanh(rig.nu * w2),
+        -excess * exp(-abs(w1) / p[1]) * smooth_sign(rig.nu * w1, rig.tail),
+        -excess * exp(-abs(w2) / p[1]) * smooth_sign(rig.nu * w2, rig.tail),
     )
 
 
@@ -54,7 +56,7 @@ EFFECT = Effect(
     variants=(
         Variant(
             name="gaussian",
-            formula="Q = -f drag exp(-(w/ws)^2) tanh(nu w)",
+            formula="Q = -f drag exp(-(w/ws)^2) s(nu w)",
             parameters=PARAMETERS,
             torque=gaussian,
             couples="bodies",
@@ -62,7 +64,7 @@ EFFECT = Effect(
         ),
         Variant(
             name="exponential",
-            formula="Q = -f drag exp(-|w|/ws) tanh(nu w)",
+            formula="Q = -f drag exp(-|w|/ws) s(nu w)",
             parameters=PARAMETERS,
             torque=exponential,
             couples="bodies",

@@ -1,6 +1,6 @@
 """The magnet pulls the shafts askew, and the bearings drag more while it does.
 
-    Q = -a mu N R tanh(nu w),    -a mu N0 R tanh(nu w)    or    -c (N/N0) w    on each inertia, coupled trials only
+    Q = -a mu N R s(nu w),    -a mu N0 R s(nu w)    or    -c (N/N0) w    on each inertia, coupled trials only
 
 Source: Augustine (2013), pp. 9 and 33 (one-sided magnets misalign the shafts).
 """
@@ -10,21 +10,21 @@ from __future__ import annotations
 from bayes_damper.effects._shapes import pull
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
 from bayes_damper.priors.distributions import HalfNormal
-from bayes_damper.rig.vector_math import lane, tanh
+from bayes_damper.rig.vector_math import lane, smooth_sign
 
 
 @lane
 def with_pull(t, th1, th2, w1, w2, z1, z2, p, rig):
     """Dry drag in proportion to the pull of the moment."""
     side = p[0] * rig.mu * rig.N0 * rig.R * pull(th1 - th2, rig)
-    return -side * tanh(rig.nu * w1), -side * tanh(rig.nu * w2)
+    return -side * smooth_sign(rig.nu * w1, rig.tail), -side * smooth_sign(rig.nu * w2, rig.tail)
 
 
 @lane
 def constant(t, th1, th2, w1, w2, z1, z2, p, rig):
     """Dry drag that is there whenever the magnet is."""
     side = p[0] * rig.mu * rig.N0 * rig.R
-    return -side * tanh(rig.nu * w1), -side * tanh(rig.nu * w2)
+    return -side * smooth_sign(rig.nu * w1, rig.tail), -side * smooth_sign(rig.nu * w2, rig.tail)
 
 
 @lane
@@ -52,14 +52,14 @@ EFFECT = Effect(
     variants=(
         Variant(
             name="with_pull",
-            formula="Q = -a mu N R tanh(nu w)",
+            formula="Q = -a mu N R s(nu w)",
             parameters=(SHARE,),
             torque=with_pull,
             starts=((0.01,), (0.1,), (0.4,)),
         ),
         Variant(
             name="constant",
-            formula="Q = -a mu N0 R tanh(nu w)",
+            formula="Q = -a mu N0 R s(nu w)",
             parameters=(SHARE,),
             torque=constant,
             couples="bodies",

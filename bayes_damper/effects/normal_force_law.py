@@ -11,7 +11,7 @@ from __future__ import annotations
 from bayes_damper.effects._shapes import friction, overlap, pull
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
 from bayes_damper.priors.distributions import LogNormal, Normal, Uniform
-from bayes_damper.rig.vector_math import exp, lane, log, tanh
+from bayes_damper.rig.vector_math import exp, lane, log, smooth_sign
 
 
 @lane
@@ -29,7 +29,7 @@ def lens(t, th1, th2, w1, w2, z1, z2, p, rig):
     o = overlap(phi, rig)
     x = 1.0 - o
     area = exp(1.5 * log(o)) * (1.0 + x * (0.226600 + x * (-0.033177 + x * 0.007268)))
-    q = rig.mu * rig.N0 * rig.R * tanh(rig.nu * (w1 - w2)) * p[0] * (area - pull(phi, rig))
+    q = rig.mu * rig.N0 * rig.R * smooth_sign(rig.nu * (w1 - w2), rig.tail) * p[0] * (area - pull(phi, rig))
     return -q, q
 
 
@@ -38,7 +38,7 @@ def bell(t, th1, th2, w1, w2, z1, z2, p, rig):
     """Pull that falls as a Gaussian of the relative angle."""
     phi = th1 - th2
     x = p[1] * phi
-    q = rig.mu * rig.N0 * rig.R * tanh(rig.nu * (w1 - w2)) * p[0] * (exp(-x * x) - pull(phi, rig))
+    q = rig.mu * rig.N0 * rig.R * smooth_sign(rig.nu * (w1 - w2), rig.tail) * p[0] * (exp(-x * x) - pull(phi, rig))
     return -q, q
 
 

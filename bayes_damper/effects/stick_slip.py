@@ -1,6 +1,6 @@
 """Friction between the faces that is larger at rest than in sliding, or that first bends before it slides.
 
-    Stribeck:  Q = f mu N R S(v) tanh(nu v),  S = exp(-(v/vs)^2) or exp(-|v|/vs),  v = w1 - w2
+    Stribeck:  Q = f mu N R S(v) s(nu v),  S = exp(-(v/vs)^2) or exp(-|v|/vs),  v = w1 - w2
     bristle:   T = mu N R (z + s dz/dt),  dz/dt = (v - |v| z / G(v)) / d,  G = 1 + f exp(-(v/vs)^2)
 
 The bristle (LuGre) replaces the nominal friction and tends to it for small d, s and f. Source: Augustine (2013), p. 22;
@@ -93,7 +93,7 @@ EFFECT = Effect(
     variants=(
         Variant(
             name="gaussian",
-            formula="Q2 = -Q1 = f mu N R exp(-(v/vs)^2) tanh(nu v)",
+            formula="Q2 = -Q1 = f mu N R exp(-(v/vs)^2) s(nu v)",
             parameters=(EXCESS, SPEED),
             torque=gaussian,
             couples="interface",
@@ -101,7 +101,7 @@ EFFECT = Effect(
         ),
         Variant(
             name="exponential",
-            formula="Q2 = -Q1 = f mu N R exp(-|v|/vs) tanh(nu v)",
+            formula="Q2 = -Q1 = f mu N R exp(-|v|/vs) s(nu v)",
             parameters=(EXCESS, SPEED),
             torque=exponential,
             couples="interface",

@@ -20,7 +20,7 @@ from bayes_damper.sampling import Sampling, arviz_adapter
 Array = NDArray[np.float64]
 _TRACED = 2  # of the kept draws, every so many
 _CROWDED = 7  # panels each way of a corner figure; beyond, those that say nothing of their own are left out
-_MAIN = ("k1t", "mu", "k2t", "c2t", "drag", "nu", "c1t", "c3t", "friction_torque", "sigma1", "sigma2")
+_MAIN = ("k1t", "mu", "k2t", "c2t", "drag", "nu", "tail", "c1t", "c3t", "friction_torque", "sigma1", "sigma2")
 _OVERLAID = 6  # panels each way of the figure of all cases
 
 

@@ -46,7 +46,7 @@ _NUMBERS = {
 _WORDS = ("unit", "dist", "level", "reason", "source", "cases", "to")
 _CONVERSIONS = {("deg", "rad"): math.pi / 180.0, ("ms", "s"): 1e-3, ("mm", "m"): 1e-3}
 _HEAD = ("name", "description")
-RECORDED = ("mu", "k2t", "c2t", "drag", "nu", "c1t", "c3t", "theta0", "delay", "sigma1", "sigma2")
+RECORDED = ("mu", "k2t", "c2t", "drag", "nu", "tail", "c1t", "c3t", "theta0", "delay", "sigma1", "sigma2")
 """What the prior file of a recorded campaign may speak of. Each has a default there, scaled to the rig."""
 _ELSEWHERE = {
     "J1": "primary_inertia in campaign.toml", "J2": "secondary_inertia in campaign.toml",

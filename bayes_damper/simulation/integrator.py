@@ -77,19 +77,20 @@ T2, T3 = 1.0, 0.6
 G1, G2, G3, G4 = 0.5, -1.5, 2.42, 0.116
 
 # Rows of the block: parameters in the order of equations.ROWS, those of the effect, what is derived from them once,
-J1, J2, J12, K1, K3, C1, C3, K2, C2, MU, N0, R_BAR, R_FACE, DRAG, NU, THETA0, TH20, W10, W20, DELAY, LETS_GO = range(21)
-EXTRA = 21  # and the three after it; MORE has the rest
-FRICTION, SLOPE, MI11, MI12, MI22, PER_SPEED, PER_ACC1, PER_ACC2, EPS_TH, EPS_W, HELD1, HELD2 = range(25, 37)
-HOLD, FALL = range(37, 39)  # torque that holds the primary at its release, and the share of it that goes in a second
+J1, J2, J12, K1, K3, C1, C3, K2, C2, MU, N0, R_BAR, R_FACE, DRAG, NU, TAIL = range(16)
+THETA0, TH20, W10, W20, DELAY, LETS_GO = range(16, 22)
+EXTRA = 22  # and the three after it; MORE has the rest
+FRICTION, SLOPE, MI11, MI12, MI22, PER_SPEED, PER_ACC1, PER_ACC2, EPS_TH, EPS_W, HELD1, HELD2 = range(26, 38)
+HOLD, FALL = range(38, 40)  # torque that holds the primary at its release, and the share of it that goes in a second
 # the state, and what a step leaves behind for the next.
-TH1, TH2, W1, W2, Z1, Z2, HTRY, REST, TIME, Y1, Y2, U1, U2, S1, S2, HLAST, FIRST, NOW, AFTER, NEXT = range(39, 59)
-SAMPLE, SLOT, ATTEMPTS, GIVEN_UP = range(59, 63)
+TH1, TH2, W1, W2, Z1, Z2, HTRY, REST, TIME, Y1, Y2, U1, U2, S1, S2, HLAST, FIRST, NOW, AFTER, NEXT = range(40, 60)
+SAMPLE, SLOT, ATTEMPTS, GIVEN_UP = range(60, 64)
 # Inputs: torques on both bodies and what the ground adds to readings, at the end of this interval with their slopes,
 # and the same of the next.
-DRIVE1, DRIVE2, SHOWN, RAMP1, RAMP2, RISE = range(63, 69)
-DRIVE1_NEXT, DRIVE2_NEXT, SHOWN_NEXT, RAMP1_NEXT, RAMP2_NEXT, RISE_NEXT = range(69, 75)
-MORE = 75  # and the seven after it
-BLOCK_ROWS = 83
+DRIVE1, DRIVE2, SHOWN, RAMP1, RAMP2, RISE = range(64, 70)
+DRIVE1_NEXT, DRIVE2_NEXT, SHOWN_NEXT, RAMP1_NEXT, RAMP2_NEXT, RISE_NEXT = range(70, 76)
+MORE = 76  # and the seven after it
+BLOCK_ROWS = 84
 
 
 @lru_cache(maxsize=None, typed=True)  # True, 1 and 1.0 are equal, but different constants
@@ -111,6 +112,7 @@ frictionless = constant(False)
 driven = constant(False)
 swings = constant(False)  # whether the fourth input is the acceleration of a pendulum's pivot
 prescribed = constant(False)  # whether the primary moves as the first input says, and channel 1 reads the reaction
+curved = constant(False)  # whether dry friction changes its sign along another curve than a tanh
 acts = constant(False)  # whether the effect has a torque
 couples = constant(2)
 timed = constant(False)
@@ -148,7 +150,7 @@ def effect_sense(h, u1, u2, y1, y2, s1, s2, p, first):
 def advance(times, parameters, extras, inputs, weights, memory_weights, longest_step, read, out, final, status):
     """Integrate one block of lanes over the sample times and write what the channels read.
 
-    times (n,) s; parameters (21, LANES) rows of equations.ROWS; extras (12, LANES) parameters of the effect; inputs
+    times (n,) s; parameters (22, LANES) rows of equations.ROWS; extras (12, LANES) parameters of the effect; inputs
     (8, n) as Inputs.pieces gives them, read where the record is driven (prescribed: the first is the acceleration of
     the primary, and channel 1 reads the torque that it takes, N m; swings: the fourth is that of a pendulum's pivot,
     m/s^2, in place of what the ground adds to readings); weights (LANES,) factor on the error tolerance;
@@ -187,7 +189,7 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
                 high = max(high, total)
             swing[row] = high - low
     for lane in range(width):
-        for row in range(21):
+        for row in range(EXTRA):
             block[row, lane] = parameters[row, lane]
         for row in range(4):
             block[EXTRA + row, lane] = extras[row, lane]
@@ -233,7 +235,7 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
             rig = Rig(
                 j1, j2, j12, block[K1, lane], block[K3, lane], block[C1, lane], block[C3, lane], block[K2, lane],
                 block[C2, lane], block[MU, lane], block[N0, lane], block[R_BAR, lane], block[R_FACE, lane],
-                block[DRAG, lane], block[NU, lane], block[THETA0, lane], block[SLOPE, lane],
+                block[DRAG, lane], block[NU, lane], block[TAIL, lane], block[THETA0, lane], block[SLOPE, lane],
             )  # fmt: skip
             p = (
                 block[EXTRA, lane], block[EXTRA + 1, lane], block[EXTRA + 2, lane], block[EXTRA + 3, lane],
@@ -280,6 +282,7 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
             slope = block[SLOPE, lane]
             drag = block[DRAG, lane]
             nu = block[NU, lane]
+            tail = block[TAIL, lane]
             sharpness = TANH_SCALE * nu
             th1 = block[TH1, lane]
             th2 = block[TH2, lane]
@@ -300,12 +303,29 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
             )  # fmt: skip
             rig = Rig(
                 j1, j2, j12, k1t, k3t, c1t, c3t, k2t, c2t, block[MU, lane], block[N0, lane], block[R_BAR, lane],
-                block[R_FACE, lane], drag, nu, block[THETA0, lane], slope,
+                block[R_FACE, lane], drag, nu, tail, block[THETA0, lane], slope,
             )  # fmt: skip
 
             # Stage 1: torques, Jacobian, and the reading of this instant.
             tau1, tau2, a1, a2, t_phi, b1, b2, t_slip = linearised(
-                th1, th2, w1, w2, k1t, k3t, c1t, c3t, k2t, c2t, friction, slope, drag, nu, coupled(), pendulum()
+                th1,
+                th2,
+                w1,
+                w2,
+                k1t,
+                k3t,
+                c1t,
+                c3t,
+                k2t,
+                c2t,
+                friction,
+                slope,
+                drag,
+                nu,
+                tail,
+                curved(),
+                coupled(),
+                pendulum(),
             )
             hold = block[HOLD, lane]
             fall = block[FALL, lane]
@@ -604,7 +624,9 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
             aw1 = w1 + A21 * r11
             aw2 = w2 + A21 * r12
             tau1, tau2 = smooth_torques(ath1, ath2, aw1, aw2, k1t, k3t, c1t, c3t, k2t, c2t, coupled(), pendulum())
-            held1, held2 = friction_torques(ath1, ath2, aw1, aw2, friction, slope, drag, sharpness, coupled())
+            held1, held2 = friction_torques(
+                ath1, ath2, aw1, aw2, friction, slope, drag, sharpness, tail, curved(), coupled()
+            )
             tau1 = tau1 + hold * max(1.0 - (t + AT_ONCE + T2 * h) * fall, 0.0)
             if driven():
                 tau1 = tau1 + (block[DRIVE1, lane] - block[RAMP1, lane] * (rest - T2 * h))
@@ -655,7 +677,9 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
             az1 = z1 + A31 * m11 + A32 * m21
             az2 = z2 + A31 * m12 + A32 * m22
             tau1, tau2 = smooth_torques(ath1, ath2, aw1, aw2, k1t, k3t, c1t, c3t, k2t, c2t, coupled(), pendulum())
-            held1, held2 = friction_torques(ath1, ath2, aw1, aw2, friction, slope, drag, sharpness, coupled())
+            held1, held2 = friction_torques(
+                ath1, ath2, aw1, aw2, friction, slope, drag, sharpness, tail, curved(), coupled()
+            )
             tau1 = tau1 + hold * max(1.0 - (t + AT_ONCE + T3 * h) * fall, 0.0)
             if driven():
                 tau1 = tau1 + (block[DRIVE1, lane] - block[RAMP1, lane] * (rest - T3 * h))
@@ -838,7 +862,7 @@ _SPECIAL: dict[str, Any] = {
     "effect_start": _TWO(_P, _RIG),
     "effect_sense": _FOUR(*_MOTION, _P, float64),
     **dict.fromkeys(("coupled", "pendulum", "linear_normal_force", "frictionless", "driven"), types.boolean()),
-    **dict.fromkeys(("prescribed", "swings", "acts", "timed", "senses", "starts"), types.boolean()),
+    **dict.fromkeys(("prescribed", "swings", "curved", "acts", "timed", "senses", "starts"), types.boolean()),
     **dict.fromkeys(("couples", "memory"), int64()),
     **dict.fromkeys(("memory_scale1", "memory_scale2"), float64()),
 }
@@ -858,6 +882,7 @@ def specialised_globals(
     variant: Variant | None,
     prescribed: bool = False,
     swings: bool = False,
+    curved: bool = False,
 ) -> dict[str, Any]:
     """The globals that `advance` reads, for one combination of rig options and effect."""
     bound: dict[str, Any] = {
@@ -867,6 +892,7 @@ def specialised_globals(
         "driven": constant(driven),
         "prescribed": constant(prescribed),
         "swings": constant(swings),
+        "curved": constant(curved),
     }
     if variant is not None:
         hooks = {f"effect_{name}": getattr(variant, name) for name in ("torque", "rate", "start", "sense")}

@@ -27,7 +27,7 @@ from functools import cache
 
 from bayes_damper.effects.base import Kernel, Variant
 from bayes_damper.rig.equations import Rig, friction_torques, smooth_torques
-from bayes_damper.rig.vector_math import TANH_SCALE, cos, lane, sin, tanh_scaled
+from bayes_damper.rig.vector_math import TANH_SCALE, cos, lane, sin, smooth_sign
 
 Values = tuple[float, float, float, float]
 
@@ -52,10 +52,12 @@ def _linked_torque(inner: Kernel, pendulum: bool, own_friction: bool) -> Kernel:
             th1, th2, w1, w2, rig.k1t, rig.k3t, rig.c1t, rig.c3t, rig.k2t, rig.c2t, True, pendulum
         )
         friction = 0.0 if own_friction else rig.mu * rig.N0 * rig.R
-        held1, held2 = friction_torques(th1, th2, w1, w2, friction, rig.slope, rig.drag, TANH_SCALE * rig.nu, True)
+        held1, held2 = friction_torques(
+            th1, th2, w1, w2, friction, rig.slope, rig.drag, TANH_SCALE * rig.nu, rig.tail, True, True
+        )
         tau1 = tau1 - held1
         tau2 = tau2 - held2
-        without = rig.drag * tanh_scaled(TANH_SCALE * rig.nu * w2)  # no bearing to ground there
+        without = rig.drag * smooth_sign(rig.nu * w2, rig.tail)  # no bearing to ground there
         across = rig.J12 * cos(th1 - th2)
         turning = rig.J12 * sin(th1 - th2)
         lever = across / rig.J2

@@ -27,8 +27,9 @@ QUANTITIES: tuple[Quantity, ...] = ("acceleration", "velocity", "displacement")
 Array = NDArray[np.float64]
 Parameters = Mapping[str, ArrayLike]
 
-# What a rig has when nothing is said: no second stiffness, a start at rest, both bodies at one angle, no late trigger.
-_OPTIONAL = {"J12": 0.0, "k3t": 0.0, "omega1_0": 0.0, "omega2_0": 0.0, "delay": 0.0, "release_time": 0.0}
+# What a rig has when nothing is said: no second stiffness, friction along a tanh, a start at rest, both bodies at one
+# angle, no late trigger.
+_OPTIONAL = {"J12": 0.0, "k3t": 0.0, "omega1_0": 0.0, "omega2_0": 0.0, "delay": 0.0, "release_time": 0.0, "tail": 0.0}
 # What the uncoupled rig does not see.
 _COUPLED_ONLY = {"J2": 1.0, "c3t": 0.0, "k2t": 0.0, "c2t": 0.0, "mu": 0.0, "N0": 0.0, "R": 1.0, "r": 1.0}
 _POSITIVE = ("J1", "J2", "R", "r", "nu")
@@ -43,8 +44,8 @@ class Simulation:
 
 
 @cache
-def _kernel(model: Model, driven: bool, prescribed: bool, swings: bool) -> Callable[..., None]:
-    return integrator.specialise(model.bound(driven, prescribed, swings))
+def _kernel(model: Model, *specialised: bool) -> Callable[..., None]:
+    return integrator.specialise(model.bound(*specialised))
 
 
 @dataclass(frozen=True)
@@ -73,8 +74,10 @@ class Model:
         """The effect, if it acts in this configuration."""
         return self.effect if self.effect is not None and (self.coupled or self.effect.uncoupled) else None
 
-    def bound(self, driven: bool = False, prescribed: bool = False, swings: bool = False) -> dict[str, Any]:
-        """What the kernel's globals are bound to, for records with (driven) or without inputs.
+    def bound(
+        self, driven: bool = False, prescribed: bool = False, swings: bool = False, curved: bool = False
+    ) -> dict[str, Any]:
+        """What the kernel's globals are bound to: with inputs (driven), friction with a tail (curved), or without.
 
         prescribed : whether one of the inputs is the motion of the primary; swings : or of a pendulum's pivot.
 
@@ -91,16 +94,20 @@ class Model:
                 raise ValueError('a measured input needs coupling_law = "constant"')
             variant = links.linked(variant, pendulum)
         linear = self.normal_force == "linear"
-        return integrator.specialised_globals(self.coupled, linear, pendulum, driven, variant, prescribed, swings)
+        return integrator.specialised_globals(
+            self.coupled, linear, pendulum, driven, variant, prescribed, swings, curved
+        )
 
-    def compile(self, driven: bool = False, prescribed: bool = False, swings: bool = False) -> Callable[..., None]:
-        """The kernel, for records with (driven) or without inputs.
+    def compile(
+        self, driven: bool = False, prescribed: bool = False, swings: bool = False, curved: bool = False
+    ) -> Callable[..., None]:
+        """The kernel: for records with inputs (driven), friction with a tail (curved), or without.
 
         prescribed : whether one of the inputs is the motion of the primary; swings : or of a pendulum's pivot.
 
         From the on-disk cache if it was compiled before (0.02 s), else compiled (seconds).
         """
-        return _kernel(self, driven, prescribed, swings)
+        return _kernel(self, driven, prescribed, swings, curved)
 
     def simulate(
         self,
@@ -198,7 +205,7 @@ class Model:
         return self._rows(amended), extras, grid, drive, lags
 
     def _rows(self, parameters: Parameters) -> Array:
-        """Parameters as rows of equations.ROWS, (21, n)."""
+        """Parameters as rows of equations.ROWS, (22, n)."""
         given = _complete(parameters)
         if not self.coupled:
             # Placeholders of what is not there: an uncoupled kernel reads none of it into the motion.
@@ -252,7 +259,8 @@ class Model:
             pieces = inputs.pieces(grid)
             at = where[skip:] if grid.size > times.size + skip else None
         swings = inputs is not None and inputs.pivot is not None
-        kernel = self.compile(driven=inputs is not None, prescribed=prescribed, swings=swings)
+        curved = bool(np.any(rows[ROWS.index("tail"), which]))
+        kernel = self.compile(inputs is not None, prescribed, swings, curved)
         read = np.array([float(quantity == name) for name in QUANTITIES])
         variant = self.acting
         scales = (*variant.memory_scale, np.inf, np.inf)[:2] if variant is not None else (np.inf, np.inf)

@@ -23,16 +23,22 @@ FEWEST = 4  # kernels for which it pays to start processes
 _SECONDS = 0.65  # that a kernel takes, about, after what all of them share (6 s, mostly done by the first simulation)
 
 
-def compile_ahead(models: Iterable[Model], driven: bool = False, report: Callable[[str], None] = lambda _: None) -> int:
+def compile_ahead(
+    models: Iterable[Model], driven: bool = False, curved: bool = False, report: Callable[[str], None] = lambda _: None
+) -> int:
     """Compile the kernels of all models that this machine has none of, in as many processes as it has cores.
 
-    driven : for records with an input torque; report : receives a line before. Returns how many were compiled: 0 where
-    processes cannot be forked; kernels are compiled when first called then, as they are after any failure here.
+    driven : for records with an input torque; curved : for friction with a tail; report : receives a line before.
+    Returns how many were compiled: 0 where processes cannot be forked; kernels are compiled when first called then, as
+    they are after any failure here.
     """
     count = cores()
     if count < 2 or not can_fork():
         return 0
-    bounds = {integrator.kernel_file(bound).stem: bound for bound in (model.bound(driven) for model in set(models))}
+    bounds = {
+        integrator.kernel_file(bound).stem: bound
+        for bound in (model.bound(driven, curved=curved) for model in set(models))
+    }
     if len(_missing(bounds)) < FEWEST:
         return 0
     with _alone(cache_folder() / "compiling.lock"):

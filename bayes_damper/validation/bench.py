@@ -175,7 +175,9 @@ def vectors(nu: float, n: int = _VECTORS, spread: float = 0.01) -> dict[str, Any
 
 def _block(nu: float) -> tuple[Any, ...]:
     """Arguments of a kernel for one block of lanes."""
-    table = vectors(nu, LANES) | dict.fromkeys(("J12", "k3t", "omega1_0", "omega2_0", "delay", "release_time"), 0.0)
+    table = vectors(nu, LANES) | dict.fromkeys(
+        ("J12", "k3t", "omega1_0", "omega2_0", "delay", "release_time", "tail"), 0.0
+    )
     table["theta2_0"] = table["theta0"]
     rows = np.array([np.broadcast_to(table[name], LANES) for name in ROWS], float)
     n = TIMES.size
@@ -194,7 +196,7 @@ def libm_kernel() -> Callable[..., Any]:
 
     physics = dict(vars(equations)) | {"tanh_scaled": tanh_scaled}
     namespace = dict(vars(integrator)) | integrator.specialised_globals(True, True, False, False, None)
-    for name in ("friction_torques", "linearised"):
+    for name in ("_sign", "friction_torques", "linearised"):
         exec(inspect.getsource(getattr(equations, name).py_func), physics)  # noqa: S102
         namespace[name] = physics[name]
     exec(inspect.getsource(integrator.advance), namespace)  # noqa: S102
@@ -247,7 +249,7 @@ def _fixed_step(rows, sharp, substeps, n, out):  # type: ignore[no-untyped-def] 
 @vector_math.lane
 def _rates(x1, x2, w1, w2, k1, c1, c3, k2, c2, F, slope, d, sharp, i1, i2):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     tau1, tau2 = equations.smooth_torques(x1, x2, w1, w2, k1, 0.0, c1, c3, k2, c2, True, False)
-    held1, held2 = equations.friction_torques(x1, x2, w1, w2, F, slope, d, sharp, True)
+    held1, held2 = equations.friction_torques(x1, x2, w1, w2, F, slope, d, sharp, 0.0, False, True)
     return (tau1 - held1) * i1, (tau2 - held2) * i2
 
 

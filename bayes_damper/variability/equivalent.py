@@ -131,9 +131,9 @@ def linear_record(fixed: Mapping[str, Array], log_values: Array, times: Array, q
 
 
 def _rig(values: Mapping[str, Array], coupled: bool) -> dict[str, Array]:
-    names = {"J1", "J2", "J12", "k1t", "k3t", "c1t", "c3t", "k2t", "c2t", "mu", "N0", "R", "r", "drag", "nu", "theta0"}
-    only = names if coupled else names - {"J2", "J12", "k3t", "c3t", "k2t", "c2t", "mu", "N0", "R", "r"}
-    return {name: value for name, value in values.items() if name in only}
+    names = {"J1", "k1t", "c1t", "drag", "nu", "tail", "theta0"}
+    names |= {"J2", "J12", "k3t", "c3t", "k2t", "c2t", "mu", "N0", "R", "r"} if coupled else set()
+    return {name: value for name, value in values.items() if name in names}
 
 
 def feature_scatter(

@@ -47,7 +47,7 @@ def swings(seed: int, trained: int, unseen: int, dry: float = DRY, duration: flo
             times.size
         )
         trials.append(TrialRecord(f"{i}.csv", "A", False, i + 1, times, y[None], 0, heldout=i >= trained))
-    priors = {"c1t": LogNormal(0.3, 2.0), "drag": LogNormal(1.0, 2.0), "nu": NU}
+    priors = {"c1t": LogNormal(0.3, 2.0), "drag": LogNormal(1.0, 2.0), "nu": NU, "tail": 0.0}
     return Experiment(
         {"J1": (1.0, 0.0)}, ((K * 1.01, 0.02 * K),), tuple(trials), "displacement", restoring="pendulum", start="free",
         priors=priors, offset_sd=(1e-9,),

@@ -127,8 +127,8 @@ def test_repeats_share_what_they_can_of_one_simulation(repeats: int, monkeypatch
     runs.clear()
     linear = problem.linearise(fit.q, fit.eta)
     assert [block.T.shape[1] for block in linear.blocks] == [2, 3]  # release angle, instant; coupled: friction too
-    # The point itself, then each parameter: of the primary alone drag, nu and c1t, coupled mu, k2t, c2t and c3t too.
-    assert sorted(runs) == [(False, (1 + 3 + 2) * repeats), (True, (1 + 7 + 2) * repeats)]
+    # The point itself, then each parameter: of the primary alone drag, nu, tail and c1t, coupled mu, k2t, c2t, c3t too.
+    assert sorted(runs) == [(False, (1 + 4 + 2) * repeats), (True, (1 + 8 + 2) * repeats)]
 
 
 def test_repeats_of_other_lengths_and_with_gaps_share_the_simulation(tmp_path: Path) -> None:

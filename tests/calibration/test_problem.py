@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.linalg import block_diag
 from small_rig import measured
 
@@ -94,6 +95,41 @@ def test_a_coordinate_has_a_standard_gaussian_prior(prior):
     assert np.allclose(from_standard(prior, z), prior.ppf(ndtr(z)), rtol=1e-9)
     for each in z:
         assert coordinate_of(prior, float(from_standard(prior, each))) == pytest.approx(each, abs=1e-6)
+
+
+LAWS = {
+    "tanh": np.tanh,
+    "algebraic": lambda x: x / np.sqrt(1.0 + x * x),
+    "arctangent": lambda x: 2.0 / np.pi * np.arctan(0.5 * np.pi * x),
+}
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_drag_and_damping_hold_whichever_curve_dry_friction_follows(law):
+    """One body by scipy, noise 1/2000 of the peak; of the sharp friction mostly the slow end of its curve is seen."""
+    sign, times = LAWS[law], np.arange(600) * 2e-3
+    true = {"c1t": 0.004, "drag": 0.02}
+    rng = np.random.default_rng(8)
+    trials = []
+    for number in range(1, 5):
+
+        def rate(_, x):
+            pull = 6.2 * x[0] + true["c1t"] * x[1] + true["drag"] * sign(30.0 * x[1])
+            return x[1], -pull / RIG["J1"]
+
+        swing = solve_ivp(rate, (0.0, times[-1]), (0.1, 0.0), "DOP853", times, rtol=1e-10, atol=1e-12, max_step=1e-3)
+        y = np.array([rate(0.0, x)[1] for x in swing.y.T])[None]
+        y = y + 0.1 * rng.standard_normal(y.shape)
+        trials.append(TrialRecord(f"{number}.csv", "I", False, number, times, y, 0, 0.1, 1e-4))
+    experiment = Experiment({"J1": (RIG["J1"], 0.0)}, ((6.2, 0.0),), tuple(trials))
+    fit = calibrate_nominal(experiment)
+    off = {name: (fit.parameters[name][0] - value) / fit.parameters[name][1] for name, value in true.items()}
+    assert max(abs(z) for z in off.values()) < 3.5, off
+    assert all(fit.parameters[name][1] < 0.03 * value for name, value in true.items())
+    if law != "tanh":
+        sharp = calibrate_nominal(replace(experiment, priors={"tail": 0.0}))
+        assert max(abs(sharp.parameters[n][0] - value) / sharp.parameters[n][1] for n, value in true.items()) > 6.0
+        assert fit.log_evidence > sharp.log_evidence + 20.0
 
 
 def test_a_half_normal_reaches_far_into_its_tail():
@@ -333,9 +369,9 @@ def test_a_point_that_cannot_be_simulated_has_no_evidence(fitted):
 
 
 def test_uncoupled_trials_alone_are_enough_for_what_they_show():
-    """Only drag, its smoothing and the viscous damping are asked for."""
+    """Only drag, its curve and the viscous damping are asked for."""
     fit = calibrate_nominal(make_experiment(4, coupled=False))
-    assert set(fit.parameters) == {"c1t", "drag", "nu"}
+    assert set(fit.parameters) == {"c1t", "drag", "nu", "tail"}
     assert fit.parameters["drag"][0] == pytest.approx(TRUE["drag"], rel=0.1)
 
 

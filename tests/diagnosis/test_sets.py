@@ -20,7 +20,6 @@ from bayes_damper.calibration import (
 )
 from bayes_damper.diagnosis import diagnose
 from bayes_damper.diagnosis.budget import _divided, answers_of, borne_out, budget_of, foreign_alone
-from bayes_damper.diagnosis.pipeline import OTHER_CURVE, _notes
 from bayes_damper.diagnosis.search import offered
 from bayes_damper.diagnosis.sensitivity import sensitivity_of_sets
 from bayes_damper.diagnosis.sets import (
@@ -323,17 +322,6 @@ def test_a_single_effect_left_of_a_pair_is_fitted_as_single_effects_are(hidden):
     assert [n for n in found.problem.names if n.startswith("effect")] == [
         f"effect.{p.name}" for p in drag[1].parameters
     ]
-
-
-def test_a_stribeck_friction_is_named_with_what_else_it_may_be(hidden):
-    """The curve along which dry friction changes its sign is not learnt, and looks like one."""
-
-    def said(verdict):
-        answers = SimpleNamespace(verdict=verdict, probabilities={"none": 0.0, verdict: 1.0})
-        return _notes(hidden.problem.experiment, hidden, None, answers, SimpleNamespace(only=None))
-
-    assert OTHER_CURVE in said("bearing_stribeck")
-    assert OTHER_CURVE not in said("quadratic_drag")
 
 
 def cart(number, release, heldout=False):

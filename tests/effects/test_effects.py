@@ -32,7 +32,8 @@ from bayes_damper.simulation.model import Model
 
 PARAMETERS = {
     "J1": 3.015e-3, "J2": 2.474e-3, "J12": 0.0, "k1t": 10.2, "k3t": 0.0, "c1t": 0.01, "c3t": 0.008, "k2t": 1.3,
-    "c2t": 0.02, "mu": 0.008, "N0": 100.0, "R": 0.1, "r": 0.0127, "drag": 0.012, "nu": 30.0, "theta0": 0.11,
+    "c2t": 0.02, "mu": 0.008, "N0": 100.0, "R": 0.1, "r": 0.0127, "drag": 0.012, "nu": 30.0, "tail": 0.0,
+    "theta0": 0.11,
 }  # fmt: skip
 RIG = Rig(**PARAMETERS, slope=PARAMETERS["R"] / (2.0 * PARAMETERS["r"]))
 VARIANTS = {f"{e.name}/{v.name}": (e, v) for e in EFFECTS.values() for v in e.variants}

@@ -8,25 +8,32 @@ import pytest
 from bayes_damper.rig import equations, vector_math
 
 CONSTANTS = {"k1t": 6.2, "k3t": 0.7, "c1t": 0.01, "c3t": 0.02, "k2t": 1.3, "c2t": 0.03}
-NU, FRICTION, SLOPE, DRAG = 40.0, 0.09, 3.9, 0.015
+NU, FRICTION, SLOPE, DRAG, TAIL = 40.0, 0.09, 3.9, 0.015, 0.6
 STATES = np.random.default_rng(3).normal(0.0, [0.05, 0.05, 1.0, 1.0], (20, 4))
 
 
+def _sign(x):
+    curves = [np.tanh(x), x / np.hypot(1.0, x), 2.0 / np.pi * np.arctan(0.5 * np.pi * x)]
+    return np.polynomial.Polynomial.fit([0.0, 0.5, 1.0], curves, 2)(TAIL)
+
+
 def _formula(state, coupled, pendulum):
-    """Eqs. 18-20, written out with numpy."""
+    """Eqs. 18-20 and the slow end of dry friction, written out with numpy."""
     th1, th2, w1, w2 = state
     k = CONSTANTS
     g1, g2 = (np.sin(th1), np.sin(th2)) if pendulum else (th1, th2)
     pull = max(0.0, 1.0 - SLOPE * abs(th1 - th2))
-    T = k["k2t"] * (th1 - th2) + k["c2t"] * (w1 - w2) + FRICTION * pull * np.tanh(NU * (w1 - w2))
-    tau1 = -k["c1t"] * w1 - k["k1t"] * g1 - DRAG * np.tanh(NU * w1)
+    T = k["k2t"] * (th1 - th2) + k["c2t"] * (w1 - w2) + FRICTION * pull * _sign(NU * (w1 - w2))
+    tau1 = -k["c1t"] * w1 - k["k1t"] * g1 - DRAG * _sign(NU * w1)
     if not coupled:
         return np.array([tau1, 0.0])
-    return np.array([tau1 - T, T - k["c3t"] * w2 - k["k3t"] * g2 - DRAG * np.tanh(NU * w2)])
+    return np.array([tau1 - T, T - k["c3t"] * w2 - k["k3t"] * g2 - DRAG * _sign(NU * w2)])
 
 
 def _linearised(state, coupled, pendulum):
-    return equations.linearised.py_func(*state, *CONSTANTS.values(), FRICTION, SLOPE, DRAG, NU, coupled, pendulum)
+    return equations.linearised.py_func(
+        *state, *CONSTANTS.values(), FRICTION, SLOPE, DRAG, NU, TAIL, True, coupled, pendulum
+    )
 
 
 @pytest.mark.parametrize("coupled", [True, False])
@@ -35,9 +42,11 @@ def test_torques_are_those_of_the_equations(coupled, pendulum):
     for state in STATES:
         expected = _formula(state, coupled, pendulum)
         smooth = equations.smooth_torques(*state, *CONSTANTS.values(), coupled, pendulum)
-        held = equations.friction_torques(*state, FRICTION, SLOPE, DRAG, vector_math.TANH_SCALE * NU, coupled)
-        np.testing.assert_allclose(np.subtract(smooth, held), expected, atol=1e-13)
-        np.testing.assert_allclose(_linearised(state, coupled, pendulum)[:2], expected, atol=1e-13)
+        held = equations.friction_torques(
+            *state, FRICTION, SLOPE, DRAG, vector_math.TANH_SCALE * NU, TAIL, True, coupled
+        )
+        np.testing.assert_allclose(np.subtract(smooth, held), expected, atol=2e-5 * (FRICTION + DRAG))
+        np.testing.assert_allclose(_linearised(state, coupled, pendulum)[:2], np.subtract(smooth, held), atol=1e-13)
 
 
 @pytest.mark.parametrize("coupled", [True, False])

@@ -18,7 +18,8 @@ from bayes_damper.text import NOTHING, counted, gathered, interval, number, plus
 
 _OUTSIDE = 5.0  # per cent: a measurement below this percentile, or as far above, counts as outside
 _MAIN = (
-    "mu", "friction_torque", "friction_torque_per_inertia", "k2t", "c2t", "drag", "nu", "c1t", "c3t", "k1t", "J1", "J2",
+    "mu", "friction_torque", "friction_torque_per_inertia", "k2t", "c2t", "drag", "nu", "tail", "c1t", "c3t",
+    "k1t", "J1", "J2",
 )  # fmt: skip
 _OF_EFFECT = "effect."  # before the name of a parameter of the effect that a fit was given
 _SPELT_OUT = 7  # parameters in a sentence; of more, the names alone
