@@ -370,7 +370,7 @@ def _acts_without_dry_friction(variant: Variant) -> bool:
     """Whether the variant does anything on a rig with mu = drag = 0."""
     if variant.torque is None:
         return True
-    rig = Rig(1.0, 0.8, 0.0, 9.0, 0.5, 0.1, 0.1, 1.0, 0.1, 0.0, 10.0, 0.1, 0.1, 0.0, 20.0, 0.3, 0.5)
+    rig = Rig(1.0, 0.8, 0.0, 9.0, 0.5, 0.1, 0.1, 1.0, 0.1, 0.0, 10.0, 0.1, 0.1, 0.0, 20.0, 0.0, 0.3, 0.5)
     states = ((1e-7, 0.25, 0.1, -0.8, 0.5, 0.3, 0.2), (0.02, -0.2, -0.3, 0.9, 1.2, -0.4, 0.5))
     return any(
         abs(torque) > 0.0
