@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 VARIES = 9.0  # mean square, in variances, of a nuisance's differences between repeats from which it is each trial's own
 FEW_REPEATS = 4  # repeats beyond the first of their kind, over all kinds, below which they may be late alike by chance
 RELEASES = (0.0, 2.0)  # sizes of the time of release from which each trial's is looked for
+MOST_ROUNDS = 3  # of that search
 LONG_PERIODS, FIRST_PERIODS, GROWING_STEPS = 12.0, 3.0, 20  # of records fitted window by window
 FEW_TRIALS = 8  # trained on, up to which the cost may have more valleys than the prior medians lead to
 FIRST_ERROR = 0.02  # of a channel's reach: noise of the first fit where there are no repeats
@@ -96,6 +97,15 @@ def grown(experiment: Experiment, problem: Problem) -> list[Array]:
         starts = [calibrate(part, starts, most=GROWING_STEPS, finish=False, give_up=300.0).q]
         window *= 2.0
     return starts
+
+
+def _releases(fit: Calibration) -> Calibration:
+    """The fit with each trial's release in its deepest valley, looked for anew as long as the fit gains by it."""
+    for _ in range(MOST_ROUNDS):
+        before, fit = fit.cost, _each_release(fit)
+        if not fit.cost < before - 1.0:
+            break
+    return fit
 
 
 def _each_release(fit: Calibration) -> Calibration:
@@ -181,7 +191,7 @@ def calibrate_nominal(
     starts = [fit.q, *default_starts(problem)]
     if len(problem.trials) <= FEW_TRIALS and not long:
         starts += drawn_starts(problem)
-    fit = _each_release(calibrate(problem, starts, give_up=300.0))
+    fit = _releases(calibrate(problem, starts, give_up=300.0))
     noise = learn_noise(fit)
     if switches is None:
         # The first noise held the scatter that was not learnt yet.

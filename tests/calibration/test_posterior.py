@@ -21,7 +21,7 @@ TIMES = np.arange(250) * 1e-3
 ANGLE = math.radians(4.7)
 
 
-def _experiment(rng: np.random.Generator, delays: bool, repeats: int = 2) -> Experiment:
+def _experiment(rng: np.random.Generator, delays: bool, repeats: int = 2, **changes: Any) -> Experiment:
     trials = []
     for coupled in (False, True):
         for number in range(1, repeats + 1):
@@ -32,14 +32,16 @@ def _experiment(rng: np.random.Generator, delays: bool, repeats: int = 2) -> Exp
             label = f"{'coupled' if coupled else 'uncoupled'} #{number}"
             trials.append(TrialRecord(label, "IV", coupled, number, TIMES, noisy, 0, ANGLE, 0.01 * ANGLE))
     constants = {name: (RIG[name], 0.0) for name in ("J1", "J2", "R", "r", "N0")}
-    return Experiment(constants, ((10.2, 0.0),), tuple(trials))
+    return Experiment(constants, ((10.2, 0.0),), tuple(trials), **changes)
 
 
-@pytest.fixture(scope="module", params=[False, True], ids=["angle", "angle and delay"])
+@pytest.fixture(scope="module", params=["angle", "angle and delay", "angle and delay, curve free"])
 def posterior(request: pytest.FixtureRequest) -> RecordPosterior:
-    experiment = _experiment(np.random.default_rng(5), request.param)
+    delays = "delay" in request.param
+    curve = {} if "curve" in request.param else {"priors": {"tail": 0.0}}
+    experiment = _experiment(np.random.default_rng(5), delays, **curve)
     noise = Noise((2.0, 2.0), (0.0, 0.0), (0.0, 0.0))
-    problem = Problem(experiment, noise=noise, switches=Switches(delay=request.param, friction=False))
+    problem = Problem(experiment, noise=noise, switches=Switches(delay=delays, friction=False))
     return RecordPosterior(calibrate(problem))
 
 
@@ -74,8 +76,9 @@ def test_integrating_the_nuisances_out_agrees_with_brute_force(posterior: Record
     rng = np.random.default_rng(2)
     points = np.vstack([posterior.start, rng.multivariate_normal(posterior.start, posterior.covariance, size=3)])
     gap = posterior.log_likelihood(points) - np.array([_brute_force(posterior, point) for point in points])
-    # A tenth of a nat is what friction reversals, which are not linear in the delay, leave.
-    np.testing.assert_allclose(gap, 0.0, atol=0.15)
+    # A tenth of a nat is what friction reversals, which are not linear in the delay, leave; with the curve of the friction
+    # free its sharpness is less known, and they leave a fifth.
+    np.testing.assert_allclose(gap, 0.0, atol=0.25 if "tail" in posterior.problem.names else 0.15)
 
 
 def test_the_likelihood_of_a_point_does_not_depend_on_its_company(posterior: RecordPosterior) -> None:
