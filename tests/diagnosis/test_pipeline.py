@@ -214,11 +214,14 @@ def test_a_lag_of_less_than_a_sample_screens_as_well_as_it_fits():
     """Where triggers are late, larger lags carry first readings back across the release, where accelerations jump."""
     delay = EFFECTS["sensor_delay"]
     formula = delay.variant("channel1")
-    fit = calibrate_nominal(measured(5, effect=formula, values={"time": 3e-4}, late=1e-3, repeats=4))
-    screens = screen_variant(Screen(fit), formula)
-    fitted = fit_variant(fit, delay, formula, screens, 1).log_evidence
-    assert fitted > 40.0
-    assert max(s.gain for s in screens) > 0.8 * fitted
+    late = measured(5, effect=formula, values={"time": 3e-4}, late=1e-3, repeats=4)
+    # The nominal model bends the curve of its friction for want of the lag, and the way back is not straight.
+    for priors, share in (({"tail": 0.0}, 0.8), ({}, 0.7)):
+        fit = calibrate_nominal(replace(late, priors=priors))
+        screens = screen_variant(Screen(fit), formula)
+        fitted = fit_variant(fit, delay, formula, screens, 1).log_evidence
+        assert fitted > 40.0
+        assert max(s.gain for s in screens) > share * fitted
 
 
 def test_a_late_primary_from_which_the_release_was_read_is_an_early_secondary():

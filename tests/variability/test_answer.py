@@ -627,8 +627,7 @@ def test_the_fit_of_one_case_is_brought_to_the_common_prior(tmp_path):
     rng = np.random.default_rng(1)
     z = rng.standard_normal((20000, len(cases.pooled)))  # no data: the case's own prior
     columns = [
-        (np.log(from_standard(cases.fitted_priors[case][n], z[:, k]) / cases.priors(case)[n].median_value))
-        / math.log(cases.priors(case)[n].factor)
+        to_standard(cases.priors(case)[n], from_standard(cases.fitted_priors[case][n], z[:, k]))
         for k, n in enumerate(cases.pooled)
     ]  # fmt: skip
     moved = cases.reweighted(case, np.stack(columns, axis=1), rng)
