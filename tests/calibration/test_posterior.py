@@ -76,8 +76,8 @@ def test_integrating_the_nuisances_out_agrees_with_brute_force(posterior: Record
     rng = np.random.default_rng(2)
     points = np.vstack([posterior.start, rng.multivariate_normal(posterior.start, posterior.covariance, size=3)])
     gap = posterior.log_likelihood(points) - np.array([_brute_force(posterior, point) for point in points])
-    # A tenth of a nat is what friction reversals, which are not linear in the delay, leave; with the curve of the friction
-    # free its sharpness is less known, and they leave a fifth.
+    # A tenth of a nat is what friction reversals, which are not linear in the delay, leave; with the curve of the
+    # friction free its sharpness is less known, and they leave a fifth.
     np.testing.assert_allclose(gap, 0.0, atol=0.25 if "tail" in posterior.problem.names else 0.15)
 
 
