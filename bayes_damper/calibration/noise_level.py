@@ -15,6 +15,7 @@ from bayes_damper.calibration.least_squares import Calibration
 from bayes_damper.calibration.noise import Noise, fast_level, rounding
 
 Array = NDArray[np.float64]
+STEADY = 4.0  # steps of a clock, longest over shortest but for a tenth, up to which correlation is counted in readings
 WHITE_ENOUGH = 1.3  # largest ratio of residuals without repeats to the noise of the sensors up to which they are noise
 
 
@@ -151,7 +152,7 @@ def _unshared_noise(fit: Calibration, colour: bool) -> Noise:
                     lone.setdefault(d.size, []).append(power[power.size // 3 :])
         if spectra and sum(len(v) for v in spectra.values()) > 1:
             a, p, theta = _fit_spectrum(
-                spectra, counts, colour and all(evenly_sampled(e.trials[i].times) for i in problem.trials)
+                spectra, counts, colour and all(_steady(e.trials[i].times) for i in problem.trials)
             )
         elif lone:
             values = np.concatenate([x for v in lone.values() for x in v])
@@ -168,6 +169,16 @@ def evenly_sampled(times: Array) -> bool:
     """Whether the samples are evenly spaced, to 2 %."""
     gaps = np.diff(times)
     return bool(gaps.size > 0 and gaps.max() < 1.02 * gaps.min() + 1e-12)
+
+
+def _steady(times: Array) -> bool:
+    """Whether a reading is about one step of the clock: most steps within a factor of four of one another.
+
+    Correlation is counted in readings. On a clock that jitters or slows down it differs from step to step, and the
+    average is what the noise is given; to take it for white would call every slow error of a sensor a gap.
+    """
+    low, high = np.quantile(np.diff(times), (0.05, 0.95)) if times.size > 2 else (0.0, 0.0)
+    return bool(0.0 < high <= STEADY * low)
 
 
 def _fit_spectrum(

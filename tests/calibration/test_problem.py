@@ -321,6 +321,35 @@ def test_evidence_of_a_linear_gaussian_problem_is_exact(fitted):
     assert normals.log_evidence() == pytest.approx(exact, abs=0.5)
 
 
+@pytest.mark.parametrize("clock", ["jittered", "slowing"])
+def test_slow_noise_is_learnt_where_the_clock_is_not_even(clock):
+    """White noise and as much of an Ornstein-Uhlenbeck process that forgets within 15 ms, exact on each clock."""
+    rng = np.random.default_rng(4)
+    n, tau = 600, 15e-3
+    trials = []
+    for number in range(1, 5):
+        times = np.arange(n) * 2e-3
+        if clock == "jittered":
+            times[1:] += 2e-3 * rng.uniform(-0.3, 0.3, n - 1)
+        else:
+            times = times[-1] * (2.0 * times + times**2 / times[-1]) / (3.0 * times[-1])
+        y = Model(False).simulate(RIG | TRUE | {"k1t": 6.2, "theta0": 0.1}, times).y[0]
+        slow = rng.standard_normal(n)
+        for i, keep in enumerate(np.exp(-np.diff(times) / tau), start=1):
+            slow[i] = keep * slow[i - 1] + math.sqrt(1.0 - keep**2) * slow[i]
+        y = y + 2.0 * math.sqrt(0.5) * (slow + rng.standard_normal(n))
+        trials.append(TrialRecord(f"{number}.csv", "I", False, number, times, y, 0, 0.1, 1e-4))
+    fit = calibrate_nominal(Experiment({"J1": (RIG["J1"], 0.0)}, ((6.2, 0.0),), tuple(trials)))
+    noise = fit.problem.noise
+    assert noise.coloured(0)
+    assert noise.total[0] == pytest.approx(2.0, rel=0.1)
+    innovations = np.array([noise.whiten(0, r[0]) for r in fit.residuals().values()])
+    for lag in (1, 2, 5, 10):
+        together = np.mean(innovations[:, lag:] * innovations[:, :-lag])
+        assert abs(together) < 4.0 / math.sqrt(4 * n), lag
+    assert innovations.var() == pytest.approx(1.0, abs=0.1)
+
+
 def test_whitening_makes_coloured_noise_white():
     """Innovations of an ARMA(1, 1) process have unit variance and no correlation."""
     rng = np.random.default_rng(1)
