@@ -168,7 +168,12 @@ def test_the_table_of_default_priors_is_that_of_the_code():
     trial = TrialRecord("a", "I", True, 1, times, np.zeros((2, 100)), 0, 1.0, 0.01)
     found = default_priors(Experiment({"J1": (1.0, 0.0), "J2": (1.0, 0.0)}, ((1.0, 0.0),), (trial,)))
     for name, prior in found.items():
-        if name != "c3t":  # told as a multiple of c1t
+        if name == "tail":
+            row = re.search(
+                r"^\| `tail` \| ([\d.]+):[^|]*\| ± ([\d.]+), within (\S+) and (\S+) \|$", page, re.MULTILINE
+            )
+            assert [float(x) for x in row.groups()] == [prior.mean, prior.sd, prior.lower, prior.upper]
+        elif name != "c3t":  # told as a multiple of c1t
             number, factor = re.search(rf"^\| `{name}` \| ([\d.]+)[^|]*\| ([\d.]+) \|$", page, re.MULTILINE).groups()
             assert float(number) == pytest.approx(prior.median_value, rel=0.02), name
             assert float(factor) == prior.factor, name

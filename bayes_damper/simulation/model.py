@@ -208,10 +208,8 @@ class Model:
         """Parameters as rows of equations.ROWS, (22, n)."""
         given = _complete(parameters)
         if not self.coupled:
-            # Placeholders of what is not there: an uncoupled kernel reads none of it into the motion.
-            given = (
-                _COUPLED_ONLY | {k: v for k, v in given.items() if k not in ("J12", "k3t")} | {"J12": 0.0, "k3t": 0.0}
-            )
+            # Placeholders of what is not there: nothing between the bodies acts on the motion, whatever was given.
+            given = _COUPLED_ONLY | given | dict.fromkeys(("J12", "k3t", "k2t", "c2t", "c3t", "mu", "N0"), 0.0)
         missing = [name for name in ROWS if name not in given]
         if missing:
             raise KeyError(f"the simulation needs {', '.join(missing)}; give them in SI units")

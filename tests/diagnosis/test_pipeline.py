@@ -24,6 +24,7 @@ from bayes_damper.calibration import (
 from bayes_damper.commands.diagnose import _estimated, _maps, _shown_record
 from bayes_damper.commands.diagnose import diagnose as diagnose_folder
 from bayes_damper.diagnosis import diagnose, pairs
+from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.lone import left_of_squares
 from bayes_damper.diagnosis.outliers import outlying, outlying_in_words, without
 from bayes_damper.diagnosis.pairs import ComposedProblem, PairProblem, Second, best_pairs, pair_problem
@@ -97,7 +98,7 @@ def test_two_processes_find_what_one_finds(named):
 def test_the_figure_shows_a_held_out_record_before_and_after_the_effect_is_added(named):
     """What is left of the record is beyond the noise without the effect, noise with it; so says the figure."""
     found, _, _ = named
-    record = _shown_record(found)
+    record = _shown_record(found, "quadratic_drag")
     assert "held out" in record["label"]
     assert record["unit"] == "rad/s^2"
     assert record["added"] == "quadratic_drag"
@@ -152,7 +153,7 @@ def test_the_file_holds_what_the_contract_says(named):
 
 def test_the_maps_of_residuals_pale_where_the_effect_is_added(named):
     """A column for each channel before and after; what is left is noise alone."""
-    maps = _maps(named[0])
+    maps = _maps(named[0], "quadratic_drag")
     assert [m["title"] for m in maps] == [
         "nominal model\nprimary", "nominal model\nsecondary", "with quadratic_drag\nprimary",
         "with quadratic_drag\nsecondary",
@@ -563,6 +564,17 @@ def test_scales_keep_the_kernels_of_a_rig_like_the_thesis_s():
     """Magnitudes near the reference are rounded to it, so that no kernel is compiled anew."""
     scales = scales_of(make_experiment(1, n=50))
     assert (scales.angle, scales.torque) == (0.1, 0.8)
+
+
+def test_a_drift_of_the_coupling_does_nothing_to_the_primary_alone():
+    """It was a torque against a secondary that is not there."""
+    times = np.arange(300) * 1e-3
+    rig = RIG | TRUE | {"k1t": 6.2, "theta0": 0.1}
+    for coupled in (False, True):
+        bare, drifting = Model(coupled), Model(coupled, effect=DRIFT.variants[0])
+        rates = {"spring": 0.0, "bearings": 0.0, "coupling": 0.3, "friction": -0.3}
+        change = drifting.simulate(rig, times, effect=rates).y - bare.simulate(rig, times).y
+        assert (np.abs(change).max() > 0.1) == coupled
 
 
 def test_a_drift_that_beats_every_effect_counts_for_unknown():

@@ -264,7 +264,7 @@ def test_the_first_screen_of_a_fit_with_an_effect_has_the_parameters_of_the_effe
 def test_parameters_on_the_first_screen_are_told_in_words_with_how_well_they_are_known(tmp_path):
     write_fit(tmp_path)
     text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
-    assert "Nothing was learnt about the smoothing constant of every tanh (nu): its number repeats what was" in text
+    assert "Nothing was learnt about the sharpness with which dry friction changes its sign (nu): its number" in text
     data = json.loads((tmp_path / "summary.json").read_text())
     for entry in data["cases"].values():  # many at once stay names; what may be 0 or twice as much has no percentage
         for name in ("k2t", "c2t", "drag", "c1t", "c3t", "k1t", "J1", "J2"):
@@ -427,7 +427,7 @@ def test_everything_a_folder_holds_is_on_the_page(tmp_path):
     assert "friction displacement and normal force law cannot" not in text
     assert "Next experiment: coupled, k1t 10.2 N m/rad, released at 2.7 deg (expected to give 1.80 nats about " in text
     assert "closes 97 % of the gap" in text
-    assert "Nothing was learnt about the smoothing constant of every tanh (nu)" in text
+    assert "Nothing was learnt about the sharpness with which dry friction changes its sign (nu)" in text
     assert "The cases do not share one parameter set (2 %)" in text
     assert "insertion loss 12.0 dB (90 %: 10.4 to 13.6 dB)" in text
     assert (
@@ -445,7 +445,7 @@ def test_what_a_fit_tells_beside_its_parameters_is_on_the_page(tmp_path):
     text = words_of(report(tmp_path / "fit").path.read_text(encoding="utf-8"))
     assert "IV coupled #2 7.300 times" in text or "IV coupled #2 7.3 times" in text
     assert "0.0083 0.0071 -1.2 sd" in text
-    assert "nu: smoothing constant of every tanh -0.61 +0.85 ? k2t -0.20" in text
+    assert "nu: sharpness with which dry friction changes its sign -0.61 +0.85 ? k2t -0.20" in text
     assert "Log evidence -812.34" in text
     assert "* decided by the prior, not by the data" in text
 
