@@ -219,8 +219,9 @@ OPTION_VALUES: tuple[Any, ...] = (
 
 @dataclass(frozen=True)
 class Target:
-    """A folder, the call that reads it, and all damages of its files."""
+    """A command, a folder, the call that reads it, and all damages of its files."""
 
+    name: str
     folder: Path
     call: Callable[[], Any]
     damages: list[damage.Damage]
@@ -249,7 +250,7 @@ def campaign_targets(home: Path) -> Iterator[Target]:
     found += damage.of_toml("priors.toml", LONG_PRIORS)
     found += damage.of_csv("trials.csv", text["trials.csv"])
     found += damage.of_csv(record, text[record], rows=(3, 70))
-    yield Target(folder, lambda: check(folder), found)
+    yield Target("check", folder, lambda: check(folder), found)
 
 
 def logger_file(path: Path, channels: int) -> None:
@@ -273,7 +274,9 @@ def import_targets(home: Path) -> Iterator[Target]:
     found += damage.of_csv(
         "one.txt", (home / "one.txt").read_text().partition("12:00\n")[2].replace(",", ".").replace(";", ",")
     )
-    yield Target(home, lambda: import_records(home / "import.toml", home / "out", overwrite=True), found)
+    yield Target(
+        "init --table", home, lambda: import_records(home / "import.toml", home / "out", overwrite=True), found
+    )
 
 
 def option_calls(home: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
@@ -367,8 +370,8 @@ def results_folder(folder: Path, campaign: Path, rng: np.random.Generator) -> Pa
     return folder
 
 
-def results_targets(home: Path) -> Iterator[tuple[str, Target]]:
-    """Folders of results, read by each command that reads them: name of the command, target."""
+def results_targets(home: Path) -> Iterator[Target]:
+    """Folders of results, read by each command that reads them."""
     campaign = small_campaign(home / "campaign")
     rng = np.random.default_rng(1)
     good = results_folder(home / "good", campaign, rng)
@@ -388,10 +391,10 @@ def results_targets(home: Path) -> Iterator[tuple[str, Target]]:
         with mock.patch.object(resume, "finish_fit"):
             return resume.resume(folder)
 
-    yield "compare", Target(folder, lambda: compare([folder, good]).text(), small + large)
-    yield "tune", Target(folder, tune, small + large)
-    yield "report", Target(folder, lambda: report(folder, out=home / "page.html"), small[::3] + large[::3])
-    yield "resume", Target(folder, go_on, [d for d in small if d.file == "run.json"])
+    yield Target("compare", folder, lambda: compare([folder, good]).text(), small + large)
+    yield Target("tune", folder, tune, small + large)
+    yield Target("report", folder, lambda: report(folder, out=home / "page.html"), small[::3] + large[::3])
+    yield Target("resume", folder, go_on, [d for d in small if d.file == "run.json"])
 
 
 def of_netcdf(file: str) -> Iterator[damage.Damage]:

@@ -19,13 +19,13 @@ LEAST_TOLD = {"compare": 0.05, "tune": 0.05, "report": 0.03, "resume": 0.2}
 @pytest.mark.parametrize("share", [pytest.param(1, id="quick"), pytest.param(4, id="more", marks=pytest.mark.slow)])
 def test_damaged_results_are_told(tmp_path, share):
     seen = 0
-    for command, target in damaged_files.results_targets(tmp_path):
+    for target in damaged_files.results_targets(tmp_path):
         target.call()
         outcome = damage.Outcome()
-        damage.run(target.folder, target.damages[:: max(1, QUICK[command] // share)], target.call, outcome)
-        faults = [f"{command}: {case}\n{told}" for case, told in outcome.faults.items()]
+        damage.run(target.folder, target.damages[:: max(1, QUICK[target.name] // share)], target.call, outcome)
+        faults = [f"{target.name}: {case}\n{told}" for case, told in outcome.faults.items()]
         assert not faults, "\n".join(faults[:5])
-        assert len(outcome.told) >= LEAST_TOLD[command] * outcome.cases
+        assert len(outcome.told) >= LEAST_TOLD[target.name] * outcome.cases
         target.call()
         seen += outcome.cases
     assert seen > 150
@@ -33,8 +33,7 @@ def test_damaged_results_are_told(tmp_path, share):
 
 def test_every_kind_of_damage_to_a_posterior_is_survived(tmp_path):
     """Files of HDF5 that point elsewhere, claim petabytes or hold themselves: `tune` says so, at once."""
-    targets = dict(damaged_files.results_targets(tmp_path))
-    target = targets["tune"]
+    target = next(t for t in damaged_files.results_targets(tmp_path) if t.name == "tune")
     kinds = [d for d in target.damages if d.file.endswith(".nc") and not d.name.startswith("bytes changed")]
     outcome = damage.Outcome()
     damage.run(target.folder, kinds, target.call, outcome)

@@ -194,6 +194,39 @@ def kills() -> None:
     parts.write_page("kills", "; ".join(verdicts) + ".", lines, numbers)
 
 
+def damage() -> None:
+    """Page of the damaged files: what is finished of both parts."""
+    results = [r for name in ("damage-files", "damage-results") for r in parts.finished(name).values()]
+    total = sum(r["inputs"] for r in results)
+    faults = [case for r in results for case in r["faults"]]
+    peak = max(r["peak_kb"] for r in results) / 1e6
+    lines = [
+        "Good files of a campaign, of an import and of a results folder are changed at random, one to four times each,",
+        "and read by the command that reads them. It must end with a sentence and exit code 2, or go on where what is",
+        "left can be read: nobody can see that a digit of a reading or a comment changed, or that two rows changed places.",
+        "A fault is a traceback, a call that does not end within a minute, an empty sentence, or one with control",
+        f"characters. Memory must stay below 1 GB (most here: {peak:.2f} GB). The quick tests have changes made on",
+        "purpose, and why each of them may pass in silence.",
+    ]
+    numbers: dict[str, Any] = {"inputs": total, "faults": len(faults), "peak_gb": peak}
+    for title, key in (("file", "files"), ("change, alone or beside others", "changes")):
+        counts: Counter[str] = Counter()
+        for r in results:
+            counts.update(r[key])
+        hows = ("sentence", "silence", "fault")
+        rows = {
+            name: [counts[f"{name}|{how}"] for how in hows] for name in sorted({c.partition("|")[0] for c in counts})
+        }
+        lines += _table(
+            (title, "inputs", "a sentence", "silence", "faults"),
+            [(name, str(sum(row)), *map(str, row)) for name, row in rows.items()],
+        )
+        numbers[key] = {name: dict(zip(hows, row, strict=True)) for name, row in rows.items()}
+    numbers["commits"] = {r["commit"] for r in results}
+    lines += ["", *(f"- {case}" for case in faults[:20])] if faults else []
+    parts.write_page("damage", f"{total:,} files".replace(",", " ") + f", {len(faults)} faults.", lines, numbers)
+
+
 def integrator(rows: Results) -> None:
     """Page of the integrator's accuracy over the prior."""
     lines = [

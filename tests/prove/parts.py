@@ -93,7 +93,7 @@ def _keep(name: str, entry: dict[str, Any]) -> dict[str, Any]:
     return dict(json.loads(line))
 
 
-_OF_THE_RUN = ("code", "commit", "cpu_seconds", "seconds")  # what differs between runs of one task
+_OF_THE_RUN = ("code", "commit", "cpu_seconds", "seconds", "peak_kb")  # what differs between runs of one task
 
 
 def _try_earlier(name: str, count: int, task: Callable[[int], dict[str, Any]]) -> None:
@@ -200,6 +200,7 @@ QUESTIONS = {
     "evidence": "Is the evidence right, and what does it cost?",
     "rigs": "What do measured rigs say?",
     "priors": "Does the table of prior sensitivity tell what a new fit would find?",
+    "damage": "Does every damaged file end in a sentence?",
 }
 """What each page answers, by its name."""
 PARTS = {"calibration": ("calibration", "exact"), "bugs": ("bug-",)}
@@ -216,7 +217,7 @@ def write_index() -> None:
     total = 0.0
     for path in sorted(PAGES.glob("*.json")):
         page = json.loads(path.read_text(encoding="utf-8"))
-        if page["schema"].startswith("bayes-damper/proof-"):
+        if page.get("schema", "").startswith("bayes-damper/proof-"):
             commits = ", ".join(page["commits"])
             minutes = float(page.get("cpu_minutes", 0.0))
             total += minutes
