@@ -56,11 +56,13 @@ def gathered(warnings: Iterable[str]) -> list[str]:
         file, column, sentence = found[0]
         if not file:
             out.append(sentence)
-        elif len(found) < _ALIKE:
+            continue
+        files = len({name for name, _, _ in found})
+        if files < _ALIKE:
             out += [f"{name}{column}: {said}" for name, column, said in found]
         else:
             same = "" if all(said == sentence for _, _, said in found) else " (numbers of the first)"
-            out.append(f"{file} and {len(found) - 1} others{column}: {sentence}{same}")
+            out.append(f"{file} and {files - 1} others{column}: {sentence}{same}")
     return out
 
 

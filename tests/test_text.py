@@ -65,6 +65,13 @@ def test_what_is_said_of_three_records_is_said_once():
     assert gathered([*late, late[0].replace("A_1", "A_3")]) == [
         "trials/A_1.csv and 2 others: motion begins 0.001 s after the release; it stuck (numbers of the first)"
     ]
+    tops = [
+        f"trials/A_{i}.csv, column 'x1_m': flat tops at {level}; it looks clipped there"
+        for i in (1, 2, 3)
+        for level in (-1.5, 1.5)
+    ]
+    assert gathered(tops) == [f"trials/A_1.csv and 2 others{tops[0][len('trials/A_1.csv') :]} (numbers of the first)"]
+    assert gathered(tops[:4]) == tops[:4]
 
 
 @pytest.mark.parametrize(("share", "begins"), [(0.5, "Most probable, but not sure: a gap"), (0.96, "There is a gap")])

@@ -71,8 +71,8 @@ def look_at_balance(head: Head, trials: Sequence[Trial], faults: list[str], warn
         unit = "kg m^2" if rig.kind == "torsional" else "kg"
         balancing = ", ".join(f"{value:.3g} in case {case}" for case, value in wrong.items())
         warnings.append(
-            f"the torques on both bodies add up to zero only with a secondary_inertia of {balancing} {unit}, not with "
-            f"the declared {declared.value:.3g}: correct it, or {_cause(head, middle / declared.value)}"
+            f"the torques on both bodies add up to zero only with a secondary_inertia of about {balancing} {unit}, "
+            f"not with the declared {declared.value:.3g}: correct it, or {_cause(head, middle / declared.value)}"
         )
 
 

@@ -29,7 +29,7 @@ READER: dict[str, tuple[tuple[type, ...], str]] = {
     "time_unit": ((str,), "s (default), ms, us, min"),
     "sample_rate": ((int, float), "Hz, nominal, where there is no time column"),
     "clock": ((list,), "s that each file's clock shows at one instant, where both channels have files of their own"),
-    "columns": ((list,), "columns of the channels, primary first, by name or number from 1"),
+    "columns": ((list,), "columns of the channels, the primary's (body 1's) first, by name or number from 1"),
     "units": ((list,), "their units (default: as the file names them, else SI); mV or V with sensitivity"),
     "sensitivity": ((list,), "of sensors whose voltage was recorded, one per channel, e.g. '100 mV/g'"),
     "torque": ((str, int), "column of a measured torque (force) on the primary"),

@@ -43,6 +43,7 @@ from bayes_damper.campaign.logger_files import LoggerFile, read_file, unit_of
 from bayes_damper.campaign.trials_table import inside
 from bayes_damper.errors import InputError
 from bayes_damper.inputs import collected, file_bytes, real, shown, text_of, toml_file
+from bayes_damper.rig.units import sentence_of, spoken_of
 
 Array = NDArray[np.float64]
 
@@ -112,7 +113,9 @@ def _write(
     """The campaign of an import table with its priors.toml, if it passes the check of every command."""
     if (folder / "campaign.toml").exists() and not overwrite:
         raise InputError(f"{folder}: holds a campaign already; give another folder, or --overwrite to replace it")
-    built = _build(table, name, raw)
+    rig = table.get("rig")
+    with spoken_of(rig.get("kind") if isinstance(rig, Mapping) else None):
+        built = _build(table, name, raw)
     with tempfile.TemporaryDirectory() as scratch:
         draft = campaigns.write_campaign(Path(scratch) / "campaign", built)
         text = (draft / "campaign.toml").read_text(encoding="utf-8")
@@ -177,7 +180,8 @@ def init_campaign(
     """
     folder = Path(folder)
     paths = [Path(s).resolve() for s in sources]
-    spec = spec_from_options(folder.resolve().name, paths, options, None if raw is None else Path(raw).resolve())
+    with spoken_of(options.get("kind")):
+        spec = spec_from_options(folder.resolve().name, paths, options, None if raw is None else Path(raw).resolve())
     beside = folder / "priors.toml"
     found = file_bytes(beside) if beside.exists() else None
     priors = _NO_FRICTION if NOTHING_RUBS in spec["caveats"] else None
@@ -312,7 +316,7 @@ def _build(table: Mapping[str, Any], name: str, raw: Path) -> Campaign:
     if "quantity" in table.get("measurement", {}):
         unnamed = []
     notes = _gathered([*notes, *contradicted, *unnamed]) + _resting(trials, options) + _idle(trials)
-    caveats = (*head.caveats, *notes)
+    caveats = (*head.caveats, *(sentence_of(note, head.rig.kind) for note in notes))
     return Campaign(
         head.name, head.rig, head.measurement, tuple(trials), head.description, head.source, caveats,
         scatter=head.scatter,

@@ -20,6 +20,7 @@ from bayes_damper.campaign.record_files import read_trial
 from bayes_damper.campaign.structure import Campaign, Measurement, Trial
 from bayes_damper.campaign.trials_table import Row, read_rows
 from bayes_damper.errors import InputError
+from bayes_damper.rig.units import sentence_of, spoken_of
 
 LOG = logging.getLogger(__name__)
 PLANNED_PERIODS = 8.0
@@ -38,6 +39,12 @@ def load_campaign(folder: str | Path) -> Campaign:
     faults: list[str] = []
     digest = hashlib.sha256()
     head, rows = _head_and_rows(folder, faults, digest)
+    with spoken_of(head.rig.kind):
+        return _loaded(folder, head, rows, faults, digest)
+
+
+def _loaded(folder: Path, head: Head, rows: Sequence[Row], faults: list[str], digest: hashlib._Hash) -> Campaign:
+    """The records of a campaign, read and looked at."""
     trials = tuple(t for row in rows if (t := read_trial(folder, row, head, faults, digest)) is not None)
     check_rig(folder, head.rig, any(row.configuration == "coupled" for row in rows), faults)
     _check_reactions(trials, faults)
@@ -68,7 +75,8 @@ def load_campaign(folder: str | Path) -> Campaign:
         lag_std=per_channel(declared.lag_std, both),
     )
     # What was written down wrongly first, then what the records show, then what the import assumed.
-    return _campaign(folder, head, measurement, trials, (*warnings, *of_records, *head.caveats), digest)
+    said = [sentence_of(warning, head.rig.kind) for warning in (*warnings, *of_records)]
+    return _campaign(folder, head, measurement, trials, (*said, *head.caveats), digest)
 
 
 def _check_reactions(trials: Sequence[Trial], faults: list[str]) -> None:

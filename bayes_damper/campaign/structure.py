@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from bayes_damper.campaign import readings as look
 from bayes_damper.rig.inputs import Inputs
 from bayes_damper.rig.parameters import unit_of
+from bayes_damper.rig.units import BODIES
 from bayes_damper.text import counted, gathered
 
 Array = NDArray[np.float64]
@@ -101,6 +102,20 @@ class Rig:
     def has_magnet(self) -> bool:
         """Whether pull and face of a magnet are declared, so that effects of a magnet are possible."""
         return self.magnet_pull is not None and self.magnet_radius is not None and self.magnet_pull.value > 0.0
+
+    def describe(self) -> str:
+        """The declared numbers in a line, with what shows a wrong unit: the weight that a magnet lifts."""
+        unit = "kg m^2" if self.kind == "torsional" else "kg"
+        first, second = BODIES[self.kind]
+        parts = [f"{first} {self.primary_inertia.value:.4g} {unit}"]
+        if self.secondary_inertia is not None:
+            parts.append(f"{second} {self.secondary_inertia.value:.4g} {unit}")
+        if self.magnet_pull is not None and self.magnet_pull.value > 0.0:
+            pull = self.magnet_pull.value
+            parts.append(f"faces pressed together with {pull:.4g} N, the weight of {pull / 9.80665:.3g} kg")
+        if self.has_magnet and self.magnet_radius is not None:
+            parts[-1] += f", over a radius of {1e3 * self.magnet_radius.value:.3g} mm"
+        return "rig: " + "; ".join(parts)
 
 
 @dataclass(frozen=True)
@@ -275,6 +290,7 @@ class Campaign:
                 f"{self.measurement.quantity}, {self.rig.kind} rig, start {self.measurement.start}"
             )
         ]
+        lines += [f"  {self.rig.describe()}"]
         held = {t.key for t in self.heldout}
         for t in self.trials:
             angle = "free start" if t.theta0 is None else f"{t.theta0.value / TO_SI[self.rig.kind]:.3g} {unit}"
@@ -286,7 +302,7 @@ class Campaign:
                 if len(set(units)) == 1
                 else ", ".join(f"{x} {u}" for x, u in zip(floors, units, strict=True))
             )
-            begun = "primary moved as prescribed" if t.prescribed else angle
+            begun = f"{BODIES[self.rig.kind][0]} moved as prescribed" if t.prescribed else angle
             lines.append(
                 f"  {t.label}: {counted(len(t.times), 'reading')}, {t.times[0]:.4g} to {t.times[-1]:.4g} s, {begun}, "
                 f"noise about {noise}{_use_of(t, held)}"

@@ -180,7 +180,7 @@ def _number(text: str, where: str, faults: list[str]) -> float | None:
         faults.append(f"{where}: {shown(text)} is not a number; write digits 0 to 9 with a decimal point")
         return None
     if not math.isfinite(value):
-        faults.append(f"{where}: '{text}' is not finite; give the number")
+        faults.append(f"{where}: {shown(text)} is not finite; give the number")
         return None
     with collected(faults):
         return real(value, where)

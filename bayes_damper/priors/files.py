@@ -292,9 +292,21 @@ def campaign_priors(source: str | Path | Mapping[str, Any], campaign: Campaign) 
         for case in entry.cases
         if case not in campaign.cases
     ]
+    spring = found.entries.get("k2t")
+    if spring is not None and campaign.rig.ground2_stiffness.value <= 0.0 and _all_negative(spring.value):
+        faults.append(
+            f"{where}: k2t: negative altogether, and ground2_stiffness is 0: nothing would hold the secondary in place"
+        )
     if faults:
         raise InputError(faults)
     return found
+
+
+def _all_negative(value: Distribution | float | str | None) -> bool:
+    """Whether a fixed value, or all that a prior holds possible, lies below 0."""
+    if value is None or isinstance(value, str):
+        return False
+    return (value if isinstance(value, float) else value.support[1]) < 0.0
 
 
 def priors_from_dict(

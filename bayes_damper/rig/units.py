@@ -7,7 +7,10 @@ the same for the parameters of the model.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 
+from bayes_damper.errors import InputError
 from bayes_damper.rig.parameters import unit_of
 
 
@@ -43,3 +46,31 @@ def in_words_of(text: str, kind: str = "torsional", magnet: bool = True) -> str:
         for old, new in ((word, words[word]), (word[0].upper() + word[1:], words[word].capitalize())):
             text = re.sub(rf"\b{re.escape(old)}\b(?! \d)", new, text)
     return text
+
+
+_SPOKEN = [word for word in _STRAIGHT if word != "turn" and not re.fullmatch(r"[wQ]\w?|\w+\d", word)]  # no symbols
+
+
+def sentence_of(sentence: str, kind: str = "torsional") -> str:
+    """A message in the words of a rig of this kind; names of files, columns and keys stay as they are written."""
+    for word in sorted(_SPOKEN, key=len, reverse=True) if kind == "translational" else ():
+        for old, new in ((word, _STRAIGHT[word]), (word[0].upper() + word[1:], _STRAIGHT[word].capitalize())):
+            sentence = re.sub(rf"(?<![\w'`/.\\-]){re.escape(old)}(?![\w'`/\\-]|\.\w)", new, sentence)
+    return sentence
+
+
+@contextmanager
+def spoken_of(kind: object) -> Iterator[None]:
+    """Lets what is wrong with what the user gave be said in the words of a rig of this kind.
+
+    Raises
+    ------
+    InputError
+        the one raised inside, its sentences in those words.
+    """
+    try:
+        yield
+    except InputError as error:
+        if kind != "translational":
+            raise
+        raise InputError([sentence_of(fault, str(kind)) for fault in error.faults]) from None

@@ -705,3 +705,12 @@ def test_no_content_of_a_record_escapes_as_another_error(content: bytes) -> None
         (folder / FIRST).write_bytes(b"time_s,alpha1_rad_s2\n" + content)
         with pytest.raises(InputError):
             load_campaign(folder)
+
+
+def test_a_description_shows_the_declared_numbers_so_that_a_wrong_unit_is_seen(folder: Path) -> None:
+    line = (
+        "rig: the primary 0.003015 kg m^2; the secondary 0.002474 kg m^2; faces pressed together with 100 N, the weight"
+    )
+    assert f"{line} of 10.2 kg, over a radius of 12.7 mm" in load_campaign(folder).describe()
+    edit(folder / "campaign.toml", "magnet_pull = 100.0", "magnet_pull = 10.2")
+    assert "pressed together with 10.2 N, the weight of 1.04 kg" in load_campaign(folder).describe()

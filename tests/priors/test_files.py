@@ -1,13 +1,14 @@
 """Prior files: what the shipped ones assume, the arithmetic of a set, and every fault of a file in one error."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from campaigns import write_synthetic
 from scipy import stats
 
-from bayes_damper.campaign import load_campaign
+from bayes_damper.campaign import Constant, load_campaign
 from bayes_damper.errors import InputError
 from bayes_damper.priors.distributions import LogNormal, Normal, Uniform, median
 from bayes_damper.priors.files import campaign_priors, load_priors, priors_from_dict
@@ -263,6 +264,16 @@ def test_all_faults_of_a_file_come_at_once(tmp_path):
 )
 def test_each_fault_is_one_sentence(text, expected, tmp_path):
     assert expected in "\n".join(faults_of(text + "\n", tmp_path))
+
+
+def test_a_coupling_that_pushes_apart_needs_a_spring_to_ground(tmp_path):
+    campaign = load_campaign(write_synthetic(tmp_path / "campaign", repeats=1, rate=250.0, duration=0.6))
+    assert campaign_priors({"k2t": 0.5}, campaign).fixed["k2t"] == 0.5
+    for prior in (-0.5, [-2.0, -0.5]):
+        with pytest.raises(InputError, match="k2t: negative altogether, and ground2_stiffness is 0"):
+            campaign_priors({"k2t": prior}, campaign)
+    held = replace(campaign, rig=replace(campaign.rig, ground2_stiffness=Constant(2.0)))
+    assert campaign_priors({"k2t": -0.5}, held).fixed["k2t"] == -0.5
 
 
 def test_a_missing_file_and_an_unknown_name_are_told(tmp_path):

@@ -10,8 +10,9 @@ import pytest
 from bayes_damper.campaign import load_plan
 from bayes_damper.commands.plan import judge
 from bayes_damper.effects import EFFECTS
+from bayes_damper.errors import InputError
 from bayes_damper.rig.parameters import PARAMETERS
-from bayes_damper.rig.units import effect_unit, in_words_of
+from bayes_damper.rig.units import effect_unit, in_words_of, sentence_of, spoken_of
 
 
 @pytest.mark.parametrize(
@@ -82,3 +83,14 @@ def test_no_effect_speaks_of_torque_angle_or_magnet_on_a_cart_that_has_none(effe
 
 def test_parameters_of_a_torsional_rig_keep_their_words() -> None:
     assert all(in_words_of(p.meaning) == p.meaning for p in PARAMETERS.values())
+
+
+def test_what_is_said_of_a_cart_leaves_names_of_files_and_columns_alone() -> None:
+    said = "trials/angle.csv: the primary is held; in turn 'the primary' of theta0_std_deg, torque.csv, primary_inertia"
+    assert sentence_of(said) == said
+    assert sentence_of(said, "translational") == said.replace("the primary is", "body 1 is")
+    assert sentence_of("The torques on both. A torque.", "translational") == "The forces on both. A force."
+    with pytest.raises(InputError, match=r"^body 2 rests$"), spoken_of("translational"):
+        raise InputError("the secondary rests")
+    with pytest.raises(InputError, match=r"^the secondary rests$"), spoken_of(None):
+        raise InputError("the secondary rests")
