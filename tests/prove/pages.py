@@ -203,7 +203,7 @@ def damage() -> None:
     lines = [
         "Good files of a campaign, of an import and of a results folder are changed at random, one to four times each,",
         "and read by the command that reads them. It must end with a sentence and exit code 2, or go on where what is",
-        "left can be read: nobody can see that a digit of a reading or a comment changed, or that two rows changed places.",
+        "left can be read: nobody can see that a digit of a reading or a comment changed, or two rows were swapped.",
         "A fault is a traceback, a call that does not end within a minute, an empty sentence, or one with control",
         f"characters. Memory must stay below 1 GB (most here: {peak:.2f} GB). The quick tests have changes made on",
         "purpose, and why each of them may pass in silence.",
