@@ -139,6 +139,19 @@ class Experiment:
         return tuple(i for i, trial in enumerate(self.trials) if trial.heldout)
 
 
+def angles_of(experiment: Experiment) -> list[float]:
+    """How far the primary goes in each trial, rad (m): as released, as its motion is prescribed, or as it reads."""
+    if angles := [abs(t.theta0) for t in experiment.trials if t.theta0]:
+        return angles
+    omega = math.sqrt(float(np.median([k for k, _ in experiment.stiffnesses])) / experiment.constants["J1"][0])
+    reach = omega ** DERIVATIVE[experiment.quantity]
+    moved = [None if t.inputs is None else t.inputs.motion for t in experiment.trials]
+    return [
+        float(np.nanmax(np.abs(t.y[0]))) / reach if m is None else float(np.max(np.abs(m[0])))
+        for t, m in zip(experiment.trials, moved, strict=True)
+    ]
+
+
 def default_priors(experiment: Experiment) -> dict[str, Distribution]:
     """Priors of the nominal parameters, scaled to the rig; with the thesis's rig their medians are the thesis's values.
 
@@ -150,11 +163,7 @@ def default_priors(experiment: Experiment) -> dict[str, Distribution]:
     j2 = experiment.constants.get("J2", (j1, 0.0))[0]
     k1 = float(np.median([k for k, _ in experiment.stiffnesses]))
     omega = math.sqrt(k1 / j1)
-    angles = [abs(t.theta0) for t in experiment.trials if t.theta0]
-    if not angles:
-        reach = {"acceleration": omega**2, "velocity": omega, "displacement": 1.0}[experiment.quantity]
-        angles = [float(np.nanmax(np.abs(t.y[0]))) / reach for t in experiment.trials] or [0.1]
-    angle = max(float(np.median(angles)), 1e-9)
+    angle = max(float(np.median(angles_of(experiment) or [0.1])), 1e-9)
     viscous = 0.06 * math.sqrt(k1 * j1)  # damping ratio 0.03
     return {
         "mu": LogNormal(0.007, 2.7),

@@ -178,6 +178,7 @@ def judge(
 ) -> dict[str, Any]:
     """The content of plan.json, without checksum and provenance."""
     fit = planned_fit(campaign, nominal, priors, threads)
+    sd = campaign.measurement.noise_std or ()
     pool = offered(fit.problem.experiment, nominal, effects)
     rng = np.random.default_rng([seed, 9])
     views = _views(fit, pool, rng)
@@ -193,7 +194,7 @@ def judge(
         "nominal": nominal,
         "trials": len(fit.problem.trials),
         "held_out": len(fit.problem.experiment.trials) - len(fit.problem.trials),
-        "noise": list(fit.problem.noise.total),
+        "noise": [sd[min(c, len(sd) - 1)] for c in range(2 if fit.problem.experiment.coupled else 1)],
         "duration_s": campaign.measurement.duration,
         "nats_needed": NATS,
         "effects": rows,
@@ -214,12 +215,7 @@ def planned_fit(
 ) -> Calibration:
     """The nominal model at its prior medians, linearised on the readings that it predicts itself."""
     experiment = experiment_of(campaign, priors)
-    if any(t.prescribed or t.carried for t in experiment.trials):
-        raise InputError(
-            f"{campaign.name}: the motion of the primary, or of a pendulum's pivot, is prescribed, which plan cannot "
-            "take into account; plan free decays or trials under a measured torque"
-        )
-    sd = campaign.measurement.noise_std or ()
+    sd = experiment.noise_sd
     channels = 2 if experiment.coupled else 1
     noise = Noise(tuple(sd[min(c, len(sd) - 1)] for c in range(channels)), (0.0,) * channels, (0.0,) * channels)
     blank = Problem(experiment, nominal=nominal, noise=noise, threads=threads)

@@ -70,7 +70,8 @@ def propose(
     any scale; stiffnesses : k1t to try, N m/rad, default the declared values and 0.7 and 1.4 times them; angles :
     theta0 to try, rad, default from half the smallest to 1.3 times the largest in the campaign; top : how many.
 
-    An empty list if fewer than two answers are open, or if the rig starts freely (no release to choose).
+    An empty list if fewer than two answers are open, or if there is no release to choose: the rig starts freely, or the
+    motion of its primary is prescribed.
 
     Raises
     ------
@@ -83,7 +84,8 @@ def propose(
         raise ValueError("probabilities must not be negative")
     whole = sum(probabilities) or 1.0
     open_answers = [(f, p / whole) for f, p in zip(fits, probabilities, strict=True) if p >= LEAST_PROBABILITY * whole]
-    if len(open_answers) < 2 or open_answers[0][0].problem.experiment.start != "rest":
+    known = [f.problem.experiment for f, _ in open_answers[:1]]
+    if len(open_answers) < 2 or known[0].start != "rest" or any(t.prescribed for t in known[0].trials):
         return []
     p = np.array([x for _, x in open_answers])
     p /= p.sum()

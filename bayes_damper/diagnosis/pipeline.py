@@ -50,7 +50,6 @@ from bayes_damper.diagnosis.where import Where, locate
 from bayes_damper.diagnosis.wiring import miswired
 from bayes_damper.effects import EFFECTS, Effect, classes, scaled
 from bayes_damper.effects.base import SITES, Variant
-from bayes_damper.errors import InputError
 from bayes_damper.priors.distributions import Distribution, from_standard
 from bayes_damper.priors.files import PriorSet
 from bayes_damper.rig.parameters import unit_of
@@ -279,12 +278,6 @@ def diagnose(
     began = time.perf_counter()
     name = getattr(campaign, "name", "campaign")
     experiment = campaign if isinstance(campaign, Experiment) else experiment_of(campaign, priors)
-    if any(t.prescribed or t.carried for t in experiment.trials):
-        raise InputError(
-            f"{name}: the motion of the primary, or of a pendulum's pivot, is prescribed, which diagnose cannot take "
-            "into account: where it looks for a missing torque both bodies move freely; compare the log evidence of "
-            "`bayes-damper fit` with and without --effect NAME"
-        )
     if short := shortage(sum(t.y.size for t in experiment.trials)):
         report(short)
     odd = odd_trials(experiment)

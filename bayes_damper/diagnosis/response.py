@@ -8,6 +8,9 @@ would the readings change? Along the motion of a fitted rig the change obeys the
 stepped here by an L-stable rule of third order for many torques at once. A reversal of dry friction lasts far less
 than a step; over a step the slope of s(nu w) is therefore the secant (s(nu b) - s(nu a)) / (b - a), which conserves
 the jump.
+
+Where the motion of the primary is prescribed, its part of the state does not change, and its channel reads what its own
+equation lacks to that motion. A pivot that is moved sideways tilts the gravity that a pendulum feels.
 """
 
 from __future__ import annotations
@@ -21,7 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.calibration import Block, Calibration, Experiment, Group
+from bayes_damper.rig.inputs import Inputs
 from bayes_damper.rig.kernels import compiled
+from bayes_damper.simulation.integrator import PER_GRAVITY
 from bayes_damper.simulation.model import Model
 
 Array = NDArray[np.float64]
@@ -85,6 +90,11 @@ class Motion:
         """N / N0, the share of the pull that is left; (trials, N)."""
         return np.asarray(np.maximum(0.0, 1.0 - self.slope[:, None] * np.abs(self.phi)))
 
+    @property
+    def prescribed(self) -> bool:
+        """Whether the motion of the primary is an input, and its channel reads the reaction."""
+        return self.group.inputs is not None and self.group.inputs.motion is not None
+
     def only(self, at: slice) -> Motion:
         """The motion of some of its trials."""
         rest = {f.name: getattr(self, f.name)[at] for f in fields(self) if f.name not in ("group", "grid", "at")}
@@ -104,6 +114,8 @@ class Motion:
             if torque is not None:
                 q[:, :, body] = (torque * moving[:, None]).transpose(0, 2, 1)
         state = np.zeros((trials, 4, k)) if start is None else np.ascontiguousarray(start.transpose(0, 2, 1))
+        if self.prescribed:
+            state[:, ::2] = 0.0
         y = np.empty((trials, self.read_state.shape[1], self.at.size, k))
         _march(self.step, self.push, self.read_state, self.read_torque, self.at, moving, q, state, y)
         return y.transpose(0, 3, 1, 2)
@@ -231,6 +243,10 @@ def _motion(fit: Calibration, block: Block) -> Motion:
 
     th, w, a = read("displacement"), read("velocity"), read("acceleration")
     delay = value("delay", 0.0)
+    reaction = None  # N m
+    if inputs is not None and inputs.motion is not None:
+        reaction, delay = a[:, 0] * inputs.unit, np.full(n, grid[0])
+        th[:, 0], w[:, 0], a[:, 0] = inputs.moved(grid)
     since = np.maximum(grid[None, :] - delay[:, None], 0.0)
     if float(delay.max()) <= grid[0]:
         since = since + 1e-12  # released before the record begins
@@ -239,35 +255,53 @@ def _motion(fit: Calibration, block: Block) -> Motion:
     parts = _parts(e, value, coupled)
     friction, slope = parts["friction"], parts["slope"]
     inverse: Array = np.zeros((n, 2, 2))
-    if coupled:
-        mass = _mass(value)
-        inverse[:] = np.linalg.inv(mass)
+    if reaction is not None:
+        inverse[:, 1, 1] = float(coupled) / value("J2", 1.0)
+    elif coupled:
+        inverse[:] = np.linalg.inv(_mass(value))
     else:
         inverse[:, 0, 0] = 1.0 / j1
     pendulum = e.restoring == "pendulum"
-    K, C = _jacobian(th[:, :, :-1], th[:, :, 1:], w[:, :, :-1], w[:, :, 1:], parts, coupled, pendulum)
+    tilt = _tilt(inputs, grid)
+    K, C = _jacobian(
+        th[:, :, :-1], th[:, :, 1:], w[:, :, :-1], w[:, :, 1:], parts, coupled, pendulum, 0.5 * (tilt[:-1] + tilt[1:])
+    )
     h = np.clip(grid[None, 1:] - np.maximum(grid[None, :-1], delay[:, None]), 0.0, None)
     step, push = _steps(K, C, inverse, h)
-    y, read_state, read_torque = _reading(th, w, a, at, inverse, _beside(K), _beside(C), coupled, e.quantity)
-    if group.inputs is not None:
+    beside = _beside(K), _beside(C)
+    y, read_state, read_torque = _reading(th, w, a, at, inverse, *beside, coupled, e.quantity)
+    if inputs is not None and reaction is not None:
+        y[:, 0] = reaction[:, at] / inputs.unit
+        carried = value("J12", 0.0)[:, None] * inverse[:, 1, 1:]  # of what acts on the secondary, (trials, 1)
+        for part, per in zip((slice(2), slice(2, 4)), beside, strict=True):
+            read_state[:, 0, :, part] = (carried[:, :, None] * per[:, at, 1] - per[:, at, 0]) / inputs.unit
+        read_torque[:, 0] = np.concatenate([-np.ones((n, 1)), carried], axis=1)[:, None] / inputs.unit
+    if group.inputs is not None and group.inputs.pivot is None:
         y = y + group.inputs.at(group.times)[3]
     theta0 = value("theta0")
     added = np.zeros_like(th)
     if e.coupling_law == "constant" and variant is not None:
         added = a.copy()
         if coupled:
-            added = np.einsum("jkl,jln->jkn", mass, a)
+            added = np.einsum("jkl,jln->jkn", _mass(value), a)
         else:
             added[:, 0] *= j1[:, None]
-        added -= _nominal_torques(th, w, parts, coupled, pendulum)
+        added -= _nominal_torques(th, w, parts, coupled, pendulum, tilt)
         if inputs is not None:
             acting = inputs.torques(grid, j1, value("J2"), value("J12") if coupled else np.zeros(n))
+            acting[:, 0] = acting[:, 0] if reaction is None else reaction
             added[:, : 1 + coupled] -= acting[:, : 1 + coupled]
         added *= (since > 0.0)[:, None]
     return Motion(
         group, grid, at, th[:, 0], th[:, 1], w[:, 0], w[:, 1], a[:, 0], a[:, 1], since, y, friction, slope, nu,
         value("tail"), k1t, theta0, step, push, read_state, read_torque, added,
     )  # fmt: skip
+
+
+def _tilt(inputs: Inputs | None, grid: Array) -> Array:
+    """Sideways pull on a pendulum whose pivot is moved, as a share of its weight, at the instants `grid`, (N,)."""
+    moved = inputs is not None and inputs.pivot is not None
+    return inputs.at(grid)[3] * PER_GRAVITY if inputs is not None and moved else np.zeros(grid.size)
 
 
 def _parts(e: Experiment, value: Callable[[str, float], Array], coupled: bool) -> dict[str, Array]:
@@ -308,13 +342,13 @@ def nominal_slopes(fit: Calibration, block: Block, motion: Motion, step: float =
     )
     pendulum = problem.experiment.restoring == "pendulum"
     parts = _parts(problem.experiment, value, group.coupled)
-    torque = _nominal_torques(th, w, parts, group.coupled, pendulum)
+    torque = _nominal_torques(th, w, parts, group.coupled, pendulum, _tilt(group.inputs, motion.grid))
     mass = _mass(value) if group.coupled else value("J1")[:, None, None] * np.diag([1.0, 0.0])
     torque = (torque - np.einsum("jkl,jln->jkn", mass, a)).reshape(size + 1, n, 2, -1)
     return np.asarray(((torque[:-1] - torque[-1]) / step).transpose(1, 0, 2, 3))
 
 
-def _nominal_torques(th: Array, w: Array, p: dict[str, Array], coupled: bool, pendulum: bool) -> Array:
+def _nominal_torques(th: Array, w: Array, p: dict[str, Array], coupled: bool, pendulum: bool, tilt: Array) -> Array:
     """Torques of the nominal laws on both inertias, (trials, 2, N); nothing on the secondary of an uncoupled rig."""
 
     def column(name: str) -> Array:
@@ -323,7 +357,7 @@ def _nominal_torques(th: Array, w: Array, p: dict[str, Array], coupled: bool, pe
     def dry(x: Array) -> Array:
         return dry_sign(x, p["nu"], p["tail"])
 
-    bent = np.sin(th) if pendulum else th
+    bent = np.sin(th) + tilt * np.cos(th) if pendulum else th
     out = np.zeros_like(th)
     out[:, 0] = -column("k1t") * bent[:, 0] - column("c1t") * w[:, 0] - column("drag") * dry(w[:, 0])
     if coupled:
@@ -355,7 +389,7 @@ def _secant(nu: Array, tail: Array, a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def _jacobian(
-    th_a: Array, th_b: Array, w_a: Array, w_b: Array, p: dict[str, Array], coupled: bool, pendulum: bool
+    th_a: Array, th_b: Array, w_a: Array, w_b: Array, p: dict[str, Array], coupled: bool, pendulum: bool, tilt: Array
 ) -> tuple[Array, Array]:
     """Derivatives of both torques by angles and velocities, averaged over steps from a to b; (trials, steps, 2, 2)."""
     trials, _, steps = th_a.shape
@@ -365,7 +399,7 @@ def _jacobian(
     def column(name: str) -> Array:
         return p[name][:, None]
 
-    bend = np.cos(th) if pendulum else np.ones_like(th)
+    bend = np.cos(th) - tilt * np.sin(th) if pendulum else np.ones_like(th)
     slope1, _ = _secant(p["nu"], p["tail"], w_a[:, 0], w_b[:, 0])
     K[:, :, 0, 0] = -column("k1t") * bend[:, 0]
     C[:, :, 0, 0] = -column("c1t") - column("drag") * slope1

@@ -24,6 +24,8 @@ from bayes_damper.calibration import (
     coordinate_of,
     summarise,
 )
+from bayes_damper.calibration.experiment import angles_of
+from bayes_damper.campaign.records import DERIVATIVE
 from bayes_damper.effects import REFERENCE, Scales, candidates, scaled
 from bayes_damper.effects.base import Effect, Variant
 from bayes_damper.priors.distributions import HalfNormal
@@ -82,11 +84,8 @@ def scales_of(experiment: Experiment) -> Scales:
     j1 = experiment.constants["J1"][0]
     k1 = float(np.median([k for k, _ in experiment.stiffnesses]))
     omega = math.sqrt(k1 / j1)
-    reach = {"acceleration": omega**2, "velocity": omega, "displacement": 1.0}[experiment.quantity]
-    angles = [abs(t.theta0) for t in experiment.trials if t.theta0]
-    if not angles:
-        angles = [float(np.nanmax(np.abs(t.y[0]))) / reach for t in experiment.trials]
-    angle = float(np.median(angles))
+    reach = omega ** DERIVATIVE[experiment.quantity]
+    angle = float(np.median(angles_of(experiment)))
     exact = Scales(angle, 1.0 / omega, k1 * angle, reach * angle)
 
     def rounded(value: float, reference: float) -> float:
@@ -100,12 +99,13 @@ def offered(
 ) -> list[tuple[Effect, Variant]]:
     """Every variant that this rig can have, with priors at the rig's scale."""
     scales = scales or scales_of(experiment)
+    imposed = all(t.prescribed for t in experiment.trials)  # and nothing is released
     able = candidates(
         experiment.coupled,
         experiment.face,
         "linear" if nominal == "linear" else "nonlinear",
         effects,
-        experiment.start,
+        "free" if imposed else experiment.start,
         experiment.restoring,
     )
     pool = [(effect, scaled(variant, scales)) for effect in able.values() for variant in effect.variants]

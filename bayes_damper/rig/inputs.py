@@ -143,13 +143,20 @@ class Inputs:
 
     def begun(self, instant: float) -> tuple[float, float]:
         """Angle and speed of a primary whose motion is prescribed, at an instant."""
+        angle, speed, _ = self.moved(np.array([instant]))[:, 0]
+        return float(angle), float(speed)
+
+    def moved(self, instants: Array) -> Array:
+        """Angle, speed and acceleration of a primary whose motion is prescribed, (3, n), at the instants (n,)."""
         assert self.motion is not None
-        k = int(np.clip(np.searchsorted(self.times, instant, side="right") - 1, 0, self.times.size - 1))
-        angle, speed, a = (float(x) for x in self.motion[:, k])
-        later = min(k + 1, self.times.size - 1)
-        h, u = float(self.times[later] - self.times[k]), float(instant - self.times[k])
-        slope = 0.0 if self.held or h == 0.0 else (float(self.motion[2, later]) - a) / h
-        return angle + u * (speed + u * (0.5 * a + slope * u / 6.0)), speed + u * (a + 0.5 * slope * u)
+        k = np.clip(np.searchsorted(self.times, instants, side="right") - 1, 0, self.times.size - 1)
+        angle, speed, a = self.motion[:, k]
+        later = np.minimum(k + 1, self.times.size - 1)
+        h, u = self.times[later] - self.times[k], instants - self.times[k]
+        rise = np.zeros_like(u) if self.held else self.motion[2, later] - a
+        slope = np.divide(rise, h, out=np.zeros_like(u), where=h > 0.0)
+        faster = u * (a + 0.5 * slope * u)
+        return np.stack([angle + u * (speed + u * (0.5 * a + slope * u / 6.0)), speed + faster, a + slope * u])
 
     def at(self, grid: Array) -> Array:
         """Values of torque1, torque2, ground and shown at the instants `grid`, (4, n).

@@ -15,7 +15,9 @@ from bayes_damper.calibration.nominal import calibrate_nominal
 from bayes_damper.calibration.scatter import TYPICAL
 from bayes_damper.campaign import load_campaign, write_campaign
 from bayes_damper.campaign.importer import init_campaign
+from bayes_damper.commands.plan import judge
 from bayes_damper.diagnosis import diagnose
+from bayes_damper.effects import EFFECTS
 from bayes_damper.errors import InputError
 from bayes_damper.rig.inputs import Inputs
 from bayes_damper.simulation.model import Model
@@ -99,10 +101,8 @@ def test_motions_that_cannot_be_taken_are_faults(tmp_path, options, words):
         load_campaign(write(tmp_path / "a", **options))
 
 
-def test_a_campaign_is_of_reactions_or_of_motions_and_has_no_diagnosis(tmp_path):
+def test_a_campaign_is_of_reactions_or_of_motions(tmp_path):
     campaign = load_campaign(write(tmp_path / "a"))
-    with pytest.raises(InputError, match="--effect NAME"):
-        diagnose(campaign)
     y = campaign.trials[0].channels
     write_table(tmp_path / "a/trials/0.csv", ["time_s", "theta1_rad", "theta2_rad", "torque1_n_m"], [TIMES, *y, y[0]])
     with pytest.raises(InputError, match="make a campaign of each"):
@@ -126,6 +126,47 @@ def test_a_fit_of_reactions_finds_the_rig_and_forecasts_twice_the_level(tmp_path
     unit = RIG["k1t"]  # of a reaction among angles
     for rms, sd in zip(found["rms_by_channel"], (NOISE[0] / unit, NOISE[1]), strict=True):
         assert 0.9 < rms / sd < 1.15
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("cubic", "verdict"), [(0.0, "none"), (900.0, "spring_cubic")])
+def test_diagnose_names_what_the_reaction_of_a_prescribed_motion_shows(tmp_path, cubic, verdict):
+    """One body, whose reaction is a sum of known terms: nothing is simulated."""
+    rng = np.random.default_rng(3)
+    folder = tmp_path / "a"
+    (folder / "trials").mkdir(parents=True)
+    toml = re.sub("(secondary|bar|magnet).*\n", "", TOML).replace("START", "rest")
+    (folder / "campaign.toml").write_text(toml, encoding="utf-8")
+    rows = ["file,case,configuration,k1t_n_m_per_rad,theta0_deg,theta0_std_deg,trial"]
+    for k in range(3):
+        motion = angle(0.04, 1)
+        th, w, a = Inputs.measured(TIMES, motion=motion).motion
+        reaction = 3.015e-3 * a + 0.011 * w + 10.2 * th + 0.005 * np.tanh(60.0 * w) + cubic * th**3
+        write_table(
+            folder / f"trials/{k}.csv", ["time_s", "reaction1_n_m", "motion1_rad"],
+            [TIMES, reaction + NOISE[0] * rng.standard_normal(TIMES.size), motion],
+        )  # fmt: skip
+        rows.append(f"trials/{k}.csv,A,uncoupled,10.2,0,0.001,{k + 1}")
+    (folder / "trials.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    campaign = load_campaign(folder)
+    if cubic:
+        declared = replace(campaign, measurement=replace(campaign.measurement, noise_std=NOISE[:1]))
+        plan = judge(declared, {name: EFFECTS[name] for name in ("spring_cubic", "quadratic_drag")}, threads=1)
+        assert plan["noise"] == [NOISE[0]]  # N m
+        assert all(row["chance"] > 0.5 for row in plan["effects"])
+        low, high = plan["parameters"]["J1"]["expected90"]
+        assert high - low < 2e-5
+    found = diagnose(campaign)
+    assert found.verdict == verdict, found.answers.probabilities
+    assert found.answers.probabilities[verdict] > 0.6
+    assert found.proposals == ()  # nothing is released
+    assert not {"release_ramp", "release_offset"} & set(found.evidence)
+    if cubic:
+        assert found.gap.answer == "gap"
+        assert found.gap.closed.median > 0.9
+        missing = found.site_map.torque[0]
+        right = -cubic * missing.th1**3
+        assert np.corrcoef(missing.torque[0], right)[0, 1] > 0.9
 
 
 def test_init_takes_a_reaction_and_the_motion_that_was_imposed(tmp_path):
