@@ -158,6 +158,29 @@ def law_sentence(law: Mapping[str, Any] | None) -> str:
     )
 
 
+def named_sentence(law: Mapping[str, Any] | None) -> str:
+    """Which short formula stands for a learnt law, in a sentence; "" where none was looked for."""
+    named = (law or {}).get("named")
+    if not law or not named or not named["formulas"]:
+        return ""
+    best, only = named["formulas"][0], named["shape_only"]
+    if only >= best["probability"]:
+        return (
+            f"No short formula stands for it (p {only:.2f}): its shape alone is known; the nearest is "
+            f"Q = {best['formula']} (p {best['probability']:.2f})."
+        )
+    others = [f"Q = {f['formula']} ({f['probability']:.2f})" for f in named["formulas"][1:] if f["probability"] >= 0.01]
+    more = f"; else {', or '.join(others)}" if others else ""
+    first = f"As a formula: Q = {best['formula']} (p {best['probability']:.2f}){more}; none of these, shape only: "
+    return (
+        f"{first}{only:.2f}. x and v: {_COORDINATES[law['site']]}, SI units, s the sign of v, t the time since release."
+    )
+
+
+_COORDINATES = {
+    "ground1": "angle and velocity of the primary", "bearings": "angle and velocity of each body",
+    "interface": "relative angle and velocity", "ground2": "angle and velocity of the secondary",
+}  # fmt: skip
 _AT = {
     "ground1": "the primary's spring", "bearings": "the bearings", "interface": "the interface",
     "ground2": "the secondary", "release": "the release", "sensor": "the sensors",

@@ -44,6 +44,7 @@ from bayes_damper.text import (
     held_out_of,
     law_sentence,
     named_answers,
+    named_sentence,
     p_value,
 )
 
@@ -346,7 +347,8 @@ def _words(result: Mapping[str, Any]) -> list[str]:
     divided = said(budget_sentence(result.get("budget"))) if verdict != "none" else ""
     lines = [divided, *lines] if divided else lines
     learnt = said(law_sentence(result.get("law")))
-    lines += [learnt] if learnt else []
+    named = said(named_sentence(result.get("law")))
+    lines += [line for line in (learnt, named) if line]
     lines.append(_gap_words(gap, str(result.get("reading_unit") or "")))
     beside = gap_beside_verdict(verdict, share, gap)
     lines += [beside] if beside else []

@@ -22,6 +22,8 @@ from numpy.typing import NDArray
 
 from bayes_damper.calibration import Calibration, calibrate, learn_noise
 from bayes_damper.diagnosis.budget import Budget
+from bayes_damper.diagnosis.named import Named, Place, name_law
+from bayes_damper.diagnosis.remainder import own_frequency
 from bayes_damper.diagnosis.response import Motion, Projected, in_slices, motions, project, whiten
 from bayes_damper.diagnosis.sets import Member, SetProblem
 from bayes_damper.diagnosis.shares import Closed, products_of, shortest_interval
@@ -69,7 +71,8 @@ class Learnt:
 
     closes: share of the nominal model's gap that the law closes on held-out trials, beyond what the effects beside it
     close; of_the_rest: of what those leave; freedom: effective degrees of freedom; fit: everything free, the law's
-    coefficients too; density: readings in cells of angle and velocity (n, n), and the cells' edges (n + 1,).
+    coefficients too; density: readings in cells of angle and velocity (n, n), and the cells' edges (n + 1,); named: the
+    short formulas that may stand for it.
     """
 
     law: Law
@@ -78,6 +81,7 @@ class Learnt:
     freedom: float
     fit: Calibration
     density: tuple[Array, Array, Array]
+    named: Named | None = None
 
     @property
     def file(self) -> str:
@@ -98,6 +102,7 @@ class Learnt:
             "closes_of_the_rest": self.of_the_rest.to_json(),
             "effective_degrees_of_freedom": self.freedom,
             "ranges": {name: list(bounds) for name, bounds in law.ranges.items()},
+            "named": None if self.named is None else self.named.to_json((law.rig or {}).get("kind") == "translational"),
             "parameters": dict(law.nominal or {}),
             "tables": [f"learnt/{law.site}.csv", f"learnt/{law.site}_table.csv"],
         }
@@ -180,6 +185,7 @@ def learn(
     if site not in SITES or (site == "ground2" and not nominal.problem.experiment.coupled):
         return None
     report(f"learning the law that is missing at {site}")
+    under = base
     law, start = _linear(base, site, max(base.chi2 / max(base.problem.n_data, 1.0), 1.0))
     if law is None or start is None:
         return None
@@ -194,19 +200,40 @@ def learn(
         if finer is None or start is None:
             break
         fit, law, freedom = _refitted(nominal, again, budget, members, finer, start)
+        under = again
     shown = products_of([nominal, base, fit], heldout, rng)
     rest = shown.closed(2, before=1)
     closes = _beyond(shown, rest)
     if not _above_nothing(rest) or not worth_offering(closes) or closes.median is None or closes.hdi90 is None:
         return None
+    report("comparing formulas for it")
+    named = _named(fit, law, nominal, under, budget, members)
     rig = {name: value for name, (value, _) in nominal.problem.experiment.constants.items() if name in ("J1", "J2")}
     moved = motions(in_slices(fit))
     law = replace(
         law, rig={"kind": kind, **rig}, campaign=campaign, beside=tuple(e.name for e, _ in members),
         closes=(closes.median, *closes.hdi90),
         nominal={n: v for n, (v, _) in fit.parameters.items() if not n.startswith("effect.")},
+        formulas=() if named is None else named.in_words(), shape_only=None if named is None else named.shape_only,
     )  # fmt: skip
-    return Learnt(law, closes, rest, freedom, fit, _density(moved, law))
+    return Learnt(law, closes, rest, freedom, fit, _density(moved, law), named)
+
+
+def _named(
+    fit: Calibration, law: Law, nominal: Calibration, under: Calibration, budget: Budget, members: Sequence[Member]
+) -> Named | None:  # fmt: skip
+    """Short formulas for a law; under : the fit without it, under the same noise."""
+    if members:
+        problem = SetProblem(nominal.problem.with_noise(under.problem.noise), members, exact=False)
+        start = under.q[_in_order(nominal, under, budget, members)]
+        under = calibrate(problem, [start], eta=under.eta, anneal=False, most=STEPS)
+
+    def at(m: Motion, body: int) -> tuple[Array, Array] | None:
+        acts = any(n is m and b == body for n, b in acting([m], law.site, law.bodies))
+        return coordinates_of(m, law.site, body) if acts else None
+
+    period = 1.0 / (2.0 * math.pi * own_frequency(nominal.problem.experiment))
+    return name_law(fit, len(law.terms), under, nominal, members, Place(law.site, law.bodies, at, period))
 
 
 def _above_nothing(share: Closed) -> bool:
@@ -242,7 +269,7 @@ def _beside(nominal: Calibration, budget: Budget, members: Sequence[Member]) -> 
 # Linearised -----------------------------------------------------------------------------------------------------------
 
 
-def _coordinates(m: Motion, site: str, body: int) -> tuple[Array, Array]:
+def coordinates_of(m: Motion, site: str, body: int) -> tuple[Array, Array]:
     """Angle and velocity (trials, N) that a law at a site depends on."""
     if site == "interface":
         return m.phi, m.slip
@@ -250,7 +277,7 @@ def _coordinates(m: Motion, site: str, body: int) -> tuple[Array, Array]:
     return (m.th2, m.w2) if second else (m.th1, m.w1)
 
 
-def _acting(moved: Sequence[Motion], site: str, bodies: str) -> list[tuple[Motion, int]]:
+def acting(moved: Sequence[Motion], site: str, bodies: str) -> list[tuple[Motion, int]]:
     """Motions in which a law acts, and the bodies whose motion it follows."""
     if site in ("interface", "ground2"):
         return [(m, 0) for m in moved if m.group.coupled]
@@ -260,7 +287,7 @@ def _acting(moved: Sequence[Motion], site: str, bodies: str) -> list[tuple[Motio
 
 def ranges_of(moved: Sequence[Motion], site: str, bodies: str) -> dict[str, tuple[float, float]]:
     """Lowest and highest value of each coordinate after the release."""
-    every = [(*_coordinates(m, site, b), m.since) for m, b in _acting(moved, site, bodies)]
+    every = [(*coordinates_of(m, site, b), m.since) for m, b in acting(moved, site, bodies)]
     out = {}
     for k, name in enumerate(COORDINATES):
         values = [(c[k], c[2] > 0.0) for c in every]
@@ -270,7 +297,7 @@ def ranges_of(moved: Sequence[Motion], site: str, bodies: str) -> dict[str, tupl
     return out
 
 
-def _columns(
+def columns_of(
     fit: Calibration,
     m: Motion,
     site: str,
@@ -283,9 +310,9 @@ def _columns(
     trials = m.th1.shape[0]
     q = np.zeros((2, trials, size, m.grid.size))
     for body in range(1 + int(m.group.coupled)):
-        if not any(n is m and b == body for n, b in _acting([m], site, bodies)):
+        if not any(n is m and b == body for n, b in acting([m], site, bodies)):
             continue
-        x, v = _coordinates(m, site, body)
+        x, v = coordinates_of(m, site, body)
         f = basis_of(terms, ranges, m.nu[:, None], x, v, m.since).transpose(0, 2, 1)
         if site == "interface":
             q[0], q[1] = -f, f
@@ -314,8 +341,8 @@ def _linear(fit: Calibration, site: str, heat: float) -> tuple[Law | None, tuple
     for bodies in ("both", "primary") if site == "bearings" and any(m.group.coupled for m in moved) else ("both",):
         ranges = ranges_of(moved, site, bodies)
         terms = [Term(c, along, (0.0,) * ORDER) for c, along in TERMS]
-        judged = project(fit, (_columns(fit, m, site, bodies, terms, ranges) for m in moved))
-        chosen, gain = _best_terms(judged, heat)
+        judged = project(fit, (columns_of(fit, m, site, bodies, terms, ranges) for m in moved))
+        chosen, gain = best_terms(judged, heat)
         if chosen and (best is None or gain > best[0]):
             best = (gain, bodies, terms, ranges, judged, chosen)
     if best is None:
@@ -343,7 +370,7 @@ def _prior_sd(judged: Projected, c: _Prior) -> Array:
     return np.asarray(unit * c.size * c.smooth ** np.arange(ORDER))
 
 
-def _best_terms(judged: Projected, heat: float) -> tuple[list[_Prior], float]:
+def best_terms(judged: Projected, heat: float) -> tuple[list[_Prior], float]:
     """Terms of the law, and their gain in nats.
 
     What repeats share can always be written as a function of time, which says nothing of another release: time comes in
@@ -448,7 +475,7 @@ def _density(moved: Sequence[Motion], law: Law, cells: int = 20) -> tuple[Array,
     """Readings in cells of (angle, speed), and the cells' edges."""
     edges = [np.linspace(*law.ranges[name], cells + 1) for name in ("angle", "speed")]
     count = np.zeros((cells, cells))
-    for m, body in _acting(moved, law.site, law.bodies):
-        x, v = (c[:, m.at].ravel() for c in _coordinates(m, law.site, body))
+    for m, body in acting(moved, law.site, law.bodies):
+        x, v = (c[:, m.at].ravel() for c in coordinates_of(m, law.site, body))
         count += np.histogram2d(x, v, edges)[0]
     return count, edges[0], edges[1]

@@ -120,7 +120,7 @@ def _tensor(a: Array, b: Array) -> list[Array]:
     return [ta[i] * tb[j] for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
 
 
-def _relaxed(motion: Motion, rate: Array, tau: float) -> Array:
+def relaxed(motion: Motion, rate: Array, tau: float) -> Array:
     """Force of a spring and dashpot in series driven at `rate`: m' = rate - m / tau, m = 0 at release; (trials, N)."""
     h = np.diff(motion.grid)
     keep = np.exp(-h / tau)
@@ -139,7 +139,7 @@ def _followed(keep: Array, added: Array) -> Array:
     return out
 
 
-def _dahl(angle: Array, breakaway: float) -> Array:
+def dahl(angle: Array, breakaway: float) -> Array:
     """Rate-independent memory of an angle: h follows it over `breakaway` rad and then saturates at +-1; (trials, N)."""
     moved = np.diff(angle, axis=1) / breakaway
     keep = np.exp(-np.abs(moved))
@@ -213,9 +213,9 @@ def _ground1(m: Motion, s: Scale) -> Iterator[Shape]:
     for f in (u * t, v * t, u * t * t, np.exp(-5.0 * t) * u, t, t * t):
         yield Shape("", "drift", f)
     for breakaway in (0.02, 0.06, 0.2, 0.6):
-        yield Shape("", "memory", _dahl(m.th1, breakaway * s.th1))
+        yield Shape("", "memory", dahl(m.th1, breakaway * s.th1))
     for tau in (0.1, 0.3, 1.0, 3.0):
-        yield Shape("", "memory", _relaxed(m, v, tau / s.omega))
+        yield Shape("", "memory", relaxed(m, v, tau / s.omega))
     for f in _flexible(m, m.a1 / (s.w1 * s.omega), s):
         yield Shape("", "flexible", f)
     for f in _bumps(m, s):
@@ -289,9 +289,9 @@ def _interface(m: Motion, s: Scale) -> Iterator[Shape]:
         yield pair("heat", f * heat)
         yield pair("heat", f * t)
     for tau in (0.1, 0.3, 1.0, 3.0, 10.0):
-        yield pair("memory", _relaxed(m, v, tau / s.omega))
+        yield pair("memory", relaxed(m, v, tau / s.omega))
     for breakaway in (0.01, 0.03, 0.1, 0.3):
-        yield pair("memory", _dahl(phi, breakaway * s.phi) * pull)
+        yield pair("memory", dahl(phi, breakaway * s.phi) * pull)
     for k in range(1, 9):
         yield pair("poles", np.sin(0.5 * np.pi * k * p))
         yield pair("poles", np.cos(0.5 * np.pi * k * p))
@@ -322,9 +322,9 @@ def _ground2(m: Motion, s: Scale) -> Iterator[Shape]:
     for f in (u * t, v * t, t, t * t):
         yield own("drift", f)
     for breakaway in (0.02, 0.06, 0.2, 0.6):
-        yield own("memory", _dahl(m.th2, breakaway * s.th2))
+        yield own("memory", dahl(m.th2, breakaway * s.th2))
     for tau in (0.1, 0.3, 1.0, 3.0):
-        yield own("memory", _relaxed(m, v, tau / s.omega))
+        yield own("memory", relaxed(m, v, tau / s.omega))
     for f in _flexible(m, m.a2 / (s.w2 * s.omega), s):
         yield own("flexible", f)
     for f in _bumps(m, s):

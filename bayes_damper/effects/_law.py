@@ -61,7 +61,8 @@ class Law:
     rad/s, s; m and m/s); nu: s/rad, of the carrier tanh(nu v) in tables; roots: rows (terms * ORDER) whose outer
     products add up to the covariance of the coefficients; rig: kind, J1 and J2 of the rig it was learnt on; campaign:
     its name; beside: effects that were in the model when it was learnt; closes: share of the gap on held-out trials,
-    with 90 % interval; nominal: parameters of the nominal model that were fitted with the law, SI.
+    with 90 % interval; nominal: parameters of the nominal model that were fitted with the law, SI; formulas: short
+    ones that may stand for it, with probabilities; shape_only: the probability that none of them does.
     """
 
     site: str
@@ -75,6 +76,8 @@ class Law:
     beside: tuple[str, ...] = ()
     closes: tuple[float, float, float] | None = None
     nominal: Mapping[str, float] | None = None
+    formulas: tuple[tuple[str, float], ...] = ()
+    shape_only: float | None = None
 
     @property
     def name(self) -> str:
@@ -422,6 +425,9 @@ def written(law: Law) -> str:
     ]
     if law.closes is not None:
         lines.append(f"closes = {row(law.closes)}  # share of the gap on held-out trials, 90 % interval")
+    if law.shape_only is not None:
+        lines.append(f"shape_only = {law.shape_only:.4g}  # probability that no short formula stands for it")
+        lines += ["formulas = [", *(f"    [{_quoted(words)}, {p:.4g}]," for words, p in law.formulas), "]"]
     lines += ["", "[rig]", *(f"{k} = {_quoted(v) if isinstance(v, str) else repr(float(v))}" for k, v in rig.items())]
     nominal = law.nominal or {}
     lines += ["", "[nominal]", *(f"{_quoted(k)} = {float(v):.9e}" for k, v in nominal.items())] if nominal else []
@@ -521,6 +527,8 @@ def _law(held: Mapping[str, Any], where: str) -> Law:
     rig = {k: v if isinstance(v, str) else real(v, f"{where}: {k}") for k, v in rig.items()}
     closes = held.get("closes")
     nu = real(own["nu"], f"{where}: nu")
+    formulas = _formulas(held.get("formulas", []), where)
+    only = held.get("shape_only")
     nominal = held.get("nominal")
     if nominal is not None and not isinstance(nominal, dict):
         raise InputError(f"{where}: nominal = {shown(nominal)} is no table: {remedy}")
@@ -529,8 +537,19 @@ def _law(held: Mapping[str, Any], where: str) -> Law:
         tuple(tuple(sum(r, ())) for r in zip(*roots, strict=True)), rig, own["campaign"],
         tuple(map(str, own["beside"])),
         None if closes is None else _numbers(closes, f"{where}: closes", 3),  # type: ignore[arg-type]
-        None if nominal is None else {k: real(v, f"{where}: {k}") for k, v in nominal.items()},
+        None if nominal is None else {k: real(v, f"{where}: {k}") for k, v in nominal.items()}, formulas,
+        None if only is None else real(only, f"{where}: shape_only"),
     )  # fmt: skip
+
+
+def _formulas(held: object, where: str) -> tuple[tuple[str, float], ...]:
+    """Formulas with their probabilities."""
+    out = []
+    for row in held if isinstance(held, list) else [held]:
+        if not (isinstance(row, list) and len(row) == 2 and isinstance(row[0], str)):
+            raise InputError(f"{where}: formulas = {shown(held)} must be pairs of a formula and its probability")
+        out.append((row[0], real(row[1], f"{where}: probability of {row[0][:60]}")))
+    return tuple(out)
 
 
 def _numbers(value: object, where: str, count: int) -> tuple[float, ...]:

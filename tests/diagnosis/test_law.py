@@ -10,7 +10,7 @@ from test_sets import swinging
 
 from bayes_damper.calibration import Experiment, calibrate, calibrate_nominal
 from bayes_damper.diagnosis.budget import Budget, Part
-from bayes_damper.diagnosis.law import TERMS, _best_terms, learn, used_coordinates, worth_offering
+from bayes_damper.diagnosis.law import TERMS, best_terms, learn, used_coordinates, worth_offering
 from bayes_damper.diagnosis.response import Projected
 from bayes_damper.diagnosis.sets import SetProblem, set_fit
 from bayes_damper.diagnosis.shares import NO_SHARE, Closed
@@ -141,10 +141,10 @@ def columns_of(true, noise=0.0, seed=0):
 
 
 def test_the_terms_that_made_the_gap_are_chosen_and_none_for_noise():
-    chosen, gain = _best_terms(columns_of({("dry", "angle"): (0.5, 0.3), ("speed", "angle"): (0.4,)}, 1.0), 1.0)
+    chosen, gain = best_terms(columns_of({("dry", "angle"): (0.5, 0.3), ("speed", "angle"): (0.4,)}, 1.0), 1.0)
     assert {TERMS[c.term] for c in chosen} == {("dry", "angle"), ("speed", "angle")}
     assert gain > 300.0
-    assert _best_terms(columns_of({}, 1.0), 1.0) == ([], 0.0)
+    assert best_terms(columns_of({}, 1.0), 1.0) == ([], 0.0)
 
 
 def test_time_comes_in_only_where_it_is_clearly_better():
@@ -154,9 +154,9 @@ def test_time_comes_in_only_where_it_is_clearly_better():
     k, other = (TERMS.index(t) * ORDER for t in (("one", "angle"), ("one", "time")))
     same[other : other + ORDER] = np.arange(k, k + ORDER)
     twice = Projected(both.gram[np.ix_(same, same)], both.product[same], both.raw[same], both.absorbed)
-    assert [TERMS[c.term] for c in _best_terms(twice, 1.0)[0]] == [("one", "angle")]
+    assert [TERMS[c.term] for c in best_terms(twice, 1.0)[0]] == [("one", "angle")]
     of_time = columns_of({("one", "time"): (0.5, 0.3)}, 1.0)
-    assert TERMS[_best_terms(of_time, 1.0)[0][0].term] == ("one", "time")
+    assert TERMS[best_terms(of_time, 1.0)[0][0].term] == ("one", "time")
 
 
 def test_coordinates_that_a_law_uses():

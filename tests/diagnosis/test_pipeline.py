@@ -196,6 +196,8 @@ def test_an_effect_outside_the_candidates_is_unknown_and_its_law_is_learnt(tmp_p
     assert table["law"]["closes"]["hdi90"][0] > 0.8
     assert table["budget"]["unexplained"]["law"] == table["law"]["file"] == f"learnt/{table['law']['site']}.toml"
     assert (tmp_path / table["law"]["file"]).exists()
+    assert "v|v|" in table["law"]["named"]["formulas"][0]["formula"]
+    assert table["law"]["named"]["formulas"][0]["probability"] > table["law"]["named"]["shape_only"]
 
 
 def test_the_screening_puts_the_truth_first():

@@ -7,7 +7,7 @@ from small_rig import measured
 from bayes_damper.calibration import Problem, calibrate
 from bayes_damper.diagnosis.formula import LAWS
 from bayes_damper.diagnosis.response import motions
-from bayes_damper.diagnosis.shapes import Shape, _dahl, _relaxed, scale_of_motions, shapes_of
+from bayes_damper.diagnosis.shapes import Shape, dahl, relaxed, scale_of_motions, shapes_of
 from bayes_damper.diagnosis.sites import _columns
 
 
@@ -55,7 +55,7 @@ def test_shapes_with_a_memory_follow_their_equations(made):
         moved = motion.th1[:, i + 1] - motion.th1[:, i]
         aim = np.sign(moved)
         hysteresis[:, i + 1] = aim + (hysteresis[:, i] - aim) * np.exp(-np.abs(moved) / breakaway)
-    for found, wanted in ((_relaxed(motion, rate, tau), spring), (_dahl(motion.th1, breakaway), hysteresis)):
+    for found, wanted in ((relaxed(motion, rate, tau), spring), (dahl(motion.th1, breakaway), hysteresis)):
         np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-12 * np.abs(wanted).max())
 
 

@@ -146,11 +146,15 @@ def test_a_law_keeps_its_last_value_and_its_band():
 
 
 def test_a_file_gives_back_the_law(tmp_path):
-    law = law_at("bearings", "primary", beside=("bearing_drag",), closes=(0.8, 0.7, 0.9))
+    formulas = (("-0.02 v|v|", 0.75), ("0.3 x^2 v", 0.125))
+    law = law_at(
+        "bearings", "primary", beside=("bearing_drag",), closes=(0.8, 0.7, 0.9), formulas=formulas, shape_only=0.125
+    )  # fmt: skip
     path = tmp_path / "bearings.toml"
     path.write_text(written(law))
     back = read_law(path)
     assert (back.site, back.bodies, back.beside, back.closes) == ("bearings", "primary", ("bearing_drag",), law.closes)
+    assert (back.formulas, back.shape_only) == (formulas, 0.125)
     x = np.linspace(-0.1, 0.1, 50)
     for own, again in zip(law.torque(x, 30.0 * x, x + 0.1), back.torque(x, 30.0 * x, x + 0.1), strict=True):
         assert again == pytest.approx(own, abs=1e-9)
@@ -182,6 +186,8 @@ def test_a_file_changed_by_hand_is_refused_until_its_check_is_deleted(tmp_path):
         ("[rig]", "rig = 3\n[rigs]", "rig = 3"),
         ("[[term]]", "[[terms]]", "term is missing"),
         ("schema =", "schema", "not valid TOML"),
+        ("[rig]", 'formulas = ["v"]\n[rig]', "pairs of a formula and its probability"),
+        ("[rig]", 'formulas = [["v", nan]]\n[rig]', "probability of v"),
     ],
 )
 def test_a_broken_file_ends_in_a_sentence(old, new, told, tmp_path):

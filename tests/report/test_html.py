@@ -45,6 +45,10 @@ LAW = {
     "formula": "f(x) + tanh(nu v) f(v)", "beside": ["stick_slip"], "effective_degrees_of_freedom": 9.66,
     "closes": {"median": 0.27, "hdi90": [0.2, 1.02]}, "ranges": {"angle": [-0.1, 0.12], "time": [0.0, 1.0]},
     "tables": ["learnt/interface.csv", "learnt/interface_table.csv"],
+    "named": {
+        "formulas": [{"formula": "-3.1 x^2 v", "probability": 0.9}, {"formula": "0.5 |x| v", "probability": 0.06}],
+        "shape_only": 0.04, "grammar": "f(x) g(v) h(t)",
+    },
 }  # fmt: skip
 
 
@@ -211,6 +215,8 @@ def test_the_page_of_a_cart_numbers_its_bodies_and_speaks_of_force(tmp_path):
     assert "ground2, what acts on body 2 alone: its mass" in text
     assert "Nothing can be said about body 2." in text
     assert "F = f(x) + tanh(nu v) f(v)" in text
+    assert "As a formula: F = -3.1 x² v (p 0.90); else F = 0.5 |x| v (0.06); none of these, shape only: 0.04" in text
+    assert "none of these: shape only 0.04" in text
     assert "displacement -0.1 to 0.12 m;" in text
 
 

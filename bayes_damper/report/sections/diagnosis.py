@@ -27,6 +27,7 @@ from bayes_damper.text import (
     interval,
     law_sentence,
     named_answers,
+    named_sentence,
     number,
     p_value,
     percent,
@@ -71,7 +72,7 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
             f"One effect does not close the gap; {listed([words(e) for e in pair['effects']])} together do "
             f"({percent(pair['probability'])})."
         )
-    sentences.append(said(law_sentence(data.get("law"))))
+    sentences += [said(law_sentence(data.get("law"))), said(named_sentence(data.get("law")))]
     beside = gap_beside_verdict(verdict, share or 0.0, gap)
     sentences += [beside] if beside and verdict == "none" else [_gap_sentence(gap), beside]
     credible = [words(n) for n in data.get("credible_set", [])]
@@ -599,7 +600,18 @@ def _law_tables(law: Mapping[str, Any], said: Said, translational: bool) -> list
         Row(("as an effect", f"--effects {law['file']} --effect {law['effect']}")),
         Row(("as a table, for another simulator", law["tables"][1])),
     )
-    return [Table("The law that was learnt", ("", ""), rows, said(law_sentence(law)))]
+    return [Table("The law that was learnt", ("", ""), rows, said(law_sentence(law))), *_named_table(law, said)]
+
+
+def _named_table(law: Mapping[str, Any], said: Said) -> list[Table]:
+    """Short formulas that may stand for the learnt law."""
+    named = law.get("named")
+    if not named:
+        return []
+    rows = [Row((f"{said('Q')} = {said(f['formula'])}", f"{f['probability']:.2f}")) for f in named["formulas"]]
+    rows.append(Row(("none of these: shape only", f"{named['shape_only']:.2f}")))
+    note = f"{said(named_sentence(law))} Grammar: {named['grammar']}."
+    return [Table("The law, named", ("formula", "probability"), tuple(rows), note)]
 
 
 def _effect_table(effects: Sequence[Mapping[str, Any]], probabilities: Sequence[tuple[str, float]]) -> Table:
