@@ -203,13 +203,17 @@ class Grouping:
         return tuple(out), np.array([b[0] for b in bounds]).T, np.array([b[1] for b in bounds]).T
 
     def _offsets(self, trials: list[TrialRecord]) -> list[tuple[str, Array, Array]]:
-        """Reading of each channel at rest, unknown for each trial; its prior is a share of the channel's reach."""
+        """Reading of each channel at rest, unknown for each trial; its prior is a share of the channel's reach.
+
+        Of displacements, and of whatever is read of a rig that is in motion from the first reading on: what it reads at
+        rest was not seen, and no motion has an acceleration or a speed on average. Of released ones it scatters.
+        """
         e = self.experiment
         out = []
         for c in range(1 + int(trials[0].coupled)):
             if e.offset_sd is not None:
                 sd = np.full(len(trials), e.offset_sd[min(c, len(e.offset_sd) - 1)])
-            elif e.quantity == "displacement":
+            elif e.quantity == "displacement" or e.start == "free":
                 sd = OFFSET_SHARE * np.array([float(np.nanmax(np.abs(t.y[c]))) for t in trials])
             else:
                 continue

@@ -18,7 +18,7 @@ from bayes_damper.priors.distributions import from_standard, median
 
 Array = NDArray[np.float64]
 GAINED = 0.02  # of the cost by a step, below which a descent has ended
-RECORDS_AT_ONCE = 1024  # simulated in one go where draws from the prior are compared
+READINGS_AT_ONCE = 1_000_000  # simulated in one go where draws from the prior are compared
 NEAR_END = 0.1  # of the way to where a value's prior ends that a step along the values leaves
 HOPELESS, HURRY = 60.0, 6.0  # cost above a target, and in how many such steps it must be reachable, to go on
 
@@ -164,7 +164,8 @@ def drawn_starts(problem: Problem, count: int = 6, draws: int = 512) -> list[Arr
     """
     q = np.random.default_rng(0).standard_normal((draws, problem.size))
     costs = []
-    for part in np.array_split(q, math.ceil(draws * len(problem.trials) / RECORDS_AT_ONCE)):
+    readings = sum(group.y.size for group in problem.groups)
+    for part in np.array_split(q, min(math.ceil(draws * readings / READINGS_AT_ONCE), draws)):
         own = {i: np.tile(v, (len(part), 1)) for i, v in problem.no_nuisance().items()}
         costs.append(problem.costs(part, own, annealed=True))
     order = np.argsort(np.concatenate(costs), kind="stable")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -27,6 +28,7 @@ from bayes_damper.calibration import (
     thinned,
 )
 from bayes_damper.calibration.experiment import unrounded
+from bayes_damper.calibration.least_squares import drawn_starts
 from bayes_damper.calibration.scatter import TYPICAL
 from bayes_damper.campaign.records import crossings
 from bayes_damper.diagnosis.remainder import remainder_of
@@ -641,3 +643,42 @@ def test_missing_readings_neither_hide_nor_feign_a_remainder():
         holes.append(replace(t, y=y))
     left = remainder_of(calibrate_nominal(replace(experiment, trials=tuple(holes))))
     assert abs(left.low_excess) < 4.0 * left.low_sd
+
+
+def test_draws_from_the_prior_are_compared_in_little_memory():
+    """All 512 records of 14 000 readings at once are 57 MB, and several such arrays are held at a time."""
+    times = 1e-3 * np.arange(14_000)
+    trial = TrialRecord("a", "A", False, 1, times, np.cos(60.0 * times)[None], 0)
+    experiment = Experiment({"J1": (3e-3, 0.0)}, ((10.8, 0.0),), (trial,), "displacement", start="free")
+    problem = Problem(experiment)
+    rng = np.random.default_rng(0).standard_normal((512, problem.size))
+    tracemalloc.start()
+    try:
+        found = drawn_starts(problem)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 80e6
+    assert len(found) == 6
+    eta = {0: np.tile(problem.no_nuisance()[0], (8, 1))}
+    costs = problem.costs(np.array([*found, *rng[:2]]), eta, annealed=True)
+    assert np.all(np.diff(costs[:6]) >= 0.0)
+    assert np.all(costs[0] <= costs[6:])
+
+
+def test_what_an_accelerometer_reads_at_rest_is_no_motion():
+    """A free decay of damping ratio 0.1 % in closed form, its sensor off by a twentieth of the largest reading."""
+    rng = np.random.default_rng(2)
+    times = 4e-3 * np.arange(1500)
+    omega, ratio, offset, noise = 38.0, 1e-3, 0.13, 0.03
+    z = omega * complex(-ratio, math.sqrt(1.0 - ratio**2))
+    y = (1.8e-3 * z**2 * np.exp(z * times)).real + offset + noise * rng.standard_normal(times.size)
+    trial = TrialRecord("a", "A", False, 1, times, y[None], 0)
+    experiment = Experiment({"J1": (1.0, 0.0)}, ((1.02 * omega**2, 0.1 * omega**2),), (trial,), start="free")
+    fit = calibrate_nominal(experiment, nominal="linear")
+    assert float(np.std(fit.residuals()[0])) < 1.05 * noise
+    names = [name for name, _, _ in fit.problem.groups[0].nuisances]
+    sd = fit.problem.groups[0].nuisances[names.index("offset1")][2][0]
+    assert abs(fit.eta[0][names.index("offset1")] * sd - offset) < 5e-3
+    low, high = fit.interval("c1t", 0.99)
+    assert low < 2.0 * ratio * omega < high
