@@ -27,7 +27,7 @@ from bayes_damper.diagnosis.pipeline import INDISTINCT, SCHEMA
 from bayes_damper.diagnosis.verdict import PRIOR_NONE, PRIOR_UNKNOWN, USUAL
 from bayes_damper.effects import EFFECTS, Effect, candidates
 from bayes_damper.effects.base import SITES
-from bayes_damper.priors.distributions import Distribution, LogNormal, from_standard
+from bayes_damper.priors.distributions import Distribution, LogNormal, median
 from bayes_damper.priors.files import PriorSet
 from bayes_damper.published.posterior import EFFECT_PREFIX, FEATURE_QUANTITIES, Datum
 from bayes_damper.sampling.arviz_adapter import hdi
@@ -315,7 +315,7 @@ def diagnose_published(
     everything = formulas(nominal, effects)
     joints = [Joint(data, priors, f, normal_force) for f in everything]
     compile_ahead(
-        (m for joint in joints for case in joint.models.values() for m in case.models.values()), report=report
+        (m for joint in joints for case in joint.cases.values() for m in case.posterior.models.values()), report=report
     )
     with ThreadPoolExecutor(max(workers, 1)) as pool:
         seeds = [np.random.default_rng([seed, r]) for r in range(settings.repeats)]
@@ -394,11 +394,12 @@ def _acts(joint: Joint, nominal: Joint, known: StudentT, seed: int) -> bool:
     if joint.formula.variant is None:
         return True
     points = beginning(known, joint).draw(np.random.default_rng(seed), 32)
-    for case in joint.cases:
-        one, other = joint.predict(points, case), nominal.predict(points[:, : nominal.ndim], case)
-        if not np.array_equal(one.centre, other.centre, equal_nan=True):
-            return True
-    return False
+    return any(
+        not np.array_equal(
+            joint.at_the_middle(points, case), nominal.at_the_middle(points[:, : nominal.ndim], case), equal_nan=True
+        )
+        for case in joint.cases
+    )
 
 
 def _pooled(runs: Sequence[Weighed]) -> tuple[float, float]:
@@ -495,25 +496,24 @@ def predicted_rows(runs: Sequence[Weighed], rng: np.random.Generator) -> tuple[R
     keep = weights > weights.max() - 14.0
     points, weights = points[keep], weights[keep]
     out = []
-    for case in joint.cases:
-        predicted = joint.predict(points, case)
-        whole = joint.case_likelihood(points, case, predicted)
-        part = joint.case_likelihood(points, case, predicted, ("uncoupled",))
-        without = weights + part - whole
-        for held, log_w, seen in ((True, without, ("uncoupled",)), (False, weights, ("uncoupled", "coupled"))):
+    values = joint.coordinates.values(points)
+    for name, case in joint.cases.items():
+        without = weights + case.log_density(values, coupled=False) - case.log_density(values)
+        for held, log_w in ((True, without), (False, weights)):
             share = np.exp(log_w - logsumexp(log_w))
             chosen = points[rng.choice(len(points), _DRAWS, p=share)]
-            features, _ = joint.features(chosen, case, rng, seen)
+            features, _ = joint.features(chosen, name, rng, coupled=not held)
             features = features[np.isfinite(features).all(axis=1)]
-            for j, datum in enumerate(joint.data[case]):
+            for j, datum in enumerate(case.data):
                 if (datum.configuration == "coupled") != held:
                     continue
                 noise = datum.standard_error * rng.standard_t(datum.n - 1.0, len(features))
                 below = float(np.mean(features[:, j] + noise < datum.value))
                 floor = 0.5 / len(features)
                 p = 2.0 * max(min(below, 1.0 - below), floor)
-                out.append(Row(case, datum, features[:, j], held, min(p, 1.0)))
-    return tuple(sorted(out, key=lambda r: (joint.cases.index(r.case), r.datum.configuration != "uncoupled")))
+                out.append(Row(name, datum, features[:, j], held, min(p, 1.0)))
+    order = list(joint.cases)
+    return tuple(sorted(out, key=lambda r: (order.index(r.case), r.datum.configuration != "uncoupled")))
 
 
 def _gap_p(run: Weighed, rng: np.random.Generator) -> float:
@@ -525,9 +525,9 @@ def _gap_p(run: Weighed, rng: np.random.Generator) -> float:
     joint = run.joint
     points = run.draw(rng, _DRAWS)
     real, replicated = np.zeros(_DRAWS), np.zeros(_DRAWS)
-    for case in joint.cases:
-        features, _ = joint.features(points, case, rng, ("uncoupled", "coupled"))
-        for j, d in enumerate(joint.data[case]):
+    for name, case in joint.cases.items():
+        features, _ = joint.features(points, name, rng)
+        for j, d in enumerate(case.data):
             if d.configuration != "coupled":
                 continue
             t = (d.value - features[:, j]) / d.standard_error
@@ -660,9 +660,9 @@ def further(
     p = np.array(probabilities) / sum(probabilities)
     springs: dict[float, str] = {}
     joint = answers[0][0].joint
-    for case in joint.cases:
-        springs.setdefault(round(float(from_standard(joint.own[case]["k1t"], 0.0)), 6), case)
-    angles = [float(from_standard(joint.own[case]["theta0"], 0.0)) for case in joint.cases]
+    for name, case in joint.cases.items():
+        springs.setdefault(round(float(median(case.own["k1t"])), 6), name)
+    angles = [median(case.own["theta0"]) for case in joint.cases.values()]
     tried = np.geomspace(0.75 * min(angles), 1.4 * max(angles), 4)
     times = np.concatenate([np.arange(1, 11) * 1e-4, np.arange(2, 401) * 1e-3])
     taken = []
@@ -671,8 +671,8 @@ def further(
         points = np.concatenate(per)
         taken.append((runs[0].joint, points))
     out = []
-    for stiffness, case in springs.items():
-        own = [j.features(x, case, rng, ("uncoupled", "coupled"))[1] for j, x in taken]
+    for stiffness, name in springs.items():
+        own = [j.features(x, name, rng)[1] for j, x in taken]
         for angle in tried:
             for configuration in ("uncoupled", "coupled"):
                 records = []

@@ -21,7 +21,7 @@ from bayes_damper.effects.base import Variant
 from bayes_damper.errors import InputError
 from bayes_damper.priors.distributions import Distribution, LogNormal, LogUniform, from_standard
 from bayes_damper.priors.files import load_priors, priors_from_dict
-from bayes_damper.published.marginal import OWN, CaseFeatures
+from bayes_damper.published.marginal import OWN, TOLERANCE, CaseFeatures
 from bayes_damper.published.measurements import load_published
 from bayes_damper.published.posterior import Coordinates, Datum, damping_pairs
 from bayes_damper.runs.checkpoint import Checkpoint
@@ -48,8 +48,6 @@ _FEWEST = 32
 it begins at the prior."""
 _SWEEPS = 10
 """Most sweeps of a stage on the way: more particles make evidences sharper than more sweeps at the same cost."""
-_TOLERANCE = 10.0
-"""Factor on the integrator's tolerance: features then err by less than 1 % of the published standard errors."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +108,7 @@ class PublishedCases:
             for case in self.names
         } if data is None else data  # fmt: skip
         self.features = {
-            case: CaseFeatures(case, data[case], self.prior_set.for_case(case), self.normal_force, law, _TOLERANCE)
+            case: CaseFeatures(case, data[case], self.prior_set.for_case(case), self.normal_force, law, TOLERANCE)
             for case in self.names
         }
 

@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 
 from bayes_damper.commands.diagnose import Diagnosed, diagnose
-from bayes_damper.diagnosis.joint import Formula, Joint, _integrate, simulated, weigh_formula
+from bayes_damper.diagnosis.joint import Formula, Joint, simulated, weigh_formula
 from bayes_damper.diagnosis.published import (
     BLUR_PRIOR,
     Result,
@@ -28,12 +28,12 @@ from bayes_damper.diagnosis.verdict import PRIOR_NONE, PRIOR_UNKNOWN
 from bayes_damper.effects import EFFECTS
 from bayes_damper.errors import InputError
 from bayes_damper.figures import published_figure, save
-from bayes_damper.priors.distributions import from_standard
 from bayes_damper.priors.files import load_priors
 from bayes_damper.published.measurements import load_published
 from bayes_damper.published.posterior import Datum
 from bayes_damper.report import report
 from bayes_damper.sampling.moves import StudentT
+from bayes_damper.variability.published import PublishedCases
 
 NONE = Formula("none", "nominal", "the nominal model")
 SMALL = Settings(search_rounds=4, search_count=384, count=64, sweeps=4, repeats=1)
@@ -47,46 +47,15 @@ def published_data(cases=("I", "II", "III", "IV")):
     }
 
 
-def test_spring_and_angle_are_integrated_out_as_a_grid_of_simulations_does():
-    """The quadrature over linearised features against 51 x 41 simulated pairs of spring and angle, to a tenth of a nat:
-    less than the evidence is ever known to.
-    """
-    joint = Joint(published_data(("IV",)), load_priors("thesis"), NONE)
-    posterior = joint.models["IV"]
-    points = np.zeros((1, joint.ndim))
-    values = {"mu": 0.008, "k2t": 1.2, "c2t": 0.03, "drag": 0.01, "nu": 100.0, "c1t": 0.008, "J1": 3.015e-3,
-              "J2": 2.474e-3, "R": 0.1, "r": 0.0127, "N0": 100.0, "t_min": 0.6e-3}  # fmt: skip
-    points = joint.coordinates.points(values)
-    found = float(joint.log_likelihood(points)[0, 0])
-
-    predicted = joint.predict(points, "IV")
-    k = predicted.spring[0] * np.exp(0.002 * np.sinh(np.linspace(-4.0, 4.0, 51)))
-    z = np.linspace(-3.6, 3.6, 41)
-    theta0 = from_standard(joint.own["IV"]["theta0"], z)
-    springs, angles = (a.ravel() for a in np.meshgrid(k, theta0, indexing="ij"))
-    some = {name: np.full(springs.size, x[0]) for name, x in joint.coordinates.values(points).items()}
-    features = posterior.predict_from(some | {"k1t": springs, "theta0": angles})
-    rows = joint.data["IV"]
-    density = sum(
-        stats.t.logpdf(features[:, j], d.n - 1, loc=d.value, scale=d.standard_error) for j, d in enumerate(rows)
-    )
-    prior = np.exp(joint.own["IV"]["k1t"].logpdf(k))[:, None] * stats.norm.pdf(z)
-    expected = np.log(np.trapezoid(np.trapezoid(np.exp(density.reshape(51, 41)) * prior, z, axis=1), k))
-    assert found == pytest.approx(expected, abs=0.1)
-
-
-@pytest.mark.parametrize("dof", [2.0, 4.0])
-def test_the_quadrature_is_the_sum_over_its_nodes(dof):
-    rng = np.random.default_rng(3)
-    centre, springs, angles = rng.standard_normal((3, 5, 6))
-    scale, weight_u = rng.uniform(0.5, 2.0, (5, 6)), rng.uniform(size=(5, 7))
-    measured, u, v, weight_v = rng.standard_normal(6), rng.standard_normal(7), *rng.standard_normal((2, 9))
-    found = np.empty(5)
-    _integrate(centre, springs, angles, measured, scale, dof, u, weight_u, v, weight_v, found)
-    at = centre[:, None, None] + springs[:, None, None] * u[:, None, None] + angles[:, None, None] * v[:, None]
-    t = (at - measured) / scale[:, None, None]
-    density = np.prod((1.0 + t**2 / dof) ** (-0.5 * (dof + 1.0)), axis=-1)
-    assert found == pytest.approx(np.einsum("nuv,nu,v->n", density, weight_u, weight_v), rel=1e-12)
+def test_a_case_has_the_likelihood_that_variability_gives_it():
+    """One likelihood for both commands: the nominal formula adds nothing to it."""
+    joint = Joint(published_data(), load_priors("thesis"), NONE)
+    cases = PublishedCases(PublishedCases.default_plan())
+    points = joint.coordinates.draw(np.random.default_rng(1), 40)
+    found, values = joint.log_likelihood(points), joint.coordinates.values(points)
+    for k, case in enumerate(joint.cases):
+        assert np.array_equal(found[:, k], cases.features[case].log_density(values))
+    assert np.isfinite(found).all(axis=1).sum() > 5
 
 
 class Bell:
@@ -137,13 +106,32 @@ def test_answers_follow_prior_and_evidence():
 def test_a_generic_discrepancy_widens_the_features_it_names_and_no_others():
     peaks = Formula("unknown", "peaks", "", (), None, frozenset({("coupled", "max_acceleration")}), BLUR_PRIOR)
     joint = Joint(published_data(("II",)), load_priors("thesis"), peaks)
-    points = np.zeros((1, joint.ndim))
-    centre = np.array([[d.value for d in joint.data["II"]]])
-    scale = joint.scales(points, "II", centre)[0]
-    for s, d in zip(scale, joint.data["II"], strict=True):
+    case, values = joint.cases["II"], joint.coordinates.values(np.zeros((1, joint.ndim)))
+    features = np.array([[d.value for d in case.data]])
+    for s, d in zip(case.scales(values, features)[0], case.data, strict=True):
         blurred = (d.configuration, d.quantity) == ("coupled", "max_acceleration")
-        size = joint.coordinates.values(points)["blur"][0] * d.value
+        size = values["blur"][0] * d.value
         assert s == pytest.approx(math.hypot(d.standard_error, size) if blurred else d.standard_error)
+
+
+def test_features_are_those_of_records_with_the_spring_and_angle_drawn():
+    """Held out, the coupled numbers have no say: predictions then lie farther off than those that have met them."""
+    joint = Joint(published_data(("IV",)), load_priors("thesis"), NONE)
+    point = joint.coordinates.points({"mu": 0.008, "k2t": 1.2, "c2t": 0.03, "drag": 0.01, "nu": 100.0, "c1t": 0.008,
+                                      "J1": 3.015e-3, "J2": 2.474e-3, "R": 0.1, "r": 0.0127, "N0": 100.0,
+                                      "t_min": 0.6e-3})  # fmt: skip
+    rng, points = np.random.default_rng(2), np.repeat(point, 300, axis=0)
+    met, spring = joint.features(points, "IV", rng)
+    held, _ = joint.features(points, "IV", rng, coupled=False)
+    data = joint.cases["IV"].data
+    period, peak = (
+        next(j for j, d in enumerate(data) if d.name == name)
+        for name in ("period (uncoupled)", "max_acceleration (coupled)")
+    )
+    assert np.median(met[:, period]) == pytest.approx(data[period].value, rel=1e-3)
+    assert spring.std() / spring.mean() == pytest.approx(2.0 * met[:, period].std() / met[:, period].mean(), rel=0.05)
+    off = [np.mean(x[:, peak]) - data[peak].value for x in (held, met)]
+    assert off[0] > off[1] + 3.0 * held[:, peak].std() / math.sqrt(300.0)
 
 
 def test_a_formula_that_changes_no_number_tells_nothing_of_its_parameters():

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from bayes_damper.effects import EFFECTS
 from bayes_damper.errors import InputError
 from bayes_damper.priors.distributions import from_standard, to_standard
 from bayes_damper.priors.files import load_priors
-from bayes_damper.published.marginal import OWN, CaseFeatures
+from bayes_damper.published.marginal import BLUR, OWN, CaseFeatures
 from bayes_damper.published.measurements import load_published
-from bayes_damper.published.posterior import Datum
+from bayes_damper.published.posterior import EFFECT_PREFIX, FEATURE_QUANTITIES, Datum
 
 RIG = {"J1": 3.1e-3, "J2": 2.474e-3, "R": 0.1, "r": 0.0127, "N0": 100.0, "t_min": 0.6e-3}
 USUAL = {"mu": 0.012, "k2t": 2.0, "c2t": 0.006, "drag": 0.035, "nu": 40.0, "c1t": 0.005}
@@ -38,18 +39,26 @@ def point(found, values):
     return found.coordinates.points({name: (RIG | values)[name] for name in found.coordinates.names})
 
 
-def on_a_grid(found, z):
-    """Log likelihood at one point, and means of spring and angle, by 41 x 121 records of each configuration."""
-    values = found.coordinates.values(z)
+def on_a_grid(found, z, more=None, reach=0.03, coupled=True):
+    """Log likelihood at one point, and means of spring and angle, by 41 x 121 records of each configuration.
+
+    more : parameters beside the coordinates; reach : largest change of the spring's logarithm; coupled : of all
+    numbers, or of the uncoupled rig's alone.
+    """
+    values = found.coordinates.values(z) | {name: np.array([x]) for name, x in (more or {}).items()}
     period = next(d for d in found.data if d.name == "period (uncoupled)")
     # The spring that gives the period lies within 3 % of that of the undamped rig, its error within 0.3 %.
-    u = 0.03 * np.sinh(np.linspace(-2.5, 2.5, 41)) / np.sinh(2.5)
+    u = reach * np.sinh(np.linspace(-2.5, 2.5, 41)) / np.sinh(2.5)
     k1t = float(values["J1"][0]) * (2.0 * np.pi / period.value) ** 2 * np.exp(u)
     v = np.linspace(-3.6, 3.6, 121)
     springs, angles = (x.ravel() for x in np.meshgrid(k1t, from_standard(found.own["theta0"], v), indexing="ij"))
     table = {name: np.full(springs.size, x[0]) for name, x in values.items()} | {"k1t": springs, "theta0": angles}
     features = found.predict(table)
-    heights = sum(stats.t.logpdf(features[:, j], d.n - 1, d.value, d.standard_error) for j, d in enumerate(found.data))
+    errors = found.scales(table, features)
+    heights = sum(
+        stats.t.logpdf(features[:, j], d.n - 1, d.value, errors[:, j])
+        for j, d in enumerate(found.data) if coupled or d.configuration == "uncoupled"
+    )  # fmt: skip
     density = np.nan_to_num(np.exp(heights)).reshape(len(u), len(v))
     density *= (np.exp(found.own["k1t"].logpdf(k1t)) * k1t)[:, None] * stats.norm.pdf(v)
     over_angles = np.trapezoid(density, v, axis=1)
@@ -72,6 +81,50 @@ def test_likelihood_is_the_integral_over_spring_and_angle(case):
         drawn = fine.own_draws(values, np.random.default_rng(1))
         for x, mean in ((drawn["k1t"], k1t), (drawn["theta0"], theta0)):
             assert abs(x.mean() - mean) < 5.0 * x.std() / np.sqrt(len(x)) + 1e-3 * mean
+
+
+@pytest.mark.slow  # 5 000 records of each configuration at each point
+@pytest.mark.parametrize("case", ["III", "IV"])
+@pytest.mark.parametrize(
+    ("effect", "parameters"),
+    [("sensor_gain", {"error": 0.1}), ("release_ramp", {"time": 4e-3}), ("inertia_error", {"error": 0.1})],
+)
+def test_likelihood_of_a_formula_is_the_integral_too(case, effect, parameters):
+    """A gain of 1.1 or a slow release moves the highest acceleration by far more than the angle's prior does."""
+    law = EFFECTS[effect].variants[0]
+    assert {p.name for p in law.parameters} == set(parameters)
+    found = case_features(case, law=law, pilot=True)
+    z, more = point(found, USUAL | OF_CASES[case]), {EFFECT_PREFIX + name: x for name, x in parameters.items()}
+    values = found.coordinates.values(z) | {name: np.array([x]) for name, x in more.items()}
+    assert found.log_density(values)[0] == pytest.approx(on_a_grid(found, z, more)[0], abs=0.5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [0.05, 0.12])
+@pytest.mark.parametrize("quantities", [("max_acceleration",), FEATURE_QUANTITIES])
+def test_likelihood_with_a_discrepancy_is_the_integral_too(quantities, size):
+    """Where the uncoupled period has one, the spring is known by its prior alone, and other features move with it."""
+    blurred = {(configuration, q) for configuration in ("uncoupled", "coupled") for q in quantities}
+    for case, own in OF_CASES.items():
+        found = case_features(case, blurred=blurred)
+        z = point(found, USUAL | own)
+        values = found.coordinates.values(z) | {BLUR: np.array([size])}
+        expected, k1t, _ = on_a_grid(found, z, {BLUR: size}, 0.6 if "period" in quantities else 0.03)
+        assert found.log_density(values)[0] == pytest.approx(expected, abs=0.5 if case == "II" else 0.25)
+        many = {name: np.repeat(x, 300) for name, x in values.items()}
+        springs = found.own_draws(many, np.random.default_rng(4))["k1t"]
+        assert springs.mean() == pytest.approx(k1t, rel=0.03 if "period" in quantities else 1e-3)
+
+
+@pytest.mark.slow
+def test_uncoupled_numbers_alone_have_their_own_likelihood():
+    found = case_features("IV")
+    z = point(found, USUAL | OF_CASES["IV"])
+    values = {name: np.repeat(x, 400) for name, x in found.coordinates.values(z).items()}
+    expected, _, theta0 = on_a_grid(found, z, coupled=False)
+    assert found.log_density(values, coupled=False) == pytest.approx(np.full(400, expected), abs=0.1)
+    angle = found.own_draws(values, np.random.default_rng(3), coupled=False)["theta0"]
+    assert abs(angle.mean() - theta0) < 5.0 * angle.std() / np.sqrt(len(angle))
 
 
 @pytest.mark.slow
