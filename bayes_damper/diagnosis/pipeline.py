@@ -23,6 +23,7 @@ from bayes_damper.calibration import (
     learn_noise,
 )
 from bayes_damper.calibration.scatter import scatter_in_words, scatter_shown
+from bayes_damper.campaign.records import DERIVATIVE
 from bayes_damper.diagnosis.budget import Budget, answers_of, budget_of, foreign_alone
 from bayes_damper.diagnosis.formula import widened
 from bayes_damper.diagnosis.gap import Gap, closing, measure_gap, shifts
@@ -609,7 +610,7 @@ def _notes(
         for key in {(t.case, t.coupled) for t in experiment.trials}
     ):
         notes.append("There are no repeats, so the noise is judged by its fast content alone; repeat a case.")
-    notes += [*scatter_in_words(fit), *unlike_in_words(fit)]
+    notes += [*scatter_in_words(fit), *unlike_in_words(fit), *symmetries(experiment)]
     still = {} if named is None else named.pulled
     priors = {} if named is None else {c.name: c.prior for c in named.problem.coordinates}
     for name, z in still.items():
@@ -634,6 +635,22 @@ def _notes(
     if answers.probabilities["none"] > 0.5 and hidden:
         notes += hidden
     return notes
+
+
+def symmetries(experiment: Experiment) -> list[str]:
+    """What no record of the campaign could show, in sentences: errors that scale every term of a free decay alike."""
+    if experiment.start != "free" or any(t.inputs is not None and t.inputs.active for t in experiment.trials):
+        return []
+    pendulum = experiment.restoring == "pendulum"  # how far it swings shows in its period
+    powers = {"dry friction": 2 - DERIVATIVE[experiment.quantity], "viscous damping": 1}
+    also = " and ".join(f"{name} {power} % higher" for name, power in powers.items() if power)
+    clock = (
+        f"A free decay looks the same by a clock that runs 1 % fast: the rig then has a stiffness 2 % higher, {also} "
+        "than is found here."
+    )
+    scale = "Nor does it show a scale that reads 1 % too much: dry friction is then 1 % lower than is found here."
+    shown = [clock] if experiment.quantity == "displacement" or not pendulum else []
+    return shown if pendulum else [*shown, scale]
 
 
 def hidden_by(fit: Calibration) -> list[str]:

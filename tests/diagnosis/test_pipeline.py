@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 from small_rig import NOISE, measured
 from test_problem import RIG, TRUE, make_experiment
@@ -28,6 +30,7 @@ from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.lone import left_of_squares
 from bayes_damper.diagnosis.outliers import outlying, outlying_in_words, without
 from bayes_damper.diagnosis.pairs import ComposedProblem, PairProblem, Second, best_pairs, pair_problem
+from bayes_damper.diagnosis.pipeline import symmetries
 from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of
 from bayes_damper.diagnosis.search import Candidate, Screen, fainter, fit_variant, offered, scales_of, screen_variant
 from bayes_damper.diagnosis.sensitivity import Quadratic
@@ -469,6 +472,43 @@ def test_records_that_begin_in_motion_try_weak_effects_too():
     usual = {v.name: v for e, v in offered(at_rest, "linear", EFFECTS) if e.name == "bearing_drag"}["dry"]
     assert min(s[0] for s in own.starts) == pytest.approx(0.1 * min(s[0] for s in usual.starts))
     assert {s[1] for s in own.starts} == {s[1] for s in usual.starts}
+
+
+@pytest.mark.parametrize(("quantity", "order"), [("displacement", 0), ("velocity", 1), ("acceleration", 2)])
+def test_what_a_clock_or_a_scale_that_is_off_does_is_as_the_notes_have_it(quantity, order):
+    """The rig of the notes, read by a clock (a scale) 1 % off, against the rig that is found, by scipy."""
+    trial = TrialRecord("a", "A", False, 1, np.arange(4.0), np.ones((1, 4)), 0)
+    experiment = Experiment({"J1": (1.0, 0.0)}, ((1.0, 0.0),), (trial,), quantity, start="free")
+    clock, scale = symmetries(experiment)
+
+    def percent(pattern: str, text: str) -> float:
+        found = re.search(pattern + r" (\d) % higher", text)
+        return 0.0 if found is None else 0.01 * float(found[1])
+
+    found = {"stiffness": 40.0, "viscous damping": 0.2, "dry friction": 0.3}
+    times = np.linspace(0.1, 3.0, 80)
+
+    def read(rig: dict[str, float], at: np.ndarray, start: list[float]) -> np.ndarray:
+        def rates(_: float, x: np.ndarray) -> list[float]:
+            friction = rig["dry friction"] * x[1] / math.hypot(x[1], 1e-4)
+            return [x[1], -rig["stiffness"] * x[0] - rig["viscous damping"] * x[1] - friction]
+
+        x = solve_ivp(rates, (0.0, at[-1]), start, t_eval=at, rtol=1e-10, atol=1e-12, max_step=0.01).y
+        return np.array([*x, [rates(0.0, v)[1] for v in x.T]])[order]
+
+    true = {name: value * (1.0 + percent(name, clock)) for name, value in found.items()}
+    s = 1.01  # s on the clock in a second; from rest, as far as the reading has it
+    np.testing.assert_allclose(
+        read(true, times / s, [0.1 * s**-order, 0.0]), read(found, times, [0.1, 0.0]), atol=1e-3 * 0.1 * 6.3**order
+    )
+    assert "dry friction is then 1 % lower" in scale
+    lower = found | {"dry friction": 0.99 * found["dry friction"]}
+    np.testing.assert_allclose(
+        read(lower, times, [0.099, 0.0]), 0.99 * read(found, times, [0.1, 0.0]), atol=1e-4 * 6.3**order
+    )
+    swinging = replace(experiment, restoring="pendulum")
+    assert symmetries(swinging) == ([clock] if quantity == "displacement" else [])
+    assert symmetries(replace(experiment, start="rest")) == []
 
 
 def test_two_effects_change_the_records_by_the_sum_of_their_changes():
