@@ -33,6 +33,7 @@ from bayes_damper.calibration.experiment import (
     longest_step,
     thinned,
     with_priors,
+    with_rounding,
 )
 from bayes_damper.calibration.groups import FRICTION_SPREAD, Group, Switches
 from bayes_damper.calibration.heldout import Prediction, predict
@@ -81,4 +82,5 @@ __all__ = [
     "value_and_slope",
     "whittle",
     "with_priors",
+    "with_rounding",
 ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from decimal import Decimal
 from typing import Any, Literal
 
 import numpy as np
@@ -22,6 +23,8 @@ Array = NDArray[np.float64]
 STEPS_PER_PERIOD = 120.0  # at least, of the primary on its spring
 RISEN = 0.8  # of the peak, from which an acceleration has jumped as far as it will
 SHARPNESS = 200.0
+LEAST_DIGITS = 3  # of a declared constant that count: 216 may be 216.0, or rounded
+ROUNDED = 3e-6  # of a constant that rounding leaves open, below which no record shows it
 """nu times the peak speed before any reading is seen: dry friction changes sign within a two hundredth of it."""
 TAIL = (0.5, 0.4, -0.5, 1.5)
 """Mean, sd and ends of `tail` before any reading is seen: of the curves in use for a smoothed sign tanh has 0,
@@ -336,6 +339,43 @@ def unrounded(experiment: Experiment) -> Experiment:
             y[c], weight[c] = crossings(t.times, y[c], rounding[c], 2.0 * math.pi / experiment.omegas[t.k1t])
             trials[i] = replace(t, y=y, weight=weight)
     return replace(experiment, trials=tuple(trials), rounding=tuple(rounding)) if any(rounding) else experiment
+
+
+def rounding_sd(value: float) -> float:
+    """The standard deviation of a constant that is known by its digits alone: of its unrounded values, all alike.
+
+    Its last digit is the last one that is not 0, and at least the third: 216 may stand for 215.5 to 216.5.
+    """
+    if value == 0.0:
+        return 0.0
+    last = int(Decimal(repr(float(value))).normalize().as_tuple().exponent)
+    return 10.0 ** min(last, math.floor(math.log10(abs(value))) + 1 - LEAST_DIGITS) / math.sqrt(12.0)
+
+
+def with_rounding(experiment: Experiment) -> Experiment:
+    """The experiment with what rounding leaves open of constants that are declared without an uncertainty.
+
+    Periods are measured to one part in 1e5, and four digits of a stiffness hold one in 1e4. What acts by a ratio is
+    one unknown: J1 and k1t by the pace of the primary, R and r by the overlap of the faces.
+    """
+    constants = dict(experiment.constants)
+
+    def share(name: str) -> float:
+        value, sd = constants.get(name, (0.0, 1.0))
+        return 0.0 if sd > 0.0 or value == 0.0 else rounding_sd(value) / abs(value)
+
+    def rounded(value: float, sd: float, *others: str) -> tuple[float, float]:
+        """With the roundings of the others too; the value's own one where no uncertainty is declared."""
+        own = sd or rounding_sd(value)
+        whole = math.hypot(own, *(abs(value) * share(other) for other in others))
+        return value, whole if whole > ROUNDED * abs(value) else sd
+
+    if "r" in constants:
+        constants["r"] = rounded(*constants["r"], "R")
+    if "J2" in constants:
+        constants["J2"] = rounded(*constants["J2"])
+    stiffnesses = tuple(rounded(*k, "J1") for k in experiment.stiffnesses)
+    return replace(experiment, constants=constants, stiffnesses=stiffnesses)
 
 
 def reaction_unit(campaign: Any) -> float:

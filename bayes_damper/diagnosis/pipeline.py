@@ -21,6 +21,7 @@ from bayes_damper.calibration import (
     calibrate_nominal,
     experiment_of,
     learn_noise,
+    with_rounding,
 )
 from bayes_damper.calibration.scatter import scatter_in_words, scatter_shown
 from bayes_damper.campaign.records import DERIVATIVE
@@ -278,7 +279,7 @@ def diagnose(
     """
     began = time.perf_counter()
     name = getattr(campaign, "name", "campaign")
-    experiment = campaign if isinstance(campaign, Experiment) else experiment_of(campaign, priors)
+    experiment = campaign if isinstance(campaign, Experiment) else with_rounding(experiment_of(campaign, priors))
     if short := shortage(sum(t.y.size for t in experiment.trials)):
         report(short)
     odd = odd_trials(experiment)
