@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 VARIES = 9.0  # mean square, in variances, of a nuisance's differences between repeats from which it is each trial's own
 FEW_REPEATS = 4  # repeats beyond the first of their kind, over all kinds, below which they may be late alike by chance
 RELEASES = (0.0, 2.0)  # sizes of the time of release from which each trial's is looked for
-MOST_ROUNDS = 3  # of that search
+MOST_ROUNDS = 3  # of that search, and of learning scatter and noise anew for as long as the evidence gains
 LONG_PERIODS, FIRST_PERIODS, GROWING_STEPS = 12.0, 3.0, 20  # of records fitted window by window
 FEW_TRIALS = 8  # trained on, up to which the cost may have more valleys than the prior medians lead to
 FIRST_ERROR = 0.02  # of a channel's reach: noise of the first fit where there are no repeats
@@ -138,25 +138,41 @@ def _each_release(fit: Calibration) -> Calibration:
     return min(found, key=lambda f: f.cost)
 
 
-def _begun(problem: Problem) -> tuple[Calibration, bool]:
-    """A rough fit, and whether the records are long: with the usual curve of dry friction first, which is then free.
+def _one_of_each(problem: Problem) -> tuple[int, ...]:
+    """The first trial of each kind that repeats: on these a search from many starts costs little."""
+    kinds: dict[tuple[str, bool, float, int], int] = {}
+    for i in problem.trials:
+        t = problem.experiment.trials[i]
+        kinds.setdefault((t.case, t.coupled, t.theta0, t.k1t), i)
+    return tuple(kinds.values())
 
-    Far from the best fit a slow end of the friction stands for any damping, in a valley of its own.
+
+def _begun(problem: Problem) -> tuple[Calibration, bool]:
+    """A rough fit, and whether the records are long: of one trial of each kind from many starts, then of all.
+
+    The usual curve of dry friction comes first, which is then free: far from the best fit a slow end of the friction
+    stands for any damping, in a valley of its own. So may a coupling that slips at once where it should hold.
     """
     e = problem.experiment
-    usual = problem
     if "tail" in problem.names and e.levels.get("tail", "campaign") == "campaign" and "tail" not in e.case_priors:
-        at_median = replace(e, priors=dict(e.priors) | {"tail": middle(problem.prior("tail", ""))})
-        usual = Problem(
-            at_median, nominal=problem.nominal, noise=problem.noise, switches=problem.switches, threads=problem.threads
-        )
-    long = grown(usual.experiment, usual)
-    fit = calibrate(usual, [*long, *default_starts(usual)], most=15, finish=False)
-    if usual is not problem:
-        start = problem.prior_mean()
-        start[[problem.names.index(name) for name in usual.names]] = fit.q
-        fit = calibrate(problem, [start], eta=fit.eta, most=15, finish=False, anneal=False)
-    return fit, bool(long)
+        e = replace(e, priors=dict(e.priors) | {"tail": middle(problem.prior("tail", ""))})
+    few = Problem(
+        e, nominal=problem.nominal, noise=problem.noise, switches=problem.switches, threads=problem.threads,
+        trials=_one_of_each(problem),
+    )  # fmt: skip
+    long = grown(e, few)
+    starts = [*long, *default_starts(few), *([] if long else drawn_starts(few))]
+    found = calibrate(few, starts, most=15, finish=False, give_up=300.0)
+    start = problem.prior_mean()
+    start[[problem.names.index(name) for name in few.names]] = found.q
+    return calibrate(problem, [start], most=15, finish=False), bool(long)
+
+
+def _log_density(fit: Calibration) -> float:
+    """The log evidence with what depends on the noise alone, for comparing fits under different noise."""
+    sizes = np.log(np.array(fit.problem.noise.innovation))
+    counted = [np.sum(g.weight > 0.0, axis=(0, 2)) for g in fit.problem.groups]
+    return fit.log_evidence - sum(float(n @ sizes[: n.size]) for n in counted)
 
 
 def calibrate_nominal(
@@ -202,5 +218,14 @@ def calibrate_nominal(
     fit = calibrate(problem, [fit.q], eta=carried(fit, problem), anneal=False)
     if noise.sensor:
         # A better fit leaves less error, which again sharpens the fit.
-        fit = calibrate(problem.with_noise(learn_noise(fit)), [fit.q], eta=fit.eta, anneal=False)
+        return calibrate(problem.with_noise(learn_noise(fit)), [fit.q], eta=fit.eta, anneal=False)
+    for _ in range(MOST_ROUNDS if switches is None else 0):
+        noise = learn_noise(fit)
+        if not all(map(math.isfinite, noise.innovation)):
+            break  # trials that have nothing in common
+        problem = problem.changed(switches=replace(chosen, scatter=learn_scatter(fit, noise))).with_noise(noise)
+        again = calibrate(problem, [fit.q], eta=carried(fit, problem), anneal=False)
+        if not _log_density(again) > _log_density(fit) + 1.0:
+            break
+        fit = again
     return fit

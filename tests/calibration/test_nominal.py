@@ -1,0 +1,87 @@
+"""The first fit of the nominal model: its valley, and the digits of declared constants."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_scatter import CASES, laboratory
+
+from bayes_damper.calibration import Experiment, Problem, TrialRecord, calibrate, calibrate_nominal, with_rounding
+from bayes_damper.calibration.experiment import rounding_sd
+from bayes_damper.simulation.model import Model
+
+
+@pytest.mark.parametrize(
+    ("value", "unit"),
+    [(383.7, 0.1), (0.02548, 1e-5), (216.0, 1.0), (200.0, 1.0), (0.0011, 1e-5), (-1.87, 0.01), (1.25e-7, 1e-9)],
+)
+def test_a_declared_number_is_known_to_its_last_digit(value, unit):
+    """Numbers that are rounded alike lie evenly about it: their standard deviation is that of an even distribution."""
+    assert rounding_sd(value) == pytest.approx(unit / math.sqrt(12.0))
+    near = np.random.default_rng(1).uniform(value - unit / 2, value + unit / 2, 20_000)
+    assert np.std(near) == pytest.approx(rounding_sd(value), rel=0.02)
+
+
+def test_rounding_is_left_open_where_no_uncertainty_is_declared_and_digits_are_few():
+    experiment = laboratory(1, {}, repeats=1, n=20)
+    given = replace(
+        experiment,
+        constants={**experiment.constants, "J1": (3.015e-3, 0.0), "J2": (2.474e-3, 1e-5), "R": (0.1, 0.0)},
+        stiffnesses=((6.2, 0.0), (10.212345678, 0.05)),
+    )
+    found = with_rounding(given)
+    pace = rounding_sd(3.015e-3) / 3.015e-3
+    assert found.stiffnesses[0][1] == pytest.approx(math.hypot(rounding_sd(6.2), 6.2 * pace))
+    assert found.stiffnesses[1][1] == pytest.approx(math.hypot(0.05, 10.212345678 * pace))
+    assert found.constants["J2"] == (2.474e-3, 1e-5)
+    assert found.constants["r"][1] == pytest.approx(
+        0.0127 * math.hypot(rounding_sd(0.0127) / 0.0127, 0.01 / 12**0.5 / 1)
+    )
+    assert found.constants["J1"] == (3.015e-3, 0.0)
+    exact = replace(
+        given, constants={**given.constants, "J1": (0.0030151234567, 0.0)}, stiffnesses=((6.2123456789, 0.0),)
+    )
+    assert with_rounding(exact).stiffnesses == exact.stiffnesses
+
+
+def test_a_stiffness_in_three_digits_leaves_no_gap():
+    """Springs that are stiffer by 6e-4 than declared, within their last digit: hundreds of nats, and no missing law."""
+    stiff = laboratory(3, {}, stiffer=1.0006, n=1500, noise=0.5, repeats=5)
+    plain, found = calibrate_nominal(stiff), calibrate_nominal(with_rounding(stiff))
+    assert plain.excess > 300.0
+    assert abs(found.excess) < 4.0 * math.sqrt(2.0 * found.problem.n_data)
+    for _, k1t, _ in CASES:
+        value, sd = found.parameters[f"k1t[{k1t:g}]"]
+        assert value == pytest.approx(1.0006 * k1t, abs=4.0 * sd)
+        assert sd < 1e-4 * value
+
+
+def test_the_fit_finds_the_valley_of_a_coupling_that_holds():
+    """A stiff magnet with a light friction, far from the prior medians, over three periods.
+
+    From the medians the descent ends in a valley in which the coupling slips at once, a thousand times above.
+    """
+    rig = {"J1": 0.02676, "J2": 0.02924, "R": 0.06655, "r": 0.005428, "N0": 199.2}
+    true = {"k2t": 128.8, "c2t": 0.2142, "c1t": 0.01073, "c3t": 0.004613, "mu": 0.006634, "drag": 0.004604, "nu": 4.84}
+    rng = np.random.default_rng(1)
+    times = np.arange(0.0, 0.47, 0.47 / 88)
+    trials = []
+    for index, (case, k1t, degrees) in enumerate((("I", 48.72, 2.885), ("II", 29.42, 2.389))):
+        for both in (False, True):
+            for number in (1, 2, 3):
+                theta0 = math.radians(degrees) * (1.0 + 0.015 * rng.standard_normal())
+                start = {"k1t": k1t, "theta0": theta0, "delay": -4e-4 * rng.random()}
+                y = Model(both).simulate(rig | true | start, times).y[0]
+                y = y + 0.14 * rng.standard_normal(y.shape)
+                angle = math.radians(degrees)
+                label = f"{case}{number}{both}"
+                trials.append(TrialRecord(label, case, both, number, times, y, index, angle, 0.0155 * angle))
+    constants = {name: (value, 0.004 * value * (name != "N0")) for name, value in rig.items()}
+    fit = calibrate_nominal(Experiment(constants, ((48.72, 0.2), (29.42, 0.13)), tuple(trials), "acceleration"))
+    assert fit.chi2 < 1.3 * fit.problem.n_data
+    assert fit.parameters["k2t"][0] == pytest.approx(128.8, rel=0.05)
+    at_once = calibrate(Problem(fit.problem.experiment, noise=fit.problem.noise))
+    assert at_once.chi2 > 50.0 * fit.chi2  # what the prior medians lead to
