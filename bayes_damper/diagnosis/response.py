@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.calibration import Block, Calibration, Experiment, Group
+from bayes_damper.calibration import Block, Calibration, Experiment, Group, value_and_slope
 from bayes_damper.rig.inputs import Inputs
 from bayes_damper.rig.kernels import compiled
 from bayes_damper.simulation.integrator import PER_GRAVITY
@@ -521,6 +521,8 @@ class Pieces:
     pieces: tuple[_Piece, ...]
     S: Array
     g: Array
+    folded: Array
+    """(size, unknowns): what each unknown that gives way is of the fit's parameters."""
 
     def on(self, names: Collection[Any] | None = None) -> Projected:
         """The columns, zero on all parts but the named ones, after all that parameters can do is taken out."""
@@ -533,7 +535,7 @@ class Pieces:
         answer = np.linalg.solve(self.S, np.column_stack([mixed, self.g]))
         gram = gram - mixed.T @ answer[:, :k]
         product = product - mixed.T @ answer[:, k]
-        return Projected(0.5 * (gram + gram.T), -product, raw, np.asarray(-answer[:, :k]))
+        return Projected(0.5 * (gram + gram.T), -product, raw, np.asarray(-self.folded @ answer[:, :k]))
 
 
 def project_parts(fit: Calibration, columns: Iterable[Array], part: Callable[[int], Any]) -> Pieces:
@@ -543,18 +545,20 @@ def project_parts(fit: Calibration, columns: Iterable[Array], part: Callable[[in
 
     The product's sign is that of "reading minus model": a coefficient c > 0 of a column adds it to the model.
     """
-    normals = fit.linear.normal()
+    added, folded = alike_in_all(fit)
+    normals = fit.linear.normal(added)
+    size = folded.shape[1]
+    normals.S[range(fit.problem.size, size), range(fit.problem.size, size)] += 1.0
     S, g, inverses = normals.reduced()
-    size = fit.problem.size
     pieces: dict[Any, _Piece] = {}
     columns = iter(columns)
-    for (block, H, TJ, gT), inverse in zip(normals.parts, inverses, strict=True):
+    for (block, H, TJ, gT), inverse, more in zip(normals.parts, inverses, added, strict=True):
         every = next(columns)
         live = _live(every)
         k = every.shape[1]
         if live.size < k:
             every = every[:, live]
-        full = np.concatenate([block.J, block.T, block.r[:, None, :]], axis=1)
+        full = np.concatenate([block.J, more, block.T, block.r[:, None, :]], axis=1)
         names = [part(i) for i in block.group.trials]
         for name in dict.fromkeys(names):
             own = np.array([n == name for n in names])
@@ -581,7 +585,35 @@ def project_parts(fit: Calibration, columns: Iterable[Array], part: Callable[[in
             whole.raw[live] += raw
             del d, flat
         del every  # before the next ones are made
-    return Pieces(tuple(pieces), tuple(pieces.values()), S, g)
+    return Pieces(tuple(pieces), tuple(pieces.values()), S, g, folded)
+
+
+def alike_in_all(fit: Calibration) -> tuple[list[Array], Array]:
+    """Columns (trials, k, data) of each block that change a parameter by the same amount in all trials, and by how much
+    each parameter of the fit and each of these columns moves that, (size, size + k).
+
+    A parameter scatters in proportion to its value. Beside a term of the same form and sign opposite it might be
+    larger and its scatter, in proportion, less than what was learnt: no law is missing for that.
+    """
+    problem = fit.problem
+    blocks = fit.linear.blocks
+    names = dict.fromkeys(n for b in blocks for n, _, _ in b.group.nuisances if n.startswith("ln_"))
+    columns = []
+    for b in blocks:
+        at = {name: (i, mean, sd) for i, (name, mean, sd) in enumerate(b.group.nuisances)}
+        column = np.zeros((b.T.shape[0], len(names), b.T.shape[2]))
+        for k, name in enumerate(names):
+            if name in at:
+                i, mean, sd = at[name]
+                column[:, k] = b.T[:, i] * (np.exp(-mean - sd * b.eta[:, i]) / sd)[:, None]
+        columns.append(column)
+    folded = np.eye(problem.size, problem.size + len(names))
+    for k, name in enumerate(names):
+        for i, c in enumerate(problem.coordinates):
+            if c.parameter == name[3:]:
+                value, slope = value_and_slope(c.prior, float(fit.q[i]))
+                folded[i, problem.size + k] = value / slope
+    return columns, folded
 
 
 def _live(columns: Array) -> NDArray[np.intp]:

@@ -8,8 +8,11 @@ import pytest
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 from small_rig import RIG, knock, measured, variant
+from test_scatter import laboratory
 
-from bayes_damper.calibration import Switches, calibrate_nominal
+from bayes_damper.calibration import Switches, calibrate, calibrate_nominal
+from bayes_damper.calibration.own_values import Scatter
+from bayes_damper.calibration.scatter import carried
 from bayes_damper.diagnosis.response import _steps, motions, project, project_parts
 from bayes_damper.diagnosis.sites import (
     STRENGTHS,
@@ -293,3 +296,16 @@ def test_a_missing_torque_ends_where_the_record_ends():
     assert ends[len(whole.trials) - 3] == 300
     assert set(ends.values()) == {300, 500}
     assert all(m.torque.shape == (2, m.times.size) and m.sd.shape == m.torque.shape for m in found.torque)
+
+
+def test_scatter_in_proportion_is_no_sign_of_a_term_of_the_same_form():
+    """Viscosity that scatters by twice what is said: a larger one beside a negative constant part would scatter less.
+
+    On the columns of a viscous torque at the spring or the bearings that came to 17 nats.
+    """
+    fit = calibrate_nominal(laboratory(5, {"c1t": 0.3}, repeats=12, noise=3.0))
+    sizes = fit.problem.switches.scatter.sizes
+    said = Scatter(tuple(replace(s, sd=0.5 * s.sd) if s.name == "c1t" else s for s in sizes))
+    problem = fit.problem.changed(switches=replace(fit.problem.switches, scatter=said))
+    evidence = site_map(calibrate(problem, [fit.q], eta=carried(fit, problem), anneal=False), torque=False).log_evidence
+    assert max(evidence.values()) < 0.0
