@@ -141,20 +141,23 @@ class Coordinates:
     def standard(self, points: Array) -> Array:
         """Standard coordinates (n, ndim) of points as they are sampled: shared pairs taken apart, sheets put back."""
         points = np.atleast_2d(points)
-        lines, sheets = self._lines, self._sheets
-        if not lines and not sheets:
-            return points
-        z = points.copy()
-        for i, j, a, b, c, d in lines:
-            first = points[:, i] - np.logaddexp(0.0, points[:, j])  # ln(x / x_unit)
+        return self.placed(points)[0] if self._lines or self._sheets else points
+
+    def placed(self, points: Array) -> tuple[Array, dict[str, Array]]:
+        """Both of points (n, ndim) as they are sampled: standard coordinates (n, ndim), and all parameters by name."""
+        z = np.array(points, ndmin=2)
+        for i, j, a, b, c, d in self._lines:
+            ratio = z[:, j].copy()
+            first = z[:, i] - np.logaddexp(0.0, ratio)  # ln(x / x_unit)
             z[:, i] = (first - a) / b
-            z[:, j] = (first + points[:, j] - c) / d
-        given = self._of_standard(z) if sheets else {}
-        for i, sheet, prior in sheets:
-            away = sheet.width * np.sinh(np.clip(points[:, i], -_FARTHEST, _FARTHEST))
-            z[:, i] = (sheet.centre(given) + away - prior.mean) / prior.sd
+            z[:, j] = (first + ratio - c) / d
+        away = {i: z[:, i].copy() for i, _, _ in self._sheets}
+        given = self._of_standard(z)
+        for i, sheet, prior in self._sheets:
+            off = sheet.width * np.sinh(np.clip(away[i], -_FARTHEST, _FARTHEST))
+            z[:, i] = (sheet.centre(given) + off - prior.mean) / prior.sd
             given[sheet.name] = from_standard(prior, z[:, i])
-        return z
+        return z, given | {name: given[other] for name, other in self.tied.items()}
 
     def sampled(self, z: Array) -> Array:
         """Points as they are sampled (n, ndim) from standard coordinates: the inverse of `standard`."""
@@ -171,7 +174,7 @@ class Coordinates:
 
     def values(self, points: Array) -> dict[str, Array]:
         """All parameters at points (n, ndim) as they are sampled: name -> (n,)."""
-        return self._of_standard(self.standard(points))
+        return self.placed(points)[1]
 
     def _of_standard(self, z: Array) -> dict[str, Array]:
         given = dict(zip(self.names, columns_from_standard(tuple(self.free.values()), z), strict=True))
@@ -183,9 +186,10 @@ class Coordinates:
         columns = [np.atleast_1d(to_standard(prior, values[name])) for name, prior in self.free.items()]
         return self.sampled(np.stack(np.broadcast_arrays(*columns), axis=-1))
 
-    def log_prior(self, points: Array) -> Array:
-        """Log prior density in the sampled coordinates, (n,)."""
-        value: Array = -0.5 * (np.sum(self.standard(points) ** 2, axis=1) + self.ndim * _LOG_2PI)
+    def log_prior(self, points: Array, z: Array | None = None) -> Array:
+        """Log prior density in the sampled coordinates, (n,); z : standard coordinates of the points, where known."""
+        z = self.standard(points) if z is None else z
+        value: Array = -0.5 * (np.sum(z**2, axis=1) + self.ndim * _LOG_2PI)
         # ln x and ln y in terms of sum and ratio have Jacobian 1; z in terms of ln x has 1 / b.
         value = value - sum(math.log(b * d) for _, _, _, b, _, d in self._lines)
         for i, sheet, prior in self._sheets:
@@ -330,9 +334,13 @@ class FeaturePosterior:
 
     def misfits(self, points: Array) -> Array:
         """Distances of the features from the data in standard errors, (n, n_data); nan where the record has none."""
+        return self._off(self.predict(points))
+
+    def _off(self, features: Array) -> Array:
+        """Distances of features (n, n_data) from the data in standard errors."""
         value = np.array([d.value for d in self.data])
         error = np.array([d.standard_error for d in self.data])
-        return np.asarray((self.predict(points) - value) / error)
+        return np.asarray((features - value) / error)
 
     def densities(self, misfits: Array, width: float = 1.0) -> Array:
         """Log density of each datum at such distances, (n, n_data), if all errors were `width` times as large."""
@@ -349,7 +357,9 @@ class FeaturePosterior:
     def __call__(self, points: Array) -> Array:
         """Log posterior density (normalised prior times likelihood) in standard coordinates, (n,)."""
         points = np.atleast_2d(points)
-        return np.asarray(self.coordinates.log_prior(points) + self.log_likelihood(points).sum(axis=1))
+        z, values = self.coordinates.placed(points)
+        density = self.densities(self._off(self.predict_from(values))).sum(axis=1)
+        return np.asarray(self.coordinates.log_prior(points, z) + density)
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,7 @@
 """Coordinates of a posterior: shared pairs taken apart and put together, with the density that belongs to them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -116,6 +118,17 @@ def test_a_sheet_is_sampled_as_the_distance_from_where_the_others_put_it():
     for column, name, width, centre in ((2, "k1t", 0.01, _product(values)), (3, "c", 0.3, values["k1t"] ** 2)):
         away = (values[name] - centre) / width
         np.testing.assert_allclose(np.sinh(points[:, column]), away, rtol=1e-9, atol=1e-9)
+
+
+def test_what_is_tied_to_a_sheet_takes_the_value_that_the_sheet_gives():
+    tied = replace(SHEETS, tied={"twin": "c"})
+    points = tied.draw(np.random.default_rng(6), 50)
+    before = points.copy()
+    z, values = tied.placed(points)
+    np.testing.assert_array_equal(values["twin"], values["c"])
+    np.testing.assert_allclose(values["c"], z[:, 3], rtol=1e-12)
+    np.testing.assert_array_equal(points, before)
+    np.testing.assert_array_equal(tied.log_prior(points, z), tied.log_prior(points))
 
 
 def test_the_prior_density_of_sheets_is_that_of_the_standard_coordinates_times_the_jacobian():
