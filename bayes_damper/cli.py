@@ -350,6 +350,7 @@ def _tune(args: Arguments) -> Any:
         target_db=args.target_db,
         amplitudes=args.torque,
         seed=args.seed,
+        effects=args.effects,
         out=args.out,
         report=make_reporter(quiet=args.quiet or args.json),
     )
@@ -501,6 +502,7 @@ def _figures_and_proofs(command: Adding) -> None:
     sub.add_argument("--magnet-pull", type=float, metavar="N0", help="N; default: the rig's own")
     sub.add_argument("--torque", type=float, nargs="+", metavar="T",
                      help="exciting torques, N m (forces, N); default: of the size of the rig")  # fmt: skip
+    _own_effects(sub)
     sub.add_argument("--target-db", type=float, default=10.0, metavar="DB", help="loss to reach (default: 10)")
 
     command("thesis", _thesis, "every table and figure of the thesis recomputed: printed, computed, verdict",

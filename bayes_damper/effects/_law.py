@@ -155,6 +155,16 @@ class Law:
         )  # fmt: skip
 
 
+def driven_variant(law: Law) -> Variant:
+    """A law as a formula where time runs `pace` times as fast as for the rig: parameters (size, pace)."""
+    numbers = tuple(
+        EffectParameter(name, "1", meaning, Normal(1.0, 0.5), "Given by whoever drives the rig.", null)
+        for name, meaning, null in (("size", "Factor on the torque.", 0.0), ("pace", "Simulated over true time.", None))
+    )
+    kernel = _fixed(law.terms, law.ranges, paced=True)
+    return variant_of("driven", law.site, law.bodies, kernel, law.terms, numbers, ((1.0, 1.0),), "Q = size * law")
+
+
 _WORDS = {"angle": "angles", "speed": "velocities", "time": "times"}
 
 
@@ -282,18 +292,24 @@ def _carrier(carrier: str, ranges: Mapping[str, tuple[float, float]]) -> Kernel:
     return _over(max(map(abs, ranges[carrier])), carrier == "angle")
 
 
-def _fixed(terms: Sequence[Term], ranges: Mapping[str, tuple[float, float]]) -> Kernel:
-    """The law's torque by (t, x, v, p, rig), its size p[0]."""
+def _fixed(terms: Sequence[Term], ranges: Mapping[str, tuple[float, float]], paced: bool = False) -> Kernel:
+    """The law's torque by (t, x, v, p, rig), its size p[0]; paced : where time and nu are stretched by p[1]."""
 
     def part(term: Term) -> Kernel:
         carrier, place = _carrier(term.carrier, ranges), _place(term.along, *ranges[term.along])
         c = tuple(map(float, term.coefficients))
+        is_dry = term.carrier == "dry"
 
         @lane
         def value(t, x, v, p, rig):
             return p[0] * carrier(x, v, rig) * series(place(t, x, v), c)
 
-        return value
+        @lane
+        def paced_value(t, x, v, p, rig):
+            w = v * p[1]
+            return p[0] * carrier(x, v if is_dry else w, rig) * series(place(t / p[1], x, w), c)
+
+        return paced_value if paced else value
 
     return _sum([part(term) for term in terms])
 

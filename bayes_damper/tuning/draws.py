@@ -29,6 +29,8 @@ SETUP = {
 """What stands in where the posterior has no such parameter (thesis, pp. 9, 24, 27; R and r are working values)."""
 LINEAR = ("J1", "J2", "k1t", "c1t", "c3t", "k2t", "c2t")
 NONLINEAR = (*LINEAR, "mu", "drag", "nu", "tail", "N0", "R", "r")
+SIZE = "effect.size"
+"""Under this name a fit stores the size of a learnt law."""
 AMPLITUDES = (0.02, 0.05, 0.1, 0.2)  # N m
 """Exciting torques of the thesis's rig, and of draws whose campaign is not known."""
 OF_RELEASE = (0.025, 0.06, 0.12, 0.24)
@@ -97,12 +99,18 @@ def posterior_draws(
 ) -> dict[str, Array]:
     """`n` draws of one case from arrays, from the `posterior.nc` of a fit, or from its `summary.json`.
 
-    A summary knows no correlations: each parameter is then drawn by itself, log-normal with its mean and sd.
+    A summary knows no correlations: each parameter is then drawn by itself, log-normal with its mean and sd. Of a fit
+    with a learnt law its size is among the draws, as `size`.
     """
     if isinstance(source, Mapping):
         full = complete(source, case, rig)
+        size = source.get("size")
     else:
-        full = complete(_stored(Path(source), case, n, rng), case, rig)
+        stored = _stored(Path(source), case, n, rng)
+        full = complete(stored, case, rig)
+        size = stored.get(SIZE)
+    if size is not None:
+        full["size"] = np.broadcast_to(np.asarray(size, float), full["J1"].shape)
     size = len(full["J1"])
     pick = rng.permutation(size)[:n] if size >= n else rng.integers(size, size=n)
     if size == 1:
@@ -284,7 +292,7 @@ def _entries(stored: Iterable[str], case: str) -> dict[str, str]:
         if the fit of all cases together has a value of a parameter for each of them.
     """
     out = {}
-    for name in NONLINEAR:
+    for name in (*NONLINEAR, SIZE):
         own = [s for s in stored if s.partition("[")[0] == name]
         if len(own) == 1:
             out[name] = own[0]

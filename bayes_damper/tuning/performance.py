@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bayes_damper.effects._law import Law, driven_variant
 from bayes_damper.errors import InputError
 from bayes_damper.rig import linear
 from bayes_damper.rig.linear import LinearRig
@@ -106,8 +107,9 @@ def linear_performance(draws: Draws, design: Design | None = None) -> Performanc
 
 
 def harmonic_response(
-    draws: Draws, frequency_hz: ArrayLike, amplitude: float, coupled: bool = True, settle_cycles: int | None = None
-) -> tuple[Array, Array]:
+    draws: Draws, frequency_hz: ArrayLike, amplitude: float, coupled: bool = True, settle_cycles: int | None = None,
+    law: Law | None = None,
+) -> tuple[Array, Array]:  # fmt: skip
     """Accelerance of the nonlinear rig under a harmonic torque on the primary, by time integration from rest.
 
     Parameters
@@ -116,6 +118,7 @@ def harmonic_response(
     amplitude : of the torque, N m.
     settle_cycles : cycles left out before the fundamental component is taken over four; by default six time constants
         of the slowest decay.
+    law : a learnt law that acts too, as large as the draws' `size` (1 where they have none).
 
     Returns
     -------
@@ -127,6 +130,22 @@ def harmonic_response(
     grow with the square of the frequency, damping and the smoothing constant with the frequency, and all share one
     drive. Displacement is read, because what the samples cannot resolve is smallest there.
     """
+    y, f = _driven(draws, frequency_hz, amplitude, coupled, settle_cycles, law)
+    y = y[:, :, 0]
+    turn = np.exp(-2j * np.pi * np.arange(_MEASURED_CYCLES * _PER_CYCLE) / _PER_CYCLE)
+    last = y[..., -turn.size :] * turn
+    whole, half = 2.0 * last.mean(-1), turn.size // 2
+    change = np.abs(last[..., :half].mean(-1) - last[..., half:].mean(-1)) * 2.0
+    # Between samples the torque is linear, so its fundamental is a little below that of the cosine.
+    drive = amplitude * np.sinc(1.0 / _PER_CYCLE) ** 2
+    omega = 2.0 * np.pi * f
+    return np.abs(whole) * omega**2 / drive, change / np.maximum(np.abs(whole), 1e-300)
+
+
+def _driven(
+    draws: Draws, frequency_hz: ArrayLike, amplitude: float, coupled: bool, settle_cycles: int | None, law: Law | None
+) -> tuple[Array, Array]:  # fmt: skip
+    """Displacements (n, n_frequencies, channels, n_times) under a harmonic torque, and the frequencies (n, ...), Hz."""
     if not drives(amplitude):
         raise InputError(refused(amplitude))
     n = len(draws["J1"])
@@ -143,16 +162,30 @@ def harmonic_response(
         for name in NONLINEAR
     }
     parameters |= {"theta0": 0.0, "delay": 0.0}
-    run = Model(coupled=coupled).simulate(parameters, times, torque=torque, quantity="displacement", threads=2)
-    y = run.y[:, 0].reshape(*f.shape, -1)
-    turn = np.exp(-2j * np.pi * np.arange(_MEASURED_CYCLES * _PER_CYCLE) / _PER_CYCLE)
-    last = y[..., -turn.size :] * turn
-    whole, half = 2.0 * last.mean(-1), turn.size // 2
-    change = np.abs(last[..., :half].mean(-1) - last[..., half:].mean(-1)) * 2.0
-    # Between samples the torque is linear, so its fundamental is a little below that of the cosine.
-    drive = amplitude * np.sinc(1.0 / _PER_CYCLE) ** 2
-    omega = 2.0 * np.pi * f
-    return np.abs(whole) * omega**2 / drive, change / np.maximum(np.abs(whole), 1e-300)
+    variant = None if law is None else driven_variant(law)
+    if variant is not None and not (coupled or variant.uncoupled):
+        variant = None
+    size = np.broadcast_to(draws.get("size", np.ones(n))[:, None], f.shape).ravel()
+    run = Model(coupled=coupled, effect=variant).simulate(
+        parameters, times, effect=None if variant is None else {"size": size, "pace": scale.ravel()}, torque=torque,
+        quantity="displacement", threads=2,
+    )  # fmt: skip
+    return run.y.reshape(*f.shape, *run.y.shape[1:]), f
+
+
+def outside_of(law: Law, draws: Draws, amplitude: float, design: Design, p: Performance) -> list[str]:
+    """Sentences on where a design that is driven at its resonance leaves the range of a learnt law."""
+    known = np.isfinite(p.resonance)
+    if not known.any():
+        return []
+    some = {name: column[known] for name, column in design.apply(draws).items()}
+    y, f = _driven(some, p.resonance[known][:, None], amplitude, True, None, law)
+    th1, th2 = np.moveaxis(y[:, 0, :, -_MEASURED_CYCLES * _PER_CYCLE :], 1, 0)
+    places = {"interface": [th1 - th2], "ground2": [th2], "ground1": [th1], "bearings": [th1, th2]}[law.site]
+    places = places[:1] if law.bodies == "primary" else places
+    reach = max(float(np.nanmax(np.abs(x))) for x in places)
+    fast = max(float(np.nanmax(np.abs(x) * 2.0 * np.pi * f)) for x in places)
+    return law.outside({"angle": (-reach, reach), "speed": (-fast, fast)})
 
 
 def drives(amplitude: float) -> bool:
@@ -187,16 +220,16 @@ def _grid(draws: Draws, coupled: bool) -> tuple[Array, float]:
     return np.sort(np.concatenate([even, extra], axis=1), axis=1), math.log(high / low) / (points - 1)
 
 
-def _peak(draws: Draws, amplitude: float, coupled: bool) -> tuple[Array, Array]:
+def _peak(draws: Draws, amplitude: float, coupled: bool, law: Law | None = None) -> tuple[Array, Array]:
     """Frequency and height of the highest accelerance of every draw: a grid, then two finer ones about its best."""
     grid, step = _grid(draws, coupled)
     edge = grid[:, -1]
     for _ in range(2):
-        height, _ = harmonic_response(draws, grid, amplitude, coupled)
+        height, _ = harmonic_response(draws, grid, amplitude, coupled, law=law)
         best = np.take_along_axis(grid, np.argmax(np.nan_to_num(height), axis=1)[:, None], 1)
         grid = best * np.exp(np.linspace(-step, step, 9))
         step /= 4.0
-    height, _ = harmonic_response(draws, grid, amplitude, coupled)
+    height, _ = harmonic_response(draws, grid, amplitude, coupled, law=law)
     k = np.clip(np.argmax(np.nan_to_num(height), axis=1), 1, grid.shape[1] - 2)[:, None]
     a, b, c = (np.take_along_axis(height, k + i, 1)[:, 0] for i in (-1, 0, 1))
     bend = a - 2.0 * b + c
@@ -207,12 +240,17 @@ def _peak(draws: Draws, amplitude: float, coupled: bool) -> tuple[Array, Array]:
     return np.where(inside, frequency, np.nan), np.where(inside, b - 0.25 * (a - c) * x, np.nan)
 
 
-def nonlinear_performances(draws: Draws, amplitude: float, designs: Mapping[str, Design]) -> dict[str, Performance]:
-    """Insertion loss and resonances of the nonlinear model of each design, under a torque of this amplitude (N m)."""
-    without_frequency, without = _peak(draws, amplitude, coupled=False)
+def nonlinear_performances(
+    draws: Draws, amplitude: float, designs: Mapping[str, Design], law: Law | None = None
+) -> dict[str, Performance]:
+    """Insertion loss and resonances of the nonlinear model of each design, under a torque of this amplitude (N m).
+
+    law : a learnt law that acts too.
+    """
+    without_frequency, without = _peak(draws, amplitude, False, law)
     out = {}
     for name, design in designs.items():
-        frequency, height = _peak(design.apply(draws), amplitude, coupled=True)
+        frequency, height = _peak(design.apply(draws), amplitude, True, law)
         moving = (height > 0.0) & (without > 0.0)  # nowhere true of nan
         loss = 20.0 * np.log10(np.where(moving, without, 1.0) / np.where(moving, height, 1.0))
         out[name] = Performance(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayes_damper import figures
+from bayes_damper.effects import load_effects
+from bayes_damper.effects._law import SITES, Law
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.rig.parameters import PARAMETERS, unit_of
 from bayes_damper.rig.units import in_words_of
@@ -28,12 +30,22 @@ from bayes_damper.tuning.performance import (
     drives,
     linear_performance,
     nonlinear_performances,
+    outside_of,
     probability_of,
     refused,
 )
 
 Array = NDArray[np.float64]
 SCHEMA = "bayes-damper/tune/1"
+_LAW_ACTS = (
+    "The driven rig has the law {}, as large as in the fit; the linear model, and with it the search for the best "
+    "design, leaves it out."
+)
+_BY_TIME = (
+    "{} depends on the time since a release, and a rig that is driven on and on has none: the torque of its last "
+    "moment is held"
+)
+_LEARNT = tuple(f"learnt_{site}" for site in SITES)
 _LEFT_OUT = "The fit has the effect {} too, which is left out here: the design is judged by the nominal model alone."
 
 
@@ -56,6 +68,8 @@ class TuneResult:
     seed: int = 1
     provenance: Mapping[str, Any] = field(default_factory=dict)
     folder: Path | None = None
+    law: str = ""
+    """Name of the learnt law that acts on the driven rig."""
 
     @property
     def exit_code(self) -> ExitCode:
@@ -95,7 +109,8 @@ class TuneResult:
             },
             "variance_shares": dict(self.shares),
             "hangs_most_on": next(iter(self.shares), None),
-            "notes": [_LEFT_OUT.format(self.origin.effect)] if self.origin.effect else [],
+            "law": self.law or None,
+            "notes": [self._note] if self._note else [],
             "frequency_response": {
                 name: {
                     "frequency_hz": band.frequency_hz.tolist(),
@@ -116,6 +131,16 @@ class TuneResult:
             },
             "provenance": dict(self.provenance),
         }  # fmt: skip
+
+    @property
+    def _note(self) -> str:
+        """What becomes of the effect that the fit has."""
+        if self.law:
+            return _LAW_ACTS.format(self.law)
+        if not self.origin.effect:
+            return ""
+        keep = " Give its file, --effects learnt/SITE.toml, to keep it." if self.origin.effect in _LEARNT else ""
+        return _LEFT_OUT.format(self.origin.effect) + keep
 
     def _place(self, design: Design, name: str) -> float:
         given = getattr(design, name)
@@ -140,8 +165,7 @@ class TuneResult:
             lines += [f"  at {a:g} {unit}: {_sentence(p, self.target_db)}" for a, p in self.optimum_nonlinear.items()]
         if any("no resonance" in line for line in lines):
             lines.append("No resonance: dry friction holds the rig, or damping leaves no peak.")
-        if self.origin.effect:
-            lines.append(_LEFT_OUT.format(self.origin.effect))
+        lines += [self._note] if self._note else []
         if self.shares:
             name, share = next(iter(self.shares.items()))
             meant = in_words_of(PARAMETERS[name].meaning, self.origin.kind) if name in PARAMETERS else ""
@@ -208,6 +232,7 @@ def tune(
     n_draws: int = 400,
     n_nonlinear: int = 50,
     seed: int = 1,
+    effects: Path | str | None = None,
     out: Path | str | None = None,
     report: Callable[[str], None] = lambda _: None,
 ) -> TuneResult:
@@ -223,12 +248,14 @@ def tune(
     driven, by default of the size of the rig.
     bounds : where the best design is sought, SI (see `best_design`); out : folder for `tune.json` and figures.
     n_draws, n_nonlinear : draws for the linear and, among them, for the nonlinear model; seed : picks them.
+    effects : the file of a learnt law (learnt/SITE.toml) that the fit has, or a folder with it: it then acts on the
+    driven rig; beyond the range that it was learnt in it holds its last value, and a warning says so.
     optimise : False leaves out the search for the best design; report : called with a sentence for each step.
 
     Raises
     ------
     InputError
-        if the design, the draws or the bounds mean nothing physically.
+        if the design, the draws or the bounds mean nothing physically, or `effects` is not a law that the fit has.
     """
     design = Design(J2, k2t, R, magnet_pull, bar_inertia)
     faults = []
@@ -244,6 +271,7 @@ def tune(
     origin = origin_of(source, case, rig)
     if origin.kind == "translational" and R is not None:
         raise InputError(f"R = {R:g}: a translational rig has no radius; change J2 or k2t")
+    law = None if effects is None else _law_of(Path(effects), origin, isinstance(source, Mapping))
     if amplitudes is None:
         amplitudes = origin.amplitudes
     draws = posterior_draws(source, case, n_draws, rng, {**origin.constants, **(rig or {})})
@@ -259,21 +287,23 @@ def tune(
     designs = {"design": design} | ({} if optimum is None else {"best design": optimum.design})
     few = {name: column[:n_nonlinear] for name, column in draws.items()}
     report(f"driving the nonlinear rig at {counted(len(amplitudes), 'amplitude')}")
-    driven = {float(a): nonlinear_performances(few, float(a), designs) for a in amplitudes}
+    driven = {float(a): nonlinear_performances(few, float(a), designs, law) for a in amplitudes}
     nonlinear = {a: found["design"] for a, found in driven.items()}
     at_optimum = {a: found["best design"] for a, found in driven.items() if "best design" in found}
+    if law is not None:
+        origin = replace(origin, warnings=(*origin.warnings, *_beyond(law, few, nonlinear, design)))
     with_present = designs if design == Design() else {"present": Design()} | designs
     report("frequency responses of each design")
     response = {f"linear, {name}": band for name, band in frequency_responses(draws, with_present).items()}
     fewer = {name: column[:20] for name, column in draws.items()}
     for a in driven:
-        bands = frequency_responses(fewer, designs, a)
+        bands = frequency_responses(fewer, designs, a, law)
         response |= {f"{a:g} {origin.effort[1]}, {name}": band for name, band in bands.items()}
     shares = shares_of_variance(draws, performance.insertion_loss)
     result = TuneResult(
         case, design, draws, target_db, performance, nonlinear, optimum, at_optimum, shares, response,
         tuning_curves(draws, design, target_db, ("J2", *lengths)), origin, seed, provenance(),
-        None if out is None else Path(out),
+        None if out is None else Path(out), "" if law is None else law.name,
     )  # fmt: skip
     if out is not None:
         saved = result.to_json()
@@ -282,3 +312,35 @@ def tune(
         figures.save(figures.response_figure(saved, title=f"{about}: frequency response"), Path(out) / "tune_response")
         figures.save(figures.tuning_figure(saved, title=f"{about}: insertion loss"), Path(out) / "tune_loss")
     return result
+
+
+def _law_of(path: Path, origin: Origin, arrays: bool) -> Law:
+    """The learnt law that a fit has; draws given as arrays may have any.
+
+    Raises
+    ------
+    InputError
+        if there is none, or it is that of another rig.
+    """
+    laws: dict[str, Law] = {name: e.law for name, e in load_effects(path).items() if e.law is not None}
+    wanted = origin.effect if not arrays else next(iter(laws), "")
+    law = laws.get(wanted)
+    if law is None:
+        has = f"the fit has the effect {origin.effect}" if origin.effect else "the fit has no learnt law"
+        raise InputError(
+            f"{path}: holds {', '.join(laws) or 'no learnt law'}, and {has}; tune takes a learnt law that was fitted: "
+            f"`bayes-damper fit CAMPAIGN --effects {path} --effect {next(iter(laws), 'learnt_SITE')}`"
+        )
+    if (why := law.mismatch(origin.kind, origin.constants)) is not None:
+        raise InputError(f"{path}: {why}")
+    return law
+
+
+def _beyond(law: Law, draws: Draws, driven: Mapping[float, Performance], design: Design) -> list[str]:
+    """Warnings on a law where it does not reach, at the largest amplitude."""
+    out = [_BY_TIME.format(law.name)] if any(t.along == "time" for t in law.terms) else []
+    if driven:
+        largest = max(driven)
+        effort = f"driven at {largest:g}"
+        out += [f"{effort}: {said}" for said in outside_of(law, draws, largest, design, driven[largest])]
+    return out

@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 
 from bayes_damper import figures, report, tuning
 from bayes_damper.campaign import load_campaign
+from bayes_damper.effects._law import ORDER, Law, Term, written
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.rig import linear
 from bayes_damper.runs.json_files import folder_name, write_json
@@ -525,6 +526,58 @@ def test_an_effect_that_tuning_leaves_out_is_told(tmp_path):
     sentence = "The fit has the effect stick_slip too, which is left out here"
     assert sentence in found.text()
     assert sentence in report(tmp_path / "tune").path.read_text(encoding="utf-8")
+
+
+def law_file(folder, terms, site="ground1", fast=8.0):
+    """The file of a law over angles of 0.2 rad and velocities up to `fast` rad/s."""
+    law = Law(
+        site, "both", {"angle": (-0.2, 0.2), "speed": (-fast, fast), "time": (0.0, 1.0)}, 50.0, terms,
+        rig={"kind": "torsional", "J1": 3.015e-3}, roots=((0.0,) * (ORDER * len(terms)),),
+    )  # fmt: skip
+    folder.mkdir(exist_ok=True)
+    path = folder / f"{site}.toml"
+    path.write_text(written(law))
+    return path, law
+
+
+@pytest.mark.parametrize("coupled", [True, False])
+@pytest.mark.parametrize(
+    ("carrier", "name", "per"), [("speed", "c1t", 8.0), ("dry", "drag", 1.0), ("angle", "k1t", 0.2)]
+)
+def test_a_law_that_is_a_nominal_one_does_to_a_driven_rig_what_that_does(tmp_path, carrier, name, per, coupled):
+    """Viscous, dry and elastic torques on the primary, at frequencies that are not the one that all are scaled to."""
+    share = {"c1t": 4e-3, "drag": 4e-3, "k1t": 0.6}[name]
+    term = Term(carrier, "time", (-share * per, *[0.0] * (ORDER - 1)))
+    draws = tuning.complete(THESIS | {"drag": 0.01, "size": np.ones(1)})
+    f = [6.0, 8.0, 14.0]
+    _, law = law_file(tmp_path, (term,), "bearings" if name == "drag" else "ground1")  # drag acts on both bodies
+    found, _ = tuning.harmonic_response(draws, f, 0.05, coupled, law=law)
+    more = draws | {name: draws[name] + share}
+    wanted, _ = tuning.harmonic_response(more, f, 0.05, coupled)
+    without, _ = tuning.harmonic_response(draws, f, 0.05, coupled)
+    np.testing.assert_allclose(found, wanted, rtol=2e-3)
+    assert np.abs(without / wanted - 1.0).max() > 0.02
+
+
+def test_a_law_that_the_fit_has_acts_on_the_driven_rig_and_warns_beyond_its_range(tmp_path):
+    fit = fitted_folder(tmp_path)
+    path, _ = law_file(tmp_path / "learnt", (Term("speed", "time", (-0.1, *[0.0] * (ORDER - 1))),), fast=2.0)
+    few = {"case": "IV", "amplitudes": (0.5,), "optimise": False, "n_draws": 4, "n_nonlinear": 2}
+    with pytest.raises(InputError, match=r"holds learnt_ground1, and the fit has no learnt law; .* was fitted"):
+        tuning.tune(fit, effects=path, **few)
+    run = json.loads((fit / "run.json").read_text())
+    run["plan"]["effect"] = "learnt_ground1"
+    write_json(fit / "run.json", run)
+    bare = tuning.tune(fit, **few)
+    assert "Give its file, --effects learnt/SITE.toml, to keep it." in bare.text()
+    found = tuning.tune(fit, effects=path, out=tmp_path / "tune", **few)
+    said = found.text()
+    assert "The driven rig has the law learnt_ground1" in said
+    assert "learnt_ground1 depends on the time since a release" in said
+    assert "driven at 0.5: learnt_ground1 was learnt for velocities from -2 to 2" in said
+    assert json.loads((tmp_path / "tune" / "tune.json").read_text())["law"] == "learnt_ground1"
+    moved = found.nonlinear[0.5].insertion_loss - bare.nonlinear[0.5].insertion_loss
+    assert np.nanmax(np.abs(moved)) > 0.05
 
 
 def test_a_fit_that_misses_something_warns_what_is_tuned_from_it(tmp_path):
