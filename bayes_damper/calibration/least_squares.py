@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +21,8 @@ GAINED = 0.02  # of the cost by a step, below which a descent has ended
 READINGS_AT_ONCE = 1_000_000  # simulated in one go where draws from the prior are compared
 NEAR_END = 0.1  # of the way to where a value's prior ends that a step along the values leaves
 HOPELESS, HURRY = 60.0, 6.0  # cost above a target, and in how many such steps it must be reachable, to go on
+FAR_BEHIND = 600.0  # cost above a target from which forward differences are good enough for the evidence
+SAME_COST, SAME_PLACE = 1.0, 0.05  # difference of costs, and of each coordinate, of two descents in one valley
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,31 +110,36 @@ def calibrate(
     eta : nuisances to start from; most : iterations per stage; finish : central differences at the end, and steps by
     them for as long as they gain;
     give_up : a start whose cost after the first stage exceeds the best by more is not followed; target : a cost that
-    another model has reached: a descend that gets nowhere near it ends early; straight : each step is tried along the
-    values themselves too, not only along the coordinates, in which a valley of two terms that stand for each other is
-    bent.
+    another model has reached: a descent that gets nowhere near it, or the best one's end, ends early, and what ends far
+    behind it is differentiated to one side only; straight : each step is tried along the values themselves too, not
+    only along the coordinates, in which a valley of two terms that stand for each other is bent.
+    A start that comes to where another one was is not followed further.
 
     A fit in which every simulation fails has cost inf and log_evidence -inf.
     """
     points = [np.asarray(s, float) for s in starts] or default_starts(problem)
-    best: tuple[float, Array, dict[int, Array], bool, int] | None = None
+    best: _End | None = None
+    passed: list[_End] = []  # where descents have been after their first stage
     for point in points:
-        own = {i: v.copy() for i, v in (eta or problem.no_nuisance()).items()}
-        q = point
-        used = 0
+        start = _End(math.inf, point, {i: v.copy() for i, v in (eta or problem.no_nuisance()).items()}, False, 0)
         if anneal:
-            q, own, cost, _, used = _descend(problem, q, own, most, annealed=True, tolerance=0.5)
-            if best is not None and cost > best[0] + give_up:
+            start = _descend(problem, start, most, annealed=True, tolerance=0.5)
+            if best is not None and start.cost > best.cost + give_up:
                 continue
-        goal = target if best is None else max(target, best[0])
-        q, own, cost, converged, more = _descend(problem, q, own, most, False, GAINED, goal, straight)
-        if best is None or cost < best[0]:
-            best = (cost, q, own, converged, used + more)
+            if any(_alike(start, other) for other in passed):
+                continue
+            passed.append(start)
+        goals = [target] if best is None else [target, best.cost]
+        goal = min((x for x in goals if x > -math.inf), default=-math.inf)
+        end = _descend(problem, start, most, False, GAINED, goal, straight, best)
+        if best is None or end.cost < best.cost:
+            best = replace(end, iterations=start.iterations + end.iterations)
     assert best is not None
-    cost, q, own, converged, used = best
-    linear = problem.linearise(q, own, central=finish)
+    cost, q, own, converged, used = best.cost, best.q, best.eta, best.converged, best.iterations
+    behind = target > -math.inf and cost > target + FAR_BEHIND
+    linear = problem.linearise(q, own, central=finish and not behind)
     damping = 1e-4
-    for _ in range(most if finish and converged else 0):
+    for _ in range(most if finish and converged and not behind else 0):
         tried, moved_q, moved, moved_cost = _tried(problem, linear.normal(), damping, q, own, annealed=False)
         if not moved_cost < cost - GAINED:
             break
@@ -190,15 +197,33 @@ def summarise(
     return Calibration(problem, q, dict(eta), covariance, cost, cost - prior, evidence, converged, linear, iterations)
 
 
+@dataclass(frozen=True, eq=False)
+class _End:
+    """Where a descent has come to, whether it converged there, and with how many derivatives."""
+
+    cost: float
+    q: Array
+    eta: dict[int, Array]
+    converged: bool
+    iterations: int
+
+
+def _alike(one: _End, other: _End) -> bool:
+    """Whether a descent is beside where another one has converged: it leads to the same end."""
+    near = float(np.max(np.abs(one.q - other.q), initial=0.0)) < SAME_PLACE
+    return other.converged and near and abs(one.cost - other.cost) < SAME_COST
+
+
 def _descend(
-    problem: Problem, q: Array, eta: dict[int, Array], most: int, annealed: bool, tolerance: float,
-    target: float = -math.inf, straight: bool = False,
-) -> tuple[Array, dict[int, Array], float, bool, int]:  # fmt: skip
-    """Levenberg-Marquardt from one start: q, eta, cost, whether it converged, Jacobians used."""
+    problem: Problem, start: _End, most: int, annealed: bool, tolerance: float, target: float = -math.inf,
+    straight: bool = False, known: _End | None = None,
+) -> _End:  # fmt: skip
+    """Levenberg-Marquardt from one start; known : the end of another one, beside which this one stops."""
+    q, eta = start.q, start.eta
     damping = 1e-2
     cost = float(problem.costs(q[None], {i: v[None] for i, v in eta.items()}, annealed)[0])
     if not math.isfinite(cost):
-        return q, eta, cost, False, 0
+        return _End(cost, q, eta, False, 0)
     for iteration in range(1, most + 1):
         normals = problem.linearise(q, eta, annealed=annealed).normal()
         accepted = False
@@ -212,11 +237,12 @@ def _descend(
                 accepted = True
                 break
             damping *= 300.0 if math.isfinite(moved_cost) else 100.0
-        if not accepted or gained < tolerance:
-            return q, eta, cost, True, iteration
+        end = _End(cost, q, eta, not accepted or gained < tolerance, iteration)
+        if end.converged or (known is not None and _alike(end, known)):
+            return end
         if math.isfinite(target) and iteration >= 3 and cost - target > HOPELESS and HURRY * gained < cost - target:
-            return q, eta, cost, False, iteration
-    return q, eta, cost, False, most
+            return end
+    return _End(cost, q, eta, False, most)
 
 
 def _tried(

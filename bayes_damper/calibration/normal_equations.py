@@ -42,9 +42,10 @@ class Remade:
 
     _held: ClassVar[list[weakref.ref[Remade]]] = []  # the one asked for last at the end
 
-    def __init__(self, make: Callable[[], tuple[Block, ...]]) -> None:
+    def __init__(self, make: Callable[[], tuple[Block, ...]], known: tuple[Block, ...] = ()) -> None:
+        """`known`: the blocks, if they have been made."""
         self._make = make
-        self._blocks: tuple[Block, ...] = ()
+        self._blocks = known
 
     def __call__(self) -> tuple[Block, ...]:
         """The blocks."""
@@ -70,10 +71,14 @@ class Remade:
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """A problem linearised at q (size,): what steps, covariance, evidence and screening are computed from."""
+    """A problem linearised at q (size,): what steps, covariance, evidence and screening are computed from.
+
+    central : whether by differences to both sides.
+    """
 
     q: Array
     given: Callable[[], tuple[Block, ...]]
+    central: bool = False
 
     @property
     def blocks(self) -> tuple[Block, ...]:
@@ -82,7 +87,7 @@ class Linear:
 
     def with_blocks(self, blocks: tuple[Block, ...]) -> Linear:
         """The same problem with other blocks, which are held."""
-        return Linear(self.q, lambda: blocks)
+        return replace(self, given=lambda: blocks)
 
     def sliced(self, readings: int) -> Linear:
         """The same with the trials in blocks of at most so many readings, or of one trial: for what takes much more

@@ -17,7 +17,7 @@ from bayes_damper.calibration.experiment import (
 )
 from bayes_damper.calibration.groups import Group, Grouping, Switches
 from bayes_damper.calibration.noise import Noise, rough_noise
-from bayes_damper.calibration.normal_equations import Linear, Remade
+from bayes_damper.calibration.normal_equations import Block, Linear, Remade
 from bayes_damper.calibration.own_values import RELEASE, channel_of, middle_of, of_readings, wave
 from bayes_damper.calibration.unknowns import NOMINAL, Coordinate, acting_alone, coordinates_of, middle
 from bayes_damper.effects.base import Variant
@@ -277,16 +277,18 @@ class Problem:
 
     def linearise(
         self, q: Array, eta: Mapping[int, Array], *, annealed: bool = False, central: bool = False,
-        steps: Array | None = None,
+        steps: Array | None = None, known: tuple[Block, ...] = (),
     ) -> Linear:  # fmt: skip
         """Whitened residuals and their derivatives at one point. steps (size,) of the differences in q.
+
+        known : the blocks, where another process has made them.
 
         central : differences to both sides, of records integrated more finely: what a common factor on all inertias,
         stiffnesses and frictions does to a record of many periods cancels out of columns of thousands of noise sds,
         so that a few digits of them would pretend to know that factor.
         """
         q, fixed = np.array(q), {i: np.array(v) for i, v in eta.items()}
-        return Linear(q, Remade(lambda: blocks_of(self, q, fixed, annealed, central, steps)))
+        return Linear(q, Remade(lambda: blocks_of(self, q, fixed, annealed, central, steps), known), central)
 
     def touched(self, c: Coordinate, group: Group) -> NDArray[np.bool_]:
         """Which trials of a group a coordinate belongs to, (trials,)."""

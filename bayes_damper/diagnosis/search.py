@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.calibration import (
+    Block,
     Calibration,
     Experiment,
     Linear,
@@ -34,7 +35,11 @@ from bayes_damper.simulation.links import of_links
 from bayes_damper.simulation.precompile import compile_ahead
 
 Array = NDArray[np.float64]
+Essence = tuple[Array, dict[int, Array], bool, int, bool, tuple[tuple[Array, Array, Array, Array], ...]]
+"""Of a fit: q, eta, whether it converged, iterations, whether its differences are central, and r, J, T, eta of each
+block, unless these are large."""
 
+MOST_SENT = 12_000_000  # bytes of a fit's derivatives up to which they are sent: a dozen fits are on their way at once
 FULL_FITS = 8  # variants fitted in full, at least
 LEADING_SHARE = 0.25  # every variant that screens above this share of the best gain is fitted too
 MOST_FITS = 14
@@ -302,15 +307,21 @@ def fit_variant(
     return Candidate(effect, variant, tuple(screens), found, found.log_evidence - fit.log_evidence)
 
 
-def essence(fit: Calibration | None) -> tuple[Array, dict[int, Array], bool, int]:
+def essence(fit: Calibration | None) -> Essence:
     """Of a fit, what has to be sent from one process to another."""
     assert fit is not None
-    return fit.q, dict(fit.eta), fit.converged, fit.iterations
+    blocks = fit.linear.blocks
+    sent = blocks if sum(b.nbytes for b in blocks) < MOST_SENT else ()
+    derivatives = tuple((b.r, b.J, b.T, b.eta) for b in sent)
+    return fit.q, dict(fit.eta), fit.converged, fit.iterations, fit.linear.central, derivatives
 
 
-def restored(problem: Problem, found: tuple[Array, dict[int, Array], bool, int]) -> Calibration:
-    """The fit of a problem from its essence."""
-    return summarise(problem, *found)
+def restored(problem: Problem, found: Essence) -> Calibration:
+    """The fit of a problem from its essence, in which its derivatives are: to differentiate again costs most."""
+    q, eta, converged, iterations, central, derivatives = found
+    blocks = tuple(Block(g, *arrays) for g, arrays in zip(problem.groups, derivatives, strict=bool(derivatives)))
+    linear = problem.linearise(q, eta, central=central, known=blocks)
+    return summarise(problem, q, eta, converged, iterations, linear=linear)
 
 
 def search(

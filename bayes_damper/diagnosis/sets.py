@@ -42,12 +42,11 @@ from bayes_damper.calibration import (
     calibrate,
     coordinate_of,
     learn_noise,
-    summarise,
     value_and_slope,
 )
 from bayes_damper.diagnosis.pairs import ComposedProblem, Pair, PairProblem
 from bayes_damper.diagnosis.remainder import LOW_BAND, own_frequency, repeats_of, whitened_records
-from bayes_damper.diagnosis.search import Candidate, Screen, essence
+from bayes_damper.diagnosis.search import Candidate, Essence, Screen, essence, restored
 from bayes_damper.diagnosis.verdict import FRICTIONS, RULE, USUAL, Rule
 from bayes_damper.effects.base import Effect, Variant
 from bayes_damper.priors.distributions import HalfNormal
@@ -513,9 +512,8 @@ def grown(
         report(f"fitting {len(wanted)} sets of effects")
         jobs = list(zip(wanted, starts, strict=True))
         packed = forked_map(lambda job: _packed(_fitted(nominal, *job, exact)), jobs, workers)
-        for members, (q, eta, converged, iterations, noise) in zip(wanted, packed, strict=True):
-            problem = SetProblem(nominal.problem, members, exact).with_noise(noise)
-            fit = summarise(problem, q, eta, converged, iterations)
+        for members, (kept, noise) in zip(wanted, packed, strict=True):
+            fit = restored(SetProblem(nominal.problem, members, exact).with_noise(noise), kept)
             if exact or not mends(fit.log_evidence - base.fit.log_evidence, explained, members[-1][0].exact):
                 add(members, fit)
         ranked = weighed(list(sets.values()))
@@ -565,13 +563,15 @@ def _of_pair(pair: Pair) -> tuple[tuple[Member, ...], Calibration]:
 
 def _sharper(fit: Calibration) -> Calibration:
     """The fit under the noise that it leaves itself, learnt twice: a better fit leaves less, which sharpens it."""
-    for _ in range(RELEARNT):
+    for k in range(RELEARNT):
         noise = learn_noise(fit)
         if not noise.sensor:  # it leaves noise alone, and is still weighed beside sets that leave more
             none = (0.0,) * len(noise.total)
             noise = Noise(noise.total, none, none, sensor=noise.total)
+        last = k == RELEARNT - 1
         fit = calibrate(
-            fit.problem.with_noise(noise), [fit.q], eta=fit.eta, anneal=False, most=STEPS_ALONE, straight=True
+            fit.problem.with_noise(noise), [fit.q], eta=fit.eta, anneal=False, most=STEPS_ALONE, finish=last,
+            straight=True,
         )  # fmt: skip
     return fit
 
@@ -611,9 +611,9 @@ def _moved(c: Coordinate, z: float, step: float) -> float:
     return coordinate_of(c.prior, to if to * value > 0.0 and abs(to) > LEAST * abs(value) else LEAST * value)
 
 
-def _packed(fit: Calibration) -> tuple[Array, dict[int, Array], bool, int, Noise]:
+def _packed(fit: Calibration) -> tuple[Essence, Noise]:
     """Of a fit, what has to be sent from one process to another."""
-    return *essence(fit), fit.problem.noise
+    return essence(fit), fit.problem.noise
 
 
 def as_candidates(found: Sequence[Candidate], sets: Sequence[SetFit]) -> list[Candidate]:

@@ -105,8 +105,8 @@ def test_a_descent_follows_terms_that_stand_for_each_other(hidden):
         for along in (False, True)
     )
     assert straight.converged
-    assert straight.cost < bent.cost - 1.0
-    assert straight.parameters["c1t"][0] < 0.5 * bent.parameters["c1t"][0]
+    assert straight.cost < 1e-3 * bent.cost  # where the other one ends hangs on the last digits of its start
+    assert straight.parameters["c1t"][0] < hidden.parameters["c1t"][0]
 
 
 @pytest.mark.slow
