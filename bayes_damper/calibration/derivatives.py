@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -48,16 +47,16 @@ def blocks_of(
     blocks = []
     for group in problem.groups:
         most = max(READINGS_AT_ONCE // max(group.y[0].size, 1), 1)
+        if len(group.trials) <= most:
+            blocks.append(_block(problem, group, q, eta, annealed, central, steps))
+            continue
         parts = [
             _block(problem, group.only(slice(k, k + most)), q, eta, annealed, central, steps)
             for k in range(0, len(group.trials), most)
         ]
-        whole = (
-            parts[0]
-            if len(parts) == 1
-            else Block(group, *(np.concatenate([getattr(p, name) for p in parts]) for name in ("r", "J", "T", "eta")))
+        blocks.append(
+            Block(group, *(np.concatenate([getattr(p, name) for p in parts]) for name in ("r", "J", "T", "eta")))
         )
-        blocks.append(replace(whole, group=group))
     return tuple(blocks)
 
 
@@ -120,32 +119,38 @@ def _block(
     ).reshape(copies, n, -1, group.times.size)
     base = y[0]
     shown = problem.simulate(group, np.arange(n), base_q, base_eta) if central else base
-    forward = y[1:lanes] - base
+    forward = y[1:lanes]
+    forward -= base
     if central:
-        backward = y[lanes:] - base
-        bad = ~np.isfinite(backward).all(axis=(2, 3))
+        backward = y[lanes:]
+        backward -= base
+        bad = np.asarray(~np.isfinite(np.sum(backward, axis=(2, 3))))
         for k, i in enumerate(moved):
             # Beyond the end of a nuisance's range a reading may jump: the release is another sample's.
             back = base_eta[:, i] - trial_steps[:, i]
             bad[len(together) + k] |= (back < group.lower[:, i]) | (back > group.upper[:, i])
         backward[bad] = -forward[bad]
-        forward = 0.5 * (forward - backward)
-    forward[~np.isfinite(forward).all(axis=(2, 3))] = 0.0
+        forward -= backward
+        forward *= 0.5
+    forward[~np.isfinite(np.sum(forward, axis=(2, 3)))] = 0.0
     weight = group.weights(annealed)
-    r = problem.whitened(shown - group.y, weight)
     w = problem.whitened(forward, weight)  # (lanes - 1, n, data)
-    jac = np.zeros((n, problem.size, w.shape[-1]))
+    rows = np.zeros((n, problem.size + m + 1, w.shape[-1]))
+    jac, own, r = rows[:, : problem.size], rows[:, problem.size : -1], rows[:, -1]
+    r[...] = problem.whitened(shown - group.y, weight)
     for k, members in enumerate(together.values()):
         for i in members:
             hit = problem.touched(problem.coordinates[i], group)
-            jac[hit, i] = w[k][hit] / steps[i]
-    own = np.zeros((n, m, w.shape[-1]))
+            np.divide(w[k], steps[i], out=jac[:, i], where=hit[:, None])
     for k, i in enumerate(moved):
-        own[:, i] = w[len(together) + k] / trial_steps[:, i, None]
+        np.divide(w[len(together) + k], trial_steps[:, i, None], out=own[:, i])
     for i, name in enumerate(names):
-        if of_readings(name):
-            column = _own_readings(group, i, shown, base_eta)
-            own[:, i] = problem.whitened(group.nuisances[i][2][:, None, None] * column, weight)
+        if name.startswith("gain"):
+            own[:, i] = _of_readings(problem, group, i, shown, base_eta, weight)
+        elif of_readings(name):  # the same wherever the fit is
+            if (name, annealed) not in group.kept:
+                group.kept[name, annealed] = _of_readings(problem, group, i, shown, base_eta, weight)
+            own[:, i] = group.kept[name, annealed]
     for name, members in shared.items():
         place = names.index(name)
         for i in members:
@@ -153,6 +158,14 @@ def _block(
             per_log = _log_slope(problem.coordinates[i].prior, float(q[i]))
             own[hit, place] = jac[hit, i] * (group.nuisances[place][2][hit, None] / per_log)
     return Block(group, r, jac, own, base_eta)
+
+
+def _of_readings(
+    problem: Differentiable, group: Group, nuisance: int, shown: Array, eta: Array, weight: Array
+) -> Array:
+    """Whitened change of the readings by a unit of a nuisance that acts on them, (trials, data)."""
+    column = _own_readings(group, nuisance, shown, eta)
+    return problem.whitened(group.nuisances[nuisance][2][:, None, None] * column, weight)
 
 
 def _own_readings(group: Group, nuisance: int, shown: Array, eta: Array) -> Array:

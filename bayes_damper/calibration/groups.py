@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -43,6 +43,7 @@ class Group:
     nuisances: tuple[tuple[str, Array, Array], ...]  # name, prior mean and sd for each trial
     lower: Array  # (trials, m) bounds of eta
     upper: Array
+    kept: dict[tuple[str, bool], Array] = field(default_factory=dict, repr=False)  # what is the same for every fit
 
     def weights(self, annealed: bool) -> Array:
         """Weights of the residuals; annealed: samples beside friction reversals count little, for a smoother cost."""
@@ -53,7 +54,7 @@ class Group:
         return replace(
             self, trials=self.trials[at], y=self.y[at], weight=self.weight[at], first_weight=self.first_weight[at],
             nuisances=tuple((name, mean[at], sd[at]) for name, mean, sd in self.nuisances), lower=self.lower[at],
-            upper=self.upper[at],
+            upper=self.upper[at], kept={},
         )  # fmt: skip
 
 

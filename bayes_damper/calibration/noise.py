@@ -68,13 +68,11 @@ class Noise:
         ahead, back = self.filter(channel)
         return any(ahead[1:]) or any(back[1:])
 
-    def whiten(self, channel: int, r: Array) -> Array:
-        """Innovations of residuals r (..., n), in units of their standard deviation."""
-        s = self.innovation[channel]
+    def whiten(self, channel: int, r: Array, out: Array | None = None) -> Array:
+        """Innovations of residuals r (..., n), in units of their standard deviation; out : where they are put."""
         ahead, back = self.filter(channel)
-        if not self.coloured(channel):
-            return r / s
-        return np.asarray(lfilter(ahead, back, r, axis=-1)) / s
+        filtered = np.asarray(lfilter(ahead, back, r, axis=-1)) if self.coloured(channel) else r
+        return np.divide(filtered, self.innovation[channel], out=out)
 
 
 def rough_noise(experiment: Experiment, trials: Sequence[int]) -> Noise:

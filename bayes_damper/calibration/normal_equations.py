@@ -29,6 +29,17 @@ class Block:
     eta: Array
 
     @property
+    def full(self) -> Array:
+        """J, T and r in one array (trials, size + m + 1, data): the one in which they lie, or a new one."""
+        rows, size = self.J.base, self.J.shape[1]
+        if isinstance(rows, np.ndarray) and rows.ndim == 3 and rows.shape[1] == size + self.T.shape[1] + 1:
+            there = (rows[:, :size], rows[:, size:-1], rows[:, -1])
+            mine = (self.J, self.T, self.r)
+            if all(a.__array_interface__ == b.__array_interface__ for a, b in zip(there, mine, strict=True)):
+                return rows
+        return np.concatenate([self.J, self.T, self.r[:, None, :]], axis=1)
+
+    @property
     def nbytes(self) -> int:
         """Of the derivatives, which are by far the largest."""
         return self.J.nbytes + self.T.nbytes + self.r.nbytes
@@ -115,9 +126,10 @@ class Linear:
         cost = float(self.q @ self.q)
         parts = []
         for b, block in enumerate(self.blocks):
-            J = block.J if extra is None else np.concatenate([block.J, extra[b]], axis=1)
             m = block.eta.shape[1]
-            full = np.concatenate([J, block.T, block.r[:, None, :]], axis=1)
+            full = block.full
+            if extra is not None:
+                full = np.concatenate([block.J, extra[b], block.T, block.r[:, None, :]], axis=1)
             gram = np.matmul(full, full.transpose(0, 2, 1))
             p = size + k
             H = gram[:, p : p + m, p : p + m] + np.eye(m)

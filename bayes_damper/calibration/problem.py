@@ -212,10 +212,13 @@ class Problem:
                     if name.startswith("gain"):
                         y[:, channel] *= 1.0 + x[:, None]
                     else:
-                        waves.append(wave(name, group.times))
+                        waves.append(name)
                         sizes.append(x)
             if waves:
-                y[:, channel] += np.stack(sizes, axis=1) @ np.stack(waves)
+                key = ("waves " + " ".join(waves), False)
+                if key not in group.kept:
+                    group.kept[key] = np.stack([wave(name, group.times) for name in waves])
+                y[:, channel] += np.stack(sizes, axis=1) @ group.kept[key]
         return y
 
     def simulate(self, group: Group, which: Indices, q: Array, eta: Array) -> Array:
@@ -256,9 +259,10 @@ class Problem:
 
     def whitened(self, r: Array, weight: Array) -> Array:
         """Weighted innovations, (..., channels * n), of residuals r (..., channels, n)."""
-        scaled = r * weight
-        parts = [self.noise.whiten(c, scaled[..., c, :]) for c in range(r.shape[-2])]
-        return np.concatenate(parts, axis=-1)
+        out = np.multiply(r, weight)
+        for c in range(r.shape[-2]):
+            self.noise.whiten(c, out[..., c, :], out=out[..., c, :])
+        return out.reshape(*out.shape[:-2], -1)
 
     def costs(self, q: Array, eta: Mapping[int, Array], annealed: bool = False) -> Array:
         """Cost of k candidates: q (k, size), eta: trial -> (k, m). inf where a simulation failed."""
@@ -268,9 +272,9 @@ class Problem:
             n = len(group.trials)
             which = np.tile(np.arange(n), k)
             values = np.stack([eta[i] for i in group.trials], axis=1).reshape(k * n, -1)
-            y = self.simulate(group, which, np.repeat(q, n, axis=0), values)
-            r = y - group.y[which]
-            w = self.whitened(r, group.weights(annealed)[which])
+            r = self.simulate(group, which, np.repeat(q, n, axis=0), values).reshape(k, *group.y.shape)
+            r -= group.y
+            w = self.whitened(r, group.weights(annealed)).reshape(k * n, -1)
             chi2 = np.einsum("ij,ij->i", w, w)
             total = total + (chi2 + np.sum(values**2, axis=1)).reshape(k, n).sum(axis=1)
         return np.where(np.isfinite(total), total, np.inf)

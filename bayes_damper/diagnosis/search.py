@@ -137,7 +137,7 @@ class Screen:
         self.linear: Linear = fit.linear.pinned()
         self.normals: Normals = self.linear.normal()
         self.S, self.g, self.inverses = self.normals.reduced()
-        self.full = [np.concatenate([b.J, b.T, b.r[:, None, :]], axis=1) for b in self.linear.blocks]
+        self.full = [b.full for b in self.linear.blocks]
 
     def responses(self, problem: Problem, q: Array) -> list[Array]:
         """Whitened changes of the records, per block (k, trials, data), that k vectors q (k, size) make."""

@@ -77,7 +77,7 @@ class Quadratic:
         rows: list[tuple[int, Array, Array, float, float]] = []
         p = fit.problem.size
         for block in fit.linear.blocks:
-            full = np.concatenate([block.J, block.T, block.r[:, None, :]], axis=1)
+            full = block.full
             gram = np.matmul(full, full.transpose(0, 2, 1))
             m = block.eta.shape[1]
             for k, i in enumerate(block.group.trials):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -72,3 +75,27 @@ def test_a_fit_from_another_process_is_not_differentiated_again(problem, monkeyp
     again = restored(problem.with_effect(CUBIC), sent)
     assert again.log_evidence == fit.log_evidence
     assert np.array_equal(again.covariance, fit.covariance)
+
+
+def test_what_is_the_same_for_every_fit_follows_the_noise(problem):
+    """Derivatives by offsets are kept with the trials: not beyond a change of what they are weighed by."""
+    q, eta = problem.prior_mean(), problem.no_nuisance()
+    names = [name for name, _, _ in problem.groups[0].nuisances]
+    first = problem.linearise(q, eta).blocks[0].T[:, names.index("offset1")].copy()
+    again = problem.linearise(q + 0.3, eta).blocks[0].T[:, names.index("offset1")]
+    white = replace(problem.noise, phi=(0.0,), theta=(0.0,))
+    other = problem.with_noise(white).linearise(q, eta).blocks[0].T[:, names.index("offset1")]
+    assert np.array_equal(first, again)
+    weight = problem.groups[0].weight[:, 0]
+    assert np.allclose(other, 0.5 * weight / 2.0, rtol=1e-12)
+    assert math.isclose(first[0, 100] / other[0, 100], (1.0 - 0.3) / (1.0 - 0.1), rel_tol=1e-6)
+
+
+def test_normal_equations_are_those_of_the_arrays_that_a_block_has(problem):
+    """Derivatives and residuals lie in one array, which counts no more where one of them is changed."""
+    block = problem.linearise(problem.prior_mean(), problem.no_nuisance()).blocks[0]
+    assert np.shares_memory(block.full, block.J)
+    changes = {"r": 2.0 * block.r, "J": block.J[:, ::-1], "T": np.zeros_like(block.T)}
+    for name, array in changes.items():
+        other = replace(block, **{name: array})
+        assert np.array_equal(other.full, np.concatenate([other.J, other.T, other.r[:, None, :]], axis=1))
