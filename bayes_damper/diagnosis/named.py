@@ -2,11 +2,12 @@
 
 The records' response to each term of the grammar (effects/_formula.py) is taken along the motion of a fit. With all
 that parameters and nuisances can do taken out, the evidence of any sum of terms follows from one Gram matrix: all
-single terms and pairs are compared, and triples that hold one of the best pairs. The best is fitted through the
-nonlinear model with everything free, and what its posterior does not ask for is dropped. Along the motion of that fit,
-which is nearly the rig's own, all are compared again, with the formula's torque put back among what is missing; what
-comes near the best is fitted too, and these fits decide, by the same integral as the learnt law's. Of a formula and the
-same with further terms only the likelier one is kept.
+single terms and pairs are compared, and triples that hold one of the best pairs. The best single term, the best pair
+and the best triple are fitted through the nonlinear model with everything free, up to the first that leaves no more
+than noise, and what a posterior does not ask for is dropped. Along the motion of the best fit, which is nearly the
+rig's own, all are compared again, with the formula's torque put back among what is missing; what comes near the best is
+fitted too, and these fits decide, by the same integral as the learnt law's. Of a formula and the same with further
+terms only the likelier one is kept.
 
 "None of these" is a model too: the learnt law, or the best formula beside a discrepancy of a size of its own (as in
 sets.py), whichever is likelier. Prior probability: half for it, the other half in equal parts for one, two and three
@@ -18,7 +19,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -45,7 +46,7 @@ BEAM = 60  # pairs that are continued to triples
 CLOSER = 12  # formulas whose shapes are looked at more closely
 FITTED = 2  # further formulas fitted in full in each round
 ROUNDS = 2
-MOST_FITS = 5
+MOST_FITS = 6
 NEAR = 12.0  # nats behind the best, beyond which a formula is not fitted
 SHOWN = 3
 STEPS = 14
@@ -215,7 +216,9 @@ def proposed(judged: Projected, entries: Sequence[Entry]) -> list[Proposal]:
                 if words[k] not in words[list(chosen)]
             }
             sets = np.array(sorted(wider))
-    ranked = sorted(best.values(), key=lambda pair: -pair[0])[:BEAM]
+    ranked = sorted(best.values(), key=lambda pair: -pair[0])
+    alone = {len(chosen): (value, chosen) for value, chosen in reversed(ranked)}  # the best of each length
+    ranked = [*ranked[:BEAM], *(pair for pair in alone.values() if pair not in ranked[:BEAM])]
     out = []
     for value, chosen in ranked:
         i = list(chosen)
@@ -227,6 +230,16 @@ def proposed(judged: Projected, entries: Sequence[Entry]) -> list[Proposal]:
             )
         )
     return out
+
+
+def _not_nested(ranked: Iterable[tuple[Sequence[Hashable], Any]]) -> list[Any]:
+    """Of (terms, anything), best first, those that neither hold all terms of a better one nor are part of one."""
+    kept: list[tuple[set[Hashable], Any]] = []
+    for terms, value in ranked:
+        own = set(terms)
+        if not any(own > other or own < other for other, _ in kept):
+            kept.append((own, value))
+    return [value for _, value in kept]
 
 
 def _by_size(gram: Array, b: Array, sets: NDArray[np.int64]) -> Array:
@@ -348,11 +361,16 @@ def name_law(
     def many() -> bool:
         return sum(w.fit is not None for w in found.values()) >= MOST_FITS
 
-    follow(ranked[0], base)
+    for count in range(1, MOST_TERMS + 1):
+        if (shortest := next((p for p in ranked if len(p.entries) == count), None)) is not None:
+            follow(shortest, base)
+        if any(_is_whole(w) for w in found.values()):
+            break
     for _ in range(ROUNDS):
         best = max(found.values(), key=lambda w: w.evidence)
         near, ranked = _again(best, base, place)
-        leading = [p for p in ranked if p.formula not in found and p.evidence > best.evidence - NEAR][:FITTED]
+        fresh = [p for p in _apart(ranked, best) if p.formula not in found]
+        leading = [p for p in fresh if p.evidence > best.evidence - NEAR][:FITTED]
         for p in leading:
             if not many():
                 follow(p, near)
@@ -364,16 +382,30 @@ def name_law(
     return _weighed(list(found.values()), law, terms, base)
 
 
+def _is_whole(w: Weighed) -> bool:
+    """Whether a formula leaves no more than noise."""
+    assert w.fit is not None
+    squares, pieces = left_over(w.fit)
+    return discrepancy(squares, pieces) < WORTH_A_TERM
+
+
+def discrepancy(squares: float, pieces: float) -> float:
+    """Gain in nats of a discrepancy of a size of its own over noise alone (sets.py)."""
+    return 0.5 * squares - 0.5 * pieces * math.log1p(squares / pieces)
+
+
+def _apart(ranked: Sequence[Proposal], best: Weighed) -> list[Proposal]:
+    """Formulas that are neither the best one with more terms nor part of each other."""
+    own = set(best.proposal.formula)
+    return _not_nested((p.formula, p) for p in ranked if not set(p.formula) > own)
+
+
 def _weighed(found: Sequence[Weighed], law: Calibration, terms: int, base: Calibration) -> Named:
-    order: list[Weighed] = []
-    for w in sorted(found, key=lambda w: -w.evidence):
-        own = set(w.proposal.formula)
-        if all(not own > set(o.proposal.formula) and not own < set(o.proposal.formula) for o in order):
-            order.append(w)
+    order = _not_nested([(w.proposal.formula, w) for w in sorted(found, key=lambda w: -w.evidence)])
     best = order[0]
     assert best.fit is not None
     squares, pieces = left_over(best.fit)
-    beside = best.evidence + 0.5 * squares - 0.5 * pieces * math.log1p(squares / pieces) - WORTH_A_TERM
+    beside = best.evidence + discrepancy(squares, pieces) - WORTH_A_TERM
     learnt = math.log(PRIOR_NONE) + law.log_evidence - base.log_evidence - WORTH_A_TERM * terms
     logs = np.array([max(beside, learnt), *(w.evidence for w in order)])
     p = np.exp(logs - logsumexp(logs))

@@ -10,7 +10,7 @@ from solved import measured_with
 from bayes_damper.calibration import calibrate_nominal
 from bayes_damper.diagnosis.budget import Budget
 from bayes_damper.diagnosis.law import learn
-from bayes_damper.diagnosis.named import Entry, Proposal, Weighed, _pruned, closer, entries_of, proposed
+from bayes_damper.diagnosis.named import Entry, Proposal, Weighed, _apart, _pruned, closer, entries_of, proposed
 from bayes_damper.diagnosis.response import Projected
 from bayes_damper.diagnosis.sets import set_fit
 from bayes_damper.diagnosis.shares import NO_SHARE
@@ -68,6 +68,19 @@ def test_the_terms_that_made_the_residuals_lead(truth):
     assert {t.words for t in found[0].formula} == set(truth)
     np.testing.assert_allclose(found[0].amounts, 0.4, atol=0.1)
     assert found[0].entries == tuple(entries[k] for k in sorted(made))
+
+
+def test_of_a_formula_and_the_same_with_more_terms_the_likelier_one_is_kept():
+    rng = np.random.default_rng(4)
+    entries = entries_of(0.1, 5.0, 1.0, 0.03)
+    columns = rng.standard_normal((len(entries), 2000))
+    k = next(k for k, e in enumerate(entries) if e.term.words == "v^3")
+    found = proposed(judged(columns, 0.4 * columns[k] + rng.standard_normal(2000)), entries)
+    assert [t.words for t in found[0].formula] == ["v^3"]
+    assert len(found) > 2
+    best = Weighed(found[0], 0.0)
+    assert all(TERM["v^3"] not in p.formula for p in _apart(found, best)[1:])
+    assert {len(p.formula) for p in found} == {1, 2, 3}
 
 
 def test_of_noise_no_formula_gains_anything():
