@@ -24,7 +24,8 @@ Array = NDArray[np.float64]
 VARIES = 9.0  # mean square, in variances, of a nuisance's differences between repeats from which it is each trial's own
 FEW_REPEATS = 4  # repeats beyond the first of their kind, over all kinds, below which they may be late alike by chance
 RELEASES = (0.0, 2.0)  # sizes of the time of release from which each trial's is looked for
-MOST_ROUNDS = 3  # of that search, and of learning scatter and noise anew for as long as the evidence gains
+MOST_ROUNDS = 3  # of that search
+MOST_TURNS = 4  # of learning scatter and noise from the fit, and the fit under them, at most
 LONG_PERIODS, FIRST_PERIODS, GROWING_STEPS = 12.0, 3.0, 20  # of records fitted window by window
 FEW_TRIALS = 8  # trained on, up to which the cost may have more valleys than the prior medians lead to
 FIRST_ERROR = 0.02  # of a channel's reach: noise of the first fit where there are no repeats
@@ -219,13 +220,16 @@ def calibrate_nominal(
     if noise.sensor:
         # A better fit leaves less error, which again sharpens the fit.
         return calibrate(problem.with_noise(learn_noise(fit)), [fit.q], eta=fit.eta, anneal=False)
-    for _ in range(MOST_ROUNDS if switches is None else 0):
+    # In turns these need not gain at each: the best of a few is kept.
+    best, last = fit, _log_density(fit)
+    for _ in range(MOST_TURNS if switches is None else 0):
         noise = learn_noise(fit)
         if not all(map(math.isfinite, noise.innovation)):
             break  # trials that have nothing in common
         problem = problem.changed(switches=replace(chosen, scatter=learn_scatter(fit, noise))).with_noise(noise)
-        again = calibrate(problem, [fit.q], eta=carried(fit, problem), anneal=False)
-        if not _log_density(again) > _log_density(fit) + 1.0:
+        fit = calibrate(problem, [fit.q], eta=carried(fit, problem), anneal=False)
+        before, last = last, _log_density(fit)
+        best = max(best, fit, key=_log_density)
+        if not abs(last - before) > 1.0:
             break
-        fit = again
-    return fit
+    return best
