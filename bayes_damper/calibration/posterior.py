@@ -41,6 +41,8 @@ FREEDOM_PRIOR = LogNormal(8.0, 3.0)
 """Prior of the degrees of freedom of Student's t noise; beyond 30 it is all but Gaussian."""
 DECLARED_NOISE = 1.1
 """Factor within which a declared noise_std is believed."""
+OUTSIDE = 10.0  # nats by which a draw fits worse than one on the floor of its valley, from which it lies outside
+SETTLED = 4  # steps in which nuisances find their place; nearly all need one
 READINGS_AT_ONCE = 2_000_000
 """Simulated readings that are held at a time: more points are evaluated in turns, with the same results."""
 
@@ -237,9 +239,13 @@ class RecordPosterior:
         """Nuisances eta (k, trials, m) about which those of each q (k, size) are integrated out, and what multiplies
         the columns of T there, (k, trials, m).
         """
-        problem, group = self.problem, part.group
         eta = part.eta + np.einsum("nmi,ki->knm", part.follow, q - self.fit.q)
-        eta = np.clip(eta, group.lower, group.upper)
+        eta = np.clip(eta, part.group.lower, part.group.upper)
+        return eta, self._growth(part, q, eta)
+
+    def _growth(self, part: _Part, q: Array, eta: Array) -> Array:
+        """What multiplies the columns of T at nuisances eta (k, trials, m) and each q (k, size); shaped as eta."""
+        problem, group = self.problem, part.group
         growth = np.ones_like(eta)
         for m, (name, _, sd) in enumerate(group.nuisances):
             if not name.startswith("ln_"):
@@ -249,7 +255,7 @@ class RecordPosterior:
                 if c.parameter == name[3:]:
                     ratio = from_standard(c.prior, q[:, i]) / from_standard(c.prior, self.fit.q[i])
                     growth[:, :, m] *= np.where(problem.touched(c, group), ratio[:, None], 1.0)
-        return eta, growth
+        return growth
 
     def _residuals(self, part: _Part, q: Array, eta: Array) -> Array:
         """Whitened residuals (k, trials, channels, n) for each q (k, size) at nuisances eta (k, trials, m)."""
@@ -372,6 +378,41 @@ class RecordPosterior:
         """Draws of each trial's nuisances given the parameters: trial -> (n, m) in standard coordinates."""
         return self.evaluated(points, rng)[1]
 
+    def _settled(self, part: _Part, points: Array, s: Array, rng: np.random.Generator) -> Array:
+        """Nuisances (k, trials, m) of each point that fit disturbed readings and a disturbed prior best.
+
+        Draws of a Gaussian, which `evaluated` gives, leave the readings' valley where it bends: where a gain may be off
+        by 5 %, what is released and the gain are known as a product. Those that do are moved to its floor (Bardsley et
+        al. 2014, SIAM J. Sci. Comput. 36:A1895, randomise then optimise), so that the readings that they make are those
+        of the posterior; along the floor they may spread too little. Noise counts as Gaussian.
+        """
+        q = points[:, : self.problem.size]
+        _, mean, A = self._evaluated(part, points, s)
+        own = rng.standard_normal(mean.shape)
+        noise = rng.standard_normal((len(points), *part.group.y.shape)) * (part.group.weight > 0.0)
+        pull = np.einsum("ncms,kncs->knm", part.T, noise / s[..., None], optimize=True)
+        straight = mean + _solve(A, own - self._growth(part, q, mean) * pull)
+        free = {name for name, _, _ in part.group.nuisances}
+        if "delay" in free and self.problem.experiment.quantity == "acceleration":
+            return straight  # a reading jumps as the release passes it: there is no valley to descend in
+
+        def misfit(eta: Array) -> tuple[Array, Array]:
+            w = self._residuals(part, q, eta) / s[..., None] + noise
+            slope = np.einsum("ncms,kncs->knm", part.T, w / s[..., None], optimize=True)
+            onwards = _solve(A, eta - own + self._growth(part, q, eta) * slope)
+            return 0.5 * np.sum(w**2, axis=(2, 3)) + 0.5 * np.sum((eta - own) ** 2, axis=2), onwards
+
+        eta, best = mean, np.full(mean.shape[:2], np.inf)
+        found, step, reach = mean, np.zeros_like(mean), np.ones(mean.shape[:2])
+        for _ in range(SETTLED + 1):
+            value, onwards = misfit(eta)
+            better = value < best
+            best, found = np.where(better, value, best), np.where(better[..., None], eta, found)
+            step = np.where(better[..., None], onwards, step)
+            reach = np.where(better, 1.0, 0.3 * reach)
+            eta = np.clip(found - reach[..., None] * step, part.group.lower, part.group.upper)
+        return np.where((misfit(straight)[0] > best + OUTSIDE)[..., None], found, straight)
+
     def predictive(self, points: Array, rng: np.random.Generator) -> dict[int, Array]:
         """Noise-free records of each trial under draws of parameters and nuisances: trial -> (n, channels, n_times).
 
@@ -379,13 +420,13 @@ class RecordPosterior:
         release of some draws and after that of others is NaN in the former.
         """
         points = np.atleast_2d(points)
-        drawn = self.nuisances(points, rng)
         out: dict[int, Array] = {}
-        for part in self.parts:
+        for part, s in self._scaled(points):
+            turns = np.array_split(np.arange(len(points)), max(len(points) * part.group.y.size // READINGS_AT_ONCE, 1))
+            drawn = np.concatenate([self._settled(part, points[k], s[k], rng) for k in turns])
             for k, i in enumerate(part.group.trials):
-                eta = drawn.get(i, np.zeros((len(points), 0)))
                 out[i] = self.problem.simulate(
-                    part.group, np.full(len(points), k), points[:, : self.problem.size], np.atleast_2d(eta)
+                    part.group, np.full(len(points), k), points[:, : self.problem.size], drawn[:, k]
                 )
                 if self.problem.experiment.quantity == "acceleration":
                     held = np.logical_and.accumulate(np.all(out[i] == 0.0, axis=1), axis=1)
