@@ -217,7 +217,8 @@ def convert(readings: Array, unit: str, kind: str, quantity: str, radius: float 
         raise InputError(f"{where}: '{unit}' is tangential; give mounting_radius in metres")
     if not 0.0 < radius < 10.0:
         raise InputError(f"{where}: mounting_radius = {radius!r} m is not possible; give metres")
-    return readings * (valid[unit] / radius)
+    with np.errstate(over="ignore"):  # readings of 1e307: the check of the campaign names what is not finite
+        return readings * (valid[unit] / radius)
 
 
 # --- the table -----------------------------------------------------------------------------------------------------
