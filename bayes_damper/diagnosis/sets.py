@@ -563,15 +563,13 @@ def _of_pair(pair: Pair) -> tuple[tuple[Member, ...], Calibration]:
 
 def _sharper(fit: Calibration) -> Calibration:
     """The fit under the noise that it leaves itself, learnt twice: a better fit leaves less, which sharpens it."""
-    for k in range(RELEARNT):
+    for _ in range(RELEARNT):
         noise = learn_noise(fit)
         if not noise.sensor:  # it leaves noise alone, and is still weighed beside sets that leave more
             none = (0.0,) * len(noise.total)
             noise = Noise(noise.total, none, none, sensor=noise.total)
-        last = k == RELEARNT - 1
         fit = calibrate(
-            fit.problem.with_noise(noise), [fit.q], eta=fit.eta, anneal=False, most=STEPS_ALONE, finish=last,
-            straight=True,
+            fit.problem.with_noise(noise), [fit.q], eta=fit.eta, anneal=False, most=STEPS_ALONE, straight=True,
         )  # fmt: skip
     return fit
 
