@@ -198,4 +198,4 @@ def _log_slope(distribution: Distribution, z: float) -> float:
     if isinstance(distribution, LogNormal):
         return math.log(distribution.factor)
     low, high = float(from_standard(distribution, z - 1e-3)), float(from_standard(distribution, z + 1e-3))
-    return math.log(high / low) / 2e-3 if low > 0.0 else 1.0
+    return math.log(high / low) / 2e-3 if 0.0 < low < high else 1.0
