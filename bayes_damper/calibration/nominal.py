@@ -13,18 +13,22 @@ from numpy.typing import NDArray
 from bayes_damper.calibration.experiment import Experiment, lone, repeats
 from bayes_damper.calibration.groups import Group, Switches
 from bayes_damper.calibration.least_squares import Calibration, calibrate, default_starts, drawn_starts
-from bayes_damper.calibration.noise import rough_noise
+from bayes_damper.calibration.noise import Noise, rough_noise
 from bayes_damper.calibration.noise_level import learn_noise
-from bayes_damper.calibration.own_values import RELEASE
+from bayes_damper.calibration.own_values import RELEASE, Scatter
 from bayes_damper.calibration.problem import Problem
-from bayes_damper.calibration.scatter import carried, learn_scatter, with_releases
+from bayes_damper.calibration.scatter import carried, learn_scatter, times_of_release, with_releases
 from bayes_damper.calibration.unknowns import middle
 
 Array = NDArray[np.float64]
 VARIES = 9.0  # mean square, in variances, of a nuisance's differences between repeats from which it is each trial's own
 FEW_REPEATS = 4  # repeats beyond the first of their kind, over all kinds, below which they may be late alike by chance
-RELEASES = (0.0, 2.0)  # sizes of the time of release from which each trial's is looked for
+RELEASES = (0.0, 2.0)  # sizes of the time of release from which each trial's is looked for, in all trials alike
+TIMES_TRIED = (0.05, 0.1, 0.2, 0.35, 0.6, 1.0, 1.7, 3.0)  # sizes of it in one trial,
+OVER = (0.1, 0.3, 0.5, 0.7, 0.9)  # and shares of it at the first reading
 MOST_ROUNDS = 3  # of that search
+ALIKE = 0.38  # of their mean: half of what times differ by that are half a normal variable; closer ones are one time
+KEPT = 10.0  # nats that the evidence may lose with the times of release
 MOST_TURNS = 4  # of learning scatter and noise from the fit, and the fit under them, at most
 LONG_PERIODS, FIRST_PERIODS, GROWING_STEPS = 12.0, 3.0, 20  # of records fitted window by window
 FEW_TRIALS = 8  # trained on, up to which the cost may have more valleys than the prior medians lead to
@@ -109,11 +113,43 @@ def _releases(fit: Calibration) -> Calibration:
     return fit
 
 
+def _at_readings(fit: Calibration) -> dict[int, Array]:
+    """Nuisances of each trial with the time and instant of release that fit best with all else as it is.
+
+    As it is; or any time from a grid, with some share of it over at the first reading, or half of it at the fit's
+    own instant.
+    """
+    out = {i: v.copy() for i, v in fit.eta.items()}
+    for group in fit.problem.groups:
+        rows = {name: (n, mean, sd) for n, (name, mean, sd) in enumerate(group.nuisances)}
+        if RELEASE not in rows or "delay" not in rows:
+            continue
+        (n, least, size), (d, late, unit) = rows[RELEASE], rows["delay"]
+        now = np.array([fit.eta[i] for i in group.trials])
+        first = np.array([fit.problem.experiment.trials[i].times[0] for i in group.trials])
+        tried = [now]
+        for x in TIMES_TRIED:
+            time = least + size * x
+            middle = late + unit * now[:, d] + 0.5 * (least + size * now[:, n])
+            for begins in (*(share * time - first for share in OVER), middle - 0.5 * time):
+                own = now.copy()
+                own[:, n], own[:, d] = x, (begins - late) / unit
+                tried.append(np.clip(own, group.lower, group.upper))
+        candidates = {i: np.tile(v, (len(tried), 1)) for i, v in fit.eta.items()}
+        candidates |= {i: np.array([t[k] for t in tried]) for k, i in enumerate(group.trials)}
+        costs = fit.problem.for_trials(group.trials).costs_of_trials(
+            np.tile(fit.q, (len(tried), 1)), {i: candidates[i] for i in group.trials}
+        )
+        for i in group.trials:
+            out[i] = candidates[i][int(np.argmin(np.where(np.isfinite(costs[i]), costs[i], np.inf)))]
+    return out
+
+
 def _each_release(fit: Calibration) -> Calibration:
     """The fit with each trial's time of release in the deepest of its valleys: sudden, as found, or slow.
 
     A reading within the release is met by a sudden one at that very instant, too, and no descent leads from there to
-    a slow one. The trials are apart but for the common parameters: the best of three fits is taken for each.
+    a slow one. The trials are apart but for the common parameters: the best of four fits is taken for each.
     """
 
     def costs(found: Calibration) -> dict[int, float]:
@@ -126,10 +162,11 @@ def _each_release(fit: Calibration) -> Calibration:
     places = {i: n for g in fit.problem.groups for i in g.trials for n, u in enumerate(g.nuisances) if u[0] == RELEASE}
     if not places:
         return fit
-    found = [fit]
-    for start in RELEASES:
-        eta = {i: np.where(np.arange(v.size) == places.get(i, -1), start, v) for i, v in fit.eta.items()}
-        found.append(calibrate(fit.problem, [fit.q], eta=eta, anneal=False, finish=False))
+    starts = [{i: np.where(np.arange(v.size) == places.get(i, -1), x, v) for i, v in fit.eta.items()} for x in RELEASES]
+    found = [
+        fit,
+        *(calibrate(fit.problem, [fit.q], eta=s, anneal=False, finish=False) for s in (_at_readings(fit), *starts)),
+    ]
     own = [costs(f) for f in found]
     best = {i: min(range(len(found)), key=lambda k: own[k][i]) for i in places}
     if not any(best.values()):
@@ -176,6 +213,27 @@ def _log_density(fit: Calibration) -> float:
     return fit.log_evidence - sum(float(n @ sizes[: n.size]) for n in counted)
 
 
+def _under(fit: Calibration, noise: Noise, scatter: Scatter | None = None) -> Calibration:
+    """The fit under another noise and the scatter that is learnt with it, or that which is given.
+
+    Times of release that differ are kept if it is far worse without them: that repeats need none is judged along a
+    line. If all are alike it is a gap.
+    """
+
+    def again(sizes: Scatter) -> Calibration:
+        problem = fit.problem.changed(noise=noise, switches=replace(fit.problem.switches, scatter=sizes))
+        return calibrate(problem, [fit.q], eta=carried(fit, problem), anneal=False)
+
+    sizes = learn_scatter(fit, noise) if scatter is None else scatter
+    found = again(sizes)
+    own = [s for s in fit.problem.switches.scatter.sizes if s.name == RELEASE and not sizes.sd(RELEASE)]
+    times = np.array(times_of_release(fit) or [0.0])
+    differ = float(np.std(times)) > ALIKE * float(np.mean(times))
+    if scatter is None and own and differ and _log_density(found) < _log_density(fit) - KEPT:
+        found = again(Scatter((*sizes.sizes, *own)))
+    return found
+
+
 def calibrate_nominal(
     experiment: Experiment,
     *,
@@ -210,24 +268,20 @@ def calibrate_nominal(
         starts += drawn_starts(problem)
     fit = _releases(calibrate(problem, starts, give_up=300.0))
     noise = learn_noise(fit)
-    if switches is None:
-        # The first noise held the scatter that was not learnt yet.
-        chosen = replace(chosen, scatter=learn_scatter(fit, noise))
     left = ", ".join(f"{s:.3g}" for s in noise.total)
     report(f"nominal model fitted; sd of what it leaves, correlation counted, by channel: {left}")
-    problem = Problem(experiment, nominal=nominal, noise=noise, switches=chosen, threads=threads)
-    fit = calibrate(problem, [fit.q], eta=carried(fit, problem), anneal=False)
+    # The first noise held the scatter that was not learnt yet.
+    fit = _under(fit, noise, None if switches is None else chosen.scatter)
     if noise.sensor:
         # A better fit leaves less error, which again sharpens the fit.
-        return calibrate(problem.with_noise(learn_noise(fit)), [fit.q], eta=fit.eta, anneal=False)
+        return calibrate(fit.problem.with_noise(learn_noise(fit)), [fit.q], eta=fit.eta, anneal=False)
     # In turns these need not gain at each: the best of a few is kept.
     best, last = fit, _log_density(fit)
     for _ in range(MOST_TURNS if switches is None else 0):
         noise = learn_noise(fit)
         if not all(map(math.isfinite, noise.innovation)):
             break  # trials that have nothing in common
-        problem = problem.changed(switches=replace(chosen, scatter=learn_scatter(fit, noise))).with_noise(noise)
-        fit = calibrate(problem, [fit.q], eta=carried(fit, problem), anneal=False)
+        fit = _under(fit, noise)
         before, last = last, _log_density(fit)
         best = max(best, fit, key=_log_density)
         if not abs(last - before) > 1.0:

@@ -266,8 +266,13 @@ class Problem:
 
     def costs(self, q: Array, eta: Mapping[int, Array], annealed: bool = False) -> Array:
         """Cost of k candidates: q (k, size), eta: trial -> (k, m). inf where a simulation failed."""
+        total = np.sum(q**2, axis=1) + sum(self.costs_of_trials(q, eta, annealed).values())
+        return np.where(np.isfinite(total), total, np.inf)
+
+    def costs_of_trials(self, q: Array, eta: Mapping[int, Array], annealed: bool = False) -> dict[int, Array]:
+        """What each trial has of the cost of k candidates: trial -> (k,)."""
         k = q.shape[0]
-        total = np.sum(q**2, axis=1)
+        out: dict[int, Array] = {}
         for group in self.groups:
             n = len(group.trials)
             which = np.tile(np.arange(n), k)
@@ -275,9 +280,9 @@ class Problem:
             r = self.simulate(group, which, np.repeat(q, n, axis=0), values).reshape(k, *group.y.shape)
             r -= group.y
             w = self.whitened(r, group.weights(annealed)).reshape(k * n, -1)
-            chi2 = np.einsum("ij,ij->i", w, w)
-            total = total + (chi2 + np.sum(values**2, axis=1)).reshape(k, n).sum(axis=1)
-        return np.where(np.isfinite(total), total, np.inf)
+            own = (np.einsum("ij,ij->i", w, w) + np.sum(values**2, axis=1)).reshape(k, n)
+            out |= dict(zip(group.trials, own.T, strict=True))
+        return out
 
     def linearise(
         self, q: Array, eta: Mapping[int, Array], *, annealed: bool = False, central: bool = False,

@@ -174,11 +174,11 @@ def learn_scatter(fit: Calibration, noise: Noise | None = None) -> Scatter:
         if len(rows) > 1
     ]
     sizes = _posterior(sets, typical.sizes)
-    times = math.sqrt(float(np.mean(np.square(_times_of_release(fit) or [0.0]))))
+    times = math.sqrt(float(np.mean(np.square(times_of_release(fit) or [0.0]))))
     return Scatter(tuple(s for s in sizes if _matters(s, information, times)))
 
 
-def _times_of_release(fit: Calibration) -> list[float]:
+def times_of_release(fit: Calibration) -> list[float]:
     """That of each trial, s; empty where the fit has none."""
     return [
         float(mean[k] + sd[k] * fit.eta[i][m])
