@@ -119,3 +119,17 @@ def test_trials_are_differentiated_in_turns_with_the_same_results(fit, monkeypat
     for a, b in zip(at_once, in_turns, strict=True):
         assert a.group is b.group
         assert all(np.array_equal(x, y) for x, y in ((a.J, b.J), (a.T, b.T), (a.r, b.r), (a.eta, b.eta)))
+        assert np.shares_memory(b.full, b.J), "lies in one array, without a copy"
+
+
+def test_derivatives_of_many_trials_are_never_held_twice(monkeypatch):
+    monkeypatch.setattr(derivatives, "READINGS_AT_ONCE", 600)
+    problem = Problem(measured(repeats=30, duration=0.15))
+    point, own = problem.prior_mean(), problem.no_nuisance()
+    problem.linearise(point, own).blocks  # compiled
+    tracemalloc.start()
+    blocks = problem.linearise(point, own).blocks
+    held, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    largest = max(block.nbytes for block in blocks)
+    assert most < held + 0.5 * largest, "the turns of one group beside the whole of it: once more"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -50,14 +50,30 @@ def blocks_of(
         if len(group.trials) <= most:
             blocks.append(_block(problem, group, q, eta, annealed, central, steps))
             continue
-        parts = [
-            _block(problem, group.only(slice(k, k + most)), q, eta, annealed, central, steps)
-            for k in range(0, len(group.trials), most)
-        ]
         blocks.append(
-            Block(group, *(np.concatenate([getattr(p, name) for p in parts]) for name in ("r", "J", "T", "eta")))
+            _joined(
+                group,
+                (
+                    _block(problem, group.only(slice(k, k + most)), q, eta, annealed, central, steps)
+                    for k in range(0, len(group.trials), most)
+                ),
+            )
         )
     return tuple(blocks)
+
+
+def _joined(group: Group, parts: Iterable[Block]) -> Block:
+    """The block of a group from those of its trials in turns, each let go once it is copied, in one array."""
+    rows, own = np.zeros((0, 0, 0)), []
+    done = size = 0
+    for part in parts:
+        full = part.full
+        if not own:
+            rows, size = np.empty((len(group.trials), *full.shape[1:])), part.J.shape[1]
+        rows[done : done + len(full)] = full
+        done += len(full)
+        own.append(part.eta)
+    return Block(group, rows[:, -1], rows[:, :size], rows[:, size:-1], np.concatenate(own))
 
 
 def _block(
