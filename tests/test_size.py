@@ -126,7 +126,7 @@ def test_derivatives_of_many_trials_are_never_held_twice(monkeypatch):
     monkeypatch.setattr(derivatives, "READINGS_AT_ONCE", 600)
     problem = Problem(measured(repeats=30, duration=0.15))
     point, own = problem.prior_mean(), problem.no_nuisance()
-    problem.linearise(point, own).blocks  # compiled
+    problem.linearise(point, own).normal()  # compiled
     tracemalloc.start()
     blocks = problem.linearise(point, own).blocks
     held, most = tracemalloc.get_traced_memory()

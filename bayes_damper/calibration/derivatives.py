@@ -64,7 +64,8 @@ def blocks_of(
 
 def _joined(group: Group, parts: Iterable[Block]) -> Block:
     """The block of a group from those of its trials in turns, each let go once it is copied, in one array."""
-    rows, own = np.zeros((0, 0, 0)), []
+    rows = np.zeros((0, 0, 0))
+    own: list[Array] = []
     done = size = 0
     for part in parts:
         full = part.full

@@ -49,7 +49,10 @@ READER: dict[str, tuple[tuple[type, ...], str]] = {
     "pivot_unit": ((str,), "m/s^2 (default), g, ..."),
     "mounting_radius": ((int, float, list), "m, of tangential sensors on a torsional rig, one or per channel"),
     "sign": ((list,), "1 or -1 per channel"),
-    "offset": ((str, int, float, list), "to take off: 'none' (default), 'mean', 'tail', or numbers in the raw unit"),
+    "offset": (
+        (str, int, float, list),
+        "to take off: 'none' (default), 'mean', 'tail', 'head' (before the release), or numbers in the raw unit",
+    ),
     "matlab_time": ((list,), "names of the time arrays in a .mat file, in order; a field as 'name.field'"),
     "matlab_data": ((list,), "names of the data arrays in a .mat file, channels along the shorter side"),
     "group": ((str,), "channels whose names begin so, of a TDMS, MDF4, HDF5 or UFF file that holds several clocks"),

@@ -80,6 +80,10 @@ _ANGULAR = {
     "acceleration": {"rad/s^2": 1.0, "deg/s^2": _DEGREE},
 }
 _VOLTAGE = {"V": 1.0, "mV": 1e-3}
+_COUNTED = ("px", "pixel", "pixels", "count", "counts", "lsb", "tick", "ticks")
+_FEWEST_AT_REST = 8  # readings before a release of which a mean is taken
+_FEWEST_PERIODS = 2.0  # of an oscillation which the weighted mean of a tail takes out but for 5 %
+_SWINGS = 0.2  # share of the record's range in its last quarter
 _TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}
 _INPUT = {
     "torsional": {"N m": 1.0, "N mm": 1e-3, "mN m": 1e-3},
@@ -210,6 +214,9 @@ def convert(readings: Array, unit: str, kind: str, quantity: str, radius: float 
     if unit not in valid:
         other = next((q for q in _TANGENTIAL if unit in _TANGENTIAL[q] or unit in _ANGULAR[q]), None)
         other_quantity = f", but of {other}: for such readings give --quantity {other}" if other else ""
+        if unit.lower() in _COUNTED:
+            first = next(iter(valid))
+            other_quantity = f": give --units {first} and, as --scale, how many {first} one of them is"
         raise InputError(f"{where}: '{unit}' is no unit of {quantity}{other_quantity}; valid units: {', '.join(valid)}")
     if kind == "translational" or unit in _ANGULAR[quantity]:
         return readings * valid[unit]
@@ -467,7 +474,9 @@ def _trial_from(
             f"{where}: the time does not increase after {times[back[0]]:.9g} s; sort the rows, or give sample_rate"
         )
     keep, zero = _window(times, channels[0], option, measurement, where)
+    option = _with_rest(option, channels[:, times < zero - 1e-9], measurement, where)
     times, channels = np.round(times[keep] - zero, 9), channels[:, keep]
+    contradicted += _swinging_tails(times, channels, option, where)
     channels = _in_si(channels, option, rig.kind, measurement.quantity, where)
     acting = {key: x[known][keep] for key, x in inputs.items()}
     return Trial(
@@ -704,14 +713,56 @@ def _sensed(unit: str, sensitivity: str | None, where: str) -> tuple[float, str]
     return _VOLTAGE[unit] / (float(found[1]) * _VOLTAGE[found[2]]), unit_of(found[3]) or found[3]
 
 
+def _with_rest(option: Mapping[str, Any], before: Array, measurement: Measurement, where: str) -> Mapping[str, Any]:
+    """The options with the mean of the readings `before` the release in place of an offset 'head'."""
+    given = option.get("offset", "none")
+    offsets = given if isinstance(given, list) else [given] * len(before)
+    if "head" not in offsets:
+        return option
+    if measurement.quantity == "displacement" or measurement.start == "free":
+        raise InputError(
+            f"{where}: offset = 'head' takes what the sensor reads while the rig is held for 0; "
+            + ("a displacement" if measurement.start == "rest" else "a record of start = 'free'")
+            + " does not begin at 0: use 'tail' or a number"
+        )
+    if before.shape[1] < _FEWEST_AT_REST:
+        raise InputError(
+            f"{where}: offset = 'head' wants at least {_FEWEST_AT_REST} readings before the release, the record has "
+            f"{before.shape[1]}: use --release find, 'tail' or a number"
+        )
+    rest = [float(np.mean(y)) if x == "head" else x for x, y in zip(offsets, before, strict=False)]
+    return {**option, "offset": rest}
+
+
+def _swinging_tails(times: Array, channels: Array, option: Mapping[str, Any], where: str) -> list[str]:
+    """Notes where the readings of an offset 'tail' hold too little of a swing for their mean to be the middle of it."""
+    given = option.get("offset", "none")
+    offsets = given if isinstance(given, list) else [given] * len(channels)
+    out = []
+    for offset, y in zip(offsets, channels, strict=False):
+        t, part = times[_tail_of(y)], y[_tail_of(y)]
+        periods = look.dominant_frequency(times, y) * float(np.ptp(t))
+        if offset == "tail" and 0.0 < periods < _FEWEST_PERIODS and np.ptp(part) > _SWINGS * np.ptp(y):
+            out.append(
+                f"{where}: offset = 'tail' averages the last quarter of the record, which still swings and holds "
+                f"{periods:.1f} periods: that mean is not what the sensor reads at rest; give a longer record or the "
+                "offset as a number, or leave it and set offset_std."
+            )
+    return out
+
+
+def _tail_of(y: Array) -> slice:
+    return slice(-max(8, len(y) // 4), None)
+
+
 def _offset(y: Array, offset: str | float, where: str) -> float:
     if offset == "none":
         return 0.0
     if offset in ("mean", "tail"):
-        part = y if offset == "mean" else y[-max(8, len(y) // 4) :]
+        part = y if offset == "mean" else y[_tail_of(y)]
         return float(np.average(part, weights=np.hanning(len(part) + 2)[1:-1]))
     if isinstance(offset, str):
-        raise InputError(f"{where}: offset = '{offset}' is none of 'none', 'mean', 'tail' or a number")
+        raise InputError(f"{where}: offset = '{offset}' is none of 'none', 'mean', 'tail', 'head' or a number")
     return float(offset)
 
 

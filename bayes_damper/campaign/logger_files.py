@@ -246,14 +246,47 @@ def read_matlab(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
         raise InputError(f"{name}: not a MATLAB file that can be read ({error}); save it as version 5 or 7") from error
     parts = []
     for key in ("matlab_time", "matlab_data"):
-        pieces = []
+        pieces: list[NDArray[Any]] = []
         for variable in option.get(key, []):
-            pieces += [_tall(piece) for piece in _pieces(_variable(content, variable, name, key))]
+            for piece in _pieces(_variable(content, variable, name, key)):
+                if piece.ndim != 2 or piece.dtype.kind not in "biuf":
+                    raise InputError(
+                        f"{name}: '{variable}' holds no numbers; it holds {_listed(content)}: correct {key}"
+                    )
+                tall = _tall(piece)
+                if pieces and tall.shape[1] != pieces[0].shape[1]:
+                    raise InputError(
+                        f"{name}: '{variable}' has {tall.shape[1]} columns, those before it {pieces[0].shape[1]}, but "
+                        f"{key} joins them one below the other; correct {key}"
+                    )
+                pieces.append(tall)
         if pieces:
             parts.append(np.concatenate(pieces))
-    if not parts or any(len(p) != len(parts[0]) for p in parts):
-        raise InputError(f"{name}: matlab_time and matlab_data must name arrays of equal length")
+    if not parts:
+        raise InputError(
+            f"{name}: which of its arrays are the readings? It holds {_listed(content)}: name them with --matlab-data, "
+            "and the time's with --matlab-time"
+        )
+    if len(parts) > 1 and len(parts[0]) != len(parts[1]):
+        raise InputError(
+            f"{name}: matlab_time names {len(parts[0])} readings and matlab_data {len(parts[1])}; the file holds "
+            f"{_listed(content)}: name arrays of one length"
+        )
     return LoggerFile((), np.ascontiguousarray(np.concatenate(parts, axis=1), dtype=float))
+
+
+def _listed(content: Mapping[str, Any], most: int = 20) -> str:
+    """The arrays of a MATLAB file for a sentence, those in structures too: path and shape of each."""
+    found: list[str] = []
+    level = [(key, np.asarray(value)) for key, value in content.items() if not key.startswith("__")]
+    while level:
+        path, value = level.pop(0)
+        if value.dtype.names and value.size == 1:
+            level = [(f"{path}.{field}", np.asarray(value[field].ravel()[0])) for field in value.dtype.names] + level
+        elif value.size > 1:
+            found.append(f"{path} ({' x '.join(map(str, value.shape))})")
+    more = f" and {len(found) - most} more" if len(found) > most else ""
+    return ", ".join(found[:most]) + more if found else "no arrays"
 
 
 def _variable(content: Mapping[str, Any], path: str, name: str, key: str) -> NDArray[Any]:

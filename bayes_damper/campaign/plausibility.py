@@ -41,11 +41,13 @@ def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
         if np.ptp(y) == 0.0:
             warnings.append(f"{where}: every reading is the same; the sensor looks dead")
             continue
-        stuck = look.standstill_of(y, step)
-        if stuck is not None and not (held and stuck[0] == 0):
-            start, end = (float(trial.times[j]) for j in (stuck[0], stuck[1] - 1))
+        held_for = _held_for(head, trial, y)
+        stuck = look.standstill_of(y[held_for:], step)
+        if stuck is not None:
+            first, last = held_for + stuck[0], held_for + stuck[1] - 1
+            start, end = float(trial.times[first]), float(trial.times[last])
             warnings.append(
-                f"{where}: stands still at {y[stuck[0]]:.4g} from {start:.4g} to {end:.4g} s, "
+                f"{where}: stands still at {y[first]:.4g} from {start:.4g} to {end:.4g} s, "
                 f"{stuck[1] - stuck[0]} equal readings: the logger or the sensor stopped; leave them out of the record"
             )
         if step > noise:
@@ -92,6 +94,17 @@ def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
         _look_at_release(head, trial, omega, warnings)
     if head.measurement.start == "free" and not trial.driven:
         _look_at_growth(trial, warnings)
+
+
+def _held_for(head: Head, trial: Trial, y: Array) -> int:
+    """Equal readings with which a channel begins because the rig is held: a displacement, or until the release."""
+    moved = y != y[0]
+    count = int(np.argmax(moved)) if moved.any() else 0
+    if head.measurement.start != "rest" or count < 2:
+        return 0
+    step = float(np.median(np.diff(trial.times)))
+    at_rest = head.measurement.quantity == "displacement" or float(trial.times[count - 1]) <= 0.5 * step
+    return count if at_rest else 0
 
 
 def _look_at_growth(trial: Trial, warnings: list[str]) -> None:

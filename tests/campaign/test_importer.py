@@ -756,6 +756,52 @@ def test_a_field_of_a_matlab_structure_is_a_variable(tmp_path: Path) -> None:
         read_file(path, option | {"matlab_data": ["th.signal"]})
 
 
+@pytest.mark.parametrize(
+    ("option", "sentence"),
+    [
+        (
+            {},
+            r"It holds t \(1400 x 1\), th\.a \(1 x 1400\), few .*: name them with --matlab-data, and the time's",
+        ),
+        ({"matlab_time": ["t"], "matlab_data": ["few"]}, "names 1400 readings and matlab_data 5; the file holds t"),
+        ({"matlab_data": ["words"]}, r"'words' holds no numbers; it holds .*th\.a"),
+        ({"matlab_data": ["th.a", "few", "square"]}, "'square' has 3 columns, those before it 1"),
+    ],
+)
+def test_the_arrays_of_a_matlab_file_are_listed(tmp_path: Path, option: dict[str, list[str]], sentence: str) -> None:
+    path = tmp_path / "log.mat"
+    content = {"t": TIMES[:, None], "th": {"a": wave()}, "few": np.arange(5), "words": "Run 1", "square": np.eye(3)}
+    savemat(path, content)
+    with pytest.raises(InputError, match=sentence):
+        read_file(path, option)
+
+
+def test_pixels_and_counts_are_refused_with_what_describes_them(tmp_path: Path) -> None:
+    source = logger_file(tmp_path / "run.csv", wave())
+    told = fault_of(tmp_path, source, units=["px"], quantity="displacement", kind="translational")
+    assert "'px' is no unit of displacement: give --units m and, as --scale, how many m one of them is" in told
+
+
+def test_what_a_sensor_reads_before_the_release_is_taken_off(tmp_path: Path) -> None:
+    source = logger_file(tmp_path / "run.csv", wave() + 20.0)
+    trial = load_campaign(init_campaign(tmp_path / "out", [source], **OPTIONS, offset="head")).trials[0]
+    true = load_campaign(init_campaign(tmp_path / "true", [source], **OPTIONS, offset=20.0)).trials[0]
+    np.testing.assert_allclose(trial.channels, true.channels, atol=4.0 / math.sqrt(200))
+    early = {**OPTIONS, "release": "start", "offset": "head"}
+    assert "wants at least 8 readings before the release, the record has 0" in fault_of(tmp_path / "a", source, **early)
+    moved = {**OPTIONS, "quantity": "displacement", "offset": "head"}
+    assert "a displacement does not begin at 0: use 'tail'" in fault_of(tmp_path / "b", source, **moved)
+
+
+def test_a_tail_that_holds_too_little_of_a_swing_is_noted(tmp_path: Path) -> None:
+    """The mean of two periods is the middle of the swing within a twentieth of it; of one it is anything."""
+    for end, noted in ((1.0, False), (0.4, True)):
+        source = logger_file(tmp_path / f"{end}.csv", wave())
+        folder = init_campaign(tmp_path / f"out{end}", [source], **OPTIONS, offset="tail", end=5.0 + end)
+        campaign = load_campaign(folder)
+        assert any("still swings and holds" in w for w in campaign.warnings) == noted, campaign.warnings
+
+
 def test_truth_values_of_an_import_table_are_no_numbers(tmp_path: Path) -> None:
     source = logger_file(tmp_path / "run.csv", wave())
     folder = init_campaign(tmp_path / "made", [source], **OPTIONS, header=True, holdout=False)

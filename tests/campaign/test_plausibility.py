@@ -20,19 +20,30 @@ def swing(times, amplitude=0.1, decay=0.15):
     return amplitude * np.exp(-decay * times) * np.cos(OMEGA * times)
 
 
-def cart(folder, records, *, times=None, start="rest", measurement="", theta0=100.0, case=lambda i: "A"):
+def cart(
+    folder,
+    records,
+    *,
+    times=None,
+    start="rest",
+    measurement="",
+    theta0=100.0,
+    case=lambda i: "A",
+    quantity="displacement",
+):
     """A campaign of a cart on a spring, displacement in m; theta0: declared in mm, one or one a record."""
     times = np.arange(0.0, 12.0, 1.0 / RATE) if times is None else times
     folder.mkdir()
+    column = {"displacement": "x1_m", "velocity": "v1_m_s"}[quantity]
     (folder / "campaign.toml").write_text(
         f'name = "cart"\n[rig]\nkind = "translational"\nprimary_inertia = 1.0\n[measurement]\n'
-        f'quantity = "displacement"\nstart = "{start}"\n{measurement}\n'
+        f'quantity = "{quantity}"\nstart = "{start}"\n{measurement}\n'
     )
     released = theta0 if isinstance(theta0, list) else [theta0] * len(records)
     rows = ["file,case,configuration,k1_n_per_m,theta0_mm,theta0_std_mm,trial"]
     for i, (x, mm) in enumerate(zip(records, released, strict=True)):
         (folder / f"{i}.csv").write_text(
-            "\n".join(["time_s,x1_m", *(f"{t!r},{v!r}" for t, v in zip(times.tolist(), x.tolist(), strict=True))])
+            "\n".join([f"time_s,{column}", *(f"{t!r},{v!r}" for t, v in zip(times.tolist(), x.tolist(), strict=True))])
         )
         given = ",,," if start == "free" else f",{mm},0.5,"
         rows.append(f"{i}.csv,{case(i)},uncoupled,{OMEGA**2}{given}{i + 1}")
@@ -87,6 +98,18 @@ def test_pixels_and_encoder_counts_are_not_called_clipped_and_clipped_ones_are(c
     if rate > 100.0:  # a few readings to a swing show no flat top
         cut = np.minimum(count * np.round(swing(times, 0.1, 0.02) / count), 24 * 0.003)
         assert look.flat_tops_of(times, cut, look.noise_floor_of(cut), omega, True) == [pytest.approx(0.072, abs=1e-3)]
+
+
+def test_rest_before_a_release_is_no_sensor_that_stopped(tmp_path):
+    """A simulated record, or one of a sensor that shows nothing below a threshold, is exactly 0 before the release."""
+    times = np.arange(-1.0, 11.0, 1.0 / RATE)
+    speed = np.where(times < 0.0, 0.0, np.gradient(swing(times), times))
+    for name, record, stopped in (
+        ("rest", speed, False),
+        ("stopped", np.where(abs(times - 3.0) < 0.5, 0.02, speed), True),
+    ):
+        found = cart(tmp_path / name, [record], times=times, quantity="velocity")
+        assert any("stands still" in w for w in found) == stopped, found
 
 
 def test_a_record_that_ends_in_mid_swing_rests_nowhere(tmp_path):
