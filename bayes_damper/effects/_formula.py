@@ -18,11 +18,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayes_damper.effects._shapes import at_site, plus
 from bayes_damper.effects.base import EffectParameter, Kernel, Variant
 from bayes_damper.rig.vector_math import cos, exp, lane, sin, smooth_sign, tanh
 
@@ -214,18 +216,6 @@ TERMS = _grammar()
 # As effects -----------------------------------------------------------------------------------------------------------
 
 
-@lane
-def nothing(t, x, v, z, p, rig):
-    """No torque."""
-    return 0.0
-
-
-@lane
-def no_rate(x, v, z, p, rig):
-    """No memory."""
-    return 0.0
-
-
 def _product(term: FormulaTerm, i: int) -> Kernel:
     """Torque of a term whose amount is p[i] and whose shape p[i + 1]."""
     f, g, h = term.angle.kernel, term.speed.kernel, term.time.kernel
@@ -246,7 +236,7 @@ def remembered(t, x, v, z, p, rig):
 
 def _relaxing(i: int) -> Kernel:
     @lane
-    def relaxing(x, v, z, p, rig):
+    def relaxing(t, x, v, z, p, rig):
         return v * p[i] / rig.k1t - z / p[i + 1]
 
     return relaxing
@@ -254,67 +244,10 @@ def _relaxing(i: int) -> Kernel:
 
 def _yielding(i: int) -> Kernel:
     @lane
-    def yielding(x, v, z, p, rig):
+    def yielding(t, x, v, z, p, rig):
         return v * p[i] / rig.k1t - abs(v) * z / p[i + 1]
 
     return yielding
-
-
-def _plus(first_one: Kernel, second: Kernel) -> Kernel:
-    @lane
-    def both(t, x, v, z, p, rig):
-        return first_one(t, x, v, z, p, rig) + second(t, x, v, z, p, rig)
-
-    return both
-
-
-def _torque_at(site: str, bodies: str, law: Kernel) -> Kernel:
-    @lane
-    def between(t, th1, th2, w1, w2, z1, z2, p, rig):
-        q = law(t, th1 - th2, w1 - w2, z1, p, rig)
-        return -q, q
-
-    @lane
-    def on_secondary(t, th1, th2, w1, w2, z1, z2, p, rig):
-        return 0.0, law(t, th2, w2, z1, p, rig)
-
-    @lane
-    def on_each(t, th1, th2, w1, w2, z1, z2, p, rig):
-        return law(t, th1, w1, z1, p, rig), law(t, th2, w2, z2, p, rig)
-
-    @lane
-    def on_primary(t, th1, th2, w1, w2, z1, z2, p, rig):
-        return law(t, th1, w1, z1, p, rig), 0.0
-
-    if site == "interface":
-        return between
-    if site == "ground2":
-        return on_secondary
-    return on_each if site == "bearings" and bodies == "both" else on_primary
-
-
-def _rate_at(site: str, bodies: str, rate: Kernel) -> Kernel:
-    @lane
-    def between(t, th1, th2, w1, w2, z1, z2, p, rig):
-        return rate(th1 - th2, w1 - w2, z1, p, rig), 0.0
-
-    @lane
-    def on_secondary(t, th1, th2, w1, w2, z1, z2, p, rig):
-        return rate(th2, w2, z1, p, rig), 0.0
-
-    @lane
-    def on_each(t, th1, th2, w1, w2, z1, z2, p, rig):
-        return rate(th1, w1, z1, p, rig), rate(th2, w2, z2, p, rig)
-
-    @lane
-    def on_primary(t, th1, th2, w1, w2, z1, z2, p, rig):
-        return rate(th1, w1, z1, p, rig), 0.0
-
-    if site == "interface":
-        return between
-    if site == "ground2":
-        return on_secondary
-    return on_each if site == "bearings" and bodies == "both" else on_primary
 
 
 def formula_variant(
@@ -325,28 +258,27 @@ def formula_variant(
     priors : of the parameters, in order. One memory at most.
     """
     parameters: list[EffectParameter] = []
-    law: Kernel = nothing
-    rate: Kernel = no_rate
+    parts: list[Kernel] = []
+    rate: Kernel | None = None
     for number, term in enumerate(terms, 1):
         i = len(parameters)
-        part: Kernel = remembered if term.memory else _product(term, i)
+        parts.append(remembered if term.memory else _product(term, i))
         if term.memory:
             rate = _relaxing(i) if term.memory == "relaxes" else _yielding(i)
-        law = part if number == 1 else _plus(law, part)
         for name in ("a", term.shape)[: 1 + bool(term.shape)]:
             null = 0.0 if name == "a" else None
             meaning = f"Amount of {term.words}." if name == "a" else f"Shape of {term.words}."
             reason = "As large as the records leave open." if name == "a" else "Within what the records can show."
             parameters.append(EffectParameter(f"{name}{number}", "1", meaning, priors[i + (name != "a")], reason, null))
-    memory = (2 if site == "bearings" and bodies == "both" else 1) if rate is not no_rate else 0
+    memory = (2 if site == "bearings" and bodies == "both" else 1) if rate is not None else 0
     return Variant(
         name="named",
         formula="Q = " + " + ".join(f"a{k} {t.words}" for k, t in enumerate(terms, 1)),
         parameters=tuple(parameters),
-        torque=_torque_at(site, bodies, law),
+        torque=at_site(site, bodies, reduce(plus, parts)),
         couples="interface" if site == "interface" else "bodies",
         timed=any(t.time is not ONE for t in terms),
-        rate=_rate_at(site, bodies, rate) if memory else None,
+        rate=at_site(site, bodies, rate, memory=True) if rate is not None else None,
         memory=memory,
         memory_scale=(0.005,) * memory,
         starts=tuple(tuple(map(float, s)) for s in starts),

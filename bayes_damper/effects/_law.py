@@ -18,6 +18,7 @@ import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.campaign import Campaign
+from bayes_damper.effects._shapes import at_site, plus
 from bayes_damper.effects.base import MOST_PARAMETERS, Effect, EffectParameter, Kernel, Variant
 from bayes_damper.errors import InputError
 from bayes_damper.inputs import LARGEST_TOML, fields, file_bytes, real, shown, text_of, toml_of
@@ -293,7 +295,7 @@ def _carrier(carrier: str, ranges: Mapping[str, tuple[float, float]]) -> Kernel:
 
 
 def _fixed(terms: Sequence[Term], ranges: Mapping[str, tuple[float, float]], paced: bool = False) -> Kernel:
-    """The law's torque by (t, x, v, p, rig), its size p[0]; paced : where time and nu are stretched by p[1]."""
+    """The law's torque by (t, x, v, z, p, rig), its size p[0]; paced : where time and nu are stretched by p[1]."""
 
     def part(term: Term) -> Kernel:
         carrier, place = _carrier(term.carrier, ranges), _place(term.along, *ranges[term.along])
@@ -301,17 +303,17 @@ def _fixed(terms: Sequence[Term], ranges: Mapping[str, tuple[float, float]], pac
         is_dry = term.carrier == "dry"
 
         @lane
-        def value(t, x, v, p, rig):
+        def value(t, x, v, z, p, rig):
             return p[0] * carrier(x, v, rig) * series(place(t, x, v), c)
 
         @lane
-        def paced_value(t, x, v, p, rig):
+        def paced_value(t, x, v, z, p, rig):
             w = v * p[1]
             return p[0] * carrier(x, v if is_dry else w, rig) * series(place(t / p[1], x, w), c)
 
         return paced_value if paced else value
 
-    return _sum([part(term) for term in terms])
+    return reduce(plus, [part(term) for term in terms])
 
 
 def free_law(terms: Sequence[Term], ranges: Mapping[str, tuple[float, float]], directions: Array) -> Kernel:
@@ -322,7 +324,7 @@ def free_law(terms: Sequence[Term], ranges: Mapping[str, tuple[float, float]], d
         m = tuple(tuple(map(float, row)) for row in directions[:, k * ORDER : (k + 1) * ORDER].T)
 
         @lane
-        def value(t, x, v, p, rig):
+        def value(t, x, v, z, p, rig):
             c = (
                 mixed(p, m[0]), mixed(p, m[1]), mixed(p, m[2]), mixed(p, m[3]), mixed(p, m[4]), mixed(p, m[5]),
                 mixed(p, m[6]), mixed(p, m[7]), mixed(p, m[8]), mixed(p, m[9]), mixed(p, m[10]), mixed(p, m[11]),
@@ -331,49 +333,7 @@ def free_law(terms: Sequence[Term], ranges: Mapping[str, tuple[float, float]], d
 
         return value
 
-    return _sum([part(k, term) for k, term in enumerate(terms)])
-
-
-def _sum(parts: Sequence[Kernel]) -> Kernel:
-    out = parts[0]
-    for part in parts[1:]:
-        out = _plus(out, part)
-    return out
-
-
-def _plus(first: Kernel, second: Kernel) -> Kernel:
-    @lane
-    def both(t, x, v, p, rig):
-        return first(t, x, v, p, rig) + second(t, x, v, p, rig)
-
-    return both
-
-
-def _at(site: str, bodies: str, law: Kernel) -> Kernel:
-    """The torque hook of a law at its site."""
-
-    @lane
-    def between(t, th1, th2, w1, w2, z1, z2, p, rig):
-        q = law(t, th1 - th2, w1 - w2, p, rig)
-        return -q, q
-
-    @lane
-    def on_secondary(t, th1, th2, w1, w2, z1, z2, p, rig):
-        return 0.0, law(t, th2, w2, p, rig)
-
-    @lane
-    def on_each(t, th1, th2, w1, w2, z1, z2, p, rig):
-        return law(t, th1, w1, p, rig), law(t, th2, w2, p, rig)
-
-    @lane
-    def on_primary(t, th1, th2, w1, w2, z1, z2, p, rig):
-        return law(t, th1, w1, p, rig), 0.0
-
-    if site == "interface":
-        return between
-    if site == "ground2":
-        return on_secondary
-    return on_each if site == "bearings" and bodies == "both" else on_primary
+    return reduce(plus, [part(k, term) for k, term in enumerate(terms)])
 
 
 def variant_of(
@@ -385,7 +345,7 @@ def variant_of(
         name=name,
         formula=formula,
         parameters=parameters,
-        torque=_at(site, bodies, law),
+        torque=at_site(site, bodies, law),
         couples="interface" if site == "interface" else "bodies",
         timed=any(t.along == "time" for t in terms),
         starts=starts,

@@ -119,7 +119,7 @@ def test_a_law_that_is_learnt_moves_as_the_one_that_is_kept():
     )  # fmt: skip
     rig = type("Rig", (), {"nu": 40.0})
     for t, x, v in ((0.1, 0.02, -1.0), (0.5, -0.2, 9.0), (0.0, 0.0, 0.0)):
-        value = _in_python(kernel)(t, x, v, tuple(p), rig)
+        value = _in_python(kernel)(t, x, v, 0.0, tuple(p), rig)
         assert value == pytest.approx(kept.torque(np.array([x]), np.array([v]), np.array([t]))[0][0], abs=1e-12)
         assert value == pytest.approx(by_hand(kept, x, v, t, 40.0), abs=1e-12)
 
