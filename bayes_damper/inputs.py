@@ -340,3 +340,19 @@ def real(value: object, where: str, wanted: str = "a number") -> float:
         limit = f"more than {LARGEST:g}" if abs(value) > LARGEST else f"less than {SMALLEST:g} and not 0"
         raise InputError(f"{where} = {shown(value)} is beyond reason ({limit}); check its unit")
     return float(value)
+
+
+def shipped_path(name: str) -> Path:
+    """The path of a shipped file or folder, e.g. ``data/thesis`` or ``priors/thesis.toml``: in a checkout or a wheel.
+
+    Raises
+    ------
+    InputError
+        if no such file was shipped.
+    """
+    package = Path(__file__).resolve().parent
+    for root in (package / "_shipped", package.parent):
+        path = root / name
+        if path.exists():
+            return path
+    raise InputError(f"{name}: this file belongs to bayes_damper but was not found; reinstall the package")

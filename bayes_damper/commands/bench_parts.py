@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from bayes_damper.errors import ExitCode
-from bayes_damper.files import shipped_path
+from bayes_damper.inputs import shipped_path
 from bayes_damper.runs.json_files import write_json, write_text
 
 SCHEMA = "bayes-damper/bench-parts/1"

@@ -19,8 +19,7 @@ from scipy.special import ndtr
 
 from bayes_damper.campaign import Campaign
 from bayes_damper.errors import InputError
-from bayes_damper.files import shipped_path
-from bayes_damper.inputs import collected, real, shown, toml_file
+from bayes_damper.inputs import collected, real, shipped_path, shown, toml_file
 from bayes_damper.priors.distributions import (
     Distribution,
     HalfNormal,

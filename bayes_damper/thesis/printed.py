@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.files import shipped_path
+from bayes_damper.inputs import shipped_path
 from bayes_damper.published.measurements import load_published
 
 Array = NDArray[np.float64]

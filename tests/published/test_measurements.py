@@ -7,7 +7,7 @@ from collections import Counter
 import pytest
 
 from bayes_damper.errors import InputError
-from bayes_damper.files import shipped_path
+from bayes_damper.inputs import shipped_path
 from bayes_damper.published.measurements import FILES, load_published
 
 

@@ -12,8 +12,7 @@ from typing import Any
 from bayes_damper import figures
 from bayes_damper.effects import EFFECTS, Effect, all_effects, classes, effects_sha256, same_effects
 from bayes_damper.errors import ExitCode, InputError, Interrupted, SelfCheckError
-from bayes_damper.files import shipped_path
-from bayes_damper.inputs import fields
+from bayes_damper.inputs import fields, shipped_path
 from bayes_damper.runs.execution import Progress, Task, run_tasks
 from bayes_damper.runs.json_files import plain, read_json, write_json, write_text
 from bayes_damper.runs.provenance import provenance

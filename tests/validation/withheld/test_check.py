@@ -12,7 +12,7 @@ import pytest
 
 from bayes_damper.cli import main
 from bayes_damper.errors import ExitCode, InputError, Interrupted, SelfCheckError
-from bayes_damper.files import shipped_path
+from bayes_damper.inputs import shipped_path
 from bayes_damper.validation.withheld import archive as archives
 from bayes_damper.validation.withheld import baselines, check, page, scores, sealing, together, verify
 from bayes_damper.validation.withheld.baselines import forest_out_of_fold
