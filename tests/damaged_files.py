@@ -18,10 +18,10 @@ from bayes_damper.commands import resume
 from bayes_damper.commands.check import check
 from bayes_damper.commands.compare import compare
 from bayes_damper.fit.plan import kept, plan_fit, start_run
-from bayes_damper.fit.sensitivity import WIDTHS
 from bayes_damper.report import report
 from bayes_damper.runs.json_files import write_json
 from bayes_damper.sampling import arviz_adapter
+from bayes_damper.sampling.prior_sensitivity import WIDTHS
 from bayes_damper.tuning import chosen_case, origin_of, posterior_draws
 
 PRIORS = """\

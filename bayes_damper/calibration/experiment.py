@@ -11,7 +11,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from bayes_damper.campaign import Campaign
 from bayes_damper.campaign.records import DERIVATIVE, common_grid, crossings, picks, release_of, rounding_of
+from bayes_damper.effects.base import Effect
 from bayes_damper.errors import InputError
 from bayes_damper.priors.distributions import Distribution, LogNormal, Normal
 from bayes_damper.priors.files import PriorSet
@@ -23,9 +25,9 @@ Array = NDArray[np.float64]
 STEPS_PER_PERIOD = 120.0  # at least, of the primary on its spring
 RISEN = 0.8  # of the peak, from which an acceleration has jumped as far as it will
 SHARPNESS = 200.0
+"""nu times the peak speed before any reading is seen: dry friction changes sign within a two hundredth of it."""
 LEAST_DIGITS = 3  # of a declared constant that count: 216 may be 216.0, or rounded
 ROUNDED = 3e-6  # of a constant that rounding leaves open, below which no record shows it
-"""nu times the peak speed before any reading is seen: dry friction changes sign within a two hundredth of it."""
 TAIL = (0.5, 0.4, -0.5, 1.5)
 """Mean, sd and ends of `tail` before any reading is seen: of the curves in use for a smoothed sign tanh has 0,
 x / sqrt(1 + x^2) 1/2 and the arctangent 1; the error function lies below, x / (1 + |x|) above (with nu free)."""
@@ -376,6 +378,29 @@ def with_rounding(experiment: Experiment) -> Experiment:
         constants["J2"] = rounded(*constants["J2"])
     stiffnesses = tuple(rounded(*k, "J1") for k in experiment.stiffnesses)
     return replace(experiment, constants=constants, stiffnesses=stiffnesses)
+
+
+def laws_on(effects: Mapping[str, Effect], campaign: Campaign) -> list[str]:
+    """Warnings on learnt laws among the effects that a campaign leaves the range of, as far as its head shows it.
+
+    Raises
+    ------
+    InputError
+        if a law is that of another rig.
+    """
+    rig, trials = campaign.rig, campaign.trials
+    inertias = {"J1": rig.primary_inertia.value}
+    inertias |= {"J2": rig.secondary_inertia.value} if rig.secondary_inertia is not None else {}
+    seen = {"time": (0.0, max(float(t.times[-1] - t.times[0]) for t in trials))}
+    released = [abs(t.theta0.value) for t in trials if t.theta0 is not None]
+    laws = [e.law for e in effects.values() if e.law is not None]
+    if wrong := [said for law in laws if (said := law.mismatch(rig.kind, inertias)) is not None]:
+        raise InputError(wrong)
+    out = []
+    for law in laws:
+        turned = law.site in ("ground1", "bearings") and released
+        out += law.outside(seen | ({"angle": (-max(released), max(released))} if turned else {}))
+    return out
 
 
 def reaction_unit(campaign: Any) -> float:

@@ -19,7 +19,6 @@ from scipy.special import logsumexp
 from bayes_damper import figures
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.fit import published_posterior
-from bayes_damper.fit.sensitivity import WIDTHS, of_standard_draws
 from bayes_damper.inputs import as_written
 from bayes_damper.priors.distributions import to_standard
 from bayes_damper.priors.files import priors_from_dict
@@ -28,6 +27,7 @@ from bayes_damper.runs.json_files import folder_name, read_json, write_json
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.sampling import arviz_adapter
 from bayes_damper.sampling.bridge import bridge
+from bayes_damper.sampling.prior_sensitivity import WIDTHS, of_standard_draws
 
 Array = NDArray[np.float64]
 SCHEMA = "bayes-damper/comparison/1"

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from bayes_damper import figures
 from bayes_damper.calibration import Calibration, predict
+from bayes_damper.calibration.experiment import laws_on
 from bayes_damper.calibration.forecast import forecasts
 from bayes_damper.calibration.posterior import trial_label
 from bayes_damper.campaign import load_campaign
@@ -26,7 +27,7 @@ from bayes_damper.diagnosis.response import Motion, motions
 from bayes_damper.diagnosis.sites import write_missing_torque
 from bayes_damper.diagnosis.verdict import RULE
 from bayes_damper.effects import Effect, all_effects
-from bayes_damper.effects._law import SITES, laws_on
+from bayes_damper.effects._law import SITES
 from bayes_damper.effects.base import SITE_TITLES
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.priors.files import campaign_priors, load_priors

@@ -12,8 +12,8 @@ from bayes_damper.campaign.structure import Campaign, Constant, Measurement, Rig
 from bayes_damper.campaign.writing import write_campaign
 from bayes_damper.effects import EFFECTS
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.runs.outcome import Outcome
 from bayes_damper.simulation.model import Model
+from bayes_damper.simulation.outcome import Outcome
 
 MASS = 2.0  # kg
 STIFFNESS = 500.0  # N/m

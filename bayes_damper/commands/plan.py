@@ -32,13 +32,13 @@ from bayes_damper.diagnosis.search import offered
 from bayes_damper.effects import Effect, all_effects, classes
 from bayes_damper.effects.base import Variant
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.fit.sensitivity import decided_by
 from bayes_damper.priors.distributions import from_standard
 from bayes_damper.priors.files import PriorSet, campaign_priors
 from bayes_damper.rig.parameters import unit_of
 from bayes_damper.rig.units import effect_unit
 from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.provenance import provenance
+from bayes_damper.sampling.prior_sensitivity import decided_by
 from bayes_damper.text import counted
 
 Array = NDArray[np.float64]

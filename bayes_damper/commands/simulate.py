@@ -24,8 +24,8 @@ from bayes_damper.rig.equations import ROWS
 from bayes_damper.rig.parameters import RIG_KEYS, hint, unit_of
 from bayes_damper.rig.units import effect_unit
 from bayes_damper.runs.json_files import write_text
-from bayes_damper.runs.outcome import Outcome
 from bayes_damper.simulation.model import Model, Quantity, Simulation
+from bayes_damper.simulation.outcome import Outcome
 
 _WORDS = {"normal_force": ("linear", "constant"), "restoring": ("linear", "pendulum")}
 

@@ -25,7 +25,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.campaign import Campaign
 from bayes_damper.effects._shapes import at_site, plus
 from bayes_damper.effects.base import MOST_PARAMETERS, Effect, EffectParameter, Kernel, Variant
 from bayes_damper.errors import InputError
@@ -351,29 +350,6 @@ def variant_of(
         starts=starts,
         uncoupled=site in ("ground1", "bearings"),
     )
-
-
-def laws_on(effects: Mapping[str, Effect], campaign: Campaign) -> list[str]:
-    """Warnings on learnt laws among the effects that a campaign leaves the range of, as far as its head shows it.
-
-    Raises
-    ------
-    InputError
-        if a law is that of another rig.
-    """
-    rig, trials = campaign.rig, campaign.trials
-    inertias = {"J1": rig.primary_inertia.value}
-    inertias |= {"J2": rig.secondary_inertia.value} if rig.secondary_inertia is not None else {}
-    seen = {"time": (0.0, max(float(t.times[-1] - t.times[0]) for t in trials))}
-    released = [abs(t.theta0.value) for t in trials if t.theta0 is not None]
-    laws = [e.law for e in effects.values() if e.law is not None]
-    if wrong := [said for law in laws if (said := law.mismatch(rig.kind, inertias)) is not None]:
-        raise InputError(wrong)
-    out = []
-    for law in laws:
-        turned = law.site in ("ground1", "bearings") and released
-        out += law.outside(seen | ({"angle": (-max(released), max(released))} if turned else {}))
-    return out
 
 
 # Files ----------------------------------------------------------------------------------------------------------------

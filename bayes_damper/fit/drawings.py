@@ -13,9 +13,9 @@ from bayes_damper import figures
 from bayes_damper.calibration import Experiment
 from bayes_damper.calibration.posterior import trial_label
 from bayes_damper.fit.entry import Units, thinned_draws
-from bayes_damper.fit.sensitivity import decided_by
 from bayes_damper.rig.parameters import PARAMETERS, unit_of
 from bayes_damper.sampling import Sampling, arviz_adapter
+from bayes_damper.sampling.prior_sensitivity import decided_by
 
 Array = NDArray[np.float64]
 _TRACED = 2  # of the kept draws, every so many

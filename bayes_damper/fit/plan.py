@@ -12,9 +12,9 @@ from typing import Any
 
 from bayes_damper.calibration import Experiment, experiment_of
 from bayes_damper.calibration.correlated_noise import KINDS
+from bayes_damper.calibration.experiment import laws_on
 from bayes_damper.campaign import Campaign, load_campaign
 from bayes_damper.effects import all_effects, effects_sha256, same_effects
-from bayes_damper.effects._law import laws_on
 from bayes_damper.errors import InputError
 from bayes_damper.inputs import fields, shown
 from bayes_damper.priors.files import PriorSet, campaign_priors, load_priors

@@ -32,13 +32,13 @@ from bayes_damper.fit.entry import (
     write_draws,
 )
 from bayes_damper.fit.plan import recorded_experiment
-from bayes_damper.fit.sensitivity import of_standard_draws
 from bayes_damper.rig.parameters import unit_of
 from bayes_damper.rig.units import effect_unit
 from bayes_damper.runs.memory import shortage
 from bayes_damper.sampling import Sampling, resampled_start
 from bayes_damper.sampling.arviz_adapter import hdi
 from bayes_damper.sampling.bridge import bridge
+from bayes_damper.sampling.prior_sensitivity import of_standard_draws
 from bayes_damper.text import misses
 
 Array = NDArray[np.float64]

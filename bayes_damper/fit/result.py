@@ -13,12 +13,12 @@ from bayes_damper.fit.drawings import draw_overview
 from bayes_damper.fit.plan import kept, plan_fit, planned_warnings, start_run
 from bayes_damper.fit.published import fit_published_case
 from bayes_damper.fit.recorded import fit_recorded_cases
-from bayes_damper.fit.sensitivity import text as sensitivity_text
 from bayes_damper.fit.summary import table_text, write_table
 from bayes_damper.runs.execution import WAITING, Progress, Silent, Task, run_tasks, stopped
 from bayes_damper.runs.json_files import folder_name, read_json, write_json
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.sampling import arviz_adapter
+from bayes_damper.sampling.prior_sensitivity import text as sensitivity_text
 from bayes_damper.text import gathered, misses
 
 SCHEMA = "bayes-damper/fit/1"

@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from bayes_damper.fit.sensitivity import decided_by
 from bayes_damper.runs.json_files import write_text
 from bayes_damper.sampling.arviz_adapter import hdi
 from bayes_damper.sampling.convergence import diagnose_draws
+from bayes_damper.sampling.prior_sensitivity import decided_by
 
 Array = NDArray[np.float64]
 

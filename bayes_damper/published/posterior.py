@@ -29,8 +29,8 @@ from bayes_damper.priors.distributions import (
     to_standard,
 )
 from bayes_damper.published.features import Features, features
-from bayes_damper.runs.outcome import count_outcomes
 from bayes_damper.simulation.model import Model
+from bayes_damper.simulation.outcome import count_outcomes
 
 Array = NDArray[np.float64]
 _LOG_2PI = math.log(2.0 * math.pi)

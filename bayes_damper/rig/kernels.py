@@ -9,7 +9,7 @@ from typing import Any
 
 from numba import njit
 
-from bayes_damper.runs.cache_folder import distrusted
+from bayes_damper.rig.cache_folder import distrusted
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 

@@ -46,9 +46,9 @@ from numba import float64, int64, njit, types
 
 from bayes_damper.effects.base import MOST_PARAMETERS, Variant
 from bayes_damper.rig import equations, vector_math
+from bayes_damper.rig.cache_folder import cache_folder
 from bayes_damper.rig.equations import Rig, friction_torques, linearised, smooth_torques
 from bayes_damper.rig.vector_math import TANH_SCALE, cos, fourth_root_of_inverse, sin
-from bayes_damper.runs.cache_folder import cache_folder
 from bayes_damper.simulation import late_binding
 
 LANES = 16

@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from bayes_damper.runs.cache_folder import cache_folder
+from bayes_damper.rig.cache_folder import cache_folder
 from bayes_damper.runs.parallel_map import can_fork, cores, forked_map
 from bayes_damper.simulation import integrator
 from bayes_damper.simulation.model import Model

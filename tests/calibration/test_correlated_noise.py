@@ -21,8 +21,8 @@ from bayes_damper.calibration.posterior import RecordPosterior
 from bayes_damper.calibration.scatter import TYPICAL
 from bayes_damper.errors import InputError
 from bayes_damper.fit import plan_fit
-from bayes_damper.fit.sensitivity import of_standard_draws, text
 from bayes_damper.priors.distributions import LogNormal, to_standard
+from bayes_damper.sampling.prior_sensitivity import of_standard_draws, text
 
 ONE_CASE: dict[str, Any] = {"cases": [("IV", 1, 0.08)], "duration": 0.4, "repeats": 3}
 

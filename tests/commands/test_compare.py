@@ -9,12 +9,12 @@ import pytest
 from bayes_damper.commands.compare import compare, leave_out
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.fit import published_posterior
-from bayes_damper.fit.sensitivity import of_standard_draws
 from bayes_damper.fit.summary import summarise, table_text
 from bayes_damper.priors.files import load_priors
 from bayes_damper.published.measurements import load_published
 from bayes_damper.runs.json_files import write_json
 from bayes_damper.sampling import arviz_adapter
+from bayes_damper.sampling.prior_sensitivity import of_standard_draws
 from bayes_damper.sampling.sequential import temper
 from bayes_damper.variability.pooling import Hierarchy
 from bayes_damper.variability.published import PublishedCases

@@ -13,10 +13,11 @@ from campaigns import write_synthetic
 from numpy.polynomial.chebyshev import chebval
 from scipy.integrate import solve_ivp
 
+from bayes_damper.calibration.experiment import laws_on
 from bayes_damper.campaign import load_campaign
 from bayes_damper.cli import main
 from bayes_damper.effects import _law, effects_sha256, load_effects
-from bayes_damper.effects._law import ORDER, Law, Term, laws_on, read_law, written
+from bayes_damper.effects._law import ORDER, Law, Term, read_law, written
 from bayes_damper.errors import InputError
 from bayes_damper.simulation.model import Model
 

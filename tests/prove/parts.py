@@ -31,7 +31,7 @@ MODULES = {
     "exact": FITTED,
     "bug": FITTED,
     "noise": FITTED,
-    "priors": (*FITTED, "bayes_damper.fit.sensitivity"),
+    "priors": (*FITTED, "bayes_damper.sampling.prior_sensitivity"),
     "evidence": FITTED,
     "kills-sampler": ("bayes_damper.sampling",),
     "integrator": ("bayes_damper.simulation.model",),

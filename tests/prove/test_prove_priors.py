@@ -13,9 +13,9 @@ from calibrated import SEED, SWITCHES
 
 from bayes_damper.calibration import calibrate_nominal, default_priors
 from bayes_damper.calibration.posterior import RecordPosterior
-from bayes_damper.fit.sensitivity import WIDTHS, of_standard_draws
 from bayes_damper.priors.distributions import LogNormal, from_standard, to_standard
 from bayes_damper.sampling import Sampling, resampled_start, sample
+from bayes_damper.sampling.prior_sensitivity import WIDTHS, of_standard_draws
 
 KIND = "repeats"
 NAMES = ("mu", "k2t", "c2t", "drag", "nu", "c1t", "c3t")

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayes_damper.effects import EFFECTS
-from bayes_damper.runs.outcome import Outcome
 from bayes_damper.simulation.model import Model
+from bayes_damper.simulation.outcome import Outcome
 
 TIMES = np.arange(0.0, 0.1005, 1e-3)
 

@@ -8,12 +8,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from bayes_damper.fit.sensitivity import decided_by
 from bayes_damper.report.charts import record_chart
 from bayes_damper.report.parts import Headline, Result, Row, Section, Table, generic, listed, words
 from bayes_damper.report.sections.shared import UNCONVERGED, fingerprint, meaning_of, pictures_of, plain_meaning
 from bayes_damper.rig.parameters import PARAMETERS
 from bayes_damper.runs.json_files import folder_name
+from bayes_damper.sampling.prior_sensitivity import decided_by
 from bayes_damper.text import NOTHING, counted, gathered, interval, number, plus_minus
 
 _OUTSIDE = 5.0  # per cent: a measurement below this percentile, or as far above, counts as outside

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bayes_damper.fit.sensitivity import decided_by
 from bayes_damper.report.parts import Headline, Result, Row, Section, Table, listed, words
 from bayes_damper.report.sections.shared import fingerprint, meaning_of, pictures_of, records_table
+from bayes_damper.sampling.prior_sensitivity import decided_by
 from bayes_damper.text import NOTHING, interval, number, percent
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from bayes_damper.runs import cache_folder as module
-from bayes_damper.runs.cache_folder import cache_folder, distrusted
+from bayes_damper.rig import cache_folder as module
+from bayes_damper.rig.cache_folder import cache_folder, distrusted
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "getuid"), reason="files have no owner here")
 OTHER = 65534
