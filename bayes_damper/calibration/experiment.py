@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.campaign import Campaign
+from bayes_damper.campaign import Campaign, Constant
 from bayes_damper.campaign.records import DERIVATIVE, common_grid, crossings, picks, release_of, rounding_of
 from bayes_damper.effects.base import Effect
 from bayes_damper.errors import InputError
@@ -403,7 +403,7 @@ def laws_on(effects: Mapping[str, Effect], campaign: Campaign) -> list[str]:
     return out
 
 
-def reaction_unit(campaign: Any) -> float:
+def reaction_unit(campaign: Campaign) -> float:
     """What a reaction, N m (N), is divided by to be a reading like the others of its campaign.
 
     The inertia where accelerations are read, the stiffness where angles are, the root of their product between: so the
@@ -414,64 +414,55 @@ def reaction_unit(campaign: Any) -> float:
     return inertia * _omega(stiffness, inertia) ** (2 - DERIVATIVE[campaign.measurement.quantity])
 
 
-def experiment_of(campaign: Any, priors: PriorSet | Mapping[str, Distribution | float] | None = None) -> Experiment:
-    """A campaign.Campaign as an Experiment; priors override those of `default_priors`.
+def experiment_of(
+    campaign: Campaign, priors: PriorSet | Mapping[str, Distribution | float] | None = None
+) -> Experiment:
+    """A campaign as an Experiment; priors override those of `default_priors`.
 
     Where no trial is marked as held out, the last one of each case and configuration that has repeats is.
     """
     rig, measurement = campaign.rig, campaign.measurement
-    fields = {
-        "J1": "primary_inertia", "J2": "secondary_inertia", "R": "bar_radius", "r": "magnet_radius",
-        "N0": "magnet_pull", "k3t": "ground2_stiffness", "J12": "inertial_coupling",
+    declared = {
+        "J1": rig.primary_inertia, "J2": rig.secondary_inertia, "R": rig.bar_radius, "r": rig.magnet_radius,
+        "N0": rig.magnet_pull, "k3t": rig.ground2_stiffness, "J12": rig.inertial_coupling,
     }  # fmt: skip
-    constants: dict[str, tuple[float, float]] = {}
-    for name, field_name in fields.items():
-        value = getattr(rig, field_name, None)
-        if value is not None:
-            constants[name] = (float(getattr(value, "value", value)), float(getattr(value, "std", 0.0) or 0.0))
-    stiffnesses: list[tuple[float, float]] = []
+    constants = {name: (c.value, c.std) for name, c in declared.items() if c is not None}
+    stiffnesses = tuple(dict.fromkeys((t.k1t.value, t.k1t.std) for t in campaign.trials))
     records = []
     heldout = {id(t) for t in campaign.heldout}
-    scatter = dict(getattr(campaign, "scatter", {}))
+    scatter = dict(campaign.scatter)
     apart = scatter.pop("theta0", 0.0)
     reaction = reaction_unit(campaign) if any(t.prescribed for t in campaign.trials) else 1.0
     for t in campaign.trials:
-        key = (float(getattr(t.k1t, "value", t.k1t)), float(getattr(t.k1t, "std", 0.0) or 0.0))
-        if key not in stiffnesses:
-            stiffnesses.append(key)
-        angle = t.theta0
-        theta0 = 0.0 if angle is None else float(getattr(angle, "value", angle))
+        angle = Constant(0.0) if t.theta0 is None else t.theta0
+        times, channels = np.array(t.times, float), np.atleast_2d(np.array(t.channels, float))
         first, shift = 0, 0.0
         if measurement.start == "rest" and not t.given:
-            omega = _omega(key[0], constants["J1"][0])
-            primary = np.atleast_2d(np.array(t.channels, float))[0]
-            first, shift = release_of(np.array(t.times, float), primary, measurement.quantity, theta0, omega)
-        inputs, channels = t.inputs(measurement), np.atleast_2d(np.array(t.channels, float))
+            omega = _omega(t.k1t.value, constants["J1"][0])
+            first, shift = release_of(times, channels[0], measurement.quantity, angle.value, omega)
+        inputs = t.inputs(measurement)
         if inputs is not None and inputs.motion is not None:
             inputs = replace(inputs, unit=reaction)
             channels[0] /= reaction
         records.append(
             TrialRecord(
-                label=str(t.file),
+                label=t.file,
                 case=t.case,
-                coupled=t.configuration == "coupled",
-                number=int(t.trial),
-                times=np.array(t.times, float)[first:] - shift,
+                coupled=t.coupled,
+                number=t.trial,
+                times=times[first:] - shift,
                 y=channels[:, first:],
-                k1t=stiffnesses.index(key),
-                theta0=theta0,
-                theta0_sd=0.0 if angle is None else math.hypot(float(getattr(angle, "std", 0.0) or 0.0), apart),
+                k1t=stiffnesses.index((t.k1t.value, t.k1t.std)),
+                theta0=angle.value,
+                theta0_sd=0.0 if t.theta0 is None else math.hypot(angle.std, apart),
                 inputs=inputs,
                 heldout=id(t) in heldout,
             )
         )
-    sd = getattr(measurement, "noise_std", None)
-    given = () if sd is None else tuple(float(x) for x in np.atleast_1d(np.asarray(sd, float)))
-    offset = measurement.offset_std
-    given, offset = (s and (s[0] / reaction, *s[1:]) for s in (given, offset))
+    given, offset = (s and (s[0] / reaction, *s[1:]) for s in (measurement.noise_std, measurement.offset_std))
     experiment = Experiment(
-        constants, tuple(stiffnesses), tuple(records), measurement.quantity, rig.normal_force, rig.restoring,
-        measurement.start, given, offset_sd=offset, scale_sd=measurement.scale_std or (),
+        constants, stiffnesses, tuple(records), measurement.quantity, rig.normal_force, rig.restoring,
+        measurement.start, given or (), offset_sd=offset, scale_sd=measurement.scale_std or (),
         lag_sd=measurement.lag_std or (),
         coupling_law=rig.inertial_coupling_law, scatter=scatter,
     )  # fmt: skip

@@ -6,6 +6,7 @@ import math
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,9 +95,9 @@ class Rig:
     ground2_stiffness: Constant = Constant(0.0)
     inertial_coupling: Constant = Constant(0.0)
     kind: str = "torsional"
-    normal_force: str = "linear"
-    restoring: str = "linear"
-    inertial_coupling_law: str = "constant"
+    normal_force: Literal["linear", "constant"] = "linear"
+    restoring: Literal["linear", "pendulum"] = "linear"
+    inertial_coupling_law: Literal["constant", "cosine"] = "constant"
 
     @property
     def has_magnet(self) -> bool:
@@ -127,9 +128,9 @@ class Measurement:
     channel may have been read before or after its time stamp, as where a logger reads one sensor after the other.
     """
 
-    quantity: str = "acceleration"
+    quantity: Literal["acceleration", "velocity", "displacement"] = "acceleration"
     sample_rate: float | None = None
-    start: str = "rest"
+    start: Literal["rest", "free"] = "rest"
     noise_std: tuple[float, ...] | None = None
     sensor_range: tuple[float, ...] | None = None
     sensor_bandwidth: tuple[float, ...] | None = None
@@ -140,7 +141,7 @@ class Measurement:
     offset_std: tuple[float, ...] | None = None
     scale_std: tuple[float, ...] | None = None
     lag_std: tuple[float, ...] | None = None
-    frame: str = "absolute"
+    frame: Literal["absolute", "ground"] = "absolute"
     """Where the ground moves: whether readings count from space, or from the ground."""
     input: str = "linear"
     """What measured inputs do between samples: "linear", or "held" until the next."""
@@ -205,8 +206,8 @@ class Trial:
             self.torque2,
             ground=self.ground if angle else self.ground_acceleration,
             ground_quantity="displacement" if angle else "acceleration",
-            quantity=measurement.quantity,  # type: ignore[arg-type]
-            frame=measurement.frame,  # type: ignore[arg-type]
+            quantity=measurement.quantity,
+            frame=measurement.frame,
             held=measurement.input == "held",
             motion=self.motion if moved else self.motion_acceleration,
             motion_quantity="displacement" if moved else "acceleration",
