@@ -81,6 +81,7 @@ notebooks: $(VENV)/.dev ## run every notebook
 
 docs: $(VENV)/.docs ## build the documentation, warnings are errors
 	@$(RUN) -m mkdocs build --strict --quiet
+	@echo "The pages are in site/; open site/index.html in a browser"
 
 prove: $(VENV)/.dev ## the long statistical proofs; goes on where it stopped; pages in docs/proof
 	@$(TESTS) -m prove

@@ -49,10 +49,22 @@ def pages_of(nav: object) -> list[str]:
     return [page for part in parts for page in pages_of(part)]
 
 
-def test_every_page_is_in_the_contents_and_every_entry_is_a_page():
+def settings():
     loader = type("Loader", (yaml.SafeLoader,), {})
-    nav = yaml.load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"), Loader=loader)["nav"]
+    return yaml.load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"), Loader=loader)
+
+
+def test_every_page_is_in_the_contents_and_every_entry_is_a_page():
+    nav = settings()["nav"]
     assert sorted(pages_of(nav)) == sorted(p.relative_to(DOCS).as_posix() for p in DOCS.rglob("*.md"))
+
+
+def test_pages_that_are_opened_as_files_can_be_searched_without_another_host():
+    """The plugin loads a script called iframe-worker from the web unless there is one of that name."""
+    assert "offline" in settings()["plugins"]
+    (script,) = settings()["extra"]["polyfills"]
+    assert "iframe-worker" in script
+    assert "window.Worker = class" in (DOCS / script).read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
