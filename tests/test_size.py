@@ -13,7 +13,9 @@ from small_rig import measured
 from bayes_damper.calibration import Problem, calibrate, derivatives, normal_equations, posterior
 from bayes_damper.campaign import Constant, Trial, head_from_table
 from bayes_damper.campaign.plausibility import look_at_repeats
-from bayes_damper.diagnosis import response, sites, where
+from bayes_damper.diagnosis import response, sets, sites, where
+from bayes_damper.diagnosis.search import Screen, offered
+from bayes_damper.effects import EFFECTS
 
 
 @pytest.fixture(scope="module")
@@ -88,6 +90,26 @@ def test_a_site_map_is_the_same_with_however_many_trials_at_once(fit, monkeypatc
     for a, b in zip(whole.torque, turns.torque, strict=True):
         assert a.trial == b.trial
         np.testing.assert_allclose(b.torque, a.torque, rtol=0.0, atol=1e-7 * np.abs(a.torque).max())
+
+
+def test_responses_to_every_formula_are_held_for_a_few_trials_at_a_time(fit, monkeypatch):
+    pool = offered(fit.problem.experiment, "nonlinear", {n: EFFECTS[n] for n in ("spring_cubic", "stiffness_error")})
+    whole = sets.columns_at(fit, fit, pool, ())
+    monkeypatch.setattr(sets, "AT_ONCE", 300)
+    sizes = recorded(monkeypatch, Screen, "response")
+    sliced = sets.columns_at(fit, fit, pool, ())
+    assert max(sizes) <= 300 * max(len(variant.starts) for _, variant in pool)
+    assert (sliced.members, sliced.signed) == (whole.members, whole.signed)
+    np.testing.assert_allclose(sliced.points, whole.points, rtol=1e-9)
+    for name in ("gram", "product", "absorbed"):
+        a, b = getattr(sliced, name), getattr(whole, name)
+        np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-9 * np.abs(b).max())
+
+
+def test_a_slice_of_the_trials_lies_in_the_array_of_all(fit):
+    for block in fit.linear.sliced(300).blocks:
+        assert np.shares_memory(block.full, block.J)
+        assert np.array_equal(block.full, np.concatenate([block.J, block.T, block.r[:, None, :]], axis=1))
 
 
 def test_short_torques_are_tried_in_turns_with_the_same_results(fit, monkeypatch):

@@ -33,6 +33,8 @@ class Block:
         """J, T and r in one array (trials, size + m + 1, data): the one in which they lie, or a new one."""
         rows, size = self.J.base, self.J.shape[1]
         if isinstance(rows, np.ndarray) and rows.ndim == 3 and rows.shape[1] == size + self.T.shape[1] + 1:
+            first = (self.J.ctypes.data - rows.ctypes.data) // rows.strides[0]
+            rows = rows[first : first + len(self.J)]  # of a slice of the trials
             there = (rows[:, :size], rows[:, size:-1], rows[:, -1])
             mine = (self.J, self.T, self.r)
             if all(a.__array_interface__ == b.__array_interface__ for a, b in zip(there, mine, strict=True)):

@@ -8,7 +8,7 @@ are then fitted by calibration.calibrate from several starts, and ranked by Lapl
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -141,16 +141,17 @@ class Screen:
 
     def responses(self, problem: Problem, q: Array) -> list[Array]:
         """Whitened changes of the records, per block (k, trials, data), that k vectors q (k, size) make."""
-        out = []
+        return [self.response(block, problem, q) for block in self.linear.blocks]
+
+    def response(self, block: Block, problem: Problem, q: Array) -> Array:
+        """Those of one block, (k, trials, data)."""
         k = q.shape[0]
-        for block in self.linear.blocks:
-            group = block.group
-            n = len(group.trials)
-            which = np.tile(np.arange(n), k)
-            y = problem.simulate(group, which, np.repeat(q, n, axis=0), np.tile(block.eta, (k, 1)))
-            r = problem.whitened(y - group.y[which], group.weight[which]).reshape(k, n, -1)
-            out.append(r - block.r[None])
-        return out
+        group = block.group
+        n = len(group.trials)
+        which = np.tile(np.arange(n), k)
+        y = problem.simulate(group, which, np.repeat(q, n, axis=0), np.tile(block.eta, (k, 1)))
+        r = problem.whitened(y - group.y[which], group.weight[which]).reshape(k, n, -1)
+        return np.asarray(r - block.r[None])
 
     def project(self, columns: Sequence[Array]) -> tuple[Array, Array]:
         """For columns (k, trials, data) per block: their squared length and their product with the residuals.
@@ -160,22 +161,25 @@ class Screen:
         length, product, _ = self.projected(columns)
         return length, product
 
-    def projected(self, columns: Sequence[Array]) -> tuple[Array, Array, Array]:
-        """The same, and by how much each parameter gives way to a column, (size, k)."""
-        k = columns[0].shape[0]
+    def projected(self, columns: Iterable[Array]) -> tuple[Array, Array, Array]:
+        """The same, and by how much each parameter gives way to a column, (size, k).
+
+        Columns are looked at once, in order, so that they can be made one block after the other.
+        """
         size = self.fit.problem.size
-        length = np.zeros((k, k))
-        product = np.zeros(k)
-        mixed = np.zeros((size, k))
+        length: Array = np.zeros(())
+        product: Array = np.zeros(())
+        mixed: Array = np.zeros(())
         for (_, H, TJ, gT), inverse, full, d in zip(self.normals.parts, self.inverses, self.full, columns, strict=True):
             rows = d.transpose(1, 0, 2)  # (trials, k, data)
             gram = full @ rows.transpose(0, 2, 1)  # (trials, size + m + 1, k)
             m = H.shape[1]
             Td = gram[:, size : size + m]
             HTd = inverse @ Td if m else Td
-            length += np.sum(rows @ rows.transpose(0, 2, 1) - Td.transpose(0, 2, 1) @ HTd, axis=0)
-            mixed += np.sum(gram[:, :size] - TJ.transpose(0, 2, 1) @ HTd, axis=0)
-            product += np.sum(gram[:, -1] - np.einsum("jmk,jm->jk", HTd, gT), axis=0)
+            length = length + np.sum(rows @ rows.transpose(0, 2, 1) - Td.transpose(0, 2, 1) @ HTd, axis=0)
+            mixed = mixed + np.sum(gram[:, :size] - TJ.transpose(0, 2, 1) @ HTd, axis=0)
+            product = product + np.sum(gram[:, -1] - np.einsum("jmk,jm->jk", HTd, gT), axis=0)
+        k = product.size
         solved = np.linalg.solve(self.S, np.column_stack([mixed, self.g]))
         return length - mixed.T @ solved[:, :k], product - mixed.T @ solved[:, k], np.asarray(-solved[:, :k], float)
 

@@ -58,6 +58,7 @@ Member = tuple[Effect, Variant]
 
 LARGEST = 4  # effects at once
 KEPT = 60  # columns that sets are made of: the most promising ones of each formula
+AT_ONCE = 50_000  # readings of the trials whose responses to every formula are held at a time
 SWITCHED_ON = 0.05  # of the residuals' sum of squares: the change of the records at which a response is taken
 FITTED = 3  # sets fitted in each round
 ROUNDS = 3
@@ -192,39 +193,43 @@ def columns_at(fit: Calibration, nominal: Calibration, pool: Sequence[Member], w
     nominal : the fit of the nominal model; without : effects that are left out, those that the fit has. Responses are
     those of the nominal model with the fit's parameters.
     """
-    screen = Screen(fit)
+    screen = Screen(replace(fit, linear=fit.linear.sliced(AT_ONCE)))
     target = SWITCHED_ON * max(fit.chi2, 1.0)
     problem = nominal.problem.with_noise(fit.problem.noise)
     base = fit.q[: problem.size]
+    blocks = screen.linear.blocks
     before = None if fit.problem.size == problem.size else screen.responses(problem, base[None])
 
-    def responses(variant: Variant, starts: Sequence[tuple[float, ...]]) -> list[Array]:
+    def response(b: int, variant: Variant, starts: Sequence[tuple[float, ...]]) -> Array:
         z = [[coordinate_of(p.prior, x) for p, x in zip(variant.parameters, s, strict=True)] for s in starts]
         q = np.concatenate([np.tile(base, (len(z), 1)), np.array(z)], axis=1)
-        found = screen.responses(problem.with_effect(variant), q)
-        return found if before is None else [r - b for r, b in zip(found, before, strict=True)]
+        found = screen.response(blocks[b], problem.with_effect(variant), q)
+        return found if before is None else found - before[b]
 
-    rows: list[list[Array]] = []
-    members: list[Member] = []
-    points: list[tuple[float, ...]] = []
+    chosen: list[tuple[Member, list[tuple[float, ...]]]] = []
     for member in pool:
         variant = member[1]
         if variant.null is None or member[0].name in without:
             continue
         starts = list(dict.fromkeys(variant.starts))
-        found = responses(variant, starts)
         if variant.fades:
-            size = sum(np.sum(np.square(r), axis=(1, 2)) for r in found)
+            size = sum(np.sum(np.square(response(b, variant, starts)), axis=(1, 2)) for b in range(len(blocks)))
             shares = np.sqrt(target / np.maximum(np.nan_to_num(size, nan=np.inf), 1e-300))
-            smaller = [variant.faded(s, min(1.0, float(x))) for s, x in zip(starts, shares, strict=True)]
-            if smaller != starts:
-                starts, found = smaller, responses(variant, smaller)
-        rows.append(found)
-        members += [member] * len(starts)
-        points += starts
-    blocks = [np.concatenate([r[b] for r in rows]) for b in range(len(screen.linear.blocks))]
-    bad = ~np.all([np.isfinite(b).all(axis=(1, 2)) for b in blocks], axis=0)
-    gram, product, absorbed = screen.projected([np.where(bad[:, None, None], 0.0, b) for b in blocks])
+            starts = [variant.faded(s, min(1.0, float(x))) for s, x in zip(starts, shares, strict=True)]
+        chosen.append((member, starts))
+    members = [member for member, starts in chosen for _ in starts]
+    points = [point for _, starts in chosen for point in starts]
+    bad = np.zeros(len(points), bool)
+
+    def columns(b: int) -> Array:
+        found = np.concatenate([response(b, variant, starts) for (_, variant), starts in chosen])
+        failed = ~np.isfinite(found).all(axis=(1, 2))
+        found[failed] = 0.0
+        bad[failed] = True
+        return found
+
+    gram, product, absorbed = screen.projected(columns(b) for b in range(len(blocks)))
+    gram[bad] = 0.0
     keep = np.flatnonzero(np.diag(gram) > 1e-9)
     return Columns(
         tuple(members[k] for k in keep),
