@@ -5,12 +5,24 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 from solved import measured_with
 
 from bayes_damper.calibration import calibrate_nominal
 from bayes_damper.diagnosis.budget import Budget
 from bayes_damper.diagnosis.law import learn
-from bayes_damper.diagnosis.named import Entry, Proposal, Weighed, _apart, _pruned, closer, entries_of, proposed
+from bayes_damper.diagnosis.named import (
+    SIZES,
+    Entry,
+    Proposal,
+    Weighed,
+    _apart,
+    _pruned,
+    closer,
+    entries_of,
+    gains,
+    proposed,
+)
 from bayes_damper.diagnosis.response import Projected
 from bayes_damper.diagnosis.sets import set_fit
 from bayes_damper.diagnosis.shares import NO_SHARE
@@ -79,8 +91,22 @@ def test_of_a_formula_and_the_same_with_more_terms_the_likelier_one_is_kept():
     assert [t.words for t in found[0].formula] == ["v^3"]
     assert len(found) > 2
     best = Weighed(found[0], 0.0)
-    assert all(TERM["v^3"] not in p.formula for p in _apart(found, best)[1:])
+    for ranked in (found, found[::-1]):  # in whatever order the others come
+        assert not any(set(p.formula) > {TERM["v^3"]} for p in _apart(ranked, best))
     assert {len(p.formula) for p in found} == {1, 2, 3}
+
+
+def test_the_gain_of_a_set_is_the_evidence_under_its_likeliest_prior_size():
+    """Against the density of the readings, Gaussian amounts integrated out."""
+    rng = np.random.default_rng(7)
+    columns = rng.standard_normal((3, 40)) / math.sqrt(40.0)
+    r = 5.0 * columns[0] + rng.standard_normal(40)
+    found = gains(columns @ columns.T, columns @ r, np.array([[0, 1], [1, 2]]))
+    for value, chosen in zip(found, ([0, 1], [1, 2]), strict=True):
+        x = columns[chosen]
+        under = [multivariate_normal.logpdf(r, cov=np.eye(40) + s**2 * x.T @ x) for s in SIZES]
+        wanted = max(under) - multivariate_normal.logpdf(r, cov=np.eye(40)) - math.log(SIZES.size)
+        assert value == pytest.approx(wanted, abs=1e-6)
 
 
 def test_of_noise_no_formula_gains_anything():
@@ -104,8 +130,7 @@ def test_leading_shapes_are_looked_at_more_closely():
     waves = [e for e in entries if e.term.words == "sin(k x)"]
     leading = Proposal((waves[4], Entry(TERM["x^3"])), np.ones(2), np.ones(2), 1.0)
     fine = [e.shape for e in closer(entries, [leading]) if e.term.words == "sin(k x)"]
-    assert min(fine) > waves[3].shape
-    assert max(fine) < waves[5].shape
+    assert waves[3].shape < min(fine) < waves[4].shape < max(fine) < waves[5].shape
     assert waves[4].shape in fine
     assert {e.term.words for e in closer(entries, [leading]) if e.prior is None} == {
         t.words for t in TERMS if not t.shape
