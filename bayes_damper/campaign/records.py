@@ -27,6 +27,9 @@ LARGE = 200_000
 READINGS_PER_PERIOD = 150.0  # of the primary, that the readings of a large campaign are picked down to
 READINGS_PER_SWING = 100.0  # the same of displacements and velocities of free starts, however few they are
 DERIVATIVE = {"displacement": 0, "velocity": 1, "acceleration": 2}  # order in time of a quantity that is read
+EARLY = 0.35  # of the release angle, or of the velocity that belongs to it: passed before a quarter of a swing is over
+BEND, BENDS = 4000, 400  # readings up to a release among noise, and instants of it that are tried, at most
+TINY = 1e-300  # in place of zero below a fraction's line
 USUAL_LAG = {"displacement": 0.5, "velocity": 0.2, "acceleration": 0.02}
 """Radians of the oscillation after which the motion stands out from its noise."""
 
@@ -70,7 +73,11 @@ def release_of(times: Array, readings: Array, quantity: str, theta0: float, omeg
         return first, 0.0
     start = float(t[k - 1])
     if quantity != "acceleration":
-        start = _beginning(t[k:], away[k:], quantity, theta0, omega, step)
+        noise = look.noise_floor_of(y)
+        if bound > 8.0 * noise:
+            start = _beginning(t[k:], away[k:], quantity, theta0, omega, step)
+        else:
+            start = _bend(t, y, k, theta0, DERIVATIVE[quantity], omega, noise)
     if abs(start) <= STEPS_OF_DOUBT * step:
         return first, 0.0
     keep = max(int(np.searchsorted(times, start, side="right")) - 1, 0)
@@ -79,7 +86,7 @@ def release_of(times: Array, readings: Array, quantity: str, theta0: float, omeg
 
 def _beginning(times: Array, away: Array, quantity: str, theta0: float, omega: float, step: float) -> float:
     """Instant at which a motion began that was first seen at times[0]: its beginning carried back to nothing."""
-    top = 0.35 * (abs(theta0) if quantity == "displacement" else abs(theta0) * omega)
+    top = EARLY * (abs(theta0) if quantity == "displacement" else abs(theta0) * omega)
     end = max(int(np.argmax(away > top)) if (away > top).any() else away.size, 4)
     t, a = times[:end], away[:end]
     x = np.arccos(np.clip(1.0 - a / abs(theta0), -1.0, 1.0)) if quantity == "displacement" else a
@@ -87,6 +94,37 @@ def _beginning(times: Array, away: Array, quantity: str, theta0: float, omega: f
         return float(times[0]) - step
     slope, rest = np.polyfit(t, x, 1)
     return float(-rest / slope) if slope > 0.0 else float(times[0]) - step
+
+
+def _bend(
+    times: Array, readings: Array, seen: int, theta0: float, derivative: int, omega: float, noise: float
+) -> float:
+    """Instant at which noisy readings begin to leave a held value: 0 unless they speak against it by three sd.
+
+    Where the noise is large, the first reading beyond it comes long after the beginning. A parabola of a displacement,
+    a line of a velocity, is fitted behind each instant that it may have begun at, and a constant before.
+
+    times, readings : (n,); seen : index of the first reading beyond the noise; derivative : 0 for a displacement, 1 for
+    a velocity; noise : sd of a reading
+    """
+    held = 0.0 if derivative else theta0
+    away = np.abs(readings[seen:] - held)
+    top = EARLY * abs(theta0) * (omega if derivative else 1.0)
+    end = min(seen + max(int(np.argmax(away > top)), 4), times.size)
+    begin = max(0, end - BEND)
+    t, x = times[begin:end], readings[begin:end] - held
+    tried = np.append(np.unique(np.linspace(0, seen - begin, BENDS).astype(int)), 0)
+    instants = t[tried]
+    instants[-1] = 0.0
+    shape = np.maximum(t - instants[:, None], 0.0) ** (2 - derivative)
+    shape /= np.maximum(np.max(shape, axis=1, keepdims=True), TINY)
+    loose = (noise / (0.02 * float(away[0]))) ** 2  # the held value is known to a fiftieth of that reading's way
+    # The sum of squares that a constant and the shape leave, of each instant.
+    a, b, c = t.size + loose, shape.sum(axis=1), (shape**2).sum(axis=1)
+    u, v = float(x.sum()), shape @ x
+    left = float(x @ x) - (c * u * u - 2.0 * b * u * v + a * v * v) / np.maximum(a * c - b * b, TINY)
+    best = int(np.argmin(left))
+    return float(instants[best]) if left[-1] - left[best] > 9.0 * noise * noise else 0.0
 
 
 def picks(sizes: Sequence[int], steps: Sequence[float], period: float, swings: bool) -> list[int]:

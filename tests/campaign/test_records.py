@@ -57,6 +57,18 @@ def test_a_release_marked_too_late_is_found_too():
     assert -0.0215 <= shift <= -0.0205
 
 
+@pytest.mark.parametrize("quantity", ["velocity", "displacement"])
+@pytest.mark.parametrize("release", [0.0, 0.06])
+def test_among_much_noise_a_release_is_found_by_how_the_motion_began(quantity, release):
+    """The first reading that stands out from the noise comes a fifth of a swing after the release."""
+    times = STEP * np.arange(400)
+    found = [release_of(times, record(quantity, times, release, 0.09, k), quantity, ANGLE, OMEGA) for k in range(20)]
+    if not release:
+        assert found == [(0, 0.0)] * 20
+    else:
+        assert np.max(np.abs([shift - release for _, shift in found])) <= 0.1 * 2.0 * math.pi / OMEGA
+
+
 def test_a_rig_that_never_moves_or_starts_in_motion_keeps_its_clock():
     """What cannot be told is left as it is."""
     times = STEP * np.arange(200)
