@@ -302,13 +302,17 @@ def scatter_shown(fit: Calibration, unit: str) -> dict[str, dict[str, Any]]:
     return {
         size.name: {
             "sd": size.sd,
-            "unit": "relative" if size.name in RELATIVE or size.name.startswith("gain") else unit,
+            "unit": "s" if size.name == RELEASE else "relative" if _in_proportion(size.name) else unit,
             "hdi90": [size.low, size.high],
             "trend_with_order": trend_with_order(fit, size)[0],
         }
         for size in fit.problem.switches.scatter.sizes
         if size.gained > SHOWN_FROM
     }
+
+
+def _in_proportion(name: str) -> bool:
+    return name in RELATIVE or name.startswith("gain")
 
 
 def trend_with_order(fit: Calibration, size: Size) -> tuple[float, float]:
