@@ -10,14 +10,17 @@ PYTHON ?=
 RUN := $(VENV)/bin/python
 PIP := $(RUN) -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 DEMO_OUT ?= results/demo
-# Processes that run tests side by side; tests of one file, or of one formula of an effect, stay together.
+# Processes that run tests side by side; tests of one file, or of one formula of an effect, stay together, and
+# tests/conftest.py says which files come first.
 JOBS ?= 2
-TESTS = $(RUN) -m pytest --numprocesses $(JOBS) --dist loadgroup
+TESTS = $(RUN) -m pytest --numprocesses $(JOBS) --dist loadgroup --no-loadscope-reorder
 
 export PYTHONHASHSEED := 0
 export OMP_NUM_THREADS ?= 1
 export MPLBACKEND := Agg
 export NO_MKDOCS_2_WARNING := 1
+# Where Python may not keep what it has read, each process of the tests reads two hundred files of them anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help demo test slow lint types notebooks docs prove ranges format clean
 
@@ -77,7 +80,8 @@ types: $(VENV)/.dev ## mypy
 notebooks: $(VENV)/.dev ## run every notebook
 	@notebooks=$$(find notebooks -name '*.ipynb' -not -path '*/.*' | sort); \
 	if [ -z "$$notebooks" ]; then echo "There are no notebooks in notebooks/"; \
-	else $(RUN) -m pytest --nbmake --nbmake-timeout=600 --import-mode=prepend -W default $$notebooks; fi
+	else $(RUN) -m pytest --numprocesses $(JOBS) --dist worksteal --nbmake --nbmake-timeout=600 \
+	    --import-mode=prepend -W default $$notebooks; fi
 
 docs: $(VENV)/.docs ## build the documentation, warnings are errors
 	@$(RUN) -m mkdocs build --strict --quiet
