@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from compiled import without_kernels
 
 from bayes_damper.rig import cache_folder as module
 from bayes_damper.rig.cache_folder import cache_folder, distrusted
@@ -124,7 +125,8 @@ def test_a_planted_pickle_is_not_run(tmp_path):
     """A kernel's index is exchanged for a pickle that leaves a mark; it runs from a folder of one's own, not from one
     that others may write.
     """
-    cache, mark = tmp_path / "cache", tmp_path / "ran"
+    cache, mark = without_kernels(tmp_path / "cache"), tmp_path / "ran"
+    without_kernels(tmp_path / f"bayes_damper-{os.getuid()}")  # the spare folder
     code = (
         "from bayes_damper.simulation import integrator as i;"
         "i.specialise(i.specialised_globals(False, True, False, False, None))"
