@@ -2,6 +2,7 @@
 
 import json
 import math
+import shutil
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from bayes_damper.variability.pooling import Hierarchy
 from bayes_damper.variability.published import PublishedCases
 
 
-def write_fit(folder, normal_force, rng, converged=True):
+def write_fit(folder, normal_force, rng):
     """A folder like that of a fit of case IV of the thesis, its draws made by tempering; their log evidence."""
     plan = PublishedCases.default_plan() | {"cases": ["IV"], "normal_force": normal_force}
     cases = PublishedCases(plan)
@@ -37,9 +38,9 @@ def write_fit(folder, normal_force, rng, converged=True):
     draws = {name: values[name].reshape(2, 8, 16) for name in posterior.names}
     folder.mkdir()
     write_json(folder / "run.json", {"command": "fit", "plan": plan, "workers": 1})
-    summary = {"schema": "bayes-damper/fit/1", "campaign": "thesis", "converged": converged}
+    summary = {"schema": "bayes-damper/fit/1", "campaign": "thesis", "converged": True}
     parameters = summarise(draws, {}, {})
-    summary["cases"] = {"IV": {"converged": converged, "parameters": parameters, "sentences": []}}
+    summary["cases"] = {"IV": {"converged": True, "parameters": parameters, "sentences": []}}
     write_json(folder / "summary.json", summary)
     likelihood = posterior.log_likelihood(points).reshape(2, 128, -1)
     tree = arviz_adapter.results(
@@ -47,18 +48,31 @@ def write_fit(folder, normal_force, rng, converged=True):
     )
     (folder / "IV").mkdir()
     arviz_adapter.write(tree, folder / "IV" / "posterior.nc")
-    return found.log_z, found.error
+    return found.log_z
 
 
-def test_two_fits_side_by_side(tmp_path):
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory):
+    """Folder and log evidence of a fit by the law of its normal force, drawn once; tests change copies."""
+    home = tmp_path_factory.mktemp("fits")
+    return {
+        law: (home / law, write_fit(home / law, law, np.random.default_rng(seed)))
+        for seed, law in enumerate(("linear", "constant"), start=1)
+    }
+
+
+def test_two_fits_side_by_side(tmp_path, drawn):
     """Bridge sampling from the draws in posterior.nc agrees with tempering, which made them."""
-    rng = np.random.default_rng(1)
-    evidence = {law: write_fit(tmp_path / law, law, rng, converged=law == "linear") for law in ("linear", "constant")}
+    for law, (folder, _) in drawn.items():
+        shutil.copytree(folder, tmp_path / law)
+    summary = json.loads((tmp_path / "constant" / "summary.json").read_text()) | {"converged": False}
+    summary["cases"]["IV"]["converged"] = False
+    write_json(tmp_path / "constant" / "summary.json", summary)
     found = compare([tmp_path / "linear", tmp_path / "constant"], out=tmp_path / "out")
     assert found.exit_code is ExitCode.DONE
     result = json.loads((tmp_path / "out" / "comparison.json").read_text())
     assert result["schema"] == "bayes-damper/comparison/1"
-    for law, (log_z, _) in evidence.items():
+    for law, (_, log_z) in drawn.items():
         assert result["evidence"]["case IV"][law] == pytest.approx(log_z, abs=1.0)
     cell = result["parameters"]["IV"]["mu"]
     assert set(cell) == {"linear", "constant"}
@@ -130,9 +144,9 @@ def test_tables_and_shifts_agree_on_who_decided():
     assert [line.rpartition("  ")[2].strip() for line in lines[2:]] == ["data", "data and prior", "prior"]
 
 
-def test_what_a_fit_has_worked_out_is_taken_from_it(tmp_path):
-    write_fit(tmp_path / "a", "linear", np.random.default_rng(1))
-    write_fit(tmp_path / "b", "linear", np.random.default_rng(2))
+def test_what_a_fit_has_worked_out_is_taken_from_it(tmp_path, drawn):
+    for name, (folder, _) in zip("ab", drawn.values(), strict=True):
+        shutil.copytree(folder, tmp_path / name)
     summary = json.loads((tmp_path / "a" / "summary.json").read_text())
     row = {"shift": 0.25, "width": 0.9, "moves_most": "k2t", "shift_of_that": 0.1, "reliable": True}
     told = {"mu": {"prior_share": 0.2, "decided_by": "data", "half": row, "double": row}}
@@ -144,9 +158,9 @@ def test_what_a_fit_has_worked_out_is_taken_from_it(tmp_path):
     assert len(result["prior_sensitivity"]["b"]["IV"]) > 5
 
 
-def test_sums_over_different_cases_and_different_data_are_not_held_against_each_other(tmp_path):
-    write_fit(tmp_path / "a", "linear", np.random.default_rng(1))
-    write_fit(tmp_path / "b", "linear", np.random.default_rng(2))
+def test_sums_over_different_cases_and_different_data_are_not_held_against_each_other(tmp_path, drawn):
+    for name, (folder, _) in zip("ab", drawn.values(), strict=True):
+        shutil.copytree(folder, tmp_path / name)
     summary = json.loads((tmp_path / "b" / "summary.json").read_text())
     row = {"shift": 0.25, "width": 0.9, "moves_most": "k2t", "shift_of_that": 0.1, "reliable": False}
     told = {"mu": {"prior_share": 0.9, "decided_by": "prior", "half": row | {"reliable": True}, "double": row}}
