@@ -5,10 +5,14 @@ Every message is a sentence that says what is wrong, where, and what to do.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import errno
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from enum import IntEnum
+from pathlib import Path
 
 _LONGEST = 4000  # characters of a sentence
+_OF_THE_DISK = (errno.ENOSPC, errno.EROFS, errno.EIO, getattr(errno, "EDQUOT", errno.ENOSPC))
 
 
 class ExitCode(IntEnum):
@@ -62,3 +66,17 @@ class Interrupted(BayesDamperError):
     """The user stopped a run; its state has been saved."""
 
     exit_code = ExitCode.INTERRUPTED
+
+
+@contextmanager
+def as_written(path: Path | str, command: str) -> Iterator[None]:
+    """For taking results out of a file that `command` wrote: what cannot be taken is a sentence about that file."""
+    try:
+        yield
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RuntimeError, OSError) as error:
+        if isinstance(error, OSError) and error.errno in _OF_THE_DISK:
+            raise
+        reason = f"{type(error).__name__}: {error}".replace("\n", " ")
+        raise InputError(
+            f"{path}: damaged, or not what `bayes-damper {command}` writes ({reason[:120]}); run that command again"
+        ) from error

@@ -8,7 +8,6 @@ double precision can work with. Nothing is run: no pickle, no module, no express
 from __future__ import annotations
 
 import csv
-import errno
 import gzip
 import hashlib
 import io
@@ -18,8 +17,7 @@ import re
 import stat
 import tomllib
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +37,6 @@ _UNPACKED = 1 << 28
 _UNPACKED_ALWAYS = 1 << 26
 _RATIO = 100  # times that text of readings is packed at most; a text of nothing but line ends reaches 1000
 _CELL = 131_072
-_OF_THE_DISK = (errno.ENOSPC, errno.EROFS, errno.EIO, getattr(errno, "EDQUOT", errno.ENOSPC))
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
@@ -64,20 +61,6 @@ class collected:  # noqa: N801 (used as contextlib.suppress is)
             return False
         self.faults.extend(error.faults)
         return True
-
-
-@contextmanager
-def as_written(path: Path | str, command: str) -> Iterator[None]:
-    """For taking results out of a file that `command` wrote: what cannot be taken is a sentence about that file."""
-    try:
-        yield
-    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RuntimeError, OSError) as error:
-        if isinstance(error, OSError) and error.errno in _OF_THE_DISK:
-            raise
-        reason = f"{type(error).__name__}: {error}".replace("\n", " ")
-        raise InputError(
-            f"{path}: damaged, or not what `bayes-damper {command}` writes ({reason[:120]}); run that command again"
-        ) from error
 
 
 # Bytes and text -------------------------------------------------------------------------------------------------------

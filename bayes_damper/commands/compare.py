@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from bayes_damper import figures
-from bayes_damper.errors import ExitCode, InputError
+from bayes_damper.errors import ExitCode, InputError, as_written
 from bayes_damper.fit import published_posterior
-from bayes_damper.inputs import as_written
 from bayes_damper.priors.distributions import to_standard
 from bayes_damper.priors.files import priors_from_dict
 from bayes_damper.rig.parameters import PARAMETERS

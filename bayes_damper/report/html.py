@@ -18,8 +18,7 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.inputs import as_written
+from bayes_damper.errors import ExitCode, InputError, as_written
 from bayes_damper.report.parts import Picture, Result, Section
 from bayes_damper.report.sections import READERS
 from bayes_damper.report.terms import terms

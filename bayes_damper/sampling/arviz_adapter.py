@@ -23,7 +23,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.inputs import as_written
+from bayes_damper.errors import as_written
 from bayes_damper.sampling.convergence import diagnose_draws
 
 if TYPE_CHECKING:

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayes_damper.campaign import Campaign, load_campaign
-from bayes_damper.errors import InputError
-from bayes_damper.inputs import as_written
+from bayes_damper.errors import InputError, as_written
 from bayes_damper.published.measurements import load_published
 from bayes_damper.rig.parameters import unit_of
 from bayes_damper.runs.json_files import folder_name, read_json
