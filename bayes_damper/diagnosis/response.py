@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -199,10 +200,11 @@ def on_trials(fit: Calibration, eta: Mapping[int, Array]) -> Calibration:
 
 
 def _bare(model: Model) -> Model:
-    """The model with sensors that show what there is."""
-    if model.effect is None or (model.effect.sense is None and model.effect.lag is None):
+    """The model with sensors that show what there is, and constants that are amended already."""
+    e = model.effect
+    if e is None or (e.sense is None and e.lag is None and e.amend is None):
         return model
-    return replace(model, effect=replace(model.effect, sense=None, lag=None))
+    return replace(model, effect=replace(e, sense=None, lag=None, amend=None))
 
 
 def _grid(times: Array, omega: float) -> tuple[Array, NDArray[np.int64]]:
@@ -211,6 +213,12 @@ def _grid(times: Array, omega: float) -> tuple[Array, NDArray[np.int64]]:
     at = np.concatenate([[0], np.cumsum(parts)])
     grid = np.interp(np.arange(at[-1] + 1), at, times)
     return grid, at
+
+
+def _of_both(y: Array) -> Array:
+    """Readings (n, 2, times) of both bodies, 0 where there is one or the simulation failed."""
+    y = np.nan_to_num(y)
+    return y if y.shape[1] == 2 else np.concatenate([y, np.zeros_like(y)], axis=1)
 
 
 def _motion(fit: Calibration, block: Block) -> Motion:
@@ -229,19 +237,12 @@ def _motion(fit: Calibration, block: Block) -> Motion:
     k1t, j1, nu = value("k1t"), value("J1"), value("nu")
     grid, at = _grid(group.times, float(np.sqrt(np.max(k1t / j1))))
     model = _bare(problem.models[group.coupled])
-    if model.effect is not None and model.effect.amend is not None:
-        model = replace(model, effect=replace(model.effect, amend=None))
     inputs = None if group.inputs is None else group.inputs.seen_from_ground()
-
-    def read(quantity: Any) -> Array:
-        y = model.simulate(
-            rig, grid, effect=effect if model.effect is not None else None, inputs=inputs, quantity=quantity,
-            tolerance=problem.tolerance, threads=problem.threads,
-        ).y  # fmt: skip
-        y = np.nan_to_num(y)
-        return y if y.shape[1] == 2 else np.concatenate([y, np.zeros_like(y)], axis=1)
-
-    th, w, a = read("displacement"), read("velocity"), read("acceleration")
+    run = partial(
+        model.simulate, rig, grid, effect=effect if model.effect is not None else None, inputs=inputs,
+        tolerance=problem.tolerance, threads=problem.threads,
+    )  # fmt: skip
+    th, w, a = (_of_both(run(quantity=name).y) for name in ("displacement", "velocity", "acceleration"))
     delay = value("delay", 0.0)
     reaction = None  # N m
     if inputs is not None and inputs.motion is not None:
@@ -253,14 +254,7 @@ def _motion(fit: Calibration, block: Block) -> Motion:
     coupled = group.coupled
     e = problem.experiment
     parts = _parts(e, value, coupled)
-    friction, slope = parts["friction"], parts["slope"]
-    inverse: Array = np.zeros((n, 2, 2))
-    if reaction is not None:
-        inverse[:, 1, 1] = float(coupled) / value("J2", 1.0)
-    elif coupled:
-        inverse[:] = np.linalg.inv(_mass(value))
-    else:
-        inverse[:, 0, 0] = 1.0 / j1
+    inverse = _inverse_mass(value, n, coupled, prescribed=reaction is not None)
     pendulum = e.restoring == "pendulum"
     tilt = _tilt(inputs, grid)
     K, C = _jacobian(
@@ -272,29 +266,21 @@ def _motion(fit: Calibration, block: Block) -> Motion:
     y, read_state, read_torque = _reading(th, w, a, at, inverse, *beside, coupled, e.quantity)
     if inputs is not None and reaction is not None:
         y[:, 0] = reaction[:, at] / inputs.unit
-        carried = value("J12", 0.0)[:, None] * inverse[:, 1, 1:]  # of what acts on the secondary, (trials, 1)
-        for part, per in zip((slice(2), slice(2, 4)), beside, strict=True):
-            read_state[:, 0, :, part] = (carried[:, :, None] * per[:, at, 1] - per[:, at, 0]) / inputs.unit
-        read_torque[:, 0] = np.concatenate([-np.ones((n, 1)), carried], axis=1)[:, None] / inputs.unit
+        carried = value("J12", 0.0)[:, None] * inverse[:, 1, 1:]
+        read_state[:, 0], read_torque[:, 0] = _read_of_reaction(carried, [b[:, at] for b in beside], inputs.unit)
     if group.inputs is not None and group.inputs.pivot is None:
         y = y + group.inputs.at(group.times)[3]
-    theta0 = value("theta0")
     added = np.zeros_like(th)
     if e.coupling_law == "constant" and variant is not None:
-        added = a.copy()
-        if coupled:
-            added = np.einsum("jkl,jln->jkn", _mass(value), a)
-        else:
-            added[:, 0] *= j1[:, None]
-        added -= _nominal_torques(th, w, parts, coupled, pendulum, tilt)
+        added = _accelerating(a, value, coupled) - _nominal_torques(th, w, parts, coupled, pendulum, tilt)
         if inputs is not None:
             acting = inputs.torques(grid, j1, value("J2"), value("J12") if coupled else np.zeros(n))
             acting[:, 0] = acting[:, 0] if reaction is None else reaction
             added[:, : 1 + coupled] -= acting[:, : 1 + coupled]
         added *= (since > 0.0)[:, None]
     return Motion(
-        group, grid, at, th[:, 0], th[:, 1], w[:, 0], w[:, 1], a[:, 0], a[:, 1], since, y, friction, slope, nu,
-        value("tail"), k1t, theta0, step, push, read_state, read_torque, added,
+        group, grid, at, th[:, 0], th[:, 1], w[:, 0], w[:, 1], a[:, 0], a[:, 1], since, y, parts["friction"],
+        parts["slope"], nu, value("tail"), k1t, value("theta0"), step, push, read_state, read_torque, added,
     )  # fmt: skip
 
 
@@ -319,6 +305,38 @@ def _mass(value: Callable[[str, float], Array]) -> Array:
     """Mass matrices (trials, 2, 2)."""
     beside = value("J12", 0.0)
     return np.stack([np.stack([value("J1", 1.0), beside], -1), np.stack([beside, value("J2", 1.0)], -1)], -2)
+
+
+def _inverse_mass(value: Callable[[str, float], Array], trials: int, coupled: bool, prescribed: bool) -> Array:
+    """What accelerations follow from torques, (trials, 2, 2); of a primary whose motion is prescribed none."""
+    inverse = np.zeros((trials, 2, 2))
+    if prescribed:
+        inverse[:, 1, 1] = float(coupled) / value("J2", 1.0)
+    elif coupled:
+        inverse[:] = np.linalg.inv(_mass(value))
+    else:
+        inverse[:, 0, 0] = 1.0 / value("J1", 0.0)
+    return inverse
+
+
+def _accelerating(a: Array, value: Callable[[str, float], Array], coupled: bool) -> Array:
+    """Torques that the accelerations a (trials, 2, N) take, alike in shape; of an uncoupled rig the primary's."""
+    if coupled:
+        return np.asarray(np.einsum("jkl,jln->jkn", _mass(value), a))
+    out = a.copy()
+    out[:, 0] *= value("J1", 0.0)[:, None]
+    return out
+
+
+def _read_of_reaction(carried: Array, laws: Sequence[Array], unit: float) -> tuple[Array, Array]:
+    """What the channel of a reaction shows of state and torques: (trials, n, 4) and (trials, 1, 2).
+
+    carried (trials, 1) : of what acts on the secondary; laws (trials, n, 2, 2) each : change of the
+    nominal ones with angles and with velocities.
+    """
+    state = [carried[:, :, None] * per[:, :, 1] - per[:, :, 0] for per in laws]
+    torque = np.concatenate([-np.ones_like(carried), carried], axis=1)[:, None]
+    return np.concatenate(state, axis=2) / unit, torque / unit
 
 
 def nominal_slopes(fit: Calibration, block: Block, motion: Motion, step: float = 1e-3) -> Array:
