@@ -605,7 +605,8 @@ def _log_from(level: str) -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; its exit code (see --help)."""
-    args = _parser().parse_args([_written_out(word) for word in (sys.argv[1:] if argv is None else argv)])
+    words = [_written_out(word) for word in (sys.argv[1:] if argv is None else argv)]
+    args = _parser().parse_args(words or ["--help"])
     _log_from(args.log_level)
     LOG.info("bayes_damper %s, %s, seed %s", _version(), args.command, args.seed)
     try:

@@ -28,6 +28,14 @@ def test_every_command_explains_itself(command, capsys):
     assert not silent, f"{command}: {', '.join(silent)} needs help=, which the reference of commands is made of"
 
 
+def test_the_bare_command_shows_what_there_is(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main([])
+    assert ended.value.code == 0
+    text = capsys.readouterr().out
+    assert all(command in text for command in ("check", "diagnose"))
+
+
 def test_check_of_the_thesis(capsys):
     assert main(["check", "thesis"]) == 0
     assert "24 published measurements" in capsys.readouterr().out

@@ -109,9 +109,8 @@ MEASUREMENT = (
 LEAST_KNOWN = 0.5
 """Share of a file's lines that must hold readings."""
 NOTHING_RUBS = (
-    "No magnet_pull was given: taken was that nothing rubs between the bodies (mu = 0 in priors.toml). If "
-    "something does, give the force that presses the faces together; `diagnose --nominal linear` shows whether "
-    "friction is missing."
+    "No force that presses the bodies together was given (magnet_pull): taken was that nothing rubs between them "
+    "(mu = 0 in priors.toml). `diagnose` shows whether friction is missing there; if so, give that force."
 )
 _RELEASE_ASSUMED = {
     "torsional": "How sure the release angle is was not given: 0.1 deg, or 2 % of it where that is more, was assumed "
@@ -315,7 +314,9 @@ def _named_in(file: Path, pattern: str, words: Mapping[str, str]) -> dict[str, A
                 f"e.g. --words {word}=uncoupled, with every word that the names use"
             )
         raise InputError(
-            f"{file.name}: the name does not follow --pattern '{pattern}'; correct the pattern or the name"
+            f"{file.name}: the name does not follow --pattern '{pattern}': {{trial}} stands for digits, {{theta0}} and "
+            "{k1t} for numbers, and all else in the name has to stand in the pattern too, as in "
+            "'run{trial}_{configuration}'; correct the pattern or the name"
         )
     out: dict[str, Any] = {}
     for field, text in found.groupdict().items():

@@ -53,6 +53,8 @@ _TIME_NAMES = re.compile(
 )
 _BEHIND = r"(?:rad|mrad|deg|mm|cm|um|m)(?:_s2?)?|n_m|g|mg|ms|us|s|rpm"
 """Units that a name ends with, as in x_mm, alpha1_rad_s2, t_ms; one letter that may mean something else is none."""
+_AFTER = re.compile(r"\S(?:\s+/\s*|,\s*|\s+in\s+)(\S.*)$")
+"""A unit behind a spaced slash, a comma or `in`, as in `x / mm`, `Position, mm` and `Time in s`."""
 _MISREAD = str.maketrans({"²": "^2", "µ": "u", "μ": "u", "°": "deg"})
 _UNITS = {
     "s", "ms", "us", "min", "sec", "seconds", "g", "mg", "m/s^2", "mm/s^2", "cm/s^2", "um/s^2", "rad/s^2", "deg/s^2",
@@ -116,7 +118,7 @@ class LoggerFile:
         if not self.names:
             return None
         name = self.names[column].strip().strip('"')
-        found = re.search(r"[\[(]([^\[\]()]+(?:\([^()]*\))?)[\])]\s*$", name)
+        found = re.search(r"[\[(]([^\[\]()]+(?:\([^()]*\))?)[\])]\s*$", name) or re.search(_AFTER, name)
         if found:
             return unit_of(found[1])
         behind = re.search(rf"(?<=[^_\W])_({_BEHIND})$", name)

@@ -112,6 +112,7 @@ def offered(
         effects,
         "free" if imposed else experiment.start,
         experiment.restoring,
+        experiment.magnet and experiment.priors.get("mu") != 0.0,
     )
     pool = [(effect, scaled(variant, scales)) for effect in able.values() for variant in effect.variants]
     if experiment.coupling_law == "cosine":

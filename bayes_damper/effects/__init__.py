@@ -387,17 +387,19 @@ def candidates(
     effects: Mapping[str, Effect] = EFFECTS,
     start: Literal["rest", "free"] = "rest",
     restoring: Literal["linear", "pendulum"] = "linear",
+    rubs: bool = True,
 ) -> dict[str, Effect]:
     """The effects that a rig can have, each with those of its variants that do anything there.
 
-    rig_has_coupled : whether any trial is coupled; has_magnet : whether a pull presses the faces (mu is not 0);
+    rig_has_coupled : whether any trial is coupled; has_magnet : whether a magnet with a face is declared; rubs :
+    whether the nominal model has dry friction between the bodies (mu is not 0): else it is a candidate;
     nominal : "linear" has mu = drag = 0, so that dry friction becomes a candidate and what scales with it none;
     start : "free" records begin in motion, so nothing is known of a release; restoring : what brings the primary back,
     a spring or, of a "pendulum", its weight, which has neither play nor hysteresis.
     """
     has = {
         "coupled": rig_has_coupled, "magnet": has_magnet, "linear_nominal": nominal == "linear",
-        "spring": restoring == "linear",
+        "no_rubbing": nominal == "linear" or not rubs, "spring": restoring == "linear",
     }  # fmt: skip
     offered = {}
     for name, effect in effects.items():

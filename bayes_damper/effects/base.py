@@ -152,8 +152,9 @@ class Effect:
     """Nominal parameters that can take its place."""
     source: str
     variants: tuple[Variant, ...]
-    needs: tuple[Literal["coupled", "magnet", "linear_nominal", "spring"], ...] = ()
-    """What a rig must have for the effect to be possible; "linear_nominal": only offered with `--nominal linear`."""
+    needs: tuple[Literal["coupled", "magnet", "linear_nominal", "no_rubbing", "spring"], ...] = ()
+    """What a rig must have for the effect to be possible; "linear_nominal": only offered with `--nominal linear`;
+    "no_rubbing": there, and where the nominal model has no dry friction between the bodies."""
     exact: bool = False
     """Whether its formula is a definition, such as a factor on a constant, not one of many that a cause may follow."""
     title: str = ""

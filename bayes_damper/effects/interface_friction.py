@@ -1,4 +1,4 @@
-"""Dry friction between the faces, for a nominal model without dry friction.
+"""Dry friction between the faces, for a nominal model without dry friction there.
 
     T += F (N/N0) tanh(n v)    or    F tanh(n v),    v = w1 - w2
 
@@ -47,7 +47,7 @@ EFFECT = Effect(
     looks_like="Both accelerations jump against each other at each reversal of sliding, in coupled trials only.",
     hides_behind=("c2t", "k2t"),
     source="Augustine (2013), eqs. 18 and 20, pp. 23-24.",
-    needs=("coupled", "linear_nominal"),
+    needs=("coupled", "no_rubbing"),
     variants=(
         Variant(
             name="with_overlap",

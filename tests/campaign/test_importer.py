@@ -465,7 +465,8 @@ def test_a_rig_without_a_magnet_needs_no_magnet(tmp_path: Path) -> None:
     folder = init_campaign(tmp_path / "out", sources, **options)
     campaign = load_campaign(folder)
     assert campaign.rig.magnet_pull is None
-    assert any("nothing rubs between the bodies" in w for w in campaign.warnings)
+    (told,) = (w for w in campaign.warnings if "nothing rubs" in w)
+    assert told.startswith("No force that presses the bodies together")
     assert campaign_priors(folder / "priors.toml", campaign).fixed["mu"] == 0.0
     again = import_records(folder / "import.toml", tmp_path / "again")
     assert (again / "priors.toml").read_bytes() == (folder / "priors.toml").read_bytes()
@@ -600,7 +601,7 @@ def test_names_and_a_sheet_tell_the_trials_apart(tmp_path: Path) -> None:
     ]  # fmt: skip
     assert math.degrees(campaign.trials[0].theta0.value) == pytest.approx(5.7)
     for wrong, sentence in (
-        ({"pattern": "run{trial}"}, "the name does not follow --pattern"),
+        ({"pattern": "run{trial}"}, r"does not follow --pattern 'run\{trial\}': \{trial\} stands for digits"),
         ({"pattern": "{colour}"}, r"write each of \{case\}"),
         ({"pattern": pattern, "sheet": str(tmp_path / "none.csv")}, "cannot be read"),
         ({"pattern": "case{case}_uncoupled_1"}, "does not follow"),
@@ -629,6 +630,8 @@ def test_raw_says_where_the_files_lie_that_a_sheet_names(tmp_path: Path) -> None
 @pytest.mark.parametrize(("name", "unit"), [
     ("x_mm", "mm"), ("alpha1_rad_s2", "rad/s^2"), ("v_m_s", "m/s"), ("torque1_n_m", "N m"), ("t_ms", "ms"),
     ("x1_m", "m"), ("position", None), ("x_px", None), ("gram", None), ("_mm", None), ("Weg [mm]", "mm"),
+    ("s1 / mm", "mm"), ("a / m/s²", "m/s^2"), ("a / (m/s^2)", "m/s^2"), ("Position, mm", "mm"), ("Zeit in ms", "ms"),
+    ("sensor in use", None), ("rev/s", None), ("in mm", None), ("left, right", None),
 ])  # fmt: skip
 def test_the_end_of_a_name_is_its_unit(name: str, unit: str | None) -> None:
     assert LoggerFile((name,), np.zeros((3, 1))).unit(0) == unit
