@@ -14,7 +14,8 @@ from bayes_damper.calibration.least_squares import Calibration
 from bayes_damper.calibration.own_values import RELEASE, channel_of, middle_of, of_readings, wave
 
 Array = NDArray[np.float64]
-RENEWED = (0, 3)  # rounds in which derivatives by what acts nearly linearly are taken
+RENEWED = (0, 3, *range(12, 60, 4))  # rounds in which derivatives by what acts nearly linearly are taken
+NEAR, FAR = 1.5, 6.0  # the largest step in a nuisance, in units of its size: in the first twelve rounds, and later on
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +34,11 @@ class Prediction:
     n_data: float
 
 
-def predict(fit: Calibration, trials: Sequence[int], rounds: int = 12) -> dict[int, Prediction]:
-    """Predictions for trials that the fit has not used: only their own nuisances are estimated, from several starts."""
+def predict(fit: Calibration, trials: Sequence[int], rounds: int = 60) -> dict[int, Prediction]:
+    """Predictions for trials that the fit has not used: only their own nuisances are estimated, from several starts.
+
+    Where a model misses much, a trial's own values lie tens of sizes off, and most of the rounds are needed.
+    """
     problem = fit.problem
     out: dict[int, Prediction] = {}
     for group in problem.grouped(tuple(trials)):
@@ -90,7 +94,9 @@ def predict(fit: Calibration, trials: Sequence[int], rounds: int = 12) -> dict[i
             H += damping[:, None, None] * H * np.eye(m)
             g = np.einsum("imd,id->im", T, np.nan_to_num(r)) + eta
             move = -np.linalg.solve(H, g[:, :, None])[:, :, 0]
-            move *= np.minimum(1.0, 1.5 / np.maximum(np.abs(move).max(axis=1), 1e-12))[:, None]
+            move *= np.minimum(1.0, (NEAR if number < 12 else FAR) / np.maximum(np.abs(move).max(axis=1), 1e-12))[
+                :, None
+            ]
             candidate = np.clip(eta + move, low, high)
             r_new, cost_new = evaluate(candidate)
             better = cost_new < cost

@@ -21,6 +21,7 @@ from bayes_damper.calibration.forecast import (
     period_of,
     summary,
 )
+from bayes_damper.calibration.heldout import predict
 from bayes_damper.priors.distributions import LogNormal, Normal
 
 K, VISCOUS, DRY, NU = 90.0, 0.30, 1.1, 30.0  # per unit inertia: s^-2, s^-1, s^-2, s
@@ -191,6 +192,17 @@ def test_missing_readings_do_not_count(pendulum):
     found = forecast(replace(pendulum, problem=problem), (4,))[4]
     assert summary([found])["rms"] == pytest.approx(SIGMA, rel=0.2)
     assert 0.8 < summary([found])["coverage90"] <= 1.0
+
+
+def test_what_a_held_out_trial_has_for_itself_is_found_however_far_off():
+    """Its sensor is off by thirty times what was declared: steps of a size or so would stop half way."""
+    experiment = swings(3, trained=2, unseen=1)
+    *seen, unseen = experiment.trials
+    fit = fitted(replace(experiment, trials=(*seen, replace(unseen, y=unseen.y + 0.03)), offset_sd=(1e-3,)))
+    (found,) = predict(fit, [2]).values()
+    assert np.std(found.residual) == pytest.approx(SIGMA, rel=0.1)
+    assert abs(found.residual.mean()) < 0.5 * SIGMA
+    assert np.abs(found.eta).max() > 25.0
 
 
 def test_both_channels_of_trials_released_from_rest():
