@@ -432,7 +432,7 @@ def diagnose(
     return Diagnosis(
         name, experiment, nominal, fit, tuple(found), winner, answers, before, after, gap, locate(fit), before_map,
         after_map, tuple(_proposals(fit, found, answers)),
-        _sites(answers, effects, before_map, after_map, wiring is not None), evidence,
+        _sites(answers, effects, before_map, after_map, sites_of(experiment), wiring is not None), evidence,
         tuple(_indistinct(evidence, effects)), pair, tuple(notes), time.perf_counter() - began, {"seed": seed},
         tuple(pairs), tuple(seconds), drift, best, tuple(choices), closes, weighed,
         kind, budget, _under_priors(answered, answers, rule), law,
@@ -474,8 +474,7 @@ def _budget(
     known_map = bool(fit.problem.noise.sensor) and not found.absent
     mapped = known_map or (winner is not None and found.best.fit is winner.fit)
     place = after if mapped or not found.parts else site_map(found.best.fit, torque=False)
-    # Of records that begin in motion nothing is known of a release.
-    known = [site for site in SITES if site != "release" or fit.problem.experiment.start == "rest"]
+    known = sites_of(fit.problem.experiment)
     total = max(sum(place.probabilities.get(site, 0.0) for site in known), 1e-9)
     return replace(found, sites={site: place.probabilities.get(site, 0.0) / total for site in known})
 
@@ -556,29 +555,38 @@ def _with_winners_noise(fit: Calibration, found: list[Candidate]) -> tuple[Calib
     return fresh, sorted(out, key=lambda c: -c.log_evidence)
 
 
+def sites_of(experiment: Experiment) -> tuple[str, ...]:
+    """The sites that a rig has: a second body only in coupled trials, a release only where records begin at rest."""
+    missing = () if experiment.coupled else ("interface", "ground2")
+    missing += () if experiment.start == "rest" else ("release",)
+    return tuple(site for site in SITES if site not in missing)
+
+
 def _sites(
-    answers: Answers, effects: Mapping[str, Effect], before: SiteMap, after: SiteMap, miswired: bool = False
-) -> dict[str, float]:
+    answers: Answers, effects: Mapping[str, Effect], before: SiteMap, after: SiteMap, known: Sequence[str],
+    miswired: bool = False,
+) -> dict[str, float]:  # fmt: skip
     """Probability of each site: effects at their own, `unknown` as the site maps of gap and remainder say.
 
-    miswired : channels under a wrong name explain the gap better than any torque, so it lies at the sensors.
+    known : the sites that the rig has; miswired : channels under a wrong name explain the gap better than any torque,
+    so it lies at the sensors.
     """
-    sites = dict.fromkeys((*SITES, "none"), 0.0)
+    sites = dict.fromkeys((*known, "none"), 0.0)
     for name, p in answers.probabilities.items():
         if name == "none":
             sites["none"] += p
         elif name != "unknown":
-            sites[effects[name].site] += p
+            sites[effects[name].site] = sites.get(effects[name].site, 0.0) + p
     if answers.pair_effects is not None:
         # The stronger effect of a pair carries its probability; the place is where both are.
         here, there = (effects[name].site for name in answers.pair_effects)
         sites[here] -= 0.5 * answers.pair
         sites[there] += 0.5 * answers.pair
-    weights = {s: before.probabilities.get(s, 0.0) + 0.5 * after.probabilities.get(s, 0.0) + 0.01 for s in SITES}
+    weights = {s: before.probabilities.get(s, 0.0) + 0.5 * after.probabilities.get(s, 0.0) + 0.01 for s in known}
     if miswired:
-        weights = {s: float(s == "sensor") + 0.01 for s in SITES}
+        weights = {s: float(s == "sensor") + 0.01 for s in known}
     total = sum(weights.values())
-    for site in SITES:
+    for site in known:
         sites[site] += answers.probabilities["unknown"] * weights[site] / total
     return sites
 

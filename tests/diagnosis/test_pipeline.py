@@ -30,12 +30,13 @@ from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.lone import left_of_squares
 from bayes_damper.diagnosis.outliers import outlying, outlying_in_words, without
 from bayes_damper.diagnosis.pairs import ComposedProblem, PairProblem, Second, best_pairs, pair_problem
-from bayes_damper.diagnosis.pipeline import symmetries
+from bayes_damper.diagnosis.pipeline import _sites, sites_of, symmetries
 from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of
 from bayes_damper.diagnosis.search import Candidate, Screen, fainter, fit_variant, offered, scales_of, screen_variant
 from bayes_damper.diagnosis.sensitivity import Quadratic
 from bayes_damper.diagnosis.verdict import RULE, Answers, Left, family_evidence, left_of, weigh
 from bayes_damper.effects import EFFECTS
+from bayes_damper.effects.base import SITES
 from bayes_damper.errors import InputError
 from bayes_damper.figures import gap_figure
 from bayes_damper.priors.distributions import from_standard
@@ -736,3 +737,15 @@ def test_the_prior_of_a_foreign_cause_moves_the_verdict_and_is_refused_where_it_
     for prior in (0.0, 0.9, math.nan):
         with pytest.raises(InputError, match="--prior-unknown"):
             diagnose_folder("no folder", prior_unknown=prior)
+
+
+def test_a_rig_of_one_body_has_no_place_between_two():
+    """What is unknown lies at a site that the rig has; records that begin in motion have no release."""
+    alone = measured(1, configurations=(False,), duration=0.05)
+    assert sites_of(alone) == ("ground1", "bearings", "release", "sensor")
+    assert sites_of(replace(alone, start="free")) == ("ground1", "bearings", "sensor")
+    assert set(sites_of(measured(1, duration=0.05))) == set(SITES)
+    answers = SimpleNamespace(probabilities={"none": 0.1, "unknown": 0.7, "quadratic_drag": 0.2}, pair_effects=None)
+    place = SimpleNamespace(probabilities=dict.fromkeys(SITES, 1.0 / 6.0))
+    found = _sites(answers, EFFECTS, place, place, sites_of(alone))
+    assert found == pytest.approx({"ground1": 0.175, "bearings": 0.375, "release": 0.175, "sensor": 0.175, "none": 0.1})
