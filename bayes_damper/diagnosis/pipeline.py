@@ -557,8 +557,8 @@ def _with_winners_noise(fit: Calibration, found: list[Candidate]) -> tuple[Calib
 
 def sites_of(experiment: Experiment) -> tuple[str, ...]:
     """The sites that a rig has: a second body only in coupled trials, a release only where records begin at rest."""
-    missing = () if experiment.coupled else ("interface", "ground2")
-    missing += () if experiment.start == "rest" else ("release",)
+    missing = set() if experiment.coupled else {"interface", "ground2"}
+    missing |= set() if experiment.start == "rest" else {"release"}
     return tuple(site for site in SITES if site not in missing)
 
 
