@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bayes_damper.calibration.experiment import Experiment, TrialRecord, release_window, repeats, still_rising
 from bayes_damper.calibration.noise import Noise
-from bayes_damper.calibration.own_values import NO_SCATTER, RELEASE, Scatter
+from bayes_damper.calibration.own_values import NO_SCATTER, RELEASE, Scatter, half_periods
 from bayes_damper.calibration.unknowns import NOMINAL, Coordinate, Priors, acting_alone, middle
 from bayes_damper.campaign.records import DERIVATIVE
 from bayes_damper.priors.distributions import Distribution, LogNormal, LogUniform
@@ -26,6 +26,7 @@ RELEASE_WEIGHT = 0.4  # of the first two readings
 FALL_SHAPE = 0.1  # of the peak: how far from a straight line the torque that held the rig may fall
 FIRST_STAGE_EVENT_WEIGHT = 0.15
 OFFSET_SHARE = 0.05  # of a channel's reach: prior sd of its unknown offset, where the campaign does not say
+SLOW = 0.25  # of the rig's frequency, up to which what a free record shows is its sensor's baseline
 _FARTHEST = 37.0  # standard deviations beyond which a coordinate is not followed
 
 
@@ -223,9 +224,15 @@ class Grouping:
         return out
 
     def _scattered(self, trials: list[TrialRecord], released: bool) -> list[tuple[str, Array, Array]]:
-        """What else each trial has for itself: values about those of all trials; released : from a known angle."""
+        """What else each trial has for itself: values about those of all trials; released : from a known angle.
+
+        Where trials start free a drift has no waves that the rig might have: none above SLOW of its frequency.
+        """
         n = len(trials)
         columns = self.switches.scatter.columns(trials[0].coupled)
+        if self.experiment.start == "free":
+            periods = float(trials[0].times[-1] - trials[0].times[0]) * min(self.experiment.omegas) / (2.0 * math.pi)
+            columns = [c for c in columns if not c[0].startswith("drift") or half_periods(c[0]) <= 2.0 * SLOW * periods]
         return [(name, np.zeros(n), np.full(n, sd)) for name, sd in columns if released or name != RELEASE]
 
 

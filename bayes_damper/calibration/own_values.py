@@ -13,7 +13,8 @@ RELEASE = "release_time"
 RELATIVE = ("k1t", "k2t", "c1t", "c3t", "c2t", "mu", "drag")
 COUPLED_ONLY = ("k2t", "c2t", "c3t", "mu")
 READINGS = ("gain", "offset", "drift")  # of each channel
-DRIFT_WAVES = 3  # half periods of the slowest cosine that a drift may have over a record
+DRIFT_WAVES = 3  # half periods of the fastest cosine that a drift may have over a record
+BASELINE_WAVES = 12  # the same of a baseline that single records show
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,8 @@ class Size:
     """How much one thing scatters from trial to trial.
 
     sd : what fits use, the root of the posterior mean of its square; low, high : shortest interval holding 90 % of the
-    probability; typical : scale of its prior; gained : nats of the repeats' likelihood by the likeliest size over none.
+    probability; typical : scale of its prior; gained : nats of the repeats' likelihood by the likeliest size over none;
+    waves : of a drift, half periods of its fastest cosine over a record.
     """
 
     name: str
@@ -30,12 +32,13 @@ class Size:
     high: float
     typical: float
     gained: float = 0.0
+    waves: int = DRIFT_WAVES
 
     @property
     def columns(self) -> tuple[tuple[str, float], ...]:
         """Names and standard deviations of the nuisances that it makes in each trial."""
         if self.name.startswith("drift"):
-            return tuple((f"{self.name}_{k}", self.sd / k) for k in range(1, DRIFT_WAVES + 1))
+            return tuple((f"{self.name}_{k}", self.sd / k) for k in range(1, self.waves + 1))
         return ((nuisance(self.name), self.sd),)
 
 
@@ -82,10 +85,14 @@ def channel_of(name: str) -> int:
     return int(name.partition("_")[0][-1]) - 1
 
 
+def half_periods(name: str) -> int:
+    """Of the cosine of a drift, over its record."""
+    return int(name.partition("_")[2])
+
+
 def wave(name: str, times: Array) -> Array:
     """Shape (n,) in time of an offset, or of a half-period cosine of mean square 1 of a drift."""
-    kind, _, number = name.partition("_")
-    if kind.startswith("offset"):
+    if name.startswith("offset"):
         return np.ones_like(times)
     span = max(float(times[-1] - times[0]), 1e-300)
-    return np.asarray(math.sqrt(2.0) * np.cos(int(number) * math.pi * (times - times[0]) / span))
+    return np.asarray(math.sqrt(2.0) * np.cos(half_periods(name) * math.pi * (times - times[0]) / span))

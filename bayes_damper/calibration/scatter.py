@@ -22,6 +22,9 @@ follows it first. It is never negative, so eta is half a normal variable, which 
 The prior of a size is half a Student t of 4 degrees of freedom with the typical size as its scale (Gelman 2006,
 Bayesian Analysis 1, 515): it lets a scatter be absent, and far larger than usual. What enters a fit is the root of the
 posterior mean of s^2. Where nothing is repeated that is 1.4 times the typical size: priors carry it, answers widen.
+
+One thing single records do show: a baseline of a sensor that wanders more slowly than the rig can move. It has the
+cosines of a random walk (Karhunen-Loeve: the k-th falls as 1/k), up to a quarter of the rig's frequency.
 """
 
 from __future__ import annotations
@@ -41,6 +44,7 @@ from bayes_damper.calibration.experiment import lone, repeats
 from bayes_damper.calibration.least_squares import Calibration
 from bayes_damper.calibration.noise import Noise
 from bayes_damper.calibration.own_values import (
+    BASELINE_WAVES,
     COUPLED_ONLY,
     NO_SCATTER,
     READINGS,
@@ -71,6 +75,7 @@ TYPICAL: Mapping[str, float] = {
 FREEDOM = 4.0  # of the half Student t
 _FLAT = 1e8  # prior variance of what has a flat prior, in its own units
 _GRID = np.linspace(-5.0, 3.5, 35)  # of ln(size / typical size)
+_WIDEST = 9.0  # of the same for the baseline of a single record, which may be thousands of times the noise
 _FINE = np.linspace(-5.0, 3.5, 681)
 SHOWN_FROM = 3.0  # nats by which the repeats' likelihood must gain from a scatter for it to be reported
 SURE_OF_TREND = 0.01
@@ -143,12 +148,13 @@ class Repeats:
 def learn_scatter(fit: Calibration, noise: Noise | None = None) -> Scatter:
     """Sizes of all scatters, from what the repeats of a fit do not share, under a noise (default: that of the fit).
 
-    None where trials start free: no two of those begin alike, most are stretches of one decay, and what they leave is
-    taken for the error of the model (noise_level.py). Springs of their own would take a gap that they share.
+    Where trials start free none but a slow baseline: no two of those begin alike, most are stretches of one decay, and
+    what they leave is taken for the error of the model (noise_level.py). Springs of their own would take a gap that
+    they share.
     """
-    if fit.problem.experiment.start == "free":
-        return NO_SCATTER
     problem = fit.problem if noise is None else fit.problem.with_noise(noise)
+    if problem.experiment.start == "free":
+        return _baselines(fit, problem)
     typical = typical_scatter(problem, releases=fit.problem.switches.scatter.sd(RELEASE) > 0.0)
     wide = problem.changed(switches=replace(problem.switches, friction=False, drag=False, scatter=typical))
     linear = wide.linearise(fit.q, carried(fit, wide))
@@ -176,6 +182,60 @@ def learn_scatter(fit: Calibration, noise: Noise | None = None) -> Scatter:
     sizes = _posterior(sets, typical.sizes)
     times = math.sqrt(float(np.mean(np.square(times_of_release(fit) or [0.0]))))
     return Scatter(tuple(s for s in sizes if _matters(s, information, times)))
+
+
+def _baselines(fit: Calibration, problem: Problem) -> Scatter:
+    """Slow baselines that records which start free show by themselves: nothing of the rig moves so slowly.
+
+    By the likelihood of what the residuals of each record have of its slow cosines, all else that is unknown integrated
+    out; the size over a grid of its logarithm. None where something drives the rig, which may be as slow as that.
+    """
+    trials = [problem.experiment.trials[i] for i in problem.trials]
+    if any(t.inputs is not None and t.inputs.active for t in trials):
+        return NO_SCATTER
+    channels = range(1 + int(any(t.coupled for t in trials)))
+    sizes = [
+        Size(f"drift{c + 1}", sd := TYPICAL["drift"] * problem.noise.floor[c], 0.0, math.inf, sd, waves=BASELINE_WAVES)
+        for c in channels
+    ]
+    wide = problem.changed(switches=replace(problem.switches, scatter=Scatter(tuple(sizes))))
+    parts: dict[str, list[tuple[Array, Array]]] = {size.name: [] for size in sizes}
+    linear = wide.linearise(fit.q, carried(fit, wide))
+    for block in linear.blocks:
+        names = [name for name, _, _ in block.group.nuisances]
+        for k in range(len(block.group.trials)):
+            # Residuals with every unknown at its prior's middle, by the linearised model.
+            left = block.r[k] - block.eta[k] @ block.T[k] - linear.q @ block.J[k]
+            for size in sizes:
+                slow = np.array([name.startswith(size.name) for name in names])
+                if not slow.any():
+                    continue
+                other = np.concatenate([block.T[k][~slow], block.J[k]])
+                both = np.concatenate([block.T[k][slow], left[None]])
+                fitted = np.linalg.solve(other @ other.T + np.eye(len(other)), other @ both.T)
+                own = both @ both.T - (other @ both.T).T @ fitted
+                parts[size.name].append((own[:-1, :-1], own[:-1, -1]))
+    return Scatter(tuple(s for size in sizes if (s := _lone_size(size, parts[size.name])).gained > SHOWN_FROM))
+
+
+def _lone_size(typical: Size, parts: Sequence[tuple[Array, Array]]) -> Size:
+    """Posterior of a size from records that share nothing: of each, gram (w, w) of its waves, and their product with r.
+
+    For waves x ~ N(0, s^2): 2 log L = b' (A + 1/s^2)^-1 b - log |1 + s^2 A|.
+    """
+    u = np.arange(_GRID[0], _WIDEST, 0.05)
+    gained = np.zeros(u.size)
+    for gram, product in parts:
+        value, vector = np.linalg.eigh(gram)
+        value, square = np.maximum(value, 0.0), (vector.T @ product) ** 2
+        loud = np.exp(2.0 * u)[:, None]
+        gained += 0.5 * np.sum(square * loud / (1.0 + loud * value) - np.log1p(loud * value), axis=1)
+    share = np.exp((logs := gained + log_prior(u)) - logs.max())
+    share /= share.sum()
+    sd = math.sqrt(float(share @ np.exp(2.0 * u)))
+    low, high = (float(np.exp(np.interp(x, np.cumsum(share), u))) for x in (0.05, 0.95))
+    t = typical.typical
+    return replace(typical, sd=t * sd, low=t * low, high=t * high, gained=float(gained[np.argmax(logs)] - gained[0]))
 
 
 def times_of_release(fit: Calibration) -> list[float]:
@@ -340,8 +400,17 @@ def trend_with_order(fit: Calibration, size: Size) -> tuple[float, float]:
 
 
 def scatter_in_words(fit: Calibration) -> list[str]:
-    """Sentences on what the repeats show to differ from trial to trial."""
+    """Sentences on what the repeats show to differ from trial to trial, and on baselines that wander."""
+    trials = [fit.problem.experiment.trials[i] for i in fit.problem.trials]
     shown = [s for s in fit.problem.switches.scatter.sizes if s.gained > SHOWN_FROM]
+    if fit.problem.experiment.start == "free":
+        channel = {s.name: int(s.name[-1]) - 1 for s in shown}
+        reach = {n: max(float(np.nanmax(np.abs(t.y[c]))) for t in trials if c < len(t.y)) for n, c in channel.items()}
+        return [
+            f"What channel {s.name[-1]} reads at rest wanders slowly, by about {100.0 * s.sd / reach[s.name]:.2g} % of "
+            "its largest reading. It was followed, and no cause is named for it: nothing of the rig moves so slowly."
+            for s in shown
+        ]
     relative = [s for s in shown if s.name in RELATIVE or s.name.startswith("gain")]
     out = []
     if relative:

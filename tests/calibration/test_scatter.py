@@ -28,6 +28,7 @@ from bayes_damper.calibration.own_values import RELEASE, Scatter, Size
 from bayes_damper.calibration.scatter import TYPICAL, Repeats, learn_scatter, typical_scatter, with_releases
 from bayes_damper.effects import EFFECTS
 from bayes_damper.priors.distributions import from_standard
+from bayes_damper.rig.inputs import Inputs
 from bayes_damper.simulation.model import Model, Quantity
 
 RIG = {"J1": 3.015e-3, "J2": 2.474e-3, "R": 0.10, "r": 0.0127, "N0": 100.0}
@@ -356,3 +357,48 @@ def test_each_size_comes_with_its_unit(monkeypatch):
     fit = SimpleNamespace(problem=SimpleNamespace(switches=SimpleNamespace(scatter=Scatter(sizes))))
     units = {name: entry["unit"] for name, entry in scatters.scatter_shown(fit, "m").items()}
     assert units == {"k1t": "relative", "gain2": "relative", "offset1": "m", RELEASE: "s"}
+
+
+def sagging(drift: float, inputs: Inputs | None = None) -> Experiment:
+    """A damped cosine of closed form, 37 periods from mid-swing, whose sensor reads a bow and a slope too."""
+    rng = np.random.default_rng(5)
+    t = np.arange(0.0, 40.0, 0.02)
+    omega, decay = 2.0 * math.pi * 0.92, 0.023
+    y = 0.2 * np.exp(-decay * t) * np.cos(math.sqrt(omega**2 - decay**2) * t + 0.7)
+    y += drift * (np.sin(0.115 * t + 1.0) + 0.04 * t) + 1e-3 * rng.standard_normal(t.size)
+    trial = TrialRecord("one", "a", False, 1, t, y[None], 0, inputs=inputs)
+    return Experiment({"J1": (1.0, 0.0)}, ((omega**2, 6.0),), (trial,), quantity="displacement", start="free")
+
+
+def test_a_baseline_slower_than_the_rig_can_move_is_followed():
+    """The rig's numbers and the sensor's noise come out as if it were not there; a steady one is not followed."""
+    fit = calibrate_nominal(sagging(6e-3), nominal="linear")
+    (size,) = fit.problem.switches.scatter.sizes
+    assert size.name == "drift1"
+    assert size.gained > 1000.0
+    assert np.std(fit.residuals()[0]) == pytest.approx(1e-3, rel=0.05)
+    assert fit.problem.noise.sensor == ()  # nothing but the noise of the sensor is left
+    value, sd = fit.parameters["c1t"]
+    assert abs(value - 0.046) < 4.0 * sd < 0.004
+    (sentence,) = scatters.scatter_in_words(fit)
+    assert "channel 1 reads at rest wanders slowly" in sentence
+    assert calibrate_nominal(sagging(0.0), nominal="linear").problem.switches.scatter.sizes == ()
+
+
+def test_what_drives_a_rig_may_be_as_slow_as_a_baseline():
+    t = np.arange(0.0, 40.0, 0.02)
+    driven = sagging(6e-3, inputs=Inputs.measured(t, 1e-9 * np.sin(t)))
+    assert calibrate_nominal(driven, nominal="linear").problem.switches.scatter.sizes == ()
+
+
+def test_likelihood_of_a_single_records_baseline_is_that_of_the_dense_gaussian():
+    rng = np.random.default_rng(8)
+    waves, r = rng.standard_normal((3, 40)), rng.standard_normal(40) * 1.5
+    typical = Size("drift1", 0.2, 0.0, math.inf, 0.2)
+    found = scatters._lone_size(typical, [(waves @ waves.T, waves @ r)])
+    u = np.arange(-5.0, 9.0, 0.05)
+    dense = [multivariate_normal(cov=np.eye(40) + math.exp(2.0 * x) * waves.T @ waves).logpdf(r) for x in u]
+    density = np.array(dense) + scatters.log_prior(u)
+    share = np.exp(density - density.max())
+    assert found.sd == pytest.approx(0.2 * math.sqrt(np.average(np.exp(2.0 * u), weights=share)), rel=1e-6)
+    assert found.gained == pytest.approx(dense[int(np.argmax(density))] - dense[0], abs=1e-6)
