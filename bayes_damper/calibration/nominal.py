@@ -32,6 +32,7 @@ KEPT = 10.0  # nats that the evidence may lose with the times of release
 MOST_TURNS = 4  # of learning scatter and noise from the fit, and the fit under them, at most
 LONG_PERIODS, FIRST_PERIODS, GROWING_STEPS = 12.0, 3.0, 20  # of records fitted window by window
 FEW_TRIALS = 8  # trained on, up to which the cost may have more valleys than the prior medians lead to
+OUT_OF_PHASE = 0.2  # rad of mean phase from which effects are fitted window by window too
 FIRST_ERROR = 0.02  # of a channel's reach: noise of the first fit where there are no repeats
 
 
@@ -79,29 +80,34 @@ def _pressed(group: Group, i: int, members: Sequence[int], values: Array) -> int
     return int(np.sum((values - low < near) & off_low) + np.sum((high - values < near) & off_high))
 
 
-def grown(experiment: Experiment, problem: Problem) -> list[Array]:
-    """Starts for long records: fits to their first few periods, carried on over windows twice as long each time.
+def grown(experiment: Experiment, problem: Problem, starts: Sequence[Array] = ()) -> Calibration | None:
+    """The first periods of long records fitted, and the fit carried on over windows twice as long each time.
 
     Over many periods an error of the frequency by one part in as many puts the model out of phase, and the cost has a
-    valley for every cycle; over the first periods it has one. Empty for short records, which need none of it.
+    valley for every cycle; over the first periods it has one. The fit to the longest window that is shorter than the
+    records; None for short records, which need none of it.
+
+    problem : with an effect or without; starts : of the first window, default those of any fit.
     """
     trials = [experiment.trials[i] for i in problem.trials]
     period = 2.0 * math.pi / max(experiment.omegas)
     span = max(float(t.times[-1] - t.times[0]) for t in trials)
     window = FIRST_PERIODS * period
     if span < LONG_PERIODS * period:
-        return []
-    starts: list[Array] = default_starts(problem)
+        return None
+    starts = list(starts) or default_starts(problem)
+    found: Calibration | None = None
     while window < span:
         cut = tuple(t.at(t.times <= t.times[0] + window) for t in experiment.trials)
-        shorter = replace(experiment, trials=cut)
         part = Problem(
-            shorter, nominal=problem.nominal, noise=problem.noise, switches=problem.switches, threads=problem.threads,
-            trials=problem.trials,
+            replace(experiment, trials=cut), problem.effect, nominal=problem.nominal, noise=problem.noise,
+            switches=problem.switches, threads=problem.threads, trials=problem.trials,
         )  # fmt: skip
-        starts = [calibrate(part, starts, most=GROWING_STEPS, finish=False, give_up=300.0).q]
+        eta = None if found is None else carried(found, part)
+        found = calibrate(part, starts, eta=eta, most=GROWING_STEPS, finish=False, give_up=300.0)
+        starts = [found.q]
         window *= 2.0
-    return starts
+    return found
 
 
 def _releases(fit: Calibration) -> Calibration:
@@ -199,11 +205,11 @@ def _begun(problem: Problem) -> tuple[Calibration, bool]:
         trials=_one_of_each(problem),
     )  # fmt: skip
     long = grown(e, few)
-    starts = [*long, *default_starts(few), *([] if long else drawn_starts(few))]
+    starts = [*default_starts(few), *drawn_starts(few)] if long is None else [long.q, *default_starts(few)]
     found = calibrate(few, starts, most=15, finish=False, give_up=300.0)
     start = problem.prior_mean()
     start[[problem.names.index(name) for name in few.names]] = found.q
-    return calibrate(problem, [start], most=15, finish=False), bool(long)
+    return calibrate(problem, [start], most=15, finish=False), long is not None
 
 
 def _log_density(fit: Calibration) -> float:
@@ -234,6 +240,33 @@ def _under(fit: Calibration, noise: Noise, scatter: Scatter | None = None) -> Ca
     return found
 
 
+def broad_noise(experiment: Experiment, trained: Sequence[int]) -> Noise:
+    """Noise for the first fit of records without repeats: a share of what each channel reads.
+
+    The error of the model is not known yet, and may be a thousand times the noise.
+    """
+    noise = rough_noise(experiment, trained)
+    trials = [experiment.trials[i] for i in trained]
+    reach = [max(float(np.nanmax(np.abs(t.y[c]))) for t in trials if c < len(t.y)) for c in range(len(noise.phi))]
+    level = tuple(max(s, FIRST_ERROR * r) for s, r in zip(noise.innovation, reach, strict=True))
+    return replace(noise, innovation=level, sensor=noise.total)
+
+
+def out_of_phase(fit: Calibration) -> bool:
+    """Whether a fit to records without repeats leaves so much that somewhere in them it is out of phase.
+
+    An error of the phase by x leaves x times the reading, and beyond half a period it leads into another valley.
+    """
+    if not fit.problem.noise.sensor:
+        return False
+    trials = fit.problem.experiment.trials
+    return any(
+        float(np.nanmean(r[c] ** 2)) > OUT_OF_PHASE**2 * float(np.nanvar(trials[i].y[c]))
+        for i, r in fit.residuals().items()
+        for c in range(r.shape[0])
+    )
+
+
 def calibrate_nominal(
     experiment: Experiment,
     *,
@@ -243,13 +276,8 @@ def calibrate_nominal(
     report: Callable[[str], None] = lambda _: None,
 ) -> Calibration:
     """The nominal model fitted to the training trials: roughly, then with the nuisances and noise that they show."""
-    first = rough_noise(experiment, experiment.training)
-    if lone(experiment, experiment.training):
-        # The error of the model is not known yet, and may be a thousand times the noise: begin with a broad valley.
-        trials = [experiment.trials[i] for i in experiment.training]
-        reach = [max(float(np.nanmax(np.abs(t.y[c]))) for t in trials if c < len(t.y)) for c in range(len(first.phi))]
-        level = tuple(max(s, FIRST_ERROR * r) for s, r in zip(first.innovation, reach, strict=True))
-        first = replace(first, innovation=level, sensor=first.total)
+    alone = lone(experiment, experiment.training)
+    first = (broad_noise if alone else rough_noise)(experiment, experiment.training)
     problem = Problem(experiment, nominal=nominal, noise=first, threads=threads, switches=switches or Switches())
     fit, long = _begun(problem)
     chosen = switches or Switches(friction=False, scatter=learn_scatter(fit))

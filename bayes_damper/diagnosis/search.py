@@ -23,9 +23,12 @@ from bayes_damper.calibration import (
     Problem,
     calibrate,
     coordinate_of,
+    grown,
     summarise,
 )
 from bayes_damper.calibration.experiment import angles_of
+from bayes_damper.calibration.nominal import broad_noise, out_of_phase
+from bayes_damper.calibration.scatter import carried
 from bayes_damper.campaign.records import DERIVATIVE
 from bayes_damper.effects import REFERENCE, Scales, candidates, scaled
 from bayes_damper.effects.base import Effect, Variant
@@ -305,10 +308,25 @@ def fit_variant(
     fit: Calibration, effect: Effect, variant: Variant, screens: Sequence[Screened], count: int,
     target: float = -math.inf,
 ) -> Candidate:  # fmt: skip
-    """A variant fitted in full from its best `count` screened starts; evidence relative to that of `fit`."""
+    """A variant fitted in full from its best `count` screened starts; evidence relative to that of `fit`.
+
+    Where the nominal model is out of phase, no descent leads from it to the effect's valley: the variant is fitted
+    window by window too.
+    """
     problem = fit.problem.with_effect(variant)
     starts = start_points(variant, screens, count)
     found = calibrate(problem, starts, eta=fit.eta, anneal=False, finish=True, most=MOST_STEPS, target=target)
+    if out_of_phase(fit):
+        e = fit.problem.experiment
+        begun = [
+            np.concatenate([fit.q, [coordinate_of(p.prior, x) for p, x in zip(variant.parameters, s, strict=True)]])
+            for s in variant.starts
+        ]
+        long = grown(e, problem.with_noise(broad_noise(e, fit.problem.trials)), begun)
+        if long is not None:
+            eta = carried(long, problem)
+            other = calibrate(problem, [long.q], eta=eta, anneal=False, finish=True, most=MOST_STEPS, target=target)
+            found = min(found, other, key=lambda f: f.cost)
     return Candidate(effect, variant, tuple(screens), found, found.log_evidence - fit.log_evidence)
 
 

@@ -23,6 +23,7 @@ from bayes_damper.calibration import (
     calibrate_nominal,
     coordinate_of,
 )
+from bayes_damper.calibration.nominal import out_of_phase
 from bayes_damper.commands.diagnose import _estimated, _maps, _shown_record
 from bayes_damper.commands.diagnose import diagnose as diagnose_folder
 from bayes_damper.diagnosis import diagnose, pairs
@@ -749,3 +750,31 @@ def test_a_rig_of_one_body_has_no_place_between_two():
     place = SimpleNamespace(probabilities=dict.fromkeys(SITES, 1.0 / 6.0))
     found = _sites(answers, EFFECTS, place, place, sites_of(alone))
     assert found == pytest.approx({"ground1": 0.175, "bearings": 0.375, "release": 0.175, "sensor": 0.175, "none": 0.1})
+
+
+def test_an_effect_is_fitted_from_the_first_periods_on_where_the_nominal_model_is_out_of_phase(monkeypatch):
+    """A mass that meets stops for eight of twenty periods, integrated by scipy: phase is lost, and with it the way."""
+    t = np.arange(0.0, 9.0, 0.008)
+    omega, stop, stiff = 2.0 * np.pi * 2.2, 0.03, 1500.0
+
+    def moved(_: float, y: np.ndarray) -> list[float]:
+        beyond = np.sign(y[0]) * max(abs(y[0]) - stop, 0.0)
+        return [y[1], -(omega**2) * y[0] - stiff * beyond - 0.3 * y[1]]
+
+    y = solve_ivp(moved, (0.0, 9.0), [0.05, 0.0], t_eval=t, rtol=1e-8, atol=1e-10, max_step=0.01).y[0]
+    y += 4e-5 * np.random.default_rng(107).standard_normal(t.size)
+    trial = TrialRecord("one", "a", False, 1, t, y[None], 0)
+    experiment = Experiment({"J1": (1.0, 0.0)}, ((190.0, 40.0),), (trial,), quantity="displacement", start="free")
+    fit = calibrate_nominal(experiment, nominal="linear")
+    assert out_of_phase(fit)
+    pool = offered(experiment, "linear", {"spring_bottoming": EFFECTS["spring_bottoming"]})
+    effect, variant = next((e, v) for e, v in pool if v.name == "same_stop")
+    screens = screen_variant(Screen(fit), variant)
+    found = fit_variant(fit, effect, variant, screens, 2).fit
+    assert found is not None
+    assert np.std(found.residuals()[0]) < 0.2 * np.std(fit.residuals()[0])
+    assert found.parameters["effect.angle"][0] == pytest.approx(stop, rel=0.15)
+    monkeypatch.setattr("bayes_damper.diagnosis.search.out_of_phase", lambda _: False)
+    astray = fit_variant(fit, effect, variant, screens, 2).fit
+    assert astray is not None
+    assert np.std(astray.residuals()[0]) > 0.8 * np.std(fit.residuals()[0])
