@@ -32,7 +32,9 @@ def outlying(fit: Calibration) -> dict[int, NDArray[np.bool_]]:
     """Readings to leave out: trial -> (channels, n), only trials that have any."""
     residuals = fit.residuals()
     trials = fit.problem.experiment.trials
+    jumps = fit.problem.experiment.quantity == "acceleration" and fit.problem.experiment.start == "rest"
     out = {}
+    begun = {}
     for members in repeats_of(fit):
         if len(members) < 2:
             continue
@@ -48,7 +50,28 @@ def outlying(fit: Calibration) -> dict[int, NDArray[np.bool_]]:
             far[:, :2] = False  # the release itself
             if 0.0 < far.mean() < MOST:
                 out[i] = far
+            if jumps and trials[i].inputs is None:
+                begun[i] = _on_the_jump(trials[i].y, r[k], z[k], others)
+    # A release that takes its time shows so in other trials too.
+    seen = [i for i, mask in begun.items() if mask.any()]
+    if len(seen) <= max(1.0, MOST * len(begun)):
+        out |= {i: begun[i] | out.get(i, False) for i in seen}
     return out
+
+
+def _on_the_jump(y: Array, r: Array, z: Array, others: Array) -> NDArray[np.bool_]:
+    """Where one of the first two accelerations, far off alone, lies between none and that of a rig let go.
+
+    The sensor was read while the rig was being let go: such a reading says how long this release took, and nothing of
+    what the trials share. y, r, z : (channels, n), readings, residuals, these in standard deviations; others : largest
+    of the repeats.
+    """
+    modelled = y[0, :2] - r[0, :2]
+    mask = np.zeros(y.shape, dtype=np.bool_)
+    with np.errstate(invalid="ignore"):
+        part = (y[0, :2] * modelled > 0.0) & (np.abs(y[0, :2]) < np.abs(modelled))
+        mask[0, :2] = (z[0, :2] > FAR) & (others[0, :2] < NEAR) & part
+    return mask
 
 
 def without(experiment: Experiment, far: dict[int, NDArray[np.bool_]]) -> Experiment:

@@ -1,14 +1,15 @@
 """Whole trials under a wrong name: found from the records, told with what they look like, left out; repeats are not."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from small_rig import measured
 
-from bayes_damper.calibration import Experiment
+from bayes_damper.calibration import Experiment, TrialRecord
 from bayes_damper.diagnosis import diagnose
-from bayes_damper.diagnosis.outliers import odd_in_words, odd_trials, without_trials
+from bayes_damper.diagnosis.outliers import odd_in_words, odd_trials, outlying, without_trials
 from bayes_damper.effects import EFFECTS
 
 
@@ -102,3 +103,31 @@ def test_the_diagnosis_leaves_such_records_out_and_finds_no_gap():
     found = diagnose(e, effects=few)
     assert found.verdict == "none"
     assert sum("unlike its repeats" in note for note in found.notes) == 2
+
+
+def let_go_slowly(which: tuple[int, ...]) -> SimpleNamespace:
+    """A fit of two cases of five repeats; in those trials the acceleration is read when half the way is let go."""
+    rng = np.random.default_rng(4)
+    t = np.arange(0.0, 3.0, 0.01)
+    motion = np.stack([-np.cos(6.0 * t), 0.1 * np.sin(6.0 * t)])
+    trials, residuals = [], {}
+    for i in range(10):
+        noise = 0.01 * rng.standard_normal(motion.shape)
+        noise[0, 0] += 0.5 if i in which else 0.0
+        residuals[i] = noise
+        trials.append(TrialRecord(str(i), "I" if i < 5 else "II", True, i, t, motion + noise, 0, 0.03))
+    experiment = Experiment({"J1": (1.0, 0.0)}, ((36.0, 0.0),), tuple(trials), quantity="acceleration")
+    problem = SimpleNamespace(experiment=experiment, trials=tuple(range(10)))
+    return SimpleNamespace(residuals=lambda: residuals, problem=problem)
+
+
+def test_an_acceleration_read_during_one_release_is_left_out_and_a_slow_release_is_not():
+    far = outlying(let_go_slowly((6,)))
+    assert list(far) == [6]
+    assert np.argwhere(far[6]).tolist() == [[0, 0]]
+    assert outlying(let_go_slowly((2, 6))) == {}
+    assert outlying(let_go_slowly(tuple(range(10)))) == {}
+    beyond = let_go_slowly((6,))
+    beyond.problem.experiment.trials[6].y[0, 0] = -1.5  # more than the whole way: nothing of a release
+    beyond.residuals()[6][0, 0] = -0.5
+    assert outlying(beyond) == {}
