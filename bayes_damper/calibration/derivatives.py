@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bayes_damper.calibration.groups import Group
 from bayes_damper.calibration.normal_equations import Block
-from bayes_damper.calibration.own_values import RELEASE, channel_of, of_readings, wave
+from bayes_damper.calibration.own_values import RELEASE, channel_of, of_readings
 from bayes_damper.calibration.unknowns import Coordinate
 from bayes_damper.priors.distributions import Distribution, LogNormal, from_standard
 
@@ -188,16 +188,16 @@ def _of_readings(
 def _own_readings(group: Group, nuisance: int, shown: Array, eta: Array) -> Array:
     """Change of the readings `shown` at eta by a unit of one trial's own gain, offset or drift, of their shape."""
     name = group.nuisances[nuisance][0]
-    channel = channel_of(name)
     out = np.zeros_like(shown)
     if not name.startswith("gain"):
-        out[:, channel] = wave(name, group.times)
+        out[:] = group.shape(name)
         return out
+    channel = channel_of(name)
     out[:, channel] = shown[:, channel]
     for k, (other, mean, sd) in enumerate(group.nuisances):
         x = mean + sd * eta[:, k]
-        if k != nuisance and of_readings(other) and channel_of(other) == channel:
-            out[:, channel] -= np.outer(x, wave(other, group.times))
+        if k != nuisance and of_readings(other) and channel_of(other) in (channel, -1):
+            out[:, channel] -= np.outer(x, group.shape(other)[channel])
         elif k == nuisance:
             scale = 1.0 + x
     out[:, channel] /= scale[:, None]

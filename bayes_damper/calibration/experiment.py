@@ -39,7 +39,8 @@ class TrialRecord:
 
     times (n,) s; y (channels, n), nan where a reading is missing; k1t: index into Experiment.stiffnesses;
     theta0, theta0_sd: nominal release angle (rad) and its standard uncertainty; inputs: what acted on the rig;
-    weight (channels, n): what multiplies the residuals of readings that do not count fully.
+    weight (channels, n): what multiplies the residuals of readings that do not count fully; errors (k, channels, n):
+    what independent standard deviations of the inputs' noise do to the readings (input_noise.py).
     """
 
     label: str
@@ -54,11 +55,13 @@ class TrialRecord:
     inputs: Inputs | None = None
     heldout: bool = False
     weight: Array | None = None
+    errors: Array | None = None
 
     def at(self, which: NDArray[np.bool_] | slice) -> TrialRecord:
         """The trial with these of its readings only; inputs stay as they were measured."""
         weight = None if self.weight is None else self.weight[:, which]
-        return replace(self, times=self.times[which], y=self.y[:, which], weight=weight)
+        errors = None if self.errors is None else self.errors[:, :, which]
+        return replace(self, times=self.times[which], y=self.y[:, which], weight=weight, errors=errors)
 
     @property
     def prescribed(self) -> bool:

@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 
 from bayes_damper.calibration.experiment import Experiment, TrialRecord, release_window, repeats, still_rising
 from bayes_damper.calibration.noise import Noise
-from bayes_damper.calibration.own_values import NO_SCATTER, RELEASE, Scatter, half_periods
+from bayes_damper.calibration.own_values import (
+    INPUT,
+    NO_SCATTER,
+    RELEASE,
+    Scatter,
+    channel_of,
+    half_periods,
+    wave,
+)
 from bayes_damper.calibration.unknowns import NOMINAL, Coordinate, Priors, acting_alone, middle
 from bayes_damper.campaign.records import DERIVATIVE
 from bayes_damper.priors.distributions import Distribution, LogNormal, LogUniform
@@ -44,11 +52,21 @@ class Group:
     nuisances: tuple[tuple[str, Array, Array], ...]  # name, prior mean and sd for each trial
     lower: Array  # (trials, m) bounds of eta
     upper: Array
+    errors: Array | None = None  # (k, channels, n), what unit sizes of the inputs' noise do to the readings
     kept: dict[tuple[str, bool], Array] = field(default_factory=dict, repr=False)  # what is the same for every fit
 
     def weights(self, annealed: bool) -> Array:
         """Weights of the residuals; annealed: samples beside friction reversals count little, for a smoother cost."""
         return self.first_weight if annealed else self.weight
+
+    def shape(self, name: str) -> Array:
+        """What a unit of a nuisance that adds to the readings adds to them, (channels, n)."""
+        if name.startswith(INPUT):
+            assert self.errors is not None
+            return np.asarray(self.errors[int(name.removeprefix(INPUT)) - 1])
+        out = np.zeros(self.y.shape[1:])
+        out[channel_of(name)] = wave(name, self.times)
+        return out
 
     def only(self, at: slice) -> Group:
         """The group of some of its trials."""
@@ -125,8 +143,9 @@ class Grouping:
         weight[missing] = 0.0
         annealed = np.minimum(annealed, weight)
         return Group(
-            first.coupled, tuple(members), first.times, first.inputs, y, weight, annealed, nuisances, lower, upper
-        )
+            first.coupled, tuple(members), first.times, first.inputs, y, weight, annealed, nuisances, lower, upper,
+            first.errors,
+        )  # fmt: skip
 
     def _nuisances(self, trials: list[TrialRecord]) -> tuple[tuple[tuple[str, Array, Array], ...], Array, Array]:
         e = self.experiment
@@ -159,6 +178,7 @@ class Grouping:
                 bounds.append(wide)
             out += self._offsets(trials)
             out += self._scattered(trials, released=False)
+            out += self._of_inputs(trials)
             bounds += [wide] * (len(out) - len(bounds))
             return tuple(out), np.array([b[0] for b in bounds]).T, np.array([b[1] for b in bounds]).T
         mean = np.array([t.theta0 for t in trials])
@@ -196,6 +216,7 @@ class Grouping:
             bounds.append(wide)
         out += self._offsets(trials)
         out += self._scattered(trials, released=not forced)
+        out += self._of_inputs(trials)
         bounds += [wide] * (len(out) - len(bounds))
         for k, (name, _, spread) in enumerate(out):
             if name == RELEASE:  # no longer than 1 / omega of the primary: what falls more slowly is no release
@@ -203,6 +224,12 @@ class Grouping:
         if not out:
             return (), np.zeros((n, 0)), np.zeros((n, 0))
         return tuple(out), np.array([b[0] for b in bounds]).T, np.array([b[1] for b in bounds]).T
+
+    def _of_inputs(self, trials: list[TrialRecord]) -> list[tuple[str, Array, Array]]:
+        """Noise of what was measured as an input, in its own standard deviations."""
+        errors, n = trials[0].errors, len(trials)
+        count = 0 if errors is None else len(errors)
+        return [(f"{INPUT}{k}", np.zeros(n), np.ones(n)) for k in range(1, count + 1)]
 
     def _offsets(self, trials: list[TrialRecord]) -> list[tuple[str, Array, Array]]:
         """Reading of each channel at rest, unknown for each trial; its prior is a share of the channel's reach.

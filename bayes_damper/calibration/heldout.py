@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bayes_damper.calibration.derivatives import LEAST_STEP, RELEASE_STEP, Indices
 from bayes_damper.calibration.groups import Group
 from bayes_damper.calibration.least_squares import Calibration
-from bayes_damper.calibration.own_values import RELEASE, channel_of, middle_of, of_readings, wave
+from bayes_damper.calibration.own_values import RELEASE, middle_of, of_readings
 
 Array = NDArray[np.float64]
 ROUNDS, NEAR = 12, 1.5  # rounds from every start, in steps of at most so many sizes of a nuisance
@@ -104,9 +104,7 @@ def _descend(
             if number not in renewed and (name.startswith("ln_") or of_readings(name)):
                 continue  # nearly linear
             if of_readings(name) and not name.startswith("gain"):
-                column = np.zeros_like(group.y)
-                column[:, channel_of(name)] = wave(name, group.times)
-                column *= group.nuisances[i][2][:, None, None]
+                column = group.nuisances[i][2][:, None, None] * group.shape(name)
                 T[:, i] = problem.whitened(column, group.weight)[which]
                 continue
             step = np.full(rows, 2e-3) if name != "delay" else 1e-6 / group.nuisances[i][2][which]

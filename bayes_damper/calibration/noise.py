@@ -92,11 +92,15 @@ def rough_noise(experiment: Experiment, trials: Sequence[int]) -> Noise:
     return Noise(tuple(sds), (0.0,) * channels, (0.0,) * channels)
 
 
-def fast_level(series: Sequence[Array]) -> float:
-    """Standard deviation of the white noise in series, from their fourth differences; 0 where there is too little."""
-    fast = [np.diff(x, n=4)[4:] for x in series if x.size > 12]
+def fast_level(series: Sequence[Array], order: int = 4) -> float:
+    """Standard deviation of the white noise in series, from differences of an order; 0 where there is too little.
+
+    The higher the order, the faster may be what is no noise, and the more readings does one event spoil.
+    """
+    fast = [np.diff(x, n=order)[4:] for x in series if x.size > order + 8]
     kept = np.concatenate([f[np.isfinite(f)] for f in fast]) if fast else np.zeros(0)
-    return 1.4826 * float(np.median(np.abs(kept))) / math.sqrt(70.0) if kept.size else 0.0
+    gain = math.sqrt(math.comb(2 * order, order))  # on white noise
+    return 1.4826 * float(np.median(np.abs(kept))) / gain if kept.size else 0.0
 
 
 def rounding(experiment: Experiment, channel: int) -> float:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from bayes_damper.calibration.experiment import Experiment, lone, repeats
 from bayes_damper.calibration.groups import Group, Switches
+from bayes_damper.calibration.input_noise import FELT, felt, with_input_noise
 from bayes_damper.calibration.least_squares import Calibration, calibrate, default_starts, drawn_starts
 from bayes_damper.calibration.noise import Noise, rough_noise
 from bayes_damper.calibration.noise_level import learn_noise
@@ -33,6 +34,7 @@ MOST_TURNS = 4  # of learning scatter and noise from the fit, and the fit under 
 LONG_PERIODS, FIRST_PERIODS, GROWING_STEPS = 12.0, 3.0, 20  # of records fitted window by window
 FEW_TRIALS = 8  # trained on, up to which the cost may have more valleys than the prior medians lead to
 OUT_OF_PHASE = 0.2  # rad of mean phase from which effects are fitted window by window too
+TURNS = 2  # of learning the noise where that of the inputs is followed
 FIRST_ERROR = 0.02  # of a channel's reach: noise of the first fit where there are no repeats
 
 
@@ -275,7 +277,35 @@ def calibrate_nominal(
     switches: Switches | None = None,
     report: Callable[[str], None] = lambda _: None,
 ) -> Calibration:
-    """The nominal model fitted to the training trials: roughly, then with the nuisances and noise that they show."""
+    """The nominal model fitted to the training trials: roughly, then with the nuisances and noise that they show.
+
+    The experiment of the fit knows what noise of the measured inputs does to the readings, where that shows.
+    """
+    exact = _with_exact_inputs(experiment, nominal, threads, switches, report)
+    noisy = with_input_noise(exact)
+    if noisy is None:
+        return exact
+    floor, white = exact.problem.noise.floor, (0.0,) * len(exact.problem.noise.floor)
+    noise = Noise(floor, white, white, sensor=floor)
+    problem = Problem(noisy, nominal=nominal, noise=noise, switches=exact.problem.switches, threads=threads)
+    fit = calibrate(problem, [exact.q], eta=carried(exact, problem), anneal=False)
+    if felt(fit) < FELT:
+        return exact
+    for _ in range(TURNS):
+        fit = calibrate(fit.problem.with_noise(learn_noise(fit)), [fit.q], eta=fit.eta, anneal=False)
+    left = ", ".join(f"{s:.3g}" for s in fit.problem.noise.total)
+    report(f"noise of the measured inputs is followed; sd of what is left, correlation counted, by channel: {left}")
+    return fit
+
+
+def _with_exact_inputs(
+    experiment: Experiment,
+    nominal: Literal["nonlinear", "linear"],
+    threads: int,
+    switches: Switches | None,
+    report: Callable[[str], None],
+) -> Calibration:
+    """The nominal model fitted with inputs as they were recorded."""
     alone = lone(experiment, experiment.training)
     first = (broad_noise if alone else rough_noise)(experiment, experiment.training)
     problem = Problem(experiment, nominal=nominal, noise=first, threads=threads, switches=switches or Switches())

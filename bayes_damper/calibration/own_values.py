@@ -13,6 +13,7 @@ RELEASE = "release_time"
 RELATIVE = ("k1t", "k2t", "c1t", "c3t", "c2t", "mu", "drag")
 COUPLED_ONLY = ("k2t", "c2t", "c3t", "mu")
 READINGS = ("gain", "offset", "drift")  # of each channel
+INPUT = "input"  # with a number: noise of a measured input, by what it does to all channels
 DRIFT_WAVES = 3  # half periods of the fastest cosine that a drift may have over a record
 BASELINE_WAVES = 12  # the same of a baseline that single records show
 
@@ -77,12 +78,12 @@ def middle_of(name: str) -> float:
 
 def of_readings(name: str) -> bool:
     """Whether a nuisance acts on the readings, not on the motion."""
-    return name.startswith(READINGS)
+    return name.startswith((*READINGS, INPUT))
 
 
 def channel_of(name: str) -> int:
-    """Channel, from 0, of a nuisance of the readings."""
-    return int(name.partition("_")[0][-1]) - 1
+    """Channel, from 0, of a nuisance of the readings; -1 for noise of an input, which shows in all."""
+    return -1 if name.startswith(INPUT) else int(name.partition("_")[0][-1]) - 1
 
 
 def half_periods(name: str) -> int:

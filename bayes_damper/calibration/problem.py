@@ -18,7 +18,7 @@ from bayes_damper.calibration.experiment import (
 from bayes_damper.calibration.groups import Group, Grouping, Switches
 from bayes_damper.calibration.noise import Noise, rough_noise
 from bayes_damper.calibration.normal_equations import Block, Linear, Remade
-from bayes_damper.calibration.own_values import RELEASE, channel_of, middle_of, of_readings, wave
+from bayes_damper.calibration.own_values import RELEASE, channel_of, middle_of, of_readings
 from bayes_damper.calibration.unknowns import NOMINAL, Coordinate, acting_alone, coordinates_of, middle
 from bayes_damper.effects.base import Variant
 from bayes_damper.priors.distributions import (
@@ -207,7 +207,7 @@ class Problem:
         for channel in range(y.shape[1]):
             waves, sizes = [], []
             for i, (name, mean, sd) in enumerate(group.nuisances):
-                if of_readings(name) and channel_of(name) == channel:
+                if of_readings(name) and channel_of(name) in (channel, -1):
                     x = mean[which] + sd[which] * eta[:, i]
                     if name.startswith("gain"):
                         y[:, channel] *= 1.0 + x[:, None]
@@ -215,9 +215,9 @@ class Problem:
                         waves.append(name)
                         sizes.append(x)
             if waves:
-                key = ("waves " + " ".join(waves), False)
+                key = (f"waves of {channel}: " + " ".join(waves), False)
                 if key not in group.kept:
-                    group.kept[key] = np.stack([wave(name, group.times) for name in waves])
+                    group.kept[key] = np.stack([group.shape(name)[channel] for name in waves])
                 y[:, channel] += np.stack(sizes, axis=1) @ group.kept[key]
         return y
 

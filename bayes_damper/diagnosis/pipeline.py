@@ -293,6 +293,7 @@ def diagnose(
         notes += outlying_in_words(experiment, far)
         experiment = without(experiment, far)
         fit = calibrate_nominal(experiment, nominal=nominal, report=report)
+    experiment = fit.problem.experiment
     pool = offered(experiment, nominal, effects)
     found = search(fit, [*pool, *_drifts(experiment)], workers=workers, report=report)
     fit, found = _reseeded(fit, found)

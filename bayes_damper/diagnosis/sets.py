@@ -62,7 +62,8 @@ AT_ONCE = 50_000  # readings of the trials whose responses to every formula are 
 SWITCHED_ON = 0.05  # of the residuals' sum of squares: the change of the records at which a response is taken
 FITTED = 3  # sets fitted in each round
 ROUNDS = 3
-RELEARNT = 2
+RELEARNT, LONGEST = 2, 5  # times that the noise is learnt from what a set leaves; the latter while it still changes
+SETTLED = 0.03  # relative change of the noise that does not count
 STARTS = (1.0, 0.6, 0.3)  # shares of the screening's amplitudes from which a set is fitted
 LEAST_DROPPED = 2  # effects of a set from which each is left out once
 LEAST = 0.05  # of a parameter's value, to which it gives way at most at a start
@@ -567,9 +568,13 @@ def _of_pair(pair: Pair) -> tuple[tuple[Member, ...], Calibration]:
 
 
 def _sharper(fit: Calibration) -> Calibration:
-    """The fit under the noise that it leaves itself, learnt twice: a better fit leaves less, which sharpens it."""
-    for _ in range(RELEARNT):
+    """The fit under the noise that it leaves itself: a better fit leaves less, which sharpens it."""
+    for number in range(LONGEST):
         noise = learn_noise(fit)
+        known = fit.problem.noise.innovation
+        same = all(abs(new / old - 1.0) < SETTLED for new, old in zip(noise.innovation, known, strict=True))
+        if number >= RELEARNT and same:
+            break
         if not noise.sensor:  # it leaves noise alone, and is still weighed beside sets that leave more
             none = (0.0,) * len(noise.total)
             noise = Noise(noise.total, none, none, sensor=noise.total)

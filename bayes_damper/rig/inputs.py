@@ -19,9 +19,10 @@ which is what the primary's channel reads then; the secondary moves as its own e
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,7 +41,7 @@ class Inputs:
     frame of the ground. held : whether inputs keep their value until the next sample; else they are linear between.
     motion : (3, m) angle, speed and acceleration of a primary whose motion is prescribed, else None; unit : of its
     reaction, N m (N): a simulation gives reaction / unit. pivot : (m,) m/s^2, sideways acceleration of the pivot of a
-    pendulum, or None.
+    pendulum, or None. given : the arguments of `measured` that they were made from.
     """
 
     times: Array
@@ -52,6 +53,7 @@ class Inputs:
     motion: Array | None = None
     unit: float = 1.0
     pivot: Array | None = None
+    given: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
     @classmethod
     def measured(
@@ -84,27 +86,41 @@ class Inputs:
         """
         t = np.ascontiguousarray(times, float)
         nothing = np.zeros(t.size)
-        given = {"torque1": torque1, "torque2": torque2, "ground": ground, "motion": motion, "pivot": pivot}
-        rows = {name: nothing if x is None else np.ascontiguousarray(x, float) for name, x in given.items()}
+        columns = {"torque1": torque1, "torque2": torque2, "ground": ground, "motion": motion, "pivot": pivot}
+        rows = {name: nothing if x is None else np.ascontiguousarray(x, float) for name, x in columns.items()}
+        given: dict[str, Any] = {name: rows[name] for name, x in columns.items() if x is not None} | {
+            "ground_quantity": ground_quantity, "quantity": quantity, "frame": frame, "held": held,
+            "motion_quantity": motion_quantity,
+        }  # fmt: skip
         for name, row in rows.items():
             if row.shape != t.shape:
                 raise ValueError(f"{name} has {row.size} samples, times has {t.size}; give one value per sample")
         if pivot is not None:
             if motion is not None or ground is not None:
                 raise ValueError("a pivot that is moved sideways is the only motion that acts; keep one of them")
-            return cls(t, rows["torque1"], rows["torque2"], nothing, nothing, held, pivot=rows["pivot"])
+            return cls(t, rows["torque1"], rows["torque2"], nothing, nothing, held, pivot=rows["pivot"], given=given)
         if motion is not None:
             if torque1 is not None or ground is not None:
                 raise ValueError(
                     "a prescribed motion leaves no room for a torque on the primary or a moving ground; keep one"
                 )
             moved = _motion(t, rows["motion"], motion_quantity, held, "the primary")
-            return cls(t, nothing, rows["torque2"], nothing, nothing, held, np.stack(list(moved.values())))
+            stacked = np.stack(list(moved.values()))
+            return cls(t, nothing, rows["torque2"], nothing, nothing, held, stacked, given=given)
         if ground is None:
-            return cls(t, rows["torque1"], rows["torque2"], nothing, nothing, held)
+            return cls(t, rows["torque1"], rows["torque2"], nothing, nothing, held, given=given)
         moved = _motion(t, rows["ground"], ground_quantity, held, "the ground")
         shown = moved[quantity] if frame == "absolute" else nothing
-        return cls(t, rows["torque1"], rows["torque2"], moved["acceleration"], shown, held)
+        return cls(t, rows["torque1"], rows["torque2"], moved["acceleration"], shown, held, given=given)
+
+    @property
+    def columns(self) -> dict[str, Array]:
+        """What was measured of torques, ground and pivot, by the name of its argument; not a prescribed motion."""
+        return {name: self.given[name] for name in ("torque1", "torque2", "ground", "pivot") if name in self.given}
+
+    def shifted(self, name: str, by: Array) -> Inputs:
+        """The inputs with `by` (m,) added to one of the measured columns."""
+        return replace(Inputs.measured(self.times, **{**self.given, name: self.given[name] + by}), unit=self.unit)
 
     @cached_property
     def active(self) -> bool:
