@@ -128,21 +128,45 @@ def budget_sentence(budget: Mapping[str, Any] | None) -> str:
         return ""
     unexplained = budget["unexplained"]["share"].get("median")
     named = [f"{e.get('title') or e['name'].replace('_', ' ')} (p {_probable(e['present'])})" for e in parts]
-    named[0] = named[0][0].upper() + named[0][1:]
     if unexplained is None:
+        named[0] = named[0][0].upper() + named[0][1:]
         verb = "is" if len(named) == 1 else "are"
         return f"{' and '.join(named)} {verb} present; the gap on held-out trials is too faint to give shares of it."
-    shares = [round(100.0 * e["share"]["median"]) for e in parts]
-    first = f"{named[0]} closes {shares[0]} % of the gap"
-    more = [f"{name} {share} %" for name, share in zip(named[1:], shares[1:], strict=True)]
-    left = 100 - sum(shares)
+    shares = [e["share"]["median"] for e in parts]
+    closing = [(name, f"{share_of_gap(x)} %") for name, x in zip(named, shares, strict=True) if round(100.0 * x) > 0]
+    harmful = [(name, "nothing") for name, x in zip(named, shares, strict=True) if round(100.0 * x) <= 0]
+    # No share of a gap is below none of it, or above all.
+    left = round(100.0 * min(unexplained, 1.0)) if harmful else 100 - sum(round(100.0 * x) for x in shares)
     sites = budget["unexplained"].get("sites") or {}
     where = ""
     if left > 0 and sites:
         place = max(sites, key=lambda site: sites[site])
         where = f", most likely at {_AT.get(place, place)}"
     rest = f"{left} % stays unexplained{where}" if left > 0 else "nothing stays unexplained"
-    return f"{', '.join([first, *more])}; {rest}."
+    (name, share), *others = closing + harmful
+    name = name[0].upper() + name[1:]
+    return f"{', '.join([f'{name} closes {share} of the gap', *map(' '.join, others)])}; {rest}."
+
+
+def failed_sentence(budget: Mapping[str, Any] | None) -> str:
+    """Effects that were fitted and fail on held-out trials, in a sentence; "" where there are none.
+
+    budget : as in diagnosis.json.
+    """
+    said = []
+    for e in (budget or {}).get("absent") or ():
+        name, share = e["name"].replace("_", " "), e["share"].get("median")
+        if share is not None and share <= -1.0:
+            name += f", with which they are missed by {math.sqrt(1.0 - share):.2g} times as much"
+        said.append(name)
+    if not said:
+        return ""
+    return f"Fitted, but closing nothing of the gap on held-out trials, and so no answer: {'; '.join(said)}."
+
+
+def share_of_gap(share: float) -> str:
+    """A share of the gap in whole per cent, never -0; what leaves more than twice the gap closes "below -100"."""
+    return "below -100" if share < -1.0 else "above 200" if share > 2.0 else f"{round(100.0 * share)}"
 
 
 def law_sentence(law: Mapping[str, Any] | None) -> str:

@@ -6,7 +6,15 @@ from pathlib import Path
 import pytest
 
 from bayes_damper.commands.diagnose import Diagnosed, next_steps
-from bayes_damper.text import budget_sentence, counted, gap_beside_verdict, gathered, p_value
+from bayes_damper.text import (
+    budget_sentence,
+    counted,
+    failed_sentence,
+    gap_beside_verdict,
+    gathered,
+    p_value,
+    share_of_gap,
+)
 
 
 @pytest.mark.parametrize(
@@ -135,6 +143,24 @@ def test_the_gap_by_effects_is_one_sentence():
     assert whole == "Stick slip (p >0.99) closes 100 % of the gap; nothing stays unexplained."
     assert "too faint to give shares" in budget_sentence(divided({"stick_slip": None}, None))
     assert budget_sentence(divided({"stick_slip": 0.9}, 0.1, 0.4)) == budget_sentence(None) == ""
+
+
+def test_no_share_of_a_gap_is_below_none_or_above_all_of_it():
+    """An effect with which held-out trials are missed 326 times as far was said to close -10605972 % of the gap."""
+    worse = divided({"spring_bottoming": -106059.72}, 106060.72, 0.78)
+    assert budget_sentence(worse) == (
+        "Spring bottoming (p 0.78) closes nothing of the gap; 100 % stays unexplained, most likely at the bearings."
+    )
+    both = budget_sentence(divided({"spring_cubic": -0.3, "bearing_drag": 0.9}, 0.4))
+    assert both.startswith("Bearing drag (p 0.96) closes 90 % of the gap, spring cubic (p 0.96) nothing; 40 % stays")
+    absent = {"absent": [*worse["effects"], {"name": "stick_slip", "present": 0.1, "share": {"median": -0.02}}]}
+    assert failed_sentence(absent) == (
+        "Fitted, but closing nothing of the gap on held-out trials, and so no answer: spring bottoming, with which "
+        "they are missed by 3.3e+02 times as much; stick slip."
+    )
+    assert failed_sentence(None) == failed_sentence({"absent": []}) == ""
+    shown = [share_of_gap(x) for x in (-106059.72, -0.4, -0.001, 0.714, 106060.72)]
+    assert shown == ["below -100", "-40", "0", "71", "above 200"]
 
 
 OLD_WORDS = ("told", "tells", "telling", "oddities")

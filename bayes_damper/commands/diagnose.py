@@ -40,6 +40,7 @@ from bayes_damper.runs.parallel_map import forked_map
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.text import (
     budget_sentence,
+    failed_sentence,
     gap_beside_verdict,
     gathered,
     held_out_of,
@@ -347,9 +348,10 @@ def _words(result: Mapping[str, Any]) -> list[str]:
         ]
     divided = said(budget_sentence(result.get("budget"))) if verdict != "none" else ""
     lines = [divided, *lines] if divided else lines
+    failed = said(failed_sentence(result.get("budget")))
     learnt = said(law_sentence(result.get("law")))
     named = said(named_sentence(result.get("law")))
-    lines += [line for line in (learnt, named) if line]
+    lines += [line for line in (failed, learnt, named) if line]
     lines.append(_gap_words(gap, str(result.get("reading_unit") or "")))
     beside = gap_beside_verdict(verdict, share, gap)
     lines += [beside] if beside else []

@@ -9,9 +9,11 @@ hide each other. What is left does not speak against what is found; it stands be
 Held-out trials have chosen no set, so they judge it. With s the share that an effect closes there, e its standard
 error and S what it would be without noise: an effect that acts has S anywhere between 0 and 1; one that only stands for
 something else, be it another effect, a cause outside the library or what does not repeat, has as often nothing to do
-with other trials, S = 0, as it does good or harm there, -1 to 1. Bayes' rule on the two takes an effect away that
-closes nothing on data that did not choose it. It makes none more probable: an impostor closes a gap as well. What loses
-more than half of its probability leaves the set, one effect after the other; shares are those of what remains.
+with other trials, S = 0, as it does good or harm there, -1 to 1. What makes the gap more than twice as large does all
+the harm there is, in each draw of the blocks too: the error of such a share grows with it, and would hide that. Bayes'
+rule on the two takes an effect away that closes nothing on data that did not choose it. It makes none more probable: an
+impostor closes a gap as well. What loses more than half of its probability leaves, one effect after the other, and with
+it every set that holds it: the best of the others is judged next. Shares are those of what remains.
 """
 
 from __future__ import annotations
@@ -42,6 +44,7 @@ from bayes_damper.diagnosis.verdict import FLOOR, PRIOR_NONE, RULE, Answers, Lef
 Array = NDArray[np.float64]
 
 SUBSET_STEPS = 12  # of the fits of smaller sets, which begin where the best set's lies
+MOST_HARM = 1.0  # as a share of the gap
 BORNE_OUT = 0.5  # of its probability that an effect must keep on held-out trials to be in the budget
 
 
@@ -122,18 +125,21 @@ def budget_of(
     offered : effects that the rig can have; outside : probability that a cause outside the library does what a set
     explains, for the sets that are likely.
     """
-    weights = probabilities(sets, offered)
-    top = max(weights, key=lambda names: weights[names])
-    top = frozenset() if "unknown" in top else top  # a drift of the nominal laws has no name
-    best = next(s for s in sets if s.names == top)
     absent: list[Part] = []
+    left = list(sets)
     while True:
+        weights = probabilities(left, offered)
+        top = max(weights, key=lambda names: weights[names])
+        top = frozenset() if "unknown" in top else top  # a drift of the nominal laws has no name
+        best = next(s for s in left if s.names == top)
         parts, unexplained, leading = _parts(nominal, best, sets, weights, outside, rng)
         least = min(parts, key=lambda part: part.kept, default=None)
         if least is None or least.kept >= BORNE_OUT:
             return Budget(best, parts, unexplained, {}, leading, tuple(absent))
         absent.append(least)
-        best = _smaller(nominal, best, sets, best.names - {least.name})
+        smaller = _smaller(nominal, best, sets, best.names - {least.name})
+        left = [s for s in left if least.name not in s.names]
+        left += [] if any(s is smaller for s in left) else [smaller]
 
 
 def _parts(
@@ -162,12 +168,12 @@ def _parts(
 def borne_out(share: float, error: float, acts: float) -> float:
     """Probability that an effect acts, after its share of the gap on held-out trials is known with standard error.
 
-    acts : the probability before.
+    error : of the share with draws no less than -MOST_HARM; acts : the probability before.
     """
-    share, error = max(-1.0, min(share, 1.0)), max(error, 1e-9)
+    share, error = max(-MOST_HARM, min(share, 1.0)), max(error, 1e-9)
     above = ndtr((1.0 - share) / error)
     inside = acts * (above - ndtr(-share / error))
-    harm = 0.5 * (above - ndtr((-1.0 - share) / error))
+    harm = 0.5 * (above - ndtr((-MOST_HARM - share) / error))
     nothing = math.exp(-0.5 * min((share / error) ** 2, 1400.0)) / (error * math.sqrt(2.0 * math.pi))
     other = (1.0 - acts) * 0.5 * (harm + nothing)
     return min(acts, float(inside / (inside + other))) if inside > 0.0 else 0.0
@@ -218,7 +224,7 @@ def _divided(
                 value += weight * float(left[a] - left[b])
                 drawn = drawn + weight * (draws[:, a] - draws[:, b])
         out[name], columns[name] = Closed(value, shortest_interval(np.sort(drawn)), found.method), drawn
-    errors = {name: float(np.std(drawn)) for name, drawn in columns.items()}
+    errors = {name: float(np.std(np.maximum(drawn, -MOST_HARM))) for name, drawn in columns.items()}
     last = place[frozenset(names)]
     columns["unknown"] = draws[:, last]
     unexplained = Closed(float(left[last]), shortest_interval(np.sort(draws[:, last])), found.method)

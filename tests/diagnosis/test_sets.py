@@ -224,6 +224,37 @@ def test_held_out_trials_take_away_what_closes_nothing_there_and_add_nothing():
     assert borne_out(-9.0, 0.01, 0.96) < 1e-6
 
 
+def test_an_effect_that_makes_the_gap_much_larger_is_not_kept_for_the_size_of_its_error():
+    """Residuals 300 times as large: the share is -1e5 with an error as large, and it closes nothing."""
+    rng = np.random.default_rng(4)
+    values = np.array([rng.uniform(0.5, 1.5, 6), 1e5 * rng.lognormal(0.0, 1.5, 6)])
+    picked = rng.multinomial(6, np.full(6, 1 / 6), 2000)
+    found = Products(values, picked @ values.T, "neighbours")
+    shares, errors, *_ = _divided(["a"], {frozenset(): 0, frozenset("a"): 1}, *found.shares(), found)
+    assert shares["a"].median < -1e4
+    assert np.std(found.shares()[1][:, 1]) > 1e4
+    assert borne_out(shares["a"].median, errors["a"], 0.99) < 1e-6
+
+
+def test_the_next_best_set_is_judged_where_one_fails(monkeypatch):
+    """Not a smaller one alone: another set may explain the same, or fail as well."""
+    told = {"a": (-1.0, 0.01), "b": (0.9, 0.02), "c": (-0.5, 0.01)}
+
+    def shares(nominal, best, sets, heldout, rng):
+        of = {n: Closed(told[n][0], (0.0, 1.0), "repeats") for n in best.names}
+        return of, {n: told[n][1] for n in best.names}, Closed(0.2, (0.1, 0.3), "repeats"), {}
+
+    monkeypatch.setattr("bayes_damper.diagnosis.budget._shares", shares)
+    monkeypatch.setattr("bayes_damper.diagnosis.budget._coordinates", lambda best, effect: {})
+    nominal = SimpleNamespace(problem=SimpleNamespace(experiment=SimpleNamespace(heldout=(1,))))
+    known = {(): -60.0, ("a",): 0.0, ("c",): -5.0, ("b",): -20.0, ("a", "b"): -4.0}
+    sets = weighed([stub(names, plain, 0.0) for names, plain in known.items()])
+    budget = budget_of(nominal, sets, 20, dict.fromkeys((s.names for s in sets), 0.02))
+    assert [part.name for part in budget.absent] == ["a", "c"]
+    assert [part.name for part in budget.parts] == ["b"]
+    assert budget.best.names == {"b"}
+
+
 def test_an_effect_that_closes_nothing_on_held_out_trials_leaves_the_budget(monkeypatch):
     told = {"a": (0.8, 0.02), "b": (-0.1, 0.03)}
 

@@ -21,6 +21,7 @@ from bayes_damper.text import (
     COORDINATES,
     NOTHING,
     budget_sentence,
+    failed_sentence,
     gap_beside_verdict,
     gathered,
     held_out_of,
@@ -32,6 +33,7 @@ from bayes_damper.text import (
     p_value,
     percent,
     plus_minus,
+    share_of_gap,
 )
 
 Said = Callable[[str], str]
@@ -72,7 +74,11 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
             f"One effect does not close the gap; {listed([words(e) for e in pair['effects']])} together do "
             f"({percent(pair['probability'])})."
         )
-    sentences += [said(law_sentence(data.get("law"))), said(named_sentence(data.get("law")))]
+    sentences += [
+        said(failed_sentence(budget)),
+        said(law_sentence(data.get("law"))),
+        said(named_sentence(data.get("law"))),
+    ]
     beside = gap_beside_verdict(verdict, share or 0.0, gap)
     sentences += [beside] if beside and verdict == "none" else [_gap_sentence(gap), beside]
     credible = [words(n) for n in data.get("credible_set", [])]
@@ -243,8 +249,8 @@ def _closed_sentence(gap: Mapping[str, Any], who: str) -> str:
 
 
 def _whole(share: float) -> str:
-    """A share in whole per cent; never -0."""
-    return f"{round(100.0 * share)}"
+    """A share of the gap in whole per cent."""
+    return share_of_gap(share)
 
 
 def _experiment_sentence(e: Mapping[str, Any]) -> str:
@@ -575,8 +581,6 @@ def _budget_tables(budget: Mapping[str, Any]) -> list[Table]:
     rows.append(Row(("unexplained", where, NOTHING, share(left["share"]), NOTHING)))
     how = str(budget["method"])
     note = f"{how[0].upper()}{how[1:]}. Present: over all sets of effects that were fitted. Shares with 90 % intervals."
-    if absent := [f"{words(str(e['name']))} ({share(e['share'])})" for e in budget.get("absent") or ()]:
-        note += f" Fitted beside these, but closing nothing of the gap on held-out trials: {listed(absent)}."
     columns = ("effect", "site", "present", "share of the gap", "parameters")
     return [Table("The gap as a budget", columns, tuple(rows), note)]
 
