@@ -5,7 +5,9 @@ product of two residuals whose noises are independent holds the gap alone: where
 e' is the noise, the mean of (g + e)(g + e') is g^2, whatever the noise. So each held-out residual is multiplied with
 
 - the mean residual of the trials that repeat it (those that were fitted, or else the other held-out ones);
-- without repeats its own neighbour in time, where the sensors' noise is white and the gap is slow.
+- without repeats its own neighbour in time, where the sensors' noise is white and the gap is slow. What follows the
+  noise of a measured input takes slow noise of the sensors with it, so that neighbours of pure noise have products
+  below 0: those are expected, and added (`_taken_up`).
 
 With X the sum of such products over the noise's variance, before (0) and after (1), the share closed is 1 - X1 / X0.
 Every reading counts with its weight in the fit, those at the release and at reversals too. The interval comes from
@@ -24,7 +26,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.calibration import Calibration, predict
+from bayes_damper.calibration import Calibration, Group, predict
+from bayes_damper.calibration.own_values import INPUT
 from bayes_damper.diagnosis.remainder import own_frequency
 
 Array = NDArray[np.float64]
@@ -116,12 +119,14 @@ def products(
     rng = np.random.default_rng(0) if rng is None else rng
     problem = fit.problem
     trials = problem.experiment.trials
-    weights = {i: g.weight[k] for g in problem.grouped(tuple(heldout)) for k, i in enumerate(g.trials)}
+    groups = problem.grouped(tuple(heldout))
+    weights = {i: g.weight[k] for g in groups for k, i in enumerate(g.trials)}
     fitted_by_all = [j for j in problem.trials if all(j in fitted for fitted, _ in residuals)]
     partners = {i: _repeats_of(i, fitted_by_all, trials, problem) for i in heldout}
     spare = {i: _repeats_of(i, heldout, trials, problem) for i in heldout}
     repeated = all(partners[i] or spare[i] for i in heldout)
     sds = np.array(problem.noise.floor)
+    taken_up = {} if repeated else {i: _taken_up(g, k, sds) for g in groups for k, i in enumerate(g.trials)}
     period = 1.0 / own_frequency(problem.experiment)
     columns: list[list[float]] = []
     for i in heldout:
@@ -137,12 +142,27 @@ def products(
                 both = r * np.mean(others, axis=0) * weights[i] / sds[: r.shape[0], None]
             else:
                 both = np.zeros_like(r)
-                both[:, :-1] = r[:, :-1] * r[:, 1:]
+                both[:, :-1] = r[:, :-1] * r[:, 1:] + taken_up[i]
             rows.append(np.bincount(block, np.nan_to_num(both).sum(axis=0), count))
         columns += np.array(rows).T.tolist()
     values = np.array(columns).T
     picked = rng.multinomial(values.shape[1], np.full(values.shape[1], 1.0 / values.shape[1]), DRAWS)
     return Products(values, picked @ values.T, "repeats" if repeated else "neighbours")
+
+
+def _taken_up(group: Group, k: int, sds: Array) -> Array:
+    """What products of a trial's neighbouring residuals lack by what follows its inputs' noise, (channels, n - 1).
+
+    Of residuals with covariance 1 + U U', U U' that of the inputs' noise, the part that is not followed has the
+    covariance (1 + U U')^-1 = 1 - U (1 + U'U)^-1 U'.
+    """
+    names = [name for name, _, _ in group.nuisances if name.startswith(INPUT)]
+    if not names:
+        return np.zeros((group.y.shape[1], group.times.size - 1))
+    U = np.stack([group.shape(name) for name in names]) * group.weight[k] / sds[: group.y.shape[1], None]
+    flat = U.reshape(len(names), -1)
+    followed = np.tensordot(np.linalg.inv(np.eye(len(names)) + flat @ flat.T), U, 1)
+    return np.asarray(np.sum(U[:, :, :-1] * followed[:, :, 1:], axis=0))
 
 
 def _repeats_of(i: int, among: Sequence[int], trials: Sequence[Any], problem: Any) -> list[int]:

@@ -10,7 +10,7 @@ from small_rig import measured, variant
 from bayes_damper.calibration import Problem, calibrate_nominal, predict
 from bayes_damper.calibration.scatter import TYPICAL
 from bayes_damper.diagnosis.search import Screen, fit_variant, screen_variant
-from bayes_damper.diagnosis.shares import products, products_of, shortest_interval
+from bayes_damper.diagnosis.shares import _taken_up, products, products_of, shortest_interval
 from bayes_damper.effects import EFFECTS
 
 
@@ -107,3 +107,26 @@ def test_what_a_wrong_effect_closes_of_a_faint_gap_is_what_it_closes():
 def test_shortest_interval_of_a_skewed_sample():
     draws = np.sort(np.concatenate([np.linspace(0.0, 1.0, 91), np.full(9, 50.0)]))
     assert shortest_interval(draws) == pytest.approx((0.0, 0.989), abs=0.02)
+
+
+def test_what_follows_noise_of_an_input_lacks_no_product_of_neighbours():
+    """Draws of noise with the likeliest input error taken out: products below 0 on average, and as much as is added."""
+    rng = np.random.default_rng(3)
+    n, sd = 300, 0.02
+    t = np.arange(n) * 0.02
+    shapes = np.array(
+        [a * np.array([np.cos(w * t), 0.5 * np.sin(w * t)]) for a, w in ((0.004, 5.0), (0.02, 5.3), (0.002, 9.0))]
+    )
+    group = SimpleNamespace(
+        nuisances=[("offset1", 0, 0), *((f"input{k}", 0, 0) for k in (1, 2, 3))], times=t, y=np.zeros((1, 2, n)),
+        weight=rng.uniform(0.5, 1.0, (1, 2, n)), shape=lambda name: shapes[int(name[-1]) - 1],
+    )  # fmt: skip
+    added = _taken_up(group, 0, np.array([sd, 2.0 * sd]))
+    U = (shapes * group.weight[0] / np.array([[sd], [2.0 * sd]])).reshape(3, -1).T
+    drawn = rng.standard_normal((6_000, 2 * n)) + rng.standard_normal((6_000, 3)) @ U.T
+    left = drawn - drawn @ U @ np.linalg.solve(np.eye(3) + U.T @ U, U.T)
+    left = left.reshape(-1, 2, n)
+    lacking = -np.sum(left[:, :, :-1] * left[:, :, 1:], axis=(1, 2))
+    error = lacking.std() / np.sqrt(lacking.size)
+    assert lacking.mean() > 5.0 * error
+    assert added.sum() == pytest.approx(lacking.mean(), abs=4.0 * error)
