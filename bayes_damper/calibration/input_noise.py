@@ -57,19 +57,27 @@ def input_noise(inputs: Inputs) -> dict[str, float]:
     return {name: sd for name, row in inputs.columns.items() if (sd := fast_level([row], ORDER)) > 0.0}
 
 
+def followed(fit: Calibration) -> float:
+    """Sum of squares of the sizes that a fit gives the inputs' noise, in its own standard deviations."""
+    return sum(float(np.sum(block.eta[:, _places(block.group)] ** 2)) for block in fit.linear.blocks)
+
+
 def felt(fit: Calibration) -> float:
     """Mean square of the inputs' noise that the readings ask for, over what noise of that size would have there.
 
     With T the whitened responses, noise leaves sizes (1 + T T')^-1 T r whose squares sum to trace T T' (1 + T T')^-1.
     """
-    shown = expected = 0.0
+    expected = 0.0
     for block in fit.linear.blocks:
-        own = [k for k, (name, _, _) in enumerate(block.group.nuisances) if name.startswith(INPUT)]
-        T = block.T[:, own]
+        T = block.T[:, _places(block.group)]
         gram = T @ T.transpose(0, 2, 1)
-        shown += float(np.sum(block.eta[:, own] ** 2))
-        expected += float(np.trace(np.linalg.solve(gram + np.eye(len(own)), gram), axis1=1, axis2=2).sum())
-    return shown / expected if expected > 0.0 else 0.0
+        expected += float(np.trace(np.linalg.solve(gram + np.eye(T.shape[1]), gram), axis1=1, axis2=2).sum())
+    return followed(fit) / expected if expected > 0.0 else 0.0
+
+
+def _places(group: Group) -> list[int]:
+    """Where the sizes of the inputs' noise stand among the nuisances of a group's trials."""
+    return [k for k, (name, _, _) in enumerate(group.nuisances) if name.startswith(INPUT)]
 
 
 def _responses(

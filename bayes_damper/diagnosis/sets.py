@@ -44,6 +44,7 @@ from bayes_damper.calibration import (
     learn_noise,
     value_and_slope,
 )
+from bayes_damper.calibration.input_noise import followed
 from bayes_damper.diagnosis.pairs import ComposedProblem, Pair, PairProblem
 from bayes_damper.diagnosis.remainder import LOW_BAND, own_frequency, repeats_of, whitened_records
 from bayes_damper.diagnosis.search import Candidate, Essence, Screen, essence, restored
@@ -365,7 +366,7 @@ def set_fit(members: Sequence[Member], fit: Calibration) -> SetFit:
     """A fit as one of the sets to be weighed."""
     squares, pieces = left_over(fit)
     alone = bool(fit.problem.noise.sensor)
-    explained = fit.chi2 if alone else squares
+    explained = fit.chi2 + followed(fit) if alone else squares
     grams = tuple(_gram_by_channel(b) for b in fit.linear.blocks) if alone else ()
     return SetFit(tuple(members), fit, fit.log_evidence + 0.5 * explained, squares, pieces, grams)
 
@@ -383,7 +384,8 @@ def left_over(fit: Calibration) -> tuple[float, float]:
 
     Of what repeats share, below the frequencies at which torques show; of trials without repeats, over the noise of the
     sensors. Pieces: 4 (sum P)^2 / sum P^2 over the lines of the periodograms, as many readings as for white residuals
-    (Bayley and Hammersley 1946).
+    (Bayley and Hammersley 1946). What the noise of inputs takes up counts with the rest: noise of both kinds leaves as
+    much as there are readings, and a set that is wrong may not hide there what it leaves.
     """
     noise = fit.problem.noise
     scale = [a / b for a, b in zip(noise.innovation, noise.sensor or noise.innovation, strict=True)]
@@ -399,7 +401,7 @@ def left_over(fit: Calibration) -> tuple[float, float]:
             lines.append(s**2 * np.abs(np.fft.rfft(x)[1:-1][low]) ** 2 / max(int(np.count_nonzero(x)), 1))
     p = np.concatenate(lines)
     beyond = np.maximum(p - 1.0, 0.0)
-    squares = 2.0 * float(np.sum(p - 1.0))
+    squares = 2.0 * float(np.sum(p - 1.0)) + followed(fit)
     if squares <= 0.0:
         return 0.0, float(2 * p.size)
     return squares, 4.0 * float(beyond.sum()) ** 2 / float(beyond @ beyond)

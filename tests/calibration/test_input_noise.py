@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete, dlsim
 
-from bayes_damper.calibration import Experiment, Switches, TrialRecord, calibrate_nominal, predict
-from bayes_damper.calibration.input_noise import input_noise, with_input_noise
+from bayes_damper.calibration import (
+    Experiment,
+    Noise,
+    Problem,
+    Switches,
+    TrialRecord,
+    calibrate,
+    calibrate_nominal,
+    predict,
+)
+from bayes_damper.calibration.input_noise import followed, input_noise, with_input_noise
 from bayes_damper.calibration.nominal import _with_exact_inputs
+from bayes_damper.diagnosis.sets import left_over, set_fit
 from bayes_damper.rig.inputs import Inputs
 
 J1, J2, K1, C1, K2, C2, C3 = 0.034, 0.012, 5.2, 0.03, 2.1, 0.01, 0.004
@@ -99,6 +110,24 @@ def test_a_rig_is_known_as_well_as_noise_of_its_input_lets_it_be():
     assert 0.6 < math.sqrt(np.mean(np.square(z))) < 1.5
     assert np.mean(left) == pytest.approx(1.0, abs=0.08)
     assert min(before) > 2.0
+
+
+def test_what_noise_of_an_input_takes_up_speaks_neither_for_nor_against_a_set_of_effects():
+    """One model under two noises: under the larger one sizes of the input noise shrink, readings are missed more."""
+    fit = calibrate_nominal(driven(7), nominal="linear", switches=Switches())
+    floor = fit.problem.noise.total
+    fits = [
+        calibrate(fit.problem.with_noise(Noise((f * floor[0],), (0.0,), (0.0,), sensor=floor)), [fit.q], eta=fit.eta)
+        for f in (1.0, 4.0)
+    ]
+    assert followed(fits[0]) > 2.0 * followed(fits[1])
+    sharp, blunt = (set_fit((), f).under(np.array(floor)) for f in fits)
+    assert sharp == pytest.approx(blunt, abs=0.5)
+    stiffer = replace(fit.problem.experiment, stiffnesses=((1.005 * K1, 0.0),))
+    noise = fits[0].problem.noise
+    wrong = calibrate(Problem(stiffer, nominal="linear", noise=noise, switches=Switches()), [], eta=fit.eta)
+    assert followed(wrong) > 2.0 * followed(fits[0])  # where a wrong stiffness hides
+    assert left_over(wrong)[0] > left_over(fits[0])[0] + 0.9 * (followed(wrong) - followed(fits[0]))
 
 
 def test_an_input_as_fast_as_it_is_sampled_is_no_noise():
