@@ -135,6 +135,16 @@ def test_targets_of_make_on_the_pages_exist(page):
     }
 
 
+@pytest.mark.parametrize("page", [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))], ids=name_of)
+def test_rows_of_a_table_have_as_many_cells_as_its_head(page):
+    """With a ruler of another length than its head a table is shown as text."""
+    cells = 0
+    for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), 1):
+        here = len(re.findall(r"(?<!\\)\|", re.sub(r"`[^`]*`", "", line))) if line.startswith("|") else 0
+        assert here == cells or not (here and cells), f"{page.name}, line {number}: {here - 1} cells, head {cells - 1}"
+        cells = here
+
+
 @pytest.mark.parametrize("page", [p for p in PAGES if blocks(p, "toml")], ids=name_of)
 def test_tables_on_the_pages_are_toml(page):
     for block in blocks(page, "toml"):
