@@ -347,6 +347,28 @@ def restored(problem: Problem, found: Essence) -> Calibration:
     return summarise(problem, q, eta, converged, iterations, linear=linear)
 
 
+def promising(nominal: Calibration, pool: Sequence[tuple[Effect, Variant]], gains: Array, full_fits: int) -> list[int]:
+    """Numbers of the formulas to fit in full, the best screened first; gains : of the screening, (formulas,)."""
+    order = [int(k) for k in np.argsort(-gains)]
+    best = float(gains[order[0]]) if len(pool) else 0.0
+    chosen = [
+        k
+        for rank, k in enumerate(order)
+        if rank < full_fits
+        or (gains[k] > LEADING_SHARE * best and rank < MOST_FITS)
+        or (pool[k][1].null is None and best > FAINT)
+    ]
+    if nominal.problem.noise.sensor:
+        # Without repeats the error of the model stands for noise: gains are faint then, and rank the families badly.
+        leading: dict[str, int] = {}
+        for k in order:
+            leading.setdefault(pool[k][0].name, k)
+        # Where the model is out of phase, what a formula does to its motion ranks formulas of a family badly, too.
+        rest = set(order) if out_of_phase(nominal) else set(leading.values())
+        chosen += sorted(rest - set(chosen))
+    return chosen
+
+
 def search(
     nominal: Calibration,
     pool: Sequence[tuple[Effect, Variant]],
@@ -375,21 +397,8 @@ def search(
 
         screens = forked_map(again, [(v, row) for (_, v), row in zip(pool, screens, strict=True)], workers)
     gains = np.array([max(s.gain for s in row) for row in screens])
-    order = np.argsort(-gains)
-    best = float(gains[order[0]]) if len(pool) else 0.0
-    chosen = [
-        k
-        for rank, k in enumerate(order)
-        if rank < full_fits
-        or (gains[k] > LEADING_SHARE * best and rank < MOST_FITS)
-        or (pool[k][1].null is None and best > FAINT)
-    ]
-    if nominal.problem.noise.sensor:
-        # Without repeats the error of the model stands for noise: gains are faint then, and rank the families badly.
-        leading: dict[str, int] = {}
-        for k in order:
-            leading.setdefault(pool[k][0].name, int(k))
-        chosen += sorted(set(leading.values()) - set(chosen))
+    best = float(gains.max()) if len(pool) else 0.0
+    chosen = promising(nominal, pool, gains, full_fits)
     report(f"looked at {len(pool)} formulas of effects; fitting the {len(chosen)} most promising")
 
     def refine(k: int, target: float) -> Candidate:

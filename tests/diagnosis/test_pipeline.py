@@ -33,7 +33,16 @@ from bayes_damper.diagnosis.outliers import outlying, outlying_in_words, without
 from bayes_damper.diagnosis.pairs import ComposedProblem, PairProblem, Second, best_pairs, pair_problem
 from bayes_damper.diagnosis.pipeline import _sites, sites_of, symmetries
 from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of
-from bayes_damper.diagnosis.search import Candidate, Screen, fainter, fit_variant, offered, scales_of, screen_variant
+from bayes_damper.diagnosis.search import (
+    Candidate,
+    Screen,
+    fainter,
+    fit_variant,
+    offered,
+    promising,
+    scales_of,
+    screen_variant,
+)
 from bayes_damper.diagnosis.sensitivity import Quadratic
 from bayes_damper.diagnosis.verdict import RULE, Answers, Left, family_evidence, left_of, weigh
 from bayes_damper.effects import EFFECTS
@@ -778,3 +787,17 @@ def test_an_effect_is_fitted_from_the_first_periods_on_where_the_nominal_model_i
     astray = fit_variant(fit, effect, variant, screens, 2).fit
     assert astray is not None
     assert np.std(astray.residuals()[0]) > 0.8 * np.std(fit.residuals()[0])
+
+
+def test_every_formula_is_fitted_where_the_nominal_model_is_out_of_phase(monkeypatch):
+    """Of two forms of a cubic spring one was led to the truth, and the screening had chosen the other."""
+    pool = [(e, v) for e in EFFECTS.values() for v in e.variants if v.null is not None]
+    gains = np.linspace(1.0, 0.5, len(pool))
+    alone = SimpleNamespace(problem=SimpleNamespace(noise=SimpleNamespace(sensor=(1e-4,))))
+    monkeypatch.setattr("bayes_damper.diagnosis.search.out_of_phase", lambda _: False)
+    few = promising(alone, pool, gains, 2)
+    assert {pool[k][0].name for k in few} == {e.name for e, _ in pool}
+    assert len(few) < len(pool)
+    monkeypatch.setattr("bayes_damper.diagnosis.search.out_of_phase", lambda _: True)
+    assert sorted(promising(alone, pool, gains, 2)) == list(range(len(pool)))
+    assert promising(alone, pool, gains, 2)[:2] == [0, 1]
