@@ -29,6 +29,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
 
 from bayes_damper.calibration import Block, Calibration, Group, TrialRecord
 from bayes_damper.calibration.correlated_noise import student_log_density
@@ -42,6 +43,7 @@ FREEDOM_PRIOR = LogNormal(8.0, 3.0)
 DECLARED_NOISE = 1.1
 """Factor within which a declared noise_std is believed."""
 OUTSIDE = 10.0  # nats by which a draw fits worse than one on the floor of its valley, from which it lies outside
+MANY = 50  # nuisances of a trial from which their matrix is taken apart once for all that is asked of it
 SETTLED = 4  # steps in which nuisances find their place; nearly all need one
 READINGS_AT_ONCE = 2_000_000
 """Simulated readings that are held at a time: more points are evaluated in turns, with the same results."""
@@ -69,6 +71,18 @@ def _solve(A: Array, b: Array) -> Array:
 
 def _log_det(A: Array) -> Array:
     return np.asarray(np.linalg.slogdet(A)[1]) if A.shape[-1] else np.zeros(A.shape[:-2])
+
+
+def _solved(A: Array, b: Array) -> tuple[Array, Array]:
+    """Of symmetric positive A (..., m, m) and b (..., m): A^-1 b and log |A|, large ones by Cholesky one by one."""
+    if b.shape[-1] < MANY:
+        return _solve(A, b), _log_det(A)
+    x, logs = np.empty_like(b), np.empty(b.shape[:-1])
+    for k in np.ndindex(logs.shape):
+        factor = cho_factor(A[k], lower=True, check_finite=False)
+        x[k] = cho_solve(factor, b[k], check_finite=False)
+        logs[k] = 2.0 * np.sum(np.log(np.diag(factor[0])))
+    return x, logs
 
 
 def trial_label(trial: TrialRecord) -> str:
@@ -297,9 +311,9 @@ class RecordPosterior:
         A = np.einsum("knc,ncij->knij", s**-2, part.TT) * growth[..., None] * growth[..., None, :]
         A += np.eye(part.T.shape[2])
         b = eta + growth * np.einsum("knc,kncm->knm", s**-2, Tw)
-        move = _solve(A, b)
+        move, log_det = _solved(A, b)
         quadratic = np.sum(np.einsum("kncs,kncs->knc", w, w) / s**2, axis=2) + np.sum(eta**2, axis=2)
-        value = -0.5 * (quadratic - np.sum(b * move, axis=2) + _log_det(A)) - np.sum(np.log(s) * part.readings, axis=2)
+        value = -0.5 * (quadratic - np.sum(b * move, axis=2) + log_det) - np.sum(np.log(s) * part.readings, axis=2)
         return value, eta - move, A
 
     @staticmethod

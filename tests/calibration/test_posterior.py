@@ -13,7 +13,7 @@ from campaigns import read_table, write_synthetic, write_table
 
 from bayes_damper.calibration import Experiment, Noise, Problem, Switches, TrialRecord, calibrate, experiment_of
 from bayes_damper.calibration.own_values import Scatter, Size
-from bayes_damper.calibration.posterior import RecordPosterior
+from bayes_damper.calibration.posterior import MANY, RecordPosterior, _solved
 from bayes_damper.campaign import load_campaign
 from bayes_damper.simulation.model import Model
 
@@ -177,3 +177,15 @@ def test_predictions_fit_the_readings_where_the_valley_of_the_nuisances_bends() 
     for i, y in posterior.predictive(points, rng).items():
         missed = np.sqrt(np.nanmean((y - trials[i].y) ** 2, axis=(1, 2)))
         assert missed.max() < 3.0, i  # with noise of 2; 5.4 and 2.9 by such draws
+
+
+def test_many_nuisances_are_solved_as_few_are():
+    """Beyond MANY a Cholesky factor gives solution and determinant; below, numpy's solvers do."""
+    rng = np.random.default_rng(2)
+    T = rng.standard_normal((2, 3, MANY + 10, 300))
+    A, b = np.eye(MANY + 10) + T @ T.swapaxes(-1, -2), rng.standard_normal((2, 3, MANY + 10))
+    x, log_det = _solved(A, b)
+    assert np.einsum("knij,knj->kni", A, x) == pytest.approx(b, abs=1e-10)
+    assert log_det == pytest.approx(np.linalg.slogdet(A)[1], rel=1e-12)
+    few = _solved(A[..., :5, :5], b[..., :5])
+    assert few[1] == pytest.approx(np.linalg.slogdet(A[..., :5, :5])[1], rel=1e-12)
