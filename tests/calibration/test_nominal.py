@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_rig import measured
 from test_scatter import CASES, laboratory
 
 from bayes_damper.calibration import Experiment, Problem, TrialRecord, calibrate, calibrate_nominal, with_rounding
@@ -96,3 +97,17 @@ def test_releases_that_fade_within_a_first_reading_are_found():
     )  # fmt: skip
     fit = calibrate_nominal(fading)
     assert fit.chi2 < 1.2 * fit.problem.n_data  # 6 where times of release are dropped, 4 where they are not found
+
+
+def test_a_logger_that_starts_after_every_release_by_the_same_time_is_no_gap():
+    exact = measured(3, rate=2500.0, duration=0.4)
+    assert not calibrate_nominal(exact).problem.switches.delay
+    after = tuple(replace(t.at(np.s_[1::2]), times=t.times[:-1:2]) for t in exact.trials)
+    fit = calibrate_nominal(replace(exact, trials=after))
+    found = []
+    for group in fit.problem.groups:
+        m = [name for name, _, _ in group.nuisances].index("delay")
+        _, mean, sd = group.nuisances[m]
+        found += [mean[k] + sd[k] * fit.eta[i][m] for k, i in enumerate(group.trials)]
+    assert found == pytest.approx([-4e-4] * len(found), abs=1e-4)
+    assert fit.excess < 0.1 * fit.problem.n_data
