@@ -137,6 +137,14 @@ class Experiment:
         return self.magnet and "r" in self.constants
 
     @property
+    def ends_bounded(self) -> bool:
+        """Whether a trial's own instant is that at which its release ends; else it is that at which it begins.
+
+        An acceleration that shows all of the jump bounds the end, however long the release took.
+        """
+        return self.quantity == "acceleration"
+
+    @property
     def training(self) -> tuple[int, ...]:
         """Indices of the trials that fits may use."""
         return tuple(i for i, trial in enumerate(self.trials) if not trial.heldout)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from bayes_damper.calibration.derivatives import LEAST_STEP, RELEASE_STEP, Indices
 from bayes_damper.calibration.groups import Group
 from bayes_damper.calibration.least_squares import Calibration
+from bayes_damper.calibration.normal_equations import step_within
 from bayes_damper.calibration.own_values import RELEASE, middle_of, of_readings
 
 Array = NDArray[np.float64]
@@ -120,7 +121,7 @@ def _descend(
         H = T @ T.transpose(0, 2, 1) + np.eye(m)
         H += damping[:, None, None] * H * np.eye(m)
         g = np.einsum("imd,id->im", T, np.nan_to_num(r)) + eta
-        move = -np.linalg.solve(H, g[:, :, None])[:, :, 0]
+        move = step_within(H, g, low - eta, high - eta)
         move *= np.minimum(1.0, most / np.maximum(np.abs(move).max(axis=1), 1e-12))[:, None]
         candidate = np.clip(eta + move, low, high)
         r_new, cost_new = evaluate(candidate)

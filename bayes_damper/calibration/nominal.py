@@ -18,7 +18,7 @@ from bayes_damper.calibration.noise import Noise, rough_noise
 from bayes_damper.calibration.noise_level import learn_noise
 from bayes_damper.calibration.own_values import RELEASE, Scatter
 from bayes_damper.calibration.problem import Problem
-from bayes_damper.calibration.scatter import carried, learn_scatter, times_of_release, with_releases
+from bayes_damper.calibration.scatter import SUDDEN, carried, learn_scatter, times_of_release, with_releases
 from bayes_damper.calibration.unknowns import middle
 
 Array = NDArray[np.float64]
@@ -33,6 +33,7 @@ KEPT = 10.0  # nats that the evidence may lose with the times of release
 MOST_TURNS = 4  # of learning scatter and noise from the fit, and the fit under them, at most
 LONG_PERIODS, FIRST_PERIODS, GROWING_STEPS = 12.0, 3.0, 20  # of records fitted window by window
 FEW_TRIALS = 8  # trained on, up to which the cost may have more valleys than the prior medians lead to
+NEARLY_DECLARED = 0.1  # of its range, between readings, that an instant of release lies from the declared one
 OUT_OF_PHASE = 0.2  # rad of mean phase from which effects are fitted window by window too
 TURNS = 2  # of learning the noise where that of the inputs is followed
 FIRST_ERROR = 0.02  # of a channel's reach: noise of the first fit where there are no repeats
@@ -140,13 +141,14 @@ def _at_readings(fit: Calibration) -> dict[int, Array]:
         (n, least, size), (d, late, unit) = rows[RELEASE], rows["delay"]
         now = np.array([fit.eta[i] for i in group.trials])
         first = np.array([fit.problem.experiment.trials[i].times[0] for i in group.trials])
+        end = float(fit.problem.experiment.ends_bounded)  # the own instant: 0 at the beginning, 1 at the end
         tried = [now]
         for x in TIMES_TRIED:
             time = least + size * x
-            middle = late + unit * now[:, d] + 0.5 * (least + size * now[:, n])
-            for begins in (*(share * time - first for share in OVER), middle - 0.5 * time):
+            middle = late + unit * now[:, d] + (0.5 - end) * (least + size * now[:, n])
+            for instant in (*(first + (end - share) * time for share in OVER), middle + (end - 0.5) * time):
                 own = now.copy()
-                own[:, n], own[:, d] = x, (begins - late) / unit
+                own[:, n], own[:, d] = x, (instant - late) / unit
                 tried.append(np.clip(own, group.lower, group.upper))
         candidates = {i: np.tile(v, (len(tried), 1)) for i, v in fit.eta.items()}
         candidates |= {i: np.array([t[k] for t in tried]) for k, i in enumerate(group.trials)}
@@ -187,6 +189,32 @@ def _each_release(fit: Calibration) -> Calibration:
     eta = {i: found[best.get(i, 0)].eta[i] for i in fit.eta}
     found.append(calibrate(fit.problem, [min(found, key=lambda f: f.cost).q], eta=eta, anneal=False))
     return min(found, key=lambda f: f.cost)
+
+
+def _as_declared(fit: Calibration) -> Calibration:
+    """The fit with every release at the nominal instant, if that is as likely; the fit itself if not.
+
+    What repeats differ by may be counted too high where noise is coloured or much scatters. Instants that lie where
+    they are declared then have a prior of their own each that an effect could spare.
+    """
+    problem = fit.problem
+    sets = repeats([problem.experiment.trials[i] for i in problem.trials])
+    if not problem.switches.delay or sum(len(members) - 1 for members in sets) < FEW_REPEATS:
+        return fit
+    off = []
+    for group in problem.groups:
+        for m, (name, mean, sd) in enumerate(group.nuisances):
+            if name == "delay":
+                own = np.array([fit.eta[i][m] for i in group.trials])
+                off += list(np.abs(mean / sd + own) / (group.upper[:, m] - group.lower[:, m]))
+    if not off or float(np.median(off)) > NEARLY_DECLARED:
+        return fit
+    sizes = problem.switches.scatter.sizes
+    if max(times_of_release(fit), default=0.0) < SUDDEN * problem.switches.scatter.sd(RELEASE):
+        sizes = tuple(s for s in sizes if s.name != RELEASE)
+    exact = problem.changed(switches=replace(problem.switches, delay=False, scatter=Scatter(sizes)))
+    found = calibrate(exact, [fit.q], eta=carried(fit, exact), anneal=False)
+    return max(fit, found, key=_log_density)
 
 
 def _one_of_each(problem: Problem) -> tuple[int, ...]:
@@ -335,6 +363,8 @@ def _with_exact_inputs(
     report(f"nominal model fitted; sd of what it leaves, correlation counted, by channel: {left}")
     # The first noise held the scatter that was not learnt yet.
     fit = _under(fit, noise, None if switches is None else chosen.scatter)
+    if switches is None:
+        fit = _as_declared(fit)
     if noise.sensor:
         # A better fit leaves less error, which again sharpens the fit.
         return calibrate(fit.problem.with_noise(learn_noise(fit)), [fit.q], eta=fit.eta, anneal=False)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from bayes_damper.calibration.groups import Group
 
 Array = NDArray[np.float64]
+MOST_HELD = 6  # rounds in which a step finds what it must hold
 MOST_BYTES = 250_000_000
 """Of linearised problems that are held at a time; beyond, all but the last two are made again when they are needed."""
 
@@ -155,6 +156,32 @@ class Linear:
         return self.with_blocks(tuple(blocks))
 
 
+def _held_next(
+    move: Array, pull: Array, held: NDArray[np.bool_], low: Array, high: Array
+) -> tuple[NDArray[np.bool_], Array]:
+    """Which moves are to be held, and where: those beyond their bounds; what would go back between them is free again.
+
+    pull : derivative of the cost by each move.
+    """
+    beyond = ~held & ((move < low) | (move > high))
+    back = held & np.where(move <= low, pull < 0.0, pull > 0.0)
+    return (held | beyond) & ~back, np.clip(move, low, high)
+
+
+def step_within(H: Array, g: Array, low: Array, high: Array) -> Array:
+    """The moves x (n, m) between low and high that make x' H x / 2 + g' x least, by an active set; H (n, m, m)."""
+    held, at = np.zeros(g.shape, dtype=np.bool_), np.zeros(g.shape)
+    for _ in range(MOST_HELD):
+        free = ~held[:, :, None] & ~held[:, None, :]
+        rest = np.where(held, -at, g + np.einsum("jmn,jn->jm", H, np.where(held, at, 0.0)))
+        x = -np.linalg.solve(np.where(free, H, np.eye(g.shape[1])), rest[:, :, None])[:, :, 0]
+        new, at = _held_next(x, np.einsum("jmn,jn->jm", H, x) + g, held, low, high)
+        if np.array_equal(new, held):
+            break
+        held = new
+    return np.clip(x, low, high)
+
+
 @dataclass(frozen=True, eq=False)
 class Normals:
     """S and g before the elimination, and each trial's H, T'J and nuisance gradient."""
@@ -184,16 +211,52 @@ class Normals:
         return S, g, inverses
 
     def step(self, damping: float) -> tuple[Array, dict[int, Array]]:
-        """Damped Gauss-Newton step in q and in each trial's eta."""
-        S, g, inverses = self.reduced(damping)
-        S[np.diag_indices_from(S)] *= 1.0 + damping
-        dq = -np.linalg.solve(S, g)
-        deta: dict[int, Array] = {}
-        for (block, _, TJ, gT), inverse in zip(self.parts, inverses, strict=True):
-            move = -np.einsum("jmn,jn->jm", inverse, gT + TJ @ dq) if inverse.shape[1] else gT
-            for k, i in enumerate(block.group.trials):
-                deta[i] = move[k]
+        """Damped Gauss-Newton step in q and in each trial's eta, with every eta within its bounds.
+
+        An eta that would leave them goes to its bound, and the step is taken anew in all others: cut off alone, it
+        would leave to nothing what the others were meant to give way for.
+        """
+        ends = [(b.group.lower - b.eta, b.group.upper - b.eta) for b, _, _, _ in self.parts]
+        held = [np.zeros(low.shape, dtype=np.bool_) for low, _ in ends]
+        at = [np.zeros(low.shape) for low, _ in ends]
+        for _ in range(MOST_HELD):
+            normals = self._holding(held, at) if any(h.any() for h in held) else self
+            S, g, inverses = normals.reduced(damping)
+            S[np.diag_indices_from(S)] *= 1.0 + damping
+            dq = -np.linalg.solve(S, g)
+            moves = [
+                -np.einsum("jmn,jn->jm", inverse, gT + TJ @ dq) if inverse.shape[1] else gT
+                for (_, _, TJ, gT), inverse in zip(normals.parts, inverses, strict=True)
+            ]
+            moves = [np.where(h, a, x) for x, h, a in zip(moves, held, at, strict=True)]
+            pulls = [
+                np.einsum("jmn,jn->jm", H, x) + gT + TJ @ dq
+                for (_, H, TJ, gT), x in zip(self.parts, moves, strict=True)
+            ]
+            renewed = [_held_next(x, p, h, *end) for x, p, h, end in zip(moves, pulls, held, ends, strict=True)]
+            if all(np.array_equal(h, new) for h, (new, _) in zip(held, renewed, strict=True)):
+                break
+            held, at = [new for new, _ in renewed], [x for _, x in renewed]
+        deta = {
+            i: move[k]
+            for (block, _, _, _), move in zip(self.parts, moves, strict=True)
+            for k, i in enumerate(block.group.trials)
+        }
         return np.asarray(dq, float), deta
+
+    def _holding(self, held: Sequence[NDArray[np.bool_]], at: Sequence[Array]) -> Normals:
+        """The same equations with each held eta moved to where it is held, whatever all else does."""
+        g, parts = self.g.copy(), []
+        for (block, H, TJ, gT), h, move in zip(self.parts, held, at, strict=True):
+            if not h.any():
+                parts.append((block, H, TJ, gT))
+                continue
+            given = np.where(h, move, 0.0)
+            g += np.einsum("jmp,jm->p", TJ, given)
+            pulled = np.where(h, 0.0, gT + np.einsum("jmn,jn->jm", H, given))
+            free = ~h[:, :, None] & ~h[:, None, :]
+            parts.append((block, np.where(free, H, np.eye(h.shape[1])), np.where(h[:, :, None], 0.0, TJ), pulled))
+        return replace(self, g=g, parts=tuple(parts))
 
     def log_evidence(self) -> float:
         """Laplace evidence without the constant of the noise; -inf if a matrix is not positive definite."""

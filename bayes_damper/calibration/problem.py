@@ -191,8 +191,7 @@ class Problem:
                 rig[name] = rig[other]
         if e.start == "free":
             rig["delay"] = float(group.times[0])
-        if RELEASE in rig and any(name == "delay" for name, _, _ in group.nuisances):
-            # The own instant is that of the end: a reading that shows all of the jump bounds it, whatever the time.
+        if RELEASE in rig and e.ends_bounded and any(name == "delay" for name, _, _ in group.nuisances):
             rig["delay"] = rig["delay"] - rig[RELEASE]
         acting = self.models[group.coupled].acting
         if RELEASE in rig and acting is not None and acting.lets_go in effect:

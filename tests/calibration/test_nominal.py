@@ -111,3 +111,27 @@ def test_a_logger_that_starts_after_every_release_by_the_same_time_is_no_gap():
         found += [mean[k] + sd[k] * fit.eta[i][m] for k, i in enumerate(group.trials)]
     assert found == pytest.approx([-4e-4] * len(found), abs=1e-4)
     assert fit.excess < 0.1 * fit.problem.n_data
+
+
+def test_releases_that_end_beyond_the_next_reading_of_a_displacement_are_followed():
+    """A reading late and up to three readings long: their shape was taken for noise of twelve times the size."""
+    slow = laboratory(
+        6, {}, repeats=4, n=300, releases=lambda rng: rng.uniform(0.0, 3e-3), instants=8e-4, noise=2e-5,
+        quantity="displacement",
+    )  # fmt: skip
+    fit = calibrate_nominal(slow)
+    assert fit.converged
+    assert fit.problem.noise.total == pytest.approx((2e-5,), rel=0.1)
+
+
+def test_instants_that_are_the_declared_ones_have_no_prior_of_their_own():
+    """Where coloured noise makes instants seem to vary, 14 nats lay in their priors: an effect could spare them."""
+    rng = np.random.default_rng(1)
+    drawn = laboratory(1, {"k1t": 2e-3, "c1t": 0.06}, repeats=6, n=700, noise=0.0)
+    trials = []
+    for t in drawn.trials:
+        noise = 0.4 * rng.standard_normal(t.y.shape)
+        for k in range(1, noise.shape[1]):
+            noise[:, k] += 0.8 * noise[:, k - 1]
+        trials.append(replace(t, y=t.y + noise))
+    assert not calibrate_nominal(replace(drawn, trials=tuple(trials))).problem.switches.delay
