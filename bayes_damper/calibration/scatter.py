@@ -414,8 +414,10 @@ def scatter_in_words(fit: Calibration) -> list[str]:
     relative = [s for s in shown if s.name in RELATIVE or s.name.startswith("gain")]
     out = []
     if relative:
-        listed = ", ".join(f"{s.name} by {float(f'{100.0 * s.sd:.2g}'):g} %" for s in relative)
-        out.append(f"From trial to trial {listed} scatter; each trial was given its own, and no cause is named for it.")
+        listed = ", ".join(f"{s.name} (by {float(f'{100.0 * s.sd:.2g}'):g} %)" for s in relative)
+        out.append(
+            f"What differs from trial to trial: {listed}. Each trial was given its own, and no cause is named for it."
+        )
     for size in shown:
         r, p = trend_with_order(fit, size)
         if p < SURE_OF_TREND:

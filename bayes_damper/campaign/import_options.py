@@ -19,6 +19,7 @@ from bayes_damper.campaign import Rig
 from bayes_damper.campaign.logger_files import number_of, read_file
 from bayes_damper.errors import InputError
 from bayes_damper.inputs import LARGEST, csv_rows, file_bytes, file_sha256, shown, text_of
+from bayes_damper.rig.units import BODIES
 
 READER: dict[str, tuple[tuple[type, ...], str]] = {
     "delimiter": ((str,), "mark between columns; 'auto' (default), ',', ';', 'tab' or 'space'"),
@@ -461,7 +462,8 @@ def _guessed(path: Path, given: Mapping[str, Any]) -> tuple[dict[str, Any], str]
             "with --time (or give --sample-rate)"
         )
     found: dict[str, Any] = {"columns": [i + 1 for i in readings]}
-    taken = [f"{source.column(i)} for the {who}" for i, who in zip(readings, ("primary", "secondary"), strict=False)]
+    bodies = BODIES["translational" if given.get("kind") == "translational" else "torsional"]
+    taken = [f"{source.column(i)} for {who}" for i, who in zip(readings, bodies, strict=False)]
     if time is not None:
         found["time"] = time + 1
         taken.append(f"{source.column(time)} for the time")

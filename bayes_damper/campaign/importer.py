@@ -217,6 +217,9 @@ def convert(readings: Array, unit: str, kind: str, quantity: str, radius: float 
         if unit.lower() in _COUNTED:
             first = next(iter(valid))
             other_quantity = f": give --units {first} and, as --scale, how many {first} one of them is"
+            if quantity != "displacement":
+                angle = "m" if kind == "translational" else "rad"
+                other_quantity += f" (counts of an encoder: --quantity displacement --units {angle})"
         raise InputError(f"{where}: '{unit}' is no unit of {quantity}{other_quantity}; valid units: {', '.join(valid)}")
     if kind == "translational" or unit in _ANGULAR[quantity]:
         return readings * valid[unit]

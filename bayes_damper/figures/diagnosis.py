@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -52,6 +53,9 @@ def _draw_probabilities(axis: Any, values: Mapping[str, float], rows: int, headi
     axis.set_title(heading, loc="left")
 
 
+_TITLE = 64  # characters of a title that fit over the records, beside the answers
+
+
 def gap_figure(record: Mapping[str, Any], probabilities: Mapping[str, float], *, title: str) -> Figure:
     """One record under the nominal model, what is left of it before and after the answer is added, and the answers.
 
@@ -71,12 +75,12 @@ def gap_figure(record: Mapping[str, Any], probabilities: Mapping[str, float], *,
         axes["record"].set_title(record["label"], loc="left")
         axes["record"].legend(loc="upper right", ncols=2)
         axes["record"].set_ylabel(reading)
-        line = "" if augmented is None else f"\nline: what {record['added']} adds"
+        line = "" if augmented is None else "\n" + textwrap.fill(f"line: what {record['added']} adds", _TITLE)
         axes["before"].set_title(f"measured minus nominal model (band: two sd of the noise){line}", loc="left")
         axes["before"].plot(times, measured - nominal, ".", **dots)
         if augmented is not None:
             axes["before"].plot(times, np.asarray(augmented) - nominal, color=COLOURS[1], lw=1.0)
-            axes["after"].set_title(f"measured minus model with {record['added']}", loc="left")
+            axes["after"].set_title(textwrap.fill(f"measured minus model with {record['added']}", _TITLE), loc="left")
             axes["after"].plot(times, measured - augmented, ".", **dots)
             axes["after"].sharey(axes["before"])
         for name in rows:

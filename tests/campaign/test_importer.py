@@ -783,6 +783,8 @@ def test_pixels_and_counts_are_refused_with_what_describes_them(tmp_path: Path) 
     source = logger_file(tmp_path / "run.csv", wave())
     told = fault_of(tmp_path, source, units=["px"], quantity="displacement", kind="translational")
     assert "'px' is no unit of displacement: give --units m and, as --scale, how many m one of them is" in told
+    told = fault_of(tmp_path, source, units=["counts"], quantity="acceleration", kind="torsional")
+    assert "(counts of an encoder: --quantity displacement --units rad)" in told
 
 
 def test_what_a_sensor_reads_before_the_release_is_taken_off(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.contour import ContourSet
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
@@ -58,6 +59,22 @@ def test_missing_torque_is_drawn_on_bodies_that_bear_the_names_of_their_rig(tran
     words = [text.get_text() for text in figure.findobj(Text)]
     assert f"on {body}" in words
     assert f"{'force [N]' if translational else 'torque [N m]'} on {body}" in words
+
+
+def test_titles_of_a_gap_with_two_long_named_effects_stay_over_the_records() -> None:
+    t = np.linspace(0.0, 1.0, 50)
+    added = "play in the spring to ground and friction between the bodies that falls with the speed of sliding"
+    record = {
+        "label": "A #1", "unit": "m", "times": t, "measured": np.sin(t), "nominal": t,
+        "augmented": np.sin(t), "added": added, "noise": 0.1,
+    }  # fmt: skip
+    figure = figures.gap_figure(record, {"both": 0.9, "nothing": 0.1}, title="")
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    figure.draw(renderer)
+    *rows, answers = sorted(figure.axes, key=lambda axes: axes.get_position().x0)
+    ends = [axes.title.get_window_extent(renderer).x1 for axes in rows]
+    ends += [axes._left_title.get_window_extent(renderer).x1 for axes in rows]
+    assert max(ends) < answers.get_tightbbox(renderer).x0 + 1.0
 
 
 def test_the_gap_names_its_axes_and_only_answers_that_count() -> None:
