@@ -47,14 +47,16 @@ def releases_vary(fit: Calibration) -> bool:
     time in all of them is left to the effects of release and sensor.
     Trials without repeats cannot show it: there they stay free. So do they where few repeats may be as late as each
     other by chance: what that does to the first readings looks like an effect. A logger that starts after the release,
-    by the same time in all of them, is no effect of the rig or its sensors either.
+    by the same time in the trials of all cases, is no effect of the rig or its sensors either: those would bring
+    forward swings of one spring or amplitude more than those of another.
     Nor can values that a wrong model has pressed against an end of their range other than the nominal one.
     What a release that takes its time does like a later one counts as a later one.
     """
     problem = fit.problem
     z: list[float] = []
     spare, pressed = 0, 0
-    early, known = 0.0, 0.0
+    when: list[float] = []
+    known: list[float] = []
     for block, H, _, _ in fit.linear.normal().parts:
         names = [n for n, _, _ in block.group.nuisances]
         if "delay" not in names:
@@ -67,15 +69,19 @@ def releases_vary(fit: Calibration) -> bool:
             k = names.index(RELEASE)
             instants += block.eta[:, k] * H[:, i, k] / np.maximum(H[:, i, i] - 1.0, 1e-12)
         _, centre, unit = block.group.nuisances[i]
-        early -= float(np.sum((centre / unit + instants) / (unit * sd**2)))
-        known += float(np.sum(1.0 / (unit * sd) ** 2))
+        when += list(centre + unit * instants)
+        known += list(1.0 / (unit * sd) ** 2)
         for members in repeats([problem.experiment.trials[j] for j in block.group.trials]):
             spare += len(members) - 1
             values = instants[members]
             pressed += _pressed(block.group, i, members, block.eta[members, i])
             z += list((values - values.mean()) / sd[members] / math.sqrt(max(1.0 - 1.0 / len(members), 1e-9)))
     few = spare < FEW_REPEATS or 2 * pressed >= len(z)
-    return bool(z) and (few or float(np.mean(np.square(z))) > VARIES or early > math.sqrt(VARIES * known))
+    if not z or few or float(np.mean(np.square(z))) > VARIES:
+        return bool(z)
+    common = float(np.average(when, weights=known))
+    alike = float(np.mean(np.array(known) * (np.array(when) - common) ** 2)) < VARIES
+    return alike and -common * math.sqrt(sum(known)) > math.sqrt(VARIES)
 
 
 def _pressed(group: Group, i: int, members: Sequence[int], values: Array) -> int:
