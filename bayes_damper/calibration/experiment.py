@@ -12,7 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.campaign import Campaign, Constant
-from bayes_damper.campaign.records import DERIVATIVE, common_grid, crossings, picks, release_of, rounding_of
+from bayes_damper.campaign.records import (
+    DERIVATIVE,
+    STEPS_OF_DOUBT,
+    common_grid,
+    crossings,
+    picks,
+    release_of,
+    rounding_of,
+)
 from bayes_damper.effects.base import Effect
 from bayes_damper.errors import InputError
 from bayes_damper.priors.distributions import Distribution, LogNormal, Normal
@@ -209,7 +217,7 @@ def release_window(trial: TrialRecord, quantity: str) -> tuple[float, float]:
     n = min(trial.times.size - 1, 400)
     dt = float(np.median(np.diff(trial.times[: n + 1]))) if n > 0 else 1e-3
     if quantity != "acceleration":
-        return -dt, (dt if trial.times[0] <= 0.0 else 0.0)
+        return -STEPS_OF_DOUBT * dt, (STEPS_OF_DOUBT * dt if trial.times[0] <= 0.0 else 0.0)
     if trial.times[0] > 0.0 or trial.times.size < 4:
         return -dt, 0.0
     y = np.abs(np.nan_to_num(trial.y[0]))

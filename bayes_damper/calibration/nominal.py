@@ -18,7 +18,14 @@ from bayes_damper.calibration.noise import Noise, rough_noise
 from bayes_damper.calibration.noise_level import learn_noise
 from bayes_damper.calibration.own_values import RELEASE, Scatter
 from bayes_damper.calibration.problem import Problem
-from bayes_damper.calibration.scatter import SUDDEN, carried, learn_scatter, times_of_release, with_releases
+from bayes_damper.calibration.scatter import (
+    SUDDEN,
+    carried,
+    learn_scatter,
+    times_of_release,
+    usual_releases,
+    with_releases,
+)
 from bayes_damper.calibration.unknowns import middle
 
 Array = NDArray[np.float64]
@@ -131,6 +138,20 @@ def _releases(fit: Calibration) -> Calibration:
         if not fit.cost < before - 1.0:
             break
     return fit
+
+
+def gained_by_own_releases(fit: Calibration) -> float:
+    """Nats that a time of release of each trial's own gains the nominal model where no trial is repeated, else 0.
+
+    Nothing learns their size there, and a fit has none of them: a filter or a lag would hide in them. But latches take
+    that long, so that what such times explain is no sign of a gap.
+    """
+    problem = fit.problem
+    if problem.experiment.start != "rest" or not lone(problem.experiment, problem.trials):
+        return 0.0
+    slow = usual_releases(problem)
+    found = _releases(calibrate(slow, [fit.q], eta=carried(fit, slow), anneal=False))
+    return max(_log_density(found) - _log_density(fit), 0.0)
 
 
 def _at_readings(fit: Calibration) -> dict[int, Array]:

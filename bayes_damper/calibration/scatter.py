@@ -254,10 +254,17 @@ def with_releases(problem: Problem, scatter: Scatter) -> Scatter:
 
     Without repeats it would be taken for a lag of sensors, or the other way round, as the prior has it.
     """
-    if lone(problem.experiment, problem.trials):
-        return scatter
+    return scatter if lone(problem.experiment, problem.trials) else _released(problem, scatter)
+
+
+def _released(problem: Problem, scatter: Scatter) -> Scatter:
     added = tuple(s for s in typical_scatter(problem, releases=True).sizes if s.name == RELEASE)
     return Scatter((*scatter.sizes, *_posterior((), added)))
+
+
+def usual_releases(problem: Problem) -> Problem:
+    """The same problem with a time of release of each trial's own, of the size that its prior says."""
+    return problem.changed(switches=replace(problem.switches, scatter=_released(problem, problem.switches.scatter)))
 
 
 def _matters(size: Size, information: Mapping[str, float], times: float) -> bool:

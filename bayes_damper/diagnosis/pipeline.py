@@ -20,6 +20,7 @@ from bayes_damper.calibration import (
     calibrate,
     calibrate_nominal,
     experiment_of,
+    gained_by_own_releases,
     learn_noise,
     with_rounding,
 )
@@ -353,6 +354,8 @@ def diagnose(
     best_left = pairs[0].after if pairs and pairs[0].gain > 0.0 else after
     excess = best_left.low_excess - 2.0 * best_left.low_sd
     definitions = sorted({c.effect.name for c in found if c.effect.exact})
+    ramp = winner is not None and bool(winner.variant.lets_go)
+    usual = gained_by_own_releases(fit) if ramp and not alone else 0.0
 
     def judge(changes: Mapping[str, float], of_pairs: Mapping[str, float], rule: Rule = rule) -> Answers:
         moved = {n: z + changes.get(n, 0.0) for n, z in evidence.items()}
@@ -360,7 +363,7 @@ def diagnose(
         other = drift + changes.get(DRIFT.name, 0.0)
         if wiring is not None:
             other = float(np.logaddexp(other, wiring.gain))
-        return weigh(moved, none_left, left, excess, rule, both, other, definitions)
+        return weigh(moved, none_left, left, excess, rule, both, other, definitions, usual)
 
     answers = judge({}, {})
     rng = np.random.default_rng(seed)

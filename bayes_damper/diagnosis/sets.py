@@ -556,7 +556,8 @@ def mends(gain: float, explained: float, exact: bool, rule: Rule = RULE) -> bool
 
 def _can_grow(s: SetFit, pool: Sequence[Member], least: int) -> bool:
     known = {e.name for e, _ in pool}
-    return least <= len(s.members) < LARGEST and s.names <= known
+    others = any(v.null is not None and e.name not in s.names for e, v in pool)
+    return least <= len(s.members) < LARGEST and s.names <= known and others
 
 
 def _of_pair(pair: Pair) -> tuple[tuple[Member, ...], Calibration]:

@@ -212,13 +212,15 @@ def weigh(
     pairs: Sequence[tuple[tuple[str, str], float, Left]] = (),
     generic: float = -math.inf,
     definitions: Collection[str] = (),
+    usual: float = 0.0,
 ) -> Answers:
     """Probabilities of all answers.
 
     evidence : family -> log Z relative to the nominal model; before, after : what `none` and the leading effect leave;
     excess : chi-square of the best answer's mean residuals at low frequency beyond 2 sd; pairs : effects (the stronger
     first), log Z of both, and what they leave; generic : log Z of a drift of the nominal laws (generic.py), which
-    counts for `unknown`; definitions : families whose formulas are.
+    counts for `unknown`; definitions : families whose formulas are; usual : log Z of the nominal model with what may be
+    usual in a laboratory and no repeats could show, as likely a priori as without it.
     """
     names = [n for n, z in evidence.items() if math.isfinite(z)]
     among = max(len(evidence), USUAL)
@@ -228,7 +230,9 @@ def weigh(
     best = max((evidence[n] for n in names), default=0.0)
     # What lies away from an answer's own site is seldom the work of its inexact formula.
     mending = rule.mismatch * (rule.share_away / rule.share_home) ** (1.0 - after.home)
-    log_w: dict[str | tuple[str, str], float] = {"none": math.log(PRIOR_NONE)}
+    log_w: dict[str | tuple[str, str], float] = {
+        "none": math.log(PRIOR_NONE) + float(np.logaddexp(0.0, usual)) - math.log(2.0)
+    }
     log_w |= {n: math.log(each) + evidence[n] / temperature for n in names}
     if math.isfinite(generic):
         log_w["unknown"] = math.log(each) + generic / temperature

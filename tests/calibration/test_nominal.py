@@ -10,7 +10,15 @@ import pytest
 from small_rig import measured
 from test_scatter import CASES, laboratory
 
-from bayes_damper.calibration import Experiment, Problem, TrialRecord, calibrate, calibrate_nominal, with_rounding
+from bayes_damper.calibration import (
+    Experiment,
+    Problem,
+    TrialRecord,
+    calibrate,
+    calibrate_nominal,
+    gained_by_own_releases,
+    with_rounding,
+)
 from bayes_damper.calibration.experiment import rounding_sd
 from bayes_damper.simulation.model import Model
 
@@ -135,3 +143,32 @@ def test_instants_that_are_the_declared_ones_have_no_prior_of_their_own():
             noise[:, k] += 0.8 * noise[:, k - 1]
         trials.append(replace(t, y=t.y + noise))
     assert not calibrate_nominal(replace(drawn, trials=tuple(trials))).problem.switches.delay
+
+
+def test_a_release_late_by_more_than_a_reading_is_followed():
+    """As much as one and a half of them is left to the fit; beyond one it was taken for a slow release, 61 nats."""
+    late = laboratory(
+        4, {}, repeats=2, coupled=True, n=400, releases=lambda rng: rng.uniform(0.0, 6e-4), instants=1e-3, noise=1e-3,
+        quantity="velocity",
+    )  # fmt: skip
+    fit = calibrate_nominal(late)
+    assert fit.problem.noise.total == pytest.approx((1e-3, 1e-3), rel=0.1)
+
+
+def test_own_times_of_release_count_where_none_could_be_learnt():
+    slow = [
+        laboratory(
+            1,
+            {},
+            repeats=n,
+            coupled=True,
+            n=300,
+            releases=lambda _: 3e-3,
+            instants=4e-4,
+            quantity="velocity",
+            noise=5e-3,
+        )
+        for n in (2, 4)
+    ]
+    assert gained_by_own_releases(calibrate_nominal(slow[0])) > 3.0
+    assert gained_by_own_releases(calibrate_nominal(slow[1])) == 0.0  # repeats would show them

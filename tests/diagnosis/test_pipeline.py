@@ -291,6 +291,12 @@ def test_the_remainder_of_noise_is_small_and_of_a_hum_is_not():
     assert left.peak_hz == pytest.approx(50.0, abs=3.0)
 
 
+def test_what_may_be_usual_and_was_not_repeated_counts_for_none():
+    alone, usual = (weigh({"a": 8.0}, QUIET, QUIET, usual=z).probabilities for z in (0.0, 6.5))
+    assert alone["a"] > 0.7
+    assert usual["none"] > 0.5 > usual["a"]
+
+
 def test_evidence_that_is_not_a_number_never_wins():
     """nan and -inf give a family no probability."""
 
