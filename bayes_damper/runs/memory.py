@@ -34,6 +34,30 @@ def free_bytes() -> float:
         soft, _ = resource.getrlimit(resource.RLIMIT_AS)
         if soft != resource.RLIM_INFINITY:
             left = min(left, float(soft))
+    return min(left, group_bytes())
+
+
+def group_bytes(root: Path = Path("/")) -> float:
+    """Memory that the limit of a container or a batch job leaves, bytes; inf where there is none.
+
+    root : of the file system. Source: the kernel's documentation of control groups, versions 1 and 2 (memory); pages of
+    files that are not in use count as free.
+    """
+    left = float("inf")
+    with suppress(OSError, ValueError):
+        for line in (root / "proc/self/cgroup").read_text(encoding="utf-8").splitlines():
+            _, controllers, group = line.split(":", 2)
+            if controllers and "memory" not in controllers.split(","):
+                continue
+            first = bool(controllers)
+            top = root / ("sys/fs/cgroup/memory" if first else "sys/fs/cgroup")
+            names = ("memory.limit_in_bytes", "memory.usage_in_bytes") if first else ("memory.max", "memory.current")
+            folder = top / group.lstrip("/")
+            for place in (folder, *(above for above in folder.parents if top in (above, *above.parents))):
+                with suppress(OSError, ValueError):  # no such file, or no limit: "max"
+                    limit, used = (float((place / name).read_text(encoding="ascii")) for name in names)
+                    kept = (place / "memory.stat").read_text(encoding="ascii").partition("inactive_file ")[2]
+                    left = min(left, max(limit - used + float(kept.split()[0] if kept else 0.0), 0.0))
     return left
 
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import gc
+import math
 import subprocess
 import sys
 
-from bayes_damper.runs.memory import BASE, PER_READING, SELDOM, free_bytes, seldom_collected, shortage
+import pytest
+
+from bayes_damper.runs.memory import BASE, PER_READING, SELDOM, free_bytes, group_bytes, seldom_collected, shortage
 
 
 def test_the_thresholds_are_put_back():
@@ -47,3 +50,25 @@ def test_a_limit_on_the_address_space_counts_as_what_is_free():
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.strip() == "True"
+
+
+@pytest.mark.parametrize(
+    ("line", "top", "limit", "used", "none"),
+    [
+        ("0::/job", "sys/fs/cgroup", "memory.max", "memory.current", "max"),
+        ("4:memory:/job", "sys/fs/cgroup/memory", "memory.limit_in_bytes", "memory.usage_in_bytes", str(2**63 - 4096)),
+    ],
+)
+def test_the_limit_of_a_container_counts_as_what_is_free(tmp_path, line, top, limit, used, none):
+    assert group_bytes(tmp_path) == math.inf
+    (tmp_path / "proc/self").mkdir(parents=True)
+    (tmp_path / "proc/self/cgroup").write_text(f"9:cpuset:/\n{line}\n")
+    outer = tmp_path / top
+    (outer / "job").mkdir(parents=True)
+    for folder, most in ((outer, "3000000000"), (outer / "job", none)):
+        (folder / limit).write_text(f"{most}\n")
+        (folder / used).write_text("1000000000\n")
+        (folder / "memory.stat").write_text("anon 5\ninactive_file 400000000\nactive_file 7\n")
+    assert group_bytes(tmp_path) == 2.4e9  # of the group above; that of the job itself has no limit
+    (outer / "job" / limit).write_text("1500000000\n")
+    assert group_bytes(tmp_path) == 0.9e9
