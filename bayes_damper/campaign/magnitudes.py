@@ -19,8 +19,12 @@ _POSSIBLE = {
     "magnet_pull": (1e-6, 1e6, "N"), "magnet_radius": (1e-6, 1e2, "m"), "bar_radius": (1e-6, 1e3, "m"),
 }  # fmt: skip
 """What a magnet and its arm can be at all, from micromachines to cranes."""
-_STRONGEST = 1.5e6
-"""Pull of a magnet per area of its face, Pa, that none reaches: B^2 / (2 mu0) of 1.9 T; neodymium keeps 1.5 T."""
+_STRONGEST = 0.9e6
+"""Pull of a permanent magnet per area of its face, Pa, at most: B^2 / (2 mu0) of 1.5 T, which the strongest neodymium
+keeps in a closed circuit. On iron usual ones have 0.6 MPa, at 1.2 T.
+"""
+_FILTERED = 3.0
+"""Bandwidth over the rig's frequency below which a filter of the first order takes 5 % of the motion."""
 _MOST_APART = 1e6  # a ratio beyond which one of two numbers does not act
 
 
@@ -48,8 +52,9 @@ def _check_rig(rig: Rig, trials: Sequence[Trial], faults: list[str], warnings: l
         most_pull = _STRONGEST * math.pi * rig.magnet_radius.value**2
         if rig.magnet_pull.value > most_pull:
             warnings.append(
-                f"{where}: magnet_pull = {rig.magnet_pull.value:g} N is more than any magnet with a face of "
-                f"{rig.magnet_radius.value:g} m radius pulls, {most_pull:.2g} N; in newtons (a pull of 1 kg is 9.81 N)?"
+                f"{where}: magnet_pull = {rig.magnet_pull.value:g} N is more than any permanent magnet with a "
+                f"face of {rig.magnet_radius.value:g} m radius pulls, {most_pull:.2g} N; in newtons (a pull of 1 kg is "
+                "9.81 N)?"
             )
     for key, (least, most, unit) in _POSSIBLE.items():
         constant = getattr(rig, key)
@@ -111,12 +116,14 @@ def _check_measurement(head: Head, trials: Sequence[Trial], faults: list[str], w
                     f"of the primary; at least {_FEWEST:g} show a motion"
                 )
                 break
-    for bandwidth in declared.sensor_bandwidth or ():
-        slowest = max((natural_period(rig, t) for t in trials), default=math.inf)
-        if bandwidth * slowest < 1.0:
+    own = 1.0 / period
+    for bandwidth in dict.fromkeys(declared.sensor_bandwidth or ()):
+        if bandwidth < _FILTERED * own < math.inf:
+            shown, late = math.cos(math.atan(own / bandwidth)), math.degrees(math.atan(own / bandwidth))
             warnings.append(
-                f"{where}: sensor_bandwidth = {bandwidth:g} Hz lies below the rig's own frequency, "
-                f"{1.0 / slowest:.3g} Hz: such a sensor would hardly show the motion; check its unit"
+                f"{where}: sensor_bandwidth = {bandwidth:g} Hz, and the rig swings at {own:.3g} Hz: such a sensor (of "
+                f"the first order) shows {shown:.0%} of the motion, {late:.0f} degrees late, which a fit takes for the "
+                "rig's; check its unit, or fit with --effect sensor_bandwidth"
             )
 
 

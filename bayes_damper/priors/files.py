@@ -20,6 +20,7 @@ from scipy.special import ndtr
 from bayes_damper.campaign import Campaign
 from bayes_damper.errors import InputError
 from bayes_damper.inputs import collected, real, shipped_path, shown, toml_file
+from bayes_damper.priors import limits
 from bayes_damper.priors.distributions import (
     Distribution,
     HalfNormal,
@@ -296,6 +297,14 @@ def campaign_priors(source: str | Path | Mapping[str, Any], campaign: Campaign) 
         faults.append(
             f"{where}: k2t: negative altogether, and ground2_stiffness is 0: nothing would hold the secondary in place"
         )
+    faults += limits.beyond(
+        where,
+        {
+            n: [x for x in (e.value, *e.cases.values()) if not isinstance(x, str | None)]
+            for n, e in found.entries.items()
+        },
+        campaign,
+    )
     if faults:
         raise InputError(faults)
     return found

@@ -166,10 +166,26 @@ def test_a_magnet_that_cannot_be_is_refused(tmp_path, key, value):
         load_campaign(magnet_rig(tmp_path, **{key: value}))
 
 
-@pytest.mark.parametrize(("pull", "said"), [(100.0, False), (400.0, False), (10_200.0, True)])
+@pytest.mark.parametrize(("pull", "said"), [(100.0, False), (450.0, False), (470.0, True), (10_200.0, True)])
 def test_a_pull_that_no_magnet_of_that_face_has_is_named(tmp_path, pull, said):
     warnings = load_campaign(magnet_rig(tmp_path, magnet_pull=pull)).warnings
-    assert any("more than any magnet" in w and "1 kg is 9.81 N" in w for w in warnings) == said
+    assert any("more than any permanent magnet" in w and "1 kg is 9.81 N" in w for w in warnings) == said
+
+
+@pytest.mark.parametrize(
+    ("bandwidth", "said"),
+    [
+        (0.5, "shows 46% of the motion, 62 degrees late"),
+        (1.2, "shows 78% of the motion, 39 degrees late"),
+        (10.0, None),
+    ],
+)
+def test_a_sensor_that_is_too_slow_for_the_rig_is_named_with_what_it_takes(tmp_path, bandwidth, said):
+    records = [noisy(s, swing(TIMES)) for s in (1, 2)]
+    found = [
+        w for w in cart(tmp_path / "cart", records, measurement=f"sensor_bandwidth = {bandwidth}") if "sensor_band" in w
+    ]
+    assert (len(found) == 1 and said in found[0]) if said else not found
 
 
 def test_three_columns_given_to_init_are_refused_by_name(tmp_path):
