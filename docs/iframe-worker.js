@@ -1,27 +1,21 @@
-// Pages that are opened as files may start no workers: there the search's script runs in a hidden frame.
+// Material for MkDocs fetches a script of this name from the web where the docs have none.
+// The search of a page that is opened as a file. Browsers start no workers there: its script runs in a hidden frame,
+// and what the page would send to a worker, and hear from it, goes through here.
 if (location.protocol === "file:") {
-  window.Worker = class extends EventTarget {
-    constructor(url) {
-      super();
-      const frame = document.createElement("iframe");
-      frame.hidden = true;
-      document.body.append(frame);
-      this.inside = frame.contentWindow;
-      this.inside.postMessage = (data) => this.dispatchEvent(new MessageEvent("message", { data }));
-      this.inside.importScripts = (...urls) => Promise.all(urls.map((each) => this.load(each)));
-      this.ready = this.load(url);
-    }
-
-    load(url) {
-      return new Promise((done, failed) => {
-        const script = this.inside.document.createElement("script");
-        Object.assign(script, { src: url, onload: done, onerror: failed });
-        this.inside.document.body.append(script);
+  window.Worker = function HiddenFrame(url) {
+    const frame = Object.assign(document.createElement("iframe"), { hidden: true });
+    document.body.append(frame);
+    const scope = frame.contentWindow;
+    const page = new EventTarget();
+    const hand = (data, to) => to.dispatchEvent(new MessageEvent("message", { data }));
+    const run = (src) =>
+      new Promise((onload, onerror) => {
+        scope.document.body.append(Object.assign(scope.document.createElement("script"), { src, onload, onerror }));
       });
-    }
-
-    postMessage(data) {
-      this.ready.then(() => this.inside.dispatchEvent(new MessageEvent("message", { data })));
-    }
+    scope.importScripts = (...sources) => Promise.all(sources.map(run));
+    scope.postMessage = (data) => hand(data, page);
+    const started = run(url);
+    page.postMessage = (data) => started.then(() => hand(data, scope));
+    return page;
   };
 }

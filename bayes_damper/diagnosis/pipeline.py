@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -56,7 +55,7 @@ from bayes_damper.effects.base import SITES, Variant
 from bayes_damper.priors.distributions import Distribution, from_standard
 from bayes_damper.priors.files import PriorSet
 from bayes_damper.rig.parameters import unit_of
-from bayes_damper.runs.json_files import plain
+from bayes_damper.runs.json_files import plain, write_json
 from bayes_damper.runs.memory import shortage
 
 Array = NDArray[np.float64]
@@ -200,9 +199,8 @@ class Diagnosis:
     def write(self, folder: str | Path) -> Path:
         """Write diagnosis.json and missing_torque.csv into the folder (made if absent); returns the former's path."""
         home = Path(folder)
-        home.mkdir(parents=True, exist_ok=True)
         path = home / "diagnosis.json"
-        path.write_text(json.dumps(self.to_json(), indent=1) + "\n", encoding="utf-8")
+        write_json(path, self.to_json())
         write_missing_torque(home / "missing_torque.csv", self.site_map)
         if self.law is not None:
             self.law.write(home)

@@ -7,7 +7,6 @@ relative to the feature and of unknown size, in four variants (which features it
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -24,12 +23,13 @@ from scipy.special import logsumexp
 from bayes_damper.diagnosis.joint import Formula, Joint, Weighed, beginning, from_prior, learn, weigh_formula
 from bayes_damper.diagnosis.next_experiment import bhattacharyya, expected_information
 from bayes_damper.diagnosis.pipeline import INDISTINCT, SCHEMA
-from bayes_damper.diagnosis.verdict import PRIOR_NONE, PRIOR_UNKNOWN, USUAL
+from bayes_damper.diagnosis.verdict import PRIOR_NONE, PRIOR_UNKNOWN, USUAL, credible_set
 from bayes_damper.effects import EFFECTS, Effect, candidates
 from bayes_damper.effects.base import SITES
 from bayes_damper.priors.distributions import Distribution, LogNormal, median
 from bayes_damper.priors.files import PriorSet
 from bayes_damper.published.posterior import EFFECT_PREFIX, FEATURE_QUANTITIES, Datum
+from bayes_damper.runs.json_files import write_json
 from bayes_damper.sampling.arviz_adapter import hdi
 from bayes_damper.sampling.moves import StudentT
 from bayes_damper.simulation.model import Model
@@ -219,10 +219,8 @@ class PublishedDiagnosis:
 
     def write(self, folder: str | Path) -> Path:
         """Write diagnosis.json into the folder (made if absent); returns its path."""
-        home = Path(folder)
-        home.mkdir(parents=True, exist_ok=True)
-        path = home / "diagnosis.json"
-        path.write_text(json.dumps(self.to_json(), indent=1) + "\n", encoding="utf-8")
+        path = Path(folder) / "diagnosis.json"
+        write_json(path, self.to_json())
         return path
 
     def _formula(self, result: Result) -> dict[str, Any]:
@@ -442,8 +440,7 @@ class PublishedAnswers:
 
     def credible_set(self, share: float = 0.9) -> list[str]:
         """The smallest set of answers that holds at least `share` of the probability."""
-        total = np.cumsum([self.probabilities[n] for n in self.ranked])
-        return self.ranked[: int(np.searchsorted(total, share - 1e-12)) + 1]
+        return credible_set(self.probabilities, share)
 
 
 def prior_probabilities(names: Sequence[str]) -> dict[str, float]:

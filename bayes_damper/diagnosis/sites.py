@@ -33,6 +33,7 @@ from bayes_damper.diagnosis.response import (
     whiten,
 )
 from bayes_damper.diagnosis.shapes import Scale, Shape, scale_of_motions, shapes_of
+from bayes_damper.diagnosis.verdict import credible_set
 from bayes_damper.effects.base import SITES
 
 Array = NDArray[np.float64]
@@ -128,14 +129,7 @@ class SiteMap:
 
     def credible_set(self, share: float = 0.9) -> list[str]:
         """The smallest set of sites that holds at least `share` of the probability of a gap."""
-        gap = {s: p for s, p in self.probabilities.items() if s != "none"}
-        total, out = 0.0, []
-        for site, p in sorted(gap.items(), key=lambda item: -item[1]):
-            out.append(site)
-            total += p
-            if total >= share * sum(gap.values()) - 1e-12:
-                break
-        return out
+        return credible_set({s: p for s, p in self.probabilities.items() if s != "none"}, share)
 
     @property
     def torque_body(self) -> int:

@@ -143,13 +143,14 @@ class Answers:
 
     def credible_set(self, share: float = 0.9) -> list[str]:
         """The smallest set of answers that holds at least `share` of the probability."""
-        total, out = 0.0, []
-        for name, p in sorted(self.probabilities.items(), key=lambda item: -item[1]):
-            out.append(name)
-            total += p
-            if total >= share - 1e-12:
-                break
-        return out
+        return credible_set(self.probabilities, share)
+
+
+def credible_set(probabilities: Mapping[str, float], share: float = 0.9) -> list[str]:
+    """The smallest set of answers that holds at least `share` of their probability, the most probable first."""
+    ranked = sorted(probabilities, key=lambda name: (-probabilities[name], name))
+    total = np.cumsum([probabilities[name] for name in ranked])
+    return ranked[: int(np.searchsorted(total, share * total[-1] - 1e-9)) + 1] if ranked else []
 
 
 def family_evidence(candidates: Sequence[Candidate]) -> dict[str, float]:

@@ -23,6 +23,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayes_damper.diagnosis.verdict import credible_set
+
 Array = NDArray[np.float64]
 
 IDENTIFIABLE_CHI2 = 10.0
@@ -129,17 +131,6 @@ def class_of(effect: str, groups: Iterable[frozenset[str]]) -> frozenset[str]:
     return next((group for group in groups if effect in group), frozenset({effect}))
 
 
-def credible(probabilities: Mapping[str, float], share: float = 0.9) -> list[str]:
-    """The smallest set of answers that holds at least `share` of the probability, the most probable first."""
-    out, total = [], 0.0
-    for name in sorted(probabilities, key=lambda n: (-probabilities[n], n)):
-        out.append(name)
-        total += probabilities[name]
-        if total >= share - 1e-9:
-            break
-    return out
-
-
 def score_one(
     name: str,
     verdict: Mapping[str, Any],
@@ -180,7 +171,7 @@ def score_one(
         verdict=said,
         right=frozenset(right),
         is_right=is_right,
-        in_set=bool(right & set(verdict.get("credible_set") or credible(probabilities))) and bool(probabilities),
+        in_set=bool(right & set(verdict.get("credible_set") or credible_set(probabilities))) and bool(probabilities),
         set_size=len(merged(dict.fromkeys(verdict.get("credible_set") or [], 0.0), groups)),
         p_right=p_right,
         confidence=confidence,
@@ -189,7 +180,7 @@ def score_one(
         sites=tuple(truth_sites),
         site=site,
         site_right=site in accepted_sites,
-        site_in_set=bool(accepted_sites & set(credible(sites))),
+        site_in_set=bool(accepted_sites & set(credible_set(sites))),
         false_and_confident=effects_said and not is_right and confidence > CONFIDENT,
         closed=_number(gap.get("closed"), "median"),
         closed_left_out=_number(verdict.get("left_out_case"), "closed"),

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from bayes_damper.cli import main
+from bayes_damper.diagnosis.verdict import credible_set
 from bayes_damper.errors import ExitCode, InputError, Interrupted, SelfCheckError
 from bayes_damper.inputs import shipped_path
 from bayes_damper.validation.withheld import archive as archives
@@ -502,7 +503,7 @@ def made_up(rng, n, sharpen=1.0):
         verdict = {
             "verdict": max(probabilities, key=probabilities.get),
             "probabilities": probabilities,
-            "credible_set": scores.credible(probabilities),
+            "credible_set": credible_set(probabilities),
             "sites": {SITE[name]: x for name, x in probabilities.items()},
         }
         rows.append(scores.score_one(f"c{i}", verdict, entry(truth), GROUPS))
