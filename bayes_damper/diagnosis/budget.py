@@ -7,13 +7,14 @@ beyond those before it, averaged over all orders, so that shares and what stays 
 hide each other. What is left does not speak against what is found; it stands beside it.
 
 Held-out trials have chosen no set, so they judge it. With s the share that an effect closes there, e its standard
-error and S what it would be without noise: an effect that acts has S anywhere between 0 and 1; one that only stands for
-something else, be it another effect, a cause outside the library or what does not repeat, has as often nothing to do
-with other trials, S = 0, as it does good or harm there, -1 to 1. What makes the gap more than twice as large does all
-the harm there is, in each draw of the blocks too: the error of such a share grows with it, and would hide that. Bayes'
-rule on the two takes an effect away that closes nothing on data that did not choose it. It makes none more probable: an
-impostor closes a gap as well. What loses more than half of its probability leaves, one effect after the other, and with
-it every set that holds it: the best of the others is judged next. Shares are those of what remains.
+error, S what it would be without noise, and p the share that it closes on the trials it was fitted to: an effect that
+acts has S anywhere between 0 and R = 2 p, at most 1; one that only stands for something else, be it another effect, a
+cause outside the library or what does not repeat, has as often nothing to do with other trials, S = 0, as it does good
+or harm there, -R to R. So a small effect leaves only where one of its size would have shown. What does more harm than R
+does all that there is, in each draw of the blocks too: the error of such a share grows with it, and would hide that.
+Bayes' rule on the two takes an effect away that closes nothing on data that did not choose it. It makes none more
+probable: an impostor closes a gap as well. What loses more than half of its probability leaves, one effect after the
+other, and with it every set that holds it: the best of the others is judged next. Shares are those of what remains.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ from bayes_damper.diagnosis.verdict import FLOOR, PRIOR_NONE, RULE, Answers, Lef
 Array = NDArray[np.float64]
 
 SUBSET_STEPS = 12  # of the fits of smaller sets, which begin where the best set's lies
-MOST_HARM = 1.0  # as a share of the gap
+LEAST_REACH = 1e-3  # share of the gap
 BORNE_OUT = 0.5  # of its probability that an effect must keep on held-out trials to be in the budget
 
 
@@ -153,34 +154,32 @@ def _parts(
     """Effects of a set with their shares, largest first, what is unexplained, and which share is the largest."""
     heldout = nominal.problem.experiment.heldout
     names = [e.name for e, _ in best.members]
-    shares, errors, unexplained, leading = _shares(nominal, best, sets, heldout, rng) if heldout else _no_shares(names)
+    found = _shares(nominal, best, sets, heldout, rng) if heldout else None
+    shares, errors, reach, unexplained, leading = found or (dict.fromkeys(names, NO_SHARE), {}, {}, NO_SHARE, {})
     parts = []
     for member in best.members:
         name = member[0].name
         acts = sum(p * (1.0 - outside.get(names, 0.0)) for names, p in weights.items() if name in names)
         share = shares[name]
-        present = acts if share.median is None else borne_out(share.median, errors[name], acts)
+        present = acts if share.median is None else borne_out(share.median, errors[name], acts, reach[name])
         parts.append(Part(member, present, share, _coordinates(best, name), present / max(acts, 1e-300)))
     parts.sort(key=lambda part: -(part.share.median if part.share.median is not None else part.present))
     return tuple(parts), unexplained, leading
 
 
-def borne_out(share: float, error: float, acts: float) -> float:
+def borne_out(share: float, error: float, acts: float, reach: float = 1.0) -> float:
     """Probability that an effect acts, after its share of the gap on held-out trials is known with standard error.
 
-    error : of the share with draws no less than -MOST_HARM; acts : the probability before.
+    error : of the share with draws no less than -reach; acts : the probability before; reach : the largest share that
+    such an effect has (R above).
     """
-    share, error = max(-MOST_HARM, min(share, 1.0)), max(error, 1e-9)
-    above = ndtr((1.0 - share) / error)
-    inside = acts * (above - ndtr(-share / error))
-    harm = 0.5 * (above - ndtr((-MOST_HARM - share) / error))
+    share, error = max(-reach, min(share, reach)), max(error, 1e-9)
+    above = ndtr((reach - share) / error)
+    inside = acts * (above - ndtr(-share / error)) / reach
+    harm = 0.5 * (above - ndtr((-reach - share) / error)) / reach
     nothing = math.exp(-0.5 * min((share / error) ** 2, 1400.0)) / (error * math.sqrt(2.0 * math.pi))
     other = (1.0 - acts) * 0.5 * (harm + nothing)
     return min(acts, float(inside / (inside + other))) if inside > 0.0 else 0.0
-
-
-def _no_shares(names: Sequence[str]) -> tuple[dict[str, Closed], dict[str, float], Closed, dict[str, float]]:
-    return dict.fromkeys(names, NO_SHARE), {}, NO_SHARE, {}
 
 
 def _coordinates(best: SetFit, effect: str) -> dict[str, str]:
@@ -191,10 +190,16 @@ def _coordinates(best: SetFit, effect: str) -> dict[str, str]:
     return {p.name: f"effect.{p.name}" for p in best.members[0][1].parameters}
 
 
+Shares = tuple[dict[str, Closed], dict[str, float], dict[str, float], Closed, dict[str, float]]
+
+
 def _shares(
     nominal: Calibration, best: SetFit, sets: Sequence[SetFit], heldout: Sequence[int], rng: np.random.Generator | None
-) -> tuple[dict[str, Closed], dict[str, float], Closed, dict[str, float]]:
-    """Share of each effect and its standard error, share unexplained, and the probability that each is the largest."""
+) -> Shares | None:
+    """Share of each effect, its standard error and reach, share unexplained, and probability that each is the largest.
+
+    None where held-out trials show no gap.
+    """
     names = [e.name for e, _ in best.members]
     smaller = [frozenset(some) for n in range(1, len(names)) for some in combinations(names, n)]
     fits = {some: _subset(nominal, best, sets, some) for some in smaller}
@@ -202,34 +207,56 @@ def _shares(
     models = [nominal, *(fits[k] for k in smaller), best.fit] if names else [nominal]
     found = products_of(models, heldout, rng)
     if not found.is_known():
-        return _no_shares(names)
+        return None
+    squares = np.array([_squares(nominal, model) for model in models])
+    fitted = squares / max(squares[0] - squares[-1], 1e-300)
     left, draws = found.shares()
-    place = {k: i for i, k in enumerate(keys)}
-    return _divided(names, place, left, draws, found)
+    return _divided(names, {k: i for i, k in enumerate(keys)}, left, draws, fitted, found)
+
+
+def _squares(nominal: Calibration, fit: Calibration) -> float:
+    """What a fit misses of the trials that it was fitted to, as a sum of squares over the nominal model's noise."""
+    sds = np.array(nominal.problem.noise.floor)
+    inside = fit.residuals()
+    return sum(
+        float(np.nansum(np.square(inside[i] * w / sds[: len(w), None])))
+        for g in nominal.problem.grouped(nominal.problem.trials)
+        for i, w in zip(g.trials, g.weight, strict=True)
+    )
 
 
 def _divided(
-    names: Sequence[str], place: Mapping[frozenset[str], int], left: Array, draws: Array, found: Products
-) -> tuple[dict[str, Closed], dict[str, float], Closed, dict[str, float]]:
-    """Shapley's shares of what each subset of effects leaves: left (subsets,), draws (draws, subsets)."""
+    names: Sequence[str], place: Mapping[frozenset[str], int], left: Array, draws: Array, fitted: Array, found: Products
+) -> Shares:
+    """Shapley's shares of what each subset of effects leaves: left, fitted (subsets,), draws (draws, subsets).
+
+    fitted : on the trials that were fitted, where all effects together close the whole gap.
+    """
     out: dict[str, Closed] = {}
-    columns = {}
+    errors, reach, columns = {}, {}, {}
     for name in names:
-        others = [n for n in names if n != name]
-        value, drawn = 0.0, np.zeros(len(draws))
-        for size in range(len(names)):
-            weight = math.factorial(size) * math.factorial(len(others) - size) / math.factorial(len(names))
-            for before in combinations(others, size):
-                a, b = place[frozenset(before)], place[frozenset((*before, name))]
-                value += weight * float(left[a] - left[b])
-                drawn = drawn + weight * (draws[:, a] - draws[:, b])
-        out[name], columns[name] = Closed(value, shortest_interval(np.sort(drawn)), found.method), drawn
-    errors = {name: float(np.std(np.maximum(drawn, -MOST_HARM))) for name, drawn in columns.items()}
+        columns[name] = drawn = _shapley(name, names, place, draws)
+        share = float(_shapley(name, names, place, left))
+        out[name] = Closed(share, shortest_interval(np.sort(drawn)), found.method)
+        reach[name] = float(np.clip(2.0 * _shapley(name, names, place, fitted), LEAST_REACH, 1.0))
+        errors[name] = float(np.std(np.maximum(drawn, -reach[name])))
     last = place[frozenset(names)]
     columns["unknown"] = draws[:, last]
     unexplained = Closed(float(left[last]), shortest_interval(np.sort(draws[:, last])), found.method)
     largest = np.argmax(np.stack(list(columns.values())), axis=0)
-    return out, errors, unexplained, {n: float(np.mean(largest == k)) for k, n in enumerate(columns)}
+    return out, errors, reach, unexplained, {n: float(np.mean(largest == k)) for k, n in enumerate(columns)}
+
+
+def _shapley(name: str, names: Sequence[str], place: Mapping[frozenset[str], int], left: Array) -> Array:
+    """What an effect closes beyond those before it, averaged over all orders; left (..., subsets): what each leaves."""
+    others = [n for n in names if n != name]
+    total = np.zeros(left.shape[:-1])
+    for size in range(len(names)):
+        weight = math.factorial(size) * math.factorial(len(others) - size) / math.factorial(len(names))
+        for before in combinations(others, size):
+            a, b = place[frozenset(before)], place[frozenset((*before, name))]
+            total = total + weight * (left[..., a] - left[..., b])
+    return total
 
 
 def _smaller(nominal: Calibration, best: SetFit, sets: Sequence[SetFit], some: frozenset[str]) -> SetFit:

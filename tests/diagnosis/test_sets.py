@@ -203,13 +203,14 @@ def test_shares_of_effects_that_hide_each_other_sum_to_one():
     place = {frozenset[str](): 0, frozenset("a"): 1, frozenset("b"): 2, frozenset("ab"): 3}
     left = np.array([1.0, 1.0, 1.0, 0.2])
     draws = np.tile(left, (50, 1))
-    shares, errors, unexplained, leading = _divided(
-        ["a", "b"], place, left, draws, Products(left[:, None], draws, "repeats")
+    shares, errors, reach, unexplained, leading = _divided(
+        ["a", "b"], place, left, draws, left / 0.8, Products(left[:, None], draws, "repeats")
     )
     assert shares["a"].median == pytest.approx(0.4)
     assert sum(s.median for s in shares.values()) + unexplained.median == pytest.approx(1.0)
     assert sum(leading.values()) == pytest.approx(1.0)
     assert errors["a"] == pytest.approx(0.0, abs=1e-12)
+    assert reach == pytest.approx({"a": 1.0, "b": 1.0})
 
 
 def test_held_out_trials_take_away_what_closes_nothing_there_and_add_nothing():
@@ -224,13 +225,26 @@ def test_held_out_trials_take_away_what_closes_nothing_there_and_add_nothing():
     assert borne_out(-9.0, 0.01, 0.96) < 1e-6
 
 
+def test_a_small_effect_is_kept_where_held_out_trials_show_as_much_as_one_of_its_size_can():
+    """0.012 +- 0.009 of the gap is little beside 1, and just what an effect with 0.015 where it was fitted gives."""
+    assert borne_out(0.012, 0.009, 0.88) < 0.5
+    assert borne_out(0.012, 0.009, 0.88, 0.03) == pytest.approx(0.88, abs=0.01)
+    assert borne_out(0.0, 0.005, 0.88, 0.03) < 0.85
+    assert borne_out(0.0, 0.001, 0.88, 0.03) < 0.5
+    assert borne_out(-0.02, 0.009, 0.88, 0.03) < 0.4
+    assert borne_out(0.6, 0.01, 0.88, 0.03) == pytest.approx(0.88, abs=0.01)
+    for share in (-0.01, 0.0, 0.01):
+        assert borne_out(share, 0.5, 0.88, 0.03) == pytest.approx(0.88, abs=0.02)
+
+
 def test_an_effect_that_makes_the_gap_much_larger_is_not_kept_for_the_size_of_its_error():
     """Residuals 300 times as large: the share is -1e5 with an error as large, and it closes nothing."""
     rng = np.random.default_rng(4)
     values = np.array([rng.uniform(0.5, 1.5, 6), 1e5 * rng.lognormal(0.0, 1.5, 6)])
     picked = rng.multinomial(6, np.full(6, 1 / 6), 2000)
     found = Products(values, picked @ values.T, "neighbours")
-    shares, errors, *_ = _divided(["a"], {frozenset(): 0, frozenset("a"): 1}, *found.shares(), found)
+    fitted = np.array([1.0, 0.0])
+    shares, errors, *_ = _divided(["a"], {frozenset(): 0, frozenset("a"): 1}, *found.shares(), fitted, found)
     assert shares["a"].median < -1e4
     assert np.std(found.shares()[1][:, 1]) > 1e4
     assert borne_out(shares["a"].median, errors["a"], 0.99) < 1e-6
@@ -242,7 +256,8 @@ def test_the_next_best_set_is_judged_where_one_fails(monkeypatch):
 
     def shares(nominal, best, sets, heldout, rng):
         of = {n: Closed(told[n][0], (0.0, 1.0), "repeats") for n in best.names}
-        return of, {n: told[n][1] for n in best.names}, Closed(0.2, (0.1, 0.3), "repeats"), {}
+        reach = dict.fromkeys(best.names, 1.0)
+        return of, {n: told[n][1] for n in best.names}, reach, Closed(0.2, (0.1, 0.3), "repeats"), {}
 
     monkeypatch.setattr("bayes_damper.diagnosis.budget._shares", shares)
     monkeypatch.setattr("bayes_damper.diagnosis.budget._coordinates", lambda best, effect: {})
@@ -260,7 +275,8 @@ def test_an_effect_that_closes_nothing_on_held_out_trials_leaves_the_budget(monk
 
     def shares(nominal, best, sets, heldout, rng):
         of = {n: Closed(told[n][0], (told[n][0] - 0.1, told[n][0] + 0.1), "repeats") for n in best.names}
-        return of, {n: told[n][1] for n in best.names}, Closed(0.2, (0.1, 0.3), "repeats"), {}
+        reach = dict.fromkeys(best.names, 1.0)
+        return of, {n: told[n][1] for n in best.names}, reach, Closed(0.2, (0.1, 0.3), "repeats"), {}
 
     monkeypatch.setattr("bayes_damper.diagnosis.budget._shares", shares)
     monkeypatch.setattr("bayes_damper.diagnosis.budget._coordinates", lambda best, effect: {})
