@@ -397,7 +397,7 @@ def diagnose(
         "before": asdict(none_left), "after": asdict(left), "excess": excess,
         "drift": drift if wiring is None else float(np.logaddexp(drift, wiring.gain)),
         "pairs": [{"effects": list(e), "log_evidence": z, "left": asdict(remains)} for e, z, remains in judged],
-        "definitions": definitions,
+        "definitions": definitions, "usual": usual,
     }  # fmt: skip
     fits: dict[str, list[Calibration]] = {}
     for c in found:

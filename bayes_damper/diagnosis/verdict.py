@@ -234,14 +234,18 @@ def weigh(
     log_w: dict[str | tuple[str, str], float] = {
         "none": math.log(PRIOR_NONE) + float(np.logaddexp(0.0, usual)) - math.log(2.0)
     }
-    log_w |= {n: math.log(each) + evidence[n] / temperature for n in names}
+    mended = {n: evidence[n] for n in names}
     if math.isfinite(generic):
         log_w["unknown"] = math.log(each) + generic / temperature
     left: dict[str | tuple[str, str], Left] = {"none": before}
     for effects, value, remains in pairs:
-        paid = value - (0.0 if remains.exact else mending * max(best, 0.0))
-        log_w[effects] = pair_log_prior(effects, among, rule.prior_unknown) + paid / temperature
+        # Some of what a second effect gains the first one would gain by a better formula: it does so alone.
+        for n in () if remains.exact else set(effects) & set(mended):
+            gain = min(value - evidence[n], mending * max(best, 0.0))
+            mended[n] = max(mended[n], evidence[n] + gain)
+        log_w[effects] = pair_log_prior(effects, among, rule.prior_unknown) + value / temperature
         left[effects] = remains
+    log_w |= {n: math.log(each) + z / temperature for n, z in mended.items()}
     top = max(log_w.values())
     weights = {n: math.exp(v - top) for n, v in log_w.items()}
     total = sum(weights.values())

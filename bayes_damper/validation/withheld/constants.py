@@ -90,7 +90,8 @@ def replay(verdict: Mapping[str, Any], rule: Rule = RULE) -> Answers:
     ]
     drift = _number(weighed["drift"], -math.inf)
     left = _left(weighed["before"]), _left(weighed["after"])
-    return weigh(evidence, *left, float(weighed["excess"]), rule, pairs, drift, weighed.get("definitions", ()))
+    usual = float(weighed.get("usual", 0.0))
+    return weigh(evidence, *left, float(weighed["excess"]), rule, pairs, drift, weighed.get("definitions", ()), usual)
 
 
 def _number(x: Any, missing: float) -> float:
