@@ -366,7 +366,7 @@ def diagnose(
     answers = judge({}, {})
     rng = np.random.default_rng(seed)
     if not alone:
-        sets = grown(fit, found, pool, pairs, workers=workers, report=report)
+        sets = grown(fit, found, pool, pairs, home=left.home, workers=workers, report=report)
     names = sorted(evidence)
     shares_left = _shares_left(fit, sets, len(names)) if alone else {}
 

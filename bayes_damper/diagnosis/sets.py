@@ -48,7 +48,7 @@ from bayes_damper.calibration.input_noise import followed
 from bayes_damper.diagnosis.pairs import ComposedProblem, Pair, PairProblem
 from bayes_damper.diagnosis.remainder import LOW_BAND, own_frequency, repeats_of, whitened_records
 from bayes_damper.diagnosis.search import Candidate, Essence, Screen, essence, restored
-from bayes_damper.diagnosis.verdict import FRICTIONS, RULE, USUAL, Rule
+from bayes_damper.diagnosis.verdict import FRICTIONS, RULE, USUAL, Rule, mended_share
 from bayes_damper.effects.base import Effect, Variant
 from bayes_damper.priors.distributions import HalfNormal
 from bayes_damper.runs.parallel_map import forked_map
@@ -471,14 +471,15 @@ def grown(
     pool: Sequence[Member],
     pairs: Sequence[Pair] = (),
     *,
+    home: float = 1.0,
     workers: int = 1,
     report: Callable[[str], None] = lambda _: None,
 ) -> list[SetFit]:
     """Sets of effects, weighed, best first: the nominal model, single effects, pairs, and what screening proposes.
 
-    found : fitted single effects; pool : all formulas that the rig can have; pairs : fitted already. Where trials have
-    repeats, pairs are known, and sets grow from the best one; else from the nominal model too, by two and three effects
-    at once.
+    found : fitted single effects; pool : all formulas that the rig can have; pairs : fitted already; home : probability
+    that what the leading effect leaves lies at its own site. Where trials have repeats, pairs are known, and sets grow
+    from the best one; else from the nominal model too, by two and three effects at once.
     """
     exact = bool(nominal.problem.noise.sensor)
     sets: dict[tuple[tuple[str, str], ...], SetFit] = {(): set_fit((), nominal)}
@@ -494,7 +495,7 @@ def grown(
             add(((c.effect, c.variant),), _sharper(c.fit) if exact else c.fit)
     explained = max((c.log_evidence for c in found if c.fit is not None), default=0.0)
     for pair in pairs:
-        if not mends(pair.gain, explained, pair.exact):
+        if not mends(pair.gain, explained, pair.exact, home):
             add(*_of_pair(pair))
     ranked = weighed(list(sets.values()))
     tried = {s.names for s in ranked}
@@ -545,13 +546,14 @@ def _without_one(best: SetFit) -> list[tuple[tuple[Member, ...], Array]]:
     return out
 
 
-def mends(gain: float, explained: float, exact: bool, rule: Rule = RULE) -> bool:
+def mends(gain: float, explained: float, exact: bool, home: float = 1.0, rule: Rule = RULE) -> bool:
     """Whether a further effect gains no more than what mending the first one's formula would (verdict.py).
 
     gain : nats over the set without it, explained : by the best single effect; exact : whether its formula, or the
-    first one's, is a definition, in which nothing is mended.
+    first one's, is a definition, in which nothing is mended; home : probability that what the first one leaves lies at
+    its own site.
     """
-    return not exact and not gain > rule.mismatch * max(explained, 0.0)
+    return not exact and not gain > mended_share(home, rule) * max(explained, 0.0)
 
 
 def _can_grow(s: SetFit, pool: Sequence[Member], least: int) -> bool:

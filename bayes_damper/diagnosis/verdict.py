@@ -183,6 +183,15 @@ def pair_log_prior(effects: Collection[str], among: int = USUAL, unknown: float 
     return math.log(_prior_of_one(among, unknown) if one else 2.0 * PRIOR_PAIRS / (among * (among - 1.0)))
 
 
+def mended_share(home: float, rule: Rule = RULE) -> float:
+    """Share of an effect's evidence that a second one may gain by mending the first one's formula.
+
+    home : probability that what the first one leaves lies at its own site; what lies elsewhere is seldom the work of an
+    inexact formula.
+    """
+    return float(rule.mismatch * (rule.share_away / rule.share_home) ** (1.0 - home))
+
+
 def outside_library(left: Left, evidence: float, rule: Rule = RULE, easy: bool = False) -> float:
     """Probability that what an answer explains is the work of a cause outside the library.
 
@@ -229,8 +238,7 @@ def weigh(
     temperature = 1.0 + max(0.0, excess) / (rule.tempering * 20.0)
     temperature *= 1.0 + rule.shape_readings / max(after.readings, 1e-9)
     best = max((evidence[n] for n in names), default=0.0)
-    # What lies away from an answer's own site is seldom the work of its inexact formula.
-    mending = rule.mismatch * (rule.share_away / rule.share_home) ** (1.0 - after.home)
+    mending = mended_share(after.home, rule)
     log_w: dict[str | tuple[str, str], float] = {
         "none": math.log(PRIOR_NONE) + float(np.logaddexp(0.0, usual)) - math.log(2.0)
     }

@@ -386,7 +386,7 @@ def test_a_second_effect_away_from_the_first_ones_site_is_not_laid_to_its_formul
 
 
 def test_pairs_with_the_same_second_effect_are_held_against_each_other_as_they_are():
-    """A definition has nothing to mend; that is no evidence for it over an effect that explains more beside the same."""
+    """A definition has nothing to mend: no evidence for it over an effect that explains more beside the same."""
     one, two = (("a", "c"), 2084.0, replace(QUIET, exact=True)), (("b", "c"), 2092.0, QUIET)
     answers = weigh({"a": 1784.0, "b": 1849.0, "c": 312.0}, ALL, QUIET, pairs=[one, two], definitions=["a"])
     assert answers.verdict == "b"

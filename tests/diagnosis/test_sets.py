@@ -195,6 +195,7 @@ def test_a_second_effect_that_mends_the_first_ones_formula_is_none():
     assert mends(100.0, 4000.0, exact=False)
     assert not mends(300.0, 4000.0, exact=False)
     assert not mends(100.0, 4000.0, exact=True)
+    assert not mends(100.0, 4000.0, exact=False, home=0.0)
     assert mends(math.nan, 4000.0, exact=False)
 
 
