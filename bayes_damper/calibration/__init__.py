@@ -40,7 +40,12 @@ from bayes_damper.calibration.heldout import Prediction, predict
 from bayes_damper.calibration.least_squares import Calibration, calibrate, default_starts, drawn_starts, summarise
 from bayes_damper.calibration.noise import Noise, rough_noise
 from bayes_damper.calibration.noise_level import error_level, evenly_sampled, learn_noise, spectrum_bins, whittle
-from bayes_damper.calibration.nominal import calibrate_nominal, gained_by_own_releases, grown
+from bayes_damper.calibration.nominal import (
+    calibrate_nominal,
+    explained_by_own_releases,
+    gained_by_own_releases,
+    grown,
+)
 from bayes_damper.calibration.normal_equations import Block, Linear, Normals
 from bayes_damper.calibration.problem import Problem
 from bayes_damper.calibration.unknowns import NOMINAL, Coordinate, coordinate_of, middle, value_and_slope
@@ -70,6 +75,7 @@ __all__ = [
     "error_level",
     "evenly_sampled",
     "experiment_of",
+    "explained_by_own_releases",
     "gained_by_own_releases",
     "grown",
     "learn_noise",

@@ -31,7 +31,6 @@ from bayes_damper.simulation.model import Quantity
 
 Array = NDArray[np.float64]
 STEPS_PER_PERIOD = 120.0  # at least, of the primary on its spring
-RISEN = 0.8  # of the peak, from which an acceleration has jumped as far as it will
 SHARPNESS = 200.0
 """nu times the peak speed before any reading is seen: dry friction changes sign within a two hundredth of it."""
 LEAST_DIGITS = 3  # of a declared constant that count: 216 may be 216.0, or rounded
@@ -231,10 +230,10 @@ def release_window(trial: TrialRecord, quantity: str) -> tuple[float, float]:
 
 
 def still_rising(trial: TrialRecord, instant: float) -> bool:
-    """Whether the first acceleration from an instant on shows a part of the jump only: the rig is not let go yet."""
+    """Whether the first acceleration from an instant on is less than those after it: the rig may not be let go yet."""
     first = int(np.searchsorted(trial.times, instant))
     y = np.abs(np.nan_to_num(trial.y[0, first : first + 6]))
-    return bool(y.size > 1 and y[0] < RISEN * float(np.max(y)))
+    return bool(y.size > 1 and y[0] < float(np.max(y)))
 
 
 def lone(experiment: Experiment, trials: Sequence[int]) -> bool:

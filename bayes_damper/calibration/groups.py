@@ -218,9 +218,10 @@ class Grouping:
         out += self._scattered(trials, released=not forced)
         out += self._of_inputs(trials)
         bounds += [wide] * (len(out) - len(bounds))
-        for k, (name, _, spread) in enumerate(out):
+        for k, (name, middle, spread) in enumerate(out):
             if name == RELEASE:  # no longer than 1 / omega of the primary: what falls more slowly is no release
-                bounds[k] = (np.zeros(n), 1.0 / np.array([e.omegas[t.k1t] for t in trials]) / spread)
+                longest = 1.0 / np.array([e.omegas[t.k1t] for t in trials])
+                bounds[k] = (-middle / spread, (longest - middle) / spread)
         if not out:
             return (), np.zeros((n, 0)), np.zeros((n, 0))
         return tuple(out), np.array([b[0] for b in bounds]).T, np.array([b[1] for b in bounds]).T
@@ -260,7 +261,12 @@ class Grouping:
         if self.experiment.start == "free":
             periods = float(trials[0].times[-1] - trials[0].times[0]) * min(self.experiment.omegas) / (2.0 * math.pi)
             columns = [c for c in columns if not c[0].startswith("drift") or half_periods(c[0]) <= 2.0 * SLOW * periods]
-        return [(name, np.zeros(n), np.full(n, sd)) for name, sd in columns if released or name != RELEASE]
+        about = {RELEASE: self.switches.scatter.mean(RELEASE)}
+        return [
+            (name, np.full(n, about.get(name, 0.0)), np.full(n, sd))
+            for name, sd in columns
+            if released or name != RELEASE
+        ]
 
 
 def _event_strength(y: Array, noise: Array) -> Array:

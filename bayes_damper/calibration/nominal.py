@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from bayes_damper.calibration.experiment import Experiment, lone, repeats
 from bayes_damper.calibration.groups import Group, Switches
@@ -19,10 +20,13 @@ from bayes_damper.calibration.noise_level import learn_noise
 from bayes_damper.calibration.own_values import RELEASE, Scatter
 from bayes_damper.calibration.problem import Problem
 from bayes_damper.calibration.scatter import (
+    SHOWN_FROM,
     SUDDEN,
     carried,
     learn_scatter,
+    log_prior,
     times_of_release,
+    typical_scatter,
     usual_releases,
     with_releases,
 )
@@ -35,6 +39,10 @@ RELEASES = (0.0, 2.0)  # sizes of the time of release from which each trial's is
 TIMES_TRIED = (0.05, 0.1, 0.2, 0.35, 0.6, 1.0, 1.7, 3.0)  # sizes of it in one trial,
 OVER = (0.1, 0.3, 0.5, 0.7, 0.9)  # and shares of it at the first reading
 MOST_ROUNDS = 3  # of that search
+STEP_OF_MEAN = math.sqrt(2.0)  # of the mean time of release, from a typical one on, up or down for as long as it gains
+ABOUT = 1.0 / math.sqrt(3.0)  # of their mean: what times differ by where each from none to twice the mean is as likely
+SAME, DIFFERENT = (0.0, 0.1, 0.2, 0.3), (0.4, 0.6, 0.8, 1.0)  # shares of their mean that times of release differ by
+HOPELESS = 10.0  # nats lost by a typical mean, from which no other one is tried
 ALIKE = 0.38  # of their mean: half of what times differ by that are half a normal variable; closer ones are one time
 KEPT = 10.0  # nats that the evidence may lose with the times of release
 MOST_TURNS = 4  # of learning scatter and noise from the fit, and the fit under them, at most
@@ -154,13 +162,26 @@ def gained_by_own_releases(fit: Calibration) -> float:
     return max(_log_density(found) - _log_density(fit), 0.0)
 
 
+def explained_by_own_releases(fit: Calibration) -> float:
+    """Nats that a time of release of each trial's own gains the nominal model that has it, else 0."""
+    switches = fit.problem.switches
+    sizes = tuple(s for s in switches.scatter.sizes if s.name != RELEASE)
+    if len(sizes) == len(switches.scatter.sizes):
+        return 0.0
+    sudden = fit.problem.changed(switches=replace(switches, scatter=Scatter(sizes)))
+    found = calibrate(sudden, [fit.q], eta=carried(fit, sudden), anneal=False)
+    return max(_log_density(fit) - _log_density(found), 0.0)
+
+
 def _at_readings(fit: Calibration) -> dict[int, Array]:
     """Nuisances of each trial with the time and instant of release that fit best with all else as it is.
 
     As it is; or any time from a grid, with some share of it over at the first reading, or half of it at the fit's
     own instant.
     """
-    out = {i: v.copy() for i, v in fit.eta.items()}
+    count = 1 + len(TIMES_TRIED) * (len(OVER) + 1)
+    candidates = {i: np.tile(v, (count, 1)) for i, v in fit.eta.items()}
+    end = float(fit.problem.experiment.ends_bounded)  # the own instant: 0 at the beginning, 1 at the end
     for group in fit.problem.groups:
         rows = {name: (n, mean, sd) for n, (name, mean, sd) in enumerate(group.nuisances)}
         if RELEASE not in rows or "delay" not in rows:
@@ -168,7 +189,6 @@ def _at_readings(fit: Calibration) -> dict[int, Array]:
         (n, least, size), (d, late, unit) = rows[RELEASE], rows["delay"]
         now = np.array([fit.eta[i] for i in group.trials])
         first = np.array([fit.problem.experiment.trials[i].times[0] for i in group.trials])
-        end = float(fit.problem.experiment.ends_bounded)  # the own instant: 0 at the beginning, 1 at the end
         tried = [now]
         for x in TIMES_TRIED:
             time = least + size * x
@@ -177,14 +197,9 @@ def _at_readings(fit: Calibration) -> dict[int, Array]:
                 own = now.copy()
                 own[:, n], own[:, d] = x, (instant - late) / unit
                 tried.append(np.clip(own, group.lower, group.upper))
-        candidates = {i: np.tile(v, (len(tried), 1)) for i, v in fit.eta.items()}
-        candidates |= {i: np.array([t[k] for t in tried]) for k, i in enumerate(group.trials)}
-        costs = fit.problem.for_trials(group.trials).costs_of_trials(
-            np.tile(fit.q, (len(tried), 1)), {i: candidates[i] for i in group.trials}
-        )
-        for i in group.trials:
-            out[i] = candidates[i][int(np.argmin(np.where(np.isfinite(costs[i]), costs[i], np.inf)))]
-    return out
+        candidates |= {i: np.array([own[k] for own in tried]) for k, i in enumerate(group.trials)}
+    costs = fit.problem.costs_of_trials(np.tile(fit.q, (count, 1)), candidates)
+    return {i: candidates[i][int(np.argmin(np.where(np.isfinite(c), c, np.inf)))] for i, c in costs.items()}
 
 
 def _each_release(fit: Calibration) -> Calibration:
@@ -216,6 +231,59 @@ def _each_release(fit: Calibration) -> Calibration:
     eta = {i: found[best.get(i, 0)].eta[i] for i in fit.eta}
     found.append(calibrate(fit.problem, [min(found, key=lambda f: f.cost).q], eta=eta, anneal=False))
     return min(found, key=lambda f: f.cost)
+
+
+def _about_a_mean(fit: Calibration) -> Calibration:
+    """The fit with each trial's time of release between none and twice a mean, if that is likelier; else the fit.
+
+    Sizes are learnt from what differs between repeats. Where single trials show little of their times, what these
+    share is known far better, and an effect that lets go slowly, or a lag, would stand for it. Times that are all alike
+    as far as the trials show are left to those.
+    """
+    problem = fit.problem
+    trials = [problem.experiment.trials[i] for i in problem.trials]
+    usual = [s for s in typical_scatter(problem, releases=True).sizes if s.name == RELEASE]
+    if not usual or lone(problem.experiment, problem.trials) or all(t.theta0 == 0.0 for t in trials):
+        return fit
+    others = tuple(s for s in problem.switches.scatter.sizes if s.name != RELEASE)
+
+    def about(share: float, start: Calibration) -> tuple[Calibration, float]:
+        mean = share * usual[0].typical
+        scatter = Scatter((*others, replace(usual[0], sd=ABOUT * mean, low=0.0, high=2.0 * mean, mean=mean)))
+        wide = problem.changed(switches=replace(problem.switches, scatter=scatter))
+        found = calibrate(wide, [start.q], eta=carried(start, wide), anneal=False)
+        return found, _log_density(found) + float(log_prior(np.log(share))) - float(log_prior(np.zeros(())))
+
+    known = _log_density(fit)
+    best, most = about(1.0, fit)
+    if most < known - HOPELESS:
+        return fit
+    share = 1.0
+    for step in (STEP_OF_MEAN, 1.0 / STEP_OF_MEAN):
+        while (further := about(share * step, best))[1] > most:
+            share, (best, most) = share * step, further
+    return best if most > known + SHOWN_FROM and not _alike(best) else fit
+
+
+def _alike(fit: Calibration) -> bool:
+    """Whether times of release differ by less than half of what times about a mean differ by, as far as trials show.
+
+    Each trial's own likelihood is that of its fit without the prior; those of all trials are Gaussian about a mean, by
+    a share of it that is small or usual.
+    """
+    shown, variance = [], []
+    for block, H, _, _ in fit.linear.normal().parts:
+        k = [name for name, _, _ in block.group.nuisances].index(RELEASE)
+        _, mean, sd = block.group.nuisances[k]
+        left = np.minimum(np.linalg.inv(H)[:, k, k], 1.0 - 1e-9)  # of a prior variance of 1
+        shown += list(mean + sd * block.eta[:, k] / (1.0 - left))
+        variance += list(sd**2 * left / (1.0 - left))
+    center = np.geomspace(0.2, 5.0, 60)[:, None, None] * float(np.median(np.abs(shown)))
+    both = []
+    for shares in (SAME, DIFFERENT):
+        v = np.array(variance) + (np.array(shares)[:, None] * center) ** 2
+        both.append(float(logsumexp(-0.5 * np.sum(np.log(v) + (np.array(shown) - center) ** 2 / v, axis=2))))
+    return both[0] > both[1] + SHOWN_FROM
 
 
 def _as_declared(fit: Calibration) -> Calibration:
@@ -406,4 +474,5 @@ def _with_exact_inputs(
         best = max(best, fit, key=_log_density)
         if not abs(last - before) > 1.0:
             break
-    return best
+    best = _releases(best)
+    return _about_a_mean(best) if switches is None else best

@@ -24,7 +24,8 @@ class Size:
 
     sd : what fits use, the root of the posterior mean of its square; low, high : shortest interval holding 90 % of the
     probability; typical : scale of its prior; gained : nats of the repeats' likelihood by the likeliest size over none;
-    waves : of a drift, half periods of its fastest cosine over a record.
+    waves : of a drift, half periods of its fastest cosine over a record; mean : of times of release, s, about which
+    they lie.
     """
 
     name: str
@@ -34,6 +35,7 @@ class Size:
     typical: float
     gained: float = 0.0
     waves: int = DRIFT_WAVES
+    mean: float = 0.0
 
     @property
     def columns(self) -> tuple[tuple[str, float], ...]:
@@ -52,6 +54,10 @@ class Scatter:
     def sd(self, name: str) -> float:
         """Size of one of them, 0 if it does not scatter."""
         return next((size.sd for size in self.sizes if size.name == name), 0.0)
+
+    def mean(self, name: str) -> float:
+        """What one of them lies about."""
+        return next((size.mean for size in self.sizes if size.name == name), 0.0)
 
     def columns(self, coupled: bool) -> list[tuple[str, float]]:
         """Names and standard deviations of the nuisances of a trial."""

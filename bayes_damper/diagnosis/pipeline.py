@@ -19,6 +19,7 @@ from bayes_damper.calibration import (
     calibrate,
     calibrate_nominal,
     experiment_of,
+    explained_by_own_releases,
     gained_by_own_releases,
     learn_noise,
     with_rounding,
@@ -353,7 +354,11 @@ def diagnose(
     excess = best_left.low_excess - 2.0 * best_left.low_sd
     definitions = sorted({c.effect.name for c in found if c.effect.exact})
     ramp = winner is not None and bool(winner.variant.lets_go)
-    usual = gained_by_own_releases(fit) if ramp and not alone else 0.0
+    usual = 0.0
+    if winner is not None and ramp and not alone:
+        # The law by which single trials are let go is as inexact as a formula.
+        inexact = min(winner.log_evidence, rule.mismatch * explained_by_own_releases(fit))
+        usual = max(gained_by_own_releases(fit), inexact)
 
     def judge(changes: Mapping[str, float], of_pairs: Mapping[str, float], rule: Rule = rule) -> Answers:
         moved = {n: z + changes.get(n, 0.0) for n, z in evidence.items()}

@@ -630,7 +630,7 @@ def alike_in_all(fit: Calibration) -> tuple[list[Array], Array]:
         for i, c in enumerate(problem.coordinates):
             if c.parameter == name[3:]:
                 value, slope = value_and_slope(c.prior, float(fit.q[i]))
-                folded[i, problem.size + k] = value / slope
+                folded[i, problem.size + k] = value / slope if slope else 0.0
     return columns, folded
 
 

@@ -49,6 +49,7 @@ def laboratory(
     quantity: Quantity = "acceleration",
     noise: float = 2.0,
     instants: float = 0.0,
+    step: float = 1e-3,
 ) -> Experiment:
     """Trials of a rig whose parameters, gains and offsets scatter; the last repeat of each is held out.
 
@@ -56,7 +57,7 @@ def laboratory(
     instants : standard deviation of the instants at which that begins, s.
     """
     rng = np.random.default_rng(seed)
-    times = np.arange(n) * 1e-3
+    times = np.arange(n) * step
     trials = []
     for index, (case, k1t, degrees) in enumerate(CASES):
         for both in (False, True) if coupled else (False,):
@@ -215,6 +216,45 @@ def test_a_release_that_takes_the_same_time_in_each_trial_is_a_gap():
     ramped = calibrate(fit.problem.with_effect(COSINE), [np.append(fit.q, 0.7)], eta=fit.eta, anneal=False)
     assert ramped.log_evidence - fit.log_evidence > 100.0
     assert ramped.parameters["effect.time"][0] == pytest.approx(2e-3, rel=0.05)
+
+
+def test_releases_about_a_mean_that_single_trials_do_not_show_are_no_gap():
+    """Readings so far apart that a trial shows its time of release badly, and all together what it is on average."""
+    coarse = laboratory(12, {}, repeats=6, releases=lambda rng: rng.uniform(0.0, 1.2e-3), noise=4.0, step=1e-2, n=100)
+    fit = calibrate_nominal(coarse)
+    ramped = calibrate(fit.problem.with_effect(COSINE), [np.append(fit.q, 0.3)], eta=fit.eta, anneal=False)
+    assert ramped.log_evidence - fit.log_evidence < 3.0
+
+
+def test_times_of_release_are_alike_or_about_their_mean():
+    """By what each trial shows of its own, with or without much of it."""
+
+    def made(times, sd, mean=1e-3):
+        spread = mean / math.sqrt(3.0)
+        left = (sd / spread) ** 2 / (1.0 + (sd / spread) ** 2)  # posterior variance of a prior of 1
+        eta = (np.array(times)[:, None] - mean) / spread * (1.0 - left)
+        n = eta.size
+        group = SimpleNamespace(nuisances=((RELEASE, np.full(n, mean), np.full(n, spread)),))
+        H = np.full((n, 1, 1), 1.0 / left)
+        normal = SimpleNamespace(parts=[(SimpleNamespace(group=group, eta=eta), H, None, None)])
+        return SimpleNamespace(linear=SimpleNamespace(normal=lambda: normal))
+
+    rng = np.random.default_rng(3)
+    assert nominal._alike(made(1.6e-3 + 1e-4 * rng.standard_normal(20), 5e-5))
+    assert not nominal._alike(made(rng.uniform(0.0, 2e-3, 20), 5e-5))
+    assert not nominal._alike(made(1e-3 + 2e-3 * rng.standard_normal(20), 2e-3))  # nothing is known of single ones
+
+
+def test_every_trial_keeps_its_likeliest_release_of_those_tried():
+    """Primary alone and coupled: each group of trials has coordinates of its own in view."""
+    times = {"releases": lambda rng: rng.uniform(1e-4, 1.2e-3), "instants": 2e-4}
+    fit = calibrate_nominal(laboratory(11, {}, repeats=4, coupled=True, noise=0.5, **times))
+    assert {g.coupled for g in fit.problem.groups} == {True, False}
+    tried = nominal._at_readings(fit)
+    before, after = (
+        fit.problem.costs_of_trials(fit.q[None], {i: v[None] for i, v in eta.items()}) for eta in (fit.eta, tried)
+    )
+    assert all(after[i] <= before[i] + 1e-6 for i in before)
 
 
 def test_a_trials_own_time_of_release_adds_to_that_of_the_effect():
