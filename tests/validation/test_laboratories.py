@@ -147,6 +147,15 @@ def test_a_ramp_lets_go_slowly():
 # Draws ----------------------------------------------------------------------------------------------------------------
 
 
+def test_a_slow_release_and_a_trials_own_ramp_hold_the_rig_once():
+    rig = RIG | {"ramp": 2e-3 / LAB.W, "quantity": 2.0}
+    times = np.linspace(0.0, 0.3 / LAB.W, 60)
+    slow = [motion.Disturbance(17, (0.2,))]
+    peak = np.abs(motion.record(rig, times)[0]).max()
+    assert np.abs(motion.record(rig, times[times < 2e-3 / LAB.W], slow)[0]).max() < 0.05 * peak
+    assert np.abs(motion.record(rig, times, slow)[0]).max() < 1.05 * peak
+
+
 def test_laboratories_are_drawn_over_the_promised_ranges():
     labs = laboratories(400)
     f = np.array([x.W / (2.0 * np.pi) for x in labs])

@@ -100,7 +100,7 @@ def derivative(t: float, x: Array, g: Array, codes: NDArray[np.int64], P: Array,
     pull = max(0.0, 1.0 - apart) if g[FADING] > 0.0 else 1.0
     grip = 1.0
     drag1 = drag2 = g[DRAG]
-    q1 = q2 = extra = bristle = 0.0
+    q1 = q2 = extra = bristle = hold = 0.0
     bristles = False
     for i in range(codes.size):
         c, s = codes[i], 4 + MEMORY * i
@@ -175,7 +175,7 @@ def derivative(t: float, x: Array, g: Array, codes: NDArray[np.int64], P: Array,
         elif c == 17:  # release_ramp
             left = 1.0 - t * w0 / p0 if p0 > 0.0 else 0.0
             if left > 0.0:
-                q1 += g[K1] * g[THETA0] * left**1.5
+                hold = max(hold, left**1.5)
         elif c == 40:  # lost_spring
             k1 = k1 * (1.0 - p0 * _logistic((t - p1 * period) / (0.01 * period)))
         elif c == 41:  # shaken_spring
@@ -216,8 +216,9 @@ def derivative(t: float, x: Array, g: Array, codes: NDArray[np.int64], P: Array,
     spring = math.sin(th1) if g[PENDULUM] > 0.0 else th1
     if g[RAMP] > 0.0 and t < g[RAMP]:
         r = t / g[RAMP]
-        held = math.sin(g[THETA0]) if g[PENDULUM] > 0.0 else g[THETA0]
-        q1 += g[K1] * held * (1.0 - r * r * (3.0 - 2.0 * r))
+        hold = max(hold, 1.0 - r * r * (3.0 - 2.0 * r))  # there is one actuator, whatever keeps it
+    if hold > 0.0:
+        q1 += g[K1] * (math.sin(g[THETA0]) if g[PENDULUM] > 0.0 else g[THETA0]) * hold
     dry = 0.0
     if coupled:
         shape = bristle if bristles else smooth_sign(nu * v, law)
