@@ -31,6 +31,7 @@ from bayes_damper.simulation.model import Quantity
 
 Array = NDArray[np.float64]
 STEPS_PER_PERIOD = 120.0  # at least, of the primary on its spring
+SURE = 5.0  # standard deviations of the noise by which a reading is less than another for certain
 SHARPNESS = 200.0
 """nu times the peak speed before any reading is seen: dry friction changes sign within a two hundredth of it."""
 LEAST_DIGITS = 3  # of a declared constant that count: 216 may be 216.0, or rounded
@@ -229,11 +230,14 @@ def release_window(trial: TrialRecord, quantity: str) -> tuple[float, float]:
     return float(trial.times[held - 1]), float(trial.times[held])
 
 
-def still_rising(trial: TrialRecord, instant: float) -> bool:
-    """Whether the first acceleration from an instant on is less than those after it: the rig may not be let go yet."""
+def still_rising(trial: TrialRecord, instant: float, noise: float) -> bool:
+    """Whether the first acceleration from an instant on is less than one after it: the rig may not be let go yet.
+
+    By more than readings with noise of this standard deviation differ by.
+    """
     first = int(np.searchsorted(trial.times, instant))
     y = np.abs(np.nan_to_num(trial.y[0, first : first + 6]))
-    return bool(y.size > 1 and y[0] < float(np.max(y)))
+    return bool(y.size > 1 and y[0] < float(np.max(y)) - SURE * noise)
 
 
 def lone(experiment: Experiment, trials: Sequence[int]) -> bool:

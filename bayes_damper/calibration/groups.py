@@ -202,7 +202,8 @@ class Grouping:
         if self.switches.delay and "delay" not in e.levels and not forced:  # nothing is released
             low, high = np.array([release_window(t, e.quantity) for t in trials]).T
             if (slow := self.switches.scatter.sd(RELEASE)) and e.quantity == "acceleration":
-                high = high + slow * np.array([still_rising(t, end) for t, end in zip(trials, high, strict=True)])
+                rising = [still_rising(t, end, self.noise.total[0]) for t, end in zip(trials, high, strict=True)]
+                high = high + slow * np.array(rising)
             middle, half = 0.5 * (low + high), 0.35 * (high - low)
             out.append(("delay", middle, half))
             # A rig seen held at the first reading bounds the release from below; else the logger may be later yet.

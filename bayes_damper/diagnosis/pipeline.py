@@ -524,11 +524,13 @@ def _proposals(fit: Calibration, found: list[Candidate], answers: Answers) -> li
 
 
 def _reseeded(fit: Calibration, found: list[Candidate]) -> tuple[Calibration, list[Candidate]]:
-    """The nominal model fitted again from the leaders' parameters: a better basin than its own lowers their gain."""
-    starts = [c.fit.q[: fit.problem.size] for c in found[:2] if c.fit is not None]
-    if not starts:
+    """The nominal model fitted again from where the leaders lie: a better basin than its own lowers their gain."""
+    size = fit.problem.size
+    leaders = [c.fit for c in found[:2] if c.fit is not None]
+    if not leaders:
         return fit, found
-    again = calibrate(fit.problem, starts, eta=fit.eta, anneal=False, most=12)
+    fits = [calibrate(fit.problem, [c.q[:size]], eta=c.eta, anneal=False, most=12) for c in leaders]
+    again = min(fits, key=lambda f: f.cost)
     gained = again.log_evidence - fit.log_evidence
     if not gained > 0.05:
         return fit, found
