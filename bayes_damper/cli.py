@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from bayes_damper.errors import BayesDamperError, ExitCode, InputError, printable
+from bayes_damper.inputs import is_file
 from bayes_damper.runs.memory import seldom_collected
 
 Arguments = argparse.Namespace
@@ -162,6 +163,13 @@ def _init(args: Arguments) -> Any:
         args.files = [Path(str(word)) for word in given["words"] if "=" not in str(word)]
         given["words"] = [word for word in given["words"] if "=" in str(word)]
     raw = args.raw or Path()
+    lists = [v for v in given.values() if isinstance(v, list)]
+    taken = [str(v) for values in lists for v in values if is_file(raw / str(v))]
+    if not args.files and taken:
+        raise InputError(
+            f"no logger files were given: an option took {', '.join(taken[:3])}{', ...' if len(taken) > 3 else ''} for "
+            f"its values; name files before the options: bayes-damper init {args.folder} {shlex.join(taken[:3])} --..."
+        )
     answers: dict[str, Any] = {}
     if "columns" not in given and sys.stdin.isatty() and sys.stdout.isatty() and not args.quiet:
         if args.files:
@@ -606,7 +614,12 @@ def _log_from(level: str) -> None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; its exit code (see --help)."""
     words = [_written_out(word) for word in (sys.argv[1:] if argv is None else argv)]
-    args = _parser().parse_args(words or ["--help"])
+    parser = _parser()
+    args, rest = parser.parse_known_args(words or ["--help"])
+    if rest and (args.command != "init" or any(word.startswith("-") for word in rest)):
+        parser.error(f"unrecognized arguments: {' '.join(rest)}")
+    if rest:  # files behind the options
+        args.files += map(Path, rest)
     _log_from(args.log_level)
     LOG.info("bayes_damper %s, %s, seed %s", _version(), args.command, args.seed)
     try:

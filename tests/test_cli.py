@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shutil
 import subprocess
@@ -153,3 +154,30 @@ def test_the_recipe_for_conda_asks_for_what_the_package_needs():
             needed[name] = requirement[len(name) :]
     assert asked == needed
     assert f'version = "{project["version"]}"' in recipe
+
+
+def test_init_takes_files_behind_the_options_and_names_those_that_an_option_took(tmp_path, capsys):
+    rows = "".join(f"{0.004 * i:.3f},{0.08 * math.cos(0.232 * i):.6f}\n" for i in range(300))
+    sources = [tmp_path / "a.csv", tmp_path / "b.csv"]
+    for source in sources:
+        source.write_text(f"t,x\n{rows}", encoding="utf-8")
+    options = ["--primary-inertia", "0.003", "--k1t", "10.2", "--theta0", "4.7", "--units", "rad"]
+    behind = [*options, "--quantity", "displacement", *map(str, sources)]
+    assert main(["init", str(tmp_path / "rig"), *behind]) == 0
+    assert "2 trials" in capsys.readouterr().out
+    taken = ["--quantity", "displacement", *options, *map(str, sources)]
+    assert main(["init", str(tmp_path / "other"), *taken]) == 2
+    said = capsys.readouterr().err
+    assert f"init {tmp_path / 'other'} {sources[0]} {sources[1]} --" in said
+    with pytest.raises(SystemExit) as ended:
+        main(["check", "thesis", "more"])
+    assert ended.value.code == 2
+
+
+def test_a_cell_of_a_logger_file_that_no_computer_holds_is_named_with_its_line(tmp_path, capsys):
+    rows = [f"{0.004 * i:.3f},{0.08 * math.cos(0.232 * i):.6f}" for i in range(300)]
+    rows[100] = f"0.400,{'1' * 140_000}"
+    source = tmp_path / "a.csv"
+    source.write_text("\n".join(["t,x", *rows]), encoding="utf-8")
+    assert main(["init", str(tmp_path / "rig"), str(source), "--primary-inertia", "0.003"]) == 2
+    assert "line 102: '1111111111" in capsys.readouterr().err

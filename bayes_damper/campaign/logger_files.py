@@ -368,7 +368,10 @@ def number_of(cell: str, comma: bool) -> float:
         return math.nan
     if ":" in cell:
         return _seconds(cell)
-    return number_in(cell.replace(",", ".") if comma else cell)
+    value = number_in(cell.replace(",", ".") if comma else cell)
+    if math.isinf(value) and any(c.isdigit() for c in cell):
+        raise ValueError(f"{cell[:40]!r} is beyond what a computer holds")
+    return value
 
 
 def _seconds(cell: str) -> float:
