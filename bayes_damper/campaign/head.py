@@ -264,7 +264,8 @@ def check_rig(folder: Path, rig: Rig, coupled: bool, faults: list[str]) -> None:
         return
     if rig.secondary_inertia is None:
         faults.append(
-            f"{where}: secondary_inertia is missing; a coupled trial needs J2 in kg m^2 (kg) (init: --secondary-inertia)"
+            f"{where}: secondary_inertia is missing; a coupled trial needs J2 in kg m^2 (kg) "
+            "(init: --secondary-inertia)"
         )
     elif rig.inertial_coupling.value and (
         rig.inertial_coupling.value**2 >= rig.primary_inertia.value * rig.secondary_inertia.value
