@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
@@ -17,11 +16,10 @@ from matplotlib.transforms import blended_transform_factory
 from scipy.ndimage import gaussian_filter
 
 from bayes_damper.figures.style import COLOURS, RC, STYLES, Array, mark, new_figure, plain_figure, raised
+from bayes_damper.sampling import arviz_adapter
 from bayes_damper.text import interval, number
 
-with warnings.catch_warnings():  # corner imports ArviZ, whose 0.23 announces its successor once a day
-    warnings.simplefilter("ignore", FutureWarning)
-    import corner
+corner = arviz_adapter.imported("corner")
 
 _LOGARITHMIC = ("nu",)
 """Parameters that may be known to a factor at best: their axes are logarithmic where a factor of 10 is seen."""

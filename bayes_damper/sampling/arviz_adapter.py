@@ -11,11 +11,13 @@ from __future__ import annotations
 import importlib
 import io
 import math
+import os
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import h5netcdf
@@ -32,6 +34,27 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 _UNPACKED = 1 << 28  # bytes that a file may hold however small it is
 _HEALTH = ("r_hat", "ess_bulk", "ess_tail")
+
+
+def imported(name: str) -> Any:
+    """The module `name`, arviz itself or one that imports it.
+
+    On import ArviZ 0.23 announces its successor and keeps the day on which it did so in the user's cache folder. Where
+    another process does the same at that moment, or nothing can be written there, that ends in an OSError: the day is
+    kept in a folder of no account then.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)
+        try:
+            return importlib.import_module(name)
+        except OSError:
+            own = os.environ.get("XDG_CACHE_HOME")
+            with TemporaryDirectory() as folder:
+                os.environ["XDG_CACHE_HOME"] = folder
+                try:
+                    return importlib.import_module(name)
+                finally:
+                    os.environ.pop("XDG_CACHE_HOME") if own is None else os.environ.update(XDG_CACHE_HOME=own)
 
 
 def hdi(draws: Array, probability: float = 0.9) -> tuple[float, float]:
@@ -208,9 +231,7 @@ def to_arviz(path: Path | str) -> Any:
     InputError
         as `opened`.
     """
-    with warnings.catch_warnings():  # ArviZ 0.23 announces its successor on import
-        warnings.simplefilter("ignore", FutureWarning)
-        arviz = importlib.import_module("arviz")
+    arviz = imported("arviz")
     tree = read(path)
     groups = {name: _by_walker(tree, name) for name in ("posterior", "sample_stats")}
     if int(arviz.__version__.partition(".")[0]) >= 1:

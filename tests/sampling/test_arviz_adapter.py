@@ -1,5 +1,6 @@
 """posterior.nc goes out and comes back, and ArviZ reads it."""
 
+import os
 import subprocess
 import sys
 
@@ -57,6 +58,17 @@ def test_arviz_gives_honest_sample_sizes_for_ensembles(tmp_path):
 
     ess = float(arviz.ess(np.asarray(posterior.values), method="bulk"))
     assert ess == pytest.approx(draws.size * (1 - phi) / (1 + phi), rel=0.2)
+
+
+def test_figures_are_there_where_the_cache_folder_of_the_user_cannot_be_written(tmp_path):
+    """Which is how ArviZ 0.23 sees it where two processes import it at once, too."""
+    (tmp_path / "cache").write_text("a file")
+    code = "import bayes_damper.figures.posteriors as p; print(p.corner.__name__)"
+    place = {"XDG_CACHE_HOME": str(tmp_path / "cache")}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=os.environ | place, capture_output=True, text=True, check=False
+    )
+    assert done.stdout.split() == ["corner"], done.stderr
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="limits of a process")
