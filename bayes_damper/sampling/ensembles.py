@@ -241,7 +241,9 @@ class _Run:
                 self._announce("warm-up", max(s.steps for s in self.states), done / (done + ahead))
                 self._save_if_due()
         if self.thin == 0:
-            self.thin = max(1, int(max(s.tau for s in self.states) / 8))
+            # The fewest draws that can be judged come no later than the rule asks for draws.
+            share = min(1.0 / 8.0, self.rule.taus / _FEWEST_STORED)
+            self.thin = max(1, int(share * max(s.tau for s in self.states)))
 
     def draw(self, advance: _Advance) -> None:
         """Draws block by block until the rule holds or the budget is spent."""
