@@ -14,10 +14,11 @@ residuals allows. With D the chi-square that is left beyond the sensors' noise,
     log Z = log Z(noise alone) + D / 2 - N / 2 log(1 + D / N),
 
 the plain evidence where nothing is left, and -N/2 log of the sum of squares where the noise hardly matters. N is one
-for all sets that are compared, the smallest of the nominal model's and the leading sets'. So is the noise by which the
-parameters are known that all sets have, nuisances among them: beside so few pieces of discrepancy the readings fix them
-as well whichever set is true, and none may count as less informed because it leaves more. That noise is the smallest
-that any set leaves; what an effect adds is known by the noise that its own set leaves.
+for all sets that are compared, the smallest of the nominal model's and the leading sets'. So is the sensors' noise, the
+smallest that the residuals of any set show: a set gains nothing by calling more of what it leaves noise. So is the
+noise by which the parameters are known that all sets have, nuisances among them: beside so few pieces of discrepancy
+the readings fix them as well whichever set is true, and none may count as less informed because it leaves more. That
+noise is the smallest that any set leaves; what an effect adds is known by the noise that its own set leaves.
 """
 
 from __future__ import annotations
@@ -319,8 +320,9 @@ class SetFit:
     """A set of effects fitted with everything free; without members the nominal model.
 
     plain: log evidence without what the discrepancy costs; squares, pieces: chi-square left beyond the sensors' noise,
-    and in how many independent pieces; grams: what `known_by` needs of each group of trials, empty where trials have
-    repeats; evidence: log Z over the nominal model (`weighed`).
+    and in how many independent pieces; floor: that noise, sd of each channel, empty where trials have repeats; grams:
+    what `known_by` needs of each group of trials, empty where trials have repeats; evidence: log Z over the nominal
+    model (`weighed`).
     """
 
     members: tuple[Member, ...]
@@ -330,6 +332,7 @@ class SetFit:
     pieces: float
     grams: tuple[Array, ...] = ()
     evidence: float = 0.0
+    floor: tuple[float, ...] = ()
 
     @property
     def names(self) -> frozenset[str]:
@@ -368,7 +371,8 @@ def set_fit(members: Sequence[Member], fit: Calibration) -> SetFit:
     alone = bool(fit.problem.noise.sensor)
     explained = fit.chi2 + followed(fit) if alone else squares
     grams = tuple(_gram_by_channel(b) for b in fit.linear.blocks) if alone else ()
-    return SetFit(tuple(members), fit, fit.log_evidence + 0.5 * explained, squares, pieces, grams)
+    plain = fit.log_evidence + 0.5 * explained
+    return SetFit(tuple(members), fit, plain, squares, pieces, grams, floor=fit.problem.noise.sensor)
 
 
 def _gram_by_channel(block: Block) -> Array:
@@ -379,8 +383,10 @@ def _gram_by_channel(block: Block) -> Array:
     return np.asarray(rows @ rows.transpose(0, 1, 3, 2))
 
 
-def left_over(fit: Calibration) -> tuple[float, float]:
+def left_over(fit: Calibration, floor: Sequence[float] = ()) -> tuple[float, float]:
     """Chi-square that a fit leaves beyond the noise of the sensors, and in how many independent pieces.
+
+    floor : that noise, sd of each channel; default: what the fit's own residuals show.
 
     Of what repeats share, below the frequencies at which torques show; of trials without repeats, over the noise of the
     sensors. Pieces: 4 (sum P)^2 / sum P^2 over the lines of the periodograms, as many readings as for white residuals
@@ -388,7 +394,7 @@ def left_over(fit: Calibration) -> tuple[float, float]:
     much as there are readings, and a set that is wrong may not hide there what it leaves.
     """
     noise = fit.problem.noise
-    scale = [a / b for a, b in zip(noise.innovation, noise.sensor or noise.innovation, strict=True)]
+    scale = [a / b for a, b in zip(noise.innovation, floor or noise.sensor or noise.innovation, strict=True)]
     own = own_frequency(fit.problem.experiment)
     records = whitened_records(fit)
     lines = []
@@ -409,6 +415,7 @@ def left_over(fit: Calibration) -> tuple[float, float]:
 
 def weighed(sets: Sequence[SetFit]) -> list[SetFit]:
     """The sets with their evidence over the nominal model (the one without members), best first."""
+    sets = _over_one_floor(sets)
     none = next(s for s in sets if not s.members)
     pieces = none.pieces
     sharp = _alike(sets)
@@ -427,8 +434,21 @@ def weighed(sets: Sequence[SetFit]) -> list[SetFit]:
 
 def better(new: SetFit, old: SetFit, pieces: float) -> bool:
     """Whether one fit of a set explains more than another, each under the noise that it leaves itself."""
+    new, old = _over_one_floor((new, old))
     ours, theirs = _alike((new, old))
     return ours - _cost(new, pieces) > theirs - _cost(old, pieces)
+
+
+def _over_one_floor(sets: Sequence[SetFit]) -> list[SetFit]:
+    """The sets with what each leaves beyond the same noise of the sensors, the smallest that any of them shows."""
+    floors = [s.floor for s in sets if s.floor and math.isfinite(s.plain)]
+    least = tuple(min(channel) for channel in zip(*floors, strict=True))
+    out = list(sets)
+    for k, s in enumerate(sets):
+        if s.floor not in ((), least) and math.isfinite(s.plain):
+            squares, pieces = left_over(s.fit, least)
+            out[k] = replace(s, squares=squares, pieces=pieces, floor=least)
+    return out
 
 
 def _alike(sets: Sequence[SetFit]) -> list[float]:

@@ -11,6 +11,7 @@ from small_rig import measured, variant
 
 from bayes_damper.calibration import (
     Experiment,
+    Noise,
     Problem,
     TrialRecord,
     calibrate,
@@ -172,6 +173,30 @@ def test_what_all_sets_leave_sets_the_scale_of_evidence():
     assert clean[0].evidence == pytest.approx(500.0)
     rough = weighed([stub((), 0.0, 1e6), stub(("a",), 0.0, 0.9e6)])
     assert rough[0].evidence == pytest.approx(20.0 * math.log(1.0 / 0.9), rel=1e-3)
+
+
+def test_what_is_called_noise_of_the_sensors_says_nothing_for_a_set():
+    """The same residuals, white with the tails of Student's t: judged over the noise that their middle shows, and over
+    all of their variance. To call them noise explains nothing."""
+    times = np.arange(0.0, 1.0, 0.002)
+    w, g = math.sqrt(600.0), 0.5
+    # x'' + 2 g x' + (w^2 + g^2) x = 0
+    y = 0.02 * np.exp(-g * times) * (np.cos(w * times) + g / w * np.sin(w * times))
+    error = np.random.default_rng(5).standard_t(3.0, times.size)
+    trial = TrialRecord("1", "", False, 1, times, (y + 2e-5 * error)[None], 0, 0.02, 1e-5)
+    experiment = Experiment({"J1": (1.0, 0.0)}, ((w**2 + g**2, 2.0),), (trial,), "displacement")
+    total = 2e-5 * float(error.std())
+    zero = (0.0,)
+    narrow = Noise((total,), zero, zero, sensor=(0.8 * total,))
+    fit = calibrate(Problem(experiment, nominal="linear", noise=narrow), anneal=False)
+    wide = Noise((total,), zero, zero, sensor=(total,))
+    same = summarise(fit.problem.with_noise(wide), fit.q, fit.eta, True, 0)
+    assert same.chi2 == pytest.approx(times.size, rel=0.05)
+    for first, second in ((fit, same), (same, fit)):
+        found = weighed([set_fit((), first), set_fit((member("spring_cubic"),), second)])
+        assert all(s.evidence == pytest.approx(0.0, abs=1e-6) for s in found)
+    drag = member("quadratic_drag")
+    assert not better(set_fit((drag,), same), set_fit((drag,), fit), 100.0)
 
 
 def test_of_two_fits_of_a_set_the_one_that_leaves_less_is_kept():
