@@ -14,10 +14,13 @@ from scipy.special import ndtri
 from bayes_damper.calibration.normal_equations import Linear, Normals
 from bayes_damper.calibration.problem import Problem
 from bayes_damper.calibration.unknowns import coordinate_of, value_and_slope
-from bayes_damper.priors.distributions import from_standard, median
+from bayes_damper.priors.distributions import LogNormal, LogUniform, from_standard, median
 
 Array = NDArray[np.float64]
+REACH = 1.5  # of a step in each coordinate
+BEND_STEP = 0.01  # of differences by a coordinate
 GAINED = 0.02  # of the cost by a step, below which a descent has ended
+OF_EXCESS = 1e-4  # the same, of what is left beyond noise: the last nats of a model that misses by far decide nothing
 READINGS_AT_ONCE = 1_000_000  # simulated in one go where draws from the prior are compared
 NEAR_END = 0.1  # of the way to where a value's prior ends that a step along the values leaves
 HOPELESS, HURRY = 60.0, 6.0  # cost above a target, and in how many such steps it must be reachable, to go on
@@ -237,7 +240,8 @@ def _descend(
                 accepted = True
                 break
             damping *= 300.0 if math.isfinite(moved_cost) else 100.0
-        end = _End(cost, q, eta, not accepted or gained < tolerance, iteration)
+        least = max(tolerance, OF_EXCESS * (cost - problem.n_data))
+        end = _End(cost, q, eta, not accepted or gained < least, iteration)
         if end.converged or (known is not None and _alike(end, known)):
             return end
         if math.isfinite(target) and iteration >= 3 and cost - target > HOPELESS and HURRY * gained < cost - target:
@@ -257,14 +261,15 @@ def _tried(
     """
     bounds = {i: (g.lower[k], g.upper[k]) for g in problem.groups for k, i in enumerate(g.trials)}
     steps = []
+    bend = _bend(problem, q, normals.g)
     for factor in (0.03, 0.3, 3.0, 30.0):
         try:
-            dq, deta = normals.step(damping * factor)
+            dq, deta = normals.step(damping * factor, REACH, bend)
         except np.linalg.LinAlgError:
             continue
-        shrink = min(1.0, 1.5 / max(float(np.max(np.abs(dq), initial=0.0)), 1e-12))
-        moved = {i: np.clip(eta[i] + shrink * deta[i], *bounds[i]) for i in eta}
-        steps.append((damping * factor, q + shrink * dq, moved))
+        dq = np.clip(dq, -REACH, REACH)
+        moved = {i: np.clip(eta[i] + deta[i], *bounds[i]) for i in eta}
+        steps.append((damping * factor, q + dq, moved))
         if straight:
             along, share = _along_values(problem, q, dq)
             moved = {i: np.clip(eta[i] + share * deta[i], *bounds[i]) for i in eta}
@@ -276,6 +281,22 @@ def _tried(
     )
     k = int(np.argmin(costs))
     return *steps[k], float(costs[k])
+
+
+def _bend(problem: Problem, q: Array, g: Array) -> Array:
+    """Curvature of the cost, (size,), that comes from how values hang on coordinates: of a bounded value, near its end.
+
+    g (size,) : half the cost's gradient. A record is more nearly linear in a value, or in the logarithm of a scale,
+    than in a coordinate in which the end of its range is infinitely far. Only what makes a step shorter.
+    """
+    out = np.zeros(q.size)
+    for i, c in enumerate(problem.coordinates):
+        low, here, high = (float(from_standard(c.prior, q[i] + x)) for x in (-BEND_STEP, 0.0, BEND_STEP))
+        if isinstance(c.prior, LogUniform | LogNormal):
+            low, here, high = math.log(low), math.log(here), math.log(high)
+        if high > low:
+            out[i] = max((g[i] - q[i]) * (high - 2.0 * here + low) / (high - low) * 2.0 / BEND_STEP, 0.0)
+    return out
 
 
 def _along_values(problem: Problem, q: Array, dq: Array) -> tuple[Array, float]:

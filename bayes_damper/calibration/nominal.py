@@ -145,7 +145,8 @@ def _releases(fit: Calibration) -> Calibration:
         before, fit = fit.cost, _each_release(fit)
         if not fit.cost < before - 1.0:
             break
-    return fit
+    # Differences to one side say nothing of what is hardly known, nor of an evidence.
+    return fit if fit.linear.central else calibrate(fit.problem, [fit.q], eta=fit.eta, anneal=False)
 
 
 def gained_by_own_releases(fit: Calibration) -> float:
@@ -229,7 +230,7 @@ def _each_release(fit: Calibration) -> Calibration:
     if not any(best.values()):
         return fit
     eta = {i: found[best.get(i, 0)].eta[i] for i in fit.eta}
-    found.append(calibrate(fit.problem, [min(found, key=lambda f: f.cost).q], eta=eta, anneal=False))
+    found.append(calibrate(fit.problem, [min(found, key=lambda f: f.cost).q], eta=eta, anneal=False, finish=False))
     return min(found, key=lambda f: f.cost)
 
 

@@ -210,20 +210,30 @@ class Normals:
             inverses.append(np.asarray(inverse, float))
         return S, g, inverses
 
-    def step(self, damping: float) -> tuple[Array, dict[int, Array]]:
+    def step(
+        self, damping: float, reach: float = math.inf, bend: Array | None = None
+    ) -> tuple[Array, dict[int, Array]]:
         """Damped Gauss-Newton step in q and in each trial's eta, with every eta within its bounds.
 
-        An eta that would leave them goes to its bound, and the step is taken anew in all others: cut off alone, it
-        would leave to nothing what the others were meant to give way for.
+        What would leave its bounds goes to them, and the step is taken anew in all others: cut off alone, it would
+        leave to nothing what the others were meant to give way for. So does a coordinate of q that would move by more
+        than `reach`: what the readings hardly show may be sent anywhere, and must not hold up the rest.
+
+        bend (size,) : further curvature of the cost by each q.
         """
+        curved = np.zeros(self.size) if bend is None else bend
+        far = np.full(self.size, reach)
+        stuck, fixed = np.zeros(self.size, dtype=np.bool_), np.zeros(self.size)
         ends = [(b.group.lower - b.eta, b.group.upper - b.eta) for b, _, _, _ in self.parts]
         held = [np.zeros(low.shape, dtype=np.bool_) for low, _ in ends]
         at = [np.zeros(low.shape) for low, _ in ends]
         for _ in range(MOST_HELD):
             normals = self._holding(held, at) if any(h.any() for h in held) else self
             S, g, inverses = normals.reduced(damping)
-            S[np.diag_indices_from(S)] *= 1.0 + damping
-            dq = -np.linalg.solve(S, g)
+            S[np.diag_indices_from(S)] = np.diag(S) * (1.0 + damping) + curved
+            free = ~stuck
+            dq = np.where(stuck, fixed, 0.0)
+            dq[free] = -np.linalg.solve(S[np.ix_(free, free)], (g + S @ dq)[free])
             moves = [
                 -np.einsum("jmn,jn->jm", inverse, gT + TJ @ dq) if inverse.shape[1] else gT
                 for (_, _, TJ, gT), inverse in zip(normals.parts, inverses, strict=True)
@@ -234,9 +244,11 @@ class Normals:
                 for (_, H, TJ, gT), x in zip(self.parts, moves, strict=True)
             ]
             renewed = [_held_next(x, p, h, *end) for x, p, h, end in zip(moves, pulls, held, ends, strict=True)]
-            if all(np.array_equal(h, new) for h, (new, _) in zip(held, renewed, strict=True)):
+            caught, fixed = _held_next(dq, S @ dq + g, stuck, -far, far)
+            same = all(np.array_equal(h, new) for h, (new, _) in zip(held, renewed, strict=True))
+            if same and np.array_equal(caught, stuck):
                 break
-            held, at = [new for new, _ in renewed], [x for _, x in renewed]
+            stuck, held, at = caught, [new for new, _ in renewed], [x for _, x in renewed]
         deta = {
             i: move[k]
             for (block, _, _, _), move in zip(self.parts, moves, strict=True)

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from bayes_damper.calibration import Experiment, Noise, Problem, TrialRecord, calibrate
 from bayes_damper.calibration.groups import Switches
+from bayes_damper.calibration.least_squares import _bend
 from bayes_damper.calibration.own_values import Scatter, Size
+from bayes_damper.calibration.unknowns import Coordinate
 from bayes_damper.diagnosis.search import essence, restored
 from bayes_damper.effects import EFFECTS
+from bayes_damper.priors.distributions import LogNormal, LogUniform, Normal, Uniform
 from bayes_damper.simulation.model import Model
 
 CONSTANTS = {"J1": 3.015e-3, "J2": 2.474e-3, "R": 0.10, "r": 0.0127, "N0": 100.0}
@@ -75,6 +79,17 @@ def test_a_fit_from_another_process_is_not_differentiated_again(problem, monkeyp
     again = restored(problem.with_effect(CUBIC), sent)
     assert again.log_evidence == fit.log_evidence
     assert np.array_equal(again.covariance, fit.covariance)
+
+
+def test_the_bend_of_a_bounded_value_is_the_curvature_that_gauss_newton_leaves_out():
+    """Of a record that is linear in a uniform value, or in the logarithm of a scale: by the normal density's slope."""
+    priors = {"a": Uniform(1.0, 3.0), "b": LogUniform(1.0, 3.0), "c": LogNormal(2.0, 1.5), "d": Normal(0.0, 1.0)}
+    known = SimpleNamespace(coordinates=[Coordinate(name, "nominal", prior) for name, prior in priors.items()])
+    for z in (-2.0, 0.7):
+        q = np.full(4, z)
+        for pull in (5.0, -5.0):
+            bend = _bend(known, q, q + pull)
+            assert bend == pytest.approx([max(-z * pull, 0.0)] * 2 + [0.0, 0.0], rel=1e-3, abs=1e-6)
 
 
 def test_what_is_the_same_for_every_fit_follows_the_noise(problem):

@@ -71,7 +71,8 @@ def test_a_stiffness_in_three_digits_leaves_no_gap():
 def test_the_fit_finds_the_valley_of_a_coupling_that_holds():
     """A stiff magnet with a light friction, far from the prior medians, over three periods.
 
-    From the medians the descent ends in a valley in which the coupling slips at once, a thousand times above.
+    A descent whose step is cut short as a whole where one coordinate would go too far ends, from the medians, in a
+    valley in which the coupling slips at once, with fifty times the chi-square.
     """
     rig = {"J1": 0.02676, "J2": 0.02924, "R": 0.06655, "r": 0.005428, "N0": 199.2}
     true = {"k2t": 128.8, "c2t": 0.2142, "c1t": 0.01073, "c3t": 0.004613, "mu": 0.006634, "drag": 0.004604, "nu": 4.84}
@@ -93,7 +94,7 @@ def test_the_fit_finds_the_valley_of_a_coupling_that_holds():
     assert fit.chi2 < 1.3 * fit.problem.n_data
     assert fit.parameters["k2t"][0] == pytest.approx(128.8, rel=0.05)
     at_once = calibrate(Problem(fit.problem.experiment, noise=fit.problem.noise))
-    assert at_once.chi2 > 50.0 * fit.chi2  # what the prior medians lead to
+    assert at_once.chi2 < 1.3 * fit.problem.n_data  # from the prior medians alone
 
 
 def test_releases_that_fade_within_a_first_reading_are_found():

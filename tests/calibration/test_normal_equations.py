@@ -11,8 +11,9 @@ from scipy.optimize import lsq_linear
 from bayes_damper.calibration.normal_equations import Block, Linear, step_within
 
 
+@pytest.mark.parametrize("reach", [np.inf, 0.3])
 @pytest.mark.parametrize("seed", range(8))
-def test_a_step_within_bounds_is_that_of_bounded_least_squares(seed):
+def test_a_step_within_bounds_is_that_of_bounded_least_squares(seed, reach):
     rng = np.random.default_rng(seed)
     n, size, m, data = 4, 3, 5, 30
     J, T, r = rng.standard_normal((n, size, data)), rng.standard_normal((n, m, data)), rng.standard_normal((n, data))
@@ -21,7 +22,7 @@ def test_a_step_within_bounds_is_that_of_bounded_least_squares(seed):
     low, high = eta - 0.1 * rng.random((n, m)), eta + 0.1 * rng.random((n, m))
     group = SimpleNamespace(trials=tuple(range(n)), lower=low, upper=high)
     linear = Linear(q, lambda: (Block(group, r, J, T, eta),))
-    dq, deta = linear.normal().step(0.0)
+    dq, deta = linear.normal().step(0.0, reach)
     A = np.zeros((n * data + size + n * m, size + n * m))
     b = np.zeros(len(A))
     for j in range(n):
@@ -29,8 +30,8 @@ def test_a_step_within_bounds_is_that_of_bounded_least_squares(seed):
         A[rows, :size], A[rows, own], b[rows] = J[j].T, T[j].T, -r[j]
     A[n * data :] = np.eye(size + n * m)
     b[n * data :] = -np.concatenate([q, eta.ravel()])
-    free = np.full(size, np.inf)
-    bounds = (np.concatenate([-free, (low - eta).ravel()]), np.concatenate([free, (high - eta).ravel()]))
+    far = np.full(size, reach)
+    bounds = (np.concatenate([-far, (low - eta).ravel()]), np.concatenate([far, (high - eta).ravel()]))
     exact = lsq_linear(A, b, bounds, method="bvls", tol=1e-14).x
     assert np.count_nonzero(np.isclose(exact, bounds[0]) | np.isclose(exact, bounds[1])) > n
     assert dq == pytest.approx(exact[:size], abs=1e-8)
