@@ -4,20 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Container, Sequence
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.calibration.derivatives import LEAST_STEP, RELEASE_STEP, Indices
 from bayes_damper.calibration.groups import Group
-from bayes_damper.calibration.least_squares import Calibration
+from bayes_damper.calibration.least_squares import HOPELESS, HURRY, SAME_COST, SAME_PLACE, Calibration
 from bayes_damper.calibration.normal_equations import step_within
 from bayes_damper.calibration.own_values import RELEASE, middle_of, of_readings
+from bayes_damper.calibration.problem import Problem
 
 Array = NDArray[np.float64]
 ROUNDS, NEAR = 12, 1.5  # rounds from every start, in steps of at most so many sizes of a nuisance
 MORE, FAR = 48, 6.0  # further rounds, from the best start of a trial that is not there yet
 ARRIVED = 0.01  # the cost hardly falls any more
+KEPT = 2  # predictions of a problem that are held
+PATIENT = 5  # rounds before a row is given up for being far behind
+STUCK = 1e3  # damping by which no step has gained
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,14 +41,29 @@ class Prediction:
     n_data: float
 
 
+_KNOWN: WeakKeyDictionary[Problem, dict[tuple[bytes, tuple[int, ...]], dict[int, Prediction]]] = WeakKeyDictionary()
+"""The last predictions of each problem, by q and trials: a diagnosis asks for those of its answers again and again."""
+
+
 def predict(fit: Calibration, trials: Sequence[int]) -> dict[int, Prediction]:
     """Predictions for trials that the fit has not used: only their own nuisances are estimated, from several starts.
 
     Where a model misses much, a trial's own values lie tens of sizes off: the best start goes on until it is there.
     """
+    known = _KNOWN.setdefault(fit.problem, {})
+    key = (fit.q.tobytes(), tuple(sorted(trials)))
+    found = known.pop(key, None) or _predicted(fit, key[1])
+    known[key] = found
+    if len(known) > KEPT:
+        del known[next(iter(known))]
+    return dict(found)
+
+
+def _predicted(fit: Calibration, trials: tuple[int, ...]) -> dict[int, Prediction]:
+    """What `predict` gives."""
     problem = fit.problem
     out: dict[int, Prediction] = {}
-    for group in problem.grouped(tuple(trials)):
+    for group in problem.grouped(trials):
         n, m = len(group.trials), len(group.nuisances)
         starts = _starts([name for name, _, _ in group.nuisances])
         k = len(starts)
@@ -82,7 +102,7 @@ def _descend(
     """Damped Gauss-Newton steps in the nuisances alone: where each row ends, its cost, and what its last round gained.
 
     which : trial of the group of each row of eta (rows, m); renewed : rounds in which derivatives by what acts nearly
-    linearly are taken; most : the largest step, in sizes.
+    linearly are taken; most : the largest step, in sizes. A row goes on until it is there, or is seen to lead nowhere.
     """
     problem = fit.problem
     names = [name for name, _, _ in group.nuisances]
@@ -91,13 +111,14 @@ def _descend(
     eta = np.clip(eta, low, high)
 
     def evaluate(values: Array) -> tuple[Array, Array]:
-        y = problem.simulate(group, which, np.tile(fit.q, (rows, 1)), values)
+        y = problem.simulate(group, which, np.tile(fit.q, (len(which), 1)), values)
         r = problem.whitened(y - group.y[which], weight)
         total = np.einsum("ij,ij->i", r, r) + np.sum(values**2, axis=1)
         return r, np.where(np.isfinite(total), total, np.inf)
 
     r, cost = evaluate(eta)
-    gain = np.zeros(rows)
+    ends, costs, gains = eta.copy(), cost.copy(), np.zeros(rows)
+    live = np.arange(rows)
     damping = np.full(rows, 1e-2)
     T = np.zeros((rows, m, r.shape[1]))
     for number in range(rounds):
@@ -108,7 +129,7 @@ def _descend(
                 column = group.nuisances[i][2][:, None, None] * group.shape(name)
                 T[:, i] = problem.whitened(column, group.weight)[which]
                 continue
-            step = np.full(rows, 2e-3) if name != "delay" else 1e-6 / group.nuisances[i][2][which]
+            step = np.full(len(which), 2e-3) if name != "delay" else 1e-6 / group.nuisances[i][2][which]
             if name == RELEASE:
                 step = RELEASE_STEP / group.nuisances[i][2][which]
             elif name.startswith("ln_"):
@@ -120,18 +141,37 @@ def _descend(
         T = np.nan_to_num(T)
         H = T @ T.transpose(0, 2, 1) + np.eye(m)
         H += damping[:, None, None] * H * np.eye(m)
-        g = np.einsum("imd,id->im", T, np.nan_to_num(r)) + eta
+        g = (T @ np.nan_to_num(r)[:, :, None])[:, :, 0] + eta
         move = step_within(H, g, low - eta, high - eta)
         move *= np.minimum(1.0, most / np.maximum(np.abs(move).max(axis=1), 1e-12))[:, None]
         candidate = np.clip(eta + move, low, high)
         r_new, cost_new = evaluate(candidate)
         better = cost_new < cost
         gain = np.where(better, cost - cost_new, 0.0)
-        done = np.all(~better | (gain < ARRIVED)) and np.all(damping < 1e3)
         eta = np.where(better[:, None], candidate, eta)
         r = np.where(better[:, None], r_new, r)
         damping = np.where(better, damping * 0.1, damping * 30.0)
         cost = np.where(better, cost_new, cost)
-        if done:
+        ends[live], costs[live], gains[live] = eta, cost, gain
+        arrived = np.where(better, gain < ARRIVED, damping > STUCK)
+        on = np.flatnonzero(~arrived & ~_idle(which, eta, cost, gain, number))
+        if on.size == 0:
             break
-    return eta, cost, gain
+        if on.size < len(which):
+            live, which, weight, low, high = live[on], which[on], weight[on], low[on], high[on]
+            eta, cost, damping, r, T = eta[on], cost[on], damping[on], r[on], T[on]
+    return ends, costs, gains
+
+
+def _idle(which: Indices, eta: Array, cost: Array, gain: Array, number: int) -> NDArray[np.bool_]:
+    """Which rows lead to no end that another row of the same trial does not reach: hopeless ones, and second ones."""
+    out = np.zeros(len(which), dtype=np.bool_)
+    for trial in np.unique(which):
+        own = np.flatnonzero(which == trial)
+        behind = cost[own] - cost[own].min()
+        hopeless = (behind > HOPELESS) & (HURRY * gain[own] < behind) & (number >= PATIENT)
+        near = np.abs(eta[own][:, None] - eta[own]).max(axis=2, initial=0.0) < SAME_PLACE
+        near &= np.abs(behind[:, None] - behind) < SAME_COST
+        ahead = (behind < behind[:, None]) | ((behind == behind[:, None]) & (own < own[:, None]))
+        out[own] = hopeless | (near & ahead).any(axis=1)
+    return out
