@@ -144,6 +144,20 @@ class Repeats:
         explained = float(g @ mean) + float(np.einsum("jm,jmn,jn->", self.product, inverse, self.product))
         return 0.5 * (explained - float(log_det)), 0.5 * np.sum(square / variances - 1.0, axis=0)
 
+    def log_likelihoods(self, variances: Array) -> Array:
+        """Log likelihoods alone of many rows of variances (k, m), (k,)."""
+        m = variances.shape[1]
+        H = self.gram + (np.eye(m) / variances[:, None])[:, None]  # (k, n, m, m)
+        both = np.concatenate([self.gram, self.product[:, :, None]], axis=2)
+        pulled = both.transpose(0, 2, 1) @ np.linalg.solve(H, np.broadcast_to(both, (*H.shape[:2], *both.shape[1:])))
+        left = np.sum(both - pulled[:, :, :m], axis=1)
+        S, g = left[:, :, :m] + np.eye(m) / _FLAT, left[:, :, m]
+        explained = np.einsum("km,km->k", g, np.linalg.solve(S, g[:, :, None])[:, :, 0]) + pulled[:, :, m, m].sum(
+            axis=1
+        )
+        log_det = np.linalg.slogdet(S)[1] + np.linalg.slogdet(H)[1].sum(axis=1)
+        return np.asarray(0.5 * (explained - log_det - len(self.gram) * np.log(variances).sum(axis=1)))
+
 
 def learn_scatter(fit: Calibration, noise: Noise | None = None) -> Scatter:
     """Sizes of all scatters, from what the repeats of a fit do not share, under a noise (default: that of the fit).
@@ -303,12 +317,15 @@ def _posterior(sets: Sequence[Repeats], typical: Sequence[Size]) -> tuple[Size, 
     placed = [np.array([which.get(name, -1) for name in s.names]) for s in sets]
     fixed = [np.array([{"delay": _FLAT, RELEASE: ABOUT_ITS_MEAN}.get(name, 1.0) for name in s.names]) for s in sets]
 
+    def variances(u: Array, place: NDArray[np.intp], start: Array) -> Array:
+        return np.asarray(start * np.where(place >= 0, np.exp(2.0 * u)[..., place], 1.0))
+
     def log_density(u: Array) -> tuple[float, Array]:
         z = np.exp(2.0 * u) / FREEDOM
         value = float(np.sum(u - 0.5 * (FREEDOM + 1.0) * np.log1p(z)))
         slope = 1.0 - (FREEDOM + 1.0) * z / (1.0 + z)
         for s, place, start in zip(sets, placed, fixed, strict=True):
-            gain, by_log = s.log_likelihood(start * np.where(place >= 0, np.exp(2.0 * u)[place], 1.0))
+            gain, by_log = s.log_likelihood(variances(u, place, start))
             value += gain
             np.add.at(slope, place[place >= 0], 2.0 * by_log[place >= 0])
         return value, slope
@@ -324,7 +341,9 @@ def _posterior(sets: Sequence[Repeats], typical: Sequence[Size]) -> tuple[Size, 
     for k, size in enumerate(typical):
         line = np.tile(found, (_GRID.size, 1))
         line[:, k] = _GRID
-        logs = np.array([log_density(u)[0] for u in line]) if sets else log_prior(_GRID)
+        logs = log_prior(_GRID)
+        for s, place, start in zip(sets, placed, fixed, strict=True):
+            logs = logs + s.log_likelihoods(variances(line, place, start))
         smooth = CubicSpline(_GRID, logs)(_FINE)
         share = np.exp(smooth - smooth.max())
         share /= share.sum()

@@ -99,6 +99,8 @@ def test_likelihood_of_what_repeats_do_not_share_is_that_of_the_dense_gaussian()
     little = np.full(3, 1e-7)
     value, slope = found.log_likelihood(variances)
     assert value - found.log_likelihood(little)[0] == pytest.approx(dense(variances) - dense(little), abs=1e-4)
+    many = found.log_likelihoods(np.array([little, variances]))
+    assert many[1] - many[0] == pytest.approx(dense(variances) - dense(little), abs=1e-4)
     for k in range(3):
         up, down = variances.copy(), variances.copy()
         up[k], down[k] = variances[k] * math.exp(1e-4), variances[k] * math.exp(-1e-4)
@@ -128,6 +130,7 @@ def test_repeats_with_other_clocks_are_judged_by_brute_force_alike():
     assert found.log_likelihood(one)[0] - found.log_likelihood(other)[0] == pytest.approx(
         dense(one) - dense(other), abs=1e-3
     )
+    assert np.ptp(found.log_likelihoods(np.array([one, other])) - [dense(one), dense(other)]) < 1e-3
 
 
 @pytest.mark.parametrize("coupled", [False, True])
