@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from bayes_damper.calibration.experiment import Experiment
+from bayes_damper.rig.kernels import compiled
 
 Array = NDArray[np.float64]
 
@@ -73,6 +74,46 @@ class Noise:
         ahead, back = self.filter(channel)
         filtered = np.asarray(lfilter(ahead, back, r, axis=-1)) if self.coloured(channel) else r
         return np.divide(filtered, self.innovation[channel], out=out)
+
+    def whitened(self, r: Array, weight: Array) -> Array:
+        """Weighted innovations of residuals r (..., channels, n), of their shape; weight: (channels, n) or wider."""
+        channels, n = r.shape[-2:]
+        if self.longer and any(self.longer[:channels]):
+            out = np.multiply(r, weight)
+            for c in range(channels):
+                self.whiten(c, out[..., c, :], out=out[..., c, :])
+            return out
+        each = np.tile(np.arange(channels), r.size // max(channels * n, 1))
+        which = np.broadcast_to(np.arange(weight.size // n).reshape(weight.shape[:-1]), r.shape[:-1]).ravel()
+        scale, ahead, back = (np.array(x)[each] for x in (self.innovation, self.phi, self.theta))
+        out = np.empty(r.shape)
+        _whiten(
+            np.ascontiguousarray(r).reshape(-1, n), np.ascontiguousarray(weight).reshape(-1, n), which,
+            1.0 / scale, -ahead, back, out.reshape(-1, n),
+        )  # fmt: skip
+        return out
+
+
+@compiled()
+def _whiten(
+    x: Array, weight: Array, which: NDArray[np.int64], scale: Array, ahead: Array, back: Array, out: Array
+) -> None:
+    """Rows of x (rows, n), each times row `which` of the weights and a scale, through its filter into out.
+
+    By fours: in each every reading waits for the one before.
+    """
+    rows, n = x.shape
+    for a in range(0, rows, 4):
+        b, c, d = min(a + 1, rows - 1), min(a + 2, rows - 1), min(a + 3, rows - 1)
+        wa, wb, wc, wd = weight[which[a]], weight[which[b]], weight[which[c]], weight[which[d]]
+        pa = pb = pc = pd = qa = qb = qc = qd = 0.0
+        for i in range(n):
+            za, zb = x[a, i] * wa[i] * scale[a], x[b, i] * wb[i] * scale[b]
+            zc, zd = x[c, i] * wc[i] * scale[c], x[d, i] * wd[i] * scale[d]
+            qa, qb = za + ahead[a] * pa + back[a] * qa, zb + ahead[b] * pb + back[b] * qb
+            qc, qd = zc + ahead[c] * pc + back[c] * qc, zd + ahead[d] * pd + back[d] * qd
+            pa, pb, pc, pd = za, zb, zc, zd
+            out[a, i], out[b, i], out[c, i], out[d, i] = qa, qb, qc, qd
 
 
 def rough_noise(experiment: Experiment, trials: Sequence[int]) -> Noise:

@@ -258,10 +258,7 @@ class Problem:
 
     def whitened(self, r: Array, weight: Array) -> Array:
         """Weighted innovations, (..., channels * n), of residuals r (..., channels, n)."""
-        out = np.multiply(r, weight)
-        for c in range(r.shape[-2]):
-            self.noise.whiten(c, out[..., c, :], out=out[..., c, :])
-        return out.reshape(*out.shape[:-2], -1)
+        return self.noise.whitened(r, weight).reshape(*r.shape[:-2], -1)
 
     def costs(self, q: Array, eta: Mapping[int, Array], annealed: bool = False) -> Array:
         """Cost of k candidates: q (k, size), eta: trial -> (k, m). inf where a simulation failed."""

@@ -366,6 +366,32 @@ def test_whitening_makes_coloured_noise_white():
     assert Noise((1.0,), (0.9,), (0.7,)).total[0] == pytest.approx(x.std(), rel=0.02)
 
 
+@pytest.mark.parametrize("shape", [(7, 2, 50), (3, 5, 2, 50), (6, 1, 50)])
+def test_residuals_are_whitened_together_as_one_after_the_other(shape):
+    """By the recursion as it is written, for rows that are no multiple of four, with weights of each trial."""
+    rng = np.random.default_rng(2)
+    noise = Noise((2.0, 0.3), (0.9, 0.2), (0.7, -0.1))
+    r, weight = rng.standard_normal(shape), rng.random((shape[-3], shape[-2], shape[-1]))
+    found = noise.whitened(r, weight)
+    given = (r * weight).reshape(-1, *shape[-2:])
+    for row, white in zip(given, found.reshape(given.shape), strict=True):
+        for c, x in enumerate(row):
+            before, e = 0.0, 0.0
+            for i in range(x.size):
+                e = x[i] - noise.phi[c] * before + noise.theta[c] * e
+                before = x[i]
+                assert white[c, i] == pytest.approx(e / noise.innovation[c], abs=1e-12)
+
+
+def test_a_prediction_that_is_asked_for_again_is_not_made_again(fitted, monkeypatch):
+    heldout = fitted.problem.experiment.heldout
+    once = predict(fitted, heldout)
+    monkeypatch.setattr(Problem, "simulate", None)
+    assert predict(fitted, heldout)[heldout[0]] is once[heldout[0]]
+    with pytest.raises(TypeError):
+        predict(replace(fitted, q=fitted.q + 0.01), heldout)
+
+
 def test_the_noise_is_learnt_from_the_repeats():
     """Standard deviation and colour come back from records with AR(1) noise."""
     fit = calibrate_nominal(make_experiment(5, colour=True))
