@@ -15,6 +15,7 @@ equation lacks to that motion. A pivot that is moved sideways tilts the gravity 
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -532,7 +533,7 @@ class _Piece:
 class Pieces:
     """Columns on each part of the trials, for all that they can do on some of the parts only.
 
-    names: of the parts, as `project_parts` was given them, hashable.
+    names: of the parts, as `project_parts` was given them, hashable; runs: of columns between which products were made.
     """
 
     names: tuple[Any, ...]
@@ -541,6 +542,7 @@ class Pieces:
     g: Array
     folded: Array
     """(size, unknowns): what each unknown that gives way is of the fit's parameters."""
+    runs: tuple[slice, ...]
 
     def on(self, names: Collection[Any] | None = None) -> Projected:
         """The columns, zero on all parts but the named ones, after all that parameters can do is taken out."""
@@ -551,15 +553,24 @@ class Pieces:
         raw = np.sum([p.raw for p in chosen], axis=0)
         k = len(raw)
         answer = np.linalg.solve(self.S, np.column_stack([mixed, self.g]))
-        gram = gram - mixed.T @ answer[:, :k]
+        for run in self.runs:
+            gram[run, run] -= mixed[:, run].T @ answer[:, run]
         product = product - mixed.T @ answer[:, k]
         return Projected(0.5 * (gram + gram.T), -product, raw, np.asarray(-self.folded @ answer[:, :k]))
 
 
-def project_parts(fit: Calibration, columns: Iterable[Array], part: Callable[[int], Any]) -> Pieces:
+def project_parts(
+    fit: Calibration,
+    columns: Iterable[Array],
+    part: Callable[[int], Any],
+    kinds: Callable[[], Sequence[Any]] | None = None,
+) -> Pieces:
     """Columns (trials, k, data), one array per block, for each part of the trials: `part` names that of a trial.
 
     Columns are looked at once, in order, so that they can be made one block after the other.
+
+    kinds : what each column is, asked for once the first ones are made: products are made between neighbours of a kind
+    only, and zero between others; None: all are of a kind.
 
     The product's sign is that of "reading minus model": a coefficient c > 0 of a column adds it to the model.
     """
@@ -569,11 +580,14 @@ def project_parts(fit: Calibration, columns: Iterable[Array], part: Callable[[in
     normals.S[range(fit.problem.size, size), range(fit.problem.size, size)] += 1.0
     S, g, inverses = normals.reduced()
     pieces: dict[Any, _Piece] = {}
+    runs: tuple[slice, ...] = ()
     columns = iter(columns)
     for (block, H, TJ, gT), inverse, more in zip(normals.parts, inverses, added, strict=True):
         every = next(columns)
         live = _live(every)
         k = every.shape[1]
+        runs = runs or _runs([None] * k if kinds is None else kinds())
+        ends = np.searchsorted(live, [run.start for run in runs] + [k])
         if live.size < k:
             every = every[:, live]
         full = np.concatenate([block.J, more, block.T, block.r[:, None, :]], axis=1)
@@ -582,7 +596,10 @@ def project_parts(fit: Calibration, columns: Iterable[Array], part: Callable[[in
             own = np.array([n == name for n in names])
             d = every if own.all() else every[own]
             flat = d.transpose(1, 0, 2).reshape(live.size, d.shape[0] * d.shape[2])
-            gram = flat @ flat.T
+            gram = np.zeros((live.size, live.size))
+            within = [slice(a, b) for a, b in itertools.pairwise(ends)]
+            for run in within:
+                gram[run, run] = flat[run] @ flat[run].T
             raw = np.diag(gram).copy()
             cross = full[own] @ d.transpose(0, 2, 1)  # (trials, size + m + 1, k)
             m = H.shape[1]
@@ -591,7 +608,8 @@ def project_parts(fit: Calibration, columns: Iterable[Array], part: Callable[[in
             if m:
                 td = cross[:, size : size + m]
                 solved = inverse[own] @ td
-                gram -= np.tensordot(td, solved, axes=([0, 1], [0, 1]))
+                for run in within:
+                    gram[run, run] -= np.tensordot(td[:, :, run], solved[:, :, run], axes=([0, 1], [0, 1]))
                 mixed -= np.tensordot(TJ[own], solved, axes=([0, 1], [0, 1]))
                 product -= np.tensordot(solved, gT[own], axes=([0, 1], [0, 1]))
             if name not in pieces:
@@ -603,7 +621,13 @@ def project_parts(fit: Calibration, columns: Iterable[Array], part: Callable[[in
             whole.raw[live] += raw
             del d, flat
         del every  # before the next ones are made
-    return Pieces(tuple(pieces), tuple(pieces.values()), S, g, folded)
+    return Pieces(tuple(pieces), tuple(pieces.values()), S, g, folded, runs)
+
+
+def _runs(kinds: Sequence[Any]) -> tuple[slice, ...]:
+    """Places of neighbours of one kind."""
+    starts = [i for i, kind in enumerate(kinds) if i == 0 or kind != kinds[i - 1]]
+    return tuple(slice(a, b) for a, b in itertools.pairwise([*starts, len(kinds)]))
 
 
 def alike_in_all(fit: Calibration) -> tuple[list[Array], Array]:

@@ -230,7 +230,9 @@ def _per_part(
     cases = list(dict.fromkeys(t.case for t in trials))
     by_case = 1 < len(cases) <= MOST_CASES
     every = fit.problem.experiment.trials
-    pieces = project_parts(fit, columns, lambda i: (every[i].case if by_case else "", every[i].coupled))
+    pieces = project_parts(
+        fit, columns, lambda i: (every[i].case if by_case else "", every[i].coupled), lambda: [v[0] for v in vocabulary]
+    )
     labels = [(site, group) for site, group, _ in vocabulary]
     judged: dict[str | None, Projected] = {None: pieces.on()}
     found: dict[str | None, _Sites] = {None: _per_site(hypotheses_of(judged[None], labels))}

@@ -262,6 +262,21 @@ def test_columns_on_a_part_of_the_trials_are_columns_that_are_nothing_elsewhere(
             assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-9, abs=1e-9)
 
 
+def test_products_are_made_between_columns_of_a_kind_only():
+    """Kinds of three, one and two columns, of which some are zero on a part of the trials."""
+    fit = calibrate_nominal(measured(4, configurations=(False,)))
+    block = fit.linear.blocks[0]
+    columns = np.random.default_rng(2).standard_normal((block.r.shape[0], 6, block.r.shape[1]))
+    columns[:, 1] = 0.0
+    found = project_parts(fit, [columns], lambda _: None, lambda: ["a", "a", "a", "b", "c", "c"]).on()
+    whole = project(fit, [columns])
+    same = np.zeros((6, 6), dtype=np.bool_)
+    for run in (slice(0, 3), slice(3, 4), slice(4, 6)):
+        same[run, run] = True
+    assert found.gram == pytest.approx(np.where(same, whole.gram, 0.0), rel=1e-9, abs=1e-9)
+    assert found.product == pytest.approx(whole.product, rel=1e-9, abs=1e-9)
+
+
 def test_a_sensor_that_lags_in_one_case_is_found_there_and_said_to_lag_in_that_case():
     made = measured(3, cases=(("I", 0, 0.1), ("II", 0, 0.06), ("IV", 1, 0.08)))
 
