@@ -144,7 +144,7 @@ def calibrate(
     damping = 1e-4
     for _ in range(most if finish and converged and not behind else 0):
         tried, moved_q, moved, moved_cost = _tried(problem, linear.normal(), damping, q, own, annealed=False)
-        if not moved_cost < cost - GAINED:
+        if not moved_cost < cost - _least(problem, cost, GAINED):
             break
         damping, q, own, cost, used = max(tried, 1e-7), moved_q, moved, moved_cost, used + 1
         linear = problem.linearise(q, own, central=True)
@@ -240,13 +240,17 @@ def _descend(
                 accepted = True
                 break
             damping *= 300.0 if math.isfinite(moved_cost) else 100.0
-        least = max(tolerance, OF_EXCESS * (cost - problem.n_data))
-        end = _End(cost, q, eta, not accepted or gained < least, iteration)
+        end = _End(cost, q, eta, not accepted or gained < _least(problem, cost, tolerance), iteration)
         if end.converged or (known is not None and _alike(end, known)):
             return end
         if math.isfinite(target) and iteration >= 3 and cost - target > HOPELESS and HURRY * gained < cost - target:
             return end
     return _End(cost, q, eta, False, most)
+
+
+def _least(problem: Problem, cost: float, tolerance: float) -> float:
+    """Gain of a step below which a descent has ended."""
+    return max(tolerance, OF_EXCESS * (cost - problem.n_data))
 
 
 def _tried(
