@@ -7,6 +7,8 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from bayes_damper.runs.results.diagnosis import BudgetEntry, GapEntry, LawEntry, PairEntry
+
 NOTHING = "\N{EN DASH}"
 """What stands where there is no number."""
 SDS_WIDE = 3.29
@@ -66,13 +68,13 @@ def gathered(warnings: Iterable[str]) -> list[str]:
     return out
 
 
-def held_out_of(gap: Mapping[str, Any]) -> bool:
+def held_out_of(gap: GapEntry) -> bool:
     """Whether any trial tests the verdict: False where each case has one trial only; gap : `gap` of diagnosis.json."""
     nothing = gap.get("p_value") in (None, 1.0) and gap.get("upper_rms_over_noise") is None
     return not (nothing and gap.get("answer") == "cannot tell")
 
 
-def gap_beside_verdict(verdict: str, share: float, gap: Mapping[str, Any]) -> str:
+def gap_beside_verdict(verdict: str, share: float, gap: GapEntry) -> str:
     """Why the test of the gap and the verdict point different ways, in a sentence; "" where they agree.
 
     verdict, share : the most probable answer and its probability; gap : `gap` of diagnosis.json.
@@ -102,7 +104,7 @@ def gap_beside_verdict(verdict: str, share: float, gap: Mapping[str, Any]) -> st
     return ""
 
 
-def named_answers(probabilities: Mapping[str, float], pair: Mapping[str, Any] | None) -> dict[str, float]:
+def named_answers(probabilities: Mapping[str, float], pair: PairEntry | None) -> dict[str, float]:
     """Answer -> probability, as it is shown: where two effects are the answer, the stronger one's is that of both.
 
     pair : as in diagnosis.json: `effects`, the stronger first, and `probability`; None if no pair was considered.
@@ -117,22 +119,22 @@ def misses(entry: Mapping[str, Any]) -> bool:
     return any(c.get("learnt_from") == "residuals" and c.get("left_over_floor") for c in channels)
 
 
-def budget_sentence(budget: Mapping[str, Any] | None) -> str:
+def budget_sentence(budget: BudgetEntry | None) -> str:
     """The gap by effects in a sentence; "" where no effect is present.
 
     budget : as in diagnosis.json. Shares are those of the gap on held-out trials; effects that are less than even odds
     are left to the table.
     """
-    parts = [e for e in (budget or {}).get("effects", ()) if e["present"] >= 0.5]
+    parts = [e for e in budget["effects"] if e["present"] >= 0.5] if budget else []
     if budget is None or not parts:
         return ""
-    unexplained = budget["unexplained"]["share"].get("median")
+    unexplained = budget["unexplained"]["share"]["median"]
     named = [f"{e.get('title') or e['name'].replace('_', ' ')} (p {_probable(e['present'])})" for e in parts]
     if unexplained is None:
         named[0] = named[0][0].upper() + named[0][1:]
         verb = "is" if len(named) == 1 else "are"
         return f"{' and '.join(named)} {verb} present; the gap on held-out trials is too faint to give shares of it."
-    shares = [e["share"]["median"] for e in parts]
+    shares = [x for e in parts if (x := e["share"]["median"]) is not None]
     closing = [(name, f"{share_of_gap(x)} %") for name, x in zip(named, shares, strict=True) if round(100.0 * x) > 0]
     harmful = [(name, "nothing") for name, x in zip(named, shares, strict=True) if round(100.0 * x) <= 0]
     # No share of a gap is below none of it, or above all.
@@ -148,13 +150,13 @@ def budget_sentence(budget: Mapping[str, Any] | None) -> str:
     return f"{', '.join([f'{name} closes {share} of the gap', *map(' '.join, others)])}; {rest}."
 
 
-def failed_sentence(budget: Mapping[str, Any] | None) -> str:
+def failed_sentence(budget: BudgetEntry | None) -> str:
     """Effects that were fitted and fail on held-out trials, in a sentence; "" where there are none.
 
     budget : as in diagnosis.json.
     """
     said = []
-    for e in (budget or {}).get("absent") or ():
+    for e in (budget.get("absent") or ()) if budget else ():
         name, share = e["name"].replace("_", " "), e["share"].get("median")
         if share is not None and share <= -1.0:
             name += f", with which they are missed by {math.sqrt(1.0 - share):.2g} times as much"
@@ -169,12 +171,12 @@ def share_of_gap(share: float) -> str:
     return "below -100" if share < -1.0 else "above 200" if share > 2.0 else f"{round(100.0 * share)}"
 
 
-def law_sentence(law: Mapping[str, Any] | None) -> str:
+def law_sentence(law: LawEntry | None) -> str:
     """What was learnt in place of a cause that has no name, in a sentence; law : as in diagnosis.json, "" for None."""
     if not law:
         return ""
-    low, high = (100.0 * min(max(x, 0.0), 1.0) for x in law["closes"]["hdi90"])
-    share = 100.0 * min(max(law["closes"]["median"], 0.0), 1.0)
+    low, high = (100.0 * min(max(x, 0.0), 1.0) for x in law["closes"]["hdi90"] or (0.0, 1.0))
+    share = 100.0 * min(max(law["closes"]["median"] or 0.0, 0.0), 1.0)
     beside = f" beside {' and '.join(e.replace('_', ' ') for e in law['beside'])}" if law["beside"] else ""
     return (
         f"A law learnt at {_AT.get(law['site'], law['site'])}{beside}, Q = {law['formula']}, closes {share:.0f} % "
@@ -182,10 +184,10 @@ def law_sentence(law: Mapping[str, Any] | None) -> str:
     )
 
 
-def named_sentence(law: Mapping[str, Any] | None) -> str:
+def named_sentence(law: LawEntry | None) -> str:
     """Which short formula stands for a learnt law, in a sentence; "" where none was looked for."""
-    named = (law or {}).get("named")
-    if not law or not named or not named["formulas"]:
+    named = law.get("named") if law else None
+    if law is None or named is None or not named["formulas"]:
         return ""
     best, only = named["formulas"][0], named["shape_only"]
     if only >= best["probability"]:

@@ -17,7 +17,7 @@ import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ from scipy.special import ndtr, ndtri
 from bayes_damper.calibration import Calibration, Experiment, Group, Problem, predict
 from bayes_damper.calibration.derivatives import RELEASE_STEP
 from bayes_damper.calibration.own_values import RELEASE
+from bayes_damper.runs.results.diagnosis import ForecastEntry, Forecasts, ForecastSides, TrialForecast
 
 Array = NDArray[np.float64]
 
@@ -119,7 +120,7 @@ def averaged(parts: Sequence[tuple[float, Forecast]]) -> Averaged:
     )
 
 
-def summary(forecasts: Sequence[Forecast]) -> dict[str, Any]:
+def summary(forecasts: Sequence[Forecast]) -> ForecastEntry:
     """Of one trial or several: rms (all readings, and each channel), share of the readings inside each band, width.
 
     width90 : median width of the 90 % band.
@@ -131,9 +132,14 @@ def summary(forecasts: Sequence[Forecast]) -> dict[str, Any]:
     return {
         "rms": _rms(every),
         "rms_by_channel": [_rms(m) for m in miss],
-        **{f"coverage{round(100 * s)}": sum(int(f.inside(s).sum()) for f in forecasts) / known for s in BANDS},
+        "coverage50": _inside(forecasts, 0.5) / known,
+        "coverage90": _inside(forecasts, 0.9) / known,
         "width90": float(np.median(widths)),
     }
+
+
+def _inside(forecasts: Sequence[Forecast], band: float) -> int:
+    return sum(int(f.inside(band).sum()) for f in forecasts)
 
 
 def forecast(fit: Calibration, trials: Sequence[int], periods: float = PERIODS) -> dict[int, Forecast]:
@@ -149,7 +155,7 @@ def forecasts(
     after: Calibration | None,
     answers: Sequence[tuple[float, Calibration]] = (),
     periods: float = PERIODS,
-) -> dict[str, Any]:
+) -> Forecasts:
     """Entry `forecast` of diagnosis.json: held-out trials by the nominal model and with the answer, one by one and all.
 
     answers : the probability of each answer and its fit; where there are several, "averaged" weighs their forecasts
@@ -172,25 +178,23 @@ def forecasts(
         for name, fit in (("before", before), ("after", after))
         if fit is not None and found[name]
     }
-    rows = []
+    rows: list[TrialForecast] = []
     for i, first in found["before"].items():
         t = experiment.trials[i]
-        sides = {
-            name: summary([those[i]]) | ({"rms_whole": _rms(whole[name][i])} if name in whole else {})
-            for name, those in found.items()
-        }
+        sides = {name: summary([those[i]]) for name, those in found.items()}
+        for name in whole:
+            sides[name]["rms_whole"] = _rms(whole[name][i])
         rows.append({
             "file": t.label, "case": t.case, "configuration": "coupled" if t.coupled else "uncoupled",
-            "trial": t.number, "seen_s": first.seen_s, "readings": int(np.isfinite(first.reading).sum()), **sides,
+            "trial": t.number, "seen_s": first.seen_s, "readings": int(np.isfinite(first.reading).sum()),
+            **cast("ForecastSides", sides),
         })  # fmt: skip
     if not rows:
         return {}
-    together = {
-        name: summary(list(those.values()))
-        | ({"rms_whole": _rms(np.concatenate([r.ravel() for r in whole[name].values()]))} if name in whole else {})
-        for name, those in found.items()
-    }
-    return {"periods": periods, "bands": list(BANDS), **together, "trials": rows}
+    together = {name: summary(list(those.values())) for name, those in found.items()}
+    for name, residuals in whole.items():
+        together[name]["rms_whole"] = _rms(np.concatenate([r.ravel() for r in residuals.values()]))
+    return {"periods": periods, "bands": list(BANDS), **cast("ForecastSides", together), "trials": rows}
 
 
 def period_of(fit: Calibration, trial: int) -> float:

@@ -32,7 +32,6 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +54,7 @@ from bayes_damper.calibration.own_values import (
     middle_of,
 )
 from bayes_damper.calibration.problem import Problem
+from bayes_damper.runs.results.diagnosis import ScatterEntry
 
 Array = NDArray[np.float64]
 
@@ -380,7 +380,7 @@ def _shortest(share: Array, of: float = 0.9) -> tuple[float, float]:
 # What is reported of it ----------------------------------------------------------------------------------------------
 
 
-def scatter_shown(fit: Calibration, unit: str) -> dict[str, dict[str, Any]]:
+def scatter_shown(fit: Calibration, unit: str) -> dict[str, ScatterEntry]:
     """Entry `scatter` of the results: what the repeats show to differ from trial to trial; unit : of the readings.
 
     trend_with_order : correlation, from -1 to 1, of the trials' own values with their order among repeats.

@@ -38,6 +38,15 @@ from bayes_damper.rig.units import BODIES, effect_unit, in_words_of
 from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.parallel_map import forked_map
 from bayes_damper.runs.provenance import provenance
+from bayes_damper.runs.results.diagnosis import (
+    BudgetPart,
+    DiagnosisFile,
+    EffectEntry,
+    Estimate,
+    Forecasts,
+    GapEntry,
+    PairEntry,
+)
 from bayes_damper.text import (
     budget_sentence,
     failed_sentence,
@@ -61,14 +70,14 @@ class Diagnosed:
     """A diagnosis and the folder that its files are in; `result` is what diagnosis.json holds."""
 
     folder: Path
-    result: Mapping[str, Any]
+    result: DiagnosisFile
     campaign: str = ""
     """What was diagnosed, as the command line names it."""
     exit_code: ExitCode = ExitCode.DONE
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> DiagnosisFile:
         """What diagnosis.json holds."""
-        return dict(self.result)
+        return self.result
 
     def text(self) -> str:
         """The verdict in plain words, what speaks for it, and what to do next."""
@@ -123,7 +132,8 @@ def diagnose(
     if found.law is not None:
         found.law.write(folder)
     ahead = forecasts(found.nominal, found.best, found.weighed_fits())
-    result = found.to_json() | {
+    result = found.to_json()
+    result |= {
         "reading_unit": loaded.reading_unit,
         "rig": {
             "kind": loaded.rig.kind,
@@ -137,10 +147,10 @@ def diagnose(
         "provenance": provenance(),
     }
     of_rig = loaded.rig.kind, loaded.measurement.quantity
-    for name, row in result["parameters"].items():
-        row["unit"] = unit_of(name, *of_rig)
-    both = (result["pair"] or {}).get("parameters", {})
-    rows = [*result["effects"], *result["budget"]["effects"]]
+    for name, shift in result["parameters"].items():
+        shift["unit"] = unit_of(name, *of_rig)
+    both = result["pair"]["parameters"] if result["pair"] else {}
+    rows = [*result["effects"], *(result["budget"]["effects"] if result["budget"] else ())]
     for parameters in (*(row["parameters"] for row in rows), *both.values()):
         for row in parameters.values():
             row["unit"] = effect_unit(row["unit"], *of_rig)
@@ -210,10 +220,12 @@ def _emptied(folder: Path) -> Path:
 
 
 def _add_meanings(
-    result: Mapping[str, Any], library: Mapping[str, Effect], kind: str = "torsional", magnet: bool = True
+    result: DiagnosisFile, library: Mapping[str, Effect], kind: str = "torsional", magnet: bool = True
 ) -> None:
     """Adds to each effect of a result what it is, in a few words and in a sentence, in the words of the rig."""
-    for row in (*result["effects"], *(result.get("budget") or {}).get("effects", ())):
+    budget = result.get("budget")
+    rows: list[EffectEntry | BudgetPart] = [*result["effects"], *(budget["effects"] if budget else ())]
+    for row in rows:
         if row["name"] in library:
             row["title"] = in_words_of(library[row["name"]].title, kind, magnet)
             row["meaning"] = in_words_of(library[row["name"]].summary, kind, magnet)
@@ -224,7 +236,7 @@ def _add_meanings(
             row["formula"] = in_words_of(row["formula"], kind)
 
 
-def _published_words(result: Mapping[str, Any]) -> list[str]:
+def _published_words(result: DiagnosisFile) -> list[str]:
     """The answer from published numbers: nothing is called the cause below 90 %."""
     probabilities, errors, gap = result["probabilities"], result["probability_errors"], result["gap"]
     verdict = result["verdict"]
@@ -264,13 +276,13 @@ def _published_words(result: Mapping[str, Any]) -> list[str]:
     return lines + [f"note: {note}" for note in result["notes"]]
 
 
-def _estimated(p: Mapping[str, Any]) -> str:
+def _estimated(p: Estimate) -> str:
     """A parameter's value, unit (none for a plain number) and interval."""
     unit = "" if p["unit"] == "1" else f" {p['unit']}"
     return f"{p['mean']:.4g}{unit}, 90 % interval {p['hdi90'][0]:.4g} to {p['hdi90'][1]:.4g}"
 
 
-def next_steps(result: Mapping[str, Any], campaign: str, folder: str = "") -> list[str]:
+def next_steps(result: DiagnosisFile, campaign: str, folder: str = "") -> list[str]:
     """What to do with a verdict: the fit that it asks for, or the trial to measure while the answer is open.
 
     result : what diagnosis.json holds, of recorded trials; campaign : its folder; folder : of the results.
@@ -304,7 +316,7 @@ def next_steps(result: Mapping[str, Any], campaign: str, folder: str = "") -> li
     return steps
 
 
-def _trial_words(proposal: Mapping[str, Any]) -> str:
+def _trial_words(proposal: Mapping[str, object]) -> str:
     """A proposed trial in words, in the units of its rig."""
     forms = {"k1t_n_m_per_rad": "k1t {:.3g} N m/rad", "k1_n_per_m": "k1 {:.3g} N/m",
              "theta0_deg": "released at {:.3g} deg", "theta0_mm": "released at {:.3g} mm"}  # fmt: skip
@@ -312,7 +324,7 @@ def _trial_words(proposal: Mapping[str, Any]) -> str:
     return ", ".join([f"one more {proposal['configuration']} trial", *details])
 
 
-def _words(result: Mapping[str, Any]) -> list[str]:
+def _words(result: DiagnosisFile) -> list[str]:
     if "feature" in result["where"]:
         return _published_words(result)
     rig = result.get("rig") or {}
@@ -338,11 +350,11 @@ def _words(result: Mapping[str, Any]) -> list[str]:
         title = f", {row['title']}" if row.get("title") else ""
         lines = [f"{sure} {verdict}{title} ({row['site']}), probability {share:.2f}: {row['formula']}."]
         lines += [f"  {row['meaning']}"] if row.get("meaning") else []
-        parameters = {verdict: row["parameters"]}
-        if result.get("pair"):
-            both, p = result["pair"]["effects"], result["pair"]["probability"]
+        parameters: Mapping[str, Mapping[str, Estimate]] = {verdict: row["parameters"]}
+        if pair := result.get("pair"):
+            both, p = pair["effects"], pair["probability"]
             lines.append(f"It does not close the gap alone: {both[0]} and {both[1]} together do (probability {p:.2f}).")
-            parameters = result["pair"]["parameters"]
+            parameters = pair["parameters"]
         lines += [
             f"  {effect}, {name} = {_estimated(p)}" for effect, those in parameters.items() for name, p in those.items()
         ]
@@ -368,7 +380,7 @@ def _words(result: Mapping[str, Any]) -> list[str]:
     return lines + [f"note: {said(note)}" for note in result.get("notes", [])]
 
 
-def _gap_words(gap: Mapping[str, Any], unit: str) -> str:
+def _gap_words(gap: GapEntry, unit: str) -> str:
     """What the test of the gap says, and what is left of it; unit : of readings."""
     return (
         (
@@ -390,10 +402,11 @@ def _place(site: str) -> str:
     return site if title in (site, f"{site}s") else f"{site} ({title})"
 
 
-def _forecast_words(ahead: Mapping[str, Any], unit: str) -> list[str]:
+def _forecast_words(ahead: Forecasts, unit: str) -> list[str]:
     """What held-out trials do after the two periods that their own state is inferred from; `unit`: of readings."""
     said = {"before": "before", "after": "after", "averaged": "over all answers"}
-    sides = {words: ahead[name] for name, words in said.items() if name in ahead}
+    found = {"before": ahead.get("before"), "after": ahead.get("after"), "averaged": ahead.get("averaged")}
+    sides = {said[name]: side for name, side in found.items() if side is not None}
     if not sides:
         return []
     misses = ", ".join(f"{s['rms']:.3g}{f' {unit}' if unit else ''} {name}" for name, s in sides.items())
@@ -408,7 +421,9 @@ def _draw(folder: Path, found: Diagnosis, workers: int, library: Mapping[str, Ef
     titles = {name: said(effect.title) for name, effect in library.items()}
     added = _added(found, titles)
     answers = found.answers
-    pair = {"effects": answers.pair_effects, "probability": answers.pair} if answers.pair_effects else None
+    pair: PairEntry | None = (
+        {"effects": answers.pair_effects, "probability": answers.pair} if answers.pair_effects else None
+    )
     probabilities = named_answers(answers.probabilities, pair)
     drawn = {
         "residuals": lambda: figures.residual_maps_figure(

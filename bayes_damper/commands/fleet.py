@@ -136,7 +136,7 @@ def diagnose_one(folder: Path, report_share: Callable[[float, str], None], *, ca
     result = diagnose(campaign, out=folder, report=lambda words: report_share(0.0, words), **given).result
     report(folder)
     verdict, gap = result["verdict"], result["gap"]
-    closed = (gap.get("closed") or {}).get("median")
+    closed = gap["closed"]["median"] if gap["closed"] else None
     site = max(result["sites"], key=lambda s: result["sites"][s])
     return {
         "verdict": verdict, "probability": result["probabilities"][verdict], "credible_set": result["credible_set"],

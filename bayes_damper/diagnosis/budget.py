@@ -23,7 +23,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +40,7 @@ from bayes_damper.diagnosis.sets import (
 )
 from bayes_damper.diagnosis.shares import IN_WORDS, NO_SHARE, Closed, Products, products_of, shortest_interval
 from bayes_damper.diagnosis.verdict import FLOOR, PRIOR_NONE, RULE, Answers, Left, Rule
+from bayes_damper.runs.results.diagnosis import BudgetEntry, Estimate
 
 Array = NDArray[np.float64]
 
@@ -90,7 +90,7 @@ class Budget:
         divided = "; divided among the effects by their mean over all orders (Shapley)"
         return how if self.unexplained.median is None else how + divided
 
-    def to_json(self, estimate: Callable[[str, str], Mapping[str, Any]]) -> dict[str, Any]:
+    def to_json(self, estimate: Callable[[str, str], Estimate]) -> BudgetEntry:
         """The `budget` of diagnosis.json; estimate : (coordinate, unit) -> value, sd and interval of a parameter."""
         return {
             "effects": [

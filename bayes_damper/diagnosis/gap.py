@@ -33,6 +33,7 @@ from bayes_damper.calibration import Calibration, Group, Prediction, Problem, Tr
 from bayes_damper.diagnosis.remainder import own_frequency
 from bayes_damper.diagnosis.response import on_trials
 from bayes_damper.diagnosis.shares import Closed, products
+from bayes_damper.runs.results.diagnosis import GapEntry, ShiftEntry
 from bayes_damper.text import p_value as words_of_p
 
 Array = NDArray[np.float64]
@@ -63,7 +64,7 @@ class Gap:
     upper_rms: float
     why: str
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> GapEntry:
         """The `gap` entry of diagnosis.json."""
         return {
             "answer": self.answer, "p_value": self.p_value, "size": self.size, "noise_rms": self.noise_rms,
@@ -82,7 +83,7 @@ class Shift:
     after: tuple[float, float]
     sigmas: float
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> ShiftEntry:
         """Plain numbers."""
         return {
             "before": {"value": self.before[0], "sd": self.before[1]},

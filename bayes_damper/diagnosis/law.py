@@ -44,6 +44,7 @@ from bayes_damper.effects._law import (
 )
 from bayes_damper.effects.base import Effect, EffectParameter
 from bayes_damper.priors.distributions import Normal
+from bayes_damper.runs.results.diagnosis import LawEntry
 from bayes_damper.simulation.links import of_links
 
 Array = NDArray[np.float64]
@@ -88,7 +89,7 @@ class Learnt:
         """The law's file below the folder of the diagnosis."""
         return f"learnt/{self.law.site}.toml"
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> LawEntry:
         """The `law` of diagnosis.json."""
         law = self.law
         return {

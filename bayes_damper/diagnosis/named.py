@@ -34,6 +34,7 @@ from bayes_damper.diagnosis.shapes import dahl, relaxed
 from bayes_damper.effects._formula import GRAMMAR, MOST_TERMS, SHAPE_UNITS, TERMS, FormulaTerm, formula_variant
 from bayes_damper.effects.base import Effect
 from bayes_damper.priors.distributions import LogUniform, Normal, from_standard
+from bayes_damper.runs.results.diagnosis import NamedEntry, NamedFormula, TermEntry
 from bayes_damper.simulation.links import of_links
 
 Array = NDArray[np.float64]
@@ -296,7 +297,7 @@ class Weighed:
             out += f"{sign}{abs(amount):.3g}" + ("" if written == "1" else f" {written}")
         return out
 
-    def to_json(self, translational: bool) -> dict[str, Any]:
+    def to_json(self, translational: bool) -> NamedFormula:
         """Plain numbers."""
         angle = "m" if translational else "rad"
         units = {"1/angle": f"1/{angle}", "angle": angle, "speed": f"{angle}/s", "s": "s"}
@@ -304,13 +305,14 @@ class Weighed:
         terms = []
         for term, (a, sd), (shape, shape_sd) in self.numbers():
             per = [f"{unit}^-{power}" for unit, power in zip(powered, term.powers, strict=True) if power]
-            row = {"term": term.words, "amount": a, "sd": sd, "unit": " ".join([torque, *per])}
+            row: TermEntry = {"term": term.words, "amount": a, "sd": sd, "unit": " ".join([torque, *per])}
             if term.shape:
                 row |= {"shape": term.shape, "value": shape, "value_sd": shape_sd}
                 row["value_unit"] = units[SHAPE_UNITS[term.shape]]
             terms.append(row)
-        shown = {"formula": self.words(), "probability": self.probability, "fitted": self.fit is not None}
-        return shown | {"terms": terms}
+        return {
+            "formula": self.words(), "probability": self.probability, "fitted": self.fit is not None, "terms": terms,
+        }  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,7 +326,7 @@ class Named:
         """Each formula with its numbers, and its probability."""
         return tuple((w.words(), w.probability) for w in self.formulas)
 
-    def to_json(self, translational: bool = False) -> dict[str, Any]:
+    def to_json(self, translational: bool = False) -> NamedEntry:
         """The `law.named` of diagnosis.json."""
         return {
             "formulas": [w.to_json(translational) for w in self.formulas],

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.calibration import Calibration, Experiment, Problem, TrialRecord, default_priors
+from bayes_damper.runs.results.diagnosis import ProposalEntry
 
 Array = NDArray[np.float64]
 
@@ -43,9 +44,9 @@ class Proposal:
     information: float
     margin: float
 
-    def to_json(self, kind: str = "torsional") -> dict[str, Any]:
+    def to_json(self, kind: str = "torsional") -> ProposalEntry:
         """An entry of `next_experiment`, in the units of that kind of rig."""
-        place = (
+        place: ProposalEntry = (
             {"k1_n_per_m": self.k1t, "theta0_mm": 1e3 * self.theta0}
             if kind == "translational"
             else {"k1t_n_m_per_rad": self.k1t, "theta0_deg": math.degrees(self.theta0)}

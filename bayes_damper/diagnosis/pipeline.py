@@ -58,6 +58,7 @@ from bayes_damper.priors.files import PriorSet
 from bayes_damper.rig.parameters import unit_of
 from bayes_damper.runs.json_files import plain, write_json
 from bayes_damper.runs.memory import shortage
+from bayes_damper.runs.results.diagnosis import DiagnosisFile, EffectEntry, Estimate, ShiftEntry
 
 Array = NDArray[np.float64]
 
@@ -143,7 +144,7 @@ class Diagnosis:
                 fits[id(own)] = (p + fits.get(id(own), (0.0,))[0], own)
         return list(fits.values())
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> DiagnosisFile:
         """The fields of diagnosis.json (schema bayes-damper/diagnosis/1)."""
         noise = self.nominal.problem.noise.total
         out: dict[str, Any] = {
@@ -207,7 +208,7 @@ class Diagnosis:
             self.law.write(home)
         return path
 
-    def _row(self, name: str) -> dict[str, Any]:
+    def _row(self, name: str) -> EffectEntry:
         rows = [c for c in self.candidates if c.effect.name == name]
         best = self.best_of(name) or rows[0]
         fit = self.best if best is self.winner and self.answers.pair < 0.5 else best.fit
@@ -226,14 +227,14 @@ class Diagnosis:
             else {},
         }
 
-    def _of_budget(self, label: str, unit: str) -> dict[str, Any]:
+    def _of_budget(self, label: str, unit: str) -> Estimate:
         """A parameter of the budget's best set."""
         assert self.budget is not None
         fit = self.budget.best.fit
         # What the formulas of the named effects leave open widens the intervals of the same fit.
         return _estimate(self.best if self.best is not None and self.best.problem is fit.problem else fit, label, unit)
 
-    def _of_pair(self, pair: Pair) -> dict[str, Any]:
+    def _of_pair(self, pair: Pair) -> dict[str, dict[str, Estimate]]:
         """Parameters of both effects, fitted together."""
         units = {e.name: {p.name: p.unit for p in v.parameters} for e, v in (pair.first, pair.second)}
         problem = pair.fit.problem
@@ -249,14 +250,14 @@ class Diagnosis:
             for effect, names in named.items()
         }
 
-    def _shifts(self) -> dict[str, Any]:
+    def _shifts(self) -> dict[str, ShiftEntry]:
         """Parameters before and after the winner, with the shift in standard deviations."""
         if self.best is None:
             return {n: {"before": {"value": v, "sd": sd}} for n, (v, sd) in self.nominal.parameters.items()}
         return {row.name: row.to_json() for row in shifts(self.nominal, self.best)}
 
 
-def _estimate(fit: Calibration, name: str, unit: str) -> dict[str, Any]:
+def _estimate(fit: Calibration, name: str, unit: str) -> Estimate:
     value, sd = fit.parameters[name]
     return {"unit": unit, "mean": value, "sd": sd, "hdi90": fit.interval(name)}
 

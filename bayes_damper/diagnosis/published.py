@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,16 @@ from bayes_damper.priors.distributions import Distribution, LogNormal, median
 from bayes_damper.priors.files import PriorSet
 from bayes_damper.published.posterior import EFFECT_PREFIX, FEATURE_QUANTITIES, Datum
 from bayes_damper.runs.json_files import write_json
+from bayes_damper.runs.results.diagnosis import (
+    CombinedEntry,
+    DiagnosisFile,
+    EffectEntry,
+    Estimate,
+    FeatureEntry,
+    FormulaEntry,
+    GapEntry,
+    ProposalEntry,
+)
 from bayes_damper.sampling.arviz_adapter import hdi
 from bayes_damper.sampling.moves import StudentT
 from bayes_damper.simulation.model import Model
@@ -119,7 +129,7 @@ class Row:
     heldout: bool
     p_value: float
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> FeatureEntry:
         """An entry of `where.feature`."""
         low, high = hdi(self.predicted)
         return {
@@ -141,7 +151,7 @@ class Measurement:
     information: float
     margin: float
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> ProposalEntry:
         """An entry of `next_experiment`."""
         return {
             "configuration": self.configuration, "k1t_n_m_per_rad": self.k1t,
@@ -169,7 +179,7 @@ class PublishedDiagnosis:
     sites: Mapping[str, float]
     rows: Mapping[str, tuple[Row, ...]]
     p_value: float
-    gap: Mapping[str, Any]
+    gap: GapEntry
     indistinguishable: tuple[tuple[str, ...], ...]
     proposals: tuple[Measurement, ...]
     notes: tuple[str, ...]
@@ -186,7 +196,7 @@ class PublishedDiagnosis:
         """The formula of a family with the largest evidence."""
         return max((r for r in self.results if r.formula.family == family), key=lambda r: r.log_evidence)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> DiagnosisFile:
         """The fields of diagnosis.json (schema bayes-damper/diagnosis/1)."""
         none = self.rows["none"]
         effects = [name for name in self.evidence if name != "unknown"]
@@ -200,7 +210,7 @@ class PublishedDiagnosis:
             "probability_errors": dict(self.probability_errors),
             "pair": None,
             "sites": dict(self.sites),
-            "gap": dict(self.gap),
+            "gap": self.gap,
             "where": {
                 "feature": [row.to_json() for row in none],
                 "case": _combined(none, lambda row: row.case),
@@ -223,7 +233,7 @@ class PublishedDiagnosis:
         write_json(path, self.to_json())
         return path
 
-    def _formula(self, result: Result) -> dict[str, Any]:
+    def _formula(self, result: Result) -> FormulaEntry:
         return {
             "variant": result.formula.name,
             "formula": result.formula.text,
@@ -235,9 +245,9 @@ class PublishedDiagnosis:
             "parameters": _parameters(result),
         }
 
-    def _entry(self, name: str) -> dict[str, Any]:
+    def _entry(self, name: str) -> EffectEntry:
         best = self.best_of(name)
-        return {
+        return cast("EffectEntry", {
             "name": name,
             "site": best.formula.sites[0],
             "probability": self.answers.probabilities[name],
@@ -245,10 +255,10 @@ class PublishedDiagnosis:
             "log_evidence": self.evidence[name],
             "log_evidence_error": self.errors[name],
             "variants": [self._formula(r) for r in self.results if r.formula.family == name],
-        }
+        })  # fmt: skip
 
 
-def _parameters(result: Result) -> dict[str, Any]:
+def _parameters(result: Result) -> dict[str, Estimate]:
     """What a formula adds: mean, sd and interval of each of its parameters; nothing where it changes no number."""
     out: dict[str, Any] = {}
     if result.silent:
@@ -272,7 +282,7 @@ def _values(run: Weighed, points: Array, name: str) -> Array:
     return run.joint.coordinates.values(points)[name]
 
 
-def _combined(rows: Sequence[Row], key: Callable[[Row], str]) -> list[dict[str, Any]]:
+def _combined(rows: Sequence[Row], key: Callable[[Row], str]) -> list[CombinedEntry]:
     """The smallest p-value of each group of rows, times the number of its rows."""
     groups: dict[str, list[float]] = {}
     for row in rows:
@@ -534,7 +544,7 @@ def _gap_p(run: Weighed, rng: np.random.Generator) -> float:
     return float((np.sum(replicated[good] >= real[good]) + 1.0) / (np.sum(good) + 1.0))
 
 
-def _gap(none: Sequence[Row], leader: Sequence[Row], p_value: float, answers: PublishedAnswers) -> dict[str, Any]:
+def _gap(none: Sequence[Row], leader: Sequence[Row], p_value: float, answers: PublishedAnswers) -> GapEntry:
     """The gap on the coupled peaks, predicted without the coupled numbers of their case."""
 
     def peaks(rows: Sequence[Row]) -> list[Row]:

@@ -18,7 +18,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +25,7 @@ from numpy.typing import NDArray
 from bayes_damper.calibration import Calibration, TrialRecord, calibrate
 from bayes_damper.diagnosis.sets import SetFit, set_fit, weighed
 from bayes_damper.diagnosis.verdict import Answers
+from bayes_damper.runs.results.diagnosis import ChoiceEntry
 from bayes_damper.text import counted
 
 Array = NDArray[np.float64]
@@ -47,7 +47,7 @@ class Choice:
     probability: float
     of_leading: float
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> ChoiceEntry:
         """Plain numbers."""
         return {
             "choice": self.what, "verdict": self.verdict, "probability": self.probability,

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from bayes_damper.calibration import Calibration, Group, predict
 from bayes_damper.calibration.own_values import INPUT
 from bayes_damper.diagnosis.remainder import own_frequency
+from bayes_damper.runs.results.diagnosis import Share
 
 Array = NDArray[np.float64]
 Method = Literal["repeats", "neighbours", "cannot tell"]
@@ -51,7 +52,7 @@ class Closed:
     hdi90: tuple[float, float] | None
     method: Method
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Share:
         """Plain numbers, and the method in words."""
         interval = None if self.hdi90 is None else list(self.hdi90)
         return {"median": self.median, "hdi90": interval, "method": self.method, "how": IN_WORDS[self.method]}

@@ -35,6 +35,7 @@ from bayes_damper.diagnosis.response import (
 from bayes_damper.diagnosis.shapes import Scale, Shape, scale_of_motions, shapes_of
 from bayes_damper.diagnosis.verdict import credible_set
 from bayes_damper.effects.base import SITES
+from bayes_damper.runs.results.diagnosis import CurveEntry, SiteMapEntry
 
 Array = NDArray[np.float64]
 
@@ -137,7 +138,7 @@ class SiteMap:
         on_primary = not self.torque or any(np.any(m.torque[0]) for m in self.torque)
         return int(self.torque_site in ("interface", "ground2") or not on_primary)
 
-    def curve(self, bins: int = 25) -> dict[str, Any]:
+    def curve(self, bins: int = 25) -> dict[str, CurveEntry]:
         """Missing torque against the coordinates of its site, averaged in bins.
 
         Gives for each coordinate its bin centres, mean torque (weights 1 / sd^2: what is known well counts more), its
@@ -169,7 +170,7 @@ class SiteMap:
             }  # fmt: skip
         return out
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> SiteMapEntry:
         """Plain numbers for diagnosis.json."""
         return {
             "sites": {s: float(p) for s, p in self.probabilities.items()},

@@ -19,6 +19,7 @@ from scipy.special import gammaincc, ndtr
 
 from bayes_damper.calibration import Calibration
 from bayes_damper.diagnosis.response import Motion, in_slices, motions, project, whiten
+from bayes_damper.runs.results.diagnosis import EventEntry, Place, PlaceEntry, WhereRecords
 
 Array = NDArray[np.float64]
 
@@ -54,10 +55,10 @@ class Repeats:
 class Entry:
     """One place where residuals exceed the noise. p_value is made up for all looks of its kind."""
 
-    place: dict[str, Any]
+    place: Place
     p_value: float
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> PlaceEntry:
         """The place and its p-value."""
         return {**self.place, "p_value": self.p_value}
 
@@ -85,7 +86,7 @@ class Event:
         """Whether the event explains most of what is wrong."""
         return self.share > 0.5
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> EventEntry:
         """Plain numbers."""
         return {
             "instant_s": self.instant_s, "start_s": self.start_s, "end_s": self.end_s, "site": self.site,
@@ -105,7 +106,7 @@ class Where:
     phase_space: tuple[Entry, ...]
     event: Event | None
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> WhereRecords:
         """The `where` entry of diagnosis.json."""
         return {
             "time": [e.to_json() for e in self.time],
@@ -186,11 +187,12 @@ def _kept(entries: Sequence[Entry], size: float) -> list[Entry]:
     return out
 
 
-def _overlap(a: dict[str, Any], b: dict[str, Any]) -> bool:
-    for low, high in (("start_s", "end_s"), ("low_hz", "high_hz")):
-        if low in a and all(a.get(k) == b.get(k) for k in ("case", "configuration", "channel")):
-            return bool(a[low] < b[high] and b[low] < a[high])
-    return False
+def _overlap(a: Place, b: Place) -> bool:
+    if any(a.get(k) != b.get(k) for k in ("case", "configuration", "channel")):
+        return False
+    if "start_s" in a:
+        return a["start_s"] < b["end_s"] and b["start_s"] < a["end_s"]
+    return "low_hz" in a and a["low_hz"] < b["high_hz"] and b["low_hz"] < a["high_hz"]
 
 
 def _exceeds(sum_of_squares: Array, count: Array) -> Array:
@@ -229,7 +231,7 @@ def _in_time(sets: Sequence[Repeats]) -> Iterator[Entry]:
                     if c < 0.5 * width:
                         continue
                     single = np.sum(s.single[:, channel, first : first + width] ** 2, axis=1)
-                    place = {
+                    place: Place = {
                         "start_s": float(s.times[first]), "end_s": float(s.times[first + width - 1] + dt),
                         "case": s.case, "configuration": _words(s.coupled), "trial": s.numbers[int(np.argmax(single))],
                         "trials": list(s.numbers), "channel": channel + 1,
@@ -250,7 +252,7 @@ def _in_frequency(sets: Sequence[Repeats]) -> Iterator[Entry]:
             power = np.abs(np.fft.rfft(s.mean[channel])[1:-1]) ** 2 * scale
             together.setdefault((f.tobytes(), channel), []).append(power)
             for low, high, p in _bands(f, power, 1):
-                place = {
+                place: Place = {
                     "low_hz": low, "high_hz": high, "case": s.case, "configuration": _words(s.coupled),
                     "channel": channel + 1,
                 }  # fmt: skip
@@ -295,7 +297,7 @@ def _in_cases(sets: Sequence[Repeats]) -> Iterator[Entry]:
         pairs = [_low_energy(s, channel) for channel in range(s.mean.shape[0])]
         energy, count = sum(p[0] for p in pairs), sum(p[1] for p in pairs)
         p = float(_exceeds(np.array(energy), np.array(count)))
-        place = {
+        place: Place = {
             "label": f"{s.case} {_words(s.coupled)}", "case": s.case, "configuration": _words(s.coupled),
             "excess_over_noise": energy / max(count, 1.0) - 1.0,
         }  # fmt: skip
@@ -332,11 +334,11 @@ def _in_phase_space(sets: Sequence[Repeats], moved: Sequence[Motion]) -> Iterato
                     [(-1.0 + 2.0 * place / CELLS) * reach, (-1.0 + 2.0 * (place + 1) / CELLS) * reach]
                     for place, reach in zip((row, column), largest, strict=True)
                 ]
-                place = {
+                cell_place: Place = {
                     "coordinates": list(names), "range": ranges, "channel": channel + 1,
                     "excess_over_noise": float(energy[cell] / count[cell] - 1.0),
                 }  # fmt: skip
-                yield Entry(place, float(p[cell]))
+                yield Entry(cell_place, float(p[cell]))
 
 
 # Events ---------------------------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from bayes_damper.figures.style import COLOURS, RC, STYLES, new_figure, raised
 from bayes_damper.rig.units import BODIES
+from bayes_damper.runs.results.diagnosis import CurveEntry, FeatureEntry
 from bayes_damper.text import COORDINATES
 
 
@@ -138,7 +139,7 @@ def residual_maps_figure(maps: Sequence[Mapping[str, Any]], *, title: str) -> Fi
     return figure
 
 
-def published_figure(rows: Mapping[str, Sequence[Mapping[str, Any]]], *, title: str) -> Figure:
+def published_figure(rows: Mapping[str, Sequence[FeatureEntry]], *, title: str) -> Figure:
     """Published numbers beside what each answer predicts for them: a panel for each configuration and feature.
 
     rows : answer -> entries with case, configuration, feature, unit, measured, standard_error, predicted and
@@ -232,7 +233,7 @@ def learnt_law_figure(law: Any, density: Sequence[Any], *, title: str, translati
 
 
 def missing_torque_figure(
-    torque: Any, curve: Mapping[str, Mapping[str, Any]], *, body: int, title: str, record: str = "",
+    torque: Any, curve: Mapping[str, CurveEntry], *, body: int, title: str, record: str = "",
     translational: bool = False,
 ) -> Figure:  # fmt: skip
     """Missing torque (force) on each inertia over time with its 90 % band, and against the coordinates of its site.

@@ -116,7 +116,7 @@ def listed(names: Sequence[str], last: str = "and") -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {last} {names[-1]}" if names else "none"
 
 
-def generic(data: Mapping[str, Any], title: str, skip: Sequence[str] = (), depth: int = 0) -> Section:
+def generic(data: Mapping[str, object], title: str, skip: Sequence[str] = (), depth: int = 0) -> Section:
     """Any JSON object as tables: plain values in one, lists and objects in one each, deeper ones nested."""
     plain, tables, parts = [], [], []
     for key, value in data.items():
@@ -157,11 +157,11 @@ def _is_plain(value: Any) -> bool:
     )
 
 
-def _flat(value: Mapping[str, Any]) -> bool:
+def _flat(value: Mapping[str, object]) -> bool:
     return all(_is_plain(v) for v in value.values())
 
 
-def _records(caption: str, records: Sequence[Mapping[str, Any]], most: int = 40) -> Table:
+def _records(caption: str, records: Sequence[Mapping[str, object]], most: int = 40) -> Table:
     columns = list(dict.fromkeys(key for record in records for key in record))
     rows = tuple(Row(tuple(_text(record.get(c), c) for c in columns)) for record in records[:most])
     note = f"The first {most} of {len(records)} rows; all are in the JSON file." if len(records) > most else ""

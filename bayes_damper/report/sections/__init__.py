@@ -19,7 +19,7 @@ from bayes_damper.report.sections.tuning import tune_result
 from bayes_damper.report.sections.variability import variability_result
 from bayes_damper.report.sections.withheld import withheld_result
 
-READERS: Mapping[str, tuple[str, Callable[[Mapping[str, Any], Path], Result]]] = {
+READERS: Mapping[str, tuple[str, Callable[[Any, Path], Result]]] = {
     "fleet.json": ("bayes-damper/fleet/1", fleet_result),
     "diagnosis.json": ("bayes-damper/diagnosis/1", diagnosis_result),
     "variability.json": ("bayes-damper/variability/1", variability_result),

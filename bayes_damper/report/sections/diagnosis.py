@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from bayes_damper.effects import EFFECTS
 from bayes_damper.effects.base import SITES
@@ -17,6 +17,26 @@ from bayes_damper.report.sections.shared import fingerprint, meaning_of, picture
 from bayes_damper.report.sketch import KINDS, sketch
 from bayes_damper.rig.parameters import PARAMETERS
 from bayes_damper.rig.units import BODIES, in_words_of
+from bayes_damper.runs.results.diagnosis import (
+    BudgetEntry,
+    BudgetPart,
+    ChoiceEntry,
+    DiagnosisFile,
+    EffectEntry,
+    FeatureEntry,
+    Forecasts,
+    ForecastSides,
+    GapEntry,
+    LawEntry,
+    PairEntry,
+    PlaceEntry,
+    ProposalEntry,
+    Share,
+    ShiftEntry,
+    UnderPrior,
+    WherePublished,
+    WhereRecords,
+)
 from bayes_damper.text import (
     COORDINATES,
     NOTHING,
@@ -50,21 +70,21 @@ _SITES = {
 _RIVALS = {"none": "that nothing is missing", "unknown": "a cause outside the library"}
 
 
-def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
+def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
     """Headline and section of diagnosis.json."""
     probabilities = sorted(data.get("probabilities", {}).items(), key=lambda item: -item[1])
-    verdict, gap = str(data.get("verdict", "unknown")), data.get("gap") or {}
+    verdict, gap = str(data.get("verdict", "unknown")), data.get("gap")
     # What is on the first screen is the same model as one of the rows: one model, one number.
-    effects = [
+    effects: list[EffectEntry] = [
         {**e, "closed": gap["closed"]}
-        if gap.get("closed") and e.get("augmented_rms") == gap.get("augmented_rms")
+        if gap and gap.get("closed") and e.get("augmented_rms") == gap.get("augmented_rms")
         else e
         for e in data.get("effects") or ()
     ]
     share = dict(probabilities).get(verdict)
     sites = sorted((data.get("sites") or {}).items(), key=lambda item: -item[1])
     pair = data.get("pair")
-    budget = data.get("budget") or {}
+    budget = data.get("budget")
     kind = _kind_of(data)
     said = partial(in_words_of, kind=kind, magnet=bool((data.get("rig") or {}).get("magnet", True)))
     divided = said(budget_sentence(budget)) if budget and verdict != "none" else ""
@@ -79,7 +99,7 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
         said(law_sentence(data.get("law"))),
         said(named_sentence(data.get("law"))),
     ]
-    beside = gap_beside_verdict(verdict, share or 0.0, gap)
+    beside = gap_beside_verdict(verdict, share or 0.0, gap) if gap else ""
     sentences += [beside] if beside and verdict == "none" else [_gap_sentence(gap), beside]
     credible = [words(n) for n in data.get("credible_set", [])]
     if len(credible) > 1:
@@ -111,9 +131,9 @@ def diagnosis_result(data: Mapping[str, Any], folder: Path) -> Result:
 
 
 def _section(
-    data: Mapping[str, Any],
+    data: DiagnosisFile,
     folder: Path,
-    effects: Sequence[Mapping[str, Any]],
+    effects: Sequence[EffectEntry],
     probabilities: Sequence[tuple[str, float]],
     sites: Sequence[tuple[str, float]],
     said: Said,
@@ -123,7 +143,7 @@ def _section(
     effects : with the share of the gap that the first screen gives; probabilities, sites : the largest first; said :
     puts a text into the words of the rig.
     """
-    kind, gap, pair, budget = _kind_of(data), data.get("gap") or {}, data.get("pair"), data.get("budget") or {}
+    kind = _kind_of(data)
     translational = kind == "translational"
     charts = [torque_chart(f, translational=translational) for f in sorted(folder.glob("*torque*.csv"))]
     rest = generic(
@@ -132,17 +152,17 @@ def _section(
                    "sensitivity", "budget", "prior_unknown", "law", "where", "forecast", "reading_unit", "rig",
                    "warnings"),
     )  # fmt: skip
-    places = _where_sections(data.get("where") or {}, kind)
+    places = _where_sections(data.get("where"), kind)
     every = (_effect_table(effects, probabilities),)
     choices = _choice_tables(data.get("sensitivity") or []) + _prior_tables(data.get("prior_unknown") or [])
     return Section(
         "Diagnosis",
         tuple(map(said, data.get("notes", ()))),
         (
-            *_budget_tables(budget),
-            *_law_tables(data.get("law") or {}, said, translational),
+            *_budget_tables(data.get("budget")),
+            *_law_tables(data.get("law"), said, translational),
             _site_table(sites, said),
-            *_gap_tables(gap, effects, pair, str(data.get("reading_unit") or "")),
+            *_gap_tables(data.get("gap"), effects, data.get("pair"), str(data.get("reading_unit") or "")),
             *_forecast_tables(data.get("forecast") or {}, str(data.get("reading_unit") or "")),
             *_shift_tables(data.get("parameters") or {}),
             *_experiment_tables(data.get("next_experiment") or []),
@@ -163,8 +183,8 @@ def _verdict_sentences(
     verdict: str,
     share: float | None,
     sites: Sequence[tuple[str, float]],
-    pair: Mapping[str, Any] | None,
-    effects: Sequence[Mapping[str, Any]] = (),
+    pair: PairEntry | None,
+    effects: Sequence[EffectEntry] = (),
     said: Said = str,
 ) -> list[str]:
     """The verdict in plain words, with its probability, what the effect is, its size, and the most probable place.
@@ -185,7 +205,7 @@ def _verdict_sentences(
     if pair:
         return [f"Two causes; the stronger one is {words(verdict)} ({percent(share)})."]
     first = "The missing effect is" if sure else "Most probable, but not sure:"
-    found: Mapping[str, Any] = next((e for e in effects if e.get("name") == verdict), {})
+    found = next((e for e in effects if e.get("name") == verdict), EffectEntry())
     size = "; ".join(_parameter(k, v) for k, v in (found.get("parameters") or {}).items())
     meant = [str(found["meaning"])] if found.get("meaning") else []
     if size and found.get("formula"):
@@ -194,12 +214,12 @@ def _verdict_sentences(
     return [f"{first} {named} ({percent(share)}).", *meant, *where]
 
 
-def _meanings(found: Mapping[str, Any]) -> str:
+def _meanings(found: EffectEntry) -> str:
     """What the parameters of an effect are, in sentences; nothing for effects that are none of the library's."""
     known = EFFECTS.get(str(found["name"]))
     variants = [v for v in known.variants if v.name == found.get("variant")] if known else []
     meanings = {p.name: p.meaning for v in variants for p in v.parameters}
-    meanings |= {k: v["meaning"] for k, v in found["parameters"].items() if isinstance(v, Mapping) and "meaning" in v}
+    meanings |= {k: v["meaning"] for k, v in found["parameters"].items() if "meaning" in v}
     return " ".join(f"{name}: {meanings[name]}" for name in found["parameters"] if name in meanings)
 
 
@@ -207,9 +227,8 @@ def _place(site: str) -> str:
     return f"{site}, {_SITES[site]}" if site in _SITES else site
 
 
-def _gap_sentence(gap: Mapping[str, Any]) -> str:
-    answer = gap.get("answer")
-    p = gap.get("p_value")
+def _gap_sentence(gap: GapEntry | None) -> str:
+    answer, p = (gap.get("answer"), gap.get("p_value")) if gap else (None, None)
     chance = "" if p is None else f" ({p_value(p)})"
     return {
         "gap": f"The rig and the model differ by more than the noise{chance}.",
@@ -222,16 +241,15 @@ _WIDEST = 4.0
 """Width of the interval of a share of the gap, from which on there is no gap of which a share could be given."""
 
 
-def _share_of(closed: Mapping[str, Any] | None) -> float | None:
+def _share_of(closed: Share | None) -> float | None:
     """Share of the gap that is closed; None where none can be given."""
-    median, hdi = (closed or {}).get("median"), (closed or {}).get("hdi90")
+    median, hdi = (closed.get("median"), closed.get("hdi90")) if closed else (None, None)
     return None if median is None or (hdi and hdi[1] - hdi[0] > _WIDEST) else float(median)
 
 
-def _closed_sentence(gap: Mapping[str, Any], who: str) -> str:
-    closed = gap.get("closed") or {}
-    faint = closed.get("method") == "cannot tell"
-    if closed.get("median") is None and not faint:
+def _closed_sentence(gap: GapEntry | None, who: str) -> str:
+    closed = gap.get("closed") if gap else None
+    if not gap or not closed or (closed.get("median") is None and closed.get("method") != "cannot tell"):
         return ""
     where = (
         "coupled peaks, predicted without the coupled numbers of their case,"
@@ -253,7 +271,7 @@ def _whole(share: float) -> str:
     return share_of_gap(share)
 
 
-def _experiment_sentence(e: Mapping[str, Any]) -> str:
+def _experiment_sentence(e: Mapping[str, object]) -> str:
     forms = {
         "configuration": "{}", "k1t_n_m_per_rad": "k1t {} N m/rad", "k1_n_per_m": "k1 {} N/m",
         "theta0_deg": "released at {} deg", "theta0_mm": "released at {} mm",
@@ -276,7 +294,7 @@ def _site_table(sites: Sequence[tuple[str, float]], said: Said) -> Table:
     return Table("Probability of each site", ("site", "probability", "what belongs to it"), rows)
 
 
-def _experiment_tables(proposals: Sequence[Mapping[str, Any]]) -> list[Table]:
+def _experiment_tables(proposals: Sequence[ProposalEntry]) -> list[Table]:
     """Experiments by the information that they are expected to give."""
     if not proposals:
         return []
@@ -310,7 +328,7 @@ def _sketch(rig: Any, sites: Sequence[tuple[str, float]]) -> str:
     return sketch(kind, coupled=coupled, named=there, magnet=bool(rig.get("magnet")))
 
 
-def _kind_of(data: Mapping[str, Any]) -> str:
+def _kind_of(data: DiagnosisFile) -> str:
     """Of the rig, "torsional" or "translational": what the file says, or what its units show."""
     unit = str(data.get("reading_unit") or "")
     slides = unit.startswith("m") or any("k1_n_per_m" in e for e in data.get("next_experiment") or ())
@@ -323,24 +341,21 @@ _EXCESS = (
 )
 
 
-def _where_sections(where: Mapping[str, Any], kind: str) -> tuple[Section, ...]:
+def _where_sections(where: WhereRecords | WherePublished | None, kind: str) -> tuple[Section, ...]:
     """Where residuals exceed the noise, one table for each way to look; nothing where nothing does."""
+    if not where:
+        return ()
     if "feature" in where:
-        return _published_sections(where["feature"])
-
-    tables = [
-        *_record_tables(where, kind),
-        *_phase_tables(where, kind),
-        *_event_tables(where, kind),
-    ]
+        return _published_sections(cast("WherePublished", where)["feature"])
+    tables = [*_record_tables(where, kind), *_phase_tables(where, kind), *_event_tables(where, kind)]
     return (Section("Where the model and the rig differ", tables=tuple(tables)),) if tables else ()
 
 
-def _cells(row: Mapping[str, Any], *names: str) -> tuple[str, ...]:
+def _cells(row: Mapping[str, object], *names: str) -> tuple[str, ...]:
     return tuple(str(row[n]) if row.get(n) is not None else "all" for n in names)
 
 
-def _channel(row: Mapping[str, Any], kind: str) -> str:
+def _channel(row: PlaceEntry, kind: str) -> str:
     """The channel of a row, by its number and its body."""
     number_, bodies = row.get("channel"), BODIES[kind]
     if number_ not in (1, 2):
@@ -348,7 +363,7 @@ def _channel(row: Mapping[str, Any], kind: str) -> str:
     return f"{number_}, {bodies[number_ - 1].removeprefix('the ')}"
 
 
-def _p(row: Mapping[str, Any]) -> str:
+def _p(row: PlaceEntry) -> str:
     return NOTHING if row.get("p_value") is None else p_value(row["p_value"]).removeprefix("p ").removeprefix("= ")
 
 
@@ -361,13 +376,13 @@ def _table(caption: str, columns: tuple[str, ...], rows: Sequence[tuple[str, ...
     return [Table(caption, columns, tuple(Row(r) for r in rows), note)] if rows else []
 
 
-def _record_tables(where: Mapping[str, Any], kind: str) -> list[Table]:
+def _record_tables(where: WhereRecords, kind: str) -> list[Table]:
     """Stretches of time, bands of frequency, channels and cases."""
     tables: list[Table] = []
     times = "Trials: those repeats whose residuals were taken together."
     rows = [
         (_span(r["start_s"], r["end_s"]), _channel(r, kind), *_cells(r, "case", "configuration"),
-         ", ".join(map(str, r.get("trials") or [r.get("trial", NOTHING)])), _p(r))
+         ", ".join(map(str, r.get("trials") or (r.get("trial", NOTHING),))), _p(r))
         for r in where.get("time") or ()
     ]  # fmt: skip
     tables += _table("In time", ("time [s]", "channel", "case", "configuration", "trials", "p value"), rows, times)
@@ -386,7 +401,7 @@ def _record_tables(where: Mapping[str, Any], kind: str) -> list[Table]:
     return tables
 
 
-def _phase_tables(where: Mapping[str, Any], kind: str) -> list[Table]:
+def _phase_tables(where: WhereRecords, kind: str) -> list[Table]:
     """Regions of the phase space."""
     translational = kind == "translational"
 
@@ -406,7 +421,7 @@ def _phase_tables(where: Mapping[str, Any], kind: str) -> list[Table]:
     return _table("In phase space", ("where", "and", "channel", _POWER, "p value"), rows, moves)
 
 
-def _event_tables(where: Mapping[str, Any], kind: str) -> list[Table]:
+def _event_tables(where: WhereRecords, kind: str) -> list[Table]:
     """A knock, where it explains most of the misfit."""
     event = where.get("event")
     if event and event.get("local"):  # else it only says that a law is wrong everywhere
@@ -421,7 +436,7 @@ def _event_tables(where: Mapping[str, Any], kind: str) -> list[Table]:
     return []
 
 
-def _published_sections(features: Sequence[Mapping[str, Any]]) -> tuple[Section, ...]:
+def _published_sections(features: Sequence[FeatureEntry]) -> tuple[Section, ...]:
     """Published numbers beside what the nominal model predicts for them."""
     rows = []
     for r in features:
@@ -443,16 +458,16 @@ def _published_sections(features: Sequence[Mapping[str, Any]]) -> tuple[Section,
 
 
 def _gap_tables(
-    gap: Mapping[str, Any], effects: Sequence[Mapping[str, Any]], pair: Mapping[str, Any] | None = None, unit: str = ""
+    gap: GapEntry | None, effects: Sequence[EffectEntry], pair: PairEntry | None = None, unit: str = ""
 ) -> list[Table]:
     """Residuals on held-out trials: the noise, the nominal model, each effect that was added, and two that answer."""
-    if gap.get("nominal_rms") is None:
+    if not gap or gap.get("nominal_rms") is None:
         return []
     rows = [
         Row(("noise alone", number(gap.get("noise_rms")), NOTHING)),
         Row(("nominal model", number(gap["nominal_rms"]), "0 %")),
     ]
-    closing = [e for e in effects if e.get("augmented_rms") is not None]
+    closing: list[EffectEntry] = [e for e in effects if e.get("augmented_rms") is not None]
     if pair and gap.get("augmented_rms") is not None:
         both = " and ".join(str(name) for name in pair["effects"])
         closing.append({"name": both, "augmented_rms": gap["augmented_rms"], "closed": gap.get("closed")})
@@ -460,13 +475,12 @@ def _gap_tables(
         leader = str(effects[0]["name"]) if effects else "the leading effect"
         closing = [{"name": leader, "augmented_rms": gap["augmented_rms"], "closed": gap.get("closed")}]
     for e in closing:
-        closed = e.get("closed") or {}
+        closed = e.get("closed")
         share = NOTHING
-        if _share_of(closed) is not None:
-            share = f"{_whole(closed['median'])} %"
-            if closed.get("hdi90"):
-                low, high = closed["hdi90"]
-                share += f" ({_whole(low)} to {_whole(high)} %)"
+        if (middle := _share_of(closed)) is not None:
+            share = f"{_whole(middle)} %"
+            if closed and closed.get("hdi90"):
+                share += f" ({' to '.join(map(_whole, closed['hdi90'] or ()))} %)"
         rows.append(Row((f"with {words(str(e['name']))}", number(e["augmented_rms"]), share)))
     unit = unit or str(gap.get("unit") or "")
     columns = ("model", f"rms residual [{unit}]" if unit else "rms residual", "gap closed (90 %)")
@@ -483,14 +497,15 @@ def _gap_tables(
     return [Table("The gap before and after", columns, tuple(rows), note)]
 
 
-def _forecast_tables(ahead: Mapping[str, Any], unit: str = "") -> list[Table]:
+def _forecast_tables(ahead: Forecasts, unit: str = "") -> list[Table]:
     """Held-out trials forecast from their first periods: what is missed, and what share the bands hold."""
     if "before" not in ahead:
         return []
-    models = {"before": "nominal model", "after": "with the leading effect", "averaged": "all answers, weighted"}
+    models = ("nominal model", "with the leading effect", "all answers, weighted")
 
-    def rows_of(name: str, readings: int, found: Mapping[str, Any]) -> list[Row]:
-        sides = [(model, found[side]) for side, model in models.items() if found.get(side) is not None]
+    def rows_of(name: str, readings: int, found: ForecastSides) -> list[Row]:
+        forecasts = found.get("before"), found.get("after"), found.get("averaged")
+        sides = [(model, f) for model, f in zip(models, forecasts, strict=True) if f is not None]
         return [
             Row((
                 "" if k else f"{name}\n{readings} readings", model, number(f["rms"]), percent(f["coverage50"]),
@@ -516,7 +531,7 @@ def _forecast_tables(ahead: Mapping[str, Any], unit: str = "") -> list[Table]:
     return [Table("Forecasts of held-out trials", heads, tuple(rows), note)]
 
 
-def _shift_tables(parameters: Mapping[str, Any]) -> list[Table]:
+def _shift_tables(parameters: Mapping[str, ShiftEntry]) -> list[Table]:
     """Parameters of the nominal model before and after the leading effect is added."""
     rows = []
     for name, p in parameters.items():
@@ -525,8 +540,7 @@ def _shift_tables(parameters: Mapping[str, Any]) -> list[Table]:
         if (own := re.fullmatch(r"(scale|lag)(\d)", name)) is not None:
             meant, unit = f"{name}: {_OTHER[own[1]][0]} {own[2]}", _OTHER[own[1]][1]
         cells = [meant]
-        for side in ("before", "after"):
-            found = p.get(side)
+        for found in (p.get("before"), p.get("after")):
             cells.append(NOTHING if not found else plus_minus(found["value"], found["sd"]))
         cells.append(str(p.get("unit") or unit))
         shift = p.get("shift_sigmas")
@@ -536,7 +550,7 @@ def _shift_tables(parameters: Mapping[str, Any]) -> list[Table]:
     return [Table("Parameters before and after", columns, tuple(rows), note)] if rows else []
 
 
-def _choice_tables(choices: Sequence[Mapping[str, Any]]) -> tuple[Table, ...]:
+def _choice_tables(choices: Sequence[ChoiceEntry]) -> tuple[Table, ...]:
     """What the verdict would be had something been chosen otherwise."""
     rows = tuple(
         Row((
@@ -549,7 +563,7 @@ def _choice_tables(choices: Sequence[Mapping[str, Any]]) -> tuple[Table, ...]:
     return (Table("The verdict under other choices", columns, rows),) if rows else ()
 
 
-def _prior_tables(rows: Sequence[Mapping[str, Any]]) -> tuple[Table, ...]:
+def _prior_tables(rows: Sequence[UnderPrior]) -> tuple[Table, ...]:
     """The verdict under other prior probabilities of a cause that the library does not have."""
     cells = tuple(Row((percent(r["prior"]), words(str(r["verdict"])), percent(r["probability"]))) for r in rows)
     columns = ("prior probability", "verdict", "probability")
@@ -557,16 +571,15 @@ def _prior_tables(rows: Sequence[Mapping[str, Any]]) -> tuple[Table, ...]:
     return (Table(caption, columns, cells),) if cells else ()
 
 
-def _budget_tables(budget: Mapping[str, Any]) -> list[Table]:
+def _budget_tables(budget: BudgetEntry | None) -> list[Table]:
     """Each effect of the best set with its share of the gap, and what stays unexplained."""
     if not budget or not budget.get("effects"):
         return []
 
-    def share(found: Mapping[str, Any]) -> str:
-        if found.get("median") is None:
+    def share(found: Share) -> str:
+        if (middle := found.get("median")) is None:
             return NOTHING
-        low, high = found["hdi90"]
-        return f"{_whole(found['median'])} % ({_whole(low)} to {_whole(high)} %)"
+        return f"{_whole(middle)} % ({' to '.join(map(_whole, found['hdi90'] or ()))} %)"
 
     rows = [
         Row((
@@ -585,13 +598,13 @@ def _budget_tables(budget: Mapping[str, Any]) -> list[Table]:
     return [Table("The gap as a budget", columns, tuple(rows), note)]
 
 
-def titled(e: Mapping[str, Any]) -> str:
+def titled(e: EffectEntry | BudgetPart) -> str:
     """An effect for the first column of a table: its name, and below what it is."""
     name = words(str(e.get("name", "")))
     return f"{name}\n{e['title']}" if e.get("title") else name
 
 
-def _law_tables(law: Mapping[str, Any], said: Said, translational: bool) -> list[Table]:
+def _law_tables(law: LawEntry | None, said: Said, translational: bool) -> list[Table]:
     """The learnt law: where it acts, what it closes, and its files."""
     if not law:
         return []
@@ -607,7 +620,7 @@ def _law_tables(law: Mapping[str, Any], said: Said, translational: bool) -> list
     return [Table("The law that was learnt", ("", ""), rows, said(law_sentence(law))), *_named_table(law, said)]
 
 
-def _named_table(law: Mapping[str, Any], said: Said) -> list[Table]:
+def _named_table(law: LawEntry, said: Said) -> list[Table]:
     """Short formulas that may stand for the learnt law."""
     named = law.get("named")
     if not named:
@@ -618,15 +631,14 @@ def _named_table(law: Mapping[str, Any], said: Said) -> list[Table]:
     return [Table("The law, named", ("formula", "probability"), tuple(rows), note)]
 
 
-def _effect_table(effects: Sequence[Mapping[str, Any]], probabilities: Sequence[tuple[str, float]]) -> Table:
+def _effect_table(effects: Sequence[EffectEntry], probabilities: Sequence[tuple[str, float]]) -> Table:
     """Every answer, the most probable first; `none` and `unknown` have no formula."""
     named = {e.get("name") for e in effects}
-    more = [{"name": n, "probability": p} for n, p in probabilities if n not in named]
+    more: list[EffectEntry] = [{"name": n, "probability": p} for n, p in probabilities if n not in named]
     effects = sorted([*effects, *more], key=lambda e: -(e.get("probability") or 0.0))
     rows = []
     for e in effects:
-        closed = e.get("closed")
-        closed = _share_of(closed) if isinstance(closed, Mapping) else closed
+        closed = _share_of(e.get("closed"))
         cells = (
             titled(e),
             words(str(e.get("variant") or NOTHING)),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from bayes_damper.report.parts import Picture, Table, generic, words
 from bayes_damper.rig.parameters import PARAMETERS, READING_UNITS, unit_of
@@ -90,7 +89,7 @@ _KINDS = ("variability", "tune", "plan", "withheld", "comparison", "bench")
 UNCONVERGED = "The run did not converge: do not use these numbers."
 
 
-def fingerprint(data: Mapping[str, Any]) -> dict[str, Any]:
+def fingerprint(data: Mapping[str, object]) -> dict[str, object]:
     """Data and seed that a result is of, as far as it says so."""
     return {k: data[k] for k in ("campaign", "campaign_sha256", "seed") if k in data}
 
@@ -137,7 +136,7 @@ def pictures_of(folder: Path, group: str = "", *, kind: str = "") -> tuple[Pictu
     return tuple(out)
 
 
-def records_table(caption: str, records: Sequence[Mapping[str, Any]]) -> Table:
+def records_table(caption: str, records: Sequence[Mapping[str, object]]) -> Table:
     """A row for each record, a column for each of their keys, with its unit."""
     table = generic({caption: list(records)}, "").tables[0]
     return replace(table, columns=tuple(_HEADS.get(c, c) for c in table.columns))

@@ -80,7 +80,7 @@ def verdict_of(
     found = diagnose(load_campaign(campaign), seed=seed, effects=offered, workers=workers)
     verdict = found.to_json()
     if leave_out:
-        return verdict
+        return dict(verdict)
     return {**verdict, "baselines": baselines_of(found), **_under_the_answer(found)}
 
 
