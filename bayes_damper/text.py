@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from bayes_damper.runs.results.diagnosis import BudgetEntry, GapEntry, LawEntry, PairEntry
+from bayes_damper.runs.contents.diagnosis import BudgetEntry, GapEntry, LawEntry, PairEntry
 
 NOTHING = "\N{EN DASH}"
 """What stands where there is no number."""

@@ -26,7 +26,7 @@ from scipy.special import ndtr, ndtri
 from bayes_damper.calibration import Calibration, Experiment, Group, Problem, predict
 from bayes_damper.calibration.derivatives import RELEASE_STEP
 from bayes_damper.calibration.own_values import RELEASE
-from bayes_damper.runs.results.diagnosis import ForecastEntry, Forecasts, ForecastSides, TrialForecast
+from bayes_damper.runs.contents.diagnosis import ForecastEntry, Forecasts, ForecastSides, TrialForecast
 
 Array = NDArray[np.float64]
 

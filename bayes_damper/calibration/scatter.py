@@ -54,7 +54,7 @@ from bayes_damper.calibration.own_values import (
     middle_of,
 )
 from bayes_damper.calibration.problem import Problem
-from bayes_damper.runs.results.diagnosis import ScatterEntry
+from bayes_damper.runs.contents.diagnosis import ScatterEntry
 
 Array = NDArray[np.float64]
 

@@ -35,10 +35,7 @@ from bayes_damper.published.measurements import load_published
 from bayes_damper.published.posterior import Datum
 from bayes_damper.rig.parameters import unit_of
 from bayes_damper.rig.units import BODIES, effect_unit, in_words_of
-from bayes_damper.runs.json_files import write_json
-from bayes_damper.runs.parallel_map import forked_map
-from bayes_damper.runs.provenance import provenance
-from bayes_damper.runs.results.diagnosis import (
+from bayes_damper.runs.contents.diagnosis import (
     BudgetPart,
     DiagnosisFile,
     EffectEntry,
@@ -47,6 +44,9 @@ from bayes_damper.runs.results.diagnosis import (
     GapEntry,
     PairEntry,
 )
+from bayes_damper.runs.json_files import write_json
+from bayes_damper.runs.parallel_map import forked_map
+from bayes_damper.runs.provenance import provenance
 from bayes_damper.text import (
     budget_sentence,
     failed_sentence,

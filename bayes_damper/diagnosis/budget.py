@@ -40,7 +40,7 @@ from bayes_damper.diagnosis.sets import (
 )
 from bayes_damper.diagnosis.shares import IN_WORDS, NO_SHARE, Closed, Products, products_of, shortest_interval
 from bayes_damper.diagnosis.verdict import FLOOR, PRIOR_NONE, RULE, Answers, Left, Rule
-from bayes_damper.runs.results.diagnosis import BudgetEntry, Estimate
+from bayes_damper.runs.contents.diagnosis import BudgetEntry, Estimate
 
 Array = NDArray[np.float64]
 

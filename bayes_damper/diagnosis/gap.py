@@ -33,7 +33,7 @@ from bayes_damper.calibration import Calibration, Group, Prediction, Problem, Tr
 from bayes_damper.diagnosis.remainder import own_frequency
 from bayes_damper.diagnosis.response import on_trials
 from bayes_damper.diagnosis.shares import Closed, products
-from bayes_damper.runs.results.diagnosis import GapEntry, ShiftEntry
+from bayes_damper.runs.contents.diagnosis import GapEntry, ShiftEntry
 from bayes_damper.text import p_value as words_of_p
 
 Array = NDArray[np.float64]

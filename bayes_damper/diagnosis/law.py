@@ -44,7 +44,7 @@ from bayes_damper.effects._law import (
 )
 from bayes_damper.effects.base import Effect, EffectParameter
 from bayes_damper.priors.distributions import Normal
-from bayes_damper.runs.results.diagnosis import LawEntry
+from bayes_damper.runs.contents.diagnosis import LawEntry
 from bayes_damper.simulation.links import of_links
 
 Array = NDArray[np.float64]

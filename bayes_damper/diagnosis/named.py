@@ -34,7 +34,7 @@ from bayes_damper.diagnosis.shapes import dahl, relaxed
 from bayes_damper.effects._formula import GRAMMAR, MOST_TERMS, SHAPE_UNITS, TERMS, FormulaTerm, formula_variant
 from bayes_damper.effects.base import Effect
 from bayes_damper.priors.distributions import LogUniform, Normal, from_standard
-from bayes_damper.runs.results.diagnosis import NamedEntry, NamedFormula, TermEntry
+from bayes_damper.runs.contents.diagnosis import NamedEntry, NamedFormula, TermEntry
 from bayes_damper.simulation.links import of_links
 
 Array = NDArray[np.float64]

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.calibration import Calibration, Experiment, Problem, TrialRecord, default_priors
-from bayes_damper.runs.results.diagnosis import ProposalEntry
+from bayes_damper.runs.contents.diagnosis import ProposalEntry
 
 Array = NDArray[np.float64]
 

@@ -56,9 +56,9 @@ from bayes_damper.effects.base import SITES, Variant
 from bayes_damper.priors.distributions import Distribution, from_standard
 from bayes_damper.priors.files import PriorSet
 from bayes_damper.rig.parameters import unit_of
+from bayes_damper.runs.contents.diagnosis import DiagnosisFile, EffectEntry, Estimate, ShiftEntry
 from bayes_damper.runs.json_files import plain, write_json
 from bayes_damper.runs.memory import shortage
-from bayes_damper.runs.results.diagnosis import DiagnosisFile, EffectEntry, Estimate, ShiftEntry
 
 Array = NDArray[np.float64]
 

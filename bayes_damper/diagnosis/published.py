@@ -29,8 +29,7 @@ from bayes_damper.effects.base import SITES
 from bayes_damper.priors.distributions import Distribution, LogNormal, median
 from bayes_damper.priors.files import PriorSet
 from bayes_damper.published.posterior import EFFECT_PREFIX, FEATURE_QUANTITIES, Datum
-from bayes_damper.runs.json_files import write_json
-from bayes_damper.runs.results.diagnosis import (
+from bayes_damper.runs.contents.diagnosis import (
     CombinedEntry,
     DiagnosisFile,
     EffectEntry,
@@ -40,6 +39,7 @@ from bayes_damper.runs.results.diagnosis import (
     GapEntry,
     ProposalEntry,
 )
+from bayes_damper.runs.json_files import write_json
 from bayes_damper.sampling.arviz_adapter import hdi
 from bayes_damper.sampling.moves import StudentT
 from bayes_damper.simulation.model import Model

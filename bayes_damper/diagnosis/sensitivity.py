@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from bayes_damper.calibration import Calibration, TrialRecord, calibrate
 from bayes_damper.diagnosis.sets import SetFit, set_fit, weighed
 from bayes_damper.diagnosis.verdict import Answers
-from bayes_damper.runs.results.diagnosis import ChoiceEntry
+from bayes_damper.runs.contents.diagnosis import ChoiceEntry
 from bayes_damper.text import counted
 
 Array = NDArray[np.float64]

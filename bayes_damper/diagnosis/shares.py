@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from bayes_damper.calibration import Calibration, Group, predict
 from bayes_damper.calibration.own_values import INPUT
 from bayes_damper.diagnosis.remainder import own_frequency
-from bayes_damper.runs.results.diagnosis import Share
+from bayes_damper.runs.contents.diagnosis import Share
 
 Array = NDArray[np.float64]
 Method = Literal["repeats", "neighbours", "cannot tell"]

@@ -35,7 +35,7 @@ from bayes_damper.diagnosis.response import (
 from bayes_damper.diagnosis.shapes import Scale, Shape, scale_of_motions, shapes_of
 from bayes_damper.diagnosis.verdict import credible_set
 from bayes_damper.effects.base import SITES
-from bayes_damper.runs.results.diagnosis import CurveEntry, SiteMapEntry
+from bayes_damper.runs.contents.diagnosis import CurveEntry, SiteMapEntry
 
 Array = NDArray[np.float64]
 

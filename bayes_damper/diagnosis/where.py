@@ -19,7 +19,7 @@ from scipy.special import gammaincc, ndtr
 
 from bayes_damper.calibration import Calibration
 from bayes_damper.diagnosis.response import Motion, in_slices, motions, project, whiten
-from bayes_damper.runs.results.diagnosis import EventEntry, Place, PlaceEntry, WhereRecords
+from bayes_damper.runs.contents.diagnosis import EventEntry, Place, PlaceEntry, WhereRecords
 
 Array = NDArray[np.float64]
 

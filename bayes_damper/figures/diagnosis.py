@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from bayes_damper.figures.style import COLOURS, RC, STYLES, new_figure, raised
 from bayes_damper.rig.units import BODIES
-from bayes_damper.runs.results.diagnosis import CurveEntry, FeatureEntry
+from bayes_damper.runs.contents.diagnosis import CurveEntry, FeatureEntry
 from bayes_damper.text import COORDINATES
 
 

@@ -17,7 +17,7 @@ from bayes_damper.report.sections.shared import fingerprint, meaning_of, picture
 from bayes_damper.report.sketch import KINDS, sketch
 from bayes_damper.rig.parameters import PARAMETERS
 from bayes_damper.rig.units import BODIES, in_words_of
-from bayes_damper.runs.results.diagnosis import (
+from bayes_damper.runs.contents.diagnosis import (
     BudgetEntry,
     BudgetPart,
     ChoiceEntry,
