@@ -52,7 +52,7 @@ def release_of(times: Array, readings: Array, quantity: str, theta0: float, omeg
 
     Returns
     -------
-    first : index of the first reading to keep: the last one of the held rig, or the first after the nominal release.
+    first : index of the first reading to keep: the last one of the held rig, or at or before the nominal release.
     shift : s to take from the clock. 0 where the release lies within one and a half steps of t = 0 or is not found.
     """
     usable = np.isfinite(readings)
@@ -60,7 +60,8 @@ def release_of(times: Array, readings: Array, quantity: str, theta0: float, omeg
         return 0, 0.0
     t, y = times[usable], readings[usable]
     step = float(np.median(np.diff(t)))
-    first = int(np.argmax(times >= -0.5 * step)) if times[0] < -0.5 * step and times[-1] > 0.0 else 0
+    # A held reading before the release bounds it, wherever between two readings the clock puts 0.
+    first = max(int(np.searchsorted(times, 0.01 * step, side="right")) - 1, 0) if times[-1] > 0.0 else 0
     away, bound = departure(y, quantity, theta0)
     moving = away > bound
     if not moving.any():

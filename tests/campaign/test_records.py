@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from bayes_damper.calibration.experiment import TrialRecord, release_window
 from bayes_damper.campaign.records import LARGE, common_grid, picks, release_of
 
 OMEGA, ANGLE, STEP = 45.0, 0.1, 1e-3
@@ -38,6 +39,20 @@ def test_readings_before_the_nominal_release_are_cut(quantity):
     times = STEP * np.arange(-40, 300)
     first, shift = release_of(times, record(quantity, times, 0.0), quantity, ANGLE, OMEGA)
     assert (times[first], shift) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("quantity", READ)
+@pytest.mark.parametrize("after", [0.1, 0.5, 0.9])  # the first reading after t = 0, in steps
+@pytest.mark.parametrize("release", [-0.45, 0.0, 0.45])
+def test_a_held_reading_before_the_release_bounds_it(quantity, after, release):
+    """Wherever between two readings the clock puts 0: the window of a fit holds the instant."""
+    times = STEP * (np.arange(-40, 300) + after)
+    late = STEP * (after - 0.5 + release)  # within the step that the first reading after t = 0 ends
+    y = record(quantity, times, late, noise=0.003)
+    first, shift = release_of(times, y, quantity, ANGLE, OMEGA)
+    assert (first, shift) == (39, 0.0)
+    low, high = release_window(TrialRecord("a", "I", False, 1, times[first:], y[None, first:], 0, ANGLE, 0.0), quantity)
+    assert low <= late <= high and high - low < 3.01 * STEP
 
 
 @pytest.mark.parametrize("quantity", READ)
