@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 _MAD_TO_SD = 1.482602218505602
+_HELD = 0.78  # of its peak: what is still further out half-way to the next crossing does not swing freely yet
 
 
 def noise_floor_of(readings: Array) -> float:
@@ -284,23 +285,28 @@ def carried_back(times: Array, readings: Array, seen: float, quantity: str) -> f
 def find_first_peak(times: Array, readings: Array, omega: float | None = None) -> float:
     """Instant of the first turning point of an oscillation, in seconds on the clock of the record.
 
-    Where a start by hand spoils the first swing, the record is used from there on. The first crossing of the middle
-    position is looked for; the turning point is the largest excursion before it, refined by a parabola through
-    the readings within a fortieth of a period.
+    Where a start by hand spoils the first swing, the record is used from there on. A turning point is the largest
+    excursion between two crossings of the middle position, refined by a parabola through the readings within a
+    fortieth of a period. Where a hand still holds the rig it stays out longer than a free swing, which has fallen to
+    cos(45 deg) = 0.71 of its peak half-way to the crossing (pendulums to 0.77 from 140 deg): the next one is taken.
 
     times : (n,) s; readings : (n,), displacement or acceleration; omega : rad/s, from the spectrum when not given
     """
     middle = float(np.median(readings[len(readings) // 2 :]))
     y = readings - middle
-    crossings = np.flatnonzero(np.sign(y[:-1]) * np.sign(y[1:]) < 0)
+    crossings = np.flatnonzero((y[:-1] < 0.0) != (y[1:] < 0.0))
     swing = 0.2 * float(np.max(np.abs(y)))
-    start, peak = 0, int(np.argmax(np.abs(y)))
+    start, peaks = 0, []
     for end in [*crossings.tolist(), len(y) - 1]:
         stretch = np.abs(y[start : end + 1])
         if len(stretch) > 2 and stretch.max() > swing:
-            peak = start + int(np.argmax(stretch))
-            break
+            top = int(np.argmax(stretch))
+            half_way = np.interp(0.5 * (times[start + top] + times[end]), times[start : end + 1], stretch)
+            peaks.append((half_way > _HELD * stretch[top], len(peaks), start + top))
+            if len(peaks) == 3 or not peaks[-1][0]:
+                break
         start = end + 1
+    peak = min(peaks)[2] if peaks else int(np.argmax(np.abs(y)))
     rate = omega / (2.0 * math.pi) if omega else dominant_frequency(times, readings)
     near = np.abs(times - times[peak]) <= max(1.0 / (40.0 * max(rate, 1e-9)), 2.0 * float(np.median(np.diff(times))))
     if near.sum() < 4 or rate <= 0.0:

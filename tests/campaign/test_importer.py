@@ -704,6 +704,23 @@ def test_release_and_first_peak_are_found() -> None:
     assert find_first_peak(TIMES[late], wave()[late]) == pytest.approx(0.5 * period, abs=0.02 * period)
 
 
+@pytest.mark.parametrize("held", [0.0, 0.05, 0.6])
+def test_the_first_peak_is_not_where_a_hand_still_holds_the_rig(held: float) -> None:
+    times = np.arange(0.0, 8.0, 1.0 / 60.0)
+    after = np.maximum(times - held, 0.0)
+    y = np.round(90.0 * np.exp(-0.1 * after) * np.cos(2.0 * math.pi * after), 1)
+    y[times < 0.5 * held] += 0.4  # a hand is not still
+    assert find_first_peak(times, y) == pytest.approx(held + 0.5 if held else 0.0, abs=0.01)
+
+
+def test_a_reading_in_the_middle_is_a_crossing_too() -> None:
+    times = np.arange(0.0, 4.0, 0.025)
+    y = np.cos(2.0 * math.pi * (times - 0.1)).round(6)  # 0 at 0.35, 0.85, ...: readings, as of a coarse encoder
+    y[times > 0.36] *= 1.3
+    assert np.count_nonzero(y == 0.0) > 4
+    assert find_first_peak(times, y) == pytest.approx(0.1, abs=0.01)
+
+
 def test_tangential_units() -> None:
     ones = np.ones(2)
     assert convert(ones, "g", "torsional", "acceleration", 0.1, "x") == pytest.approx([98.0665] * 2)
