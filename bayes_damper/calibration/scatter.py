@@ -82,6 +82,7 @@ SURE_OF_TREND = 0.01
 SUDDEN, WORTH_IT = 0.3, 1.0  # of the typical time of release, and nats, below both of which there is none
 USUAL = (0.3, 2.5)  # range of times of release over their size, root mean square, in which they scatter about none
 ABOUT_ITS_MEAN = 1.0 - 2.0 / math.pi  # variance of half a normal distribution over its mean square
+ALIKE = 0.1  # by how much one free start may swing further than another that it repeats: hands let go that differently
 NEGLIGIBLE = 0.05  # information s^2 T'T of every trial's own value, below which it is left out
 
 
@@ -99,7 +100,7 @@ def typical_scatter(problem: Problem, releases: bool = False) -> Scatter:
         absent |= name == "mu" and not e.magnet
         if not absent:
             found[name] = TYPICAL[name]
-    for channel in range(1 + int(coupled)):
+    for channel in range(1 + int(coupled)) if e.start == "rest" else ():
         noise = problem.noise.floor[min(channel, len(problem.noise.floor) - 1)]
         own_offset = e.offset_sd is not None or e.quantity == "displacement"
         for kind in READINGS:
@@ -162,19 +163,36 @@ class Repeats:
 def learn_scatter(fit: Calibration, noise: Noise | None = None) -> Scatter:
     """Sizes of all scatters, from what the repeats of a fit do not share, under a noise (default: that of the fit).
 
-    Where trials start free none but a slow baseline: no two of those begin alike, most are stretches of one decay, and
-    what they leave is taken for the error of the model (noise_level.py). Springs of their own would take a gap that
-    they share.
+    Where trials start free, those that swing equally far repeat each other, as releases by hand do, and show what the
+    rig's parameters scatter by; slow baselines single records show. All else that free starts leave is taken for the
+    error of the model (noise_level.py): springs of their own for swings that differ would take a gap that they share.
     """
     problem = fit.problem if noise is None else fit.problem.with_noise(noise)
-    if problem.experiment.start == "free":
-        return _baselines(fit, problem)
+    if problem.experiment.start != "free":
+        return _of_repeats(fit, problem, {i: problem.experiment.trials[i].conditions for i in problem.trials})
+    swings = swinging_alike(problem)
+    sizes = _of_repeats(fit, problem, swings).sizes if len(set(swings.values())) < len(swings) else ()
+    return Scatter((*sizes, *_baselines(fit, problem).sizes))
+
+
+def swinging_alike(problem: Problem) -> dict[int, Hashable]:
+    """Sets of trials under the same conditions of which none swings further than another by more than ALIKE."""
+    trials = problem.experiment.trials
+    reach = {i: float(np.nanmax(trials[i].y[0]) - np.nanmin(trials[i].y[0])) for i in problem.trials}
+    out: dict[int, Hashable] = {}
+    for i in sorted(reach, key=reach.__getitem__):
+        sets = (key for key in out.values() if key[0] == trials[i].conditions and reach[i] < (1.0 + ALIKE) * key[1])
+        out[i] = next(sets, (trials[i].conditions, reach[i]))
+    return out
+
+
+def _of_repeats(fit: Calibration, problem: Problem, alike: Mapping[int, Hashable]) -> Scatter:
+    """Sizes of all scatters but those of baselines of free starts; alike : trial -> the set of repeats it is one of."""
     typical = typical_scatter(problem, releases=fit.problem.switches.scatter.sd(RELEASE) > 0.0)
     wide = problem.changed(switches=replace(problem.switches, friction=False, drag=False, scatter=typical))
     linear = wide.linearise(fit.q, carried(fit, wide))
     found: dict[Hashable, list[tuple[tuple[str, ...], Array, Array]]] = {}
     information: dict[str, float] = {}
-    trials = problem.experiment.trials
     for block in linear.blocks:
         names = tuple(name for name, _, _ in block.group.nuisances)
         free = np.array([name == "delay" for name in names])
@@ -187,7 +205,7 @@ def learn_scatter(fit: Calibration, noise: Noise | None = None) -> Scatter:
                 known = known - gram[:, k, free][:, 0] ** 2 / np.maximum(gram[:, free, free][:, 0], 1e-300)
             information[name] = max(information.get(name, 0.0), float(np.max(known)))
         for k, i in enumerate(block.group.trials):
-            found.setdefault(trials[i].conditions, []).append((names, gram[k], product[k]))
+            found.setdefault(alike[i], []).append((names, gram[k], product[k]))
     sets = [
         Repeats(rows[0][0], np.array([r[1] for r in rows]), np.array([r[2] for r in rows]))
         for rows in found.values()
@@ -429,16 +447,16 @@ def scatter_in_words(fit: Calibration) -> list[str]:
     """Sentences on what the repeats show to differ from trial to trial, and on baselines that wander."""
     trials = [fit.problem.experiment.trials[i] for i in fit.problem.trials]
     shown = [s for s in fit.problem.switches.scatter.sizes if s.gained > SHOWN_FROM]
-    if fit.problem.experiment.start == "free":
-        channel = {s.name: int(s.name[-1]) - 1 for s in shown}
-        reach = {n: max(float(np.nanmax(np.abs(t.y[c]))) for t in trials if c < len(t.y)) for n, c in channel.items()}
-        return [
-            f"What channel {s.name[-1]} reads at rest wanders slowly, by about {100.0 * s.sd / reach[s.name]:.2g} % of "
-            "its largest reading. It was followed, and no cause is named for it: nothing of the rig moves so slowly."
-            for s in shown
-        ]
-    relative = [s for s in shown if s.name in RELATIVE or s.name.startswith("gain")]
     out = []
+    for size in shown if fit.problem.experiment.start == "free" else ():
+        if size.name.startswith("drift"):
+            c = int(size.name[-1]) - 1
+            reach = max(float(np.nanmax(np.abs(t.y[c]))) for t in trials if c < len(t.y))
+            out.append(
+                f"What channel {c + 1} reads at rest wanders slowly, by about {100.0 * size.sd / reach:.2g} % of its "
+                "largest reading. It was followed, and no cause is named for it: nothing of the rig moves so slowly."
+            )
+    relative = [s for s in shown if s.name in RELATIVE or s.name.startswith("gain")]
     if relative:
         listed = ", ".join(f"{s.name} (by {float(f'{100.0 * s.sd:.2g}'):g} %)" for s in relative)
         out.append(
