@@ -175,11 +175,11 @@ def learn_scatter(fit: Calibration, noise: Noise | None = None) -> Scatter:
     return Scatter((*sizes, *_baselines(fit, problem).sizes))
 
 
-def swinging_alike(problem: Problem) -> dict[int, Hashable]:
+def swinging_alike(problem: Problem) -> dict[int, tuple[Hashable, float]]:
     """Sets of trials under the same conditions of which none swings further than another by more than ALIKE."""
     trials = problem.experiment.trials
     reach = {i: float(np.nanmax(trials[i].y[0]) - np.nanmin(trials[i].y[0])) for i in problem.trials}
-    out: dict[int, Hashable] = {}
+    out: dict[int, tuple[Hashable, float]] = {}
     for i in sorted(reach, key=reach.__getitem__):
         sets = (key for key in out.values() if key[0] == trials[i].conditions and reach[i] < (1.0 + ALIKE) * key[1])
         out[i] = next(sets, (trials[i].conditions, reach[i]))

@@ -296,13 +296,13 @@ def find_first_peak(times: Array, readings: Array, omega: float | None = None) -
     y = readings - middle
     crossings = np.flatnonzero((y[:-1] < 0.0) != (y[1:] < 0.0))
     swing = 0.2 * float(np.max(np.abs(y)))
-    start, peaks = 0, []
+    start, peaks = 0, list[tuple[bool, int, int]]()
     for end in [*crossings.tolist(), len(y) - 1]:
         stretch = np.abs(y[start : end + 1])
         if len(stretch) > 2 and stretch.max() > swing:
             top = int(np.argmax(stretch))
             half_way = np.interp(0.5 * (times[start + top] + times[end]), times[start : end + 1], stretch)
-            peaks.append((half_way > _HELD * stretch[top], len(peaks), start + top))
+            peaks.append((bool(half_way > _HELD * stretch[top]), len(peaks), start + top))
             if len(peaks) == 3 or not peaks[-1][0]:
                 break
         start = end + 1
