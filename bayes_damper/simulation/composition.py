@@ -1,8 +1,8 @@
 """Two effects in one rig: their formulas composed into one variant, exactly.
 
 Torques add up, memory states stand side by side, sensors and the rig's own constants are changed by the first one and
-then by the second. A pair that needs more than the kernel has room for (four parameters, two memory states, one
-sensor, one replaced friction) cannot be composed.
+then by the second. A pair that needs more than the kernel has room for (twelve parameters, of which the second one has
+at most four, two memory states, one sensor, one replaced friction) cannot be composed.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from bayes_damper.effects.base import Kernel, Variant
+from bayes_damper.effects.base import MOST_PARAMETERS, Kernel, Variant
 from bayes_damper.rig.vector_math import lane
 
-MOST_COMPOSED = 4  # parameters of two variants that are composed
+MOST_SECOND = 4  # parameters of the second of two variants that are composed
 
 
 def compose(first: Variant, second: Variant, *, coupled: bool = True) -> Variant | None:
@@ -24,7 +24,9 @@ def compose(first: Variant, second: Variant, *, coupled: bool = True) -> Variant
     parameters of the others are kept, so that both configurations take the same ones.
     """
     split = len(first.parameters)
-    if split + len(second.parameters) > MOST_COMPOSED or first.memory + second.memory > 2:
+    if len(second.parameters) > MOST_SECOND or split + len(second.parameters) > MOST_PARAMETERS:
+        return None
+    if first.memory + second.memory > 2:
         return None
     if (first.sense and second.sense) or (first.replaces_friction and second.replaces_friction):
         return None
@@ -68,8 +70,8 @@ def _shifted(v: Variant, start: int) -> Variant:
     """The variant with kernels that read their parameters from the place `start` on."""
     if start == 0:
         return v
-    i0, i1, i2, i3 = (min(start + k, MOST_COMPOSED - 1) for k in range(4))
-    g1, g2, g3 = (1.0 if start + k < MOST_COMPOSED else 0.0 for k in (1, 2, 3))
+    i0, i1, i2, i3 = (min(start + k, MOST_PARAMETERS - 1) for k in range(MOST_SECOND))
+    g1, g2, g3 = (1.0 if k < len(v.parameters) else 0.0 for k in range(1, MOST_SECOND))
 
     def moved(kernel: Kernel) -> Kernel:
         @lane

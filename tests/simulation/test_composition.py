@@ -39,7 +39,8 @@ def read(variant, effect, coupled=True, tolerance=0.01, **changes):
 @pytest.mark.parametrize(
     ("first", "second"),
     [("quadratic_drag", "magnet_cubic"), ("inertia_error", "quadratic_drag"), ("sensor_gain", "spring_cubic"),
-     ("interface_relaxation", "coupling_backlash"), ("magnet_fade", "sensor_delay")],
+     ("interface_relaxation", "coupling_backlash"), ("magnet_fade", "sensor_delay"),
+     ("coupling_hysteresis", "bearing_stribeck")],
 )  # fmt: skip
 def test_with_one_effect_at_its_null_the_other_one_acts_alone(first, second):
     """In both places, so that parameters and memory find their way."""
@@ -82,4 +83,5 @@ def test_what_the_kernel_has_no_room_for_is_not_composed():
     """Too many parameters or memory states, two sensors, two frictions."""
     lugre = formula("stick_slip", "lugre")
     assert compose(lugre, lugre) is None
+    assert compose(lugre, formula("magnet_cubic")) is not None
     assert compose(formula("sensor_gain"), formula("sensor_highpass")) is None
