@@ -36,6 +36,7 @@ from bayes_damper.diagnosis.sets import (
     log_prior,
     probabilities,
     set_fit,
+    squares_of,
     weighed,
 )
 from bayes_damper.diagnosis.shares import IN_WORDS, NO_SHARE, Closed, Products, products_of, shortest_interval
@@ -208,21 +209,10 @@ def _shares(
     found = products_of(models, heldout, rng)
     if not found.is_known():
         return None
-    squares = np.array([_squares(nominal, model) for model in models])
+    squares = np.array([squares_of(nominal, model) for model in models])
     fitted = squares / max(squares[0] - squares[-1], 1e-300)
     left, draws = found.shares()
     return _divided(names, {k: i for i, k in enumerate(keys)}, left, draws, fitted, found)
-
-
-def _squares(nominal: Calibration, fit: Calibration) -> float:
-    """What a fit misses of the trials that it was fitted to, as a sum of squares over the nominal model's noise."""
-    sds = np.array(nominal.problem.noise.floor)
-    inside = fit.residuals()
-    return sum(
-        float(np.nansum(np.square(inside[i] * w / sds[: len(w), None])))
-        for g in nominal.problem.grouped(nominal.problem.trials)
-        for i, w in zip(g.trials, g.weight, strict=True)
-    )
 
 
 def _divided(

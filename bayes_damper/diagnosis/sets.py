@@ -67,6 +67,7 @@ ROUNDS = 3
 RELEARNT, LONGEST = 2, 5  # times that the noise is learnt from what a set leaves; the latter while it still changes
 SETTLED = 0.03  # relative change of the noise that does not count
 STARTS = (1.0, 0.6, 0.3)  # shares of the screening's amplitudes from which a set is fitted
+FAINT = 0.03  # the same where the base is kept
 LEAST_DROPPED = 2  # effects of a set from which each is left out once
 LEAST = 0.05  # of a parameter's value, to which it gives way at most at a start
 STEPS, STEPS_ALONE = 16, 40  # of a fit; over the many periods of a record without repeats valleys are long
@@ -501,7 +502,7 @@ def grown(
     that what the leading effect leaves lies at its own site. Where trials have repeats, pairs are known, and sets grow
     from the best one; else from the nominal model too, by two and three effects at once.
     """
-    exact = bool(nominal.problem.noise.sensor)
+    alone = bool(nominal.problem.noise.sensor)
     sets: dict[tuple[tuple[str, str], ...], SetFit] = {(): set_fit((), nominal)}
 
     def add(members: tuple[Member, ...], fit: Calibration) -> None:
@@ -512,7 +513,7 @@ def grown(
 
     for c in found:
         if c.fit is not None and math.isfinite(c.log_evidence):
-            add(((c.effect, c.variant),), _sharper(c.fit) if exact else c.fit)
+            add(((c.effect, c.variant),), _sharper(c.fit) if alone else c.fit)
     explained = max((c.log_evidence for c in found if c.fit is not None), default=0.0)
     for pair in pairs:
         if not mends(pair.gain, explained, pair.exact, home):
@@ -520,15 +521,15 @@ def grown(
     ranked = weighed(list(sets.values()))
     tried = {s.names for s in ranked}
     done: set[frozenset[str]] = set()
-    for step in range(ROUNDS if exact else 1):
-        base = sets[()] if exact and step == 0 else ranked[0]
-        if base.names in done or not _can_grow(base, pool, 0 if exact else 2):
+    for step in range(ROUNDS if alone else 1):
+        base = sets[()] if alone and step == 0 else ranked[0]
+        if base.names in done or not _can_grow(base, pool, 0 if alone else 2):
             break
         done.add(base.names)
         wanted: list[tuple[Member, ...]] = []
         starts: list[list[Array]] = []
         columns = columns_at(base.fit, nominal, pool, base.names)
-        sizes = [n for n in ((1, 2, 3) if exact else (1,)) if 1 < n + len(base.members) <= LARGEST][:2]
+        sizes = [n for n in ((1, 2, 3) if alone else (1,)) if 1 < n + len(base.members) <= LARGEST][:2]
         for p in proposals(columns, sizes):
             members = (*base.members, *(columns.members[k] for k in p.columns))
             names = frozenset(e.name for e, _ in members)
@@ -539,17 +540,19 @@ def grown(
         if not wanted:
             break
         report(f"fitting {len(wanted)} sets of effects")
-        jobs = list(zip(wanted, starts, strict=True))
-        packed = forked_map(lambda job: _packed(_fitted(nominal, *job, exact)), jobs, workers)
+        jobs = [(base, members, begun) for members, begun in zip(wanted, starts, strict=True)]
+        packed = forked_map(lambda job: _packed(_grown(nominal, *job)), jobs, workers)
         for members, (kept, noise) in zip(wanted, packed, strict=True):
-            fit = restored(SetProblem(nominal.problem, members, exact).with_noise(noise), kept)
-            if exact or not mends(fit.log_evidence - base.fit.log_evidence, explained, members[-1][0].exact):
+            fit = restored(SetProblem(nominal.problem, members, exact=True).with_noise(noise), kept)
+            smaller = [s.fit.log_evidence for s in sets.values() if s.names < {e.name for e, _ in members}]
+            defined = sum(not e.exact for e, _ in members) < 2  # one formula mends another
+            if alone or not mends(fit.log_evidence - max(smaller), explained, defined):
                 add(members, fit)
         ranked = weighed(list(sets.values()))
     # A smaller set may have ended short of where the best one leads: each effect is left out of that once.
     best = ranked[0]
-    for members, start in _without_one(best) if exact else ():
-        add(members, _fitted(nominal, members, [start], exact))
+    for members, start in _without_one(best) if alone else ():
+        add(members, _fitted(nominal, members, [start]))
     return weighed(list(sets.values()))
 
 
@@ -609,21 +612,47 @@ def _sharper(fit: Calibration) -> Calibration:
     return fit
 
 
-def _fitted(nominal: Calibration, members: tuple[Member, ...], starts: Sequence[Array], exact: bool) -> Calibration:
+def _fitted(nominal: Calibration, members: tuple[Member, ...], starts: Sequence[Array]) -> Calibration:
     """A set fitted from several starts; where no trial has repeats, under the noise that it leaves itself."""
-    problem: Problem = SetProblem(nominal.problem, members, exact)
+    alone = bool(nominal.problem.noise.sensor)
+    problem: Problem = SetProblem(nominal.problem, members, exact=True)
     if len(members) == 1:  # as single effects are fitted everywhere else
         problem = nominal.problem.with_effect(members[0][1])
-    most = STEPS_ALONE if exact else STEPS
-    fit = calibrate(problem, starts, eta=nominal.eta, anneal=False, most=most, finish=not exact, straight=exact)
-    return _sharper(fit) if exact else fit
+    most = STEPS_ALONE if alone else STEPS
+    fit = calibrate(problem, starts, eta=nominal.eta, anneal=False, most=most, finish=not alone, straight=alone)
+    return _sharper(fit) if alone else fit
+
+
+def _grown(nominal: Calibration, base: SetFit, members: tuple[Member, ...], starts: Sequence[Array]) -> Calibration:
+    """A set that holds another one, `base`, fitted from starts, the last of which is the nearest to the base.
+
+    More effects explain no less. A fit that does has ended in another valley, and begins again from the base's own, in
+    which the further effects are hardly there.
+    """
+    fit = _fitted(nominal, members, starts[:-1])
+    if squares_of(nominal, fit) <= squares_of(nominal, base.fit):
+        return fit
+    begun = replace(nominal, problem=nominal.problem.with_noise(base.fit.problem.noise), eta=base.fit.eta)
+    again = _fitted(begun, members, starts[-1:])
+    return min(fit, again, key=lambda f: squares_of(nominal, f))
+
+
+def squares_of(nominal: Calibration, fit: Calibration) -> float:
+    """What a fit misses of the trials that it was fitted to, as a sum of squares over the nominal model's noise."""
+    sds = np.array(nominal.problem.noise.floor)
+    inside = fit.residuals()
+    return sum(
+        float(np.nansum(np.square(inside[i] * w / sds[: len(w), None])))
+        for g in nominal.problem.grouped(nominal.problem.trials)
+        for i, w in zip(g.trials, g.weight, strict=True)
+    )
 
 
 def _starts(base: SetFit, columns: Columns, proposal: Proposal) -> list[Array]:
     """Where a set's fit begins: shares of the screening's amplitudes, with what the parameters give way to them."""
     out = []
     move = columns.absorbed[:, list(proposal.columns)] @ np.array(proposal.amplitudes)
-    for share in STARTS:
+    for share in (*STARTS, FAINT):
         z: list[float] = []
         for k, amplitude in zip(proposal.columns, proposal.amplitudes, strict=True):
             variant, point = columns.members[k][1], columns.points[k]

@@ -1,7 +1,7 @@
 """Sets of effects: fitted exactly, found together where each hides the other, weighed under what they leave."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,6 +20,7 @@ from bayes_damper.calibration import (
     summarise,
 )
 from bayes_damper.diagnosis import diagnose
+from bayes_damper.diagnosis import sets as sets_module
 from bayes_damper.diagnosis.budget import _divided, answers_of, borne_out, budget_of, foreign_alone
 from bayes_damper.diagnosis.search import offered
 from bayes_damper.diagnosis.sensitivity import sensitivity_of_sets
@@ -27,6 +28,7 @@ from bayes_damper.diagnosis.sets import (
     SetFit,
     SetProblem,
     _fitted,
+    _grown,
     _sharper,
     _without_one,
     better,
@@ -161,6 +163,36 @@ def test_each_effect_is_left_out_of_the_best_set_from_where_that_lies():
     ]  # fmt: skip
     n = problem.base.size
     np.testing.assert_array_equal(smaller[1][1], np.delete(q, n + 1))
+
+
+def test_a_set_that_explains_less_than_one_it_holds_is_fitted_from_there(monkeypatch):
+    """No set explains less than a part of it: the descent ended in another valley."""
+    problem = Problem(measured(1, repeats=1))
+    sharp = problem.noise.__class__((0.5,) * 2, (0.0,) * 2, (0.0,) * 2)
+    base = SetFit((), SimpleNamespace(problem=problem.with_noise(sharp), eta="of the base", misses=5.0), 0.0, 0.0, 1.0)
+    nominal = Calibrated(problem, eta="of the nominal model")
+    ends = {3: 9.0, 1: 4.0}  # by the number of starts
+    fitted = []
+
+    def fit(nominal, members, starts):
+        fitted.append((nominal.eta, nominal.problem.noise.innovation, list(starts)))
+        return SimpleNamespace(misses=ends[len(starts)])
+
+    monkeypatch.setattr(sets_module, "_fitted", fit)
+    monkeypatch.setattr(sets_module, "squares_of", lambda _, fit: fit.misses)
+    assert _grown(nominal, base, (), [1, 2, 3, 4]).misses == 4.0
+    assert fitted[1] == ("of the base", (0.5, 0.5), [4])
+    ends[1] = 11.0
+    assert _grown(nominal, base, (), [1, 2, 3, 4]).misses == 9.0
+    ends[3] = 3.0
+    assert _grown(nominal, base, (), [1, 2, 3, 4]).misses == 3.0
+    assert len(fitted) == 5, "what explains more than the base is not fitted again"
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    problem: Problem
+    eta: str
 
 
 def stub(names, plain, squares, pieces=40.0):
@@ -392,7 +424,7 @@ def test_a_single_effect_left_of_a_pair_is_fitted_as_single_effects_are(hidden):
     """Under the names that its row of the result asks for."""
     drag = member("quadratic_drag")
     start = np.concatenate([hidden.q, [-2.0]])
-    found = _fitted(hidden, (drag,), [start], True)
+    found = _fitted(hidden, (drag,), [start])
     assert [n for n in found.problem.names if n.startswith("effect")] == [
         f"effect.{p.name}" for p in drag[1].parameters
     ]
