@@ -51,6 +51,8 @@ FEW_TRIALS = 8  # trained on, up to which the cost may have more valleys than th
 NEARLY_DECLARED = 0.1  # of its range, between readings, that an instant of release lies from the declared one
 OUT_OF_PHASE = 0.2  # rad of mean phase from which effects are fitted window by window too
 TURNS = 2  # of learning the noise where that of the inputs is followed
+ODD_CURVE = 2.0  # prior standard deviations of nu or tail from which the usual curve of dry friction is tried again
+SHARPER = 0.95  # of the noise before, down to which another turn of learning it from the fit is not worth its time
 FIRST_ERROR = 0.02  # of a channel's reach: noise of the first fit where there are no repeats
 
 
@@ -423,7 +425,34 @@ def calibrate_nominal(
     for _ in range(TURNS):
         fit = calibrate(fit.problem.with_noise(learn_noise(fit)), [fit.q], eta=fit.eta, anneal=False)
     left = ", ".join(f"{s:.3g}" for s in fit.problem.noise.total)
-    report(f"noise of the measured inputs is followed; sd of what is left, correlation counted, by channel: {left}")
+    report(f"noise of the measured inputs estimated; residual (sd, by channel): {left}")
+    return fit
+
+
+def _usual_curve(fit: Calibration) -> Calibration:
+    """The fit, or a better one that begins with the usual curve of dry friction where the first ended far from it.
+
+    A very smooth friction with a long tail resembles viscous damping beside a sharp one; no short step leads from the
+    one to the other.
+    """
+    problem, curve = fit.problem, {"nu", "tail"}
+    places = [i for i, name in enumerate(problem.names) if name in curve]
+    if not places or float(np.abs(fit.q[places]).max()) < ODD_CURVE:
+        return fit
+    start = fit.q.copy()
+    start[places] = 0.0
+    again = calibrate(problem, [start], eta=fit.eta)
+    return again if again.cost < fit.cost else fit
+
+
+def _sharpened(fit: Calibration) -> Calibration:
+    """The fit and its noise in turns: a better fit leaves smaller residuals, whose smaller noise sharpens the fit."""
+    for _ in range(MOST_TURNS):
+        before = fit.problem.noise.total
+        fit = calibrate(fit.problem.with_noise(learn_noise(fit)), [fit.q], eta=fit.eta, anneal=False)
+        if all(new > SHARPER * old for new, old in zip(fit.problem.noise.total, before, strict=True)):
+            break
+        fit = _usual_curve(fit)
     return fit
 
 
@@ -456,14 +485,14 @@ def _with_exact_inputs(
     fit = _releases(calibrate(problem, starts, give_up=300.0))
     noise = learn_noise(fit)
     left = ", ".join(f"{s:.3g}" for s in noise.total)
-    report(f"nominal model fitted; sd of what it leaves, correlation counted, by channel: {left}")
+    report(f"nominal model fitted; residual (sd, by channel): {left}")
     # The first noise held the scatter that was not learnt yet.
     fit = _under(fit, noise, None if switches is None else chosen.scatter)
     if switches is None:
         fit = _as_declared(fit)
+    fit = _usual_curve(fit)
     if noise.sensor:
-        # A better fit leaves less error, which again sharpens the fit.
-        return calibrate(fit.problem.with_noise(learn_noise(fit)), [fit.q], eta=fit.eta, anneal=False)
+        return _sharpened(fit)
     # In turns these need not gain at each: the best of a few is kept.
     best, last = fit, _log_density(fit)
     for _ in range(MOST_TURNS if switches is None else 0):

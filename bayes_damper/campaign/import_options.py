@@ -22,48 +22,48 @@ from bayes_damper.inputs import LARGEST, csv_rows, file_bytes, file_sha256, show
 from bayes_damper.rig.units import BODIES
 
 READER: dict[str, tuple[tuple[type, ...], str]] = {
-    "delimiter": ((str,), "mark between columns; 'auto' (default), ',', ';', 'tab' or 'space'"),
-    "decimal": ((str,), "'.' or ',' (default: as the numbers are written)"),
-    "skip_lines": ((int,), "lines before the header, or before the numbers where there is none (default: found)"),
-    "header": ((bool,), "whether a line of column names precedes the numbers (default: found)"),
-    "time": ((str, int), "column of the time, by name or number from 1; absent: sample_rate makes it"),
-    "time_unit": ((str,), "s (default), ms, us, min"),
-    "sample_rate": ((int, float), "Hz, nominal, where there is no time column"),
-    "clock": ((list,), "s that each file's clock shows at one instant, where both channels have files of their own"),
-    "columns": ((list,), "columns of the channels, the primary's (body 1's) first, by name or number from 1"),
-    "units": ((list,), "their units (default: as the file names them, else SI); mV or V with sensitivity"),
-    "sensitivity": ((list,), "of sensors whose voltage was recorded, one per channel, e.g. '100 mV/g'"),
+    "delimiter": ((str,), "column separator: 'auto' (default), ',', ';', 'tab' or 'space'"),
+    "decimal": ((str,), "decimal mark, '.' or ',' (default: detected)"),
+    "skip_lines": ((int,), "lines to skip before the column names, or before the numbers (default: detected)"),
+    "header": ((bool,), "whether a line of column names precedes the numbers (default: detected)"),
+    "time": ((str, int), "column of the time, by name or number from 1; without one, sample_rate gives the times"),
+    "time_unit": ((str,), "unit of the time: s (default), ms, us, min"),
+    "sample_rate": ((int, float), "sample rate, Hz, if there is no time column"),
+    "clock": ((list,), "reading of each file's clock at one common instant, s, if each channel has its own file"),
+    "columns": ((list,), "columns of the channels, body 1 (the primary) first, by name or number from 1"),
+    "units": ((list,), "units of the channels (default: as in the file, else SI); mV or V with sensitivity"),
+    "sensitivity": ((list,), "sensitivity if voltages were recorded, one per channel, e.g. '100 mV/g'"),
     "torque": ((str, int), "column of a measured torque (force) on the primary"),
     "torque2": ((str, int), "column of a measured torque (force) on the secondary"),
-    "torque_unit": ((str,), "N m (default), N mm, mN m; N, kN, mN"),
+    "torque_unit": ((str,), "unit of the torque (force): N m (default), N mm, mN m; N, kN, mN"),
     "ground": ((str, int), "column of the measured motion of the ground"),
     "ground_unit": (
         (str,),
-        "rad/s^2, deg/s^2 or rad, deg, ...; m/s^2, g, ... or m, mm, ... (default: as the file names it)",
+        "its unit: rad/s^2, deg/s^2 or rad, deg, ...; m/s^2, g, ... or m, mm, ... (default: as in the file)",
     ),
     "motion": (
         (str, int),
-        "column of the motion that is imposed on the primary; the first of 'columns' is then the reaction, in N m (N)",
+        "column of the motion imposed on the primary; the first of 'columns' is then the reaction, in N m (N)",
     ),
-    "motion_unit": ((str,), "as ground_unit, of 'motion'"),
+    "motion_unit": ((str,), "unit of 'motion', as for ground_unit"),
     "pivot": ((str, int), "column of the sideways acceleration of a pendulum's pivot"),
-    "pivot_unit": ((str,), "m/s^2 (default), g, ..."),
-    "mounting_radius": ((int, float, list), "m, of tangential sensors on a torsional rig, one or per channel"),
-    "sign": ((list,), "1 or -1 per channel"),
+    "pivot_unit": ((str,), "unit of the pivot's acceleration: m/s^2 (default), g, ..."),
+    "mounting_radius": ((int, float, list), "distance of tangential sensors from the axis, m, one or per channel"),
+    "sign": ((list,), "1 or -1 per channel: -1 for a sensor mounted the other way round"),
     "offset": (
         (str, int, float, list),
-        "to take off: 'none' (default), 'mean', 'tail', 'head' (before the release), or numbers in the raw unit",
+        "offset to subtract: 'none' (default), 'mean', 'tail' (end), 'head' (before the release), or raw numbers",
     ),
     "matlab_time": ((list,), "names of the time arrays in a .mat file, in order; a field as 'name.field'"),
     "matlab_data": ((list,), "names of the data arrays in a .mat file, channels along the shorter side"),
-    "group": ((str,), "channels whose names begin so, of a TDMS, MDF4, HDF5 or UFF file that holds several clocks"),
-    "wrap": ((list,), "raw numbers after which a channel begins again, 0 for none: 360 (deg), 65536 (16-bit counter)"),
-    "scale": ((list,), "what one raw number is, in 'units', per channel: 0.0879 (deg per count), 0.35 (mm per pixel)"),
-    "start": ((int, float), "s on the raw clock: cut what is earlier"),
-    "end": ((int, float), "s on the raw clock: cut what is later"),
-    "release": ((str, int, float), "t = 0: 'start' (default), 'find', 'first_peak', or s on the raw clock"),
-    "before": ((int, float), "s kept before the release"),
-    "every": ((int,), "keep one reading in so many"),
+    "group": ((str,), "prefix of the channel names to take, if a TDMS, MDF4, HDF5 or UFF file has several clocks"),
+    "wrap": ((list,), "value at which a raw channel wraps around, 0 for none: 360 (deg), 65536 (16-bit counter)"),
+    "scale": ((list,), "size of one raw count in 'units', per channel: 0.0879 (deg per count), 0.35 (mm per pixel)"),
+    "start": ((int, float), "cut readings before this time of the raw clock, s"),
+    "end": ((int, float), "cut readings after this time of the raw clock, s"),
+    "release": ((str, int, float), "where t = 0 is: 'start' (default), 'find', 'first_peak', or s on the raw clock"),
+    "before": ((int, float), "time to keep before the release, s"),
+    "every": ((int,), "keep every N-th reading"),
 }
 TRIAL: dict[str, tuple[tuple[type, ...], str]] = {
     "source": ((str, list), "raw file, or one for each channel, primary first"),
@@ -72,20 +72,20 @@ TRIAL: dict[str, tuple[tuple[type, ...], str]] = {
     "case": ((str,), "label of the case"),
     "configuration": ((str,), "uncoupled or coupled"),
     "trial": ((int,), "number within case and configuration"),
-    "k1t": ((int, float, str), "N m/rad (N/m), or 'estimate' from the strongest frequency"),
-    "k1t_std": ((int, float), "its standard uncertainty"),
-    "theta0": ((int, float), "deg (mm)"),
-    "theta0_std": ((int, float), "deg (mm)"),
-    "holdout": ((bool,), "true: only its own nuisances are estimated"),
+    "k1t": ((int, float, str), "spring to ground, N m/rad (N/m), or 'estimate' from the strongest frequency"),
+    "k1t_std": ((int, float), "standard uncertainty of k1t"),
+    "theta0": ((int, float), "release angle, deg (displacement, mm)"),
+    "theta0_std": ((int, float), "standard uncertainty of theta0, deg (mm)"),
+    "holdout": ((bool,), "true: not fitted, only used to test the model"),
 }
 INIT: dict[str, tuple[tuple[type, ...], str]] = {
     "pattern": (
         (str,),
-        "what the files' names mean, e.g. 'case{case}_{configuration}_{trial}'; also {theta0} and {k1t}",
+        "how file names are built, e.g. 'case{case}_{configuration}_{trial}'; also {theta0} and {k1t}",
     ),
-    "words": ((list,), "what the names call the configurations, e.g. free=uncoupled magnet=coupled"),
-    "sheet": ((str,), "a CSV table of the trials: a column file or case, then any of the other keys as columns"),
-    "files_per_trial": ((int,), "2 where each channel has a file of its own, the primary's first"),
+    "words": ((list,), "words for the configurations in file names, e.g. free=uncoupled magnet=coupled"),
+    "sheet": ((str,), "CSV table of the trials: a column file or case, and any other option as a column"),
+    "files_per_trial": ((int,), "2 if each channel has its own file, the primary's first"),
 }
 """Options of `init` alone: how trials differ from each other."""
 _PATTERN = {
@@ -110,18 +110,18 @@ MEASUREMENT = (
 LEAST_KNOWN = 0.5
 """Share of a file's lines that must hold readings."""
 NOTHING_RUBS = (
-    "No force that presses the bodies together was given (magnet_pull): taken was that nothing rubs between them "
+    "No force pressing the bodies together was given (magnet_pull), so the model has no friction between them "
     "(mu = 0 in priors.toml). `diagnose` shows whether friction is missing there; if so, give that force."
 )
 _RELEASE_ASSUMED = {
-    "torsional": "How sure the release angle is was not given: 0.1 deg, or 2 % of it where that is more, was assumed "
-    "(theta0_std_deg in trials.csv).",
-    "translational": "How sure the place of release is was not given: 0.1 mm, or 2 % of the way where that is more, "
-    "was assumed (theta0_std_mm in trials.csv).",
+    "torsional": "The uncertainty of the release angle was not given; 0.1 deg, or 2 % of the angle if that is more, "
+    "is assumed (--theta0-std; theta0_std_deg in trials.csv).",
+    "translational": "The uncertainty of the release position was not given; 0.1 mm, or 2 % of it if that is more, "
+    "is assumed (--theta0-std; theta0_std_mm in trials.csv).",
 }
-_SINGLE = "One channel only, so taken as uncoupled: {}. Say otherwise with --pattern or --sheet."
+_SINGLE = "One channel only, so taken as uncoupled: {}. If that is wrong, use --pattern or --sheet."
 _ALL_COUPLED = (
-    "Every file has two channels, so all trials were taken as coupled; say otherwise with --configuration, --pattern "
+    "Every file has two channels, so all trials are taken as coupled. If that is wrong, use --configuration, --pattern "
     "or --sheet."
 )
 
@@ -192,7 +192,7 @@ def spec_from_options(
     groups = [list(sources[i : i + several]) for i in range(0, len(sources), several)]
     caveats = []
     if "primary_inertia" not in given:
-        caveats.append("The inertia was not given: everything is per unit inertia (primary_inertia = 1).")
+        caveats.append("The inertia was not given, so all results are per unit inertia (primary_inertia = 1).")
     pattern = given.get("pattern")
     declared = (
         "configuration" in given or "{configuration}" in str(pattern) or any("configuration" in row for row in rows)
@@ -216,7 +216,7 @@ def spec_from_options(
     if not rubbing and any(trial["configuration"] == "coupled" for trial in trials):
         caveats.append(NOTHING_RUBS)
     if any(trial["k1t"] == "estimate" for trial in trials):
-        caveats.append("k1t was not given: it was estimated from the strongest frequency, uncertain by 20 %.")
+        caveats.append("k1t was not given; it is estimated from the strongest frequency, with an uncertainty of 20 %.")
     known = all("theta0" in trial for trial in trials)
     start = "rest" if known and not given.get("free_start") else "free"
     if start == "rest" and not all("theta0_std" in trial for trial in trials):
@@ -386,14 +386,14 @@ def _guessed_all(
     first = found[paths[0]]
     if all(other == first for other in found.values()):
         columns, words = first
-        caveats.append(f"The columns were not named; taken: {words}.")
+        caveats.append(f"No columns were named; used: {words}.")
         if len(columns["columns"]) == 2 and not declared:
             caveats.append(_ALL_COUPLED)
         return {Path(): columns}
     counts = {len(columns["columns"]) for columns, _ in found.values()}
     for words in dict.fromkeys(words for _, words in found.values()):
         where = [path.name for path, (_, other) in found.items() if other == words]
-        caveats.append(f"The columns were not named; taken from {file_names(where)}: {words}.")
+        caveats.append(f"No columns were named; used from {file_names(where)}: {words}.")
     if declared or len(counts) == 1:
         return {path: dict(columns) for path, (columns, _) in found.items()}
     single = [path.name for path, (columns, _) in found.items() if len(columns["columns"]) == 1]
@@ -418,7 +418,7 @@ def _guessed_time(paths: Sequence[Path], given: Mapping[str, Any], caveats: list
         chosen = chosen or ("" if time is None else source.column(time))
     if len(found) != 1 or None in found:
         return {}
-    caveats.append(f"The time was not named; taken: {chosen}.")
+    caveats.append(f"No time column was named; used: {chosen}.")
     return {"time": found.pop()}
 
 

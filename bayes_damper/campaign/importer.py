@@ -762,11 +762,27 @@ def _offset(y: Array, offset: str | float, where: str) -> float:
     if offset == "none":
         return 0.0
     if offset in ("mean", "tail"):
-        part = y if offset == "mean" else y[_tail_of(y)]
-        return float(np.average(part, weights=np.hanning(len(part) + 2)[1:-1]))
+        return _middle(y if offset == "mean" else y[_tail_of(y)])
     if isinstance(offset, str):
         raise InputError(f"{where}: offset = '{offset}' is none of 'none', 'mean', 'tail', 'head' or a number")
     return float(offset)
+
+
+def _middle(y: Array) -> float:
+    """Level about which readings lie or swing; (n,).
+
+    Least squares of a constant beside a sinusoid whose amplitude and phase change as a parabola, under a Hann window.
+    The window alone lets a swing that decays move the mean by a hundredth of it.
+    """
+    n, weight = len(y), np.hanning(len(y) + 2)[1:-1]
+    frequency = look.dominant_frequency(np.arange(n, dtype=float), y)
+    if frequency * n < _FEWEST_PERIODS:
+        return float(np.average(y, weights=weight))
+    u, turn = np.linspace(-1.0, 1.0, n), 2.0 * math.pi * frequency * np.arange(n)
+    terms = np.stack([np.ones(n), *(u**k * wave for k in range(3) for wave in (np.cos(turn), np.sin(turn)))])
+    root = np.sqrt(weight)
+    found, *_ = np.linalg.lstsq((terms * root).T, root * y, rcond=None)
+    return float(found[0])
 
 
 def _window(
