@@ -73,6 +73,20 @@ def test_links_lead_somewhere(page):
         assert (page.parent / target).is_file(), f"{page}: {target}"
 
 
+HOME_MADE = (
+    "told", "tells", "speaks for", "speak for", "bears out", "bear out", "vetoes", "impostor", "laid to", "a set each",
+    "of which nothing", "hangs on choices", "little by little", "weighs in", "lets go of", "what is left of it",
+)  # fmt: skip
+"""Words and phrases that readers of the docs stumbled over; ordinary English has others."""
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", *PAGES, *sorted((DOCS / "proof").glob("[!tw]*.md"))], ids=name_of)
+def test_the_pages_keep_to_ordinary_technical_english(page):
+    text = " ".join(page.read_text(encoding="utf-8").split())
+    found = {phrase for phrase in HOME_MADE if re.search(rf"\b{phrase}\b", text)}
+    assert not found, "say shows, reports, gives, supports, imitates: see Style in CONTRIBUTING.md"
+
+
 def commands_of(page: Path) -> list[list[str]]:
     """Every command of a page: in fenced and in indented blocks, and in the running text."""
     text = page.read_text(encoding="utf-8").replace("\\\n", " ")

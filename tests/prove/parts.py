@@ -199,7 +199,7 @@ QUESTIONS = {
     "integrator": "Is the integrator accurate over the whole prior?",
     "evidence": "Is the evidence right, and what does it cost?",
     "rigs": "What do measured rigs say?",
-    "priors": "Does the table of prior sensitivity tell what a new fit would find?",
+    "priors": "Does the table of prior sensitivity agree with new fits?",
     "damage": "Does every damaged file end in a sentence?",
 }
 """What each page answers, by its name."""

@@ -59,10 +59,10 @@ def test_weights_tell_what_a_new_fit_finds() -> None:
     rows = parts.finish("priors", 2 * len(NAMES), _answer)
     lines = [
         "One short campaign of two coupled repeats (of the calibration). Each prior is made half and twice as wide;",
-        "told: what summary.json says of it, by weights on the draws that there are; found: a new fit, sampled until",
+        "table: what summary.json gives, by weights on the existing draws; new fit: sampled again until",
         "its rule is met. Shift of the mean in posterior standard deviations, and ratio of the standard deviations.",
         "",
-        "| parameter | prior | shift, told | found | width, told | found | told as reliable |",
+        "| parameter | prior | shift, table | new fit | width, table | new fit | marked as reliable |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for row in rows:
@@ -74,7 +74,8 @@ def test_weights_tell_what_a_new_fit_finds() -> None:
     sure = [row for row in rows if row["told"]["reliable"]]
     shift, width = (max(abs(row["told"][key] - row["found"][key]) for row in sure) for key in ("shift", "width"))
     verdict = (
-        f"{len(sure)} of {len(rows)} rows are told as reliable; in them shifts differ by at most {shift:.2f} standard "
+        f"{len(sure)} of {len(rows)} rows are marked as reliable; in them shifts differ by at most {shift:.2f} "
+        "standard "
         f"deviations, widths by at most {width:.0%}."
     )
     commits = sorted({row["commit"] for row in rows})
