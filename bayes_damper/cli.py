@@ -272,33 +272,45 @@ class _OneOrEach(argparse.Action):
         setattr(namespace, self.dest, values[0] if len(values) == 1 else values)
 
 
-def _init_options(sub: Any) -> list[str]:
-    """An option for every key of the import's tables, and of [rig] and [measurement]; their names."""
+def _init_options(sub: argparse.ArgumentParser) -> list[str]:
+    """An option for every key of the import's tables, and of [rig] and [measurement], in groups; their names."""
     from bayes_damper import campaign
     from bayes_damper.campaign import import_options as tables
 
     left_out = {"source", "sha256", "file", "trial", "holdout"}
-    keys = {k: v for table in (tables.INIT, tables.TRIAL, tables.READER) for k, v in table.items() if k not in left_out}
-    known = {"name": "of the campaign (default: that of the folder)", "description": "a sentence",
-             "source_text": "where the data come from, licence"}  # fmt: skip
-    for key in (*campaign.Rig.__dataclass_fields__, *tables.MEASUREMENT):
-        known[key] = campaign.COMMENTS.get(key, "of campaign.toml").replace("%", "%%")
-    for key, (types, text) in keys.items():
-        flag, about = f"--{key.replace('_', '-')}", text.replace("%", "%%")
-        if bool in types:
-            sub.add_argument(flag, action=argparse.BooleanOptionalAction, default=None, help=about)
-        elif types == (list,):
-            sub.add_argument(flag, nargs="+", type=_number, metavar="X", help=about)
-        elif list in types:
-            sub.add_argument(flag, nargs="+", type=_number, metavar="X", help=about, action=_OneOrEach)
-        else:
-            kind = str if types == (str,) else _number
-            sub.add_argument(flag, type=kind, metavar="X", help=about)
-    for key, text in known.items():
-        kind = str if key in ("name", "description", "source_text") else _number
-        several = {"nargs": "+", "action": _OneOrEach} if "per channel" in text else {}
-        sub.add_argument(f"--{key.replace('_', '-')}", type=kind, metavar="X", help=text, **several)
-    return [*keys, *known]
+    groups = {"files and trials": tables.INIT | tables.TRIAL, "reading the files": tables.READER}
+    names = []
+    for title, table in groups.items():
+        group = sub.add_argument_group(title)
+        for key, (types, text) in table.items():
+            if key in left_out:
+                continue
+            names.append(key)
+            flag, about = f"--{key.replace('_', '-')}", text.replace("%", "%%")
+            if bool in types:
+                group.add_argument(flag, action=argparse.BooleanOptionalAction, default=None, help=about)
+            elif types == (list,):
+                group.add_argument(flag, nargs="+", type=_number, metavar="X", help=about)
+            elif list in types:
+                group.add_argument(flag, nargs="+", type=_number, metavar="X", help=about, action=_OneOrEach)
+            else:
+                kind = str if types == (str,) else _number
+                group.add_argument(flag, type=kind, metavar="X", help=about)
+    known = {
+        "the rig": campaign.Rig.__dataclass_fields__, "the measurement": tables.MEASUREMENT,
+        "about the campaign": {"name": "name (default: that of the folder)", "description": "description, a sentence",
+                               "source_text": "where the data come from, licence"},
+    }  # fmt: skip
+    for title, keys in known.items():
+        group = sub.add_argument_group(title)
+        for key in keys:
+            names.append(key)
+            text = keys[key] if isinstance(keys, dict) and isinstance(keys[key], str) else campaign.COMMENTS[key]
+            kind = str if key in ("name", "description", "source_text") else _number
+            several: dict[str, Any] = {"nargs": "+", "action": _OneOrEach} if "per channel" in text else {}
+            about = text.replace("%", "%%")
+            group.add_argument(f"--{key.replace('_', '-')}", type=kind, metavar="X", help=about, **several)
+    return names
 
 
 def _weighed(args: Arguments) -> dict[str, Any]:
@@ -398,88 +410,99 @@ def _command(
     sub.set_defaults(run=run)
     if out is not None:
         sub.add_argument("--out", type=Path, default=Path(out), help=f"folder for the results (default: {out})")
-    sub.add_argument("--seed", type=_seed, default=1, metavar="N", help="decides every random number (default: 1)")
-    sub.add_argument("--quiet", action="store_true", help="no progress, no summary: only errors")
+    sub.add_argument("--seed", type=_seed, default=1, metavar="N", help="seed of all random numbers (default: 1)")
+    sub.add_argument("--quiet", action="store_true", help="print errors only: no progress, no summary")
     sub.add_argument("--json", action="store_true", help="print the result as JSON instead of text")
-    about = "what goes to standard error beside progress: files read and written, kernels compiled"
+    about = "how much to log to standard error: info names files read and written, debug more (default: warning)"
     sub.add_argument("--log-level", choices=LOG_LEVELS, default="warning", help=about)
     return sub
 
 
 def _own_effects(sub: argparse.ArgumentParser) -> None:
-    about = "a folder with effects of your own or learnt laws, or one such file"
+    about = "folder (or one file) with your own effects or learnt laws"
     sub.add_argument("--effects", type=Path, metavar="DIR", help=about)
 
 
 def _weighing(sub: argparse.ArgumentParser) -> None:
-    about = "linear: a nominal model without dry friction, which is then a candidate"
+    about = "linear: leave dry friction out of the nominal model, so that it is a candidate cause (default: nonlinear)"
     sub.add_argument("--nominal", choices=("nonlinear", "linear"), default="nonlinear", help=about)
     _own_effects(sub)
     sub.add_argument("--priors", type=Path, metavar="F.toml", help="priors of the nominal parameters")
-    sub.add_argument("--workers", type=_count, default=2, metavar="N", help="simulations side by side (default: 2)")
+    sub.add_argument("--workers", type=_count, default=2, metavar="N", help="parallel processes (default: 2)")
 
 
 def _workers(sub: argparse.ArgumentParser) -> None:
-    about = "processes on this machine (default: 2)"
+    about = "parallel processes on this machine (default: 2)"
     sub.add_argument("--workers", type=_count, default=2, metavar="N", help=about)
     sub.add_argument("--scheduler", metavar="ADDRESS", help="run on an existing Dask cluster instead")
 
 
 def _first_steps(command: Adding) -> None:
     """Commands that show the program or look at data."""
-    sub = command("demo", _demo, "the main job on the shipped data, start to report", out="results/demo")
-    sub.add_argument("--quick", action="store_true", help="a tenth of the draws: for a first look, marked as such")
+    sub = command("demo", _demo, "fit the thesis's data, compare its cases and write a report", out="results/demo")
+    sub.add_argument("--quick", action="store_true", help="a tenth of the draws, for a first look (marked as such)")
     _workers(sub)
 
-    command("examples", _examples, "a small campaign to play with: a cart whose spring hides something", out="example")
+    command("examples", _examples, "write a small example campaign: a cart with something wrong in its spring",
+            out="example")  # fmt: skip
 
-    sub = command("check", _check, "read and validate a campaign, or name every fault")
+    sub = command("check", _check, "check a campaign and list every fault in it")
     sub.add_argument("campaign", help="folder of the campaign, or `thesis`")
 
-    sub = command("simulate", _simulate, "one noise-free record of the thesis's rig, in the record format")
+    sub = command("simulate", _simulate, "simulate one noise-free record of the thesis's rig")
     sub.add_argument("--case", default="IV", help="thesis case: I, II, III or IV (default: IV)")
-    sub.add_argument("--uncoupled", action="store_true", help="the primary inertia alone")
-    sub.add_argument("--set", action="append", metavar="NAME=VALUE", help="a parameter, a rig key, or EFFECT.PARAMETER")
-    sub.add_argument("--effect", metavar="NAME", help="an effect of the library, at the first of its typical values")
+    sub.add_argument("--uncoupled", action="store_true", help="without the second body")
+    sub.add_argument(
+        "--set",
+        action="append",
+        metavar="NAME=VALUE",
+        help="set a parameter, a key of [rig], or EFFECT.PARAMETER (repeat for several)",
+    )
+    sub.add_argument("--effect", metavar="NAME", help="add an effect of the library at a typical size")
     _own_effects(sub)
     sub.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="sample rate (default: 1000)")
     sub.add_argument("--duration", type=float, default=1.0, metavar="S", help="length of the record (default: 1)")
     sub.add_argument(
         "--inputs", type=Path, metavar="F.csv",
-        help="what acts: time_s and any of torque1_n_m, torque2_n_m, ground_rad, motion1_rad, ...; gives the times",
+        help="measured inputs: time_s and any of torque1_n_m, torque2_n_m, ground_rad, motion1_rad, ...",
     )  # fmt: skip
     sub.add_argument("--out", type=Path, required=True, metavar="F.csv", help="the record to write")
 
 
 def _fitting(command: Adding) -> None:
     """Fit, diagnosis and plan."""
-    sub = command("fit", _fit, "posterior per case, and of all cases together for a campaign", out="results/fit")
+    sub = command("fit", _fit, "fit the model: parameters with intervals, per case and for all cases together",
+                  out="results/fit")  # fmt: skip
     sub.add_argument("campaign", help="folder of the campaign, or `thesis`")
     sub.add_argument("--case", action="append", metavar="C", help="only this case (repeat for several)")
-    sub.add_argument("--priors", type=Path, metavar="F.toml", help="prior file in place of the shipped one")
-    sub.add_argument("--normal-force", choices=("linear", "constant"), help="law of the magnet's pull (eq. 20)")
+    sub.add_argument("--priors", type=Path, metavar="F.toml", help="prior file to use instead of the default")
+    sub.add_argument(
+        "--normal-force",
+        choices=("linear", "constant"),
+        help="how the magnet's pull depends on the overlap of the faces (eq. 20)",
+    )
     sub.add_argument("--noise", choices=("auto", "gaussian", "student", "ar"), default="auto",
-                     help="white, with outliers, or correlated by what the fit leaves (default: by data)")  # fmt: skip
-    sub.add_argument("--effect", metavar="NAME", help="give the model this effect, e.g. the verdict of a diagnosis")
+                     help="noise: white, with outliers (student) or correlated (ar); default: by data")  # fmt: skip
+    sub.add_argument("--effect", metavar="NAME", help="add this effect to the model, e.g. the one that diagnose named")
     _own_effects(sub)
-    sub.add_argument("--thorough", action="store_true", help="50 autocorrelation times instead of 20")
+    sub.add_argument("--thorough", action="store_true", help="run longer: 50 autocorrelation times instead of 20")
     sub.add_argument(
         "--most-steps",
         type=_count,
         metavar="N",
-        help="at most N steps of each ensemble, not counting the warm-up (or the fewest that can be judged)",
+        help="maximum number of steps per ensemble, not counting the warm-up",
     )
     _workers(sub)
 
-    sub = command("diagnose", _diagnose, "the sim-to-real gap: where it lies, what causes it, how far it shrinks",
+    sub = command("diagnose", _diagnose, "find what the model misses: whether, where in the rig, and the likely cause",
                   out="results/diagnose")  # fmt: skip
-    sub.add_argument("campaign", nargs="+", help="folder of the campaign, or `thesis`; several: one page for all")
-    sub.add_argument("--scheduler", metavar="ADDRESS", help="spread several campaigns over an existing Dask cluster")
+    sub.add_argument("campaign", nargs="+", help="folder of the campaign, or `thesis`; several give one report for all")
+    sub.add_argument("--scheduler", metavar="ADDRESS", help="run several campaigns on an existing Dask cluster")
     sub.add_argument("--prior-unknown", type=float, default=0.15, metavar="P",
-                     help="prior probability that the cause is none of the library's (default 0.15)")  # fmt: skip
+                     help="prior probability that the cause is not in the library (default: 0.15)")  # fmt: skip
     _weighing(sub)
 
-    sub = command("plan", _plan, "before measuring: effects the planned trials could distinguish, and with how many",
+    sub = command("plan", _plan, "before measuring: which effects the planned trials could show",
                   out="results/plan")  # fmt: skip
     sub.add_argument("campaign", help="folder with campaign.toml and trials.csv; the records need not exist")
     _weighing(sub)
@@ -487,90 +510,119 @@ def _fitting(command: Adding) -> None:
 
 def _figures_and_proofs(command: Adding) -> None:
     """The check on withheld data, designs, the thesis and the bench."""
-    sub = command("withheld", _withheld, "the check on data whose effect is withheld: sealed verdicts, then scores",
+    sub = command("withheld", _withheld, "blind test: diagnose campaigns with sealed causes, then score the answers",
                   out="results/withheld")  # fmt: skip
-    sub.add_argument("folder", nargs="?", type=Path, help="campaigns, one folder each (default: those shipped)")
-    sub.add_argument("--full", action="store_true", help="all campaigns, and each again without its effect (hours)")
-    sub.add_argument("--key", type=Path, metavar="F.json", help="the key (default: FOLDER_key.json beside the folder)")
+    sub.add_argument("folder", nargs="?", type=Path, help="folder of campaigns (default: those shipped)")
+    sub.add_argument(
+        "--full",
+        action="store_true",
+        help="all campaigns, and each again with its cause removed from the library (hours)",
+    )
+    sub.add_argument(
+        "--key",
+        type=Path,
+        metavar="F.json",
+        help="file with the true causes (default: FOLDER_key.json beside the folder)",
+    )
     sub.add_argument(
         "--verify",
         type=Path,
         metavar="F.zip",
-        help="hold the seals of a finished run's archive again, and those of its campaigns in FOLDER",
+        help="check the seals of a finished run's archive, and of its campaigns in FOLDER",
     )
     _own_effects(sub)
     _workers(sub)
 
-    sub = command("tune", _tune, "insertion loss and resonance shift of a design, with uncertainty", out="results/tune")
-    sub.add_argument("folder", type=Path, help="folder of a fit")
-    sub.add_argument("--case", help="which case of the fit (default: the only one, else IV; joint: all together)")
-    sub.add_argument("--secondary-inertia", type=float, metavar="J2", help="kg m^2 (kg); default: the rig's own")
+    sub = command("tune", _tune, "predict insertion loss and resonance shift of a damper design, with uncertainty",
+                  out="results/tune")  # fmt: skip
+    sub.add_argument("folder", type=Path, help="results folder of a fit")
+    sub.add_argument(
+        "--case", help="case of the fit to use, or joint for all cases together (default: the only one, else IV)"
+    )
+    sub.add_argument(
+        "--secondary-inertia",
+        type=float,
+        metavar="J2",
+        help="inertia (mass) of the second body, kg m^2 (kg); default: as on the rig",
+    )
     sub.add_argument("--k2t", type=float, help="stiffness of the coupling, N m/rad (N/m); default: as fitted")
-    sub.add_argument("--bar-radius", type=float, metavar="R", help="m; scales k2t by R^2 (eq. 21)")
-    sub.add_argument("--magnet-pull", type=float, metavar="N0", help="N; default: the rig's own")
+    sub.add_argument(
+        "--bar-radius",
+        type=float,
+        metavar="R",
+        help="radius of the magnet's bar, m; k2t grows with its square (eq. 21)",
+    )
+    sub.add_argument("--magnet-pull", type=float, metavar="N0", help="pull of the magnet, N; default: as on the rig")
     sub.add_argument("--torque", type=float, nargs="+", metavar="T",
-                     help="exciting torques, N m (forces, N); default: of the size of the rig")  # fmt: skip
+                     help="amplitudes of the exciting torque, N m (force, N); default: to suit the rig")  # fmt: skip
     _own_effects(sub)
-    sub.add_argument("--target-db", type=float, default=10.0, metavar="DB", help="loss to reach (default: 10)")
+    sub.add_argument(
+        "--target-db", type=float, default=10.0, metavar="DB", help="insertion loss to reach, dB (default: 10)"
+    )
 
-    command("thesis", _thesis, "every table and figure of the thesis recomputed: printed, computed, verdict",
+    command("thesis", _thesis, "recompute every table and figure of the thesis and compare with the printed numbers",
             out="results/thesis")  # fmt: skip
 
-    sub = command("bench", _bench, "speed and accuracy on this machine beside the peers installed", out="results/bench")
-    sub.add_argument("--repeats", type=_count, default=7, metavar="N", help="rounds over all rows (default: 7)")
-    sub.add_argument("--no-peers", action="store_true", help="time only our own kernels")
-    sub.add_argument("--command", dest="timed", choices=["diagnose"], help="where a command spends its time instead")
+    sub = command("bench", _bench, "measure speed and accuracy here, and of other packages that are installed",
+                  out="results/bench")  # fmt: skip
+    sub.add_argument("--repeats", type=_count, default=7, metavar="N", help="number of rounds (default: 7)")
+    sub.add_argument("--no-peers", action="store_true", help="leave the other packages out")
     sub.add_argument(
-        "--campaign", type=Path, metavar="DIR", help="with --command: which campaign (default: a shipped one)"
+        "--command", dest="timed", choices=["diagnose"], help="instead, show where this command spends its time"
     )
+    sub.add_argument("--campaign", type=Path, metavar="DIR", help="campaign for --command (default: a shipped one)")
 
 
 def _results(command: Adding) -> None:
     """Commands about folders: runs to go on with, campaigns from logger files, results."""
-    sub = command("resume", _resume, "go on with an interrupted run; --more extends a finished one")
-    sub.add_argument("folder", type=Path, help="the folder that the run writes to")
-    sub.add_argument("--more", action="store_true", help="extend a run that has finished")
-    about = "the folder with effects of your own that the run began with (no code is taken from results)"
+    sub = command("resume", _resume, "continue an interrupted run, or extend a finished one (--more)")
+    sub.add_argument("folder", type=Path, help="results folder of the run")
+    sub.add_argument("--more", action="store_true", help="extend a finished run")
+    about = "folder with your own effects, if the run used any (results folders are never run as code)"
     sub.add_argument("--effects", type=Path, metavar="DIR", help=about)
-    sub.add_argument("--workers", type=_count, metavar="N", help="processes on this machine (default: as before)")
+    sub.add_argument("--workers", type=_count, metavar="N", help="parallel processes (default: as before)")
 
-    sub = command("init", _init, "a commented campaign from a pile of logger files")
-    sub.add_argument("folder", type=Path, help="the campaign to write")
-    sub.add_argument("files", nargs="*", type=Path, help="logger files, one trial each")
-    sub.add_argument("--table", type=Path, metavar="import.toml", help="an import table in place of files and options")
-    sub.add_argument("--raw", type=Path, metavar="DIR", help="where the logger files lie")
+    sub = command("init", _init, "make a campaign from logger files")
+    sub.add_argument("folder", type=Path, help="folder of the campaign to write")
+    sub.add_argument("files", nargs="*", type=Path, help="logger files, one per trial")
+    sub.add_argument(
+        "--table", type=Path, metavar="import.toml", help="import table to use instead of files and options"
+    )
+    sub.add_argument("--raw", type=Path, metavar="DIR", help="folder of the logger files that the table names")
     sub.add_argument(
         "--overwrite",
         action="store_true",
-        help="replace the campaign that the folder holds; records that the new one does not name stay, with a warning",
+        help="replace the campaign in the folder (records that the new one does not use are kept)",
     )
     sub.set_defaults(options=_init_options(sub))
 
-    sub = command("variability", _variability, "what the cases of a fit share and where they differ")
-    sub.add_argument("folder", help="results of `fit`, or `thesis`")
-    sub.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default: the folder itself)")
-    sub.add_argument("--particles", type=_count, default=288, metavar="N", help="particles of each run (default: 288)")
-    sub.add_argument("--repeats", type=_count, default=2, metavar="N", help="runs of each model (default: 2)")
+    sub = command("variability", _variability, "show what the cases of a fit have in common and where they differ")
+    sub.add_argument("folder", help="results folder of a fit, or `thesis`")
+    sub.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default: the same folder)")
+    sub.add_argument(
+        "--particles", type=_count, default=288, metavar="N", help="particles (draws) per run (default: 288)"
+    )
+    sub.add_argument("--repeats", type=_count, default=2, metavar="N", help="runs per model (default: 2)")
     sub.add_argument("--unseen", action=argparse.BooleanOptionalAction, default=True,
-                     help="other priors, another law of friction, each case left out (published features)")  # fmt: skip
+                     help="also with other priors and friction laws, and each case left out (thesis only)")  # fmt: skip
     sub.add_argument("--adapt", action=argparse.BooleanOptionalAction, default=True,
-                     help="more particles, up to 1024, where repeated runs differ (published features)")  # fmt: skip
+                     help="use up to 1024 particles where repeated runs differ (thesis only)")  # fmt: skip
     _workers(sub)
 
-    sub = command("compare", _compare, "results side by side")
-    sub.add_argument("folders", nargs="+", metavar="FOLDER", help="folders that other commands have written to")
-    sub.add_argument("--out", type=Path, metavar="DIR", help="write comparison.json and a figure there too")
+    sub = command("compare", _compare, "compare several results")
+    sub.add_argument("folders", nargs="+", metavar="FOLDER", help="results folders")
+    sub.add_argument("--out", type=Path, metavar="DIR", help="also write comparison.json and a figure to this folder")
 
-    sub = command("report", _report, "one self-contained HTML page from whatever results the folder holds")
-    sub.add_argument("folder", type=Path, help="a folder that other commands have written to")
-    sub.add_argument("--out", type=Path, metavar="F.html", help="the page (default: report.html in the folder)")
+    sub = command("report", _report, "write one HTML page from all results in a folder")
+    sub.add_argument("folder", type=Path, help="results folder")
+    sub.add_argument("--out", type=Path, metavar="F.html", help="page to write (default: report.html in the folder)")
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="bayes-damper",
-        description="Calibrate a magnetically coupled mass damper against measurements, with honest uncertainty, and "
-        "find out where and why the model and the rig differ.",
+        description="Fit the model of a damped rig to measured free decays, with the uncertainty of each parameter, "
+        "and find out where and why the model and the rig differ. Start with: bayes-damper examples",
         epilog="Exit codes: 0 done, 2 bad input, 3 did not converge (results written and marked), 4 a self-check "
         "failed, 130 interrupted (state saved).",
     )
@@ -579,7 +631,7 @@ def _parser() -> argparse.ArgumentParser:
         "--print-completion",
         action=_Completion,
         choices=("bash", "zsh", "tcsh"),
-        help="print what makes that shell complete commands and options with the Tab key",
+        help="print the completion script for that shell",
     )
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 

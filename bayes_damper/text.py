@@ -90,16 +90,16 @@ def gap_beside_verdict(verdict: str, share: float, gap: GapEntry) -> str:
                 "and repeat the trials, before you trust either."
             )
         return (
-            f"{first}, as it does for one faultless rig in {1.0 / gap.get('size', 0.05):.0f}; weighed against every "
-            f"cause, that nothing is missing stays the most probable answer ({share:.2f}). Repeats would decide."
+            f"{first}, as it does for one faultless rig in {1.0 / gap.get('size', 0.05):.0f}. Compared with every "
+            f"cause, the complete model is still the most probable answer ({share:.2f}). More repeats would decide."
         )
     if verdict != "none" and answer in ("none", "cannot tell"):
         if not held_out_of(gap):
-            return "No trial could be held out, so nothing tests this answer but the trials it was found in."
+            return "No trial could be held out, so this answer is not tested on independent trials."
         return (
-            "The test of the held-out trials alone does not show it"
+            "The test of the held-out trials alone does not show the gap"
             + ("" if p is None else f" ({p_value(p)})")
-            + "; the answer rests on all trials together. Repeats would confirm it or not."
+            + "; the answer rests on all trials together. More repeats would confirm or refute it."
         )
     return ""
 
@@ -129,7 +129,7 @@ def budget_sentence(budget: BudgetEntry | None) -> str:
     if budget is None or not parts:
         return ""
     unexplained = budget["unexplained"]["share"]["median"]
-    named = [f"{e.get('title') or e['name'].replace('_', ' ')} (p {_probable(e['present'])})" for e in parts]
+    named = [f"{e.get('title') or e['name'].replace('_', ' ')} (probability {_probable(e['present'])})" for e in parts]
     if unexplained is None:
         named[0] = named[0][0].upper() + named[0][1:]
         verb = "is" if len(named) == 1 else "are"
@@ -159,11 +159,11 @@ def failed_sentence(budget: BudgetEntry | None) -> str:
     for e in (budget.get("absent") or ()) if budget else ():
         name, share = e["name"].replace("_", " "), e["share"].get("median")
         if share is not None and share <= -1.0:
-            name += f", with which they are missed by {math.sqrt(1.0 - share):.2g} times as much"
+            name += f" (error {math.sqrt(1.0 - share):.2g} times as large)"
         said.append(name)
     if not said:
         return ""
-    return f"Fitted, but closing nothing of the gap on held-out trials, and so no answer: {'; '.join(said)}."
+    return f"Fitted, but rejected, because they do not reduce the gap on held-out trials: {'; '.join(said)}."
 
 
 def share_of_gap(share: float) -> str:
@@ -180,7 +180,8 @@ def law_sentence(law: LawEntry | None) -> str:
     beside = f" beside {' and '.join(e.replace('_', ' ') for e in law['beside'])}" if law["beside"] else ""
     return (
         f"A law learnt at {_AT.get(law['site'], law['site'])}{beside}, Q = {law['formula']}, closes {share:.0f} % "
-        f"({low:.0f} to {high:.0f} %) of the gap on held-out trials; it is an effect for other commands: {law['file']}."
+        f"({low:.0f} to {high:.0f} %) of the gap on held-out trials. Other commands can use it: --effects "
+        f"{law['file']}."
     )
 
 
@@ -192,15 +193,13 @@ def named_sentence(law: LawEntry | None) -> str:
     best, only = named["formulas"][0], named["shape_only"]
     if only >= best["probability"]:
         return (
-            f"No short formula stands for it (p {only:.2f}): its shape alone is known; the nearest is "
-            f"Q = {best['formula']} (p {best['probability']:.2f})."
+            f"No short formula describes it (probability {only:.2f}), so only its shape is known; the nearest is "
+            f"Q = {best['formula']} ({best['probability']:.2f})."
         )
     others = [f"Q = {f['formula']} ({f['probability']:.2f})" for f in named["formulas"][1:] if f["probability"] >= 0.01]
-    more = f"; else {', or '.join(others)}" if others else ""
-    first = f"As a formula: Q = {best['formula']} (p {best['probability']:.2f}){more}; none of these, shape only: "
-    return (
-        f"{first}{only:.2f}. x and v: {_COORDINATES[law['site']]}, SI units, s the sign of v, t the time since release."
-    )
+    more = f"; or {', or '.join(others)}" if others else ""
+    first = f"As a formula: Q = {best['formula']} (probability {best['probability']:.2f}){more}; none of these: "
+    return f"{first}{only:.2f}. x, v: {_COORDINATES[law['site']]} in SI units; s: the sign of v; t: time since release."
 
 
 _COORDINATES = {

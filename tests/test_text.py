@@ -46,9 +46,9 @@ def test_a_p_value_has_no_digits_where_they_mean_nothing(p, told):
         ("unknown", {"answer": "cannot tell", "p_value": 1.0, "augmented_rms": None}, "No trial could be held out"),
         # Nothing could be added (unknown), though trials were held out.
         ("unknown", {"answer": "cannot tell", "p_value": 0.2, "augmented_rms": None, "closed": None,
-                     "upper_rms_over_noise": 0.4}, "held-out trials alone does not show it (p = 0.2)"),
+                     "upper_rms_over_noise": 0.4}, "held-out trials alone does not show the gap (p = 0.2)"),
         ("unknown", {"answer": "cannot tell", "p_value": 1.0, "augmented_rms": None, "closed": None,
-                     "upper_rms_over_noise": 0.4}, "held-out trials alone does not show it"),
+                     "upper_rms_over_noise": 0.4}, "held-out trials alone does not show the gap"),
         ("none", {"answer": "none", "p_value": 0.4}, ""),
         ("stick_slip", {"answer": "gap", "p_value": 0.0}, ""),
     ],
@@ -95,11 +95,11 @@ def test_an_unknown_cause_is_told_at_a_place_and_as_surely_as_it_is_known(tmp_pa
     }
     first = Diagnosed(tmp_path, result).text().splitlines()[0]
     assert first.startswith(begins)
-    assert first.endswith("most likely at: sensor.")
+    assert first.endswith("most likely place: sensor.")
 
 
 PROPOSED = {"configuration": "uncoupled", "k1_n_per_m": 500.0, "theta0_mm": 40.0}
-MORE = "Next, to decide: measure one more uncoupled trial, k1 500 N/m, released at 40 mm, put it into the campaign"
+MORE = "Next, to decide: measure one more uncoupled trial, k1 500 N/m, released at 40 mm, add it to the campaign"
 
 
 @pytest.mark.parametrize(
@@ -113,7 +113,7 @@ MORE = "Next, to decide: measure one more uncoupled trial, k1 500 N/m, released 
         ("spring_cubic", 0.6, [MORE, "If you take this answer: bayes-damper fit 'my cart' --effect spring_cubic"]),
         ("none", 0.95, ["Next: bayes-damper fit 'my cart' --out results/fit"]),
         ("none", 0.7, [MORE, "If you take this answer: bayes-damper fit 'my cart' --out"]),
-        ("unknown", 0.96, ["Next: look at sensor on the rig and at missing_torque.csv"]),
+        ("unknown", 0.96, ["Next: look at sensor on the rig, and at missing_torque.csv"]),
     ],
 )
 def test_a_diagnosis_ends_with_what_to_do(verdict, share, steps):
@@ -136,11 +136,12 @@ def divided(shares, left, present=0.96):
 
 def test_the_gap_by_effects_is_one_sentence():
     assert budget_sentence(divided({"bearing_drag": 0.714, "quadratic_drag": 0.18}, 0.106)) == (
-        "Bearing drag (p 0.96) closes 71 % of the gap, quadratic drag (p 0.96) 18 %; 11 % stays unexplained, most "
+        "Bearing drag (probability 0.96) closes 71 % of the gap, quadratic drag (probability 0.96) 18 %; 11 % stays "
+        "unexplained, most "
         "likely at the bearings."
     )
     whole = budget_sentence(divided({"stick_slip": 1.0}, 0.0, 0.999))
-    assert whole == "Stick slip (p >0.99) closes 100 % of the gap; nothing stays unexplained."
+    assert whole == "Stick slip (probability >0.99) closes 100 % of the gap; nothing stays unexplained."
     assert "too faint to give shares" in budget_sentence(divided({"stick_slip": None}, None))
     assert budget_sentence(divided({"stick_slip": 0.9}, 0.1, 0.4)) == budget_sentence(None) == ""
 
@@ -149,14 +150,17 @@ def test_no_share_of_a_gap_is_below_none_or_above_all_of_it():
     """An effect with which held-out trials are missed 326 times as far was said to close -10605972 % of the gap."""
     worse = divided({"spring_bottoming": -106059.72}, 106060.72, 0.78)
     assert budget_sentence(worse) == (
-        "Spring bottoming (p 0.78) closes nothing of the gap; 100 % stays unexplained, most likely at the bearings."
+        "Spring bottoming (probability 0.78) closes nothing of the gap; 100 % stays unexplained, most likely at the "
+        "bearings."
     )
     both = budget_sentence(divided({"spring_cubic": -0.3, "bearing_drag": 0.9}, 0.4))
-    assert both.startswith("Bearing drag (p 0.96) closes 90 % of the gap, spring cubic (p 0.96) nothing; 40 % stays")
+    assert both.startswith(
+        "Bearing drag (probability 0.96) closes 90 % of the gap, spring cubic (probability 0.96) nothing; 40 % stays"
+    )
     absent = {"absent": [*worse["effects"], {"name": "stick_slip", "present": 0.1, "share": {"median": -0.02}}]}
     assert failed_sentence(absent) == (
-        "Fitted, but closing nothing of the gap on held-out trials, and so no answer: spring bottoming, with which "
-        "they are missed by 3.3e+02 times as much; stick slip."
+        "Fitted, but rejected, because they do not reduce the gap on held-out trials: spring bottoming (error 3.3e+02 "
+        "times as large); stick slip."
     )
     assert failed_sentence(None) == failed_sentence({"absent": []}) == ""
     shown = [share_of_gap(x) for x in (-106059.72, -0.4, -0.001, 0.714, 106060.72)]

@@ -124,7 +124,7 @@ class FittedNoise:
         out = []
         for number, c in enumerate(self.channels, 1):
             floor = c.repeats or c.fast
-            source = "repeats differ by" if c.repeats else "the fast content has"
+            source = "repeats differ by" if c.repeats else "the fast content is"
             if c.widened and self.chosen:
                 cause = (
                     "the model misses something" if c.repeats else "the model misses something, or the noise is slow"
@@ -135,9 +135,9 @@ class FittedNoise:
                     else "residuals have more slow content than white noise"
                 )
                 out.append(
-                    f"Channel {number}: the fit leaves {c.left:.3g} {unit} where {source} {floor:.3g}; {shown}: "
-                    f"{cause}. The noise was learnt from what is left, which widens all intervals; `diagnose` looks "
-                    "for the cause."
+                    f"Channel {number}: the residual is {c.left:.3g} {unit}, but {source} only {floor:.3g}; {shown}: "
+                    f"{cause}. The noise was estimated from the residuals, which widens all intervals; `diagnose` "
+                    "looks for the cause."
                 )
         if self.kind == "student":
             out.append(
@@ -169,14 +169,14 @@ def fit_with_noise(
     freedom, gain = _tails(fit)
     heavy = kind == "student" or (kind == "auto" and gain > CLEARLY)
     if heavy:
-        report("outliers: weighing them down")
+        report("outliers found: reducing their weight")
         fit = _robust(fit, freedom)
         freedom, _ = _tails(fit)
     wide = [False] * len(repeats)
     if kind in ("auto", "ar"):
         learnt, wide = _learn_from_what_is_left(fit, always=kind == "ar")
         if any(wide):
-            report("the fit leaves more than noise: learning the noise from that")
+            report("residuals exceed the noise: estimating the noise from them")
             for _ in range(2):
                 fit = _anew(fit, learnt)
                 learnt, _ = _learn_from_what_is_left(fit, always=True, only=wide)

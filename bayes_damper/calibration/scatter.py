@@ -453,20 +453,20 @@ def scatter_in_words(fit: Calibration) -> list[str]:
             c = int(size.name[-1]) - 1
             reach = max(float(np.nanmax(np.abs(t.y[c]))) for t in trials if c < len(t.y))
             out.append(
-                f"What channel {c + 1} reads at rest wanders slowly, by about {100.0 * size.sd / reach:.2g} % of its "
-                "largest reading. It was followed, and no cause is named for it: nothing of the rig moves so slowly."
+                f"The zero of channel {c + 1} drifts slowly, by about {100.0 * size.sd / reach:.2g} % of its largest "
+                "reading. The fit allows for it; no cause is named, since nothing on the rig moves so slowly."
             )
     relative = [s for s in shown if s.name in RELATIVE or s.name.startswith("gain")]
     if relative:
         listed = ", ".join(f"{s.name} (by {float(f'{100.0 * s.sd:.2g}'):g} %)" for s in relative)
         out.append(
-            f"What differs from trial to trial: {listed}. Each trial was given its own, and no cause is named for it."
+            f"Differs from trial to trial: {listed}. The fit allows each trial its own value; no cause is named for it."
         )
     for size in shown:
         r, p = trend_with_order(fit, size)
         if p < SURE_OF_TREND:
             out.append(
-                f"The own value of {size.name} {'grows' if r > 0.0 else 'falls'} with the order of the repeats "
+                f"{size.name} {'grows' if r > 0.0 else 'falls'} from repeat to repeat "
                 f"(correlation {r:+.2f}): something warms up or wears."
             )
     return out

@@ -285,10 +285,11 @@ class Campaign:
     def describe(self) -> str:
         """A few lines for `check`: what was read, trial by trial, and the warnings."""
         unit = {"torsional": "deg", "translational": "mm"}[self.rig.kind]
+        rig = "pendulum" if self.rig.restoring == "pendulum" else f"{self.rig.kind} rig"
         lines = [
             (
                 f"{self.name}: {counted(len(self.trials), 'trial')}, {counted(len(self.cases), 'case')}, "
-                f"{self.measurement.quantity}, {self.rig.kind} rig, start {self.measurement.start}"
+                f"{self.measurement.quantity}, {rig}, start {self.measurement.start}"
             )
         ]
         lines += [f"  {self.rig.describe()}"]
@@ -316,7 +317,7 @@ def _use_of(trial: Trial, held: Collection[tuple[str, str, int]]) -> str:
     """What the description of a trial says where not every command fits it."""
     if trial.holdout:
         return ", held out of every fit"
-    return ", held out by diagnose and variability, fitted by fit" if trial.key in held else ""
+    return ", held out by diagnose and variability" if trial.key in held else ""
 
 
 def noise_floor(trial: Trial) -> Array:

@@ -23,38 +23,38 @@ from bayes_damper.campaign.structure import (
 from bayes_damper.errors import InputError
 from bayes_damper.rig.units import in_words_of
 
-_BOTH_UNITS = re.compile(r"(kg m\^2|N m/rad) \((kg|N/m)\)")
+_BOTH = re.compile(r"(kg m\^2|N m/rad|inertia) \((kg|N/m|mass)\)")
 COMMENTS = {
-    "kind": "torsional, or translational (m, kg, N)",
-    "primary_inertia": "J1, kg m^2 (kg); 1 for a rig known only per unit inertia",
-    "secondary_inertia": "J2, kg m^2 (kg)",
-    "bar_radius": "R, m",
-    "magnet_radius": "r, m",
-    "magnet_pull": "N0, N",
-    "ground2_stiffness": "k3t, N m/rad (N/m), spring from the secondary to ground",
-    "inertial_coupling": "J12, kg m^2 (kg)",
+    "kind": "torsional (default), or translational (m, kg, N)",
+    "primary_inertia": "J1, inertia (mass) of body 1, kg m^2 (kg); 1 if only ratios to it are known",
+    "secondary_inertia": "J2, inertia (mass) of body 2, kg m^2 (kg)",
+    "bar_radius": "R, distance of the magnets from the axis, m",
+    "magnet_radius": "r, radius of a magnet's face, m",
+    "magnet_pull": "N0, force that presses the bodies together, N",
+    "ground2_stiffness": "k3t, spring from the secondary to ground, N m/rad (N/m)",
+    "inertial_coupling": "J12, inertia (mass) that couples the two accelerations, kg m^2 (kg)",
     "inertial_coupling_law": "constant, or cosine: J12 cos(th1 - th2), as of two links",
-    "normal_force": "linear in the overlap of the faces, or constant",
+    "normal_force": "linear: the pull falls with the offset of the faces; or constant",
     "restoring": "linear spring, or pendulum",
     "quantity": "acceleration, velocity or displacement",
     "start": "rest: released at rest from theta0; free: initial angles and velocities are inferred",
-    "frame": "of readings where the ground moves: absolute, or ground",
-    "input": "what measured inputs do between samples: linear, or held until the next",
-    "sample_rate": "Hz; the time column decides",
-    "duration": "s, of a record that is planned; the time column decides",
-    "noise_std": "prior value of the noise, one per channel",
-    "sensor_range": "largest reading, one per channel",
-    "sensor_bandwidth": "Hz, one per channel",
-    "every": "fits use one reading in so many; absent: all, unless there are very many",
-    "offset_std": "standard uncertainty of the reading at rest, one per channel, in SI units",
-    "scale_std": "relative standard uncertainty of the scale, one per channel",
-    "lag_std": "s, standard uncertainty of the instant of reading against the time stamp, one per channel",
+    "frame": "frame of the readings if the ground moves: absolute, or ground",
+    "input": "measured inputs between samples: linear, or held until the next",
+    "sample_rate": "nominal, Hz; the time column decides",
+    "duration": "length of a planned record, s",
+    "noise_std": "expected standard deviation of the noise, one per channel",
+    "sensor_range": "largest reading of the sensor, one per channel",
+    "sensor_bandwidth": "bandwidth of the sensor, Hz, one per channel",
+    "every": "fits use every N-th reading; absent: all, unless there are very many",
+    "offset_std": "standard uncertainty of the sensor's zero, one per channel, in SI units",
+    "scale_std": "relative standard uncertainty of the sensor's scale, one per channel",
+    "lag_std": "standard uncertainty of the time of a reading against its time stamp, s, one per channel",
 }
 
 
 def _comment(key: str, kind: str) -> str:
     """What a key of campaign.toml is, in the units of the rig."""
-    text = _BOTH_UNITS.sub(r"\2" if kind == "translational" else r"\1", COMMENTS[key])
+    text = _BOTH.sub(r"\2" if kind == "translational" else r"\1", COMMENTS[key])
     return text if key == "kind" else in_words_of(text, kind)
 
 

@@ -237,13 +237,13 @@ def _add_meanings(
 
 
 def _published_words(result: DiagnosisFile) -> list[str]:
-    """The answer from published numbers: nothing is called the cause below 90 %."""
+    """The answer from published numbers; below 90 % no effect is named as the cause."""
     probabilities, errors, gap = result["probabilities"], result["probability_errors"], result["gap"]
     verdict = result["verdict"]
     share = probabilities[verdict]
     names = {"none": "no effect at all", "unknown": "a cause outside the library"}
     first = f"Most probable: {names.get(verdict, verdict)}, probability {share:.2f} +- {errors[verdict]:.2f}"
-    lines = [first + ("." if share >= 0.9 else "; that is no finding, the numbers leave other answers open.")]
+    lines = [first + ("." if share >= 0.9 else "; this is no finding: the numbers leave other answers open.")]
     found = {"gap": "gap", "none": "no gap shown", "cannot tell": "cannot tell"}[gap["answer"]]
     lines.append(
         f"Gap on the coupled numbers: {found} ({p_value(gap['p_value'])}). Coupled peaks, each predicted without the "
@@ -297,7 +297,7 @@ def next_steps(result: DiagnosisFile, campaign: str, folder: str = "") -> list[s
     proposals = result.get("next_experiment") or ()
     if open_ and proposals:
         steps.append(
-            f"Next, to decide: measure {_trial_words(proposals[0])}, put it into the campaign, diagnose again."
+            f"Next, to decide: measure {_trial_words(proposals[0])}, add it to the campaign, and diagnose again."
         )
     if verdict not in ("none", "unknown"):
         steps.append(
@@ -308,7 +308,7 @@ def next_steps(result: DiagnosisFile, campaign: str, folder: str = "") -> list[s
     else:
         place = max((s for s in result["sites"] if s != "none"), key=lambda s: result["sites"][s])
         steps.append(
-            f"Next: look at {place} on the rig and at missing_torque.csv; --effects DIR adds an effect of your own."
+            f"Next: look at {_place(place)} on the rig, and at missing_torque.csv; --effects DIR adds your own effect."
         )
     if law := result.get("law"):
         file = shlex.quote(str(Path(folder) / law["file"]))
@@ -334,7 +334,7 @@ def _words(result: DiagnosisFile) -> list[str]:
     share = probabilities[verdict]
     gap = result["gap"]
     if verdict == "none":
-        lines = [f"No gap beyond the noise is shown (probability {share:.2f})."]
+        lines = [f"No missing effect found: model and records agree within the noise (probability {share:.2f})."]
         if share < CERTAIN:
             lines = [
                 f"No missing effect found (probability {share:.2f} that the model is complete, which is not certain)."
@@ -343,7 +343,7 @@ def _words(result: DiagnosisFile) -> list[str]:
         site = max((s for s in result["sites"] if s != "none"), key=lambda s: result["sites"][s])
         sure = "There is" if share >= CERTAIN else "Most probable, but not sure:"
         first = f"{sure} a gap that no effect of the library explains (probability {share:.2f}); "
-        lines = [f"{first}it lies most likely at: {said(_place(site))}."]
+        lines = [f"{first}its most likely place: {said(_place(site))}."]
     else:
         row = next(r for r in result["effects"] if r["name"] == verdict)
         sure = "The missing effect is" if share >= CERTAIN else "Most probable, but not sure:"
@@ -353,7 +353,7 @@ def _words(result: DiagnosisFile) -> list[str]:
         parameters: Mapping[str, Mapping[str, Estimate]] = {verdict: row["parameters"]}
         if pair := result.get("pair"):
             both, p = pair["effects"], pair["probability"]
-            lines.append(f"It does not close the gap alone: {both[0]} and {both[1]} together do (probability {p:.2f}).")
+            lines.append(f"Alone it does not close the gap; {both[0]} and {both[1]} together do (probability {p:.2f}).")
             parameters = pair["parameters"]
         lines += [
             f"  {effect}, {name} = {_estimated(p)}" for effect, those in parameters.items() for name, p in those.items()
@@ -369,10 +369,8 @@ def _words(result: DiagnosisFile) -> list[str]:
     lines += [beside] if beside else []
     lines += _forecast_words(result.get("forecast") or {}, str(result.get("reading_unit") or ""))
     answers = named_answers(probabilities, result.get("pair"))
-    ranked = sorted(answers, key=lambda name: -answers[name])[:5]
-    lines.append("Answers: " + ", ".join(f"{name} {answers[name]:.2f}" for name in ranked))
-    sites = sorted(result["sites"], key=lambda s: -result["sites"][s])[:3]
-    lines.append("Sites: " + ", ".join(f"{said(_place(site))} {result['sites'][site]:.2f}" for site in sites))
+    lines.append("Probability of each answer: " + _ranked(answers, str, 5))
+    lines.append("Probability of each place: " + _ranked(result["sites"], lambda site: said(_place(site)), 3))
     if result["indistinguishable"]:
         lines.append(
             "Not distinguished by these data: " + "; ".join(" / ".join(g) for g in result["indistinguishable"])
@@ -380,20 +378,22 @@ def _words(result: DiagnosisFile) -> list[str]:
     return lines + [f"note: {said(note)}" for note in result.get("notes", [])]
 
 
+def _ranked(probabilities: Mapping[str, float], named: Callable[[str], str], most: int) -> str:
+    """The most probable of these with their probabilities, those that round to nothing left out."""
+    ranked = sorted(probabilities.items(), key=lambda item: -item[1])[:most]
+    return ", ".join(f"{named(name)} {p:.2f}" for name, p in ranked if p >= 0.005 or p == ranked[0][1])
+
+
 def _gap_words(gap: GapEntry, unit: str) -> str:
-    """What the test of the gap says, and what is left of it; unit : of readings."""
-    return (
-        (
-            f"Gap on held-out trials: {gap['answer']} ({p_value(gap['p_value'])}); "
-            if held_out_of(gap)
-            else "Gap on the fitted trials, as none is held out: cannot tell; "
-        )
-        + ("residual" if gap["augmented_rms"] is None else "residual before and after the answer is added")
-        + f" {gap['nominal_rms']:.3g}"
-        + ("" if gap["augmented_rms"] is None else f" and {gap['augmented_rms']:.3g}")
-        + f", noise {gap['noise_rms']:.3g} {unit}".rstrip()
-        + "."
+    """What the test of the gap says, and the residuals with and without the answer; unit : of readings."""
+    tested = (
+        f"Test on held-out trials: {gap['answer']} ({p_value(gap['p_value'])})."
+        if held_out_of(gap)
+        else "No trial is held out, so the gap cannot be tested."
     )
+    after = "" if gap["augmented_rms"] is None else f", {gap['augmented_rms']:.3g} with the answer added"
+    sizes = f"{gap['nominal_rms']:.3g} with the nominal model{after}; noise {gap['noise_rms']:.3g}"
+    return f"{tested} Rms residual{f' in {unit}' if unit else ''}: {sizes}."
 
 
 def _place(site: str) -> str:
@@ -404,15 +404,17 @@ def _place(site: str) -> str:
 
 def _forecast_words(ahead: Forecasts, unit: str) -> list[str]:
     """What held-out trials do after the two periods that their own state is inferred from; `unit`: of readings."""
-    said = {"before": "before", "after": "after", "averaged": "over all answers"}
+    said = {"before": "with the nominal model", "after": "with the leading effect", "averaged": "over all answers"}
     found = {"before": ahead.get("before"), "after": ahead.get("after"), "averaged": ahead.get("averaged")}
     sides = {said[name]: side for name, side in found.items() if side is not None}
     if not sides:
         return []
-    misses = ", ".join(f"{s['rms']:.3g}{f' {unit}' if unit else ''} {name}" for name, s in sides.items())
-    held = ", ".join(f"{s['coverage50']:.0%} and {s['coverage90']:.0%} {name}" for name, s in sides.items())
-    first = f"Held-out trials forecast from their first {ahead['periods']:g} periods: rms miss {misses}; "
-    return [f"{first}50 and 90 % bands hold {held}."]
+    misses = ", ".join(f"{s['rms']:.3g} {name}" for name, s in sides.items())
+    held = ", ".join(
+        f"{100 * s['coverage50']:.0f} and {100 * s['coverage90']:.0f} % {name}" for name, s in sides.items()
+    )
+    first = f"Forecast of held-out trials from their first {ahead['periods']:g} periods: rms error"
+    return [f"{first}{f' in {unit}' if unit else ''} {misses}. Readings inside the 50 and 90 % bands: {held}."]
 
 
 def _draw(folder: Path, found: Diagnosis, workers: int, library: Mapping[str, Effect], magnet: bool) -> None:
@@ -439,7 +441,7 @@ def _draw(folder: Path, found: Diagnosis, workers: int, library: Mapping[str, Ef
     if record is not None:
         plain = {_plain(name, titles): p for name, p in probabilities.items()}
         drawn["gap"] = lambda: figures.gap_figure(
-            record, plain, title=f"{found.campaign}: what the model misses, and which effect adds it"
+            record, plain, title=f"{found.campaign}: what the model misses, and the effect that explains it"
         )
     torques = found.site_map.torque
     if torques:
@@ -455,7 +457,7 @@ def _draw(folder: Path, found: Diagnosis, workers: int, library: Mapping[str, Ef
     if found.law is not None:
         learnt = found.law
         drawn["learnt_law"] = lambda: figures.learnt_law_figure(
-            learnt.law, learnt.density, title=f"{found.campaign}: the law that was learnt",
+            learnt.law, learnt.density, title=f"{found.campaign}: the learnt law",
             translational=found.kind == "translational",
         )  # fmt: skip
     forked_map(lambda name: figures.save(drawn[name](), folder / name), list(drawn), workers)
@@ -481,7 +483,7 @@ def _torque_title(found: Diagnosis) -> str:
     place = found.site_map.torque_site
     where = " at" if place == found.site_map.best else ", if the cause lies at"
     effort = "force" if found.kind == "translational" else "torque"
-    return f"{effort} that the nominal model lacks{where} {_place(place or '')}"
+    return f"{effort} missing from the nominal model{where} {_place(place or '')}"
 
 
 _CELLS = {"time": 48, "frequency": 24, "plane": 16}  # of the maps of residuals, along each axis, at most

@@ -137,11 +137,11 @@ def measure_gap(
     if p_value < size:
         answer, why = "gap", f"held-out residuals follow what the training trials predict ({words_of_p(p_value)})"
     elif upper < NEGLIGIBLE:
-        answer, why = "none", f"no sign of a gap, and one above {upper:.2f} of the noise is excluded"
+        answer, why = "none", f"no sign of a gap; one above {upper:.2f} of the noise is excluded"
     else:
         answer, why = (
             "cannot tell",
-            f"no sign of a gap, but one of {upper:.2f} of the noise is not excluded: add trials",
+            f"no sign of a gap, but one up to {upper:.2f} of the noise is not excluded: add trials",
         )
     return Gap(answer, p_value, size, _floor_rms(nominal.problem, heldout), nominal_rms, augmented, closed, upper, why)
 

@@ -185,7 +185,7 @@ def learn(
     site = max((s for s in sites if s != "none"), key=lambda s: sites[s], default="none")
     if site not in SITES or (site == "ground2" and not nominal.problem.experiment.coupled):
         return None
-    report(f"learning the law that is missing at {site}")
+    report(f"learning the missing law at {site}")
     under = base
     law, start = _linear(base, site, max(base.chi2 / max(base.problem.n_data, 1.0), 1.0))
     if law is None or start is None:

@@ -239,7 +239,7 @@ def odd_in_words(experiment: Experiment, odd: Sequence[Odd]) -> list[str]:
         apart = f"are {o.usual:.0%} from" if o.usual >= 0.005 else "agree with"
         like = f" It looks like one of {o.like}." if o.like else " Is it of another spring, case or rig?"
         out.append(
-            f"{experiment.trials[o.trial].label}: unlike its repeats, {o.away:.0%} away from the nearest of them where "
-            f"they {apart} each other; no cause that they share makes that, so it was left out.{like}"
+            f"{experiment.trials[o.trial].label}: differs from its repeats, by {o.away:.0%} from the nearest, while "
+            f"they {apart} each other. No cause common to all trials does that, so it was left out.{like}"
         )
     return out

@@ -318,7 +318,7 @@ def diagnose(
     first_set = next((s for s in sets if s.members), None)
     if first_set is not None:
         after = remainder_of(first_set.fit)
-    report("looking for what the leading effect leaves")
+    report("testing the residuals of the leading effect")
     before_map = site_map(fit)
     after_map = before_map if winner is None or winner.fit is None else site_map(winner.fit, torque=False)
     none_left = left_of(before, before_map.strength, before, before_map.strength)
@@ -422,7 +422,7 @@ def diagnose(
         )
     )
     pair = next((p for p in pairs if p.effects == answers.pair_effects), None)
-    report(f"leading answer {answers.verdict}")
+    report(f"most probable answer so far: {answers.verdict}")
     best = pair.fit if pair is not None and answers.pair >= 0.5 else None if winner is None else winner.fit
     named = best if winner is not None and answers.verdict == winner.effect.name else None
     if wiring is not None:
@@ -623,33 +623,36 @@ def _notes(
     if not experiment.coupled:
         notes.append("There are no coupled trials, so nothing can be said about the interface or the secondary.")
     if len(fit.problem.trials) == 1:
-        notes.append("There is one trial, so what it shows cannot be told from what would not repeat; add repeats.")
+        notes.append("There is only one trial, so nothing shows which of its features would repeat; add repeats.")
     elif not any(
         len({t.number for t in experiment.trials if (t.case, t.coupled) == key}) > 1
         for key in {(t.case, t.coupled) for t in experiment.trials}
     ):
-        notes.append("There are no repeats, so the noise is judged by its fast content alone; repeat a case.")
+        notes.append(
+            "There are no repeats, so the noise is estimated from the fast content of the records; repeat a case."
+        )
     notes += [*scatter_in_words(fit), *unlike_in_words(fit), *symmetries(experiment)]
     still = {} if named is None else named.pulled
     priors = {} if named is None else {c.name: c.prior for c in named.problem.coordinates}
     for name, z in still.items():
         value = float(from_standard(priors[name], z))
         notes.append(
-            f"With {answers.verdict} in the model, {name} still moves by {z:+.1f} of its declared standard deviations, "
-            f"to {value:.4g}: a second cause, or a typo; measure it again."
+            f"With {answers.verdict} in the model, {name} still differs from its declared value by {z:+.1f} standard "
+            f"deviations ({value:.4g}): a second cause, or a typo. Measure it again."
         )
     for name, z in fit.pulled.items():
         if name not in still:
             notes.append(
-                f"The nominal model moves {name} by {z:+.1f} of its declared standard deviations: an effect, or a typo."
+                f"The nominal model fits {name} {z:+.1f} standard deviations from its declared value: an effect, or a "
+                "typo."
             )
     if answers.verdict == "unknown" and place.only is not None:
         trials = f"the trials of {place.only}" if place.only.startswith("case ") else f"{place.only} trials"
         notes.append(
-            f"What is missing looks like a cause at {place.best} that acts in {trials} alone: what was different there?"
+            f"The gap looks like a cause at {place.best} that acts only in {trials}: what was different there?"
         )
     if answers.probabilities["none"] > 0.1 and answers.verdict != "none":
-        notes.append("The gap is not certain: `none` keeps more than a tenth of the probability.")
+        notes.append("The gap is not certain: the answer `none` has a probability above 10 %.")
     hidden = hidden_by(fit)
     if answers.probabilities["none"] > 0.5 and hidden:
         notes += hidden
@@ -664,10 +667,15 @@ def symmetries(experiment: Experiment) -> list[str]:
     powers = {"dry friction": 2 - DERIVATIVE[experiment.quantity], "viscous damping": 1}
     also = " and ".join(f"{name} {power} % higher" for name, power in powers.items() if power)
     clock = (
-        f"A free decay looks the same by a clock that runs 1 % fast: the rig then has a stiffness 2 % higher, {also} "
-        "than is found here."
+        f"A free decay cannot show an error of the clock. If the clock runs 1 % fast, the true stiffness is 2 % "
+        "higher, "
+        f"{also} than found here."
     )
-    scale = "Nor does it show a scale that reads 1 % too much: dry friction is then 1 % lower than is found here."
+    scale = (
+        "A free decay cannot show an error of scale. If the sensor reads 1 % too high, the true dry friction is 1 % "
+        "lower "
+        "than found here."
+    )
     shown = [clock] if experiment.quantity == "displacement" or not pendulum else []
     return shown if pendulum else [*shown, scale]
 
@@ -683,7 +691,8 @@ def hidden_by(fit: Calibration) -> list[str]:
         declared = abs(float(from_standard(c.prior, 1.0)) - middle) / max(abs(middle), 1e-300)
         if sd > 0.5:
             out.append(
-                f"An error of {c.name} within its declared {100.0 * declared:.2g} % looks like an effect of its size; "
-                f"measured to {30.0 * declared:.1g} % it could no longer hide one."
+                f"{c.name} is declared with an uncertainty of {100.0 * declared:.2g} %, which can hide an effect of "
+                "that "
+                f"size; measure it to {30.0 * declared:.1g} % to rule that out."
             )
     return out

@@ -222,9 +222,9 @@ def unlike_in_words(fit: Calibration) -> list[str]:
             differ = "differ" if len(odd) > 1 else "differs"
             others = "each other" if len(odd) == len(members) else "the repeats"
             out.append(
-                f"{names}: {differ} from {others} by up to {math.sqrt(odd[0].excess):.2g} times the noise beyond all "
-                "that is known to scatter. Repeats do not share it: it comes from how single trials were made, and no "
-                "cause is named for it."
+                f"{names}: {differ} from {others} by up to {math.sqrt(odd[0].excess):.2g} times the noise, more than "
+                "the known scatter. Repeats do not share this difference, so it comes from how single trials were run; "
+                "no cause is named for it."
             )
     return out
 

@@ -399,7 +399,7 @@ def search(
     gains = np.array([max(s.gain for s in row) for row in screens])
     best = float(gains.max()) if len(pool) else 0.0
     chosen = promising(nominal, pool, gains, full_fits)
-    report(f"looked at {len(pool)} formulas of effects; fitting the {len(chosen)} most promising")
+    report(f"screened {len(pool)} formulas of effects; fitting the {len(chosen)} most promising")
 
     def refine(k: int, target: float) -> Candidate:
         effect, variant = pool[k]

@@ -235,10 +235,10 @@ def in_a_sentence(choices: Sequence[Choice], leading: str) -> str:
     """What the choices change, for the reader of a verdict."""
     other = [c for c in choices if c.verdict != leading]
     if not choices:
-        return "There is nothing to leave out, so how far the verdict hangs on a single trial cannot be told."
+        return "There is nothing to leave out, so how far the verdict depends on a single trial is not known."
     if not other:
         tried = "the one other choice" if len(choices) == 1 else f"all {len(choices)} other choices"
-        return f"The verdict stays the same under {tried} tried (priors, a case or a trial less)."
+        return f"The verdict is the same under {tried} tried (other priors, a case or a trial left out)."
     told = "; ".join(f"{c.what}: {c.verdict} ({c.probability:.2f})" for c in other[:4])
     more = f", and {len(other) - 4} more" if len(other) > 4 else ""
     return f"The verdict changes under {len(other)} of {counted(len(choices), 'other choice')}: {told}{more}."

@@ -31,8 +31,8 @@ class Wiring:
     def sentence(self) -> str:
         """For the notes."""
         return (
-            f"With {self.words} the nominal model leaves {self.after:.1%} of the readings' squares in place of "
-            f"{self.before:.0%}: check the wiring, the names of the columns and the sense in which angles are counted."
+            f"With {self.words} the nominal model's residual falls from {self.before:.0%} to {self.after:.1%} of the "
+            "readings' power: check the wiring, the names of the columns and the signs."
         )
 
 

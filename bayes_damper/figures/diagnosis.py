@@ -76,7 +76,7 @@ def gap_figure(record: Mapping[str, Any], probabilities: Mapping[str, float], *,
         axes["record"].set_title(record["label"], loc="left")
         axes["record"].legend(loc="upper right", ncols=2)
         axes["record"].set_ylabel(reading)
-        line = "" if augmented is None else "\n" + textwrap.fill(f"line: what {record['added']} adds", _TITLE)
+        line = "" if augmented is None else "\n" + textwrap.fill(f"line: the change due to {record['added']}", _TITLE)
         axes["before"].set_title(f"measured minus nominal model (band: two sd of the noise){line}", loc="left")
         axes["before"].plot(times, measured - nominal, ".", **dots)
         if augmented is not None:

@@ -204,9 +204,7 @@ def feature_check_figure(rows: Sequence[Mapping[str, Any]], *, title: str, conve
             "(model - measured) / standard error\ngrey: measured ± 1 standard error, blue: 50 and 90 % of the model"
         )
         axes.set_ylim(len(rows) - 0.5, -0.5)
-        axes.set_title(
-            f"{title}\nbeside each name: percentile of the prediction\nat which the measurement falls", loc="left"
-        )
+        axes.set_title(f"{title}\nnumber at each name: percentile of the\nmeasurement in the prediction", loc="left")
     return figure
 
 
@@ -292,7 +290,7 @@ def record_figure(trials: Sequence[Mapping[str, Any]], unit: str, *, title: str,
                 upper.set_title(f"{trial['label']}, channel {c + 1}", loc="left")
                 if c == 0:
                     upper.set_ylabel(f"reading [{raised(unit)}]")
-                    lower.set_ylabel("residual", fontsize=7.5)
+                    lower.set_ylabel(f"residual\n[{raised(unit)}]", fontsize=7.5)
         figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="lower center", ncols=3, markerscale=4.0)
         for axis in axes[-1]:
             axis.set_xlabel("time [s]")

@@ -226,7 +226,9 @@ def plan_figure(result: Mapping[str, Any], *, title: str) -> Figure:
         right.set_yticks([])
         right.set_ylim(len(names) - 0.5, -0.5)
         right.set_xlabel("rival")
-        right.set_title("nats by which a typical effect stands out\nbeside a rival (empty: 10 or more)", loc="left")
+        right.set_title(
+            "evidence [nats] that distinguishes a typical\neffect from its rival (empty: 10 or more)", loc="left"
+        )
         figure.suptitle(title)
     return figure
 

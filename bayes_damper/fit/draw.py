@@ -64,7 +64,7 @@ def sampled(
         "plan": hashlib.sha256(decided.encode()).hexdigest(),
         "code": code_sha256(),
     }
-    report(0.01, "finding the start")
+    report(0.01, "finding starting points")
     begin = start()
     rule = stopping_rule(plan)
     share = 0.0
@@ -77,7 +77,7 @@ def sampled(
             return
         expected = expected_steps(stage, rule)
         share = max(share, WARM + (DRAWN - WARM) * stage.steps / expected)
-        report(share, f"drawing, {stage.steps} of about {expected} steps")
+        report(share, f"sampling, {stage.steps} of about {expected} steps")
 
     return sample(
         posterior,

@@ -85,7 +85,7 @@ def entry_of(
     sentences = list(verdict.sentences)
     if failed:
         counts = ", ".join(f"{count} {name}" for name, count in failed.items())
-        sentences.append(f"Simulations that failed and were given no weight: {counts} of {sum(outcomes.values())}.")
+        sentences.append(f"Failed simulations, which got no weight: {counts} of {sum(outcomes.values())}.")
     return {
         "converged": verdict.converged,
         "parameters": summarise(draws, {name: units(name) for name in draws}, prior_shares),

@@ -54,7 +54,7 @@ def fit_published_case(folder: Path, report: Report, *, name: str, plan: Mapping
     flat = sampling.flat()
     draws = {key: shaped(value, sampling) for key, value in posterior.coordinates.values(flat).items()}
     draws = {key: draws[key] for key in posterior.names} | derived(draws)
-    report(DRAWN, "drawn; left: predictions, files, figures")
+    report(DRAWN, "sampling done; next: predictions, files, figures")
     kept = sampling.flat(KEPT_DRAWS)
     features, likelihood = posterior.predict(kept), posterior.log_likelihood(kept)
     noise = rng.standard_t([d.n - 1.0 for d in posterior.data], size=features.shape)
@@ -81,9 +81,9 @@ def fit_published_case(folder: Path, report: Report, *, name: str, plan: Mapping
     names = {"features": json.dumps([d.name for d in posterior.data])}
     entry = entry_of(draws, shares_left(posterior.names, standard(flat)), sampling)
     assumed = tell_priors(entry, groups["prior"])
-    report(0.8, "predicted; left: files, figures")
+    report(0.8, "predictions done; next: files, figures")
     write_draws(folder, draws, sampling, entry["parameters"], groups, attributes_of(plan, name) | names)
     entry["predictive"] = checks
-    report(0.85, "files written; left: figures")
+    report(0.85, "files written; next: figures")
     draw_case(folder, f"thesis, case {name}", draws, sampling, entry, assumed)
     return entry

@@ -73,7 +73,7 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
     draws = {key: shaped(value, sampling) for key, value in posterior.values(sampling.flat()).items()}
     constants = {key: np.full(1, value) for key, (value, _) in experiment.constants.items() if key not in draws}
     draws |= derived(constants | draws)
-    report(DRAWN, "drawn; left: predictions, evidence, files, figures")
+    report(DRAWN, "sampling done; next: predictions, evidence, files, figures")
     kept = sampling.flat(KEPT_DRAWS)
     likelihood, drawn = posterior.evaluated(kept, rng)
     nuisances = _trial_draws(posterior, drawn)
@@ -81,13 +81,13 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
     bands = posterior.predictive(few, rng)
     entry = entry_of(draws, shares_left(posterior.names, sampling.flat()), sampling, units)
     labels = {i: trial_label(experiment.trials[i]) for i in posterior.trials}
-    report(0.76, "predicted; left: trials left out, evidence, files, figures")
+    report(0.76, "predictions done; next: influence of each trial, evidence, files, figures")
     entry["noise"] = noise.to_json(units("sigma1"))
     entry["scatter"] = scatter_shown(best, units("sigma1"))
     entry["sentences"] += [*noise.sentences(units("sigma1")), *scatter_in_words(best)]
     entry |= _trials_apart(experiment, noise, labels, plan.get("noise", "auto"))
     entry["prior_sensitivity"] = of_standard_draws(posterior.names, sampling.flat(4 * KEPT_DRAWS))
-    report(0.8, "trials compared; left: evidence, files, figures")
+    report(0.8, "influence of each trial done; next: evidence, files, figures")
     entry["log_evidence"] = _evidence(posterior, sampling, rng)
     entry["trials"] = _trials_entry(nuisances, labels, units)
     entry["best_fit"] = _best_fit_entry(best, plan.get("effect"))
@@ -100,10 +100,10 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
         "constant_data": {labels[i]: experiment.trials[i].times for i in posterior.trials},
     }
     assumed = tell_priors(entry, groups["prior"], constants)
-    report(0.84, "evidence found; left: files, figures")
+    report(0.84, "evidence done; next: files, figures")
     names = {"trials": json.dumps([labels[i] for i in posterior.trials])}
     write_draws(folder, draws, sampling, entry["parameters"], groups, attributes_of(plan, name) | names)
-    report(0.87, "files written; left: figures")
+    report(0.87, "files written; next: figures")
     title = f"{plan['name']}, {'all cases' if name == 'joint' else f'case {name}'}"
     draw_case(folder, title, draws, sampling, entry, assumed, units)
     draw_records(folder, experiment, bands, sampling.converged, units("sigma1"))
@@ -148,7 +148,7 @@ def _with_a_warning(report: Report) -> Report:
     """Progress that says at each stage that the model misses something, so that nobody need wait for the draws."""
 
     def warned(share: float, text: str) -> None:
-        report(share, f"{text}; THE MODEL MISSES SOMETHING, `bayes-damper diagnose` looks for what")
+        report(share, f"{text}; THE MODEL MISSES SOMETHING: stop with Ctrl-C and run `bayes-damper diagnose`")
 
     return warned
 

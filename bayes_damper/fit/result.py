@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,7 +84,7 @@ class Fit:
             parts.append(table_text(found["parameters"], title))
             parts += [f"  {sentence}" for sentence in found["sentences"]]
             parts += _more_text(found)
-        parts.append(f"Files: {self.folder}")
+        parts += [f"Files: {self.folder}", f"Next: bayes-damper report {shlex.quote(str(self.folder))}"]
         return "\n".join(parts)
 
 
@@ -110,8 +111,9 @@ def _more_text(found: Mapping[str, Any]) -> list[str]:
         for row in apart["trials"]:
             more = " (or its only repeat is the odd one)" if row["or_its_only_repeat"] else ""
             lines.append(
-                f"  Trial {row['trial']} is unlike its repeats{more}: its residuals have {row['residual_power']:.1f} "
-                "times their power. Look at the record; set holdout = true in trials.csv to fit without it."
+                f"  Trial {row['trial']} differs from its repeats{more}: its residuals have "
+                f"{row['residual_power']:.1f} "
+                "times their power. Look at the record; holdout = true in trials.csv leaves it out of the fit."
             )
         if apart["answers"]:
             shifts = {n: p["shift_sd"] for n, p in apart["answers"].items() if not math.isclose(p["shift_sd"], 0.0)}
@@ -123,13 +125,13 @@ def _more_text(found: Mapping[str, Any]) -> list[str]:
             )
             lines.append(f"  Without: {names}.")
         else:
-            lines.append("  Without it a configuration would have no trial left: no answer without it.")
+            lines.append("  It is the only trial of its configuration, so there is no fit without it.")
     if found.get("prior_sensitivity"):
         lines += sensitivity_text(found["prior_sensitivity"])
     if found.get("log_evidence"):
         e = found["log_evidence"]
         lines.append(
-            f"  Log evidence {e['value']:.2f} +- {e['error']:.2f} nats ({e['health']:.0%} of proposals count)."
+            f"  Log evidence {e['value']:.2f} +- {e['error']:.2f} nats, for comparing models of these records."
         )
     return lines
 

@@ -177,7 +177,7 @@ def response_chart(
     return Chart(f"Frequency response of {first}", text, {"views": out})
 
 
-def torque_chart(file: Path, *, translational: bool = False) -> Chart | None:
+def torque_chart(file: Path, *, translational: bool = False, accelerations: bool = False) -> Chart | None:
     """The missing torque (force) that a diagnosis wrote as CSV, against time and motion; None if there is none."""
     opener = gzip.open if file.suffix == ".gz" else open
     with opener(file, "rt", encoding="utf-8", newline="") as stream:
@@ -219,7 +219,11 @@ def torque_chart(file: Path, *, translational: bool = False) -> Chart | None:
     if not views:
         return None
     effort = "force" if translational else "torque"
-    text = f"The {effort} that the nominal model would need beside its own to follow the records, with its uncertainty."
+    text = f"The additional {effort} that the nominal model would need to follow the records, with a 90 % band."
+    if accelerations:
+        text += (
+            f" Accelerations hardly show a {effort} that changes more slowly than the rig swings: ignore slow trends."
+        )
     return Chart(f"Missing {effort}", text, {"views": views})
 
 

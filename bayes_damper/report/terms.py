@@ -20,35 +20,35 @@ _TERMS = (
     _Term(
         "prior",
         r"\bpriors?\b|\bassumed\b",
-        "What was known of a parameter before these data, as a distribution: from drawings, catalogues, handbooks.",
+        "What was assumed of a parameter before these data, as a distribution: from drawings, catalogues, handbooks.",
     ),
     _Term(
         "posterior, draws",
         r"\bposterior\b|\bdraws?\b",
-        "What is known after the data: a distribution over all parameters together. Some thousand draws, each a full "
-        "set of values, stand for it.",
+        "What is known after the data: a distribution over all parameters together. It is stored as some thousand "
+        "draws, each a full set of values.",
     ),
     _Term(
         "90 % interval",
         r"\b90 %",
-        "The shortest interval that holds 90 % of the draws. Given model, data and prior, the value lies in it with "
-        "probability 0.9.",
+        "The shortest interval with 90 % of the draws. Given model, data and prior, the value lies in it with a "
+        "probability of 0.9.",
     ),
-    _Term("sd", r"\bsd\b", "Standard deviation: how far a value is typically off."),
+    _Term("sd", r"\bsd\b", "Standard deviation: the typical error of a value."),
     _Term(
         "converged",
         r"\b[Cc]onverge",
-        "The draws represent the posterior well enough. It does not say that the model is right.",
+        "The draws represent the posterior well enough. This does not mean that the model is right.",
     ),
     _Term(
         "R-hat",
         r"\bR-hat\b",
-        "Compares independent runs. 1.00: they agree. Above 1.01: they have not seen the same yet.",
+        "Compares independent runs. 1.00: they agree. Above 1.01: the runs are too short.",
     ),
     _Term(
         "effective sample size (ESS)",
         r"\bESS\b|\beffective sample size\b",
-        "How many independent draws a run is worth: bulk for medians, tail for the ends of intervals. 1000 will do.",
+        "How many independent draws a run is worth: bulk for medians, tail for the ends of intervals. 1000 is enough.",
     ),
     _Term(
         "autocorrelation time",
@@ -58,8 +58,8 @@ _TERMS = (
     _Term(
         "evidence",
         r"\bevidence\b",
-        "Probability of the data under a model, all its parameters averaged over. It rewards fit and punishes "
-        "flexibility that is not needed. Only differences between models of the same records mean anything.",
+        "Probability of the data under a model, averaged over its parameters. It rewards a good fit and penalises "
+        "needless flexibility. Only differences between models of the same records have a meaning.",
     ),
     _Term(
         "nat",
@@ -69,14 +69,15 @@ _TERMS = (
     _Term(
         "p value",
         r"\bp value|\bp below|\bp =",
-        "How often noise alone would look at least as bad. Small: noise alone does not explain the data. It is not the "
-        "probability that nothing is wrong.",
+        "How often noise alone would give a deviation at least as large. Small: noise alone does not explain the "
+        "data. It "
+        "is not the probability that the model is right.",
     ),
     _Term("residual", r"\b[Rr]esiduals?\b", "Measured minus modelled."),
     _Term(
         "held-out trial",
         r"\b[Hh]eld[- ]out\b",
-        "A trial that the parameters were not fitted to: it shows whether the model predicts.",
+        "A trial that was not used for fitting: it tests whether the model can predict.",
     ),
     _Term("nominal model", r"\b[Nn]ominal model\b", "The equations of the rig with no effect added."),
     _Term(

@@ -192,7 +192,7 @@ def _shortfalls(
     """A sentence for each part of the rule that does not hold, with the steps still needed."""
     if not np.all(np.isfinite(bulk)):
         stuck = [n for n, b in zip(names, bulk, strict=True) if not np.isfinite(b)]
-        return [f"Not enough draws to judge {', '.join(stuck)} after {steps} steps: let the run go on."]
+        return [f"Not enough draws to judge {', '.join(stuck)} after {steps} steps: continue the run."]
     if not np.all(np.isfinite(hats)):
         return ["R-hat needs at least two independent ensembles: sample with more than one."]
     faults = []
@@ -206,7 +206,7 @@ def _shortfalls(
         needed = max(needed, rule.taus * tau.max() / steps)
         faults.append(
             f"{steps} steps are {steps / tau.max():.1f} autocorrelation times of {names[int(tau.argmax())]} "
-            f"(the longest, {tau.max():.0f} steps); {rule.taus:g} are asked for."
+            f"(the longest, {tau.max():.0f} steps); {rule.taus:g} are required."
         )
     if ess.min() < rule.ess:
         needed = max(needed, rule.ess / ess.min())
@@ -216,7 +216,7 @@ def _shortfalls(
     if faults:
         more = int(np.ceil(steps * (needed - 1)))
         time = f", about {more * pace:.0f} s at the present pace" if pace > 0 else ""
-        faults.append(f"Let it go on for about {more} more steps of each ensemble{time}.")
+        faults.append(f"Continue for about {more} more steps per ensemble{time}.")
     return faults
 
 

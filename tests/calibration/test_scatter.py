@@ -424,7 +424,7 @@ def test_a_baseline_slower_than_the_rig_can_move_is_followed():
     value, sd = fit.parameters["c1t"]
     assert abs(value - 0.046) < 4.0 * sd < 0.004
     (sentence,) = scatters.scatter_in_words(fit)
-    assert "channel 1 reads at rest wanders slowly" in sentence
+    assert "zero of channel 1 drifts slowly" in sentence
     assert calibrate_nominal(sagging(0.0), nominal="linear").problem.switches.scatter.sizes == ()
 
 

@@ -201,8 +201,16 @@ def test_three_columns_given_to_init_are_refused_by_name(tmp_path):
 @pytest.mark.parametrize(
     ("kind", "own", "other"),
     [
-        ("translational", ("# J1, kg;", "0.1 mm, or 2 %", "theta0_std_mm"), ("kg m^2", "N m/rad", " deg", "angle")),
-        ("torsional", ("# J1, kg m^2;", "0.1 deg, or 2 %", "theta0_std_deg"), ("(kg)", "(N/m)", " mm")),
+        (
+            "translational",
+            ("# J1, mass of body 1, kg;", "0.1 mm, or 2 %", "theta0_std_mm"),
+            ("kg m^2", "N m/rad", " deg", "angle"),
+        ),
+        (
+            "torsional",
+            ("# J1, inertia of body 1, kg m^2;", "0.1 deg, or 2 %", "theta0_std_deg"),
+            ("(kg)", "(N/m)", " mm"),
+        ),
     ],
 )
 def test_what_init_writes_speaks_of_one_kind_of_rig(tmp_path, kind, own, other):

@@ -51,7 +51,7 @@ def test_a_fit_that_misses_something_says_so_before_it_draws(tmp_path):
 
     def report(share, text):
         news.append(text)
-        if "finding the start" in text:
+        if "finding starting points" in text:
             raise Stopped
 
     with pytest.raises(Stopped):

@@ -102,7 +102,7 @@ def test_the_diagnosis_leaves_such_records_out_and_finds_no_gap():
     few = {name: EFFECTS[name] for name in ("spring_cubic", "sensor_gain", "quadratic_drag")}
     found = diagnose(e, effects=few)
     assert found.verdict == "none"
-    assert sum("unlike its repeats" in note for note in found.notes) == 2
+    assert sum("differs from its repeats" in note for note in found.notes) == 2
 
 
 def let_go_slowly(which: tuple[int, ...]) -> SimpleNamespace:

@@ -68,7 +68,9 @@ def case(converged: bool = True, outside: bool = False) -> dict:
             "k2t": parameter(1.3, 0.5, "N m/rad"),
             "friction_torque": parameter(0.081, None, "N m"),
         },
-        "sentences": [] if converged else ["The effective sample size of nu is 200, below 1000.", "Let it go on."],
+        "sentences": []
+        if converged
+        else ["The effective sample size of nu is 200, below 1000.", "Continue for about 9 more steps."],
         "predictive": [
             {
                 "name": f"case IV: period ({c})", "unit": "s", "measured": 0.11, "standard_error": 0.001,
@@ -212,10 +214,10 @@ def test_the_page_of_a_cart_numbers_its_bodies_and_speaks_of_force(tmp_path):
     (tmp_path / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
     text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
     assert not re.search(r"primary|secondary", text)
-    assert "ground2, what acts on body 2 alone: its mass" in text
+    assert "ground2, body 2 alone: its mass" in text
     assert "Nothing can be said about body 2." in text
     assert "F = f(x) + tanh(nu v) f(v)" in text
-    assert "As a formula: F = -3.1 x² v (p 0.90); else F = 0.5 |x| v (0.06); none of these, shape only: 0.04" in text
+    assert "As a formula: F = -3.1 x² v (probability 0.90); or F = 0.5 |x| v (0.06); none of these: 0.04" in text
     assert "none of these: shape only 0.04" in text
     assert "displacement -0.1 to 0.12 m;" in text
 
@@ -238,19 +240,19 @@ def test_a_fit_opens_with_what_the_data_determine_and_what_the_model_misses(tmp_
     )
     assert first in text
     assert (
-        "in case IV, channel 1, it leaves 5 rad/s² where repeats differ by 2. The numbers below hold for a model"
+        "in case IV, channel 1, the residual is 5 rad/s², and repeats differ by 2. The true values may lie outside"
         in text
     )
     assert text.index("The model misses something") < text.index("Determined by the data")
     assert '<section class="answer open">' in page
     assert "Whether the model itself is right" not in text, "something else would change it"
-    assert text.index("What would change it") < text.index("Median and 90 % interval")
+    assert text.index("What next") < text.index("Median and 90 % interval")
     data["cases"]["IV"]["noise"] = {"channels": [quiet]}
     data["cases"]["IV"]["trials"] = {"IV coupled #1": {
         "ln_mu": {"mean": 0.0104, "sd": 0.02, "hdi90": [-0.03, 0.047], "unit": ""}}}  # fmt: skip
     (tmp_path / "summary.json").write_text(json.dumps(data))
     text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
-    assert "as large as their noise: at worst, in case IV, channel 2, it leaves 2.1 rad/s² where repeats differ" in text
+    assert "as large as the noise: at worst, in case IV, channel 2, the residual is 2.1 rad/s², and repeats" in text
     assert "IV coupled #1 mu of this trial over that of all 1.010 0.970 to 1.048 1" in text
 
 
@@ -262,7 +264,7 @@ def test_the_first_screen_of_a_fit_with_an_effect_has_the_parameters_of_the_effe
         entry["best_fit"] = {"effect": "spring_cubic"}
     (tmp_path / "summary.json").write_text(json.dumps(data))
     text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
-    first = text[: text.index("What would change it")]
+    first = text[: text.index("What next")]
     assert "Determined by the data: k3 (" in first
     assert "k3 of spring cubic N m/rad^3 120" in text.replace("³", "^3")
 
@@ -270,7 +272,7 @@ def test_the_first_screen_of_a_fit_with_an_effect_has_the_parameters_of_the_effe
 def test_parameters_on_the_first_screen_are_told_in_words_with_how_well_they_are_known(tmp_path):
     write_fit(tmp_path)
     text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
-    assert "Nothing was learnt about the sharpness with which dry friction changes its sign (nu): its number" in text
+    assert "The data say nothing about the sharpness with which dry friction changes its sign (nu): its number" in text
     data = json.loads((tmp_path / "summary.json").read_text())
     for entry in data["cases"].values():  # many at once stay names; what may be 0 or twice as much has no percentage
         for name in ("k2t", "c2t", "drag", "c1t", "c3t", "k1t", "J1", "J2"):
@@ -281,7 +283,7 @@ def test_parameters_on_the_first_screen_are_told_in_words_with_how_well_they_are
     for entry in data["cases"].values():
         entry["parameters"].pop("nu")
     (tmp_path / "summary.json").write_text(json.dumps(data))
-    assert "Every number assumes that the model is right" in words_of(report(tmp_path).path.read_text("utf-8"))
+    assert "All numbers assume that the model is right" in words_of(report(tmp_path).path.read_text("utf-8"))
 
 
 def test_the_legend_of_a_corner_figure_shows_the_line_of_each_case():
@@ -426,14 +428,14 @@ def test_everything_a_folder_holds_is_on_the_page(tmp_path):
     assert set(done.results) == {
         "diagnosis/diagnosis.json", "summary.json", "variability.json", "tune.json", "plan.json", "withheld.json",
     }  # fmt: skip
-    assert "Most probable, but not sure: stick slip (86 %). Most probable place: interface, what acts" in text
+    assert "Most probable, but not sure: stick slip (86 %). Most probable place: interface, friction and" in text
     assert "The rig and the model differ by more than the noise (p = 1e-09)." in text
-    assert "With 90 % probability it is one of stick slip and unknown" in text
+    assert "With a probability of 90 % it is one of stick slip and unknown" in text
     assert "stick slip and bearing stribeck cannot be distinguished" in text
     assert "friction displacement and normal force law cannot" not in text
-    assert "Next experiment: coupled, k1t 10.2 N m/rad, released at 2.7 deg (expected to give 1.80 nats about " in text
+    assert "Next experiment: coupled, k1t 10.2 N m/rad, released at 2.7 deg (expected information 1.80 nats; " in text
     assert "closes 97 % of the gap" in text
-    assert "Nothing was learnt about the sharpness with which dry friction changes its sign (nu)" in text
+    assert "The data say nothing about the sharpness with which dry friction changes its sign (nu)" in text
     assert "The cases do not share one parameter set (2 %)" in text
     assert "insertion loss 12.0 dB (90 %: 10.4 to 13.6 dB)" in text
     assert (
@@ -491,7 +493,7 @@ def test_a_verdict_says_what_the_effect_is_and_how_large(tmp_path):
     data["sites"] = {"interface": 0.46, "ground2": 0.4, "sensor": 0.14}
     (tmp_path / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
     text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
-    assert "there is too little of a gap to say which share of it anything closes" in text
+    assert "the gap is too small to give shares of it" in text
     assert f"with stick slip 2.01 {NOTHING}" in text
     data["gap"]["closed"] = {"median": None, "hdi90": None, "method": "cannot tell", "how": "too faint"}
     share = {"median": 0.7, "hdi90": [0.6, 0.8]}
@@ -506,15 +508,18 @@ def test_a_verdict_says_what_the_effect_is_and_how_large(tmp_path):
     data["law"] = LAW
     (tmp_path / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
     told = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
-    assert "too little of a gap to say" in told
-    assert "Stick slip (p 0.86) closes 70 % of the gap; 30 % stays unexplained, most likely at the interface." in told
+    assert "the gap is too small to give shares of it" in told
+    assert (
+        "Stick slip (probability 0.86) closes 70 % of the gap; 30 % stays unexplained, most likely at the interface."
+        in told
+    )
     assert "stick slip interface 86 % 70 % (60 to 80 %)" in told
     assert f"unexplained interface 60 %, sensor 40 % {NOTHING} 30 % (20 to 40 %)" in told
     assert "50 % unknown 60 %" in told
-    assert "closing nothing of the gap on held-out trials, and so no answer: sensor gain." in told
+    assert "rejected, because they do not reduce the gap on held-out trials: sensor gain." in told
     assert (
         "A law learnt at the interface beside stick slip, Q = f(x) + tanh(nu v) f(v), closes 27 % (20 to 100 %) of the "
-        "gap on held-out trials; it is an effect for other commands: learnt/interface.toml." in told
+        "gap on held-out trials. Other commands can use it: --effects learnt/interface.toml." in told
     )
     assert "as an effect --effects learnt/interface.toml --effect learnt_interface" in told
     assert "angle -0.1 to 0.12 rad; time 0 to 1 s" in told
@@ -545,7 +550,9 @@ def test_the_figure_of_the_missing_torque_names_its_record():
 def test_a_forecast_is_told_with_the_unit_of_the_readings():
     side = {"rms": 2.1, "coverage50": 0.5, "coverage90": 0.9}
     (told,) = _forecast_words({"periods": 2.0, "before": side}, "rad/s^2")
-    assert told.startswith("Held-out trials forecast from their first 2 periods: rms miss 2.1 rad/s^2 before; 50 and")
+    assert told.startswith(
+        "Forecast of held-out trials from their first 2 periods: rms error in rad/s^2 2.1 with the nominal model. "
+    )
 
 
 def test_the_rig_as_it_is_is_no_design_and_needs_a_resonance(tmp_path):
@@ -751,7 +758,7 @@ def test_a_gap_beside_the_verdict_none_is_explained_on_the_first_screen(tmp_path
     first = text[: text.index("Missing torque")]
     assert "alone says gap (p = 0.03), as it does for one faultless rig in 20" in first
     assert "differ by more than the noise" not in first
-    assert "what comes closest to a cause would close 97 % of the gap" in first
+    assert "the best candidate would close 97 % of the gap" in first
 
 
 def test_a_run_that_has_not_ended_is_told_how_to_go_on(tmp_path):
@@ -765,7 +772,7 @@ def test_a_plan_and_a_decomposition_read_as_tables(tmp_path):
     text = words_of(report(write_everything(tmp_path / "results")).path.read_text(encoding="utf-8"))
     assert "magnet cubic interface 22 % cubic 66 N m/rad³ interface relaxation 2.4 6 times" in text
     assert (
-        "typical size. What would change it magnet cubic would be seen with 6 times as many trials. One more trial "
+        "typical size. What next magnet cubic would be seen with 6 times as many trials. One more trial "
         "helps most if coupled, k1t 14.3 N m/rad, released at 7.4 deg: to distinguish magnet cubic." in text
     )
     assert "real difference 0.200 0.100 to 0.400 60 % (20 to 90 %) In every draw the shares add up to 100 %" in text
@@ -792,7 +799,7 @@ def test_withheld_scores_open_the_page(tmp_path):
     ]
     (tmp_path / "withheld.json").write_text(json.dumps(data), encoding="utf-8")
     words = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
-    assert "What would change it Targets missed: site, hard, level 1: 0.9 (at least 0.98 asked for)." in words
+    assert "What next Targets missed: site, hard, level 1: 0.9 (at least 0.98 asked for)." in words
     assert "of 3 targets 1 could not be tested and 1 rest on fewer campaigns than they are meant for" in words
     data |= {"rehearsal": True, "why_rehearsal": ["The code changed."]}
     (tmp_path / "withheld.json").write_text(json.dumps(data), encoding="utf-8")
@@ -827,10 +834,10 @@ def test_a_run_that_did_not_converge_is_marked_first(tmp_path):
     assert done.warnings == ("Case III did not converge: do not use its numbers.",)
     assert text.index("Do not use these numbers") < text.index("Median and 90 % interval")
     assert "case III: median (90 %) NOT CONVERGED case IV: median (90 %) mu" in text, "heads of the overview"
-    assert "Nothing was learnt" not in text, "what such numbers say is not told"
+    assert "The data say nothing" not in text, "what such numbers say is not told"
     assert "central 90 %" not in text
     assert "The effective sample size of nu is 200" in text
-    assert "--more. Let it go on. The sentences of each case" in text
+    assert "--more. Continue for about 9 more steps. Below, each case" in text
 
 
 def test_a_model_that_cannot_reproduce_the_data_is_said_so(tmp_path):
@@ -1145,8 +1152,8 @@ def test_an_axis_is_logarithmic_where_only_a_factor_is_known(high, scale):
 
 @pytest.mark.parametrize(
     ("share", "told"),
-    [(0.97, "Nothing is missing from the model (97 %)."),
-     (0.43, "Most probable, but not sure: nothing is missing (43 %).")],
+    [(0.97, "No missing effect found: the model is complete with a probability of 97 %."),
+     (0.43, "No missing effect found, but this is not certain: the model is complete with a probability of 43 %.")],
 )  # fmt: skip
 def test_a_doubtful_none_is_told_with_doubt(tmp_path, share, told):
     write_diagnosis(tmp_path)

@@ -61,13 +61,13 @@ Said = Callable[[str], str]
 _SITES = {
     "ground1": "the primary's spring to ground and its fixings",
     "bearings": "drag and friction in the bearings",
-    "interface": "what acts between the two bodies: friction and coupling",
-    "ground2": "what acts on the secondary alone: its inertia, a spring to ground if it has one",
+    "interface": "friction and coupling between the two bodies",
+    "ground2": "the secondary alone: its inertia, a spring to ground if it has one",
     "release": "how the rig is let go",
     "sensor": "sensors and logger",
     "none": "no gap",
 }
-_RIVALS = {"none": "that nothing is missing", "unknown": "a cause outside the library"}
+_RIVALS = {"none": "a complete model", "unknown": "a cause outside the library"}
 
 
 def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
@@ -91,7 +91,7 @@ def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
     sentences = [divided, *_verdict_sentences(verdict, share, sites, pair, effects, said)]
     if pair:
         sentences.append(
-            f"One effect does not close the gap; {listed([words(e) for e in pair['effects']])} together do "
+            f"No single effect closes the gap; {listed([words(e) for e in pair['effects']])} together do "
             f"({percent(pair['probability'])})."
         )
     sentences += [
@@ -103,10 +103,10 @@ def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
     sentences += [beside] if beside and verdict == "none" else [_gap_sentence(gap), beside]
     credible = [words(n) for n in data.get("credible_set", [])]
     if len(credible) > 1:
-        sentences.append(f"With 90 % probability it is one of {listed(credible)}; the data do not decide which.")
+        sentences.append(f"With a probability of 90 % it is one of {listed(credible)}; the data do not decide which.")
     who = "these two together close" if pair else "the most probable cause closes"
     if verdict in ("none", "unknown"):
-        who = "what comes closest to a cause would close"
+        who = "the best candidate would close"
     sentences.append(_closed_sentence(gap, who))
     changes = [
         f"{listed([words(n) for n in group])} cannot be distinguished by these data."
@@ -116,7 +116,9 @@ def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
     changes += [_experiment_sentence(e) for e in (data.get("next_experiment") or [])[:1]]
     if len(probabilities) > 1:
         second = next(item for item in probabilities if item[0] != verdict)
-        changes.append(f"The strongest rival is {_RIVALS.get(second[0], words(second[0]))} ({percent(second[1])}).")
+        changes.append(
+            f"The next most probable answer is {_RIVALS.get(second[0], words(second[0]))} ({percent(second[1])})."
+        )
     top = (share or 0.0) > 0.9 and len(credible) <= 1
     tone = "good" if verdict == "none" and top else "bad" if top else "open"
     named = named_answers(dict(probabilities), pair)
@@ -145,7 +147,11 @@ def _section(
     """
     kind = _kind_of(data)
     translational = kind == "translational"
-    charts = [torque_chart(f, translational=translational) for f in sorted(folder.glob("*torque*.csv"))]
+    accelerations = str(data.get("reading_unit") or "").endswith("s^2")
+    charts = [
+        torque_chart(f, translational=translational, accelerations=accelerations)
+        for f in sorted(folder.glob("*torque*.csv"))
+    ]
     rest = generic(
         data, "", ("schema", "campaign", "verdict", "credible_set", "probabilities", "sites", "effects", "provenance",
                    "campaign_sha256", "seed", "indistinguishable", "notes", "next_experiment", "gap", "parameters",
@@ -172,7 +178,7 @@ def _section(
         (
             *places,
             Section("Every answer that was tried", tables=every, folded=True),
-            *([Section("How far the verdict hangs on choices", tables=choices, folded=True)] if choices else []),
+            *([Section("How the verdict depends on choices", tables=choices, folded=True)] if choices else []),
             *folded(rest),
         ),
         sketch=_sketch(data.get("rig"), sites),
@@ -193,15 +199,15 @@ def _verdict_sentences(
     """
     sure = (share or 0.0) >= 0.9
     if verdict == "none":
-        first = "Nothing is missing from the model" if sure else "Most probable, but not sure: nothing is missing"
-        return [f"{first} ({percent(share)})."]
+        first = "No missing effect found" if sure else "No missing effect found, but this is not certain"
+        return [f"{first}: the model is complete with a probability of {percent(share)}."]
     places = [(s, p) for s, p in sites if s != "none"]
     likely = [(s, p) for s, p in places[:2] if p > 0.5 * places[0][1]] or places[:1]
     named = " and ".join(f"{said(_place(s))} ({percent(p)})" for s, p in likely)
     where = [f"Most probable place{'s' if len(likely) > 1 else ''}: {named}."] if likely else []
     if verdict == "unknown":
-        first = "Something is missing" if sure else "Most probable, but not sure: something is missing"
-        return [f"{first} that no effect of the library explains ({percent(share)}).", *where]
+        first = "The model misses something" if sure else "Most probable, but not sure: the model misses something"
+        return [f"{first} that no effect of the library explains (probability {percent(share)}).", *where]
     if pair:
         return [f"Two causes; the stronger one is {words(verdict)} ({percent(share)})."]
     first = "The missing effect is" if sure else "Most probable, but not sure:"
@@ -258,11 +264,11 @@ def _closed_sentence(gap: GapEntry | None, who: str) -> str:
     )
     share, hdi = _share_of(closed), closed.get("hdi90")
     if share is None:
-        return f"On {where} there is too little of a gap to say which share of it anything closes."
+        return f"On {where} the gap is too small to give shares of it."
     spread = f" (90 % interval {_whole(hdi[0])} to {_whole(hdi[1])} %)" if hdi else ""
     if share <= 0.0:
-        return f"On {where} nothing that was tried is shown to close any of the gap{spread}."
-    how = f"; measured by {closed['how']}" if closed.get("how") else ""
+        return f"On {where} none of the effects tried is shown to reduce the gap{spread}."
+    how = f" (from {closed['how']})" if closed.get("how") else ""
     return f"On {where} {who} {_whole(share)} % of the gap{spread}{how}."
 
 
@@ -285,13 +291,12 @@ def _experiment_sentence(e: Mapping[str, object]) -> str:
     gain = e.get("expected_information_nats")
     if gain is None:
         return f"{proposal}."
-    among = "about which of the leading answers it is, if it is one of them; to settle an even choice takes 0.69"
-    return f"{proposal} (expected to give {gain:.2f} nats {among})."
+    return f"{proposal} (expected information {gain:.2f} nats; 0.69 nats decide between two equally probable answers)."
 
 
 def _site_table(sites: Sequence[tuple[str, float]], said: Said) -> Table:
     rows = tuple(Row((words(name), percent(p), said(_SITES.get(name, NOTHING)))) for name, p in sites)
-    return Table("Probability of each site", ("site", "probability", "what belongs to it"), rows)
+    return Table("Probability of each place on the rig", ("site", "probability", "what it includes"), rows)
 
 
 def _experiment_tables(proposals: Sequence[ProposalEntry]) -> list[Table]:
@@ -300,9 +305,9 @@ def _experiment_tables(proposals: Sequence[ProposalEntry]) -> list[Table]:
         return []
     table = records_table("Next experiment", proposals)
     note = (
-        "Expected information about which of the leading answers is right, if one of them is: 0.69 nats settle an even "
-        "choice between two. Margin: how "
-        "far apart, in nats, the two answers stand that the experiment splits least; it ranks those that all decide."
+        "Expected information about which of the leading answers is right: 0.69 nats decide between two equally "
+        "probable "
+        "ones. Margin: the difference in nats between the two answers that the experiment separates least."
     )
     return [replace(table, note=note if any("margin" in p for p in proposals) else "")]
 
@@ -379,7 +384,7 @@ def _table(caption: str, columns: tuple[str, ...], rows: Sequence[tuple[str, ...
 def _record_tables(where: WhereRecords, kind: str) -> list[Table]:
     """Stretches of time, bands of frequency, channels and cases."""
     tables: list[Table] = []
-    times = "Trials: those repeats whose residuals were taken together."
+    times = "Trials: the repeats whose residuals were averaged."
     rows = [
         (_span(r["start_s"], r["end_s"]), _channel(r, kind), *_cells(r, "case", "configuration"),
          ", ".join(map(str, r.get("trials") or (r.get("trial", NOTHING),))), _p(r))
@@ -431,8 +436,8 @@ def _event_tables(where: WhereRecords, kind: str) -> list[Table]:
             _span(event["start_s"], event["end_s"]), str(event["site"]), impulse, f"{event['gain_nats']:.0f} nats",
             percent(event["share"]),
         )  # fmt: skip
-        columns = ("time [s]", "site", "impulse ± sd", "gain", "share of the misfit")
-        return _table("A knock at one instant explains most of the misfit", columns, [row])
+        columns = ("time [s]", "site", "impulse ± sd", "gain", "share of the gap")
+        return _table("A single knock explains most of the gap", columns, [row])
     return []
 
 
@@ -488,10 +493,10 @@ def _gap_tables(
         f"On {gap['on']}."
         if gap.get("on")
         else (
-            f"On held-out trials{'' if unit else ', in the unit of the readings'}; only what each trial has for itself "
-            "(release angle, instant) is fitted there."
+            f"On held-out trials{'' if unit else ', in the unit of the readings'}, where only each trial's own release "
+            "angle and instant are fitted."
             if held_out_of(gap)
-            else "No trial is held out: this is what the fit leaves of the trials that it was made from."
+            else "No trial is held out: these are the residuals of the fitted trials."
         )
     )
     return [Table("The gap before and after", columns, tuple(rows), note)]
@@ -522,11 +527,11 @@ def _forecast_tables(ahead: Forecasts, unit: str = "") -> list[Table]:
     ]
     if len(trials) > 1:
         rows += rows_of("all", sum(t["readings"] for t in trials), ahead)
-    heads = ("trial", "model", f"rms miss [{unit}]" if unit else "rms miss", "in the 50 % band", "in the 90 % band")
+    heads = ("trial", "model", f"rms error [{unit}]" if unit else "rms error", "in the 50 % band", "in the 90 % band")
     note = (
-        f"Each trial's own state is inferred from its first {ahead['periods']:g} periods, the rest is predicted. All "
-        "answers, weighted: each by its probability. Fewer readings in a band than it should hold: the model is surer "
-        "than it may be."
+        f"The state of each trial is inferred from its first {ahead['periods']:g} periods; the rest is predicted. “All "
+        "answers, weighted” weights each answer by its probability. If a band contains fewer readings than it should, "
+        "the model is overconfident."
     )
     return [Table("Forecasts of held-out trials", heads, tuple(rows), note)]
 
@@ -559,7 +564,7 @@ def _choice_tables(choices: Sequence[ChoiceEntry]) -> tuple[Table, ...]:
         ))
         for c in choices
     )  # fmt: skip
-    columns = ("had it been otherwise", "verdict", "probability", "today's verdict keeps")
+    columns = ("other choice", "verdict", "its probability", "probability of the present verdict")
     return (Table("The verdict under other choices", columns, rows),) if rows else ()
 
 
@@ -567,7 +572,7 @@ def _prior_tables(rows: Sequence[UnderPrior]) -> tuple[Table, ...]:
     """The verdict under other prior probabilities of a cause that the library does not have."""
     cells = tuple(Row((percent(r["prior"]), words(str(r["verdict"])), percent(r["probability"]))) for r in rows)
     columns = ("prior probability", "verdict", "probability")
-    caption = "The verdict by the prior probability of a cause outside the library"
+    caption = "How the verdict depends on the prior probability of a cause outside the library"
     return (Table(caption, columns, cells),) if cells else ()
 
 
@@ -593,7 +598,9 @@ def _budget_tables(budget: BudgetEntry | None) -> list[Table]:
     where = ", ".join(f"{site} {percent(p)}" for site, p in places)
     rows.append(Row(("unexplained", where, NOTHING, share(left["share"]), NOTHING)))
     how = str(budget["method"])
-    note = f"{how[0].upper()}{how[1:]}. Present: over all sets of effects that were fitted. Shares with 90 % intervals."
+    note = (
+        f"{how[0].upper()}{how[1:]}. Present: probability over all sets of effects fitted. Shares with 90 % intervals."
+    )
     columns = ("effect", "site", "present", "share of the gap", "parameters")
     return [Table("The gap as a budget", columns, tuple(rows), note)]
 
@@ -612,12 +619,12 @@ def _law_tables(law: LawEntry | None, said: Said, translational: bool) -> list[T
     seen = "; ".join(f"{said(name)} {number(a)} to {number(b)} {units[name]}" for name, (a, b) in law["ranges"].items())
     rows = (
         Row(("formula", f"{said('Q')} = {said(law['formula'])}, curves f in {law['tables'][0]}")),
-        Row(("range that was seen", seen)),
+        Row(("range covered by the records", seen)),
         Row(("degrees of freedom", number(law["effective_degrees_of_freedom"]))),
         Row(("as an effect", f"--effects {law['file']} --effect {law['effect']}")),
         Row(("as a table, for another simulator", law["tables"][1])),
     )
-    return [Table("The law that was learnt", ("", ""), rows, said(law_sentence(law))), *_named_table(law, said)]
+    return [Table("The learnt law", ("", ""), rows, said(law_sentence(law))), *_named_table(law, said)]
 
 
 def _named_table(law: LawEntry, said: Said) -> list[Table]:
@@ -627,8 +634,8 @@ def _named_table(law: LawEntry, said: Said) -> list[Table]:
         return []
     rows = [Row((f"{said('Q')} = {said(f['formula'])}", f"{f['probability']:.2f}")) for f in named["formulas"]]
     rows.append(Row(("none of these: shape only", f"{named['shape_only']:.2f}")))
-    note = f"{said(named_sentence(law))} Grammar: {named['grammar']}."
-    return [Table("The law, named", ("formula", "probability"), tuple(rows), note)]
+    note = f"{said(named_sentence(law))} Formulas tried: {named['grammar']}."
+    return [Table("The learnt law as a formula", ("formula", "probability"), tuple(rows), note)]
 
 
 def _effect_table(effects: Sequence[EffectEntry], probabilities: Sequence[tuple[str, float]]) -> Table:

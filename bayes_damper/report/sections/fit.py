@@ -26,8 +26,10 @@ _SPELT_OUT = 7  # parameters in a sentence; of more, the names alone
 _SPELT_FIRST = 4  # the same in the first sentence
 _MEASURABLE = ("J1", "J2", "R", "r", "N0", "k1t", "k2t", "theta0", "drag", "mu")
 _INTERVALS = (
-    "Intervals hold 90 % of the posterior probability, given the model, the data and the prior. “Decided by prior” "
-    "means that the measurements said nothing about that parameter: the interval is the one that was assumed."
+    "A parameter lies in its 90 % interval with a probability of 90 %, given the model, the data and the prior. "
+    "“Decided "
+    "by prior” means that the measurements say nothing about that parameter: its interval is the one assumed "
+    "beforehand."
 )
 
 
@@ -67,10 +69,10 @@ def _fit_headline(campaign: str, groups: Mapping[str, Any], converged: bool) -> 
         sentences.append(
             f"{listed(failed)} did not converge: the run was too short to trust. Do not use these numbers."
         )
-        longer = {s for e in groups.values() for s in e.get("sentences", ()) if s.startswith("Let it go on")}
+        longer = {s for e in groups.values() for s in e.get("sentences", ()) if s.startswith("Continue for about")}
         advice = f" {longer.pop()}" if len(longer) == 1 else ""
         changes.append(
-            f"More steps: bayes-damper resume FOLDER --more.{advice} The sentences of each case say what fell short."
+            f"Run more steps: bayes-damper resume FOLDER --more.{advice} Below, each case lists what fell short."
         )
         title = f"Fit of {campaign}" if campaign else "Fit"
         return Headline(title, "bad", tuple(sentences), changes=tuple(changes), table=_overview(groups))
@@ -84,18 +86,18 @@ def _fit_headline(campaign: str, groups: Mapping[str, Any], converged: bool) -> 
         few = {0: "None", len(checks): "All"}.get(len(outside), str(len(outside)))
         sentences.append(
             f"{few} of {counted(len(checks), 'measurement')} {'lies' if len(outside) < 2 else 'lie'} outside the "
-            f"central 90 % of the prediction; chance alone would put about {0.1 * len(checks):.0f} there."
+            f"central 90 % of the prediction; about {0.1 * len(checks):.0f} would by chance alone."
         )
         if outside and len(outside) > max(1.0, 0.2 * len(checks)):
             tone = "open"
             worst = ", ".join(words(str(row["name"])) for row in outside[:3])
             sentences.append(f"The model cannot reproduce all of the data, whatever its parameters: {worst}.")
-            changes.append("A diagnosis of recorded trials would show what the model lacks.")
+            changes.append("A diagnosis of recorded trials would show what the model misses.")
     if missed:
         tone = "open"
-        changes.append("A diagnosis (bayes-damper diagnose) looks for what the model misses.")
+        changes.append("bayes-damper diagnose looks for what the model misses.")
     elif noise := _left(groups, ("repeats", "fast content")):
-        sentences.append(f"What the model leaves of the records is about as large as their noise: at worst, {noise}.")
+        sentences.append(f"The residuals are about as large as the noise: at worst, {noise}.")
     by_prior: dict[str, int] = {}
     for entry in groups.values():
         for name, p in entry.get("parameters", {}).items():
@@ -107,14 +109,14 @@ def _fit_headline(campaign: str, groups: Mapping[str, Any], converged: bool) -> 
         units = {name: _unit_in(groups.values(), name) for name in everywhere}
         repeat = "its number repeats" if len(everywhere) == 1 else "their numbers repeat"
         sentences.append(
-            f"Nothing was learnt about {_in_words(everywhere, units=units)}: {repeat} what was assumed beforehand (the "
-            "prior)."
+            f"The data say nothing about {_in_words(everywhere, units=units)}: {repeat} the prior, which was assumed "
+            "before the data."
         )
         able = [name for name in everywhere if name in _MEASURABLE]
         if able:
-            changes.append(f"Measuring {listed(able)} directly would replace an assumption by a fact.")
+            changes.append(f"Measure {listed(able)} directly to replace an assumption by a fact.")
     if not changes:
-        changes.append("Every number assumes that the model is right; bayes-damper diagnose tests that.")
+        changes.append("All numbers assume that the model is right; bayes-damper diagnose tests that.")
     title = f"Fit of {campaign}" if campaign else "Fit"
     return Headline(title, tone, tuple(sentences), changes=tuple(changes), table=_overview(groups))
 
@@ -128,7 +130,7 @@ def _determined(groups: Mapping[str, Any]) -> str:
         if found:
             where.setdefault(tuple(found), []).append(name)
     if not where:
-        return "The data alone determine no parameter: each interval owes something to the prior."
+        return "The data alone determine no parameter: each interval also depends on the prior."
     parts = []
     for places, names in sorted(where.items(), key=lambda item: -len(item[0])):
         fits = listed([place if place.startswith("all") else f"case {place}" for place in places])
@@ -180,8 +182,8 @@ def _missed(groups: Mapping[str, Any]) -> str:
     if not left:
         return ""
     return (
-        f"The model misses something: {left}. The numbers below hold for a model that is not the rig, and may be off "
-        "by more than their intervals say: run bayes-damper diagnose, and fit again with the effect that it names."
+        f"The model misses something: {left}. The true values may lie outside the intervals below. Run bayes-damper "
+        "diagnose, and fit again with the effect that it names."
     )
 
 
@@ -197,10 +199,10 @@ def _left(groups: Mapping[str, Any], learnt_from: Collection[str]) -> str:
         return ""
     name, worst = max(rows, key=lambda row: float(row[1]["left_over_floor"]))
     floor = worst.get("repeats") or worst.get("fast_content")
-    source = "repeats differ by" if worst.get("repeats") else "the fast content has"
+    source = "repeats differ by" if worst.get("repeats") else "the fast content of the readings is"
     return (
-        f"in {_title(name)[0].lower() + _title(name)[1:]}, channel {worst['channel']}, it "
-        f"leaves {worst['left']:.2g} {worst['unit']} where {source} {floor:.2g}"
+        f"in {_title(name)[0].lower() + _title(name)[1:]}, channel {worst['channel']}, the residual is "
+        f"{worst['left']:.2g} {worst['unit']}, and {source} {floor:.2g}"
     )
 
 

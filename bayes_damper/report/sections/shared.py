@@ -17,72 +17,93 @@ _HEADS = {
 _PICTURES = {
     "forest": (
         "Parameters over the cases",
-        "Median (dot), middle half (bar) and 90 % interval (line) for each case. Hollow and thin: the prior decided.",
+        (
+            "Median (dot), 50 % interval (bar) and 90 % interval (line) of each case. Hollow and thin: decided by the "
+            "prior."
+        ),
     ),
     "predictive": (
-        "What was measured and what the fitted model gives",
-        "Every measurement lies at 0, its standard error in grey; the model's median (dot), 50 and 90 % intervals.",
+        "Measurements and the fitted model",
+        (
+            "Each measurement is at 0, with its standard error in grey; dot and bars: the model's median, 50 and 90 % "
+            "intervals."
+        ),
     ),
     "records": (
         "Records, band and residuals",
-        "Measured records of one trial of each configuration under the model's 90 % band, residuals below.",
+        "Measured records of one trial of each configuration with the model's 90 % band; residuals below.",
     ),
     "corner": (
         "Pairs of parameters",
         (
-            "Each parameter by itself (in a single case dashed: the median and the 90 % interval written above; grey: "
-            "what was assumed), and each pair: contours hold 50 and 90 % of the draws. "
-            "A slanted contour: the two are correlated."
+            "Diagonal: each parameter alone (dashed, for a single case: median and 90 % interval; grey: the prior). "
+            "Below: "
+            "each pair, with contours around 50 and 90 % of the draws. A slanted contour: the two are correlated."
         ),
     ),
     "trace": (
         "Health of the run",
-        "Left the draws in their order, which should not wander; right their ranks, flat where ensembles agree.",
+        "Left: the draws in their order, which should show no trend. Right: their ranks, flat if the ensembles agree.",
     ),
 }
 _MORE = {
     "gap": (
         "What the model misses",
-        "One record, what the nominal model leaves of it before and after the answer is added, and all probabilities.",
+        (
+            "One record and the nominal model; the residuals before and after the answer is added; right: all "
+            "probabilities."
+        ),
     ),
     "residuals": (
-        "Where the residuals lie",
-        "Residuals over the noise, by trial over time and frequency, and over place and velocity. 1: noise alone.",
+        "Where the residuals are large",
+        (
+            "Residuals divided by the noise, by trial over time and frequency, and over position and velocity. "
+            "1: noise alone."
+        ),
     ),
     "ranking": ("Which effect, and where", "Bars: probability of each answer, and of each site of the rig."),
-    "published": ("Published numbers", "Each published number beside what the leading answers predict for it."),
+    "published": ("Published numbers", "Each published number and what the leading answers predict for it."),
     "missing_torque": (
-        "What the model lacks",
-        "The torque (force) that the nominal model lacks, against time, place and speed, with its uncertainty.",
+        "The missing torque (force)",
+        (
+            "What the nominal model would need to follow the records, against time, position and velocity, with a 90 % "
+            "band."
+        ),
     ),
     "variability_effective": (
         "Effective stiffness and damping",
-        "Effective linear stiffness and damping of each case, and what shared friction at another amplitude explains.",
+        (
+            "Effective linear stiffness and damping of each case, and the part explained by friction at different "
+            "amplitudes."
+        ),
     ),
     "learnt_law": (
-        "The law that was learnt",
+        "The learnt law",
         (
-            "Each term's curve with its 90 % band (grey: where readings lie), and all terms over place and velocity "
-            "(lines of one force or torque, broken below 0; hatched: no readings)."
+            "Each term's curve with its 90 % band (grey: where readings lie), and all terms over position and velocity "
+            "(contours of equal force or torque, dashed below 0; hatched: no readings)."
         ),
     ),
     "variability_scatter": ("Scatter over the cases", "Median and 90 % interval of each part of the scatter."),
     "withheld": (
-        "What was taken for what",
-        "Cause (row) against answer (column), counts; the same by site; share of right answers by their probability.",
+        "True causes and answers",
+        (
+            "Number of campaigns by true cause (row) and answer (column); the same by site; share of right answers by "
+            "probability."
+        ),
     ),
-    "comparison": ("Parameters side by side", "Median and 90 % interval of each parameter in each folder."),
+    "comparison": ("Parameters compared", "Median and 90 % interval of each parameter in each folder."),
     "tune_response": (
         "Frequency response",
         "Acceleration of the first body per exciting torque (force), without the second body and with each design.",
     ),
     "tune_loss": (
         "Insertion loss",
-        "Insertion loss against the exciting torque (force), and over what a design of the second body can change.",
+        "Insertion loss against the exciting torque (force), and against the design of the second body.",
     ),
     "plan": (
         "What could be distinguished",
-        "Share of plausible sizes of each effect that would be seen, and nats by which it stands out beside rivals.",
+        "Chance that each effect would be seen, and the evidence in nats that distinguishes it from its rivals.",
     ),
 }
 _KINDS = ("variability", "tune", "plan", "withheld", "comparison", "bench")
