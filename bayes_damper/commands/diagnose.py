@@ -364,10 +364,13 @@ def _words(result: DiagnosisFile) -> list[str]:
     learnt = said(law_sentence(result.get("law")))
     named = said(named_sentence(result.get("law")))
     lines += [line for line in (failed, learnt, named) if line]
+    ahead = dict(result.get("forecast") or {})
+    if verdict == "none":  # nothing is added to the nominal model
+        gap, ahead = {**gap, "augmented_rms": None}, {k: v for k, v in ahead.items() if k not in ("after", "averaged")}
     lines.append(_gap_words(gap, str(result.get("reading_unit") or "")))
     beside = gap_beside_verdict(verdict, share, gap)
     lines += [beside] if beside else []
-    lines += _forecast_words(result.get("forecast") or {}, str(result.get("reading_unit") or ""))
+    lines += _forecast_words(ahead, str(result.get("reading_unit") or ""))
     answers = named_answers(probabilities, result.get("pair"))
     lines.append("Probability of each answer: " + _ranked(answers, str, 5))
     lines.append("Probability of each place: " + _ranked(result["sites"], lambda site: said(_place(site)), 3))
