@@ -96,7 +96,7 @@ def test_progress_tells_what_is_left_when_all_is_drawn(fitted):
     assert fitted.converged
     own = [(share, text) for task, share, text in TOLD.updates if task == "IV"]
     assert [share for share, _ in own] == sorted(share for share, _ in own)
-    drawing = [share for share, text in own if text.startswith("drawing")]
+    drawing = [share for share, text in own if text.startswith("sampling,")]
     assert max(drawing) <= 0.7
     left = [text for share, text in own if share >= 0.7 and "left: " in text]
     assert left[0].endswith("left: predictions, evidence, files, figures")
@@ -112,8 +112,8 @@ def test_progress_of_the_draws_moves_from_the_first_and_expects_what_it_takes(tm
     told = []
     drawn = sampled(target, tmp_path, lambda *news: told.append(news), plan, 1, lambda: start_of(target))
     assert drawn.converged
-    shares = [share for share, text in told if text.startswith("drawing")]
-    steps = [tuple(map(int, re.findall(r"\d+", text))) for _, text in told if text.startswith("drawing")]
+    shares = [share for share, text in told if text.startswith("sampling,")]
+    steps = [tuple(map(int, re.findall(r"\d+", text))) for _, text in told if text.startswith("sampling,")]
     assert WARM < shares[0] < shares[1] < shares[2]
     assert shares == sorted(shares)
     assert shares[-1] == pytest.approx(DRAWN)
