@@ -364,13 +364,12 @@ def _words(result: DiagnosisFile) -> list[str]:
     learnt = said(law_sentence(result.get("law")))
     named = said(named_sentence(result.get("law")))
     lines += [line for line in (failed, learnt, named) if line]
-    ahead = dict(result.get("forecast") or {})
-    if verdict == "none":  # nothing is added to the nominal model
-        gap, ahead = {**gap, "augmented_rms": None}, {k: v for k, v in ahead.items() if k not in ("after", "averaged")}
-    lines.append(_gap_words(gap, str(result.get("reading_unit") or "")))
+    none = verdict == "none"  # nothing is added to the nominal model
+    lines.append(_gap_words(gap, str(result.get("reading_unit") or ""), added=not none))
     beside = gap_beside_verdict(verdict, share, gap)
     lines += [beside] if beside else []
-    lines += _forecast_words(ahead, str(result.get("reading_unit") or ""))
+    if ahead := result.get("forecast"):
+        lines += _forecast_words(ahead, str(result.get("reading_unit") or ""), added=not none)
     answers = named_answers(probabilities, result.get("pair"))
     lines.append("Probability of each answer: " + _ranked(answers, str, 5))
     lines.append("Probability of each place: " + _ranked(result["sites"], lambda site: said(_place(site)), 3))
@@ -387,14 +386,14 @@ def _ranked(probabilities: Mapping[str, float], named: Callable[[str], str], mos
     return ", ".join(f"{named(name)} {p:.2f}" for name, p in ranked if p >= 0.005 or p == ranked[0][1])
 
 
-def _gap_words(gap: GapEntry, unit: str) -> str:
-    """What the test of the gap says, and the residuals with and without the answer; unit : of readings."""
+def _gap_words(gap: GapEntry, unit: str, *, added: bool = True) -> str:
+    """What the test of the gap says, and the residuals without and (if `added`) with the answer; unit : of readings."""
     tested = (
         f"Test on held-out trials: {gap['answer']} ({p_value(gap['p_value'])})."
         if held_out_of(gap)
         else "No trial is held out, so the gap cannot be tested."
     )
-    after = "" if gap["augmented_rms"] is None else f", {gap['augmented_rms']:.3g} with the answer added"
+    after = "" if gap["augmented_rms"] is None or not added else f", {gap['augmented_rms']:.3g} with the answer added"
     sizes = f"{gap['nominal_rms']:.3g} with the nominal model{after}; noise {gap['noise_rms']:.3g}"
     return f"{tested} Rms residual{f' in {unit}' if unit else ''}: {sizes}."
 
@@ -405,11 +404,11 @@ def _place(site: str) -> str:
     return site if title in (site, f"{site}s") else f"{site} ({title})"
 
 
-def _forecast_words(ahead: Forecasts, unit: str) -> list[str]:
+def _forecast_words(ahead: Forecasts, unit: str, *, added: bool = True) -> list[str]:
     """What held-out trials do after the two periods that their own state is inferred from; `unit`: of readings."""
     said = {"before": "with the nominal model", "after": "with the leading effect", "averaged": "over all answers"}
     found = {"before": ahead.get("before"), "after": ahead.get("after"), "averaged": ahead.get("averaged")}
-    sides = {said[name]: side for name, side in found.items() if side is not None}
+    sides = {said[name]: side for name, side in found.items() if side is not None and (added or name == "before")}
     if not sides:
         return []
     misses = ", ".join(f"{s['rms']:.3g} {name}" for name, s in sides.items())
