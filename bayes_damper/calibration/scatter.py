@@ -361,7 +361,8 @@ def _posterior(sets: Sequence[Repeats], typical: Sequence[Size]) -> tuple[Size, 
         line[:, k] = _GRID
         logs = log_prior(_GRID)
         for s, place, start in zip(sets, placed, fixed, strict=True):
-            logs = logs + s.log_likelihoods(variances(line, place, start))
+            if k in place:
+                logs = logs + s.log_likelihoods(variances(line, place, start))
         smooth = CubicSpline(_GRID, logs)(_FINE)
         share = np.exp(smooth - smooth.max())
         share /= share.sum()
