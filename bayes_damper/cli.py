@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from bayes_damper.errors import BayesDamperError, ExitCode, InputError, printable
-from bayes_damper.inputs import is_file
+from bayes_damper.inputs import is_file, number_in, real
 from bayes_damper.runs.memory import seldom_collected
 
 Arguments = argparse.Namespace
@@ -224,7 +224,7 @@ def _at_least(least: int) -> Callable[[str], int]:
     """A reader of whole numbers that are not too small, for options."""
 
     def read(text: str) -> int:
-        if not text.strip().lstrip("+-").isdigit() or int(text) < least:
+        if not re.fullmatch("[+-]?[0-9]{1,18}", text.strip()) or int(text) < least:
             raise argparse.ArgumentTypeError(f"{text}: give a whole number, at least {least}")
         return int(text)
 
@@ -235,12 +235,19 @@ _count, _seed = _at_least(1), _at_least(0)
 
 
 def _number(text: str) -> int | float | str:
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            continue
-    return text
+    """A number of an option where it is one as a file may have it, else its text."""
+    try:
+        return int(text) if re.fullmatch("[+-]?[0-9]{1,18}", text) else number_in(text)
+    except ValueError:
+        return text
+
+
+def _real(text: str) -> float:
+    """A number of an option, within the limits of one in a file."""
+    try:
+        return real(_number(text), "its value")
+    except InputError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 class _Completion(argparse.Action):
@@ -460,8 +467,8 @@ def _first_steps(command: Adding) -> None:
     )
     sub.add_argument("--effect", metavar="NAME", help="add an effect of the library at a typical size")
     _own_effects(sub)
-    sub.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="sample rate (default: 1000)")
-    sub.add_argument("--duration", type=float, default=1.0, metavar="S", help="length of the record (default: 1)")
+    sub.add_argument("--rate", type=_real, default=1000.0, metavar="HZ", help="sample rate (default: 1000)")
+    sub.add_argument("--duration", type=_real, default=1.0, metavar="S", help="length of the record (default: 1)")
     sub.add_argument(
         "--inputs", type=Path, metavar="F.csv",
         help="measured inputs: time_s and any of torque1_n_m, torque2_n_m, ground_rad, motion1_rad, ...",
@@ -498,7 +505,7 @@ def _fitting(command: Adding) -> None:
                   out="results/diagnose")  # fmt: skip
     sub.add_argument("campaign", nargs="+", help="folder of the campaign, or `thesis`; several give one report for all")
     sub.add_argument("--scheduler", metavar="ADDRESS", help="run several campaigns on an existing Dask cluster")
-    sub.add_argument("--prior-unknown", type=float, default=0.15, metavar="P",
+    sub.add_argument("--prior-unknown", type=_real, default=0.15, metavar="P",
                      help="prior probability that the cause is not in the library (default: 0.15)")  # fmt: skip
     _weighing(sub)
 
@@ -541,23 +548,23 @@ def _figures_and_proofs(command: Adding) -> None:
     )
     sub.add_argument(
         "--secondary-inertia",
-        type=float,
+        type=_real,
         metavar="J2",
         help="inertia (mass) of the second body, kg m^2 (kg); default: as on the rig",
     )
-    sub.add_argument("--k2t", type=float, help="stiffness of the coupling, N m/rad (N/m); default: as fitted")
+    sub.add_argument("--k2t", type=_real, help="stiffness of the coupling, N m/rad (N/m); default: as fitted")
     sub.add_argument(
         "--bar-radius",
-        type=float,
+        type=_real,
         metavar="R",
         help="radius of the magnet's bar, m; k2t grows with its square (eq. 21)",
     )
-    sub.add_argument("--magnet-pull", type=float, metavar="N0", help="pull of the magnet, N; default: as on the rig")
-    sub.add_argument("--torque", type=float, nargs="+", metavar="T",
+    sub.add_argument("--magnet-pull", type=_real, metavar="N0", help="pull of the magnet, N; default: as on the rig")
+    sub.add_argument("--torque", type=_real, nargs="+", metavar="T",
                      help="amplitudes of the exciting torque, N m (force, N); default: to suit the rig")  # fmt: skip
     _own_effects(sub)
     sub.add_argument(
-        "--target-db", type=float, default=10.0, metavar="DB", help="insertion loss to reach, dB (default: 10)"
+        "--target-db", type=_real, default=10.0, metavar="DB", help="insertion loss to reach, dB (default: 10)"
     )
 
     command("thesis", _thesis, "recompute every table and figure of the thesis and compare with the printed numbers",

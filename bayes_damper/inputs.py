@@ -13,8 +13,10 @@ import hashlib
 import io
 import json
 import math
+import os
 import re
 import stat
+import struct
 import tomllib
 import zlib
 from collections.abc import Mapping, Sequence
@@ -36,6 +38,8 @@ DEEPEST = 12
 _UNPACKED = 1 << 28
 _UNPACKED_ALWAYS = 1 << 26
 _RATIO = 100  # times that text of readings is packed at most; a text of nothing but line ends reaches 1000
+_NUMBERS = 20  # times that numbers are packed at most in a binary file above _UNPACKED
+_PACKED = 15  # kind of element of a MATLAB file that holds another, compressed
 _CELL = 131_072
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _KINDS = (
@@ -100,6 +104,17 @@ def file_bytes(
     return raw
 
 
+def resolved(path: str | Path) -> Path:
+    """The absolute path without links; one that leads to itself or holds a byte of 0 stays, for what reads it to name.
+
+    (`Path.resolve` ends in a RuntimeError there, before Python 3.13.)
+    """
+    try:
+        return Path(os.path.realpath(path))
+    except (OSError, ValueError):
+        return Path(path)
+
+
 def is_file(path: Path) -> bool:
     """Whether there is a file of that name; never an error, however odd the name."""
     try:
@@ -128,6 +143,72 @@ def unpacked(raw: bytes, name: str) -> bytes:
             "packs so tightly: look what it holds, or give it uncompressed"
         )
     return text
+
+
+def check_hdf5(file: Any, size: int, plain: bool = False) -> None:
+    """Looks through an open file of HDF5 before any number of it is read; size : its bytes.
+
+    plain : whether it may hold neither links nor complex numbers, as none of ours does.
+
+    Raises
+    ------
+    ValueError
+        if numbers of it lie in another file, or it claims to hold far more than it can.
+    """
+    import h5py  # slow to load, and the help of the command line reads this module
+
+    seen, total = set(), 0
+    groups: list[Any] = [file]
+    while groups:
+        group = groups.pop()
+        for name in group:
+            if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+                if plain:
+                    raise ValueError(f"{name!r} lies in another file")
+                continue
+            item = group[name]
+            place = h5py.h5o.get_info(item.id).addr
+            if place in seen:
+                continue
+            seen.add(place)
+            if isinstance(item, h5py.Group):
+                groups.append(item)
+            elif isinstance(item, h5py.Dataset):
+                if item.is_virtual or item.external:
+                    raise ValueError(f"{name!r} lies in another file")
+                if plain and item.dtype.kind == "c":
+                    raise ValueError(f"{name!r} holds complex numbers")
+                total += item.size * item.dtype.itemsize
+    _check_claim(total, size)
+
+
+def check_matlab(raw: bytes) -> None:
+    """Looks through the packed arrays of a MATLAB file of version 5 or 7 before any of them is kept.
+
+    Raises
+    ------
+    ValueError
+        if they unpack to far more than numbers do.
+    """
+    order, place, total = "<" if raw[126:128] == b"IM" else ">", 128, 0
+    while place + 8 <= len(raw):
+        kind, length = struct.unpack(f"{order}II", raw[place : place + 8])
+        place += 8
+        packed, stream = raw[place : place + length], zlib.decompressobj()
+        while kind == _PACKED and packed and not stream.eof:
+            try:
+                total += len(stream.decompress(packed, 1 << 20))
+            except zlib.error:
+                break  # whoever reads it says so
+            packed = stream.unconsumed_tail
+            _check_claim(total, len(raw))
+        place += length
+
+
+def _check_claim(total: int, size: int) -> None:
+    """ValueError where so many bytes of numbers cannot have come from a file of this size."""
+    if total > max(_UNPACKED, _NUMBERS * size):
+        raise ValueError(f"{total / 1e6:.0f} MB of numbers in {size / 1e6:.2g} MB")
 
 
 def text_of(raw: bytes, name: str) -> str:

@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
+import json
+import os
+import struct
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +18,14 @@ import damage
 import h5py
 import numpy as np
 from campaigns import decay, write_synthetic, write_table
+from scipy.io import savemat
 
 from bayes_damper.campaign.importer import import_records, init_campaign
+from bayes_damper.cli import _parser, main
 from bayes_damper.commands import resume
 from bayes_damper.commands.check import check
 from bayes_damper.commands.compare import compare
+from bayes_damper.errors import InputError
 from bayes_damper.fit.plan import kept, plan_fit, start_run
 from bayes_damper.report import report
 from bayes_damper.runs.json_files import write_json
@@ -279,6 +288,130 @@ def import_targets(home: Path) -> Iterator[Target]:
     )
 
 
+def logger_targets(home: Path) -> Iterator[Target]:
+    """Logger files in HDF5, MATLAB and JSON, each read by `init`."""
+    home.mkdir()
+    times = np.arange(-20, 200) / 250.0
+    y = decay(times, 0.082, 10.2, 0.05)
+    with h5py.File(home / "one.h5", "w") as file:
+        file["time"], file["a"] = times, y
+    savemat(home / "one.mat", {"t": times, "log": {"a": y}}, do_compression=True)
+    (home / "one.json").write_text(
+        json.dumps({"log": [{"t": a, "a": b} for a, b in zip(times.tolist(), y.tolist(), strict=True)]})
+    )
+    read = {
+        "one.h5": {"time": "time", "columns": ["a"]},
+        "one.mat": {"matlab_time": ["t"], "matlab_data": ["log.a"], "time": 1, "columns": [2]},
+        "one.json": {"time": "t", "columns": ["a"]},
+    }
+    own = {
+        "one.h5": of_hdf5("one.h5", home),
+        "one.mat": of_matlab("one.mat"),
+        "one.json": damage.of_json("one.json", (home / "one.json").read_text()),
+    }
+    good = {key: OPTIONS[key] for key in ("k1t", "theta0", "case", "primary_inertia")} | {"units": ["rad/s^2"]}
+    good |= {"configuration": "uncoupled", "release": 0.0}
+    for name, options in read.items():
+
+        def call(name: str = name, options: Mapping[str, Any] = good | options) -> object:
+            return init_campaign(home / "out", [home / name], overwrite=True, **options)
+
+        yield Target(f"init {name}", home, call, [*damage.of_any_file(name, (home / name).read_bytes()), *own[name]])
+
+
+def of_hdf5(file: str, home: Path) -> Iterator[damage.Damage]:
+    """What an HDF5 file of a logger can hold that leads elsewhere or fills the memory."""
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(home / "pipe")
+
+    def elsewhere(f: h5py.File) -> object:
+        layout = h5py.VirtualLayout((10,), "f8")
+        layout[:] = h5py.VirtualSource(str(home / "one.h5"), "a", (10,))
+        return f.create_virtual_dataset("b", layout)
+
+    changes: dict[str, Callable[[h5py.File], Any]] = {
+        "readings in a pipe": lambda f: f.create_dataset("b", (10,), "f8", external=[(str(home / "pipe"), 0, 80)]),
+        "readings in a device": lambda f: f.create_dataset("b", (10,), "f8", external=[("/dev/zero", 0, 80)]),
+        "readings of another file": elsewhere,
+        "a link to another file": lambda f: f.__setitem__("b", h5py.ExternalLink("/dev/zero", "/")),
+        "a soft link": lambda f: f.__setitem__("b", h5py.SoftLink("/nowhere")),
+        "a group within itself": lambda f: f.__setitem__("again", f["/"]),
+        "a petabyte of nothing": lambda f: f.create_dataset("b", (10**7, 10**7), "f8", chunks=(1000, 1000)),
+        "a gigabyte of nothing": lambda f: f.create_dataset("b", (2, 10**8), "f8", chunks=(2, 10**6), compression=9),
+        "words": lambda f: f.__setitem__("b", ["x"] * 220),
+        "complex": lambda f: f.__setitem__("b", np.zeros(220, complex)),
+        "no readings": lambda f: f.__delitem__("a"),
+        "readings nan": lambda f: f["a"].__setitem__(..., np.nan),
+        "readings 1e308": lambda f: f["a"].__setitem__(..., 1e308),
+    }
+    for name, change in changes.items():
+        yield damage.Damage(file, name, edited(change))
+
+
+def of_matlab(file: str) -> Iterator[damage.Damage]:
+    """What a MATLAB file can hold that none of a logger does."""
+
+    def bomb(path: Path) -> None:
+        n = 10**8
+        head = struct.pack("<6I2i", 6, 8, 6, 0, 5, 8, n, 1) + struct.pack("<2I8s", 1, 1, b"a")
+        zeros, pack = bytes(8 * 10**6), zlib.compressobj()
+        packed = pack.compress(struct.pack("<2I", 14, len(head) + 8 + 8 * n) + head + struct.pack("<2I", 9, 8 * n))
+        packed += b"".join(pack.compress(zeros) for _ in range(100)) + pack.flush()
+        start = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H2s", 0x0100, b"IM")
+        path.write_bytes(start + struct.pack("<2I", 15, len(packed)) + packed)
+
+    yield damage.Damage(file, "a gigabyte of nothing", bomb)
+    odd: dict[str, Any] = {
+        "words": {"t": "x", "log": {"a": "y"}},
+        "a number": {"t": 1.0, "log": {"a": 2.0}},
+        "no structure": {"t": np.arange(9.0), "log": np.arange(9.0)},
+        "cells": {"t": np.array([np.arange(9.0), "x"], object), "log": {"a": np.array([{}, []], object)}},
+        "complex": {"t": np.arange(9) * 1j, "log": {"a": np.arange(9.0)}},
+        "three dimensions": {"t": np.zeros((9, 1)), "log": {"a": np.zeros((3, 3, 3))}},
+        "other lengths": {"t": np.arange(9.0), "log": {"a": np.arange(8.0)}},
+        "1e308": {"t": np.arange(9.0), "log": {"a": np.full(9, 1e308)}},
+        "nan": {"t": np.full(9, np.nan), "log": {"a": np.arange(9.0)}},
+    }
+    for name, content in odd.items():
+        yield damage.Damage(file, name, lambda path, content=content: savemat(path, content))
+
+
+COMMAND_LINE = (
+    "1.5", "-1", "0", "1e308", "1e400", "1e-308", "nan", "1_0", "\u0661\u0660", "\u00b2", "9" * 5000, "", "x", "{", "=",
+    "\udcff", "\x1b[31m", "/dev/zero", "..", "module:function",
+)  # fmt: skip
+
+
+def command_line_calls(home: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
+    """Every option of `init` on the command line at each of many words, columns named or not: name of the case, call.
+
+    The call raises the sentence that is printed, as the public function does.
+    """
+    home.mkdir()
+    logger_file(home / "one.txt", 2)
+    good = [str(home / "out"), str(home / "one.txt"), "--case", "A", "--k1t", "10.2"]
+    good += ["--theta0", "4.7", "--configuration", "coupled", "--mounting-radius", "0.1", "--overwrite"]
+    options = next(a.choices for a in _parser()._actions if a.dest == "command")["init"]._actions
+    for option in options:
+        if not option.option_strings or option.nargs == 0:
+            continue
+        for word in COMMAND_LINE:
+            for more in [], ["--time", "1", "--columns", "2", "3"]:
+                words = ["init", *good, *more, option.option_strings[-1], word]
+
+                def call(words: list[str] = words) -> None:
+                    said = io.StringIO()
+                    try:
+                        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(said):
+                            code = main(words)
+                    except SystemExit as ended:
+                        code = ended.code
+                    if code:
+                        raise InputError(said.getvalue() if code == 2 else "")
+
+                yield f"option {option.dest} = {damage_name(word)}{', with columns' if more else ''}", call
+
+
 def option_calls(home: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     """`init` with each option at each of many values: name of the case, call."""
     home.mkdir()
@@ -397,16 +530,18 @@ def results_targets(home: Path) -> Iterator[Target]:
     yield Target("resume", folder, go_on, [d for d in small if d.file == "run.json"])
 
 
+def edited(change: Callable[[h5py.File], Any]) -> Callable[[Path], None]:
+    """A damage that changes a file of HDF5."""
+
+    def apply(path: Path) -> None:
+        with h5py.File(path, "r+") as content:
+            change(content)
+
+    return apply
+
+
 def of_netcdf(file: str) -> Iterator[damage.Damage]:
     """What a file of HDF5 can hold that none of ours does."""
-
-    def edited(change: Callable[[h5py.File], Any]) -> Callable[[Path], None]:
-        def apply(path: Path) -> None:
-            with h5py.File(path, "r+") as content:
-                change(content)
-
-        return apply
-
     changes: dict[str, Callable[[h5py.File], Any]] = {
         "no posterior": lambda f: f.pop("posterior"),
         "no log_likelihood": lambda f: f.pop("log_likelihood"),

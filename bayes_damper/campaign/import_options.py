@@ -18,7 +18,7 @@ from bayes_damper import campaign as campaigns
 from bayes_damper.campaign import Rig
 from bayes_damper.campaign.logger_files import number_of, read_file
 from bayes_damper.errors import InputError
-from bayes_damper.inputs import LARGEST, csv_rows, file_bytes, file_sha256, shown, text_of
+from bayes_damper.inputs import LARGEST, collected, csv_rows, file_bytes, file_sha256, real, resolved, shown, text_of
 from bayes_damper.rig.units import BODIES
 
 READER: dict[str, tuple[tuple[type, ...], str]] = {
@@ -107,6 +107,14 @@ MEASUREMENT = (
     "scale_std",
     "lag_std",
 )
+_ITEMS: dict[str, tuple[type, ...]] = {
+    "source": (str,), "sha256": (str,), "columns": (str, int), "units": (str,), "sensitivity": (str,),
+    "mounting_radius": (int, float), "sign": (int, float), "offset": (str, int, float), "matlab_time": (str,),
+    "matlab_data": (str,), "clock": (int, float), "wrap": (int, float), "scale": (int, float),
+}  # fmt: skip
+"""What the lists of an import table may hold."""
+_LEAST: dict[str, float] = {"every": 1, "skip_lines": 0, "before": 0.0, "k1t_std": 0.0}
+"""Smallest values of some keys."""
 LEAST_KNOWN = 0.5
 """Share of a file's lines that must hold readings."""
 NOTHING_RUBS = (
@@ -139,6 +147,41 @@ def columns_of(path: str | Path) -> str:
     return f"{Path(path).name} has the columns: {', '.join(numbered)}"
 
 
+def checked_keys(table: Mapping[str, Any], valid: Mapping[str, tuple[tuple[type, ...], str]], where: str) -> list[str]:
+    """What is wrong with the keys of READER, TRIAL, ... in a table, or with their values."""
+    faults = []
+    for key, value in table.items():
+        if key not in valid:
+            near = difflib.get_close_matches(key[:60], valid, 1, 0.5)
+            hint = f"did you mean '{near[0]}'?" if near else f"valid keys: {', '.join(valid)}"
+            faults.append(f"{where}: unknown key '{key}'; {hint}")
+        elif not _is_one_of(value, valid[key][0]):
+            types, meaning = valid[key]
+            numbers = float in types and list not in types
+            wanted = "a number with a decimal point" if numbers else "of another type"
+            faults.append(f"{where}: {key} = {shown(value)}, which must be {wanted}: {meaning}")
+        elif key == "decimal" and value not in (".", ","):
+            faults.append(f"{where}: decimal = {shown(value)} is none of '.' and ','")
+        elif value == "":
+            faults.append(f"{where}: {key} is empty; leave the key out, or give {valid[key][1]}")
+        for part in value if isinstance(value, list) and key in _ITEMS else ():
+            if not _is_one_of(part, _ITEMS[key]):
+                faults.append(f"{where}: {key} holds {shown(part)}, which cannot be: {valid[key][1]}")
+        for number in value if isinstance(value, list) else [value]:
+            with collected(faults):
+                if isinstance(number, int | float) and not isinstance(number, bool):
+                    real(number, f"{where}: {key}")
+    return faults + [
+        f"{where}: {key} = {shown(value)} is too small; give at least {least}"
+        for key, least in _LEAST.items()
+        if isinstance(value := table.get(key), int | float) and not value >= least
+    ]
+
+
+def _is_one_of(value: object, types: tuple[type, ...]) -> bool:
+    return isinstance(value, types) and (not isinstance(value, bool) or bool in types)
+
+
 def _check_options(options: Mapping[str, object]) -> None:
     """Raises InputError where an option does not exist or a number is beyond reason."""
     valid = (*READER, *TRIAL, *_RIG, *MEASUREMENT, *INIT, "name", "description", "source_text", "free_start")
@@ -154,7 +197,8 @@ def _check_options(options: Mapping[str, object]) -> None:
                 faults.append(
                     f"option '{key}' = {shown(number)} is beyond reason (more than {LARGEST:g}); check its unit"
                 )
-    if faults:
+    given = {key: value for key, value in options.items() if key in READER and value is not None}
+    if faults := faults or checked_keys(given, READER, "options"):
         raise InputError(faults)
 
 
@@ -173,7 +217,7 @@ def spec_from_options(
     _check_options(options)
     faults: list[str] = []
     rows = _sheet_rows(options.get("sheet"), faults)
-    folder = raw if raw is not None else Path(str(options["sheet"])).resolve().parent if rows else Path()
+    folder = raw if raw is not None else resolved(str(options["sheet"])).parent if rows else Path()
     if not sources:
         sources = [folder / str(row["file"]) for row in rows if "file" in row]
     faults += [f"{path}: there is no such file; correct the name or --raw" for path in sources if not path.is_file()]

@@ -12,7 +12,6 @@ the same check as every command; `init_campaign` makes the table from options.
 from __future__ import annotations
 
 import csv
-import difflib
 import hashlib
 import math
 import re
@@ -35,6 +34,7 @@ from bayes_damper.campaign.import_options import (
     NOTHING_RUBS,
     READER,
     TRIAL,
+    checked_keys,
     file_names,
     spec_from_options,
     spec_text,
@@ -42,19 +42,11 @@ from bayes_damper.campaign.import_options import (
 from bayes_damper.campaign.logger_files import LoggerFile, read_file, unit_of
 from bayes_damper.campaign.trials_table import inside
 from bayes_damper.errors import InputError
-from bayes_damper.inputs import collected, file_bytes, real, shown, text_of, toml_file
+from bayes_damper.inputs import file_bytes, resolved, shown, text_of, toml_file
 from bayes_damper.rig.units import sentence_of, spoken_of
 
 Array = NDArray[np.float64]
 
-_ITEMS: dict[str, tuple[type, ...]] = {
-    "source": (str,), "sha256": (str,), "columns": (str, int), "units": (str,), "sensitivity": (str,),
-    "mounting_radius": (int, float), "sign": (int, float), "offset": (str, int, float), "matlab_time": (str,),
-    "matlab_data": (str,), "clock": (int, float), "wrap": (int, float), "scale": (int, float),
-}  # fmt: skip
-"""What the lists of an import table may hold."""
-_LEAST: dict[str, float] = {"every": 1, "skip_lines": 0, "before": 0.0, "k1t_std": 0.0}
-"""Smallest values of some keys."""
 _LONGEST_SLUG = 80
 _NAMED = 12
 """Files that a sentence names one by one."""
@@ -149,8 +141,8 @@ def left_over(folder: str | Path, before: Sequence[str]) -> list[str]:
 
     They stay: only their owner knows whether they are to be had elsewhere.
     """
-    now = {(Path(folder) / name).resolve() for name in records_in(folder)}
-    stale = [name for name in before if (Path(folder) / name).is_file() and (Path(folder) / name).resolve() not in now]
+    now = {resolved(Path(folder) / name) for name in records_in(folder)}
+    stale = [name for name in before if (Path(folder) / name).is_file() and resolved(Path(folder) / name) not in now]
     if not stale:
         return []
     some = ", ".join(stale[:_NAMED]) + (f" and {len(stale) - _NAMED} more" if len(stale) > _NAMED else "")
@@ -183,16 +175,22 @@ def init_campaign(
         as `import_records`, and for options that do not exist.
     """
     folder = Path(folder)
-    paths = [Path(s).resolve() for s in sources]
+    paths = [resolved(s) for s in sources]
     with spoken_of(options.get("kind")):
-        spec = spec_from_options(folder.resolve().name, paths, options, None if raw is None else Path(raw).resolve())
+        spec = spec_from_options(resolved(folder).name, paths, options, None if raw is None else resolved(raw))
+    text = spec_text(spec)
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        line = text[: error.end].splitlines()[-1]
+        raise InputError(f"{line}: holds a byte that is no character; name files and give words in UTF-8") from None
     beside = folder / "priors.toml"
     found = file_bytes(beside) if beside.exists() else None
     priors = _NO_FRICTION if NOTHING_RUBS in spec["caveats"] else None
     _write(spec, "import", folder, Path(), priors if found in (None, _NO_FRICTION) else found, overwrite)
     if priors is None and found == _NO_FRICTION:  # of an earlier call that knew no magnet
         beside.unlink()
-    (folder / "import.toml").write_text(spec_text(spec), encoding="utf-8")
+    (folder / "import.toml").write_text(text, encoding="utf-8")
     return folder
 
 
@@ -244,40 +242,6 @@ def _spec_table(spec: str | Path | Mapping[str, Any]) -> tuple[Mapping[str, Any]
         raise InputError(f"{path}: cannot be read ({error.strerror}); give an import table") from None
 
 
-def _checked_keys(table: Mapping[str, Any], valid: Mapping[str, tuple[tuple[type, ...], str]], where: str) -> list[str]:
-    faults = []
-    for key, value in table.items():
-        if key not in valid:
-            near = difflib.get_close_matches(key[:60], valid, 1, 0.5)
-            hint = f"did you mean '{near[0]}'?" if near else f"valid keys: {', '.join(valid)}"
-            faults.append(f"{where}: unknown key '{key}'; {hint}")
-        elif not _is_one_of(value, valid[key][0]):
-            types, meaning = valid[key]
-            numbers = float in types and list not in types
-            wanted = "a number with a decimal point" if numbers else "of another type"
-            faults.append(f"{where}: {key} = {shown(value)}, which must be {wanted}: {meaning}")
-        elif key == "decimal" and value not in (".", ","):
-            faults.append(f"{where}: decimal = {shown(value)} is none of '.' and ','")
-        elif value == "":
-            faults.append(f"{where}: {key} is empty; leave the key out, or give {valid[key][1]}")
-        for part in value if isinstance(value, list) and key in _ITEMS else ():
-            if not _is_one_of(part, _ITEMS[key]):
-                faults.append(f"{where}: {key} holds {shown(part)}, which cannot be: {valid[key][1]}")
-        for number in value if isinstance(value, list) else [value]:
-            with collected(faults):
-                if isinstance(number, int | float) and not isinstance(number, bool):
-                    real(number, f"{where}: {key}")
-    return faults + [
-        f"{where}: {key} = {shown(value)} is too small; give at least {least}"
-        for key, least in _LEAST.items()
-        if isinstance(value := table.get(key), int | float) and not value >= least
-    ]
-
-
-def _is_one_of(value: object, types: tuple[type, ...]) -> bool:
-    return isinstance(value, types) and (not isinstance(value, bool) or bool in types)
-
-
 def _build(table: Mapping[str, Any], name: str, raw: Path) -> Campaign:
     """The campaign in memory, all conversions done."""
     faults: list[str] = []
@@ -286,13 +250,13 @@ def _build(table: Mapping[str, Any], name: str, raw: Path) -> Campaign:
     reader, rows = table.get("reader", {}), table.get("trials", [])
     if not isinstance(reader, dict) or not isinstance(rows, list) or not all(isinstance(r, dict) for r in rows):
         raise InputError([*faults, f"{name}: write [reader] as one table and [[trials]] once for each trial"])
-    faults += _checked_keys(reader, READER, f"{name} [reader]")
+    faults += checked_keys(reader, READER, f"{name} [reader]")
     if not rows:
         faults.append(f"{name}: no [[trials]]; write one for each record")
     options = []
     for i, row in enumerate(rows, start=1):
         where = f"{name} [[trials]] number {i}"
-        found = _checked_keys(row, {**TRIAL, **READER}, where)
+        found = checked_keys(row, {**TRIAL, **READER}, where)
         found += [
             f"{where}: key '{key}' is missing" for key in ("source", "case", "configuration", "k1t") if key not in row
         ]

@@ -12,7 +12,6 @@ import datetime as dt
 import difflib
 import hashlib
 import io
-import json
 import math
 import re
 from collections import Counter
@@ -26,7 +25,7 @@ from numpy.typing import NDArray
 
 from bayes_damper.campaign.logger_formats import channels_of, form_of
 from bayes_damper.errors import InputError
-from bayes_damper.inputs import file_bytes, number_in
+from bayes_damper.inputs import check_matlab, file_bytes, json_of, number_in
 
 Array = NDArray[np.float64]
 Line = tuple[int, str]
@@ -243,6 +242,7 @@ def read_matlab(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
     from scipy.io import loadmat
 
     try:
+        check_matlab(raw)
         content = loadmat(io.BytesIO(raw))
     except Exception as error:
         raise InputError(f"{name}: not a MATLAB file that can be read ({error}); save it as version 5 or 7") from error
@@ -313,10 +313,7 @@ def read_json(raw: bytes, name: str, _: Mapping[str, Any]) -> LoggerFile:
     InputError
         if there is no such list, or more than one.
     """
-    try:
-        content = json.loads(_decoded(raw, name))
-    except json.JSONDecodeError as error:
-        raise InputError(f"{name}, line {error.lineno}: not JSON ({error.msg}); export it again") from error
+    content = json_of(_decoded(raw, name), name, "export it again")
     inside = list(content.values()) if isinstance(content, dict) else [content]
     lists = [x for x in inside if isinstance(x, list) and len(x) > 1 and all(isinstance(row, dict) for row in x)]
     if len(lists) != 1:
@@ -326,8 +323,11 @@ def read_json(raw: bytes, name: str, _: Mapping[str, Any]) -> LoggerFile:
         raise InputError(f"{name}: its readings hold no numbers; export it as CSV")
     table = [[math.nan if (x := row.get(k)) is None else x for k in names] for row in lists[0]]
     try:
-        return LoggerFile(tuple(names), np.array(table, float))
-    except (TypeError, ValueError) as error:
+        readings = np.array(table, float)
+        if np.isinf(readings).any():
+            raise ValueError("one is beyond what a computer holds")
+        return LoggerFile(tuple(names), readings)
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name}: a reading is no number ({error}); export it as CSV") from error
 
 

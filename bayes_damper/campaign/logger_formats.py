@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.errors import InputError
+from bayes_damper.inputs import check_hdf5
 
 Array = NDArray[np.float64]
 _SAME_CLOCK = 1e-9
@@ -164,6 +165,7 @@ def _hdf5(raw: bytes, _: str) -> Iterator[Channel]:
     import h5py
 
     with h5py.File(io.BytesIO(raw), "r") as file:
+        check_hdf5(file, len(raw))
         datasets: list[Any] = []
         file.visititems(lambda _, item: datasets.append(item) if isinstance(item, h5py.Dataset) else None)
         for item in datasets:

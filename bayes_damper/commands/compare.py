@@ -19,6 +19,7 @@ from scipy.special import logsumexp
 from bayes_damper import figures
 from bayes_damper.errors import ExitCode, InputError, as_written
 from bayes_damper.fit import published_posterior
+from bayes_damper.inputs import resolved
 from bayes_damper.priors.distributions import to_standard
 from bayes_damper.priors.files import priors_from_dict
 from bayes_damper.rig.parameters import PARAMETERS
@@ -105,7 +106,7 @@ def compare(folders: Sequence[str | Path], *, out: str | Path | None = None, see
             faults.append(
                 f"{path}: holds no results of fit, diagnose or variability ({', '.join(KINDS)}){more if begun else ''}"
             )
-    if len({path.resolve() for path in paths}) < len(paths):
+    if len({resolved(path) for path in paths}) < len(paths):
         faults.append("a folder is named twice; name different folders")
     if faults:
         raise InputError(faults)
@@ -150,7 +151,7 @@ def compare(folders: Sequence[str | Path], *, out: str | Path | None = None, see
 
 def _labels(paths: Sequence[Path]) -> list[str]:
     """The shortest endings of the paths that differ."""
-    parts = [path.resolve().parts for path in paths]
+    parts = [resolved(path).parts for path in paths]
     for count in range(1, max(len(p) for p in parts) + 1):
         labels = ["/".join(p[-count:]) for p in parts]
         if len(set(labels)) == len(labels):

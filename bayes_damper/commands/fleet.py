@@ -14,7 +14,7 @@ from bayes_damper.commands.diagnose import check_choices, diagnose
 from bayes_damper.diagnosis.verdict import RULE
 from bayes_damper.effects import all_effects, effects_sha256, same_effects
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.inputs import fields, file_sha256
+from bayes_damper.inputs import fields, file_sha256, resolved
 from bayes_damper.report import report
 from bayes_damper.runs.execution import Progress, Task, claim, run_tasks
 from bayes_damper.runs.json_files import folder_name, write_json
@@ -83,8 +83,8 @@ def diagnose_fleet(
     checksums = _checksums(places)
     all_effects(effects)  # faults of an effect are found before any work
     home = Path(out)
-    folders = {name: str(path.resolve()) for name, path in places.items()}
-    file = None if priors is None else Path(priors).resolve()
+    folders = {name: str(resolved(path)) for name, path in places.items()}
+    file = None if priors is None else resolved(priors)
     plan = {
         "campaigns": folders, "sha256": checksums, "nominal": nominal, "seed": seed,
         "prior_unknown": float(prior_unknown), "priors": None if file is None else str(file),
@@ -96,7 +96,7 @@ def diagnose_fleet(
     claim(home, {"command": "diagnose", "plan": plan, "code": code_sha256()}, workers)
     given = {
         "nominal": nominal, "seed": seed, "prior_unknown": prior_unknown, "priors": plan["priors"],
-        "effects": None if effects is None else str(Path(effects).resolve()),
+        "effects": None if effects is None else str(resolved(effects)),
         "workers": 2 if workers == 1 and scheduler is None else 1,
     }  # fmt: skip
     tasks = [Task(name, diagnose_one, {"campaign": folder, **given}) for name, folder in folders.items()]
@@ -157,14 +157,14 @@ def sentences(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def _places(paths: Sequence[Path]) -> dict[str, Path]:
     """Name -> campaign: the name of its folder, with the folder above where two have the same one."""
-    same = [str(path) for path, n in Counter(path.resolve() for path in paths).items() if n > 1]
+    same = [str(path) for path, n in Counter(resolved(path) for path in paths).items() if n > 1]
     if same:
         raise InputError([f"{path}: named twice; name each campaign once" for path in same])
     faults = ["thesis: the published numbers are no campaign; diagnose them alone" for p in paths if str(p) == "thesis"]
     if faults:
         raise InputError(faults)
-    labels = [path.resolve().name for path in paths]
-    above = [f"{path.resolve().parent.name}-{label}" for path, label in zip(paths, labels, strict=True)]
+    labels = [resolved(path).name for path in paths]
+    above = [f"{resolved(path).parent.name}-{label}" for path, label in zip(paths, labels, strict=True)]
     names = [a if labels.count(label) > 1 else label for label, a in zip(labels, above, strict=True)]
     unique = [f"{n}-{k + 1}" if names.count(n) > 1 else n for k, n in enumerate(names)]
     return {folder_name(name): path for name, path in zip(unique, paths, strict=True)}

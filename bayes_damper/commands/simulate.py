@@ -17,6 +17,7 @@ from bayes_damper.effects import Effect, all_effects
 from bayes_damper.effects._law import Law
 from bayes_damper.effects.base import Variant
 from bayes_damper.errors import ExitCode, InputError
+from bayes_damper.inputs import number_in
 from bayes_damper.priors.distributions import Normal
 from bayes_damper.priors.files import load_priors
 from bayes_damper.published.measurements import load_published
@@ -228,7 +229,7 @@ def _apply(
             words[key] = text
             continue
         try:
-            number = float(text)
+            number = number_in(text)
         except ValueError:
             faults.append(f"--set {setting}: {text!r} is no number")
             continue

@@ -16,7 +16,7 @@ from bayes_damper.calibration.experiment import laws_on
 from bayes_damper.campaign import Campaign, load_campaign
 from bayes_damper.effects import all_effects, effects_sha256, same_effects
 from bayes_damper.errors import InputError
-from bayes_damper.inputs import fields, shown
+from bayes_damper.inputs import fields, resolved, shown
 from bayes_damper.priors.files import PriorSet, campaign_priors, load_priors
 from bayes_damper.published.measurements import load_published
 from bayes_damper.rig.parameters import hint
@@ -89,7 +89,7 @@ def plan_fit(
     if noise != "auto" and thesis:
         raise InputError("--noise: the published features have standard errors of their own; leave it out")
     return {
-        "campaign": campaign if thesis else str(Path(campaign).resolve()),
+        "campaign": campaign if thesis else str(resolved(campaign)),
         "name": name,
         "campaign_sha256": checksum,
         "cases": chosen,
@@ -98,7 +98,7 @@ def plan_fit(
         "normal_force": normal_force,
         "noise": noise,
         "effect": effect,
-        "effects": None if effects is None or effect is None else str(Path(effects).resolve()),
+        "effects": None if effects is None or effect is None else str(resolved(effects)),
         "effects_sha256": None if effects is None or effect is None else effects_sha256(effects),
         "seed": seed,
         "thorough": thorough,
@@ -133,7 +133,7 @@ def plan_in(record: Mapping[str, Any], folder: Path, effects: str | Path | None 
     if wrong := [key for key, good in sound.items() if not good]:
         raise InputError(f"{where}: {wrong[0]} = {shown(plan[wrong[0]])} cannot be; fit anew")
     same_effects(folder, plan["effects_sha256"], effects)
-    return plan | {"effects": None if effects is None else str(Path(effects).resolve())}
+    return plan | {"effects": None if effects is None else str(resolved(effects))}
 
 
 class OtherRun(InputError):

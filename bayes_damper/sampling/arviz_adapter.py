@@ -26,13 +26,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.errors import as_written
+from bayes_damper.inputs import check_hdf5
 from bayes_damper.sampling.convergence import diagnose_draws
 
 if TYPE_CHECKING:
     import xarray as xr
 
 Array = NDArray[np.float64]
-_UNPACKED = 1 << 28  # bytes that a file may hold however small it is
 _HEALTH = ("r_hat", "ess_bulk", "ess_tail")
 
 
@@ -174,36 +174,10 @@ def opened(path: Path | str) -> Iterator[h5netcdf.File]:
         if it is damaged, points to other files, or claims to hold more than it can; also for what fails in the block.
     """
     with as_written(path, "fit"):
-        _check_sound(Path(path))
+        with h5py.File(path, "r") as whole:
+            check_hdf5(whole, Path(path).stat().st_size, plain=True)
         with h5netcdf.File(path, "r") as file:
             yield file
-
-
-def _check_sound(path: Path) -> None:
-    """ValueError for a file of HDF5 that would read other files, or unpack to far more than it is."""
-    seen, total = set(), 0
-    with h5py.File(path, "r") as file:
-        groups: list[Any] = [file]
-        while groups:
-            group = groups.pop()
-            for name in group:
-                if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-                    raise ValueError(f"{name!r} lies in another file")  # noqa: TRY004 (of a value, not of a type)
-                item = group[name]
-                place = h5py.h5o.get_info(item.id).addr
-                if place in seen:
-                    continue
-                seen.add(place)
-                if isinstance(item, h5py.Group):
-                    groups.append(item)
-                elif isinstance(item, h5py.Dataset):
-                    if item.is_virtual or item.external:
-                        raise ValueError(f"{name!r} lies in another file")
-                    if item.dtype.kind == "c":
-                        raise ValueError(f"{name!r} holds complex numbers")
-                    total += item.size * item.dtype.itemsize
-    if total > max(_UNPACKED, 20 * path.stat().st_size):
-        raise ValueError(f"{total / 1e6:.0f} MB of numbers in {path.stat().st_size / 1e6:.0f} MB")
 
 
 def read(path: Path | str) -> xr.DataTree:

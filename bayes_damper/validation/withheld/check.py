@@ -12,7 +12,7 @@ from typing import Any
 from bayes_damper import figures
 from bayes_damper.effects import EFFECTS, Effect, all_effects, classes, effects_sha256, same_effects
 from bayes_damper.errors import ExitCode, InputError, Interrupted, SelfCheckError
-from bayes_damper.inputs import fields, shipped_path
+from bayes_damper.inputs import fields, resolved, shipped_path
 from bayes_damper.runs.execution import Progress, Task, run_tasks
 from bayes_damper.runs.json_files import plain, read_json, write_json, write_text
 from bayes_damper.runs.provenance import provenance
@@ -213,7 +213,7 @@ def withheld(
             },
         },
     )  # fmt: skip
-    own = None if effects is None else str(Path(effects).resolve())
+    own = None if effects is None else str(resolved(effects))
     run = _Run(home, campaigns, seed, diagnose_with, workers, scheduler, progress, now, library, own)
     run.verdicts(dict.fromkeys(campaigns, ()), home, frozen["seal"])
     opened = open_key(home, key_file, campaigns, freeze(campaigns, key_file, library, seed, name_of(diagnose_with)))
@@ -343,7 +343,7 @@ class _Run:
                 name,
                 give_verdict,
                 {
-                    "name": name, "campaign": str(self.campaigns[name].resolve()), "call": self.call,
+                    "name": name, "campaign": str(resolved(self.campaigns[name])), "call": self.call,
                     "seed": self.seed_of(name), "leave_out": list(without), "workers": 2 if self.workers == 1 else 1,
                     "freeze_seal": seal, **({} if self.effects is None else {"effects": self.effects}),
                 },
