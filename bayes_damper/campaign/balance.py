@@ -26,6 +26,7 @@ from bayes_damper.campaign.structure import Trial, channel_columns, natural_peri
 Array = NDArray[np.float64]
 _SHOWN = 0.95  # share of the primary's torques that the second body must explain, for its inertia to be believed
 _OFF = (0.6, 1.4)  # times J2, beyond which it is an error: effects and noise that rigs have change it by less
+_FAR = 30.0  # times J2 or a part of it, beyond which no fit can follow: the two bodies' numbers are in other units
 _FEWEST = 20.0  # readings in a natural period
 _LATE = 0.3  # rad of the rig's oscillation by which channels may be apart
 _LEAST = 5.0  # natural periods of a record that are looked at, where the motion dies out sooner
@@ -70,7 +71,8 @@ def look_at_balance(head: Head, trials: Sequence[Trial], faults: list[str], warn
         middle = float(np.median(list(wrong.values())))
         unit = "kg m^2" if rig.kind == "torsional" else "kg"
         balancing = ", ".join(f"{value:.3g} in case {case}" for case, value in wrong.items())
-        warnings.append(
+        far = max(middle / declared.value, declared.value / middle) > _FAR
+        (faults if far else warnings).append(
             f"the torques on both bodies add up to zero only with a secondary_inertia of about {balancing} {unit}, "
             f"not with the declared {declared.value:.3g}: correct it, or {_cause(head, middle / declared.value)}"
         )

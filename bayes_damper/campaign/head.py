@@ -262,11 +262,17 @@ def check_rig(folder: Path, rig: Rig, coupled: bool, faults: list[str]) -> None:
     where = "campaign.toml [rig]"
     if not coupled:
         return
-    if rig.secondary_inertia is None:
+
+    def lacks(key: str) -> bool:  # what is there and wrong is not missing
+        return getattr(rig, key) is None and not any(fault.startswith(f"{where}: {key}") for fault in faults)
+
+    if lacks("secondary_inertia"):
         faults.append(
             f"{where}: secondary_inertia is missing; a coupled trial needs J2 in kg m^2 (kg) "
             "(init: --secondary-inertia)"
         )
+    elif rig.secondary_inertia is None:
+        pass
     elif rig.inertial_coupling.value and (
         rig.inertial_coupling.value**2 >= rig.primary_inertia.value * rig.secondary_inertia.value
     ):
@@ -284,7 +290,7 @@ def check_rig(folder: Path, rig: Rig, coupled: bool, faults: list[str]) -> None:
     if rig.normal_force == "linear":
         needed["magnet_radius"] = "r, m"
     for key, unit in needed.items():
-        if getattr(rig, key) is None:
+        if lacks(key):
             faults.append(
                 f"{where}: {key} ({unit}) is missing; a coupled trial needs it for the friction between the bodies, "
                 "mu N0 R; where nothing rubs, write mu = 0.0 into a file priors.toml in the campaign's folder"

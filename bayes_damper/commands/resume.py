@@ -8,7 +8,7 @@ from typing import Any
 from bayes_damper.commands.fleet import finish_fleet
 from bayes_damper.errors import InputError
 from bayes_damper.fit import finish_fit, kept, plan_in, refuse_changes
-from bayes_damper.inputs import shown
+from bayes_damper.inputs import resolved, shown
 from bayes_damper.runs.execution import Progress, run_record
 from bayes_damper.runs.json_files import write_json
 from bayes_damper.validation.withheld.check import finish_withheld
@@ -36,9 +36,10 @@ def resume(
     Raises
     ------
     InputError
-        if the folder holds no run, or one whose data, code or settings have changed.
+        if the folder holds no run, one whose data, code or settings have changed, or a link that leads out of it.
     """
     path = Path(folder)
+    _refuse_links_outside(path)
     pieces = _unfinished_variability(path)
     record = run_record(path if pieces is None or more else pieces)
     command = record["command"]
@@ -66,6 +67,15 @@ def resume(
             done.unlink()
         write_json(path / "run.json", record | {"plan": kept(plan)})
     return finish_fit(path, plan, workers=processes, progress=progress)
+
+
+def _refuse_links_outside(path: Path) -> None:
+    """InputError for a link to another place in a folder of results: what goes on there would be written elsewhere."""
+    home = resolved(path)
+    out = [p for p in path.rglob("*") if p.is_symlink() and not resolved(p).is_relative_to(home)]
+    if out:
+        remedy = "where the run would write; put the folder itself in its place"
+        raise InputError([f"{p}: a link to {resolved(p)}, {remedy}" for p in out])
 
 
 def _unfinished_variability(path: Path) -> Path | None:

@@ -91,6 +91,19 @@ def test_commands_that_read_results_run_nothing_of_them(tmp_path, evil, command)
     assert not evil.exists()
 
 
+@pytest.mark.parametrize("more", [False, True])
+def test_nothing_is_written_through_a_link_in_a_folder_of_results(tmp_path, more):
+    """`--more` removes done.json of each case first: of a case that is a link it would be somebody else's file."""
+    start_run(tmp_path / "out", {"command": "fit", "plan": kept(planned(tmp_path)), "workers": 1})
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/done.json").write_text("mine")
+    (tmp_path / "out/IV").symlink_to(tmp_path / "mine")
+    with pytest.raises(InputError, match=r"out/IV: a link to .*mine, where the run would write"):
+        resume(tmp_path / "out", more=more)
+    assert (tmp_path / "mine/done.json").read_text() == "mine"
+    assert [p.name for p in (tmp_path / "mine").iterdir()] == ["done.json"]
+
+
 def test_only_known_keys_of_a_plan_are_taken(tmp_path, evil):
     plan = planned(tmp_path)
     for named in names_code(tmp_path, plan):

@@ -1,0 +1,95 @@
+"""The second channel against the declared inertias: two bodies whose motion is known in closed form."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+import pytest
+from campaigns import CAMPAIGN_TOML, J1, J2, write_table
+from scipy.linalg import expm
+
+from bayes_damper.campaign import load_campaign
+from bayes_damper.errors import InputError
+
+STEP, K1, K2 = 1e-3, 10.2, 1.2
+TIMES = np.arange(1000) * STEP
+C1, C2, C3 = 0.011, 0.06, 0.009
+
+
+def accelerations():
+    """Of both bodies, released together from 4.7 deg; (2, n) rad/s^2, by the matrix exponential."""
+    stiffness = np.array([[K1 + K2, -K2], [-K2, K2]]) / np.array([[J1], [J2]])
+    damping = np.array([[C1 + C2, -C2], [-C2, C3 + C2]]) / np.array([[J1], [J2]])
+    whole = np.block([[np.zeros((2, 2)), np.eye(2)], [-stiffness, -damping]])
+    step, state, found = expm(STEP * whole), math.radians(4.7) * np.array([1.0, 1.0, 0.0, 0.0]), []
+    for _ in TIMES:
+        found.append((whole @ state)[2:])
+        state = step @ state
+    return np.array(found).T
+
+
+def remarks(folder, change=lambda y: y, inertia=J2):
+    """Warnings of three coupled trials whose second channel is changed, and whose declared J2 is `inertia`."""
+    rng = np.random.default_rng(4)
+    (folder / "trials").mkdir(parents=True)
+    text = CAMPAIGN_TOML.replace("2.474e-3", repr(inertia)).replace("noise_std = 2.0\n", "")
+    (folder / "campaign.toml").write_text(text)
+    rows = ["file,case,configuration,k1t_n_m_per_rad,theta0_deg,trial"]
+    for k in range(3):
+        first, second = accelerations() + rng.normal(0.0, 0.5, (2, TIMES.size))
+        columns = [TIMES, first, change(np.array([first, second]))]
+        write_table(folder / f"trials/{k}.csv", ["time_s", "alpha1_rad_s2", "alpha2_rad_s2"], columns)
+        rows.append(f"trials/{k}.csv,IV,coupled,{K1},4.7,{k + 1}")
+    (folder / "trials.csv").write_text("\n".join(rows) + "\n")
+    return " ".join(load_campaign(folder).warnings)
+
+
+def second(y):
+    return y[1]
+
+
+def test_a_sound_pair_is_not_remarked_on(tmp_path):
+    text = remarks(tmp_path / "c", second)
+    assert "second" not in text, text
+
+
+@pytest.mark.parametrize("factor", [1.0 / 3.0, 0.5, 2.0, 3.0])
+def test_an_inertia_that_does_not_balance_is_named(tmp_path, factor):
+    text = remarks(tmp_path / "c", second, J2 * factor)
+    assert "the torques on both bodies add up to zero only with a secondary_inertia of about 0.002" in text
+
+
+@pytest.mark.parametrize(("factor", "cause"), [(1e3, "thousandths of"), (1e-3, "thousand times too small")])
+def test_where_no_fit_can_follow_it_is_an_error(tmp_path, factor, cause):
+    """Such fits ran for minutes and did not converge."""
+    with pytest.raises(InputError, match=f"add up to zero only with .*{cause}"):
+        remarks(tmp_path / "c", second, J2 * factor)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda y: 0.1 * y[1], r"it may be that it is in m/s\^2 at the bar's end"),
+        (lambda y: 2.0 * y[1], "the second channel reads 2"),
+        (lambda y: np.concatenate([np.zeros(20), y[1, :-20]]), r"only if the second channel is about (19|2\d) ms late"),
+        (lambda y: np.random.default_rng(1).normal(size=TIMES.size), "shows nothing but noise while the primary moves"),
+    ],
+)
+def test_a_second_channel_that_cannot_be_is_a_warning(tmp_path, change, said):
+    assert re.search(said, remarks(tmp_path / "c", change))
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.5])
+def test_a_copy_of_the_first_channel_is_an_error(tmp_path, scale):
+    with pytest.raises(InputError, match="column 'alpha1_rad_s2', noise and all"):
+        remarks(tmp_path / "c", lambda y: scale * y[0])
+
+
+@pytest.mark.parametrize("value", ["1e308", "-1.0", "true"])
+def test_a_wrong_inertia_is_not_called_missing(tmp_path, value):
+    with pytest.raises(InputError) as told:
+        remarks(tmp_path / "c", second, type("Raw", (), {"__repr__": lambda _: value})())
+    assert "missing" not in str(told.value)
+    assert "secondary_inertia" in str(told.value)
