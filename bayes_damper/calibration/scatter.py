@@ -32,6 +32,7 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +84,7 @@ SUDDEN, WORTH_IT = 0.3, 1.0  # of the typical time of release, and nats, below b
 USUAL = (0.3, 2.5)  # range of times of release over their size, root mean square, in which they scatter about none
 ABOUT_ITS_MEAN = 1.0 - 2.0 / math.pi  # variance of half a normal distribution over its mean square
 ALIKE = 0.1  # by how much one free start may swing further than another that it repeats: hands let go that differently
+APART = 1.3  # times what it still swings at its end is what another begins with, where they are releases of their own
 NEGLIGIBLE = 0.05  # information s^2 T'T of every trial's own value, below which it is left out
 
 
@@ -164,14 +166,15 @@ def learn_scatter(fit: Calibration, noise: Noise | None = None) -> Scatter:
     """Sizes of all scatters, from what the repeats of a fit do not share, under a noise (default: that of the fit).
 
     Where trials start free, those that swing equally far repeat each other, as releases by hand do, and show what the
-    rig's parameters scatter by; slow baselines single records show. All else that free starts leave is taken for the
-    error of the model (noise_level.py): springs of their own for swings that differ would take a gap that they share.
+    rig's parameters scatter by; of releases that differ, priors carry it. Stretches of one decay do not scatter. Slow
+    baselines single records show. All else that free starts leave is taken for the model's error (noise_level.py).
     """
     problem = fit.problem if noise is None else fit.problem.with_noise(noise)
     if problem.experiment.start != "free":
         return _of_repeats(fit, problem, {i: problem.experiment.trials[i].conditions for i in problem.trials})
     swings = swinging_alike(problem)
-    sizes = _of_repeats(fit, problem, swings).sizes if len(set(swings.values())) < len(swings) else ()
+    several = len(set(swings.values())) < len(swings) or released_apart(problem)
+    sizes = _of_repeats(fit, problem, swings).sizes if several else ()
     return Scatter((*sizes, *_baselines(fit, problem).sizes))
 
 
@@ -184,6 +187,21 @@ def swinging_alike(problem: Problem) -> dict[int, tuple[Hashable, float]]:
         sets = (key for key in out.values() if key[0] == trials[i].conditions and reach[i] < (1.0 + ALIKE) * key[1])
         out[i] = next(sets, (trials[i].conditions, reach[i]))
     return out
+
+
+def released_apart(problem: Problem) -> bool:
+    """Whether one trial still swings further at its beginning than another at its end: no stretches of one decay."""
+    trials = [problem.experiment.trials[i] for i in problem.trials]
+    spans: dict[Hashable, list[tuple[float, float]]] = {}
+    for t in trials:
+        late = t.y[0, 2 * t.times.size // 3 :]
+        begins, ends = (float(np.nanmax(y) - np.nanmin(y)) for y in (t.y[0], late))
+        spans.setdefault(t.conditions, []).append((begins, ends))
+    return any(
+        min(one[0], other[0]) > APART * max(one[1], other[1])
+        for same in spans.values()
+        for one, other in combinations(same, 2)
+    )
 
 
 def _of_repeats(fit: Calibration, problem: Problem, alike: Mapping[int, Hashable]) -> Scatter:

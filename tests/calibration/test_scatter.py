@@ -471,8 +471,21 @@ def test_releases_by_hand_that_swing_equally_far_show_what_differs_from_trial_to
 
 
 def test_swings_of_another_size_are_no_repeats():
-    """Sets of trials that swing equally far; without any, free starts scatter by nothing."""
+    """Sets of trials that swing equally far."""
     apart = let_go_by_hand([0.1, 0.2, 0.3], 0.05)
     assert len(set(scatters.swinging_alike(Problem(apart)).values())) == 3
     assert len(set(scatters.swinging_alike(Problem(let_go_by_hand([0.1, 0.3, 0.105, 0.31], 0.0))).values())) == 2
-    assert learn_scatter(calibrate(Problem(apart, nominal="linear"), [np.zeros(2)], most=3)).sizes == ()
+
+
+def test_releases_of_other_sizes_have_what_priors_say_and_stretches_of_one_decay_nothing():
+    """The same decay cut in three is told from three releases of which each swings through the others' range."""
+    apart = let_go_by_hand([0.1, 0.2, 0.3], 0.05)
+    (whole,) = let_go_by_hand([0.3], 0.0).trials
+    pieces = [slice(0, 130), slice(130, 260), slice(260, 400)]
+    cut = replace(apart, trials=tuple(replace(whole.at(p), label=str(k)) for k, p in enumerate(pieces)))
+    assert scatters.released_apart(Problem(apart))
+    assert not scatters.released_apart(Problem(cut))
+    begun = [calibrate(Problem(e, nominal="linear"), [np.zeros(2)], most=3) for e in (apart, cut)]
+    released, stretches = (sizes_of(learn_scatter(fit)) for fit in begun)
+    assert released["c1t"].sd == pytest.approx(math.sqrt(2.0) * TYPICAL["c1t"], rel=0.05)
+    assert stretches == {}
