@@ -373,6 +373,24 @@ def _under(fit: Calibration, noise: Noise, scatter: Scatter | None = None) -> Ca
     return found
 
 
+def _as_single_releases(fit: Calibration) -> Calibration:
+    """The fit with the scatter that priors say of releases by hand of other sizes, if that takes all of the error.
+
+    Where an error of the model is left all the same, values of each trial's own would hide a part of what they share.
+    """
+    sizes = learn_scatter(fit, apart=True)
+    if sizes.sizes == fit.problem.switches.scatter.sizes:
+        return fit
+    tried = fit.problem.changed(switches=replace(fit.problem.switches, scatter=sizes))
+    found = calibrate(tried, [fit.q], eta=carried(fit, tried), anneal=False)
+    for _ in range(MOST_TURNS):
+        noise = learn_noise(found)
+        found = calibrate(found.problem.with_noise(noise), [found.q], eta=found.eta, anneal=False)
+        if not noise.sensor:
+            return found
+    return fit
+
+
 def broad_noise(experiment: Experiment, trained: Sequence[int]) -> Noise:
     """Noise for the first fit of records without repeats: a share of what each channel reads.
 
@@ -492,7 +510,7 @@ def _with_exact_inputs(
         fit = _as_declared(fit)
     fit = _usual_curve(fit)
     if noise.sensor:
-        return _sharpened(fit)
+        return _as_single_releases(_sharpened(fit)) if switches is None else _sharpened(fit)
     # In turns these need not gain at each: the best of a few is kept.
     best, last = fit, _log_density(fit)
     for _ in range(MOST_TURNS if switches is None else 0):

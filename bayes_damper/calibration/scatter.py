@@ -162,18 +162,20 @@ class Repeats:
         return np.asarray(0.5 * (explained - log_det - len(self.gram) * np.log(variances).sum(axis=1)))
 
 
-def learn_scatter(fit: Calibration, noise: Noise | None = None) -> Scatter:
+def learn_scatter(fit: Calibration, noise: Noise | None = None, apart: bool = False) -> Scatter:
     """Sizes of all scatters, from what the repeats of a fit do not share, under a noise (default: that of the fit).
 
     Where trials start free, those that swing equally far repeat each other, as releases by hand do, and show what the
-    rig's parameters scatter by; of releases that differ, priors carry it. Stretches of one decay do not scatter. Slow
-    baselines single records show. All else that free starts leave is taken for the model's error (noise_level.py).
+    rig's parameters scatter by. Slow baselines single records show. All else that free starts leave is taken for the
+    model's error (noise_level.py): springs of their own for swings that differ would take a gap that they share.
+
+    apart : releases of other sizes have what priors say; stretches of one decay do not scatter.
     """
     problem = fit.problem if noise is None else fit.problem.with_noise(noise)
     if problem.experiment.start != "free":
         return _of_repeats(fit, problem, {i: problem.experiment.trials[i].conditions for i in problem.trials})
     swings = swinging_alike(problem)
-    several = len(set(swings.values())) < len(swings) or released_apart(problem)
+    several = len(set(swings.values())) < len(swings) or (apart and released_apart(problem))
     sizes = _of_repeats(fit, problem, swings).sizes if several else ()
     return Scatter((*sizes, *_baselines(fit, problem).sizes))
 

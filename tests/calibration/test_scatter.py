@@ -485,7 +485,18 @@ def test_releases_of_other_sizes_have_what_priors_say_and_stretches_of_one_decay
     cut = replace(apart, trials=tuple(replace(whole.at(p), label=str(k)) for k, p in enumerate(pieces)))
     assert scatters.released_apart(Problem(apart))
     assert not scatters.released_apart(Problem(cut))
-    begun = [calibrate(Problem(e, nominal="linear"), [np.zeros(2)], most=3) for e in (apart, cut)]
-    released, stretches = (sizes_of(learn_scatter(fit)) for fit in begun)
-    assert released["c1t"].sd == pytest.approx(math.sqrt(2.0) * TYPICAL["c1t"], rel=0.05)
-    assert stretches == {}
+    begun = calibrate(Problem(cut, nominal="linear"), [np.zeros(2)], most=3)
+    assert learn_scatter(begun, apart=True).sizes == ()
+    fit = calibrate_nominal(apart, nominal="linear")
+    size = sizes_of(fit.problem.switches.scatter)["c1t"]
+    assert size.sd == pytest.approx(math.sqrt(2.0) * TYPICAL["c1t"], rel=0.05)
+    assert fit.problem.noise.total[0] == pytest.approx(1e-4, rel=0.1)
+
+
+def test_an_error_of_the_model_is_not_hidden_in_values_of_releases_own():
+    """Dry friction in the rig, none in the model: no values of each trial's own take all of it."""
+    rubbing = let_go_by_hand([0.1, 0.2, 0.3], 0.0)
+    dry = [replace(t, y=t.y * np.maximum(1.0 - t.times * 0.02 / t.y[0, 0], 0.0)) for t in rubbing.trials]
+    fit = calibrate_nominal(replace(rubbing, trials=tuple(dry)), nominal="linear")
+    assert fit.problem.noise.sensor
+    assert fit.problem.switches.scatter.sizes == ()
