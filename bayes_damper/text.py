@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from bayes_damper.runs.contents.diagnosis import BudgetEntry, GapEntry, LawEntry, PairEntry
+from bayes_damper.runs.contents.fit import CaseEntry
 
 NOTHING = "\N{EN DASH}"
 """What stands where there is no number."""
@@ -113,7 +114,7 @@ def named_answers(probabilities: Mapping[str, float], pair: PairEntry | None) ->
     return {" + ".join(both) if both and name == both[0] else name: float(p) for name, p in probabilities.items()}
 
 
-def misses(entry: Mapping[str, Any]) -> bool:
+def misses(entry: CaseEntry) -> bool:
     """Whether the model of an entry of summary.json leaves clearly more than the noise: its numbers rest on less."""
     channels = (entry.get("noise") or {}).get("channels", ())
     return any(c.get("learnt_from") == "residuals" and c.get("left_over_floor") for c in channels)

@@ -37,6 +37,7 @@ from bayes_damper.calibration import (
     summarise,
     whittle,
 )
+from bayes_damper.runs.contents.fit import ChannelEntry, NoiseEntry
 
 Array = NDArray[np.float64]
 Kind = Literal["gaussian", "student", "ar"]
@@ -94,9 +95,9 @@ class FittedNoise:
     power: tuple[float, ...]
     unlike: tuple[Unlike, ...] = ()
 
-    def to_json(self, unit: str) -> dict[str, Any]:
+    def to_json(self, unit: str) -> NoiseEntry:
         """The entry `noise` of summary.json."""
-        rows = []
+        rows: list[ChannelEntry] = []
         for number, c in enumerate(self.channels, 1):
             floor = c.repeats or c.fast
             rows.append(

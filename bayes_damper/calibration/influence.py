@@ -7,15 +7,14 @@ fit without that trial lies (S - S_j)^-1 g_j away.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.calibration import Calibration, Experiment
 from bayes_damper.calibration.correlated_noise import FittedNoise, fit_with_noise
+from bayes_damper.runs.contents.fit import Compared
 
 Array = NDArray[np.float64]
 
@@ -50,7 +49,7 @@ def without(experiment: Experiment, trials: tuple[int, ...], kind: str) -> Fitte
     return fit_with_noise(replace(experiment, trials=kept), kind)
 
 
-def comparison(fit: Calibration, other: Calibration) -> dict[str, Mapping[str, Any]]:
+def comparison(fit: Calibration, other: Calibration) -> dict[str, Compared]:
     """Unknown -> value and standard deviation with all trials and without some, and the shift in the former's sds."""
     a, b = fit.parameters, other.parameters
     return {

@@ -23,6 +23,7 @@ from bayes_damper.inputs import resolved
 from bayes_damper.priors.distributions import to_standard
 from bayes_damper.priors.files import priors_from_dict
 from bayes_damper.rig.parameters import PARAMETERS
+from bayes_damper.runs.contents.fit import FitFile
 from bayes_damper.runs.json_files import folder_name, read_json, write_json
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.sampling import arviz_adapter
@@ -245,7 +246,7 @@ _READ: dict[str, Callable[[Mapping[str, Any]], object]] = {
 # From the draws of a fit ----------------------------------------------------------------------------------------------
 
 
-def _fit_pieces(path: Path, summary: Mapping[str, Any], seed: int) -> dict[str, Any]:
+def _fit_pieces(path: Path, summary: FitFile, seed: int) -> dict[str, Any]:
     """Evidence and held-out score of each case, and how far its answers hang on the prior."""
     plan = read_json(path / "run.json")["plan"]
     evidence: dict[str, float] = {}
@@ -255,9 +256,10 @@ def _fit_pieces(path: Path, summary: Mapping[str, Any], seed: int) -> dict[str, 
         row = f"case {case}"
         file = path / folder_name(case) / "posterior.nc"
         # What the fit has worked out already is not worked out again.
-        known = (entry.get("log_evidence") or {}).get("value", entry.get("best_fit", {}).get("log_evidence_laplace"))
-        if known is not None:
-            evidence[row] = float(known)
+        if found := entry.get("log_evidence"):
+            evidence[row] = float(found["value"])
+        elif best := entry.get("best_fit"):
+            evidence[row] = float(best["log_evidence_laplace"])
         if entry.get("prior_sensitivity"):
             sensitivity[case] = entry["prior_sensitivity"]
         if not file.exists():
@@ -267,7 +269,7 @@ def _fit_pieces(path: Path, summary: Mapping[str, Any], seed: int) -> dict[str, 
             priors = priors_from_dict(plan["priors"]).for_case(case).free
             posterior = tree["posterior"]
             draws = {name: np.asarray(posterior[name].values, float) for name in priors if name in posterior}
-            if known is None:
+            if row not in evidence:
                 evidence[row] = _published_evidence(plan, case, posterior.attrs["walkers"], draws, tree, seed)
             if case not in sensitivity:
                 points = np.stack([to_standard(priors[name], x.ravel()) for name, x in draws.items()], axis=1)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.fit import Fit, OtherRun, fit
 from bayes_damper.report import report
+from bayes_damper.runs.contents.fit import FitFile
 from bayes_damper.runs.execution import Progress
 from bayes_damper.variability import Variability, variability
 
@@ -30,7 +30,7 @@ class Demo:
     def exit_code(self) -> ExitCode:
         return self.fit.exit_code if self.fit.exit_code is not ExitCode.DONE else self.shared.exit_code
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> FitFile:
         """What summary.json holds."""
         return self.fit.to_json()
 

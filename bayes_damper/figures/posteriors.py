@@ -16,6 +16,7 @@ from matplotlib.transforms import blended_transform_factory
 from scipy.ndimage import gaussian_filter
 
 from bayes_damper.figures.style import COLOURS, RC, STYLES, Array, mark, new_figure, plain_figure, raised
+from bayes_damper.runs.contents.fit import CheckEntry
 from bayes_damper.sampling import arviz_adapter
 from bayes_damper.text import interval, number
 
@@ -174,7 +175,7 @@ def trace_figure(
     return figure
 
 
-def feature_check_figure(rows: Sequence[Mapping[str, Any]], *, title: str, converged: bool = True) -> Figure:
+def feature_check_figure(rows: Sequence[CheckEntry], *, title: str, converged: bool = True) -> Figure:
     """Measured features against what the posterior predicts for them.
 
     rows : one mapping each with name, unit, measured, standard_error, median, hdi50, hdi90, percentile. Values are
@@ -186,8 +187,8 @@ def feature_check_figure(rows: Sequence[Mapping[str, Any]], *, title: str, conve
         for y, row in enumerate(rows):
             scale = max(row["standard_error"], 1e-300)
             axes.plot([-1, 1], [y, y], color="#999999", lw=7, alpha=0.35, solid_capstyle="butt")
-            for key, width in (("hdi90", 1.5), ("hdi50", 4.0)):
-                low, high = ((edge - row["measured"]) / scale for edge in row[key])
+            for ends, width in ((row["hdi90"], 1.5), (row["hdi50"], 4.0)):
+                low, high = ((edge - row["measured"]) / scale for edge in ends)
                 axes.plot([low, high], [y, y], color=COLOURS[0], lw=width, solid_capstyle="butt")
             axes.plot((row["median"] - row["measured"]) / scale, y, "o", color=COLOURS[1], ms=4)
         axes.axvline(0.0, color="black", lw=0.8)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from bayes_damper.calibration.posterior import RecordPosterior
 from bayes_damper.published.posterior import FeaturePosterior, ShrinkingErrors
 from bayes_damper.runs.checkpoint import Checkpoint
+from bayes_damper.runs.contents.fit import FitPlan
 from bayes_damper.runs.provenance import code_sha256
 from bayes_damper.sampling import Progress as Stage
 from bayes_damper.sampling import Sampling, Start, StoppingRule, annealed_start, sample
@@ -28,7 +28,7 @@ DRAWN = 0.7
 """Share of a case's time after which its draws are there, as seen in runs of some trials: what follows counts too."""
 
 
-def stopping_rule(plan: Mapping[str, Any]) -> StoppingRule:
+def stopping_rule(plan: FitPlan) -> StoppingRule:
     """The rule that a plan asks for.
 
     Ensembles that begin as an annealed sample of the posterior have little of a start to forget, and their warm-up
@@ -51,14 +51,14 @@ def sampled(
     posterior: FeaturePosterior | RecordPosterior,
     folder: Path,
     report: Report,
-    plan: Mapping[str, Any],
+    plan: FitPlan,
     processes: int,
     start: Callable[[], Start],
     monitor: Callable[[Array], Array] | None = None,
 ) -> Sampling:
     """Draws of a posterior, going on from the folder's saved state if there is one."""
     decided = json.dumps(
-        {key: plan[key] for key in plan if key not in ("thorough", "most_steps", "effects")}, sort_keys=True
+        {key: value for key, value in plan.items() if key not in ("thorough", "most_steps", "effects")}, sort_keys=True
     )
     fingerprint = {
         "plan": hashlib.sha256(decided.encode()).hexdigest(),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +13,7 @@ from bayes_damper.calibration import Experiment
 from bayes_damper.calibration.posterior import trial_label
 from bayes_damper.fit.entry import Units, thinned_draws
 from bayes_damper.rig.parameters import PARAMETERS, unit_of
+from bayes_damper.runs.contents.fit import CaseEntry, FitFile, ParameterEntry
 from bayes_damper.sampling import Sampling, arviz_adapter
 from bayes_damper.sampling.prior_sensitivity import decided_by
 
@@ -37,7 +37,7 @@ def draw_case(
     title: str,
     draws: Mapping[str, Array],
     sampling: Sampling,
-    entry: Mapping[str, Any],
+    entry: CaseEntry,
     assumed: Mapping[str, Array],
     units: Units = unit_of,
 ) -> None:
@@ -59,12 +59,12 @@ def draw_case(
         figures.save(figures.feature_check_figure(checks, title=title, converged=converged), folder / "predictive")
 
 
-def _interval_of(numbers: Mapping[str, Any]) -> tuple[float, float, float]:
+def _interval_of(numbers: ParameterEntry) -> tuple[float, float, float]:
     """Low end, median and high end of a parameter's entry."""
     return numbers["hdi90"][0], numbers["median"], numbers["hdi90"][1]
 
 
-def draw_overview(folder: Path, summary: Mapping[str, Any]) -> None:
+def draw_overview(folder: Path, summary: FitFile) -> None:
     """Figures that cover all cases: the forest, and their posteriors laid over one another."""
     cases = summary["cases"]
     names = [name for name in _MAIN if all(name in entry["parameters"] for entry in cases.values())]
@@ -101,7 +101,7 @@ def draw_overview(folder: Path, summary: Mapping[str, Any]) -> None:
 
 
 def draw_overlaid(
-    folder: Path, cases: Mapping[str, Any], names: Sequence[str], labels: Mapping[str, str], summary: Mapping[str, Any]
+    folder: Path, cases: Mapping[str, CaseEntry], names: Sequence[str], labels: Mapping[str, str], summary: FitFile
 ) -> None:
     """Corner figure of all cases over each other, of the parameters that the data say most about."""
     shares = {n: min(e["parameters"][n].get("prior_share") or 0.0 for e in cases.values()) for n in names}

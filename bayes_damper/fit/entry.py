@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from bayes_damper.fit.plan import kept
 from bayes_damper.fit.summary import summarise
 from bayes_damper.rig.parameters import unit_of
+from bayes_damper.runs.contents.fit import CaseEntry, FitPlan, ParameterEntry
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.sampling import Sampling, arviz_adapter
 from bayes_damper.sampling.arviz_adapter import hdi
@@ -55,9 +55,9 @@ def write_draws(
     folder: Path,
     draws: Mapping[str, Array],
     sampling: Sampling,
-    diagnostics: Mapping[str, Mapping[str, Any]],
+    diagnostics: Mapping[str, ParameterEntry],
     groups: Mapping[str, Mapping[str, Array]],
-    attributes: Mapping[str, Any],
+    attributes: Mapping[str, str],
 ) -> None:
     """Write posterior.nc of one case; the groups are those of ArviZ."""
     found = arviz_adapter.results(
@@ -78,7 +78,7 @@ def entry_of(
     prior_shares: Mapping[str, float],
     sampling: Sampling,
     units: Units = unit_of,
-) -> dict[str, Any]:
+) -> CaseEntry:
     """The entry of summary.json for one run."""
     verdict, outcomes = sampling.verdict, sampling.outcomes
     failed = {name: count for name, count in outcomes.items() if name != "COMPLETED" and count}
@@ -100,7 +100,7 @@ def entry_of(
 
 
 def tell_priors(
-    entry: Mapping[str, Any], draws: Mapping[str, Array], constants: Mapping[str, Array] | None = None
+    entry: CaseEntry, draws: Mapping[str, Array], constants: Mapping[str, Array] | None = None
 ) -> dict[str, Array]:
     """Adds to each parameter of an entry of summary.json what was assumed about it, from draws of its prior.
 
@@ -121,7 +121,7 @@ def shares_left(names: Sequence[str], points: Array) -> dict[str, float]:
     return {name: float(min(1.0, points[:, i].var())) for i, name in enumerate(names)}
 
 
-def attributes_of(plan: Mapping[str, Any], name: str) -> dict[str, Any]:
+def attributes_of(plan: FitPlan, name: str) -> dict[str, str]:
     """What posterior.nc says of where it comes from."""
     return {
         "campaign": plan["name"],

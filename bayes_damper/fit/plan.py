@@ -8,7 +8,7 @@ from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from types import NoneType
-from typing import Any
+from typing import Any, Literal, cast
 
 from bayes_damper.calibration import Experiment, experiment_of
 from bayes_damper.calibration.correlated_noise import KINDS
@@ -20,6 +20,7 @@ from bayes_damper.inputs import fields, resolved, shown
 from bayes_damper.priors.files import PriorSet, campaign_priors, load_priors
 from bayes_damper.published.measurements import load_published
 from bayes_damper.rig.parameters import hint
+from bayes_damper.runs.contents.fit import FitPlan
 from bayes_damper.runs.execution import run_record
 from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.provenance import code_sha256, package_version
@@ -49,7 +50,7 @@ def plan_fit(
     thorough: bool,
     most_steps: int | None,
     joint: bool,
-) -> dict[str, Any]:
+) -> FitPlan:
     """Everything that decides the results of a fit, as plain data."""
     thesis = campaign == "thesis"
     prior_set: PriorSet | None
@@ -95,7 +96,7 @@ def plan_fit(
         "cases": chosen,
         "joint": joint and not thesis and len(chosen) > 1,
         "priors": None if prior_set is None else prior_set.to_dict(),
-        "normal_force": normal_force,
+        "normal_force": cast("Literal['linear', 'constant'] | None", normal_force),
         "noise": noise,
         "effect": effect,
         "effects": None if effects is None or effect is None else str(resolved(effects)),
@@ -106,12 +107,12 @@ def plan_fit(
     }
 
 
-def kept(plan: Mapping[str, Any]) -> dict[str, Any]:
+def kept(plan: Mapping[str, object]) -> dict[str, object]:
     """What files keep of a plan: all but where effects of the user's own lie, since no code is taken from files."""
     return {key: plan[key] for key in _PLANNED if key in plan}
 
 
-def plan_in(record: Mapping[str, Any], folder: Path, effects: str | Path | None = None) -> dict[str, Any]:
+def plan_in(record: Mapping[str, object], folder: Path, effects: str | Path | None = None) -> FitPlan:
     """The plan of a fit that run.json holds; effects : folder with effects of one's own, where it began with such.
 
     Raises
@@ -133,7 +134,7 @@ def plan_in(record: Mapping[str, Any], folder: Path, effects: str | Path | None 
     if wrong := [key for key, good in sound.items() if not good]:
         raise InputError(f"{where}: {wrong[0]} = {shown(plan[wrong[0]])} cannot be; fit anew")
     same_effects(folder, plan["effects_sha256"], effects)
-    return plan | {"effects": None if effects is None else str(resolved(effects))}
+    return cast("FitPlan", plan | {"effects": None if effects is None else str(resolved(effects))})
 
 
 class OtherRun(InputError):
@@ -200,7 +201,7 @@ def _differences(name: str, before: Any, now: Any) -> list[str]:
     return [] if before == now else [f"{name} was {said[0]} and is {said[1]} now"]
 
 
-def planned_campaign(plan: Mapping[str, Any]) -> Campaign:
+def planned_campaign(plan: FitPlan) -> Campaign:
     """The campaign that a fit was planned for, as it was then."""
     campaign = load_campaign(plan["campaign"])
     if campaign.sha256 != plan["campaign_sha256"]:
@@ -210,14 +211,14 @@ def planned_campaign(plan: Mapping[str, Any]) -> Campaign:
     return campaign
 
 
-def planned_warnings(plan: Mapping[str, Any]) -> list[str]:
+def planned_warnings(plan: FitPlan) -> list[str]:
     """What is odd in the campaign that a fit was planned for, and where a learnt law does not reach."""
     campaign, effect = planned_campaign(plan), plan["effect"]
     beyond = [] if effect is None else laws_on({effect: all_effects(plan["effects"])[effect]}, campaign)
     return [*campaign.warnings, *beyond]
 
 
-def recorded_experiment(plan: Mapping[str, Any], case: str | None) -> tuple[Experiment, str]:
+def recorded_experiment(plan: FitPlan, case: str | None) -> tuple[Experiment, str]:
     """The trials of one case, or of all planned cases, as a calibration takes them; marked trials are left out.
 
     With it the kind of the rig.
@@ -230,5 +231,6 @@ def recorded_experiment(plan: Mapping[str, Any], case: str | None) -> tuple[Expe
     trials = tuple(
         replace(record, heldout=record.label in marked) for record in experiment.trials if record.case in wanted
     )
-    law = plan["normal_force"] or experiment.normal_force
-    return replace(experiment, trials=trials, normal_force=law), campaign.rig.kind
+    if (law := plan["normal_force"]) is not None:
+        experiment = replace(experiment, normal_force=law)
+    return replace(experiment, trials=trials), campaign.rig.kind

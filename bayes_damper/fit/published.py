@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from bayes_damper.fit.entry import (
 from bayes_damper.priors.files import PriorSet, priors_from_dict
 from bayes_damper.published.measurements import load_published
 from bayes_damper.published.posterior import Coordinates, Datum, FeaturePosterior, damping_pairs, feature_sheets
+from bayes_damper.runs.contents.fit import CheckEntry, FitPlan
 from bayes_damper.sampling.arviz_adapter import hdi
 
 
@@ -45,9 +46,9 @@ def feature_posterior(
     return FeaturePosterior(data, coordinates, normal_force, case)
 
 
-def fit_published_case(folder: Path, report: Report, *, name: str, plan: Mapping[str, Any], processes: int = 1) -> Any:
+def fit_published_case(folder: Path, report: Report, *, name: str, plan: FitPlan, processes: int = 1) -> Any:
     """Task: fit one thesis case and write its files; its entry of summary.json."""
-    posterior = published_posterior(name, priors_from_dict(plan["priors"]), plan["normal_force"] or "linear")
+    posterior = published_posterior(name, priors_from_dict(plan["priors"] or {}), plan["normal_force"] or "linear")
     rng = np.random.default_rng([plan["seed"], number_of(name)])
     standard = posterior.coordinates.standard
     sampling = sampled(posterior, folder, report, plan, processes, lambda: search(posterior, rng), standard)
@@ -59,7 +60,7 @@ def fit_published_case(folder: Path, report: Report, *, name: str, plan: Mapping
     features, likelihood = posterior.predict(kept), posterior.log_likelihood(kept)
     noise = rng.standard_t([d.n - 1.0 for d in posterior.data], size=features.shape)
     replicated = features + noise * [d.standard_error for d in posterior.data]
-    checks = [
+    checks: list[CheckEntry] = [
         {
             "name": f"case {name}: {d.name}",
             "unit": {"log_decrement": "1", "period": "s", "max_acceleration": "rad/s^2"}[d.quantity],

@@ -34,6 +34,7 @@ from bayes_damper.fit.entry import (
 from bayes_damper.fit.plan import recorded_experiment
 from bayes_damper.rig.parameters import unit_of
 from bayes_damper.rig.units import effect_unit
+from bayes_damper.runs.contents.fit import BestFitEntry, CaseEntry, EvidenceEntry, FitPlan, TrialUnknown
 from bayes_damper.runs.memory import shortage
 from bayes_damper.sampling import Sampling, resampled_start
 from bayes_damper.sampling.arviz_adapter import hdi
@@ -46,13 +47,13 @@ PROPOSALS = 4000
 """Points of bridge sampling for the evidence."""
 
 
-def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping[str, Any], processes: int = 1) -> Any:
+def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: FitPlan, processes: int = 1) -> Any:
     """Task: fit one case of a campaign, or all together (`name` "joint"); its entry of summary.json."""
     experiment, kind = recorded_experiment(plan, None if name == "joint" else name)
     report(0.0, shortage(sum(t.y.size for t in experiment.trials)) or "finding the best fit")
     begin_with = None
-    if plan.get("effect") is not None:
-        begin_with = fit_with_effect(experiment, plan["effect"], plan["effects"])
+    if (effect := plan.get("effect")) is not None:
+        begin_with = fit_with_effect(experiment, effect, plan["effects"])
     noise = fit_with_noise(experiment, plan.get("noise", "auto"), lambda text: report(0.0, text), begin_with)
     if misses({"noise": noise.to_json("")}):
         report = _with_a_warning(report)
@@ -112,7 +113,7 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: Mapping
 
 def _trials_entry(
     nuisances: Mapping[int, Mapping[str, Array]], labels: Mapping[int, str], units: Callable[[str], str]
-) -> dict[str, Any]:
+) -> dict[str, dict[str, TrialUnknown]]:
     return {
         labels[i]: {
             key: {"mean": float(x.mean()), "sd": float(x.std()), "hdi90": list(hdi(x)), "unit": units(key)}
@@ -131,7 +132,7 @@ def _per_trial(
     }
 
 
-def _best_fit_entry(best: Calibration, effect: str | None) -> dict[str, Any]:
+def _best_fit_entry(best: Calibration, effect: str | None) -> BestFitEntry:
     return {
         "chi2": best.chi2,
         "readings": best.problem.n_data,
@@ -176,12 +177,12 @@ def fit_with_effect(experiment: Experiment, effect: str, folder: str | None = No
     return calibrate(again, [best.q], eta=best.eta, anneal=False)
 
 
-def _trials_apart(experiment: Experiment, noise: FittedNoise, labels: Mapping[int, str], kind: str) -> dict[str, Any]:
+def _trials_apart(experiment: Experiment, noise: FittedNoise, labels: Mapping[int, str], kind: str) -> CaseEntry:
     """Entries `influence` and `unlike_repeats` of summary.json."""
     names = noise.fit.problem.names
     moved = {labels[i]: shift for i, shift in influence(noise.fit).items()}
     found = noise.unlike
-    entry: dict[str, Any] = {
+    entry: CaseEntry = {
         "influence": {
             label: {
                 "moves_most": names[k],
@@ -205,7 +206,7 @@ def _trials_apart(experiment: Experiment, noise: FittedNoise, labels: Mapping[in
     return entry
 
 
-def _evidence(posterior: RecordPosterior, sampling: Sampling, rng: np.random.Generator) -> dict[str, Any]:
+def _evidence(posterior: RecordPosterior, sampling: Sampling, rng: np.random.Generator) -> EvidenceEntry:
     """Entry `log_evidence` of summary.json: of the readings, all unknowns integrated out, in nats."""
     found = bridge(posterior, sampling.draws, sampling.log_prob, rng, proposals=PROPOSALS)
     constant = float(posterior.constant.sum())

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.fit.drawings import draw_overview
@@ -15,6 +15,7 @@ from bayes_damper.fit.plan import kept, plan_fit, planned_warnings, start_run
 from bayes_damper.fit.published import fit_published_case
 from bayes_damper.fit.recorded import fit_recorded_cases
 from bayes_damper.fit.summary import table_text, write_table
+from bayes_damper.runs.contents.fit import CaseEntry, FitFile, FitPlan
 from bayes_damper.runs.execution import WAITING, Progress, Silent, Task, run_tasks, stopped
 from bayes_damper.runs.json_files import folder_name, read_json, write_json
 from bayes_damper.runs.provenance import provenance
@@ -31,7 +32,7 @@ class Fit:
     """Posteriors of a campaign: `summary` is what summary.json holds, `folder` where all files are."""
 
     folder: Path
-    summary: Mapping[str, Any]
+    summary: FitFile
 
     @property
     def converged(self) -> bool:
@@ -47,9 +48,9 @@ class Fit:
         ended = "converged" if self.converged else "did not converge"
         return f"Fit({str(self.folder)!r}: {self.summary.get('campaign')}, cases {cases}, {ended})"
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> FitFile:
         """What summary.json holds."""
-        return dict(self.summary)
+        return self.summary
 
     def to_arviz(self, case: str | None = None) -> Any:
         """The draws of one case (default: the joint fit, or the only case) as ArviZ's own object, a chain a walker.
@@ -100,10 +101,10 @@ def load_fit(folder: str | Path) -> Fit:
     summary = read_json(place / "summary.json")
     if not isinstance(summary, dict) or summary.get("schema") != SCHEMA:
         raise InputError(f"{place / 'summary.json'}: not the summary of a fit; name a folder that `fit` has written")
-    return Fit(place, summary)
+    return Fit(place, cast("FitFile", summary))
 
 
-def _more_text(found: Mapping[str, Any]) -> list[str]:
+def _more_text(found: CaseEntry) -> list[str]:
     """Lines on trials apart, priors and evidence of one entry of summary.json."""
     lines = []
     apart = found.get("unlike_repeats")
@@ -188,7 +189,7 @@ def fit(
 
 def finish_fit(
     folder: Path,
-    plan: Mapping[str, Any],
+    plan: FitPlan,
     *,
     workers: int,
     scheduler: str | None = None,
@@ -221,7 +222,7 @@ def finish_fit(
     done = run_tasks(tasks, folder, workers=workers, scheduler=scheduler, progress=shown)
     results = {name: done[folder_name(name)] for name in names}
     found = {name: results[name] for name in plan["cases"]}
-    summary: dict[str, Any] = {
+    summary: FitFile = {
         "schema": SCHEMA,
         "campaign": plan["name"],
         "campaign_sha256": plan["campaign_sha256"],
@@ -242,7 +243,7 @@ def finish_fit(
     return Fit(folder, summary)
 
 
-def _write_overview(folder: Path, cases: Sequence[str], summary: Mapping[str, Any]) -> None:
+def _write_overview(folder: Path, cases: Sequence[str], summary: FitFile) -> None:
     """The files of all cases together. What other commands look for, summary.json, comes last: until then the run has
     not ended.
     """

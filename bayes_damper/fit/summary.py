@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from bayes_damper.runs.contents.fit import FitFile, ParameterEntry
 from bayes_damper.runs.json_files import write_text
 from bayes_damper.sampling.arviz_adapter import hdi
 from bayes_damper.sampling.convergence import diagnose_draws
@@ -20,14 +21,14 @@ Array = NDArray[np.float64]
 
 def summarise(
     draws: Mapping[str, Array], units: Mapping[str, str], prior_shares: Mapping[str, float]
-) -> dict[str, Any]:
+) -> dict[str, ParameterEntry]:
     """Summary of each quantity: name -> numbers as in summary.json.
 
     draws : name -> (ensembles, steps, walkers); prior_shares : name -> variance of the posterior over that of the
     prior, in the coordinate in which the prior is Gaussian: near 1 the data say nothing, near 0 the prior does not
     matter. Quantities that have no prior of their own (derived ones) have None.
     """
-    out = {}
+    out: dict[str, ParameterEntry] = {}
     for name, values in draws.items():
         checked = diagnose_draws(values)
         flat = values.ravel()
@@ -50,13 +51,13 @@ def _finite(x: float) -> float | None:
     return float(x) if np.isfinite(x) else None
 
 
-def write_table(summary: Mapping[str, Any], path: Path) -> None:
+def write_table(summary: FitFile, path: Path) -> None:
     """The parameters of all cases as CSV, one row each; `converged` says whether that case's run did."""
     rows = []
     groups = dict(summary["cases"]) | ({"joint": summary["joint"]} if summary.get("joint") else {})
     for case, found in groups.items():
         for name, numbers in found["parameters"].items():
-            row = {"case": case, "parameter": name, "converged": found["converged"], **numbers}
+            row: dict[str, Any] = {"case": case, "parameter": name, "converged": found["converged"], **numbers}
             row["hdi90_low"], row["hdi90_high"] = row.pop("hdi90")
             if quartiles := row.pop("quartiles", None):
                 row["quartile_low"], row["quartile_high"] = quartiles
@@ -67,7 +68,7 @@ def write_table(summary: Mapping[str, Any], path: Path) -> None:
     write_text(path, pd.DataFrame(rows).to_csv(index=False, lineterminator="\n"))
 
 
-def table_text(parameters: Mapping[str, Any], title: str) -> str:
+def table_text(parameters: Mapping[str, ParameterEntry], title: str) -> str:
     """A table for the terminal: median and 90 % interval, who decided (data or prior), and the health figures."""
     lines = [title, f"  {'':28s}{'median':>11s}  {'90 % interval':^25s}  {'unit':10s} decided by"]
     for name, p in parameters.items():

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayes_damper.runs.contents.fit import PriorEntry
 from bayes_damper.sampling.arviz_adapter import pareto_k
 
 Array = NDArray[np.float64]
@@ -26,7 +27,7 @@ def decided_by(share: float) -> str:
     return "data" if share < DATA_DECIDE else "data and prior" if share < PRIOR_DECIDES else "prior"
 
 
-def of_standard_draws(names: Sequence[str], points: Array) -> dict[str, Any]:
+def of_standard_draws(names: Sequence[str], points: Array) -> dict[str, PriorEntry]:
     """Each prior half and twice as wide, the others as they are, from draws (n, len(names)) in standard coordinates.
 
     There every prior is a unit Gaussian, so that a width of w weighs a draw z with exp(-(1 / w^2 - 1) z^2 / 2). Returns
@@ -60,16 +61,16 @@ def of_standard_draws(names: Sequence[str], points: Array) -> dict[str, Any]:
     return out
 
 
-def text(table: Mapping[str, Any]) -> list[str]:
+def text(table: Mapping[str, PriorEntry]) -> list[str]:
     """A few lines for the terminal: what hangs on a prior, the most hanging first; all else in one sentence."""
-    moved = {name: max(abs(row[word]["shift"]) for word in WIDTHS) for name, row in table.items()}
+    moved = {name: max(abs(row["half"]["shift"]), abs(row["double"]["shift"])) for name, row in table.items()}
     shown = [n for n in sorted(moved, key=lambda n: -moved[n]) if moved[n] > 0.1 or table[n]["decided_by"] == "prior"]
     if not shown:
         return ["  No answer moves by more than 0.1 sd when a prior is half or twice as wide."]
     lines = ["  shift in sd when a prior is half / twice as wide (others: below 0.1)"]
     for name in shown:
         row = table[name]
-        cells = " / ".join(f"{row[w]['shift']:+.2f}" + ("" if row[w]["reliable"] else "?") for w in WIDTHS)
+        cells = " / ".join(f"{w['shift']:+.2f}{'' if w['reliable'] else '?'}" for w in (row["half"], row["double"]))
         mark = "   the prior decides" if row["decided_by"] == "prior" else ""
         lines.append(f"  {name:28s}{cells}{mark}")
     return lines

@@ -188,7 +188,7 @@ def origin_of(
             "sha256": plan.get("campaign_sha256"),
             "converged": bool((entry or {}).get("converged", True)),
             "warnings": (
-                *((_MISSES.format(case),) if misses(entry or {}) else ()),
+                *((_MISSES.format(case),) if (entry and misses(entry)) else ()),
                 *map(str, summary.get("warnings", ())),
             ),
         }

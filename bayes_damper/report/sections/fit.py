@@ -6,12 +6,12 @@ import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 from bayes_damper.report.charts import record_chart
 from bayes_damper.report.parts import Headline, Result, Row, Section, Table, generic, listed, words
 from bayes_damper.report.sections.shared import UNCONVERGED, fingerprint, meaning_of, pictures_of, plain_meaning
 from bayes_damper.rig.parameters import PARAMETERS
+from bayes_damper.runs.contents.fit import CaseEntry, CheckEntry, FitFile, ParameterEntry, PriorEntry, TrialUnknown
 from bayes_damper.runs.json_files import folder_name
 from bayes_damper.sampling.prior_sensitivity import decided_by
 from bayes_damper.text import NOTHING, counted, gathered, interval, number, plus_minus
@@ -33,13 +33,13 @@ _INTERVALS = (
 )
 
 
-def _decided(p: Mapping[str, Any]) -> str:
+def _decided(p: ParameterEntry | None) -> str:
     """Who decided about a parameter of summary.json, in the words of the tables."""
-    share = p.get("prior_share")
+    share = p.get("prior_share") if p else None
     return "derived" if share is None else decided_by(share)
 
 
-def fit_result(summary: Mapping[str, Any], folder: Path) -> Result:
+def fit_result(summary: FitFile, folder: Path) -> Result:
     """Headline and section of summary.json."""
     cases = dict(summary.get("cases", {}))
     groups = cases | ({"all cases together": summary["joint"]} if summary.get("joint") else {})
@@ -62,7 +62,7 @@ def _title(name: str) -> str:
     return name[0].upper() + name[1:] if name.startswith("all") else f"Case {name}"
 
 
-def _fit_headline(campaign: str, groups: Mapping[str, Any], converged: bool) -> Headline:
+def _fit_headline(campaign: str, groups: Mapping[str, CaseEntry], converged: bool) -> Headline:
     sentences, changes = [], []
     if not converged:
         failed = [_title(n) for n, e in groups.items() if not e.get("converged")]
@@ -121,12 +121,12 @@ def _fit_headline(campaign: str, groups: Mapping[str, Any], converged: bool) -> 
     return Headline(title, tone, tuple(sentences), changes=tuple(changes), table=_overview(groups))
 
 
-def _determined(groups: Mapping[str, Any]) -> str:
+def _determined(groups: Mapping[str, CaseEntry]) -> str:
     """Which parameters the data decide about, and in which cases, in a sentence."""
     where: dict[tuple[str, ...], list[str]] = {}
     added = dict.fromkeys(n for e in groups.values() for n in e.get("parameters", {}) if n.startswith(_OF_EFFECT))
     for name in (*added, *_MAIN):
-        found = [g for g, e in groups.items() if _decided(e.get("parameters", {}).get(name, {})) == "data"]
+        found = [g for g, e in groups.items() if _decided(e.get("parameters", {}).get(name)) == "data"]
         if found:
             where.setdefault(tuple(found), []).append(name)
     if not where:
@@ -142,7 +142,7 @@ def _determined(groups: Mapping[str, Any]) -> str:
     return f"Determined by the data: {'; '.join(parts)}."
 
 
-def _precision(name: str, entries: Sequence[Mapping[str, Any]]) -> str:
+def _precision(name: str, entries: Sequence[CaseEntry]) -> str:
     """How well a parameter is known: half its 90 % interval over its median, the worst of these cases; "" if none."""
     halves = []
     for entry in entries:
@@ -170,13 +170,13 @@ def _in_words(
     return listed(spelt)
 
 
-def _unit_in(entries: Iterable[Mapping[str, Any]], name: str) -> str:
+def _unit_in(entries: Iterable[CaseEntry], name: str) -> str:
     """The unit of a parameter in the first of these entries that has it."""
     found = (e["parameters"][name].get("unit", "") for e in entries if name in e.get("parameters", {}))
     return str(next(found, ""))
 
 
-def _missed(groups: Mapping[str, Any]) -> str:
+def _missed(groups: Mapping[str, CaseEntry]) -> str:
     """The channel of which the fit leaves most beyond the noise, in a sentence; nothing where it leaves noise alone."""
     left = _left(groups, ("residuals",))
     if not left:
@@ -187,7 +187,7 @@ def _missed(groups: Mapping[str, Any]) -> str:
     )
 
 
-def _left(groups: Mapping[str, Any], learnt_from: Collection[str]) -> str:
+def _left(groups: Mapping[str, CaseEntry], learnt_from: Collection[str]) -> str:
     """What the fit leaves of the channel where it is most against the noise, of those whose noise was learnt so."""
     rows = [
         (name, c)
@@ -197,7 +197,7 @@ def _left(groups: Mapping[str, Any], learnt_from: Collection[str]) -> str:
     ]
     if not rows:
         return ""
-    name, worst = max(rows, key=lambda row: float(row[1]["left_over_floor"]))
+    name, worst = max(rows, key=lambda row: row[1]["left_over_floor"] or 0.0)
     floor = worst.get("repeats") or worst.get("fast_content")
     source = "repeats differ by" if worst.get("repeats") else "the fast content of the readings is"
     return (
@@ -206,7 +206,7 @@ def _left(groups: Mapping[str, Any], learnt_from: Collection[str]) -> str:
     )
 
 
-def _overview(groups: Mapping[str, Any]) -> Table:
+def _overview(groups: Mapping[str, CaseEntry]) -> Table:
     found = dict.fromkeys(n for e in groups.values() for n in e.get("parameters", {}))
     names = [n for n in found if n.startswith(_OF_EFFECT)] + [n for n in _MAIN if n in found]
     rows = []
@@ -221,7 +221,8 @@ def _overview(groups: Mapping[str, Any]) -> Table:
             low, high = p["hdi90"]
             star = " *" if _decided(p) == "prior" else ""
             cells.append(f"{number(p['median'], high - low)}{star}\n({interval(low, high)})")
-        who = next((str((e.get("best_fit") or {}).get("effect") or "") for e in groups.values()), "")
+        best = next((e.get("best_fit") for e in groups.values()), None)
+        who = str((best.get("effect") if best else None) or "")
         rows.append(Row((_shown_name(name, unit, who), unit, *cells)))
     heads = [
         (name if name.startswith("all") else f"case {name}")
@@ -245,11 +246,11 @@ def _shown_name(name: str, unit: str, effect: str = "") -> str:
     return f"{name}{formula}\n{plain_meaning(name, unit)}"
 
 
-def _is_outside(row: Mapping[str, Any]) -> bool:
+def _is_outside(row: CheckEntry) -> bool:
     return not _OUTSIDE <= float(row["percentile"]) <= 100.0 - _OUTSIDE
 
 
-def _case_section(name: str, entry: Mapping[str, Any], folder: Path, shown: Collection[str] = ()) -> Section:
+def _case_section(name: str, entry: CaseEntry, folder: Path, shown: Collection[str] = ()) -> Section:
     """One case of a fit; `shown`: names of the figures that stand elsewhere on the page for all cases together."""
     good = bool(entry.get("converged"))
     assumed = any(p.get("prior") for p in entry.get("parameters", {}).values())
@@ -291,7 +292,7 @@ def _case_section(name: str, entry: Mapping[str, Any], folder: Path, shown: Coll
     if not good:
         sentences = (UNCONVERGED, *sentences)
     file = folder / "posterior.nc"
-    unit = entry.get("parameters", {}).get("sigma1", {}).get("unit", "")
+    unit = _unit_in([entry], "sigma1")
     chart = record_chart(file, unit) if file.is_file() else None
     charts = () if chart is None else (chart,)
     pictures = [p for p in pictures_of(folder, _title(name)) if Path(p.path).name not in shown]
@@ -300,16 +301,16 @@ def _case_section(name: str, entry: Mapping[str, Any], folder: Path, shown: Coll
     return Section(_title(name), sentences, tuple(tables), charts, tuple(p for p in pictures if p not in traces), parts)
 
 
-def _more_tables(name: str, entry: Mapping[str, Any]) -> list[Table]:
+def _more_tables(name: str, entry: CaseEntry) -> list[Table]:
     """What a fit gives beside its parameters, as far as it is there: noise, odd trials, priors, the best fit."""
     tables: list[Table] = []
     columns: tuple[str, ...]
-    apart = entry.get("unlike_repeats") or {}
-    if apart.get("trials"):
+    apart = entry.get("unlike_repeats")
+    if apart and apart.get("trials"):
         rows = tuple(Row((str(t["trial"]), f"{number(t['residual_power'])} times"), "bad") for t in apart["trials"])
         columns = ("trial", "power of its residuals, against its repeats")
         tables.append(Table(f"{_title(name)}: trials unlike their repeats", columns, rows))
-    if apart.get("answers"):
+    if apart and (answers := apart.get("answers")):
         rows = tuple(
             Row(
                 (
@@ -319,7 +320,7 @@ def _more_tables(name: str, entry: Mapping[str, Any]) -> list[Table]:
                     f"{p['shift_sd']:+.1f} sd",
                 )
             )
-            for n, p in apart["answers"].items()
+            for n, p in answers.items()
         )
         columns = ("parameter", "with them", "without them", "shift")
         tables.append(Table(f"{_title(name)}: parameters without those trials", columns, rows))
@@ -338,7 +339,7 @@ def _more_tables(name: str, entry: Mapping[str, Any]) -> list[Table]:
     return tables
 
 
-def _sensitivity_table(caption: str, rows: Mapping[str, Any], entry: Mapping[str, Any]) -> Table:
+def _sensitivity_table(caption: str, rows: Mapping[str, PriorEntry], entry: CaseEntry) -> Table:
     """Shifts when one prior is half or twice as wide."""
     out = []
     for name, p in rows.items():
@@ -354,7 +355,7 @@ def _sensitivity_table(caption: str, rows: Mapping[str, Any], entry: Mapping[str
     return Table(caption, columns, tuple(out), note)
 
 
-def _check_table(name: str, checks: Sequence[Mapping[str, Any]]) -> Table:
+def _check_table(name: str, checks: Sequence[CheckEntry]) -> Table:
     rows = []
     for row in checks:
         error = row["standard_error"]
@@ -374,7 +375,7 @@ def _check_table(name: str, checks: Sequence[Mapping[str, Any]]) -> Table:
     return Table(f"{_title(name)}: what was measured and what the fitted model gives", columns, tuple(rows), note)
 
 
-def _trial_table(name: str, trials: Mapping[str, Any]) -> Table:
+def _trial_table(name: str, trials: Mapping[str, Mapping[str, TrialUnknown]]) -> Table:
     rows = []
     for label, nuisances in trials.items():
         for key, p in nuisances.items():

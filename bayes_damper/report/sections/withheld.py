@@ -8,6 +8,7 @@ from typing import Any
 
 from bayes_damper.report.parts import Headline, Result, Row, Section, Table, folded, generic
 from bayes_damper.report.sections.shared import pictures_of
+from bayes_damper.runs.contents.withheld import Judged
 from bayes_damper.text import counted, number
 
 _SCORES = (
@@ -73,7 +74,7 @@ def _changes(data: Mapping[str, Any], opened: bool, rehearsal: bool) -> list[str
     return changes
 
 
-def _target(judged: Mapping[str, Any]) -> str:
+def _target(judged: Judged) -> str:
     """A target that was missed: what, where, what came out and what was asked for."""
     asked = [f"at {word} {judged[word]:g}" for word in ("least", "most") if judged.get(word) is not None]
     return f"{judged['what']}, {judged['where']}: {number(judged['value'])} ({' and '.join(asked)} asked for)"

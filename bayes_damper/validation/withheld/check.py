@@ -473,7 +473,7 @@ def _who_wins(theirs: Sequence[scores.Scored], ours: Sequence[scores.Scored]) ->
     """Paired over campaigns: whose log score is better, or "cannot tell" where these campaigns do not decide."""
     gained = [a - b for a, b in zip(scores.log_scores(theirs), scores.log_scores(ours), strict=True)]
     low, high = scores.bootstrap(gained, _mean)["interval95"]
-    if low is None or low <= 0.0 <= high:
+    if low is None or high is None or low <= 0.0 <= high:
         return "cannot tell"
     return "diagnosis" if low > 0.0 else "baseline"
 

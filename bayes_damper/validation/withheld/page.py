@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from bayes_damper.runs.contents.withheld import Judged, Rate
 from bayes_damper.runs.json_files import read_json
 from bayes_damper.text import p_value
 from bayes_damper.validation.withheld.scores import status
@@ -67,7 +68,7 @@ def laboratories(results: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _short(found: Mapping[str, Any]) -> str:
+def _short(found: Rate) -> str:
     if not found["n"] or found["value"] is None:
         return "-"
     if "hits" in found:
@@ -124,15 +125,15 @@ def _calibration(results: Mapping[str, Any], kind: str) -> str:
     return f"{found['error']:.3f} of {found['n']}; twin {twin['mean']:.3f}; {p_value(found['p_value'])}"
 
 
-def _name(target: Mapping[str, Any]) -> str:
+def _name(target: Judged) -> str:
     """What is asked for, without what differs from kind to kind."""
     return str(target["what"]).partition(" within ")[0]
 
 
-def _cell(target: Mapping[str, Any]) -> str:
+def _cell(target: Judged) -> str:
     low, high = target["interval95"]
     asked = " and ".join(
-        f"{sign} {target[side]:g}" for side, sign in (("least", ">="), ("most", "<=")) if target[side] is not None
+        f"{sign} {x:g}" for x, sign in ((target["least"], ">="), (target["most"], "<=")) if x is not None
     )
     mark = {"missed": " **missed**", "shown": " (shown)"}.get(status(target), "")
     return f"{target['value']:.2g} ({low:.2g} .. {high:.2g}) of {target['n']}; {asked}{mark}"
@@ -146,7 +147,7 @@ def _overall(results: Mapping[str, Any], rate: str) -> str:
     return _count(results["scores"]["all"][rate])
 
 
-def _count(rate: Mapping[str, Any]) -> str:
+def _count(rate: Rate) -> str:
     return f"{rate['hits']} of {rate['n']}" if rate["n"] else "-"
 
 

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.diagnosis.verdict import credible_set
+from bayes_damper.runs.contents.withheld import Bin, Judged, LevelRow, Rate, Reliability, ScoreEntry
 
 Array = NDArray[np.float64]
 
@@ -93,7 +94,7 @@ class Scored:
             return self.truth
         return "library" if self.standing == "library" else "foreign"
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> ScoreEntry:
         """What withheld.json gives of the campaign beside the sealed verdict."""
         return {
             "kind": self.kind, "truth": self.truth, "standing": self.standing, "level": self.level,
@@ -269,7 +270,7 @@ def wilson(hits: int, n: int, z: float = 1.959964) -> tuple[float, float]:
     return max(0.0, middle - reach), min(1.0, middle + reach)
 
 
-def rate(values: Iterable[bool]) -> dict[str, Any]:
+def rate(values: Iterable[bool]) -> Rate:
     """A rate with its 95 % interval (Wilson)."""
     listed = [bool(v) for v in values]
     hits = sum(listed)
@@ -282,7 +283,7 @@ def rate(values: Iterable[bool]) -> dict[str, Any]:
     }
 
 
-def bootstrap(values: Iterable[float], statistic: Callable[..., Any], seed: int = 0) -> dict[str, Any]:
+def bootstrap(values: Iterable[float], statistic: Callable[..., Any], seed: int = 0) -> Rate:
     """A statistic, called as f(values, axis=-1), with its 95 % interval over campaigns (percentile bootstrap)."""
     x = np.array(list(values), float)
     if x.size == 0:
@@ -305,7 +306,7 @@ def log_scores(rows: Iterable[Scored]) -> list[float]:
 # Reliability ----------------------------------------------------------------------------------------------------------
 
 
-def reliability(rows: Sequence[Scored], seed: int = 0) -> dict[str, Any]:
+def reliability(rows: Sequence[Scored], seed: int = 0) -> Reliability:
     """Confidence against success, beside perfectly calibrated twins of the same size.
 
     A twin gives the same confidences and is right with exactly these probabilities. `error` is the mean over campaigns
@@ -326,7 +327,7 @@ def reliability(rows: Sequence[Scored], seed: int = 0) -> dict[str, Any]:
         return np.asarray(np.abs((hits - p) @ members).sum(axis=-1) / p.size)
 
     twin_errors = error(twins)
-    bins = []
+    bins: list[Bin] = []
     for b in np.flatnonzero(count):
         low, high = np.quantile(twins @ members[:, b] / count[b], [0.025, 0.975])
         inside = members[:, b] > 0
@@ -434,9 +435,9 @@ def by_class(rows: Sequence[Scored], seed: int = 0) -> dict[str, dict[str, Any]]
     return {name: {**summarise(here), "reliability": reliability(here, seed)} for name, here in found.items() if here}
 
 
-def by_level(rows: Sequence[Scored]) -> list[dict[str, Any]]:
+def by_level(rows: Sequence[Scored]) -> list[LevelRow]:
     """Results against strength, library effects: one row for each kind and level."""
-    out = []
+    out: list[LevelRow] = []
     for kind, level in sorted({(r.kind, r.level) for r in rows if r.group == "library"}):
         here = [r for r in rows if r.group == "library" and (r.kind, r.level) == (kind, level)]
         rms = [r.rms for r in here if r.rms is not None]
@@ -464,23 +465,23 @@ class Target:
 
     what: str
     where: str
-    of: Callable[[Sequence[Scored]], dict[str, Any]]
+    of: Callable[[Sequence[Scored]], Rate]
     chosen: Callable[[Scored], bool]
     least: float | None = None
     most: float | None = None
     counted: int = 20
 
-    def judge(self, rows: Sequence[Scored]) -> dict[str, Any]:
+    def judge(self, rows: Sequence[Scored]) -> Judged:
         """The figure, its interval, and whether the target is shown, met or missed."""
         found = self.of([row for row in rows if self.chosen(row)])
-        judged = {
+        judged: Judged = {
             "what": self.what, "where": self.where, "least": self.least, "most": self.most, "value": found["value"],
-            "interval95": list(found["interval95"]), "n": found["n"], "enough": found["n"] >= self.counted,
+            "interval95": found["interval95"], "n": found["n"], "enough": found["n"] >= self.counted,
         }  # fmt: skip
         return {**judged, "status": status(judged)}
 
 
-def status(judged: Mapping[str, Any]) -> str:
+def status(judged: Judged) -> str:
     """Of a target and what came out: "met" when the estimate reaches it, "shown" when the 95 % interval lies beyond it.
 
     Else "missed"; "not tested" without a campaign.
@@ -492,54 +493,54 @@ def status(judged: Mapping[str, Any]) -> str:
     if not least - 1e-12 <= judged["value"] <= most + 1e-12:
         return "missed"
     low, high = judged["interval95"]
-    return "shown" if low >= least - 1e-12 and high <= most + 1e-12 else "met"
+    return "shown" if low is not None and high is not None and low >= least - 1e-12 and high <= most + 1e-12 else "met"
 
 
-def _rate_of(attribute: str) -> Callable[[Sequence[Scored]], dict[str, Any]]:
+def _rate_of(attribute: str) -> Callable[[Sequence[Scored]], Rate]:
     return lambda rows: rate(getattr(row, attribute) for row in rows)
 
 
-def _closed(statistic: Callable[..., Any]) -> Callable[[Sequence[Scored]], dict[str, Any]]:
+def _closed(statistic: Callable[..., Any]) -> Callable[[Sequence[Scored]], Rate]:
     return lambda rows: bootstrap((r.closed for r in rows if r.closed is not None), statistic)
 
 
-def _left_out(rows: Sequence[Scored]) -> dict[str, Any]:
+def _left_out(rows: Sequence[Scored]) -> Rate:
     return bootstrap((r.closed_left_out for r in rows if r.closed_left_out is not None), np.median)
 
 
-def _log_score(rows: Sequence[Scored]) -> dict[str, Any]:
+def _log_score(rows: Sequence[Scored]) -> Rate:
     return bootstrap(log_scores(rows), np.mean)
 
 
-def _brier(rows: Sequence[Scored]) -> dict[str, Any]:
+def _brier(rows: Sequence[Scored]) -> Rate:
     return bootstrap((r.brier for r in rows), np.mean)
 
 
-def _coverage(rows: Sequence[Scored]) -> dict[str, Any]:
+def _coverage(rows: Sequence[Scored]) -> Rate:
     return rate(hit for r in rows for hit in r.covered.values())
 
 
-def _event(within_s: float) -> Callable[[Sequence[Scored]], dict[str, Any]]:
+def _event(within_s: float) -> Callable[[Sequence[Scored]], Rate]:
     return lambda rows: rate(r.event_error_s <= within_s for r in rows if r.event_error_s is not None)
 
 
-def _seconds(rows: Sequence[Scored]) -> dict[str, Any]:
+def _seconds(rows: Sequence[Scored]) -> Rate:
     return bootstrap((r.seconds for r in rows if r.seconds is not None), np.median)
 
 
-def _size_of_test(rows: Sequence[Scored]) -> dict[str, Any]:
+def _size_of_test(rows: Sequence[Scored]) -> Rate:
     return rate(r.gap_p < 0.05 for r in rows if r.gap_p is not None)
 
 
-def _scatters(rows: Sequence[Scored]) -> dict[str, Any]:
+def _scatters(rows: Sequence[Scored]) -> Rate:
     return rate(hit for r in rows for hit in r.scatter_covered.values())
 
 
-def _inside(band: int) -> Callable[[Sequence[Scored]], dict[str, Any]]:
+def _inside(band: int) -> Callable[[Sequence[Scored]], Rate]:
     return lambda rows: bootstrap((r.bands[band] for r in rows if r.bands is not None), np.mean)
 
 
-def _sayable(rows: Sequence[Scored]) -> dict[str, Any]:
+def _sayable(rows: Sequence[Scored]) -> Rate:
     return rate(r.is_right or r.in_set or r.verdict == "unknown" for r in rows)
 
 
