@@ -186,7 +186,7 @@ def _init(args: Arguments) -> Any:
     return check(args.folder, left_over(args.folder, before))
 
 
-def _as_options(answers: Mapping[str, Any]) -> str:
+def _as_options(answers: Mapping[str, object]) -> str:
     """Answers as options of a command line."""
     words: list[str] = []
     for key, value in answers.items():

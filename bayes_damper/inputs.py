@@ -259,7 +259,7 @@ def toml_of(text: str, name: str) -> dict[str, Any]:
     raise InputError(deep)
 
 
-def _inside(outer: Mapping[str, Any] | Sequence[Any]) -> Sequence[Any]:
+def _inside(outer: Mapping[str, object] | Sequence[Any]) -> Sequence[Any]:
     return list(outer.values()) if isinstance(outer, Mapping) else outer
 
 

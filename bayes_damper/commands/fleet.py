@@ -111,7 +111,7 @@ def diagnose_fleet(
 
 
 def finish_fleet(
-    home: Path, record: Mapping[str, Any], *, effects: str | Path | None, workers: int, progress: Progress | None
+    home: Path, record: Mapping[str, object], *, effects: str | Path | None, workers: int, progress: Progress | None
 ) -> Fleet:
     """Go on with a run that was stopped; `record` as its run.json holds it, effects as the run began with.
 

@@ -149,7 +149,7 @@ class OtherRun(InputError):
         )
 
 
-def start_run(folder: Path, record: Mapping[str, Any]) -> None:
+def start_run(folder: Path, record: Mapping[str, object]) -> None:
     """Note in `folder` what runs there and what runs it, so that `resume` can go on; refuse a folder of another run.
 
     A run of which nothing was saved is none.
@@ -170,7 +170,7 @@ def start_run(folder: Path, record: Mapping[str, Any]) -> None:
     write_json(path, dict(record) | {"made_by": _versions()})
 
 
-def refuse_changes(folder: Path, record: Mapping[str, Any]) -> None:
+def refuse_changes(folder: Path, record: Mapping[str, object]) -> None:
     """Refuse to go on with a run (the contents of its run.json) that other code began, before any work.
 
     Raises

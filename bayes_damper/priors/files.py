@@ -271,7 +271,7 @@ def load_priors(
     return priors_from_dict(table, str(path), base=base, extra=extra, kind=kind, quantity=quantity, recorded=recorded)
 
 
-def campaign_priors(source: str | Path | Mapping[str, Any], campaign: Campaign) -> PriorSet:
+def campaign_priors(source: str | Path | Mapping[str, object], campaign: Campaign) -> PriorSet:
     """The prior file (or its dictionary) of a campaign of recorded trials.
 
     Raises
@@ -318,7 +318,7 @@ def _all_negative(value: Distribution | float | str | None) -> bool:
 
 
 def priors_from_dict(
-    table: Mapping[str, Any],
+    table: Mapping[str, object],
     where: str = "priors",
     *,
     base: PriorSet | None = None,
@@ -431,7 +431,7 @@ class _Reader:
             self.key, value, self.unit, level, str(entry.get("reason", "")), str(entry.get("source", "")), cases
         )
 
-    def scale(self, entry: Mapping[str, Any], kind: str) -> float:
+    def scale(self, entry: Mapping[str, object], kind: str) -> float:
         """What turns the file's unit into the parameter's own."""
         if kind in ("tied", "default") and "unit" not in entry:
             return 1.0
@@ -446,7 +446,7 @@ class _Reader:
         return 1.0
 
     def values(
-        self, entry: Mapping[str, Any], kind: str, scale: float
+        self, entry: Mapping[str, object], kind: str, scale: float
     ) -> tuple[Distribution | float | str | None, dict[str, Distribution | float]]:
         """The value of all cases ("" if there are only values per case) and those of single cases."""
         required, optional = _NUMBERS[kind]
@@ -468,7 +468,7 @@ class _Reader:
         return self.distribution(common, kind, scale, ""), cases
 
     def distribution(
-        self, numbers: Mapping[str, Any], kind: str, scale: float, prefix: str
+        self, numbers: Mapping[str, object], kind: str, scale: float, prefix: str
     ) -> Distribution | float | None:
         """The distribution of these numbers, or None with the faults reported."""
         required, optional = _NUMBERS[kind]

@@ -48,7 +48,7 @@ class Checkpoint:
         """Whether it is time to save: `every` seconds after the last save, less often when saving takes long."""
         return time.monotonic() - self._last >= max(self.every, 20.0 * self._cost)
 
-    def save(self, arrays: Mapping[str, NDArray[Any]], record: Mapping[str, Any]) -> None:
+    def save(self, arrays: Mapping[str, NDArray[Any]], record: Mapping[str, object]) -> None:
         """Writes a state: named arrays and a JSON record. The oldest beyond the last two is removed."""
         begun = time.monotonic()
         self.folder.mkdir(parents=True, exist_ok=True)

@@ -247,7 +247,7 @@ def _end_with_parent() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def _collect(futures: dict[Future[Any], Task], folder: Path, progress: Progress, results: dict[str, Any]) -> None:
+def _collect(futures: dict[Future[Any], Task], folder: Path, progress: Progress, results: dict[str, object]) -> None:
     pending = set(futures)
     failure: BaseException | None = None
     while pending:

@@ -946,7 +946,7 @@ def _code(code: CodeType) -> str:
     return hashlib.sha256(code.co_code + repr(used).encode()).hexdigest()
 
 
-def _fingerprint(bound: dict[str, Any]) -> str:
+def _fingerprint(bound: dict[str, object]) -> str:
     """A checksum of everything that the machine code depends on, the same for every copy of the package."""
     parts = [numba.__version__, np.__version__]
     files = {Path(__file__), *(Path(inspect.getfile(module)) for module in (equations, vector_math, late_binding))}
@@ -956,7 +956,7 @@ def _fingerprint(bound: dict[str, Any]) -> str:
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:20]
 
 
-def specialise(bound: dict[str, Any], compile: bool = True) -> Callable[..., Any]:  # noqa: A002
+def specialise(bound: dict[str, object], compile: bool = True) -> Callable[..., Any]:  # noqa: A002
     """`advance` bound to these globals: compiled, from numba's on-disk cache when it was compiled before.
 
     With ``compile=False`` the plain Python function, which tests hold the compiled one against.
@@ -998,7 +998,7 @@ def compile_common() -> None:
         _warn_of_slow_compiling(error)
 
 
-def kernel_file(bound: dict[str, Any]) -> Path:
+def kernel_file(bound: dict[str, object]) -> Path:
     """The file in which the kernel bound to these globals stands, or would stand; its stem is theirs alone."""
     return cache_folder() / f"advance_{_fingerprint(bound)}.py"
 
@@ -1012,7 +1012,7 @@ def _common() -> Any:
     return _LOADED[path]
 
 
-def _in_file(function: Callable[..., Any], bound: dict[str, Any], path: Path, **options: Any) -> Any:
+def _in_file(function: Callable[..., Any], bound: dict[str, object], path: Path, **options: Any) -> Any:
     """A function of this module for numba to compile, as if it stood in that file: there numba keeps machine code."""
     if not path.exists():
         partial = path.with_suffix(f".{os.getpid()}")

@@ -11,7 +11,6 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 from bayes_damper.rig.cache_folder import cache_folder
 from bayes_damper.runs.parallel_map import can_fork, cores, forked_map
@@ -52,7 +51,7 @@ def compile_ahead(
     return len(names)
 
 
-def _missing(bounds: dict[str, dict[str, Any]]) -> list[str]:
+def _missing(bounds: dict[str, dict[str, object]]) -> list[str]:
     """Names of those of which no machine code is on disk."""
     index = f"py{sys.version_info.major}{sys.version_info.minor}.nbi"  # as numba names it
     kept: set[str] = set()

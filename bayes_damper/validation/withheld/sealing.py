@@ -88,7 +88,7 @@ def freeze(
     }
 
 
-def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
+def differences(old: Mapping[str, object], new: Mapping[str, object]) -> list[str]:
     """What differs between two freezes in code, effects or call, one sentence each: reasons for a rehearsal."""
     hashed = {
         "code_sha256": "the code of the diagnosis",
@@ -102,7 +102,7 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def write_freeze(path: Path, frozen: Mapping[str, Any]) -> dict[str, Any]:
+def write_freeze(path: Path, frozen: Mapping[str, object]) -> dict[str, Any]:
     """Write a freeze with its own seal; the content written."""
     content = {**frozen, "seal": digest(dict(frozen))}
     write_json(path, content)
@@ -123,7 +123,7 @@ def read_freeze(path: Path) -> dict[str, Any]:
     return content
 
 
-def write_verdict(path: Path, name: str, verdict: Mapping[str, Any], freeze_seal: str) -> dict[str, Any]:
+def write_verdict(path: Path, name: str, verdict: Mapping[str, object], freeze_seal: str) -> dict[str, Any]:
     """Write one verdict, bound to the freeze and to the code that gave it, with its seal; the content written."""
     content = {
         "schema": VERDICT_SCHEMA,
@@ -181,7 +181,7 @@ def verdict_path(run: Path, name: str) -> Path:
     return run / "verdicts" / name / "verdict.json"
 
 
-def open_key(run: Path, key: Path, campaigns: Mapping[str, Path], now: Mapping[str, Any]) -> Opened:
+def open_key(run: Path, key: Path, campaigns: Mapping[str, Path], now: Mapping[str, object]) -> Opened:
     """The key, read only when every verdict of the run is sealed and every checksum of its freeze still holds.
 
     now : a freeze of this moment, to see whether code or library have changed since.
