@@ -36,6 +36,7 @@ from bayes_damper.priors.distributions import from_standard
 from bayes_damper.priors.files import PriorSet, campaign_priors
 from bayes_damper.rig.parameters import unit_of
 from bayes_damper.rig.units import effect_unit
+from bayes_damper.runs.contents.plan import Addition, PlanFile, PlannedEffect, PlannedParameter
 from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.sampling.prior_sensitivity import decided_by
@@ -62,13 +63,13 @@ _PROPOSED = 5
 class Plan:
     """What a plan could distinguish; `result` is what plan.json holds, `folder` where it is (None: not written)."""
 
-    result: Mapping[str, Any]
+    result: PlanFile
     folder: Path | None
     exit_code: ExitCode = ExitCode.DONE
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> PlanFile:
         """What plan.json holds."""
-        return dict(self.result)
+        return self.result
 
     def text(self) -> str:
         """A table of effects, then of parameters, then sentences."""
@@ -79,12 +80,13 @@ class Plan:
             f"  {'effect':22s}{'seen':>6s}   {'strongest rival':22s}{'nats over it':>13s}   {'trials needed':20s}from",
         ]
         for row in r["effects"]:
-            rival = row["rival"] or {"name": "-", "nats": None}
-            over = "" if rival["nats"] is None else "above 100" if rival["nats"] > 100.0 else f"{rival['nats']:.1f}"
+            rival, over = "-", ""
+            if (found := row["rival"]) is not None:
+                rival, over = found["name"], "above 100" if found["nats"] > 100.0 else f"{found['nats']:.1f}"
             times = "more than 100 x" if row["repeats_needed"] is None else f"{row['repeats_needed']} x"
             least = ", ".join(f"{k} {v['value']:.2g} {v['unit']}".strip() for k, v in (row["smallest"] or {}).items())
             lines.append(
-                f"  {row['name']:22s}{100 * row['chance']:4.0f} %   {rival['name']:22s}{over:>13s}   {times:20s}{least}"
+                f"  {row['name']:22s}{100 * row['chance']:4.0f} %   {rival:22s}{over:>13s}   {times:20s}{least}"
             )
         lines.append(f"  {'parameter':22s}{'unit':>14s}{'expected 90 % interval':>30s}   sd / prior sd")
         for name, p in r["parameters"].items():
@@ -175,7 +177,7 @@ def judge(
     priors: PriorSet | None = None,
     seed: int = 1,
     threads: int = 2,
-) -> dict[str, Any]:
+) -> PlanFile:
     """The content of plan.json, without checksum and provenance."""
     fit = planned_fit(campaign, nominal, priors, threads)
     sd = campaign.measurement.noise_std or ()
@@ -483,9 +485,7 @@ def _rivals(
 # More trials ----------------------------------------------------------------------------------------------------------
 
 
-def _additions(
-    fit: Calibration, views: Sequence[View], rivals: Mapping[str, Rivals], kind: str
-) -> list[dict[str, Any]]:
+def _additions(fit: Calibration, views: Sequence[View], rivals: Mapping[str, Rivals], kind: str) -> list[Addition]:
     """Single trials that would help most, ranked by the nats, up to `NATS` for each effect, that one of each adds.
 
     An effect's nats are those over the nominal model or over its strongest rival, whichever is less.
@@ -531,14 +531,14 @@ def _additions(
         for t in range(len(order)):
             gains[t, k] = worth(here.joined(more.one(t), places)) - before
     total = gains.sum(axis=1)
-    out = []
+    out: list[Addition] = []
     for t in np.argsort(-total)[:_PROPOSED]:
         trial = candidates.trials[order[t]]
         if total[t] < 0.1:
             break
         helped = [views[k].effect.name for k in np.argsort(-gains[t]) if gains[t, k] > 0.1 * total[t]]
         k1t, theta0 = candidates.stiffnesses[trial.k1t][0], trial.theta0
-        place = (
+        place: Addition = (
             {"k1_n_per_m": k1t, "theta0_mm": 1e3 * theta0}
             if kind == "translational"
             else {"k1t_n_m_per_rad": k1t, "theta0_deg": math.degrees(theta0)}
@@ -553,7 +553,7 @@ def _additions(
 # Words ----------------------------------------------------------------------------------------------------------------
 
 
-def _row(view: View, rivals: Rivals, campaign: Campaign) -> dict[str, Any]:
+def _row(view: View, rivals: Rivals, campaign: Campaign) -> PlannedEffect:
     of_rig = campaign.rig.kind, campaign.measurement.quantity
     units = {p.name: "" if p.unit == "1" else effect_unit(p.unit, *of_rig) for p in view.variant.parameters}
     strongest = rivals.first
@@ -573,7 +573,7 @@ def _row(view: View, rivals: Rivals, campaign: Campaign) -> dict[str, Any]:
     }
 
 
-def _alike(rows: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+def _alike(rows: Sequence[PlannedEffect]) -> list[list[str]]:
     """Pairs that the plan's trials could not distinguish, though at least one of the two would be seen."""
     out: list[list[str]] = []
     for row in rows:
@@ -584,8 +584,8 @@ def _alike(rows: Sequence[Mapping[str, Any]]) -> list[list[str]]:
     return out
 
 
-def _parameters(fit: Calibration, kind: str) -> dict[str, dict[str, Any]]:
-    out = {}
+def _parameters(fit: Calibration, kind: str) -> dict[str, PlannedParameter]:
+    out: dict[str, PlannedParameter] = {}
     for i, c in enumerate(fit.problem.coordinates):
         low, high = sorted(float(from_standard(c.prior, z)) for z in (-1.645, 1.645))
         out[c.name] = {
@@ -598,8 +598,8 @@ def _parameters(fit: Calibration, kind: str) -> dict[str, dict[str, Any]]:
 
 
 def _sentences(
-    campaign: Campaign, fit: Calibration, rows: Sequence[Mapping[str, Any]], groups: Sequence[Sequence[str]],
-    parameters: Mapping[str, Mapping[str, Any]],
+    campaign: Campaign, fit: Calibration, rows: Sequence[PlannedEffect], groups: Sequence[Sequence[str]],
+    parameters: Mapping[str, PlannedParameter],
 ) -> list[str]:  # fmt: skip
     seen = [row["name"] for row in rows if row["nats"] >= NATS]
     blind = [row for row in rows if row["nats"] < NATS]

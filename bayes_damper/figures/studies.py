@@ -12,6 +12,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from bayes_damper.figures.style import COLOURS, RC, STYLES, label, new_figure
 from bayes_damper.rig.parameters import unit_of
+from bayes_damper.runs.contents.plan import PlanFile
 
 _SHOWN_HZ = 20.0
 """Up to where frequency responses of the thesis are drawn."""
@@ -202,7 +203,7 @@ def thesis_figure(found: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def plan_figure(result: Mapping[str, Any], *, title: str) -> Figure:
+def plan_figure(result: PlanFile, *, title: str) -> Figure:
     """What a plan could see and distinguish: chance of each effect to be seen, and nats of each beside each rival.
 
     result : what plan.json holds. The numbers in the right part are expected nats, left out from 10 on (distinguished);

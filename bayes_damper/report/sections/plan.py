@@ -5,29 +5,30 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from bayes_damper.report.parts import Headline, Result, Row, Section, Table, listed, words
 from bayes_damper.report.sections.shared import fingerprint, meaning_of, pictures_of, records_table
+from bayes_damper.runs.contents.plan import Addition, PlanFile
 from bayes_damper.sampling.prior_sensitivity import decided_by
 from bayes_damper.text import NOTHING, interval, number, percent
 
 
-def plan_result(data: Mapping[str, Any], folder: Path) -> Result:
+def plan_result(data: PlanFile, folder: Path) -> Result:
     """Headline and section of plan.json."""
     columns: tuple[str, ...]
     cells: tuple[str, ...]
     rows = []
     for e in data["effects"]:
-        rival, least = e.get("rival") or {}, e.get("smallest") or {}
+        rival, least = e.get("rival"), e.get("smallest") or {}
+        name, nats = (rival["name"], rival["nats"]) if rival else (NOTHING, None)
         times = e.get("repeats_needed")
         cells = (
             words(e["name"]),
             e["site"],
             percent(e["chance"]),
             "; ".join(f"{k} {number(v['value'])} {v['unit']}".strip() for k, v in least.items()) or NOTHING,
-            words(rival.get("name", NOTHING)),
-            number(rival.get("nats"), 10.0) if (rival.get("nats") or 0.0) < 100.0 else "above 100",
+            words(name),
+            number(nats, 10.0) if (nats or 0.0) < 100.0 else "above 100",
             "more than 100 times" if times is None else "as planned" if times == 1 else f"{times} times",
         )
         rows.append(Row(cells, "bad" if times is None else ""))
@@ -67,13 +68,15 @@ def _spelt_out(sentence: str, names: Sequence[str]) -> str:
     return sentence
 
 
-def _best_trial(proposals: Sequence[Mapping[str, Any]]) -> list[str]:
+def _best_trial(proposals: Sequence[Addition]) -> list[str]:
     """The single trial that would help most, in a sentence; nothing where none would."""
     if not proposals or not proposals[0].get("helps"):
         return []
-    best = proposals[0]
+    best: Mapping[str, object] = proposals[0]
     forms = {"k1t_n_m_per_rad": "k1t {} N m/rad", "k1_n_per_m": "k1 {} N/m",
              "theta0_deg": "released at {} deg", "theta0_mm": "released at {} mm"}  # fmt: skip
     details = [form.format(f"{best[key]:.3g}") for key, form in forms.items() if best.get(key) is not None]
-    helps = listed([words(n) for n in best["helps"]])
-    return [f"One more trial helps most if {', '.join([best['configuration'], *details])}: to distinguish {helps}."]
+    helps = listed([words(n) for n in proposals[0]["helps"]])
+    return [
+        f"One more trial helps most if {', '.join([proposals[0]['configuration'], *details])}: to distinguish {helps}."
+    ]
