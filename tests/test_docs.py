@@ -338,7 +338,7 @@ def test_the_reference_explains_every_argument_of_a_public_function(name):
 
 def test_the_reference_tells_what_a_function_gives():
     text = generator().python()
-    for name, told in (("Fit", "`summary`: Mapping"), ("TuneResult", "`target_db`: float"), ("Campaign", "`trials`")):
+    for name, told in (("Fit", "`summary`: FitFile"), ("TuneResult", "`target_db`: float"), ("Campaign", "`trials`")):
         assert f"**Gives** `{name}`: " in text
         assert told in text.partition(f"**Gives** `{name}`: ")[2].partition("\n## ")[0]
 
