@@ -11,8 +11,8 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection, wait
 from typing import Any, TypeVar, cast
 
@@ -30,6 +30,16 @@ def can_fork() -> bool:
     that are not to outlive their parent, as the workers of a cluster, may have no children.
     """
     return sys.platform.startswith("linux") and not multiprocessing.current_process().daemon
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Ctrl-C waits: a process that has been started must be known to be ended."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def forked_map(work: Callable[[Item], Answer], items: Sequence[Item], count: int) -> list[Answer]:
@@ -62,12 +72,12 @@ def forked_map(work: Callable[[Item], Answer], items: Sequence[Item], count: int
         for _ in range(min(count, len(items))):
             ours, theirs = context.Pipe(duplex=False)
             process = context.Process(target=serve, args=(theirs,), daemon=True)
-            with warnings.catch_warnings():
+            with warnings.catch_warnings(), _uninterrupted():
                 # Threads beside us only wait, or belong to linear algebra, which knows of forks: they hold no lock.
                 warnings.filterwarnings("ignore", ".*fork.*", DeprecationWarning)
                 process.start()
+                processes.append(process)
             theirs.close()
-            processes.append(process)
             open_ends.append(ours)
         while open_ends:
             for end in wait(open_ends):

@@ -93,6 +93,27 @@ def test_a_loop_is_compiled_where_nothing_can_be_kept(tmp_path):
 
 
 @forks
+def test_a_run_that_is_stopped_as_a_process_starts_leaves_none_behind():
+    code = (
+        "import multiprocessing, os, signal, time\n"
+        "from multiprocessing.context import ForkProcess\n"
+        "from bayes_damper.runs.parallel_map import forked_map\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "start = ForkProcess.start\n"
+        "def stopped(self):\n"
+        "    start(self)\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "ForkProcess.start = stopped\n"
+        "try:\n"
+        "    forked_map(lambda x: time.sleep(60), range(4), 2)\n"
+        "except KeyboardInterrupt:\n"
+        "    print('stopped', multiprocessing.active_children(), flush=True)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=50, check=True)
+    assert done.stdout == "stopped []\n"
+
+
+@forks
 def test_a_stopped_run_leaves_no_process_behind(tmp_path):
     """Interrupted by one of its processes while both work, it ends, and they with it."""
     code = (
