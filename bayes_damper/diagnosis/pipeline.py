@@ -667,14 +667,12 @@ def symmetries(experiment: Experiment) -> list[str]:
     powers = {"dry friction": 2 - DERIVATIVE[experiment.quantity], "viscous damping": 1}
     also = " and ".join(f"{name} {power} % higher" for name, power in powers.items() if power)
     clock = (
-        f"A free decay cannot show an error of the clock. If the clock runs 1 % fast, the true stiffness is 2 % "
-        "higher, "
+        "A free decay cannot show an error of the clock. If the clock runs 1 % fast, the true stiffness is 2 % higher, "
         f"{also} than found here."
     )
     scale = (
         "A free decay cannot show an error of scale. If the sensor reads 1 % too high, the true dry friction is 1 % "
-        "lower "
-        "than found here."
+        "lower than found here."
     )
     shown = [clock] if experiment.quantity == "displacement" or not pendulum else []
     return shown if pendulum else [*shown, scale]
