@@ -57,7 +57,7 @@ def test_a_fit_that_misses_something_says_so_before_it_draws(tmp_path):
     with pytest.raises(Stopped):
         fit_recorded_cases(tmp_path, report, name="large", plan=plan)
     assert "MISSES SOMETHING" not in news[0]
-    assert news[-1].endswith("THE MODEL MISSES SOMETHING, `bayes-damper diagnose` looks for what")
+    assert news[-1].endswith("THE MODEL MISSES SOMETHING: stop with Ctrl-C and run `bayes-damper diagnose`")
 
 
 @pytest.mark.slow

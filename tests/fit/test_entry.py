@@ -98,9 +98,9 @@ def test_progress_tells_what_is_left_when_all_is_drawn(fitted):
     assert [share for share, _ in own] == sorted(share for share, _ in own)
     drawing = [share for share, text in own if text.startswith("sampling,")]
     assert max(drawing) <= 0.7
-    left = [text for share, text in own if share >= 0.7 and "left: " in text]
-    assert left[0].endswith("left: predictions, evidence, files, figures")
-    assert left[-1].endswith("left: figures")
+    left = [text for share, text in own if share >= 0.7 and "next: " in text]
+    assert left[0].endswith("next: predictions, evidence, files, figures")
+    assert left[-1].endswith("next: figures")
     assert own[-1] == (1.0, "done")
     assert [task for task, _, _ in TOLD.updates[-2:]] == ["overview", "overview"]
 
