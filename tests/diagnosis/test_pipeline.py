@@ -195,7 +195,7 @@ def test_a_constant_that_the_named_effect_does_not_free_is_told():
     found = diagnose(replace(experiment, constants=constants), effects=FEW)
     assert found.verdict == "quadratic_drag"
     note = next(n for n in found.notes if "still differs" in n)
-    wanted = float(note.split(" to ")[1].split(":")[0])
+    wanted = float(note.split("deviations (")[1].split(")")[0])
     assert "J2" in note
     assert wanted == pytest.approx(RIG["J2"], rel=0.03)
 
