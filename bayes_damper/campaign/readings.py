@@ -227,6 +227,7 @@ def dominant_frequency(times: Array, readings: Array) -> float:
     even = np.linspace(times[0], times[-1], count)
     y = np.interp(even, times, readings)
     size = 8 * count
+    y = y / max(float(np.max(np.abs(y))), 1e-300)  # readings of 1e308 have no finite sum
     power = np.abs(np.fft.rfft((y - np.mean(y)) * np.hanning(count), size))
     i = int(np.argmax(power[1:-1])) + 1
     a, b, c = power[i - 1 : i + 2]
