@@ -25,7 +25,7 @@ def folder_name(case: str) -> str:
     """The folder of a case: its label where that is a plain word, else one that no file system minds."""
     if re.fullmatch(r"[\w-]+", case):
         return case
-    return re.sub(r"[^\w-]+", "_", case) + "-" + hashlib.sha256(case.encode(errors="surrogateescape")).hexdigest()[:6]
+    return re.sub(r"[^\w-]+", "_", case) + "-" + hashlib.sha256(case.encode(errors="surrogatepass")).hexdigest()[:6]
 
 
 @contextmanager

@@ -211,11 +211,15 @@ class ThinSheets:
         return unit_normal(points) + self.log_likelihood(points)
 
 
+def sheets_and_start():
+    target, rng = ThinSheets(), np.random.default_rng(2)
+    draws = rng.standard_normal((1024, target.ndim))
+    return target, annealed_start(unit_normal, Powers(target.log_likelihood), draws, rng)
+
+
 def test_what_an_annealed_population_taught_is_not_forgotten_in_a_short_warm_up():
     """Autocorrelation stays short: the walkers of one ensemble, in a few hundred steps, know less of thin sheets."""
-    target = ThinSheets()
-    rng = np.random.default_rng(2)
-    start = annealed_start(unit_normal, Powers(target.log_likelihood), rng.standard_normal((1024, target.ndim)), rng)
+    target, start = sheets_and_start()
     result = sample(target, start, seed=4, rule=StoppingRule(taus=5.0, max_steps=4000))
     assert result.converged, result.verdict.sentences
     assert result.verdict.tau.max() < 120.0
@@ -224,9 +228,7 @@ def test_what_an_annealed_population_taught_is_not_forgotten_in_a_short_warm_up(
 
 def test_a_rule_that_asks_for_few_autocorrelation_times_is_judged_when_it_has_them():
     """Not when 75 draws of an eighth of one are there, which is more than nine."""
-    target = ThinSheets()
-    rng = np.random.default_rng(2)
-    start = annealed_start(unit_normal, Powers(target.log_likelihood), rng.standard_normal((1024, target.ndim)), rng)
+    target, start = sheets_and_start()
     result = sample(target, start, seed=4, rule=StoppingRule(taus=2.0, ess=500.0, r_hat=1.03))
     assert result.converged, result.verdict.sentences
     assert 2.0 <= result.verdict.steps / result.verdict.tau.max() < 3.5
