@@ -298,6 +298,7 @@ def _build(table: Mapping[str, Any], name: str, raw: Path) -> Campaign:
     )  # fmt: skip
 
 
+_RANGES = (1.0, 2.0 * math.pi, 360.0, *(2.0**bits for bits in range(8, 33)))  # of turns, angles and counters
 _REST = 0.05  # share of a record; one that rests for longer began before the release
 
 
@@ -412,6 +413,8 @@ def _trial_from(
     n_channels = 2 if coupled else 1
     places = [source.index(c, where) for c in wanted[:n_channels]]
     channels = _unwrapped(source.table[:, places].T, option)
+    if measurement.quantity == "displacement" and "wrap" not in option:
+        _refuse_wraps(source.table[:, places].T, where)
     contradicted += _other_units(source, places, option.get("units", []), where)
     released = measurement.start == "rest"  # then the size of the first peak shows what is read
     if not {"units", "motion"} & set(option) and not released and not all(source.unit(place) for place in places):
@@ -506,6 +509,22 @@ def _unwrapped(channels: Array, option: Mapping[str, Any]) -> Array:
             elif value:
                 y[there] = np.unwrap(y[there], period=value)
     return out
+
+
+def _refuse_wraps(channels: Array, where: str) -> None:
+    """Refuse raw channels (n_channels, n) that begin again at the end of their range, and name the option for them."""
+    found = [look.wrap_of(y[np.isfinite(y)]) for y in channels]
+    if not any(found):
+        return
+    values = []
+    for limits in found:
+        least, most = limits or (0.0, 0.0)
+        round_ones = (float(f"{0.5 * (least + most):.{digits}g}") for digits in range(1, 9))
+        values.append(f"{next((x for x in (*_RANGES, *round_ones) if least <= x <= most), least):.8g}")
+    raise InputError(
+        f"{where}: the readings jump to and fro by all that they span, as those of a counter that begins again do: "
+        f"give --wrap {' '.join(values)} ('wrap'; 0 for a channel that does not)"
+    )
 
 
 def _source_of(

@@ -53,6 +53,21 @@ def resolution_of(readings: Array) -> float:
     return step if np.mean(close) > 0.8 else 0.0
 
 
+def wrap_of(readings: Array) -> tuple[float, float] | None:
+    """Least and largest range at whose end readings begin again, as those of a counter do; None where none do.
+
+    They jump to and fro by nearly all that they span, and stay where they jump to for some readings, unlike spikes.
+    """
+    steps = np.abs(np.diff(readings))
+    span = float(np.ptp(readings))
+    jumps = np.flatnonzero(steps > 0.5 * span)
+    if len(jumps) < 2 or float(np.median(np.diff(jumps))) < 3.0:
+        return None
+    usual = float(np.max(np.delete(steps, jumps), initial=0.0))
+    least, most = max(span, float(np.max(steps))), float(np.max(steps)) + usual
+    return (least, most) if usual < 0.25 * span and float(np.min(steps[jumps])) > least - 3.0 * usual else None
+
+
 def gaps_of(times: Array) -> list[tuple[float, float]]:
     """The stretches (start, end), in seconds, where more than one sample is missing from an otherwise denser record."""
     steps = np.diff(times)

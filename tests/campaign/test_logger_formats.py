@@ -219,3 +219,35 @@ def test_measured_inputs_are_imported(tmp_path: Path) -> None:
     assert campaign.measurement.frame == "ground"
     with pytest.raises(InputError, match="thins the readings alone"):
         init_campaign(tmp_path / "bad", [path], free_start=True, every=2, **(given | {"torque_unit": "mN"}), **rig)
+
+
+@pytest.mark.parametrize(
+    ("form", "options", "named"),
+    [
+        (lambda angle: np.mod(np.round(angle / (2 * np.pi) * 4096) + 65500, 65536),
+         {"scale": [360.0 / 4096], "units": ["deg"]}, "--wrap 65536"),
+        (lambda angle: np.mod(np.degrees(angle) + 358.0, 360.0), {"units": ["deg"]}, "--wrap 360"),
+        (lambda angle: np.mod(angle / (2 * np.pi) * 4000 + 1995, 2000), {"scale": [0.09], "units": ["deg"]},
+         "--wrap 2000"),
+        (np.degrees, {"units": ["deg"]}, ""),
+        # spikes, and a track that is lost and found elsewhere
+        (lambda angle: np.degrees(angle) + 300.0 * (np.arange(1000) % 90 == 20), {"units": ["deg"]}, ""),
+        (lambda angle: np.degrees(angle) + 300.0 * (np.arange(1000) > 500), {"units": ["deg"]}, ""),
+    ],
+)  # fmt: skip
+def test_readings_that_begin_again_are_noticed_with_the_option_that_joins_them(
+    tmp_path: Path, form: object, options: dict, named: str
+) -> None:
+    times = np.arange(0.0, 2.0, 2e-3)
+    omega = math.sqrt(10.2 / 3.015e-3)
+    angle = math.radians(20.0) * np.exp(-0.5 * times) * np.cos(omega * times)
+    path = tmp_path / "track.csv"
+    path.write_text("t,raw\n" + "\n".join(f"{t:.4f},{x:.10g}" for t, x in zip(times, form(angle), strict=True)))
+    given = {"primary_inertia": 3.015e-3, "k1t": 10.2, "time": "t", "columns": ["raw"], "quantity": "displacement"}
+    if not named:
+        init_campaign(tmp_path / "out", [path], free_start=True, **given, **options)
+        return
+    with pytest.raises(InputError, match=f"begins again do: give {named} "):
+        init_campaign(tmp_path / "out", [path], free_start=True, **given, **options)
+    init_campaign(tmp_path / "out", [path], free_start=True, **given, **options, wrap=[float(named.split()[1])])
+    assert np.ptp(load_campaign(tmp_path / "out").trials[0].channels[0]) < 0.7
