@@ -8,7 +8,8 @@ SHELL := /bin/bash
 VENV ?= .venv
 PYTHON ?=
 RUN := $(VENV)/bin/python
-PIP := $(RUN) -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+# Python compiles what is imported when it is; compiling all of a dozen packages at once takes longer than installing them.
+PIP := $(RUN) -m pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt
 DEMO_OUT ?= results/demo
 # Processes that run tests side by side; tests of one file, or of one formula of an effect, stay together, and
 # tests/conftest.py says which files come first.

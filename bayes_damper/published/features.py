@@ -69,7 +69,7 @@ def features(times: ArrayLike, alpha1: ArrayLike, t_min: ArrayLike = 0.0, releas
             f"alpha1 has the shape {np.shape(alpha1)} and times {np.shape(times)}; "
             "give at least three times and records of shape (n, n_times)"
         )
-    if not np.all(np.diff(t) > 0.0):
+    if not (t[1:] > t[:-1]).all():
         raise InputError("times must increase from sample to sample; sort the record and drop repeated times")
     n = len(records)
     start = np.array(np.broadcast_to(np.asarray(t_min, dtype=np.float64), (n,)))

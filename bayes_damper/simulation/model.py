@@ -32,7 +32,7 @@ Parameters = Mapping[str, ArrayLike]
 _OPTIONAL = {"J12": 0.0, "k3t": 0.0, "omega1_0": 0.0, "omega2_0": 0.0, "delay": 0.0, "release_time": 0.0, "tail": 0.0}
 # What the uncoupled rig does not see.
 _COUPLED_ONLY = {"J2": 1.0, "c3t": 0.0, "k2t": 0.0, "c2t": 0.0, "mu": 0.0, "N0": 0.0, "R": 1.0, "r": 1.0}
-_POSITIVE = ("J1", "J2", "R", "r", "nu")
+_POSITIVE = [ROWS.index(name) for name in ("J1", "J2", "R", "r", "nu")]
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,7 @@ class Model:
     ) -> tuple[Array, Array, Array, Inputs | None, list[Any] | None]:
         """Checked arguments: rows, parameters of the effect, sample times, inputs that act, lags of channels."""
         grid = np.ascontiguousarray(times, float)
-        if grid.ndim != 1 or grid.size < 1 or np.any(np.diff(grid) <= 0.0):
+        if grid.ndim != 1 or grid.size < 1 or (grid[1:] <= grid[:-1]).any():
             raise ValueError("times must be one-dimensional and increase from sample to sample")
         drive = inputs
         if torque is not None:
@@ -213,8 +213,10 @@ class Model:
         missing = [name for name in ROWS if name not in given]
         if missing:
             raise KeyError(f"the simulation needs {', '.join(missing)}; give them in SI units")
-        columns = np.broadcast_arrays(*[np.atleast_1d(np.asarray(given[name], float)) for name in ROWS])
-        return np.array(columns)
+        rows = np.empty((len(ROWS), max(np.size(given[name]) for name in ROWS)))
+        for row, name in zip(rows, ROWS, strict=True):
+            row[:] = given[name]
+        return rows
 
     def _run(
         self,
@@ -231,7 +233,7 @@ class Model:
         rows = np.array(np.broadcast_to(rows, (rows.shape[0], n)))
         extras = np.array(np.broadcast_to(extras, (extras.shape[0], n)))
         usable = np.isfinite(rows).all(axis=0) & np.isfinite(extras).all(axis=0)
-        usable &= (rows[[ROWS.index(name) for name in _POSITIVE]] > 0.0).all(axis=0)
+        usable &= (rows[_POSITIVE] > 0.0).all(axis=0)
         outcome = np.where(usable, integrator.COMPLETED, integrator.NOT_FINITE_INPUT)
         y = np.full((n, self.channels, times.size), np.nan)
         which = np.flatnonzero(usable)

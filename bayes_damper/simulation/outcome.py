@@ -33,5 +33,5 @@ _SENTENCES = {
 
 def count_outcomes(outcomes: ArrayLike) -> dict[str, int]:
     """How many vectors ended in each way: name of the outcome -> count; outcomes that did not occur are left out."""
-    values, counts = np.unique(np.asarray(outcomes, int), return_counts=True)
-    return {Outcome(int(value)).name: int(count) for value, count in zip(values, counts, strict=True)}
+    counts = np.bincount(np.asarray(outcomes, int), minlength=len(Outcome)).tolist()
+    return {outcome.name: count for outcome, count in zip(Outcome, counts, strict=True) if count}
