@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bayes_damper.campaign import load_campaign
 from bayes_damper.errors import ExitCode
-from bayes_damper.published.measurements import load_published
+from bayes_damper.published.sources import PublishedSource, source_of
 
 
 @dataclass(frozen=True)
@@ -52,18 +51,16 @@ def check(campaign: str | Path, notes: Sequence[str] = ()) -> Check:
     InputError
         with a sentence for every fault: file, line, column, what was expected, what to do.
     """
-    if str(campaign) == "thesis":
-        published = load_published()
-        cases = ", ".join(published.cases)
-        text = f"thesis: cases {cases}; {len(published.measurements)} published measurements (Augustine 2013)"
-        return Check("thesis", text, (), published.checksum, "bayes-damper fit thesis --out results/fit")
-    found = load_campaign(campaign)
-    beside = Path(campaign) / "priors.toml"
-    if beside.exists():
+    source = source_of(campaign)
+    if isinstance(source, PublishedSource):
+        cases, numbers = ", ".join(source.cases), len(source.published.measurements)
+        text = f"{source.name}: cases {cases}; {numbers} published measurements (Augustine 2013)"
+        return Check(source.name, text, (), source.sha256, f"bayes-damper fit {source.name} --out results/fit")
+    found = source.campaign
+    if (priors := source.priors()) is not None:
         from bayes_damper.calibration import experiment_of
-        from bayes_damper.priors.files import campaign_priors
 
-        experiment_of(found, campaign_priors(beside, found))
+        experiment_of(found, priors)
     lines = "\n".join([found.describe(), *(f"  warning: {note}" for note in notes)])
     follows = f"bayes-damper fit {shlex.quote(str(campaign))} --out results/fit"
     return Check(found.name, lines, (*found.warnings, *notes), found.sha256, follows)

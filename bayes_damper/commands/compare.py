@@ -22,6 +22,7 @@ from bayes_damper.fit import published_posterior
 from bayes_damper.inputs import resolved
 from bayes_damper.priors.distributions import to_standard
 from bayes_damper.priors.files import priors_from_dict
+from bayes_damper.published.sources import is_published
 from bayes_damper.rig.parameters import PARAMETERS
 from bayes_damper.runs.contents.fit import FitFile
 from bayes_damper.runs.json_files import folder_name, read_json, write_json
@@ -265,7 +266,7 @@ def _fit_pieces(path: Path, summary: FitFile, seed: int) -> dict[str, Any]:
         if not file.exists():
             continue
         tree = arviz_adapter.read(file)
-        if plan["campaign"] == "thesis":
+        if is_published(plan["campaign"]):
             priors = priors_from_dict(plan["priors"]).for_case(case).free
             posterior = tree["posterior"]
             draws = {name: np.asarray(posterior[name].values, float) for name in priors if name in posterior}

@@ -19,7 +19,6 @@ from bayes_damper.calibration import Calibration, predict
 from bayes_damper.calibration.experiment import laws_on
 from bayes_damper.calibration.forecast import forecasts
 from bayes_damper.calibration.posterior import trial_label
-from bayes_damper.campaign import load_campaign
 from bayes_damper.diagnosis import Diagnosis
 from bayes_damper.diagnosis import diagnose as diagnose_campaign
 from bayes_damper.diagnosis.published import diagnose_published
@@ -30,9 +29,8 @@ from bayes_damper.effects import Effect, all_effects
 from bayes_damper.effects._law import SITES
 from bayes_damper.effects.base import SITE_TITLES
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.priors.files import campaign_priors, load_priors
-from bayes_damper.published.measurements import load_published
 from bayes_damper.published.posterior import Datum
+from bayes_damper.published.sources import PublishedSource, source_of
 from bayes_damper.rig.parameters import unit_of
 from bayes_damper.rig.units import BODIES, effect_unit, in_words_of
 from bayes_damper.runs.contents.diagnosis import (
@@ -111,13 +109,11 @@ def diagnose(
         if the campaign, the priors or an effect cannot be used.
     """
     check_choices(nominal, prior_unknown)
-    if str(campaign) == "thesis":
-        return _thesis(nominal, all_effects(effects), priors, Path(out), seed, workers, report)
-    loaded = load_campaign(campaign)
-    beside = Path(campaign) / "priors.toml"
-    file = Path(priors) if priors is not None else beside if beside.exists() else None
-    chosen = None if file is None else campaign_priors(file, loaded)
+    source = source_of(campaign)
     library = all_effects(effects)
+    if isinstance(source, PublishedSource):
+        return _published(source, nominal, library, priors, Path(out), seed, workers, report)
+    loaded, chosen = source.campaign, source.priors(priors)
     beyond = laws_on(library, loaded)
     found = diagnose_campaign(
         loaded, nominal=nominal, effects=library, priors=chosen, seed=seed, workers=workers, report=report,
@@ -171,7 +167,8 @@ def check_choices(nominal: str, prior_unknown: float) -> None:
         )
 
 
-def _thesis(
+def _published(
+    source: PublishedSource,
     nominal: Literal["nonlinear", "linear"],
     effects: Mapping[str, Effect],
     priors: str | Path | None,
@@ -181,14 +178,14 @@ def _thesis(
     report: Callable[[str], None],
 ) -> Diagnosed:
     """The same answers from the 24 published numbers."""
-    published = load_published()
+    published = source.published
     data = {
         case: tuple(Datum(m.configuration, m.quantity, m.value, m.standard_error, m.n) for m in published.of_case(case))
         for case in published.cases
     }
     found = diagnose_published(
         data,
-        load_priors(priors or "thesis"),
+        source.priors(priors),
         nominal=nominal,
         effects=effects,
         seed=seed,
@@ -196,7 +193,7 @@ def _thesis(
         report=report,
     )
     path = _emptied(folder)
-    result = found.to_json() | {"campaign_sha256": published.checksum, "provenance": provenance()}
+    result = found.to_json() | {"campaign_sha256": source.sha256, "provenance": provenance()}
     _add_meanings(result, effects)
     ranking = figures.ranking_figure(
         found.answers.probabilities, found.sites, title="thesis: what 24 numbers say is missing, and where"

@@ -15,6 +15,7 @@ from bayes_damper.diagnosis.verdict import RULE
 from bayes_damper.effects import all_effects, effects_sha256, same_effects
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.inputs import fields, file_sha256, resolved
+from bayes_damper.published.sources import is_published
 from bayes_damper.report import report
 from bayes_damper.runs.execution import Progress, Task, claim, run_tasks
 from bayes_damper.runs.json_files import folder_name, write_json
@@ -160,7 +161,7 @@ def _places(paths: Sequence[Path]) -> dict[str, Path]:
     same = [str(path) for path, n in Counter(resolved(path) for path in paths).items() if n > 1]
     if same:
         raise InputError([f"{path}: named twice; name each campaign once" for path in same])
-    faults = ["thesis: the published numbers are no campaign; diagnose them alone" for p in paths if str(p) == "thesis"]
+    faults = ["thesis: the published numbers are no campaign; diagnose them alone" for p in paths if is_published(p)]
     if faults:
         raise InputError(faults)
     labels = [resolved(path).name for path in paths]

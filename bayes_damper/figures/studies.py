@@ -34,11 +34,18 @@ def work_precision_figure(curves: Mapping[str, Sequence[tuple[float, float]]], *
     return figure
 
 
-def variability_figure(result: Mapping[str, Any], *, title: str, converged: bool = True) -> Figure:
+def variability_figure(
+    result: Mapping[str, Any],
+    *,
+    title: str,
+    measured: str = "linear fit to the measurements",
+    converged: bool = True,
+) -> Figure:
     """Effective k2t and c2t against initial energy, and where their scatter over the cases comes from.
 
     result : what variability.json holds. Above: bands of one and the same rig (median, 90 %), each case with its 90 %
-    interval, and the values that linear fits to the measurements gave. Below: shares of the scatter, 90 % intervals.
+    interval, and the values that linear fits to the measurements gave, in the words of `measured`. Below: shares of the
+    scatter, 90 % intervals.
     """
     names = {name: label(name, unit_of(name, result.get("kind", "torsional"))) for name in ("k2t", "c2t")}
     figure = new_figure(9.0, 6.2, converged)
@@ -58,8 +65,7 @@ def variability_figure(result: Mapping[str, Any], *, title: str, converged: bool
                 upper.plot(energy, row[name]["median"], "o", color=COLOURS[0], ms=5, label=shown)
                 upper.annotate(case, (energy, row[name]["median"]), xytext=(4, 4), textcoords="offset points")
                 if "measured" in row:
-                    words = "Table 9 (p. 20)" if result["campaign"] == "thesis" else "linear fit to the measurements"
-                    shown = words if i == 0 else None
+                    shown = measured if i == 0 else None
                     upper.plot(energy, row["measured"][name], "D", color=COLOURS[1], ms=5, label=shown)
             upper.set_yscale("log")
             upper.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from bayes_damper.calibration.posterior import RecordPosterior
 from bayes_damper.published.posterior import FeaturePosterior, ShrinkingErrors
+from bayes_damper.published.sources import is_published
 from bayes_damper.runs.checkpoint import Checkpoint
 from bayes_damper.runs.contents.fit import FitPlan
 from bayes_damper.runs.provenance import code_sha256
@@ -36,7 +37,7 @@ def stopping_rule(plan: FitPlan) -> StoppingRule:
     will do, R-hat and effective sample sizes being asked for as ever.
     """
     rule = StoppingRule.thorough() if plan["thorough"] else StoppingRule()
-    if plan["campaign"] == "thesis":
+    if is_published(plan["campaign"]):
         rule = replace(rule, taus=rule.taus / 4.0)
     return rule if plan["most_steps"] is None else replace(rule, max_steps=int(plan["most_steps"]))
 
@@ -82,7 +83,7 @@ def sampled(
     return sample(
         posterior,
         begin,
-        walkers=_walkers(posterior.ndim, 0 if plan["campaign"] == "thesis" else len(begin.population)),
+        walkers=_walkers(posterior.ndim, 0 if is_published(plan["campaign"]) else len(begin.population)),
         seed=int(np.random.SeedSequence([plan["seed"], number_of(folder.name)]).generate_state(1)[0]),
         rule=rule,
         checkpoint=Checkpoint(folder / "state", fingerprint),

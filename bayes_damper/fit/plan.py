@@ -13,12 +13,12 @@ from typing import Any, Literal, cast
 from bayes_damper.calibration import Experiment, experiment_of
 from bayes_damper.calibration.correlated_noise import KINDS
 from bayes_damper.calibration.experiment import laws_on
-from bayes_damper.campaign import Campaign, load_campaign
+from bayes_damper.campaign import Campaign
 from bayes_damper.effects import all_effects, effects_sha256, same_effects
 from bayes_damper.errors import InputError
 from bayes_damper.inputs import fields, resolved, shown
-from bayes_damper.priors.files import PriorSet, campaign_priors, load_priors
-from bayes_damper.published.measurements import load_published
+from bayes_damper.priors.files import campaign_priors
+from bayes_damper.published.sources import RecordedSource, source_of, unchanged
 from bayes_damper.rig.parameters import hint
 from bayes_damper.runs.contents.fit import FitPlan
 from bayes_damper.runs.execution import run_record
@@ -52,24 +52,15 @@ def plan_fit(
     joint: bool,
 ) -> FitPlan:
     """Everything that decides the results of a fit, as plain data."""
-    thesis = campaign == "thesis"
-    prior_set: PriorSet | None
-    if thesis:
-        published = load_published()
-        known: Sequence[str] = tuple(published.cases)
-        checksum, name = published.checksum, "thesis"
-        prior_set = load_priors(priors or "thesis")
-    else:
-        loaded = load_campaign(campaign)
-        known, checksum, name = loaded.cases, loaded.sha256, loaded.name
-        beside = Path(campaign) / "priors.toml"
-        file = Path(priors) if priors is not None else beside if beside.exists() else None
-        prior_set = None if file is None else campaign_priors(file, loaded)
-        experiment_of(loaded, prior_set)  # raises where the file and the campaign contradict each other
-    chosen = list(known) if cases is None else list(dict.fromkeys(cases))
-    unknown = [case for case in chosen if case not in known]
+    source = source_of(campaign)
+    prior_set = source.priors(priors)
+    recorded = source.campaign if isinstance(source, RecordedSource) else None
+    if recorded is not None:
+        experiment_of(recorded, prior_set)  # raises where the file and the campaign contradict each other
+    chosen = list(source.cases) if cases is None else list(dict.fromkeys(cases))
+    unknown = [case for case in chosen if case not in source.cases]
     if unknown:
-        raise InputError(f"--case {unknown[0]}: there is no such case; {campaign} has {', '.join(known)}")
+        raise InputError(f"--case {unknown[0]}: there is no such case; {campaign} has {', '.join(source.cases)}")
     if taken := [case for case in chosen if case in _TAKEN]:
         raise InputError(
             f"case {taken[0]!r}: results have a folder of that name; give the case another label in trials.csv"
@@ -79,22 +70,22 @@ def plan_fit(
     if noise not in KINDS:
         raise InputError(f"--noise {noise}: expected one of {', '.join(KINDS)}")
     if effect is not None:
-        if thesis:
+        if recorded is None:
             raise InputError(
                 "--effect: `diagnose thesis` weighs effects by the published features; a fit needs records"
             )
         known_effects = all_effects(effects)
         if effect not in known_effects:
             raise InputError(f"--effect {effect}: there is no such effect; {hint(effect, known_effects)}")
-        laws_on({effect: known_effects[effect]}, loaded)
-    if noise != "auto" and thesis:
+        laws_on({effect: known_effects[effect]}, recorded)
+    if noise != "auto" and recorded is None:
         raise InputError("--noise: the published features have standard errors of their own; leave it out")
     return {
-        "campaign": campaign if thesis else str(resolved(campaign)),
-        "name": name,
-        "campaign_sha256": checksum,
+        "campaign": campaign if recorded is None else str(resolved(campaign)),
+        "name": source.name,
+        "campaign_sha256": source.sha256,
         "cases": chosen,
-        "joint": joint and not thesis and len(chosen) > 1,
+        "joint": joint and recorded is not None and len(chosen) > 1,
         "priors": None if prior_set is None else prior_set.to_dict(),
         "normal_force": cast("Literal['linear', 'constant'] | None", normal_force),
         "noise": noise,
@@ -203,12 +194,8 @@ def _differences(name: str, before: Any, now: Any) -> list[str]:
 
 def planned_campaign(plan: FitPlan) -> Campaign:
     """The campaign that a fit was planned for, as it was then."""
-    campaign = load_campaign(plan["campaign"])
-    if campaign.sha256 != plan["campaign_sha256"]:
-        raise InputError(
-            f"{plan['campaign']}: the campaign has changed since this run began; start a new run with another --out"
-        )
-    return campaign
+    since = "this run began; start a new run with another --out"
+    return unchanged(plan["campaign"], plan["campaign_sha256"], since)
 
 
 def planned_warnings(plan: FitPlan) -> list[str]:

@@ -15,6 +15,7 @@ from bayes_damper.fit.plan import kept, plan_fit, planned_warnings, start_run
 from bayes_damper.fit.published import fit_published_case
 from bayes_damper.fit.recorded import fit_recorded_cases
 from bayes_damper.fit.summary import table_text, write_table
+from bayes_damper.published.sources import is_published
 from bayes_damper.runs.contents.fit import CaseEntry, FitFile, FitPlan
 from bayes_damper.runs.execution import WAITING, Progress, Silent, Task, run_tasks, stopped
 from bayes_damper.runs.json_files import folder_name, read_json, write_json
@@ -202,8 +203,9 @@ def finish_fit(
     InputError
         if the campaign is not the one that the fit was planned for.
     """
-    warnings = () if plan["campaign"] == "thesis" else planned_warnings(plan)
-    call = fit_published_case if plan["campaign"] == "thesis" else fit_recorded_cases
+    published = is_published(plan["campaign"])
+    warnings = () if published else planned_warnings(plan)
+    call = fit_published_case if published else fit_recorded_cases
     names = [*plan["cases"], *(["joint"] if plan["joint"] else [])]
     # The joint fit is the longest: it starts first.
     order = sorted(names, key=lambda name: name != "joint")

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayes_damper.campaign import Campaign, load_campaign
+from bayes_damper.campaign import Campaign
 from bayes_damper.errors import InputError, as_written
 from bayes_damper.published.measurements import load_published
+from bayes_damper.published.sources import is_published, unchanged
 from bayes_damper.rig.parameters import unit_of
 from bayes_damper.runs.json_files import folder_name, read_json
 from bayes_damper.sampling import arviz_adapter
@@ -192,11 +193,9 @@ def origin_of(
                 *map(str, summary.get("warnings", ())),
             ),
         }
-    if plan.get("campaign") in (None, "thesis"):
+    if plan.get("campaign") is None or is_published(plan["campaign"]):
         return Origin(**about)
-    campaign = load_campaign(str(plan["campaign"]))
-    if campaign.sha256 != plan.get("campaign_sha256"):
-        raise InputError(f"{plan['campaign']}: the campaign has changed since it was fitted; fit it again")
+    campaign = unchanged(str(plan["campaign"]), plan.get("campaign_sha256"), "it was fitted; fit it again")
     rig = campaign.rig
     if rig.ground2_stiffness.value or rig.inertial_coupling.value or rig.restoring != "linear":
         raise InputError(

@@ -16,6 +16,7 @@ from bayes_damper import figures
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.inputs import fields
 from bayes_damper.priors.distributions import Distribution, from_standard, to_standard
+from bayes_damper.published.sources import is_published
 from bayes_damper.runs.execution import Progress, Task, claim, run_record, run_tasks
 from bayes_damper.runs.json_files import folder_name, plain, read_json, write_json
 from bayes_damper.runs.provenance import code_sha256, provenance
@@ -142,7 +143,7 @@ def variability(
         raise InputError("variability needs at least 32 particles, 1 repeat and 8 draws; raise those that are below")
     plan, fitted = _read_fit(folder)
     target = Path(out) if out is not None else fitted or Path("results/variability")
-    cases = PublishedCases(plan) if plan["campaign"] == "thesis" else RecordedCases(plan)
+    cases = PublishedCases(plan) if is_published(plan["campaign"]) else RecordedCases(plan)
     rng = np.random.default_rng([seed, 5])
     settings = {"fit": plan, "seed": seed, "particles": particles, "repeats": repeats}
     run = settings | {"source": str(folder), "draws": draws, "unseen": unseen, "adapt": adapt}
@@ -194,7 +195,7 @@ def variability(
     write_json(target / "variability.json", result)
     if found is not None:
         title = f"{plan['name']}: effective linear stiffness and damping"
-        drawn = figures.variability_figure(result, title=title, converged=result["converged"])
+        drawn = figures.variability_figure(result, title=title, measured=cases.measured, converged=result["converged"])
         figures.save(drawn, target / "variability_effective")
     figures.save(_scatter_figure(result), target / "variability_scatter")
     return Variability(target, result)
@@ -207,7 +208,7 @@ def _score(model: Mapping[str, Any]) -> str:
 
 def _read_fit(folder: str | Path) -> tuple[dict[str, Any], Path | None]:
     """The plan of a fit and its folder."""
-    if str(folder) == "thesis":
+    if is_published(folder):
         return PublishedCases.default_plan(), None
     path = Path(folder)
     if not path.is_dir():

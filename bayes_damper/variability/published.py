@@ -20,10 +20,11 @@ from bayes_damper.effects._other_law import OTHER_LAW
 from bayes_damper.effects.base import Variant
 from bayes_damper.errors import InputError
 from bayes_damper.priors.distributions import Distribution, LogNormal, LogUniform, from_standard
-from bayes_damper.priors.files import load_priors, priors_from_dict
+from bayes_damper.priors.files import priors_from_dict
 from bayes_damper.published.marginal import OWN, TOLERANCE, CaseFeatures
 from bayes_damper.published.measurements import load_published
 from bayes_damper.published.posterior import Coordinates, Datum, damping_pairs
+from bayes_damper.published.sources import PublishedSource
 from bayes_damper.runs.checkpoint import Checkpoint
 from bayes_damper.runs.provenance import code_sha256
 from bayes_damper.sampling.sequential import Powers, Tempered, temper
@@ -82,6 +83,7 @@ class PublishedCases:
     """
 
     kind = "torsional"
+    measured = "Table 9 (p. 20)"
     method = (
         "Published features: the joint posterior of all cases by tempering, its evidence beside it; the unseen data "
         "are the features of each case in turn, predicted from the other cases. Parameters of the level "
@@ -115,13 +117,13 @@ class PublishedCases:
     @staticmethod
     def default_plan() -> dict[str, Any]:
         """What a fit of the thesis with its shipped priors would have planned."""
-        published = load_published()
+        source = PublishedSource(load_published())
         return {
-            "campaign": "thesis",
-            "name": "thesis",
-            "campaign_sha256": published.checksum,
-            "cases": list(published.cases),
-            "priors": load_priors("thesis").to_dict(),
+            "campaign": source.name,
+            "name": source.name,
+            "campaign_sha256": source.sha256,
+            "cases": list(source.cases),
+            "priors": source.priors().to_dict(),
             "normal_force": None,
         }
 

@@ -19,10 +19,10 @@ from bayes_damper.calibration import (
     predict,
 )
 from bayes_damper.calibration.correlated_noise import fit_with_noise
-from bayes_damper.campaign import load_campaign
 from bayes_damper.errors import InputError
 from bayes_damper.priors.distributions import Distribution, from_standard, to_standard
 from bayes_damper.priors.files import campaign_priors
+from bayes_damper.published.sources import unchanged
 from bayes_damper.rig.parameters import unit_of
 from bayes_damper.variability.decomposition import CaseDraws, Sets, curve_values, mean_over_cases, summary
 from bayes_damper.variability.equivalent import NAMES, PERIOD, TIMES, bearing_damping, fit_linear
@@ -44,6 +44,7 @@ def _free(priors: Mapping[str, Distribution | float]) -> dict[str, Distribution]
 class RecordedCases:
     """Recorded trials of several cases under the priors of a fit's plan; held-out trials are not fitted."""
 
+    measured = "linear fit to the measurements"
     method = (
         "Recorded trials: each case is calibrated by least squares under the noise that its fit works with (learnt "
         "from what is left where the model misses something) and taken as Gaussian around its best fit (Laplace); the "
@@ -55,9 +56,7 @@ class RecordedCases:
     def __init__(self, plan: Mapping[str, Any]) -> None:
         self.plan = dict(plan)
         self.names = tuple(plan["cases"])
-        campaign = load_campaign(plan["campaign"])
-        if campaign.sha256 != plan["campaign_sha256"]:
-            raise InputError(f"{plan['campaign']}: the campaign has changed since it was fitted; fit it again")
+        campaign = unchanged(plan["campaign"], plan["campaign_sha256"], "it was fitted; fit it again")
         whole = experiment_of(campaign, None if plan["priors"] is None else campaign_priors(plan["priors"], campaign))
         if plan["normal_force"]:
             whole = replace(whole, normal_force=plan["normal_force"])
