@@ -13,6 +13,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from bayes_damper.figures.style import COLOURS, RC, STYLES, label, new_figure
 from bayes_damper.rig.parameters import unit_of
 from bayes_damper.runs.contents.plan import PlanFile
+from bayes_damper.runs.contents.variability import LINEAR_NAMES, DecompositionEntry, EffectiveEntry, LinearName
 
 _SHOWN_HZ = 20.0
 """Up to where frequency responses of the thesis are drawn."""
@@ -35,45 +36,47 @@ def work_precision_figure(curves: Mapping[str, Sequence[tuple[float, float]]], *
 
 
 def variability_figure(
-    result: Mapping[str, Any],
+    effective: EffectiveEntry,
+    decomposition: Mapping[LinearName, DecompositionEntry],
     *,
+    kind: str = "torsional",
     title: str,
     measured: str = "linear fit to the measurements",
     converged: bool = True,
 ) -> Figure:
     """Effective k2t and c2t against initial energy, and where their scatter over the cases comes from.
 
-    result : what variability.json holds. Above: bands of one and the same rig (median, 90 %), each case with its 90 %
+    kind : of rig, which decides the units. Above: bands of one and the same rig (median, 90 %), each case with its 90 %
     interval, and the values that linear fits to the measurements gave, in the words of `measured`. Below: shares of the
     scatter, 90 % intervals.
     """
-    names = {name: label(name, unit_of(name, result.get("kind", "torsional"))) for name in ("k2t", "c2t")}
+    names = {name: label(name, unit_of(name, kind)) for name in LINEAR_NAMES}
     figure = new_figure(9.0, 6.2, converged)
     with mpl.rc_context(RC):
         axes = figure.subplots(2, 2, height_ratios=[2.4, 1.0])
         for k, (name, axis_label) in enumerate(names.items()):
             upper, lower = axes[0, k], axes[1, k]
-            for i, (label_, curve) in enumerate(result["effective"]["curves"].items()):
+            for i, (label_, curve) in enumerate(effective["curves"].items()):
                 energy = 1e3 * np.asarray(curve["energy_j"])
                 colour = COLOURS[(2, 4, 5)[i % 3]]
                 upper.plot(energy, curve[name]["median"], color=colour, ls=STYLES[i % 4], label=f"one rig, {label_}")
                 upper.fill_between(energy, curve[name]["low"], curve[name]["high"], color=colour, alpha=0.18, lw=0)
-            for i, (case, row) in enumerate(result["effective"]["cases"].items()):
-                energy = 1e3 * row["energy_j"]
-                upper.plot([energy] * 2, row[name]["hdi90"], color=COLOURS[0], lw=1.6)
+            for i, (case, row) in enumerate(effective["cases"].items()):
+                at = 1e3 * row["energy_j"]
+                upper.plot([at] * 2, row[name]["hdi90"], color=COLOURS[0], lw=1.6)
                 shown = "each case, 90 %" if i == 0 else None
-                upper.plot(energy, row[name]["median"], "o", color=COLOURS[0], ms=5, label=shown)
-                upper.annotate(case, (energy, row[name]["median"]), xytext=(4, 4), textcoords="offset points")
+                upper.plot(at, row[name]["median"], "o", color=COLOURS[0], ms=5, label=shown)
+                upper.annotate(case, (at, row[name]["median"]), xytext=(4, 4), textcoords="offset points")
                 if "measured" in row:
                     shown = measured if i == 0 else None
-                    upper.plot(energy, row["measured"][name], "D", color=COLOURS[1], ms=5, label=shown)
+                    upper.plot(at, row["measured"][name], "D", color=COLOURS[1], ms=5, label=shown)
             upper.set_yscale("log")
             upper.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             upper.yaxis.set_major_formatter("{x:g}")
             upper.yaxis.set_minor_formatter(NullFormatter())
             upper.set_xlabel("initial energy [mJ]")
             upper.set_ylabel(f"effective {axis_label}")
-            pieces = {key: row for key, row in result["decomposition"][name].items() if isinstance(row, Mapping)}
+            pieces = {key: row for key, row in decomposition[name].items() if isinstance(row, Mapping)}
             pieces = {key: row["share"] for key, row in pieces.items() if "share" in row}
             for y, share in enumerate(pieces.values()):
                 lower.plot(share["hdi90"], [y, y], color=COLOURS[0], lw=2.0)

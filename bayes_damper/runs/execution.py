@@ -20,7 +20,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from multiprocessing import get_context, parent_process
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NotRequired, Protocol, TypedDict, cast
 
 from bayes_damper.errors import BayesDamperError, ExitCode, InputError, Interrupted
 from bayes_damper.inputs import fields
@@ -62,7 +62,17 @@ class Silent:
         """Nothing."""
 
 
-def run_record(folder: Path) -> dict[str, Any]:
+class RunRecord(TypedDict):
+    """What run.json of a folder holds: `code` and `made_by` where a command notes what runs it."""
+
+    command: str
+    plan: dict[str, Any]
+    workers: int
+    code: NotRequired[str]
+    made_by: NotRequired[dict[str, str]]
+
+
+def run_record(folder: Path) -> RunRecord:
     """What run.json of a folder says of the run in it: `command`, `plan` and `workers`, each of its type, and more.
 
     Raises
@@ -77,7 +87,7 @@ def run_record(folder: Path) -> dict[str, Any]:
     workers = record.get("workers", 1)
     if isinstance(workers, bool) or not isinstance(workers, int) or not 1 <= workers <= _MOST_WORKERS:
         workers = 1
-    return {**record, **sound, "workers": workers}
+    return cast("RunRecord", {**record, **sound, "workers": workers})
 
 
 def execute(task: Task, folder: Path) -> Any:
@@ -109,8 +119,8 @@ def claim(folder: Path, record: Mapping[str, Any], workers: int) -> None:
     """
     path = folder / "run.json"
     if path.exists():
-        before = {key: value for key, value in run_record(folder).items() if key != "workers"}
-        if before != record:
+        before = run_record(folder)
+        if {**before, "workers": workers} != {**record, "workers": workers}:
             changed = [key for key, value in record["plan"].items() if before["plan"].get(key) != value]
             what = f", with other {', '.join(changed)}" if changed else ", or one of another version of the package"
             raise InputError(f"{folder}: holds another run{what}; name another --out, or remove that folder")

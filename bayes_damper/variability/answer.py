@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import NoneType
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,17 @@ from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.inputs import fields
 from bayes_damper.priors.distributions import Distribution, from_standard, to_standard
 from bayes_damper.published.sources import is_published
-from bayes_damper.runs.execution import Progress, Task, claim, run_record, run_tasks
+from bayes_damper.runs.contents.variability import (
+    AgreementEntry,
+    AssumptionEntry,
+    FittedPlan,
+    PoolingEntry,
+    PoolingRun,
+    PoolingSettings,
+    TwoWaysOfParameter,
+    VariabilityFile,
+)
+from bayes_damper.runs.execution import Progress, RunRecord, Task, claim, run_record, run_tasks
 from bayes_damper.runs.json_files import folder_name, plain, read_json, write_json
 from bayes_damper.runs.provenance import code_sha256, provenance
 from bayes_damper.sampling import arviz_adapter
@@ -67,7 +77,7 @@ class Variability:
     """What the cases share and where they differ; `result` is what variability.json holds, `folder` where it is."""
 
     folder: Path
-    result: Mapping[str, Any]
+    result: VariabilityFile
 
     @property
     def converged(self) -> bool:
@@ -78,9 +88,9 @@ class Variability:
     def exit_code(self) -> ExitCode:
         return ExitCode.DONE if self.converged else ExitCode.NOT_CONVERGED
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> VariabilityFile:
         """What variability.json holds."""
-        return dict(self.result)
+        return self.result
 
     def text(self) -> str:
         """A table for the terminal, warnings first."""
@@ -145,11 +155,11 @@ def variability(
     target = Path(out) if out is not None else fitted or Path("results/variability")
     cases = PublishedCases(plan) if is_published(plan["campaign"]) else RecordedCases(plan)
     rng = np.random.default_rng([seed, 5])
-    settings = {"fit": plan, "seed": seed, "particles": particles, "repeats": repeats}
-    run = settings | {"source": str(folder), "draws": draws, "unseen": unseen, "adapt": adapt}
+    settings: PoolingSettings = {"fit": plan, "seed": seed, "particles": particles, "repeats": repeats}
+    run = {**settings, "source": str(folder), "draws": draws, "unseen": unseen, "adapt": adapt}
     claim(target / "variability", {"command": "variability", "plan": run, "code": code_sha256()}, workers)
-    more: dict[str, Any] = {}
-    check: dict[str, Any] | None = None
+    more: VariabilityFile = {}
+    check: AgreementEntry | None = None
     if isinstance(cases, PublishedCases):
         work = target / "variability"
         runs, chosen = _run_published(cases, settings, work, unseen, adapt, workers, scheduler, progress)
@@ -168,7 +178,7 @@ def variability(
     found = None if sets is None else decompose(sets)
     _add_probabilities(models)
     fit_converged = bool(plan.get("fit_converged", True))
-    result: dict[str, Any] = {
+    result: VariabilityFile = {
         "schema": SCHEMA,
         "campaign": plan["name"],
         "campaign_sha256": plan["campaign_sha256"],
@@ -191,22 +201,29 @@ def variability(
     result["warnings"] = [] if fitted is None else list(read_json(fitted / "summary.json").get("warnings", ()))
     result["sentences"] = _sentences(result, fit_converged)
     result["provenance"] = provenance()
-    result = plain(result)
+    result = cast("VariabilityFile", plain(result))
     write_json(target / "variability.json", result)
-    if found is not None:
+    if result["effective"] is not None and result["decomposition"] is not None:
         title = f"{plan['name']}: effective linear stiffness and damping"
-        drawn = figures.variability_figure(result, title=title, measured=cases.measured, converged=result["converged"])
+        drawn = figures.variability_figure(
+            result["effective"],
+            result["decomposition"],
+            kind=cases.kind,
+            title=title,
+            measured=cases.measured,
+            converged=result["converged"],
+        )
         figures.save(drawn, target / "variability_effective")
     figures.save(_scatter_figure(result), target / "variability_scatter")
     return Variability(target, result)
 
 
-def _score(model: Mapping[str, Any]) -> str:
+def _score(model: PoolingEntry) -> str:
     score = model["heldout"]["log_score"]
     return "-" if score is None else f"{score:.2f}"
 
 
-def _read_fit(folder: str | Path) -> tuple[dict[str, Any], Path | None]:
+def _read_fit(folder: str | Path) -> tuple[FittedPlan, Path | None]:
     """The plan of a fit and its folder."""
     if is_published(folder):
         return PublishedCases.default_plan(), None
@@ -228,11 +245,10 @@ def _read_fit(folder: str | Path) -> tuple[dict[str, Any], Path | None]:
         raise InputError(
             f"{folder}: summary.json is of {schema!r}; variability needs the results of `bayes-damper fit`"
         )
-    plan = dict(run["plan"])
-    fields(plan, _OF_A_FIT, f"{path / 'run.json'}: damaged", "fit anew")
-    plan["fit_converged"] = fields(summary, {"converged": (bool,)}, f"{path / 'summary.json'}: damaged", "fit anew")[
-        "converged"
-    ]
+    fields(run["plan"], _OF_A_FIT, f"{path / 'run.json'}: damaged", "fit anew")
+    plan = cast("FittedPlan", dict(run["plan"]))
+    known = fields(summary, {"converged": (bool,)}, f"{path / 'summary.json'}: damaged", "fit anew")
+    plan["fit_converged"] = known["converged"]
     if plan.get("effect"):
         raise InputError(
             f"{folder}: the model of this fit has the effect {plan['effect']}; variability knows the nominal model "
@@ -254,21 +270,21 @@ _PLANNED: dict[str, tuple[type, ...]] = {
 
 
 def finish_variability(
-    work: Path, record: Mapping[str, Any], *, workers: int | None = None, progress: Progress | None = None
+    work: Path, record: RunRecord, *, workers: int | None = None, progress: Progress | None = None
 ) -> Variability:
     """Go on with a run whose pieces and run.json (`record`) lie in `work`, the folder "variability" of its results."""
     plan = fields(record["plan"], _PLANNED, f"{work / 'run.json'}: damaged", "give the same command again")
     return variability(
         plan["source"], out=work.parent, seed=plan["seed"], particles=plan["particles"], repeats=plan["repeats"],
-        draws=plan["draws"], unseen=plan["unseen"], adapt=plan["adapt"], workers=workers or record.get("workers", 1),
+        draws=plan["draws"], unseen=plan["unseen"], adapt=plan["adapt"], workers=workers or record["workers"],
         progress=progress,
     )  # fmt: skip
 
 
 def _run_published(
-    cases: PublishedCases, settings: Mapping[str, Any], work: Path, unseen: bool, adapt: bool, workers: int,
+    cases: PublishedCases, settings: PoolingSettings, work: Path, unseen: bool, adapt: bool, workers: int,
     scheduler: str | None, progress: Progress | None,
-) -> tuple[dict[str, Any], dict[str, list[str]]]:  # fmt: skip
+) -> tuple[dict[str, PoolingRun], dict[str, list[str]]]:  # fmt: skip
     """All runs: each answer from the prior, then each under other assumptions from the draws of those.
 
     Returns what each run found, and the runs that count: those of the most particles, "ANSWER-all" -> names.
@@ -308,16 +324,16 @@ def _run_published(
 
 
 def _averaged(
-    cases: PublishedCases, models: Mapping[str, Mapping[str, Any]], runs: Mapping[str, Any],
+    cases: PublishedCases, models: Mapping[str, PoolingEntry], runs: Mapping[str, PoolingRun],
     chosen: Mapping[str, Sequence[str]], work: Path, rng: np.random.Generator,
-) -> tuple[dict[str, Any], Parts]:  # fmt: skip
+) -> tuple[VariabilityFile, Parts]:  # fmt: skip
     """The answer averaged over the three, the same under other assumptions, and its draws."""
     height = {pooling: float(models[pooling]["log_evidence"]) for pooling in POOLINGS}
     error = {pooling: float(models[pooling]["error"]) for pooling in POOLINGS}
     draws = {pooling: cases.draws(chosen[f"{pooling}-all"], work) for pooling in POOLINGS}
     parts = mixture(cases, draws, probabilities_of(height), DRAWS, rng)
     answer = averaged(cases, parts, rng)
-    rows = [{"change": "as they are", "probabilities": probabilities_of(height),
+    rows: list[AssumptionEntry] = [{"change": "as they are", "probabilities": probabilities_of(height),
              "probability_errors": spread_of(height, error, rng), "averaged": answer}]  # fmt: skip
     for scenario in scenarios(cases.names):
         names = {pooling: f"{pooling}-{scenario.name}" for pooling in POOLINGS}
@@ -345,7 +361,7 @@ def _some(parts: Parts, count: int, rng: np.random.Generator) -> Parts:
 
 
 def _fit_draws(
-    folder: Path, plan: Mapping[str, Any], cases: PublishedCases | RecordedCases, names: Callable[[str], Sequence[str]]
+    folder: Path, plan: FittedPlan, cases: PublishedCases | RecordedCases, names: Callable[[str], Sequence[str]]
 ) -> dict[str, Array]:
     """The fit's draws of some parameters in standard coordinates: case -> (n, names), spread over the whole chain."""
     out = {}
@@ -363,14 +379,14 @@ def _fit_draws(
 
 def _agreement(
     recycled: Recycled, direct: Direct, pooled: Sequence[str], priors: Mapping[str, Distribution]
-) -> dict[str, Any]:
+) -> AgreementEntry:
     """The two ways to the hierarchy beside each other: evidence; common value, scatter, and cases of each parameter.
 
     Differences are those of means, in standard deviations of the direct draws; the common value is that of a case in
     the middle of the population.
     """
     rows: dict[str, float] = {}
-    parameters: dict[str, Any] = {}
+    parameters: dict[str, TwoWaysOfParameter] = {}
     for j, name in enumerate(pooled):
         rows[f"scatter of {name}"] = _difference(recycled.scatter[:, j], direct.scatter[:, j])
         rows[f"common {name}"] = _difference(_middle(recycled)[:, j], _middle(direct)[:, j])
@@ -422,7 +438,7 @@ def _difference(a: Array, b: Array) -> float:
     return float((a.mean() - b.mean()) / max(float(b.std()), 1e-12))
 
 
-def _add_probabilities(models: dict[str, dict[str, Any]]) -> None:
+def _add_probabilities(models: Mapping[str, PoolingEntry]) -> None:
     """Probability of each answer, all three being equally probable before."""
     height = np.array([m["log_evidence"] for m in models.values()])
     share = np.exp(height - height.max())
@@ -430,13 +446,14 @@ def _add_probabilities(models: dict[str, dict[str, Any]]) -> None:
         model["probability"] = float(p)
 
 
-def _sentences(result: Mapping[str, Any], fit_converged: bool) -> list[str]:
+def _sentences(result: VariabilityFile, fit_converged: bool) -> list[str]:
     models, check = result["models"], result["recycled"]
     best = max(models, key=lambda name: models[name]["log_evidence"])
     others = [models[best]["log_evidence"] - models[n]["log_evidence"] for n in models if n != best]
     out = [f"Evidence is highest for {MEANING[best]}, by {min(others):.1f} and {max(others):.1f} nats."]
-    if all(m["heldout"]["log_score"] is not None for m in models.values()):
-        seen = max(models, key=lambda name: models[name]["heldout"]["log_score"])
+    scores = {name: score for name, m in models.items() if (score := m["heldout"]["log_score"]) is not None}
+    if len(scores) == len(models):
+        seen = max(scores, key=lambda name: scores[name])
         out.append(f"{models[best]['heldout']['what']}: best predicted by {MEANING[seen]}.")
     if not fit_converged:
         out.insert(0, "The fit that this rests on did not converge.")
@@ -452,7 +469,7 @@ def _sentences(result: Mapping[str, Any], fit_converged: bool) -> list[str]:
             f"Particles moved slowly ({', '.join(slow)}), which widens the errors of their evidences; "
             + ("give --repeats 2 or more." if known_by < 2 else f"they hold what {known_by} repeats show of it, too.")
         )
-    known = [m["repeats_apart_sd"] for m in models.values() if m.get("repeats_apart_sd") is not None]
+    known = [apart for m in models.values() if (apart := m.get("repeats_apart_sd")) is not None]
     if known:
         one = models["partial"]
         out.append(
@@ -463,7 +480,7 @@ def _sentences(result: Mapping[str, Any], fit_converged: bool) -> list[str]:
         )
     out += _about_recycled(check) if check else []
     out += _about_assumptions(result) if "averaged" in result else []
-    decomposition: Mapping[str, Any] = result["decomposition"] or {}
+    decomposition = result["decomposition"] or {}
     for name, parts in decomposition.items():
         shares = {key: row["share"] for key, row in parts.items() if isinstance(row, Mapping) and "share" in row}
         first = max(shares, key=lambda key: shares[key]["median"])
@@ -482,10 +499,10 @@ def _sentences(result: Mapping[str, Any], fit_converged: bool) -> list[str]:
     return out + (_about_cases(result) if "averaged" in result else [])
 
 
-def _about_cases(result: Mapping[str, Any]) -> list[str]:
+def _about_cases(result: VariabilityFile) -> list[str]:
     """Of each case, whether what a linear fit found is what the averaged model gives by the same recipe."""
     out = []
-    for case, row in (result["effective"] or {}).get("cases", {}).items():
+    for case, row in (result["effective"]["cases"] if result["effective"] else {}).items():
         told = []
         for name, value in (row.get("measured") or {}).items():
             (low, high), median = row[name]["hdi90"], row[name]["median"]
@@ -504,7 +521,7 @@ def _about_cases(result: Mapping[str, Any]) -> list[str]:
     return out
 
 
-def _about_recycled(check: Mapping[str, Any]) -> list[str]:
+def _about_recycled(check: AgreementEntry) -> list[str]:
     """Whether the draws of single cases, used again, agree with the direct way."""
     out = []
     worst = max(check["pareto_k"].values())
@@ -529,7 +546,7 @@ def _about_recycled(check: Mapping[str, Any]) -> list[str]:
     return out
 
 
-def _about_assumptions(result: Mapping[str, Any]) -> list[str]:
+def _about_assumptions(result: VariabilityFile) -> list[str]:
     """What the table of assumptions lets one say without "if", and what not."""
     rows, kept = result["assumptions"], result["survives"]
     several = f"under each of the {len(rows)} sets of assumptions" if len(rows) > 1 else "under these assumptions"
@@ -558,7 +575,7 @@ def _about_assumptions(result: Mapping[str, Any]) -> list[str]:
     return out
 
 
-def _scatter_figure(result: Mapping[str, Any]) -> Any:
+def _scatter_figure(result: VariabilityFile) -> Any:
     rows = result["models"]["partial"]["scatter"]
     intervals = {
         "scatter": {

@@ -8,13 +8,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayes_damper.runs.contents.variability import (
+    AssumptionEntry,
+    AveragedEntry,
+    Interval,
+    KeptEntry,
+    Pooling,
+    SurvivesEntry,
+)
 from bayes_damper.variability.decomposition import summary
-from bayes_damper.variability.pooling import POOLINGS, Hierarchy, Pooling
+from bayes_damper.variability.pooling import POOLINGS, Hierarchy
 from bayes_damper.variability.published import PublishedCases
 
 Array = NDArray[np.float64]
@@ -45,7 +52,7 @@ def mixture(
     return parts
 
 
-def averaged(cases: PublishedCases, parts: Parts, rng: np.random.Generator, own: bool = True) -> dict[str, Any]:
+def averaged(cases: PublishedCases, parts: Parts, rng: np.random.Generator, own: bool = True) -> AveragedEntry:
     """Intervals of each case's parameters, of those of a case not yet measured, and where the cases are alike.
 
     own : whether spring and angle of each case are drawn, too.
@@ -73,7 +80,7 @@ def _joined(values: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
     return {name: np.concatenate([v[name] for v in values]) for name in values[0]}
 
 
-def _described(cases: PublishedCases, values: Mapping[str, Array]) -> dict[str, Any]:
+def _described(cases: PublishedCases, values: Mapping[str, Array]) -> dict[str, Interval]:
     """Intervals of what one case has for itself, and of what the numbers fix of it: torques per inertia."""
     found = {name: summary(values[name]) for name in cases.pooled}
     for name, factors in _DERIVED.items():
@@ -122,7 +129,7 @@ def spread_of(
     return {p: float(np.std([d[p] for d in drawn])) for p in POOLINGS}
 
 
-def what_survives(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def what_survives(rows: Sequence[AssumptionEntry]) -> SurvivesEntry:
     """What all rows of the table say, the first being the assumptions as they are.
 
     structures : range of each answer's probability; parameters : over all rows and cases, the range of the medians, the
@@ -130,7 +137,7 @@ def what_survives(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """
     structures = {p: [f(r["probabilities"][p] for r in rows) for f in (min, max)] for p in POOLINGS}
     first = rows[0]["averaged"]
-    parameters = {}
+    parameters: dict[str, KeptEntry] = {}
     for name, (low, high) in first["prior"].items():
         told = [r["averaged"]["cases"][c][name] for r in rows for c in r["averaged"]["cases"]]
         union = [min(t["hdi90"][0] for t in told), max(t["hdi90"][1] for t in told)]

@@ -14,13 +14,23 @@ three among themselves. The intervals are those of the partly pooled posterior: 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayes_damper.runs.contents.variability import (
+    Band,
+    DecompositionEntry,
+    EffectiveCase,
+    EffectiveCurve,
+    EffectiveEntry,
+    Interval,
+    LinearName,
+    PartEntry,
+)
 from bayes_damper.sampling.arviz_adapter import hdi
 from bayes_damper.simulation.model import Quantity
 from bayes_damper.variability.equivalent import FIRST, LAST, NAMES, TIMES, Equivalent, equivalent
@@ -53,7 +63,7 @@ class Sets:
     energies: Mapping[str, float]
     measured: Mapping[str, tuple[float, float]]
     rounding: tuple[float, float]
-    scatter: Mapping[str, Any]
+    scatter: Mapping[str, Callable[[Array], Array]]
     curve: Mapping[str, tuple[Array, Values]]
     normal_force: Literal["linear", "constant"] = "linear"
     restoring: Literal["linear", "pendulum"] = "linear"
@@ -66,8 +76,8 @@ class Sets:
 class Decomposition:
     """effective: per case and as curves; parts: k2t, c2t -> component -> median, interval, share; method in words."""
 
-    effective: dict[str, Any]
-    parts: dict[str, dict[str, Any]]
+    effective: EffectiveEntry
+    parts: dict[LinearName, DecompositionEntry]
     method: str
 
 
@@ -83,7 +93,7 @@ def decompose(sets: Sets) -> Decomposition:
     prior = np.stack([effective(d.prior_values).log_values for d in sets.cases.values()])
     prior_same = np.stack([effective(d.prior_reference).log_values for d in sets.cases.values()])
     noise = np.stack([sets.scatter[c](seen[c].log_values) for c in sets.cases]).mean(axis=0)
-    parts = {}
+    parts: dict[LinearName, DecompositionEntry] = {}
     for k, name in enumerate(NAMES):
         a, d = same[:, :, k], total[:, :, k] - same[:, :, k]
         pieces = {
@@ -92,29 +102,35 @@ def decompose(sets: Sets) -> Decomposition:
             "real_difference": d.var(axis=0, ddof=1),
         }
         whole = sum(pieces.values(), np.zeros(a.shape[1]))
-        rows: dict[str, Any] = {
-            key: summary(value) | {"share": summary(value / whole)} for key, value in pieces.items()
-        }
+        found = {key: _part(value, whole) for key, value in pieces.items()}
         before = (prior[:, :, k] - prior_same[:, :, k]).var(axis=0, ddof=1)
-        rows["real_difference"]["before_the_data"] = summary(before)
+        found["real_difference"]["before_the_data"] = summary(before)
         joint = 2.0 * np.sum((a - a.mean(axis=0)) * (d - d.mean(axis=0)), axis=0) / (len(a) - 1)
-        rows["covariance"] = summary(joint)
-        rows["expected_total"] = summary(whole + joint)
         largest = np.argmax(np.stack(list(pieces.values())), axis=0)
-        rows["probability_largest"] = {key: float(np.mean(largest == i)) for i, key in enumerate(pieces)}
+        rows: DecompositionEntry = {
+            "friction_at_another_amplitude": found["friction_at_another_amplitude"],
+            "measurement_scatter": found["measurement_scatter"],
+            "real_difference": found["real_difference"],
+            "covariance": summary(joint),
+            "expected_total": summary(whole + joint),
+            "probability_largest": {key: float(np.mean(largest == i)) for i, key in enumerate(pieces)},
+        }
         if len(sets.measured) > 1:
-            found = np.log([sets.measured[c][k] for c in sets.cases if c in sets.measured])
-            rows["measured"] = float(np.var(found, ddof=1))
+            measured = np.log([sets.measured[c][k] for c in sets.cases if c in sets.measured])
+            rows["measured"] = float(np.var(measured, ddof=1))
             rows["measured_percentile"] = float(100.0 * np.mean(whole + joint < rows["measured"]))
             rows["rounding_of_the_measured"] = sets.rounding[k]
         parts[name] = rows
     return Decomposition(_effective(sets, seen, effective), parts, _method(sets))
 
 
-def _effective(sets: Sets, seen: Mapping[str, Equivalent], effective: Any) -> dict[str, Any]:
-    cases = {}
+def _effective(sets: Sets, seen: Mapping[str, Equivalent], effective: Callable[[Values], Equivalent]) -> EffectiveEntry:
+    cases: dict[str, EffectiveCase] = {}
     for case, e in seen.items():
-        row: dict[str, Any] = {name: summary(np.exp(e.log_values[:, k])) for k, name in enumerate(NAMES)} | {
+        k2t, c2t = (summary(np.exp(e.log_values[:, k])) for k in range(len(NAMES)))
+        row: EffectiveCase = {
+            "k2t": k2t,
+            "c2t": c2t,
             "energy_j": sets.energies[case],
             "misfit": float(np.median(e.misfit)),
             "inside": float(e.inside.mean()),
@@ -122,18 +138,22 @@ def _effective(sets: Sets, seen: Mapping[str, Equivalent], effective: Any) -> di
         if case in sets.measured:
             row["measured"] = dict(zip(NAMES, sets.measured[case], strict=True))
         cases[case] = row
-    curves = {}
+    curves: dict[str, EffectiveCurve] = {}
     for label, (energies, values) in sets.curve.items():
         x = np.exp(effective(values).log_values).reshape(-1, len(energies), 2)
-        curves[label] = {"energy_j": energies.tolist()} | {
-            name: {
-                "median": np.median(x[:, :, k], axis=0).tolist(),
-                "low": np.quantile(x[:, :, k], 0.05, axis=0).tolist(),
-                "high": np.quantile(x[:, :, k], 0.95, axis=0).tolist(),
-            }
-            for k, name in enumerate(NAMES)
-        }
+        curves[label] = {"energy_j": energies.tolist(), "k2t": _band(x[:, :, 0]), "c2t": _band(x[:, :, 1])}
     return {"cases": cases, "curves": curves}
+
+
+def _part(values: Array, whole: Array) -> PartEntry:
+    found = summary(values)
+    return {"median": found["median"], "hdi90": found["hdi90"], "share": summary(values / whole)}
+
+
+def _band(x: Array) -> Band:
+    """Of draws (n, points)."""
+    low, high = np.quantile(x, (0.05, 0.95), axis=0)
+    return {"median": np.median(x, axis=0).tolist(), "low": low.tolist(), "high": high.tolist()}
 
 
 def _method(sets: Sets) -> str:
@@ -145,7 +165,7 @@ def _method(sets: Sets) -> str:
     )
 
 
-def summary(values: Array) -> dict[str, Any]:
+def summary(values: Array) -> Interval:
     """Median and 90 % interval of draws, those that are not finite left out."""
     kept = np.asarray(values)[np.isfinite(values)]
     if len(kept) < 2:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from bayes_damper.published.features import features
 from bayes_damper.rig.linear import LinearRig, damping_coefficient, damping_ratio_of_decrement, free_response
+from bayes_damper.runs.contents.variability import LINEAR_NAMES
 from bayes_damper.simulation.model import Model, Quantity
 
 Array = NDArray[np.float64]
@@ -26,7 +27,7 @@ TIMES: Array = np.asarray(np.arange(round(FIRST * 1e3), round(LAST * 1e3) + 1) *
 """Sample times of the fit, s: the first two periods of the thesis's rig, in which all motion is."""
 PERIOD = 0.1225
 """Period of the primary of the thesis's rig, s: geometric mean of its two springs."""
-NAMES = ("k2t", "c2t")
+NAMES = LINEAR_NAMES
 _FEATURE_TIMES: Array = np.concatenate([np.linspace(0.0, 1e-3, 11), np.arange(2, 651) * 1e-3])
 _LOWEST, _HIGHEST = np.log(1e-3), np.log(20.0)
 _ITERATIONS = 12

@@ -17,7 +17,7 @@ from abc import abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +25,12 @@ from scipy.special import logsumexp, ndtr
 
 from bayes_damper.errors import InputError
 from bayes_damper.priors.distributions import Distribution, LogNormal, from_standard, to_standard
+from bayes_damper.runs.contents.variability import Pooling
 from bayes_damper.sampling.arviz_adapter import pareto_k
 from bayes_damper.sampling.sequential import Block, Path, Plain, UnitPrior, power_of, temper
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-Pooling = Literal["shared", "separate", "partial"]
 POOLINGS: tuple[Pooling, ...] = ("shared", "separate", "partial")
 _REFRESHES = 8
 _SCALES = (0.02, 0.1, 0.4)

@@ -9,7 +9,7 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +26,19 @@ from bayes_damper.published.measurements import load_published
 from bayes_damper.published.posterior import Coordinates, Datum, damping_pairs
 from bayes_damper.published.sources import PublishedSource
 from bayes_damper.runs.checkpoint import Checkpoint
+from bayes_damper.runs.contents.variability import (
+    FittedPlan,
+    Pooling,
+    PoolingEntry,
+    PoolingRun,
+    PoolingSettings,
+    ScatterOfCases,
+)
 from bayes_damper.runs.provenance import code_sha256
 from bayes_damper.sampling.sequential import Powers, Tempered, temper
 from bayes_damper.variability.decomposition import CaseDraws, Sets, curve_values, mean_over_cases, summary
 from bayes_damper.variability.equivalent import NAMES, bearing_damping, feature_scatter
-from bayes_damper.variability.pooling import POOLINGS, CaseLikelihood, Hierarchy, Pooling, Scaling
+from bayes_damper.variability.pooling import POOLINGS, CaseLikelihood, Hierarchy, Scaling
 from bayes_damper.variability.scenarios import Bridge, Scenario, ratio_of, scenarios, widened
 
 Array = NDArray[np.float64]
@@ -91,12 +99,12 @@ class PublishedCases:
     )
 
     def __init__(
-        self, plan: Mapping[str, Any], law: Variant | None = None, data: Mapping[str, Sequence[Datum]] | None = None
+        self, plan: FittedPlan, law: Variant | None = None, data: Mapping[str, Sequence[Datum]] | None = None
     ) -> None:
-        self.plan, self._law, self._data = dict(plan), law, data
+        self.plan, self._law, self._data = plan, law, data
         self.names = tuple(plan["cases"])
         self.normal_force: Literal["linear", "constant"] = plan["normal_force"] or "linear"
-        self.prior_set = priors_from_dict(plan["priors"])
+        self.prior_set = priors_from_dict(plan["priors"] or {})
         levels = {name: self.prior_set.level(name) for name in self.prior_set.for_case(self.names[0]).free}
         self.pooled = tuple(name for name in NOMINAL if levels.get(name) == "case")
         self.common = tuple(name for name, level in levels.items() if level == "campaign")
@@ -115,7 +123,7 @@ class PublishedCases:
         }
 
     @staticmethod
-    def default_plan() -> dict[str, Any]:
+    def default_plan() -> FittedPlan:
         """What a fit of the thesis with its shipped priors would have planned."""
         source = PublishedSource(load_published())
         return {
@@ -163,8 +171,8 @@ class PublishedCases:
         if scenario.kind == "law":
             other = PublishedCases(self.plan, OTHER_LAW, self._data)
             return Bridge(before, other.hierarchy(pooling)), other
-        priors = widened(self.plan["priors"], self.pooled, scenario.width)
-        other = PublishedCases(self.plan | {"priors": priors}, self._law, self._data)
+        priors = widened(self.plan["priors"] or {}, self.pooled, scenario.width)
+        other = PublishedCases({**self.plan, "priors": priors}, self._law, self._data)
         first = self.names[0]
         ratio = ratio_of(self.priors(first), other.priors(first), self.pooled)
         return Bridge(before, other.hierarchy(pooling), ratio=ratio), other
@@ -217,7 +225,7 @@ class PublishedCases:
         ratio = means.var(axis=0, ddof=1) / np.maximum(within, 1e-300)
         return dict(zip(hierarchy.labels, ratio.tolist(), strict=True))
 
-    def _errors(self, key: str, names: Sequence[str], work: Path) -> dict[str, Any]:
+    def _errors(self, key: str, names: Sequence[str], work: Path) -> PoolingEntry:
         """How far apart the means of the repeats are, and the standard error of all of them together."""
         spread = self._spread(key, names, work)
         if not spread:
@@ -236,10 +244,10 @@ class PublishedCases:
         return self.hierarchy(next(p for p in POOLINGS if p == pooling))
 
     def models(
-        self, runs: Mapping[str, Any], chosen: Mapping[str, Sequence[str]], work: Path
-    ) -> dict[str, dict[str, Any]]:
+        self, runs: Mapping[str, PoolingRun], chosen: Mapping[str, Sequence[str]], work: Path
+    ) -> dict[str, PoolingEntry]:
         """What variability.json says of the three answers."""
-        models: dict[str, dict[str, Any]] = {}
+        models: dict[str, PoolingEntry] = {}
         for pooling in POOLINGS:
             names = list(chosen[f"{pooling}-all"])
             heights = np.array([runs[name]["log_z"] for name in names])
@@ -253,28 +261,26 @@ class PublishedCases:
             # The draws that a run without a case begins with pass on what they miss of the posterior.
             unsure = math.sqrt(sum(run["error"] ** 2 + error**2 for run in without.values()))
             points = np.concatenate([_points(work / name) for name in names])
-            models[pooling] = (
-                {
-                    "log_evidence": height,
-                    "error": max(error, seen),
-                    "spread": spread,
-                    "heldout": {
-                        "what": "Each case's features, predicted from the other cases",
-                        "log_score": float(sum(unseen.values())) if unseen else None,
-                        "error": unsure if unseen else None,
-                        "cases": unseen,
-                    },
-                    "memory": max(runs[name]["memory"] for name in names),
-                    "last_memory": max(runs[name]["last_memory"] for name in names),
-                    "particles": runs[names[0]]["particles"],
-                    "repeats": len(names),
-                }
-                | self._errors(f"{pooling}-all", names, work)
-                | self._described(self.hierarchy(pooling), points)
-            )
+            models[pooling] = {
+                "log_evidence": height,
+                "error": max(error, seen),
+                "spread": spread,
+                "heldout": {
+                    "what": "Each case's features, predicted from the other cases",
+                    "log_score": float(sum(unseen.values())) if unseen else None,
+                    "error": unsure if unseen else None,
+                    "cases": unseen,
+                },
+                "memory": max(runs[name]["memory"] for name in names),
+                "last_memory": max(runs[name]["last_memory"] for name in names),
+                "particles": runs[names[0]]["particles"],
+                "repeats": len(names),
+                **self._errors(f"{pooling}-all", names, work),
+                **self._described(self.hierarchy(pooling), points),
+            }
         return models
 
-    def _described(self, hierarchy: Hierarchy, points: Array) -> dict[str, Any]:
+    def _described(self, hierarchy: Hierarchy, points: Array) -> PoolingEntry:
         """Intervals of the pooled parameters of each case, and of the scatter where it is inferred."""
         cases = {}
         for i, case in enumerate(self.names):
@@ -357,11 +363,15 @@ def _joined(parts: Sequence[_Values]) -> _Values:
 
 def describe_scatter(
     s: Array, pooled: tuple[str, ...], priors: Mapping[str, Distribution]
-) -> dict[str, dict[str, Any]]:
+) -> dict[str, ScatterOfCases]:
     """Intervals of s, of the scatter of ln x where x has a lognormal prior, and how probable a small s is."""
-    out = {}
+    out: dict[str, ScatterOfCases] = {}
     for j, name in enumerate(pooled):
-        row = summary(s[:, j]) | {"probability_below_a_quarter": float(np.mean(s[:, j] < 0.25))}
+        share = summary(s[:, j])
+        row: ScatterOfCases = {
+            "median": share["median"], "hdi90": share["hdi90"],
+            "probability_below_a_quarter": float(np.mean(s[:, j] < 0.25)),
+        }  # fmt: skip
         prior = priors[name]
         if isinstance(prior, LogNormal):
             row["scatter_of_ln"] = summary(s[:, j] * math.log(prior.factor))
@@ -393,8 +403,8 @@ def _points(folder: Path) -> Array:
 
 
 def run_pooling(
-    folder: Path, report: Callable[[float, str], None], *, settings: Mapping[str, Any], pooling: Pooling, repeat: int
-) -> Any:
+    folder: Path, report: Callable[[float, str], None], *, settings: PoolingSettings, pooling: Pooling, repeat: int
+) -> PoolingRun:
     """Task: one answer's evidence and draws, from the prior; the draws go to points.npz."""
     cases = PublishedCases(settings["fit"])
     rng = np.random.default_rng([settings["seed"], POOLINGS.index(pooling), repeat])
@@ -402,13 +412,13 @@ def run_pooling(
         cases.hierarchy(pooling), rng, settings["particles"], report, _KEPT, False, sweeps=_SWEEPS,
         checkpoint=_state(folder, settings, pooling, str(repeat)),
     )  # fmt: skip
-    return _kept(folder, found) | {"log_z": found.log_z, "particles": settings["particles"]}
+    return {**_kept(folder, found), "log_z": found.log_z, "particles": settings["particles"]}
 
 
 def run_scenario(
-    folder: Path, report: Callable[[float, str], None], *, settings: Mapping[str, Any], pooling: Pooling,
+    folder: Path, report: Callable[[float, str], None], *, settings: PoolingSettings, pooling: Pooling,
     scenario: str, runs: Sequence[str],
-) -> Any:  # fmt: skip
+) -> PoolingRun:  # fmt: skip
     """Task: one answer under other assumptions, from the draws of the runs of these names; what its evidence gains.
 
     Where those draws do not do, from the prior; what its evidence is.
@@ -421,23 +431,23 @@ def run_scenario(
     if cases.anew(every[scenario]):
         half = max(settings["particles"] // 2, _FEWEST)
         found = temper(other.hierarchy(pooling), rng, half, report, _KEPT, False, sweeps=_SWEEPS, checkpoint=state)
-        return _kept(folder, found) | {"log_z": found.log_z}
+        return {**_kept(folder, found), "log_z": found.log_z}
     first = [_points(folder.parent / run) for run in runs]
     # Places of one particle stand together; a few of each do to begin with.
     size = settings["particles"]
     chains = [bridge.start(p.reshape(size, len(p) // size, -1)[:, -_FEW:]) for p in first]
     start = np.swapaxes(np.concatenate(chains), 0, 1)
     found = temper(bridge, rng, few, report, _KEPT, False, sweeps=_SWEEPS, start=start, checkpoint=state)
-    return _kept(folder, found) | {"gain": found.log_z}
+    return {**_kept(folder, found), "gain": found.log_z}
 
 
-def _state(folder: Path, settings: Mapping[str, Any], pooling: str, which: str) -> Checkpoint:
+def _state(folder: Path, settings: PoolingSettings, pooling: str, which: str) -> Checkpoint:
     """Where a task keeps its state until it is done."""
     decided = json.dumps({"settings": settings, "pooling": pooling, "which": which}, sort_keys=True)
     return Checkpoint(folder / "state", {"task": hashlib.sha256(decided.encode()).hexdigest(), "code": code_sha256()})
 
 
-def _kept(folder: Path, found: Tempered) -> dict[str, Any]:
+def _kept(folder: Path, found: Tempered) -> PoolingRun:
     shutil.rmtree(folder / "state", ignore_errors=True)
     np.savez_compressed(folder / "points.npz", points=found.points)
     return {

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +23,10 @@ from bayes_damper.priors.distributions import Distribution, from_standard, to_st
 from bayes_damper.priors.files import campaign_priors
 from bayes_damper.published.sources import unchanged
 from bayes_damper.rig.parameters import unit_of
+from bayes_damper.runs.contents.variability import FittedPlan, Pooling, PoolingEntry, UnseenEntry
 from bayes_damper.variability.decomposition import CaseDraws, Sets, curve_values, mean_over_cases, summary
 from bayes_damper.variability.equivalent import NAMES, PERIOD, TIMES, bearing_damping, fit_linear
-from bayes_damper.variability.pooling import POOLINGS, Direct, GaussianCase, GaussianHierarchy, Pooling
+from bayes_damper.variability.pooling import POOLINGS, Direct, GaussianCase, GaussianHierarchy
 from bayes_damper.variability.published import describe_scatter
 
 Array = NDArray[np.float64]
@@ -53,8 +53,8 @@ class RecordedCases:
         "score is minus half their chi-square at the best values."
     )
 
-    def __init__(self, plan: Mapping[str, Any]) -> None:
-        self.plan = dict(plan)
+    def __init__(self, plan: FittedPlan) -> None:
+        self.plan = plan
         self.names = tuple(plan["cases"])
         campaign = unchanged(plan["campaign"], plan["campaign_sha256"], "it was fitted; fit it again")
         whole = experiment_of(campaign, None if plan["priors"] is None else campaign_priors(plan["priors"], campaign))
@@ -110,14 +110,14 @@ class RecordedCases:
 
     def models(
         self, rng: np.random.Generator, particles: int, draws: int
-    ) -> tuple[dict[str, dict[str, Any]], Sets | None]:
+    ) -> tuple[dict[str, PoolingEntry], Sets | None]:
         """What variability.json says of the three answers, and what the decomposition needs."""
         everything = self._solve(self.gaussians(), rng, particles)
         without = {
             case: self._solve([g for g in self.gaussians() if g.name != case], rng, particles) for case in self.names
         }
         hierarchy = GaussianHierarchy(self.gaussians(), self.pooled, self.common)
-        models: dict[str, dict[str, Any]] = {}
+        models: dict[str, PoolingEntry] = {}
         for pooling in POOLINGS:
             log_z, error, s = everything[pooling]
             best = [hierarchy.given(row) for row in s[:_AVERAGED]]
@@ -130,7 +130,8 @@ class RecordedCases:
                 "spread": 0.0,
                 "heldout": self._heldout(mean, common),
                 "unseen_case": {case: log_z - without[case][pooling][0] for case in self.names},
-            } | self._described(pooling, drawn, s)
+                **self._described(pooling, drawn, s),
+            }
             if pooling == "partial":
                 kept, constants = drawn[:draws], shared[:draws]
         return models, self._sets(kept, constants, rng)
@@ -162,7 +163,7 @@ class RecordedCases:
         ]
         return np.stack(columns, axis=-1)
 
-    def _heldout(self, mean: Array, common: Array) -> dict[str, Any]:
+    def _heldout(self, mean: Array, common: Array) -> UnseenEntry:
         """Score of the held-out trials of each case at given values."""
         cases: dict[str, float] = {}
         trials: dict[str, dict[str, float]] = {}
@@ -183,7 +184,7 @@ class RecordedCases:
             "trials": trials,
         }
 
-    def _described(self, pooling: Pooling, drawn: Array, s: Array) -> dict[str, Any]:
+    def _described(self, pooling: Pooling, drawn: Array, s: Array) -> PoolingEntry:
         cases = {}
         for i, case in enumerate(self.names):
             priors = self.priors(case)

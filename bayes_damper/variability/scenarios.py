@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.priors.distributions import LogNormal
+from bayes_damper.priors.distributions import Distribution, LogNormal
 from bayes_damper.sampling.sequential import UnitPrior
 from bayes_damper.variability.pooling import Hierarchy
 
@@ -142,10 +142,10 @@ def _between(old: Array, new: Array, power: float) -> Array:
     return new if power >= 1.0 else (1.0 - power) * old + power * new
 
 
-def ratio_of(before: Mapping[str, Any], after: Mapping[str, Any], pooled: Sequence[str]) -> Array:
+def ratio_of(before: Mapping[str, Distribution], after: Mapping[str, Distribution], pooled: Sequence[str]) -> Array:
     """How many times as wide each pooled parameter's lognormal prior is in `after`; 1 for those of another kind."""
+    pairs = [(before[n], after[n]) for n in pooled]
     return np.array([
-        math.log(after[n].factor) / math.log(before[n].factor)
-        if isinstance(before[n], LogNormal) and isinstance(after[n], LogNormal) else 1.0
-        for n in pooled
+        math.log(b.factor) / math.log(a.factor) if isinstance(a, LogNormal) and isinstance(b, LogNormal) else 1.0
+        for a, b in pairs
     ])  # fmt: skip

@@ -397,8 +397,7 @@ def test_the_legend_hides_no_case():
     """Of the effective values: it stands above the axes, and is the title at once."""
     cases = {"I": rigs(8), "II": rigs(8, c2t=0.06, theta0=math.radians(7.0))}
     found = decompose(sets_of(cases, list(cases.values())))
-    result = {"campaign": "rig", "effective": found.effective, "decomposition": found.parts, "kind": "translational"}
-    figure = figures.variability_figure(result, title="effective values")
+    figure = figures.variability_figure(found.effective, found.parts, kind="translational", title="effective values")
     figure.draw_without_rendering()
     (legend,) = figure.legends
     assert legend.get_title().get_text() == "effective values"

@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from bayes_damper.report.parts import Headline, Result, Row, Section, Table, folded, generic, listed, words
 from bayes_damper.report.sections.shared import UNCONVERGED, fingerprint, pictures_of
 from bayes_damper.rig.parameters import unit_of
+from bayes_damper.runs.contents.variability import LINEAR_NAMES, AgreementEntry, Interval, VariabilityFile
 from bayes_damper.text import NOTHING, gathered, interval, number, percent, plus_minus
 
 _SHARING = {
@@ -33,7 +33,7 @@ def _answer(shown: Sequence[tuple[str, float]]) -> str:
 _OPEN = 0.1  # an answer with less is as good as ruled out
 
 
-def variability_result(data: Mapping[str, Any], folder: Path) -> Result:
+def variability_result(data: VariabilityFile, folder: Path) -> Result:
     """Headline and section of variability.json."""
     models = sorted(data["models"].items(), key=lambda item: -item[1]["probability"])
     converged = bool(data.get("converged"))
@@ -42,7 +42,7 @@ def variability_result(data: Mapping[str, Any], folder: Path) -> Result:
     sentences = [] if converged else [UNCONVERGED]
     sentences.append(_answer(shown))
     sentences += [s for s in data.get("sentences", ()) if s not in method]
-    changes = []
+    changes: list[str] = []
     if shown[0][1] < _SURE:
         changes.append("More data of each case, recorded trials with repeats best of all.")
     changes += data.get("would_settle", ())
@@ -50,7 +50,7 @@ def variability_result(data: Mapping[str, Any], folder: Path) -> Result:
         changes.append("Sharper probabilities from the same data: more --particles and --repeats (see below why).")
     rows = []
     for name, m in models:
-        score = (m.get("heldout") or {}).get("log_score")
+        score = m["heldout"]["log_score"] if m.get("heldout") else None
         cells = (_SHARING.get(name, name), percent(m["probability"]), plus_minus(m["log_evidence"], m.get("error")))
         rows.append(Row((*cells, number(score, 1.0)), "" if converged else "bad"))
     columns = ("answer", "probability", "log evidence, nats", "log score on unseen data, nats")
@@ -72,7 +72,7 @@ def variability_result(data: Mapping[str, Any], folder: Path) -> Result:
         compared,
         *_assumption_tables(data),
         *_decomposition_tables(data),
-        *_recycled_tables(data.get("recycled") or {}),
+        *_recycled_tables(data.get("recycled")),
     )
     section = Section("Variability", notes, tables, (), pictures, folded(rest))
     warnings = () if converged else ("The comparison of the cases did not converge: do not use its numbers.",)
@@ -83,7 +83,7 @@ def variability_result(data: Mapping[str, Any], folder: Path) -> Result:
 _SHOWN = ("mu", "friction_torque", "k2t", "c2t", "drag", "nu", "c1t", "k1t", "k1t_per_inertia")
 
 
-def _averaged_table(data: Mapping[str, Any]) -> Table:
+def _averaged_table(data: VariabilityFile) -> Table:
     """Each case's parameters under the average of the three answers."""
     cases, kind = data["averaged"]["cases"], str(data.get("kind", "torsional"))
     further = data["averaged"]["further"]
@@ -104,7 +104,7 @@ def _unit(name: str, kind: str) -> str:
     return {"friction_torque": "N m", "k1t_per_inertia": "1/s²"}.get(name) or unit_of(name, kind)
 
 
-def _assumption_tables(data: Mapping[str, Any]) -> list[Table]:
+def _assumption_tables(data: VariabilityFile) -> list[Table]:
     """How the answer moves with its assumptions."""
     rows = []
     for row in data.get("assumptions", ()):
@@ -119,7 +119,7 @@ def _assumption_tables(data: Mapping[str, Any]) -> list[Table]:
     return [Table("How the answer moves with its assumptions", columns, tuple(rows), note)]
 
 
-def _range(cases: Mapping[str, Any], name: str) -> str:
+def _range(cases: Mapping[str, Mapping[str, Interval]], name: str) -> str:
     medians = [row[name]["median"] for row in cases.values()]
     low, high = f"{min(medians):.2g}", f"{max(medians):.2g}"
     return low if low == high else f"{low} to {high}"
@@ -128,7 +128,7 @@ def _range(cases: Mapping[str, Any], name: str) -> str:
 _MEDIANS = "In every draw the shares add up to 100 %; their medians, each taken by itself, need not."
 
 
-def _decomposition_tables(data: Mapping[str, Any]) -> list[Table]:
+def _decomposition_tables(data: VariabilityFile) -> list[Table]:
     """Where the scatter of the effective values comes from, and those values case by case."""
     tables = []
     for name, parts in (data.get("decomposition") or {}).items():
@@ -147,26 +147,26 @@ def _decomposition_tables(data: Mapping[str, Any]) -> list[Table]:
         columns = ("part", f"variance of ln {name}", "90 %", "share (90 %)")
         caption = f"Where the scatter of the effective {name} over the cases comes from"
         tables.append(Table(caption, columns, tuple(rows), _MEDIANS))
-    cases = (data.get("effective") or {}).get("cases") or {}
-    if cases:
+    effective = data.get("effective")
+    if effective and (cases := effective["cases"]):
         rows = []
         for case, row in cases.items():
             line = [case, number(1e3 * row["energy_j"])]
-            for name in ("k2t", "c2t"):
+            for name in LINEAR_NAMES:
                 line.append(_shown(row[name]))
                 line.append(number((row.get("measured") or {}).get(name)))
             rows.append(Row(tuple(line)))
         heads = ["case", "initial energy [mJ]"]
-        for name in ("k2t", "c2t"):
+        for name in LINEAR_NAMES:
             unit = unit_of(name, str(data.get("kind", "torsional")))
             heads += [f"effective {name} (90 %) [{unit}]", f"fitted to the measurement [{unit}]"]
         tables.append(Table("Effective linear stiffness and damping", tuple(heads), tuple(rows)))
     return tables
 
 
-def _recycled_tables(recycled: Mapping[str, Any]) -> list[Table]:
+def _recycled_tables(recycled: AgreementEntry | None) -> list[Table]:
     """Partial pooling both ways, and the health of the weights by which the draws of single cases were used again."""
-    if not recycled.get("ess"):
+    if not recycled or not recycled.get("ess"):
         return []
     tails = recycled.get("pareto_k") or {}
     single = recycled.get("ess_of_one_population") or {}
@@ -184,8 +184,12 @@ def _recycled_tables(recycled: Mapping[str, Any]) -> list[Table]:
         for name, row in (recycled.get("parameters") or {}).items()
     ]
     if compared:
-        heights = [f"{number(recycled[key], 0.5)} ± {number(recycled[error], 0.5)}" for key, error in _HEIGHTS]
-        note = f"Log evidence over separate cases: {heights[0]} by weights, {heights[1]} directly."
+        heights = (
+            (recycled["log_evidence_over_separate"], recycled["error"]),
+            (recycled["direct_log_evidence_over_separate"], recycled["direct_error"]),
+        )
+        by_weights, directly = (" ± ".join(number(x, 0.5) for x in pair) for pair in heights)
+        note = f"Log evidence over separate cases: {by_weights} by weights, {directly} directly."
         columns = ("parameter", "common value, by weights", "directly", "scatter, by weights", "directly")
         tables.append(Table("Values scattered about a common mean, found in two ways", columns, tuple(compared), note))
     cases = [
@@ -198,8 +202,5 @@ def _recycled_tables(recycled: Mapping[str, Any]) -> list[Table]:
     return tables
 
 
-_HEIGHTS = (("log_evidence_over_separate", "error"), ("direct_log_evidence_over_separate", "direct_error"))
-
-
-def _shown(row: Mapping[str, Any]) -> str:
+def _shown(row: Interval) -> str:
     return f"{number(row['median'], row['hdi90'][1] - row['hdi90'][0])} ({interval(*row['hdi90'])})"
