@@ -7,10 +7,10 @@ Models are compared by whole held-out pieces of data (a trial, or a published fe
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,16 +24,21 @@ from bayes_damper.priors.distributions import to_standard
 from bayes_damper.priors.files import priors_from_dict
 from bayes_damper.published.sources import is_published
 from bayes_damper.rig.parameters import PARAMETERS
-from bayes_damper.runs.contents.fit import FitFile
+from bayes_damper.runs.contents.comparison import ComparedCell, ComparedRows, ComparisonFile, FolderContents
+from bayes_damper.runs.contents.diagnosis import DiagnosisFile
+from bayes_damper.runs.contents.fit import FitFile, FitPlan, PriorEntry, WidthEntry
+from bayes_damper.runs.contents.variability import VariabilityFile
 from bayes_damper.runs.json_files import folder_name, read_json, write_json
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.sampling import arviz_adapter
 from bayes_damper.sampling.bridge import bridge
-from bayes_damper.sampling.prior_sensitivity import WIDTHS, of_standard_draws
+from bayes_damper.sampling.prior_sensitivity import of_standard_draws
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 SCHEMA = "bayes-damper/comparison/1"
-KINDS = {"summary.json": "fit", "diagnosis.json": "diagnosis", "variability.json": "variability"}
+Kind = Literal["fit", "diagnosis", "variability"]
+KINDS: dict[str, Kind] = {"summary.json": "fit", "diagnosis.json": "diagnosis", "variability.json": "variability"}
 _PROPOSALS = 4000
 
 
@@ -41,16 +46,16 @@ _PROPOSALS = 4000
 class Comparison:
     """Results side by side; `result` is what comparison.json holds."""
 
-    result: Mapping[str, Any]
+    result: ComparisonFile
 
     @property
     def exit_code(self) -> ExitCode:
         """Always done: whether the compared runs converged stands in the table."""
         return ExitCode.DONE
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> ComparisonFile:
         """What comparison.json holds."""
-        return dict(self.result)
+        return self.result
 
     def text(self) -> str:
         """Tables for the terminal."""
@@ -62,24 +67,24 @@ class Comparison:
             lines.append(f"{'all cases together' if case == 'joint' else f'case {case}'}")
             for name, found in rows.items():
                 cells = "".join(f"{_cell(found.get(label)):>{width}s}" for label in labels)
-                unit = next(iter(found.values())).get("unit", "")
+                unit = next(iter(found.values()))["unit"]
                 lines.append(f"  {name:28s}{unit:8s}{cells}")
-        for title, key in (
-            ("log evidence, nats", "evidence"), ("held-out score, nats", "heldout"), ("gap and verdict", "diagnosis"),
-            ("what the cases share", "variability"),
-        ):  # fmt: skip
-            if r[key]:
-                lines.append(title)
-                lines += [
-                    f"  {name:36s}" + "".join(f"{_word(found.get(label)):>{width}s}" for label in labels)
-                    for name, found in r[key].items()
-                ]
+        tables: tuple[tuple[str, ComparedRows | Mapping[str, Mapping[str, float]]], ...] = (
+            ("log evidence, nats", r["evidence"]), ("held-out score, nats", r["heldout"]),
+            ("gap and verdict", r["diagnosis"]), ("what the cases share", r["variability"]),
+        )  # fmt: skip
+        for title, table in tables:
+            lines += [title] if table else []
+            lines += [
+                f"  {name:36s}" + "".join(f"{_word(row.get(label)):>{width}s}" for label in labels)
+                for name, row in table.items()
+            ]
         for label, cases in r["prior_sensitivity"].items():
             lines.append(
                 f"{label}: shift of each mean, in standard deviations, when its own prior is half / twice as wide"
             )
-            for case, rows in cases.items():
-                shifts = ", ".join(f"{n} {' / '.join(_shift(p[w]) for w in WIDTHS)}" for n, p in rows.items())
+            for case, priors in cases.items():
+                shifts = ", ".join(f"{n} {' / '.join(map(_shift, _widths(p)))}" for n, p in priors.items())
                 lines.append(f"  case {case}: {shifts}")
         return "\n".join([*lines, *r["sentences"]])
 
@@ -117,33 +122,33 @@ def compare(folders: Sequence[str | Path], *, out: str | Path | None = None, see
     where = dict(zip(labels, paths, strict=True))
     for label, results in found.items():
         for file, kind in KINDS.items():
-            if kind in results:
-                with as_written(where[label] / file, kind):
-                    _READ[kind](results[kind])
+            with as_written(where[label] / file, kind):
+                _read(results, kind)
     fits = {label: results["fit"] for label, results in found.items() if "fit" in results}
-    pieces = {}
+    pieces: dict[str, _Pieces] = {}
     for label, summary in fits.items():
         with as_written(where[label], "fit"):
             pieces[label] = _fit_pieces(where[label], summary, seed)
     with as_written(" or ".join(map(str, paths)), "fit"):
         parameters = _parameters(fits)
-    result: dict[str, Any] = {
+    result: ComparisonFile = {
         "schema": SCHEMA,
         "folders": {label: str(path) for label, path in where.items()},
         "campaigns": {label: _entry_of(results, "campaign") for label, results in found.items()},
         "campaign_sha256": {label: _entry_of(results, "campaign_sha256") for label, results in found.items()},
         "converged": {label: _converged(results) for label, results in found.items()},
         "parameters": parameters,
-        "evidence": _turned({label: piece["evidence"] for label, piece in pieces.items()}),
-        "heldout": _turned({label: piece["heldout"] for label, piece in pieces.items()}),
+        "evidence": _turned({label: piece.evidence for label, piece in pieces.items()}),
+        "heldout": _turned({label: piece.heldout for label, piece in pieces.items()}),
         "diagnosis": _turned({k: _diagnosis(v["diagnosis"]) for k, v in found.items() if "diagnosis" in v}),
         "variability": _turned({k: _pooling(v["variability"]) for k, v in found.items() if "variability" in v}),
-        "prior_sensitivity": {label: piece["sensitivity"] for label, piece in pieces.items()},
+        "prior_sensitivity": {label: piece.sensitivity for label, piece in pieces.items()},
+        "sentences": [],
+        "provenance": provenance(),
     }
     with as_written(" or ".join(map(str, paths)), "fit"):
         result["sentences"] = _sentences(result)
         Comparison(result).text()
-    result["provenance"] = provenance()
     if out is not None:
         write_json(Path(out) / "comparison.json", result)
         if fits:
@@ -161,7 +166,7 @@ def _labels(paths: Sequence[Path]) -> list[str]:
     return [str(path) for path in paths]
 
 
-def _results(path: Path) -> dict[str, Any]:
+def _results(path: Path) -> FolderContents:
     """What a folder holds, by kind.
 
     Raises
@@ -169,7 +174,7 @@ def _results(path: Path) -> dict[str, Any]:
     InputError
         if a file is of another schema.
     """
-    out = {}
+    out: FolderContents = {}
     for file, kind in KINDS.items():
         if not (path / file).exists():
             continue
@@ -181,22 +186,25 @@ def _results(path: Path) -> dict[str, Any]:
     return out
 
 
-def _entry_of(results: Mapping[str, Any], key: str) -> str:
-    return next((str(content[key]) for content in results.values() if content.get(key)), "")
+def _entry_of(results: FolderContents, key: str) -> str:
+    contents = [cast("Mapping[str, object]", content) for content in results.values()]
+    return next((str(content[key]) for content in contents if content.get(key)), "")
 
 
-def _converged(results: Mapping[str, Any]) -> bool:
-    return all(bool(content.get("converged", True)) for content in results.values())
+def _converged(results: FolderContents) -> bool:
+    return all(bool(cast("Mapping[str, object]", content).get("converged", True)) for content in results.values())
 
 
-def _parameters(fits: Mapping[str, Any]) -> dict[str, dict[str, dict[str, Any]]]:
+def _parameters(fits: Mapping[str, FitFile]) -> dict[str, dict[str, dict[str, ComparedCell]]]:
     """Parameters by case, name and folder: median and interval, with the distance from the first folder."""
-    out: dict[str, dict[str, dict[str, Any]]] = {}
+    out: dict[str, dict[str, dict[str, ComparedCell]]] = {}
     for label, summary in fits.items():
         groups = dict(summary["cases"]) | ({"joint": summary["joint"]} if summary.get("joint") else {})
         for case, entry in groups.items():
             for name, p in entry["parameters"].items():
-                cell = {key: p[key] for key in ("unit", "median", "mean", "sd", "hdi90")}
+                cell: ComparedCell = {
+                    "unit": p["unit"], "median": p["median"], "mean": p["mean"], "sd": p["sd"], "hdi90": p["hdi90"],
+                }  # fmt: skip
                 found = out.setdefault(case, {}).setdefault(name, {})
                 if found:
                     first = next(iter(found.values()))
@@ -206,53 +214,68 @@ def _parameters(fits: Mapping[str, Any]) -> dict[str, dict[str, dict[str, Any]]]
     return out
 
 
-def _of_fit(summary: Mapping[str, Any]) -> list[str]:
+def _of_fit(summary: FitFile) -> list[str]:
     """Every parameter of a fit as the table shows it."""
     return [
         _cell(found) for rows in _parameters({"": summary}).values() for row in rows.values() for found in row.values()
     ]
 
 
-def _turned(table: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+def _turned(table: Mapping[str, Mapping[str, T]]) -> dict[str, dict[str, T]]:
     """A table by folder and row, turned into one by row and folder."""
     rows = dict.fromkeys(name for found in table.values() for name in found)
     return {name: {label: found[name] for label, found in table.items() if name in found} for name in rows}
 
 
-def _diagnosis(content: Mapping[str, Any]) -> dict[str, Any]:
-    gap = content.get("gap", {})
-    out: dict[str, Any] = {"verdict": content["verdict"], "gap": gap.get("answer")}
+def _diagnosis(content: DiagnosisFile) -> dict[str, float | str]:
+    gap = content.get("gap")
+    out: dict[str, float | str | None] = {"verdict": content["verdict"], "gap": gap.get("answer") if gap else None}
     out["probability of the verdict"] = content["probabilities"].get(content["verdict"])
-    out |= {key: gap[key] for key in ("size", "noise_rms", "nominal_rms", "augmented_rms") if gap.get(key) is not None}
+    if gap:
+        out |= {"size": gap.get("size"), "noise_rms": gap.get("noise_rms")}
+        out |= {"nominal_rms": gap.get("nominal_rms"), "augmented_rms": gap.get("augmented_rms")}
     for effect in content.get("effects", [])[:5]:
         out[f"log evidence of {effect['name']}"] = effect.get("log_evidence")
     return {key: value for key, value in out.items() if value is not None}
 
 
-def _pooling(content: Mapping[str, Any]) -> dict[str, Any]:
-    out: dict[str, Any] = {}
+def _pooling(content: VariabilityFile) -> dict[str, float | str]:
+    out: dict[str, float | str] = {}
     for name, model in content["models"].items():
         out[f"{name}: log evidence"] = model["log_evidence"]
-        if model["heldout"]["log_score"] is not None:
-            out[f"{name}: held-out score"] = model["heldout"]["log_score"]
+        if (score := model["heldout"]["log_score"]) is not None:
+            out[f"{name}: held-out score"] = score
     return out
 
 
-_READ: dict[str, Callable[[Mapping[str, Any]], object]] = {
-    "fit": _of_fit, "diagnosis": _diagnosis, "variability": _pooling,
-}  # fmt: skip
-"""What is taken of each kind of results."""
+def _read(results: FolderContents, kind: Kind) -> None:
+    """What is taken of one kind of results, so that a damaged file is found before anything is computed."""
+    if kind == "fit" and "fit" in results:
+        _of_fit(results["fit"])
+    elif kind == "diagnosis" and "diagnosis" in results:
+        _diagnosis(results["diagnosis"])
+    elif kind == "variability" and "variability" in results:
+        _pooling(results["variability"])
 
 
 # From the draws of a fit ----------------------------------------------------------------------------------------------
 
 
-def _fit_pieces(path: Path, summary: FitFile, seed: int) -> dict[str, Any]:
+@dataclass(frozen=True)
+class _Pieces:
+    """Of one fit: log evidence and held-out score by row, and how far the answers of each case hang on the prior."""
+
+    evidence: dict[str, float]
+    heldout: dict[str, float]
+    sensitivity: dict[str, Mapping[str, PriorEntry]]
+
+
+def _fit_pieces(path: Path, summary: FitFile, seed: int) -> _Pieces:
     """Evidence and held-out score of each case, and how far its answers hang on the prior."""
-    plan = read_json(path / "run.json")["plan"]
+    plan: FitPlan = read_json(path / "run.json")["plan"]
     evidence: dict[str, float] = {}
     heldout: dict[str, float] = {}
-    sensitivity: dict[str, Any] = {}
+    sensitivity: dict[str, Mapping[str, PriorEntry]] = {}
     for case, entry in summary["cases"].items():
         row = f"case {case}"
         file = path / folder_name(case) / "posterior.nc"
@@ -267,7 +290,7 @@ def _fit_pieces(path: Path, summary: FitFile, seed: int) -> dict[str, Any]:
             continue
         tree = arviz_adapter.read(file)
         if is_published(plan["campaign"]):
-            priors = priors_from_dict(plan["priors"]).for_case(case).free
+            priors = priors_from_dict(plan["priors"] or {}).for_case(case).free
             posterior = tree["posterior"]
             draws = {name: np.asarray(posterior[name].values, float) for name in priors if name in posterior}
             if row not in evidence:
@@ -282,13 +305,13 @@ def _fit_pieces(path: Path, summary: FitFile, seed: int) -> dict[str, Any]:
         evidence["sum over cases"] = float(sum(evidence.values()))
     if heldout:
         heldout["sum over cases"] = float(sum(heldout.values()))
-    return {"evidence": evidence, "heldout": heldout, "sensitivity": sensitivity}
+    return _Pieces(evidence, heldout, sensitivity)
 
 
 def _published_evidence(
-    plan: Mapping[str, Any], case: str, walkers: int, draws: Mapping[str, Array], tree: Any, seed: int
+    plan: FitPlan, case: str, walkers: int, draws: Mapping[str, Array], tree: Any, seed: int
 ) -> float:
-    posterior = published_posterior(case, priors_from_dict(plan["priors"]), plan["normal_force"] or "linear")
+    posterior = published_posterior(case, priors_from_dict(plan["priors"] or {}), plan["normal_force"] or "linear")
     shape = next(iter(draws.values())).shape
     points = posterior.coordinates.points({name: x.ravel() for name, x in draws.items()})
     points = points.reshape(shape[0], shape[1] // int(walkers), int(walkers), posterior.ndim)
@@ -313,23 +336,28 @@ def leave_out(log_likelihood: Array) -> tuple[float, float]:
 # Words and figure -----------------------------------------------------------------------------------------------------
 
 
-def _cell(found: Mapping[str, Any] | None) -> str:
+def _cell(found: ComparedCell | None) -> str:
     if found is None:
         return "-"
     return f"{found['median']:.3g} +- {found['sd']:.2g}"
 
 
-def _shift(found: Mapping[str, Any]) -> str:
+def _widths(found: PriorEntry) -> tuple[WidthEntry, WidthEntry]:
+    """A prior half and twice as wide."""
+    return found["half"], found["double"]
+
+
+def _shift(found: WidthEntry) -> str:
     return f"{found['shift']:+.2f}" + ("" if found["reliable"] else "?")
 
 
-def _word(value: Any) -> str:
+def _word(value: float | str | None) -> str:
     if value is None:
         return "-"
     return f"{value:.4g}" if isinstance(value, float | int) else str(value)
 
 
-def _sentences(result: Mapping[str, Any]) -> list[str]:
+def _sentences(result: ComparisonFile) -> list[str]:
     out = [f"{label}: did not converge; do not use its numbers." for label, ok in result["converged"].items() if not ok]
     named = len(set(result["campaigns"].values())) == 1
     same = named and len(set(result["campaign_sha256"].values()) - {""}) < 2
@@ -359,18 +387,18 @@ def _sentences(result: Mapping[str, Any]) -> list[str]:
         where = "all cases together" if case == "joint" else f"case {case}"
         out.append(f"The largest difference is {size:.1f} standard deviations: {name} of {where} in {label}.")
     for label, cases in result["prior_sensitivity"].items():
-        moves = [(abs(p[w]["shift"]), n, c) for c, rows in cases.items() for n, p in rows.items() for w in WIDTHS]
+        moves = [(abs(w["shift"]), n, c) for c, rows in cases.items() for n, p in rows.items() for w in _widths(p)]
         if moves:
             size, name, case = max(moves)
             out.append(
                 f"{label}: {name} of case {case} hangs most on its own prior (half or twice as wide: {size:.2f} sd)."
             )
-        if any(not p[w]["reliable"] for rows in cases.values() for p in rows.values() for w in WIDTHS):
+        if any(not w["reliable"] for rows in cases.values() for p in rows.values() for w in _widths(p)):
             out.append(f"{label}: shifts marked ? rest on too few draws; fit with that prior to know.")
     return out
 
 
-def _figure(result: Mapping[str, Any]) -> Any:
+def _figure(result: ComparisonFile) -> Any:
     """Median and 90 % interval of the main parameters, one row for each case and folder."""
     names = ("mu", "k2t", "c2t", "drag", "c1t", "friction_torque")
     intervals: dict[str, dict[str, tuple[float, float, float]]] = {}

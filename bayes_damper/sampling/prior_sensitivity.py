@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.runs.contents.fit import PriorEntry
+from bayes_damper.runs.contents.fit import PriorEntry, WidthEntry
 from bayes_damper.sampling.arviz_adapter import pareto_k
 
 Array = NDArray[np.float64]
@@ -37,28 +36,33 @@ def of_standard_draws(names: Sequence[str], points: Array) -> dict[str, PriorEnt
     """
     centre, sd = points.mean(axis=0), np.maximum(points.std(axis=0), 1e-300)
     scaled = (points - centre) / sd
-    out: dict[str, Any] = {}
-    for i, name in enumerate(names):
-        share = float(min(1.0, sd[i] ** 2))
-        out[name] = {"prior_share": share, "decided_by": decided_by(share)}
-        for word, width in WIDTHS.items():
-            log_weights = -0.5 * (width**-2 - 1.0) * points[:, i] ** 2
-            weights = np.exp(log_weights - log_weights.max())
-            weights /= weights.sum()
-            means = weights @ scaled
-            others = [k for k in range(len(names)) if k != i]
-            most = max(others, key=lambda k: abs(means[k]), default=i)
-            effective = float(1.0 / np.sum(weights**2)) / len(points)
-            out[name][word] = {
-                "shift": float(means[i]),
-                "width": math.sqrt(max(float(weights @ (scaled[:, i] - means[i]) ** 2), 0.0)),
-                "moves_most": names[most],
-                "shift_of_that": float(means[most]),
-                "effective_share": effective,
-                # Where the prior decides, on one side at least, few draws lie where a wider one would let them go.
-                "reliable": effective > RELIABLE and (width < 1.0 or (share <= _REACHED and pareto_k(weights) < _TAIL)),
-            }
-    return out
+    shares = [float(min(1.0, x**2)) for x in sd]
+
+    def other(i: int, width: float) -> WidthEntry:
+        log_weights = -0.5 * (width**-2 - 1.0) * points[:, i] ** 2
+        weights = np.exp(log_weights - log_weights.max())
+        weights /= weights.sum()
+        means = weights @ scaled
+        others = [k for k in range(len(names)) if k != i]
+        most = max(others, key=lambda k: abs(means[k]), default=i)
+        effective = float(1.0 / np.sum(weights**2)) / len(points)
+        return {
+            "shift": float(means[i]),
+            "width": math.sqrt(max(float(weights @ (scaled[:, i] - means[i]) ** 2), 0.0)),
+            "moves_most": names[most],
+            "shift_of_that": float(means[most]),
+            "effective_share": effective,
+            # Where the prior decides, on one side at least, few draws lie where a wider one would let them go.
+            "reliable": effective > RELIABLE and (width < 1.0 or (shares[i] <= _REACHED and pareto_k(weights) < _TAIL)),
+        }
+
+    return {
+        name: {
+            "prior_share": share, "decided_by": decided_by(share),
+            "half": other(i, WIDTHS["half"]), "double": other(i, WIDTHS["double"]),
+        }
+        for i, (name, share) in enumerate(zip(names, shares, strict=True))
+    }  # fmt: skip
 
 
 def text(table: Mapping[str, PriorEntry]) -> list[str]:
