@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,6 +15,7 @@ from bayes_damper.figures.style import COLOURS, RC, STYLES, label, new_figure
 from bayes_damper.rig.parameters import unit_of
 from bayes_damper.runs.contents.plan import PlanFile
 from bayes_damper.runs.contents.variability import LINEAR_NAMES, DecompositionEntry, EffectiveEntry, LinearName
+from bayes_damper.runs.contents.withheld import Rate, ScoresEntry
 
 _SHOWN_HZ = 20.0
 """Up to where frequency responses of the thesis are drawn."""
@@ -243,7 +245,7 @@ def plan_figure(result: PlanFile, *, title: str) -> Figure:
     return figure
 
 
-def withheld_figure(scores: Mapping[str, Any], *, rehearsal: bool = False) -> Figure:
+def withheld_figure(scores: ScoresEntry, *, rehearsal: bool = False) -> Figure:
     """The check on withheld data: what was taken for what, sites, reliability beside a calibrated twin, strength.
 
     scores : the entry `scores` of withheld.json. rehearsal : marked across the top.
@@ -259,19 +261,20 @@ def withheld_figure(scores: Mapping[str, Any], *, rehearsal: bool = False) -> Fi
         for row in reliability["bins"]:
             at = row["confidence"]
             axis.plot([at, at], row["twin95"], color=COLOURS[5], lw=7, alpha=0.5, solid_capstyle="butt")
-            axis.plot([at, at], row["right"]["interval95"], color=COLOURS[0], lw=1.2)
-            axis.plot(at, row["right"]["value"], "o", color=COLOURS[1], ms=5)
+            value, low, high = _of_rate(row["right"])
+            axis.plot([at, at], [low, high], color=COLOURS[0], lw=1.2)
+            axis.plot(at, value, "o", color=COLOURS[1], ms=5)
         axis.set_xlabel("probability of the verdict")
         axis.set_ylabel("share that is right")
         axis.set_title("reliability (bars: calibrated twin, 95 %)", loc="left")
         axis = parts["l"]
         for k, kind in enumerate(sorted({row["kind"] for row in scores["by_level"]})):
             rows = [row for row in scores["by_level"] if row["kind"] == kind]
-            at = [row["level"] * (1.03 if k else 0.97) for row in rows]
-            right = [row["accepted_first"] for row in rows]
-            reach = np.array([[r["value"] - r["interval95"][0], r["interval95"][1] - r["value"]] for r in right]).T
+            levels = [row["level"] * (1.03 if k else 0.97) for row in rows]
+            values, lows, highs = np.array([_of_rate(row["accepted_first"]) for row in rows]).T
+            reach = np.stack([values - lows, highs - values])
             marks: dict[str, Any] = {"color": COLOURS[k], "ls": STYLES[k % len(STYLES)], "marker": "os"[k % 2], "ms": 4}
-            axis.errorbar(at, [r["value"] for r in right], np.maximum(reach, 0.0), label=kind, **marks)
+            axis.errorbar(levels, values, np.maximum(reach, 0.0), label=kind, **marks)
             axis.legend(loc="lower right")
         levels = sorted({float(row["level"]) for row in scores["by_level"]})
         axis.set_xscale("log")
@@ -284,6 +287,12 @@ def withheld_figure(scores: Mapping[str, Any], *, rehearsal: bool = False) -> Fi
         warning = "REHEARSAL: the code has changed since these campaigns were sealed"
         figure.suptitle(warning, color="#B00020", weight="bold")
     return figure
+
+
+def _of_rate(found: Rate) -> tuple[float, float, float]:
+    """Value and interval; nan where there is no campaign."""
+    value, low, high = (math.nan if x is None else x for x in (found["value"], *found["interval95"]))
+    return value, low, high
 
 
 def _draw_counts(axis: Any, counts: Mapping[str, Mapping[str, int]], title: str) -> None:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
 from pathlib import Path
-from typing import Any
 
 from bayes_damper.report.parts import Headline, Result, Row, Section, Table, folded, generic
 from bayes_damper.report.sections.shared import pictures_of
-from bayes_damper.runs.contents.withheld import Judged
+from bayes_damper.runs.contents.withheld import Judged, RateName, WithheldFile
 from bayes_damper.text import counted, number
 
-_SCORES = (
+_SCORES: tuple[tuple[RateName, str], ...] = (
     ("accepted_first", "right or acceptable first answer"),
     ("right_first", "right effect first"),
     ("none_kept", "no gap claimed where there is none"),
@@ -23,18 +22,19 @@ _SCORES = (
 )
 
 
-def withheld_result(data: Mapping[str, Any], folder: Path) -> Result:
+def withheld_result(data: WithheldFile, folder: Path) -> Result:
     """Headline and section of withheld.json: sealed verdicts, and their scores once the key was opened."""
-    scores = (data.get("scores") or {}).get("all") or {}
+    scored = data.get("scores")
+    whole = scored.get("all") if scored else None
     count = len(data.get("campaigns") or ())
     rehearsal = bool(data.get("rehearsal"))
     sentences = [f"{counted(count, 'campaign')} judged, verdicts sealed; the key has not been opened."]
     rows = []
     for key, what in _SCORES:
-        score = scores.get(key) or {}
-        if not score.get("n"):
+        score = whole.get(key) if whole else None
+        if score is None or not score["n"]:
             continue
-        low, high = (100.0 * x for x in score.get("interval95") or (float("nan"),) * 2)
+        low, high = (math.nan if x is None else 100.0 * x for x in score["interval95"])
         rows.append(Row((what, f"{score['hits']} of {score['n']}", f"{low:.0f} to {high:.0f} %")))
     if rows:
         by_name = {row.cells[0]: row.cells[1] for row in rows}
@@ -54,13 +54,14 @@ def withheld_result(data: Mapping[str, Any], folder: Path) -> Result:
     return Result(head, section, (), dict(data.get("provenance", {})))
 
 
-def _changes(data: Mapping[str, Any], opened: bool, rehearsal: bool) -> list[str]:
+def _changes(data: WithheldFile, opened: bool, rehearsal: bool) -> list[str]:
     """What would make more of these scores: fresh campaigns, the targets missed, and how many are known too roughly."""
     if not opened:
         return ["The same call again goes on to the end and then opens the key."]
     fresh = "Campaigns generated after the code was frozen, from seeds never used before"
     changes = [f"{fresh}: these scores are a rehearsal."] if rehearsal else []
-    targets = (data.get("scores") or {}).get("targets") or ()
+    scored = data.get("scores")
+    targets = (scored.get("targets") if scored else None) or ()
     missed = [_target(t) for t in targets if t["status"] == "missed"]
     if missed:
         changes.append(f"Targets missed: {'; '.join(missed)}.")

@@ -381,6 +381,39 @@ class SiteMapEntry(TypedDict):
     curve: NotRequired[Mapping[str, CurveEntry]]
 
 
+class LeftEntry(TypedDict):
+    """What an answer leaves of the gap, as the rule takes it; None where a number is not finite."""
+
+    nats: float | None
+    share: float
+    home: NotRequired[float]
+    line: NotRequired[float]
+    peak: NotRequired[float]
+    lone: NotRequired[bool]
+    readings: NotRequired[float | None]
+    exact: NotRequired[bool]
+
+
+class WeighedPair(TypedDict):
+    """A pair of effects as the rule takes it."""
+
+    effects: Sequence[str]
+    log_evidence: float
+    left: LeftEntry
+
+
+class WeighedEntry(TypedDict):
+    """All that the rule makes the probabilities from."""
+
+    before: LeftEntry
+    after: LeftEntry
+    excess: float
+    drift: float | None
+    pairs: Sequence[WeighedPair]
+    definitions: NotRequired[Sequence[str]]
+    usual: NotRequired[float]
+
+
 class DiagnosisFile(TypedDict, total=False):
     """All of diagnosis.json, of records or of published numbers."""
 
@@ -410,11 +443,11 @@ class DiagnosisFile(TypedDict, total=False):
     remainder: Mapping[str, float | None]
     sensitivity: Sequence[ChoiceEntry]
     prior_unknown: Sequence[UnderPrior]
-    weighed: Mapping[str, object]
+    weighed: WeighedEntry
     scatter: Mapping[str, ScatterEntry]
     notes: Sequence[str]
     warnings: Sequence[str]
-    seconds: float
+    seconds: float | None
     law: LawEntry | None
     forecast: Forecasts
     reading_unit: str

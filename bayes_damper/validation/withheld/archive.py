@@ -16,10 +16,10 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from bayes_damper.effects import all_effects, classes
 from bayes_damper.errors import ExitCode, InputError, SelfCheckError
+from bayes_damper.runs.contents.withheld import Freeze, Verdict, VerifiedFile
 from bayes_damper.runs.json_files import read_json
 from bayes_damper.text import counted
 from bayes_damper.validation.withheld import scores
@@ -65,12 +65,12 @@ def write_archive(run: Path, key: Path, path: Path) -> Path:
 class Verified:
     """What holding an archive's seals found: sentences, and the facts for programs."""
 
-    results: Mapping[str, Any]
+    results: VerifiedFile
     exit_code: ExitCode = ExitCode.DONE
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> VerifiedFile:
         """For programs."""
-        return dict(self.results)
+        return self.results
 
     def text(self) -> str:
         """For people."""
@@ -106,7 +106,11 @@ def verify(archive: str | Path, folder: str | Path | None = None) -> Verified:
     return Verified(
         {
             "schema": "bayes-damper/withheld-verified/1", "archive": str(path), "verdicts": len(verdicts),
-            "chain_head": head, "freeze": {k: frozen[k] for k in ("code_sha256", "commit", "written", "seed")},
+            "chain_head": head,
+            "freeze": {
+                "code_sha256": frozen["code_sha256"], "commit": frozen["commit"], "written": frozen["written"],
+                "seed": frozen["seed"],
+            },
             "data_held": folder is not None, "found": found,
         }
     )  # fmt: skip
@@ -140,7 +144,7 @@ def _unpack(path: Path, home: Path) -> None:
         (home / name).write_bytes(members[name])
 
 
-def _hold(home: Path, path: Path) -> tuple[dict[str, Any], dict[str, Any], str]:
+def _hold(home: Path, path: Path) -> tuple[Freeze, dict[str, Verdict], str]:
     """Freeze, verdicts by name and head of the chain of one part, each against its seal."""
     frozen = read_freeze(home / "freeze.json")
     missing = [name for name in frozen["campaigns"] if not verdict_path(home, name).exists()]
@@ -153,7 +157,7 @@ def _hold(home: Path, path: Path) -> tuple[dict[str, Any], dict[str, Any], str]:
     return frozen, {name: content["verdict"] for name, content in sealed.items()}, links[-1]
 
 
-def _against_the_key(home: Path, frozen: Mapping[str, Any], verdicts: Mapping[str, Any]) -> str:
+def _against_the_key(home: Path, frozen: Freeze, verdicts: Mapping[str, Verdict]) -> str:
     """That the key is the frozen one and the chain the published one; how many verdicts are right by it."""
     key, results = home / "key.json", read_json(home / "withheld.json")
     if file_sha256(key) != frozen["key_sha256"]:
@@ -171,7 +175,7 @@ def _against_the_key(home: Path, frozen: Mapping[str, Any], verdicts: Mapping[st
     return said
 
 
-def _against_the_data(folder: Path, frozen: Mapping[str, Any]) -> str:
+def _against_the_data(folder: Path, frozen: Freeze) -> str:
     """That the campaigns are those that were frozen."""
     absent = [name for name in frozen["campaigns"] if not (folder / name / "campaign.toml").is_file()]
     if absent:

@@ -20,14 +20,15 @@ import importlib.util
 import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from bayes_damper.calibration import Calibration, predict
+from bayes_damper.diagnosis import Diagnosis
 from bayes_damper.diagnosis.response import Motion, motions
+from bayes_damper.runs.contents.withheld import BaselineAnswers
 
 Array = NDArray[np.float64]
 
@@ -40,11 +41,11 @@ FOREST_ABSENT = (
 )
 
 
-def baselines_of(found: Any) -> dict[str, Any]:
+def baselines_of(found: Diagnosis) -> BaselineAnswers:
     """Probabilities by each method, and the forest's features, from a diagnosis.Diagnosis."""
     nominal: Calibration = found.nominal
     fits = _best_fits(found)
-    out: dict[str, Any] = {"bic": bic_weights(nominal, fits), "bic_gate": bic_weights(nominal, fits, gate=GATE)}
+    out: BaselineAnswers = {"bic": bic_weights(nominal, fits), "bic_gate": bic_weights(nominal, fits, gate=GATE)}
     held_out = tuple(nominal.problem.experiment.heldout)
     if held_out:
         out["stacking"] = stacking_weights(nominal, fits, held_out)
@@ -55,7 +56,7 @@ def baselines_of(found: Any) -> dict[str, Any]:
     return out
 
 
-def _best_fits(found: Any) -> dict[str, Calibration]:
+def _best_fits(found: Diagnosis) -> dict[str, Calibration]:
     """Effect -> its best fit among those made with the nominal model's own noise, so that they can be compared."""
     out: dict[str, Calibration] = {}
     for candidate in found.candidates:

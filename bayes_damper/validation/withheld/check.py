@@ -4,15 +4,31 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from types import NoneType
-from typing import Any
+from typing import Any, cast
 
 from bayes_damper import figures
-from bayes_damper.effects import EFFECTS, Effect, all_effects, classes, effects_sha256, same_effects
+from bayes_damper.diagnosis import Diagnosis
+from bayes_damper.effects import Effect, all_effects, classes, effects_sha256, same_effects
 from bayes_damper.errors import ExitCode, InputError, Interrupted, SelfCheckError
 from bayes_damper.inputs import fields, resolved, shipped_path
+from bayes_damper.runs.contents.diagnosis import Forecasts
+from bayes_damper.runs.contents.withheld import (
+    BaselineEntry,
+    CampaignEntry,
+    ComparedScores,
+    Freeze,
+    Judged,
+    KeyEntry,
+    Rate,
+    RateName,
+    RemovedEntry,
+    UnderTheAnswer,
+    Verdict,
+    WithheldFile,
+)
 from bayes_damper.runs.execution import Progress, Task, run_tasks
 from bayes_damper.runs.json_files import plain, read_json, write_json, write_text
 from bayes_damper.runs.provenance import provenance
@@ -42,7 +58,7 @@ SUBSET = 24  # campaigns of a run that is not full: at most 20 s each on 2 cores
 class Withheld:
     """What the check found; `results` is the content of withheld.json."""
 
-    results: Mapping[str, Any]
+    results: WithheldFile
     folder: Path
     exit_code: ExitCode = ExitCode.DONE
 
@@ -51,9 +67,9 @@ class Withheld:
         """Whether the scores count as a rehearsal only."""
         return bool(self.results["rehearsal"])
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> WithheldFile:
         """For programs."""
-        return dict(self.results)
+        return self.results
 
     def text(self) -> str:
         """For people: the scores, the targets, every miss."""
@@ -65,7 +81,7 @@ class Withheld:
 
 def verdict_of(
     campaign: str, *, seed: int, leave_out: Sequence[str], workers: int, effects: str | None = None
-) -> dict[str, Any]:
+) -> Verdict:
     """The diagnosis of one campaign folder, as diagnosis.json, with what the scores need beyond it.
 
     `effects`: folder with effects beside the library's and those of installed packages.
@@ -78,13 +94,13 @@ def verdict_of(
 
     offered = {name: effect for name, effect in all_effects(effects).items() if name not in leave_out}
     found = diagnose(load_campaign(campaign), seed=seed, effects=offered, workers=workers)
-    verdict = found.to_json()
+    verdict = cast("Verdict", found.to_json())
     if leave_out:
-        return dict(verdict)
+        return verdict
     return {**verdict, "baselines": baselines_of(found), **_under_the_answer(found)}
 
 
-def _under_the_answer(found: Any) -> dict[str, Any]:
+def _under_the_answer(found: Diagnosis) -> UnderTheAnswer:
     """Intervals of the parameters under the answer, forecasts, and what the leading effect closes of a case left out.
 
     The answer: the leading effect, or the nominal rig where nothing is missing. The case left out is the last of the
@@ -94,9 +110,8 @@ def _under_the_answer(found: Any) -> dict[str, Any]:
     from bayes_damper.diagnosis.gap import left_out_case
 
     fit = found.best
-    out: dict[str, Any] = {
-        "forecast": {k: v for k, v in forecasts(found.nominal, fit, found.weighed_fits()).items() if k != "trials"}
-    }
+    ahead = forecasts(found.nominal, fit, found.weighed_fits())
+    out: UnderTheAnswer = {"forecast": cast("Forecasts", {k: v for k, v in ahead.items() if k != "trials"})}
     answer = found.nominal if found.verdict == "none" else fit
     if answer is not None:
         names = answer.problem.names
@@ -116,13 +131,13 @@ def give_verdict(
     *,
     name: str,
     campaign: str,
-    call: Callable[..., dict[str, Any]],
+    call: Callable[..., Verdict],
     seed: int,
     leave_out: Sequence[str],
     workers: int,
     freeze_seal: str,
     effects: str | None = None,
-) -> dict[str, Any]:
+) -> dict[str, str]:
     """A task of the run: diagnose one campaign and seal the verdict; only its seal is returned.
 
     A diagnosis that fails is a verdict too, "failed", and counts as wrong everywhere.
@@ -171,7 +186,7 @@ def withheld(
     seed: int = 1,
     out: str | Path = "results/withheld",
     leave_one_out: bool | None = None,
-    diagnose_with: Callable[..., dict[str, Any]] = verdict_of,
+    diagnose_with: Callable[..., Verdict] = verdict_of,
     effects: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Withheld:
@@ -227,26 +242,29 @@ def withheld(
     scored = scores.all_scores(rows, seed)
     if removed:
         scored["targets"] = [target.judge([*rows, *removed]) for target in scores.TARGETS]
-    results: dict[str, Any] = {
+    results: WithheldFile = {
         "schema": SCHEMA,
         "rehearsal": bool(reasons),
         "why_rehearsal": reasons,
         "folder": str(source),
         "full": full,
         "seed": seed,
-        "freeze": {k: frozen[k] for k in ("seal", "code_sha256", "effects_sha256", "key_sha256", "commit", "written")},
+        "freeze": {
+            "seal": frozen["seal"], "code_sha256": frozen["code_sha256"], "effects_sha256": frozen["effects_sha256"],
+            "key_sha256": frozen["key_sha256"], "commit": frozen["commit"], "written": frozen["written"],
+        },
         "chain_head": opened.head,
         "campaigns": {
             row.name: {**_shown_verdict(opened.verdicts[row.name]), "score": row.to_json()} for row in rows
         },
         "scores": scored,
         "leave_one_out": left_out_scores(removed),
-        "baselines": baseline_scores(rows, opened, groups, seed),
+        "baselines": baseline_scores(rows, opened.verdicts, opened.entries, groups, seed),
         "baselines_skipped": skipped_baselines(),
         "provenance": provenance(workers=workers),
     }  # fmt: skip
     results["bound_to_code"] = not reasons and (source == _shipped() or _remember(key_file, now))
-    results = plain(results)
+    results = cast("WithheldFile", plain(results))
     write_json(home / "withheld.json", results)
     write_text(home / "withheld.txt", table_text(results) + "\n")
     figures.save(figures.withheld_figure(results["scores"], rehearsal=bool(reasons)), home / "withheld")
@@ -267,7 +285,7 @@ def name_of(function: Callable[..., Any]) -> str:
 
 def finish_withheld(
     home: Path,
-    plan: Mapping[str, Any],
+    plan: Mapping[str, object],
     *,
     effects: str | Path | None = None,
     workers: int = 2,
@@ -280,19 +298,19 @@ def finish_withheld(
     SelfCheckError, InputError
         as `withheld`.
     """
-    plan = fields(plan, _PLANNED, f"{home / 'run.json'}: damaged", "give the same command again")
-    if plan["verdicts_by"] != name_of(verdict_of):
+    begun = fields(plan, _PLANNED, f"{home / 'run.json'}: damaged", "give the same command again")
+    if begun["verdicts_by"] != name_of(verdict_of):
         raise InputError(
             f"{home}: another function than the package's own gives the verdicts of this run, and no code is taken "
             "from a folder of results; call withheld() again with the same diagnose_with"
         )
-    same_effects(home, plan["effects_sha256"], effects)
+    same_effects(home, begun["effects_sha256"], effects)
     return withheld(
-        plan["folder"],
-        full=plan["full"],
-        key=plan["key"],
-        seed=plan["seed"],
-        leave_one_out=plan["leave_one_out"],
+        begun["folder"],
+        full=begun["full"],
+        key=begun["key"],
+        seed=begun["seed"],
+        leave_one_out=begun["leave_one_out"],
         diagnose_with=verdict_of,
         effects=effects,
         workers=workers,
@@ -301,7 +319,7 @@ def finish_withheld(
     )
 
 
-def _begin(home: Path, now: Mapping[str, Any]) -> dict[str, Any]:
+def _begin(home: Path, now: Freeze) -> Freeze:
     """The freeze of the run in `home`: what is there, or a new one."""
     path = home / "freeze.json"
     if not path.exists():
@@ -317,8 +335,12 @@ def _begin(home: Path, now: Mapping[str, Any]) -> dict[str, Any]:
     ]
     if other:
         raise InputError(f"{home}: holds a run with {' and '.join(other)}; give another --out, or delete the folder")
-    for name, words in (("campaigns", "the campaigns are"), ("key_sha256", "the key is")):
-        if frozen[name] != now[name]:
+    held = (
+        ("the campaigns are", frozen["campaigns"] == now["campaigns"]),
+        ("the key is", frozen["key_sha256"] == now["key_sha256"]),
+    )
+    for words, same in held:
+        if not same:
             raise SelfCheckError(f"{home}: broken seal: {words} not what was there when the run was frozen")
     return frozen
 
@@ -328,12 +350,12 @@ class _Run:
     home: Path
     campaigns: Mapping[str, Path]
     seed: int
-    call: Callable[..., dict[str, Any]]
+    call: Callable[..., Verdict]
     workers: int
     scheduler: str | None
     progress: Progress | None
-    now: Mapping[str, Any] = field(default_factory=dict)
-    library: Mapping[str, Effect] = field(default_factory=lambda: EFFECTS)
+    now: Freeze
+    library: Mapping[str, Effect]
     effects: str | None = None
 
     def verdicts(self, leave_out: Mapping[str, Sequence[str]], home: Path, seal: str) -> None:
@@ -365,7 +387,7 @@ class _Run:
         return int(digest([self.seed, name])[:8], 16)
 
     def without_the_truth(
-        self, entries: Mapping[str, Mapping[str, Any]], key: Path, groups: Sequence[frozenset[str]]
+        self, entries: Mapping[str, KeyEntry], key: Path, groups: Sequence[frozenset[str]]
     ) -> tuple[list[scores.Scored], list[str]]:
         """Campaigns of library effects diagnosed again with the effect's class taken out of the library.
 
@@ -391,13 +413,14 @@ class _Run:
         return rows, [*opened.rehearsal, *differences(self.now, now)]
 
 
-def _shown_verdict(verdict: Mapping[str, Any]) -> dict[str, Any]:
+def _shown_verdict(verdict: Verdict) -> CampaignEntry:
     """What withheld.json repeats of a sealed verdict."""
+    known: Mapping[str, object] = verdict
     names = ("verdict", "credible_set", "probabilities", "pair", "sites", "gap", "seconds", "error")
-    return {name: verdict[name] for name in names if name in verdict}
+    return cast("CampaignEntry", {name: known[name] for name in names if name in known})
 
 
-def left_out_scores(rows: Sequence[scores.Scored]) -> dict[str, Any] | None:
+def left_out_scores(rows: Sequence[scores.Scored]) -> RemovedEntry | None:
     """Scores of campaigns diagnosed without their effect in the library; None if there are none."""
     if not rows:
         return None
@@ -422,27 +445,26 @@ def left_out_scores(rows: Sequence[scores.Scored]) -> dict[str, Any] | None:
 
 
 def baseline_scores(
-    rows: Sequence[scores.Scored], opened: Any, groups: Sequence[frozenset[str]], seed: int
-) -> dict[str, Any]:
+    rows: Sequence[scores.Scored], verdicts: Mapping[str, Verdict], entries: Mapping[str, KeyEntry],
+    groups: Sequence[frozenset[str]], seed: int,
+) -> dict[str, BaselineEntry]:  # fmt: skip
     """The baselines' scores on the same campaigns, each beside the diagnosis on those campaigns."""
     answers: dict[str, dict[str, Mapping[str, float]]] = {}
     features: dict[str, Sequence[float]] = {}
-    for name, verdict in opened.verdicts.items():
-        baselines = dict(verdict.get("baselines") or {})
-        feature = baselines.pop("features", None)
-        if feature:
-            features[name] = feature
-        for method, probabilities in baselines.items():
-            answers.setdefault(method, {})[name] = probabilities
+    for name, verdict in verdicts.items():
+        baselines: Mapping[str, object] = verdict.get("baselines") or {}
+        for method, given in baselines.items():
+            if method != "features":
+                answers.setdefault(method, {})[name] = cast("Mapping[str, float]", given)
+            elif given:
+                features[name] = cast("Sequence[float]", given)
     forest = forest_out_of_fold(features, {r.name: _label(r) for r in rows if r.group != "pair"}, seed)
     if forest:
         answers["random_forest"] = dict(forest)
-    out = {}
-    for method, given in sorted(answers.items()):
-        ours = [row for row in rows if row.name in given and row.group != "pair"]
-        theirs = [
-            scores.score_one(row.name, _as_verdict(given[row.name]), opened.entries[row.name], groups) for row in ours
-        ]
+    out: dict[str, BaselineEntry] = {}
+    for method, said in sorted(answers.items()):
+        ours = [row for row in rows if row.name in said and row.group != "pair"]
+        theirs = [scores.score_one(row.name, _as_verdict(said[row.name]), entries[row.name], groups) for row in ours]
         out[method] = {
             "baseline": _compared(theirs),
             "diagnosis": _compared(ours),
@@ -456,7 +478,7 @@ def skipped_baselines() -> list[str]:
     return [] if has_forest() else [FOREST_ABSENT]
 
 
-def _as_verdict(probabilities: Mapping[str, float]) -> dict[str, Any]:
+def _as_verdict(probabilities: Mapping[str, float]) -> Verdict:
     return {"verdict": max(probabilities, key=lambda n: probabilities[n]), "probabilities": probabilities}
 
 
@@ -464,9 +486,12 @@ def _label(row: scores.Scored) -> str:
     return row.truth if row.group in ("library", "none") else "unknown"
 
 
-def _compared(rows: Sequence[scores.Scored]) -> dict[str, Any]:
-    scored = scores.summarise(rows)
-    return {name: scored[name] for name in ("campaigns", "accepted_first", "log_score", "brier", "false_and_confident")}
+def _compared(rows: Sequence[scores.Scored]) -> ComparedScores:
+    s = scores.summarise(rows)
+    return {
+        "campaigns": s["campaigns"], "accepted_first": s["accepted_first"], "log_score": s["log_score"],
+        "brier": s["brier"], "false_and_confident": s["false_and_confident"],
+    }  # fmt: skip
 
 
 def _who_wins(theirs: Sequence[scores.Scored], ours: Sequence[scores.Scored]) -> str:
@@ -500,11 +525,12 @@ def seal_campaigns(folder: str | Path, key: str | Path | None = None, *, code: b
     key_file = Path(key) if key is not None else source.parent / f"{source.name}_key.json"
     frozen = freeze(find_campaigns(source), key_file, all_effects(), 0, name_of(verdict_of))
     data = ("schema", "key_sha256", "campaigns", "written")
-    write_freeze(seal_path(key_file), frozen if code else {name: frozen[name] for name in data})
+    kept = frozen if code else {name: value for name, value in frozen.items() if name in data}
+    write_freeze(seal_path(key_file), cast("Freeze", kept))
     return seal_path(key_file)
 
 
-def _earlier(key: Path, now: Mapping[str, Any]) -> list[str]:
+def _earlier(key: Path, now: Freeze) -> list[str]:
     """Reasons for a rehearsal that come from an earlier seal of the same campaigns."""
     path = seal_path(key)
     if not path.exists():
@@ -519,11 +545,11 @@ def _earlier(key: Path, now: Mapping[str, Any]) -> list[str]:
     return [f"these campaigns were sealed on {sealed['written'][:10]}: {reason}" for reason in reasons]
 
 
-def _remember(key: Path, now: Mapping[str, Any]) -> bool:
+def _remember(key: Path, now: Freeze) -> bool:
     """Bind campaigns that were scored to this code; whether that is so now (not where nothing can be written)."""
     try:
         if not seal_path(key).exists():
-            write_freeze(seal_path(key), dict(now))
+            write_freeze(seal_path(key), now)
     except OSError:
         return False
     return True
@@ -545,14 +571,14 @@ def sealed_now(home: Path) -> dict[str, str]:
 # Text -----------------------------------------------------------------------------------------------------------------
 
 
-def _figure(row: Mapping[str, Any]) -> str:
+def _figure(row: Rate | Judged) -> str:
     if row["value"] is None or row["n"] == 0:
         return "not tested"
     low, high = row["interval95"]
     return f"{row['value']:.3g}  ({low:.3g} .. {high:.3g})  n = {row['n']}"
 
 
-_LINES = (
+_LINES: tuple[tuple[str, RateName], ...] = (
     ("right effect first", "right_first"),
     ("none where there is none", "none_kept"),
     ("unknown where it is foreign", "unknown_first"),
@@ -567,7 +593,7 @@ _LINES = (
     ("90 % intervals cover", "coverage90"),
     ("seconds a campaign, median", "seconds"),
 )
-_CLASS_LINES = (
+_CLASS_LINES: tuple[tuple[str, RateName], ...] = (
     ("wrong effect with p > 0.5", "false_and_likely"),
     ("90 % intervals of scatters", "scatter90"),
     ("gap's test below 5 %, sound", "gap_test_5"),
@@ -576,7 +602,7 @@ _CLASS_LINES = (
 )
 
 
-def table_text(results: Mapping[str, Any]) -> str:
+def table_text(results: WithheldFile) -> str:
     """The scores as a table: figures with 95 % intervals by kind, targets, reliability, baselines, misses."""
     scored = results["scores"]
     lines = []
@@ -590,22 +616,22 @@ def table_text(results: Mapping[str, Any]) -> str:
         ]
         lines += [f"  {words:32s}{_figure(found[name])}" for words, name in _LINES]
         r = scored["reliability"][kind]
-        if r["n"]:
+        if (p := r["p_value"]) is not None:
             lines.append(
                 f"  {'calibration error':32s}{r['error']:.3f}  (calibrated twin: {r['twin_error']['mean']:.3f}, 95 % "
-                f"below {r['twin_error']['upper95']:.3f}; {p_value(r['p_value'])})"
+                f"below {r['twin_error']['upper95']:.3f}; {p_value(p)})"
             )
-    for name, found in (scored.get("by_class") or {}).items():
-        r = found["reliability"]
-        lines += ["", f"{name} ({counted(found['campaigns'], 'campaign')})"]
-        lines += [f"  {words:32s}{_figure(found[key])}" for words, key in (*_LINES, *_CLASS_LINES) if found[key]["n"]]
-        if r["n"]:
-            lines.append(f"  {'calibration error':32s}{r['error']:.3f}  ({p_value(r['p_value'])})")
+    for name, row in (scored.get("by_class") or {}).items():
+        r = row["reliability"]
+        lines += ["", f"{name} ({counted(row['campaigns'], 'campaign')})"]
+        lines += [f"  {words:32s}{_figure(row[key])}" for words, key in (*_LINES, *_CLASS_LINES) if row[key]["n"]]
+        if (p := r["p_value"]) is not None:
+            lines.append(f"  {'calibration error':32s}{r['error']:.3f}  ({p_value(p)})")
     if scored["by_level"]:
         lines += ["", f"  {'level':>12s}  {'right first':32s}share of gap closed"]
         lines += [
-            f"  {row['kind']:>6s}{row['level']:6g}  {_figure(row['accepted_first']):32s}{_figure(row['closed_median'])}"
-            for row in scored["by_level"]
+            f"  {at['kind']:>6s}{at['level']:6g}  {_figure(at['accepted_first']):32s}{_figure(at['closed_median'])}"
+            for at in scored["by_level"]
         ]
     lines += ["", "targets"]
     for t in scored["targets"]:
@@ -618,14 +644,11 @@ def table_text(results: Mapping[str, Any]) -> str:
     untested = sum(t["status"] == "not tested" for t in scored["targets"])
     if untested:
         lines.append(f"  {untested} of {len(scored['targets'])} targets are not touched by these campaigns")
-    if results.get("leave_one_out"):
-        found = results["leave_one_out"]
-        lines += ["", f"effect taken out of the library ({found['visible']} visible campaigns)"]
-        lines += [
-            f"  {words:32s}{_figure(found[name])}"
-            for words, name in (("unknown first", "unknown_first"), ("right site first", "site"))
-        ]
-        lines += [f"  {miss}" for miss in found["misses"]]
+    if removed := results.get("leave_one_out"):
+        lines += ["", f"effect taken out of the library ({removed['visible']} visible campaigns)"]
+        lines.append(f"  {'unknown first':32s}{_figure(removed['unknown_first'])}")
+        lines.append(f"  {'right site first':32s}{_figure(removed['site'])}")
+        lines += [f"  {miss}" for miss in removed["misses"]]
     if results.get("baselines"):
         lines += ["", f"  {'baseline':18s}{'accepted first':32s}{'log score':34s}better log score"]
         lines += [

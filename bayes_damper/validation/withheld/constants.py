@@ -18,7 +18,7 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -39,6 +39,8 @@ from bayes_damper.diagnosis.verdict import (
 )
 from bayes_damper.effects import EFFECTS, classes
 from bayes_damper.errors import InputError
+from bayes_damper.runs.contents.diagnosis import LeftEntry
+from bayes_damper.runs.contents.withheld import KeyEntry, Verdict
 from bayes_damper.runs.json_files import read_json
 from bayes_damper.validation.withheld.scores import LEAST_PROBABILITY, Scored, score_one
 
@@ -59,8 +61,8 @@ class Known:
     """A verdict (fields of diagnosis.json) with its entry of the key; left_out: its effect was not in the library."""
 
     name: str
-    verdict: Mapping[str, Any]
-    entry: Mapping[str, Any]
+    verdict: Verdict
+    entry: KeyEntry
     left_out: bool = False
 
     @property
@@ -72,7 +74,7 @@ class Known:
         return "foreign" if self.left_out or self.entry["standing"] != "library" else "library"
 
 
-def replay(verdict: Mapping[str, Any], rule: Rule = RULE) -> Answers:
+def replay(verdict: Verdict, rule: Rule = RULE) -> Answers:
     """The probabilities of a verdict made again, with these constants.
 
     Raises
@@ -98,8 +100,8 @@ def _number(x: Any, missing: float) -> float:
     return missing if x is None else float(x)
 
 
-def _left(entry: Mapping[str, Any]) -> Left:
-    numbers = {name: value for name, value in entry.items() if value is not None}
+def _left(entry: LeftEntry) -> Left:
+    numbers: dict[str, Any] = {name: value for name, value in entry.items() if value is not None}
     return Left(
         **{**numbers, "nats": _number(entry["nats"], 1e6), "readings": _number(entry.get("readings"), math.inf)}
     )
@@ -131,7 +133,7 @@ def read_run(run: Path, key: Path) -> list[Known]:
 def scored(known: Known, rule: Rule, groups: Sequence[frozenset[str]]) -> Scored:
     """The score of a verdict under these constants."""
     answers = replay(known.verdict, rule)
-    again = {
+    again: Verdict = {
         **known.verdict, "verdict": answers.verdict, "probabilities": answers.probabilities,
         "credible_set": answers.credible_set(),
     }  # fmt: skip

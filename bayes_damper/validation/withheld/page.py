@@ -11,11 +11,10 @@ drawn laboratories, for docs/proof/laboratories.md.
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-from bayes_damper.runs.contents.withheld import Judged, Rate
+from bayes_damper.runs.contents.withheld import ClassEntry, Judged, Rate, RateName, WithheldFile
 from bayes_damper.runs.json_files import read_json
 from bayes_damper.text import p_value
 from bayes_damper.validation.withheld.scores import status
@@ -24,7 +23,7 @@ PLACES = ("easy, level 0.15-2", "easy, level 0.05", "hard, level 1", "hard, leve
 KINDS = ("easy", "hard")
 
 
-def table(easy: Mapping[str, Any], hard: Mapping[str, Any]) -> str:
+def table(easy: WithheldFile, hard: WithheldFile) -> str:
     """Markdown: targets by kind and level, then those of a kind at all its levels."""
     calibration = [
         "calibration error of the probabilities",
@@ -33,7 +32,7 @@ def table(easy: Mapping[str, Any], hard: Mapping[str, Any]) -> str:
     return "\n".join((*_rows(easy, hard, PLACES), "", *_rows(easy, hard, KINDS), _line(calibration)))
 
 
-_BY_CLASS = (
+_BY_CLASS: tuple[tuple[str, RateName], ...] = (
     ("`none` where nothing is missing", "none_kept"), ("right effect first", "right_first"),
     ("`unknown` first, outside the library", "unknown_first"), ("right site, library", "site"),
     ("wrong name with p > 0.9", "false_and_confident"), ("wrong name with p > 0.5", "false_and_likely"),
@@ -44,21 +43,20 @@ _BY_CLASS = (
 )  # fmt: skip
 
 
-def laboratories(results: Mapping[str, Any]) -> str:
+def laboratories(results: WithheldFile) -> str:
     """Markdown: targets over laboratories, what each class of them came to, the baselines, the misses."""
     scored = results["scores"]
     lines = [_line(("what", "where", "came out", "asked")), _line(["---"] * 4)]
     for t in (t for t in scored["targets"] if t["where"].startswith("laboratories") and t["n"]):
         came, _, asked = _cell(t).partition("; ")
         lines.append(_line((t["what"], t["where"], came, asked)))
-    found = scored["by_class"] | {"all": {**scored["all"], "reliability": scored["reliability"]["all"]}}
+    whole: ClassEntry = {**scored["all"], "reliability": scored["reliability"]["all"]}
+    found = {**scored["by_class"], "all": whole}
     lines += ["", _line(("what", *found)), _line(["---"] * (1 + len(found)))]
     lines.append(_line(("campaigns", *(str(c["campaigns"]) for c in found.values()))))
     lines += [_line((words, *(_short(c[name]) for c in found.values()))) for words, name in _BY_CLASS]
-    reliable = [c["reliability"] for c in found.values()]
-    lines.append(
-        _line(("calibration", *(f"{r['error']:.2f}; {p_value(r['p_value'])}" if r["n"] else "-" for r in reliable)))
-    )
+    calibrated = [(r["error"], r["p_value"]) for c in found.values() for r in (c["reliability"],)]
+    lines.append(_line(("calibration", *("-" if p is None else f"{e:.2f}; {p_value(p)}" for e, p in calibrated))))
     lines += ["", _line(("baseline", "right or acceptable first", "log score", "better log score")), _line(["---"] * 4)]
     for name, b in (results["baselines"] or {}).items():
         lines.append(
@@ -77,12 +75,12 @@ def _short(found: Rate) -> str:
     return f"{found['value']:.2g} ({low:.2g} .. {high:.2g})"
 
 
-def misses(easy: Mapping[str, Any], hard: Mapping[str, Any]) -> str:
+def misses(easy: WithheldFile, hard: WithheldFile) -> str:
     """Markdown: what was taken for what, a line each."""
     return "\n".join(f"- {miss}" for d in (easy, hard) for miss in d["scores"]["misses"])
 
 
-def short_table(easy: Mapping[str, Any], hard: Mapping[str, Any]) -> str:
+def short_table(easy: WithheldFile, hard: WithheldFile) -> str:
     """Markdown: counts alone."""
     both = (easy, hard)
     levels = sorted({level for d in both for level in _unknown_by_level(d)}, reverse=True)
@@ -94,7 +92,7 @@ def short_table(easy: Mapping[str, Any], hard: Mapping[str, Any]) -> str:
             ", ".join(_unknown_by_level(d).get(level, "-") for level in levels) for d in both
         ],
         "`unknown` for an effect that was taken out of the library": [
-            _count(d["leave_one_out"]["unknown_first"]) for d in both
+            _count(removed["unknown_first"]) for d in both if (removed := d["leave_one_out"])
         ],
         "a wrong effect named with p > 0.9": [_overall(d, "false_and_confident") for d in both],
         "two effects at once, both named": [_overall(d, "pairs_both_named") for d in both],
@@ -104,7 +102,7 @@ def short_table(easy: Mapping[str, Any], hard: Mapping[str, Any]) -> str:
     return "\n".join([_line(head), _line(["---"] * 3), *(_line([what, *cells]) for what, cells in counted.items())])
 
 
-def _rows(easy: Mapping[str, Any], hard: Mapping[str, Any], places: Sequence[str]) -> list[str]:
+def _rows(easy: WithheldFile, hard: WithheldFile, places: Sequence[str]) -> list[str]:
     """A line for each target that these places have and that was tested; both results hold all targets."""
     tested: dict[str, dict[str, str]] = {}
     for target in (t for d in (easy, hard) for t in d["scores"]["targets"] if t["where"] in places):
@@ -116,13 +114,12 @@ def _rows(easy: Mapping[str, Any], hard: Mapping[str, Any], places: Sequence[str
     return [_line(cells) for cells in (head, ["---"] * len(head), *lines)]
 
 
-def _calibration(results: Mapping[str, Any], kind: str) -> str:
+def _calibration(results: WithheldFile, kind: str) -> str:
     """Error of the probabilities, that of a calibrated twin, and how often a twin errs as much."""
     found = results["scores"]["reliability"][kind]
-    if not found["n"]:
+    if (p := found["p_value"]) is None:
         return "-"
-    twin = found["twin_error"]
-    return f"{found['error']:.3f} of {found['n']}; twin {twin['mean']:.3f}; {p_value(found['p_value'])}"
+    return f"{found['error']:.3f} of {found['n']}; twin {found['twin_error']['mean']:.3f}; {p_value(p)}"
 
 
 def _name(target: Judged) -> str:
@@ -143,7 +140,7 @@ def _line(cells: Sequence[str]) -> str:
     return "|" + "|".join(f" {cell} " if cell else " " for cell in cells) + "|"
 
 
-def _overall(results: Mapping[str, Any], rate: str) -> str:
+def _overall(results: WithheldFile, rate: RateName) -> str:
     return _count(results["scores"]["all"][rate])
 
 
@@ -151,7 +148,7 @@ def _count(rate: Rate) -> str:
     return f"{rate['hits']} of {rate['n']}" if rate["n"] else "-"
 
 
-def _unknown_by_level(results: Mapping[str, Any]) -> dict[float, str]:
+def _unknown_by_level(results: WithheldFile) -> dict[float, str]:
     """Of causes of kinds kept for the proof, and to be seen: how often `unknown` came first, by level."""
     found: dict[float, list[bool]] = {}
     for row in (campaign["score"] for campaign in results["campaigns"].values()):
@@ -160,7 +157,7 @@ def _unknown_by_level(results: Mapping[str, Any]) -> dict[float, str]:
     return {level: f"{sum(right)} of {len(right)}" for level, right in found.items()}
 
 
-def _beaten(results: Mapping[str, Any]) -> str:
+def _beaten(results: WithheldFile) -> str:
     bic, ours = (results["baselines"]["bic"][name]["accepted_first"] for name in ("baseline", "diagnosis"))
     return f"{bic['value']:.2f}, ours {ours['value']:.2f} of {ours['n']}"
 

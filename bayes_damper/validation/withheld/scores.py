@@ -18,13 +18,27 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.diagnosis.verdict import credible_set
-from bayes_damper.runs.contents.withheld import Bin, Judged, LevelRow, Rate, Reliability, ScoreEntry
+from bayes_damper.runs.contents.diagnosis import GapEntry, WhereRecords
+from bayes_damper.runs.contents.withheld import (
+    Bin,
+    ClassEntry,
+    Judged,
+    KeyEntry,
+    Laboratory,
+    LevelRow,
+    Rate,
+    Reliability,
+    ScoreEntry,
+    ScoresEntry,
+    SummaryEntry,
+    Verdict,
+)
 
 Array = NDArray[np.float64]
 
@@ -82,7 +96,7 @@ class Scored:
     rms: tuple[float, float, float] | None
     failed: bool
     false_and_likely: bool
-    laboratory: Mapping[str, Any]
+    laboratory: Laboratory
     gap_p: float | None
     bands: tuple[float, float] | None
     scatter_covered: Mapping[str, bool]
@@ -114,7 +128,7 @@ def merged(probabilities: Mapping[str, float], groups: Iterable[frozenset[str]])
     return out
 
 
-def right_answers(entry: Mapping[str, Any], groups: Sequence[frozenset[str]], left_out: bool = False) -> frozenset[str]:
+def right_answers(entry: KeyEntry, groups: Sequence[frozenset[str]], left_out: bool = False) -> frozenset[str]:
     """Answers that are right for an entry of the key; `left_out`: the truth was taken out of the library."""
     truth, visible = entry["truth"], float(entry["visible_chi2"])
     if truth == "none":
@@ -134,8 +148,8 @@ def class_of(effect: str, groups: Iterable[frozenset[str]]) -> frozenset[str]:
 
 def score_one(
     name: str,
-    verdict: Mapping[str, Any],
-    entry: Mapping[str, Any],
+    verdict: Verdict,
+    entry: KeyEntry,
     groups: Sequence[frozenset[str]],
     left_out: bool = False,
 ) -> Scored:
@@ -159,8 +173,7 @@ def score_one(
     is_right = said in right
     effects_said = said not in ("none", "unknown", FAILED)
     confidence = found.get(name_of.get(said, said), 0.0)
-    gap = verdict.get("gap") or {}
-    rms = [gap.get(k) for k in ("nominal_rms", "augmented_rms", "noise_rms")]
+    gap = verdict.get("gap")
     library = entry["truth"] not in ("none", "pair") and entry["standing"] == "library"
     sound = "laboratory" in entry and entry["truth"] == "none"
     return Scored(
@@ -183,7 +196,7 @@ def score_one(
         site_right=site in accepted_sites,
         site_in_set=bool(accepted_sites & set(credible_set(sites))),
         false_and_confident=effects_said and not is_right and confidence > CONFIDENT,
-        closed=_number(gap.get("closed"), "median"),
+        closed=_number(gap["closed"] if gap else None, "median"),
         closed_left_out=_number(verdict.get("left_out_case"), "closed"),
         seconds=_float(verdict.get("seconds")),
         visible=float(entry["visible_chi2"]),
@@ -191,19 +204,26 @@ def score_one(
         either_named=any(both),
         covered=_covered(verdict, entry) if is_right and (sound or (library and said != "none")) else {},
         event_error_s=_event_error(verdict, entry),
-        rms=None if any(x is None for x in rms) else (float(rms[0]), float(rms[1]), float(rms[2])),  # type: ignore[arg-type]
+        rms=_rms(gap),
         failed=said == FAILED,
         false_and_likely=effects_said and not is_right and confidence > LIKELY,
         laboratory=entry.get("laboratory") or {},
-        gap_p=_float(gap.get("p_value")),
+        gap_p=_float(gap.get("p_value")) if gap else None,
         bands=_bands(verdict),
         scatter_covered=_scatter_covered(verdict, entry),
     )
 
 
-def _named(verdict: Mapping[str, Any]) -> set[str]:
-    pair = verdict.get("pair") or {}
-    return {str(verdict["verdict"]), *(str(n) for n in pair.get("effects", ()))}
+def _rms(gap: GapEntry | None) -> tuple[float, float, float] | None:
+    """Residuals of the nominal model and with the answer, and the noise; None where one of them is not known."""
+    found = () if gap is None else (gap.get("nominal_rms"), gap.get("augmented_rms"), gap.get("noise_rms"))
+    known = tuple(float(x) for x in found if x is not None)
+    return (known[0], known[1], known[2]) if len(known) == 3 else None
+
+
+def _named(verdict: Verdict) -> set[str]:
+    pair = verdict.get("pair")
+    return {str(verdict["verdict"]), *(str(n) for n in (pair["effects"] if pair else ()))}
 
 
 def _float(x: Any) -> float | None:
@@ -214,7 +234,7 @@ def _number(row: Any, name: str) -> float | None:
     return _float(row.get(name)) if isinstance(row, Mapping) else _float(row)
 
 
-def _covered(verdict: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, bool]:
+def _covered(verdict: Verdict, entry: KeyEntry) -> dict[str, bool]:
     """Whether the 90 % interval of each nominal parameter, under the winner, holds the true value.
 
     Where an effect adds, near rest, a term of the form of a nominal law, the true value is that of both together.
@@ -228,31 +248,31 @@ def _covered(verdict: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, 
     return out
 
 
-def _scatter_covered(verdict: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, bool]:
+def _scatter_covered(verdict: Verdict, entry: KeyEntry) -> dict[str, bool]:
     """Whether the 90 % interval of each scatter that is reported holds the true one; relative ones only."""
     true = entry.get("scatter") or {}
     out = {}
     for name, row in (verdict.get("scatter") or {}).items():
-        interval = row.get("hdi90") if isinstance(row, Mapping) else None
-        if interval and name in true and row.get("unit") == "relative":
-            out[name] = interval[0] <= float(true[name]) <= interval[1]
+        if name in true and row["unit"] == "relative":
+            low, high = row["hdi90"]
+            out[name] = low <= float(true[name]) <= high
     return out
 
 
-def _bands(verdict: Mapping[str, Any]) -> tuple[float, float] | None:
+def _bands(verdict: Verdict) -> tuple[float, float] | None:
     """Shares of held-out readings within the bands over all answers, with the leading one, or of the nominal rig."""
-    bands = verdict.get("forecast") or {}
-    row = bands.get("averaged") or bands.get("after") or bands.get("before") or {}
-    found = _float(row.get("coverage50")), _float(row.get("coverage90"))
-    return None if found[0] is None or found[1] is None else (found[0], found[1])
+    bands = verdict.get("forecast")
+    row = (bands.get("averaged") or bands.get("after") or bands.get("before")) if bands else None
+    return (float(row["coverage50"]), float(row["coverage90"])) if row else None
 
 
-def _event_error(verdict: Mapping[str, Any], entry: Mapping[str, Any]) -> float | None:
+def _event_error(verdict: Verdict, entry: KeyEntry) -> float | None:
     """Seconds between the middle of a knock and the instant that the diagnosis names; None where there is no knock."""
     if entry["effects"] != ["knock"]:
         return None
-    event = (verdict.get("where") or {}).get("event") or {}
-    instant = _float(event.get("instant_s"))
+    where = cast("WhereRecords | None", verdict.get("where"))
+    event = where["event"] if where else None
+    instant = None if event is None else event["instant_s"]
     start, length, _ = entry["disturbances"][0]["shape"]
     return math.inf if instant is None else abs(instant - (start + 0.5 * length))
 
@@ -376,7 +396,7 @@ def site_matrix(rows: Iterable[Scored]) -> dict[str, dict[str, int]]:
 # Summary --------------------------------------------------------------------------------------------------------------
 
 
-def summarise(rows: Sequence[Scored]) -> dict[str, Any]:
+def summarise(rows: Sequence[Scored]) -> SummaryEntry:
     """All scores of a set of campaigns."""
     named = [r for r in rows if r.group in ("library", "none") and r.single]
     library = [r for r in named if r.group == "library"]
@@ -429,7 +449,7 @@ CLASSES: dict[str, Callable[[Scored], bool]] = {
 """Classes of laboratories; strong: the geometric mean of all scatters is above the typical one."""
 
 
-def by_class(rows: Sequence[Scored], seed: int = 0) -> dict[str, dict[str, Any]]:
+def by_class(rows: Sequence[Scored], seed: int = 0) -> dict[str, ClassEntry]:
     """Scores and calibration of each class of laboratories; empty where no campaign is of one."""
     found = {name: [r for r in rows if chosen(r)] for name, chosen in CLASSES.items()}
     return {name: {**summarise(here), "reliability": reliability(here, seed)} for name, here in found.items() if here}
@@ -678,7 +698,7 @@ def misses(rows: Iterable[Scored]) -> list[str]:
     return out
 
 
-def all_scores(rows: Sequence[Scored], seed: int = 0) -> dict[str, Any]:
+def all_scores(rows: Sequence[Scored], seed: int = 0) -> ScoresEntry:
     """Everything withheld.json gives of a set of verdicts: together, by kind, by level, matrices, targets, misses."""
     kinds = sorted({row.kind for row in rows})
     return {

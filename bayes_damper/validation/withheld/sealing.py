@@ -18,10 +18,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from bayes_damper.effects import Effect, classes
 from bayes_damper.errors import InputError, SelfCheckError
+from bayes_damper.runs.contents.withheld import Freeze, KeyEntry, SealedVerdict, Verdict
 from bayes_damper.runs.json_files import read_json, write_json
 from bayes_damper.runs.provenance import code_sha256, commit, package_version
 
@@ -69,9 +70,7 @@ def library_sha256(effects: Mapping[str, Effect]) -> str:
     return digest([rows, [sorted(group) for group in classes(effects)]])
 
 
-def freeze(
-    campaigns: Mapping[str, Path], key: Path, effects: Mapping[str, Effect], seed: int, call: str
-) -> dict[str, Any]:
+def freeze(campaigns: Mapping[str, Path], key: Path, effects: Mapping[str, Effect], seed: int, call: str) -> Freeze:
     """What a run is bound to: checksums of code, effects, campaigns and key; seed; the function that gives verdicts."""
     return {
         "schema": FREEZE_SCHEMA,
@@ -88,28 +87,28 @@ def freeze(
     }
 
 
-def differences(old: Mapping[str, object], new: Mapping[str, object]) -> list[str]:
+def differences(old: Freeze, new: Freeze) -> list[str]:
     """What differs between two freezes in code, effects or call, one sentence each: reasons for a rehearsal."""
-    hashed = {
-        "code_sha256": "the code of the diagnosis",
-        "effects_sha256": "the library of effects",
-        "call": "the function that gives the verdicts",
-    }
+    hashed = (
+        ("the code of the diagnosis", old["code_sha256"], new["code_sha256"]),
+        ("the library of effects", old["effects_sha256"], new["effects_sha256"]),
+        ("the function that gives the verdicts", old["call"], new["call"]),
+    )
     return [
-        f"{words} has changed since the seal ({str(old.get(name))[:12]}, now {str(new.get(name))[:12]})"
-        for name, words in hashed.items()
-        if old.get(name) != new.get(name)
+        f"{words} has changed since the seal ({before[:12]}, now {now[:12]})"
+        for words, before, now in hashed
+        if before != now
     ]
 
 
-def write_freeze(path: Path, frozen: Mapping[str, object]) -> dict[str, Any]:
+def write_freeze(path: Path, frozen: Freeze) -> Freeze:
     """Write a freeze with its own seal; the content written."""
-    content = {**frozen, "seal": digest(dict(frozen))}
+    content: Freeze = {**frozen, "seal": digest(dict(frozen))}
     write_json(path, content)
     return content
 
 
-def read_freeze(path: Path) -> dict[str, Any]:
+def read_freeze(path: Path) -> Freeze:
     """A freeze whose seal holds.
 
     Raises
@@ -117,15 +116,15 @@ def read_freeze(path: Path) -> dict[str, Any]:
     SelfCheckError
         if its content does not match its seal.
     """
-    content: dict[str, Any] = read_json(path)
+    content: Freeze = read_json(path)
     if content.get("seal") != digest({k: v for k, v in content.items() if k != "seal"}):
         raise SelfCheckError(f"{path}: broken seal: the freeze was changed after it was written; start a new run")
     return content
 
 
-def write_verdict(path: Path, name: str, verdict: Mapping[str, object], freeze_seal: str) -> dict[str, Any]:
+def write_verdict(path: Path, name: str, verdict: Verdict, freeze_seal: str) -> SealedVerdict:
     """Write one verdict, bound to the freeze and to the code that gave it, with its seal; the content written."""
-    content = {
+    content: dict[str, object] = {
         "schema": VERDICT_SCHEMA,
         "campaign": name,
         "freeze": freeze_seal,
@@ -134,10 +133,10 @@ def write_verdict(path: Path, name: str, verdict: Mapping[str, object], freeze_s
     }
     content["seal"] = digest(content)
     write_json(path, content)
-    return content
+    return cast("SealedVerdict", content)
 
 
-def read_verdict(path: Path, name: str, freeze_seal: str) -> dict[str, Any]:
+def read_verdict(path: Path, name: str, freeze_seal: str) -> SealedVerdict:
     """A sealed verdict that is whole and belongs to this run.
 
     Raises
@@ -146,7 +145,7 @@ def read_verdict(path: Path, name: str, freeze_seal: str) -> dict[str, Any]:
         if its content does not match its seal, or it belongs to another campaign or freeze.
     """
     try:
-        content: dict[str, Any] = read_json(path)
+        content: SealedVerdict = read_json(path)
     except InputError as error:
         raise SelfCheckError(f"broken seal: {error}") from None
     if content.get("seal") != digest({k: v for k, v in content.items() if k != "seal"}):
@@ -170,8 +169,8 @@ def chain(freeze_seal: str, seals: Mapping[str, str]) -> list[str]:
 class Opened:
     """A key that was opened: name -> entry, with the verdicts, the chain's head, and reasons for a rehearsal."""
 
-    entries: Mapping[str, Mapping[str, Any]]
-    verdicts: Mapping[str, Mapping[str, Any]]
+    entries: Mapping[str, KeyEntry]
+    verdicts: Mapping[str, Verdict]
     head: str
     rehearsal: Sequence[str]
 
@@ -181,7 +180,7 @@ def verdict_path(run: Path, name: str) -> Path:
     return run / "verdicts" / name / "verdict.json"
 
 
-def open_key(run: Path, key: Path, campaigns: Mapping[str, Path], now: Mapping[str, object]) -> Opened:
+def open_key(run: Path, key: Path, campaigns: Mapping[str, Path], now: Freeze) -> Opened:
     """The key, read only when every verdict of the run is sealed and every checksum of its freeze still holds.
 
     now : a freeze of this moment, to see whether code or library have changed since.
@@ -221,7 +220,7 @@ def open_key(run: Path, key: Path, campaigns: Mapping[str, Path], now: Mapping[s
     )
 
 
-def read_key(key: Path, names: Iterable[str]) -> dict[str, Any]:
+def read_key(key: Path, names: Iterable[str]) -> dict[str, KeyEntry]:
     """Entries of a key for these campaigns.
 
     Raises

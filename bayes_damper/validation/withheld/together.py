@@ -10,14 +10,13 @@ of two versions, are refused. OUT/withheld.json, .txt, .svg and .png are written
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 from bayes_damper import figures
 from bayes_damper.effects import all_effects, classes
 from bayes_damper.errors import InputError
+from bayes_damper.runs.contents.withheld import KeyEntry, Verdict, WithheldFile
 from bayes_damper.runs.json_files import read_json, write_json, write_text
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.validation.withheld import scores
@@ -31,7 +30,7 @@ from bayes_damper.validation.withheld.check import (
 from bayes_damper.validation.withheld.sealing import read_freeze, read_verdict
 
 
-def together(runs: Sequence[tuple[Path, Path]], seed: int = 1) -> dict[str, Any]:
+def together(runs: Sequence[tuple[Path, Path]], seed: int = 1) -> WithheldFile:
     """The content of withheld.json for all runs as one; `runs`: folder and key of each.
 
     Raises
@@ -44,8 +43,8 @@ def together(runs: Sequence[tuple[Path, Path]], seed: int = 1) -> dict[str, Any]
     groups = classes(all_effects())
     rows: list[scores.Scored] = []
     removed: list[scores.Scored] = []
-    verdicts: dict[str, Mapping[str, Any]] = {}
-    entries: dict[str, Mapping[str, Any]] = {}
+    verdicts: dict[str, Verdict] = {}
+    entries: dict[str, KeyEntry] = {}
     parts, codes = [], set()
     for home, key in runs:
         if not (home / "withheld.json").exists():
@@ -73,17 +72,19 @@ def together(runs: Sequence[tuple[Path, Path]], seed: int = 1) -> dict[str, Any]
         raise InputError("the runs were made by different versions of the code; score each version by itself")
     scored = scores.all_scores(rows, seed)
     scored["targets"] = [target.judge([*rows, *removed]) for target in scores.TARGETS]
-    opened = SimpleNamespace(verdicts=verdicts, entries=entries)
     return {
         "schema": SCHEMA, "rehearsal": False, "why_rehearsal": [], "parts": parts,
         "chain_head": " ".join(part["chain_head"][:16] for part in parts),
         "campaigns": {
-            row.name: {n: verdicts[row.name].get(n) for n in ("verdict", "credible_set", "pair", "seconds")}
-            | {"probability": row.confidence, "score": row.to_json()}
+            row.name: {
+                "verdict": row.verdict, "credible_set": verdicts[row.name]["credible_set"],
+                "pair": verdicts[row.name].get("pair"), "seconds": verdicts[row.name].get("seconds"),
+                "probability": row.confidence, "score": row.to_json(),
+            }
             for row in rows
         },
         "scores": scored, "leave_one_out": left_out_scores(removed),
-        "baselines": baseline_scores(rows, opened, groups, seed), "baselines_skipped": skipped_baselines(),
+        "baselines": baseline_scores(rows, verdicts, entries, groups, seed), "baselines_skipped": skipped_baselines(),
         "provenance": provenance(),
     }  # fmt: skip
 

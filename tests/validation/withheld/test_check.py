@@ -205,7 +205,7 @@ def test_the_seeds_of_campaigns_do_not_depend_on_the_others(tmp_path):
     write_set(tmp_path, ["none", "spring_cubic"])
     run(tmp_path)
     seeds = [line.split()[1] for line in (tmp_path / "calls.log").read_text().splitlines()]
-    part = check._Run(tmp_path, {}, 1, "", 1, None, None)
+    part = check._Run(tmp_path, {}, 1, "", 1, None, None, {}, {})
     assert seeds == [str(part.seed_of("c00")), str(part.seed_of("c01"))]
     assert seeds[0] != seeds[1]
 
