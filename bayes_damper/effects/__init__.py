@@ -189,13 +189,16 @@ def faults(effect: Effect) -> list[str]:
     return [f"effect {effect.name}: {fault}" for fault in found]
 
 
-def _checked(effect: Any, where: str, known: Mapping[str, Effect]) -> list[str]:
-    """Faults of what a user's file or package offers as an effect."""
+def _taken(effect: object, where: str, known: Mapping[str, Effect], wrong: list[str]) -> dict[str, Effect]:
+    """What a user's file or package offers as an effect, under its name; none where faults are added to `wrong`."""
     if not isinstance(effect, Effect):
-        return [f"{where}: defines no EFFECT; write EFFECT = Effect(...) as the files of bayes_damper/effects do"]
-    if effect.name in known:
-        return [f"{where}: there is an effect {effect.name} already; give this one another name"]
-    return [f"{where}: {fault}" for fault in faults(effect)]
+        found = ["defines no EFFECT; write EFFECT = Effect(...) as the files of bayes_damper/effects do"]
+    elif effect.name in known:
+        found = [f"there is an effect {effect.name} already; give this one another name"]
+    elif not (found := faults(effect)):
+        return {effect.name: replace(effect, variants=tuple(map(_with_a_small_start, effect.variants)))}
+    wrong += [f"{where}: {fault}" for fault in found]
+    return {}
 
 
 def _with_a_small_start(variant: Variant) -> Variant:
@@ -313,10 +316,7 @@ def load_effects(folder: str | Path, known: Mapping[str, Effect] = EFFECTS) -> d
         except Exception as error:  # noqa: BLE001 (a user's file may fail in any way)
             wrong.append(f"{file}: cannot be imported ({type(error).__name__}: {error}); run it with python")
             continue
-        found = _checked(effect, str(file), {**known, **loaded})
-        wrong += found
-        if not found and isinstance(effect, Effect):
-            loaded[effect.name] = replace(effect, variants=tuple(map(_with_a_small_start, effect.variants)))
+        loaded |= _taken(effect, str(file), {**known, **loaded}, wrong)
     if wrong:
         raise InputError(wrong)
     return loaded
@@ -344,11 +344,7 @@ def all_effects(folder: str | Path | None = None) -> dict[str, Effect]:
         except Exception as error:  # noqa: BLE001 (another package's code may fail in any way)
             wrong.append(f"{where}: cannot be loaded ({type(error).__name__}: {error}); reinstall the package")
             continue
-        effect = getattr(offered, "EFFECT", offered)
-        found = _checked(effect, where, effects)
-        wrong += found
-        if not found:
-            effects[effect.name] = effect
+        effects |= _taken(getattr(offered, "EFFECT", offered), where, effects, wrong)
     if wrong:
         raise InputError(wrong)
     return effects if folder is None else effects | load_effects(folder, effects)

@@ -711,6 +711,7 @@ def test_faults_of_a_variant_are_found():
 
 
 def test_an_installed_package_can_bring_an_effect(tmp_path):
+    """With the small start that effects of a folder get, too."""
     written(tmp_path, "cogging_effect.py")
     info = tmp_path / "cogging-1.0.dist-info"
     info.mkdir()
@@ -718,11 +719,12 @@ def test_an_installed_package_can_bring_an_effect(tmp_path):
     (info / "entry_points.txt").write_text("[bayes_damper.effects]\ncogging = cogging_effect:EFFECT\n")
     code = textwrap.dedent("""
         from bayes_damper.effects import all_effects
-        print(all_effects()["cogging"].site)
+        effect = all_effects()["cogging"]
+        print(effect.site, min(abs(start[0]) for start in effect.variants[0].starts))
     """)
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
-    assert done.stdout.strip() == "interface", done.stderr
+    assert done.stdout.split() == ["interface", "0.001"], done.stderr
 
 
 def test_what_needs_the_coupled_rig_is_silent_on_the_uncoupled_one():
