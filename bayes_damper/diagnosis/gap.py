@@ -13,7 +13,10 @@ degrees of freedom of both. Where no training trial has a repeat, the products o
 how they vary.
 
 Without repeats what is left of a trial counts as noise, and it is correlated: the product's variance takes in the
-correlation of the training residuals. How much of the gap an answer closes: shares.py.
+correlation of residuals. As in a t-test these are what the fuller model leaves, the one that made the prediction: what
+the nominal one leaves holds the gap itself. On the trials that were fitted they may be too small, on held-out ones not,
+since a prediction of something that is not there only adds to them; the larger variance of the two counts. How much of
+the gap an answer closes: shares.py.
 """
 
 from __future__ import annotations
@@ -21,6 +24,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import Any, Literal
 
 import numpy as np
@@ -29,7 +33,17 @@ from scipy.linalg import helmert
 from scipy.special import ndtr
 from scipy.stats import t as student
 
-from bayes_damper.calibration import Calibration, Group, Prediction, Problem, TrialRecord, calibrate, predict
+from bayes_damper.calibration import (
+    Calibration,
+    Group,
+    Noise,
+    Prediction,
+    Problem,
+    TrialRecord,
+    calibrate,
+    error_level,
+    predict,
+)
 from bayes_damper.diagnosis.remainder import own_frequency
 from bayes_damper.diagnosis.response import on_trials
 from bayes_damper.diagnosis.shares import Closed, products
@@ -118,12 +132,15 @@ def measure_gap(
     after = None if winner is None else predict(winner, heldout)
     predictions: list[dict[int, Array]] = []
     choices: list[int] = []
+    left: list[Mapping[int, Array]] = []
     if winner is not None and after is not None:
         predictions.append({i: after[i].model - before[i].model for i in heldout})
         choices.append(chosen_from)
-    predictions.append(repeats_say(nominal))
-    choices.append(1)
-    p_value = held_out_test(nominal, {i: before[i].eta for i in heldout}, predictions, choices)
+        left.append(winner.residuals() | {i: p.residual for i, p in after.items()})
+    if said := repeats_say(nominal):
+        predictions.append(said)
+        choices.append(1)
+    p_value = held_out_test(nominal, {i: before[i].eta for i in heldout}, predictions, choices, left)
     masks = _masks(nominal.problem, heldout)
     x0 = _squares({i: before[i].residual for i in heldout}, masks, noise)
     count = np.array([sum(m.sum() for m in masks[i]) for i in heldout], float)
@@ -210,12 +227,14 @@ def held_out_test(
     eta: Mapping[int, Array],
     predictions: Sequence[Mapping[int, Array]],
     choices: Sequence[int] | None = None,
+    left: Sequence[Mapping[int, Array]] = (),
 ) -> float:
     """p-value of "no gap": the smallest over the predictions, multiplied by their number.
 
     eta : nuisances fitted to each held-out trial; predictions : held-out trial -> (channels, n) of what the model
     lacks, made without those trials; choices : for each, the number of those that it was chosen from with a look at
-    the held-out readings, by which its p-value is multiplied (default: 1, no look).
+    the held-out readings, by which its p-value is multiplied (default: 1, no look); left : for the first ones, trial ->
+    residuals (channels, n) of fitted and held-out trials under the model that made it (default: those of `fit`).
     """
     if not predictions:
         return 1.0
@@ -248,9 +267,9 @@ def held_out_test(
 
     basis, s, _ = np.linalg.svd(cleared(J), full_matrices=False)
     basis = basis[:, s > 1e-9 * max(float(s[0]), 1e-300)]
-    correlation = _correlation(fit) if problem.noise.sensor else None
     p_values = []
-    for prediction, tried in zip(predictions, choices or [1] * len(predictions), strict=True):
+    counts = choices or [1] * len(predictions)
+    for prediction, tried, remains in zip_longest(predictions, counts, left):
         x = np.zeros(first)
         for i, shape in prediction.items():
             if i in ranges:
@@ -263,9 +282,9 @@ def held_out_test(
         if length < 1e-12:
             p_values.append(1.0)
             continue
-        if correlation is not None:
+        if problem.noise.sensor:
             shapes = {i: x[s].reshape(group.y.shape[1], -1) for i, (group, s) in ranges.items()}
-            length = max(length, _length(shapes, correlation))
+            length = _length_beside(shapes, remains or fit.residuals(), problem.noise)
         own = {i: x[s] for i, (_, s) in ranges.items()}
         power, freedom = unshared_along(fit, own)
         if freedom > 0.0:
@@ -315,16 +334,35 @@ def _by_trials(products: Array, z: float) -> float:
     return max(p, float(student.sf(share * math.sqrt((n - 1.0) / max(n - share**2, 1e-12)), n - 1.0)))
 
 
-def _correlation(fit: Calibration) -> list[Array]:
-    """Autocovariance of each channel's training residuals over lags from 0, in units of the noise's variance.
+def _length_beside(shapes: Mapping[int, Array], left: Mapping[int, Array], noise: Noise) -> float:
+    """Standard deviation of the product of shapes, trial -> (channels, n), with noise like residuals, `left`.
+
+    Of those of fitted trials, or of each held-out trial's own, whichever is larger. Where residuals have little at the
+    frequencies of a shape, they count with their mean power over frequencies, weighted by itself (`error_level`).
+    """
+
+    def beside(some: Mapping[int, Array], residuals: Sequence[Array]) -> float:
+        levels = [
+            max(error_level([np.nan_to_num(r[c]) for r in residuals if c < len(r)]), sensor) / sd
+            for c, (sensor, sd) in enumerate(zip(noise.sensor, noise.total, strict=True))
+        ]
+        white = math.hypot(
+            *(s * float(np.linalg.norm(x)) for shape in some.values() for x, s in zip(shape, levels, strict=False))
+        )
+        return max(white, _length(some, correlation(residuals, noise.total)))
+
+    fitted = beside(shapes, [r for i, r in left.items() if i not in shapes])
+    return max(fitted, math.hypot(*(beside({i: x}, [left[i]]) for i, x in shapes.items() if i in left)))
+
+
+def correlation(residuals: Sequence[Array], sds: Sequence[float]) -> list[Array]:
+    """Autocovariance of each channel's residuals (channels, n) over lags from 0, in units of the noise's variance.
 
     Bartlett's window brings it to zero at a sixth of the longest record, beyond which it cannot be estimated.
     """
-    problem = fit.problem
-    found = fit.residuals()
     out = []
-    for c, sd in enumerate(problem.noise.total):
-        rows = [np.nan_to_num(r[c]) / sd for r in found.values() if c < r.shape[0]]
+    for c, sd in enumerate(sds):
+        rows = [np.nan_to_num(r[c]) / sd for r in residuals if c < r.shape[0]]
         lags = max(max((r.size for r in rows), default=0) // _CORRELATED_SHARE, 1)
         known = sum(int(np.count_nonzero(r)) for r in rows)
         sums = np.array([sum(float(r[: r.size - k] @ r[k:]) for r in rows if r.size > k) for k in range(lags)])
@@ -332,11 +370,11 @@ def _correlation(fit: Calibration) -> list[Array]:
     return out
 
 
-def _length(shapes: Mapping[int, Array], correlation: Sequence[Array]) -> float:
+def _length(shapes: Mapping[int, Array], covariance: Sequence[Array]) -> float:
     """Standard deviation of the product of shapes, trial -> (channels, n), with noise of that autocovariance."""
     variance = 0.0
     for shape in shapes.values():
-        for x, own in zip(shape, correlation, strict=False):
+        for x, own in zip(shape, covariance, strict=False):
             lags = min(own.size, x.size)
             with_itself = np.array([float(x[: x.size - k] @ x[k:]) for k in range(lags)])
             variance += float(own[0] * with_itself[0] + 2.0 * own[1:lags] @ with_itself[1:])
