@@ -196,7 +196,7 @@ def score_one(
         site_right=site in accepted_sites,
         site_in_set=bool(accepted_sites & set(credible_set(sites))),
         false_and_confident=effects_said and not is_right and confidence > CONFIDENT,
-        closed=_number(gap["closed"] if gap else None, "median"),
+        closed=_number(gap.get("closed") if gap else None, "median"),
         closed_left_out=_number(verdict.get("left_out_case"), "closed"),
         seconds=_float(verdict.get("seconds")),
         visible=float(entry["visible_chi2"]),
@@ -253,9 +253,8 @@ def _scatter_covered(verdict: Verdict, entry: KeyEntry) -> dict[str, bool]:
     true = entry.get("scatter") or {}
     out = {}
     for name, row in (verdict.get("scatter") or {}).items():
-        if name in true and row["unit"] == "relative":
-            low, high = row["hdi90"]
-            out[name] = low <= float(true[name]) <= high
+        if name in true and row.get("unit") == "relative" and (interval := row.get("hdi90")):
+            out[name] = interval[0] <= float(true[name]) <= interval[1]
     return out
 
 
@@ -263,7 +262,8 @@ def _bands(verdict: Verdict) -> tuple[float, float] | None:
     """Shares of held-out readings within the bands over all answers, with the leading one, or of the nominal rig."""
     bands = verdict.get("forecast")
     row = (bands.get("averaged") or bands.get("after") or bands.get("before")) if bands else None
-    return (float(row["coverage50"]), float(row["coverage90"])) if row else None
+    found = (_float(row.get("coverage50")), _float(row.get("coverage90"))) if row else (None, None)
+    return None if found[0] is None or found[1] is None else (found[0], found[1])
 
 
 def _event_error(verdict: Verdict, entry: KeyEntry) -> float | None:
@@ -271,8 +271,8 @@ def _event_error(verdict: Verdict, entry: KeyEntry) -> float | None:
     if entry["effects"] != ["knock"]:
         return None
     where = cast("WhereRecords | None", verdict.get("where"))
-    event = where["event"] if where else None
-    instant = None if event is None else event["instant_s"]
+    event = where.get("event") if where else None
+    instant = _float(event.get("instant_s")) if event else None
     start, length, _ = entry["disturbances"][0]["shape"]
     return math.inf if instant is None else abs(instant - (start + 0.5 * length))
 
