@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -40,7 +41,7 @@ def compile_ahead(
     }
     if len(_missing(bounds)) < FEWEST:
         return 0
-    with _alone(cache_folder() / "compiling.lock"):
+    with _alone(cache_folder() / "compiling.lock", lambda: len(_missing(bounds)), report):
         LOG.info("%d kernels, %d of them in %s", len(bounds), len(bounds) - len(_missing(bounds)), cache_folder())
         names = _missing(bounds)  # another process may have compiled them while this one waited
         if names:
@@ -62,10 +63,28 @@ def _missing(bounds: dict[str, dict[str, object]]) -> list[str]:
 
 
 @contextmanager
-def _alone(path: Path) -> Iterator[None]:
-    """Holds a lock that one process on this machine can have at a time; the system frees that of a dead one."""
+def _alone(
+    path: Path, missing: Callable[[], int], report: Callable[[str], None], patience: float = 60.0
+) -> Iterator[None]:
+    """Holds a lock that one process on this machine can have at a time, so that two do not compile the same.
+
+    The system frees that of a dead process, not that of one that is halted: where no kernel arrives for `patience`
+    seconds, both go on. A kernel that two have compiled is only written twice.
+    """
     import fcntl  # not on every system
 
     with path.open("w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
+        left, until = missing(), time.monotonic() + patience
+        waits = False
+        while left and time.monotonic() < until:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if not waits:
+                    report("waiting for another run on this machine, which compiles the same code")
+                waits = True
+                time.sleep(min(0.2, patience))
+            if missing() < left:
+                left, until = missing(), time.monotonic() + patience
         yield

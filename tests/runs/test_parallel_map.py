@@ -15,7 +15,7 @@ from bayes_damper.rig.kernels import compiled
 from bayes_damper.runs.parallel_map import can_fork, forked_map
 from bayes_damper.simulation import integrator
 from bayes_damper.simulation.model import Model
-from bayes_damper.simulation.precompile import compile_ahead
+from bayes_damper.simulation.precompile import _alone, compile_ahead
 
 forks = pytest.mark.skipif(not can_fork(), reason="this system cannot fork")
 
@@ -80,6 +80,20 @@ def test_kernels_are_compiled_ahead_and_not_again(tmp_path, monkeypatch):
     kernel = integrator.specialise(models[0].bound())
     assert sum(kernel.stats.cache_hits.values()) == 1
     assert sum(kernel.stats.cache_misses.values()) == 0
+
+
+@forks
+def test_a_halted_process_that_compiles_stops_no_other(tmp_path):
+    """The system frees the lock of a dead process, not that of one that is halted; a run then waited for ever."""
+    lock = tmp_path / "compiling.lock"
+    said = []
+    with _alone(lock, lambda: 3, said.append):
+        assert said == []
+        left = iter([3, 2, 2])  # one kernel arrives while the other waits
+        with _alone(lock, lambda: next(left, 2), said.append, patience=0.3):
+            assert said == ["waiting for another run on this machine, which compiles the same code"]
+        with _alone(lock, lambda: 0, said.append):  # all have arrived: no wait
+            assert len(said) == 1
 
 
 def test_a_loop_is_compiled_where_nothing_can_be_kept(tmp_path):
