@@ -263,3 +263,11 @@ def interval(low: Any, high: Any) -> str:
         return NOTHING
     width = abs(high - low)
     return f"{number(low, width)} to {number(high, width)}"
+
+
+def trial_words(proposal: Mapping[str, object]) -> str:
+    """A proposed trial in words, in the units of its rig: "coupled trial, k1t 6.2 N m/rad, released at 5 deg"."""
+    forms = {"k1t_n_m_per_rad": "k1t {:.3g} N m/rad", "k1_n_per_m": "k1 {:.3g} N/m",
+             "theta0_deg": "released at {:.3g} deg", "theta0_mm": "released at {:.3g} mm"}  # fmt: skip
+    details = [form.format(proposal[key]) for key, form in forms.items() if proposal.get(key) is not None]
+    return ", ".join([f"{proposal['configuration']} trial", *details])

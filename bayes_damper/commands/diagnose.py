@@ -55,6 +55,7 @@ from bayes_damper.text import (
     named_answers,
     named_sentence,
     p_value,
+    trial_words,
 )
 
 Array = NDArray[np.float64]
@@ -294,7 +295,8 @@ def next_steps(result: DiagnosisFile, campaign: str, folder: str = "") -> list[s
     proposals = result.get("next_experiment") or ()
     if open_ and proposals:
         steps.append(
-            f"Next, to decide: measure {_trial_words(proposals[0])}, add it to the campaign, and diagnose again."
+            f"Next, to decide: measure one more {trial_words(proposals[0])}, add it to the campaign, "
+            "and diagnose again."
         )
     if verdict not in ("none", "unknown"):
         steps.append(
@@ -311,14 +313,6 @@ def next_steps(result: DiagnosisFile, campaign: str, folder: str = "") -> list[s
         file = shlex.quote(str(Path(folder) / law["file"]))
         steps.append(f"With the learnt law: {fit} --effects {file} --effect {law['effect']} --out results/fit-learnt")
     return steps
-
-
-def _trial_words(proposal: Mapping[str, object]) -> str:
-    """A proposed trial in words, in the units of its rig."""
-    forms = {"k1t_n_m_per_rad": "k1t {:.3g} N m/rad", "k1_n_per_m": "k1 {:.3g} N/m",
-             "theta0_deg": "released at {:.3g} deg", "theta0_mm": "released at {:.3g} mm"}  # fmt: skip
-    details = [form.format(proposal[key]) for key, form in forms.items() if proposal.get(key) is not None]
-    return ", ".join([f"one more {proposal['configuration']} trial", *details])
 
 
 def _words(result: DiagnosisFile) -> list[str]:

@@ -16,6 +16,7 @@ stays hidden. Everything is linear in the nominal parameters; in the effect's ow
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -35,12 +36,12 @@ from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.priors.distributions import from_standard
 from bayes_damper.priors.files import PriorSet, campaign_priors
 from bayes_damper.rig.parameters import unit_of
-from bayes_damper.rig.units import effect_unit
+from bayes_damper.rig.units import effect_unit, in_words_of, sentence_of
 from bayes_damper.runs.contents.plan import Addition, PlanFile, PlannedEffect, PlannedParameter
 from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.sampling.prior_sensitivity import decided_by
-from bayes_damper.text import counted
+from bayes_damper.text import counted, trial_words
 
 Array = NDArray[np.float64]
 
@@ -65,6 +66,10 @@ class Plan:
 
     result: PlanFile
     folder: Path | None
+    campaign: str = ""
+    """What was planned, as the command line names it."""
+    recorded: bool = False
+    """Whether all of its trials have been measured already."""
     exit_code: ExitCode = ExitCode.DONE
 
     def to_json(self) -> PlanFile:
@@ -94,7 +99,23 @@ class Plan:
                 f"  {name:22s}{p['unit']:>14s}{' to '.join(_digits(*p['expected90'])):>30s}{p['sd_over_prior']:16.2f}"
             )
         lines += [f"  {s}" for s in r["sentences"]]
-        return "\n".join([*lines, *([] if self.folder is None else [f"Files: {self.folder}"])])
+        return "\n".join([*lines, *([] if self.folder is None else [f"Files: {self.folder}"]), *self._next()])
+
+    def _next(self) -> list[str]:
+        """The trial worth adding, and the command that follows."""
+        if not self.campaign:
+            return []
+        best = next((a for a in self.result["add"] if a.get("helps")), None)
+        helped = [] if best is None else [
+            f"To distinguish more ({', '.join(best['helps'])}): plan one more {trial_words(best)}."
+        ]  # fmt: skip
+        folder = shlex.quote(self.campaign)
+        if self.recorded:
+            return [*helped, f"Next: bayes-damper diagnose {folder} --out results/diagnose"]
+        return [
+            *helped,
+            f"Next: measure these trials, put the records into the folder, and run: bayes-damper check {folder}",
+        ]
 
 
 def _digits(low: float, high: float) -> tuple[str, str]:
@@ -148,7 +169,8 @@ def plan(
         write_json(Path(out) / "plan.json", result)
         drawn = figures.plan_figure(result, title=f"{loaded.name}: what could be distinguished")
         figures.save(drawn, Path(out) / "plan")
-    return Plan(result, None if out is None else Path(out))
+    recorded = all(np.any(t.channels) for t in loaded.trials)
+    return Plan(result, None if out is None else Path(out), str(campaign), recorded)
 
 
 def _noise_of_records(campaign: Campaign) -> tuple[float, ...]:
@@ -559,6 +581,7 @@ def _row(view: View, rivals: Rivals, campaign: Campaign) -> PlannedEffect:
     strongest = rivals.first
     return {
         "name": view.effect.name,
+        "title": in_words_of(view.effect.title, campaign.rig.kind, campaign.rig.has_magnet),
         "site": view.effect.site,
         "variant": view.variant.name,
         "typical": {name: {"value": x, "unit": units[name]} for name, x in view.typical.items()},
@@ -603,13 +626,14 @@ def _sentences(
 ) -> list[str]:  # fmt: skip
     seen = [row["name"] for row in rows if row["nats"] >= NATS]
     blind = [row for row in rows if row["nats"] < NATS]
+    titled = {row["name"]: f"{row['name']} ({row.get('title')})" if row.get("title") else row["name"] for row in rows}
     out = [f"{len(seen)} of {len(rows)} effects would be seen at their typical size."]
     if blind:
-        out.append(f"Not seen at their typical size: {', '.join(row['name'] for row in blind)}.")
+        out.append(f"Not seen at their typical size: {', '.join(titled[row['name']] for row in blind)}.")
     for row in blind:
         if row["repeats_to_see"] is not None:
             out.append(f"{row['name']} would be seen with {row['repeats_to_see']} times as many trials.")
-    out += [f"{a} and {b} could not be distinguished." for a, b in groups]
+    out += [f"{titled[a]} and {titled[b]} could not be distinguished." for a, b in groups]
     unknown = [name for name, p in parameters.items() if decided_by(p["sd_over_prior"] ** 2) == "prior"]
     if unknown:
         out.append(f"Nothing would be learnt about {', '.join(unknown)}: the prior would decide.")
@@ -618,8 +642,11 @@ def _sentences(
         reach = max(float(np.max(np.abs(t.y[0]))) for t in fit.problem.experiment.trials)
         if reach > 0.9 * sensor[0]:
             out.append(
-                f"The primary would read up to {reach:.3g}, its sensor {sensor[0]:.3g}: choose a wider range or "
-                "smaller angles."
+                sentence_of(
+                    f"The sensor of the primary would read up to {reach:.3g} {campaign.reading_unit}; its range ends "
+                    f"at {sensor[0]:.3g}: choose a wider range or smaller angles.",
+                    campaign.rig.kind,
+                )
             )
     repeats: dict[tuple[Any, ...], int] = {}
     for t in fit.problem.experiment.trials:

@@ -139,8 +139,8 @@ def variability(
     differ too much in their means are made again with four times as many particles, up to 1024; False keeps
     `particles`. draws : for the effective linear parameters. unseen : False leaves out the predictions of each case
     from the others, which take much of the time for published features. workers : processes; scheduler :
-    address of a Dask cluster in their place; progress : told how far it is, as in `fit`. A run that was stopped goes
-    on when the call is made again.
+    address of a Dask cluster in their place; progress : receives how far it is, as in `fit`. A run that was stopped
+    goes on when the call is made again.
 
     Raises
     ------
@@ -467,7 +467,11 @@ def _sentences(result: VariabilityFile, fit_converged: bool) -> list[str]:
         known_by = min(m.get("repeats", 1) for m in models.values())
         out.append(
             f"Particles moved slowly ({', '.join(slow)}), which widens the errors of their evidences; "
-            + ("give --repeats 2 or more." if known_by < 2 else f"they hold what {known_by} repeats show of it, too.")
+            + (
+                "give --repeats 2 or more."
+                if known_by < 2
+                else f"the differences between {known_by} repeats are included."
+            )
         )
     known = [apart for m in models.values() if (apart := m.get("repeats_apart_sd")) is not None]
     if known:
@@ -487,14 +491,14 @@ def _sentences(result: VariabilityFile, fit_converged: bool) -> list[str]:
         low, high = shares[first]["hdi90"]
         sure = parts["probability_largest"][first]
         out.append(
-            f"Scatter of the effective {name} over the cases, if they may differ: the largest share is "
+            f"Scatter of the effective {name} over the cases, if they may differ: the largest share comes from "
             f"{first.replace('_', ' ')} ({100 * shares[first]['median']:.0f} %, 90 % interval {100 * low:.0f} to "
-            f"{100 * high:.0f} %); that it is the largest has the probability {sure:.2f}."
+            f"{100 * high:.0f} %; it is the largest with a probability of {sure:.2f})."
         )
     if decomposition:
         out.append(
-            f"That they differ at all has the probability {1.0 - models['shared']['probability']:.2f}: without a real "
-            "difference the other parts are all there is."
+            f"The cases differ at all with a probability of {1.0 - models['shared']['probability']:.2f}; if they do "
+            "not, the other parts are the whole scatter."
         )
     return out + (_about_cases(result) if "averaged" in result else [])
 
@@ -503,21 +507,13 @@ def _about_cases(result: VariabilityFile) -> list[str]:
     """Of each case, whether what a linear fit found is what the averaged model gives by the same recipe."""
     out = []
     for case, row in (result["effective"]["cases"] if result["effective"] else {}).items():
-        told = []
+        notes = []
         for name, value in (row.get("measured") or {}).items():
             (low, high), median = row[name]["hdi90"], row[name]["median"]
-            place = (
-                "as expected"
-                if low <= value <= high
-                else "more than expected"
-                if value > high
-                else "less than expected"
-            )
-            told.append(
-                f"{name} = {value:g} was fitted where {median:.2g} ({low:.2g} to {high:.2g}) is expected: {place}"
-            )
-        if told:
-            out.append(f"Case {case}: {'; '.join(told)}.")
+            place = "inside" if low <= value <= high else "above" if value > high else "below"
+            notes.append(f"{name} = {value:g}, {place} the predicted {median:.2g} ({low:.2g} to {high:.2g})")
+        if notes:
+            out.append(f"Case {case}, linear fit: {'; '.join(notes)}.")
     return out
 
 
@@ -530,17 +526,17 @@ def _about_recycled(check: AgreementEntry) -> list[str]:
         f"under one population, Pareto k at most {worst:.2f}"
     )
     if not check["reliable"]:
-        out.append(f"The fit's draws used again by weights cannot be trusted here ({k}): the direct runs count.")
+        out.append(f"The fit's draws used again by weights cannot be trusted here ({k}): use the direct runs.")
     elif check["agree"]:
-        out.append(f"The fit's draws used again by weights ({k}) agree with the direct way.")
+        out.append(f"The fit's draws used again by weights ({k}) agree with direct sampling.")
     elif check["direct_repeats_apart_sd"] > _APART:
         out.append(
-            f"The fit's draws used again by weights ({k}) cannot be held against the direct way, whose own repeats "
+            f"The fit's draws used again by weights ({k}) cannot be compared with direct sampling, whose repeats "
             f"differ by {check['direct_repeats_apart_sd']:.2f} standard deviations: raise particles."
         )
     else:
         out.append(
-            f"The fit's draws used again by weights ({k}) differ from the direct way by "
+            f"The fit's draws used again by weights ({k}) differ from direct sampling by "
             f"{check['largest_difference_sd']:.2f} standard deviations in {check['largest_at']}."
         )
     return out
@@ -557,7 +553,7 @@ def _about_assumptions(result: VariabilityFile) -> list[str]:
     low, high = kept["structures"]["shared"]
     if low < 0.5 < high:
         out.append(
-            "Whether one set serves all cases or values scatter hangs on the assumptions "
+            "Whether one set serves all cases or values scatter depends on the assumptions "
             f"(one set: {low:.2f} to {high:.2f})."
         )
     else:
@@ -571,7 +567,7 @@ def _about_assumptions(result: VariabilityFile) -> list[str]:
         )
     rest = [name for name in kept["parameters"] if name not in sure]
     if rest:
-        out.append(f"What is said of {', '.join(rest)} holds only if the priors do.")
+        out.append(f"Results for {', '.join(rest)} depend on the priors.")
     return out
 
 

@@ -11,7 +11,17 @@ from campaigns import CAMPAIGN_TOML, write_synthetic
 
 from bayes_damper.campaign import load_plan
 from bayes_damper.cli import main
-from bayes_damper.commands.plan import NATS, Bench, _noise_of_records, _standard, expected, judge, plan, planned_fit
+from bayes_damper.commands.plan import (
+    NATS,
+    Bench,
+    Plan,
+    _noise_of_records,
+    _standard,
+    expected,
+    judge,
+    plan,
+    planned_fit,
+)
 from bayes_damper.diagnosis import diagnose
 from bayes_damper.diagnosis.search import offered
 from bayes_damper.effects import EFFECTS
@@ -115,6 +125,27 @@ def test_the_result_says_what_would_be_seen(planned):
     assert wide[0] < low < high < wide[1]
     assert rows["sensor_gain"]["smallest"]["error"]["unit"] == ""
     json.dumps(result, allow_nan=False)
+
+
+def test_a_plan_ends_with_the_command_that_comes_next(planned):
+    _, result = planned
+    best = {"configuration": "coupled", "k1t_n_m_per_rad": 6.2, "theta0_deg": 10.0, "helps": ["spring_cubic"]}
+    idle = {**best, "helps": []}
+    add = "To distinguish more (spring_cubic): plan one more coupled trial, k1t 6.2 N m/rad, released at 10 deg."
+    measure = "Next: measure these trials, put the records into the folder, and run: bayes-damper check 'my rig'"
+    found = {**result, "add": [idle, best]}
+    assert Plan(found, None, "my rig").text().splitlines()[-2:] == [add, measure]
+    diagnose_it = "Next: bayes-damper diagnose 'my rig' --out results/diagnose"
+    assert Plan(found, None, "my rig", recorded=True).text().splitlines()[-2:] == [add, diagnose_it]
+    assert "To distinguish more" not in Plan({**result, "add": [idle]}, None, "my rig").text()
+
+
+def test_a_plan_says_what_its_effects_are(tmp_path):
+    few = {name: FEW[name] for name in ("quadratic_drag", "sensor_gain")}
+    result = judge(load_plan(write_plan(tmp_path, TOML.replace("noise_std = 2.0", "noise_std = 9e6"))), few)
+    blind = next(s for s in result["sentences"] if s.startswith("Not seen"))
+    assert "sensor_gain (wrong scale of one channel)" in blind
+    assert "quadratic_drag (drag that grows with the square of the speed)" in blind
 
 
 def test_more_noise_sees_less(planned, tmp_path):

@@ -392,7 +392,7 @@ def test_what_the_cases_share_opens_with_the_answer_and_leaves_the_method_below(
     (tmp_path / "summary.json").unlink()
     file = tmp_path / "variability.json"
     data = json.loads(file.read_text(encoding="utf-8"))
-    told = "The fit's draws used again by weights (Pareto k at most 0.31) agree with the direct way."
+    told = "The fit's draws used again by weights (Pareto k at most 0.31) agree with direct sampling."
     slow = "Particles moved slowly (shared): the errors are too small; raise particles and repeats."
     data["sentences"] += [told, slow]
     for (name, model), p in zip(data["models"].items(), (0.49, 0.5, 0.01), strict=True):
@@ -770,10 +770,10 @@ def test_a_run_that_has_not_ended_is_told_how_to_go_on(tmp_path):
 
 def test_a_plan_and_a_decomposition_read_as_tables(tmp_path):
     text = words_of(report(write_everything(tmp_path / "results")).path.read_text(encoding="utf-8"))
-    assert "magnet cubic interface 22 % cubic 66 N m/rad³ interface relaxation 2.4 6 times" in text
+    assert "magnet cubic between the bodies 22 % cubic 66 N m/rad³ interface relaxation 2.4 6 times" in text
     assert (
-        "typical size. What next magnet cubic would be seen with 6 times as many trials. One more trial "
-        "helps most if coupled, k1t 14.3 N m/rad, released at 7.4 deg: to distinguish magnet cubic." in text
+        "typical size. What next magnet cubic would be seen with 6 times as many trials. One more coupled trial, "
+        "k1t 14.3 N m/rad, released at 7.4 deg, would help most: to distinguish magnet cubic." in text
     )
     assert "real difference 0.200 0.100 to 0.400 60 % (20 to 90 %) In every draw the shares add up to 100 %" in text
     assert "IV 34.3 1.10 (0.90 to 1.40) 1" in text

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
+from bayes_damper.effects.base import SITE_TITLES
 from bayes_damper.report.parts import Headline, Result, Row, Section, Table, listed, words
 from bayes_damper.report.sections.shared import fingerprint, meaning_of, pictures_of, records_table
 from bayes_damper.runs.contents.plan import Addition, PlanFile
 from bayes_damper.sampling.prior_sensitivity import decided_by
-from bayes_damper.text import NOTHING, interval, number, percent
+from bayes_damper.text import NOTHING, interval, number, percent, trial_words
 
 
 def plan_result(data: PlanFile, folder: Path) -> Result:
@@ -23,8 +24,8 @@ def plan_result(data: PlanFile, folder: Path) -> Result:
         name, nats = (rival["name"], rival["nats"]) if rival else (NOTHING, None)
         times = e.get("repeats_needed")
         cells = (
-            words(e["name"]),
-            e["site"],
+            f"{words(e['name'])}: {title}" if (title := e.get("title")) else words(e["name"]),
+            SITE_TITLES.get(e["site"], e["site"]),
             percent(e["chance"]),
             "; ".join(f"{k} {number(v['value'])} {v['unit']}".strip() for k, v in least.items()) or NOTHING,
             words(name),
@@ -72,11 +73,5 @@ def _best_trial(proposals: Sequence[Addition]) -> list[str]:
     """The single trial that would help most, in a sentence; nothing where none would."""
     if not proposals or not proposals[0].get("helps"):
         return []
-    best: Mapping[str, object] = proposals[0]
-    forms = {"k1t_n_m_per_rad": "k1t {} N m/rad", "k1_n_per_m": "k1 {} N/m",
-             "theta0_deg": "released at {} deg", "theta0_mm": "released at {} mm"}  # fmt: skip
-    details = [form.format(f"{best[key]:.3g}") for key, form in forms.items() if best.get(key) is not None]
     helps = listed([words(n) for n in proposals[0]["helps"]])
-    return [
-        f"One more trial helps most if {', '.join([proposals[0]['configuration'], *details])}: to distinguish {helps}."
-    ]
+    return [f"One more {trial_words(proposals[0])}, would help most: to distinguish {helps}."]

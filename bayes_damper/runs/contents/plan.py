@@ -24,6 +24,7 @@ class PlannedEffect(TypedDict):
     """What the planned trials could show of one effect; counts are None above 100 times the trials planned."""
 
     name: str
+    title: NotRequired[str]
     site: str
     variant: str
     typical: Mapping[str, Sized]
