@@ -227,9 +227,7 @@ def whittle(
     if flat - float(found.fun) < 3.0:
         return math.sqrt(white), 0.0, 0.0
     a, b, phi = math.exp(found.x[0]), math.exp(found.x[1]), farthest / (1.0 + math.exp(-found.x[2]))
-    # a |1 - phi z|^2 + b = s^2 |1 - theta z|^2
-    if a * phi <= 0.0:
-        return math.sqrt(white), 0.0, 0.0
-    half = (a * (1.0 + phi * phi) + b) / (2.0 * a * phi)
-    inverse = half + math.sqrt(max(half * half - 1.0, 0.0))
-    return math.sqrt(a * phi * inverse), phi, 1.0 / inverse
+    # a |1 - phi z|^2 + b = s^2 |1 - theta z|^2; a may be next to nothing, where all of the spectrum is steep
+    both = a * (1.0 + phi * phi) + b
+    square = 0.5 * (both + math.sqrt(max(both * both - (2.0 * a * phi) ** 2, 0.0)))
+    return math.sqrt(square), phi, a * phi / square

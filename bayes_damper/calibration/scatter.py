@@ -431,8 +431,7 @@ def scatter_shown(fit: Calibration, unit: str) -> dict[str, ScatterEntry]:
             "hdi90": [size.low, size.high],
             "trend_with_order": trend_with_order(fit, size)[0],
         }
-        for size in fit.problem.switches.scatter.sizes
-        if size.gained > SHOWN_FROM
+        for size in sizes_shown(fit)
     }
 
 
@@ -464,10 +463,23 @@ def trend_with_order(fit: Calibration, size: Size) -> tuple[float, float]:
     return r, float(2.0 * student.sf(abs(r) * math.sqrt(freedom / max(1.0 - r * r, 1e-12)), freedom))
 
 
+def sizes_shown(fit: Calibration) -> list[Size]:
+    """What the repeats show to scatter, of all that a fit allows for.
+
+    The sizes were learnt under the nominal model. With an effect in the model they are judged again: where repeats
+    swing differently far, what the effect does differs between them, and may be all there is of a scatter.
+    """
+    sizes = fit.problem.switches.scatter.sizes
+    if fit.problem.effect is not None:
+        again = {s.name: s for s in learn_scatter(fit).sizes}
+        sizes = tuple(again[s.name] for s in sizes if s.name in again)
+    return [s for s in sizes if s.gained > SHOWN_FROM]
+
+
 def scatter_in_words(fit: Calibration) -> list[str]:
     """Sentences on what the repeats show to differ from trial to trial, and on baselines that wander."""
     trials = [fit.problem.experiment.trials[i] for i in fit.problem.trials]
-    shown = [s for s in fit.problem.switches.scatter.sizes if s.gained > SHOWN_FROM]
+    shown = sizes_shown(fit)
     out = []
     for size in shown if fit.problem.experiment.start == "free" else ():
         if size.name.startswith("drift"):

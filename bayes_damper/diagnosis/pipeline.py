@@ -120,6 +120,7 @@ class Diagnosis:
     budget: Budget | None = None
     under_priors: tuple[tuple[float, str, float], ...] = ()
     law: Learnt | None = None
+    named: Calibration | None = None
 
     @property
     def verdict(self) -> str:
@@ -189,7 +190,9 @@ class Diagnosis:
                 {"prior": prior, "verdict": verdict, "probability": p} for prior, verdict, p in self.under_priors
             ],
             "weighed": dict(self.weighed),
-            "scatter": scatter_shown(self.nominal, unit_of("sigma1", self.kind, self.experiment.quantity)),
+            "scatter": scatter_shown(
+                self.named or self.nominal, unit_of("sigma1", self.kind, self.experiment.quantity)
+            ),
             "notes": list(self.notes),
             "seconds": self.seconds,
         }
@@ -443,7 +446,7 @@ def diagnose(
         _sites(answers, effects, before_map, after_map, sites_of(experiment), wiring is not None), evidence,
         tuple(_indistinct(evidence, effects)), pair, tuple(notes), time.perf_counter() - began, {"seed": seed},
         tuple(pairs), tuple(seconds), drift, best, tuple(choices), closes, weighed,
-        kind, budget, _under_priors(answered, answers, rule), law,
+        kind, budget, _under_priors(answered, answers, rule), law, named,
     )  # fmt: skip
 
 
@@ -631,7 +634,8 @@ def _notes(
         notes.append(
             "There are no repeats, so the noise is estimated from the fast content of the records; repeat a case."
         )
-    notes += [*scatter_in_words(fit), *unlike_in_words(fit), *symmetries(experiment)]
+    judged = fit if named is None else named  # what the answer explains does not scatter
+    notes += [*scatter_in_words(judged), *unlike_in_words(judged), *symmetries(experiment)]
     still = {} if named is None else named.pulled
     priors = {} if named is None else {c.name: c.prior for c in named.problem.coordinates}
     for name, z in still.items():
@@ -640,12 +644,10 @@ def _notes(
             f"With {answers.verdict} in the model, {name} still differs from its declared value by {z:+.1f} standard "
             f"deviations ({value:.4g}): a second cause, or a typo. Measure it again."
         )
-    for name, z in fit.pulled.items():
-        if name not in still:
-            notes.append(
-                f"The nominal model fits {name} {z:+.1f} standard deviations from its declared value: an effect, or a "
-                "typo."
-            )
+    for name, z in fit.pulled.items() if named is None else ():
+        notes.append(
+            f"The nominal model fits {name} {z:+.1f} standard deviations from its declared value: an effect, or a typo."
+        )
     if answers.verdict == "unknown" and place.only is not None:
         trials = f"the trials of {place.only}" if place.only.startswith("case ") else f"{place.only} trials"
         notes.append(

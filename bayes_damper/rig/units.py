@@ -39,13 +39,15 @@ _PLAIN = {"the faces": "the bodies", "faces": "bodies"}
 def in_words_of(text: str, kind: str = "torsional", magnet: bool = True) -> str:
     """A text about a torsional rig with a magnet in the words of another rig: force for torque, mass for inertia.
 
-    text : a title, a meaning or a formula; kind : of the rig; magnet : whether it has one.
+    text : a title, a meaning, a formula or a note, in which names of files stay as they are; kind : of the rig;
+    magnet : whether it has one.
     """
     words = (_STRAIGHT if kind == "translational" else {}) | ({} if magnet else _PLAIN)
+    parts = re.split(r"(\S*/\S+\.\w+)", text)  # every second one is the name of a file
     for word in sorted(words, key=len, reverse=True):
         for old, new in ((word, words[word]), (word[0].upper() + word[1:], words[word].capitalize())):
-            text = re.sub(rf"\b{re.escape(old)}\b(?! \d)", new, text)
-    return text
+            parts[::2] = [re.sub(rf"\b{re.escape(old)}\b(?! \d)", new, part) for part in parts[::2]]
+    return "".join(parts)
 
 
 _SPOKEN = [word for word in _STRAIGHT if word != "turn" and not re.fullmatch(r"[wQ]\w?|\w+\d", word)]  # no symbols

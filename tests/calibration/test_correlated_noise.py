@@ -17,6 +17,7 @@ from small_rig import NOISE, RIG, measured
 from bayes_damper.calibration import Calibration, Noise, Problem, Switches, calibrate, default_starts
 from bayes_damper.calibration.correlated_noise import FittedNoise, fit_with_noise, student_log_density
 from bayes_damper.calibration.influence import comparison, influence, without
+from bayes_damper.calibration.noise_level import whittle
 from bayes_damper.calibration.posterior import RecordPosterior
 from bayes_damper.calibration.scatter import TYPICAL
 from bayes_damper.errors import InputError
@@ -338,3 +339,15 @@ def test_a_tail_that_only_the_prior_ends_is_told() -> None:
     assert not table["limited"]["double"]["reliable"]
     assert table["limited"]["half"]["reliable"]
     assert table["measured"]["double"]["reliable"]
+
+
+@pytest.mark.parametrize("farthest", [0.99, 0.9999])
+def test_a_spectrum_without_any_white_part_has_a_finite_noise(farthest):
+    """All of it is steep, so that the white part of the fit ends near 1e-160 of it: the noise was infinite."""
+    omega = 2.0 * np.pi * np.arange(1, 700) / 1400
+    power = 1e-6 * (0.01 / omega) ** 4
+    sd, phi, theta = whittle(omega, power, np.ones(omega.size), farthest)
+    assert phi == pytest.approx(farthest)
+    assert 0.0 <= theta < 1e-100
+    # of the likelihood with that phi and no white part the maximum is known
+    assert sd**2 == pytest.approx(np.mean(power * (1.0 + phi**2 - 2.0 * phi * np.cos(omega))), rel=1e-3)

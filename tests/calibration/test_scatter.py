@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.linalg import helmert
 from scipy.stats import multivariate_normal
+from small_rig import measured
 
 from bayes_damper.calibration import (
     Experiment,
@@ -26,7 +27,9 @@ from bayes_damper.calibration import (
 from bayes_damper.calibration import scatter as scatters
 from bayes_damper.calibration.own_values import RELEASE, Scatter, Size
 from bayes_damper.calibration.scatter import TYPICAL, Repeats, learn_scatter, typical_scatter, with_releases
+from bayes_damper.diagnosis.remainder import unlike_in_words
 from bayes_damper.effects import EFFECTS
+from bayes_damper.fit.recorded import fit_with_effect
 from bayes_damper.priors.distributions import from_standard
 from bayes_damper.rig.inputs import Inputs
 from bayes_damper.simulation.model import Model, Quantity
@@ -468,6 +471,24 @@ def test_releases_by_hand_that_swing_equally_far_show_what_differs_from_trial_to
     assert size.gained > 50.0
     assert fit.problem.noise.total[0] == pytest.approx(1e-4, rel=0.1)
     assert any("c1t (by " in sentence for sentence in scatters.scatter_in_words(fit))
+
+
+@pytest.mark.slow
+def test_what_an_effect_explains_is_not_said_to_scatter():
+    """Repeats released 1 % apart on a spring that hardens: under the linear one stiffness and drag seem to differ."""
+    cubic = EFFECTS["spring_cubic"].variants[0]
+    wide = (("I", 0, 0.1), ("IV", 0, 0.25))
+    hardens = measured(5, effect=cubic, values={"k3": 150.0}, configurations=(False,), cases=wide, repeats=5, noise=0.5)
+    nominal = calibrate_nominal(hardens)
+    (sentence,) = scatters.scatter_in_words(nominal)
+    assert "k1t (by " in sentence
+    assert "drag (by " in sentence
+    assert unlike_in_words(nominal)
+    named = fit_with_effect(hardens, "spring_cubic")
+    assert named.problem.switches.scatter == nominal.problem.switches.scatter
+    assert scatters.scatter_in_words(named) == []
+    assert scatters.scatter_shown(named, "rad/s^2") == {}
+    assert unlike_in_words(named) == []
 
 
 def test_swings_of_another_size_are_no_repeats():

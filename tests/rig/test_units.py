@@ -85,6 +85,12 @@ def test_parameters_of_a_torsional_rig_keep_their_words() -> None:
     assert all(in_words_of(p.meaning) == p.meaning for p in PARAMETERS.values())
 
 
+def test_words_of_another_rig_leave_names_of_files_alone() -> None:
+    """A note named trials/x0-16_uncoupled_1.csv, which is not there."""
+    note = "trials/theta0-16_w1_1.csv, trials/torque.csv.gz: theta0 of the primary"
+    assert in_words_of(note, "translational") == "trials/theta0-16_w1_1.csv, trials/torque.csv.gz: x0 of body 1"
+
+
 def test_what_is_said_of_a_cart_leaves_names_of_files_and_columns_alone() -> None:
     said = "trials/angle.csv: the primary is held; in turn 'the primary' of theta0_std_deg, torque.csv, primary_inertia"
     assert sentence_of(said) == said
