@@ -49,6 +49,10 @@ READER: dict[str, tuple[tuple[type, ...], str]] = {
     "pivot": ((str, int), "column of the sideways acceleration of a pendulum's pivot"),
     "pivot_unit": ((str,), "unit of the pivot's acceleration: m/s^2 (default), g, ..."),
     "mounting_radius": ((int, float, list), "distance of tangential sensors from the axis, m, one or per channel"),
+    "sideways": (
+        (bool,),
+        "lengths are sideways positions, as in a video: the angle is asin(x / mounting radius), from where it hangs",
+    ),
     "sign": ((list,), "1 or -1 per channel: -1 for a sensor mounted the other way round"),
     "offset": (
         (str, int, float, list),

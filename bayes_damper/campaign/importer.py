@@ -39,7 +39,7 @@ from bayes_damper.campaign.import_options import (
     spec_from_options,
     spec_text,
 )
-from bayes_damper.campaign.logger_files import LoggerFile, read_file, unit_of
+from bayes_damper.campaign.logger_files import COUNTED, LoggerFile, read_file, unit_of
 from bayes_damper.campaign.trials_table import inside
 from bayes_damper.errors import InputError
 from bayes_damper.inputs import file_bytes, resolved, shown, text_of, toml_file
@@ -72,7 +72,6 @@ _ANGULAR = {
     "acceleration": {"rad/s^2": 1.0, "deg/s^2": _DEGREE},
 }
 _VOLTAGE = {"V": 1.0, "mV": 1e-3}
-_COUNTED = ("px", "pixel", "pixels", "count", "counts", "lsb", "tick", "ticks")
 _FEWEST_AT_REST = 8  # readings before a release of which a mean is taken
 _FEWEST_PERIODS = 2.0  # of an oscillation which the weighted mean of a tail takes out but for 5 %
 _SWINGS = 0.2  # share of the record's range in its last quarter
@@ -194,15 +193,19 @@ def init_campaign(
     return folder
 
 
-def convert(readings: Array, unit: str, kind: str, quantity: str, radius: float | None, where: str) -> Array:
+def convert(
+    readings: Array, unit: str, kind: str, quantity: str, radius: float | None, where: str, sideways: bool = False
+) -> Array:
     """Readings in SI units of the quantity: rad (m), rad/s (m/s), rad/s^2 (m/s^2).
 
-    A tangential unit on a torsional rig (m/s^2, g, mm ...) is divided by the mounting radius, in m.
+    A tangential unit on a torsional rig (m/s^2, g, mm ...) is divided by the mounting radius, in m. sideways : lengths
+    are not arcs but sideways positions x of a marker at that radius, whose angle is asin(x / radius).
 
     Raises
     ------
     InputError
-        for a unit that the quantity cannot have, or a tangential unit without a radius.
+        for a unit that the quantity cannot have, a tangential unit without a radius, or sideways readings that are no
+        lengths or longer than the radius.
     """
     tangential = _TANGENTIAL[quantity]
     if kind == "translational":
@@ -212,13 +215,19 @@ def convert(readings: Array, unit: str, kind: str, quantity: str, radius: float 
     if unit not in valid:
         other = next((q for q in _TANGENTIAL if unit in _TANGENTIAL[q] or unit in _ANGULAR[q]), None)
         other_quantity = f", but of {other}: for such readings give --quantity {other}" if other else ""
-        if unit.lower() in _COUNTED:
+        if unit.lower() in COUNTED:
             first = next(iter(valid))
             other_quantity = f": give --units {first} and, as --scale, how many {first} one of them is"
+            if quantity == "displacement" and kind == "torsional":
+                other_quantity += " (a video: --units m, --scale, --mounting-radius of the marker, and --sideways)"
             if quantity != "displacement":
                 angle = "m" if kind == "translational" else "rad"
                 other_quantity += f" (counts of an encoder: --quantity displacement --units {angle})"
         raise InputError(f"{where}: '{unit}' is no unit of {quantity}{other_quantity}; valid units: {', '.join(valid)}")
+    if sideways and (kind == "translational" or quantity != "displacement" or unit not in tangential):
+        raise InputError(
+            f"{where}: sideways is for displacements of a turning rig in m, cm, mm or um, not for '{unit}'"
+        )
     if kind == "translational" or unit in _ANGULAR[quantity]:
         return readings * valid[unit]
     if radius is None:
@@ -226,7 +235,15 @@ def convert(readings: Array, unit: str, kind: str, quantity: str, radius: float 
     if not 0.0 < radius < 10.0:
         raise InputError(f"{where}: mounting_radius = {radius!r} m is not possible; give metres")
     with np.errstate(over="ignore"):  # readings of 1e307: the check of the campaign names what is not finite
-        return readings * (valid[unit] / radius)
+        along = readings * (valid[unit] / radius)
+    if not sideways:
+        return along
+    if (farthest := float(np.nanmax(np.abs(along), initial=0.0))) > 1.0:
+        raise InputError(
+            f"{where}: the sideways position reaches {farthest:.3g} times the mounting radius; check radius and scale, "
+            "and take off with --offset what it reads where the rig hangs at rest"
+        )
+    return np.asarray(np.arcsin(along))
 
 
 # --- the table -----------------------------------------------------------------------------------------------------
@@ -685,7 +702,7 @@ def _in_si(channels: Array, option: Mapping[str, Any], kind: str, quantity: str,
                 raise InputError(f"{where}: '{sensed}' is no unit of a reaction on the primary; valid units: {valid}")
             rows.append(factor * centred * _INPUT[kind][sensed])
         else:
-            rows.append(convert(factor * centred, sensed, kind, quantity, r, where))
+            rows.append(convert(factor * centred, sensed, kind, quantity, r, where, bool(option.get("sideways"))))
     return np.stack(rows)
 
 

@@ -55,6 +55,8 @@ _BEHIND = r"(?:rad|mrad|deg|mm|cm|um|m)(?:_s2?)?|n_m|g|mg|ms|us|s|rpm"
 _AFTER = re.compile(r"\S(?:\s+/\s*|,\s*|\s+in\s+)(\S.*)$")
 """A unit behind a spaced slash, a comma or `in`, as in `x / mm`, `Position, mm` and `Time in s`."""
 _MISREAD = str.maketrans({"²": "^2", "µ": "u", "μ": "u", "°": "deg"})
+COUNTED = ("px", "pixel", "pixels", "count", "counts", "lsb", "tick", "ticks")
+"""What an encoder or a video gives in place of a unit."""
 _UNITS = {
     "s", "ms", "us", "min", "sec", "seconds", "g", "mg", "m/s^2", "mm/s^2", "cm/s^2", "um/s^2", "rad/s^2", "deg/s^2",
     "m/s", "mm/s", "cm/s", "um/s", "rad/s", "mrad/s", "deg/s", "rpm", "m", "cm", "mm", "um", "rad", "mrad", "deg",
@@ -142,7 +144,7 @@ def unit_of(text: str) -> str | None:
     plain = text.strip().strip("[]() ").translate(_MISREAD).replace("**", "^")
     plain = re.sub(r"(?<=/s)2$|(?<=/sec)2$", "^2", plain).replace("/sec", "/s").replace("m/s/s", "m/s^2")
     plain = {"sec": "s", "seconds": "s", "Nm": "N m", "Nmm": "N mm", "G": "g", "g's": "g"}.get(plain, plain)
-    return plain if plain.lower() in _UNITS else None
+    return plain if plain.lower() in _UNITS or plain.lower() in COUNTED else None
 
 
 def read_file(path: Path, option: Mapping[str, Any]) -> LoggerFile:
@@ -497,7 +499,7 @@ def _rows(
         if len(row) != width:
             raise InputError(
                 f"{name}, line {number}: {len(row)} columns where {width} are expected; "
-                + ("decimal commas? set decimal = ',' and delimiter" if len(row) > width else "the line is cut short")
+                + ("decimal commas? set --decimal , and --delimiter" if len(row) > width else "the line is cut short")
             )
         rows.append(row)
     return rows, notes
@@ -536,7 +538,7 @@ def _bad_line(name: str, line: int, text: str, cells: Sequence[str], named: bool
     if thousands := next((c.strip() for c in cells if _THOUSANDS.fullmatch(c)), None):
         return f"{name}, line {line}: '{thousands}' has a mark between thousands; export the numbers without it"
     if not comma and any(re.fullmatch(r"\s*[-+]?\d+,\d+(e[-+]?\d+)?\s*", c, re.IGNORECASE) for c in cells):
-        return f"{name}, line {line}: '{text.strip()[:40]}' has decimal commas; set decimal = ','"
+        return f"{name}, line {line}: '{text.strip()[:40]}' has decimal commas; set --decimal ,"
     numbers = [_is_number(c, comma) for c in cells]
     if any(numbers) and not all(numbers):
         odd = cells[numbers.index(False)].strip()
@@ -545,7 +547,7 @@ def _bad_line(name: str, line: int, text: str, cells: Sequence[str], named: bool
             "remove the line"
         )
     hint = (
-        "set skip_lines to the number of lines before the column names" if named else "set skip_lines, or header = true"
+        "set --skip-lines to the number of lines before the column names" if named else "set --skip-lines, or --header"
     )
     return f"{name}, line {line}: '{text.strip()[:40]}' is not a row of numbers; {hint}, or remove the line"
 

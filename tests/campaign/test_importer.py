@@ -796,10 +796,38 @@ def test_the_arrays_of_a_matlab_file_are_listed(tmp_path: Path, option: dict[str
         read_file(path, option)
 
 
+def test_the_sideways_position_of_a_marker_becomes_an_angle() -> None:
+    """Of 0.5 rad the arc x / L is 4 % less: a sound pendulum would seem to have a wrong law of gravity."""
+    angle = np.linspace(-0.5, 0.5, 5)
+    x = 620.0 * np.sin(angle)
+    straight = convert(x, "mm", "torsional", "displacement", 0.62, "x", sideways=True)
+    assert straight == pytest.approx(angle, abs=1e-12)
+    assert convert(x, "mm", "torsional", "displacement", 0.62, "x") == pytest.approx(np.sin(angle))
+    for unit, kind, quantity, faulty, sentence in (
+        ("deg", "torsional", "displacement", x, "not for 'deg'"),
+        ("mm", "translational", "displacement", x, "of a turning rig"),
+        ("mm/s", "torsional", "velocity", x, "not for 'mm/s'"),
+        ("mm", "torsional", "displacement", 4.0 * x, "reaches 1.92 times the mounting radius"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            convert(faulty, unit, kind, quantity, 0.62, "x", sideways=True)
+
+
+def test_names_stand_above_units_of_pixels_with_none_for_the_frame(tmp_path: Path) -> None:
+    path = tmp_path / "clip.txt"
+    rows = "".join(f"{i}\t{i / 60:.4f}\t{600 + i}\t{500 - i}\n" for i in range(40))
+    path.write_text("# Tracker export\nframe\tt\tx\ty\n\ts\tpx\tpx\n" + rows, encoding="utf-8")
+    found = read_file(path, {})
+    assert found.names == ("frame", "t", "x", "y")
+    assert found.units == ("", "s", "px", "px")
+
+
 def test_pixels_and_counts_are_refused_with_what_describes_them(tmp_path: Path) -> None:
     source = logger_file(tmp_path / "run.csv", wave())
     told = fault_of(tmp_path, source, units=["px"], quantity="displacement", kind="translational")
     assert "'px' is no unit of displacement: give --units m and, as --scale, how many m one of them is" in told
+    told = fault_of(tmp_path, source, units=["px"], quantity="displacement", kind="torsional")
+    assert "(a video: --units m, --scale, --mounting-radius of the marker, and --sideways)" in told
     told = fault_of(tmp_path, source, units=["counts"], quantity="acceleration", kind="torsional")
     assert "(counts of an encoder: --quantity displacement --units rad)" in told
 
