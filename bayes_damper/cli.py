@@ -445,16 +445,31 @@ def _workers(sub: argparse.ArgumentParser) -> None:
 
 
 def _first_steps(command: Adding) -> None:
-    """Commands that show the program or look at data."""
-    sub = command("demo", _demo, "fit the thesis's data, compare its cases and write a report", out="results/demo")
-    sub.add_argument("--quick", action="store_true", help="a tenth of the draws, for a first look (marked as such)")
-    _workers(sub)
-
+    """Commands in the order of a job: an example, a campaign, a plan."""
     command("examples", _examples, "write a small example campaign: a cart with something wrong in its spring",
             out="example")  # fmt: skip
 
+    sub = command("init", _init, "make a campaign from logger files")
+    sub.add_argument("folder", type=Path, help="folder of the campaign to write")
+    sub.add_argument("files", nargs="*", type=Path, help="logger files, one per trial")
+    sub.add_argument(
+        "--table", type=Path, metavar="import.toml", help="import table to use instead of files and options"
+    )
+    sub.add_argument("--raw", type=Path, metavar="DIR", help="folder of the logger files that the table names")
+    sub.add_argument(
+        "--overwrite",
+        action="store_true",
+        help="replace the campaign in the folder (records that the new one does not use are kept)",
+    )
+    sub.set_defaults(options=_init_options(sub))
+
     sub = command("check", _check, "check a campaign and list every fault in it")
     sub.add_argument("campaign", help="folder of the campaign, or `thesis`")
+
+    sub = command("plan", _plan, "before measuring: which effects the planned trials could show",
+                  out="results/plan")  # fmt: skip
+    sub.add_argument("campaign", help="folder with campaign.toml and trials.csv; the records need not exist")
+    _weighing(sub)
 
     sub = command("simulate", _simulate, "simulate one noise-free record of the thesis's rig")
     sub.add_argument("--case", default="IV", help="thesis case: I, II, III or IV (default: IV)")
@@ -477,7 +492,7 @@ def _first_steps(command: Adding) -> None:
 
 
 def _fitting(command: Adding) -> None:
-    """Fit, diagnosis and plan."""
+    """Commands that fit a campaign and use the fit."""
     sub = command("fit", _fit, "fit the model: parameters with intervals, per case and for all cases together",
                   out="results/fit")  # fmt: skip
     sub.add_argument("campaign", help="folder of the campaign, or `thesis`")
@@ -509,37 +524,6 @@ def _fitting(command: Adding) -> None:
                      help="prior probability that the cause is not in the library (default: 0.15)")  # fmt: skip
     _weighing(sub)
 
-    sub = command("plan", _plan, "before measuring: which effects the planned trials could show",
-                  out="results/plan")  # fmt: skip
-    sub.add_argument("campaign", help="folder with campaign.toml and trials.csv; the records need not exist")
-    _weighing(sub)
-
-
-def _figures_and_proofs(command: Adding) -> None:
-    """The check on withheld data, designs, the thesis and the bench."""
-    sub = command("withheld", _withheld, "blind test: diagnose campaigns with sealed causes, then score the answers",
-                  out="results/withheld")  # fmt: skip
-    sub.add_argument("folder", nargs="?", type=Path, help="folder of campaigns (default: those shipped)")
-    sub.add_argument(
-        "--full",
-        action="store_true",
-        help="all campaigns, and each again with its cause removed from the library (hours)",
-    )
-    sub.add_argument(
-        "--key",
-        type=Path,
-        metavar="F.json",
-        help="file with the true causes (default: FOLDER_key.json beside the folder)",
-    )
-    sub.add_argument(
-        "--verify",
-        type=Path,
-        metavar="F.zip",
-        help="check the seals of a finished run's archive, and of its campaigns in FOLDER",
-    )
-    _own_effects(sub)
-    _workers(sub)
-
     sub = command("tune", _tune, "predict insertion loss and resonance shift of a damper design, with uncertainty",
                   out="results/tune")  # fmt: skip
     sub.add_argument("folder", type=Path, help="results folder of a fit")
@@ -567,42 +551,6 @@ def _figures_and_proofs(command: Adding) -> None:
         "--target-db", type=_real, default=10.0, metavar="DB", help="insertion loss to reach, dB (default: 10)"
     )
 
-    command("thesis", _thesis, "recompute every table and figure of the thesis and compare with the printed numbers",
-            out="results/thesis")  # fmt: skip
-
-    sub = command("bench", _bench, "measure speed and accuracy here, and of other packages that are installed",
-                  out="results/bench")  # fmt: skip
-    sub.add_argument("--repeats", type=_count, default=7, metavar="N", help="number of rounds (default: 7)")
-    sub.add_argument("--no-peers", action="store_true", help="leave the other packages out")
-    sub.add_argument(
-        "--command", dest="timed", choices=["diagnose"], help="instead, show where this command spends its time"
-    )
-    sub.add_argument("--campaign", type=Path, metavar="DIR", help="campaign for --command (default: a shipped one)")
-
-
-def _results(command: Adding) -> None:
-    """Commands about folders: runs to go on with, campaigns from logger files, results."""
-    sub = command("resume", _resume, "continue an interrupted run, or extend a finished one (--more)")
-    sub.add_argument("folder", type=Path, help="results folder of the run")
-    sub.add_argument("--more", action="store_true", help="extend a finished run")
-    about = "folder with your own effects, if the run used any (results folders are never run as code)"
-    sub.add_argument("--effects", type=Path, metavar="DIR", help=about)
-    sub.add_argument("--workers", type=_count, metavar="N", help="parallel processes (default: as before)")
-
-    sub = command("init", _init, "make a campaign from logger files")
-    sub.add_argument("folder", type=Path, help="folder of the campaign to write")
-    sub.add_argument("files", nargs="*", type=Path, help="logger files, one per trial")
-    sub.add_argument(
-        "--table", type=Path, metavar="import.toml", help="import table to use instead of files and options"
-    )
-    sub.add_argument("--raw", type=Path, metavar="DIR", help="folder of the logger files that the table names")
-    sub.add_argument(
-        "--overwrite",
-        action="store_true",
-        help="replace the campaign in the folder (records that the new one does not use are kept)",
-    )
-    sub.set_defaults(options=_init_options(sub))
-
     sub = command("variability", _variability, "show what the cases of a fit have in common and where they differ")
     sub.add_argument("folder", help="results folder of a fit, or `thesis`")
     sub.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default: the same folder)")
@@ -616,6 +564,9 @@ def _results(command: Adding) -> None:
                      help="use up to 1024 particles where repeated runs differ (thesis only)")  # fmt: skip
     _workers(sub)
 
+
+def _results(command: Adding) -> None:
+    """Commands about folders of results."""
     sub = command("compare", _compare, "compare several results")
     sub.add_argument("folders", nargs="+", metavar="FOLDER", help="results folders")
     sub.add_argument("--out", type=Path, metavar="DIR", help="also write comparison.json and a figure to this folder")
@@ -623,6 +574,55 @@ def _results(command: Adding) -> None:
     sub = command("report", _report, "write one HTML page from all results in a folder")
     sub.add_argument("folder", type=Path, help="results folder")
     sub.add_argument("--out", type=Path, metavar="F.html", help="page to write (default: report.html in the folder)")
+
+    sub = command("resume", _resume, "continue an interrupted run, or extend a finished one (--more)")
+    sub.add_argument("folder", type=Path, help="results folder of the run")
+    sub.add_argument("--more", action="store_true", help="extend a finished run")
+    about = "folder with your own effects, if the run used any (results folders are never run as code)"
+    sub.add_argument("--effects", type=Path, metavar="DIR", help=about)
+    sub.add_argument("--workers", type=_count, metavar="N", help="parallel processes (default: as before)")
+
+
+def _proofs(command: Adding) -> None:
+    """The thesis, and checks of the program itself."""
+    sub = command("demo", _demo, "fit the thesis's data, compare its cases and write a report", out="results/demo")
+    sub.add_argument("--quick", action="store_true", help="a tenth of the draws, for a first look (marked as such)")
+    _workers(sub)
+
+    command("thesis", _thesis, "recompute every table and figure of the thesis and compare with the printed numbers",
+            out="results/thesis")  # fmt: skip
+
+    sub = command("withheld", _withheld, "blind test: diagnose campaigns with sealed causes, then score the answers",
+                  out="results/withheld")  # fmt: skip
+    sub.add_argument("folder", nargs="?", type=Path, help="folder of campaigns (default: those shipped)")
+    sub.add_argument(
+        "--full",
+        action="store_true",
+        help="all campaigns, and each again with its cause removed from the library (hours)",
+    )
+    sub.add_argument(
+        "--key",
+        type=Path,
+        metavar="F.json",
+        help="file with the true causes (default: FOLDER_key.json beside the folder)",
+    )
+    sub.add_argument(
+        "--verify",
+        type=Path,
+        metavar="F.zip",
+        help="check the seals of a finished run's archive, and of its campaigns in FOLDER",
+    )
+    _own_effects(sub)
+    _workers(sub)
+
+    sub = command("bench", _bench, "measure speed and accuracy here, and of other packages that are installed",
+                  out="results/bench")  # fmt: skip
+    sub.add_argument("--repeats", type=_count, default=7, metavar="N", help="number of rounds (default: 7)")
+    sub.add_argument("--no-peers", action="store_true", help="leave the other packages out")
+    sub.add_argument(
+        "--command", dest="timed", choices=["diagnose"], help="instead, show where this command spends its time"
+    )
+    sub.add_argument("--campaign", type=Path, metavar="DIR", help="campaign for --command (default: a shipped one)")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -642,7 +642,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
-    for add in (_first_steps, _fitting, _figures_and_proofs, _results):
+    for add in (_first_steps, _fitting, _results, _proofs):
         add(functools.partial(_command, commands))
     return parser
 

@@ -259,7 +259,7 @@ def spec_from_options(
     common |= {k: given[k] for k in TRIAL if k in given and k not in ("source", "trial", "file", "sha256")}
     trials = [_trial_row(group, common | own.get(group[0], {}), pattern, rows, words) for group in groups]
     if "case" not in given and "{case}" not in str(pattern) and not any("case" in row for row in rows):
-        _name_cases(trials, str(pattern))
+        _name_cases(trials, str(pattern), given.get("kind") == "translational")
     rubbing = {"magnet_pull", "magnet_radius"} & given.keys()
     if not rubbing and any(trial["configuration"] == "coupled" for trial in trials):
         caveats.append(NOTHING_RUBS)
@@ -315,12 +315,13 @@ def _trial_row(
     return row
 
 
-def _name_cases(trials: Sequence[dict[str, Any]], pattern: str) -> None:
+def _name_cases(trials: Sequence[dict[str, Any]], pattern: str, straight: bool) -> None:
     """Cases after the springs or angles in the names, where these number the trials of each and nothing names cases."""
     keys = [key for key in ("k1t", "theta0") if "{" + key + "}" in pattern and "{trial}" in pattern]
     keys = [key for key in keys if len({trial[key] for trial in trials}) > 1]
     for trial in trials if keys else ():
-        trial["case"] = ", ".join(f"{key} {trial[key]:g}" for key in keys)
+        forms = {"k1t": "k1 {:g}" if straight else "k1t {:g}", "theta0": "{:g} mm" if straight else "{:g} deg"}
+        trial["case"] = ", ".join(forms[key].format(trial[key]) for key in keys)
 
 
 def _words_of(given: object) -> dict[str, str]:

@@ -644,7 +644,7 @@ def _other_units(source: LoggerFile, places: Sequence[int], given: Sequence[str]
     return [
         f"{where}: the file gives {source.column(place)} in {named}, 'units' in {unit}; {unit} was taken."
         for place, unit in zip(places, given, strict=False)
-        if (named := source.unit(place)) is not None and named != unit
+        if (named := source.unit(place)) not in (None, unit) and str(named).lower() not in COUNTED
     ]
 
 

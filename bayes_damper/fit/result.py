@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -26,6 +26,18 @@ from bayes_damper.text import gathered, misses
 
 SCHEMA = "bayes-damper/fit/1"
 _OVERVIEW = "overview"
+
+
+@dataclass(frozen=True)
+class _Titled:
+    """Progress of tasks under other titles than the names of their folders."""
+
+    shown: Progress
+    titles: Mapping[str, str]
+
+    def update(self, task: str, share: float, text: str) -> None:
+        """How far a task is, in [0, 1]."""
+        self.shown.update(self.titles.get(task, task), share, text)
 
 
 @dataclass(frozen=True, repr=False)
@@ -219,7 +231,8 @@ def finish_fit(
         )
         for name in order
     ]
-    shown = progress or Silent()
+    titles = {folder_name(name): "all cases" if name == "joint" else f"case {name}" for name in names}
+    shown = _Titled(progress or Silent(), titles)
     shown.update(_OVERVIEW, 0.0, WAITING)
     done = run_tasks(tasks, folder, workers=workers, scheduler=scheduler, progress=shown)
     results = {name: done[folder_name(name)] for name in names}

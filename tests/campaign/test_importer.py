@@ -656,7 +656,7 @@ def test_positions_are_not_silently_taken_as_accelerations(tmp_path: Path) -> No
     ("pattern", "names", "cases"),
     [
         ("k{k1t}_{trial}", ("k6.2_1", "k6.2_2", "k10.2_1"), ["k1t 6.2", "k1t 6.2", "k1t 10.2"]),
-        ("rel{theta0}_{trial}", ("rel5_1", "rel4_1", "rel4_2"), ["theta0 5", "theta0 4", "theta0 4"]),
+        ("rel{theta0}_{trial}", ("rel5_1", "rel4_1", "rel4_2"), ["5 deg", "4 deg", "4 deg"]),
         ("run{theta0}", ("run4.71", "run4.68"), ["A", "A"]),  # angles as they were measured, trial by trial
     ],
 )

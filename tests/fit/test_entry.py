@@ -94,7 +94,7 @@ def fitted(tmp_path_factory):
 def test_progress_tells_what_is_left_when_all_is_drawn(fitted):
     """The draws are two thirds of the work; what comes after has shares of its own, and so have the files of all."""
     assert fitted.converged
-    own = [(share, text) for task, share, text in TOLD.updates if task == "IV"]
+    own = [(share, text) for task, share, text in TOLD.updates if task == "case IV"]
     assert [share for share, _ in own] == sorted(share for share, _ in own)
     drawing = [share for share, text in own if text.startswith("sampling,")]
     assert max(drawing) <= 0.7

@@ -768,6 +768,32 @@ def test_a_run_that_has_not_ended_is_told_how_to_go_on(tmp_path):
         report(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("verdict", "share", "step"),
+    [
+        ("stick_slip", 0.97, "What next Next: bayes-damper fit 'my rig' --effect stick_slip Next experiment:"),
+        ("none", 0.97, "What next Next: bayes-damper fit 'my rig' Next experiment:"),
+        ("unknown", 0.97, "What next Next experiment:"),
+        ("stick_slip", 0.7, "What next Next experiment:"),
+    ],
+)
+def test_a_sure_verdict_comes_with_the_command_that_follows(tmp_path, verdict, share, step):
+    write_everything(tmp_path)
+    file = (
+        tmp_path / "diagnosis" / "diagnosis.json" if (tmp_path / "diagnosis").exists() else tmp_path / "diagnosis.json"
+    )
+    data = json.loads(file.read_text(encoding="utf-8"))
+    other = "unknown" if verdict != "unknown" else "stick_slip"
+    data |= {"campaign": "my rig", "verdict": verdict, "probabilities": {verdict: share, other: 1.0 - share},
+             "credible_set": [verdict], "indistinguishable": []}  # fmt: skip
+    data["gap"]["closed"] = {"median": 1.0, "hdi90": [0.999, 1.001], "how": "products of residuals"}
+    file.write_text(json.dumps(data), encoding="utf-8")
+    text = words_of(report(file.parent).path.read_text(encoding="utf-8"))
+    assert step in text
+    if verdict == "stick_slip":
+        assert "closes 100 % of the gap. Measured from products of residuals." in text
+
+
 def test_a_plan_and_a_decomposition_read_as_tables(tmp_path):
     text = words_of(report(write_everything(tmp_path / "results")).path.read_text(encoding="utf-8"))
     assert "magnet cubic between the bodies 22 % cubic 66 N m/rad³ interface relaxation 2.4 6 times" in text

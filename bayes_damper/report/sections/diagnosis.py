@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -120,6 +121,9 @@ def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
             f"The next most probable answer is {_RIVALS.get(second[0], words(second[0]))} ({percent(second[1])})."
         )
     top = (share or 0.0) > 0.9 and len(credible) <= 1
+    if top and verdict != "unknown" and "feature" not in (data.get("where") or {}):
+        fit = f"bayes-damper fit {shlex.quote(str(data.get('campaign', 'CAMPAIGN')))}"
+        changes.insert(0, f"Next: {fit}{'' if verdict == 'none' else f' --effect {verdict}'}")
     tone = "good" if verdict == "none" and top else "bad" if top else "open"
     named = named_answers(dict(probabilities), pair)
     shown = tuple((" + ".join(map(words, n.split(" + "))), p) for n, p in named.items() if p >= 0.01)[:8]
@@ -158,6 +162,10 @@ def _section(
                    "sensitivity", "budget", "prior_unknown", "law", "where", "forecast", "reading_unit", "rig",
                    "warnings"),
     )  # fmt: skip
+    lacks = "force" if translational else "torque"
+    pictures = [
+        replace(p, title=p.title.replace("torque (force)", lacks)) for p in pictures_of(folder, kind="diagnosis")
+    ]
     places = _where_sections(data.get("where"), kind)
     every = (_effect_table(effects, probabilities),)
     choices = _choice_tables(data.get("sensitivity") or []) + _prior_tables(data.get("prior_unknown") or [])
@@ -174,7 +182,7 @@ def _section(
             *_experiment_tables(data.get("next_experiment") or []),
         ),
         tuple(c for c in charts if c is not None),
-        pictures_of(folder, kind="diagnosis"),
+        tuple(pictures),
         (
             *places,
             Section("Every answer that was tried", tables=every, folded=True),
@@ -265,11 +273,12 @@ def _closed_sentence(gap: GapEntry | None, who: str) -> str:
     share, hdi = _share_of(closed), closed.get("hdi90")
     if share is None:
         return f"On {where} the gap is too small to give shares of it."
-    spread = f" (90 % interval {_whole(hdi[0])} to {_whole(hdi[1])} %)" if hdi else ""
+    ends = {_whole(x) for x in hdi} if hdi else set()
+    spread = f" (90 % interval {_whole(hdi[0])} to {_whole(hdi[1])} %)" if hdi and ends != {_whole(share)} else ""
     if share <= 0.0:
         return f"On {where} none of the effects tried is shown to reduce the gap{spread}."
-    how = f" (from {closed['how']})" if closed.get("how") else ""
-    return f"On {where} {who} {_whole(share)} % of the gap{spread}{how}."
+    how = f" Measured from {closed['how']}." if closed.get("how") else ""
+    return f"On {where} {who} {_whole(share)} % of the gap{spread}.{how}"
 
 
 def _whole(share: float) -> str:
