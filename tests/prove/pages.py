@@ -302,15 +302,15 @@ def rigs(found: Results) -> None:
     """Page of the measured rigs: the verdicts, the forecasts with the coverage of their bands, and the peers."""
     columns = ("rig", "verdict", "other answers above 5 %", "gap on held-out trials", "credible set")
     lines = [
-        "`diagnose --nominal linear` of three [measured rigs](../rigs/index.md): the nominal model has viscous damping",
-        "only. Every held-out trial is forecast from the state that its first two periods give; a miss is the root",
-        "mean square of what comes after. Bands that kept their word would hold 50 and 90 % of the readings. Beside",
-        "it, the miss where the state is inferred from the whole held-out trial: that is what the reference fits with",
-        "dry friction are given for (least squares by others, on the same stretches).",
+        "`diagnose --nominal linear` of three [measured rigs](../rigs/index.md): the nominal model has viscous",
+        "damping only. Every held-out trial is forecast from the state in its first two periods; the error is the",
+        "root mean square over the rest. Calibrated bands contain 50 and 90 % of the readings. The column `whole",
+        "trial` has the error if the state is inferred from the whole held-out trial. The reference fits with dry",
+        "friction (least squares by others, on the same stretches) are quoted for that.",
         *_table(columns, [_verdict_cells(row) for row in found]),
     ]
     columns = (
-        "rig, held-out trial", "n", "unit", "miss, before / after", "50 % band", "90 % band", "whole trial",
+        "rig, held-out trial", "n", "unit", "error, before / after", "50 % band", "90 % band", "whole trial",
         "reference",
     )  # fmt: skip
     lines += _table(columns, [cells for row in found for cells in _forecast_cells(row)])
@@ -319,16 +319,17 @@ def rigs(found: Results) -> None:
             number = d["forecast"]["trials"][0]["trial"]
             lines += ["", f"With trial {number} of {row['rig']} held out the verdict is {_ranked(d['probabilities'])}."]
     columns = (
-        "rig", "peer, model", "left where trained", "miss, held out", "50, 90 % bands hold", "what it says of the gap",
+        "rig", "tool, model", "residual, fitted trials", "error, held out", "readings in 50, 90 % bands",
+        "result on the gap",
     )  # fmt: skip
     lines += [
         "",
-        "## Peers on the same data",
+        "## Other tools on the same data",
         "",
-        "scipy, lmfit and PINTS call our simulation, so that only the inference differs, and begin at our fit; pysindy",
-        "regresses smoothed accelerations on a list of terms and keeps those that Schwarz's criterion likes",
-        "best. Their bands are what they know of: the spread of the unknowns, and white noise at the level of what",
-        "they leave; so is the noise in their criterion, whatever its correlation.",
+        "scipy, lmfit and PINTS use the simulation of this package, so that only the inference differs, and start at",
+        "its fit. pysindy regresses smoothed accelerations on a list of terms and keeps those with the best value of",
+        "Schwarz's criterion (BIC). Their bands include the spread of the parameters, and white noise of the size of",
+        "their residuals; the criterion assumes the same noise, whatever its correlation.",
         *_table(columns, [_peer_cells(row, peer) for row in found for peer in row["peers"]]),
     ]
     columns = (
@@ -336,15 +337,15 @@ def rigs(found: Results) -> None:
     )  # fmt: skip
     lines += [
         "",
-        "What least squares make of each held-out trial, without any prior: the limit of the equations, whatever the",
-        "inference. Its state is inferred from the first two periods, or from the whole trial.",
+        "Least squares without any prior: the smallest error that the equations allow, whatever the inference. The",
+        "state of each held-out trial is inferred from its first two periods, or from the whole trial.",
         *_table(columns, [cells for row in found for cells in _least_squares_cells(row)]),
     ]
     named = "; ".join(
         f"{row['rig'].replace('_', ' ')}: {' and '.join(d['pair']['effects']) if d['pair'] else d['verdict']}"
         for row, d in ((row, row["diagnosis"]) for row in found)
     )
-    lines += ["", "A peer without a row was not run on that rig."]
+    lines += ["", "A tool without a row was not run on that rig."]
     numbers = {"rigs": list(found), "commits": sorted({row["commit"] for row in found})}
     minutes = sum(row["cpu_seconds"] for row in found) / 60.0
     parts.write_page("rigs", f"{named[0].upper()}{named[1:]}.", lines, numbers, minutes=minutes)
@@ -423,7 +424,7 @@ def _says(peer: str, peers: Mapping[str, Any]) -> str:
         return told.replace("|", "\\|")
     if "rho" in says:
         loose = "" if says["r_hat"] < 1.05 else f", not converged (R-hat {says['r_hat']:.1f})"
-        return f"nothing; lag-one correlation of what is left {says['rho']:.2f}{loose}"
+        return f"nothing; lag-one correlation of the residuals {says['rho']:.2f}{loose}"
     if peer.endswith("dry"):
         gain = peers[peer.replace("dry", "viscous")]["bic"] - says["bic"]
         return f"dry friction {'lowers' if gain > 0.0 else 'raises'} its criterion (BIC) by {abs(gain):.0f}"
