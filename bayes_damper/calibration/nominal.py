@@ -443,7 +443,7 @@ def calibrate_nominal(
     for _ in range(TURNS):
         fit = calibrate(fit.problem.with_noise(learn_noise(fit)), [fit.q], eta=fit.eta, anneal=False)
     left = ", ".join(f"{s:.3g}" for s in fit.problem.noise.total)
-    report(f"noise of the measured inputs estimated; residual (sd, by channel): {left}")
+    report(f"noise of the measured inputs estimated; residual (sd of each channel, SI units): {left}")
     return fit
 
 
@@ -503,7 +503,7 @@ def _with_exact_inputs(
     fit = _releases(calibrate(problem, starts, give_up=300.0))
     noise = learn_noise(fit)
     left = ", ".join(f"{s:.3g}" for s in noise.total)
-    report(f"nominal model fitted; residual (sd, by channel): {left}")
+    report(f"nominal model fitted; residual (sd of each channel, SI units): {left}")
     # The first noise held the scatter that was not learnt yet.
     fit = _under(fit, noise, None if switches is None else chosen.scatter)
     if switches is None:

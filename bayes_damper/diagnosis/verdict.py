@@ -8,7 +8,7 @@ Naive evidence is overconfident with tens of thousands of samples, because every
 - a pair must gain more than the share of the stronger one's evidence by which a formula may be wrong;
 - `unknown` competes with each answer through what that answer leaves: the evidence that something is left, and its
   share of the evidence of the gap. A right effect under a slightly wrong formula leaves a small share, and at its own
-  site; an effect outside the library under its best impostor a larger one, and mostly at another site;
+  site; a cause outside the library, imitated by the best substitute, leaves a larger one, mostly at another site;
 - and where the gap is so faint that a remainder could not be seen, through how often a cause outside the library is
   imitated that well.
 """
@@ -68,7 +68,7 @@ class Rule:
     least_easy: float = 0.5
     """As `least`, for answers that imitate easily. A definition, such as a wrong constant, is the first order of
     whatever acts in proportion to its term: a spring that creeps or breaks looks like another stiffness. And two
-    formulas at once bend further than one."""
+    formulas at once imitate better than one."""
     few_readings: float = 0.8
     shape_readings: float = 2.0
     """Readings of a record that it takes to distinguish one formula's shape from another's."""

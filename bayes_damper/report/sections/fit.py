@@ -86,7 +86,7 @@ def _fit_headline(campaign: str, groups: Mapping[str, CaseEntry], converged: boo
         few = {0: "None", len(checks): "All"}.get(len(outside), str(len(outside)))
         sentences.append(
             f"{few} of {counted(len(checks), 'measurement')} {'lies' if len(outside) < 2 else 'lie'} outside the "
-            f"central 90 % of the prediction; about {0.1 * len(checks):.0f} would by chance alone."
+            f"central 90 % of the prediction; about {0.1 * len(checks):.0f} are expected to by chance."
         )
         if outside and len(outside) > max(1.0, 0.2 * len(checks)):
             tone = "open"

@@ -35,8 +35,8 @@ def plan_result(data: PlanFile, folder: Path) -> Result:
         rows.append(Row(cells, "bad" if times is None else ""))
     columns = ("effect", "site", "seen", "smallest seen", "strongest rival", "nats over it", "trials needed")
     note = (
-        "Seen: share of the sizes and shapes that the library holds plausible. Trials needed: how many times those "
-        "planned until the effect is seen and distinguished from every rival."
+        "Seen: chance that the effect, if present at a plausible size, would be clearly visible. Trials needed: how "
+        "many times the planned number it takes to see the effect and to distinguish it from every rival."
     )
     tables = [Table("What the planned trials could show", columns, tuple(rows), note)]
     parameters = []
@@ -46,7 +46,7 @@ def plan_result(data: PlanFile, folder: Path) -> Result:
         cells = (meaning_of(name, p["unit"]), interval(low, high), p["unit"], number(p["sd_over_prior"], 0.1), who)
         parameters.append(Row(cells, "prior" if who == "prior" else ""))
     columns = ("parameter", "expected 90 %", "unit", "sd / prior sd", "decided by")
-    tables.append(Table("What they would teach about each parameter", columns, tuple(parameters)))
+    tables.append(Table("What they would say about each parameter", columns, tuple(parameters)))
     if data.get("add"):
         tables.append(records_table("Single trials that would help most", data["add"]))
     distinct = sum(e["repeats_needed"] == 1 for e in data["effects"])

@@ -96,7 +96,7 @@ def short_table(easy: WithheldFile, hard: WithheldFile) -> str:
         ],
         "a wrong effect named with p > 0.9": [_overall(d, "false_and_confident") for d in both],
         "two effects at once, both named": [_overall(d, "pairs_both_named") for d in both],
-        "best baseline (BIC weights), right answer": [_beaten(d) for d in both],
+        "best simple baseline (regression terms weighted by BIC), right answer first": [_beaten(d) for d in both],
     }
     head = ("", "rig constants exact", "constants 1-2 % off, late triggers, coloured noise")
     return "\n".join([_line(head), _line(["---"] * 3), *(_line([what, *cells]) for what, cells in counted.items())])
