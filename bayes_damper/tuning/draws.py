@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -158,7 +159,8 @@ def chosen_case(source: Mapping[str, ArrayLike] | Path | str, case: str | None) 
     wanted = case or (next(iter(cases)) if len(cases) == 1 else "IV")
     if known and wanted not in known:
         which = f"has no case {wanted!r}" if case else "has several cases"
-        raise InputError(f"{source}: {which}; name one of {', '.join(known)} (--case)")
+        names, every = ", ".join(map(shlex.quote, known)), "; joint: all cases together" if "joint" in known else ""
+        raise InputError(f"{source}: {which}; name one of {names} (--case{every})")
     return wanted
 
 

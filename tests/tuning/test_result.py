@@ -378,7 +378,9 @@ def test_a_fit_is_tuned_in_one_of_its_own_cases(tmp_path):
     found = json.loads((fit / "summary.json").read_text())
     cases = {"soft": found["cases"]["A"], "stiff": found["cases"]["A"]}
     (fit / "summary.json").write_text(json.dumps({"cases": cases, "joint": found["cases"]["A"]}))
-    with pytest.raises(InputError, match="has several cases; name one of soft, stiff, joint"):
+    with pytest.raises(
+        InputError, match=r"several cases; name one of soft, stiff, joint \(--case; joint: all cases together\)"
+    ):
         tuning.tune(fit)
     assert tuning.chosen_case(THESIS, None) == "IV"
     assert tuning.chosen_case(fitted_folder(tmp_path / "two"), None) == "IV"
