@@ -10,7 +10,9 @@ e' is the noise, the mean of (g + e)(g + e') is g^2, whatever the noise. So each
   below 0: those are expected, and added (`_taken_up`).
 
 With X the sum of such products over the noise's variance, before (0) and after (1), the share closed is 1 - X1 / X0.
-Every reading counts with its weight in the fit, those at the release and at reversals too. The interval comes from
+Every reading counts with its weight in the fit, those at the release and at reversals too. But a product over all
+frequencies has the noise of all of them, hundreds of times the squared gap of a faint one that lies, as torques do, at
+the slow ones. So the part of products of repeats above that band counts only where it shows. The interval comes from
 blocks of the records drawn again with replacement. Where 5 % of the draws have no gap left in X0, no share can be
 given. A model's readings are never their own judge: parameters are fitted to training trials, and held-out ones have
 only their own nuisances fitted.
@@ -25,10 +27,11 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import dct, idct
 
 from bayes_damper.calibration import Calibration, Group, predict
 from bayes_damper.calibration.own_values import INPUT
-from bayes_damper.diagnosis.remainder import own_frequency
+from bayes_damper.diagnosis.remainder import LOW_BAND, own_frequency
 from bayes_damper.runs.contents.diagnosis import Share
 
 Array = NDArray[np.float64]
@@ -36,6 +39,7 @@ Method = Literal["repeats", "neighbours", "cannot tell"]
 
 DRAWS = 2000
 DOUBT = 0.05  # share of draws without a gap from which no share of it is given
+SURE = 3.0  # standard deviations of noise from which the part above the band of the rig's motion counts
 BLOCKS = 6  # of a record without repeats: what its model misses is alike over long stretches
 IN_WORDS = {
     "repeats": "products of held-out residuals with those of trials that repeat them, in which the noise averages out",
@@ -128,9 +132,12 @@ def products(
     repeated = all(partners[i] or spare[i] for i in heldout)
     sds = np.array(problem.noise.floor)
     taken_up = {} if repeated else {i: _taken_up(g, k, sds) for g in groups for k, i in enumerate(g.trials)}
-    period = 1.0 / own_frequency(problem.experiment)
-    columns: list[list[float]] = []
+    own = own_frequency(problem.experiment)
+    period = 1.0 / own
+    columns: list[list[list[float]]] = []
+    noise = 0.0  # variance of the sum of all products of noise
     for i in heldout:
+        noise += float(np.sum(weights[i] ** 4)) / max(len(partners[i] or spare[i]), 1)
         t = trials[i].times
         span = float(t[-1] - t[0])
         count = max(1, math.ceil(span / period)) if repeated else BLOCKS
@@ -138,17 +145,33 @@ def products(
         rows = []
         for fitted, held in residuals:
             r = held[i] * weights[i] / sds[: held[i].shape[0], None]
+            slow = np.zeros_like(r)
             if repeated:
                 others = [fitted[j] for j in partners[i]] or [held[j] for j in spare[i]]
-                both = r * np.mean(others, axis=0) * weights[i] / sds[: r.shape[0], None]
+                other = np.mean(others, axis=0) * weights[i] / sds[: r.shape[0], None]
+                both = r * other
+                slow = _slow(r, t, LOW_BAND * own) * _slow(other, t, LOW_BAND * own)
             else:
                 both = np.zeros_like(r)
                 both[:, :-1] = r[:, :-1] * r[:, 1:] + taken_up[i]
-            rows.append(np.bincount(block, np.nan_to_num(both).sum(axis=0), count))
-        columns += np.array(rows).T.tolist()
-    values = np.array(columns).T
-    picked = rng.multinomial(values.shape[1], np.full(values.shape[1], 1.0 / values.shape[1]), DRAWS)
-    return Products(values, picked @ values.T, "repeats" if repeated else "neighbours")
+            parts = (slow, np.nan_to_num(both) - slow)
+            rows.append([np.bincount(block, part.sum(axis=0), count) for part in parts])
+        columns += np.array(rows).transpose(2, 1, 0).tolist()
+    slow, fast = np.array(columns).transpose(1, 2, 0)  # (models, blocks)
+    picked = rng.multinomial(slow.shape[1], np.full(slow.shape[1], 1.0 / slow.shape[1]), DRAWS)
+    method: Method = "repeats" if repeated else "neighbours"
+    shown = not repeated or bool(np.any(fast.sum(axis=1) > SURE * math.sqrt(noise)))
+    values = slow + fast if shown else slow
+    return Products(values, picked @ values.T, method)
+
+
+def _slow(r: Array, times: Array, band: float) -> Array:
+    """Residuals (channels, n) at frequencies below `band` in Hz: of cosines over the readings those that may be."""
+    r = np.nan_to_num(r)
+    n = times.size
+    waves = dct(r, axis=1, norm="ortho")
+    waves[:, math.ceil(2.0 * band * n * float(np.max(np.diff(times), initial=0.0))) :] = 0.0
+    return np.asarray(idct(waves, axis=1, norm="ortho"))
 
 
 def _taken_up(group: Group, k: int, sds: Array) -> Array:

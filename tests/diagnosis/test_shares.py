@@ -130,3 +130,38 @@ def test_what_follows_noise_of_an_input_lacks_no_product_of_neighbours():
     error = lacking.std() / np.sqrt(lacking.size)
     assert lacking.mean() > 5.0 * error
     assert added.sum() == pytest.approx(lacking.mean(), abs=4.0 * error)
+
+
+def test_noise_at_frequencies_without_a_gap_does_not_hide_its_share(problem, monkeypatch):
+    fit, rng = SimpleNamespace(problem=problem), np.random.default_rng(5)
+    sd = problem.noise.total[0]
+    drawn = [sides(problem, (0.4 * sd, 0.4 * sd * np.sqrt(0.7)), sd, rng) for _ in range(100)]
+
+    def told():
+        every = [products(fit, problem.experiment.heldout, each).closed(1) for each in drawn]
+        return [c for c in every if c.median is not None and c.hdi90 is not None]
+
+    slow = told()
+    monkeypatch.setattr("bayes_damper.diagnosis.shares.LOW_BAND", 1e9)
+    assert len(slow) > 1.3 * len(told())
+    assert np.mean([c.median for c in slow]) == pytest.approx(0.3, abs=0.05)
+    assert 0.8 < np.mean([c.hdi90[0] < 0.3 < c.hdi90[1] for c in slow]) < 0.98
+
+
+@pytest.mark.parametrize("method", ["repeats", "neighbours"])
+def test_a_gap_in_two_readings_at_the_release_is_counted(method):
+    sharp = Problem(measured(1, repeats=3 if method == "repeats" else 1))
+    e, rng = sharp.experiment, np.random.default_rng(6)
+    heldout = e.heldout or range(len(e.trials))
+    knock = np.array([60.0, -60.0 if method == "repeats" else 60.0])
+    noise = {i: sharp.noise.total[0] * rng.standard_normal(t.y.shape) for i, t in enumerate(e.trials)}
+
+    def left(share):
+        out = {i: r.copy() for i, r in noise.items()}
+        for r in out.values():
+            r[:, :2] += share * sharp.noise.total[0] * knock
+        return {i: r for i, r in out.items() if i not in heldout}, {i: out[i] for i in heldout}
+
+    found = products(SimpleNamespace(problem=sharp), heldout, [left(1.0), left(0.5)])
+    assert found.method == method
+    assert found.closed(1).median == pytest.approx(0.75, abs=0.05)
