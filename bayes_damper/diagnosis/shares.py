@@ -10,6 +10,9 @@ e' is the noise, the mean of (g + e)(g + e') is g^2, whatever the noise. So each
   below 0: those are expected, and added (`_taken_up`).
 
 With X the sum of such products over the noise's variance, before (0) and after (1), the share closed is 1 - X1 / X0.
+To each X comes what the model misses because the fitted trials' noise moved its parameters: a miss like any other, of
+which a product with a residual that the same fit has made small knows nothing. With C their covariance and J the
+derivatives of held-out readings, the trials' own values following, products lack trace(J C J').
 Every reading counts with its weight in the fit, those at the release and at reversals too. But a product over all
 frequencies has the noise of all of them, hundreds of times the squared gap of a faint one that lies, as torques do, at
 the slow ones. So the part of products of repeats above that band counts only where it shows. The interval comes from
@@ -22,14 +25,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct, idct
 
-from bayes_damper.calibration import Calibration, Group, predict
+from bayes_damper.calibration import Calibration, Group, Noise, predict
 from bayes_damper.calibration.own_values import INPUT
 from bayes_damper.diagnosis.remainder import LOW_BAND, own_frequency
 from bayes_damper.runs.contents.diagnosis import Share
@@ -70,12 +73,13 @@ class Products:
     """Squared gap that each of several models leaves, in blocks of the held-out trials.
 
     values (models, blocks): sums of products over the noise's variance; draws (DRAWS, models): the same with blocks
-    drawn again, summed; method: how they were made.
+    drawn again, summed; method: how they were made; moved (models,): what errors of the parameters add to each.
     """
 
     values: Array
     draws: Array
     method: Method
+    moved: Array | float = 0.0
 
     @property
     def total(self) -> Array:
@@ -88,8 +92,9 @@ class Products:
 
     def shares(self, before: int = 0) -> tuple[Array, Array]:
         """Share of the gap of model `before` that each model leaves, (models,), and draws of it, (draws, models)."""
-        usable = self.draws[:, before] > DOUBT * self.total[before]
-        return self.total / self.total[before], self.draws[usable] / self.draws[usable, before][:, None]
+        total, draws = self.total + self.moved, self.draws + self.moved
+        draws = draws[draws[:, before] > DOUBT * total[before]]
+        return total / total[before], draws / draws[:, before][:, None]
 
     def closed(self, after: int, before: int = 0) -> Closed:
         """Share of the gap of model `before` that model `after` closes."""
@@ -103,12 +108,36 @@ def products_of(
     fits: Sequence[Calibration], heldout: Sequence[int], rng: np.random.Generator | None = None
 ) -> Products:  # fmt: skip
     """Products of residuals of the held-out trials under each of the fits of one experiment, the nominal one first."""
-    residuals = []
+    residuals, moved = [], []
     for fit in fits:
         inside = set(fit.problem.trials)
-        found = {i: p.residual for i, p in predict(fit, heldout).items()}
+        predicted = predict(fit, heldout)
+        found = {i: p.residual for i, p in predicted.items()}
         residuals.append(({i: r for i, r in fit.residuals().items() if i in inside}, found))
-    return products(fits[0], heldout, residuals, rng)
+        moved.append(moved_by_noise(fit, {i: p.eta for i, p in predicted.items()}))
+    judged = products(fits[0], heldout, residuals, rng)
+    return replace(judged, moved=np.array(moved)) if judged.method == "repeats" else judged
+
+
+def moved_by_noise(fit: Calibration, eta: Mapping[int, Array]) -> float:
+    """Expected square of what errors of a fit's parameters change in its predictions of held-out trials, over noise.
+
+    eta : trial -> (m,), the held-out trials' own values, which give way.
+    """
+    floor = fit.problem.noise.floor
+    none = (0.0,) * len(floor)
+    problem = fit.problem.changed(noise=Noise(floor, none, none), trials=tuple(eta))
+    names = [name for name in problem.names if name in fit.problem.names]
+    own, known = ([p.names.index(name) for name in names] for p in (problem, fit.problem))
+    q = problem.prior_mean()
+    q[own] = fit.q[known]
+    total = 0.0
+    for block in problem.linearise(q, eta).blocks:
+        J, T = block.J[:, own], block.T
+        H = np.eye(T.shape[1]) + T @ T.transpose(0, 2, 1)
+        J = J - (J @ T.transpose(0, 2, 1)) @ np.linalg.solve(H, T)
+        total += float(np.einsum("jpd,jqd,pq->", J, J, fit.covariance[np.ix_(known, known)], optimize=True))
+    return total if math.isfinite(total) else 0.0
 
 
 def products(

@@ -10,7 +10,7 @@ from small_rig import measured, variant
 from bayes_damper.calibration import Problem, calibrate_nominal, predict
 from bayes_damper.calibration.scatter import TYPICAL
 from bayes_damper.diagnosis.search import Screen, fit_variant, screen_variant
-from bayes_damper.diagnosis.shares import _taken_up, products, products_of, shortest_interval
+from bayes_damper.diagnosis.shares import Products, _taken_up, moved_by_noise, products, products_of, shortest_interval
 from bayes_damper.effects import EFFECTS
 
 
@@ -146,6 +146,24 @@ def test_noise_at_frequencies_without_a_gap_does_not_hide_its_share(problem, mon
     assert len(slow) > 1.3 * len(told())
     assert np.mean([c.median for c in slow]) == pytest.approx(0.3, abs=0.05)
     assert 0.8 < np.mean([c.hdi90[0] < 0.3 < c.hdi90[1] for c in slow]) < 0.98
+
+
+def test_what_noise_of_the_fitted_trials_moves_is_a_miss_too():
+    """Predictions under draws of the parameters, the trials' own values fitted anew, against the one they are about."""
+    fit = calibrate_nominal(measured(1, configurations=(False,), duration=0.3))
+    heldout, rng = fit.problem.experiment.heldout, np.random.default_rng(7)
+    about = predict(fit, heldout)
+    sd = fit.problem.noise.floor[0]
+    drawn = rng.multivariate_normal(fit.q, fit.covariance, 40)
+    missed = [
+        sum(float(np.sum((p.model - about[i].model) ** 2)) for i, p in predict(replace(fit, q=q), heldout).items())
+        for q in drawn
+    ]
+    expected = moved_by_noise(fit, {i: p.eta for i, p in about.items()})
+    assert np.mean(missed) / sd**2 == pytest.approx(expected, rel=0.4)
+    values = np.array([[30.0], [10.0]])
+    found = Products(values, np.tile(values.T, (8, 1)), "repeats", products_of([fit, fit], heldout).moved)
+    assert found.closed(1).median == pytest.approx(20.0 / (30.0 + expected))
 
 
 @pytest.mark.parametrize("method", ["repeats", "neighbours"])
