@@ -23,6 +23,7 @@ import bayes_damper
 from bayes_damper.calibration import Experiment, TrialRecord, default_priors
 from bayes_damper.cli import _parser, main
 from bayes_damper.effects import EFFECTS, load_effects
+from bayes_damper.priors.distributions import Uniform
 from bayes_damper.report.terms import _TERMS
 from bayes_damper.runs.json_files import read_json
 from bayes_damper.validation.withheld import page as proof_page
@@ -205,10 +206,9 @@ def test_the_table_of_default_priors_is_that_of_the_code():
     found = default_priors(Experiment({"J1": (1.0, 0.0), "J2": (1.0, 0.0)}, ((1.0, 0.0),), (trial,)))
     for name, prior in found.items():
         if name == "tail":
-            row = re.search(
-                r"^\| `tail` \| ([\d.]+):[^|]*\| ± ([\d.]+), within (\S+) and (\S+) \|$", page, re.MULTILINE
-            )
-            assert [float(x) for x in row.groups()] == [prior.mean, prior.sd, prior.lower, prior.upper]
+            row = re.search(r"^\| `tail` \| ([\d.]+):[^|]*\| flat from (\S+) to (\S+) \|$", page, re.MULTILINE)
+            assert prior == Uniform(*(float(x) for x in row.groups()[1:]))
+            assert float(row[1]) == prior.ppf(0.5)
         elif name != "c3t":  # told as a multiple of c1t
             number, factor = re.search(rf"^\| `{name}` \| ([\d.]+)[^|]*\| ([\d.]+) \|$", page, re.MULTILINE).groups()
             assert float(number) == pytest.approx(prior.median_value, rel=0.02), name

@@ -23,7 +23,7 @@ from bayes_damper.campaign.records import (
 )
 from bayes_damper.effects.base import Effect
 from bayes_damper.errors import InputError
-from bayes_damper.priors.distributions import Distribution, LogNormal, Normal
+from bayes_damper.priors.distributions import Distribution, LogNormal, Normal, Uniform
 from bayes_damper.priors.files import PriorSet
 from bayes_damper.rig.inputs import Inputs
 from bayes_damper.simulation.integrator import LONGEST_STEP
@@ -36,9 +36,10 @@ SHARPNESS = 200.0
 """nu times the peak speed before any reading is seen: dry friction changes sign within a two hundredth of it."""
 LEAST_DIGITS = 3  # of a declared constant that count: 216 may be 216.0, or rounded
 ROUNDED = 3e-6  # of a constant that rounding leaves open, below which no record shows it
-TAIL = (0.5, 0.4, -0.5, 1.5)
-"""Mean, sd and ends of `tail` before any reading is seen: of the curves in use for a smoothed sign tanh has 0,
-x / sqrt(1 + x^2) 1/2 and the arctangent 1; the error function lies below, x / (1 + |x|) above (with nu free)."""
+TAIL = (-0.5, 1.5)
+"""Ends of `tail`, between which any is as likely before a reading is seen: of the curves in use for a smoothed sign the
+clipped straight line is met best by -0.4, the error function by -0.15, tanh by 0, x / sqrt(1 + x^2) by 1/2, the
+arctangent by 1 and x / (1 + |x|) by 1.4 (with nu and a viscous part free, at nu times the peak speed of 20)."""
 
 
 @dataclass(frozen=True)
@@ -195,7 +196,7 @@ def default_priors(experiment: Experiment) -> dict[str, Distribution]:
         "c2t": LogNormal(0.48 * math.sqrt(k1 * j2) * 1.2, 2.7),
         "drag": LogNormal(0.0065 * k1 * angle, 3.0),
         "nu": LogNormal(SHARPNESS / (omega * angle), 5.0),
-        "tail": Normal(*TAIL),
+        "tail": Uniform(*TAIL),
         "c1t": LogNormal(viscous, 2.7),
         "c3t": LogNormal(viscous * j2 / j1, 2.7),
     }

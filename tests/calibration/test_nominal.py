@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import least_squares
+from scipy.special import erf
 from small_rig import measured
 from test_scatter import CASES, laboratory
 
@@ -20,7 +22,7 @@ from bayes_damper.calibration import (
     gained_by_own_releases,
     with_rounding,
 )
-from bayes_damper.calibration.experiment import rounding_sd, unrounded
+from bayes_damper.calibration.experiment import default_priors, rounding_sd, unrounded
 from bayes_damper.simulation.model import Model
 
 
@@ -55,6 +57,32 @@ def test_rounding_is_left_open_where_no_uncertainty_is_declared_and_digits_are_f
         given, constants={**given.constants, "J1": (0.0030151234567, 0.0)}, stiffnesses=((6.2123456789, 0.0),)
     )
     assert with_rounding(exact).stiffnesses == exact.stiffnesses
+
+
+def test_no_curve_of_friction_in_use_is_less_likely_than_another():
+    """Smoothed signs, and the tail that meets each best beside a viscous damping, over a quarter of a swing."""
+    x = 20.0 * np.sin(np.linspace(0.0, 0.5 * math.pi, 1000))
+    three = (np.tanh, lambda x: x / np.hypot(1.0, x), lambda x: 2.0 / math.pi * np.arctan(0.5 * math.pi * x))
+    in_use = (
+        (-0.4, lambda x: np.clip(x, -1.0, 1.0)),
+        (-0.15, lambda x: erf(0.5 * math.sqrt(math.pi) * x)),
+        *zip((0.0, 0.5, 1.0), three, strict=True),
+        (1.4, lambda x: x / (1.0 + np.abs(x))),
+    )
+    prior = default_priors(measured(1))["tail"]
+    for expected, curve in in_use:
+
+        def left(p, curve=curve):
+            sharpness, tail = math.exp(p[0]), p[1]
+            parabola = ((1.0 - tail) * (1.0 - 2.0 * tail), 4.0 * tail * (1.0 - tail), tail * (2.0 * tail - 1.0))
+            sign = sum(w * f(sharpness * x) for w, f in zip(parabola, three, strict=True))
+            columns = np.stack([sign, x], axis=1)
+            return columns @ np.linalg.lstsq(columns, curve(x), rcond=None)[0] - curve(x)
+
+        fits = [least_squares(left, (s, t), x_scale=(0.1, 0.5)) for s in (-0.5, 0.5) for t in (0.0, 1.0)]
+        tail = min(fits, key=lambda fit: fit.cost).x[1]
+        assert tail == pytest.approx(expected, abs=0.06)
+        assert prior.logpdf(tail) == pytest.approx(float(prior.logpdf(0.5)))
 
 
 def test_a_stiffness_in_three_digits_leaves_no_gap():
