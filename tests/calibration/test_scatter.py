@@ -400,7 +400,7 @@ def test_small_times_of_release_are_kept_where_they_are_neither_none_nor_all_the
 def test_each_size_comes_with_its_unit(monkeypatch):
     monkeypatch.setattr(scatters, "trend_with_order", lambda *_: (0.0, 1.0))
     sizes = tuple(Size(name, 1.0, 0.5, 2.0, 1.0, gained=4.0) for name in ("k1t", "gain2", "offset1", RELEASE))
-    fit = SimpleNamespace(problem=SimpleNamespace(switches=SimpleNamespace(scatter=Scatter(sizes))))
+    fit = SimpleNamespace(problem=SimpleNamespace(effect=None, switches=SimpleNamespace(scatter=Scatter(sizes))))
     units = {name: entry["unit"] for name, entry in scatters.scatter_shown(fit, "m").items()}
     assert units == {"k1t": "relative", "gain2": "relative", "offset1": "m", RELEASE: "s"}
 
