@@ -25,6 +25,7 @@ from bayes_damper.calibration import (
     with_rounding,
 )
 from bayes_damper.calibration.scatter import scatter_in_words, scatter_shown
+from bayes_damper.campaign import Campaign
 from bayes_damper.campaign.records import DERIVATIVE
 from bayes_damper.diagnosis.budget import Budget, answers_of, budget_of, foreign_alone
 from bayes_damper.diagnosis.formula import widened
@@ -41,7 +42,7 @@ from bayes_damper.diagnosis.outliers import (
     without,
     without_trials,
 )
-from bayes_damper.diagnosis.pairs import Pair, Second, best_pairs, exactly, seconds_of
+from bayes_damper.diagnosis.pairs import Pair, best_pairs, exactly, seconds_of
 from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of, unlike_in_words
 from bayes_damper.diagnosis.search import Candidate, offered, scales_of, search
 from bayes_damper.diagnosis.sensitivity import Choice, in_a_sentence, sensitivity, sensitivity_of_sets
@@ -83,9 +84,8 @@ class Diagnosis:
     model and the winner leave unexplained; gap: on held-out trials, closed by `best`; closing: the same by each leading
     effect; choices: the verdict under other choices; site_map: where the nominal model's gap lies, without any library;
     remainder_map: the same for what the winner leaves; sites: probability of each site and "none"; pairs: fitted at
-    once, best first; second_effects: every formula screened against what the winner leaves; drift: log evidence of a
-    drift of the nominal laws (generic.py); weighed: all that the rule made the probabilities from (verdict.py), so that
-    they can be made again; kind: of rig, torsional or translational.
+    once, best first; drift: log evidence of a drift of the nominal laws (generic.py); weighed: all that the rule made
+    the probabilities from (verdict.py), so that they can be made again; kind: of rig, torsional or translational.
     """
 
     campaign: str
@@ -108,9 +108,8 @@ class Diagnosis:
     pair: Pair | None = None
     notes: tuple[str, ...] = ()
     seconds: float = 0.0
-    extra: Mapping[str, Any] = field(default_factory=dict)
+    seed: int = 1
     pairs: tuple[Pair, ...] = ()
-    second_effects: tuple[Second, ...] = ()
     drift: float = -math.inf
     best: Calibration | None = None
     choices: tuple[Choice, ...] = ()
@@ -199,7 +198,7 @@ class Diagnosis:
         if self.law is not None and out["budget"] is not None:
             out["budget"]["unexplained"]["law"] = self.law.file
         out["law"] = None if self.law is None else self.law.to_json()
-        return plain(out | dict(self.extra))  # type: ignore[no-any-return]
+        return plain(out | {"seed": self.seed})  # type: ignore[no-any-return]
 
     def write(self, folder: str | Path) -> Path:
         """Write diagnosis.json and missing_torque.csv into the folder (made if absent); returns the former's path."""
@@ -266,7 +265,7 @@ def _estimate(fit: Calibration, name: str, unit: str) -> Estimate:
 
 
 def diagnose(
-    campaign: Any,
+    campaign: Campaign | Experiment,
     *,
     nominal: Literal["nonlinear", "linear"] = "nonlinear",
     effects: Mapping[str, Effect] = EFFECTS,
@@ -282,21 +281,14 @@ def diagnose(
     the record of the run (every step is deterministic); workers : processes; report : receives a line per stage.
     """
     began = time.perf_counter()
-    name = getattr(campaign, "name", "campaign")
-    experiment = campaign if isinstance(campaign, Experiment) else with_rounding(experiment_of(campaign, priors))
+    if isinstance(campaign, Experiment):
+        name, kind, experiment = "campaign", "torsional", campaign
+    else:
+        name, kind = campaign.name, campaign.rig.kind
+        experiment = with_rounding(experiment_of(campaign, priors))
     if short := shortage(sum(t.y.size for t in experiment.trials)):
         report(short)
-    odd = odd_trials(experiment)
-    notes = odd_in_words(experiment, odd)
-    experiment = without_trials(experiment, odd)
-    fit = calibrate_nominal(experiment, nominal=nominal, report=report)
-    for _ in range(CLEANINGS):
-        far = outlying(fit)
-        if not far:
-            break
-        notes += outlying_in_words(experiment, far)
-        experiment = without(experiment, far)
-        fit = calibrate_nominal(experiment, nominal=nominal, report=report)
+    fit, notes = _cleaned_fit(experiment, nominal, report)
     experiment = fit.problem.experiment
     pool = offered(experiment, nominal, effects)
     found = search(fit, [*pool, *_drifts(experiment)], workers=workers, report=report)
@@ -312,57 +304,32 @@ def diagnose(
         fit, found = _with_winners_noise(fit, found)
     winner = next((c for c in found if c.fit is not None), None)
     before = remainder_of(fit)
-    after = before if winner is None or winner.fit is None else remainder_of(winner.fit)
+    first_set = next((s for s in sets if s.members), None)
+    leading = first_set.fit if first_set is not None else None if winner is None else winner.fit
+    after = before if leading is None else remainder_of(leading)
     evidence = family_evidence(found)
     drift = evidence.pop(DRIFT.name)
     wiring = miswired(fit)
     if wiring is not None and wiring.gain <= max(evidence.values(), default=0.0):
         wiring = None
-    first_set = next((s for s in sets if s.members), None)
-    if first_set is not None:
-        after = remainder_of(first_set.fit)
     report("testing the residuals of the leading effect")
     before_map = site_map(fit)
-    after_map = before_map if winner is None or winner.fit is None else site_map(winner.fit, torque=False)
-    none_left = left_of(before, before_map.strength, before, before_map.strength)
-    # In a formula that is a definition nothing is left open, not at its own site either.
-    own_sites = set() if winner is None or winner.effect.exact else {winner.effect.site}
-    home = 0.5 if winner is None else _at(after_map, own_sites)
-    readings = math.inf if winner is None or winner.fit is None else readings_of_change(fit, winner.fit)
-    left = left_of(
-        after, after_map.strength, before, before_map.strength, home, readings=readings,
-        explained=0.0 if winner is None else winner.log_evidence,
-    )  # fmt: skip
+    after_map = before_map if leading is None else site_map(leading, torque=False)
     if alone:
-        none_left = left = left_alone(fit, fit)
-    if first_set is not None:
-        after_map = site_map(first_set.fit, torque=False)
-        left = left_alone(fit, first_set.fit)
+        none_left = left_alone(fit, fit)
+        left = none_left if first_set is None else left_alone(fit, first_set.fit)
+    else:
+        none_left = left_of(before, before_map.strength, before, before_map.strength)
+        left = _left_by_winner(fit, winner, after, after_map, before, before_map)
     seconds = [] if alone or winner is None or winner.effect is DRIFT else seconds_of(winner, fit, pool, workers)
     gain = max((s.gain for s in seconds), default=0.0)
     if not alone and max(left.nats, gain) > PAIR_FROM:
         pairs = best_pairs(fit, found, pool, seconds, workers=workers)
-    judged = []
-
-    for k, p in enumerate(pairs[:JUDGED_PAIRS]):
-        remains = _left_by(p, before, before_map)
-        # That two effects change the records by the sum of both holds the less, the larger the changes are.
-        promising = p.gain > PAIR_FROM or remains.nats < left.nats - PAIR_FROM
-        if remains.nats > PAIR_FROM and promising:
-            report(f"composing {' and '.join(p.effects)}")
-            pairs[k] = exactly(fit, p, found)
-            remains = _left_by(pairs[k], before, before_map)
-        judged.append((pairs[k].effects, pairs[k].log_evidence, remains))
-    pairs.sort(key=lambda p: -p.log_evidence)
+    pairs, judged = _judged_pairs(fit, found, pairs, left, before, before_map, report)
     best_left = pairs[0].after if pairs and pairs[0].gain > 0.0 else after
     excess = best_left.low_excess - 2.0 * best_left.low_sd
     definitions = sorted({c.effect.name for c in found if c.effect.exact})
-    ramp = winner is not None and bool(winner.variant.lets_go)
-    usual = 0.0
-    if winner is not None and ramp and not alone:
-        # The law by which single trials are let go is as inexact as a formula.
-        inexact = min(winner.log_evidence, rule.mismatch * explained_by_own_releases(fit))
-        usual = max(gained_by_own_releases(fit), inexact)
+    usual = 0.0 if alone or winner is None or not winner.variant.lets_go else _usual_release(fit, winner, rule)
 
     def judge(changes: Mapping[str, float], of_pairs: Mapping[str, float], rule: Rule = rule) -> Answers:
         moved = {n: z + changes.get(n, 0.0) for n, z in evidence.items()}
@@ -433,21 +400,79 @@ def diagnose(
     notes += _notes(experiment, fit, named, answers, before_map)
     notes.append(in_a_sentence(choices, answers.verdict))
     gap = measure_gap(fit, best, rng=rng)
-    leading = sorted(evidence, key=lambda n: -evidence[n])[:TOLD]
-    closes = {} if best is None else closing(fit, {n: fits[n][0] for n in leading if n in fits}, rng)
+    first = sorted(evidence, key=lambda n: -evidence[n])[:TOLD]
+    closes = {} if best is None else closing(fit, {n: fits[n][0] for n in first if n in fits}, rng)
     if best is not None and winner is not None and winner.effect is not DRIFT:
         acting = [winner.effect] if best is winner.fit or pair is None else [pair.first[0], pair.second[0]]
         best = widened(best, [effect.site for effect in acting])
-    kind = getattr(getattr(campaign, "rig", None), "kind", "torsional")
     law = learn(fit, budget, answers.verdict, before_map, name, kind, np.random.default_rng(seed), report)
     return Diagnosis(
-        name, experiment, nominal, fit, tuple(found), winner, answers, before, after, gap, locate(fit), before_map,
-        after_map, tuple(_proposals(fit, found, answers)),
-        _sites(answers, effects, before_map, after_map, sites_of(experiment), wiring is not None), evidence,
-        tuple(_indistinct(evidence, effects)), pair, tuple(notes), time.perf_counter() - began, {"seed": seed},
-        tuple(pairs), tuple(seconds), drift, best, tuple(choices), closes, weighed,
-        kind, budget, _under_priors(answered, answers, rule), law, named,
+        campaign=name, experiment=experiment, nominal_kind=nominal, nominal=fit, candidates=tuple(found),
+        winner=winner, answers=answers, before=before, after=after, gap=gap, where=locate(fit), site_map=before_map,
+        remainder_map=after_map, proposals=tuple(_proposals(fit, found, answers)),
+        sites=_sites(answers, effects, before_map, after_map, sites_of(experiment), wiring is not None),
+        evidence=evidence, indistinguishable=tuple(_indistinct(evidence, effects)), pair=pair, notes=tuple(notes),
+        seconds=time.perf_counter() - began, seed=seed, pairs=tuple(pairs), drift=drift, best=best,
+        choices=tuple(choices), closing=closes, weighed=weighed, kind=kind, budget=budget,
+        under_priors=_under_priors(answered, answers, rule), law=law, named=named,
     )  # fmt: skip
+
+
+def _cleaned_fit(
+    experiment: Experiment, nominal: Literal["nonlinear", "linear"], report: Callable[[str], None]
+) -> tuple[Calibration, list[str]]:
+    """The nominal model's fit without odd trials and readings far out, and sentences on what was left out."""
+    odd = odd_trials(experiment)
+    notes = odd_in_words(experiment, odd)
+    experiment = without_trials(experiment, odd)
+    fit = calibrate_nominal(experiment, nominal=nominal, report=report)
+    for _ in range(CLEANINGS):
+        far = outlying(fit)
+        if not far:
+            break
+        notes += outlying_in_words(experiment, far)
+        experiment = without(experiment, far)
+        fit = calibrate_nominal(experiment, nominal=nominal, report=report)
+    return fit, notes
+
+
+def _left_by_winner(
+    fit: Calibration, winner: Candidate | None, after: Remainder, after_map: SiteMap, before: Remainder,
+    before_map: SiteMap,
+) -> Left:  # fmt: skip
+    """What the leading effect leaves, where repeats tell the error of the model from noise."""
+    # In a formula that is a definition nothing is left open, not at its own site either.
+    own_sites = set() if winner is None or winner.effect.exact else {winner.effect.site}
+    return left_of(
+        after, after_map.strength, before, before_map.strength, 0.5 if winner is None else _at(after_map, own_sites),
+        readings=math.inf if winner is None or winner.fit is None else readings_of_change(fit, winner.fit),
+        explained=0.0 if winner is None else winner.log_evidence,
+    )  # fmt: skip
+
+
+def _judged_pairs(
+    fit: Calibration, found: Sequence[Candidate], pairs: Sequence[Pair], left: Left, before: Remainder,
+    before_map: SiteMap, report: Callable[[str], None],
+) -> tuple[list[Pair], list[tuple[tuple[str, str], float, Left]]]:  # fmt: skip
+    """Pairs, best first, those that may be the answer composed; and evidence and rest of the leading ones."""
+    pairs, judged = list(pairs), []
+    for k, p in enumerate(pairs[:JUDGED_PAIRS]):
+        remains = _left_by(p, before, before_map)
+        # That two effects change the records by the sum of both holds the less, the larger the changes are.
+        promising = p.gain > PAIR_FROM or remains.nats < left.nats - PAIR_FROM
+        if remains.nats > PAIR_FROM and promising:
+            report(f"composing {' and '.join(p.effects)}")
+            pairs[k] = exactly(fit, p, found)
+            remains = _left_by(pairs[k], before, before_map)
+        judged.append((pairs[k].effects, pairs[k].log_evidence, remains))
+    return sorted(pairs, key=lambda p: -p.log_evidence), judged
+
+
+def _usual_release(fit: Calibration, winner: Candidate, rule: Rule) -> float:
+    """Nats of an effect of the release that a release of each trial's own explains as well."""
+    # The law by which single trials are let go is as inexact as a formula.
+    inexact = min(winner.log_evidence, rule.mismatch * explained_by_own_releases(fit))
+    return max(gained_by_own_releases(fit), inexact)
 
 
 def _drifts(experiment: Experiment) -> list[tuple[Effect, Variant]]:
