@@ -44,7 +44,9 @@ from bayes_damper.variability.averaged import (
 from bayes_damper.variability.decomposition import Sets, decompose, summary
 from bayes_damper.variability.pooling import POOLINGS, Direct, Recycled, recycle
 from bayes_damper.variability.published import PublishedCases, run_pooling, run_scenario
+from bayes_damper.variability.published_sets import published_sets
 from bayes_damper.variability.recorded import RecordedCases
+from bayes_damper.variability.recorded_sets import recorded_sets
 from bayes_damper.variability.scenarios import scenarios
 
 Array = NDArray[np.float64]
@@ -165,9 +167,10 @@ def variability(
         runs, chosen = _run_published(cases, settings, work, unseen, adapt, workers, scheduler, progress)
         models = cases.models(runs, chosen, work)
         more, parts = _averaged(cases, models, runs, chosen, work, rng)
-        sets: Sets | None = cases.sets(_some(parts, draws, rng), rng)
+        sets: Sets | None = published_sets(cases, _some(parts, draws, rng), rng)
     else:
-        models, sets = cases.models(rng, particles, draws)
+        models, pooled_draws, common_draws = cases.models(rng, particles, draws)
+        sets = recorded_sets(cases, pooled_draws, common_draws, rng)
         draws_of = {
             case: cases.reweighted(case, z, rng)
             for case, z in _fit_draws(fitted or target, plan, cases, lambda _: cases.pooled).items()

@@ -19,9 +19,9 @@ from bayes_damper.calibration import NOMINAL
 from bayes_damper.effects._other_law import OTHER_LAW
 from bayes_damper.effects.base import Variant
 from bayes_damper.errors import InputError
-from bayes_damper.priors.distributions import Distribution, LogNormal, LogUniform, from_standard
+from bayes_damper.priors.distributions import Distribution, LogNormal, LogUniform
 from bayes_damper.priors.files import priors_from_dict
-from bayes_damper.published.marginal import OWN, TOLERANCE, CaseFeatures
+from bayes_damper.published.marginal import TOLERANCE, CaseFeatures
 from bayes_damper.published.measurements import load_published
 from bayes_damper.published.posterior import Coordinates, Datum, damping_pairs
 from bayes_damper.published.sources import PublishedSource
@@ -36,16 +36,12 @@ from bayes_damper.runs.contents.variability import (
 )
 from bayes_damper.runs.provenance import code_sha256
 from bayes_damper.sampling.sequential import Powers, Tempered, temper
-from bayes_damper.variability.decomposition import CaseDraws, Sets, curve_values, mean_over_cases, summary
-from bayes_damper.variability.equivalent import NAMES, bearing_damping, feature_scatter
+from bayes_damper.variability.decomposition import summary
 from bayes_damper.variability.pooling import POOLINGS, CaseLikelihood, Hierarchy, Scaling
 from bayes_damper.variability.scenarios import Bridge, Scenario, ratio_of, scenarios, widened
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-_Values = dict[str, tuple[dict[str, Array], dict[str, Array]]]
-_CURVE_DRAWS = 48
-_CURVE_POINTS = 8
 _SCALINGS: tuple[Mapping[str, float], ...] = ({"N0": 1.0, "mu": -1.0}, {"R": 1.0, "r": 1.0, "mu": -1.0})
 """Changes that leave the motion as it is: friction between the faces is the product mu N0 R."""
 _KEPT = 16
@@ -294,72 +290,6 @@ class PublishedCases:
         priors = self.priors(self.names[0])
         return {"cases": cases, "scatter": describe_scatter(s, self.pooled, priors)}
 
-    def _values(
-        self, hierarchy: Hierarchy, points: Array, rng: np.random.Generator, before: bool = False
-    ) -> _Values:  # fmt: skip
-        """Parameters of each case, and the same with the pooled ones at the cases' mean; before : the data."""
-        mean = mean_over_cases([hierarchy.values(points, i) for i in range(len(self.names))])
-        out = {}
-        for i, case in enumerate(self.names):
-            found = self.features[case]
-            coordinates, z = found.coordinates, hierarchy.coordinates(points, i)
-            values, reference = coordinates.values(z), z.copy()
-            reference[:, [coordinates.names.index(name) for name in self.pooled]] = mean
-            own = (
-                {name: from_standard(found.own[name], rng.standard_normal(len(z))) for name in OWN}
-                if before else found.own_draws(values, rng)
-            )  # fmt: skip
-            out[case] = values | own, coordinates.values(reference) | own
-        return out
-
-    def sets(
-        self, parts: Sequence[tuple[Hierarchy, Array]], rng: np.random.Generator
-    ) -> Sets:  # fmt: skip
-        """What the decomposition needs, of draws (n, ndim) of several answers together."""
-        published = load_published()
-        found = _joined([self._values(hierarchy, points, rng) for hierarchy, points in parts])
-        count = max(sum(len(points) for _, points in parts) // 6, 8)
-        every = [self.hierarchy(pooling) for pooling in POOLINGS]
-        before = _joined([self._values(h, rng.standard_normal((count, h.ndim)), rng, True) for h in every])
-        energies = {case: 0.5 * published.cases[case].k1t * published.cases[case].theta0 ** 2 for case in self.names}
-        grid = np.geomspace(0.6 * min(energies.values()), 1.3 * max(energies.values()), _CURVE_POINTS)
-        reference = {name: x[:_CURVE_DRAWS] for name, x in found[self.names[0]][1].items()}
-        springs = sorted({published.cases[case].k1t for case in self.names})
-        table, rounding = _printed(self.names)
-        return Sets(
-            {case: CaseDraws(*found[case], *before[case]) for case in self.names},
-            energies,
-            table,
-            rounding,
-            {case: self._scatter(case, found[case][0]) for case in self.names},
-            {f"k1t = {k:g} N m/rad": (grid, curve_values(reference, k, grid)) for k in springs},
-            self.normal_force,
-            measurement="Measurement scatter: the printed standard errors of the three coupled features, carried to "
-            "the linear model's k2t and c2t to first order. Beside the result stands Table 9 (p. 20), whose values are "
-            "rounded to one digit.",
-        )
-
-    def _scatter(self, case: str, values: Mapping[str, Array]) -> Callable[[Array], Array]:
-        errors = {d.quantity: d.standard_error for d in self.features[case].data if d.configuration == "coupled"}
-        priors = self.priors(case)
-        sds = tuple(_log_sd(priors.get(name)) for name in NAMES)
-        damping = bearing_damping(values, self.normal_force)
-
-        def scatter(log_values: Array) -> Array:
-            return feature_scatter(values, log_values, damping, errors, (sds[0], sds[1]))
-
-        return scatter
-
-
-def _joined(parts: Sequence[_Values]) -> _Values:
-    """Draws of several answers, one after the other."""
-
-    def whole(case: str, which: int) -> dict[str, Array]:
-        names = parts[0][case][which]
-        return {name: np.concatenate([part[case][which][name] for part in parts]) for name in names}
-
-    return {case: (whole(case, 0), whole(case, 1)) for case in parts[0]}
-
 
 def describe_scatter(
     s: Array, pooled: tuple[str, ...], priors: Mapping[str, Distribution]
@@ -377,24 +307,6 @@ def describe_scatter(
             row["scatter_of_ln"] = summary(s[:, j] * math.log(prior.factor))
         out[name] = row
     return out
-
-
-def _log_sd(prior: Distribution | None) -> float:
-    return math.log(prior.factor) if isinstance(prior, LogNormal) else 1.0
-
-
-def _printed(cases: tuple[str, ...]) -> tuple[dict[str, tuple[float, float]], tuple[float, float]]:
-    """Table 9, and the variance of ln k2t and ln c2t that its rounding makes."""
-    rows = {(p.case, p.quantity): p for p in load_published().printed if p.quantity in ("fitted_k2t", "fitted_c2t")}
-    table, rounding = {}, []
-    for case in cases:
-        if (case, "fitted_k2t") in rows and (case, "fitted_c2t") in rows:
-            table[case] = rows[case, "fitted_k2t"].value, rows[case, "fitted_c2t"].value
-    for k, name in enumerate(NAMES):
-        digits = max(len(rows[c, f"fitted_{name}"].text.partition(".")[2]) for c in table) if table else 0
-        half = 0.5 * 10.0**-digits
-        rounding.append(float(np.mean([(half / pair[k]) ** 2 / 3.0 for pair in table.values()])) if table else math.nan)
-    return table, (rounding[0], rounding[1])
 
 
 def _points(folder: Path) -> Array:
