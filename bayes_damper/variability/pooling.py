@@ -96,6 +96,17 @@ class _View:
     scatter: bool = False
 
 
+@dataclass(frozen=True)
+class Columns:
+    """Where the unknowns of a hierarchy stand: m and s of what is pooled, what is common, e and own of each."""
+
+    m: Index
+    s: Index
+    common: Index
+    e: list[Index]
+    own: list[Index]
+
+
 class Hierarchy(UnitPrior):
     """The joint posterior of several cases under one pooling: a target for `temper`.
 
@@ -123,30 +134,27 @@ class Hierarchy(UnitPrior):
             start += count
             return np.arange(start - count, start)
 
-        self._m = take(p if pooling != "separate" else 0)
-        self._s = take(p if pooling == "partial" else 0)
-        self._common = take(len(self.common))
-        self._e, self._own = [], []
-        for case in self.cases:
-            self._e.append(take(p if pooling != "shared" else 0))
-            self._own.append(take(len(case.names) - p - len(self.common)))
+        m, s = take(p if pooling != "separate" else 0), take(p if pooling == "partial" else 0)
+        shared = take(len(self.common))
+        each = [(take(p if pooling != "shared" else 0), take(len(c.names) - p - len(self.common))) for c in self.cases]
+        self.columns = Columns(m, s, shared, [e for e, _ in each], [own for _, own in each])
         self.ndim, self.parts = start, len(self.cases)
         # Of each case: where what is pooled stands among its names, and the rest, and the columns of the latter.
         self._sources: list[tuple[Index, Index, Index]] = []
-        for case, own_columns in zip(self.cases, self._own, strict=True):
+        for case, own_columns in zip(self.cases, self.columns.own, strict=True):
             places = [case.names.index(name) for name in self.pooled]
             constants = [case.names.index(name) for name in self.common]
             rest = [i for i in range(len(case.names)) if i not in (*places, *constants)]
-            columns_of = np.concatenate([self._common, own_columns])
+            columns_of = np.concatenate([self.columns.common, own_columns])
             self._sources.append((np.array(places), np.array([*constants, *rest]), columns_of))
         everything = np.arange(self.parts)
-        population = np.concatenate([self._m, self._s])
+        population = np.concatenate([self.columns.m, self.columns.s])
         numbers = range(self.parts)
         # What all cases hang on, then each case's own.
-        columns = [self._m, self._s, self._common]
-        columns += [np.concatenate([self._e[c], self._own[c]]) for c in numbers]
-        middle = _View(self._m, self.parts // 2, pooled=True, middle=pooling == "partial")
-        views = [middle, _View(self._s, scatter=True), _View(self._common)]
+        columns = [self.columns.m, self.columns.s, self.columns.common]
+        columns += [np.concatenate([self.columns.e[c], self.columns.own[c]]) for c in numbers]
+        middle = _View(self.columns.m, self.parts // 2, pooled=True, middle=pooling == "partial")
+        views = [middle, _View(self.columns.s, scatter=True), _View(self.columns.common)]
         views += [_View(columns[3 + c], c, pooled=pooling != "shared", own=True) for c in numbers]
         kept = [k for k, x in enumerate(columns) if len(x)]
         place = {k: i for i, k in enumerate(kept)}
@@ -155,11 +163,11 @@ class Hierarchy(UnitPrior):
         own = of_cases
         if pooling == "partial":
             own = tuple(len(kept) + c for c in numbers)
-            self._views += [_View(self._own[c], c, own=True) for c in numbers]
+            self._views += [_View(self.columns.own[c], c, own=True) for c in numbers]
         self.blocks: list[Block] = []
         for k in kept:
             if k == 0:
-                given = np.concatenate([self._common, self._s])
+                given = np.concatenate([self.columns.common, self.columns.s])
                 block = Block(columns[k], everything, followers=own, given=given)
             elif k == 1:
                 block = Block(columns[k], everything, followers=own)
@@ -167,13 +175,13 @@ class Hierarchy(UnitPrior):
                 first = (place[0],) if 0 in place else ()
                 block = Block(columns[k], everything, followers=(*first, *of_cases))
             else:
-                block = Block(columns[k], np.array([k - 3]), given=np.concatenate([self._common, population]))
+                block = Block(columns[k], np.array([k - 3]), given=np.concatenate([self.columns.common, population]))
             self.blocks.append(block)
 
     @property
     def owned_columns(self) -> list[tuple[int, Index]]:
         """Where the unit Gaussians stand that the pooled values are made of: (number of the case, columns); 0 for m."""
-        found = [(0, self._m), *enumerate(self._e)]
+        found = [(0, self.columns.m), *enumerate(self.columns.e)]
         return [(case, columns) for case, columns in found if len(columns)]
 
     def at(self, power: float) -> Hierarchy:
@@ -221,7 +229,9 @@ class Hierarchy(UnitPrior):
             middle = self._middle(points)
             points[:, view.columns] = steps
             s = self.scatter(points)
-            points[:, self._m] = (middle - s * np.mean([points[:, e] for e in self._e], axis=0)) / np.sqrt(1.0 - s**2)
+            points[:, self.columns.m] = (
+                middle - s * np.mean([points[:, e] for e in self.columns.e], axis=0)
+            ) / np.sqrt(1.0 - s**2)
             return points
         if curve is None:
             points[:, view.columns] = steps
@@ -234,7 +244,7 @@ class Hierarchy(UnitPrior):
         z = curve.standard(whole)[:, places]
         if view.pooled and self.pooling == "partial":
             p, s = len(self.pooled), self.scatter(points)
-            z[:, :p] = (z[:, :p] - np.sqrt(1.0 - s**2) * points[:, self._m]) / s
+            z[:, :p] = (z[:, :p] - np.sqrt(1.0 - s**2) * points[:, self.columns.m]) / s
         points[:, view.columns] = z
         return points
 
@@ -263,20 +273,20 @@ class Hierarchy(UnitPrior):
         fixed = {"shared": 0.0, "separate": 1.0}
         if self.pooling in fixed:
             return np.full((len(points), len(self.pooled)), fixed[self.pooling])
-        return np.asarray(np.minimum(np.maximum(ndtr(points[:, self._s]), 1e-6), 1.0 - 1e-12))
+        return np.asarray(np.minimum(np.maximum(ndtr(points[:, self.columns.s]), 1e-6), 1.0 - 1e-12))
 
     def means(self, points: Array) -> Array:
         """Common mean m of each pooled parameter of a `shared` or `partial` hierarchy, (n, pooled)."""
-        return points[:, self._m]
+        return points[:, self.columns.m]
 
     def values(self, points: Array, case: int) -> Array:
         """Standard coordinates of the pooled parameters of one case, (n, pooled)."""
         if self.pooling == "shared":
-            return points[:, self._m]
+            return points[:, self.columns.m]
         if self.pooling == "separate":
-            return points[:, self._e[case]]
+            return points[:, self.columns.e[case]]
         s = self.scatter(points)
-        return np.sqrt(1.0 - s**2) * points[:, self._m] + s * points[:, self._e[case]]
+        return np.sqrt(1.0 - s**2) * points[:, self.columns.m] + s * points[:, self.columns.e[case]]
 
     def coordinates(self, points: Array, case: int) -> Array:
         """Standard coordinates of everything that one case depends on, in the order of its names."""
@@ -288,11 +298,11 @@ class Hierarchy(UnitPrior):
     def unknowns(self, points: Array) -> Array:
         """What is pooled: the cases' values, mean and scatter of a population, and what is common."""
         if self.pooling == "shared":
-            return points[:, np.concatenate([self._m, self._common])]
+            return points[:, np.concatenate([self.columns.m, self.columns.common])]
         columns = [self.values(points, case) for case in range(self.parts)]
         if self.pooling == "partial":
             columns += [self.means(points), self.scatter(points)]
-        return np.concatenate([*columns, points[:, self._common]], axis=1)
+        return np.concatenate([*columns, points[:, self.columns.common]], axis=1)
 
     @property
     def labels(self) -> list[str]:
@@ -322,84 +332,88 @@ class Hierarchy(UnitPrior):
         return self.height(self.measure(points, parts), parts, 1.0)
 
     def refresh(self, points: Array, rng: np.random.Generator) -> Array:
-        """Points moved where no likelihood changes, so that this costs nothing.
-
-        Along the scalings; then new m and s of each parameter, the cases' values held: e = (z - sqrt(1 - s^2) m) / s
-        follows, the volume factor is s^-cases.
-        """
+        """Points moved where no likelihood changes, so that this costs nothing: along the scalings, then m and s."""
         for each in self.scalings:
             together = any(name in self.common for name in each[0].powers)
             for cases in [range(self.parts)] if together else [[c] for c in range(self.parts)]:
-                points = self._scaled(points, each, rng.choice(_SCALES, len(points)), cases, rng)
-        if self.pooling != "partial":
-            return points
-        points = points.copy()
-        z = np.stack([self.values(points, c) for c in range(self.parts)])  # (cases, n, pooled)
+                points = step_along(self, points, each, rng.choice(_SCALES, len(points)), cases, rng)
+        return new_population(self, points, rng) if self.pooling == "partial" else points
 
-        def log_density(m: Array, u: Array) -> Array:
-            s = np.clip(ndtr(u), 1e-6, 1.0 - 1e-12)
-            e = (z - np.sqrt(1.0 - s**2) * m) / s
-            return np.asarray(-0.5 * (m**2 + u**2 + np.sum(e**2, axis=0)) - self.parts * np.log(s))
 
-        m, u = points[:, self._m], points[:, self._s]
-        now = log_density(m, u)
-        for i in range(_REFRESHES):
-            size = (0.15, 0.5, 1.5)[i % 3]
-            m_new, u_new = m + size * rng.standard_normal(m.shape), u + size * rng.standard_normal(u.shape)
-            new = log_density(m_new, u_new)
-            taken = np.log(rng.random(m.shape)) < new - now
-            m, u, now = np.where(taken, m_new, m), np.where(taken, u_new, u), np.where(taken, new, now)
+def new_population(h: Hierarchy, points: Array, rng: np.random.Generator) -> Array:
+    """New m and s of each parameter of a `partial` hierarchy, the cases' values held.
+
+    e = (z - sqrt(1 - s^2) m) / s follows, the volume factor is s^-cases.
+    """
+    points = points.copy()
+    z = np.stack([h.values(points, c) for c in range(h.parts)])  # (cases, n, pooled)
+
+    def log_density(m: Array, u: Array) -> Array:
         s = np.clip(ndtr(u), 1e-6, 1.0 - 1e-12)
-        points[:, self._m], points[:, self._s] = m, u
-        for c, columns in enumerate(self._e):
-            points[:, columns] = (z[c] - np.sqrt(1.0 - s**2) * m) / s
-        return points
+        e = (z - np.sqrt(1.0 - s**2) * m) / s
+        return np.asarray(-0.5 * (m**2 + u**2 + np.sum(e**2, axis=0)) - h.parts * np.log(s))
 
-    def _scaled(
-        self,
-        points: Array,
-        each: Sequence[Scaling],
-        size: float | Array,
-        cases: Iterable[int],
-        rng: np.random.Generator,
-    ) -> Array:
-        """One Metropolis step of some cases together along a scaling, given for each: prior and volume decide."""
-        new, step, gain = points.copy(), size * rng.standard_normal(len(points)), np.zeros(len(points))
-        moved: set[int] = set()
-        s = self.scatter(points)
-        for c in cases:
-            places = self._places(c)
-            for name, power in each[c].powers.items():
-                prior, column = each[c].priors[name], places[name]
-                if column in moved:
-                    continue
-                moved.add(column)
-                if name in self.pooled and isinstance(prior, LogNormal):
-                    shift = power * step / math.log(prior.factor)
-                    if self.pooling == "partial":
-                        # All cases: their mean moves. One: its own deviation.
-                        own = s[:, self.pooled.index(name)]
-                        shift = shift / (np.sqrt(1.0 - own**2) if column in self._m else own)
-                    new[:, column] += shift
-                    gain += 0.5 * (points[:, column] ** 2 - new[:, column] ** 2)
-                else:
-                    x = from_standard(prior, points[:, column])
-                    scaled = x * np.exp(power * step)
-                    with np.errstate(invalid="ignore", divide="ignore"):
-                        new[:, column] = to_standard(prior, scaled)
-                        gain += prior.logpdf(scaled) - prior.logpdf(x) + power * step
-        gain = np.where(np.all(np.isfinite(new), axis=1), gain, -np.inf)
-        taken = np.log(rng.random(len(points))) < gain
-        return np.where(taken[:, None], new, points)
+    m, u = points[:, h.columns.m], points[:, h.columns.s]
+    now = log_density(m, u)
+    for i in range(_REFRESHES):
+        size = (0.15, 0.5, 1.5)[i % 3]
+        m_new, u_new = m + size * rng.standard_normal(m.shape), u + size * rng.standard_normal(u.shape)
+        new = log_density(m_new, u_new)
+        taken = np.log(rng.random(m.shape)) < new - now
+        m, u, now = np.where(taken, m_new, m), np.where(taken, u_new, u), np.where(taken, new, now)
+    s = np.clip(ndtr(u), 1e-6, 1.0 - 1e-12)
+    points[:, h.columns.m], points[:, h.columns.s] = m, u
+    for c, columns in enumerate(h.columns.e):
+        points[:, columns] = (z[c] - np.sqrt(1.0 - s**2) * m) / s
+    return points
 
-    def _places(self, case: int) -> dict[str, int]:
-        """The column that moves each parameter of a case, and only that: name -> column."""
-        together = any(name in self.common for each in self.scalings for name in each[case].powers)
-        values = self._m if self.pooling == "shared" or (self.pooling == "partial" and together) else self._e[case]
-        places = dict(zip(self.pooled, values.tolist(), strict=True))
-        places |= dict(zip(self.common, self._common.tolist(), strict=True))
-        rest = [name for name in self.cases[case].names if name not in places]
-        return places | dict(zip(rest, self._own[case].tolist(), strict=True))
+
+def step_along(
+    h: Hierarchy,
+    points: Array,
+    each: Sequence[Scaling],
+    size: float | Array,
+    cases: Iterable[int],
+    rng: np.random.Generator,
+) -> Array:
+    """One Metropolis step of some cases together along a scaling, given for each: prior and volume decide."""
+    new, step, gain = points.copy(), size * rng.standard_normal(len(points)), np.zeros(len(points))
+    moved: set[int] = set()
+    s = h.scatter(points)
+    for c in cases:
+        places = _columns_of(h, c)
+        for name, power in each[c].powers.items():
+            prior, column = each[c].priors[name], places[name]
+            if column in moved:
+                continue
+            moved.add(column)
+            if name in h.pooled and isinstance(prior, LogNormal):
+                shift = power * step / math.log(prior.factor)
+                if h.pooling == "partial":
+                    # All cases: their mean moves. One: its own deviation.
+                    own = s[:, h.pooled.index(name)]
+                    shift = shift / (np.sqrt(1.0 - own**2) if column in h.columns.m else own)
+                new[:, column] += shift
+                gain += 0.5 * (points[:, column] ** 2 - new[:, column] ** 2)
+            else:
+                x = from_standard(prior, points[:, column])
+                scaled = x * np.exp(power * step)
+                with np.errstate(invalid="ignore", divide="ignore"):
+                    new[:, column] = to_standard(prior, scaled)
+                    gain += prior.logpdf(scaled) - prior.logpdf(x) + power * step
+    gain = np.where(np.all(np.isfinite(new), axis=1), gain, -np.inf)
+    taken = np.log(rng.random(len(points))) < gain
+    return np.where(taken[:, None], new, points)
+
+
+def _columns_of(h: Hierarchy, case: int) -> dict[str, int]:
+    """The column that moves each parameter of a case, and only that: name -> column."""
+    together = any(name in h.common for each in h.scalings for name in each[case].powers)
+    values = h.columns.m if h.pooling == "shared" or (h.pooling == "partial" and together) else h.columns.e[case]
+    places = dict(zip(h.pooled, values.tolist(), strict=True))
+    places |= dict(zip(h.common, h.columns.common.tolist(), strict=True))
+    rest = [name for name in h.cases[case].names if name not in places]
+    return places | dict(zip(rest, h.columns.own[case].tolist(), strict=True))
 
 
 @dataclass(frozen=True)

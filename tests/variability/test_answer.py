@@ -35,6 +35,7 @@ from bayes_damper.variability.pooling import (
     GaussianHierarchy,
     Hierarchy,
     recycle,
+    step_along,
 )
 from bayes_damper.variability.published import PublishedCases, run_pooling
 from bayes_damper.variability.recorded import RecordedCases
@@ -716,7 +717,7 @@ def test_scalings_change_no_reading_and_keep_the_prior(pooling, thesis):
     points = rng.standard_normal((24, hierarchy.ndim)) * 0.4
     moved = points
     for each in hierarchy.scalings:
-        moved = hierarchy._scaled(moved, each, 0.05, range(4), rng)
+        moved = step_along(hierarchy, moved, each, 0.05, range(4), rng)
     before, after = (hierarchy.log_likelihood(x, np.arange(4)) for x in (points, moved))
     assert after == pytest.approx(before, rel=1e-4, abs=1e-4)
     assert np.mean(np.any(moved != points, axis=1)) > 0.5
