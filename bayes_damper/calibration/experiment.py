@@ -403,6 +403,12 @@ def with_rounding(experiment: Experiment) -> Experiment:
     return replace(experiment, constants=constants, stiffnesses=stiffnesses)
 
 
+def trial_label(trial: TrialRecord) -> str:
+    """Words that name a trial, without the slash that separates groups in a posterior.nc."""
+    configuration = "coupled" if trial.coupled else "uncoupled"
+    return f"{trial.case} {configuration} #{trial.number}".replace("/", "|")
+
+
 def laws_on(effects: Mapping[str, Effect], campaign: Campaign) -> list[str]:
     """Warnings on learnt laws among the effects that a campaign leaves the range of, as far as its head shows it.
 

@@ -31,17 +31,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from bayes_damper.calibration import Block, Calibration, Group, TrialRecord
+from bayes_damper.calibration import Block, Calibration, Group
 from bayes_damper.calibration.correlated_noise import student_log_density
-from bayes_damper.priors.distributions import Distribution, LogNormal, from_standard, to_standard
+from bayes_damper.calibration.noise_unknowns import NoiseUnknowns
+from bayes_damper.priors.distributions import LogNormal, from_standard, to_standard
 
 Array = NDArray[np.float64]
-NOISE_PRIOR = LogNormal(1.0, 1.5)
-"""Prior of each channel's noise relative to its estimate: thousands of readings decide, not this."""
 FREEDOM_PRIOR = LogNormal(8.0, 3.0)
 """Prior of the degrees of freedom of Student's t noise; beyond 30 it is all but Gaussian."""
-DECLARED_NOISE = 1.1
-"""Factor within which a declared noise_std is believed."""
 OUTSIDE = 10.0  # nats by which a draw fits worse than one on the floor of its valley, from which it lies outside
 MANY = 50  # nuisances of a trial from which their matrix is taken apart once for all that is asked of it
 SETTLED = 4  # steps in which nuisances find their place; nearly all need one
@@ -85,20 +82,21 @@ def _solved(A: Array, b: Array) -> tuple[Array, Array]:
     return x, logs
 
 
-def trial_label(trial: TrialRecord) -> str:
-    """Words that name a trial, without the slash that separates groups in a posterior.nc."""
-    configuration = "coupled" if trial.coupled else "uncoupled"
-    return f"{trial.case} {configuration} #{trial.number}".replace("/", "|")
-
-
-@dataclass(frozen=True)
-class Sigma:
-    """One unknown noise: of a channel (from 0), in all trials or in some; prior of its standard deviation."""
-
-    name: str
-    channel: int
-    trials: frozenset[int]
-    prior: Distribution
+def _student(part: _Part, w: Array, s: Array, freedom: Array, eta: Array, growth: Array) -> tuple[Array, Array, Array]:
+    """`_evaluated` under Student's t noise, from whitened residuals w (k, trials, channels, n)."""
+    f = freedom[:, None, None, None]
+    counted = part.group.weight > 0.0
+    w = np.where(counted, w / s[..., None], 0.0)
+    score = np.where(counted, (f + 1.0) * w / (f + w**2), 0.0)
+    expected = ((freedom + 1.0) / (freedom + 3.0))[:, None, None] * s**-2  # information of a reading
+    A = np.einsum("knc,ncij->knij", expected, part.TT) * growth[..., None] * growth[..., None, :]
+    A += np.eye(part.T.shape[2])
+    b = eta + growth * np.einsum("knc,kncm->knm", 1.0 / s, np.matmul(part.T, score[..., None])[..., 0])
+    move = _solve(A, b)
+    moved = w - np.einsum("ncms,knm->kncs", part.T, growth * move, optimize=True) / s[..., None]
+    each = np.where(counted, student_log_density(moved, f), 0.0).sum(axis=3) - np.log(s) * part.readings
+    mean = eta - move
+    return each.sum(axis=2) - 0.5 * (np.sum(mean**2, axis=2) + _log_det(A)), mean, A
 
 
 class RecordPosterior:
@@ -116,64 +114,12 @@ class RecordPosterior:
         self.problem = fit.problem
         self.freedom = freedom
         self.parts = tuple(self._part(block, power) for block in fit.linear.blocks)
-        self.channels = max(part.group.y.shape[1] for part in self.parts)
-        self.sigmas = self._sigmas()
+        self.noise = NoiseUnknowns(fit.problem, [part.group for part in self.parts])
+        self.sigmas = self.noise.sigmas
         self.names = self.problem.names + tuple(sigma.name for sigma in self.sigmas)
         self.names += () if freedom is None else ("noise_freedom",)
         self.ndim = len(self.names)
         self.outcomes: Counter[str] = Counter()
-        # Which unknown noise each trial and channel has, -1 where it is fixed.
-        self._which = np.array([[self._sigma_of(c, i) for c in range(self.channels)] for i in self.trials])
-        self._known = np.array([[self._fixed_scale(c, i) for c in range(self.channels)] for i in self.trials])
-
-    def _sigma_source(self, channel: int) -> tuple[str, int]:
-        """The parameter that holds a channel's noise, and the channel whose estimate it goes by."""
-        name = f"sigma{channel + 1}"
-        other = self.problem.experiment.ties.get(name)
-        return (name, channel) if other is None else (other, int(other.removeprefix("sigma")) - 1)
-
-    def sigma_prior(self, name: str, channel: int, case: str) -> Distribution | float:
-        """Prior of the noise's standard deviation: that of the prior file, of campaign.toml, or a wide one."""
-        e = self.problem.experiment
-        own = e.case_priors.get(name, {})
-        if case in own or name in e.priors:
-            return own[case] if case in own else e.priors[name]
-        if e.noise_sd:
-            return LogNormal(e.noise_sd[min(channel, len(e.noise_sd) - 1)], DECLARED_NOISE)
-        return LogNormal(NOISE_PRIOR.median_value * self.problem.noise.total[channel], NOISE_PRIOR.factor)
-
-    def _sigmas(self) -> tuple[Sigma, ...]:
-        e = self.problem.experiment
-        found = []
-        for channel in range(self.channels):
-            name = f"sigma{channel + 1}"
-            if name in e.ties:
-                continue
-            users = [c for c in range(self.channels) if self._sigma_source(c)[0] == name]
-            trials = [i for p in self.parts if p.group.y.shape[1] > min(users) for i in p.group.trials]
-            level = "case" if name in e.case_priors else e.levels.get(name, "campaign")
-            keys = {
-                i: {"campaign": "", "case": f"[{e.trials[i].case}]", "trial": f"[{trial_label(e.trials[i])}]"}[level]
-                for i in trials
-            }
-            if len(set(keys.values())) == 1 and level == "case":
-                keys = dict.fromkeys(trials, "")
-            for key in dict.fromkeys(keys.values()):
-                members = [i for i in trials if keys[i] == key]
-                prior = self.sigma_prior(name, channel, e.trials[members[0]].case)
-                if not isinstance(prior, float | int):
-                    found.append(Sigma(f"{name}{key}", channel, frozenset(members), prior))
-        return tuple(found)
-
-    def _sigma_of(self, channel: int, trial: int) -> int:
-        source = self._sigma_source(channel)[1]
-        hits = [k for k, s in enumerate(self.sigmas) if s.channel == source and trial in s.trials]
-        return hits[0] if hits else -1
-
-    def _fixed_scale(self, channel: int, trial: int) -> float:
-        name, source = self._sigma_source(channel)
-        prior = self.sigma_prior(name, source, self.problem.experiment.trials[trial].case)
-        return float(prior) / self.problem.noise.total[channel] if isinstance(prior, float | int) else 1.0
 
     def _part(self, block: Block, power: Sequence[float] | None) -> _Part:
         group = block.group
@@ -199,10 +145,8 @@ class RecordPosterior:
     @property
     def start(self) -> Array:
         """The best fit, (ndim,)."""
-        total = self.problem.noise.total
-        noise = [float(np.clip(to_standard(s.prior, total[s.channel]), -8.0, 8.0)) for s in self.sigmas]
         tails = [] if self.freedom is None else [float(to_standard(FREEDOM_PRIOR, self.freedom))]
-        return np.concatenate([self.fit.q, noise, tails])
+        return np.concatenate([self.fit.q, self.noise.start, tails])
 
     @property
     def covariance(self) -> Array:
@@ -210,32 +154,15 @@ class RecordPosterior:
         full = np.zeros((self.ndim, self.ndim))
         size = self.problem.size
         full[:size, :size] = self.fit.covariance
-        start = self.start[size:]
-        for k, s in enumerate(self.sigmas):
-            count = 0.0
-            for part in self.parts:
-                rows = [j for j, i in enumerate(part.group.trials) if i in s.trials]
-                count += sum(
-                    part.readings[rows, c].sum()
-                    for c in range(part.readings.shape[1])
-                    if self._sigma_source(c)[1] == s.channel
-                )
-            up, down = from_standard(s.prior, start[k] + 1e-3), from_standard(s.prior, start[k] - 1e-3)
-            slope = float(np.log(up / down)) / 2e-3  # of ln sigma
-            full[size + k, size + k] = 1.0 / (2.0 * count * slope**2 + 1.0)
+        variances = self.noise.variances([part.readings for part in self.parts])
+        full[range(size, size + len(variances)), range(size, size + len(variances))] = variances
         if self.freedom is not None:
             full[-1, -1] = 0.01
         return full
 
     def noise_scale(self, points: Array) -> Array:
         """Noise of each trial and channel relative to its estimate, (n, trials, channels); trials as in `trials`."""
-        size, total = self.problem.size, self.problem.noise.total
-        out = np.tile(self._known, (len(points), 1, 1))
-        for k, s in enumerate(self.sigmas):
-            value = from_standard(s.prior, points[:, size + k])
-            rows, channels = np.nonzero(self._which == k)
-            out[:, rows, channels] = value[:, None] / np.array(total)[channels]
-        return out
+        return self.noise.scale(points[:, self.problem.size :])
 
     @property
     def constant(self) -> Array:
@@ -306,7 +233,7 @@ class RecordPosterior:
         eta, growth = self._followed(part, q)
         w = self._residuals(part, q, eta)
         if self.freedom is not None:
-            return self._student(part, w, s, from_standard(FREEDOM_PRIOR, points[:, -1]), eta, growth)
+            return _student(part, w, s, from_standard(FREEDOM_PRIOR, points[:, -1]), eta, growth)
         Tw = np.matmul(part.T, w[..., None])[..., 0]
         A = np.einsum("knc,ncij->knij", s**-2, part.TT) * growth[..., None] * growth[..., None, :]
         A += np.eye(part.T.shape[2])
@@ -315,24 +242,6 @@ class RecordPosterior:
         quadratic = np.sum(np.einsum("kncs,kncs->knc", w, w) / s**2, axis=2) + np.sum(eta**2, axis=2)
         value = -0.5 * (quadratic - np.sum(b * move, axis=2) + log_det) - np.sum(np.log(s) * part.readings, axis=2)
         return value, eta - move, A
-
-    @staticmethod
-    def _student(
-        part: _Part, w: Array, s: Array, freedom: Array, eta: Array, growth: Array
-    ) -> tuple[Array, Array, Array]:
-        f = freedom[:, None, None, None]
-        counted = part.group.weight > 0.0
-        w = np.where(counted, w / s[..., None], 0.0)
-        score = np.where(counted, (f + 1.0) * w / (f + w**2), 0.0)
-        expected = ((freedom + 1.0) / (freedom + 3.0))[:, None, None] * s**-2  # information of a reading
-        A = np.einsum("knc,ncij->knij", expected, part.TT) * growth[..., None] * growth[..., None, :]
-        A += np.eye(part.T.shape[2])
-        b = eta + growth * np.einsum("knc,kncm->knm", 1.0 / s, np.matmul(part.T, score[..., None])[..., 0])
-        move = _solve(A, b)
-        moved = w - np.einsum("ncms,knm->kncs", part.T, growth * move, optimize=True) / s[..., None]
-        each = np.where(counted, student_log_density(moved, f), 0.0).sum(axis=3) - np.log(s) * part.readings
-        mean = eta - move
-        return each.sum(axis=2) - 0.5 * (np.sum(mean**2, axis=2) + _log_det(A)), mean, A
 
     def log_likelihood(self, points: Array) -> Array:
         """Log likelihood of each trial, its nuisances integrated out: (n, trials); -inf where a simulation failed.

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from bayes_damper import figures
 from bayes_damper.calibration import Calibration, predict
-from bayes_damper.calibration.experiment import laws_on
+from bayes_damper.calibration.experiment import laws_on, trial_label
 from bayes_damper.calibration.forecast import forecasts
-from bayes_damper.calibration.posterior import trial_label
 from bayes_damper.diagnosis import Diagnosis
 from bayes_damper.diagnosis import diagnose as diagnose_campaign
 from bayes_damper.diagnosis.published import diagnose_published

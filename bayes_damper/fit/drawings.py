@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bayes_damper import figures
 from bayes_damper.calibration import Experiment
-from bayes_damper.calibration.posterior import trial_label
+from bayes_damper.calibration.experiment import trial_label
 from bayes_damper.fit.entry import Units, thinned_draws
 from bayes_damper.rig.parameters import PARAMETERS, unit_of
 from bayes_damper.runs.contents.fit import CaseEntry, FitFile, ParameterEntry

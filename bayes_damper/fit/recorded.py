@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from bayes_damper.calibration import Calibration, Experiment, calibrate, calibrate_nominal, learn_noise, middle
 from bayes_damper.calibration.correlated_noise import FittedNoise, fit_with_noise
+from bayes_damper.calibration.experiment import trial_label
 from bayes_damper.calibration.influence import comparison, influence, without
-from bayes_damper.calibration.posterior import RecordPosterior, trial_label
+from bayes_damper.calibration.posterior import RecordPosterior
 from bayes_damper.calibration.scatter import scatter_in_words, scatter_shown
 from bayes_damper.effects import all_effects
 from bayes_damper.errors import InputError

@@ -23,7 +23,8 @@ import reference
 from numpy.typing import NDArray
 
 from bayes_damper.calibration import Calibration, Experiment, Switches, TrialRecord, calibrate_nominal
-from bayes_damper.calibration.posterior import NOISE_PRIOR, RecordPosterior
+from bayes_damper.calibration.noise_unknowns import NOISE_PRIOR
+from bayes_damper.calibration.posterior import RecordPosterior
 from bayes_damper.priors.distributions import LogNormal
 from bayes_damper.sampling import diagnose_draws, resampled_start, sample
 
