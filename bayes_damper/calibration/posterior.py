@@ -13,7 +13,7 @@ and eta0 those of the calibration's best fit, eta follows the parameters to wher
 nuisances, eta = eta0 - (1 + T0'T0)^-1 T0'J (q' - q) at q', so that only their spread given the parameters has to be
 small. T is T0, but for the column of a nuisance ln x: that grows in proportion to x. An evaluation costs one simulation
 per trial and no more dimensions; tests hold this against sampling the nuisances one by one. Given a draw, a trial's
-nuisances are Gaussian with mean eta - A^-1 b and covariance A^-1: `nuisances` draws them.
+nuisances are Gaussian with mean eta - A^-1 b and covariance A^-1: `evaluated` draws them.
 
 Under Student's t noise of f degrees of freedom a reading's information in A is (f + 1) / (f + 3) of that under a
 Gaussian, its score in b (f + 1) / (f + w^2 / s^2); the nuisances move by -A^-1 b, and the density there is that of
@@ -220,10 +220,8 @@ class RecordPosterior:
         """Log likelihood (k, trials), mean (k, trials, m) and inverse covariance (k, trials, m, m) of the nuisances."""
         turns = math.ceil(len(points) * part.group.y.size / READINGS_AT_ONCE)
         each = max(math.ceil(len(points) / max(turns, 1)), 1)
-        found = [
-            self._evaluated_at_once(part, points[k : k + each], s[k : k + each])
-            for k in range(0, max(len(points), 1), each)
-        ]
+        starts = range(0, max(len(points), 1), each)
+        found = [self._evaluated_at_once(part, points[k : k + each], s[k : k + each]) for k in starts]
         values, means, inverses = zip(*found, strict=True)
         return np.concatenate(values), np.concatenate(means), np.concatenate(inverses)
 
@@ -296,10 +294,6 @@ class RecordPosterior:
             for k, i in enumerate(part.group.trials):
                 drawn[i] = mean[:, k] + noise[:, k]
         return np.concatenate(values, axis=1), drawn
-
-    def nuisances(self, points: Array, rng: np.random.Generator) -> dict[int, Array]:
-        """Draws of each trial's nuisances given the parameters: trial -> (n, m) in standard coordinates."""
-        return self.evaluated(points, rng)[1]
 
     def _settled(self, part: _Part, points: Array, s: Array, rng: np.random.Generator) -> Array:
         """Nuisances (k, trials, m) of each point that fit disturbed readings and a disturbed prior best.

@@ -161,11 +161,8 @@ class Problem:
         for name in ("theta0", "delay"):
             if name in e.levels and e.start == "rest":
                 rig[name] = np.array([middle(self.prior(name, case)) for case in cases])[which]
-        rig = {
-            "N0": 0.0,
-            "R": 1.0,
-            "r": 1.0,
-        } | rig  # a rig without magnet, or with a constant pull, has no use for them
+        # A rig without magnet, or with a constant pull, has no use for these.
+        rig = {"N0": 0.0, "R": 1.0, "r": 1.0} | rig
         if not e.magnet:
             rig["mu"] = 0.0
         effect: dict[str, Any] = {}
@@ -198,28 +195,6 @@ class Problem:
             effect[acting.lets_go] = effect[acting.lets_go] + rig.pop(RELEASE)
         return {"theta2_0": rig["theta0"]} | rig, effect
 
-    def _read(self, y: Array, group: Group, which: Indices, q: Array, eta: Array) -> Array:
-        """Motions y (n, channels, n_times) as the sensors show them: scale, offset and drift of channels, in place."""
-        for i, c in enumerate(self.coordinates):
-            if c.role == "sensor" and c.index < y.shape[1]:
-                y[:, c.index] *= from_standard(c.prior, q[:, i])[:, None]
-        for channel in range(y.shape[1]):
-            waves, sizes = [], []
-            for i, (name, mean, sd) in enumerate(group.nuisances):
-                if of_readings(name) and channel_of(name) in (channel, -1):
-                    x = mean[which] + sd[which] * eta[:, i]
-                    if name.startswith("gain"):
-                        y[:, channel] *= 1.0 + x[:, None]
-                    else:
-                        waves.append(name)
-                        sizes.append(x)
-            if waves:
-                key = (f"waves of {channel}: " + " ".join(waves), False)
-                if key not in group.kept:
-                    group.kept[key] = np.stack([group.shape(name)[channel] for name in waves])
-                y[:, channel] += np.stack(sizes, axis=1) @ group.kept[key]
-        return y
-
     def simulate(self, group: Group, which: Indices, q: Array, eta: Array) -> Array:
         """Readings (n, channels, n_times) of vectors q (n, size), eta (n, m) on the group's trials `which` (n,)."""
         rig, effect = self._inputs(group, which, q, eta)
@@ -248,7 +223,7 @@ class Problem:
                     continue
                 late = rig | {"delay": rig.get("delay", 0.0) + from_standard(c.prior, q[:, i])}
                 y[:, c.index] = readings(late)[:, c.index]
-        return self._read(y, group, which, q, eta)
+        return _as_sensors_show(y, self.coordinates, group, which, q, eta)
 
     def finer(self) -> Problem:
         """The same problem with records integrated more finely, for differences between them."""
@@ -297,10 +272,7 @@ class Problem:
 
     def touched(self, c: Coordinate, group: Group) -> NDArray[np.bool_]:
         """Which trials of a group a coordinate belongs to, (trials,)."""
-        trials = [self.experiment.trials[i] for i in group.trials]
-        if c.role == "stiffness":
-            return np.array([t.k1t == c.index for t in trials])
-        return np.array([c.case is None or t.case == c.case for t in trials])
+        return np.array([c.of_trial(self.experiment.trials[i]) for i in group.trials])
 
     def acts(self, c: Coordinate, group: Group) -> bool:
         """Whether a coordinate can change the records of a group."""
@@ -316,3 +288,28 @@ def _model(experiment: Experiment, coupled: bool, effect: Variant | None) -> Mod
     """The model of one configuration."""
     law = experiment.coupling_law if coupled else "constant"
     return Model(coupled, experiment.normal_force, experiment.restoring, effect, law, longest_step(experiment))
+
+
+def _as_sensors_show(
+    y: Array, coordinates: Sequence[Coordinate], group: Group, which: Indices, q: Array, eta: Array
+) -> Array:
+    """Motions y (n, channels, n_times) as the sensors show them: scale, offset and drift of channels, in place."""
+    for i, c in enumerate(coordinates):
+        if c.role == "sensor" and c.index < y.shape[1]:
+            y[:, c.index] *= from_standard(c.prior, q[:, i])[:, None]
+    for channel in range(y.shape[1]):
+        waves, sizes = [], []
+        for i, (name, mean, sd) in enumerate(group.nuisances):
+            if of_readings(name) and channel_of(name) in (channel, -1):
+                x = mean[which] + sd[which] * eta[:, i]
+                if name.startswith("gain"):
+                    y[:, channel] *= 1.0 + x[:, None]
+                else:
+                    waves.append(name)
+                    sizes.append(x)
+        if waves:
+            key = (f"waves of {channel}: " + " ".join(waves), False)
+            if key not in group.kept:
+                group.kept[key] = np.stack([group.shape(name)[channel] for name in waves])
+            y[:, channel] += np.stack(sizes, axis=1) @ group.kept[key]
+    return y

@@ -47,6 +47,10 @@ class Coordinate:
         """The name without its case."""
         return self.name.partition("[")[0]
 
+    def of_trial(self, trial: TrialRecord) -> bool:
+        """Whether it belongs to a trial."""
+        return trial.k1t == self.index if self.role == "stiffness" else self.case in (None, trial.case)
+
 
 def coordinates_of(
     e: Experiment,

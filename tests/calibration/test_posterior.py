@@ -93,7 +93,7 @@ def test_the_likelihood_of_a_point_does_not_depend_on_its_company(posterior: Rec
 
 def test_nuisances_given_the_parameters_cover_the_truth(posterior: RecordPosterior) -> None:
     points = np.tile(posterior.start, (400, 1))
-    drawn = posterior.nuisances(points, np.random.default_rng(1))
+    drawn = posterior.evaluated(points, np.random.default_rng(1))[1]
     for part in posterior.parts:
         for k, i in enumerate(part.group.trials):
             np.testing.assert_allclose(drawn[i].mean(axis=0), part.eta[k], atol=0.5)

@@ -113,7 +113,7 @@ def recorded(
             sampling = sampled(posterior, rng, number)
             flat, health = sampling.flat(ranks.DRAWS), _health(sampling, sampling.draws)
         values = posterior.values(flat)
-        nuisances = posterior.nuisances(flat, rng)
+        nuisances = posterior.evaluated(flat, rng)[1]
     own: list[dict[str, Array]] = [{} for _ in made.experiment.trials]
     for part in posterior.parts:
         for k, i in enumerate(part.group.trials):
