@@ -206,8 +206,14 @@ def variability(
     result["provenance"] = provenance()
     result = cast("VariabilityFile", plain(result))
     write_json(target / "variability.json", result)
+    _draw(target, cases, plan["name"], result)
+    return Variability(target, result)
+
+
+def _draw(target: Path, cases: PublishedCases | RecordedCases, name: str, result: VariabilityFile) -> None:
+    """The figures."""
     if result["effective"] is not None and result["decomposition"] is not None:
-        title = f"{plan['name']}: effective linear stiffness and damping"
+        title = f"{name}: effective linear stiffness and damping"
         drawn = figures.variability_figure(
             result["effective"],
             result["decomposition"],
@@ -218,7 +224,6 @@ def variability(
         )
         figures.save(drawn, target / "variability_effective")
     figures.save(_scatter_figure(result), target / "variability_scatter")
-    return Variability(target, result)
 
 
 def _score(model: PoolingEntry) -> str:
