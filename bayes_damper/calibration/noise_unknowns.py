@@ -99,7 +99,7 @@ class NoiseUnknowns:
         return [float(np.clip(to_standard(s.prior, self._total[s.channel]), -8.0, 8.0)) for s in self.sigmas]
 
     def variances(self, readings: Sequence[Array]) -> list[float]:
-        """Of each unknown, in standard coordinates, as told by so many readings of each group: (trials, channels)."""
+        """Of each unknown, in standard coordinates, by the number of readings of each group: (trials, channels)."""
         found = []
         for s, at in zip(self.sigmas, self.start, strict=True):
             count = 0.0
