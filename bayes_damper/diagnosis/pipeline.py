@@ -45,7 +45,7 @@ from bayes_damper.diagnosis.outliers import (
 from bayes_damper.diagnosis.pairs import Pair, best_pairs, exactly, seconds_of
 from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of, unlike_in_words
 from bayes_damper.diagnosis.search import Candidate, offered, scales_of, search
-from bayes_damper.diagnosis.sensitivity import Choice, in_a_sentence, sensitivity, sensitivity_of_sets
+from bayes_damper.diagnosis.sensitivity import Choice, Quadratic, in_a_sentence, sensitivity, sensitivity_of_sets
 from bayes_damper.diagnosis.sets import SetFit, SetProblem, as_candidates, grown, probabilities
 from bayes_damper.diagnosis.shares import Closed
 from bayes_damper.diagnosis.sites import SiteMap, site_map, write_missing_torque
@@ -69,6 +69,7 @@ INDISTINCT = 3.0  # nats between two families below which these data cannot tell
 PAIR_FROM = 6.0  # nats left by the leading effect from which pairs are fitted
 WORTH_RELEARNING = 10.0  # nats of the leading effect from which the noise is learnt again from what it leaves
 PRIORS_OF_UNKNOWN = (0.05, 0.15, 0.3, 0.5)  # prior probabilities of a foreign cause under which verdicts are given
+MOST_ROUNDS = 4  # of 25 steps by which a leader's descent goes on
 UNLIKELY = 0.01  # probability of a set below which it is not asked what it leaves
 JUDGED_PAIRS = 2  # pairs whose remainder is mapped
 TOLD = 3  # leading effects for which the gap they leave on held-out trials is told
@@ -302,6 +303,7 @@ def diagnose(
         found = as_candidates(found, sets)
     else:
         fit, found = _with_winners_noise(fit, found)
+        found = finished(found)
     winner = next((c for c in found if c.fit is not None), None)
     before = remainder_of(fit)
     first_set = next((s for s in sets if s.members), None)
@@ -591,6 +593,25 @@ def _with_winners_noise(fit: Calibration, found: list[Candidate]) -> tuple[Calib
         again = calibrate(base.with_effect(c.variant), [c.fit.q], eta=c.fit.eta, anneal=False, most=10)
         out.append(Candidate(c.effect, c.variant, c.screens, again, again.log_evidence - fresh.log_evidence))
     return fresh, sorted(out, key=lambda c: -c.log_evidence)
+
+
+def finished(found: Sequence[Candidate]) -> list[Candidate]:
+    """The candidates, best first, those that may lead at the end of their descents, which the search cuts short.
+
+    Tens of nats may be left in a long valley, more than lie between the leaders. Which may lead is judged by where each
+    fit's own quadratic would end.
+    """
+    best = max((c.log_evidence for c in found if c.fit is not None), default=0.0)
+    out = []
+    for c in found:
+        fit, rounds = c.fit, 0
+        if c.fit is not None and c.log_evidence + Quadratic.of(c.fit).log_evidence() - c.fit.log_evidence > best:
+            while fit is not None and not fit.converged and rounds < MOST_ROUNDS:
+                fit = calibrate(fit.problem, [fit.q], eta=fit.eta, anneal=False)
+                rounds += 1
+        gained = fit.log_evidence - c.fit.log_evidence if fit is not None and c.fit is not None else 0.0
+        out.append(replace(c, fit=fit, log_evidence=c.log_evidence + gained) if gained > 0.0 else c)
+    return sorted(out, key=lambda c: -c.log_evidence)
 
 
 def sites_of(experiment: Experiment) -> tuple[str, ...]:

@@ -183,7 +183,7 @@ def sensitivity(
 
     fits : family -> its fitted formulas; pairs : label -> fit of two effects at once; judge : gives the answers from
     the change of each family's and pair's log evidence over the nominal model; leading : the verdict on all data;
-    evidence : family -> log Z over the nominal model, on all data.
+    evidence : family -> log Z over the nominal model, on all data: those that may be named.
     """
     base = Quadratic.of(nominal)
     noise = nominal.problem.noise
@@ -195,20 +195,15 @@ def sensitivity(
     known = {name: [q.log_evidence() for q in each] for name, each in families.items()}
     choices = _other_choices(nominal, MOST_TRIALS)
 
-    def moved(name: str, values: Sequence[float], zero: float) -> float:
-        """Change of a family's evidence when those of its fits become `values`, the nominal model's `zero`."""
-        behind = min(evidence[name] - (max(known[name]) - base.log_evidence()), 0.0)  # what its other formulas cost it
-        return max(values) - zero + behind - evidence[name]
-
     out = []
     again = 0
     for what, without, widths in choices:
-        zero = base.log_evidence(without, widths)
+        # Quadratics are compared with quadratics, refits with fits: of one that a bound stops the two differ.
+        shift = base.log_evidence(without, widths) - base.log_evidence()
         changes = dict.fromkeys(evidence, -math.inf) if without else {}
         for name, each in families.items():
             if math.isfinite(max(known[name])):
-                changes[name] = moved(name, [q.log_evidence(without, widths) for q in each], zero)
-        shift = zero - base.log_evidence()
+                changes[name] = max(q.log_evidence(without, widths) for q in each) - max(known[name]) - shift
         of_pairs = {label: q.log_evidence(without, widths) - whole[label] - shift for label, q in both.items()}
         answers = judge(changes, of_pairs)
         for _ in range(2):
@@ -216,10 +211,10 @@ def sensitivity(
                 break
             # The quadratic may have been carried too far: ask fits that are made again without these trials.
             again += 1
-            zero = refitted(nominal, without)
+            zero = refitted(nominal, without) - nominal.log_evidence
             for name in {leading, answers.verdict} & set(fits):
                 best = max(fits[name], key=lambda f: f.log_evidence)
-                changes[name] = moved(name, [refitted(best, without)], zero)
+                changes[name] = refitted(best, without) - best.log_evidence - zero
             answers = judge(changes, of_pairs)
         p = answers.probabilities
         out.append(Choice(what, answers.verdict, p[answers.verdict], p[leading]))

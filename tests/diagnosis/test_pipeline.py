@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -12,10 +13,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
-from small_rig import NOISE, measured
+from small_rig import NOISE, measured, variant
 from test_problem import RIG, TRUE, make_experiment
 
 from bayes_damper.calibration import (
+    Calibration,
     Experiment,
     Problem,
     TrialRecord,
@@ -31,7 +33,7 @@ from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.lone import left_of_squares
 from bayes_damper.diagnosis.outliers import outlying, outlying_in_words, without
 from bayes_damper.diagnosis.pairs import ComposedProblem, PairProblem, Second, best_pairs, pair_problem
-from bayes_damper.diagnosis.pipeline import _sites, sites_of, symmetries
+from bayes_damper.diagnosis.pipeline import _sites, finished, sites_of, symmetries
 from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of
 from bayes_damper.diagnosis.search import (
     Candidate,
@@ -43,10 +45,10 @@ from bayes_damper.diagnosis.search import (
     scales_of,
     screen_variant,
 )
-from bayes_damper.diagnosis.sensitivity import Quadratic
+from bayes_damper.diagnosis.sensitivity import Quadratic, sensitivity
 from bayes_damper.diagnosis.verdict import RULE, Answers, Left, family_evidence, left_of, weigh
 from bayes_damper.effects import EFFECTS
-from bayes_damper.effects.base import SITES
+from bayes_damper.effects.base import SITES, Variant
 from bayes_damper.errors import InputError
 from bayes_damper.figures import gap_figure
 from bayes_damper.priors.distributions import from_standard
@@ -667,6 +669,58 @@ def test_leaving_a_trial_out_is_what_a_fit_without_it_would_say():
     refit = calibrate(fewer, [fit.q[keep]], eta={i: fit.eta[i] for i in rest}, anneal=False)
     assert quadratic.log_evidence(without=fit.problem.trials[:1]) == pytest.approx(refit.log_evidence, abs=0.5)
     assert quadratic.log_evidence(widths=2.0) < quadratic.log_evidence()
+
+
+SLOW, RAMP = variant("sensor_bandwidth"), variant("release_ramp")
+
+
+def slow_sensors() -> tuple[Calibration, Callable[[Variant, int], Candidate]]:
+    """The nominal fit of a rig whose sensors are slow, and one that adds a formula in at most so many steps."""
+    found = measured(5, effect=SLOW, values={"time": 0.02}, configurations=(False,), duration=0.3, rate=500.0)
+    nominal = calibrate_nominal(found)
+
+    def fitted(formula: Variant, most: int) -> Candidate:
+        begun = [coordinate_of(p.prior, x) for p, x in zip(formula.parameters, formula.starts[-1], strict=True)]
+        problem = nominal.problem.with_effect(formula)
+        fit = calibrate(problem, [np.concatenate([nominal.q, begun])], eta=nominal.eta, anneal=False, most=most)
+        effect = EFFECTS["sensor_bandwidth" if formula is SLOW else "release_ramp"]
+        return Candidate(effect, formula, (), fit, fit.log_evidence - nominal.log_evidence)
+
+    return nominal, fitted
+
+
+def test_fits_that_may_lead_are_weighed_at_the_end_of_their_descents():
+    """What lies behind the best one, and would at its end, stays as it is."""
+    _, fitted = slow_sensors()
+    cut, behind, whole = fitted(SLOW, 3), fitted(RAMP, 3), fitted(SLOW, 25)
+    assert cut.fit is not None
+    assert not cut.fit.converged
+    assert whole.log_evidence > cut.log_evidence + 3.0
+    first, second = finished([cut, behind])
+    assert first.log_evidence == pytest.approx(whole.log_evidence, abs=0.1)
+    assert second is behind
+
+
+def test_other_choices_are_judged_where_a_bound_stops_the_nominal_fit():
+    """Its quadratic would go on, which changes neither the order of effects nor that of effects and pairs."""
+    nominal, fitted = slow_sensors()
+    slow, ramp = fitted(SLOW, 25), fitted(RAMP, 25)
+    assert slow.fit is not None
+    assert ramp.fit is not None
+    assert Quadratic.of(nominal).log_evidence() > nominal.log_evidence + 20.0
+    assert slow.log_evidence > ramp.log_evidence + 20.0
+
+    def judge(changes, of_pairs):
+        name = max(changes or evidence, key=lambda n: evidence[n] + changes.get(n, 0.0))
+        lead = evidence[name] + changes.get(name, 0.0) > ramp.log_evidence + of_pairs["both"]
+        return Answers({"sensor_bandwidth": 0.9 * lead, "both": 0.9 * (not lead)}, 1.0, Left(0.0, 0.0), 0.0)
+
+    evidence = {"sensor_bandwidth": slow.log_evidence}
+    choices = sensitivity(
+        nominal, {"sensor_bandwidth": [slow.fit]}, judge, "sensor_bandwidth", evidence, {"both": ramp.fit}
+    )
+    left_out = [c.verdict for c in choices if c.what.startswith("without")]
+    assert left_out == ["sensor_bandwidth"] * 6
 
 
 def test_a_burst_in_one_trial_is_left_out_and_one_in_all_repeats_is_not():
