@@ -16,6 +16,7 @@ from bayes_damper.calibration.noise import Noise, fast_level, rounding
 
 Array = NDArray[np.float64]
 STEADY = 4.0  # steps of a clock, longest over shortest but for a tenth, up to which correlation is counted in readings
+CHANCE = 3.0  # standard deviations by which what is left may exceed the sensors' noise by chance
 WHITE_ENOUGH = 1.3  # largest ratio of residuals without repeats to the noise of the sensors up to which they are noise
 
 
@@ -58,14 +59,20 @@ def error_level(residuals: Sequence[Array]) -> float:
     return math.sqrt(0.5 * float(power @ power) / total) if total > 0.0 else 0.0
 
 
-def _white_enough(readings: int) -> float:
+def _white_enough(readings: int, sds: float = 1.0) -> float:
     """Ratio of `error_level` to the noise of the sensors up to which nothing speaks for correlated errors.
 
-    One standard deviation: from n readings the former is known to sqrt(1 / n), the latter, from a median of
-    differences, to sqrt(2 / n). White noise that exceeds it loses some per cent of sharpness; colour taken for white
-    noise would be taken for a gap.
+    sds : standard deviations of that ratio: from n readings the former is known to sqrt(1 / n), the latter, from a
+    median of differences, to sqrt(2 / n). One for the noise of a fit: white noise that exceeds it loses some per cent
+    of sharpness; colour taken for white noise would be taken for a gap.
     """
-    return min(1.0 + math.sqrt(3.0 / max(readings, 1)), WHITE_ENOUGH)
+    return min(1.0 + sds * math.sqrt(3.0 / max(readings, 1)), WHITE_ENOUGH)
+
+
+def noise_alone(noise: Noise, readings: int) -> bool:
+    """Whether a fit that shows this noise leaves no more than the noise of the sensors, as far as readings tell."""
+    sensor = noise.sensor or noise.total
+    return all(x < _white_enough(readings, CHANCE) * s for x, s in zip(noise.total, sensor, strict=True))
 
 
 def learn_noise(fit: Calibration, colour: bool = True) -> Noise:

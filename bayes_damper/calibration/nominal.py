@@ -16,7 +16,7 @@ from bayes_damper.calibration.groups import Group, Switches
 from bayes_damper.calibration.input_noise import FELT, felt, with_input_noise
 from bayes_damper.calibration.least_squares import Calibration, calibrate, default_starts, drawn_starts
 from bayes_damper.calibration.noise import Noise, rough_noise
-from bayes_damper.calibration.noise_level import learn_noise
+from bayes_damper.calibration.noise_level import learn_noise, noise_alone
 from bayes_damper.calibration.own_values import RELEASE, Scatter
 from bayes_damper.calibration.problem import Problem
 from bayes_damper.calibration.scatter import (
@@ -388,7 +388,8 @@ def _as_single_releases(fit: Calibration) -> Calibration:
         found = calibrate(found.problem.with_noise(noise), [found.q], eta=found.eta, anneal=False)
         if not noise.sensor:
             return found
-    return fit
+    readings = sum(found.problem.experiment.trials[i].times.size for i in found.problem.trials)
+    return found if noise_alone(found.problem.noise, readings) else fit
 
 
 def broad_noise(experiment: Experiment, trained: Sequence[int]) -> Noise:
