@@ -395,6 +395,11 @@ def _with(content: Any, place: Sequence[Any], value: str | None) -> str:
     return json.dumps(copy).replace('"@@@"', value)
 
 
+def reason(case: str, reasons: Sequence[tuple[str, str]]) -> str:
+    """Why silence is right in this case, by `reasons` (pattern, why); "" if no pattern covers it."""
+    return next((why for pattern, why in reasons if re.search(pattern, case)), "")
+
+
 def unexplained(cases: Sequence[str], reasons: Sequence[tuple[str, str]]) -> list[str]:
-    """Cases that no pattern of `reasons` (pattern, why silence is right) covers."""
-    return [case for case in cases if not any(re.search(pattern, case) for pattern, _ in reasons)]
+    """Cases whose silence has no reason."""
+    return [case for case in cases if not reason(case, reasons)]

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
+import itertools
 import json
 import os
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -225,6 +227,37 @@ OPTION_VALUES: tuple[Any, ...] = (
     b"x",
 )
 
+WORDS = r"name|description|source|caveats"
+SILENT = [
+    (rf"(toml: ({WORDS}|case|file|reason|level) = )|(without line \d+, ({WORDS}))", "words are the user's own"),
+    (r"without (line|column)", "a key or a column that may be left out"),
+    (r"lines of (an old Mac|Windows)|a lone return|line separators|form feeds", "lines may end in any way"),
+    (
+        r"UTF-16|two marks of byte order|a byte of 0 at its end",
+        "a logger's file may be so; what is left out is a caveat",
+    ),
+    (r"one.txt: (cut at|a line of 300 000|semicolons|bytes changed)", "a shorter recording, or a foot below it"),
+    (r"trials/.*: (cut at|one row|the head|bytes changed)|priors.toml: cut at", "what is left is whole"),
+    (r"trials.csv: one row", "one trial is a campaign"),
+    (r"= '(1_0|true|rest)'", "TOML writes 10 so, and these words are valid"),
+    (r"= '(-1|-1e-9|0|0.0|\{ value = 1.0 \})'", "within what the key may be"),
+    (r"= '\[(1, 2, 3|1.0, -1.0|\"a\"|)\]'", "within what the key may be"),
+    (r"row \d+, (case|trial|holdout|file) = ", "a label of the user's own"),
+    (r"row \d+, \w+ = '(0|1|-1|1\.5|0x10|true|\\?\"1\\?\"|nan| )?'", "within what the column may be"),
+    (r"row \d+, \w+ = '(1e-308|\"1\"|-1|0|1\.5)'", "a reading may be so"),
+    (r"priors.toml: (missing|empty|blank|a link to nothing)", "a campaign needs no priors of its own"),
+    (r"rows reversed|twice|renamed|no line ends|commas|column \w+ (twice|renamed)", "still says what is needed"),
+    (r"bytes changed", "another digit or letter is not told from the one meant"),
+    (r"priors.toml: ", "a prior is what its author holds likely"),
+    (r"trials.csv: row \d+, \w+ = ", "a value of its own that the records do not contradict"),
+    (r"one.h5: (a link to another file|a soft link|a group within itself|words|complex)", "left out beside readings"),
+    (r"one.h5: a line of 300 000", "HDF5 knows where it ends"),
+    (r"one.json: log\.\d(\.\w)? = (absent|null|NaN|\{)", "a reading may be missing"),
+    (r"one.json: log\.\d\.\w = (-1|0|true)", "a reading may be so; true is 1"),
+    (r"option ", "the option says what it says"),
+]
+"""Pattern of damages that may pass in silence, and why that is right."""
+
 
 @dataclass(frozen=True)
 class Target:
@@ -382,34 +415,39 @@ COMMAND_LINE = (
 )  # fmt: skip
 
 
-def command_line_calls(home: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
-    """Every option of `init` on the command line at each of many words, columns named or not: name of the case, call.
-
-    The call raises the sentence that is printed, as the public function does.
-    """
+def command_line(home: Path) -> list[str]:
+    """Words of a good `init` of one logger file, which is made."""
     home.mkdir()
     logger_file(home / "one.txt", 2)
-    good = [str(home / "out"), str(home / "one.txt"), "--case", "A", "--k1t", "10.2"]
-    good += ["--theta0", "4.7", "--configuration", "coupled", "--mounting-radius", "0.1", "--overwrite"]
+    good = ["init", str(home / "out"), str(home / "one.txt"), "--case", "A", "--k1t", "10.2"]
+    return [*good, "--theta0", "4.7", "--configuration", "coupled", "--mounting-radius", "0.1", "--overwrite"]
+
+
+def valued_options() -> list[str]:
+    """Options of `init` that take words."""
     options = next(a.choices for a in _parser()._actions if a.dest == "command")["init"]._actions
-    for option in options:
-        if not option.option_strings or option.nargs == 0:
-            continue
-        for word in COMMAND_LINE:
-            for more in [], ["--time", "1", "--columns", "2", "3"]:
-                words = ["init", *good, *more, option.option_strings[-1], word]
+    return [option.option_strings[-1] for option in options if option.option_strings and option.nargs != 0]
 
-                def call(words: list[str] = words) -> None:
-                    said = io.StringIO()
-                    try:
-                        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(said):
-                            code = main(words)
-                    except SystemExit as ended:
-                        code = ended.code
-                    if code:
-                        raise InputError(said.getvalue() if code == 2 else "")
 
-                yield f"option {option.dest} = {damage_name(word)}{', with columns' if more else ''}", call
+def spoken(words: Sequence[str]) -> None:
+    """A command line; raises the sentence that is printed, as the public function does."""
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(said):
+            code = main(words)
+    except SystemExit as ended:
+        code = ended.code
+    if code:
+        raise InputError(said.getvalue() if code == 2 else "")
+
+
+def command_line_calls(home: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
+    """Every option of `init` at each of many words, columns named or not: name of the case, call."""
+    good = command_line(home)
+    for option, word in itertools.product(valued_options(), COMMAND_LINE):
+        for more in [], ["--time", "1", "--columns", "2", "3"]:
+            name = f"option {option[2:]} = {damage_name(word)}{', with columns' if more else ''}"
+            yield name, functools.partial(spoken, [*good, *more, option, word])
 
 
 def option_calls(home: Path) -> Iterator[tuple[str, Callable[[], Any]]]:

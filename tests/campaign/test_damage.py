@@ -12,43 +12,13 @@ import damaged_files
 import pytest
 
 MOST_KB = 1_000_000
-WORDS = r"name|description|source|caveats"
-SILENT = [
-    (rf"(toml: ({WORDS}|case|file|reason|level) = )|(without line \d+, ({WORDS}))", "words are the user's own"),
-    (r"without (line|column)", "a key or a column that may be left out"),
-    (r"lines of (an old Mac|Windows)|a lone return|line separators|form feeds", "lines may end in any way"),
-    (
-        r"UTF-16|two marks of byte order|a byte of 0 at its end",
-        "a logger's file may be so; what is left out is a caveat",
-    ),
-    (r"one.txt: (cut at|a line of 300 000|semicolons|bytes changed)", "a shorter recording, or a foot below it"),
-    (r"trials/.*: (cut at|one row|the head|bytes changed)|priors.toml: cut at", "what is left is whole"),
-    (r"trials.csv: one row", "one trial is a campaign"),
-    (r"= '(1_0|true|rest)'", "TOML writes 10 so, and these words are valid"),
-    (r"= '(-1|-1e-9|0|0.0|\{ value = 1.0 \})'", "within what the key may be"),
-    (r"= '\[(1, 2, 3|1.0, -1.0|\"a\"|)\]'", "within what the key may be"),
-    (r"row \d+, (case|trial|holdout|file) = ", "a label of the user's own"),
-    (r"row \d+, \w+ = '(0|1|-1|1\.5|0x10|true|\\?\"1\\?\"|nan| )?'", "within what the column may be"),
-    (r"row \d+, \w+ = '(1e-308|\"1\"|-1|0|1\.5)'", "a reading may be so"),
-    (r"priors.toml: (missing|empty|blank|a link to nothing)", "a campaign needs no priors of its own"),
-    (r"rows reversed|twice|renamed|no line ends|commas|column \w+ (twice|renamed)", "still says what is needed"),
-    (r"bytes changed", "another digit or letter is not told from the one meant"),
-    (r"priors.toml: ", "a prior is what its author holds likely"),
-    (r"trials.csv: row \d+, \w+ = ", "a value of its own that the records do not contradict"),
-    (r"one.h5: (a link to another file|a soft link|a group within itself|words|complex)", "left out beside readings"),
-    (r"one.h5: a line of 300 000", "HDF5 knows where it ends"),
-    (r"one.json: log\.\d(\.\w)? = (absent|null|NaN|\{)", "a reading may be missing"),
-    (r"one.json: log\.\d\.\w = (-1|0|true)", "a reading may be so; true is 1"),
-    (r"option ", "the option says what it says"),
-]
-"""Pattern of damages that may pass in silence, and why that is right."""
 
 
 def judged(outcome: damage.Outcome, least: int) -> None:
     """Nothing but sentences, reasons for silence, and little memory."""
     assert outcome.cases >= least
     assert not outcome.faults, "\n".join(f"{case}\n{told}" for case, told in list(outcome.faults.items())[:5])
-    assert not damage.unexplained(outcome.silent, SILENT)
+    assert not damage.unexplained(outcome.silent, damaged_files.SILENT)
     assert len(outcome.told) > 0.7 * outcome.cases, "most damage is to be told"
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < max(MOST_KB, outcome.began_kb + MOST_KB // 2)
 
@@ -122,4 +92,4 @@ def test_a_fault_of_ours_would_be_seen(tmp_path):
     damage.tried(lambda: None, "nothing", outcome)
     assert set(outcome.faults) == {"a traceback", "a loop", "no words"}
     assert outcome.silent == ["nothing"]
-    assert damage.unexplained(["nothing"], SILENT) == ["nothing"]
+    assert damage.unexplained(["nothing"], damaged_files.SILENT) == ["nothing"]

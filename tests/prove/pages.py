@@ -195,20 +195,22 @@ def kills() -> None:
 
 
 def damage() -> None:
-    """Page of the damaged files: what is finished of both parts."""
-    results = [r for name in ("damage-files", "damage-results") for r in parts.finished(name).values()]
+    """Page of the damaged files: what is finished of all parts."""
+    results = [r for name in ("files", "results", "lines") for r in parts.finished(f"damage-{name}").values()]
+    made = [*parts.finished("damage-purpose").values()]
     total = sum(r["inputs"] for r in results)
-    faults = [case for r in results for case in r["faults"]]
-    peak = max(r["peak_kb"] for r in results) / 1e6
+    ways = sum(r["told"] + sum(r["silent"].values()) + len(r["faults"]) for r in made)
+    faults = [case for r in (*results, *made) for case in r["faults"]]
+    peak = max(r["peak_kb"] for r in (*results, *made)) / 1e6
     lines = [
-        "Good files of a campaign, of an import and of a results folder are changed at random, one to four times each,",
-        "and read by the command that reads them. It must end with a sentence and exit code 2, or go on where what is",
-        "left can be read: nobody can see that a digit of a reading or a comment changed, or two rows were swapped.",
-        "A fault is a traceback, a call that does not end within a minute, an empty sentence, or one with control",
-        f"characters. Memory must stay below 1 GB (most here: {peak:.2f} GB). The quick tests have changes made on",
-        "purpose, and why each of them may pass in silence.",
+        "Good files of a campaign, an import, loggers and a results folder are changed at random, one to four times",
+        "each, and read by the command that reads them; so are command lines of `init`. Each must end with a sentence",
+        "and exit code 2, or go on where what is left can be read: nobody can see that a digit changed, or",
+        "that two rows were swapped. A fault is a traceback, a call that does not end within a minute, an empty",
+        "sentence, or one with control characters.",
+        f"Memory must stay below 1 GB (most here: {peak:.2f} GB).",
     ]
-    numbers: dict[str, Any] = {"inputs": total, "faults": len(faults), "peak_gb": peak}
+    numbers: dict[str, Any] = {"inputs": total, "on_purpose": ways, "faults": len(faults), "peak_gb": peak}
     for title, key in (("file", "files"), ("change, alone or beside others", "changes")):
         counts: Counter[str] = Counter()
         for r in results:
@@ -222,9 +224,29 @@ def damage() -> None:
             [(name, str(sum(row)), *map(str, row)) for name, row in rows.items()],
         )
         numbers[key] = {name: dict(zip(hows, row, strict=True)) for name, row in rows.items()}
-    numbers["commits"] = {r["commit"] for r in results}
+    lines += [
+        "",
+        "Changes made on purpose, each kind at each place of each file; the quick tests try some of them:",
+        "",
+    ]
+    numbers["purpose"] = {
+        r["name"]: {"sentence": r["told"], "silence": sum(r["silent"].values()), "fault": len(r["faults"])}
+        for r in made
+    }
+    lines += _table(
+        ("read by", "ways", "a sentence", "silence", "faults"),
+        [(name, str(sum(row.values())), *map(str, row.values())) for name, row in numbers["purpose"].items()],
+    )
+    reasons: Counter[str] = Counter()
+    for r in made:
+        reasons.update(r["silent"])
+    lines += _table(("why silence is right", "ways"), [(why, str(n)) for why, n in reasons.most_common()])
+    numbers["reasons"] = dict(reasons.most_common())
+    numbers["commits"] = {r["commit"] for r in (*results, *made)}
     lines += ["", *(f"- {case}" for case in faults[:20])] if faults else []
-    parts.write_page("damage", f"{total:,} files".replace(",", " ") + f", {len(faults)} faults.", lines, numbers)
+    said = [f"{n:,}".replace(",", " ") for n in (total, ways)]
+    verdict = f"{said[0]} random inputs, {said[1]} on purpose, {len(faults)} faults."
+    parts.write_page("damage", verdict, lines, numbers)
 
 
 def integrator(rows: Results) -> None:

@@ -1,4 +1,7 @@
-"""A hundred thousand files damaged at random: a sentence each or silence, no traceback, no hang, little memory."""
+"""A hundred thousand files damaged at random: a sentence each or silence, no traceback, no hang, little memory.
+
+Beside them command lines, and every damage that is made on purpose, with the reason where silence is right.
+"""
 
 from __future__ import annotations
 
@@ -59,47 +62,118 @@ def mangled(raw: bytes, rng: np.random.Generator) -> tuple[bytes, set[str]]:
     return raw, kinds
 
 
-def mangle(targets, name, count):
-    """So many mangled files of the targets' folders, one at a time, each read by its target's call."""
+def of_targets(targets):
+    """A mangled file of one of the targets' folders, read by its target's call: (name, kinds of change, outcome)."""
     good = [
         (target, file, (target.folder / file).read_bytes())
         for target in targets
         for file in sorted({d.file for d in target.damages})
     ]
 
+    def one(rng):
+        target, file, raw = good[rng.integers(len(good))]
+        bad, kinds = mangled(raw, rng)
+        outcome = damage.Outcome()
+        (target.folder / file).write_bytes(bad)
+        damage.tried(target.call, f"{target.name}: {file}", outcome, SECONDS)
+        (target.folder / file).write_bytes(raw)
+        return f"{target.name}: {file}", kinds, outcome
+
+    return one
+
+
+def of_the_command_line(home):
+    """`init` with one to four options at odd words."""
+    good, options = damaged_files.command_line(home), damaged_files.valued_options()
+    words = [w for w in (*damaged_files.COMMAND_LINE, *damage.CELLS) if "\0" not in w]  # no shell can send that
+
+    def one(rng):
+        chosen = [options[k] for k in rng.choice(len(options), rng.integers(1, 5), replace=False)]
+        more = [w for option in chosen for w in (option, words[rng.integers(len(words))])]
+        outcome = damage.Outcome()
+        damage.tried(lambda: damaged_files.spoken([*good, *more]), f"init {ascii(more)[:300]}", outcome, SECONDS)
+        return "init: command line", {f"{len(chosen)} odd option{'s'[: len(chosen) - 1]}"}, outcome
+
+    return one
+
+
+def mangle(one, name, count):
+    """So many random inputs, each made and read by `one`."""
+
     def task(number):
         files, changes, faults = Counter(), Counter(), {}
         for seed in range(number * AT_ONCE, (number + 1) * AT_ONCE):
-            rng = np.random.default_rng([seed, 23])
-            target, file, raw = good[rng.integers(len(good))]
-            bad, kinds = mangled(raw, rng)
-            outcome = damage.Outcome()
-            (target.folder / file).write_bytes(bad)
-            damage.tried(target.call, f"{target.name}: {file}, seed {seed}", outcome, SECONDS)
-            (target.folder / file).write_bytes(raw)
+            what, kinds, outcome = one(np.random.default_rng([seed, 23]))
             how = "sentence" if outcome.told else "silence" if outcome.silent else "fault"
-            files[f"{target.name}: {file}|{how}"] += 1
+            files[f"{what}|{how}"] += 1
             changes.update(f"{kind}|{how}" for kind in kinds)
-            faults |= outcome.faults
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return {"inputs": AT_ONCE, "files": files, "changes": changes, "faults": faults, "peak_kb": peak}
+            faults |= {f"{case}, seed {seed}": told for case, told in outcome.faults.items()}
+        return {"inputs": AT_ONCE, "files": files, "changes": changes, "faults": faults, "peak_kb": peak_kb()}
 
     results = parts.finish(name, count // AT_ONCE, task)
     pages.damage()
-    faults = {case: told for r in results for case, told in r["faults"].items()}
-    shown = "\n".join(f"{case}\n{told}" for case, told in list(faults.items())[:5])
-    assert not faults, f"{len(faults)} of {count}\n{shown}"
+    shown(results, count)
     said = sum(n for r in results for how, n in r["files"].items() if how.endswith("|sentence"))
     assert said > 0.5 * count
+
+
+def peak_kb():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
+def shown(results, count):
+    """No fault, and little memory."""
+    faults = {case: told for r in results for case, told in r["faults"].items()}
+    some = "\n".join(f"{case}\n{told}" for case, told in list(faults.items())[:5])
+    assert not faults, f"{len(faults)} of {count}\n{some}"
     assert max(r["peak_kb"] for r in results) < MOST_KB
 
 
 @pytest.mark.prove
 def test_files_mangled_at_random_are_told(tmp_path):
     targets = [*damaged_files.campaign_targets(tmp_path), *damaged_files.import_targets(tmp_path / "raw")]
-    mangle(targets, "damage-files", COUNT)
+    mangle(of_targets([*targets, *damaged_files.logger_targets(tmp_path / "other")]), "damage-files", COUNT)
 
 
 @pytest.mark.prove
 def test_results_mangled_at_random_are_told(tmp_path):
-    mangle([*damaged_files.results_targets(tmp_path)], "damage-results", COUNT // 10)
+    mangle(of_targets([*damaged_files.results_targets(tmp_path)]), "damage-results", COUNT // 10)
+
+
+@pytest.mark.prove
+def test_command_lines_mangled_at_random_are_told(tmp_path):
+    mangle(of_the_command_line(tmp_path / "raw"), "damage-lines", COUNT // 10)
+
+
+@pytest.mark.prove
+def test_each_damage_made_on_purpose_is_counted(tmp_path):
+    """All of those of which the quick tests try some: campaigns, imports, logger files, options, command lines."""
+    targets = [*damaged_files.campaign_targets(tmp_path), *damaged_files.import_targets(tmp_path / "raw")]
+    targets += damaged_files.logger_targets(tmp_path / "other")
+    kinds = [(t.name, lambda outcome, t=t: damage.run(t.folder, t.damages, t.call, outcome)) for t in targets]
+
+    def tried(calls, outcome):
+        for name, call in calls:
+            damage.tried(call, name, outcome)
+
+    for name, calls in (
+        ("init: options, from Python", damaged_files.option_calls(tmp_path / "options")),
+        ("init: options, command line", damaged_files.command_line_calls(tmp_path / "lines")),
+    ):
+        kinds.append((name, lambda outcome, calls=calls: tried(calls, outcome)))
+
+    def task(number):
+        name, run = kinds[number]
+        outcome = damage.Outcome()
+        run(outcome)
+        reasons = Counter(damage.reason(case, damaged_files.SILENT) for case in outcome.silent)
+        return {"name": name, "told": len(outcome.told), "silent": reasons, "faults": outcome.faults} | {
+            "peak_kb": peak_kb()
+        }
+
+    results = parts.finish("damage-purpose", len(kinds), task)
+    pages.damage()
+    count = sum(r["told"] + sum(r["silent"].values()) for r in results)
+    shown(results, count)
+    assert count > 8000
+    assert not any("" in r["silent"] for r in results), "silence without a reason"
