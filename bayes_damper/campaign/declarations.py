@@ -146,7 +146,8 @@ def _look_at_releases(first: Mapping[str, Trial], swings: Mapping[str, float], w
     warnings.append(
         f"trials.csv: uncoupled, the first swing is that of another release than declared: {ratios}"
         + (f" (other cases {rest})" if rest else "")
-        + "; correct theta0 there, or see whether the sensor's scale is right and it does not saturate"
+        + "; correct theta0 there, or see whether the sensor's scale is right and it does not saturate; a spring that "
+        "stiffens or softens looks so too, which `diagnose` shows"
     )
 
 

@@ -231,7 +231,10 @@ def convert(
     if kind == "translational" or unit in _ANGULAR[quantity]:
         return readings * valid[unit]
     if radius is None:
-        raise InputError(f"{where}: '{unit}' is tangential; give mounting_radius in metres")
+        raise InputError(
+            f"{where}: '{unit}' is tangential; give mounting_radius in metres, or kind = 'translational' for what "
+            "moves along a line"
+        )
     if not 0.0 < radius < 10.0:
         raise InputError(f"{where}: mounting_radius = {radius!r} m is not possible; give metres")
     with np.errstate(over="ignore"):  # readings of 1e307: the check of the campaign names what is not finite
@@ -747,15 +750,20 @@ def _swinging_tails(times: Array, channels: Array, option: Mapping[str, Any], wh
         periods = look.dominant_frequency(times, y) * float(np.ptp(t))
         if offset == "tail" and 0.0 < periods < _FEWEST_PERIODS and np.ptp(part) > _SWINGS * np.ptp(y):
             out.append(
-                f"{where}: offset = 'tail' averages the last quarter of the record, which still swings and holds "
-                f"{periods:.1f} periods: that mean is not what the sensor reads at rest; give a longer record or the "
+                f"{where}: offset = 'tail' takes the middle of the end of the record, which still swings and holds "
+                f"{periods:.1f} periods: that is not what the sensor reads at rest; give a longer record or the "
                 "offset as a number, or leave it and set offset_std."
             )
     return out
 
 
 def _tail_of(y: Array) -> slice:
-    return slice(-max(8, len(y) // 4), None)
+    """The last quarter; if the rig still swings there, as much before it as holds two and a half swings."""
+    tail = slice(-max(8, len(y) // 4), None)
+    frequency = look.dominant_frequency(np.arange(len(y), dtype=float), y)
+    if frequency == 0.0 or np.ptp(y[tail]) <= _SWINGS * np.ptp(y):
+        return tail
+    return slice(min(tail.start, -min(math.ceil((_FEWEST_PERIODS + 0.5) / frequency), 3 * len(y) // 4)), None)
 
 
 def _offset(y: Array, offset: str | float, where: str) -> float:
@@ -859,6 +867,7 @@ def _repeated(options: Sequence[Mapping[str, Any]]) -> list[str]:
             continue
         key = (option["case"], option["configuration"], option["trial"])
         if key in seen:
-            faults.append(f"{option['where']}: trial {key[2]} of {key[0]} {key[1]} is there already ({seen[key]})")
+            there = f"trial {key[2]} of {key[0]} {key[1]} is there already ({seen[key]})"
+            faults.append(f"{option['where']}: {there}; give each trial of a case its own number")
         seen[key] = option["where"]
     return faults

@@ -217,17 +217,21 @@ def _moves_the_wrong_way(times: Array, y: Array, quantity: str, omega: float, re
     """When the motion begins, in s, where a primary that is held at first then moves as if released on the other side.
 
     None where it moves as it should, or where the record holds too little to judge: a shorter rest (what is shorter
-    than a radian of the oscillation may be a turning point), or fewer than three readings of the first swing.
+    than a radian of the oscillation may be a turning point, if no jump of an acceleration ends it), or fewer than three
+    readings of the first swing.
 
     y : (n,) the readings, times the sign that they should have at first; omega : rad/s of the primary on its spring;
     rest : rad of that oscillation
     """
     largest = float(np.quantile(np.abs(y), 0.998))
     held = float(np.median(y[:_FEW])) if quantity == "displacement" else 0.0
-    moving = np.abs(y - held) > max(8.0 * look.noise_floor_of(y), 0.05 * float(np.max(np.abs(y))))
+    bound = max(8.0 * look.noise_floor_of(y), 0.05 * float(np.max(np.abs(y))))
+    moving = np.abs(y - held) > bound
     lasting = moving[:-2] & moving[1:-1] & moving[2:]
     k = int(np.argmax(lasting)) if lasting.any() else 0
-    if times[k] - times[0] < rest / omega or (rest > 0.0 and k < _FEW):
+    if rest > 0.0 and k < _FEW:
+        return None
+    if times[k] - times[0] < rest / omega and not (quantity == "acceleration" and _jumps(y, k, bound)):
         return None
     if quantity == "displacement":
         return float(times[k]) if held < -0.3 * largest else None
@@ -239,6 +243,16 @@ def _moves_the_wrong_way(times: Array, y: Array, quantity: str, omega: float, re
         soon = True
     wrong = soon and len(swing) >= _FEW and bool(np.all(swing < 0.0))
     return float(times[k]) if wrong and (quantity == "velocity" or np.median(swing) < -0.4 * largest) else None
+
+
+def _jumps(y: Array, k: int, bound: float) -> bool:
+    """Whether readings that stay within the bound until k then go where no smooth motion could, as at a release.
+
+    A parabola that turns round among the k readings, from one bound to the other, gets to 2 bound (x/h)^2 - bound at x
+    steps from their middle, where h is half their length.
+    """
+    half = 0.5 * (k - 1)
+    return bool(np.all(np.abs(y[k + 1 : k + 3]) > bound * (2.0 * (1.0 + 2.0 / half) ** 2 - 1.0)))
 
 
 def look_at_rates(head: Head, trials: Sequence[Trial], warnings: list[str]) -> None:
