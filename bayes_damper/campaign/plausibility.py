@@ -34,6 +34,7 @@ def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
     coupled = len(trial.channels) > 1
     given = per_channel(head.measurement.noise_std, coupled)
     limits = per_channel(head.measurement.sensor_range, coupled)
+    grows = _growth(trial) if head.measurement.start == "free" and not trial.driven else []
     for i, y in enumerate(trial.channels):
         where = f"{trial.file}, column '{channel_columns(trial, head.rig.kind, head.measurement.quantity)[i]}'"
         noise = look.noise_floor_of(y)
@@ -55,7 +56,7 @@ def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
         slowest = 2.0 * math.pi * look.dominant_frequency(trial.times, y)  # of a coupled rig's slow mode: round tops
         reacts = trial.prescribed and i == 0  # dry friction has flat tops
         tops = look.flat_tops_of(trial.times, y, noise, min(omega, max(slowest, 0.25 * omega)), held)
-        for level in [] if reacts else tops:
+        for level in [] if reacts or grows else tops:  # a hand that holds the rig makes them too
             warnings.append(f"{where}: flat tops at {level:.4g}; it looks clipped there")
         if limits is not None and np.max(np.abs(y)) > 0.98 * limits[i]:
             warnings.append(f"{where}: readings reach the sensor's range of {limits[i]:.4g}; it may be clipped")
@@ -92,8 +93,7 @@ def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
         )
     if head.measurement.start == "rest" and trial.theta0 is not None and not (trial.driven and not trial.theta0.value):
         _look_at_release(head, trial, omega, warnings)
-    if head.measurement.start == "free" and not trial.driven:
-        _look_at_growth(trial, warnings)
+    warnings += grows
 
 
 def _held_for(head: Head, trial: Trial, y: Array) -> int:
@@ -107,21 +107,22 @@ def _held_for(head: Head, trial: Trial, y: Array) -> int:
     return count if at_rest else 0
 
 
-def _look_at_growth(trial: Trial, warnings: list[str]) -> None:
-    """A decay that begins small and then grows was at rest, or in a hand, before it was let go."""
+def _growth(trial: Trial) -> list[str]:
+    """A sentence where a decay begins small and then grows: at rest, or in a hand, before it was let go."""
     frequency = look.dominant_frequency(trial.times, trial.channels[0])
     if frequency == 0.0 or np.ptp(trial.times) < 3.0 / frequency:
-        return
+        return []
     first = trial.times < trial.times[0] + 1.0 / frequency
     sizes = [np.abs(y - np.median(y[trial.times > np.median(trial.times)])) for y in trial.channels]
     if np.count_nonzero(first) < 4 or any(np.max(s[first]) > _GROWS * np.max(s) for s in sizes):
-        return
+        return []
     largest = float(trial.times[int(np.argmax(sizes[0]))])
-    warnings.append(
+    sentence = (
         f"{trial.file}: the motion grows until {largest:.4g} s: the rig rests, or a hand moves it, before it is let "
         'go; fits with start = "free" need a record of the decay alone: `init --release first_peak`, or take the first '
         "readings off"
     )
+    return [sentence]
 
 
 def _is_angle(head: Head) -> bool:

@@ -76,12 +76,16 @@ def test_steps_and_kinks_of_a_displacement_are_no_spikes():
         assert not look._off_the_cubic(y, 1e-5).any()
 
 
-@pytest.mark.parametrize("before", [np.zeros(60), 0.1 * np.sin(0.5 * math.pi * np.linspace(0.0, 1.0, 60)) ** 2])
+LIFT = 0.1 * np.sin(0.5 * math.pi * np.linspace(0.0, 1.0, 60)) ** 2
+
+
+@pytest.mark.parametrize("before", [np.zeros(60), LIFT, np.concatenate([LIFT, np.full(40, LIFT[-1])])])
 def test_rest_or_a_hand_before_the_release_of_a_free_start_is_named(tmp_path, before):
     x = np.concatenate([np.zeros(40), before, swing(TIMES)])
     times = np.arange(x.size) / RATE
     found = cart(tmp_path / "lifted", [noisy(s, x) for s in (1, 2)], times=times, start="free")
     assert sum("a hand moves it, before it is let go" in w for w in found) == 2
+    assert not any("clipped" in w for w in found), "a hand that holds the rig"
     found = cart(tmp_path / "free", [noisy(s, swing(TIMES)) for s in (1, 2)], start="free")
     assert not any("before it is let go" in w for w in found)
 
