@@ -163,7 +163,7 @@ def _declared(value: float, unit: float) -> str:
     """A number in degrees (mm), as short as reads back to the same SI value."""
     scaled = value / unit
     for digits in range(1, 18):
-        text = f"{scaled:.{digits}g}"
-        if float(text) * unit == value:
-            return text
+        short = float(f"{scaled:.{digits}g}")
+        if short * unit == value:
+            return repr(short).removesuffix(".0")
     return repr(scaled)

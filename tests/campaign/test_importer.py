@@ -848,6 +848,13 @@ def test_names_stand_above_units_of_pixels_with_none_for_the_frame(tmp_path: Pat
     assert found.units == ("", "s", "px", "px")
 
 
+def test_declared_numbers_are_written_as_a_person_writes_them(tmp_path: Path) -> None:
+    for theta0 in (4.7, 5.0, 20.0, 0.5):
+        source = logger_file(tmp_path / "run.csv", theta0 / 4.7 * wave())
+        folder = init_campaign(tmp_path / f"out{theta0}", [source], **{**OPTIONS, "theta0": theta0, "theta0_std": 0.1})
+        assert f",{theta0:g},0.1," in (folder / "trials.csv").read_text().splitlines()[1]
+
+
 def test_pixels_and_counts_are_refused_with_what_describes_them(tmp_path: Path) -> None:
     source = logger_file(tmp_path / "run.csv", wave())
     told = fault_of(tmp_path, source, units=["px"], quantity="displacement", kind="translational")
