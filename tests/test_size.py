@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -132,6 +133,21 @@ def test_what_is_held_of_linearised_problems_is_limited_and_made_again_the_same(
     assert [linear.given.nbytes > 0 for linear in many] == [False] * 3 + [True] * 3
     for a, b in zip(kept, many[0].blocks, strict=True):
         assert all(np.array_equal(x, y) for x, y in ((a.J, b.J), (a.T, b.T), (a.r, b.r)))
+
+
+def test_motions_take_the_room_of_what_can_be_made_again(fit, monkeypatch):
+    many = [fit.problem.linearise(fit.q, fit.eta) for _ in range(4)]
+    for linear in many:
+        assert linear.blocks
+    size = many[0].given.nbytes
+    moved = response.motions(replace(fit, linear=many[3]))
+    assert all(linear.given.nbytes for linear in many), "there is room for all"
+    monkeypatch.setattr(normal_equations, "MOST_BYTES", 2 * size + sum(m.nbytes for m in moved))
+    response.motions(replace(fit, linear=many[3]))
+    assert [linear.given.nbytes > 0 for linear in many] == [False, False, True, True]
+    monkeypatch.setattr(normal_equations, "MOST_BYTES", 0)
+    response.motions(replace(fit, linear=many[3]))
+    assert [linear.given.nbytes > 0 for linear in many] == [False] * 3 + [True], "of the fit itself, it is in use"
 
 
 def test_trials_are_differentiated_in_turns_with_the_same_results(fit, monkeypatch):

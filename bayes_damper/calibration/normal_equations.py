@@ -16,7 +16,8 @@ from bayes_damper.calibration.groups import Group
 Array = NDArray[np.float64]
 MOST_HELD = 6  # rounds in which a step finds what it must hold
 MOST_BYTES = 250_000_000
-"""Of linearised problems that are held at a time; beyond, all but the last two are made again when they are needed."""
+"""Of linearised problems, and of motions beside them, that are held at a time; beyond, all but the last two problems
+are made again when they are needed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,14 +65,23 @@ class Remade:
     def __call__(self) -> tuple[Block, ...]:
         """The blocks."""
         blocks = self._blocks = self._blocks or self._make()
-        others = [other for ref in Remade._held if (other := ref()) is not None and other is not self]
-        total = self.nbytes + sum(other.nbytes for other in others)
-        for other in others[:-1]:
-            if total > MOST_BYTES:
-                total -= other.nbytes
-                other.let_go()
-        Remade._held = [weakref.ref(other) for other in (*others, self) if other.nbytes]
+        Remade._held = [*(ref for ref in Remade._held if ref() is not self), weakref.ref(self)]
+        self.make_room(spare=2)
         return blocks
+
+    @classmethod
+    def make_room(cls, nbytes: int = 0, spare: int = 1) -> None:
+        """Let go of what was asked for longest ago, until all that is held leaves room for so many bytes.
+
+        spare : how many, those asked for last, are held in any case.
+        """
+        held = [other for ref in cls._held if (other := ref()) is not None and other.nbytes]
+        beyond = nbytes + sum(other.nbytes for other in held) - MOST_BYTES
+        for other in held[:-spare]:
+            if beyond > 0:
+                beyond -= other.nbytes
+                other.let_go()
+        cls._held = [weakref.ref(other) for other in held if other.nbytes]
 
     @property
     def nbytes(self) -> int:

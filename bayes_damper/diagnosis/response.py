@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.calibration import Block, Calibration, Experiment, Group, value_and_slope
+from bayes_damper.calibration.normal_equations import Remade
 from bayes_damper.rig.inputs import Inputs
 from bayes_damper.rig.kernels import compiled
 from bayes_damper.simulation.integrator import PER_GRAVITY
@@ -96,6 +97,11 @@ class Motion:
     def prescribed(self) -> bool:
         """Whether the motion of the primary is an input, and its channel reads the reaction."""
         return self.group.inputs is not None and self.group.inputs.motion is not None
+
+    @property
+    def nbytes(self) -> int:
+        """Of all arrays."""
+        return sum(getattr(self, f.name).nbytes for f in fields(self) if f.name != "group")
 
     def only(self, at: slice) -> Motion:
         """The motion of some of its trials."""
@@ -171,7 +177,11 @@ def in_slices(fit: Calibration) -> Calibration:
 
 def motions(fit: Calibration) -> list[Motion]:
     """The motion of every fitted trial, one entry for each group of the problem."""
-    return [_motion(fit, block) for block in fit.linear.blocks]
+    out: list[Motion] = []
+    for block in fit.linear.blocks:
+        out.append(_motion(fit, block))
+        Remade.make_room(sum(m.nbytes for m in out))
+    return out
 
 
 def in_turns(fit: Calibration, moved: Sequence[Motion]) -> tuple[Calibration, list[Motion]]:
