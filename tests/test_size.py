@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 import tracemalloc
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -158,6 +159,23 @@ def test_trials_are_differentiated_in_turns_with_the_same_results(fit, monkeypat
         assert a.group is b.group
         assert all(np.array_equal(x, y) for x, y in ((a.J, b.J), (a.T, b.T), (a.r, b.r), (a.eta, b.eta)))
         assert np.shares_memory(b.full, b.J), "lies in one array, without a copy"
+
+
+def test_a_descent_holds_the_derivatives_of_one_step(monkeypatch):
+    alive: list[int] = []
+    made: list[weakref.ref] = []
+    original = Problem.linearise
+
+    def noted(self, *args, **kwargs):
+        alive.append(sum(ref() is not None for ref in made))
+        linear = original(self, *args, **kwargs)
+        made.append(weakref.ref(linear))
+        return linear
+
+    monkeypatch.setattr(Problem, "linearise", noted)
+    calibrate(Problem(measured(repeats=1, duration=0.1)), anneal=False, finish=False)
+    assert len(alive) > 3
+    assert max(alive) == 0
 
 
 def test_derivatives_of_many_trials_are_never_held_twice(monkeypatch):

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.signedinteger[Any]]
 RELEASE_STEP = 5e-6  # s, of a difference quotient by a trial's time of release: from none to some, readings jump
 LEAST_STEP = 1e-4  # relative, of a difference quotient by a trial's own value of a parameter
-READINGS_AT_ONCE = 100_000  # of the trials whose records are differentiated together
+READINGS_AT_ONCE = 50_000  # of the trials whose records are differentiated together
 
 
 class Differentiable(Protocol):

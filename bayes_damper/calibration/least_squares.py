@@ -240,6 +240,7 @@ def _descend(
                 accepted = True
                 break
             damping *= 300.0 if math.isfinite(moved_cost) else 100.0
+        del normals  # before the next ones are made: they hold all derivatives
         end = _End(cost, q, eta, not accepted or gained < _least(problem, cost, tolerance), iteration)
         if end.converged or (known is not None and _alike(end, known)):
             return end
