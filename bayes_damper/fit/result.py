@@ -6,6 +6,7 @@ import math
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import Any, cast
 
@@ -60,6 +61,10 @@ class Fit:
         cases = ", ".join(self.summary.get("cases", {}))
         ended = "converged" if self.converged else "did not converge"
         return f"Fit({str(self.folder)!r}: {self.summary.get('campaign')}, cases {cases}, {ended})"
+
+    def _repr_html_(self) -> str:
+        """The tables of `text`, as a notebook shows them."""
+        return f"<pre>{escape(self.text())}</pre>"
 
     def to_json(self) -> FitFile:
         """What summary.json holds."""

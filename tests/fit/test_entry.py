@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import math
 import os
@@ -387,6 +388,7 @@ def test_a_fit_is_read_from_its_folder_and_says_first_what_its_model_misses(tmp_
     found = load_fit(tmp_path)
     assert "case IV   *** THE MODEL MISSES SOMETHING: run `bayes-damper diagnose`" in found.text()
     assert repr(found) == f"Fit({str(tmp_path)!r}: cart, cases IV, converged)"
+    assert found._repr_html_() == f"<pre>{html.escape(found.text())}</pre>"
     case["noise"]["channels"][0]["learnt_from"] = "repeats"
     write_json(tmp_path / "summary.json", summary)
     assert "MISSES" not in load_fit(tmp_path).text()
