@@ -12,7 +12,7 @@ import pytest
 from campaigns import CAMPAIGN_TOML
 from small_rig import measured
 
-from bayes_damper.calibration import Problem, calibrate, derivatives, normal_equations, posterior
+from bayes_damper.calibration import Problem, calibrate, derivatives, normal_equations, posterior, problem
 from bayes_damper.campaign import Constant, Trial, head_from_table
 from bayes_damper.campaign.plausibility import look_at_repeats
 from bayes_damper.diagnosis import response, sets, sites, where
@@ -49,6 +49,16 @@ def test_points_of_a_posterior_are_evaluated_in_turns_with_the_same_results(fit,
     sizes = recorded(monkeypatch, Problem, "simulate")
     assert np.array_equal(target.log_likelihood(points), at_once)
     assert max(sizes) <= 6000 < 0.5 * at_once.size / 8 * 300
+
+
+def test_candidates_are_compared_in_turns_with_the_same_results(fit, monkeypatch):
+    q = fit.q + 0.1 * np.random.default_rng(1).standard_normal((40, fit.problem.size))
+    own = {i: np.tile(v, (40, 1)) for i, v in fit.eta.items()}
+    at_once = fit.problem.costs(q, own)
+    monkeypatch.setattr(problem, "READINGS_AT_ONCE", 3000)
+    sizes = recorded(monkeypatch, Problem, "simulate")
+    assert np.array_equal(fit.problem.costs(q, own), at_once)
+    assert max(sizes) <= 3000
 
 
 def recorded(monkeypatch, owner, name):

@@ -21,7 +21,6 @@ REACH = 1.5  # of a step in each coordinate
 BEND_STEP = 0.01  # of differences by a coordinate
 GAINED = 0.02  # of the cost by a step, below which a descent has ended
 OF_EXCESS = 1e-4  # the same, of what is left beyond noise: the last nats of a model that misses by far decide nothing
-READINGS_AT_ONCE = 1_000_000  # simulated in one go where draws from the prior are compared
 NEAR_END = 0.1  # of the way to where a value's prior ends that a step along the values leaves
 HOPELESS, HURRY = 60.0, 6.0  # cost above a target, and in how many such steps it must be reachable, to go on
 FAR_BEHIND = 600.0  # cost above a target from which forward differences are good enough for the evidence
@@ -173,12 +172,8 @@ def drawn_starts(problem: Problem, count: int = 6, draws: int = 512) -> list[Arr
     the prior medians was not the deepest one for some of a hundred campaigns.
     """
     q = np.random.default_rng(0).standard_normal((draws, problem.size))
-    costs = []
-    readings = sum(group.y.size for group in problem.groups)
-    for part in np.array_split(q, min(math.ceil(draws * readings / READINGS_AT_ONCE), draws)):
-        own = {i: np.tile(v, (len(part), 1)) for i, v in problem.no_nuisance().items()}
-        costs.append(problem.costs(part, own, annealed=True))
-    order = np.argsort(np.concatenate(costs), kind="stable")
+    own = {i: np.tile(v, (draws, 1)) for i, v in problem.no_nuisance().items()}
+    order = np.argsort(problem.costs(q, own, annealed=True), kind="stable")
     return [q[i] for i in order[:count]]
 
 

@@ -28,6 +28,7 @@ from bayes_damper.priors.distributions import (
 from bayes_damper.simulation.model import Model, delayed
 
 Array = NDArray[np.float64]
+READINGS_AT_ONCE = 1_000_000  # simulated in one go where candidates are compared
 FINER = 0.01  # factor on the integrator's tolerance where records are subtracted from each other
 _KEPT = ("nominal", "noise", "switches", "threads", "tolerance", "trials", "factors")  # arguments of a `Problem`
 
@@ -245,15 +246,21 @@ class Problem:
         k = q.shape[0]
         out: dict[int, Array] = {}
         for group in self.groups:
-            n = len(group.trials)
-            which = np.tile(np.arange(n), k)
-            values = np.stack([eta[i] for i in group.trials], axis=1).reshape(k * n, -1)
-            r = self.simulate(group, which, np.repeat(q, n, axis=0), values).reshape(k, *group.y.shape)
-            r -= group.y
-            w = self.whitened(r, group.weights(annealed)).reshape(k * n, -1)
-            own = (np.einsum("ij,ij->i", w, w) + np.sum(values**2, axis=1)).reshape(k, n)
+            values = np.stack([eta[i] for i in group.trials], axis=1)
+            most = max(READINGS_AT_ONCE // group.y.size, 1)
+            turns = [slice(first, first + most) for first in range(0, max(k, 1), most)]
+            own = np.concatenate([self._costs_in(group, q[at], values[at], annealed) for at in turns])
             out |= dict(zip(group.trials, own.T, strict=True))
         return out
+
+    def _costs_in(self, group: Group, q: Array, eta: Array, annealed: bool) -> Array:
+        """Cost (k, trials) of k candidates in one group; q (k, size), eta (k, trials, m)."""
+        k, n, m = eta.shape
+        values = eta.reshape(k * n, m)
+        r = self.simulate(group, np.tile(np.arange(n), k), np.repeat(q, n, axis=0), values).reshape(k, *group.y.shape)
+        r -= group.y
+        w = self.whitened(r, group.weights(annealed)).reshape(k * n, -1)
+        return np.asarray((np.einsum("ij,ij->i", w, w) + np.sum(values**2, axis=1)).reshape(k, n))
 
     def linearise(
         self, q: Array, eta: Mapping[int, Array], *, annealed: bool = False, central: bool = False,
