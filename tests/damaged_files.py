@@ -420,7 +420,8 @@ def command_line(home: Path) -> list[str]:
     home.mkdir()
     logger_file(home / "one.txt", 2)
     good = ["init", str(home / "out"), str(home / "one.txt"), "--case", "A", "--k1t", "10.2"]
-    return [*good, "--theta0", "4.7", "--configuration", "coupled", "--mounting-radius", "0.1", "--overwrite"]
+    good += ["--theta0", "4.7", "--configuration", "coupled", "--mounting-radius", "0.1", "--overwrite"]
+    return [*good, "--primary-inertia", "3.015e-3", "--secondary-inertia", "2.474e-3"]
 
 
 def valued_options() -> list[str]:

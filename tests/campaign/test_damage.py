@@ -60,6 +60,7 @@ def test_damaged_files_of_loggers_are_told(tmp_path, step):
 @pytest.mark.parametrize("step", STEPS)
 def test_odd_words_on_the_command_line_are_told(tmp_path, step):
     outcome = damage.Outcome()
+    damaged_files.spoken(damaged_files.command_line(tmp_path / "good"))
     for name, call in list(damaged_files.command_line_calls(tmp_path / "raw"))[1 :: 3 * step]:
         damage.tried(call, name, outcome)
     judged(outcome, 800 // step)

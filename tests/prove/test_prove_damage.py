@@ -85,6 +85,7 @@ def of_targets(targets):
 def of_the_command_line(home):
     """`init` with one to four options at odd words."""
     good, options = damaged_files.command_line(home), damaged_files.valued_options()
+    damaged_files.spoken(good)
     words = [w for w in (*damaged_files.COMMAND_LINE, *damage.CELLS) if "\0" not in w]  # no shell can send that
 
     def one(rng):
