@@ -27,7 +27,7 @@ import math
 from collections.abc import Callable, Collection, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,13 +102,9 @@ class SetProblem(Problem):
         labels = [[f"effect.{k}.{p.name}" for k in cluster for p in members[k][1].parameters] for cluster in clusters]
         self._places = [np.array([*nominal, *map(self.names.index, names)]) for names in labels]
 
-    def with_noise(self, noise: Noise) -> SetProblem:
-        """The same problem under another noise."""
-        return SetProblem(self.base.with_noise(noise), self.members, self.exact)
-
-    def for_trials(self, trials: Sequence[int]) -> SetProblem:
-        """The same problem for other trials of the experiment."""
-        return SetProblem(self.base.for_trials(trials), self.members, self.exact)
+    def changed(self, **changes: Any) -> Self:
+        """The same problem with other arguments."""
+        return cast("Self", SetProblem(self.base.changed(**changes), self.members, self.exact))
 
     def finer(self) -> SetProblem:
         """The same problem with records integrated more finely, for differences between them."""

@@ -154,6 +154,15 @@ def test_a_set_that_shares_a_kernel_is_the_composed_formula():
     assert np.abs(once - drag).max() > 1.0
 
 
+@pytest.mark.parametrize("changed", [
+    lambda p: p.changed(trials=p.trials[:1]), lambda p: p.for_trials(p.trials[:1]), lambda p: p.with_noise(p.noise),
+    lambda p: p.reweighted({p.trials[0]: 0.5}),
+])  # fmt: skip
+def test_a_set_keeps_its_effects_whatever_else_is_changed(changed):
+    problem = SetProblem(Problem(measured(1, repeats=1)), [member("inertia_error"), member("quadratic_drag")], True)
+    assert changed(problem).names[-2:] == problem.names[-2:] == ("effect.0.error", "effect.1.coefficient")
+
+
 def test_each_effect_is_left_out_of_the_best_set_from_where_that_lies():
     members = [member("inertia_error"), member("quadratic_drag"), member("sensor_gain")]
     problem = SetProblem(Problem(measured(1, repeats=1)), members, exact=True)
