@@ -556,7 +556,7 @@ def test_half_shared_campaign_end_to_end(tmp_path):
 @pytest.mark.parametrize("kind", ["shared", "half", "separate"])
 def test_known_pooling_of_campaigns_is_found(tmp_path, kind, seed):
     write_campaign(tmp_path / "campaign", kind, seed=seed)
-    models, _ = RecordedCases(plan_of(tmp_path / "campaign")).models(np.random.default_rng(seed), 96, 24)
+    models, *_ = RecordedCases(plan_of(tmp_path / "campaign")).models(np.random.default_rng(seed), 96, 24)
     best = max(models, key=lambda name: models[name]["log_evidence"])
     assert best in {"shared": ("shared",), "half": ("partial",), "separate": ("separate", "partial")}[kind]
     scatter = {name: row["median"] for name, row in models["partial"]["scatter"].items()}
@@ -580,7 +580,7 @@ def test_known_pooling_of_campaigns_is_found_at_the_right_rate(tmp_path):
         for seed in RATE_SEEDS:
             folder = tmp_path / f"{kind}{seed}"
             write_campaign(folder, kind, seed=100 + seed)
-            models, _ = RecordedCases(plan_of(folder)).models(np.random.default_rng(seed), 128, 24)
+            models, *_ = RecordedCases(plan_of(folder)).models(np.random.default_rng(seed), 128, 24)
             heads[max(models, key=lambda name: models[name]["log_evidence"])] += 1
             if kind == "half":
                 rows = models["partial"]["scatter"]
