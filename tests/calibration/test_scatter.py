@@ -475,7 +475,7 @@ def test_releases_by_hand_that_swing_equally_far_show_what_differs_from_trial_to
 
 @pytest.mark.slow
 def test_what_an_effect_explains_is_not_said_to_scatter():
-    """Repeats released 1 % apart on a spring that hardens: under the linear one stiffness and damping seem to differ."""
+    """Repeats released 1 % apart on a hardening spring: under the linear one stiffness and damping seem to differ."""
     cubic = EFFECTS["spring_cubic"].variants[0]
     wide = (("I", 0, 0.1), ("IV", 0, 0.25))
     hardens = measured(5, effect=cubic, values={"k3": 150.0}, configurations=(False,), cases=wide, repeats=5, noise=0.5)
