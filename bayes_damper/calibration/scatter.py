@@ -33,6 +33,7 @@ import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -471,9 +472,14 @@ def sizes_shown(fit: Calibration) -> list[Size]:
     """
     sizes = fit.problem.switches.scatter.sizes
     if fit.problem.effect is not None:
-        again = {s.name: s for s in learn_scatter(fit).sizes}
-        sizes = tuple(again[s.name] for s in sizes if s.name in again)
+        if fit not in _AGAIN:
+            _AGAIN[fit] = {s.name: s for s in learn_scatter(fit).sizes}
+        sizes = tuple(_AGAIN[fit][s.name] for s in sizes if s.name in _AGAIN[fit])
     return [s for s in sizes if s.gained > SHOWN_FROM]
+
+
+_AGAIN: WeakKeyDictionary[Calibration, dict[str, Size]] = WeakKeyDictionary()
+"""Sizes judged again, of each fit with an effect: sentences and tables ask for the same."""
 
 
 def scatter_in_words(fit: Calibration) -> list[str]:
