@@ -74,7 +74,11 @@ def save(figure: Figure, path: Path) -> list[Path]:
     The files written.
     """
     written = []
-    with mpl.rc_context(RC):
+    with mpl.rc_context(RC | {"figure.autolayout": False, "figure.constrained_layout.use": False}):
+        engine = figure.get_layout_engine()
+        if engine is not None:
+            engine.execute(figure)
+            figure.set_layout_engine(None)  # a figure with one is laid out and drawn twice for each file
         for kind, options in (
             ("svg", {"metadata": {"Date": None}}),
             ("png", {"dpi": 150, "pil_kwargs": {"compress_level": 3}}),
@@ -82,7 +86,6 @@ def save(figure: Figure, path: Path) -> list[Path]:
             target = path.with_name(f"{path.name}.{kind}")
             with whole(target) as partial:
                 figure.savefig(partial, format=kind, **options)
-            figure.set_layout_engine("none")  # laid out once: the second time would be as slow
             written.append(target)
     return written
 
