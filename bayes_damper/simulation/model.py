@@ -238,7 +238,7 @@ class Model:
         y = np.full((n, self.channels, times.size), np.nan)
         which = np.flatnonzero(usable)
         # Vectors that take similarly many steps share a block: one that is done waits for the others.
-        which = which[np.argsort(rows[ROWS.index("nu"), which], kind="stable")]
+        which = which[np.lexsort([rows[ROWS.index(name), which] for name in ("theta0", "k1t", "nu")])]
         if which.size == 0:
             return Simulation(y, outcome)
         if inputs is not None and inputs.motion is not None:
