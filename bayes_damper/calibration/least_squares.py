@@ -14,10 +14,17 @@ from scipy.special import ndtri
 from bayes_damper.calibration.normal_equations import Linear, Normals
 from bayes_damper.calibration.problem import Problem
 from bayes_damper.calibration.unknowns import coordinate_of, value_and_slope
-from bayes_damper.priors.distributions import LogNormal, LogUniform, from_standard, median
+from bayes_damper.priors.distributions import (
+    LogNormal,
+    LogUniform,
+    columns_from_standard,
+    from_standard,
+    median,
+)
 
 Array = NDArray[np.float64]
 REACH = 1.5  # of a step in each coordinate
+FACTORS = (0.03, 0.3, 3.0, 30.0)  # on the damping, of the steps that are compared
 BEND_STEP = 0.01  # of differences by a coordinate
 GAINED = 0.02  # of the cost by a step, below which a descent has ended
 OF_EXCESS = 1e-4  # the same, of what is left beyond noise: the last nats of a model that misses by far decide nothing
@@ -260,22 +267,19 @@ def _tried(
     The cost is inf where no step can be made.
     """
     bounds = {i: (g.lower[k], g.upper[k]) for g in problem.groups for k, i in enumerate(g.trials)}
+    try:
+        moves, own_moves = normals.steps([damping * x for x in FACTORS], REACH, _bend(problem, q, normals.g))
+    except np.linalg.LinAlgError:
+        return damping, q, dict(eta), math.inf
     steps = []
-    bend = _bend(problem, q, normals.g)
-    for factor in (0.03, 0.3, 3.0, 30.0):
-        try:
-            dq, deta = normals.step(damping * factor, REACH, bend)
-        except np.linalg.LinAlgError:
-            continue
-        dq = np.clip(dq, -REACH, REACH)
-        moved = {i: np.clip(eta[i] + deta[i], *bounds[i]) for i in eta}
+    for k, factor in enumerate(FACTORS):
+        dq = np.clip(moves[k], -REACH, REACH)
+        moved = {i: np.clip(eta[i] + own_moves[i][k], *bounds[i]) for i in eta}
         steps.append((damping * factor, q + dq, moved))
         if straight:
             along, share = _along_values(problem, q, dq)
-            moved = {i: np.clip(eta[i] + share * deta[i], *bounds[i]) for i in eta}
+            moved = {i: np.clip(eta[i] + share * own_moves[i][k], *bounds[i]) for i in eta}
             steps.append((damping * factor, along, moved))
-    if not steps:
-        return damping, q, dict(eta), math.inf
     costs = problem.costs(
         np.array([s[1] for s in steps]), {i: np.array([s[2][i] for s in steps]) for i in eta}, annealed
     )
@@ -289,14 +293,14 @@ def _bend(problem: Problem, q: Array, g: Array) -> Array:
     g (size,) : half the cost's gradient. A record is more nearly linear in a value, or in the logarithm of a scale,
     than in a coordinate in which the end of its range is infinitely far. Only what makes a step shorter.
     """
-    out = np.zeros(q.size)
-    for i, c in enumerate(problem.coordinates):
-        low, here, high = (float(from_standard(c.prior, q[i] + x)) for x in (-BEND_STEP, 0.0, BEND_STEP))
-        if isinstance(c.prior, LogUniform | LogNormal):
-            low, here, high = math.log(low), math.log(here), math.log(high)
-        if high > low:
-            out[i] = max((g[i] - q[i]) * (high - 2.0 * here + low) / (high - low) * 2.0 / BEND_STEP, 0.0)
-    return out
+    priors = tuple(c.prior for c in problem.coordinates)
+    values = columns_from_standard(priors, q + np.array([[-BEND_STEP], [0.0], [BEND_STEP]]))
+    scales = [isinstance(prior, LogUniform | LogNormal) for prior in priors]
+    values[scales] = np.log(values[scales])
+    low, here, high = values.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bend = (g - q) * (high - 2.0 * here + low) / (high - low) * 2.0 / BEND_STEP
+    return np.where(high > low, np.maximum(bend, 0.0), 0.0)
 
 
 def _along_values(problem: Problem, q: Array, dq: Array) -> tuple[Array, float]:

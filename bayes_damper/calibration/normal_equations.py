@@ -192,6 +192,24 @@ def step_within(H: Array, g: Array, low: Array, high: Array) -> Array:
     return np.clip(x, low, high)
 
 
+def _eliminated(
+    S: Array, g: Array, parts: Sequence[tuple[Array, Array, Array]], damping: Array
+) -> tuple[Array, Array, list[Array]]:
+    """S (dampings, p, p) and g (dampings, p) with the nuisances of blocks eliminated, and their damped inverses.
+
+    parts : H (trials, m, m), T'J (trials, m, p) and gradient (trials, m) of each block, or one for each damping.
+    """
+    S, g = np.tile(S, (damping.size, 1, 1)), np.array(np.broadcast_to(g, (damping.size, S.shape[0])))
+    inverses = []
+    for H, TJ, gT in parts:
+        m = H.shape[-1]
+        inverse = np.asarray(np.linalg.inv(H + damping[:, None, None, None] * H * np.eye(m)), float)
+        S -= np.sum(TJ.swapaxes(-1, -2) @ (inverse @ TJ), axis=1)
+        g -= np.sum(TJ.swapaxes(-1, -2) @ (inverse @ gT[..., None]), axis=1)[..., 0]
+        inverses.append(inverse)
+    return S, g, inverses
+
+
 @dataclass(frozen=True, eq=False)
 class Normals:
     """S and g before the elimination, and each trial's H, T'J and nuisance gradient."""
@@ -204,21 +222,10 @@ class Normals:
     size: int
     extra: int
 
-    def reduced(self, damping: float = 0.0) -> tuple[Array, Array, list[Array]]:
+    def reduced(self) -> tuple[Array, Array, list[Array]]:
         """S and g with the nuisances eliminated, and H_j^-1 of each block."""
-        S, g = self.S.copy(), self.g.copy()
-        inverses = []
-        for _, H, TJ, gT in self.parts:
-            if H.shape[1] == 0:
-                inverses.append(H)
-                continue
-            m = H.shape[1]
-            damped = H + damping * H * np.eye(m)
-            inverse = np.linalg.inv(damped)
-            S -= np.sum(TJ.transpose(0, 2, 1) @ (inverse @ TJ), axis=0)
-            g -= np.sum(TJ.transpose(0, 2, 1) @ (inverse @ gT[:, :, None]), axis=0)[:, 0]
-            inverses.append(np.asarray(inverse, float))
-        return S, g, inverses
+        S, g, inverses = _eliminated(self.S, self.g, [part[1:] for part in self.parts], np.zeros(1))
+        return S[0], g[0], [inverse[0] for inverse in inverses]
 
     def step(
         self, damping: float, reach: float = math.inf, bend: Array | None = None
@@ -231,54 +238,68 @@ class Normals:
 
         bend (size,) : further curvature of the cost by each q.
         """
+        dq, deta = self.steps([damping], reach, bend)
+        return dq[0], {i: move[0] for i, move in deta.items()}
+
+    def steps(
+        self, dampings: Sequence[float], reach: float = math.inf, bend: Array | None = None
+    ) -> tuple[Array, dict[int, Array]]:
+        """The steps of several dampings at once: dq (dampings, size), and of each trial (dampings, m)."""
+        damping = np.asarray(dampings, float)
+        count = damping.size
         curved = np.zeros(self.size) if bend is None else bend
         far = np.full(self.size, reach)
-        stuck, fixed = np.zeros(self.size, dtype=np.bool_), np.zeros(self.size)
+        stuck, fixed = np.zeros((count, self.size), dtype=np.bool_), np.zeros((count, self.size))
         ends = [(b.group.lower - b.eta, b.group.upper - b.eta) for b, _, _, _ in self.parts]
-        held = [np.zeros(low.shape, dtype=np.bool_) for low, _ in ends]
-        at = [np.zeros(low.shape) for low, _ in ends]
+        held = [np.zeros((count, *low.shape), dtype=np.bool_) for low, _ in ends]
+        at = [np.zeros(h.shape) for h in held]
+        diagonal = np.arange(self.size)
         for _ in range(MOST_HELD):
-            normals = self._holding(held, at) if any(h.any() for h in held) else self
-            S, g, inverses = normals.reduced(damping)
-            S[np.diag_indices_from(S)] = np.diag(S) * (1.0 + damping) + curved
-            free = ~stuck
+            given, parts = self._holding(held, at)
+            S, g, inverses = _eliminated(self.S, given, parts, damping)
+            S[:, diagonal, diagonal] = S[:, diagonal, diagonal] * (1.0 + damping[:, None]) + curved
             dq = np.where(stuck, fixed, 0.0)
-            dq[free] = -np.linalg.solve(S[np.ix_(free, free)], (g + S @ dq)[free])
-            moves = [
-                -np.einsum("jmn,jn->jm", inverse, gT + TJ @ dq) if inverse.shape[1] else gT
-                for (_, _, TJ, gT), inverse in zip(normals.parts, inverses, strict=True)
-            ]
-            moves = [np.where(h, a, x) for x, h, a in zip(moves, held, at, strict=True)]
-            pulls = [
-                np.einsum("jmn,jn->jm", H, x) + gT + TJ @ dq
-                for (_, H, TJ, gT), x in zip(self.parts, moves, strict=True)
-            ]
+            known = (S @ dq[:, :, None])[:, :, 0]
+            free = ~stuck[:, :, None] & ~stuck[:, None, :]
+            rest = np.where(stuck, 0.0, g + known)
+            solved = np.linalg.solve(np.where(free, S, np.eye(self.size)), rest[:, :, None])[:, :, 0]
+            dq = np.where(stuck, fixed, -solved)
+            moves, pulls = [], []
+            for (_, H, TJ, gT), (_, TJ_held, gT_held), inverse, h, a in zip(
+                self.parts, parts, inverses, held, at, strict=True
+            ):
+                along = dq[:, None, :, None]
+                x = -(inverse @ (gT_held[..., None] + TJ_held @ along))[..., 0]
+                moves.append(np.where(h, a, x))
+                pulls.append((H @ moves[-1][..., None] + TJ @ along)[..., 0] + gT)
             renewed = [_held_next(x, p, h, *end) for x, p, h, end in zip(moves, pulls, held, ends, strict=True)]
-            caught, fixed = _held_next(dq, S @ dq + g, stuck, -far, far)
+            caught, fixed = _held_next(dq, (S @ dq[:, :, None])[:, :, 0] + g, stuck, -far, far)
             same = all(np.array_equal(h, new) for h, (new, _) in zip(held, renewed, strict=True))
             if same and np.array_equal(caught, stuck):
                 break
             stuck, held, at = caught, [new for new, _ in renewed], [x for _, x in renewed]
         deta = {
-            i: move[k]
+            i: move[:, k]
             for (block, _, _, _), move in zip(self.parts, moves, strict=True)
             for k, i in enumerate(block.group.trials)
         }
-        return np.asarray(dq, float), deta
+        return dq, deta
 
-    def _holding(self, held: Sequence[NDArray[np.bool_]], at: Sequence[Array]) -> Normals:
-        """The same equations with each held eta moved to where it is held, whatever all else does."""
-        g, parts = self.g.copy(), []
-        for (block, H, TJ, gT), h, move in zip(self.parts, held, at, strict=True):
+    def _holding(
+        self, held: Sequence[NDArray[np.bool_]], at: Sequence[Array]
+    ) -> tuple[Array, list[tuple[Array, Array, Array]]]:
+        """g, and H, T'J and gradient of each block, with each held eta moved to where it is held."""
+        g, parts = self.g, []
+        for (_, H, TJ, gT), h, move in zip(self.parts, held, at, strict=True):
             if not h.any():
-                parts.append((block, H, TJ, gT))
+                parts.append((H, TJ, gT))
                 continue
             given = np.where(h, move, 0.0)
-            g += np.einsum("jmp,jm->p", TJ, given)
-            pulled = np.where(h, 0.0, gT + np.einsum("jmn,jn->jm", H, given))
-            free = ~h[:, :, None] & ~h[:, None, :]
-            parts.append((block, np.where(free, H, np.eye(h.shape[1])), np.where(h[:, :, None], 0.0, TJ), pulled))
-        return replace(self, g=g, parts=tuple(parts))
+            g = g + np.sum((TJ.transpose(0, 2, 1) @ given[..., None])[..., 0], axis=1)
+            pulled = np.where(h, 0.0, gT + (H @ given[..., None])[..., 0])
+            free = ~h[..., :, None] & ~h[..., None, :]
+            parts.append((np.where(free, H, np.eye(H.shape[-1])), np.where(h[..., None], 0.0, TJ), pulled))
+        return g, parts
 
     def log_evidence(self) -> float:
         """Laplace evidence without the constant of the noise; -inf if a matrix is not positive definite."""

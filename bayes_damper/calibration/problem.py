@@ -168,7 +168,7 @@ class Problem:
             rig["mu"] = 0.0
         effect: dict[str, Any] = {}
         for i, c in enumerate(self.coordinates):
-            x = from_standard(c.prior, q[:, i])
+            x = _values(c.prior, q[:, i])
             if c.role == "effect":
                 effect[c.name.removeprefix("effect.")] = x
             elif c.role in ("sensor", "lag"):
@@ -297,13 +297,19 @@ def _model(experiment: Experiment, coupled: bool, effect: Variant | None) -> Mod
     return Model(coupled, experiment.normal_force, experiment.restoring, effect, law, longest_step(experiment))
 
 
+def _values(prior: Distribution, z: Array) -> Array:
+    """Values at standard coordinates z (n,) that seldom differ from one vector to the next."""
+    first = np.flatnonzero(np.concatenate([[True], z[1:] != z[:-1]])) if z.size else np.zeros(0, np.intp)
+    return np.repeat(from_standard(prior, z[first]), np.diff(np.append(first, z.size)))
+
+
 def _as_sensors_show(
     y: Array, coordinates: Sequence[Coordinate], group: Group, which: Indices, q: Array, eta: Array
 ) -> Array:
     """Motions y (n, channels, n_times) as the sensors show them: scale, offset and drift of channels, in place."""
     for i, c in enumerate(coordinates):
         if c.role == "sensor" and c.index < y.shape[1]:
-            y[:, c.index] *= from_standard(c.prior, q[:, i])[:, None]
+            y[:, c.index] *= _values(c.prior, q[:, i])[:, None]
     for channel in range(y.shape[1]):
         waves, sizes = [], []
         for i, (name, mean, sd) in enumerate(group.nuisances):
