@@ -325,17 +325,18 @@ _REST = 0.05  # share of a record; one that rests for longer began before the re
 def _resting(trials: Sequence[Trial], options: Sequence[Mapping[str, Any]]) -> list[str]:
     """A hint where records taken from their first reading on begin at rest."""
     found = []
-    for trial, option in zip(trials, options, strict=True):
+    for trial, given in zip(trials, options, strict=True):
         t, y = np.asarray(trial.times), np.asarray(trial.channels[0])
-        if option.get("release", "start") == "start" and len(t) > 20:
+        if given.get("release", "start") == "start" and len(t) > 20:
             rest = look.find_release(t, y) - float(t[0])
             if rest > _REST * float(t[-1] - t[0]):
-                found.append((str(trial.file), rest))
+                found.append((str(trial.file), rest, look.release_option(t, y)))
     if not found:
         return []
-    name, rest = found[0]
+    name, rest, option = found[0]
     more = "" if len(found) == 1 else f" (and {len(found) - 1} more)"
-    return [f"{name}{more} rests for its first {rest:.2g} s: with --release find, t = 0 is the release."]
+    zero = {"find": "the release", "first_peak": "the first peak after the hand"}[option]
+    return [f"{name}{more} rests for its first {rest:.2g} s: with --release {option}, t = 0 is {zero}."]
 
 
 _IDLE = (

@@ -119,8 +119,8 @@ def _growth(trial: Trial) -> list[str]:
     largest = float(trial.times[int(np.argmax(sizes[0]))])
     sentence = (
         f"{trial.file}: the motion grows until {largest:.4g} s: the rig rests, or a hand moves it, before it is let "
-        'go; fits with start = "free" need a record of the decay alone: `init --release first_peak`, or take the first '
-        "readings off"
+        'go; fits with start = "free" need a record of the decay alone: `init --release '
+        f"{look.release_option(trial.times, trial.channels[0])}`, or take the first readings off"
     )
     return [sentence]
 

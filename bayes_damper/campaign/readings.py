@@ -298,6 +298,20 @@ def carried_back(times: Array, readings: Array, seen: float, quantity: str) -> f
     return seen + float(np.clip(-rest / slope, times[0] - seen, times[after] - seen))
 
 
+def release_option(times: Array, readings: Array) -> str:
+    """The `--release` of `init` that leaves the decay alone of a record that rests first: "find", or "first_peak".
+
+    A rig that is let go or struck is near its largest excursion within half a period; a hand takes longer.
+
+    times : (n,) s; readings : (n,), any quantity, any unit
+    """
+    away = np.abs(readings - np.median(readings[len(readings) // 2 :]))
+    begun = find_release(times, readings)
+    reached = times[(times > begun) & (away > 0.9 * np.max(away))]
+    sudden = reached.size and (reached[0] - begun) * dominant_frequency(times, readings) < 0.5
+    return "find" if sudden and begun > times[0] else "first_peak"
+
+
 def find_first_peak(times: Array, readings: Array, omega: float | None = None) -> float:
     """Instant of the first turning point of an oscillation, in seconds on the clock of the record.
 

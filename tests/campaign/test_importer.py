@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 import os
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -607,6 +608,24 @@ def test_a_record_that_rests_first_is_told_how_to_find_its_release(tmp_path: Pat
     source = logger_file(tmp_path / "run.csv", wave())
     warnings = load_campaign(init_campaign(tmp_path / "out", [source], **options)).warnings
     assert any("rests for its first 0.2 s: with --release find, t = 0 is the release" in w for w in warnings)
+
+
+@pytest.mark.parametrize(("lift", "option"), [(1.5, "first_peak"), (0.0, "find")])
+def test_init_and_check_name_the_same_option_for_a_record_that_rests_first(
+    tmp_path: Path, lift: float, option: str
+) -> None:
+    """A hand lifts a cart for so many seconds and lets go, or strikes it."""
+    t = np.arange(0.0, 12.0, 0.02)
+    swing = np.cos(6.0 * (t - 1.5 - lift)) if lift else np.sin(6.0 * (t - 1.5))
+    y = np.where(t < 1.5 + lift, np.clip((t - 1.5) / (lift or 1.0), 0.0, 1.0) * bool(lift), swing)
+    y *= 0.05 * np.exp(-0.2 * np.maximum(t - 1.5 - lift, 0.0))
+    noise = np.random.default_rng(0).normal(0.0, 2e-4, t.size)
+    raw = tmp_path / "cart.csv"
+    raw.write_text("time (s),x (m)\n" + "".join(f"{a:.2f},{b:.6f}\n" for a, b in zip(t, y + noise, strict=True)))
+    rig = {"kind": "translational", "quantity": "displacement", "primary_inertia": 0.5, "k1t": 18.0}
+    folder = init_campaign(tmp_path / "out", [raw], case="A", configuration="uncoupled", **rig)
+    named = [re.findall(r"--release (\w+)", w) for w in load_campaign(folder).warnings]
+    assert [found for found in named if found] == [[option], [option]]
 
 
 def test_names_and_a_sheet_tell_the_trials_apart(tmp_path: Path) -> None:
