@@ -216,14 +216,16 @@ def tried(call: Callable[[], Any], case: str, outcome: Outcome, seconds: float =
         outcome.silent.append(case)
 
 
-def run(folder: Path, damages: Sequence[Damage], call: Callable[[], Any], outcome: Outcome) -> None:
+def run(
+    folder: Path, damages: Sequence[Damage], call: Callable[[], Any], outcome: Outcome, seconds: float = SECONDS
+) -> None:
     """Applies each damage to its file in `folder`, calls, and puts the file back."""
     for damage in damages:
         path = folder / damage.file
         kept = path.read_bytes()
         try:
             damage.apply(path)
-            tried(call, damage.case, outcome)
+            tried(call, damage.case, outcome, seconds)
         finally:
             remove(path)
             path.write_bytes(kept)

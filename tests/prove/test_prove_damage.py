@@ -151,11 +151,11 @@ def test_each_damage_made_on_purpose_is_counted(tmp_path):
     """All of those of which the quick tests try some: campaigns, imports, logger files, options, command lines."""
     targets = [*damaged_files.campaign_targets(tmp_path), *damaged_files.import_targets(tmp_path / "raw")]
     targets += damaged_files.logger_targets(tmp_path / "other")
-    kinds = [(t.name, lambda outcome, t=t: damage.run(t.folder, t.damages, t.call, outcome)) for t in targets]
+    kinds = [(t.name, lambda outcome, t=t: damage.run(t.folder, t.damages, t.call, outcome, SECONDS)) for t in targets]
 
     def tried(calls, outcome):
         for name, call in calls:
-            damage.tried(call, name, outcome)
+            damage.tried(call, name, outcome, SECONDS)
 
     for name, calls in (
         ("init: options, from Python", damaged_files.option_calls(tmp_path / "options")),
