@@ -15,8 +15,8 @@ from small_rig import measured
 from bayes_damper.calibration import Problem, calibrate, derivatives, normal_equations, posterior, problem
 from bayes_damper.campaign import Constant, Trial, head_from_table
 from bayes_damper.campaign.plausibility import look_at_repeats
-from bayes_damper.diagnosis import response, sets, sites, where
-from bayes_damper.diagnosis.search import Screen, offered
+from bayes_damper.diagnosis import response, search, sets, sites, where
+from bayes_damper.diagnosis.search import Candidate, Screen, offered
 from bayes_damper.effects import EFFECTS
 
 
@@ -159,6 +159,34 @@ def test_motions_take_the_room_of_what_can_be_made_again(fit, monkeypatch):
     monkeypatch.setattr(normal_equations, "MOST_BYTES", 0)
     response.motions(replace(fit, linear=many[3]))
     assert [linear.given.nbytes > 0 for linear in many] == [False] * 3 + [True], "of the fit itself, it is in use"
+
+
+def test_derivatives_of_a_screening_and_of_a_site_map_end_with_them(fit, monkeypatch):
+    alive: list[int] = []
+    made: list[weakref.ref] = []
+
+    class Noted(Screen):
+        def __init__(self, fit):
+            super().__init__(fit)
+            made.append(weakref.ref(self))
+
+    def fitted(nominal, effect, variant, screens, *_):
+        alive.append(sum(ref() is not None for ref in made))
+        return Candidate(effect, variant, screens, None, 0.0)
+
+    monkeypatch.setattr(search, "Screen", Noted)
+    monkeypatch.setattr(search, "fit_variant", fitted)
+    search.search(fit, offered(fit.problem.experiment, "nonlinear", EFFECTS)[:1])
+    assert len(made) == 1
+    assert set(alive) == {0}
+    assert sites.site_map(fit).fit is fit  # not the one in slices, which holds them
+
+
+def test_problems_of_one_experiment_share_their_readings(fit):
+    other = fit.problem.changed(factors=dict.fromkeys(fit.problem.trials, 0.5))
+    for a, b in zip(fit.problem.groups, other.groups, strict=True):
+        assert a.y is b.y
+        np.testing.assert_array_equal(0.5 * a.weights(False), b.weights(False))
 
 
 def test_trials_are_differentiated_in_turns_with_the_same_results(fit, monkeypatch):

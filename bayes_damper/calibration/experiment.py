@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -120,6 +121,17 @@ class Experiment:
     coupling_law: Literal["constant", "cosine"] = "constant"
     rounding: tuple[float, ...] = ()
     scatter: Mapping[str, float] = field(default_factory=dict)
+
+    @cached_property
+    def _stacked(self) -> dict[tuple[int, ...], Array]:
+        return {}
+
+    def readings(self, members: tuple[int, ...]) -> Array:
+        """Those of trials that share their times, (trials, channels, n), missing ones 0: one array for all problems."""
+        if members not in self._stacked:
+            y = self._stacked[members] = np.nan_to_num([self.trials[i].y for i in members])
+            y.setflags(write=False)
+        return self._stacked[members]
 
     @property
     def omegas(self) -> tuple[float, ...]:

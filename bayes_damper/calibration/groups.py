@@ -48,7 +48,7 @@ class Group:
     inputs: Inputs | None
     y: Array  # (trials, channels, n), missing readings 0
     weight: Array  # the same shape; 0 where missing
-    first_weight: Array
+    events: NDArray[np.bool_]  # the same shape; beside friction reversals
     nuisances: tuple[tuple[str, Array, Array], ...]  # name, prior mean and sd for each trial
     lower: Array  # (trials, m) bounds of eta
     upper: Array
@@ -57,7 +57,9 @@ class Group:
 
     def weights(self, annealed: bool) -> Array:
         """Weights of the residuals; annealed: samples beside friction reversals count little, for a smoother cost."""
-        return self.first_weight if annealed else self.weight
+        if not annealed:
+            return self.weight
+        return np.minimum(np.where(self.events, FIRST_STAGE_EVENT_WEIGHT, 1.0), self.weight)
 
     def shape(self, name: str) -> Array:
         """What a unit of a nuisance that adds to the readings adds to them, (channels, n)."""
@@ -71,7 +73,7 @@ class Group:
     def only(self, at: slice) -> Group:
         """The group of some of its trials."""
         return replace(
-            self, trials=self.trials[at], y=self.y[at], weight=self.weight[at], first_weight=self.first_weight[at],
+            self, trials=self.trials[at], y=self.y[at], weight=self.weight[at], events=self.events[at],
             nuisances=tuple((name, mean[at], sd[at]) for name, mean, sd in self.nuisances), lower=self.lower[at],
             upper=self.upper[at], kept={},
         )  # fmt: skip
@@ -111,19 +113,18 @@ class Grouping:
         e = self.experiment
         trials = [e.trials[i] for i in members]
         first = trials[0]
-        raw = np.array([t.y for t in trials])
-        y = np.nan_to_num(raw)
+        y = e.readings(tuple(members))
         spread = np.array(self.noise.total[: y.shape[1]])
         weight = np.ones_like(y)
-        annealed = np.ones_like(y)
+        events = np.zeros(y.shape, dtype=np.bool_)
         for same in repeats(trials):
-            jump = np.max([_event_strength(raw[k], 2.4 * spread) for k in same], axis=0)
+            jump = np.max([_event_strength(trials[k].y, 2.4 * spread) for k in same], axis=0)
             jump = jump * (first.times > first.times[0])
             rate = 1.0 / max(float(np.median(np.diff(first.times))), 1e-12) if first.times.size > 1 else 0.0
             extra = (jump * rate * EVENT_TIMING / spread[:, None]) ** 2
             for k in same:
                 weight[k] /= np.sqrt(1.0 + extra)
-                annealed[k] = np.where(jump > 0.0, FIRST_STAGE_EVENT_WEIGHT, 1.0)
+                events[k] = jump > 0.0
         nuisances, lower, upper = self._nuisances(trials)
         if e.start == "rest" and first.times.size > 2 and e.quantity == "acceleration":
             # The release itself: what rig and sensor do within a sample of it is given by no formula exactly.
@@ -139,11 +140,9 @@ class Grouping:
             own = trials[k].weight
             if own is not None:
                 weight[k] *= own
-        missing = ~np.isfinite(raw)
-        weight[missing] = 0.0
-        annealed = np.minimum(annealed, weight)
+            weight[k][~np.isfinite(trials[k].y)] = 0.0
         return Group(
-            first.coupled, tuple(members), first.times, first.inputs, y, weight, annealed, nuisances, lower, upper,
+            first.coupled, tuple(members), first.times, first.inputs, y, weight, events, nuisances, lower, upper,
             first.errors,
         )  # fmt: skip
 

@@ -369,6 +369,24 @@ def promising(nominal: Calibration, pool: Sequence[tuple[Effect, Variant]], gain
     return chosen
 
 
+def _screened(nominal: Calibration, pool: Sequence[tuple[Effect, Variant]], workers: int) -> list[tuple[Screened, ...]]:
+    """Every start of every variant, screened, and fainter ones where none of them shows."""
+    screen = Screen(nominal)  # with all derivatives, so that it must not outlive the screening
+
+    def judge(item: tuple[Effect, Variant]) -> tuple[Screened, ...]:
+        return screen_variant(screen, item[1])
+
+    screens = forked_map(judge, list(pool), workers)
+    if max((s.gain for row in screens for s in row), default=0.0) < FAINTER:
+
+        def again(item: tuple[Variant, tuple[Screened, ...]]) -> tuple[Screened, ...]:
+            small = fainter(*item)
+            return item[1] + (() if small is None else screen_variant(screen, small))
+
+        screens = forked_map(again, [(v, row) for (_, v), row in zip(pool, screens, strict=True)], workers)
+    return screens
+
+
 def search(
     nominal: Calibration,
     pool: Sequence[tuple[Effect, Variant]],
@@ -383,19 +401,7 @@ def search(
     curved = nominal.problem.nominal == "nonlinear"
     driven = any(g.inputs is not None and g.inputs.active for g in groups)
     compile_ahead((replace(model, effect=variant) for model in models for _, variant in pool), driven, curved, report)
-    screen = Screen(nominal)
-
-    def judge(item: tuple[Effect, Variant]) -> tuple[Screened, ...]:
-        return screen_variant(screen, item[1])
-
-    screens = forked_map(judge, list(pool), workers)
-    if max((s.gain for row in screens for s in row), default=0.0) < FAINTER:
-
-        def again(item: tuple[Variant, tuple[Screened, ...]]) -> tuple[Screened, ...]:
-            small = fainter(*item)
-            return item[1] + (() if small is None else screen_variant(screen, small))
-
-        screens = forked_map(again, [(v, row) for (_, v), row in zip(pool, screens, strict=True)], workers)
+    screens = _screened(nominal, pool, workers)
     gains = np.array([max(s.gain for s in row) for row in screens])
     best = float(gains.max()) if len(pool) else 0.0
     chosen = promising(nominal, pool, gains, full_fits)

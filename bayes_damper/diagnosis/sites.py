@@ -187,7 +187,7 @@ def site_map(fit: Calibration, *, torque: bool = True, prior_none: float = PRIOR
 
     torque : also estimate the missing torque; prior_none : prior probability of no gap.
     """
-    fit = in_slices(fit)
+    whole, fit = fit, in_slices(fit)
     moved = motions(fit)
     scale = scale_of_motions(moved, peak_of(fit))
     fit, moved = in_turns(fit, moved)
@@ -214,7 +214,8 @@ def site_map(fit: Calibration, *, torque: bool = True, prior_none: float = PRIOR
     place = _torque_site(probabilities, silent) if torque else None
     if place is not None:
         missing = _torque(fit, moved, scale, judged[leaders[place].only], leaders[place])
-    return SiteMap(evidence, probabilities, leaders, missing, fit, scale, strength, place)
+    # The fit that was given: one in slices holds its derivatives.
+    return SiteMap(evidence, probabilities, leaders, missing, whole, scale, strength, place)
 
 
 _Sites = tuple[dict[str, float], dict[str, Hypothesis]]
