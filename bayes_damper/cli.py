@@ -16,6 +16,7 @@ from typing import Any
 
 from bayes_damper.errors import BayesDamperError, ExitCode, InputError, printable
 from bayes_damper.inputs import is_file, number_in, real
+from bayes_damper.runs.interrupts import interrupts_passed_on
 from bayes_damper.runs.memory import seldom_collected
 
 Arguments = argparse.Namespace
@@ -682,7 +683,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     _log_from(args.log_level)
     LOG.info("bayes_damper %s, %s, seed %s", _version(), args.command, args.seed)
     try:
-        with seldom_collected(), _closed_afterwards(args):
+        with seldom_collected(), interrupts_passed_on(), _closed_afterwards(args):
             result = args.run(args)
     except BayesDamperError as error:
         print(f"bayes-damper {args.command}: {error}", file=sys.stderr)
@@ -701,7 +702,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         )
         return int(ExitCode.BAD_INPUT)
     except KeyboardInterrupt:
-        print(f"bayes-damper {args.command}: stopped", file=sys.stderr)
+        print(f"bayes-damper {args.command}: stopped; the same command begins it again", file=sys.stderr)
         return int(ExitCode.INTERRUPTED)
     if not args.quiet:
         from bayes_damper.runs.json_files import json_text

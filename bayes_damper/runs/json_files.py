@@ -86,6 +86,8 @@ def read_json(path: Path) -> Any:
         return json_of(text_of(file_bytes(path, remedy=remedy), str(path)), str(path), remedy)
     except FileNotFoundError:
         hint = "name a folder that bayes-damper has written"
-        if path.name != "run.json" and (path.parent / "run.json").is_file():
+        if path.name == "run.json":
+            hint = "no run in that folder can go on; a diagnosis of one campaign begins again with its own command"
+        elif (path.parent / "run.json").is_file():
             hint = f"the run in that folder has not ended; go on with: bayes-damper resume {path.parent}"
         raise InputError(f"{path}: there is no such file; {hint}") from None
