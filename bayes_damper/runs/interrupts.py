@@ -14,7 +14,7 @@ _AGAIN_S = 0.1
 
 @contextmanager
 def interrupts_passed_on() -> Iterator[None]:
-    """Sends Ctrl-C again where it came during a callback, such as those of kernels being loaded: no error leaves one."""
+    """Sends Ctrl-C again where it came during a callback, such as those of kernels being loaded: errors end there."""
     before = sys.unraisablehook
 
     def pass_on(lost: sys.UnraisableHookArgs) -> None:
