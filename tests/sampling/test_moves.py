@@ -246,6 +246,24 @@ def test_few_draws_are_fitted_by_a_single_normal():
     assert np.linalg.eigvalsh(covariances[0]).min() > 0.0
 
 
+def bent(count, rng):
+    """Draws (count, 14) of which one is bent over another, as wide as a third lets it be."""
+    points = rng.standard_normal((count, 14))
+    points[:, 1] = 0.5 * points[:, 1] + points[:, 0] ** 2
+    points[:, 2] *= np.exp(0.7 * points[:, 0])
+    return points
+
+
+def test_several_normals_are_learnt_of_few_draws_in_many_coordinates():
+    """A part that is fitted to forty draws in fourteen coordinates by themselves predicts no other draw."""
+    rng = np.random.default_rng(0)
+    draws, fresh = bent(600, rng), bent(2000, rng)
+    found = Independence(*fit_mixture(draws), 1e6)
+    one = StudentT(draws.mean(axis=0), np.cov(draws.T), 1e6)
+    assert len(found.shares) > 1
+    assert found.log_density(fresh).mean() > one.log_density(fresh).mean() + 0.5
+
+
 def test_the_check_tells_a_snooker_that_keeps_its_target_from_one_that_does_not():
     """The Kolmogorov-Smirnov test above has the power to see a wrong acceptance rule, emcee's own move included."""
 
