@@ -17,6 +17,7 @@ from bayes_damper.published.posterior import FeaturePosterior, ShrinkingErrors
 from bayes_damper.published.sources import is_published
 from bayes_damper.runs.checkpoint import Checkpoint
 from bayes_damper.runs.contents.fit import FitPlan
+from bayes_damper.runs.execution import processes
 from bayes_damper.runs.provenance import code_sha256
 from bayes_damper.sampling import Progress as Stage
 from bayes_damper.sampling import Sampling, Start, StoppingRule, annealed_start, sample
@@ -53,7 +54,6 @@ def sampled(
     folder: Path,
     report: Report,
     plan: FitPlan,
-    processes: int,
     start: Callable[[], Start],
     monitor: Callable[[Array], Array] | None = None,
 ) -> Sampling:
@@ -88,7 +88,7 @@ def sampled(
         rule=rule,
         checkpoint=Checkpoint(folder / "state", fingerprint),
         progress=show_stage,
-        workers=processes,
+        workers=processes,  # those that other cases leave idle share the ensembles of this one
         monitor=monitor,
     )
 

@@ -46,12 +46,12 @@ def feature_posterior(
     return FeaturePosterior(data, coordinates, normal_force, case)
 
 
-def fit_published_case(folder: Path, report: Report, *, name: str, plan: FitPlan, processes: int = 1) -> Any:
+def fit_published_case(folder: Path, report: Report, *, name: str, plan: FitPlan) -> Any:
     """Task: fit one thesis case and write its files; its entry of summary.json."""
     posterior = published_posterior(name, priors_from_dict(plan["priors"] or {}), plan["normal_force"] or "linear")
     rng = np.random.default_rng([plan["seed"], number_of(name)])
     standard = posterior.coordinates.standard
-    sampling = sampled(posterior, folder, report, plan, processes, lambda: search(posterior, rng), standard)
+    sampling = sampled(posterior, folder, report, plan, lambda: search(posterior, rng), standard)
     flat = sampling.flat()
     draws = {key: shaped(value, sampling) for key, value in posterior.coordinates.values(flat).items()}
     draws = {key: draws[key] for key in posterior.names} | derived(draws)

@@ -48,7 +48,7 @@ PROPOSALS = 4000
 """Points of bridge sampling for the evidence."""
 
 
-def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: FitPlan, processes: int = 1) -> Any:
+def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: FitPlan) -> Any:
     """Task: fit one case of a campaign, or all together (`name` "joint"); its entry of summary.json."""
     experiment, kind = recorded_experiment(plan, None if name == "joint" else name)
     report(0.0, shortage(sum(t.y.size for t in experiment.trials)) or "finding the best fit")
@@ -71,7 +71,7 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: FitPlan
     rng = np.random.default_rng([plan["seed"], number_of(name)])
 
     begin = partial(resampled_start, posterior, posterior.start, posterior.covariance, rng)
-    sampling = sampled(posterior, folder, report, plan, processes, begin)
+    sampling = sampled(posterior, folder, report, plan, begin)
     draws = {key: shaped(value, sampling) for key, value in posterior.values(sampling.flat()).items()}
     constants = {key: np.full(1, value) for key, (value, _) in experiment.constants.items() if key not in draws}
     draws |= derived(constants | draws)

@@ -226,16 +226,7 @@ def finish_fit(
     names = [*plan["cases"], *(["joint"] if plan["joint"] else [])]
     # The joint fit is the longest: it starts first.
     order = sorted(names, key=lambda name: name != "joint")
-    # Processes that cases leave idle share the ensembles of one case; so do those of the joint fit, when all else ends.
-    processes = {name: workers if name == "joint" or len(names) < workers else 1 for name in order}
-    tasks = [
-        Task(
-            folder_name(name),
-            call,
-            {"name": name, "plan": dict(plan), "processes": processes[name]},
-        )
-        for name in order
-    ]
+    tasks = [Task(folder_name(name), call, {"name": name, "plan": dict(plan)}) for name in order]
     titles = {folder_name(name): "all cases" if name == "joint" else f"case {name}" for name in names}
     shown = _Titled(progress or Silent(), titles)
     shown.update(_OVERVIEW, 0.0, WAITING)

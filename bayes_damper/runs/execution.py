@@ -19,6 +19,7 @@ from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessP
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from multiprocessing import get_context, parent_process
+from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 from typing import Any, NotRequired, Protocol, TypedDict, cast
 
@@ -188,7 +189,9 @@ def _on_processes(tasks: Sequence[Task], folder: Path, workers: int, progress: P
         waiting = [task for task in tasks if task.name not in results]
         if not waiting:
             return {task.name: results[task.name] for task in tasks}
-        pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_begin_worker)
+        context = get_context("spawn")
+        crew = (workers, context.Value("i", len(waiting)))
+        pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker, initargs=crew)
         try:
             futures: dict[Future[Any], Task] = {
                 pool.submit(_execute, task, folder / task.name): task for task in waiting
@@ -211,12 +214,24 @@ def _on_processes(tasks: Sequence[Task], folder: Path, workers: int, progress: P
 
 
 _WORKER = {"busy": False, "stopped": False}
+_CREW: list[tuple[int, Synchronized[int]]] = []  # in a worker: how many there are, and how many tasks are not finished
 
 
-def _begin_worker() -> None:
+def processes() -> int:
+    """Processes that the task which runs here may keep busy now: its share of the workers, all of them when it is the
+    last.
+    """
+    if not _CREW:
+        return 1
+    workers, unfinished = _CREW[0]
+    return max(1, workers // max(1, unfinished.value))
+
+
+def _begin_worker(workers: int, unfinished: Synchronized[int]) -> None:
     """In a worker: Ctrl-C in a terminal reaches all processes at once, so it is left to the parent, which asks each
     worker once to stop.
     """
+    _CREW[:] = [(workers, unfinished)]
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _stop)
     _end_with_parent()
@@ -241,6 +256,9 @@ def _execute(task: Task, folder: Path) -> Any:
         raise Interrupted("stopped") from None
     finally:
         _WORKER["busy"] = False
+        unfinished = _CREW[0][1]
+        with unfinished.get_lock():
+            unfinished.value -= 1
 
 
 def _end_with_parent() -> None:

@@ -165,14 +165,15 @@ def sample(
     rule: StoppingRule | None = None,
     checkpoint: Checkpoint | None = None,
     progress: Callable[[Progress], None] | None = None,
-    workers: int = 1,
+    workers: int | Callable[[], int] = 1,
     monitor: Callable[[Array], Array] | None = None,
 ) -> Sampling:
     """Draws from `target` by emcee until the rule holds or its budget is spent; the verdict says which.
 
     walkers : of each ensemble, even, at least twice the number of coordinates (64 and 256 fill the kernel's lanes).
     checkpoint : goes on from the state it holds, if any, and saves into it every few seconds; rule, workers and
-    progress may differ from those of the stopped run. workers : processes, the ensembles being their tasks.
+    progress may differ from those of the stopped run. workers : processes, the ensembles being their tasks; a function
+    is asked before each block how many may be used now.
 
     Raises InputError for unusable arguments or another run's state, Interrupted after Ctrl-C (the state is saved).
     """
@@ -181,7 +182,7 @@ def sample(
     if checkpoint is not None:
         checkpoint = checkpoint.bound_to(_fingerprint(target, start, seed, ensembles, walkers))
     run = _Run(target, start, seed, ensembles, walkers, rule, checkpoint, progress, monitor)
-    with _workers(target, min(workers, ensembles)) as advance:
+    with _workers(target, workers if callable(workers) else lambda: workers, ensembles) as advance:
         try:
             run.warm_up(advance)
             run.draw(advance)
@@ -531,26 +532,32 @@ _TARGET: list[Target] = []  # in a worker process: the target, received once
 
 
 @contextmanager
-def _workers(target: Target, count: int) -> Iterator[_Advance]:
-    """A function that advances ensembles, in this process or spread over `count` others."""
-    if count <= 1 or multiprocessing.current_process().daemon:  # as the workers of a cluster: may have no children
-        yield lambda tasks: (_advance(target, state, thin) for state, thin in tasks)
-        return
-    # A fork hands compiled kernels over as they are; where there is none the target has to be picklable.
-    method = "fork" if sys.platform.startswith("linux") else "spawn"
-    context = multiprocessing.get_context(method)
-    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_receive, initargs=(target, os.getpid()))
+def _workers(target: Target, count: Callable[[], int], most: int) -> Iterator[_Advance]:
+    """A function that advances ensembles, in this process or, as soon as `count` allows several, spread over others, as
+    many as are allowed then, `most` at most.
+    """
+    pools: list[ProcessPoolExecutor] = []
 
     def advance(tasks: list[tuple[_Ensemble, int]]) -> Iterator[Any]:
+        # The workers of a cluster are daemons and may have no children.
+        processes = 1 if multiprocessing.current_process().daemon else min(count(), most)
+        if not pools and processes > 1:
+            # A fork hands compiled kernels over as they are; where there is none the target has to be picklable.
+            context = multiprocessing.get_context("fork" if sys.platform.startswith("linux") else "spawn")
+            given = (target, os.getpid())
+            pools.append(ProcessPoolExecutor(processes, mp_context=context, initializer=_receive, initargs=given))
+        if not pools:
+            return (_advance(target, state, thin) for state, thin in tasks)
         with warnings.catch_warnings():
             # Threads beside us only wait for a signal or for the end of a process: they hold no lock.
             warnings.filterwarnings("ignore", ".*fork.*", DeprecationWarning)
-            return pool.map(_advance_here, tasks)
+            return pools[0].map(_advance_here, tasks)
 
     try:
         yield advance
     finally:
-        pool.shutdown(cancel_futures=True)
+        for pool in pools:
+            pool.shutdown(cancel_futures=True)
 
 
 def _receive(target: Target, parent: int) -> None:

@@ -111,7 +111,7 @@ def test_progress_of_the_draws_moves_from_the_first_and_expects_what_it_takes(tm
     target = Gaussian(12)
     plan = {"campaign": "known", "seed": 1, "thorough": True, "most_steps": None}
     told = []
-    drawn = sampled(target, tmp_path, lambda *news: told.append(news), plan, 1, lambda: start_of(target))
+    drawn = sampled(target, tmp_path, lambda *news: told.append(news), plan, lambda: start_of(target))
     assert drawn.converged
     shares = [share for share, text in told if text.startswith("sampling,")]
     steps = [tuple(map(int, re.findall(r"\d+", text))) for _, text in told if text.startswith("sampling,")]

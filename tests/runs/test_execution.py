@@ -62,6 +62,39 @@ def test_workers_end_when_their_parent_is_killed(tmp_path):
                 os.kill(int((tmp_path / "out" / name / "pid").read_text()), signal.SIGKILL)
 
 
+CREW = """
+import time
+from pathlib import Path
+from bayes_damper.runs.execution import Task, processes, run_tasks
+
+def short(folder, report):
+    return processes()
+
+def long(folder, report):
+    seen, end = [processes()], time.monotonic() + 60.0
+    while seen[-1] < 3 and time.monotonic() < end:
+        time.sleep(0.05)
+        seen.append(processes())
+    return sorted(set(seen))
+
+if __name__ == "__main__":
+    found = run_tasks([Task("long", long), Task("a", short), Task("b", short)], Path("out"), workers=3)
+    print(found["long"], processes())
+"""
+
+
+@pytest.mark.slow
+def test_the_last_task_may_use_the_workers_of_all(tmp_path):
+    """From one of three to all three; outside a worker a task has its own process alone."""
+    (tmp_path / "crew.py").write_text(CREW)
+    root = str(Path(__file__).resolve().parents[2])
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), root])}
+    done = subprocess.run(
+        [sys.executable, "crew.py"], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() in (["[1,", "3]", "1"], ["[3]", "1"]), done.stdout
+
+
 def test_files_hold_null_where_a_number_is_not_finite(tmp_path):
     """Nothing that a long run found is lost to a single number that JSON cannot hold."""
     found = {"x": np.array([1.0, np.nan]), "y": {"z": (np.float64(np.inf), 2)}, "n": np.int64(3)}

@@ -256,9 +256,16 @@ def test_a_short_budget_gives_a_verdict_and_advice():
 def test_two_processes_give_what_one_gives():
     target = Gaussian(3)
     start = start_of(target)
-    one, two = (sample(target, start, seed=5, workers=n) for n in (1, 2))
-    assert one.draws.tobytes() == two.draws.tobytes()
-    assert one.log_prob.tobytes() == two.log_prob.tobytes()
+    asked = []
+
+    def later() -> int:
+        asked.append(None)
+        return 1 if len(asked) < 3 else 2
+
+    one, two, more = (sample(target, start, seed=5, workers=n) for n in (1, 2, later))
+    assert one.draws.tobytes() == two.draws.tobytes() == more.draws.tobytes()
+    assert one.log_prob.tobytes() == two.log_prob.tobytes() == more.log_prob.tobytes()
+    assert len(asked) > 3
 
 
 RULE = StoppingRule(ess=1e7, max_steps=300)
