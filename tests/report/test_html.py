@@ -387,6 +387,18 @@ def write_everything(folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.parametrize(("kind", "unit"), [("torsional", "N m"), ("translational", "N")])
+def test_friction_that_cases_share_is_a_force_on_a_cart(tmp_path, kind, unit):
+    write_everything(tmp_path)
+    (tmp_path / "summary.json").unlink()
+    file = tmp_path / "variability.json"
+    data = json.loads(file.read_text(encoding="utf-8")) | {"kind": kind}
+    data["averaged"] = {"cases": {"IV": {"friction_torque": TWO_WAYS["direct"]}}, "further": {}}
+    file.write_text(json.dumps(data), encoding="utf-8")
+    page = report(tmp_path).path.read_text(encoding="utf-8")
+    assert re.search(rf"friction_<wbr>torque.*?</th>\s*<td[^>]*>{unit}</td>", page, re.DOTALL)
+
+
 def test_what_the_cases_share_opens_with_the_answer_and_leaves_the_method_below(tmp_path):
     write_everything(tmp_path)
     (tmp_path / "summary.json").unlink()

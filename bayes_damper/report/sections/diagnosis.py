@@ -503,7 +503,7 @@ def _gap_tables(
         if gap.get("on")
         else (
             f"On held-out trials{'' if unit else ', in the unit of the readings'}, where only each trial's own release "
-            "angle and instant are fitted."
+            "is fitted."
             if held_out_of(gap)
             else "No trial is held out: these are the residuals of the fitted trials."
         )

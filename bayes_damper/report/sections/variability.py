@@ -101,7 +101,7 @@ def _averaged_table(data: VariabilityFile) -> Table:
 
 
 def _unit(name: str, kind: str) -> str:
-    return {"friction_torque": "N m", "k1t_per_inertia": "1/s²"}.get(name) or unit_of(name, kind)
+    return "1/s²" if name == "k1t_per_inertia" else unit_of({"friction_torque": "drag"}.get(name, name), kind)
 
 
 def _assumption_tables(data: VariabilityFile) -> list[Table]:
