@@ -182,6 +182,24 @@ def test_derivatives_of_a_screening_and_of_a_site_map_end_with_them(fit, monkeyp
     assert sites.site_map(fit).fit is fit  # not the one in slices, which holds them
 
 
+def test_a_screening_responds_in_turns_with_the_same_results(fit, monkeypatch):
+    screen, q = Screen(fit), fit.q + 0.1 * np.arange(3.0)[:, None]
+    whole = screen.responses(fit.problem, q)
+    monkeypatch.setattr(search, "READINGS_AT_ONCE", 1000)
+    for a, b in zip(whole, screen.responses(fit.problem, q), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_what_is_held_at_an_end_lies_in_one_array_with_the_rest(fit):
+    at_end = [replace(b, group=replace(b.group, lower=b.eta, upper=b.eta + 1.0)) for b in fit.linear.blocks]
+    for b, held in zip(at_end, fit.linear.with_blocks(tuple(at_end)).pinned().blocks, strict=True):
+        pressed = np.einsum("jmd,jd->jm", b.T, b.r) + b.eta > 0.0
+        assert pressed.any()
+        np.testing.assert_array_equal(held.T, np.where(pressed[:, :, None], 0.0, b.T))
+        np.testing.assert_array_equal(held.J, b.J)
+        assert np.shares_memory(held.full, held.J)
+
+
 def test_problems_of_one_experiment_share_their_readings(fit):
     other = fit.problem.changed(factors=dict.fromkeys(fit.problem.trials, 0.5))
     for a, b in zip(fit.problem.groups, other.groups, strict=True):

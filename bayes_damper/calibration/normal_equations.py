@@ -162,7 +162,12 @@ class Linear:
             gradient = np.einsum("jmd,jd->jm", b.T, b.r) + b.eta
             near = 1e-6 * (high - low)
             held = ((b.eta - low < near) & (gradient > 0.0)) | ((high - b.eta < near) & (gradient < 0.0))
-            blocks.append(replace(b, T=np.where(held[:, :, None], 0.0, b.T)) if held.any() else b)
+            if not held.any():
+                blocks.append(b)
+                continue
+            rows, size = b.full.copy(), b.J.shape[1]  # in one array, for `full` to be that array
+            rows[:, size:-1][held] = 0.0
+            blocks.append(Block(b.group, rows[:, -1], rows[:, :size], rows[:, size:-1], b.eta))
         return self.with_blocks(tuple(blocks))
 
 

@@ -28,6 +28,7 @@ from bayes_damper.calibration import (
 )
 from bayes_damper.calibration.experiment import angles_of
 from bayes_damper.calibration.nominal import broad_noise, out_of_phase
+from bayes_damper.calibration.problem import READINGS_AT_ONCE
 from bayes_damper.calibration.scatter import carried
 from bayes_damper.campaign.records import DERIVATIVE
 from bayes_damper.effects import REFERENCE, Scales, candidates, scaled
@@ -149,13 +150,17 @@ class Screen:
 
     def response(self, block: Block, problem: Problem, q: Array) -> Array:
         """Those of one block, (k, trials, data)."""
-        k = q.shape[0]
-        group = block.group
-        n = len(group.trials)
-        which = np.tile(np.arange(n), k)
-        y = problem.simulate(group, which, np.repeat(q, n, axis=0), np.tile(block.eta, (k, 1)))
-        r = problem.whitened(y - group.y[which], group.weight[which]).reshape(k, n, -1)
-        return np.asarray(r - block.r[None])
+        k, n = q.shape[0], len(block.group.trials)
+        out = np.empty((k, n, block.r.shape[1]))
+        most = max(READINGS_AT_ONCE // (max(k, 1) * block.group.y[0].size), 1)
+        for at in (slice(first, first + most) for first in range(0, n, most)):
+            group, eta = block.group if most >= n else block.group.only(at), block.eta[at]
+            which = np.tile(np.arange(len(eta)), k)
+            y = problem.simulate(group, which, np.repeat(q, len(eta), axis=0), np.tile(eta, (k, 1)))
+            y -= group.y[which]
+            out[:, at] = problem.whitened(y, group.weight[which]).reshape(k, len(eta), -1)
+        out -= block.r
+        return out
 
     def project(self, columns: Sequence[Array]) -> tuple[Array, Array]:
         """For columns (k, trials, data) per block: their squared length and their product with the residuals.
@@ -253,9 +258,11 @@ def screen_column(
     columns = screen.responses(problem, q)
     if against is not None:
         without = screen.responses(against, np.concatenate([base, before, behind])[None])
-        columns = [c - w for c, w in zip(columns, without, strict=True)]
+        for column, w in zip(columns, without, strict=True):
+            np.subtract(column, w, out=column)
     bad = ~np.all([np.isfinite(c).all(axis=(1, 2)) for c in columns], axis=0)
-    columns = [np.where(bad[:, None, None], 0.0, c) for c in columns]
+    for column in columns:
+        column[bad] = 0.0
     length, product = screen.project(columns)
     at = tuple(float(x) for x in base)
     out = []
