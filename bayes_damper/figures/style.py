@@ -76,7 +76,7 @@ def save(figure: Figure, path: Path) -> list[Path]:
     written = []
     with mpl.rc_context(RC | {"figure.autolayout": False, "figure.constrained_layout.use": False}):
         engine = figure.get_layout_engine()
-        if engine is not None:
+        if engine is not None and figure.axes:
             engine.execute(figure)
             figure.set_layout_engine(None)  # a figure with one is laid out and drawn twice for each file
         for kind, options in (
