@@ -226,6 +226,11 @@ class Problem:
                 y[:, c.index] = readings(late)[:, c.index]
         return _as_sensors_show(y, self.coordinates, group, which, q, eta)
 
+    def simulate_once(self, group: Group, which: Indices, q: Array, eta: Array) -> Array:
+        """The same as `simulate`, where many vectors may be equal: each is integrated once."""
+        _, first, place = np.unique(np.column_stack([which, q, eta]), axis=0, return_index=True, return_inverse=True)
+        return self.simulate(group, which[first], q[first], eta[first])[place.ravel()]
+
     def finer(self) -> Problem:
         """The same problem with records integrated more finely, for differences between them."""
         out = copy(self)

@@ -88,8 +88,8 @@ class PairProblem(Problem):
         """Readings (n, channels, n_times) of vectors q (n, size), eta (n, m) on the group's trials `which` (n,)."""
         n = self.base.size
         alone = (q[:, : self._split], np.concatenate([q[:, :n], q[:, self._split :]], axis=1))
-        first, second = (part.simulate(group, which, x, eta) for part, x in zip(self.parts, alone, strict=True))
-        return first + second - self.base.simulate(group, which, q[:, :n], eta)
+        first, second = (part.simulate_once(group, which, x, eta) for part, x in zip(self.parts, alone, strict=True))
+        return first + second - self.base.simulate_once(group, which, q[:, :n], eta)
 
     def acts(self, c: Coordinate, group: Group) -> bool:
         if c.role != "effect":

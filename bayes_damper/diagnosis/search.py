@@ -143,6 +143,14 @@ class Screen:
         self.normals: Normals = self.linear.normal()
         self.S, self.g, self.inverses = self.normals.reduced()
         self.full = [b.full for b in self.linear.blocks]
+        self._known: dict[tuple[int, bytes], tuple[Problem, list[Array]]] = {}
+
+    def response_of_one(self, problem: Problem, q: Array) -> list[Array]:
+        """`responses` of one vector (size,), kept: every formula is counted from the same one."""
+        key = (id(problem), q.tobytes())
+        if key not in self._known:
+            self._known[key] = (problem, self.responses(problem, q[None]))
+        return self._known[key][1]
 
     def responses(self, problem: Problem, q: Array) -> list[Array]:
         """Whitened changes of the records, per block (k, trials, data), that k vectors q (k, size) make."""
@@ -257,7 +265,7 @@ def screen_column(
     q = np.concatenate([tiled[0], z, tiled[1]], axis=1)
     columns = screen.responses(problem, q)
     if against is not None:
-        without = screen.responses(against, np.concatenate([base, before, behind])[None])
+        without = screen.response_of_one(against, np.concatenate([base, before, behind]))
         for column, w in zip(columns, without, strict=True):
             np.subtract(column, w, out=column)
     bad = ~np.all([np.isfinite(c).all(axis=(1, 2)) for c in columns], axis=0)

@@ -118,12 +118,13 @@ class SetProblem(Problem):
 
     def simulate(self, group: Group, which: Indices, q: Array, eta: Array) -> Array:
         """Readings (n, channels, n_times) of vectors q (n, size), eta (n, m) on the group's trials `which` (n,)."""
+        if len(self.parts) == 1:
+            return self.parts[0].simulate(group, which, q[:, self._places[0]], eta)
         each = [
-            part.simulate(group, which, q[:, place], eta) for part, place in zip(self.parts, self._places, strict=True)
+            part.simulate_once(group, which, q[:, place], eta)
+            for part, place in zip(self.parts, self._places, strict=True)
         ]
-        if len(each) == 1:
-            return each[0]
-        alone = self.base.simulate(group, which, q[:, : self.base.size], eta)
+        alone = self.base.simulate_once(group, which, q[:, : self.base.size], eta)
         return np.asarray(sum(each) - (len(each) - 1) * alone)
 
     def acts(self, c: Coordinate, group: Group) -> bool:

@@ -566,6 +566,24 @@ def test_two_effects_change_the_records_by_the_sum_of_their_changes():
     assert fewer.trials == coupled
 
 
+def test_equal_records_of_two_effects_are_integrated_once(monkeypatch):
+    """Whoever has not the unknown by which a record is differentiated gives the same record again: bit for bit."""
+    base = Problem(make_experiment(1, n=80))
+    both = PairProblem(base, EFFECTS["quadratic_drag"].variants[0], EFFECTS["spring_cubic"].variants[0])
+    q, integrated, run = np.full(both.size, 0.3), [0], Model._run  # noqa: SLF001
+
+    def counted(model, rows, extras, *rest):
+        integrated[0] += max(rows.shape[1], extras.shape[1])
+        return run(model, rows, extras, *rest)
+
+    monkeypatch.setattr(Model, "_run", counted)
+    once, records = both.linearise(q, both.no_nuisance()).blocks, integrated[0]
+    monkeypatch.setattr(Problem, "simulate_once", Problem.simulate)
+    each = both.linearise(q, both.no_nuisance()).blocks
+    assert all(np.array_equal(a.full, b.full) for a, b in zip(once, each, strict=True))
+    assert records < 0.95 * (integrated[0] - records)
+
+
 @pytest.mark.parametrize("kind", [PairProblem, ComposedProblem])
 def test_a_problem_with_two_effects_keeps_both_and_its_weights_when_something_else_changes(kind):
     base = Problem(make_experiment(1, n=80))
