@@ -20,8 +20,6 @@ from bayes_damper.runs.contents.fit import CheckEntry
 from bayes_damper.sampling import arviz_adapter
 from bayes_damper.text import interval, number
 
-corner = arviz_adapter.imported("corner")
-
 _LOGARITHMIC = ("nu",)
 """Parameters that may be known to a factor at best: their axes are logarithmic where a factor of 10 is seen."""
 
@@ -38,6 +36,7 @@ def corner_figure(
     intervals : parameter -> (low, median, high) of its interval, dashed in its own panel and written above it.
     assumed : parameter -> draws of its prior, (n,); a grey line to the scale of the posterior.
     """
+    corner = arviz_adapter.imported("corner")  # here, because it brings ArviZ with it: seconds that only a fit needs
     names = list(next(iter(draws.values())))
     stacked = {group: np.column_stack([values[name] for name in names]) for group, values in draws.items()}
     everything = np.concatenate(list(stacked.values()))

@@ -570,7 +570,7 @@ def test_equal_records_of_two_effects_are_integrated_once(monkeypatch):
     """Whoever has not the unknown by which a record is differentiated gives the same record again: bit for bit."""
     base = Problem(make_experiment(1, n=80))
     both = PairProblem(base, EFFECTS["quadratic_drag"].variants[0], EFFECTS["spring_cubic"].variants[0])
-    q, integrated, run = np.full(both.size, 0.3), [0], Model._run  # noqa: SLF001
+    q, integrated, run = np.full(both.size, 0.3), [0], Model._run
 
     def counted(model, rows, extras, *rest):
         integrated[0] += max(rows.shape[1], extras.shape[1])
