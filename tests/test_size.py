@@ -12,7 +12,7 @@ import pytest
 from campaigns import CAMPAIGN_TOML
 from small_rig import measured
 
-from bayes_damper.calibration import Problem, calibrate, derivatives, normal_equations, posterior, problem
+from bayes_damper.calibration import Problem, calibrate, derivatives, forecast, normal_equations, posterior, problem
 from bayes_damper.campaign import Constant, Trial, head_from_table
 from bayes_damper.campaign.plausibility import look_at_repeats
 from bayes_damper.diagnosis import response, search, sets, sites, where
@@ -198,6 +198,17 @@ def test_what_is_held_at_an_end_lies_in_one_array_with_the_rest(fit):
         np.testing.assert_array_equal(held.T, np.where(pressed[:, :, None], 0.0, b.T))
         np.testing.assert_array_equal(held.J, b.J)
         assert np.shares_memory(held.full, held.J)
+
+
+def test_trials_are_forecast_in_turns_with_the_same_results(monkeypatch):
+    long = calibrate(Problem(measured(repeats=3, duration=0.6)), anneal=False)
+    whole = forecast.forecast(long, long.problem.trials)
+    monkeypatch.setattr(forecast, "READINGS_AT_ONCE", 1)
+    turns = forecast.forecast(long, long.problem.trials)
+    assert len(whole) > 4
+    for i, one in whole.items():
+        np.testing.assert_array_equal(one.centre, turns[i].centre)
+        np.testing.assert_allclose(one.sd, turns[i].sd, rtol=1e-9)
 
 
 def test_problems_of_one_experiment_share_their_readings(fit):
