@@ -255,10 +255,6 @@ class Campaign:
         """Whether any trial is coupled."""
         return any(t.coupled for t in self.trials)
 
-    def select(self, case: str | None = None, configuration: str | None = None) -> tuple[Trial, ...]:
-        """The trials of a case, of a configuration, or of both."""
-        return tuple(t for t in self.trials if case in (None, t.case) and configuration in (None, t.configuration))
-
     @property
     def reading_unit(self) -> str:
         """Unit of a reading, e.g. "rad/s^2"."""

@@ -77,11 +77,6 @@ class Section:
         """Pictures that stand before the charts."""
         return tuple(picture for picture in self.pictures if picture.first)
 
-    @property
-    def anchor(self) -> str:
-        """An id for links, from the title."""
-        return "".join(c if c.isalnum() else "-" for c in self.title.lower())
-
 
 @dataclass(frozen=True)
 class Headline:

@@ -58,8 +58,7 @@ class Verdict:
     """Whether a run converged, by which figures, in sentences that say what to do when it did not.
 
     r_hat, ess_bulk, ess_tail : (ndim,); tau : (ndim,) in steps; steps : of each ensemble;
-    stranded : (ensemble, walker) pairs that stay apart from the others;
-    r_hat_walkers : (ndim,) R-hat with each walker as a chain; near 1 + 1 / (steps / tau) for a healthy run.
+    stranded : (ensemble, walker) pairs that stay apart from the others.
     """
 
     converged: bool
@@ -69,7 +68,6 @@ class Verdict:
     tau: Array
     steps: int
     stranded: tuple[tuple[int, int], ...]
-    r_hat_walkers: Array
     sentences: tuple[str, ...]
 
 
@@ -125,12 +123,6 @@ def r_hat(draws: Array) -> float:
     return _r_hat_of_chains(chains.reshape(len(chains), -1))
 
 
-def r_hat_of_walkers(draws: Array) -> float:
-    """The same with each walker as a chain: it rises when some walkers stay by themselves."""
-    chains = np.moveaxis(draws, 1, 2).reshape(-1, draws.shape[1])
-    return _r_hat_of_chains(chains)
-
-
 def stranded_walkers(log_prob: Array) -> tuple[tuple[int, int], ...]:
     """(ensemble, walker) pairs whose mean log density lies far below that of the others, or that never moved.
 
@@ -162,7 +154,6 @@ def judge(
     steps = draws.shape[1] * thin
     tau_steps = tau * thin
     stranded = stranded_walkers(log_prob)
-    walkers = np.array([r_hat_of_walkers(draws[..., i]) if np.isfinite(tau[i]) else np.nan for i in range(ndim)])
     faults = _shortfalls(names, hats, bulk, tail, tau_steps, steps, rule, seconds_per_step)
     if stranded:
         shown = ", ".join(f"{e + 1}/{w + 1}" for e, w in stranded[:5])
@@ -175,8 +166,8 @@ def judge(
             f"Converged: R-hat at most {hats.max():.4f}, {steps / tau_steps.max():.0f} autocorrelation times of "
             f"{tau_steps.max():.0f} steps, effective sample size at least {min(bulk.min(), tail.min()):.0f}."
         )
-        return Verdict(True, hats, bulk, tail, tau_steps, steps, stranded, walkers, (good,))
-    return Verdict(False, hats, bulk, tail, tau_steps, steps, stranded, walkers, tuple(faults))
+        return Verdict(True, hats, bulk, tail, tau_steps, steps, stranded, (good,))
+    return Verdict(False, hats, bulk, tail, tau_steps, steps, stranded, tuple(faults))
 
 
 def _shortfalls(

@@ -30,7 +30,7 @@ from bayes_damper.runs.contents.withheld import (
     WithheldFile,
 )
 from bayes_damper.runs.execution import Progress, Task, run_tasks
-from bayes_damper.runs.json_files import plain, read_json, write_json, write_text
+from bayes_damper.runs.json_files import plain, write_json, write_text
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.text import counted, p_value
 from bayes_damper.validation.withheld import scores
@@ -44,7 +44,6 @@ from bayes_damper.validation.withheld.sealing import (
     open_key,
     read_freeze,
     read_verdict,
-    verdict_path,
     write_freeze,
     write_verdict,
 )
@@ -560,12 +559,6 @@ def _shipped() -> Path | None:
         return shipped_path(SHIPPED)
     except InputError:
         return None
-
-
-def sealed_now(home: Path) -> dict[str, str]:
-    """Name -> seal of the verdicts that a run has sealed so far."""
-    names = read_freeze(home / "freeze.json")["campaigns"]
-    return {n: read_json(verdict_path(home, n))["seal"] for n in names if verdict_path(home, n).exists()}
 
 
 # Text -----------------------------------------------------------------------------------------------------------------

@@ -23,6 +23,13 @@ ANSWERS = ("spring_cubic", "sensor_gain", "stick_slip", "none")
 SITE = {"spring_cubic": "ground1", "sensor_gain": "sensor", "stick_slip": "interface", "none": "none"}
 
 
+def sealed(home):
+    """Name -> seal of the verdicts that a run has sealed so far."""
+    names = sealing.read_freeze(home / "freeze.json")["campaigns"]
+    paths = {name: sealing.verdict_path(home, name) for name in names}
+    return {name: json.loads(path.read_text())["seal"] for name, path in paths.items() if path.exists()}
+
+
 def entry(truth, *, kind="easy", level=0.5, visible=500.0, standing="library", site=None, effects=None):
     """An entry of a key."""
     none = truth == "none"
@@ -84,7 +91,7 @@ def test_a_run_seals_every_verdict_and_scores(tmp_path):
     assert told["scores"]["confusion"]["stick_slip"] == {"stick_slip": 1}
     assert told["campaigns"]["c00"]["probabilities"]["spring_cubic"] == 0.92
     frozen = sealing.read_freeze(tmp_path / "out/freeze.json")
-    seals = check.sealed_now(tmp_path / "out")
+    seals = sealed(tmp_path / "out")
     assert told["chain_head"] == sealing.chain(frozen["seal"], seals)[-1]
     assert "right effect first" in found.text()
     assert (tmp_path / "out/withheld.png").stat().st_size > 10_000
@@ -371,7 +378,7 @@ def test_a_run_that_was_stopped_goes_on_with_what_is_missing(tmp_path, monkeypat
         run(tmp_path, "stopped_once")
     assert calls(tmp_path) == ["c00"]
     assert not (tmp_path / "out/withheld.json").exists()
-    assert set(check.sealed_now(tmp_path / "out")) == {"c00"}
+    assert set(sealed(tmp_path / "out")) == {"c00"}
     record = json.loads((tmp_path / "out/run.json").read_text())
     assert record["command"] == "withheld"
     with pytest.raises(InputError, match="no code is taken from a folder of results"):
