@@ -24,14 +24,13 @@ from bayes_damper.calibration.scatter import (
     SUDDEN,
     carried,
     learn_scatter,
+    log_prior,
     times_of_release,
     typical_scatter,
     usual_releases,
     with_releases,
-    without_repeats,
 )
 from bayes_damper.calibration.unknowns import middle
-from bayes_damper.calibration.unlearnt import log_prior
 
 Array = NDArray[np.float64]
 VARIES = 9.0  # mean square, in variances, of a nuisance's differences between repeats from which it is each trial's own
@@ -374,21 +373,6 @@ def _under(fit: Calibration, noise: Noise, scatter: Scatter | None = None) -> Ca
     return found
 
 
-def _with_sizes_of_its_own(fit: Calibration) -> Calibration:
-    """The fit of released trials without repeats, and its noise, with the sizes of scatters that they make likely.
-
-    Those that are usual leave a part of what scatters more, and the noise that is learnt from it is too large. The
-    evidence hangs little on these sizes: it is integrated over all (unlearnt.py).
-    """
-    for _ in range(MOST_TURNS):
-        before = fit.problem.noise.total
-        fit = _under(fit, fit.problem.noise, without_repeats(fit))
-        fit = _under(fit, learn_noise(fit), fit.problem.switches.scatter)
-        if all(abs(new / old - 1.0) < 1.0 - SHARPER for new, old in zip(fit.problem.noise.total, before, strict=True)):
-            break
-    return fit
-
-
 def _as_single_releases(fit: Calibration) -> Calibration:
     """The fit with the scatter that priors say of releases by hand of other sizes, if that takes all of the error.
 
@@ -527,11 +511,7 @@ def _with_exact_inputs(
         fit = _as_declared(fit)
     fit = _usual_curve(fit)
     if noise.sensor:
-        fit = _sharpened(fit)
-    if alone and switches is None and experiment.start == "rest" and fit.problem.switches.scatter.sizes:
-        return _with_sizes_of_its_own(fit)
-    if noise.sensor:
-        return _as_single_releases(fit) if switches is None else fit
+        return _as_single_releases(_sharpened(fit)) if switches is None else _sharpened(fit)
     # In turns these need not gain at each: the best of a few is kept.
     best, last = fit, _log_density(fit)
     for _ in range(MOST_TURNS if switches is None else 0):
