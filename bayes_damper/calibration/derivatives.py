@@ -46,19 +46,9 @@ def blocks_of(
     """Blocks of `linearise`, the trials of a large group in turns."""
     blocks = []
     for group in problem.groups:
-        most = max(READINGS_AT_ONCE // max(group.y[0].size, 1), 1)
-        if len(group.trials) <= most:
-            blocks.append(_block(problem, group, q, eta, annealed, central, steps))
-            continue
-        blocks.append(
-            _joined(
-                group,
-                (
-                    _block(problem, group.only(slice(k, k + most)), q, eta, annealed, central, steps)
-                    for k in range(0, len(group.trials), most)
-                ),
-            )
-        )
+        turns = [some for _, some in group.turns(READINGS_AT_ONCE)]
+        made = (_block(problem, some, q, eta, annealed, central, steps) for some in turns)
+        blocks.append(next(made) if len(turns) == 1 else _joined(group, made))
     return tuple(blocks)
 
 

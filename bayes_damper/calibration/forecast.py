@@ -14,7 +14,7 @@ trials that were fitted, as a share of how far each swings in its first periods.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import cast
@@ -255,7 +255,7 @@ def _ahead(fit: Calibration, trials: Sequence[int], periods: float, missed: Arra
             H = np.linalg.inv(T @ T.T + np.eye(len(T)))
             follow[i], spread[i], cut[i] = -H @ T @ J.T, H, (block.group, k)
     out = {}
-    for group in (some for whole in problem.grouped(tuple(seen)) for some in _turns(whole)):
+    for group in (some for whole in problem.grouped(tuple(seen)) for _, some in whole.turns(READINGS_AT_ONCE)):
         scaled = {i: _scaled(*cut[i], group, k) for k, i in enumerate(group.trials)}
         eta = np.array([scaled[i][0] + scaled[i][1] * own[i] for i in group.trials]).reshape(len(group.trials), -1)
         base, by_q, by_eta = _slopes(problem, group, fit.q, eta)
@@ -274,13 +274,6 @@ def _ahead(fit: Calibration, trials: Sequence[int], periods: float, missed: Arra
                 np.sqrt(np.maximum(variance[:, rest], 0.0)),
             )  # fmt: skip
     return out
-
-
-def _turns(group: Group) -> Iterator[Group]:
-    """Parts of a group by so few trials as are differentiated together."""
-    most = max(READINGS_AT_ONCE // group.y[0].size, 1)
-    for first in range(0, len(group.trials), most):
-        yield group.only(slice(first, first + most))
 
 
 def _missed(fit: Calibration, periods: float) -> Array:

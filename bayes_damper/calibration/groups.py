@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -77,6 +77,16 @@ class Group:
             nuisances=tuple((name, mean[at], sd[at]) for name, mean, sd in self.nuisances), lower=self.lower[at],
             upper=self.upper[at], kept={},
         )  # fmt: skip
+
+    def turns(self, readings: int) -> Iterator[tuple[slice, Group]]:
+        """Parts of the group with at most so many readings each, or one trial: place among the trials, and part."""
+        most = max(readings // max(self.y[0].size, 1), 1)
+        if most >= len(self.trials):
+            yield slice(None), self
+            return
+        for first in range(0, len(self.trials), most):
+            at = slice(first, first + most)
+            yield at, self.only(at)
 
 
 @dataclass(frozen=True)

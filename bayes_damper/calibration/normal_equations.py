@@ -232,10 +232,12 @@ class Normals:
         S, g, inverses = _eliminated(self.S, self.g, [part[1:] for part in self.parts], np.zeros(1))
         return S[0], g[0], [inverse[0] for inverse in inverses]
 
-    def step(
-        self, damping: float, reach: float = math.inf, bend: Array | None = None
+    def steps(
+        self, dampings: Sequence[float], reach: float = math.inf, bend: Array | None = None
     ) -> tuple[Array, dict[int, Array]]:
-        """Damped Gauss-Newton step in q and in each trial's eta, with every eta within its bounds.
+        """Damped Gauss-Newton steps, one for each damping, with every eta within its bounds.
+
+        In q (dampings, size), and in each trial's eta (dampings, m).
 
         What would leave its bounds goes to them, and the step is taken anew in all others: cut off alone, it would
         leave to nothing what the others were meant to give way for. So does a coordinate of q that would move by more
@@ -243,13 +245,6 @@ class Normals:
 
         bend (size,) : further curvature of the cost by each q.
         """
-        dq, deta = self.steps([damping], reach, bend)
-        return dq[0], {i: move[0] for i, move in deta.items()}
-
-    def steps(
-        self, dampings: Sequence[float], reach: float = math.inf, bend: Array | None = None
-    ) -> tuple[Array, dict[int, Array]]:
-        """The steps of several dampings at once: dq (dampings, size), and of each trial (dampings, m)."""
         damping = np.asarray(dampings, float)
         count = damping.size
         curved = np.zeros(self.size) if bend is None else bend

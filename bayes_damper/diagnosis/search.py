@@ -160,9 +160,8 @@ class Screen:
         """Those of one block, (k, trials, data)."""
         k, n = q.shape[0], len(block.group.trials)
         out = np.empty((k, n, block.r.shape[1]))
-        most = max(READINGS_AT_ONCE // (max(k, 1) * block.group.y[0].size), 1)
-        for at in (slice(first, first + most) for first in range(0, n, most)):
-            group, eta = block.group if most >= n else block.group.only(at), block.eta[at]
+        for at, group in block.group.turns(READINGS_AT_ONCE // max(k, 1)):
+            eta = block.eta[at]
             which = np.tile(np.arange(len(eta)), k)
             y = problem.simulate(group, which, np.repeat(q, len(eta), axis=0), np.tile(eta, (k, 1)))
             y -= group.y[which]

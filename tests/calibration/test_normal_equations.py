@@ -22,7 +22,7 @@ def test_a_step_within_bounds_is_that_of_bounded_least_squares(seed, reach):
     low, high = eta - 0.1 * rng.random((n, m)), eta + 0.1 * rng.random((n, m))
     group = SimpleNamespace(trials=tuple(range(n)), lower=low, upper=high)
     linear = Linear(q, lambda: (Block(group, r, J, T, eta),))
-    dq, deta = linear.normal().step(0.0, reach)
+    (dq,), deta = linear.normal().steps([0.0], reach)
     A = np.zeros((n * data + size + n * m, size + n * m))
     b = np.zeros(len(A))
     for j in range(n):
@@ -35,7 +35,7 @@ def test_a_step_within_bounds_is_that_of_bounded_least_squares(seed, reach):
     exact = lsq_linear(A, b, bounds, method="bvls", tol=1e-14).x
     assert np.count_nonzero(np.isclose(exact, bounds[0]) | np.isclose(exact, bounds[1])) > n
     assert dq == pytest.approx(exact[:size], abs=1e-8)
-    assert np.array([deta[j] for j in range(n)]).ravel() == pytest.approx(exact[size:], abs=1e-8)
+    assert np.array([deta[j][0] for j in range(n)]).ravel() == pytest.approx(exact[size:], abs=1e-8)
     H = T @ T.transpose(0, 2, 1) + np.eye(m)
     alone = step_within(H, np.einsum("jmd,jd->jm", T, r) + eta, low - eta, high - eta)
     for j in range(n):

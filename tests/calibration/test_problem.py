@@ -293,10 +293,10 @@ def test_elimination_equals_the_joint_problem(fitted):
     full = A.T @ A + np.eye(A.shape[1])
     gradient = A.T @ r + np.concatenate([q, eta])
     step = -np.linalg.solve(full, gradient)
-    dq, deta = normals.step(0.0)
+    (dq,), deta = normals.steps([0.0])
     order = [i for b in linear.blocks for i in b.group.trials]
     assert np.allclose(dq, step[: problem.size], rtol=1e-5, atol=1e-8)
-    assert np.allclose(np.concatenate([deta[i] for i in order]), step[problem.size :], rtol=1e-5, atol=1e-8)
+    assert np.allclose(np.concatenate([deta[i][0] for i in order]), step[problem.size :], rtol=1e-5, atol=1e-8)
     cost = r @ r + q @ q + eta @ eta
     assert normals.log_evidence() == pytest.approx(-0.5 * cost - 0.5 * np.linalg.slogdet(full)[1], rel=1e-9)
 
@@ -305,12 +305,12 @@ def test_evidence_of_a_linear_gaussian_problem_is_exact(fitted):
     """At the minimum of the linearised problem the Laplace evidence is the exact Gaussian integral."""
     linear = fitted.linear
     normals = linear.normal()
-    dq, deta = normals.step(0.0)
+    (dq,), deta = normals.steps([0.0])
     J = np.concatenate([row for b in linear.blocks for row in b.J.transpose(0, 2, 1)])
     T = block_diag(*[row.T for b in linear.blocks for row in b.T])
     A = np.hstack([J, T])
     order = [i for b in linear.blocks for i in b.group.trials]
-    x = np.concatenate([fitted.q + dq, *[fitted.eta[i] + deta[i] for i in order]])
+    x = np.concatenate([fitted.q + dq, *[fitted.eta[i] + deta[i][0] for i in order]])
     r = np.concatenate([row for b in linear.blocks for row in b.r])
     x0 = np.concatenate([fitted.q, *[fitted.eta[i] for i in order]])
     y = A @ x0 - r  # r = A x - y

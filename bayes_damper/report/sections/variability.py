@@ -101,7 +101,7 @@ def _averaged_table(data: VariabilityFile) -> Table:
 
 
 def _unit(name: str, kind: str) -> str:
-    return "1/s²" if name == "k1t_per_inertia" else unit_of({"friction_torque": "drag"}.get(name, name), kind)
+    return "1/s²" if name == "k1t_per_inertia" else unit_of(name, kind)
 
 
 def _assumption_tables(data: VariabilityFile) -> list[Table]:
