@@ -55,7 +55,7 @@ WORK = {
     "whiten": ("calibration.problem.Problem.whitened",),
     "difference quotients": ("calibration.derivatives.blocks_of",),
     "normal equations": (
-        "calibration.normal_equations.Linear.normal", "calibration.normal_equations.Normals.step",
+        "calibration.normal_equations.Linear.normal", "calibration.normal_equations.Normals.steps",
         "calibration.normal_equations.Normals.reduced", "calibration.normal_equations.Normals.log_evidence",
     ),
     "screening columns": ("diagnosis.search.Screen.projected",),
