@@ -694,6 +694,11 @@ def _notes(
         notes.append(
             f"The nominal model fits {name} {z:+.1f} standard deviations from its declared value: an effect, or a typo."
         )
+    if place.torque_site is not None and not place.torque:
+        notes.append(
+            f"The nominal model leaves up to {place.left:.0%} of a record, too much for a linear estimate of the "
+            "missing torque, so none is given: add what you know of the rig, and diagnose again."
+        )
     if answers.verdict == "unknown" and place.only is not None:
         trials = f"the trials of {place.only}" if place.only.startswith("case ") else f"{place.only} trials"
         notes.append(

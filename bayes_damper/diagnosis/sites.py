@@ -45,6 +45,7 @@ USABLE = 1e-3  # a column of which parameters leave less than this share of its 
 PRIOR_NONE = 0.4
 CONFIGURATIONS = {False: "uncoupled", True: "coupled"}
 WORTH_A_TORQUE = 0.1  # probability of a site, given a gap, from which the torque that is missing there is given
+LARGEST_LEFT = 0.1  # rms left of a record, over its sd, up to which linear responses give the missing torque
 LAWS = {
     "ground1": {"k1t", "c1t", "J1"},
     "bearings": {"drag", "c1t", "c3t"},
@@ -106,7 +107,9 @@ class SiteMap:
 
     log_evidence: of each site over no gap, nats; strength: that of the best site, as far as its cause acts in all
     trials; probabilities: of the sites and "none", sum 1; leaders: the leading
-    hypothesis of each site; torque: what is missing at the best site (empty for a sensor: no torque is wrong there).
+    hypothesis of each site; torque: what is missing at the best site (empty for a sensor: no torque is wrong there; and
+    where `left` > `LARGEST_LEFT`); left: rms that the fit leaves of a record beyond the sensors' noise, over the
+    record's standard deviation, where that is largest.
     """
 
     log_evidence: Mapping[str, float]
@@ -117,6 +120,7 @@ class SiteMap:
     scale: Scale
     strength: float
     torque_site: str | None = None
+    left: float = 0.0
 
     @property
     def best(self) -> str:
@@ -185,7 +189,8 @@ class SiteMap:
 def site_map(fit: Calibration, *, torque: bool = True, prior_none: float = PRIOR_NONE) -> SiteMap:
     """Evidence and probability of every site that the rig has, from what a fit leaves; 1 to 3 s a campaign.
 
-    torque : also estimate the missing torque; prior_none : prior probability of no gap.
+    torque : also estimate the missing torque, unless the fit is too far off (`SiteMap.left`); prior_none : prior
+    probability of no gap.
     """
     whole, fit = fit, in_slices(fit)
     moved = motions(fit)
@@ -211,11 +216,12 @@ def site_map(fit: Calibration, *, torque: bool = True, prior_none: float = PRIOR
     }
     missing: tuple[MissingTorque, ...] = ()
     silent = {s for s, leader in leaders.items() if not any(vocabulary[c][2] for c in leader.columns)}
+    left = share_left(whole)
     place = _torque_site(probabilities, silent) if torque else None
-    if place is not None:
+    if place is not None and left <= LARGEST_LEFT:
         missing = _torque(fit, moved, scale, judged[leaders[place].only], leaders[place])
     # The fit that was given: one in slices holds its derivatives.
-    return SiteMap(evidence, probabilities, leaders, missing, whole, scale, strength, place)
+    return SiteMap(evidence, probabilities, leaders, missing, whole, scale, strength, place, left)
 
 
 _Sites = tuple[dict[str, float], dict[str, Hypothesis]]
@@ -268,6 +274,22 @@ def _torque_site(probabilities: Mapping[str, float], silent: Collection[str] = (
     if place is None or gap[place] < WORTH_A_TORQUE * (1.0 - probabilities["none"]):
         return None
     return place
+
+
+def share_left(fit: Calibration) -> float:
+    """Rms that a fit leaves of a record beyond the sensors' noise, over the record's standard deviation: the largest.
+
+    Roughly the phase (rad) by which model and record part. Responses are linear in it, and the errors of parameters
+    that give way to a missing torque multiply with it.
+    """
+    trials, noise = fit.problem.experiment.trials, fit.problem.noise.floor
+    shares = [0.0]
+    for i, residual in fit.residuals().items():
+        for r, y, sd in zip(residual, trials[i].y, noise, strict=False):
+            if np.isfinite(r).any():
+                beyond = max(float(np.nanmean(r**2)) - sd**2, 0.0)
+                shares.append(math.sqrt(beyond / max(float(np.nanvar(y)), sd**2)))
+    return max(shares)
 
 
 def peak_of(fit: Calibration) -> float:

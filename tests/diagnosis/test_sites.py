@@ -15,9 +15,11 @@ from bayes_damper.calibration.own_values import Scatter
 from bayes_damper.calibration.scatter import carried
 from bayes_damper.diagnosis.response import _steps, motions, project, project_parts
 from bayes_damper.diagnosis.sites import (
+    LARGEST_LEFT,
     STRENGTHS,
     _torque_site,
     dense_evidence,
+    share_left,
     shares_of,
     site_map,
     write_missing_torque,
@@ -190,6 +192,25 @@ def test_missing_torque_is_what_the_fitted_laws_lack(interface):
     lacking = np.concatenate([between(RIG, m) + 200.0 * m.phi**3 - between(fitted, m) for m in coupled])
     assert np.corrcoef(told, lacking)[0, 1] > 0.92
     assert np.std(told) == pytest.approx(np.std(lacking), rel=0.15)
+
+
+def test_no_torque_is_given_where_the_fit_is_too_far_off_for_linear_responses():
+    """A coupling that hardens eight times as much: its torque would err by as much as it has."""
+    fit = calibrate_nominal(measured(4, effect=CUBIC["effect"], values={"cubic": 1600.0}))
+    found = site_map(fit)
+    assert found.best == "interface"
+    assert found.left > LARGEST_LEFT
+    assert found.torque_site == "interface"
+    assert found.torque == ()
+    assert found.curve() == {}
+
+
+def test_what_is_left_of_a_record_is_beyond_noise(interface, faultless):
+    """Noise is no share of it; what a coupling that hardens leaves is."""
+    assert share_left(faultless) < 0.02 < share_left(interface[0]) < LARGEST_LEFT
+    louder = replace(faultless.problem.noise, innovation=(1e-3,) * len(faultless.problem.noise.phi), sensor=())
+    all_of_it = replace(faultless, problem=faultless.problem.with_noise(louder))
+    assert share_left(all_of_it) > 0.05
 
 
 def test_without_a_gap_the_map_says_none(faultless):
