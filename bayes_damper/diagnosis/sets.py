@@ -89,7 +89,7 @@ class SetProblem(Problem):
         self.base, self.members, self.exact = base, tuple(members), exact
         clusters = _clusters(self.members, exact)
         self.parts = tuple(_cluster_problem(base, [members[k][1] for k in cluster]) for cluster in clusters)
-        self.effect = self.parts[0].effect
+        self.effect, self.models = self.parts[0].effect, self.parts[0].models
         own = [
             Coordinate(f"effect.{k}.{p.name}", "effect", p.prior)
             for k, (_, v) in enumerate(self.members)

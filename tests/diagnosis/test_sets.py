@@ -22,6 +22,8 @@ from bayes_damper.calibration import (
 from bayes_damper.diagnosis import diagnose
 from bayes_damper.diagnosis import sets as sets_module
 from bayes_damper.diagnosis.budget import _divided, answers_of, borne_out, budget_of, foreign_alone
+from bayes_damper.diagnosis.formula import widened
+from bayes_damper.diagnosis.response import motions
 from bayes_damper.diagnosis.search import offered
 from bayes_damper.diagnosis.sensitivity import sensitivity_of_sets
 from bayes_damper.diagnosis.sets import (
@@ -112,6 +114,18 @@ def test_a_descent_follows_terms_that_stand_for_each_other(hidden):
     assert straight.cost < 0.6 * bent.cost  # the other one stops on the way
     assert straight.parameters["effect.0.drag"][0] > 1.5 * bent.parameters["effect.0.drag"][0]
     assert straight.parameters["c1t"][0] < hidden.parameters["c1t"][0]
+
+
+def test_the_motion_of_a_set_is_the_one_that_its_effects_damp(hidden):
+    problem = SetProblem(hidden.problem, (member("bearing_drag"), member("quadratic_drag")), exact=True)
+    fit = summarise(problem, np.r_[hidden.q, 0.5, 0.0, 0.5], hidden.eta, True, 0, central=False)
+    (motion,) = motions(fit)
+    (record,) = fit.simulated().values()
+    np.testing.assert_allclose(motion.th1[:, motion.at], record, atol=0.01 * np.abs(record).max())
+    (bare,) = hidden.simulated().values()
+    assert np.abs(bare - record).max() > 0.1 * np.abs(record).max()  # what it would be without them
+    spread = np.sqrt(np.diag(widened(fit, ["bearings"]).covariance / fit.covariance))
+    assert spread[problem.names.index("effect.0.drag")] > 1.1  # another formula of either effect changes its size
 
 
 @pytest.mark.slow
