@@ -14,7 +14,7 @@ DEMO_OUT ?= results/demo
 # Processes that run tests side by side; tests of one file, or of one formula of an effect, stay together, and
 # tests/conftest.py says which files come first.
 JOBS ?= 2
-TESTS = $(RUN) -m pytest --numprocesses $(JOBS) --dist loadgroup --no-loadscope-reorder
+TESTS = $(RUN) -m pytest --numprocesses $(JOBS) --dist loadfile --no-loadscope-reorder
 
 export PYTHONHASHSEED := 0
 export OMP_NUM_THREADS ?= 1
@@ -23,7 +23,7 @@ export NO_MKDOCS_2_WARNING := 1
 # Where Python may not keep what it has read, each process of the tests reads two hundred files of them anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test slow lint types notebooks docs prove ranges format clean
+.PHONY: help demo test slow tests lint types notebooks docs prove ranges format clean
 
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 20
@@ -66,6 +66,9 @@ test: $(VENV)/.dev ## the quick tests
 
 slow: $(VENV)/.dev ## the tests that take longer
 	@$(TESTS) -m "slow and not prove"
+
+tests: $(VENV)/.dev ## the quick and the slow ones in one run, which share what files prepare
+	@$(TESTS) -m "not prove"
 
 lint: $(VENV)/.dev ## ruff: rules and format
 	@$(RUN) -m ruff check .

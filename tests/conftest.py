@@ -1,6 +1,7 @@
 """Settings for all tests."""
 
 import os
+import re
 import sys
 from collections import Counter
 from pathlib import Path
@@ -22,27 +23,40 @@ sys.path[:0] = [str(HERE / folder) for folder in LENDING]
 # Files whose tests, quick or slow, take longest together: they come first, or one process would be left with such a
 # file when all others are done. `pytest --durations=60` shows what has grown.
 LONGEST = (
-    "test_entry", "test_answer", "test_integrator", "test_pipeline", "test_damage", "test_prescribed_motion",
-    "test_published", "test_bench", "test_correlated_noise", "test_sites", "test_own_effect", "test_measured_inputs",
-    "test_bench_parts", "test_plan", "test_compare", "test_cache_folder", "test_named", "test_examples", "test_sets",
-    "test_fleet", "test_damage_of_results", "test_wiring", "test_result", "test_bridge", "test_problem", "test_check",
-    "test_ensembles",
+    "test_published", "test_damage", "test_answer", "test_entry", "test_pipeline", "test_damage_of_results",
+    "test_correlated_noise", "test_plan", "test_gap", "test_integrator", "test_kinds", "test_scatter", "test_law",
+    "test_bench", "test_sites", "test_wiring", "test_rigs", "test_problem", "test_sets", "test_parallel_map",
+    "test_fleet", "test_result", "test_compare", "test_nominal", "test_logger_formats", "test_laboratories",
+    "test_own_effect", "test_input_noise", "test_simulator", "test_moves", "test_examples", "test_ensembles",
+    "test_named", "test_prescribed_motion", "test_check", "test_bench_parts", "test_simulator_reserved",
 )  # fmt: skip
 
 
-def pytest_collection_modifyitems(config, items):
-    """Where tests run side by side, those of one file stay in one process, unless they are grouped otherwise.
-
-    The longest files come first, then those of most tests.
+def together(nodeid):
+    """Which tests are run by one process, so that what a file prepares is made once, and each kernel is compiled once:
+    those of a file; of test_effects.py those of a formula.
     """
-    if not config.pluginmanager.hasplugin("xdist"):
-        return
-    for item in items:
-        if item.get_closest_marker("xdist_group") is None:
-            item.add_marker(pytest.mark.xdist_group(item.path.stem))
+    formula = re.search(r"test_effects\.py::.*\[(\w+/\w+)\]$", nodeid)
+    return formula[1] if formula else nodeid.partition("::")[0]
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """With --dist loadfile: as `together` says. (The marks of --dist loadgroup are not seen with pytest 9.2.)"""
+    if config.getvalue("dist") != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class Together(LoadFileScheduling):
+        def _split_scope(self, nodeid):
+            return together(nodeid)
+
+    return Together(config, log)
+
+
+def pytest_collection_modifyitems(config, items):
+    """Where tests run side by side, those of the longest files come first, then those of most tests."""
     if hasattr(config, "workerinput"):
-        groups = [item.get_closest_marker("xdist_group").args[0] for item in items]
-        sizes = Counter(groups)
+        sizes = Counter(item.path.stem for item in items)
         place = {name: number for number, name in enumerate(LONGEST)}
-        order = sorted(range(len(items)), key=lambda i: (place.get(groups[i], len(place)), -sizes[groups[i]]))
-        items[:] = [items[i] for i in order]
+        items.sort(key=lambda item: (place.get(item.path.stem, len(place)), -sizes[item.path.stem], item.path.stem))

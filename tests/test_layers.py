@@ -120,3 +120,12 @@ def test_importing_the_package_is_quick_and_leaves_nothing(tmp_path):
     cumulative = {row[2].strip(): int(row[1]) for row in rows if row[1].strip().isdigit()}
     assert cumulative["bayes_damper"] < 1_000_000
     assert list(tmp_path.iterdir()) == []
+
+
+def test_tests_of_a_file_go_to_one_process_and_formulas_apart(request):
+    """Side by side, what a file prepares is made once, and kernels are shared out."""
+    plugins = request.config.pluginmanager.get_plugins()
+    rule = next(p for p in plugins if getattr(p, "__file__", None) == str(Path(__file__).parent / "conftest.py"))
+    assert len({rule.together(f"tests/fit/test_entry.py::{name}") for name in ("test_a[x/y]", "test_b")}) == 1
+    simulated = [f"tests/effects/test_effects.py::{test}[{name}]" for test in "ab" for name in ("e/one", "e/two")]
+    assert len({rule.together(nodeid) for nodeid in simulated}) == 2

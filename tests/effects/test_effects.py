@@ -50,7 +50,7 @@ def of(condition):
 def simulated(condition=lambda e, v: True):
     """As `of`, for tests that compile a kernel for each variant (seconds): only the first of an effect is quick."""
     chosen = [
-        pytest.param(*pair, id=name, marks=[pytest.mark.xdist_group(name), *[pytest.mark.slow] * (name in SECOND)])
+        pytest.param(*pair, id=name, marks=[pytest.mark.slow] * (name in SECOND))
         for name, pair in VARIANTS.items()
         if condition(*pair)
     ]

@@ -25,7 +25,6 @@ THESES = 20
 
 
 @pytest.mark.prove
-@pytest.mark.xdist_group("calibration of records")
 @pytest.mark.parametrize("kind", synthetic.KINDS)
 def test_ranks_of_every_parameter_are_uniform(kind):
     """The log likelihood is left to the next test: the fit as it is leaves some information unused."""
@@ -35,7 +34,6 @@ def test_ranks_of_every_parameter_are_uniform(kind):
 
 
 @pytest.mark.prove
-@pytest.mark.xdist_group("calibration of records")
 @pytest.mark.parametrize("kind", synthetic.KINDS)
 def test_ranks_by_weighted_draws_are_uniform(kind):
     task = partial(calibrated.recorded, kind, weights=True)
@@ -45,7 +43,6 @@ def test_ranks_by_weighted_draws_are_uniform(kind):
 
 
 @pytest.mark.prove
-@pytest.mark.xdist_group("calibration of records")
 @pytest.mark.parametrize("kind", synthetic.KINDS)
 def test_ranks_of_parameters_and_likelihood_are_uniform_without_allowance(kind):
     task = partial(calibrated.recorded, kind, fault=calibrated.without_allowance)
@@ -55,7 +52,6 @@ def test_ranks_of_parameters_and_likelihood_are_uniform_without_allowance(kind):
 
 
 @pytest.mark.prove
-@pytest.mark.xdist_group("calibration of features")
 @pytest.mark.parametrize("case", calibrated.CASES)
 def test_ranks_at_the_cases_of_the_thesis_are_uniform(case):
     results = parts.finish(f"calibration-{case}", THESES, partial(calibrated.published, case))
