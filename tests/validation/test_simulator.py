@@ -5,6 +5,7 @@ import csv
 import gzip
 import importlib.util
 import json
+import math
 import sys
 import tomllib
 from pathlib import Path
@@ -36,32 +37,37 @@ TIMES = np.arange(1000) * 1e-3
 
 
 def reference(extra=None, memory=0, start=None, rig=RIG, friction=None):
-    """Coupled accelerations at TIMES by an adaptive eighth-order method, the equations written out once more."""
+    """Coupled accelerations at TIMES by multistep methods of varying order, the equations written out once more."""
     g = rig
 
     def rhs(t, x):
-        th1, th2, w1, w2 = x[:4]
+        th1, th2, w1, w2 = x[:4].tolist()
         phi, v = th1 - th2, w1 - w2
         pull = g["N0"] * max(0.0, 1.0 - g["R"] * abs(phi) / (2 * g["r"]))
-        slide = np.tanh(g["nu"] * v) if friction is None else x[4]
+        slide = math.tanh(g["nu"] * v) if friction is None else x[4]
         dry = g["mu"] * pull * g["R"] * slide
         coupling = g["k2t"] * phi + g["c2t"] * v + dry
         q1, q2, rates = (0.0, 0.0, []) if extra is None else extra(t, x, dry)
         if friction is not None:
             rates = [friction(v, x[4])]
-        a1 = (-g["c1t"] * w1 - g["k1t"] * th1 - g["drag"] * np.tanh(g["nu"] * w1) - coupling + q1) / g["J1"]
-        a2 = (-g["c3t"] * w2 - g["drag"] * np.tanh(g["nu"] * w2) + coupling + q2) / g["J2"]
-        return np.array([w1, w2, a1, a2, *rates])
+        a1 = (-g["c1t"] * w1 - g["k1t"] * th1 - g["drag"] * math.tanh(g["nu"] * w1) - coupling + q1) / g["J1"]
+        a2 = (-g["c3t"] * w2 - g["drag"] * math.tanh(g["nu"] * w2) + coupling + q2) / g["J2"]
+        return w1, w2, a1, a2, *rates
 
     x0 = np.zeros(4 + memory) if start is None else np.array(start)
     x0[:2] = g["theta0"]
-    out = solve_ivp(rhs, (0.0, TIMES[-1]), x0, "DOP853", TIMES, rtol=1e-10, atol=1e-12, max_step=2e-4)
+    out = solve_ivp(rhs, (0.0, TIMES[-1]), x0, "LSODA", TIMES, rtol=1e-10, atol=1e-12, max_step=2e-4)
     return np.array([rhs(t, x)[2:4] for t, x in zip(out.t, out.y.T, strict=True)]).T
 
 
-def test_nominal_motion_agrees_with_an_adaptive_method():
+@pytest.fixture(scope="module")
+def nominal():
+    return reference()
+
+
+def test_nominal_motion_agrees_with_an_adaptive_method(nominal):
     ours = simulate.record(RIG, True, TIMES)
-    assert np.abs(ours - reference()).max() < 1e-3  # of a peak of 160 rad/s^2
+    assert np.abs(ours - nominal).max() < 1e-3  # of a peak of 160 rad/s^2
 
 
 def test_uncoupled_rig_is_the_first_line_alone():
@@ -73,7 +79,7 @@ def test_uncoupled_rig_is_the_first_line_alone():
     assert np.abs(y - np.real(A * root**2 * np.exp(root * TIMES))).max() < 1e-5
 
 
-def test_hysteresis_agrees_with_an_adaptive_method():
+def test_hysteresis_agrees_with_an_adaptive_method(nominal):
     size, yielding, beta = 0.03, 0.01, 0.55
 
     def extra(_, x, __):
@@ -85,7 +91,7 @@ def test_hysteresis_agrees_with_an_adaptive_method():
     d = sensors.Disturbance(codes.COUPLING_HYSTERESIS, (size, yielding, beta, 0.0))
     ours = simulate.record(RIG, True, TIMES, [d])
     assert np.abs(ours - reference(extra, 1, start)).max() < 0.02
-    assert np.abs(ours - reference()).max() > 5.0
+    assert np.abs(ours - nominal).max() > 5.0
 
 
 def test_magnet_fade_agrees_with_an_adaptive_method():
@@ -93,36 +99,36 @@ def test_magnet_fade_agrees_with_an_adaptive_method():
     g = RIG
 
     def faded(t, x):
-        th1, th2, w1, w2, heat = x
+        th1, th2, w1, w2, heat = x.tolist()
         phi, v = th1 - th2, w1 - w2
-        pull = g["N0"] * np.exp(-rate * heat) * max(0.0, 1.0 - g["R"] * abs(phi) / (2 * g["r"]))
-        dry = g["mu"] * pull * g["R"] * np.tanh(g["nu"] * v)
+        pull = g["N0"] * math.exp(-rate * heat) * max(0.0, 1.0 - g["R"] * abs(phi) / (2 * g["r"]))
+        dry = g["mu"] * pull * g["R"] * math.tanh(g["nu"] * v)
         T = g["k2t"] * phi + g["c2t"] * v + dry
-        a1 = (-g["c1t"] * w1 - g["k1t"] * th1 - g["drag"] * np.tanh(g["nu"] * w1) - T) / g["J1"]
-        a2 = (-g["c3t"] * w2 - g["drag"] * np.tanh(g["nu"] * w2) + T) / g["J2"]
+        a1 = (-g["c1t"] * w1 - g["k1t"] * th1 - g["drag"] * math.tanh(g["nu"] * w1) - T) / g["J1"]
+        a2 = (-g["c3t"] * w2 - g["drag"] * math.tanh(g["nu"] * w2) + T) / g["J2"]
         return [w1, w2, a1, a2, (dry * v + g["c2t"] * v * v) / 0.049]
 
     x0 = [g["theta0"], g["theta0"], 0.0, 0.0, 0.0]
-    out = solve_ivp(faded, (0.0, TIMES[-1]), x0, "DOP853", TIMES, rtol=1e-10, atol=1e-12, max_step=2e-4)
+    out = solve_ivp(faded, (0.0, TIMES[-1]), x0, "LSODA", TIMES, rtol=1e-10, atol=1e-12, max_step=2e-4)
     theirs = np.array([faded(t, x)[2:4] for t, x in zip(out.t, out.y.T, strict=True)]).T
     d = sensors.Disturbance(codes.MAGNET_FADE, (rate, 0.0, 0.0, 0.0))
     assert np.abs(simulate.record(RIG, True, TIMES, [d]) - theirs).max() < 2e-3
 
 
-def test_bristles_agree_with_an_adaptive_method():
+def test_bristles_agree_with_an_adaptive_method(nominal):
     excess, speed, share = 0.8, 0.3, 2e-4
 
     def rate(v, b):
-        curve = np.tanh(RIG["nu"] * abs(v)) * (1 + excess * np.exp(-((v / speed) ** 2)))
+        curve = math.tanh(RIG["nu"] * abs(v)) * (1 + excess * math.exp(-((v / speed) ** 2)))
         pace = abs(v) / curve if abs(v) > 1e-12 else 1 / (RIG["nu"] * (1 + excess))
-        return pace / (excess * share) * (np.sign(v) * curve - b)
+        return pace / (excess * share) * (math.copysign(1.0, v) * curve - b)
 
     d = sensors.Disturbance(codes.STICK_SLIP, (excess, speed, share, 0.0))
     ours = simulate.record(RIG, True, TIMES, [d])
     theirs = reference(None, 1, None, RIG, rate)
     difference = ours - theirs
     assert np.sqrt(np.mean(difference**2)) < 0.02
-    assert np.abs(ours - reference()).max() > 5.0
+    assert np.abs(ours - nominal).max() > 5.0
 
 
 @pytest.mark.parametrize("name", list(kinds.KINDS))
