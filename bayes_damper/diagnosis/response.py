@@ -282,8 +282,10 @@ def _motion(fit: Calibration, block: Block) -> Motion:
     if group.inputs is not None and group.inputs.pivot is None:
         y = y + group.inputs.at(group.times)[3]
     added = np.zeros_like(th)
-    if e.coupling_law == "constant" and variant is not None:
+    if variant is not None:
         added = _accelerating(a, value, coupled) - _nominal_torques(th, w, parts, coupled, pendulum, tilt)
+        if coupled and e.coupling_law == "cosine":
+            added -= _of_links(th, w, a, value, parts)
         if inputs is not None:
             acting = inputs.torques(grid, j1, value("J2"), value("J12") if coupled else np.zeros(n))
             acting[:, 0] = acting[:, 0] if reaction is None else reaction
@@ -397,6 +399,18 @@ def _nominal_torques(th: Array, w: Array, p: dict[str, Array], coupled: bool, pe
         out[:, 0] -= joint
         out[:, 1] += joint
     return out
+
+
+def _of_links(th: Array, w: Array, a: Array, value: Callable[[str, float], Array], p: dict[str, Array]) -> Array:
+    """What two links in series (simulation/links.py) have beyond the torques of two bodies about one axis, N m."""
+    beside = value("J12", 0.0)[:, None]
+    phi, drag = th[:, 0] - th[:, 1], p["drag"][:, None] * dry_sign(w[:, 1], p["nu"], p["tail"])
+    less, turning = beside * (1.0 - np.cos(phi)), beside * np.sin(phi)
+    lever = beside / value("J2", 1.0)[:, None] * np.cos(phi)
+    air = lever * p["c3t"][:, None]
+    first = less * a[:, 1] - turning * w[:, 1] ** 2 - air * (w[:, 1] + lever * w[:, 0])
+    second = less * a[:, 0] + turning * w[:, 0] ** 2 - air * w[:, 0] + drag
+    return np.stack([first, second], axis=1)
 
 
 def dry_sign(w: Array, nu: Array, tail: Array) -> Array:

@@ -9,10 +9,11 @@ import pytest
 from test_pipeline import with_effect
 from test_problem import RIG, TRUE
 
-from bayes_damper.calibration import Calibration, Problem, calibrate
+from bayes_damper.calibration import Calibration, Experiment, Problem, TrialRecord, calibrate, summarise
 from bayes_damper.diagnosis.formula import widened
 from bayes_damper.diagnosis.response import motions
 from bayes_damper.effects import EFFECTS
+from bayes_damper.simulation.links import of_links
 
 
 def fitted(effect: str, made_by: str, values: dict[str, float], explained_by: str) -> Calibration:
@@ -37,6 +38,40 @@ def test_the_torque_that_an_effect_adds_is_that_of_its_formula(drag):
             off = np.abs(motion.added[:, inertia] - formula) / largest
             assert np.median(off) < 1e-3
             assert np.quantile(off, 0.99) < 0.03
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", ["interface_friction", "bearing_drag", "quadratic_drag"])
+def test_the_torque_that_an_effect_adds_to_two_links_is_that_of_its_formula(effect):
+    """Wide swings of a double pendulum, whose inertia turns and whose first arm carries the second through the air."""
+    times = np.arange(0.0, 4.0, 0.01)
+    trial = TrialRecord("a", "A", True, 1, times, np.ones((2, times.size)), 0, theta0=1.0)
+    constants = {"J1": 1.0, "J2": 0.5, "J12": 0.45, "k3t": 25.0, "N0": 1.0, "R": 1.0}
+    experiment = Experiment(
+        {name: (value, 0.0) for name, value in constants.items()}, ((60.0, 0.0),), (trial,), "displacement",
+        normal_force="constant", restoring="pendulum", coupling_law="cosine",
+        priors={"k2t": 0.0, "c1t": 0.02, "c2t": 0.01, "c3t": 0.3, "mu": 0.0, "drag": 0.2, "nu": 40.0, "tail": 0.0},
+    )  # fmt: skip
+    variant = EFFECTS[effect].variants[-1]
+    problem = Problem(experiment, of_links(variant) if EFFECTS[effect].site == "bearings" else variant)
+    fit = summarise(problem, np.full(problem.size, 0.5), problem.no_nuisance(), True, 0, central=False)
+    p = {name.removeprefix("effect."): value for name, (value, _) in fit.parameters.items()}
+    (m,) = motions(fit)
+    lever = constants["J12"] / constants["J2"] * np.cos(m.phi)
+    if effect == "interface_friction":
+        q = p["torque"] * np.tanh(p["smoothing"] * m.slip)
+        expected = -q, q
+    elif effect == "bearing_drag":
+        expected = -p["drag"] * np.tanh(p["smoothing"] * m.w1), 0.0 * m.w1
+    else:
+        v = m.w2 + lever * m.w1
+        q2 = -p["coefficient"] * constants["J2"] * v * np.abs(v)
+        expected = -p["coefficient"] * m.w1 * np.abs(m.w1) + lever * q2, q2
+    assert np.abs(m.phi).max() > 0.3
+    for found, right in zip(m.added[0], expected, strict=True):
+        off = np.abs(found - np.where(m.since[0] > 0.0, right[0], 0.0)) / np.max(np.abs(expected))
+        assert np.median(off) < 1e-3
+        assert np.quantile(off, 0.99) < 0.03
 
 
 def test_intervals_widen_where_another_formula_could_pass_for_a_nominal_law(drag):
