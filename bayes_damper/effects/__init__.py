@@ -404,7 +404,9 @@ def candidates(
         variants = tuple(
             v
             for v in effect.variants
-            if (rig_has_coupled or v.uncoupled) and (nominal == "nonlinear" or _acts_without_dry_friction(v))
+            if all(has[need] for need in v.needs)
+            and (rig_has_coupled or v.uncoupled)
+            and (nominal == "nonlinear" or _acts_without_dry_friction(v))
         )
         if variants:
             offered[name] = effect if len(variants) == len(effect.variants) else replace(effect, variants=variants)

@@ -52,6 +52,9 @@ class EffectParameter:
     null: float | None = None
 
 
+Need = Literal["coupled", "magnet", "linear_nominal", "no_rubbing", "spring"]
+
+
 @dataclass(frozen=True)
 class Variant:
     """One formula of an effect, with the functions that compute it. Hooks not used keep their neutral defaults.
@@ -100,6 +103,8 @@ class Variant:
     """Points from which a search begins: cover the shapes that the formula can take, both signs where both occur."""
     uncoupled: bool = True
     """Whether the effect acts on the uncoupled rig too; none does that `needs` the coupled one, but sensors' do."""
+    needs: tuple[Need, ...] = ()
+    """What a rig must have for this formula, beside what the effect itself needs."""
 
     def __post_init__(self) -> None:
         if len(self.parameters) > MOST_PARAMETERS:
@@ -152,7 +157,7 @@ class Effect:
     """Nominal parameters that can take its place."""
     source: str
     variants: tuple[Variant, ...]
-    needs: tuple[Literal["coupled", "magnet", "linear_nominal", "no_rubbing", "spring"], ...] = ()
+    needs: tuple[Need, ...] = ()
     """What a rig must have for the effect to be possible; "linear_nominal": only offered with `--nominal linear`;
     "no_rubbing": there, and where the nominal model has no dry friction between the bodies."""
     exact: bool = False

@@ -55,6 +55,7 @@ EFFECT = Effect(
             parameters=PARAMETERS,
             torque=with_overlap,
             couples="interface",
+            needs=("magnet",),
             starts=STARTS,
         ),
         Variant(

@@ -574,6 +574,8 @@ def test_only_effects_that_the_rig_can_have_are_offered():
     magnetless = candidates(True, has_magnet=False)
     assert {"stick_slip", "misalignment_drag", "normal_force_law", "magnet_cubic"}.isdisjoint(magnetless)
     assert {"interface_relaxation", "release_offset"} <= set(magnetless)
+    faceless = candidates(True, has_magnet=False, nominal="linear")["interface_friction"]
+    assert [v.name for v in faceless.variants] == ["constant"]  # no faces whose overlap friction could follow
     assert set(candidates(True, rubs=False)) - set(full) == {"interface_friction"}
     linear = candidates(True, nominal="linear")
     assert {"bearing_drag", "interface_friction", "spring_cubic"} <= set(linear)
