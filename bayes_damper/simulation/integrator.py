@@ -965,12 +965,13 @@ def specialise(bound: dict[str, object], compile: bool = True) -> Callable[..., 
         return FunctionType(advance.__code__, globals() | bound)
     path = kernel_file(bound)
     if path not in _LOADED:
+        special: dict[str, Any] = {name: (bound.get(name, globals()[name]), s) for name, s in _SPECIAL.items()}
         try:
-            special = {name: (bound.get(name, globals()[name]), signature) for name, signature in _SPECIAL.items()}
             parts = {"advance": _common(), "define": late_binding.definitions(special)}
             _LOADED[path] = _compiled(_in_file(linked, parts, path))
         except Exception as error:  # noqa: BLE001 (internals of numba may fail in any way)
-            # What is wrong with an effect is said here, by numba; what works as one piece is no fault of the effect.
+            for part, signature in special.values():
+                part.compile(signature.args)  # what is wrong with an effect is said here, by numba
             _LOADED[path] = _compiled(_in_file(advance, bound, path))
             _warn_of_slow_compiling(error)
     return _LOADED[path]

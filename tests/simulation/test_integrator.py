@@ -490,9 +490,16 @@ def test_a_torque_in_whole_numbers_is_that_torque():
     assert np.abs(y - driven.simulate(p, SHORT, torque=np.ones(SHORT.size)).y).max() < 1e-4 * np.abs(y).max()
 
 
-def test_what_is_wrong_with_a_hook_is_told():
+def test_what_is_wrong_with_a_hook_is_told_at_once(monkeypatch):
+    """Nothing is compiled as one piece first, which takes ten seconds."""
+    integrator._common()
+    asked, in_file = [], integrator._in_file
+    monkeypatch.setattr(
+        integrator, "_in_file", lambda f, *a, **more: asked.append(f.__name__) or in_file(f, *a, **more)
+    )
     with pytest.raises(numba.TypingError, match="nothing"):
         Model(effect=Variant("toy_wrong", "?", (COEFFICIENT,), torque=_of_no_use)).compile()
+    assert asked == ["linked"]
 
 
 HELPER = """
