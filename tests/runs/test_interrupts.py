@@ -22,7 +22,8 @@ def failed():
 
 def loading(callback):
     callback()
-    time.sleep(10.0)
+    for _ in range(100):
+        time.sleep(0.1)
 
 
 def test_ctrl_c_in_a_callback_of_a_library_is_not_lost(capfd):
