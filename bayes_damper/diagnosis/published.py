@@ -18,6 +18,7 @@ from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import eigh
 from scipy.special import logsumexp
 
 from bayes_damper.diagnosis.joint import Formula, Joint, Weighed, beginning, from_prior, learn, weigh_formula
@@ -712,7 +713,8 @@ def _information(p: Array, y: Sequence[Array]) -> tuple[float, float]:
         return 0.0, 0.0
     centre = np.average([rows.mean(axis=0) for rows in y], axis=0, weights=p)
     pooled = np.concatenate([rows - centre for rows in y])
-    axes = np.linalg.svd(pooled, full_matrices=False)[2][:_COMPONENTS]
+    d = pooled.shape[1]
+    axes = eigh(pooled.T @ pooled, subset_by_index=(max(d - _COMPONENTS, 0), d - 1))[1].T
     shapes = []
     for rows in y:
         z = (rows - centre) @ axes.T
