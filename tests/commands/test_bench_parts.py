@@ -3,6 +3,7 @@
 import time
 
 import pytest
+from campaigns import write_synthetic
 
 from bayes_damper.commands import bench_parts
 from bayes_damper.diagnosis import pipeline, sites
@@ -48,7 +49,9 @@ def test_every_part_is_a_function_that_exists(name):
 
 @pytest.mark.slow
 def test_the_parts_of_a_diagnosis_add_up(tmp_path):
-    found = bench_parts.diagnose_by_parts()
+    assert bench_parts.shipped_path(bench_parts.SHIPPED).is_dir()
+    campaign = write_synthetic(tmp_path / "rig", repeats=2, rate=200.0, configurations=("uncoupled",))
+    found = bench_parts.diagnose_by_parts(campaign)
     assert sum(found.steps.values()) == pytest.approx(found.seconds, rel=0.05)
     assert sum(found.work.values()) == pytest.approx(found.seconds, rel=0.05)
     assert found.steps["map the sites"] > 0.0

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bayes_damper.cli import main
-from bayes_damper.effects import load_effects
+from bayes_damper.effects import EFFECTS, load_effects
 from bayes_damper.simulation.model import Model
 from bayes_damper.validation.withheld.sealing import KEY_SCHEMA
 
@@ -60,6 +60,11 @@ sample_rate = 1000.0
 """
 TRUE = {"mu": 0.006, "k2t": 1.4, "c2t": 0.07, "drag": 0.005, "nu": 40.0, "c1t": 0.011, "c3t": 0.009}
 STIFFNESS = 5.0
+RIVALS = {
+    "inertia_error", "magnet_cubic", "misalignment_drag", "quadratic_drag", "release_offset", "sensor_gain",
+    "spring_cubic",
+}  # fmt: skip
+"""What of the library is tried beside it, from every site: what is shown here is how an effect comes to be tried."""
 
 
 def write_campaign(folder: Path, effect) -> None:
@@ -95,6 +100,8 @@ def test_it_needs_at_most_thirty_lines_of_its_own():
 @pytest.mark.slow
 def test_an_effect_from_outside_the_package_is_named_reported_and_found(tmp_path, monkeypatch, capsys):
     """diagnose --effects names it, the report shows it, and withheld finds it, as an installed package's effect too."""
+    for name in EFFECTS.keys() - RIVALS:
+        monkeypatch.delitem(EFFECTS, name)
     own = tmp_path / "mine"
     own.mkdir()
     (own / "bent_cable.py").write_text(OWN)
