@@ -418,17 +418,17 @@ def _record(kernel):
 
 @pytest.mark.slow
 def test_a_kernel_that_is_linked_is_the_one_compiled_as_a_whole(tmp_path, monkeypatch):
-    for variant in (None, EVERY):  # nothing of an effect, and all that one can have
-        bound = integrator.specialised_globals(True, True, False, False, variant)
-        linked = integrator.specialise(bound)
-        assert linked.py_func.__name__ == "linked"
-        with monkeypatch.context() as broken:
-            broken.setenv("BAYES_DAMPER_CACHE", str(tmp_path))
-            broken.setattr(integrator.late_binding, "definitions", lambda _: None)
-            broken.setattr(integrator, "_SLOW", ["said before"])
-            whole = integrator.specialise(bound)
-        assert whole.py_func.__name__ == "advance"
-        np.testing.assert_allclose(_record(linked), _record(whole), rtol=0.0, atol=1e-9 * np.abs(_record(whole)).max())
+    """With all that an effect can have; the next test has a rig without one."""
+    bound = integrator.specialised_globals(True, True, False, False, EVERY)
+    linked = integrator.specialise(bound)
+    assert linked.py_func.__name__ == "linked"
+    with monkeypatch.context() as broken:
+        broken.setenv("BAYES_DAMPER_CACHE", str(tmp_path))
+        broken.setattr(integrator.late_binding, "definitions", lambda _: None)
+        broken.setattr(integrator, "_SLOW", ["said before"])
+        whole = integrator.specialise(bound)
+    assert whole.py_func.__name__ == "advance"
+    np.testing.assert_allclose(_record(linked), _record(whole), rtol=0.0, atol=1e-9 * np.abs(_record(whole)).max())
 
 
 BROKEN = """
