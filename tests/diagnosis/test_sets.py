@@ -472,7 +472,8 @@ def test_a_spring_that_hardens_is_named_from_two_single_trials():
     it beside a nominal model that misses the records by half of their size."""
     trials = (cart(1, 0.03), cart(2, 0.012), cart(3, 0.02, heldout=True))
     experiment = Experiment({"J1": (1.8, 0.002)}, ((620.0, 12.0),), trials, "displacement")
-    found = diagnose(experiment)
+    near = {name: e for name, e in EFFECTS.items() if e.site in ("ground1", "bearings")}  # its rivals
+    found = diagnose(experiment, effects=near)
     assert found.verdict == "spring_cubic"
     assert found.answers.probabilities["spring_cubic"] > 0.9
     assert found.budget is not None

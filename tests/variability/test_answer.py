@@ -552,11 +552,11 @@ def test_half_shared_campaign_end_to_end(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("kind", ["shared", "half", "separate"])
-def test_known_pooling_of_campaigns_is_found(tmp_path, kind, seed):
-    write_campaign(tmp_path / "campaign", kind, seed=seed)
-    models, *_ = RecordedCases(plan_of(tmp_path / "campaign")).models(np.random.default_rng(seed), 96, 24)
+def test_known_pooling_of_campaigns_is_found(tmp_path, kind):
+    """One campaign each; the proof below counts sixty."""
+    write_campaign(tmp_path / "campaign", kind)
+    models, *_ = RecordedCases(plan_of(tmp_path / "campaign")).models(np.random.default_rng(1), 96, 24)
     best = max(models, key=lambda name: models[name]["log_evidence"])
     assert best in {"shared": ("shared",), "half": ("partial",), "separate": ("separate", "partial")}[kind]
     scatter = {name: row["median"] for name, row in models["partial"]["scatter"].items()}
