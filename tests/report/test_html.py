@@ -611,6 +611,18 @@ def test_the_gap_stands_before_and_after_each_effect(tmp_path):
     assert "without case IV none 40 % 30 %" in text
 
 
+@pytest.mark.parametrize(("other", "undecided"), [("magnet_cubic", False), ("unknown", True)])
+def test_two_causes_that_are_both_there_are_not_said_to_be_one_of_two(tmp_path, other, undecided):
+    write_diagnosis(tmp_path)
+    data = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
+    data |= {"credible_set": ["stick_slip", other]}
+    data["pair"] = {"effects": ["stick_slip", "magnet_cubic"], "probability": 0.96}
+    (tmp_path / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
+    text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
+    assert "stick slip and magnet cubic together do (96 %)" in text
+    assert ("it is one of" in text) == undecided
+
+
 def test_where_it_differs_is_told_with_units_and_without_digits_that_mean_nothing(tmp_path):
     write_diagnosis(tmp_path)
     text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
