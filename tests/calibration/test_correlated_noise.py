@@ -267,6 +267,7 @@ def test_shifts_under_other_priors_are_those_of_a_new_fit() -> None:
     assert told["width"] == pytest.approx(0.5 * math.sqrt(fits[1].covariance[i, i]) / sd, abs=0.1)
 
 
+@pytest.mark.slow
 def test_the_best_fit_is_looked_for_anew_under_the_noise_that_was_learnt() -> None:
     """In this campaign the valley that white noise leads to is not the best one under the noise learnt there."""
     found = fit_with_noise(campaign(9055, "shared", 3)[0])

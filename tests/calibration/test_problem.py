@@ -139,6 +139,7 @@ def test_a_half_normal_reaches_far_into_its_tail():
     assert float(from_standard(HalfNormal(2.0), 10.0)) == pytest.approx(20.0, rel=0.02)
 
 
+@pytest.mark.slow
 def test_parameters_are_recovered_within_their_covariance(fitted):
     """Over several campaigns the deviations from the truth have unit variance in units of the stated sd."""
     z = []

@@ -61,6 +61,7 @@ def drawn(tmp_path_factory):
     }
 
 
+@pytest.mark.slow
 def test_two_fits_side_by_side(tmp_path, drawn):
     """Bridge sampling from the draws in posterior.nc agrees with tempering, which made them."""
     for law, (folder, _) in drawn.items():
@@ -144,6 +145,7 @@ def test_tables_and_shifts_agree_on_who_decided():
     assert [line.rpartition("  ")[2].strip() for line in lines[2:]] == ["data", "data and prior", "prior"]
 
 
+@pytest.mark.slow
 def test_what_a_fit_has_worked_out_is_taken_from_it(tmp_path, drawn):
     for name, (folder, _) in zip("ab", drawn.values(), strict=True):
         shutil.copytree(folder, tmp_path / name)
@@ -158,6 +160,7 @@ def test_what_a_fit_has_worked_out_is_taken_from_it(tmp_path, drawn):
     assert len(result["prior_sensitivity"]["b"]["IV"]) > 5
 
 
+@pytest.mark.slow
 def test_sums_over_different_cases_and_different_data_are_not_held_against_each_other(tmp_path, drawn):
     for name, (folder, _) in zip("ab", drawn.values(), strict=True):
         shutil.copytree(folder, tmp_path / name)

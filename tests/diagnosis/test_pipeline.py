@@ -102,6 +102,7 @@ def test_a_strong_effect_is_named_and_sized(named):
     assert max(found.sites, key=found.sites.get) == "bearings"
 
 
+@pytest.mark.slow
 def test_two_processes_find_what_one_finds(named):
     """Screens, fits and pairs shared among processes: the same probabilities and parameters, bit for bit."""
     found, *_ = named
@@ -202,6 +203,7 @@ def test_a_constant_that_the_named_effect_does_not_free_is_told():
     assert wanted == pytest.approx(RIG["J2"], rel=0.03)
 
 
+@pytest.mark.slow
 def test_an_effect_outside_the_candidates_is_unknown_and_its_law_is_learnt(tmp_path):
     """When quadratic drag is taken out of the library, no other effect takes its name; its law is learnt."""
     others = {name: EFFECTS[name] for name in ("sensor_gain", "inertia_error", "sensor_delay")}
@@ -229,6 +231,7 @@ def test_the_screening_puts_the_truth_first():
     assert max(gains, key=gains.get) == truth
 
 
+@pytest.mark.slow
 def test_a_lag_of_less_than_a_sample_screens_as_well_as_it_fits():
     """Where triggers are late, larger lags carry first readings back across the release, where accelerations jump."""
     delay = EFFECTS["sensor_delay"]

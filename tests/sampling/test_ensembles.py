@@ -306,6 +306,7 @@ sample(target, start_of(Gaussian(3)), seed=5, rule=RULE, checkpoint=Checkpoint(s
 """
 
 
+@pytest.mark.slow
 def test_a_run_killed_at_random_moments_ends_as_if_never_stopped(tmp_path):
     target = Gaussian(3)
     start = start_of(target)

@@ -423,6 +423,7 @@ def translational_folder(folder):
     return folder / "fit"
 
 
+@pytest.mark.slow
 def test_carts_are_tuned_in_newtons_and_kilograms(tmp_path):
     """Forces of the size of the rig (7.2 N held it), no radius among what is free, and units everywhere."""
     fit = translational_folder(tmp_path)

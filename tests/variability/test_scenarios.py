@@ -128,6 +128,7 @@ def test_each_case_is_left_out_once():
     assert {s.kind for s in tried} == {"width", "law", "without"}
 
 
+@pytest.mark.slow
 def test_a_task_that_was_stopped_goes_on_to_the_same_result(tmp_path, monkeypatch):
     """Inside a task, from the stage it had reached: what was measured before is not measured again."""
     plan = {"fit": PublishedCases.default_plan(), "seed": 1, "particles": 32}

@@ -389,6 +389,7 @@ def test_a_run_that_was_stopped_goes_on_with_what_is_missing(tmp_path, monkeypat
     assert found.results["scores"]["all"]["campaigns"] == 3
 
 
+@pytest.mark.slow
 def test_a_worker_killed_in_mid_run_loses_nothing(tmp_path):
     truths = ["none", "spring_cubic", "sensor_gain"]
     for home, deadly in ((tmp_path / "one", None), (tmp_path / "two", "c01")):
