@@ -16,6 +16,7 @@ from bayes_damper.calibration.noise import Noise, fast_level, rounding
 
 Array = NDArray[np.float64]
 STEADY = 4.0  # steps of a clock, longest over shortest but for a tenth, up to which correlation is counted in readings
+TRUSTED = 0.9  # weight of a reading from which on it tells of the noise
 CHANCE = 3.0  # standard deviations by which what is left may exceed the sensors' noise by chance
 WHITE_ENOUGH = 1.3  # largest ratio of residuals without repeats to the noise of the sensors up to which they are noise
 
@@ -95,7 +96,7 @@ def learn_noise(fit: Calibration, colour: bool = True) -> Noise:
     weights = {i: g.weight[k] for g in problem.groups for k, i in enumerate(g.trials)}
     levels, sensors, white = [], [], []
     for c, total in enumerate(noise.total):
-        used = [r[c][weights[i][c] > 0.0] for i, r in found.items() if c < r.shape[0]]
+        used = [r[c][_trusted(weights[i][c])] for i, r in found.items() if c < r.shape[0]]
         # Lines leak from a large slow error into the fast ones of a short record; differences do not.
         fast = fast_level(used)
         sensors.append(max(min(fast, total) if fast > 0.0 else total, least[c]))
@@ -105,6 +106,15 @@ def learn_noise(fit: Calibration, colour: bool = True) -> Noise:
         return noise
     zero = (0.0,) * len(levels)
     return Noise(tuple(levels), zero, zero, sensor=tuple(sensors))
+
+
+def _trusted(weights: Array) -> NDArray[np.bool_]:
+    """Readings of a record that the fit trusts; all that it uses at all, where those are not half of them.
+
+    Those within a release or an event, which no formula gives exactly, err by more than noise.
+    """
+    trusted, used = weights > TRUSTED, weights > 0.0
+    return trusted if 2 * np.count_nonzero(trusted) > np.count_nonzero(used) else used
 
 
 def _rounding_floors(fit: Calibration) -> list[float]:
@@ -140,22 +150,23 @@ def _unshared_noise(fit: Calibration, colour: bool) -> Noise:
         counts: dict[int, float] = {}
         lone: dict[int, list[Array]] = {}
         for members in sets.values():
-            usable = [i for i in members if c < residuals[i].shape[0] and weights[i][c].max(initial=0.0) > 0.9]
+            usable = [i for i in members if c < residuals[i].shape[0] and weights[i][c].max(initial=0.0) > TRUSTED]
             lengths = {residuals[i].shape[1] for i in usable}
             if not usable:
                 continue
             stack = [np.nan_to_num(residuals[i][c]) for i in usable]
             if len(usable) > 1 and len(lengths) == 1:
                 deviation = np.array(stack) - np.mean(stack, axis=0)
-                keep = np.min([weights[i][c] for i in usable], axis=0) > 0.9
+                keep = np.min([weights[i][c] for i in usable], axis=0) > TRUSTED
                 deviation = deviation[:, keep] * math.sqrt(len(usable) / (len(usable) - 1.0))
                 for d in deviation:
                     power = np.abs(np.fft.rfft(d)) ** 2 / d.size
                     spectra.setdefault(d.size, []).append(power[1:])
                     counts[d.size] = counts.get(d.size, 0.0) + (len(usable) - 1.0) / len(usable)
             else:
-                for d in stack:
-                    power = np.abs(np.fft.rfft(d)) ** 2 / d.size
+                for i, d in zip(usable, stack, strict=True):
+                    keep = _trusted(weights[i][c])
+                    power = np.abs(np.fft.rfft(np.where(keep, d, 0.0))) ** 2 / max(np.count_nonzero(keep), 1)
                     lone.setdefault(d.size, []).append(power[power.size // 3 :])
         if spectra and sum(len(v) for v in spectra.values()) > 1:
             a, p, theta = _fit_spectrum(
