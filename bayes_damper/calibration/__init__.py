@@ -45,6 +45,8 @@ from bayes_damper.calibration.nominal import (
     explained_by_own_releases,
     gained_by_own_releases,
     grown,
+    under,
+    with_sizes_of_its_own,
 )
 from bayes_damper.calibration.normal_equations import Block, Linear, Normals
 from bayes_damper.calibration.problem import Problem
@@ -86,8 +88,10 @@ __all__ = [
     "spectrum_bins",
     "summarise",
     "thinned",
+    "under",
     "value_and_slope",
     "whittle",
     "with_priors",
     "with_rounding",
+    "with_sizes_of_its_own",
 ]

@@ -14,6 +14,7 @@ from scipy.special import ndtri
 from bayes_damper.calibration.normal_equations import Linear, Normals
 from bayes_damper.calibration.problem import Problem
 from bayes_damper.calibration.unknowns import coordinate_of, value_and_slope
+from bayes_damper.calibration.unlearnt import gained_over_sizes
 from bayes_damper.priors.distributions import (
     LogNormal,
     LogUniform,
@@ -194,7 +195,7 @@ def summarise(
     S, _, _ = normals.reduced()
     try:
         covariance = cho_solve(cho_factor(S), np.eye(problem.size))
-        evidence = normals.log_evidence()
+        evidence = normals.log_evidence() + gained_over_sizes(problem, normals)
     except (np.linalg.LinAlgError, ValueError):
         covariance, evidence = np.full((problem.size, problem.size), np.nan), -math.inf
     prior = float(q @ q) + sum(float(v @ v) for v in eta.values())

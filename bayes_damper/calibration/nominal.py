@@ -24,13 +24,14 @@ from bayes_damper.calibration.scatter import (
     SUDDEN,
     carried,
     learn_scatter,
-    log_prior,
     times_of_release,
     typical_scatter,
     usual_releases,
     with_releases,
+    without_repeats,
 )
 from bayes_damper.calibration.unknowns import middle
+from bayes_damper.calibration.unlearnt import log_prior
 
 Array = NDArray[np.float64]
 VARIES = 9.0  # mean square, in variances, of a nuisance's differences between repeats from which it is each trial's own
@@ -158,7 +159,8 @@ def gained_by_own_releases(fit: Calibration) -> float:
     that long, so that what such times explain is no sign of a gap.
     """
     problem = fit.problem
-    if problem.experiment.start != "rest" or not lone(problem.experiment, problem.trials):
+    has_them = problem.switches.scatter.sd(RELEASE) > 0.0
+    if has_them or problem.experiment.start != "rest" or not lone(problem.experiment, problem.trials):
         return 0.0
     slow = usual_releases(problem)
     found = _releases(calibrate(slow, [fit.q], eta=carried(fit, slow), anneal=False))
@@ -352,7 +354,7 @@ def _log_density(fit: Calibration) -> float:
     return fit.log_evidence - sum(float(n @ sizes[: n.size]) for n in counted)
 
 
-def _under(fit: Calibration, noise: Noise, scatter: Scatter | None = None) -> Calibration:
+def under(fit: Calibration, noise: Noise, scatter: Scatter | None = None) -> Calibration:
     """The fit under another noise and the scatter that is learnt with it, or that which is given.
 
     Times of release that differ are kept if it is far worse without them: that repeats need none is judged along a
@@ -373,6 +375,21 @@ def _under(fit: Calibration, noise: Noise, scatter: Scatter | None = None) -> Ca
     return found
 
 
+def with_sizes_of_its_own(fit: Calibration) -> Calibration:
+    """The fit of released trials without repeats, and its noise, with the sizes of scatters that they make likely.
+
+    Those that are usual leave a part of what scatters more, and the noise that is learnt from it is too large. The
+    evidence hangs little on these sizes: it is integrated over all (unlearnt.py).
+    """
+    for _ in range(MOST_TURNS):
+        before = fit.problem.noise.total
+        fit = under(fit, fit.problem.noise, without_repeats(fit))
+        fit = under(fit, learn_noise(fit), fit.problem.switches.scatter)
+        if all(abs(new / old - 1.0) < 1.0 - SHARPER for new, old in zip(fit.problem.noise.total, before, strict=True)):
+            break
+    return fit
+
+
 def _as_single_releases(fit: Calibration) -> Calibration:
     """The fit with the scatter that priors say of releases by hand of other sizes, if that takes all of the error.
 
@@ -390,6 +407,21 @@ def _as_single_releases(fit: Calibration) -> Calibration:
             return found
     readings = sum(found.problem.experiment.trials[i].times.size for i in found.problem.trials)
     return found if noise_alone(found.problem.noise, readings) else fit
+
+
+def _as_latched(fit: Calibration) -> Calibration:
+    """The fit of trials without repeats with a time of release of each, if that is likelier and an error is left.
+
+    Where none is left a filter or a lag would hide in such times. They are looked for as if noise were all of the rest.
+    """
+    problem = fit.problem
+    if not problem.noise.sensor:
+        return fit
+    level, white = problem.noise.floor, (0.0,) * len(problem.noise.floor)
+    slow = usual_releases(problem.with_noise(Noise(level, white, white, sensor=level)))
+    found = _releases(calibrate(slow, [fit.q], eta=carried(fit, slow), anneal=False))
+    found = with_sizes_of_its_own(found)
+    return found if _log_density(found) > _log_density(fit) + SHOWN_FROM else fit
 
 
 def broad_noise(experiment: Experiment, trained: Sequence[int]) -> Noise:
@@ -506,19 +538,23 @@ def _with_exact_inputs(
     left = ", ".join(f"{s:.3g}" for s in noise.total)
     report(f"nominal model fitted; residual (sd of each channel, SI units): {left}")
     # The first noise held the scatter that was not learnt yet.
-    fit = _under(fit, noise, None if switches is None else chosen.scatter)
+    fit = under(fit, noise, None if switches is None else chosen.scatter)
     if switches is None:
         fit = _as_declared(fit)
     fit = _usual_curve(fit)
     if noise.sensor:
-        return _as_single_releases(_sharpened(fit)) if switches is None else _sharpened(fit)
+        fit = _sharpened(fit)
+    if alone and switches is None and experiment.start == "rest" and fit.problem.switches.scatter.sizes:
+        return _as_latched(with_sizes_of_its_own(fit))
+    if noise.sensor:
+        return _as_single_releases(fit) if switches is None else fit
     # In turns these need not gain at each: the best of a few is kept.
     best, last = fit, _log_density(fit)
     for _ in range(MOST_TURNS if switches is None else 0):
         noise = learn_noise(fit)
         if not all(map(math.isfinite, noise.innovation)):
             break  # trials that have nothing in common
-        fit = _under(fit, noise)
+        fit = under(fit, noise)
         before, last = last, _log_density(fit)
         best = max(best, fit, key=_log_density)
         if not abs(last - before) > 1.0:

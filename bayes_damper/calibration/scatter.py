@@ -21,7 +21,8 @@ follows it first. It is never negative, so eta is half a normal variable, which 
 
 The prior of a size is half a Student t of 4 degrees of freedom with the typical size as its scale (Gelman 2006,
 Bayesian Analysis 1, 515): it lets a scatter be absent, and far larger than usual. What enters a fit is the root of the
-posterior mean of s^2. Where nothing is repeated that is 1.4 times the typical size: priors carry it, answers widen.
+posterior mean of s^2. Where nothing is repeated, sizes are those that the trials make likely with all that they share,
+and evidences are integrated over them (unlearnt.py).
 
 One thing single records do show: a baseline of a sensor that wanders more slowly than the rig can move. It has the
 cosines of a random walk (Karhunen-Loeve: the k-th falls as 1/k), up to a quarter of the rig's frequency.
@@ -56,6 +57,7 @@ from bayes_damper.calibration.own_values import (
     middle_of,
 )
 from bayes_damper.calibration.problem import Problem
+from bayes_damper.calibration.unlearnt import Unlearnt, log_prior, prior_slope
 from bayes_damper.runs.contents.diagnosis import ScatterEntry
 
 Array = NDArray[np.float64]
@@ -74,7 +76,6 @@ TYPICAL: Mapping[str, float] = {
     "release_time": 3e-4,  # s, over which what holds the rig gives way: valves and latches take that long
 }
 """Typical standard deviation from trial to trial: the scale of a size's prior where the campaign gives none."""
-FREEDOM = 4.0  # of the half Student t
 _FLAT = 1e8  # prior variance of what has a flat prior, in its own units
 _GRID = np.linspace(-5.0, 3.5, 35)  # of ln(size / typical size)
 _WIDEST = 9.0  # of the same for the baseline of a single record, which may be thousands of times the noise
@@ -360,9 +361,7 @@ def _posterior(sets: Sequence[Repeats], typical: Sequence[Size]) -> tuple[Size, 
         return np.asarray(start * np.where(place >= 0, np.exp(2.0 * u)[..., place], 1.0))
 
     def log_density(u: Array) -> tuple[float, Array]:
-        z = np.exp(2.0 * u) / FREEDOM
-        value = float(np.sum(u - 0.5 * (FREEDOM + 1.0) * np.log1p(z)))
-        slope = 1.0 - (FREEDOM + 1.0) * z / (1.0 + z)
+        value, slope = float(np.sum(log_prior(u))), prior_slope(u)
         for s, place, start in zip(sets, placed, fixed, strict=True):
             gain, by_log = s.log_likelihood(variances(u, place, start))
             value += gain
@@ -384,21 +383,34 @@ def _posterior(sets: Sequence[Repeats], typical: Sequence[Size]) -> tuple[Size, 
         for s, place, start in zip(sets, placed, fixed, strict=True):
             if k in place:
                 logs = logs + s.log_likelihoods(variances(line, place, start))
-        smooth = CubicSpline(_GRID, logs)(_FINE)
-        share = np.exp(smooth - smooth.max())
-        share /= share.sum()
-        sd = math.sqrt(float(share @ np.exp(2.0 * _FINE)))
-        low, high = _shortest(share)
         likelihood = logs - log_prior(_GRID)
-        gained = float(likelihood[np.argmax(logs)] - likelihood[0])
-        t = size.typical
-        out.append(Size(size.name, t * sd, t * low, t * high, t, gained))
+        out.append(_from_grid(size, logs, float(likelihood[np.argmax(logs)] - likelihood[0])))
     return tuple(out)
 
 
-def log_prior(u: Array) -> Array:
-    """Log density, up to a constant, of the logarithm u of a size over its typical one."""
-    return np.asarray(u - 0.5 * (FREEDOM + 1.0) * np.log1p(np.exp(2.0 * u) / FREEDOM))
+def _from_grid(size: Size, logs: Array, gained: float) -> Size:
+    """A size whose log density is known at `_GRID`."""
+    smooth = CubicSpline(_GRID, logs)(_FINE)
+    share = np.exp(smooth - smooth.max())
+    share /= share.sum()
+    low, high = _shortest(share)
+    t = size.typical
+    return Size(size.name, t * math.sqrt(float(share @ np.exp(2.0 * _FINE))), t * low, t * high, t, gained)
+
+
+def without_repeats(fit: Calibration) -> Scatter:
+    """Sizes that trials without repeats make likely, each with the others at the mode, under the fit's noise.
+
+    What they share and the model lacks may be in them, too: they show no scatter, and `gained` is 0.
+    """
+    own = Unlearnt.of(fit.problem, fit.linear.normal())
+    mode = own.mode()
+    out = []
+    for k, size in enumerate(fit.problem.switches.scatter.sizes):
+        lines = np.tile(mode, (_GRID.size, 1))
+        lines[:, k] = _GRID
+        out.append(_from_grid(size, log_prior(_GRID) + [own.log_evidence(u)[0] for u in lines], 0.0))
+    return Scatter(tuple(out))
 
 
 def _shortest(share: Array, of: float = 0.9) -> tuple[float, float]:

@@ -15,12 +15,17 @@ from test_scatter import CASES, laboratory
 
 from bayes_damper.calibration import (
     Experiment,
+    Noise,
     Problem,
+    Switches,
     TrialRecord,
     calibrate,
     calibrate_nominal,
     gained_by_own_releases,
+    learn_noise,
+    under,
     with_rounding,
+    with_sizes_of_its_own,
 )
 from bayes_damper.calibration.experiment import default_priors, rounding_sd, unrounded
 from bayes_damper.simulation.model import Model
@@ -202,6 +207,34 @@ def test_own_times_of_release_count_where_none_could_be_learnt():
     ]
     assert gained_by_own_releases(calibrate_nominal(slow[0])) > 3.0
     assert gained_by_own_releases(calibrate_nominal(slow[1])) == 0.0  # repeats would show them
+
+
+@pytest.mark.slow
+def test_trials_without_repeats_that_are_let_go_slowly_have_times_of_their_own():
+    """By 2 to 8 ms at an acceleration a millisecond, the usual time being 0.3: sudden ones leave an error."""
+    slow = laboratory(2, {}, repeats=1, n=300, releases=lambda rng: rng.uniform(2e-3, 8e-3), instants=3e-4)
+    fit = calibrate_nominal(slow)
+    scatter = fit.problem.switches.scatter
+    assert scatter.sd("release_time") > 0.0
+    assert gained_by_own_releases(fit) == 0.0
+    others = replace(scatter, sizes=tuple(s for s in scatter.sizes if s.name != "release_time"))
+    sudden = with_sizes_of_its_own(under(fit, fit.problem.noise, others))
+    assert sudden.problem.noise.total[0] > 1.5 * fit.problem.noise.total[0]
+
+
+def test_a_reading_that_the_fit_does_not_trust_tells_nothing_of_the_noise():
+    """The second reading of a record, within the release, off by 300 standard deviations of the noise."""
+    rig = laboratory(1, {}, repeats=1, n=300)
+    problem = Problem(rig, switches=Switches(delay=False, friction=False), noise=Noise((2.0,), (0.0,), (0.0,)))
+    fit = calibrate(problem, anneal=False)
+    first = rig.trials[0]
+    off = replace(first, y=first.y + 600.0 * (np.arange(first.times.size) == 1))
+    spoilt = Problem(
+        replace(rig, trials=(off, *rig.trials[1:])), switches=problem.switches, noise=problem.noise
+    )  # fmt: skip
+    again = calibrate(spoilt, [fit.q], eta=fit.eta, anneal=False, most=0, finish=False)
+    assert again.problem.groups[0].weight[0, 0, 1] < 0.9
+    assert learn_noise(again).total[0] == pytest.approx(learn_noise(fit).total[0], rel=0.02)
 
 
 @pytest.mark.slow  # 5 s
