@@ -16,7 +16,7 @@ from bayes_damper.calibration.noise import Noise, fast_level, rounding
 
 Array = NDArray[np.float64]
 STEADY = 4.0  # steps of a clock, longest over shortest but for a tenth, up to which correlation is counted in readings
-TRUSTED = 0.9  # weight of a reading from which on it tells of the noise
+TRUSTED = 0.9  # weight of a reading from which it shows the noise
 CHANCE = 3.0  # standard deviations by which what is left may exceed the sensors' noise by chance
 WHITE_ENOUGH = 1.3  # largest ratio of residuals without repeats to the noise of the sensors up to which they are noise
 

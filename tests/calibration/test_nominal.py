@@ -222,7 +222,7 @@ def test_trials_without_repeats_that_are_let_go_slowly_have_times_of_their_own()
     assert sudden.problem.noise.total[0] > 1.5 * fit.problem.noise.total[0]
 
 
-def test_a_reading_that_the_fit_does_not_trust_tells_nothing_of_the_noise():
+def test_a_reading_that_the_fit_does_not_trust_shows_nothing_of_the_noise():
     """The second reading of a record, within the release, off by 300 standard deviations of the noise."""
     rig = laboratory(1, {}, repeats=1, n=300)
     problem = Problem(rig, switches=Switches(delay=False, friction=False), noise=Noise((2.0,), (0.0,), (0.0,)))
