@@ -132,7 +132,7 @@ def measure_gap(
         )  # fmt: skip
     before = predict(nominal, heldout)
     after = None if winner is None else predict(winner, heldout)
-    p_value = _tested(nominal, winner, chosen_from)
+    p_value = _tested(nominal, winner, before, after, chosen_from)
     masks = _masks(nominal.problem, heldout)
     x0 = _squares({i: before[i].residual for i in heldout}, masks, noise)
     count = np.array([sum(m.sum() for m in masks[i]) for i in heldout], float)
@@ -192,22 +192,24 @@ def squares_of_trials(fit: Calibration) -> tuple[Array, Array]:
     return _squares(residuals, masks, problem.noise.floor), counts
 
 
-def _tested(nominal: Calibration, winner: Calibration | None, chosen_from: int) -> float:
-    """p-value of "no gap" from what the winner and the repeats predict.
+def _tested(
+    nominal: Calibration, winner: Calibration | None, before: Mapping[int, Prediction],
+    after: Mapping[int, Prediction] | None, chosen_from: int,
+) -> float:  # fmt: skip
+    """p-value of "no gap" from what the winner and the repeats predict; before, after : of nominal model and winner.
 
     Scatters that no repeats show, and noise, are those that the winner makes likely: learnt with the nominal model they
     take up what it lacks, as a spring of each trial's own does that of a spring that hardens.
     """
-    heldout = nominal.problem.experiment.heldout
-    if winner is not None and winner.problem.noise.sensor and winner.problem.switches.scatter.sizes:
+    heldout, released = nominal.problem.experiment.heldout, nominal.problem.experiment.start == "rest"
+    if released and winner is not None and winner.problem.noise.sensor and winner.problem.switches.scatter.sizes:
         winner = with_sizes_of_its_own(winner)
         nominal = under(nominal, winner.problem.noise, winner.problem.switches.scatter)
-    before = predict(nominal, heldout)
+        before, after = predict(nominal, heldout), predict(winner, heldout)
     predictions: list[dict[int, Array]] = []
     choices: list[int] = []
     left: list[Mapping[int, Array]] = []
-    if winner is not None:
-        after = predict(winner, heldout)
+    if winner is not None and after is not None:
         predictions.append({i: after[i].model - before[i].model for i in heldout})
         choices.append(chosen_from)
         left.append(winner.residuals() | {i: p.residual for i, p in after.items()})
