@@ -414,14 +414,15 @@ def _as_latched(fit: Calibration) -> Calibration:
 
     Where none is left a filter or a lag would hide in such times. They are looked for as if noise were all of the rest.
     """
-    problem = fit.problem
-    if not problem.noise.sensor:
+    if not fit.problem.noise.sensor:
         return fit
-    level, white = problem.noise.floor, (0.0,) * len(problem.noise.floor)
-    slow = usual_releases(problem.with_noise(Noise(level, white, white, sensor=level)))
-    found = _releases(calibrate(slow, [fit.q], eta=carried(fit, slow), anneal=False))
-    found = with_sizes_of_its_own(found)
-    return found if _log_density(found) > _log_density(fit) + SHOWN_FROM else fit
+    level, white = fit.problem.noise.floor, (0.0,) * len(fit.problem.noise.floor)
+    problem = fit.problem.with_noise(Noise(level, white, white, sensor=level))
+    sudden, slow = (
+        with_sizes_of_its_own(_releases(calibrate(p, [fit.q], eta=carried(fit, p), anneal=False)))
+        for p in (problem, usual_releases(problem))
+    )
+    return slow if _log_density(slow) > max(_log_density(sudden), _log_density(fit)) + SHOWN_FROM else fit
 
 
 def broad_noise(experiment: Experiment, trained: Sequence[int]) -> Noise:

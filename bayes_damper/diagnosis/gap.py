@@ -42,6 +42,7 @@ from bayes_damper.calibration import (
     TrialRecord,
     calibrate,
     error_level,
+    learn_noise,
     predict,
     under,
     with_sizes_of_its_own,
@@ -203,7 +204,7 @@ def _tested(
     """
     heldout, released = nominal.problem.experiment.heldout, nominal.problem.experiment.start == "rest"
     if released and winner is not None and winner.problem.noise.sensor and winner.problem.switches.scatter.sizes:
-        winner = with_sizes_of_its_own(winner)
+        winner = with_sizes_of_its_own(under(winner, learn_noise(winner), winner.problem.switches.scatter))
         nominal = under(nominal, winner.problem.noise, winner.problem.switches.scatter)
         before, after = predict(nominal, heldout), predict(winner, heldout)
     predictions: list[dict[int, Array]] = []
