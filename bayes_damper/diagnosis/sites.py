@@ -280,12 +280,14 @@ def share_left(fit: Calibration) -> float:
     """Rms that a fit leaves of a record beyond the sensors' noise, over the record's standard deviation: the largest.
 
     Roughly the phase (rad) by which model and record part. Responses are linear in it, and the errors of parameters
-    that give way to a missing torque multiply with it.
+    that give way to a missing torque multiply with it. Nothing responds where the motion of the primary is prescribed:
+    what its reaction lacks is the torque itself.
     """
     trials, noise = fit.problem.experiment.trials, fit.problem.noise.floor
     shares = [0.0]
     for i, residual in fit.residuals().items():
-        for r, y, sd in zip(residual, trials[i].y, noise, strict=False):
+        first = int(trials[i].prescribed)
+        for r, y, sd in list(zip(residual, trials[i].y, noise, strict=False))[first:]:
             if np.isfinite(r).any():
                 beyond = max(float(np.nanmean(r**2)) - sd**2, 0.0)
                 shares.append(math.sqrt(beyond / max(float(np.nanvar(y)), sd**2)))
