@@ -37,6 +37,12 @@ class Noise:
         """Standard deviation of what no model could explain, each channel."""
         return self.sensor or self.total
 
+    @property
+    def of_sensors(self) -> Noise:
+        """White noise of the sensors alone, as if the model left nothing beside it."""
+        white = (0.0,) * len(self.floor)
+        return Noise(self.floor, white, white, sensor=self.floor)
+
     def filter(self, channel: int) -> tuple[list[float], list[float]]:
         """Numerator and denominator of the filter that turns the noise into its innovations."""
         if self.longer and self.longer[channel]:

@@ -416,8 +416,7 @@ def _as_latched(fit: Calibration) -> Calibration:
     """
     if not fit.problem.noise.sensor:
         return fit
-    level, white = fit.problem.noise.floor, (0.0,) * len(fit.problem.noise.floor)
-    problem = fit.problem.with_noise(Noise(level, white, white, sensor=level))
+    problem = fit.problem.with_noise(fit.problem.noise.of_sensors)
     sudden, slow = (
         with_sizes_of_its_own(_releases(calibrate(p, [fit.q], eta=carried(fit, p), anneal=False)))
         for p in (problem, usual_releases(problem))
@@ -468,9 +467,8 @@ def calibrate_nominal(
     noisy = with_input_noise(exact)
     if noisy is None:
         return exact
-    floor, white = exact.problem.noise.floor, (0.0,) * len(exact.problem.noise.floor)
-    noise = Noise(floor, white, white, sensor=floor)
-    problem = Problem(noisy, nominal=nominal, noise=noise, switches=exact.problem.switches, threads=threads)
+    noise, chosen = exact.problem.noise.of_sensors, exact.problem.switches
+    problem = Problem(noisy, nominal=nominal, noise=noise, switches=chosen, threads=threads)
     fit = calibrate(problem, [exact.q], eta=carried(exact, problem), anneal=False)
     if felt(fit) < FELT:
         return exact

@@ -601,8 +601,7 @@ def _sharper(fit: Calibration) -> Calibration:
         if number >= RELEARNT and same:
             break
         if not noise.sensor:  # it leaves noise alone, and is still weighed beside sets that leave more
-            none = (0.0,) * len(noise.total)
-            noise = Noise(noise.total, none, none, sensor=noise.total)
+            noise = noise.of_sensors
         fit = calibrate(
             fit.problem.with_noise(noise), [fit.q], eta=fit.eta, anneal=False, most=STEPS_ALONE, straight=True,
         )  # fmt: skip

@@ -109,7 +109,7 @@ class SiteMap:
     trials; probabilities: of the sites and "none", sum 1; leaders: the leading
     hypothesis of each site; torque: what is missing at the best site (empty for a sensor: no torque is wrong there; and
     where `left` > `LARGEST_LEFT`); left: rms that the fit leaves of a record beyond the sensors' noise, over the
-    record's standard deviation, where that is largest.
+    record's standard deviation, where that is largest (0 where no torque is asked for).
     """
 
     log_evidence: Mapping[str, float]
@@ -216,8 +216,8 @@ def site_map(fit: Calibration, *, torque: bool = True, prior_none: float = PRIOR
     }
     missing: tuple[MissingTorque, ...] = ()
     silent = {s for s, leader in leaders.items() if not any(vocabulary[c][2] for c in leader.columns)}
-    left = share_left(whole)
     place = _torque_site(probabilities, silent) if torque else None
+    left = 0.0 if place is None else share_left(whole)
     if place is not None and left <= LARGEST_LEFT:
         missing = _torque(fit, moved, scale, judged[leaders[place].only], leaders[place])
     # The fit that was given: one in slices holds its derivatives.

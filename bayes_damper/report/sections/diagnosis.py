@@ -103,7 +103,7 @@ def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
     beside = gap_beside_verdict(verdict, share or 0.0, gap) if gap else ""
     sentences += [beside] if beside and verdict == "none" else [_gap_sentence(gap), beside]
     credible = [words(n) for n in data.get("credible_set", [])]
-    both_present = bool(pair) and set(data.get("credible_set", [])) <= set(pair["effects"] if pair else ())
+    both_present = set(data.get("credible_set", ())) <= set(pair["effects"]) if pair else False
     if len(credible) > 1 and not both_present:
         sentences.append(f"With a probability of 90 % it is one of {listed(credible)}; the data do not decide which.")
     who = "these two together close" if pair else "the most probable cause closes"
