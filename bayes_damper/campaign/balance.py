@@ -57,7 +57,8 @@ def look_at_balance(head: Head, trials: Sequence[Trial], faults: list[str], warn
         still = [t for t in own if not t.driven]
         if not still or natural_period(rig, still[0]) < _FEWEST * float(np.median(np.diff(still[0].times))):
             continue
-        found = _balance(head, still, 0.0)
+        filtered = _filtered(head, still)
+        found = _balance(head, filtered, 0.0)
         if found is None:
             continue
         if found.explained > _SHOWN:
@@ -66,7 +67,7 @@ def look_at_balance(head: Head, trials: Sequence[Trial], faults: list[str], warn
             if not _OFF[0] < ratio < _OFF[1] and abs(math.log(max(ratio, 1e-9))) > known:
                 wrong[case] = found.inertia
             continue
-        _look_at_clock(head, case, still, found, warnings)
+        _look_at_clock(head, case, filtered, found, warnings)
     if wrong:
         middle = float(np.median(list(wrong.values())))
         unit = "kg m^2" if rig.kind == "torsional" else "kg"
@@ -98,9 +99,9 @@ def _cause(head: Head, ratio: float) -> str:
     return f"the second channel reads {1.0 / ratio:.3g} times what it should{likely}"
 
 
-def _look_at_clock(head: Head, case: str, trials: Sequence[Trial], found: _Sum, warnings: list[str]) -> None:
+def _look_at_clock(head: Head, case: str, trials: Sequence[_Filtered], found: _Sum, warnings: list[str]) -> None:
     """Names a second channel that balances the first only if it is moved in time."""
-    omega = 2.0 * math.pi / natural_period(head.rig, trials[0])
+    omega = 2.0 * math.pi / natural_period(head.rig, trials[0].trial)
     lags = np.linspace(-1.2, 1.2, 25) / omega
     moved = [_balance(head, trials, float(lag)) for lag in lags]
     best = max(range(lags.size), key=lambda k: 0.0 if moved[k] is None else moved[k].explained)  # type: ignore[union-attr]
@@ -145,41 +146,63 @@ def _is_noise(trial: Trial, head: Head, warnings: list[str]) -> bool:
     return silent
 
 
-def _balance(head: Head, trials: Sequence[Trial], lag: float) -> _Sum | None:
-    """The fit of J2 and of both dampings to coupled trials; lag : s by which the second channel is read later.
+@dataclass(frozen=True)
+class _Filtered:
+    """What a coupled trial gives to the sum of torques whatever the lag: its first channel, filtered, and the bumps."""
 
-    None where the records hold too little.
-    """
-    rig = head.rig
-    rows: list[Array] = []
-    targets: list[Array] = []
+    trial: Trial
+    grid: Array  # (n,) s
+    bumps: tuple[Array, Array, Array]  # of the angle, its rate and its acceleration
+    first: tuple[Array, Array, Array]
+
+    def second(self, lag: float) -> list[Array]:
+        """The second channel, read later by `lag` (s), filtered alike."""
+        y = np.interp(self.grid + lag, self.trial.times, self.trial.channels[1])
+        return [np.convolve(y, bump, "valid") for bump in self.bumps]
+
+
+def _filtered(head: Head, trials: Sequence[Trial]) -> list[_Filtered]:
+    """The trials that are long enough."""
+    found = []
     for trial in trials:
-        period = natural_period(rig, trial)
+        period = natural_period(head.rig, trial)
         step = float(np.median(np.diff(trial.times)))
         start, end = _stretch(trial)
         grid = np.arange(start, min(max(end, start + _LEAST * period), float(trial.times[-1])), step)
         width = round(period / step)
         if grid.size < 2 * width:
             continue
-        first = np.interp(grid, trial.times, trial.channels[0])
-        second = np.interp(grid + lag, trial.times, trial.channels[1])
-        x = np.arange(width + 1) * step * math.pi / period
         rate = math.pi / period
+        x = np.arange(width + 1) * step * rate
         bump, slope, bend = (
             np.sin(x) ** 4,
             4.0 * rate * np.sin(x) ** 3 * np.cos(x),
             4.0 * rate**2 * (3.0 * np.sin(x) ** 2 * np.cos(x) ** 2 - np.sin(x) ** 4),
         )
-        (th1, w1, a1), (th2, w2, a2) = (
-            [np.convolve(y, kernel[::-1], "valid") for kernel in (bump, -slope, bend)] for y in (first, second)
-        )
+        bumps = (bump[::-1], -slope[::-1], bend[::-1])
+        y = np.interp(grid, trial.times, trial.channels[0])
+        th, w, a = (np.convolve(y, kernel, "valid") for kernel in bumps)
+        found.append(_Filtered(trial, grid, bumps, (th, w, a)))
+    return found
+
+
+def _balance(head: Head, trials: Sequence[_Filtered], lag: float) -> _Sum | None:
+    """The fit of J2 and of both dampings to coupled trials; lag : s by which the second channel is read later.
+
+    None where the records hold too little.
+    """
+    if not trials:
+        return None
+    rig = head.rig
+    rows: list[Array] = []
+    targets: list[Array] = []
+    for filtered in trials:
+        (th1, w1, a1), (th2, w2, a2) = filtered.first, filtered.second(lag)
         beside = rig.inertial_coupling.value
-        mine = (rig.primary_inertia.value + beside) * a1 + trial.k1t.value * th1
+        mine = (rig.primary_inertia.value + beside) * a1 + filtered.trial.k1t.value * th1
         targets.append(mine + beside * a2 + rig.ground2_stiffness.value * th2)
         one = np.ones_like(w1)
         rows.append(np.stack([-a2, -w1, -w2, one, -one], axis=1))
-    if not rows:
-        return None
     from scipy.optimize import nnls  # slow to load, and the help of the command line reads this module
 
     A, y = np.concatenate(rows), np.concatenate(targets)
