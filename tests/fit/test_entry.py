@@ -194,24 +194,20 @@ def test_a_finished_run_is_not_run_again_and_another_one_is_refused(fitted):
 
 
 @pytest.mark.slow
-def test_a_fit_that_may_not_go_on_says_that_it_did_not_converge(tmp_path):
-    stopped = fit(_campaign(tmp_path / "campaign"), out=tmp_path / "out", most_steps=1, thorough=True)
-    assert not stopped.converged
-    assert stopped.exit_code == ExitCode.NOT_CONVERGED
-    assert "DID NOT CONVERGE" in stopped.text()
-    assert any("more steps" in sentence for sentence in stopped.summary["cases"]["IV"]["sentences"])
-
-
-@pytest.mark.slow
-def test_two_workers_give_what_one_gives(tmp_path):
+def test_workers_give_what_one_gives_also_where_it_does_not_converge(tmp_path):
+    """Two cases at once, of which each has its ensembles on two more processes."""
     campaign = _campaign(tmp_path / "campaign", ("IV", "I"), duration=0.2)
     one = fit(campaign, cases=["IV"], out=tmp_path / "one", most_steps=1, workers=1)
-    two = fit(campaign, out=tmp_path / "two", most_steps=1, joint=False, workers=2)
-    shared = fit(campaign, cases=["IV"], out=tmp_path / "shared", most_steps=1, workers=2)  # its ensembles on both
-    entries = [dict(found.summary["cases"]["IV"]) for found in (one, two, shared)]
+    four = fit(campaign, out=tmp_path / "four", most_steps=1, joint=False, workers=4)
+    for stopped in (one, four):
+        assert not stopped.converged
+        assert stopped.exit_code == ExitCode.NOT_CONVERGED
+        assert "DID NOT CONVERGE" in stopped.text()
+        assert any("more steps" in sentence for sentence in stopped.summary["cases"]["IV"]["sentences"])
+    entries = [dict(found.summary["cases"]["IV"]) for found in (one, four)]
     for entry in entries:
         del entry["sentences"]  # they tell the pace of the machine
-    assert entries[0] == entries[1] == entries[2]
+    assert entries[0] == entries[1]
 
 
 @pytest.mark.parametrize(
@@ -355,7 +351,7 @@ def test_features_drawn_from_the_model_are_recovered_at_the_stated_rate():
 @pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs process groups")
 def test_ctrl_c_with_two_workers_saves_and_ends(tmp_path):
     """As in a terminal, where all processes get the signal; more tasks than workers, of which none may begin then."""
-    campaign = _campaign(tmp_path / "campaign", ("I", "IV"), duration=1.0)
+    campaign = _campaign(tmp_path / "campaign", ("I", "IV"))
     out = tmp_path / "out"
     # A shell's background jobs ignore Ctrl-C, and so does what they start; here it is to be heard wherever this runs.
     code = (
