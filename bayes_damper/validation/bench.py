@@ -281,14 +281,6 @@ def _interleaved(calls: dict[Any, tuple[Callable[[], Any], int]], repeats: int) 
     return least
 
 
-def libm_slowdown(repeats: int = 7) -> float:
-    """Time on libm's tanh over our own, same source, one run: near 1 if LLVM no longer vectorises the kernel."""
-    own, plain = Model().compile(), libm_kernel()
-    arguments = _block(100.0)
-    least = _interleaved({0: (lambda: own(*arguments), 1), 1: (lambda: plain(*arguments), 1)}, repeats)
-    return least[1] / least[0]
-
-
 def peak_gflops(repeats: int = 9) -> float:
     """Fused multiply-adds per second of one core in registers, in 1e9 operations."""
     chains, rounds, length = 12, 16, 64
