@@ -48,10 +48,9 @@ def run(move, log_prob, start, steps, seed=0, thin=10):
 
 
 @pytest.mark.parametrize("name", MOVES)
-@pytest.mark.parametrize("walkers", [12, 64])
-def test_a_correlated_gaussian_is_kept(name, walkers):
-    """Started from the target itself, 200 thinned steps later every ensemble of many still has its distribution."""
-    ndim = 3
+def test_a_correlated_gaussian_is_kept(name):
+    """Started from the target itself, 25 steps later every ensemble of many still has its distribution."""
+    walkers, ndim = 64, 3  # few walkers: below
     covariance = np.array([[1.0, 0.9, 0.3], [0.9, 1.0, 0.1], [0.3, 0.1, 2.0]])
     inverse = np.linalg.inv(covariance)
     rng = np.random.default_rng(5)
@@ -72,9 +71,12 @@ def test_a_correlated_gaussian_is_kept(name, walkers):
 
 
 @pytest.mark.parametrize("name", MOVES)
-@pytest.mark.parametrize("walkers", [8, 64])
-def test_a_half_line_with_a_hard_wall_is_kept(name, walkers):
-    """An exponential that ends at zero beside a Gaussian: points beyond the wall have log density -inf."""
+def test_a_half_line_with_a_hard_wall_is_kept(name):
+    """An exponential that ends at zero beside a Gaussian: points beyond the wall have log density -inf.
+
+    With as few walkers as there may be, where a move that leans on the others errs most.
+    """
+    walkers = 8
 
     def log_prob(x):
         return np.where(x[:, 0] < 0, -np.inf, -x[:, 0]) - 0.5 * x[:, 1] ** 2
