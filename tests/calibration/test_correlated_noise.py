@@ -309,7 +309,7 @@ def test_no_valley_near_the_truth_is_deeper_than_the_fit(seed: int, kind: str, r
 )
 def test_intervals_cover_under_coloured_noise(kind: str, repeats: int) -> None:
     """A few campaigns each; tests/prove holds many against binomial bounds."""
-    ranks = np.concatenate([covered(500 + seed, kind, repeats) for seed in range(8)])
+    ranks = np.concatenate([covered(500 + seed, kind, repeats) for seed in range(5)])
     assert share_inside(ranks, 0.9) > 0.7
     assert 0.25 < share_inside(ranks, 0.5) < 0.8
 

@@ -143,7 +143,7 @@ def test_a_half_normal_reaches_far_into_its_tail():
 def test_parameters_are_recovered_within_their_covariance(fitted):
     """Over several campaigns the deviations from the truth have unit variance in units of the stated sd."""
     z = []
-    for fit in (fitted, *(calibrate_nominal(make_experiment(seed)) for seed in (0, 1, 2, 4, 5))):
+    for fit in (fitted, *(calibrate_nominal(make_experiment(seed)) for seed in (0, 1, 2))):
         assert fit.converged
         z += [(fit.parameters[name][0] - TRUE[name]) / fit.parameters[name][1] for name in TRUE]
     assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.5

@@ -130,7 +130,7 @@ def test_the_tuned_mass_damper_shows_no_gap(tmp_path: Path) -> None:
     assert measure_gap(fit, winner, chosen_from=len(pool)).p_value > 0.05
 
 
-@pytest.mark.slow
+@pytest.mark.prove  # tests/diagnosis/test_sets.py has the like of it, simulated
 def test_dry_friction_and_square_drag_that_hide_each_other_are_both_present(tmp_path: Path) -> None:
     """Each alone leaves the other recording of the single pendulum as it was (12.9 mrad); both together close it."""
     fit = calibrate_nominal(experiment(tmp_path, "single_pendulum"), nominal="linear")
