@@ -6,9 +6,10 @@
     diagnosis.write(out)
 
 search.py screens and fits the effects, remainder.py tests what they leave, verdict.py turns both into probabilities,
-pipeline.py runs them in order.
+judgement.py turns both into answers, pipeline.py runs them in order; result.py holds what comes out.
 """
 
-from bayes_damper.diagnosis.pipeline import Diagnosis, diagnose
+from bayes_damper.diagnosis.pipeline import diagnose
+from bayes_damper.diagnosis.result import Diagnosis
 
 __all__ = ["Diagnosis", "diagnose"]

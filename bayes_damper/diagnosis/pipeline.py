@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
-from typing import Any, Literal
+from dataclasses import asdict, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,16 +23,15 @@ from bayes_damper.calibration import (
     learn_noise,
     with_rounding,
 )
-from bayes_damper.calibration.scatter import scatter_in_words, scatter_shown
 from bayes_damper.campaign import Campaign
-from bayes_damper.campaign.records import DERIVATIVE
 from bayes_damper.diagnosis.budget import Budget, answers_of, budget_of, foreign_alone
 from bayes_damper.diagnosis.formula import widened
-from bayes_damper.diagnosis.gap import Gap, closing, measure_gap, shifts
+from bayes_damper.diagnosis.gap import closing, measure_gap
 from bayes_damper.diagnosis.generic import DRIFT
-from bayes_damper.diagnosis.law import Learnt, learn
+from bayes_damper.diagnosis.law import learn
 from bayes_damper.diagnosis.lone import left_alone
 from bayes_damper.diagnosis.next_experiment import Proposal, propose
+from bayes_damper.diagnosis.notes import notes_on
 from bayes_damper.diagnosis.outliers import (
     odd_in_words,
     odd_trials,
@@ -43,27 +41,23 @@ from bayes_damper.diagnosis.outliers import (
     without_trials,
 )
 from bayes_damper.diagnosis.pairs import Pair, best_pairs, exactly, seconds_of
-from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of, unlike_in_words
+from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of
+from bayes_damper.diagnosis.result import Diagnosis
 from bayes_damper.diagnosis.search import Candidate, offered, scales_of, search
-from bayes_damper.diagnosis.sensitivity import Choice, Quadratic, in_a_sentence, sensitivity, sensitivity_of_sets
-from bayes_damper.diagnosis.sets import SetFit, SetProblem, as_candidates, grown, probabilities
-from bayes_damper.diagnosis.shares import Closed
-from bayes_damper.diagnosis.sites import SiteMap, site_map, write_missing_torque
+from bayes_damper.diagnosis.sensitivity import Quadratic, in_a_sentence, sensitivity, sensitivity_of_sets
+from bayes_damper.diagnosis.sets import SetFit, as_candidates, grown, probabilities
+from bayes_damper.diagnosis.sites import SiteMap, site_map
 from bayes_damper.diagnosis.verdict import RULE, Answers, Left, Rule, family_evidence, left_of, weigh
-from bayes_damper.diagnosis.where import Where, locate
+from bayes_damper.diagnosis.where import locate
 from bayes_damper.diagnosis.wiring import miswired
 from bayes_damper.effects import EFFECTS, Effect, classes, scaled
 from bayes_damper.effects.base import SITES, Variant
-from bayes_damper.priors.distributions import Distribution, from_standard
+from bayes_damper.priors.distributions import Distribution
 from bayes_damper.priors.files import PriorSet
-from bayes_damper.rig.parameters import unit_of
-from bayes_damper.runs.contents.diagnosis import DiagnosisFile, EffectEntry, Estimate, ShiftEntry
-from bayes_damper.runs.json_files import plain, write_json
 from bayes_damper.runs.memory import shortage
 
 Array = NDArray[np.float64]
 
-SCHEMA = "bayes-damper/diagnosis/1"
 CLEANINGS = 2  # times that outlying readings are looked for: the first ones hide others
 INDISTINCT = 3.0  # nats between two families below which these data cannot tell them apart
 PAIR_FROM = 6.0  # nats left by the leading effect from which pairs are fitted
@@ -72,197 +66,7 @@ PRIORS_OF_UNKNOWN = (0.05, 0.15, 0.3, 0.5)  # prior probabilities of a foreign c
 MOST_ROUNDS = 4  # of 25 steps by which a leader's descent goes on
 UNLIKELY = 0.01  # probability of a set below which it is not asked what it leaves
 JUDGED_PAIRS = 2  # pairs whose remainder is mapped
-TOLD = 3  # leading effects for which the gap they leave on held-out trials is told
-
-
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
-    """The answer for one campaign, with the fits behind it.
-
-    candidates: every formula of every effect, best first, evidence relative to the nominal model; winner: the fitted
-    formula of the leading effect, None if none could be fitted; best: its fit, or that of the pair where two effects
-    are the answer, with the covariance that their inexact formulas leave (formula.py); before, after: what the nominal
-    model and the winner leave unexplained; gap: on held-out trials, closed by `best`; closing: the same by each leading
-    effect; choices: the verdict under other choices; site_map: where the nominal model's gap lies, without any library;
-    remainder_map: the same for what the winner leaves; sites: probability of each site and "none"; pairs: fitted at
-    once, best first; drift: log evidence of a drift of the nominal laws (generic.py); weighed: all that the rule made
-    the probabilities from (verdict.py), so that they can be made again; kind: of rig, torsional or translational.
-    """
-
-    campaign: str
-    experiment: Experiment
-    nominal_kind: Literal["nonlinear", "linear"]
-    nominal: Calibration
-    candidates: tuple[Candidate, ...]
-    winner: Candidate | None
-    answers: Answers
-    before: Remainder
-    after: Remainder
-    gap: Gap
-    where: Where
-    site_map: SiteMap
-    remainder_map: SiteMap
-    proposals: tuple[Proposal, ...]
-    sites: Mapping[str, float]
-    evidence: Mapping[str, float]
-    indistinguishable: tuple[tuple[str, ...], ...]
-    pair: Pair | None = None
-    notes: tuple[str, ...] = ()
-    seconds: float = 0.0
-    seed: int = 1
-    pairs: tuple[Pair, ...] = ()
-    drift: float = -math.inf
-    best: Calibration | None = None
-    choices: tuple[Choice, ...] = ()
-    closing: Mapping[str, tuple[float, Closed]] = field(default_factory=dict)
-    weighed: Mapping[str, Any] = field(default_factory=dict)
-    kind: str = "torsional"
-    budget: Budget | None = None
-    under_priors: tuple[tuple[float, str, float], ...] = ()
-    law: Learnt | None = None
-    named: Calibration | None = None
-
-    @property
-    def verdict(self) -> str:
-        """One effect, "none" or "unknown"."""
-        return self.answers.verdict
-
-    def best_of(self, effect: str) -> Candidate | None:
-        """The fitted formula with the largest evidence of a family; None if it was only screened."""
-        rows = [c for c in self.candidates if c.effect.name == effect and c.fit is not None]
-        return rows[0] if rows else None
-
-    def weighed_fits(self, least: float = 0.02) -> list[tuple[float, Calibration]]:
-        """Probability and fit of every answer of at least that probability; `unknown` predicts as what closes most."""
-        best = self.best or self.nominal
-        fits: dict[int, tuple[float, Calibration]] = {}
-        for name, p in self.answers.probabilities.items():
-            row = self.best_of(name)
-            own = {"none": self.nominal, "unknown": best}.get(name, None if row is None else row.fit)
-            if self.winner is not None and name == self.winner.effect.name:
-                own = best
-            if own is not None and p >= least:
-                fits[id(own)] = (p + fits.get(id(own), (0.0,))[0], own)
-        return list(fits.values())
-
-    def to_json(self) -> DiagnosisFile:
-        """The fields of diagnosis.json (schema bayes-damper/diagnosis/1)."""
-        noise = self.nominal.problem.noise.total
-        out: dict[str, Any] = {
-            "schema": SCHEMA,
-            "campaign": self.campaign,
-            "nominal": self.nominal_kind,
-            "verdict": self.verdict,
-            "credible_set": self.answers.credible_set(),
-            "probabilities": self.answers.probabilities,
-            "pair": None
-            if self.pair is None or self.answers.pair < 0.5
-            else {
-                "effects": list(self.pair.effects),
-                "probability": self.answers.pair,
-                "log_evidence": self.pair.log_evidence,
-                "gain": self.pair.gain,
-                "parameters": self._of_pair(self.pair),
-            },
-            "sites": dict(self.sites),
-            "gap": self.gap.to_json(),
-            "where": self.where.to_json(),
-            "next_experiment": [p.to_json(self.kind) for p in self.proposals],
-            "site_map": self.site_map.to_json() | {"curve": self.site_map.curve()},
-            "remainder_map": self.remainder_map.to_json(),
-            "noise": {
-                "sd": list(noise),
-                "phi": list(self.nominal.problem.noise.phi),
-                "innovation": list(self.nominal.problem.noise.innovation),
-            },
-            "effects": [self._row(name) for name in sorted(self.evidence, key=lambda n: -self.evidence[n])],
-            "parameters": self._shifts(),
-            "indistinguishable": [list(group) for group in self.indistinguishable],
-            "budget": None if self.budget is None else self.budget.to_json(self._of_budget),
-            "remainder": {
-                "share_of_gap": self.answers.left.share,
-                "evidence_nats": self.answers.left.nats,
-                "strongest_line_hz": self.after.peak_hz,
-                "temperature": self.answers.temperature,
-            },
-            "sensitivity": [c.to_json() for c in self.choices],
-            "prior_unknown": [
-                {"prior": prior, "verdict": verdict, "probability": p} for prior, verdict, p in self.under_priors
-            ],
-            "weighed": dict(self.weighed),
-            "scatter": scatter_shown(
-                self.named or self.nominal, unit_of("sigma1", self.kind, self.experiment.quantity)
-            ),
-            "notes": list(self.notes),
-            "seconds": self.seconds,
-        }
-        if self.law is not None and out["budget"] is not None:
-            out["budget"]["unexplained"]["law"] = self.law.file
-        out["law"] = None if self.law is None else self.law.to_json()
-        return plain(out | {"seed": self.seed})  # type: ignore[no-any-return]
-
-    def write(self, folder: str | Path) -> Path:
-        """Write diagnosis.json and missing_torque.csv into the folder (made if absent); returns the former's path."""
-        home = Path(folder)
-        path = home / "diagnosis.json"
-        write_json(path, self.to_json())
-        write_missing_torque(home / "missing_torque.csv", self.site_map)
-        if self.law is not None:
-            self.law.write(home)
-        return path
-
-    def _row(self, name: str) -> EffectEntry:
-        rows = [c for c in self.candidates if c.effect.name == name]
-        best = self.best_of(name) or rows[0]
-        fit = self.best if best is self.winner and self.answers.pair < 0.5 else best.fit
-        return {
-            "name": name,
-            "variant": best.variant.name,
-            "formula": best.variant.formula,
-            "site": best.effect.site,
-            "probability": self.answers.probabilities[name],
-            "log_evidence": self.evidence[name],
-            "fitted": best.fit is not None,
-            "augmented_rms": self.closing[name][0] if name in self.closing else None,
-            "closed": self.closing[name][1].to_json() if name in self.closing else None,
-            "parameters": {p.name: _estimate(fit, f"effect.{p.name}", p.unit) for p in best.variant.parameters}
-            if fit is not None
-            else {},
-        }
-
-    def _of_budget(self, label: str, unit: str) -> Estimate:
-        """A parameter of the budget's best set."""
-        assert self.budget is not None
-        fit = self.budget.best.fit
-        # What the formulas of the named effects leave open widens the intervals of the same fit.
-        return _estimate(self.best if self.best is not None and self.best.problem is fit.problem else fit, label, unit)
-
-    def _of_pair(self, pair: Pair) -> dict[str, dict[str, Estimate]]:
-        """Parameters of both effects, fitted together."""
-        units = {e.name: {p.name: p.unit for p in v.parameters} for e, v in (pair.first, pair.second)}
-        problem = pair.fit.problem
-        named = (
-            {effect: problem.parameters_of(effect) for effect in pair.effects}
-            if isinstance(problem, SetProblem)
-            else pair.parameters()
-        )
-        return {
-            effect: {
-                name: _estimate(self.best or pair.fit, label, units[effect][name]) for name, label in names.items()
-            }
-            for effect, names in named.items()
-        }
-
-    def _shifts(self) -> dict[str, ShiftEntry]:
-        """Parameters before and after the winner, with the shift in standard deviations."""
-        if self.best is None:
-            return {n: {"before": {"value": v, "sd": sd}} for n, (v, sd) in self.nominal.parameters.items()}
-        return {row.name: row.to_json() for row in shifts(self.nominal, self.best)}
-
-
-def _estimate(fit: Calibration, name: str, unit: str) -> Estimate:
-    value, sd = fit.parameters[name]
-    return {"unit": unit, "mean": value, "sd": sd, "hdi90": fit.interval(name)}
+SHOWN = 3  # leading effects for which the gap they leave on held-out trials is given
 
 
 def diagnose(
@@ -399,10 +203,10 @@ def diagnose(
     named = best if winner is not None and answers.verdict == winner.effect.name else None
     if wiring is not None:
         notes.insert(0, wiring.sentence())
-    notes += _notes(experiment, fit, named, answers, before_map)
+    notes += notes_on(experiment, fit, named, answers, before_map)
     notes.append(in_a_sentence(choices, answers.verdict))
     gap = measure_gap(fit, best, rng=rng)
-    first = sorted(evidence, key=lambda n: -evidence[n])[:TOLD]
+    first = sorted(evidence, key=lambda n: -evidence[n])[:SHOWN]
     closes = {} if best is None else closing(fit, {n: fits[n][0] for n in first if n in fits}, rng)
     if best is not None and winner is not None and winner.effect is not DRIFT:
         acting = [winner.effect] if best is winner.fit or pair is None else [pair.first[0], pair.second[0]]
@@ -659,91 +463,3 @@ def _indistinct(evidence: Mapping[str, float], effects: Mapping[str, Effect]) ->
         if len(close) > 1 and close not in groups:
             groups.append(close)
     return groups
-
-
-def _notes(
-    experiment: Experiment, fit: Calibration, named: Calibration | None, answers: Answers, place: SiteMap
-) -> list[str]:
-    """What could not be told and why, in sentences.
-
-    named : the fit with the effect that the verdict names; place : where the nominal model's gap lies.
-    """
-    notes = []
-    if not experiment.coupled:
-        notes.append("There are no coupled trials, so nothing can be said about the interface or the secondary.")
-    if len(fit.problem.trials) == 1:
-        notes.append("There is only one trial, so nothing shows which of its features would repeat; add repeats.")
-    elif not any(
-        len({t.number for t in experiment.trials if (t.case, t.coupled) == key}) > 1
-        for key in {(t.case, t.coupled) for t in experiment.trials}
-    ):
-        notes.append(
-            "There are no repeats, so the noise is estimated from the fast content of the records; repeat a case."
-        )
-    judged = fit if named is None else named  # what the answer explains does not scatter
-    notes += [*scatter_in_words(judged), *unlike_in_words(judged), *symmetries(experiment)]
-    still = {} if named is None else named.pulled
-    priors = {} if named is None else {c.name: c.prior for c in named.problem.coordinates}
-    for name, z in still.items():
-        value = float(from_standard(priors[name], z))
-        notes.append(
-            f"With {answers.verdict} in the model, {name} still differs from its declared value by {z:+.1f} standard "
-            f"deviations ({value:.4g}): a second cause, or a typo. Measure it again."
-        )
-    for name, z in fit.pulled.items() if named is None else ():
-        notes.append(
-            f"The nominal model fits {name} {z:+.1f} standard deviations from its declared value: an effect, or a typo."
-        )
-    if place.torque_site is not None and not place.torque:
-        notes.append(
-            f"The nominal model leaves up to {place.left:.0%} of a record, too much for a linear estimate of the "
-            "missing torque, so none is given: add what you know of the rig, and diagnose again."
-        )
-    if answers.verdict == "unknown" and place.only is not None:
-        trials = f"the trials of {place.only}" if place.only.startswith("case ") else f"{place.only} trials"
-        notes.append(
-            f"The gap looks like a cause at {place.best} that acts only in {trials}: what was different there?"
-        )
-    if answers.probabilities["none"] > 0.1 and answers.verdict != "none":
-        notes.append("The gap is not certain: the answer `none` has a probability above 10 %.")
-    hidden = hidden_by(fit)
-    if answers.probabilities["none"] > 0.5 and hidden:
-        notes += hidden
-    return notes
-
-
-def symmetries(experiment: Experiment) -> list[str]:
-    """What no record of the campaign could show, in sentences: errors that scale every term of a free decay alike."""
-    if experiment.start != "free" or any(t.inputs is not None and t.inputs.active for t in experiment.trials):
-        return []
-    pendulum = experiment.restoring == "pendulum"  # how far it swings shows in its period
-    powers = {"dry friction": 2 - DERIVATIVE[experiment.quantity], "viscous damping": 1}
-    also = " and ".join(f"{name} {power} % higher" for name, power in powers.items() if power)
-    clock = (
-        "A free decay cannot show an error of the clock. If the clock runs 1 % fast, the true stiffness is 2 % higher, "
-        f"{also} than found here."
-    )
-    scale = (
-        "A free decay cannot show an error of scale. If the sensor reads 1 % too high, the true dry friction is 1 % "
-        "lower than found here."
-    )
-    shown = [clock] if experiment.quantity == "displacement" or not pendulum else []
-    return shown if pendulum else [*shown, scale]
-
-
-def hidden_by(fit: Calibration) -> list[str]:
-    """Constants whose declared uncertainty the campaign cannot reduce, with the accuracy that would help."""
-    out = []
-    for i, c in enumerate(fit.problem.coordinates):
-        if c.role not in ("constant", "stiffness"):
-            continue
-        sd = math.sqrt(max(fit.covariance[i, i], 0.0))
-        middle = float(from_standard(c.prior, 0.0))
-        declared = abs(float(from_standard(c.prior, 1.0)) - middle) / max(abs(middle), 1e-300)
-        if sd > 0.5:
-            out.append(
-                f"{c.name} is declared with an uncertainty of {100.0 * declared:.2g} %, which can hide an effect of "
-                "that "
-                f"size; measure it to {30.0 * declared:.1g} % to rule that out."
-            )
-    return out

@@ -23,7 +23,8 @@ from scipy.special import logsumexp
 
 from bayes_damper.diagnosis.joint import Formula, Joint, Weighed, beginning, from_prior, learn, weigh_formula
 from bayes_damper.diagnosis.next_experiment import bhattacharyya, expected_information
-from bayes_damper.diagnosis.pipeline import INDISTINCT, SCHEMA
+from bayes_damper.diagnosis.pipeline import INDISTINCT
+from bayes_damper.diagnosis.result import SCHEMA
 from bayes_damper.diagnosis.verdict import PRIOR_NONE, PRIOR_UNKNOWN, USUAL, credible_set
 from bayes_damper.effects import EFFECTS, Effect, candidates
 from bayes_damper.effects.base import SITES

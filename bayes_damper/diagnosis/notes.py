@@ -1,0 +1,101 @@
+"""What the data of a campaign cannot show and why, in sentences."""
+
+from __future__ import annotations
+
+import math
+
+from bayes_damper.calibration import Calibration, Experiment
+from bayes_damper.calibration.scatter import scatter_in_words
+from bayes_damper.campaign.records import DERIVATIVE
+from bayes_damper.diagnosis.remainder import unlike_in_words
+from bayes_damper.diagnosis.sites import SiteMap
+from bayes_damper.diagnosis.verdict import Answers
+from bayes_damper.priors.distributions import from_standard
+
+
+def notes_on(
+    experiment: Experiment, fit: Calibration, named: Calibration | None, answers: Answers, place: SiteMap
+) -> list[str]:
+    """What the data cannot show and why.
+
+    named : the fit with the effect that the verdict names; place : where the nominal model's gap lies.
+    """
+    notes = []
+    if not experiment.coupled:
+        notes.append("There are no coupled trials, so nothing can be said about the interface or the secondary.")
+    if len(fit.problem.trials) == 1:
+        notes.append("There is only one trial, so nothing shows which of its features would repeat; add repeats.")
+    elif not any(
+        len({t.number for t in experiment.trials if (t.case, t.coupled) == key}) > 1
+        for key in {(t.case, t.coupled) for t in experiment.trials}
+    ):
+        notes.append(
+            "There are no repeats, so the noise is estimated from the fast content of the records; repeat a case."
+        )
+    judged = fit if named is None else named  # what the answer explains does not scatter
+    notes += [*scatter_in_words(judged), *unlike_in_words(judged), *symmetries(experiment)]
+    still = {} if named is None else named.pulled
+    priors = {} if named is None else {c.name: c.prior for c in named.problem.coordinates}
+    for name, z in still.items():
+        value = float(from_standard(priors[name], z))
+        notes.append(
+            f"With {answers.verdict} in the model, {name} still differs from its declared value by {z:+.1f} standard "
+            f"deviations ({value:.4g}): a second cause, or a typo. Measure it again."
+        )
+    for name, z in fit.pulled.items() if named is None else ():
+        notes.append(
+            f"The nominal model fits {name} {z:+.1f} standard deviations from its declared value: an effect, or a typo."
+        )
+    if place.torque_site is not None and not place.torque:
+        notes.append(
+            f"The nominal model leaves up to {place.left:.0%} of a record, too much for a linear estimate of the "
+            "missing torque, so none is given: add what you know of the rig, and diagnose again."
+        )
+    if answers.verdict == "unknown" and place.only is not None:
+        trials = f"the trials of {place.only}" if place.only.startswith("case ") else f"{place.only} trials"
+        notes.append(
+            f"The gap looks like a cause at {place.best} that acts only in {trials}: what was different there?"
+        )
+    if answers.probabilities["none"] > 0.1 and answers.verdict != "none":
+        notes.append("The gap is not certain: the answer `none` has a probability above 10 %.")
+    hidden = hidden_by(fit)
+    if answers.probabilities["none"] > 0.5 and hidden:
+        notes += hidden
+    return notes
+
+
+def symmetries(experiment: Experiment) -> list[str]:
+    """What no record of the campaign could show, in sentences: errors that scale every term of a free decay alike."""
+    if experiment.start != "free" or any(t.inputs is not None and t.inputs.active for t in experiment.trials):
+        return []
+    pendulum = experiment.restoring == "pendulum"  # how far it swings shows in its period
+    powers = {"dry friction": 2 - DERIVATIVE[experiment.quantity], "viscous damping": 1}
+    also = " and ".join(f"{name} {power} % higher" for name, power in powers.items() if power)
+    clock = (
+        "A free decay cannot show an error of the clock. If the clock runs 1 % fast, the true stiffness is 2 % higher, "
+        f"{also} than found here."
+    )
+    scale = (
+        "A free decay cannot show an error of scale. If the sensor reads 1 % too high, the true dry friction is 1 % "
+        "lower than found here."
+    )
+    shown = [clock] if experiment.quantity == "displacement" or not pendulum else []
+    return shown if pendulum else [*shown, scale]
+
+
+def hidden_by(fit: Calibration) -> list[str]:
+    """Constants whose declared uncertainty the campaign cannot reduce, with the accuracy that would help."""
+    out = []
+    for i, c in enumerate(fit.problem.coordinates):
+        if c.role not in ("constant", "stiffness"):
+            continue
+        sd = math.sqrt(max(fit.covariance[i, i], 0.0))
+        middle = float(from_standard(c.prior, 0.0))
+        declared = abs(float(from_standard(c.prior, 1.0)) - middle) / max(abs(middle), 1e-300)
+        if sd > 0.5:
+            out.append(
+                f"{c.name} is declared with an uncertainty of {100.0 * declared:.2g} %, which can hide an effect of "
+                "that "
+                f"size; measure it to {30.0 * declared:.1g} % to rule that out."
+            )
+    return out
