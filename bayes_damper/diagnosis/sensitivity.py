@@ -234,6 +234,6 @@ def in_a_sentence(choices: Sequence[Choice], leading: str) -> str:
     if not other:
         tried = "the one other choice" if len(choices) == 1 else f"all {len(choices)} other choices"
         return f"The verdict is the same under {tried} tried (other priors, a case or a trial left out)."
-    told = "; ".join(f"{c.what}: {c.verdict} ({c.probability:.2f})" for c in other[:4])
+    changes = "; ".join(f"{c.what}: {c.verdict} ({c.probability:.2f})" for c in other[:4])
     more = f", and {len(other) - 4} more" if len(other) > 4 else ""
-    return f"The verdict changes under {len(other)} of {counted(len(choices), 'other choice')}: {told}{more}."
+    return f"The verdict changes under {len(other)} of {counted(len(choices), 'other choice')}: {changes}{more}."

@@ -85,7 +85,7 @@ class Left:
 
     nats : evidence that anything is left; share : of the evidence of the gap, 1 for `none`; home : probability that it
     lies at the answer's own site; line, peak : the strongest narrow line, nats and frequency over the rig's own; lone :
-    told by sums of squares, for trials without repeats; readings : of a record that carry what the answer explains;
+    judged by sums of squares, for trials without repeats; readings : of a record that carry what the answer explains;
     exact : of a pair, whether one of its formulas is a definition, which mends nothing and in which nothing is mended.
     """
 

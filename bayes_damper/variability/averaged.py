@@ -139,10 +139,10 @@ def what_survives(rows: Sequence[AssumptionEntry]) -> SurvivesEntry:
     first = rows[0]["averaged"]
     parameters: dict[str, KeptEntry] = {}
     for name, (low, high) in first["prior"].items():
-        told = [r["averaged"]["cases"][c][name] for r in rows for c in r["averaged"]["cases"]]
-        union = [min(t["hdi90"][0] for t in told), max(t["hdi90"][1] for t in told)]
+        found = [r["averaged"]["cases"][c][name] for r in rows for c in r["averaged"]["cases"]]
+        union = [min(t["hdi90"][0] for t in found), max(t["hdi90"][1] for t in found)]
         share = math.log(union[1] / union[0]) / math.log(high / low)
-        medians = [t["median"] for t in told]
+        medians = [t["median"] for t in found]
         parameters[name] = {
             "medians": [min(medians), max(medians)], "hdi90": union, "share_of_prior": share,
             "survives": share < LARGELY,
