@@ -30,7 +30,7 @@ STEPS = {
     "read the campaign": ("campaign.loading.load_campaign", "calibration.experiment.experiment_of"),
     "compile kernels": ("simulation.precompile.compile_ahead", "simulation.integrator.specialise"),
     "fit the nominal model": ("calibration.nominal.calibrate_nominal", "diagnosis.pipeline._reseeded"),
-    "screen and fit single effects": ("diagnosis.search.search", "diagnosis.pipeline._with_winners_noise"),
+    "screen and fit single effects": ("diagnosis.search.search", "diagnosis.judgement._with_winners_noise"),
     "fit pairs": ("diagnosis.pairs.seconds_of", "diagnosis.pairs.best_pairs", "diagnosis.pairs.exactly"),
     "fit sets of effects": ("diagnosis.sets.grown",),
     "map the sites": ("diagnosis.sites.site_map",),

@@ -6,7 +6,7 @@ import pytest
 from campaigns import write_synthetic
 
 from bayes_damper.commands import bench_parts
-from bayes_damper.diagnosis import pipeline, sites
+from bayes_damper.diagnosis import judgement, sites
 
 
 def spend(seconds):
@@ -33,9 +33,9 @@ def test_functions_are_timed_wherever_they_are_used_and_only_then():
     given = sites.site_map
     watch = bench_parts.Stopwatch()
     with bench_parts.timed(watch, {"map": ("diagnosis.sites.site_map",)}):
-        assert pipeline.site_map is sites.site_map is not given
-        assert pipeline.site_map.__wrapped__ is given
-    assert pipeline.site_map is sites.site_map is given
+        assert judgement.site_map is sites.site_map is not given
+        assert judgement.site_map.__wrapped__ is given
+    assert judgement.site_map is sites.site_map is given
 
 
 @pytest.mark.parametrize(

@@ -30,11 +30,12 @@ from bayes_damper.commands.diagnose import _estimated, _maps, _shown_record
 from bayes_damper.commands.diagnose import diagnose as diagnose_folder
 from bayes_damper.diagnosis import diagnose, pairs
 from bayes_damper.diagnosis.generic import DRIFT
+from bayes_damper.diagnosis.judgement import finished, sites_of
 from bayes_damper.diagnosis.lone import left_of_squares
 from bayes_damper.diagnosis.notes import symmetries
 from bayes_damper.diagnosis.outliers import outlying, outlying_in_words, without
 from bayes_damper.diagnosis.pairs import ComposedProblem, PairProblem, Second, best_pairs, pair_problem
-from bayes_damper.diagnosis.pipeline import _sites, finished, sites_of
+from bayes_damper.diagnosis.pipeline import _sites
 from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of
 from bayes_damper.diagnosis.search import (
     Candidate,
