@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.campaign import readings as look
+from bayes_damper.campaign.declarations import frequency_ratios
 from bayes_damper.campaign.head import Head
 from bayes_damper.campaign.structure import Trial, channel_columns, natural_period
 
@@ -46,28 +47,35 @@ def look_at_balance(head: Head, trials: Sequence[Trial], faults: list[str], warn
     """Adds what the coupled trials say of the second channel: a copy, noise alone, another scale, another clock."""
     cases: dict[str, list[Trial]] = {}
     for trial in trials:
-        if len(trial.channels) == 2 and not _is_copy(trial, head, faults) and not _is_noise(trial, head, warnings):
+        named = len(trial.channels) == 2 and (_is_copy(trial, head, faults) or _is_noise(trial, head, warnings))
+        if len(trial.channels) == 2 and not named and not _is_clipped(head, trial):
             cases.setdefault(trial.case, []).append(trial)
     rig = head.rig
     if rig.restoring != "linear" or rig.inertial_coupling_law != "constant" or rig.secondary_inertia is None:
         return
     declared = rig.secondary_inertia
     wrong: dict[str, float] = {}
+    off = frequency_ratios(head, trials)
+    unseen: set[str] = set()  # cases whose spring no uncoupled trial shows
     for case, own in cases.items():
         still = [t for t in own if not t.driven]
         if not still or natural_period(rig, still[0]) < _FEWEST * float(np.median(np.diff(still[0].times))):
             continue
         filtered = _filtered(head, still)
-        found = _balance(head, filtered, 0.0)
+        # What uncoupled trials show of k1t/J1 is no fault of the second body: k1t is off by its square, or J1 is.
+        own_swing = off.get(case, 1.0) ** 2
+        unseen.update({case} - off.keys())
+        found = _balance(head, filtered, 0.0, own_swing)
         if found is None:
             continue
         if found.explained > _SHOWN:
             known = 5.0 * math.hypot(found.error / max(found.inertia, 1e-300), declared.std / declared.value)
-            ratio = found.inertia / declared.value
-            if not _OFF[0] < ratio < _OFF[1] and abs(math.log(max(ratio, 1e-9))) > known:
+            ratios = [found.inertia / declared.value, found.inertia / (own_swing * declared.value)]
+            if all(not _OFF[0] < r < _OFF[1] and abs(math.log(max(r, 1e-9))) > known for r in ratios):
                 wrong[case] = found.inertia
             continue
-        _look_at_clock(head, case, filtered, found, warnings)
+        otherwise = _or_the_spring(head, case in unseen)
+        _look_at_clock(head, case, filtered, found, own_swing, otherwise, warnings)
     if wrong:
         middle = float(np.median(list(wrong.values())))
         unit = "kg m^2" if rig.kind == "torsional" else "kg"
@@ -76,7 +84,14 @@ def look_at_balance(head: Head, trials: Sequence[Trial], faults: list[str], warn
         (faults if far else warnings).append(
             f"the torques on both bodies add up to zero only with a secondary_inertia of about {balancing} {unit}, "
             f"not with the declared {declared.value:.3g}: correct it, or {_cause(head, middle / declared.value)}"
+            + _or_the_spring(head, not unseen.isdisjoint(wrong))
         )
+
+
+def _or_the_spring(head: Head, unseen: bool) -> str:
+    """That the spring may be wrong instead, where no uncoupled trial shows it."""
+    spring = "k1t" if head.rig.kind == "torsional" else "k1"
+    return f"; or {spring} or primary_inertia is not as declared, which an uncoupled trial would show" * unseen
 
 
 def _cause(head: Head, ratio: float) -> str:
@@ -99,11 +114,14 @@ def _cause(head: Head, ratio: float) -> str:
     return f"the second channel reads {1.0 / ratio:.3g} times what it should{likely}"
 
 
-def _look_at_clock(head: Head, case: str, trials: Sequence[_Filtered], found: _Sum, warnings: list[str]) -> None:
+def _look_at_clock(
+    head: Head, case: str, trials: Sequence[_Filtered], found: _Sum, own_swing: float, otherwise: str,
+    warnings: list[str],
+) -> None:  # fmt: skip
     """Names a second channel that balances the first only if it is moved in time."""
     omega = 2.0 * math.pi / natural_period(head.rig, trials[0].trial)
     lags = np.linspace(-1.2, 1.2, 25) / omega
-    moved = [_balance(head, trials, float(lag)) for lag in lags]
+    moved = [_balance(head, trials, float(lag), own_swing) for lag in lags]
     best = max(range(lags.size), key=lambda k: 0.0 if moved[k] is None else moved[k].explained)  # type: ignore[union-attr]
     there = moved[best]
     if there is None or there.explained < _SHOWN or 1.0 - there.explained > 0.5 * (1.0 - found.explained):
@@ -112,7 +130,7 @@ def _look_at_clock(head: Head, case: str, trials: Sequence[_Filtered], found: _S
         warnings.append(
             f"case {case}: the torques on both bodies add up to zero only if the second channel is about "
             f"{1e3 * abs(lags[best]):.2g} ms {'late' if lags[best] > 0.0 else 'early'}: see how the two channels are "
-            "sampled, and move its readings in time"
+            f"sampled, and move its readings in time{otherwise}"
         )
 
 
@@ -186,8 +204,17 @@ def _filtered(head: Head, trials: Sequence[Trial]) -> list[_Filtered]:
     return found
 
 
-def _balance(head: Head, trials: Sequence[_Filtered], lag: float) -> _Sum | None:
+def _is_clipped(head: Head, trial: Trial) -> bool:
+    """Whether a channel has flat tops: what it reads there is no torque."""
+    omega = 2.0 * math.pi / natural_period(head.rig, trial)
+    held = head.measurement.quantity == "displacement" and head.measurement.start == "rest"
+    return any(look.flat_tops_of(trial.times, y, look.noise_floor_of(y), omega, held) for y in trial.channels)
+
+
+def _balance(head: Head, trials: Sequence[_Filtered], lag: float, own_swing: float) -> _Sum | None:
     """The fit of J2 and of both dampings to coupled trials; lag : s by which the second channel is read later.
+
+    own_swing : k1t/J1 as uncoupled trials show it, over the declared one.
 
     None where the records hold too little.
     """
@@ -199,7 +226,7 @@ def _balance(head: Head, trials: Sequence[_Filtered], lag: float) -> _Sum | None
     for filtered in trials:
         (th1, w1, a1), (th2, w2, a2) = filtered.first, filtered.second(lag)
         beside = rig.inertial_coupling.value
-        mine = (rig.primary_inertia.value + beside) * a1 + filtered.trial.k1t.value * th1
+        mine = (rig.primary_inertia.value + beside) * a1 + own_swing * filtered.trial.k1t.value * th1
         targets.append(mine + beside * a2 + rig.ground2_stiffness.value * th2)
         one = np.ones_like(w1)
         rows.append(np.stack([-a2, -w1, -w2, one, -one], axis=1))

@@ -30,17 +30,22 @@ def look_at_declarations(head: Head, trials: Sequence[Trial], warnings: list[str
     """Adds as warnings the cases whose uncoupled trials contradict what is declared of spring, inertia or release."""
     if head.rig.restoring != "linear":
         return
-    cases: dict[str, list[Trial]] = {}
-    for trial in trials:
-        if not trial.coupled and not trial.driven:
-            cases.setdefault(trial.case, []).append(trial)
+    cases = _alone(trials)
     found = {case: f for case, own in cases.items() if (f := _frequency(own)) is not None}
-    _look_at_springs(head, {case: cases[case][0] for case in found}, found, warnings)
+    power = DERIVATIVE[head.measurement.quantity]
     swings = {
-        case: float(np.median([_first_swing(t, DERIVATIVE[head.measurement.quantity], f) for t in cases[case]]))
+        case: float(np.median([_first_swing(t, power, f) for t in cases[case]]))
         for case, f in found.items()
         if all(t.theta0 is not None and t.theta0.value != 0.0 for t in cases[case])
     }
+    # Readings as large as spring, inertia and release give, at another frequency: neither of them is wrong, but time.
+    slow = {}
+    for case, swing in list(swings.items()):
+        ratio = found[case][0] * natural_period(head.rig, cases[case][0])
+        if not _LOWER <= swing <= _HIGHER and _LOWER <= swing * ratio**power <= _HIGHER:
+            slow[case] = 1.0 / ratio
+            del swings[case]
+    _look_at_springs(head, {case: cases[case][0] for case in found}, found, slow, warnings)
     _look_at_releases({case: cases[case][0] for case in swings}, swings, warnings)
 
 
@@ -57,6 +62,21 @@ def wiring_of(head: Head, trial: Trial) -> Literal["exchanged", "reversed"] | No
     if head.rig.ground2_stiffness.value == 0.0 and second > 0.5 and first < 0.6 * second:
         return "exchanged"
     return "reversed" if first > 0.3 and second < -max(0.02, 6.0 * noise) else None
+
+
+def _alone(trials: Sequence[Trial]) -> dict[str, list[Trial]]:
+    """The trials of each case in which nothing but its spring acts on the primary."""
+    cases: dict[str, list[Trial]] = {}
+    for trial in trials:
+        if not trial.coupled and not trial.driven:
+            cases.setdefault(trial.case, []).append(trial)
+    return cases
+
+
+def frequency_ratios(head: Head, trials: Sequence[Trial]) -> dict[str, float]:
+    """Frequency of the primary's own swings over sqrt(k1t/J1)/(2 pi), of each case whose uncoupled trials show it."""
+    found = {case: (own[0], _frequency(own)) for case, own in _alone(trials).items()}
+    return {case: f[0] * natural_period(head.rig, trial) for case, (trial, f) in found.items() if f is not None}
 
 
 def _moving(trial: Trial) -> tuple[float, float]:
@@ -83,9 +103,10 @@ def _frequency(trials: Sequence[Trial]) -> tuple[float, float] | None:
 
 
 def _look_at_springs(
-    head: Head, first: Mapping[str, Trial], found: Mapping[str, tuple[float, float]], warnings: list[str]
-) -> None:
-    """Names the cases that swing at another frequency than sqrt(k1t/J1)."""
+    head: Head, first: Mapping[str, Trial], found: Mapping[str, tuple[float, float]], slow: Mapping[str, float],
+    warnings: list[str],
+) -> None:  # fmt: skip
+    """Names the cases that swing at another frequency than sqrt(k1t/J1); slow : by how much time seems stretched."""
     inertia = head.rig.primary_inertia
     name, unit = ("k1t", "N m/rad") if head.rig.kind == "torsional" else ("k1", "N/m")
     off: dict[str, float] = {}
@@ -108,9 +129,15 @@ def _look_at_springs(
         if common
         else ", ".join(f"{name} of {first[c].k1t.value * r**2:.4g} {unit} would do in case {c}" for c, r in off.items())
     )
+    advice = f"{cure}: correct {name}, primary_inertia or the time column, if no other spring acts"
+    if all(case in slow for case in off):
+        factor = float(np.median([slow[case] for case in off]))
+        advice = (
+            f"the first swing is as large as declared, so it seems that time is {factor:.3g} times what it should be"
+        )
     warnings.append(
         f"trials.csv: uncoupled, the primary swings at another frequency than sqrt({name}/primary_inertia)/(2 pi): "
-        f"{listed}; {cure}: correct {name}, primary_inertia or the time column, if no other spring acts"
+        f"{listed}; {advice}"
     )
 
 
@@ -119,12 +146,13 @@ def _first_swing(trial: Trial, power: int, found: tuple[float, float]) -> float:
     assert trial.theta0 is not None
     frequency = found[0]
     start, _ = _moving(trial)
-    y = trial.channels[0][(trial.times >= start) & (trial.times <= start + 1.0 / frequency)]
+    readings = look.without_outliers(trial.times, trial.channels[0], 2.0 * math.pi * frequency, power == 0)
+    y = readings[(trial.times >= start) & (trial.times <= start + 1.0 / frequency)]
     noise = look.noise_floor_of(trial.channels[0]) * math.sqrt(2.0 * math.log(max(y.size, 2)))
     half = max(0.5 * float(np.ptp(y)) - noise, 0.0)
     after = (trial.times >= start + 1.0 / frequency) & (trial.times <= start + 2.0 / frequency)
     if half > 0.0 and np.count_nonzero(after) > 4:  # what a period loses, taken off again from the first half of one
-        kept = max(0.5 * float(np.ptp(trial.channels[0][after])) - noise, 0.0) / half
+        kept = max(0.5 * float(np.ptp(readings[after])) - noise, 0.0) / half
         half *= 2.0 / (1.0 + math.sqrt(min(1.0, max(kept, 0.25))))
     return half / (abs(trial.theta0.value) * (2.0 * math.pi * frequency) ** power)
 

@@ -23,6 +23,9 @@ _STRONGEST = 0.9e6
 """Pull of a permanent magnet per area of its face, Pa, at most: B^2 / (2 mu0) of 1.5 T, which the strongest neodymium
 keeps in a closed circuit. On iron usual ones have 0.6 MPa, at 1.2 T.
 """
+_LIGHTEST = 0.1 * math.pi * 4000.0
+"""Mass of a magnet, kg, over the cube of the radius of its face, m, at least: of a disc a tenth of its radius thick, of
+4000 kg/m^3 (ferrite has 4800, neodymium 7500)."""
 _FILTERED = 3.0
 """Bandwidth over the rig's frequency below which a filter of the first order takes 5 % of the motion."""
 _MOST_APART = 1e6  # a ratio beyond which one of two numbers does not act
@@ -48,6 +51,16 @@ def _check_rig(rig: Rig, trials: Sequence[Trial], faults: list[str], warnings: l
             f"{where}: magnet_radius = {rig.magnet_radius.value:g} m is not smaller than bar_radius = "
             f"{rig.bar_radius.value:g} m, at which the magnet sits; exchanged, or a diameter?"
         )
+    if rig.has_magnet and rig.magnet_radius is not None and rig.bar_radius is not None:
+        lightest = _LIGHTEST * rig.magnet_radius.value**3 * rig.bar_radius.value**2
+        bodies = (("primary_inertia", rig.primary_inertia), ("secondary_inertia", rig.secondary_inertia))
+        for key, body in bodies if rig.kind == "torsional" else ():
+            if body is not None and body.value < lightest:
+                warnings.append(
+                    f"{where}: {key} = {body.value:g} kg m^2 is too little for a face of {rig.magnet_radius.value:g} m "
+                    f"radius at bar_radius = {rig.bar_radius.value:g} m: that alone has {lightest:.2g} kg m^2 or more; "
+                    "are both radii in metres, and the inertia in kg m^2?"
+                )
     if rig.has_magnet and rig.magnet_pull is not None and rig.magnet_radius is not None:
         most_pull = _STRONGEST * math.pi * rig.magnet_radius.value**2
         if rig.magnet_pull.value > most_pull:
@@ -131,7 +144,8 @@ def check_magnitudes(head: Head, trial: Trial, faults: list[str], warnings: list
     """Compares each channel with what the declared release can produce: wrong units show as factors of 57, 1000, R."""
     omega = 2.0 * math.pi / natural_period(head.rig, trial)
     power = DERIVATIVE[head.measurement.quantity]
-    centred = trial.channels[0] - (0.0 if power else float(np.median(trial.channels[0])))
+    readings = look.without_outliers(trial.times, trial.channels[0], omega, power == 0)
+    centred = readings - (0.0 if power else float(np.median(readings)))
     largest = float(np.quantile(np.abs(centred), 1.0 - min(0.002, 2.0 / len(centred))))
     names = channel_columns(trial, head.rig.kind, head.measurement.quantity)
     if np.ptp(trial.channels[0]) == 0.0:
@@ -153,9 +167,7 @@ def check_magnitudes(head: Head, trial: Trial, faults: list[str], warnings: list
     if trial.theta0.value == 0.0:
         faults.append(f"{trial.file}: released from 0 without a torque, nothing can move; correct theta0 in trials.csv")
         return
-    largest = (
-        float(np.quantile(np.abs(trial.channels[0]), 1.0 - min(0.002, 2.0 / len(centred)))) if not power else largest
-    )
+    largest = float(np.quantile(np.abs(readings), 1.0 - min(0.002, 2.0 / len(centred)))) if not power else largest
     bound = abs(trial.theta0.value) * omega**power
     formula = {0: "theta0", 1: "theta0 sqrt(k1t/J1)", 2: "k1t theta0/J1"}[power]
     ratio = largest / bound

@@ -35,12 +35,21 @@ def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
     given = per_channel(head.measurement.noise_std, coupled)
     limits = per_channel(head.measurement.sensor_range, coupled)
     grows = _growth(trial) if head.measurement.start == "free" and not trial.driven else []
+    made_up = False
     for i, y in enumerate(trial.channels):
         where = f"{trial.file}, column '{channel_columns(trial, head.rig.kind, head.measurement.quantity)[i]}'"
         noise = look.noise_floor_of(y)
         step = look.resolution_of(y)
         if np.ptp(y) == 0.0:
             warnings.append(f"{where}: every reading is the same; the sensor looks dead")
+            continue
+        if (filled := look.filled_in_of(y, step)) is not None:
+            others = "lie on straight lines between those" if filled[1] else "repeat it"
+            warnings.append(
+                f"{where}: only one reading in {filled[0]} was measured, the others {others}: this hides the noise and "
+                "counts each reading several times; give the readings as they were measured"
+            )
+            made_up = True
             continue
         held_for = _held_for(head, trial, y)
         stuck = look.standstill_of(y[held_for:], step)
@@ -91,7 +100,8 @@ def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
             f"{trial.file}: at the release the second channel goes the other way than the primary, which drags the "
             f"secondary along; its sign looks reversed{_TURNED}"
         )
-    if head.measurement.start == "rest" and trial.theta0 is not None and not (trial.driven and not trial.theta0.value):
+    released = head.measurement.start == "rest" and trial.theta0 is not None
+    if released and not made_up and not (trial.driven and trial.theta0 is not None and not trial.theta0.value):
         _look_at_release(head, trial, omega, warnings)
     warnings += grows
 
@@ -161,9 +171,9 @@ def _look_at_clock(head: Head, trial: Trial, warnings: list[str]) -> None:
 
 def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]) -> None:
     """Late trigger, start in the middle of the motion, reversed sign: seen in the first readings."""
-    y, times = trial.channels[0], trial.times
+    times, quantity = trial.times, head.measurement.quantity
+    y = look.without_outliers(times, trial.channels[0], omega, quantity == "displacement")
     noise = look.noise_floor_of(y)
-    quantity = head.measurement.quantity
     power = DERIVATIVE[quantity]
     assert trial.theta0 is not None
     sign = math.copysign(1.0, trial.theta0.value) * (1.0 if power == 0 else -1.0)

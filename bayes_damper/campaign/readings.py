@@ -101,6 +101,33 @@ def standstill_of(readings: Array, step: float) -> tuple[int, int] | None:
     return first, last + 1
 
 
+def filled_in_of(readings: Array, step: float) -> tuple[int, bool] | None:
+    """Whether readings were put between measured ones: (how many lie from one to the next, whether on straight lines).
+
+    On straight lines between them, or each reading several times; None where neither shows. Regular runs tell this from
+    rounded or very smooth readings. step : in which the readings are rounded, 0 if in none
+    """
+    if step > 0.0 or readings.size < 40:
+        return None
+    small = 2e-6 * float(np.ptp(readings))  # what text rounds off
+    equal = np.abs(np.diff(readings)) <= small
+    straight = (np.abs(np.diff(readings, 2)) <= small) & ~(equal[:-1] & equal[1:])
+    for mask, lines in ((equal, False), (straight, True)):
+        lengths = np.array([b - a for a, b in _runs(mask)])
+        if lengths.size < 8 or np.mean(mask) < 0.4:
+            continue
+        usual = float(np.median(lengths))
+        if np.mean(np.abs(lengths - usual) <= (1.0 if usual > 1.5 else 0.0)) > 0.9:
+            return round(usual) + 1, lines
+    return None
+
+
+def without_outliers(times: Array, readings: Array, omega: float, smooth: bool = False) -> Array:
+    """The readings with single ones that stick out put between their neighbours."""
+    spikes = outliers_of(times, readings, noise_floor_of(readings), omega, smooth)
+    return np.interp(times, np.delete(times, spikes), np.delete(readings, spikes)) if spikes else readings
+
+
 def within_gaps(at: Array, times: Array) -> NDArray[np.bool_]:
     """Which instants `at` lie in a gap of the readings at `times`, where nothing was read."""
     out = np.zeros(at.shape, dtype=np.bool_)

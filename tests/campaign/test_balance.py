@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 import pytest
-from campaigns import CAMPAIGN_TOML, J1, J2, write_table
+from campaigns import CAMPAIGN_TOML, J1, J2, decay, write_table
 from scipy.linalg import expm
 
 from bayes_damper.campaign import load_campaign
@@ -30,8 +30,11 @@ def accelerations():
     return np.array(found).T
 
 
-def remarks(folder, change=lambda y: y, inertia=J2):
-    """Warnings of three coupled trials whose second channel is changed, and whose declared J2 is `inertia`."""
+def remarks(folder, change=lambda y: y, inertia=J2, spring=K1, alone=0):
+    """Warnings of three coupled trials whose second channel is changed, and whose declared J2 is `inertia`.
+
+    spring : declared k1t; alone : uncoupled trials beside them
+    """
     rng = np.random.default_rng(4)
     (folder / "trials").mkdir(parents=True)
     text = CAMPAIGN_TOML.replace("2.474e-3", repr(inertia)).replace("noise_std = 2.0\n", "")
@@ -41,7 +44,11 @@ def remarks(folder, change=lambda y: y, inertia=J2):
         first, second = accelerations() + rng.normal(0.0, 0.5, (2, TIMES.size))
         columns = [TIMES, first, change(np.array([first, second]))]
         write_table(folder / f"trials/{k}.csv", ["time_s", "alpha1_rad_s2", "alpha2_rad_s2"], columns)
-        rows.append(f"trials/{k}.csv,IV,coupled,{K1},4.7,{k + 1}")
+        rows.append(f"trials/{k}.csv,IV,coupled,{spring},4.7,{k + 1}")
+    for k in range(alone):
+        own = decay(TIMES, math.radians(4.7), K1, 0.03) + rng.normal(0.0, 0.5, TIMES.size)
+        write_table(folder / f"trials/alone_{k}.csv", ["time_s", "alpha1_rad_s2"], [TIMES, own])
+        rows.append(f"trials/alone_{k}.csv,IV,uncoupled,{spring},4.7,{k + 1}")
     (folder / "trials.csv").write_text("\n".join(rows) + "\n")
     return " ".join(load_campaign(folder).warnings)
 
@@ -59,6 +66,26 @@ def test_a_sound_pair_is_not_remarked_on(tmp_path):
 def test_an_inertia_that_does_not_balance_is_named(tmp_path, factor):
     text = remarks(tmp_path / "c", second, J2 * factor)
     assert "the torques on both bodies add up to zero only with a secondary_inertia of about 0.002" in text
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.2, 2.0])
+def test_a_wrong_spring_is_not_laid_to_the_second_body(tmp_path, factor):
+    """Uncoupled trials show the spring; without them either may be wrong."""
+    said = "add up to zero only"
+    text = remarks(tmp_path / "coupled", second, spring=factor * K1)
+    assert said in text
+    assert "or k1t or primary_inertia is not as declared" in text
+    text = remarks(tmp_path / "both", second, spring=factor * K1, alone=2)
+    assert said not in text
+    assert ("swings at another frequency than" in text) == (factor != 1.2)  # 10 % of the frequency is the least
+    text = remarks(tmp_path / "two", second, 3.0 * J2, spring=factor * K1, alone=2)
+    assert f"{said} with a secondary_inertia of about 0.002" in text
+
+
+def test_clipped_channels_are_not_said_to_be_late(tmp_path):
+    text = remarks(tmp_path / "c", lambda y: np.clip(y[1], -20.0, 20.0))
+    assert "clipped" in text
+    assert "add up to zero" not in text
 
 
 @pytest.mark.parametrize(("factor", "cause"), [(1e3, "thousandths of"), (1e-3, "thousand times too small")])

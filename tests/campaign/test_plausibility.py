@@ -140,6 +140,52 @@ def test_a_strongly_damped_case_is_not_said_to_have_another_release(tmp_path):
     assert not any("another release" in w for w in found)
 
 
+@pytest.mark.parametrize("stretch", [0.5, 2.0, 60.0])
+def test_a_wrong_unit_of_time_is_told_from_a_wrong_spring_by_the_size_of_velocities(tmp_path, stretch):
+    """Half the spring swings as slowly as twice the time, but 0.7 times as fast."""
+    times = np.arange(0.0, 12.0, 1.0 / 300.0)
+    records = [noisy(s, -OMEGA * 0.1 * np.exp(-0.1 * times) * np.sin(OMEGA * times)) for s in (1, 2)]
+    if stretch == 60.0:
+        with pytest.raises(InputError, match=r"correct the unit of time|time column"):
+            cart(tmp_path / "c", records, times=times / stretch, quantity="velocity")
+        return
+    found = cart(tmp_path / "c", records, times=stretch * times, quantity="velocity")
+    assert any(f"that time is {stretch:.3g} times what it should be" in w for w in found), found
+    assert not any("another release" in w for w in found)
+
+
+def test_single_wrong_readings_do_not_make_another_release(tmp_path):
+    times = np.arange(0.0, 12.0, 1.0 / 300.0)
+    records = [noisy(s, swing(times)) for s in (1, 2)]
+    for record in records:
+        record[5::199] = 0.3
+    found = cart(tmp_path / "c", records, times=times)
+    assert sum("single readings stick out" in w for w in found) == 2
+    assert not any("another release" in w or "the largest reading" in w or "not those of a release" in w for w in found)
+
+
+@pytest.mark.parametrize(("every", "lines"), [(2, True), (5, True), (20, True), (2, False), (5, False)])
+def test_readings_made_from_a_slower_record_are_named(tmp_path, every, lines):
+    times = np.arange(0.0, 12.0, 1.0 / 300.0)
+    x = noisy(1, swing(times), 1e-3)
+    made = np.interp(times, times[::every], x[::every]) if lines else np.repeat(x[::every], every)
+    found = cart(tmp_path / "made", [made, noisy(2, made, 1e-4)], times=times)
+    said = [w for w in found if f"only one reading in {every} was measured" in w]
+    assert len(said) == 1, found
+    assert said[0].startswith("0.csv")
+    assert ("straight lines" in said[0]) == lines
+    assert not any("0.csv" in w and w not in said for w in found), found
+
+
+def test_rounded_and_smooth_readings_are_measured_ones():
+    times = np.arange(0.0, 12.0, 1.0 / 1000.0)
+    for counts in (0.0, 1e-5, 1e-4, 1e-3, 1e-2):
+        for sd in (0.0, 1e-5, 1e-3):
+            x = noisy(3, swing(times), sd)
+            x = np.round(x / counts) * counts if counts else x
+            assert look.filled_in_of(x, look.resolution_of(x)) is None, (counts, sd)
+
+
 def test_a_lag_uncertain_by_more_than_half_a_period_is_named(tmp_path):
     found = cart(tmp_path / "late", [noisy(s, swing(TIMES)) for s in (1, 2)], measurement="lag_std = 0.6")
     assert any("lag_std = 0.6 s is more than half a period" in w for w in found)
@@ -174,6 +220,18 @@ def test_a_magnet_that_cannot_be_is_refused(tmp_path, key, value):
 def test_a_pull_that_no_magnet_of_that_face_has_is_named(tmp_path, pull, said):
     warnings = load_campaign(magnet_rig(tmp_path, magnet_pull=pull)).warnings
     assert any("more than any permanent magnet" in w and "1 kg is 9.81 N" in w for w in warnings) == said
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [("bar_radius", 0.2, 0), ("bar_radius", 10.0, 2), ("secondary_inertia", 2e-6, 1), ("secondary_inertia", 1e-4, 0)],
+)
+def test_an_inertia_less_than_its_magnet_has_is_named(tmp_path, key, value, said):
+    folder = magnet_rig(tmp_path, **{} if key == "secondary_inertia" else {key: value})
+    if key == "secondary_inertia":
+        text = (folder / "campaign.toml").read_text().replace("secondary_inertia = 0.002", f"{key} = {value}")
+        (folder / "campaign.toml").write_text(text)
+    assert sum("is too little for a face of 0.0127 m" in w for w in load_campaign(folder).warnings) == said
 
 
 @pytest.mark.parametrize(
