@@ -28,7 +28,7 @@ SHIPPED = "data/withheld/campaigns/4c19e3018027"  # 16 records of a rig with a s
 REST = "all else"
 STEPS = {
     "read the campaign": ("campaign.loading.load_campaign", "calibration.experiment.experiment_of"),
-    "compile kernels": ("simulation.precompile.compile_ahead", "simulation.integrator.specialise"),
+    "compile kernels": ("simulation.precompile.compile_ahead", "simulation.specialised.specialise"),
     "fit the nominal model": ("calibration.nominal.calibrate_nominal", "diagnosis.pipeline._reseeded"),
     "screen and fit single effects": ("diagnosis.search.search", "diagnosis.judgement._with_winners_noise"),
     "fit pairs": ("diagnosis.pairs.seconds_of", "diagnosis.pairs.best_pairs", "diagnosis.pairs.exactly"),
@@ -49,7 +49,7 @@ STEPS = {
     "figures": ("commands.diagnose._draw",),
 }  # fmt: skip
 WORK = {
-    "compile and load kernels": ("simulation.precompile.compile_ahead", "simulation.integrator.specialise"),
+    "compile and load kernels": ("simulation.precompile.compile_ahead", "simulation.specialised.specialise"),
     "integrate records": ("simulation.model.Model._run",),
     "parameters and readings around it": ("calibration.problem.Problem.simulate",),
     "whiten": ("calibration.problem.Problem.whitened",),

@@ -267,7 +267,7 @@ def _over(reach: float, of_angle: bool) -> Kernel:
 def _place(along: str, low: float, high: float) -> Kernel:
     """The coordinate of a curve, from its range to [-1, 1].
 
-    Kernels are distinguished by their names and what they bind (integrator._fingerprint): each has a name of its own.
+    Kernels are distinguished by their names and what they bind (specialised._fingerprint): each has a name of its own.
     """
     middle, per, reach = 0.5 * (low + high), 2.0 / (high - low), max(abs(low), abs(high))
 

@@ -7,7 +7,7 @@ puts the small functions where they are called, folds constants, drops what they
 if the large function had been written for that use.
 
 This leans on internals of numba and llvmlite, which are imported where they are used: where a new version has others,
-`integrator.specialise` says so and compiles each use as one piece.
+`specialised.specialise` says so and compiles each use as one piece.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from scipy.interpolate import Akima1DInterpolator
 from bayes_damper.effects.base import MOST_PARAMETERS, Variant, parameter_table
 from bayes_damper.rig.equations import ROWS
 from bayes_damper.rig.inputs import Inputs
-from bayes_damper.simulation import integrator, links
+from bayes_damper.simulation import integrator, links, specialised
 from bayes_damper.simulation.integrator import LANES, LONGEST_STEP
 
 Quantity = Literal["acceleration", "velocity", "displacement"]
@@ -44,8 +44,8 @@ class Simulation:
 
 
 @cache
-def _kernel(model: Model, *specialised: bool) -> Callable[..., None]:
-    return integrator.specialise(model.bound(*specialised))
+def _kernel(model: Model, *options: bool) -> Callable[..., None]:
+    return specialised.specialise(model.bound(*options))
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class Model:
                 raise ValueError('a measured input needs coupling_law = "constant"')
             variant = links.linked(variant, pendulum)
         linear = self.normal_force == "linear"
-        return integrator.specialised_globals(
+        return specialised.specialised_globals(
             self.coupled, linear, pendulum, driven, variant, prescribed, swings, curved
         )
 

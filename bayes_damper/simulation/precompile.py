@@ -15,7 +15,7 @@ from pathlib import Path
 
 from bayes_damper.rig.cache_folder import cache_folder
 from bayes_damper.runs.parallel_map import can_fork, cores, forked_map
-from bayes_damper.simulation import integrator
+from bayes_damper.simulation import specialised
 from bayes_damper.simulation.model import Model
 
 LOG = logging.getLogger(__name__)
@@ -36,7 +36,7 @@ def compile_ahead(
     if count < 2 or not can_fork():
         return 0
     bounds = {
-        integrator.kernel_file(bound).stem: bound
+        specialised.kernel_file(bound).stem: bound
         for bound in (model.bound(driven, curved=curved) for model in set(models))
     }
     if len(_missing(bounds)) < FEWEST:
@@ -47,8 +47,8 @@ def compile_ahead(
         if names:
             seconds = max(1.0, len(names) * _SECONDS / count)
             report(f"compiling {len(names)} kernels, once on this machine: about {seconds:.0f} s")
-            integrator.compile_common()  # else each process would
-            forked_map(lambda name: integrator.specialise(bounds[name]) is None, names, count)
+            specialised.compile_common()  # else each process would
+            forked_map(lambda name: specialised.specialise(bounds[name]) is None, names, count)
     return len(names)
 
 

@@ -31,7 +31,7 @@ from bayes_damper.rig.equations import ROWS
 from bayes_damper.rig.inputs import Inputs
 from bayes_damper.runs.json_files import write_json, write_text
 from bayes_damper.sampling.moves import DifferentialEvolution, Snooker
-from bayes_damper.simulation import integrator
+from bayes_damper.simulation import integrator, specialised
 from bayes_damper.simulation.integrator import LANES, LONGEST_STEP
 from bayes_damper.simulation.model import Model
 from bayes_damper.validation import bench_peers
@@ -197,7 +197,7 @@ def libm_kernel() -> Callable[..., Any]:
         return math.tanh(y / vector_math.TANH_SCALE)
 
     physics = dict(vars(equations)) | {"tanh_scaled": tanh_scaled}
-    namespace = dict(vars(integrator)) | integrator.specialised_globals(True, True, False, False, None)
+    namespace = dict(vars(integrator)) | specialised.specialised_globals(True, True, False, False, None)
     for name in ("_sign", "friction_torques", "linearised"):
         exec(inspect.getsource(getattr(equations, name).py_func), physics)  # noqa: S102
         namespace[name] = physics[name]

@@ -54,7 +54,7 @@ from bayes_damper.effects.base import SITES, Variant
 from bayes_damper.errors import InputError
 from bayes_damper.figures import gap_figure
 from bayes_damper.priors.distributions import from_standard
-from bayes_damper.simulation import integrator
+from bayes_damper.simulation import specialised
 from bayes_damper.simulation.model import Model
 from bayes_damper.text import named_answers
 from bayes_damper.validation.withheld.constants import replay
@@ -630,7 +630,7 @@ def test_a_wrong_constant_beside_another_effect_is_exact_and_needs_no_kernel_of_
             known = np.tile(np.concatenate([same, own]), (which.size, 1))
             found, right = both.simulate(group, which, q, eta), wanted.simulate(alike, which, known, eta)
             np.testing.assert_allclose(found, right, rtol=0.0, atol=1e-9 * np.abs(right).max())
-            kernel, alone = (integrator.kernel_file(p.models[group.coupled].bound()) for p in (both, wanted))
+            kernel, alone = (specialised.kernel_file(p.models[group.coupled].bound()) for p in (both, wanted))
             assert kernel == alone
     assert isinstance(pair_problem(base, spring, EFFECTS["sensor_gain"].variants[0]), PairProblem)
 

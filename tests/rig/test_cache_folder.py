@@ -128,7 +128,7 @@ def test_a_planted_pickle_is_not_run(tmp_path):
     cache, mark = without_kernels(tmp_path / "cache"), tmp_path / "ran"
     without_kernels(tmp_path / f"bayes_damper-{os.getuid()}")  # the spare folder
     code = (
-        "from bayes_damper.simulation import integrator as i;"
+        "from bayes_damper.simulation import specialised as i;"
         "i.specialise(i.specialised_globals(False, True, False, False, None))"
     )
 

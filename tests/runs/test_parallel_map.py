@@ -14,7 +14,7 @@ from compiled import without_kernels
 from bayes_damper.effects import EFFECTS
 from bayes_damper.rig.kernels import compiled
 from bayes_damper.runs.parallel_map import can_fork, forked_map
-from bayes_damper.simulation import integrator
+from bayes_damper.simulation import specialised
 from bayes_damper.simulation.model import Model
 from bayes_damper.simulation.precompile import _alone, compile_ahead
 
@@ -72,14 +72,14 @@ def test_kernels_are_compiled_ahead_and_not_again(tmp_path, monkeypatch):
     models = [Model(False, effect=variant) for variant in variants]
     told = []
     wanted = {
-        integrator.kernel_file(model.bound()).stem for model in models
+        specialised.kernel_file(model.bound()).stem for model in models
     }  # what acts on both bodies alone is nothing
     assert compile_ahead([*models, *models], report=told.append) == len(wanted) == 4
     assert len(told) == 1
     assert {path.name.split(".")[0] for path in (cache / "__pycache__").glob("advance_*.nbi")} == wanted
     assert compile_ahead(models, report=told.append) == 0
     assert len(told) == 1
-    kernel = integrator.specialise(models[0].bound())
+    kernel = specialised.specialise(models[0].bound())
     assert sum(kernel.stats.cache_hits.values()) == 1
     assert sum(kernel.stats.cache_misses.values()) == 0
 

@@ -23,8 +23,8 @@ from scipy.linalg import expm
 
 from bayes_damper.effects.base import EffectParameter, Variant
 from bayes_damper.priors.distributions import Normal
-from bayes_damper.rig import vector_math
-from bayes_damper.simulation import integrator
+from bayes_damper.rig import equations, vector_math
+from bayes_damper.simulation import integrator, specialised
 from bayes_damper.simulation.integrator import LANES
 from bayes_damper.simulation.model import Model
 
@@ -245,14 +245,14 @@ def test_initial_velocities_and_angles():
 
 @pytest.mark.parametrize("coupled", [True, False])
 def test_compiled_and_plain_python_agree(coupled):
-    bound = integrator.specialised_globals(coupled, True, False, False, None)
+    bound = specialised.specialised_globals(coupled, True, False, False, None)
     n, rows = 6, []
-    for name in integrator.equations.ROWS:
+    for name in equations.ROWS:
         value = {"theta2_0": reference.BASE["theta0"]}.get(name, reference.BASE.get(name, 0.0))
         rows.append(np.full(LANES, value))
     results = []
     for compile_it in (True, False):
-        advance = integrator.specialise(
+        advance = specialised.specialise(
             bound
             if compile_it
             else bound | {n: getattr(integrator, n).py_func for n in ("effect_torque", "effect_rate")},
@@ -393,7 +393,7 @@ def test_a_home_that_cannot_be_written_falls_back(tmp_path):
 
 
 def _block(parameters):
-    rows = np.array([np.full(LANES, parameters.get(name, 0.0)) for name in integrator.equations.ROWS])
+    rows = np.array([np.full(LANES, parameters.get(name, 0.0)) for name in equations.ROWS])
     n = SHORT.size
     return (
         *(
@@ -423,12 +423,12 @@ numba.njit(lambda: 1.0)()  # numba has loaded all of its own
 package, _, name = sys.argv[1].rpartition(".")
 delattr(sys.modules[package], name)
 sys.modules[sys.argv[1]] = None  # what an import of it would meet in a numba without it
-from bayes_damper.simulation import integrator
+from bayes_damper.simulation import specialised
 from test_integrator import EVERY, _record
 with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always")
-    integrator.compile_common()
-    kernel = integrator.specialise(integrator.specialised_globals(True, True, False, False, EVERY))
+    specialised.compile_common()
+    kernel = specialised.specialise(specialised.specialised_globals(True, True, False, False, EVERY))
 print(_record(kernel).tobytes().hex())
 print(kernel.py_func.__name__, [str(w.message) for w in caught if "link" in str(w.message)])
 """
@@ -456,7 +456,7 @@ def test_a_numba_without_the_internals_is_slower_and_says_so_once(tmp_path):
     assert said.startswith("advance ")
     assert said.count("does not link kernels") == 1
     assert "cgutils" in said
-    linked = integrator.specialise(integrator.specialised_globals(True, True, False, False, EVERY))
+    linked = specialised.specialise(specialised.specialised_globals(True, True, False, False, EVERY))
     assert linked.py_func.__name__ == "linked"
     expected = _record(linked)
     found = np.frombuffer(bytes.fromhex(record)).reshape(expected.shape)
@@ -483,10 +483,10 @@ def test_a_torque_in_whole_numbers_is_that_torque():
 
 def test_what_is_wrong_with_a_hook_is_told_at_once(monkeypatch):
     """Nothing is compiled as one piece first, which takes ten seconds."""
-    integrator._common()
-    asked, in_file = [], integrator._in_file
+    specialised._common()
+    asked, in_file = [], specialised._in_file
     monkeypatch.setattr(
-        integrator, "_in_file", lambda f, *a, **more: asked.append(f.__name__) or in_file(f, *a, **more)
+        specialised, "_in_file", lambda f, *a, **more: asked.append(f.__name__) or in_file(f, *a, **more)
     )
     with pytest.raises(numba.TypingError, match="nothing"):
         Model(effect=Variant("toy_wrong", "?", (COEFFICIENT,), torque=_of_no_use)).compile()
@@ -519,7 +519,7 @@ def test_a_kernel_is_compiled_anew_when_anything_that_it_calls_changes(tmp_path,
 
     def mark(size):
         variant = Variant("grip", "size grip(w)", (), torque=user.factory(size))
-        return integrator._fingerprint(integrator.specialised_globals(True, True, False, False, variant))
+        return specialised._fingerprint(specialised.specialised_globals(True, True, False, False, variant))
 
     before = mark(1.0)
     assert mark(1.0) == before
@@ -528,6 +528,13 @@ def test_a_kernel_is_compiled_anew_when_anything_that_it_calls_changes(tmp_path,
     assert mark(1.0) != before
     helper.write_text(HELPER)
     assert mark(1.0) == before
+
+
+def test_only_what_decides_the_machine_code_has_kernels_compiled_anew(monkeypatch):
+    read = []
+    monkeypatch.setattr(Path, "read_text", lambda path, **_: read.append(path.name) or "")
+    specialised._fingerprint(specialised.specialised_globals(True, True, False, False, None))
+    assert sorted(read) == ["equations.py", "integrator.py", "late_binding.py", "vector_math.py"]
 
 
 def test_closures_of_one_name_and_the_same_numbers_do_not_share_a_kernel():
@@ -546,8 +553,8 @@ def test_closures_of_one_name_and_the_same_numbers_do_not_share_a_kernel():
         return drag
 
     def mark(torque):
-        return integrator._fingerprint(
-            integrator.specialised_globals(True, True, False, False, Variant("drag", "drag", (), torque=torque))
+        return specialised._fingerprint(
+            specialised.specialised_globals(True, True, False, False, Variant("drag", "drag", (), torque=torque))
         )
 
     assert mark(factory(1.0, False)) == mark(factory(1.0, False))
@@ -556,7 +563,7 @@ def test_closures_of_one_name_and_the_same_numbers_do_not_share_a_kernel():
 
 def test_rigs_share_a_kernel_whatever_their_pace():
     slow = Model(longest_step=32.0 * integrator.LONGEST_STEP)
-    assert integrator.kernel_file(slow.bound()) == integrator.kernel_file(Model().bound())
+    assert specialised.kernel_file(slow.bound()) == specialised.kernel_file(Model().bound())
     # The step is still the rig's own: a record of long intervals is another one, within the tolerance.
     times = np.arange(9) * 0.032
     parameters = reference.BASE | {"k1t": 0.01, "k2t": 0.01, "mu": 0.0, "drag": 0.0}
@@ -571,10 +578,10 @@ def test_two_copies_of_the_package_share_their_compiled_kernels(tmp_path):
     skipped = shutil.ignore_patterns("__pycache__", "_shipped")
     shutil.copytree(package, tmp_path / "copy" / "bayes_damper", ignore=skipped)
     code = (
-        "from bayes_damper.simulation import integrator; from bayes_damper.effects import EFFECTS;"
+        "from bayes_damper.simulation import specialised; from bayes_damper.effects import EFFECTS;"
         "variant = EFFECTS['stick_slip'].variants[0];"
-        "print(integrator.__file__, integrator._fingerprint("
-        "integrator.specialised_globals(True, True, False, False, variant)))"
+        "print(specialised.__file__, specialised._fingerprint("
+        "specialised.specialised_globals(True, True, False, False, variant)))"
     )
     found = [
         subprocess.run(
