@@ -110,12 +110,14 @@ def _quiet() -> Iterator[None]:
     before, level = sys.unraisablehook, logging.root.manager.disable
     sys.unraisablehook = lambda _: None
     logging.disable(logging.CRITICAL)
+    gc.freeze()  # what is there already need not be gone through: a second beside compiled kernels
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
             gc.collect()
     finally:
+        gc.unfreeze()
         sys.unraisablehook = before
         logging.disable(level)
 
