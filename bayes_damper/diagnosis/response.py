@@ -145,27 +145,33 @@ def _march(
         now[:] = start[j]
         sample = 0
         for i in range(q.shape[1]):
+            # Rows by themselves: LLVM takes a third of the time over them.
+            q1, q2 = q[j, i, 0], q[j, i, 1]
+            x0, x1, x2, x3 = now[0], now[1], now[2], now[3]
             if sample < n and at[sample] == i:
                 for c in range(channels):
+                    read = y[j, c, sample]
                     t0, t1 = read_torque[j, c, sample, 0], read_torque[j, c, sample, 1]
                     for column in range(k):
-                        y[j, c, sample, column] = t0 * q[j, i, 0, column] + t1 * q[j, i, 1, column]
+                        read[column] = t0 * q1[column] + t1 * q2[column]
                     if moving[j, i]:
                         for row in range(4):
-                            slope = read_state[j, c, sample, row]
+                            slope, x = read_state[j, c, sample, row], now[row]
                             for column in range(k):
-                                y[j, c, sample, column] += slope * now[row, column]
+                                read[column] += slope * x[column]
                 sample += 1
             if i + 1 == q.shape[1]:
                 break
+            r1, r2 = q[j, i + 1, 0], q[j, i + 1, 1]
             for row in range(4):
                 p0, p1 = 0.5 * push[j, i, row, 0], 0.5 * push[j, i, row, 1]
                 a0, a1, a2, a3 = step[j, i, row, 0], step[j, i, row, 1], step[j, i, row, 2], step[j, i, row, 3]
+                x = then[row]
                 for column in range(k):
-                    then[row, column] = (
-                        a0 * now[0, column] + a1 * now[1, column] + a2 * now[2, column] + a3 * now[3, column]
-                        + p0 * (q[j, i, 0, column] + q[j, i + 1, 0, column])
-                        + p1 * (q[j, i, 1, column] + q[j, i + 1, 1, column])
+                    x[column] = (
+                        a0 * x0[column] + a1 * x1[column] + a2 * x2[column] + a3 * x3[column]
+                        + p0 * (q1[column] + r1[column])
+                        + p1 * (q2[column] + r2[column])
                     )  # fmt: skip
             now, then = then, now
 
