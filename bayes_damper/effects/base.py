@@ -105,6 +105,8 @@ class Variant:
     """Whether the effect acts on the uncoupled rig too; none does that `needs` the coupled one, but sensors' do."""
     needs: tuple[Need, ...] = ()
     """What a rig must have for this formula, beside what the effect itself needs."""
+    wears: bool = False
+    """Whether it grows for as long as the rig moves, so that a driven rig has no steady state with it."""
 
     def __post_init__(self) -> None:
         if len(self.parameters) > MOST_PARAMETERS:

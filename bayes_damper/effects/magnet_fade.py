@@ -84,6 +84,7 @@ EFFECT = Effect(
             memory=1,
             memory_scale=(0.3,),
             starts=STARTS,
+            wears=True,
         ),
         Variant(
             name="exponential",
@@ -95,6 +96,7 @@ EFFECT = Effect(
             memory=1,
             memory_scale=(0.3,),
             starts=STARTS,
+            wears=True,
         ),
         Variant(
             name="whole",
@@ -106,6 +108,7 @@ EFFECT = Effect(
             memory=1,
             memory_scale=(0.3,),
             starts=STARTS,
+            wears=True,
         ),
     ),
 )

@@ -14,6 +14,7 @@ is the bar itself, through that part, which grows with R^3.
 
 from __future__ import annotations
 
+from bayes_damper.tuning.acting import Acting
 from bayes_damper.tuning.curves import CURVES, Band, Curve, frequency_responses, tuning_curves
 from bayes_damper.tuning.draws import AMPLITUDES, OF_RELEASE, Origin, chosen_case, complete, origin_of, posterior_draws
 from bayes_damper.tuning.optimum import BOUNDS, Optimum, best_design, shares_of_variance, usual_bounds
@@ -33,6 +34,7 @@ __all__ = [
     "CURVES",
     "OF_RELEASE",
     "SCHEMA",
+    "Acting",
     "Band",
     "Curve",
     "Design",

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.effects._law import Law
 from bayes_damper.rig import linear
+from bayes_damper.tuning.acting import Acting
 from bayes_damper.tuning.draws import Draws
 from bayes_damper.tuning.optimum import middle_of
 from bayes_damper.tuning.performance import Design, harmonic_response, linear_performance, linear_rig, probability_of
@@ -76,18 +76,18 @@ def quantiles(x: Array) -> Array:
 
 
 def frequency_responses(
-    draws: Draws, designs: Mapping[str, Design], amplitude: float | None = None, law: Law | None = None
+    draws: Draws, designs: Mapping[str, Design], amplitude: float | None = None, acting: Acting | None = None
 ) -> dict[str, Band]:
     """Bands of the accelerance without a secondary ("uncoupled") and with each design.
 
-    By the linear model, or by the nonlinear one at an `amplitude` (N m), where a learnt law may act too.
+    By the linear model, or by the nonlinear one at an `amplitude` (N m), where an effect may act too.
     """
     own = float(np.median(linear.natural_frequency(draws["k1t"], draws["J1"])))
     frequency = own * np.linspace(0.3, 2.0, 171 if amplitude is None else 35)
 
     def response(values: Draws, coupled: bool) -> Array:
         if amplitude is not None:
-            return harmonic_response(values, frequency, amplitude, coupled, law=law)[0]
+            return harmonic_response(values, frequency, amplitude, coupled, acting=acting)[0]
         without = dict(values) if coupled else dict(values) | {k: np.zeros_like(values[k]) for k in ("k2t", "c2t")}
         return linear.accelerance(linear_rig(without), frequency)[:, 0]
 

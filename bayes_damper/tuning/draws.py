@@ -30,7 +30,9 @@ SETUP = {
 """What stands in where the posterior has no such parameter (thesis, pp. 9, 24, 27; R and r are working values)."""
 LINEAR = ("J1", "J2", "k1t", "c1t", "c3t", "k2t", "c2t")
 NONLINEAR = (*LINEAR, "mu", "drag", "nu", "tail", "N0", "R", "r")
-SIZE = "effect.size"
+OF_EFFECT = "effect."
+"""With this before its name a fit stores a number of its effect."""
+SIZE = f"{OF_EFFECT}size"
 """Under this name a fit stores the size of a learnt law."""
 AMPLITUDES = (0.02, 0.05, 0.1, 0.2)  # N m
 """Exciting torques of the thesis's rig, and of draws whose campaign is not known."""
@@ -100,18 +102,16 @@ def posterior_draws(
 ) -> dict[str, Array]:
     """`n` draws of one case from arrays, from the `posterior.nc` of a fit, or from its `summary.json`.
 
-    A summary knows no correlations: each parameter is then drawn by itself, log-normal with its mean and sd. Of a fit
-    with a learnt law its size is among the draws, as `size`.
+    A summary knows no correlations: each parameter is then drawn by itself, log-normal with its mean and sd. The
+    numbers of a fit's effect are among the draws, as `effect.NAME`.
     """
-    if isinstance(source, Mapping):
-        full = complete(source, case, rig)
-        size = source.get("size")
-    else:
-        stored = _stored(Path(source), case, n, rng)
-        full = complete(stored, case, rig)
-        size = stored.get(SIZE)
-    if size is not None:
-        full["size"] = np.broadcast_to(np.asarray(size, float), full["J1"].shape)
+    stored = source if isinstance(source, Mapping) else _stored(Path(source), case, n, rng)
+    full = complete(stored, case, rig)
+    full |= {
+        name: np.broadcast_to(np.asarray(x, float), full["J1"].shape)
+        for name, x in stored.items()
+        if name.startswith(OF_EFFECT)
+    }
     size = len(full["J1"])
     pick = rng.permutation(size)[:n] if size >= n else rng.integers(size, size=n)
     if size == 1:
@@ -124,8 +124,8 @@ class Origin:
     """Where draws come from: name of the campaign, its checksum, and the rig's constants that are not among them.
 
     kind : of the rig; amplitudes : torques (N m; forces, N) that suit its size; converged : whether the fit of the case
-    did, True where nothing says; warnings : what is odd in the records that were fitted; effect : that the fit has
-    beside the nominal model, which tuning leaves out, or "".
+    did, True where nothing says; warnings : what is odd in the records that were fitted; effect, formula : that the fit
+    has beside the nominal model, or "".
     """
 
     campaign: str = ""
@@ -136,6 +136,7 @@ class Origin:
     converged: bool = True
     warnings: tuple[str, ...] = ()
     effect: str = ""
+    formula: str = ""
 
     @property
     def effort(self) -> tuple[str, str]:
@@ -190,6 +191,8 @@ def origin_of(
             "campaign": str(plan.get("name", "")),
             "sha256": plan.get("campaign_sha256"),
             "converged": bool((entry or {}).get("converged", True)),
+            "effect": str(plan.get("effect") or ""),
+            "formula": str(((entry or {}).get("best_fit") or {}).get("formula") or ""),
             "warnings": (
                 *((_MISSES.format(case),) if (entry and misses(entry)) else ()),
                 *map(str, summary.get("warnings", ())),
@@ -231,7 +234,6 @@ def origin_of(
         constants=constants,
         kind=rig.kind,
         amplitudes=_suitable(campaign, case),
-        effect=str(plan.get("effect") or ""),
     )
 
 
@@ -269,7 +271,9 @@ def _stored(folder: Path, case: str, n: int, rng: np.random.Generator) -> dict[s
         for name, stored in _entries(table, case).items():
             mean, sd = float(table[stored]["mean"]), float(table[stored]["sd"])
             s2 = math.log1p((sd / mean) ** 2) if mean > 0.0 else 0.0
-            draws[name] = mean * np.exp(math.sqrt(s2) * rng.standard_normal(n) - 0.5 * s2)
+            z = rng.standard_normal(n)
+            signed = name.startswith(OF_EFFECT) and mean - 4.0 * sd < 0.0
+            draws[name] = mean + sd * z if signed else mean * np.exp(math.sqrt(s2) * z - 0.5 * s2)
     return draws
 
 
@@ -292,7 +296,7 @@ def _entries(stored: Iterable[str], case: str) -> dict[str, str]:
         if the fit of all cases together has a value of a parameter for each of them.
     """
     out = {}
-    for name in (*NONLINEAR, SIZE):
+    for name in (*NONLINEAR, *dict.fromkeys(s.partition("[")[0] for s in stored if s.startswith(OF_EFFECT))):
         own = [s for s in stored if s.partition("[")[0] == name]
         if len(own) == 1:
             out[name] = own[0]

@@ -9,11 +9,11 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayes_damper.effects._law import Law, driven_variant
 from bayes_damper.errors import InputError
 from bayes_damper.rig import linear
 from bayes_damper.rig.linear import LinearRig
 from bayes_damper.simulation.model import Model
+from bayes_damper.tuning.acting import Acting
 from bayes_damper.tuning.draws import LINEAR, NONLINEAR, Draws
 
 Array = NDArray[np.float64]
@@ -108,7 +108,7 @@ def linear_performance(draws: Draws, design: Design | None = None) -> Performanc
 
 def harmonic_response(
     draws: Draws, frequency_hz: ArrayLike, amplitude: float, coupled: bool = True, settle_cycles: int | None = None,
-    law: Law | None = None,
+    acting: Acting | None = None,
 ) -> tuple[Array, Array]:  # fmt: skip
     """Accelerance of the nonlinear rig under a harmonic torque on the primary, by time integration from rest.
 
@@ -118,7 +118,7 @@ def harmonic_response(
     amplitude : of the torque, N m.
     settle_cycles : cycles left out before the fundamental component is taken over four; by default six time constants
         of the slowest decay.
-    law : a learnt law that acts too, as large as the draws' `size` (1 where they have none).
+    acting : what acts beside the nominal model; its numbers are among the draws, as `effect.NAME`.
 
     Returns
     -------
@@ -130,7 +130,7 @@ def harmonic_response(
     grow with the square of the frequency, damping and the smoothing constant with the frequency, and all share one
     drive. Displacement is read, because what the samples cannot resolve is smallest there.
     """
-    y, f = _driven(draws, frequency_hz, amplitude, coupled, settle_cycles, law)
+    y, f = _driven(draws, frequency_hz, amplitude, coupled, settle_cycles, acting)
     y = y[:, :, 0]
     turn = np.exp(-2j * np.pi * np.arange(_MEASURED_CYCLES * _PER_CYCLE) / _PER_CYCLE)
     last = y[..., -turn.size :] * turn
@@ -143,7 +143,8 @@ def harmonic_response(
 
 
 def _driven(
-    draws: Draws, frequency_hz: ArrayLike, amplitude: float, coupled: bool, settle_cycles: int | None, law: Law | None
+    draws: Draws, frequency_hz: ArrayLike, amplitude: float, coupled: bool, settle_cycles: int | None,
+    acting: Acting | None,
 ) -> tuple[Array, Array]:  # fmt: skip
     """Displacements (n, n_frequencies, channels, n_times) under a harmonic torque, and the frequencies (n, ...), Hz."""
     if not drives(amplitude):
@@ -162,24 +163,24 @@ def _driven(
         for name in NONLINEAR
     }
     parameters |= {"theta0": 0.0, "delay": 0.0}
-    variant = None if law is None else driven_variant(law)
-    if variant is not None and not (coupled or variant.uncoupled):
-        variant = None
-    size = np.broadcast_to(draws.get("size", np.ones(n))[:, None], f.shape).ravel()
-    run = Model(coupled=coupled, effect=variant).simulate(
-        parameters, times, effect=None if variant is None else {"size": size, "pace": scale.ravel()}, torque=torque,
+    if acting is not None and not (coupled or acting.variant.uncoupled):
+        acting = None
+    run = Model(coupled=coupled, effect=None if acting is None else acting.variant).simulate(
+        parameters, times, effect=None if acting is None else acting.numbers(draws, scale), torque=torque,
         quantity="displacement", threads=2,
     )  # fmt: skip
     return run.y.reshape(*f.shape, *run.y.shape[1:]), f
 
 
-def outside_of(law: Law, draws: Draws, amplitude: float, design: Design, p: Performance) -> list[str]:
+def outside_of(acting: Acting, draws: Draws, amplitude: float, design: Design, p: Performance) -> list[str]:
     """Sentences on where a design that is driven at its resonance leaves the range of a learnt law."""
+    law = acting.law
+    assert law is not None
     known = np.isfinite(p.resonance)
     if not known.any():
         return []
     some = {name: column[known] for name, column in design.apply(draws).items()}
-    y, f = _driven(some, p.resonance[known][:, None], amplitude, True, None, law)
+    y, f = _driven(some, p.resonance[known][:, None], amplitude, True, None, acting)
     th1, th2 = np.moveaxis(y[:, 0, :, -_MEASURED_CYCLES * _PER_CYCLE :], 1, 0)
     places = {"interface": [th1 - th2], "ground2": [th2], "ground1": [th1], "bearings": [th1, th2]}[law.site]
     places = places[:1] if law.bodies == "primary" else places
@@ -220,16 +221,16 @@ def _grid(draws: Draws, coupled: bool) -> tuple[Array, float]:
     return np.sort(np.concatenate([even, extra], axis=1), axis=1), math.log(high / low) / (points - 1)
 
 
-def _peak(draws: Draws, amplitude: float, coupled: bool, law: Law | None = None) -> tuple[Array, Array]:
+def _peak(draws: Draws, amplitude: float, coupled: bool, acting: Acting | None = None) -> tuple[Array, Array]:
     """Frequency and height of the highest accelerance of every draw: a grid, then two finer ones about its best."""
     grid, step = _grid(draws, coupled)
     edge = grid[:, -1]
     for _ in range(2):
-        height, _ = harmonic_response(draws, grid, amplitude, coupled, law=law)
+        height, _ = harmonic_response(draws, grid, amplitude, coupled, acting=acting)
         best = np.take_along_axis(grid, np.argmax(np.nan_to_num(height), axis=1)[:, None], 1)
         grid = best * np.exp(np.linspace(-step, step, 9))
         step /= 4.0
-    height, _ = harmonic_response(draws, grid, amplitude, coupled, law=law)
+    height, _ = harmonic_response(draws, grid, amplitude, coupled, acting=acting)
     k = np.clip(np.argmax(np.nan_to_num(height), axis=1), 1, grid.shape[1] - 2)[:, None]
     a, b, c = (np.take_along_axis(height, k + i, 1)[:, 0] for i in (-1, 0, 1))
     bend = a - 2.0 * b + c
@@ -241,16 +242,16 @@ def _peak(draws: Draws, amplitude: float, coupled: bool, law: Law | None = None)
 
 
 def nonlinear_performances(
-    draws: Draws, amplitude: float, designs: Mapping[str, Design], law: Law | None = None
+    draws: Draws, amplitude: float, designs: Mapping[str, Design], acting: Acting | None = None
 ) -> dict[str, Performance]:
     """Insertion loss and resonances of the nonlinear model of each design, under a torque of this amplitude (N m).
 
-    law : a learnt law that acts too.
+    acting : what acts beside the nominal model.
     """
-    without_frequency, without = _peak(draws, amplitude, False, law)
+    without_frequency, without = _peak(draws, amplitude, False, acting)
     out = {}
     for name, design in designs.items():
-        frequency, height = _peak(design.apply(draws), amplitude, True, law)
+        frequency, height = _peak(design.apply(draws), amplitude, True, acting)
         moving = (height > 0.0) & (without > 0.0)  # nowhere true of nan
         loss = 20.0 * np.log10(np.where(moving, without, 1.0) / np.where(moving, height, 1.0))
         out[name] = Performance(

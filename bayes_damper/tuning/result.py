@@ -21,6 +21,7 @@ from bayes_damper.rig.units import in_words_of
 from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.text import counted, gathered
+from bayes_damper.tuning.acting import Acting, acting_of, amended
 from bayes_damper.tuning.curves import Band, Curve, frequency_responses, tuning_curves
 from bayes_damper.tuning.draws import Draws, Origin, chosen_case, origin_of, posterior_draws
 from bayes_damper.tuning.optimum import Optimum, best_design, shares_of_variance, usual_bounds
@@ -46,7 +47,7 @@ _BY_TIME = (
     "moment is held"
 )
 _LEARNT = tuple(f"learnt_{site}" for site in SITES)
-_LEFT_OUT = "The fit has the effect {} too, which is left out here: the design is judged by the nominal model alone."
+_GIVE_FILE = "The fit has the effect {}, which is left out here: give its file, --effects learnt/SITE.toml, to keep it."
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,8 @@ class TuneResult:
     folder: Path | None = None
     law: str = ""
     """Name of the learnt law that acts on the driven rig."""
+    note: str = ""
+    """What becomes of the effect that the fit has."""
 
     @property
     def exit_code(self) -> ExitCode:
@@ -110,7 +113,7 @@ class TuneResult:
             "variance_shares": dict(self.shares),
             "hangs_most_on": next(iter(self.shares), None),
             "law": self.law or None,
-            "notes": [self._note] if self._note else [],
+            "notes": [self.note] if self.note else [],
             "frequency_response": {
                 name: {
                     "frequency_hz": band.frequency_hz.tolist(),
@@ -131,16 +134,6 @@ class TuneResult:
             },
             "provenance": dict(self.provenance),
         }  # fmt: skip
-
-    @property
-    def _note(self) -> str:
-        """What becomes of the effect that the fit has."""
-        if self.law:
-            return _LAW_ACTS.format(self.law)
-        if not self.origin.effect:
-            return ""
-        keep = " Give its file, --effects learnt/SITE.toml, to keep it." if self.origin.effect in _LEARNT else ""
-        return _LEFT_OUT.format(self.origin.effect) + keep
 
     def _place(self, design: Design, name: str) -> float:
         given = getattr(design, name)
@@ -165,7 +158,7 @@ class TuneResult:
             lines += [f"  at {a:g} {unit}: {_sentence(p, self.target_db)}" for a, p in self.optimum_nonlinear.items()]
         if any("no resonance" in line for line in lines):
             lines.append("No resonance: dry friction holds the rig, or damping leaves no peak.")
-        lines += [self._note] if self._note else []
+        lines += [self.note] if self.note else []
         if self.shares:
             name, share = next(iter(self.shares.items()))
             meant = in_words_of(PARAMETERS[name].meaning, self.origin.kind) if name in PARAMETERS else ""
@@ -249,7 +242,8 @@ def tune(
     bounds : where the best design is sought, SI (see `best_design`); out : folder for `tune.json` and figures.
     n_draws, n_nonlinear : draws for the linear and, among them, for the nonlinear model; seed : picks them.
     effects : the file of a learnt law (learnt/SITE.toml) that the fit has, or a folder with it: it then acts on the
-    driven rig; beyond the range that it was learnt in it holds its last value, and a warning says so.
+    driven rig; beyond the range that it was learnt in it holds its last value, and a warning says so. An effect of the
+    library that the fit has acts without being asked for.
     optimise : False leaves out the search for the best design; report : called with a sentence for each step.
 
     Raises
@@ -274,7 +268,14 @@ def tune(
     law = None if effects is None else _law_of(Path(effects), origin, isinstance(source, Mapping))
     if amplitudes is None:
         amplitudes = origin.amplitudes
-    draws = posterior_draws(source, case, n_draws, rng, {**origin.constants, **(rig or {})})
+    draws: Draws = posterior_draws(source, case, n_draws, rng, {**origin.constants, **(rig or {})})
+    if law is not None:
+        acting, note = Acting.of_law(law), _LAW_ACTS.format(law.name)
+    elif origin.effect in _LEARNT:
+        acting, note = None, _GIVE_FILE.format(origin.effect)
+    else:
+        acting, note = acting_of(origin, draws)
+        draws = amended(origin, draws)
     lengths = ("R",) if origin.kind == "torsional" else ()
     if bounds is None:
         bounds = usual_bounds(draws, ("J2", "k2t", *lengths))
@@ -287,23 +288,23 @@ def tune(
     designs = {"design": design} | ({} if optimum is None else {"best design": optimum.design})
     few = {name: column[:n_nonlinear] for name, column in draws.items()}
     report(f"driving the nonlinear rig at {counted(len(amplitudes), 'amplitude')}")
-    driven = {float(a): nonlinear_performances(few, float(a), designs, law) for a in amplitudes}
+    driven = {float(a): nonlinear_performances(few, float(a), designs, acting) for a in amplitudes}
     nonlinear = {a: found["design"] for a, found in driven.items()}
     at_optimum = {a: found["best design"] for a, found in driven.items() if "best design" in found}
-    if law is not None:
-        origin = replace(origin, warnings=(*origin.warnings, *_beyond(law, few, nonlinear, design)))
+    if acting is not None:
+        origin = replace(origin, warnings=(*origin.warnings, *_beyond(acting, few, nonlinear, design)))
     with_present = designs if design == Design() else {"present": Design()} | designs
     report("frequency responses of each design")
     response = {f"linear, {name}": band for name, band in frequency_responses(draws, with_present).items()}
     fewer = {name: column[:20] for name, column in draws.items()}
     for a in driven:
-        bands = frequency_responses(fewer, designs, a, law)
+        bands = frequency_responses(fewer, designs, a, acting)
         response |= {f"{a:g} {origin.effort[1]}, {name}": band for name, band in bands.items()}
     shares = shares_of_variance(draws, performance.insertion_loss)
     result = TuneResult(
         case, design, draws, target_db, performance, nonlinear, optimum, at_optimum, shares, response,
         tuning_curves(draws, design, target_db, ("J2", *lengths)), origin, seed, provenance(),
-        None if out is None else Path(out), "" if law is None else law.name,
+        None if out is None else Path(out), "" if law is None else law.name, note,
     )  # fmt: skip
     if out is not None:
         saved = result.to_json()
@@ -336,11 +337,14 @@ def _law_of(path: Path, origin: Origin, arrays: bool) -> Law:
     return law
 
 
-def _beyond(law: Law, draws: Draws, driven: Mapping[float, Performance], design: Design) -> list[str]:
+def _beyond(acting: Acting, draws: Draws, driven: Mapping[float, Performance], design: Design) -> list[str]:
     """Warnings on a law where it does not reach, at the largest amplitude."""
+    law = acting.law
+    if law is None:
+        return []
     out = [_BY_TIME.format(law.name)] if any(t.along == "time" for t in law.terms) else []
     if driven:
         largest = max(driven)
         effort = f"driven at {largest:g}"
-        out += [f"{effort}: {said}" for said in outside_of(law, draws, largest, design, driven[largest])]
+        out += [f"{effort}: {said}" for said in outside_of(acting, draws, largest, design, driven[largest])]
     return out

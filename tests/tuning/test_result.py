@@ -520,7 +520,7 @@ def test_a_rig_without_a_secondary_is_not_given_the_thesiss(tmp_path):
         tuning.tune(fit, case="A", J2=0.5)
 
 
-def test_an_effect_that_tuning_leaves_out_is_told(tmp_path):
+def test_an_effect_that_tuning_leaves_out_is_named(tmp_path):
     fit = fitted_folder(tmp_path)
     run = json.loads((fit / "run.json").read_text())
     run["plan"]["effect"] = "stick_slip"
@@ -551,10 +551,10 @@ def test_a_law_that_is_a_nominal_one_does_to_a_driven_rig_what_that_does(tmp_pat
     """Viscous, dry and elastic torques on the primary, at frequencies that are not the one that all are scaled to."""
     share = {"c1t": 4e-3, "drag": 4e-3, "k1t": 0.6}[name]
     term = Term(carrier, "time", (-share * per, *[0.0] * (ORDER - 1)))
-    draws = tuning.complete(THESIS | {"drag": 0.01, "size": np.ones(1)})
+    draws = tuning.complete(THESIS | {"drag": 0.01})
     f = [6.0, 8.0, 14.0]
     _, law = law_file(tmp_path, (term,), "bearings" if name == "drag" else "ground1")  # drag acts on both bodies
-    found, _ = tuning.harmonic_response(draws, f, 0.05, coupled, law=law)
+    found, _ = tuning.harmonic_response(draws, f, 0.05, coupled, acting=tuning.Acting.of_law(law))
     more = draws | {name: draws[name] + share}
     wanted, _ = tuning.harmonic_response(more, f, 0.05, coupled)
     without, _ = tuning.harmonic_response(draws, f, 0.05, coupled)
@@ -572,7 +572,7 @@ def test_a_law_that_the_fit_has_acts_on_the_driven_rig_and_warns_beyond_its_rang
     run["plan"]["effect"] = "learnt_ground1"
     write_json(fit / "run.json", run)
     bare = tuning.tune(fit, **few)
-    assert "Give its file, --effects learnt/SITE.toml, to keep it." in bare.text()
+    assert "give its file, --effects learnt/SITE.toml, to keep it." in bare.text()
     found = tuning.tune(fit, effects=path, out=tmp_path / "tune", **few)
     said = found.text()
     assert "The driven rig has the law learnt_ground1" in said
