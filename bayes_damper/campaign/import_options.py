@@ -31,7 +31,10 @@ READER: dict[str, tuple[tuple[type, ...], str]] = {
     "sample_rate": ((int, float), "sample rate, Hz, if there is no time column"),
     "clock": ((list,), "reading of each file's clock at one common instant, s, if each channel has its own file"),
     "columns": ((list,), "columns of the channels, body 1 (the primary) first, by name or number from 1"),
-    "units": ((list,), "units of the channels (default: as in the file, else SI); mV or V with sensitivity"),
+    "units": (
+        (list,),
+        "units of the channels, one or one each (default: as in the file, else SI); mV or V with sensitivity",
+    ),
     "sensitivity": ((list,), "sensitivity if voltages were recorded, one per channel, e.g. '100 mV/g'"),
     "torque": ((str, int), "column of a measured torque (force) on the primary"),
     "torque2": ((str, int), "column of a measured torque (force) on the secondary"),

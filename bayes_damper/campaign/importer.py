@@ -252,9 +252,12 @@ def convert(
 # --- the table -----------------------------------------------------------------------------------------------------
 
 
+_FROM_OPTIONS = "import"  # where a table is called that no file holds
+
+
 def _spec_table(spec: str | Path | Mapping[str, Any]) -> tuple[Mapping[str, Any], str, Path]:
     if isinstance(spec, Mapping):
-        return spec, "import", Path()
+        return spec, _FROM_OPTIONS, Path()
     path = Path(spec)
     try:
         return toml_file(path, "give an import table"), path.name, path.parent
@@ -281,6 +284,9 @@ def _build(table: Mapping[str, Any], name: str, raw: Path) -> Campaign:
             f"{where}: key '{key}' is missing" for key in ("source", "case", "configuration", "k1t") if key not in row
         ]
         faults += found
+        if name == _FROM_OPTIONS and "source" in row:  # options of the command line make no table that anybody has seen
+            sources = row["source"] if isinstance(row["source"], list) else [row["source"]]
+            where = ", ".join(Path(str(source)).name for source in sources)
         options.append({**reader, **row, "where": where})
     if faults:
         raise InputError(_gathered(faults))
@@ -678,7 +684,8 @@ def _in_si(channels: Array, option: Mapping[str, Any], kind: str, quantity: str,
     """Offset, sign and unit of each channel; (n_channels, n)."""
     count = len(channels)
     default = {"torsional": _ANGULAR, "translational": _TANGENTIAL}[kind][quantity]
-    units = option.get("units", [next(iter(default))] * count)
+    units = option.get("units", [next(iter(default))])
+    units = units * count if len(units) == 1 else units  # channels of one quantity, as a rule
     signs, radius = option.get("sign", [1] * count), option.get("mounting_radius")
     radii = radius if isinstance(radius, list) else [radius] * count
     offsets = option.get("offset", "none")

@@ -64,7 +64,8 @@ def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
             warnings.append(f"{where}: quantised in steps of {step:.3g}; noise below that cannot be seen")
         slowest = 2.0 * math.pi * look.dominant_frequency(trial.times, y)  # of a coupled rig's slow mode: round tops
         reacts = trial.prescribed and i == 0  # dry friction has flat tops
-        tops = look.flat_tops_of(trial.times, y, noise, min(omega, max(slowest, 0.25 * omega)), held)
+        begins_held = head.measurement.quantity == "displacement"
+        tops = look.flat_tops_of(trial.times, y, noise, min(omega, max(slowest, 0.25 * omega)), begins_held)
         for level in [] if reacts or grows else tops:  # a hand that holds the rig makes them too
             warnings.append(f"{where}: flat tops at {level:.4g}; it looks clipped there")
         if limits is not None and np.max(np.abs(y)) > 0.98 * limits[i]:

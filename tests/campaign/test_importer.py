@@ -766,6 +766,25 @@ def test_a_reading_in_the_middle_is_a_crossing_too() -> None:
     assert find_first_peak(times, y) == pytest.approx(0.1, abs=0.01)
 
 
+def test_one_unit_serves_both_channels_and_a_fault_names_the_file(tmp_path: Path) -> None:
+    times = np.arange(400) * 1e-2
+    x = 40.0 * np.exp(-0.1 * times) * np.cos(6.0 * times)
+    for name, columns in (("free_1", (times, x)), ("damped_1", (times, x, 0.5 * x))):
+        np.savetxt(
+            tmp_path / f"{name}.csv", np.column_stack(columns), "%.6g", ",", header="t,a,b"[: 2 * len(columns) - 1]
+        )
+    given = {
+        "pattern": "{configuration}_{trial}", "words": ["free=uncoupled", "damped=coupled"], "k1t": 43.0,
+        "kind": "translational", "quantity": "displacement", "primary_inertia": 1.2, "secondary_inertia": 1.0,
+        "units": ["mm"],
+    }  # fmt: skip
+    init_campaign(tmp_path / "c", [tmp_path / "free_1.csv", tmp_path / "damped_1.csv"], **given)
+    found = {t.configuration: t.channels for t in load_campaign(tmp_path / "c").trials}
+    assert found["coupled"] == pytest.approx(found["uncoupled"] * [[1.0], [0.5]], abs=1e-7)
+    with pytest.raises(InputError, match=r"^damped_1.csv: 'sign' has 1 entries for 2 channels"):
+        init_campaign(tmp_path / "d", [tmp_path / "free_1.csv", tmp_path / "damped_1.csv"], **given, sign=[1])
+
+
 def test_tangential_units() -> None:
     ones = np.ones(2)
     assert convert(ones, "g", "torsional", "acceleration", 0.1, "x") == pytest.approx([98.0665] * 2)
