@@ -28,6 +28,12 @@ from bayes_damper.runs.json_files import write_text
 from bayes_damper.simulation.model import Model, Quantity, Simulation
 from bayes_damper.simulation.outcome import Outcome
 
+_ABOVE_ZERO = ("J1", "J2", "R", "r", "nu")
+_NOT_NEGATIVE = ("k1t", "c1t", "c2t", "c3t", "mu", "N0", "drag")
+_SUSPECT = 30.0
+"""Times what the thesis's rig has, or a part of it, from which a number looks like one in another unit (degrees for
+radians are 57, thousandths 1000): reported, and used."""
+_FEWEST = 4.0  # readings in a period, below which a motion is not seen
 _WORDS = {"normal_force": ("linear", "constant"), "restoring": ("linear", "pendulum")}
 
 
@@ -97,7 +103,7 @@ def simulate_record(
     values |= {"k1t": published.cases[case].k1t, "theta0": published.cases[case].theta0, "J12": 0.0, "k3t": 0.0}
     words = {key: choices[0] for key, choices in _WORDS.items()}
     own = {} if variant is None else dict(zip((p.name for p in variant.parameters), variant.starts[0], strict=True))
-    _apply(settings, values, words, own, effect, faults)
+    suspect = _apply(settings, values, words, own, effect, faults)
     law: Law | None = None if chosen is None else chosen[0].law
     if law is not None and (why := law.mismatch("torsional", values)) is not None:
         faults.append(f"--effect {effect}: {why}")
@@ -125,7 +131,7 @@ def simulate_record(
         raise InputError(f"--inputs {inputs}: {error}") from None
     outcome = Outcome(int(simulation.outcome[0]))
     if outcome is not Outcome.COMPLETED:
-        raise InputError(f"this record cannot be simulated: {outcome.sentence}")
+        raise InputError(f"this record cannot be simulated: {outcome.sentence.partition(';')[0]}; see what --set gives")
     acting = None if trial is None else {name: getattr(trial, name) for name in INPUTS}
     write_text(path, record_text(times, simulation.y[0], "torsional", "acceleration", acting))
     used: dict[str, Any] = {"case": case, "configuration": "coupled" if coupled else "uncoupled"}
@@ -136,7 +142,13 @@ def simulate_record(
         lines += ["", "[effect]", f'name = "{str(effect).partition("/")[0]}"', f'variant = "{variant.name}"']
         lines += [f"{p.name} = {own[p.name]!r}  # {effect_unit(p.unit)}" for p in variant.parameters]
     write_text(path.with_suffix(".toml"), "\n".join(lines) + "\n")
-    warnings = [] if law is None else _beyond(law, run, times, coupled)
+    warnings = [*suspect, *([] if law is None else _beyond(law, run, times, coupled))]
+    period = 2.0 * np.pi * np.sqrt(values["J1"] / values["k1t"]) if values["k1t"] > 0.0 else np.inf
+    if (read := period / float(np.median(np.diff(times)))) < _FEWEST:
+        warnings.append(
+            f"the primary on its spring swings with a period of {period:.3g} s, which has {read:.2g} readings: "
+            "too few to show it; raise --rate"
+        )
     return SimulatedRecord(path, used | ({"effect": own} if variant is not None else {}), warnings=tuple(warnings))
 
 
@@ -215,8 +227,10 @@ def _apply(
     own: dict[str, float],
     effect: str | None,
     faults: list[str],
-) -> None:
+) -> list[str]:
+    """Changes `values`, `words` and `own` as `settings` say; sentences on numbers that look like another unit's."""
     given = set()
+    suspect = []
     for setting in settings:
         name, equals, text = (part.strip() for part in setting.partition("="))
         key = RIG_KEYS.get(name, name)
@@ -243,13 +257,24 @@ def _apply(
                 faults.append(f"--set {setting}: {prefix} has no {parameter!r}; {hint(parameter, own)}")
             else:
                 own[parameter] = number
+        elif key in ROWS and ((number < 0.0 and key in _NOT_NEGATIVE) or (number <= 0.0 and key in _ABOVE_ZERO)):
+            faults.append(f"--set {setting}: must be {'above 0' if key in _ABOVE_ZERO else '0 or more'}")
         elif key in ROWS:
+            usual = abs(values.get(key, 0.0)) if key not in given and key not in ("nu", "tail") else 0.0
+            if usual > 0.0 and not 1.0 / _SUSPECT <= abs(number) / usual <= _SUSPECT and number:
+                unit = unit_of(key)
+                degrees = ": an angle in radians, not in degrees" if unit == "rad" else ""
+                suspect.append(
+                    f"--set {setting} is {abs(number) / usual:.3g} times what the thesis's rig has, {usual:.4g}"
+                    f"{' ' + unit if unit and unit != '1' else ''}; it is taken in SI units{degrees}"
+                )
             values[key] = number
             given.add(key)
         else:
             faults.append(f"--set {setting}: nothing is called {name!r}; {hint(name, [*ROWS, *RIG_KEYS, *_WORDS])}")
     if "c1t" in given and "c3t" not in given:
         values["c3t"] = values["c1t"]  # tied, as in the prior file
+    return suspect
 
 
 def _toml(value: Any) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 
 import numpy as np
@@ -57,12 +58,36 @@ def test_an_effect_changes_the_record_and_is_noted(tmp_path):
         ({"settings": ["stick_slip.excess=1"]}, "--effect stick_slip"),
         ({"rate": 0.0}, "positive"),
         ({"duration": -1.0}, "positive"),
-        ({"settings": ["primary_inertia=-1"]}, "cannot be simulated"),
+        ({"settings": ["primary_inertia=-1"]}, "must be above 0"),
+        ({"settings": ["nu=0"]}, "must be above 0"),
+        ({"settings": ["mu=-0.1"]}, "must be 0 or more"),
+        ({"settings": ["c1t=-0.5"]}, "must be 0 or more"),
+        (
+            {"effect": "spring_cubic", "settings": ["spring_cubic.k3=1e12"]},
+            "cannot be simulated: the equations were too stiff for the integrator to finish; see what --set gives",
+        ),
     ],
 )
 def test_bad_input_gets_a_sentence(tmp_path, arguments, told):
     with pytest.raises(InputError, match=told):
         simulate_record(**({"case": "IV"} | arguments), out=tmp_path / "F.csv")
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"settings": ["theta0=4.7"]}, "57.3 times what the thesis's rig has, 0.08203 rad.*not in degrees"),
+        ({"settings": ["primary_inertia=3.015"]}, r"primary_inertia=3.015 is 1e\+03 times"),
+        ({"settings": ["bar_radius=100"]}, r"1e\+03 times what the thesis's rig has, 0.1 m;"),
+        ({"settings": ["J2=2.474e-6"]}, "0.001 times what the thesis's rig has"),
+        ({"rate": 20.0}, "2.2 readings: too few to show it; raise --rate"),
+        ({"settings": ["theta0=0.5", "drag=0", "mu=0", "nu=1e4", "N0=10"]}, None),
+    ],
+)
+def test_numbers_of_another_unit_are_used_with_a_warning(tmp_path, given, said):
+    result = simulate_record("IV", **given, out=tmp_path / "F.csv")
+    assert len(result.warnings) == (said is not None), result.warnings
+    assert said is None or re.search(said, result.warnings[0])
 
 
 def test_all_faults_are_told_at_once(tmp_path):
