@@ -22,7 +22,7 @@ from bayes_damper.priors.distributions import Normal
 from bayes_damper.priors.files import load_priors
 from bayes_damper.published.measurements import load_published
 from bayes_damper.rig.equations import ROWS
-from bayes_damper.rig.parameters import RIG_KEYS, hint, unit_of
+from bayes_damper.rig.parameters import OTHER_UNIT, RIG_KEYS, hint, unit_of
 from bayes_damper.rig.units import effect_unit
 from bayes_damper.runs.json_files import write_text
 from bayes_damper.simulation.model import Model, Quantity, Simulation
@@ -30,9 +30,6 @@ from bayes_damper.simulation.outcome import Outcome
 
 _ABOVE_ZERO = ("J1", "J2", "R", "r", "nu")
 _NOT_NEGATIVE = ("k1t", "c1t", "c2t", "c3t", "mu", "N0", "drag")
-_SUSPECT = 30.0
-"""Times what the thesis's rig has, or a part of it, from which a number looks like one in another unit (degrees for
-radians are 57, thousandths 1000): reported, and used."""
 _FEWEST = 4.0  # readings in a period, below which a motion is not seen
 _WORDS = {"normal_force": ("linear", "constant"), "restoring": ("linear", "pendulum")}
 
@@ -261,7 +258,7 @@ def _apply(
             faults.append(f"--set {setting}: must be {'above 0' if key in _ABOVE_ZERO else '0 or more'}")
         elif key in ROWS:
             usual = abs(values.get(key, 0.0)) if key not in given and key not in ("nu", "tail") else 0.0
-            if usual > 0.0 and not 1.0 / _SUSPECT <= abs(number) / usual <= _SUSPECT and number:
+            if usual > 0.0 and not 1.0 / OTHER_UNIT <= abs(number) / usual <= OTHER_UNIT and number:
                 unit = unit_of(key)
                 degrees = ": an angle in radians, not in degrees" if unit == "rad" else ""
                 suspect.append(

@@ -16,7 +16,7 @@ from bayes_damper import figures
 from bayes_damper.effects import load_effects
 from bayes_damper.effects._law import SITES, Law
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.rig.parameters import PARAMETERS, unit_of
+from bayes_damper.rig.parameters import OTHER_UNIT, PARAMETERS, unit_of
 from bayes_damper.rig.units import in_words_of
 from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.provenance import provenance
@@ -279,6 +279,7 @@ def tune(
     lengths = ("R",) if origin.kind == "torsional" else ()
     if bounds is None:
         bounds = usual_bounds(draws, ("J2", "k2t", *lengths))
+    origin = replace(origin, warnings=(*origin.warnings, *_unlike(design, draws, origin.kind)))
     performance = linear_performance(draws, design)
     if optimise:
         report("looking for the best design")
@@ -335,6 +336,20 @@ def _law_of(path: Path, origin: Origin, arrays: bool) -> Law:
     if (why := law.mismatch(origin.kind, origin.constants)) is not None:
         raise InputError(f"{path}: {why}")
     return law
+
+
+def _unlike(design: Design, draws: Draws, kind: str) -> list[str]:
+    """Warnings on numbers of a design that are far from the rig's: perhaps in another unit."""
+    out = []
+    for name, value in design.to_json().items():
+        key = "N0" if name == "magnet_pull" else name
+        usual = float(np.median(draws[key])) if key in draws else 0.0
+        if value and usual > 0.0 and not 1.0 / OTHER_UNIT <= value / usual <= OTHER_UNIT:
+            unit = unit_of(key, kind)
+            out.append(
+                f"{name} = {value:g} {unit} is {value / usual:.3g} times what the rig has, {usual:.3g}; in {unit}?"
+            )
+    return out
 
 
 def _beyond(acting: Acting, draws: Draws, driven: Mapping[float, Performance], design: Design) -> list[str]:

@@ -64,6 +64,19 @@ def test_the_radius_acts_on_stiffness_and_on_the_bar():
     assert draws["k2t"] == pytest.approx([1.0])
 
 
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"J2": 2.474}, r"J2 = 2.474 kg m\^2 is 1e\+03 times what the rig has, 0.00247; in kg m\^2\?"),
+        ({"R": 100.0}, "R = 100 m is 1e\\+03 times"),
+        ({"J2": 0.02, "R": 0.3, "k2t": 5.0, "magnet_pull": 10.2}, None),
+    ],
+)
+def test_a_design_in_another_unit_is_named(changes, said):
+    found = tuning.tune(THESIS, **changes, n_draws=4, n_nonlinear=1, amplitudes=[0.05], optimise=False).origin.warnings
+    assert (said is None and not found) or (len(found) == 1 and re.search(said, found[0])), found
+
+
 def test_a_bar_heavier_than_the_posteriors_inertia_is_refused():
     with pytest.raises(InputError, match="bar"):
         Design(bar_inertia=3e-3).apply(tuning.complete(THESIS))
