@@ -28,6 +28,7 @@ _LIGHTEST = 0.1 * math.pi * 4000.0
 4000 kg/m^3 (ferrite has 4800, neodymium 7500)."""
 _FILTERED = 3.0
 """Bandwidth over the rig's frequency below which a filter of the first order takes 5 % of the motion."""
+_LATE = 10.0  # lengths of a record after the release, from which the times count from something else
 _MOST_APART = 1e6  # a ratio beyond which one of two numbers does not act
 
 
@@ -106,6 +107,11 @@ def _check_measurement(head: Head, trials: Sequence[Trial], faults: list[str], w
                 f"{where}: {key} is more than {_MOST_APART:g} times the largest reading, {largest:.3g}; give it in the "
                 "unit of the readings"
             )
+    if any(largest < x <= _MOST_APART * largest for x in declared.offset_std or ()):
+        warnings.append(
+            f"{where}: offset_std = {max(declared.offset_std or ()):g} is above the largest reading, {largest:.3g}; is "
+            "it in the unit of the readings?"
+        )
     if any(x >= 1.0 for x in declared.scale_std or ()):
         faults.append(
             f"{where}: scale_std is relative, 0.01 for 1 %; a scale uncertain by 100 % and more means nothing"
@@ -148,12 +154,26 @@ def check_magnitudes(head: Head, trial: Trial, faults: list[str], warnings: list
     centred = readings - (0.0 if power else float(np.median(readings)))
     largest = float(np.quantile(np.abs(centred), 1.0 - min(0.002, 2.0 / len(centred))))
     names = channel_columns(trial, head.rig.kind, head.measurement.quantity)
+    marks = [(name, found) for name, y in zip(names, trial.channels, strict=True) if (found := look.mark_of(y))]
+    faults += [
+        f"{trial.file}, column '{name}': {count} readings are {value:g}, far beyond all others: does that stand for "
+        "missing readings? Remove those lines (gaps are allowed)"
+        for name, (value, count) in marks
+    ]
+    if marks:
+        return
     if np.ptp(trial.channels[0]) == 0.0:
         faults.append(f"{trial.file}, column '{names[0]}': every reading is the same; the sensor was not connected?")
         return
     if trial.driven:
         return
-    step = float(np.median(np.diff(trial.times)))
+    step, length = float(np.median(np.diff(trial.times))), float(np.ptp(trial.times))
+    if head.measurement.start == "rest" and trial.times[0] > _LATE * length:
+        faults.append(
+            f"{trial.file}: begins {trial.times[0]:.6g} s after t = 0, the release, and lasts {length:.3g} s: take the "
+            "instant of the release off its times, or import it with `bayes-damper init --release find`"
+        )
+        return
     if step > 0.5 * natural_period(head.rig, trial):
         faults.append(
             f"{trial.file}: readings come every {step:.3g} s, but sqrt(k1t/primary_inertia) swings with a period of "

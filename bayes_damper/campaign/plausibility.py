@@ -69,7 +69,13 @@ def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
         for level in [] if reacts or grows else tops:  # a hand that holds the rig makes them too
             warnings.append(f"{where}: flat tops at {level:.4g}; it looks clipped there")
         if limits is not None and np.max(np.abs(y)) > 0.98 * limits[i]:
-            warnings.append(f"{where}: readings reach the sensor's range of {limits[i]:.4g}; it may be clipped")
+            beyond = float(np.max(np.abs(y))) > 1.05 * limits[i]
+            warnings.append(
+                f"{where}: readings go to {np.max(np.abs(y)):.4g}, beyond the sensor's range of {limits[i]:.4g}: is "
+                "sensor_range in the unit of the readings?"
+                if beyond
+                else f"{where}: readings reach the sensor's range of {limits[i]:.4g}; it may be clipped"
+            )
         spikes = look.outliers_of(trial.times, y, noise, omega, head.measurement.quantity == "displacement")
         if spikes:
             some = ", ".join(f"{trial.times[j]:.4g}" for j in spikes[:SHOWN])
@@ -298,6 +304,14 @@ def look_at_repeats(head: Head, trials: Sequence[Trial], warnings: list[str]) ->
                 f"trials.csv: case {case} has several k1t "
                 f"({', '.join(f'{v:g}' for v in sorted(values))}); one case is one spring"
             )
+    spelt: dict[str, list[str]] = {}
+    for case in stiffness:
+        spelt.setdefault(case.casefold(), []).append(case)
+    warnings += [
+        f"trials.csv: the cases {' and '.join(names)} differ in capitals only and count as {len(names)}: is one meant?"
+        for names in spelt.values()
+        if len(names) > 1
+    ]
     single = [f"{case} {configuration}" for (case, configuration), g in groups_of(trials).items() if len(g) == 1]
     if single:
         warnings.append(

@@ -122,6 +122,16 @@ def filled_in_of(readings: Array, step: float) -> tuple[int, bool] | None:
     return None
 
 
+def mark_of(readings: Array) -> tuple[float, int] | None:
+    """A number that stands for missing readings, -9999 say, and how often: several equal ones far beyond all others."""
+    for value in (readings.min(), readings.max()):
+        marked = readings == value
+        others = readings[~marked]
+        if np.count_nonzero(marked) > 2 and others.size > marked.sum() and abs(value) > 3.0 * np.max(np.abs(others)):
+            return float(value), int(marked.sum())
+    return None
+
+
 def without_outliers(times: Array, readings: Array, omega: float, smooth: bool = False) -> Array:
     """The readings with single ones that stick out put between their neighbours."""
     spikes = outliers_of(times, readings, noise_floor_of(readings), omega, smooth)

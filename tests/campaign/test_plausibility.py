@@ -186,6 +186,46 @@ def test_rounded_and_smooth_readings_are_measured_ones():
             assert look.filled_in_of(x, look.resolution_of(x)) is None, (counts, sd)
 
 
+@pytest.mark.parametrize("mark", [-9999.0, 1e6])
+def test_a_number_that_stands_for_missing_readings_is_named(tmp_path, mark):
+    """It had been called degrees taken for radians."""
+    x = noisy(1, swing(TIMES))
+    x[40::7] = mark
+    with pytest.raises(InputError, match=rf"readings are {re.escape(f'{mark:g}')}, far beyond all others: .* Remove"):
+        cart(tmp_path / "c", [x, noisy(2, swing(TIMES))])
+
+
+def test_times_that_count_from_something_else_than_the_release_are_refused(tmp_path):
+    """A fit would simulate all the time before."""
+    records = [noisy(s, swing(TIMES)) for s in (1, 2)]
+    with pytest.raises(InputError, match=r"begins 1.7e\+09 s after t = 0, the release, and lasts 12 s: take"):
+        cart(tmp_path / "rest", records, times=TIMES + 1.7e9)
+    cart(tmp_path / "late", records, times=TIMES + 30.0)
+    cart(tmp_path / "free", records, times=TIMES + 1.7e9, start="free")
+
+
+def test_cases_that_differ_in_capitals_only_are_named(tmp_path):
+    records = [noisy(s, swing(TIMES)) for s in (1, 2)]
+    found = cart(tmp_path / "c", records, case=lambda i: "Aa"[i])
+    assert any("the cases A and a differ in capitals only and count as 2" in w for w in found)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("sensor_range = 0.05", "readings go to 0.1.* beyond the sensor's range of 0.05"),
+        ("sensor_range = 0.1", "readings reach the sensor's range of 0.1; it may be clipped"),
+        ("sensor_range = 1.0", None),
+        ("offset_std = 5.0", "offset_std = 5 is above the largest reading, 0.1"),
+        ("offset_std = 0.01", None),
+    ],
+)
+def test_a_range_or_an_offset_in_another_unit_is_named(tmp_path, given, said):
+    found = cart(tmp_path / "c", [noisy(s, swing(TIMES), 1e-5) for s in (1, 2)], measurement=given)
+    own = [w for w in found if "range" in w or "offset_std =" in w]
+    assert all(re.search(said, w) for w in own) and own if said else not own
+
+
 def test_a_lag_uncertain_by_more_than_half_a_period_is_named(tmp_path):
     found = cart(tmp_path / "late", [noisy(s, swing(TIMES)) for s in (1, 2)], measurement="lag_std = 0.6")
     assert any("lag_std = 0.6 s is more than half a period" in w for w in found)
