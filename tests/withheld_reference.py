@@ -2,6 +2,7 @@
 
 import math
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -64,17 +65,25 @@ def assert_motion_agrees(name, size, shape, extra, start, **other):
     theirs = reference(extra, start, **other)
     assert np.sqrt(np.mean((fine - theirs) ** 2)) < 0.02
     assert np.sqrt(np.mean((coarse - theirs) ** 2)) < 0.1
-    assert np.abs(fine - simulate.record(RIG, True, TIMES)).max() > 2.0
+    assert np.abs(fine - _undisturbed()).max() > 2.0
+
+
+@cache
+def _undisturbed():
+    return simulate.record(RIG, True, TIMES)
 
 
 def assert_level_one_is_reached(name, sign, late):
-    """Level 1 within 6 % for the shape of one seed; late : s by which the loggers start after the release."""
+    """Level 1 within 6 % for the shape of one seed; late : s by which the loggers start after the release.
+
+    In two of the four cases, one of either spring.
+    """
     kind = kinds.KINDS[name]
     times = np.arange(600) * 1e-3
     wanted = [
         gap.Condition(coupled, RIG | {"k1t": k, "theta0": np.radians(a)})
         for coupled in (False, True)
-        for _, k, a in campaign.CASES
+        for _, k, a in campaign.CASES[::3]
     ]
     shape = kind.shape(np.random.default_rng(8))
     _, level = gap.amplitude_for(kind, shape, sign, 1.0, wanted, times, late)
