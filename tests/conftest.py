@@ -4,6 +4,7 @@ import os
 import re
 import sys
 from collections import Counter
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -30,6 +31,19 @@ LONGEST = (
     "test_own_effect", "test_input_noise", "test_simulator", "test_moves", "test_examples", "test_ensembles",
     "test_named", "test_prescribed_motion", "test_check", "test_bench_parts", "test_simulator_reserved",
 )  # fmt: skip
+
+
+DRAWING = (
+    ("fit.recorded", "draw_case"), ("fit.recorded", "draw_records"), ("fit.result", "draw_overview"),
+    ("commands.diagnose", "_draw"),
+)  # fmt: skip
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Fits and diagnoses of this process draw no figures, a quarter of the time that a short one takes."""
+    for module, name in DRAWING:
+        monkeypatch.setattr(import_module(f"bayes_damper.{module}"), name, lambda *_, **__: None)
 
 
 def together(nodeid):

@@ -61,6 +61,7 @@ def test_a_fit_that_misses_something_says_so_before_it_draws(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_the_diagnosis_finds_what_the_example_hides(tmp_path):
     written = examples(tmp_path / "cart")
     found = diagnose(written.folder, out=tmp_path / "diagnose")

@@ -172,6 +172,7 @@ def test_the_files_of_a_fit_are_there_and_readable(fitted):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_a_fit_with_an_effect_infers_its_parameters(tmp_path):
     drag = EFFECTS["quadratic_drag"].variant("alike")
     campaign = _campaign(tmp_path / "campaign", effect=drag, values={"coefficient": 0.8})
@@ -194,6 +195,7 @@ def test_a_finished_run_is_not_run_again_and_another_one_is_refused(fitted):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_workers_give_what_one_gives_also_where_it_does_not_converge(tmp_path):
     """Two cases at once, of which each has its ensembles on two more processes."""
     campaign = _campaign(tmp_path / "campaign", ("IV", "I"), duration=0.2)

@@ -607,6 +607,7 @@ def test_known_pooling_of_campaigns_is_found_at_the_right_rate(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_a_case_is_as_uncertain_as_in_its_fit_where_the_model_misses_something(tmp_path):
     """The spring hardens, the model does not know: a case is known no better here than by the draws of its own fit."""
     spring = EFFECTS["spring_cubic"].variants[0]
