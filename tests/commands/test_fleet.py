@@ -119,8 +119,8 @@ def test_answers_are_counted_with_how_many_are_expected_to_be_wrong():
 @pytest.mark.slow
 def test_the_verdict_is_that_of_the_campaign_alone(tmp_path):
     paths = [
-        write_synthetic(tmp_path / name, repeats=2, rate=200.0, seed=k, configurations=("uncoupled",))
-        for k, name in enumerate(("left", "right"))
+        write_synthetic(tmp_path / name, repeats=n, rate=200.0, seed=n, duration=0.5 * n, configurations=("uncoupled",))
+        for n, name in enumerate(("left", "right"), start=1)
     ]
     found = diagnose_fleet(paths, out=tmp_path / "out", workers=2)
     for path in paths[1:]:
