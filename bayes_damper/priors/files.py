@@ -403,7 +403,10 @@ class _Reader:
         bare = self.default and "level" in entry and not set(entry) - {"level", "unit", "reason", "source"}
         kind = entry.get("dist", "default" if bare else None)
         if not isinstance(kind, str) or kind not in kinds:
-            self.fault(f"dist must be one of {', '.join(kinds)}, got {shown(kind)}")
+            there = (
+                shown(kind) if "dist" in entry else f"none: the table has {', '.join(map(shown, entry)) or 'nothing'}"
+            )
+            self.fault(f"dist must be one of {', '.join(kinds)}, got {there}")
             return None
         required, optional = _NUMBERS.get(kind, ((), ()))
         for word in entry:

@@ -38,12 +38,18 @@ class _Limit:
 def beyond(where: str, values: Mapping[str, Sequence[Distribution | float]], campaign: Campaign) -> Iterator[str]:
     """Sentences on the parameters (name -> values and priors in SI units) of which most lies beyond what can be."""
     limits = _limits(campaign)
+    still = math.inf if any(t.driven for t in campaign.trials) else limits["drag"].most / _TORQUES
     for name, given in values.items():
         for value in given:
             x = value if isinstance(value, float) else median(value)
             share = "" if isinstance(value, float) else "half of the prior lies beyond "
             if name == "tail" and not CURVES[0] <= x <= CURVES[1]:
                 yield f"{where}: tail: {share}{x:g} cannot be: curves of friction have {CURVES[0]:g} to {CURVES[1]:g}"
+            elif name == "drag" and isinstance(value, float) and x > still:
+                yield (
+                    f"{where}: drag: fixed at {x:g}, above the largest torque of the records, {still:.3g}: nothing "
+                    "would move; check its unit, or give a prior"
+                )
             elif name in limits and abs(x) > limits[name].most:
                 most, what = limits[name].most, limits[name].what
                 yield f"{where}: {name}: {share}{x:g} cannot be: above {most:.3g}, {what}; check its unit"

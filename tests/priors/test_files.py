@@ -216,6 +216,7 @@ def test_all_faults_of_a_file_come_at_once(tmp_path):
         drag = [0.1, 0.2, 0.3]
         nu = {dist = "loguniforn", lower = 5, upper = 10, unit = "s/rad"}
         J1 = {dist = "normal", mean = 3e-3, sdd = 1e-4, unit = "kg m^2"}
+        tail = {distribution = "normal", mean = 0.5}
         R = {dist = "uniform", lower = 0.2, upper = 0.1, unit = "m", level = "rig"}
         r = true
         """,
@@ -232,6 +233,8 @@ def test_all_faults_of_a_file_come_at_once(tmp_path):
         "nu: dist must be one of",
         "J1: unknown key 'sdd' for dist 'normal'; did you mean 'sd'?",
         "J1: normal needs sd",
+        "tail: dist must be one of",
+        "got none: the table has 'distribution', 'mean'",
         "R: level must be one of",
         "R: lower (0.2) must be below upper (0.1)",
         "r: must be a number, a name, a pair or a table",
