@@ -101,6 +101,7 @@ def test_plotting_and_arviz_have_one_door_each(path):
         assert allowed is None or parts & allowed, f"{path}:{line}: only {allowed} may import {name}"
 
 
+FITS_ALONE = "{'scipy.stats', 'scipy.signal', 'scipy.ndimage', 'emcee', 'xarray', 'arviz', 'corner'}"
 HEAVY = "{'numba', 'scipy', 'matplotlib', 'emcee', 'pandas', 'xarray', 'arviz', 'arviz_base', 'arviz_stats', 'corner'}"
 
 
@@ -111,6 +112,15 @@ HEAVY = "{'numba', 'scipy', 'matplotlib', 'emcee', 'pandas', 'xarray', 'arviz', 
 )
 def test_neither_the_package_nor_its_help_takes_a_heavy_module(code):
     code = f"import sys\n{code}\nsys.exit(', '.join(sorted({HEAVY} & set(sys.modules))) or 0)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"it imports {done.stderr}"
+
+
+def test_a_diagnosis_starts_without_what_fits_alone_need():
+    """Half a second and 25 MB of every start, also of each worker."""
+    code = (
+        f"import sys, bayes_damper.commands.diagnose; sys.exit(', '.join(sorted({FITS_ALONE} & set(sys.modules))) or 0)"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"it imports {done.stderr}"
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from bayes_damper.calibration.experiment import Experiment
 from bayes_damper.rig.kernels import compiled
@@ -55,6 +54,8 @@ class Noise:
         out = []
         for channel, (s, p, t) in enumerate(zip(self.innovation, self.phi, self.theta, strict=True)):
             if self.longer and self.longer[channel]:
+                from scipy.signal import lfilter  # slow to load, and few rigs have such a noise
+
                 impulse = np.zeros(20_000)
                 impulse[0] = 1.0
                 ahead, back = self.filter(channel)
@@ -77,9 +78,11 @@ class Noise:
 
     def whiten(self, channel: int, r: Array, out: Array | None = None) -> Array:
         """Innovations of residuals r (..., n), in units of their standard deviation; out : where they are put."""
-        ahead, back = self.filter(channel)
-        filtered = np.asarray(lfilter(ahead, back, r, axis=-1)) if self.coloured(channel) else r
-        return np.divide(filtered, self.innovation[channel], out=out)
+        if self.coloured(channel):
+            from scipy.signal import lfilter
+
+            r = np.asarray(lfilter(*self.filter(channel), r, axis=-1))
+        return np.divide(r, self.innovation[channel], out=out)
 
     def whitened(self, r: Array, weight: Array) -> Array:
         """Weighted innovations of residuals r (..., channels, n), of their shape; weight: (channels, n) or wider."""

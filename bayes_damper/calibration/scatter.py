@@ -40,7 +40,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize
-from scipy.stats import t as student
+from scipy.special import stdtr
 
 from bayes_damper.calibration.experiment import lone, repeats
 from bayes_damper.calibration.least_squares import Calibration
@@ -473,7 +473,7 @@ def trend_with_order(fit: Calibration, size: Size) -> tuple[float, float]:
     if freedom < 1 or both <= 0.0:
         return 0.0, 1.0
     r = float(np.clip(x @ y / math.sqrt(both), -1.0, 1.0))
-    return r, float(2.0 * student.sf(abs(r) * math.sqrt(freedom / max(1.0 - r * r, 1e-12)), freedom))
+    return r, float(2.0 * stdtr(freedom, -abs(r) * math.sqrt(freedom / max(1.0 - r * r, 1e-12))))
 
 
 def sizes_shown(fit: Calibration) -> list[Size]:

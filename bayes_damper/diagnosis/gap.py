@@ -30,8 +30,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import helmert
-from scipy.special import ndtr
-from scipy.stats import t as student
+from scipy.special import ndtr, stdtr
 
 from bayes_damper.calibration import (
     Calibration,
@@ -310,7 +309,7 @@ def held_out_test(
         if freedom > 0.0:
             both = BELIEVED + freedom
             power = (BELIEVED + freedom * power) / both
-            p = float(student.sf(float(x @ r) / (length * math.sqrt(power)), both))
+            p = float(stdtr(both, -float(x @ r) / (length * math.sqrt(power))))
         else:
             p = _by_trials(np.array([float(own[i] @ r[s]) for i, (_, s) in ranges.items()]), float(x @ r) / length)
         p_values.append(tried * p)
@@ -351,7 +350,7 @@ def _by_trials(products: Array, z: float) -> float:
     if n < FEWEST_TRIALS:
         return p
     share = float(products.sum() / math.sqrt(float(products @ products)))
-    return max(p, float(student.sf(share * math.sqrt((n - 1.0) / max(n - share**2, 1e-12)), n - 1.0)))
+    return max(p, float(stdtr(n - 1.0, -share * math.sqrt((n - 1.0) / max(n - share**2, 1e-12)))))
 
 
 def _length_beside(shapes: Mapping[int, Array], left: Mapping[int, Array], noise: Noise) -> float:

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import helmert
-from scipy.stats import gamma
+from scipy.special import gammaincc
 
 from bayes_damper.calibration import Calibration, Experiment
 
@@ -266,7 +266,8 @@ def _lines(spectra: Sequence[tuple[Array, Array]], own: float) -> tuple[float, f
             m = f.size // width
             band = total[: m * width].reshape(m, width).sum(axis=1)
             looks += m
-            minus_log_p = -gamma.logsf(band, a=len(rows) * width)
+            with np.errstate(divide="ignore"):
+                minus_log_p = -np.log(gammaincc(len(rows) * width, band))
             k = int(np.argmax(minus_log_p))
             if minus_log_p[k] > best:
                 best, where = float(minus_log_p[k]), float(f[k * width : (k + 1) * width].mean())

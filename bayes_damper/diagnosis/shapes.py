@@ -18,7 +18,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from bayes_damper.diagnosis.response import Motion, scale_of
 from bayes_damper.effects.base import SITES
@@ -146,13 +145,25 @@ def dahl(angle: Array, breakaway: float) -> Array:
     return np.asarray(_followed(keep, np.sign(moved) * (1.0 - keep)))
 
 
+@compiled()
+def _ringing(pole, driven):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202 (of numbers, real or complex)
+    """y[i] = driven[i] + pole y[i - 1], along each row, from rest; (trials, N)."""
+    out = np.empty_like(driven)
+    for j in range(driven.shape[0]):
+        last = 0.0 * pole
+        for i in range(driven.shape[1]):
+            last = driven[j, i] + pole * last
+            out[j, i] = last
+    return out
+
+
 def _resonances(drive: Array, h: float, scale: Scale) -> Iterator[Array]:
     """Deflection and speed of lightly damped resonators shaken by `drive` (trials, N), sampled every h s."""
     known = [(factor * scale.omega, DAMPING) for factor in RESONANCES]
     for omega, damping in [*known, (scale.peak if scale.peak > 0.0 else 2.5 * scale.omega, SHARP)]:
         angle = min(omega * h, 0.9 * math.pi)
         pole = np.exp((-damping + 1j * math.sqrt(1.0 - damping**2)) * angle)
-        state = lfilter([angle], [1.0, -pole], drive, axis=-1)
+        state = _ringing(complex(pole), (angle + 0.0j) * drive)
         yield state.imag
         yield state.real
 
@@ -424,7 +435,7 @@ def _sensor(m: Motion, s: Scale) -> Iterator[Shape]:
 def _passed(y: Array, tau: float, dt: Array) -> Array:
     """First-order low-pass of y (trials, n), from rest at 0."""
     keep = math.exp(-float(np.median(dt)) / tau)
-    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], y, axis=-1))
+    return np.asarray(_ringing(keep, (1.0 - keep) * y))
 
 
 _BUILDERS: dict[str, Callable[[Motion, Scale], Iterator[Shape]]] = {

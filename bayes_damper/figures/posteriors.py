@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, MaxNLocator, NullFormatter
 from matplotlib.transforms import blended_transform_factory
-from scipy.ndimage import gaussian_filter
 
 from bayes_damper.figures.style import COLOURS, RC, STYLES, Array, mark, new_figure, plain_figure, raised
 from bayes_damper.runs.contents.fit import CheckEntry
@@ -118,6 +117,8 @@ def _mark_interval(
     edges = (np.geomspace if logarithmic else np.linspace)(float(ends[0]), float(ends[1]), _BINS + 1)
     if assumed is not None:
         # Both are shares of draws in each bar, so that the lines compare as they stand.
+        from scipy.ndimage import gaussian_filter  # slow to load, and only fits draw this
+
         heights = gaussian_filter(np.histogram(assumed, edges)[0] / assumed.size, 1.0)
         middles = np.sqrt(edges[:-1] * edges[1:]) if logarithmic else 0.5 * (edges[:-1] + edges[1:])
         axis.plot(middles, heights, color="#888888", lw=1.2, label="prior")

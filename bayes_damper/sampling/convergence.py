@@ -16,7 +16,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
-from scipy.stats import rankdata
 
 Array = NDArray[np.float64]
 _FEWEST_STEPS = 16
@@ -213,7 +212,8 @@ def _shortfalls(
 
 def _normal_scores(values: Array) -> Array:
     """Ranks over all draws turned into standard normal quantiles (Blom), same shape."""
-    ranks = rankdata(values, axis=None).reshape(values.shape)
+    _, place, counts = np.unique(values, return_inverse=True, return_counts=True)
+    ranks = (np.cumsum(counts) - 0.5 * (counts - 1))[place].reshape(values.shape)  # equal ones share theirs
     return np.asarray(ndtri((ranks - 0.375) / (values.size + 0.25)))
 
 

@@ -24,7 +24,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
-import emcee
 import numpy as np
 from numpy.typing import NDArray
 
@@ -376,6 +375,8 @@ def _advance(target: Target, state: _Ensemble, thin: int) -> tuple[_Ensemble, Ar
     """One block of an ensemble: a round of warm-up (thin = 0) or 25 stored steps, with the draws of the latter."""
     moves = _moves(state)
     before = Counter(getattr(target, "outcomes", {}))
+    import emcee  # slow to load, and a diagnosis draws nothing
+
     sampler = emcee.EnsembleSampler(len(state.coords), target.ndim, target, moves=moves, vectorize=True)
     sampler.log_prob_fn = target  # emcee's own wrapper prints all points when Ctrl-C comes
     begin = emcee.State(state.coords, log_prob=state.log_prob, random_state=_unpacked(state.random))

@@ -1,6 +1,7 @@
 """Ensemble moves for emcee, without Python loops over walkers.
 
-Each is an `emcee.moves.Move`, so that it is emcee's `EnsembleSampler` that samples; what is ours is the proposal.
+Each has the method that emcee asks of a move, so that it is emcee's `EnsembleSampler` that samples; what is ours is the
+proposal.
 One step updates the two halves of the ensemble in turn, each from the other (Foreman-Mackey et al. 2013), halves drawn
 afresh at each step. The walkers of a half are proposed, evaluated and decided upon as arrays, and the target is called
 directly with the whole half, which leaves emcee a few microseconds per walker less to do.
@@ -12,11 +13,10 @@ the state and that its acceptance rule does not make up for.
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
-from emcee.moves import Move
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
@@ -26,7 +26,7 @@ _MOST_TURNS = 60
 _NO_GAIN = 1e-2  # nats per draw from one turn to the next
 
 
-class HalvesMove(Move):  # type: ignore[misc]  # emcee has no annotations
+class HalvesMove(ABC):
     """A step that moves each half of the ensemble with the help of the other, which is at rest meanwhile.
 
     A variant supplies `proposal` alone. `tried` and `taken` count proposals and acceptances, `undefined` the points
