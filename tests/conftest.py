@@ -29,7 +29,8 @@ LONGEST = (
     "test_bench", "test_sites", "test_wiring", "test_rigs", "test_problem", "test_sets", "test_parallel_map",
     "test_fleet", "test_result", "test_compare", "test_nominal", "test_logger_formats", "test_laboratories",
     "test_own_effect", "test_input_noise", "test_simulator", "test_moves", "test_examples", "test_ensembles",
-    "test_named", "test_prescribed_motion", "test_check", "test_bench_parts", "test_simulator_reserved",
+    "test_named", "test_prescribed_motion", "test_check", "test_bench_parts", "test_simulator_reserved", "test_wheel",
+    "test_scenarios", "test_unlearnt", "test_diagnose_stopped", "test_cache_folder", "test_execution",
 )  # fmt: skip
 
 
