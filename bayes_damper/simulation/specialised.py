@@ -16,6 +16,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
@@ -184,7 +185,12 @@ def compile_common() -> None:
 
 def kernel_file(bound: dict[str, object]) -> Path:
     """The file in which the kernel bound to these globals stands, or would stand; its stem is theirs alone."""
-    return cache_folder() / f"advance_{_fingerprint(bound)}.py"
+    return cache_folder() / f"advance_{_name(frozenset(bound.items()))}.py"
+
+
+@lru_cache(maxsize=1024)  # asked for again by what compiles ahead and by each model
+def _name(bound: frozenset[tuple[str, object]]) -> str:
+    return _fingerprint(dict(bound))
 
 
 def _common() -> Any:

@@ -537,6 +537,13 @@ def test_only_what_decides_the_machine_code_has_kernels_compiled_anew(monkeypatc
     assert sorted(read) == ["equations.py", "integrator.py", "late_binding.py", "vector_math.py"]
 
 
+def test_the_sources_of_a_kernel_are_read_once(monkeypatch):
+    bound = Model(effect=CUBIC).bound()
+    path = specialised.kernel_file(bound)
+    monkeypatch.setattr(Path, "read_text", None)
+    assert specialised.kernel_file(Model(effect=CUBIC).bound()) == path
+
+
 def test_closures_of_one_name_and_the_same_numbers_do_not_share_a_kernel():
     def factory(size, squared):
         if squared:
