@@ -247,7 +247,7 @@ SILENT = [
     (r"row \d+, \w+ = '(1e-308|\"1\"|-1|0|1\.5)'", "a reading may be so"),
     (r"priors.toml: (missing|empty|blank|a link to nothing)", "a campaign needs no priors of its own"),
     (r"rows reversed|twice|renamed|no line ends|commas|column \w+ (twice|renamed)", "still says what is needed"),
-    (r"bytes changed", "another digit or letter is not told from the one meant"),
+    (r"bytes changed", "nobody can see which digit or letter was meant"),
     (r"priors.toml: ", "a prior is what its author holds likely"),
     (r"trials.csv: row \d+, \w+ = ", "a value of its own that the records do not contradict"),
     (r"one.h5: (a link to another file|a soft link|a group within itself|words|complex)", "left out beside readings"),

@@ -135,7 +135,10 @@ def mark_of(readings: Array) -> tuple[float, int] | None:
 def without_outliers(times: Array, readings: Array, omega: float, smooth: bool = False) -> Array:
     """The readings with single ones that stick out put between their neighbours."""
     spikes = outliers_of(times, readings, noise_floor_of(readings), omega, smooth)
-    return np.interp(times, np.delete(times, spikes), np.delete(readings, spikes)) if spikes else readings
+    if not spikes:
+        return readings
+    largest = float(np.max(np.abs(readings)))  # of 1e308 there are no finite differences
+    return largest * np.interp(times, np.delete(times, spikes), np.delete(readings, spikes) / largest)
 
 
 def within_gaps(at: Array, times: Array) -> NDArray[np.bool_]:
@@ -277,9 +280,9 @@ def dominant_frequency(times: Array, readings: Array) -> float:
     if count < 8:
         return 0.0
     even = np.linspace(times[0], times[-1], count)
-    y = np.interp(even, times, readings)
+    largest = max(float(np.max(np.abs(readings))), 1e-300)
+    y = np.interp(even, times, readings / largest)  # readings of 1e308 have no finite sum or difference
     size = 8 * count
-    y = y / max(float(np.max(np.abs(y))), 1e-300)  # readings of 1e308 have no finite sum
     power = np.abs(np.fft.rfft((y - np.mean(y)) * np.hanning(count), size))
     i = int(np.argmax(power[1:-1])) + 1
     a, b, c = power[i - 1 : i + 2]

@@ -204,6 +204,16 @@ def test_times_that_count_from_something_else_than_the_release_are_refused(tmp_p
     cart(tmp_path / "free", records, times=TIMES + 1.7e9, start="free")
 
 
+@pytest.mark.filterwarnings("error")
+def test_readings_as_large_as_numbers_get_are_looked_at_without_a_warning():
+    times = np.arange(400) / 100.0 + 1e-3 * (np.arange(400) % 3)
+    y = 1e308 * np.where(np.arange(400) % 2 == 0, 1.0, -1.0)
+    assert look.dominant_frequency(times, y) > 0.0
+    spiked = np.where(np.arange(400) == 77, 1.5e308, 1e307 * np.cos(times))
+    with np.errstate(over="ignore"):
+        assert np.isfinite(look.without_outliers(times, spiked, 1.0)).all()
+
+
 def test_cases_that_differ_in_capitals_only_are_named(tmp_path):
     records = [noisy(s, swing(TIMES)) for s in (1, 2)]
     found = cart(tmp_path / "c", records, case=lambda i: "Aa"[i])
