@@ -129,6 +129,7 @@ def judge_without_repeats(
 ) -> Judgement:  # fmt: skip
     """Answers where no repeats distinguish the error of the model from noise: each is judged under what it leaves."""
     sets = grown(fit, found, pool, workers=workers, report=report)
+    fit = next(s.fit for s in sets if not s.members)
     first = next((s.fit for s in sets if s.members), None)
     found = as_candidates(found, sets)
     best = next((c.fit for c in found if c.fit is not None), None)

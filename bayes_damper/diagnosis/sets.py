@@ -68,7 +68,6 @@ RELEARNT, LONGEST = 2, 5  # times that the noise is learnt from what a set leave
 SETTLED = 0.03  # relative change of the noise that does not count
 STARTS = (1.0, 0.6, 0.3)  # shares of the screening's amplitudes from which a set is fitted
 FAINT = 0.03  # the same where the base is kept
-LEAST_DROPPED = 2  # effects of a set from which each is left out once
 LEAST = 0.05  # of a parameter's value, to which it gives way at most at a start
 STEPS, STEPS_ALONE = 16, 40  # of a fit; over the many periods of a record without repeats valleys are long
 
@@ -546,17 +545,20 @@ def grown(
             if alone or not mends(fit.log_evidence - max(smaller), explained, defined):
                 add(members, fit)
         ranked = weighed(list(sets.values()))
-    # A smaller set may have ended short of where the best one leads: each effect is left out of that once.
+    # A smaller set may have ended short of where the best one leads: each effect is left out of that once. That is how
+    # the nominal model comes by times of release that only the fit with an effect has found.
     best = ranked[0]
     for members, start in _without_one(best) if alone else ():
-        add(members, _fitted(nominal, members, [start]))
+        add(members, _fitted(replace(nominal, eta=best.fit.eta), members, [start]))
     return weighed(list(sets.values()))
 
 
 def _without_one(best: SetFit) -> list[tuple[tuple[Member, ...], Array]]:
     """Each smaller set with one effect less than the best one, and where the best one's fit lies for it."""
     problem = best.fit.problem
-    if not isinstance(problem, SetProblem) or len(best.members) < LEAST_DROPPED:
+    if len(best.members) == 1:
+        return [((), best.fit.q[: sum(c.role != "effect" for c in problem.coordinates)])]  # they stand first
+    if not isinstance(problem, SetProblem):
         return []
     out = []
     for effect, _ in best.members:
@@ -611,9 +613,11 @@ def _sharper(fit: Calibration) -> Calibration:
 def _fitted(nominal: Calibration, members: tuple[Member, ...], starts: Sequence[Array]) -> Calibration:
     """A set fitted from several starts; where no trial has repeats, under the noise that it leaves itself."""
     alone = bool(nominal.problem.noise.sensor)
-    problem: Problem = SetProblem(nominal.problem, members, exact=True)
+    problem = nominal.problem
     if len(members) == 1:  # as single effects are fitted everywhere else
-        problem = nominal.problem.with_effect(members[0][1])
+        problem = problem.with_effect(members[0][1])
+    elif members:
+        problem = SetProblem(problem, members, exact=True)
     most = STEPS_ALONE if alone else STEPS
     fit = calibrate(problem, starts, eta=nominal.eta, anneal=False, most=most, finish=not alone, straight=alone)
     return _sharper(fit) if alone else fit

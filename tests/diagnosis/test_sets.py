@@ -187,6 +187,11 @@ def test_each_effect_is_left_out_of_the_best_set_from_where_that_lies():
     ]  # fmt: skip
     n = problem.base.size
     np.testing.assert_array_equal(smaller[1][1], np.delete(q, n + 1))
+    single = problem.base.with_effect(members[0][1])
+    ((none, start),) = _without_one(SetFit(members[:1], SimpleNamespace(problem=single, q=q[: n + 1]), 0.0, 0.0, 1.0))
+    assert none == ()
+    np.testing.assert_array_equal(start, q[:n])
+    assert _without_one(SetFit((), SimpleNamespace(problem=problem.base), 0.0, 0.0, 1.0)) == []
 
 
 def test_a_set_that_explains_less_than_one_it_holds_is_fitted_from_there(monkeypatch):
