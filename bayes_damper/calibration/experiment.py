@@ -243,16 +243,6 @@ def release_window(trial: TrialRecord, quantity: str) -> tuple[float, float]:
     return float(trial.times[held - 1]), float(trial.times[held])
 
 
-def still_rising(trial: TrialRecord, instant: float, noise: float) -> bool:
-    """Whether the first acceleration from an instant on is less than one after it: the rig may not be let go yet.
-
-    By more than readings with noise of this standard deviation differ by.
-    """
-    first = int(np.searchsorted(trial.times, instant))
-    y = np.abs(np.nan_to_num(trial.y[0, first : first + 6]))
-    return bool(y.size > 1 and y[0] < float(np.max(y)) - SURE * noise)
-
-
 def lone(experiment: Experiment, trials: Sequence[int]) -> bool:
     """Whether no two of the trials are repeats, of one record length too. Free starts never repeat."""
     keys = [(*t.conditions, t.times.size) for t in (experiment.trials[i] for i in trials)]

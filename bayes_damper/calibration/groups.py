@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.calibration.experiment import Experiment, TrialRecord, release_window, repeats, still_rising
+from bayes_damper.calibration.experiment import Experiment, TrialRecord, release_window, repeats
 from bayes_damper.calibration.noise import Noise
 from bayes_damper.calibration.own_values import (
     INPUT,
@@ -210,14 +210,14 @@ class Grouping:
         forced = trials[0].inputs is not None and trials[0].inputs.active and not np.any(mean)
         if self.switches.delay and "delay" not in e.levels and not forced:  # nothing is released
             low, high = np.array([release_window(t, e.quantity) for t in trials]).T
-            if (slow := self.switches.scatter.sd(RELEASE)) and e.quantity == "acceleration":
-                rising = [still_rising(t, end, self.noise.total[0]) for t, end in zip(trials, high, strict=True)]
-                high = high + slow * np.array(rising)
-            middle, half = 0.5 * (low + high), 0.35 * (high - low)
+            middle, last = 0.5 * (low + high), high
+            if e.quantity == "acceleration":  # the largest reading may lie within a slow release, if much brakes
+                last = high + self.switches.scatter.sd(RELEASE)
+            half = 0.35 * (last - low)
             out.append(("delay", middle, half))
             # A rig seen held at the first reading bounds the release from below; else the logger may be later yet.
             slack = np.where(low >= np.array([t.times[0] for t in trials]), -1e-6, 0.4)
-            bounds.append(((low - middle) / half - slack, (high - middle) / half * (1.0 - 1e-9)))
+            bounds.append(((low - middle) / half - slack, (last - middle) / half * (1.0 - 1e-9)))
         if self.switches.friction and trials[0].coupled and any(c.parameter == "mu" for c in self.coordinates):
             out.append(("ln_mu", np.zeros(n), np.full(n, FRICTION_SPREAD)))
             bounds.append(wide)
