@@ -36,6 +36,9 @@ FIRST_STAGE_EVENT_WEIGHT = 0.15
 OFFSET_SHARE = 0.05  # of a channel's reach: prior sd of its unknown offset, where the campaign does not say
 SLOW = 0.25  # of the rig's frequency, up to which what a free record shows is its sensor's baseline
 _FARTHEST = 37.0  # standard deviations beyond which a coordinate is not followed
+Nuisance = tuple[str, Array, Array]  # name, prior mean and sd for each trial
+Bounds = tuple[Array | float, Array | float]  # of each trial's coordinate
+_WIDE: Bounds = (-_FARTHEST, _FARTHEST)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +52,7 @@ class Group:
     y: Array  # (trials, channels, n), missing readings 0
     weight: Array  # the same shape; 0 where missing
     events: NDArray[np.bool_]  # the same shape; beside friction reversals
-    nuisances: tuple[tuple[str, Array, Array], ...]  # name, prior mean and sd for each trial
+    nuisances: tuple[Nuisance, ...]
     lower: Array  # (trials, m) bounds of eta
     upper: Array
     errors: Array | None = None  # (k, channels, n), what unit sizes of the inputs' noise do to the readings
@@ -156,45 +159,62 @@ class Grouping:
             first.errors,
         )  # fmt: skip
 
-    def _nuisances(self, trials: list[TrialRecord]) -> tuple[tuple[tuple[str, Array, Array], ...], Array, Array]:
+    def _nuisances(self, trials: list[TrialRecord]) -> tuple[tuple[Nuisance, ...], Array, Array]:
+        """What trials that share a simulation have for themselves, with the bounds of each, (trials, m)."""
+        e = self.experiment
+        if e.start == "free":
+            bounded = [(own, _WIDE) for own in self._starts(trials)]
+            released = False
+        else:
+            bounded, released = self._releases(trials)
+        alike = [*self._offsets(trials), *self._scattered(trials, released), *self._of_inputs(trials)]
+        bounded += [(own, _WIDE) for own in alike]
+        out = tuple(own for own, _ in bounded)
+        lower, upper = (np.array([np.full(len(trials), b[k]) for _, b in bounded]).T for k in (0, 1))
+        for k, (name, centre, spread) in enumerate(out):
+            if name == RELEASE:  # no longer than 1 / omega of the primary: what falls more slowly is no release
+                longest = 1.0 / np.array([e.omegas[t.k1t] for t in trials])
+                lower[:, k], upper[:, k] = -centre / spread, (longest - centre) / spread
+        if not out:
+            lower = upper = np.zeros((len(trials), 0))
+        return out, lower, upper
+
+    def _starts(self, trials: list[TrialRecord]) -> list[Nuisance]:
+        """Angles and velocities of trials that are in motion from the first reading on."""
+        e = self.experiment
+        out = []
+        omega = math.sqrt(e.stiffnesses[0][0] / e.constants["J1"][0])
+        given = trials[0].inputs
+        moved = None if given is None else given.motion
+        for name, order in (("theta0", 0), ("omega1_0", 1), ("theta2_0", 0), ("omega2_0", 1)):
+            if name in ("theta2_0", "omega2_0") and not trials[0].coupled:
+                continue
+            if moved is not None and name in ("theta0", "omega1_0"):
+                continue  # the primary begins as its motion is prescribed, and the secondary is counted from it
+            channel = 1 if "2_0" in name else 0
+            power = order - DERIVATIVE[e.quantity]
+            reach = np.array([float(np.nanmax(np.abs(t.y[channel]))) for t in trials]) * omega**power
+            guess = np.zeros(len(trials))
+            if power == 0:
+                guess = np.array([float(np.nan_to_num(t.y[channel][0])) for t in trials])
+            elif power == 1 and e.quantity == "displacement":
+                guess = np.array([_first_slope(t.times, t.y[channel], 1.0 / omega) for t in trials])
+            elif power == -2:
+                guess = -np.array([float(np.nan_to_num(t.y[channel][0])) for t in trials]) / omega**2
+            if moved is not None:
+                guess = guess - moved[order, 0]
+            out.append((name, guess, 1.5 * reach + 1e-9))
+        return out
+
+    def _releases(self, trials: list[TrialRecord]) -> tuple[list[tuple[Nuisance, Bounds]], bool]:
+        """Angle, instant and frictions of trials that begin at rest, and whether anything is released in them."""
         e = self.experiment
         n = len(trials)
-        out: list[tuple[str, Array, Array]] = []
-        bounds: list[tuple[Array, Array]] = []
-        wide = (np.full(n, -_FARTHEST), np.full(n, _FARTHEST))
-        if e.start == "free":
-            omega = math.sqrt(e.stiffnesses[0][0] / e.constants["J1"][0])
-            given = trials[0].inputs
-            moved = None if given is None else given.motion
-            for name, order in (("theta0", 0), ("omega1_0", 1), ("theta2_0", 0), ("omega2_0", 1)):
-                if name in ("theta2_0", "omega2_0") and not trials[0].coupled:
-                    continue
-                if moved is not None and name in ("theta0", "omega1_0"):
-                    continue  # the primary begins as its motion is prescribed, and the secondary is counted from it
-                channel = 1 if "2_0" in name else 0
-                power = order - DERIVATIVE[e.quantity]
-                reach = np.array([float(np.nanmax(np.abs(t.y[channel]))) for t in trials]) * omega**power
-                guess = np.zeros(n)
-                if power == 0:
-                    guess = np.array([float(np.nan_to_num(t.y[channel][0])) for t in trials])
-                elif power == 1 and e.quantity == "displacement":
-                    guess = np.array([_first_slope(t.times, t.y[channel], 1.0 / omega) for t in trials])
-                elif power == -2:
-                    guess = -np.array([float(np.nan_to_num(t.y[channel][0])) for t in trials]) / omega**2
-                if moved is not None:
-                    guess = guess - moved[order, 0]
-                out.append((name, guess, 1.5 * reach + 1e-9))
-                bounds.append(wide)
-            out += self._offsets(trials)
-            out += self._scattered(trials, released=False)
-            out += self._of_inputs(trials)
-            bounds += [wide] * (len(out) - len(bounds))
-            return tuple(out), np.array([b[0] for b in bounds]).T, np.array([b[1] for b in bounds]).T
+        out: list[tuple[Nuisance, Bounds]] = []
         mean = np.array([t.theta0 for t in trials])
         sd = np.array([t.theta0_sd for t in trials])
         if np.any(sd > 0.0) and "theta0" not in e.levels:
-            out.append(("theta0", mean, np.maximum(sd, 1e-12)))
-            bounds.append(wide)
+            out.append((("theta0", mean, np.maximum(sd, 1e-12)), _WIDE))
         absent = {"mu"} if not e.magnet else set()
         absent |= {"mu", "drag"} if self.nominal == "linear" else set()
         for name in (*NOMINAL, "theta0", "delay"):
@@ -204,45 +224,33 @@ class Grouping:
                 and (trials[0].coupled or name in acting_alone(self.experiment))
             ):
                 found = _own_value(name, [self.prior(name, t.case) for t in trials])
-                if found is not None:
-                    out.append(found[0])
-                    bounds.append(found[1])
+                out += [] if found is None else [found]
         forced = trials[0].inputs is not None and trials[0].inputs.active and not np.any(mean)
         if self.switches.delay and "delay" not in e.levels and not forced:  # nothing is released
-            low, high = np.array([release_window(t, e.quantity) for t in trials]).T
-            middle, last = 0.5 * (low + high), high
-            if e.quantity == "acceleration":  # the largest reading may lie within a slow release, if much brakes
-                last = high + self.switches.scatter.sd(RELEASE)
-            half = 0.35 * (last - low)
-            out.append(("delay", middle, half))
-            # A rig seen held at the first reading bounds the release from below; else the logger may be later yet.
-            slack = np.where(low >= np.array([t.times[0] for t in trials]), -1e-6, 0.4)
-            bounds.append(((low - middle) / half - slack, (last - middle) / half * (1.0 - 1e-9)))
-        if self.switches.friction and trials[0].coupled and any(c.parameter == "mu" for c in self.coordinates):
-            out.append(("ln_mu", np.zeros(n), np.full(n, FRICTION_SPREAD)))
-            bounds.append(wide)
-        if self.switches.drag and any(c.parameter == "drag" for c in self.coordinates):
-            out.append(("ln_drag", np.zeros(n), np.full(n, FRICTION_SPREAD)))
-            bounds.append(wide)
-        out += self._offsets(trials)
-        out += self._scattered(trials, released=not forced)
-        out += self._of_inputs(trials)
-        bounds += [wide] * (len(out) - len(bounds))
-        for k, (name, middle, spread) in enumerate(out):
-            if name == RELEASE:  # no longer than 1 / omega of the primary: what falls more slowly is no release
-                longest = 1.0 / np.array([e.omegas[t.k1t] for t in trials])
-                bounds[k] = (-middle / spread, (longest - middle) / spread)
-        if not out:
-            return (), np.zeros((n, 0)), np.zeros((n, 0))
-        return tuple(out), np.array([b[0] for b in bounds]).T, np.array([b[1] for b in bounds]).T
+            out.append(self._instant(trials))
+        for name, free in (("mu", self.switches.friction and trials[0].coupled), ("drag", self.switches.drag)):
+            if free and any(c.parameter == name for c in self.coordinates):
+                out.append(((f"ln_{name}", np.zeros(n), np.full(n, FRICTION_SPREAD)), _WIDE))
+        return out, not forced
 
-    def _of_inputs(self, trials: list[TrialRecord]) -> list[tuple[str, Array, Array]]:
+    def _instant(self, trials: list[TrialRecord]) -> tuple[Nuisance, Bounds]:
+        """Instant of the release, or its end, within what the first readings allow."""
+        low, high = np.array([release_window(t, self.experiment.quantity) for t in trials]).T
+        middle, last = 0.5 * (low + high), high
+        if self.experiment.quantity == "acceleration":  # the largest reading may lie within a slow release
+            last = high + self.switches.scatter.sd(RELEASE)
+        half = 0.35 * (last - low)
+        # A rig seen held at the first reading bounds the release from below; else the logger may be later yet.
+        slack = np.where(low >= np.array([t.times[0] for t in trials]), -1e-6, 0.4)
+        return ("delay", middle, half), ((low - middle) / half - slack, (last - middle) / half * (1.0 - 1e-9))
+
+    def _of_inputs(self, trials: list[TrialRecord]) -> list[Nuisance]:
         """Noise of what was measured as an input, in its own standard deviations."""
         errors, n = trials[0].errors, len(trials)
         count = 0 if errors is None else len(errors)
         return [(f"{INPUT}{k}", np.zeros(n), np.ones(n)) for k in range(1, count + 1)]
 
-    def _offsets(self, trials: list[TrialRecord]) -> list[tuple[str, Array, Array]]:
+    def _offsets(self, trials: list[TrialRecord]) -> list[Nuisance]:
         """Reading of each channel at rest, unknown for each trial; its prior is a share of the channel's reach.
 
         Of displacements, and of whatever is read of a rig that is in motion from the first reading on: what it reads at
@@ -261,7 +269,7 @@ class Grouping:
                 out.append((f"offset{c + 1}", np.zeros(len(trials)), np.maximum(sd, 1e-12)))
         return out
 
-    def _scattered(self, trials: list[TrialRecord], released: bool) -> list[tuple[str, Array, Array]]:
+    def _scattered(self, trials: list[TrialRecord], released: bool) -> list[Nuisance]:
         """What else each trial has for itself: values about those of all trials; released : from a known angle.
 
         Where trials start free a drift has no waves that the rig might have: none above SLOW of its frequency.
@@ -299,9 +307,7 @@ def _event_strength(y: Array, noise: Array) -> Array:
     return np.asarray(np.nan_to_num(jump))
 
 
-def _own_value(
-    name: str, priors: Sequence[Distribution | float]
-) -> tuple[tuple[str, Array, Array], tuple[Array, Array]] | None:
+def _own_value(name: str, priors: Sequence[Distribution | float]) -> tuple[Nuisance, Bounds] | None:
     """Nuisance of a parameter that each trial has for itself, with its bounds; None if it is fixed.
 
     Scales are followed by their logarithm, relative to the median. What is not Gaussian there already (uniform,
