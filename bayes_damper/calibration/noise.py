@@ -147,10 +147,21 @@ def fast_level(series: Sequence[Array], order: int = 4) -> float:
 
     The higher the order, the faster may be what is no noise, and the more readings does one event spoil.
     """
+    kept = _differences(series, order)
+    return 1.4826 * float(np.median(np.abs(kept))) if kept.size else 0.0
+
+
+def tails_of(series: Sequence[Array], order: int = 4) -> float:
+    """Mean square of the white noise in series over its `fast_level` squared: above 1 where its tails are heavy."""
+    kept, level = _differences(series, order), fast_level(series, order)
+    return max(float(np.mean(kept**2)) / level**2, 1.0) if level > 0.0 else 1.0
+
+
+def _differences(series: Sequence[Array], order: int) -> Array:
+    """Differences of an order along each series, as large as the white noise in it."""
     fast = [np.diff(x, n=order)[4:] for x in series if x.size > order + 8]
-    kept = np.concatenate([f[np.isfinite(f)] for f in fast]) if fast else np.zeros(0)
     gain = math.sqrt(math.comb(2 * order, order))  # on white noise
-    return 1.4826 * float(np.median(np.abs(kept))) / gain if kept.size else 0.0
+    return np.concatenate([f[np.isfinite(f)] for f in fast]) / gain if fast else np.zeros(0)
 
 
 def rounding(experiment: Experiment, channel: int) -> float:

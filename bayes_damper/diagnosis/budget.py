@@ -40,7 +40,7 @@ from bayes_damper.diagnosis.sets import (
     weighed,
 )
 from bayes_damper.diagnosis.shares import IN_WORDS, NO_SHARE, Closed, Products, products_of, shortest_interval
-from bayes_damper.diagnosis.verdict import FLOOR, PRIOR_NONE, RULE, Answers, Left, Rule
+from bayes_damper.diagnosis.verdict import FLOOR, PRIOR_NONE, RULE, Answers, Left, Rule, logistic
 from bayes_damper.runs.contents.diagnosis import BudgetEntry, Estimate
 
 Array = NDArray[np.float64]
@@ -288,11 +288,29 @@ def foreign_alone(left: float, rule: Rule = RULE) -> float:
     return float(rule.prior_unknown / (1.0 - PRIOR_NONE) * max(min(left, 1.0), rule.least) ** rule.imitated)
 
 
+def misses_alone(left: float, rule: Rule = RULE) -> float:
+    """Probability that a set is no explanation, since it leaves this share of what noise does not account for.
+
+    Evidence is the likelihood under noise that stands for the error of the model too. Where that is not what it is
+    taken for, coloured noise say, or one trial that went wrong, a set may have much evidence and close next to nothing.
+    """
+    return logistic(math.log(max(left, 1e-6) / rule.share_lone) / rule.share_width)
+
+
+def idle_alone(left: float, none: Left, rule: Rule = RULE) -> float:
+    """Probability that nothing is missing although a set has evidence: it closes little, and noise accounts for that.
+
+    none : what the nominal model leaves.
+    """
+    seen = logistic((none.nats - rule.strength) / rule.strength_width)
+    return misses_alone(left, rule) * (1.0 - seen) * min(left, 1.0)
+
+
 def answers_of(
     budget: Budget,
     sets: Sequence[SetFit],
     offered: Sequence[str],
-    outside: Mapping[frozenset[str], float],
+    shares: Mapping[frozenset[str], float],
     none: Left,
     left: Left,
     generic: float = -math.inf,
@@ -301,8 +319,10 @@ def answers_of(
     """Probabilities of all answers from weighed sets: a set speaks for the effect with its largest share.
 
     `unknown` stands for what a cause outside the library does, for a gap that no set explains, and for the largest
-    share being that which stays unexplained. offered : all effects; none, left : what the nominal model and the best
-    set leave; generic : log evidence of an unnamed cause that was fitted, such as exchanged channels.
+    share being that which stays unexplained. A set that closes little is no explanation: there is none where noise
+    accounts for what the nominal model leaves, else an unknown one. offered : all effects; shares : that each likely
+    set leaves; none, left : what the nominal model and the best set leave; generic : log evidence of an unnamed cause
+    that was fitted, such as exchanged channels.
     """
     weights = probabilities(sets, len(offered))
     alone = {names: s.evidence for s in reversed(sets) if len(names := s.names) == 1}
@@ -311,20 +331,25 @@ def answers_of(
     scale = 1.0 / (1.0 + other)
     out = dict.fromkeys(("none", "unknown", *offered), 0.0)
     out["unknown"] = other * scale
+    seen = logistic((none.nats - rule.strength) / rule.strength_width)
     pair, pair_effects = 0.0, None
     for names, weight in weights.items():
         p = weight * scale
         if not names:
-            lost = 1.0 / (1.0 + math.exp(min((rule.strength - none.nats) / rule.strength_width, 60.0)))
-            out["none"] += p * (1.0 - lost)
-            out["unknown"] += p * lost
+            out["none"] += p * (1.0 - seen)
+            out["unknown"] += p * seen
             continue
-        lost = 1.0 if "unknown" in names else outside.get(names, foreign_alone(1.0, rule))
+        share = shares.get(names, 1.0)
+        missed, idle = misses_alone(share, rule), idle_alone(share, none, rule)
+        out["none"] += p * idle
+        out["unknown"] += p * (missed - idle)
+        p *= 1.0 - missed
+        lost = 1.0 if "unknown" in names else foreign_alone(share, rule)
         leading: Mapping[str, float] = budget.leading if names == budget.best.names else {}
         if not leading:
             leading = {max(names, key=lambda n: alone.get(frozenset((n,)), -math.inf)): 1.0}
-        for name, share in leading.items():
-            out[name] += p * (1.0 - lost) * share
+        for name, largest in leading.items():
+            out[name] += p * (1.0 - lost) * largest
         out["unknown"] += p * lost
         if names == budget.best.names and len(names) > 1:
             pair, pair_effects = p * (1.0 - lost), (budget.parts[0].name, budget.parts[1].name)

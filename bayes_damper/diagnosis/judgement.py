@@ -24,7 +24,7 @@ from bayes_damper.calibration import (
     gained_by_own_releases,
     learn_noise,
 )
-from bayes_damper.diagnosis.budget import Budget, answers_of, budget_of, foreign_alone
+from bayes_damper.diagnosis.budget import Budget, answers_of, budget_of, foreign_alone, idle_alone
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.lone import left_alone
 from bayes_damper.diagnosis.pairs import Pair, best_pairs, exactly, seconds_of
@@ -138,16 +138,18 @@ def judge_without_repeats(
     left = none_left if first is None else left_alone(fit, first)
     names = sorted(seen.evidence)
 
-    def foreign(shares: Mapping[frozenset[str], float], rule: Rule) -> dict[frozenset[str], float]:
-        return {names: foreign_alone(share, rule) for names, share in shares.items()}
-
-    budget = _budget(seen, sets, foreign(_shares_left(fit, sets, len(names)), rule), rng)
+    shares = _shares_left(fit, sets, len(names))
+    failing = {
+        some: 1.0 - (1.0 - foreign_alone(share, rule)) * (1.0 - idle_alone(share, none_left, rule))
+        for some, share in shares.items()
+    }
+    budget = _budget(seen, sets, failing, rng)
     sets = _standing(sets, budget)
-    shares_left = _shares_left(fit, sets, len(names))
+    shares = _shares_left(fit, sets, len(names))
 
     def answered(rule: Rule, sets: Sequence[SetFit] = sets) -> Answers:
         gain = -math.inf if seen.wiring is None else seen.wiring.gain
-        return answers_of(budget, sets, names, foreign(shares_left, rule), none_left, left, gain, rule)
+        return answers_of(budget, sets, names, shares, none_left, left, gain, rule)
 
     answers = answered(rule)
     return Judgement(
@@ -229,7 +231,7 @@ def _standing(sets: Sequence[SetFit], budget: Budget) -> list[SetFit]:
 def _budget(
     seen: Seen, sets: Sequence[SetFit], foreign: Mapping[frozenset[str], float], rng: np.random.Generator
 ) -> Budget:
-    """The gap as a budget; foreign : probability that a cause outside the library does what a set explains."""
+    """The gap as a budget; foreign : probability that a set is not what does what it explains."""
     found = budget_of(seen.fit, sets, len(seen.evidence), foreign, rng)
     known_map = bool(seen.fit.problem.noise.sensor) and not found.absent
     mapped = known_map or (seen.winner is not None and found.best.fit is seen.winner.fit)

@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from bayes_damper.calibration import Calibration
+from bayes_damper.calibration.noise import tails_of
 from bayes_damper.diagnosis.gap import squares_of_trials
 from bayes_damper.diagnosis.verdict import RULE, Left, Rule
 
@@ -22,11 +23,16 @@ def left_alone(nominal: Calibration, fit: Calibration, rule: Rule = RULE) -> Lef
     """What an answer leaves of trials without repeats, by their sums of squares against the noise of the sensors.
 
     That noise, from the readings' fast content, is the floor here. The share is the mean over trials: the swing of
-    largest amplitude, where models err most, does not decide alone.
+    largest amplitude, where models err most, does not decide alone. Heavy tails of the noise belong to the floor: what
+    an answer leaves shows them, but not what the nominal model leaves, in which events of a gap are as rare and large.
     """
     before, floor = squares_of_trials(nominal)
+    if fit is nominal:
+        return left_of_squares(before, before, floor, rule)
     after, _ = squares_of_trials(fit)
-    return left_of_squares(before, after, floor, rule)
+    sds = fit.problem.noise.floor
+    tails = tails_of([r[c] / sds[c] for r in fit.residuals().values() for c in range(len(r))])
+    return left_of_squares(before, after, tails * floor, rule)
 
 
 def left_of_squares(before: np.ndarray, after: np.ndarray, floor: np.ndarray, rule: Rule = RULE) -> Left:

@@ -168,7 +168,8 @@ def _log_mean(values: Sequence[float]) -> float:
     return top + math.log(sum(math.exp(v - top) for v in values) / len(values))
 
 
-def _logistic(x: float) -> float:
+def logistic(x: float) -> float:
+    """1 / (1 + exp(-x))."""
     return 1.0 / (1.0 + math.exp(-max(min(x, 60.0), -60.0)))
 
 
@@ -199,14 +200,14 @@ def outside_library(left: Left, evidence: float, rule: Rule = RULE, easy: bool =
     well enough for that: the fainter the gap and the fewer the readings that show it, the easier. evidence : of the
     answer over the nominal model, nats; easy : whether the answer is one of those that imitate easily.
     """
-    seen = _logistic((left.nats - rule.strength) / rule.strength_width)
+    seen = logistic((left.nats - rule.strength) / rule.strength_width)
     log_share = math.log(max(left.share, 1e-6))
     home = rule.share_away * (rule.share_home / rule.share_away) ** left.home
     limit = rule.share_lone if left.lone else home
-    large = _logistic((log_share - math.log(limit)) / rule.share_width)
+    large = logistic((log_share - math.log(limit)) / rule.share_width)
     if left.peak > rule.torque_band:
-        lined = _logistic((left.line - rule.smooth_error * left.nats - rule.line) / rule.strength_width)
-        large = max(large, lined * _logistic((log_share - math.log(0.3 * limit)) / rule.share_width))
+        lined = logistic((left.line - rule.smooth_error * left.nats - rule.line) / rule.strength_width)
+        large = max(large, lined * logistic((log_share - math.log(0.3 * limit)) / rule.share_width))
     least = rule.least_easy if easy else rule.least
     unnoticed = max(rule.unseen / max(evidence, 1e-9), least, rule.few_readings / max(left.readings, 1e-9))
     base = float(rule.prior_unknown / (1.0 - PRIOR_NONE) * min(1.0, unnoticed) ** rule.imitated)
@@ -266,7 +267,7 @@ def weigh(
             continue
         remains = left.get(answer, after)
         if answer == "none":
-            lost = _logistic((remains.nats - rule.strength) / rule.strength_width)
+            lost = logistic((remains.nats - rule.strength) / rule.strength_width)
         else:
             easy = set(answer) != FRICTIONS if isinstance(answer, tuple) else answer in definitions
             lost = outside_library(remains, log_evidence_of(answer, evidence, pairs), rule, easy)

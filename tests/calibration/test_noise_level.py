@@ -10,6 +10,7 @@ import pytest
 from small_rig import NOISE, RIG, measured
 
 from bayes_damper.calibration import Experiment, Noise, Problem, Switches, calibrate, with_priors
+from bayes_damper.calibration.noise import fast_level, tails_of
 from bayes_damper.calibration.posterior import RecordPosterior
 from bayes_damper.errors import InputError
 from bayes_damper.priors.distributions import LogNormal, Normal, Uniform
@@ -237,3 +238,15 @@ def test_what_differs_between_cases_is_found_where_the_file_says_so() -> None:
         value, sd = fit.parameters[name]
         assert abs(value - truth) < 4.0 * sd
     assert calibrate(_problem(both)).chi2 > fit.chi2 + 50.0
+
+
+def test_heavy_tails_are_distinguished_from_white_noise_and_from_colour():
+    rng = np.random.default_rng(4)
+    white, heavy = rng.standard_normal((3, 4000)), rng.standard_t(3.0, (3, 4000))
+    slow = np.cumsum(rng.standard_normal((3, 4000)), axis=1) * 0.02
+    assert tails_of(list(white)) < 1.05
+    assert tails_of(list(white + slow)) < 1.05
+    expected = float(np.mean(heavy**2)) / fast_level(list(heavy)) ** 2
+    assert tails_of(list(heavy)) == pytest.approx(expected, rel=0.1)
+    assert expected > 1.3
+    assert tails_of([]) == 1.0

@@ -21,7 +21,7 @@ from bayes_damper.calibration import (
 )
 from bayes_damper.diagnosis import diagnose
 from bayes_damper.diagnosis import sets as sets_module
-from bayes_damper.diagnosis.budget import _divided, answers_of, borne_out, budget_of, foreign_alone
+from bayes_damper.diagnosis.budget import _divided, answers_of, borne_out, budget_of, foreign_alone, idle_alone
 from bayes_damper.diagnosis.formula import widened
 from bayes_damper.diagnosis.response import motions
 from bayes_damper.diagnosis.search import offered
@@ -389,13 +389,18 @@ def test_the_answer_is_what_has_the_largest_share():
     best = sets[0]
     quiet = Left(0.0, 0.0, lone=True)
 
-    def verdict(leading, unknown=0.15):
+    def verdict(leading, left=0.1, none=quiet):
         budget = SimpleNamespace(best=best, parts=(), leading=leading)
-        return answers_of(budget, sets, ["a", "b"], {best.names: foreign_alone(0.1)}, quiet, quiet)
+        return answers_of(budget, sets, ["a", "b"], {best.names: left}, none, quiet)
 
     assert verdict({"a": 1.0}).verdict == "a"
     assert verdict({"a": 1.0}).probabilities["a"] > 0.9
     assert verdict({"a": 0.2, "unknown": 0.8}).verdict == "unknown"
+    loud = Left(40.0, 1.0, lone=True)
+    assert verdict({"a": 1.0}, 0.95).verdict == "none", "it closes next to nothing, and noise accounts for the rest"
+    assert verdict({"a": 1.0}, 0.95, loud).verdict == "unknown", "noise does not account for the rest"
+    assert idle_alone(0.95, quiet) > 0.8
+    assert max(idle_alone(0.95, loud), idle_alone(0.1, quiet)) < 0.01
     assert foreign_alone(0.05) < foreign_alone(0.5) < foreign_alone(1.0) == pytest.approx(0.15 / 0.7)
 
 
