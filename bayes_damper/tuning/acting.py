@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,16 +19,15 @@ _NOT_DRIVEN = {"sensor": "the sensors", "release": "the release"}
 
 @dataclass(frozen=True)
 class Acting:
-    """A formula that acts on the driven rig, under the name of its effect; law : that it was learnt as, if it was."""
+    """A formula that acts on the driven rig; law : that it was learnt as, if it was."""
 
-    name: str
     variant: Variant
     law: Law | None = None
 
     @classmethod
     def of_law(cls, law: Law) -> Acting:
         """A learnt law."""
-        return cls(law.name, driven_variant(law), law)
+        return cls(driven_variant(law), law)
 
     def numbers(self, draws: Draws, scale: Array) -> dict[str, Array]:
         """The formula's numbers for each draw and frequency, with time `scale` (n, n_frequencies) times as fast.
@@ -56,46 +54,34 @@ def seconds_in(unit: str) -> int:
     return power(above) - power(below)
 
 
-def acting_of(origin: Origin, draws: Draws) -> tuple[Acting | None, str]:
-    """The effect of a fit as it acts on a driven rig, and where it does not, why, in a sentence.
+def acting_of(origin: Origin, draws: Draws) -> tuple[Acting | None, Draws, str]:
+    """The effect of a fit as it acts on a driven rig, the draws with it, and a sentence on what becomes of it.
 
     Effects of sensors and of the release are not on a driven rig, and what wears has no steady state. One that amends
-    the rig's constants is in its draws (`amended`).
+    the rig's constants, a wrong stiffness say, does so in the draws.
     """
+    if not origin.effect:
+        return None, draws, ""
     effect = EFFECTS.get(origin.effect)
-    variant = formula_of(effect, origin, draws)
+    variant = None if effect is None else formula_of(effect, origin, draws)
     left_out = f"The fit has the effect {origin.effect} too, which is left out here: "
     if effect is None or variant is None:
         why = "only effects of the library and learnt laws are driven" if effect is None else "fit it again"
-        return None, f"{left_out}{why}; the design is judged by the nominal model alone." if origin.effect else ""
+        return None, draws, f"{left_out}{why}; the design is judged by the nominal model alone."
     if effect.site in _NOT_DRIVEN:
-        return None, f"{left_out}it belongs to {_NOT_DRIVEN[effect.site]}, and a driven rig does not have it."
+        return None, draws, f"{left_out}it belongs to {_NOT_DRIVEN[effect.site]}, and a driven rig does not have it."
     if variant.wears:
-        return None, f"{left_out}it grows for as long as the rig moves, so a driven rig has no steady state with it."
+        why = "it grows for as long as the rig moves, so a driven rig has no steady state with it."
+        return None, draws, left_out + why
     if not variant.has_kernel:
-        return None, f"The rig has the effect {effect.name}, as in the fit."
-    return Acting(effect.name, variant), (
-        f"The driven rig has the effect {effect.name}, as in the fit; the linear model, and with it the search for the "
-        "best design, leaves it out."
-    )
+        if variant.amend is not None:
+            draws = {**draws, **variant.amend(draws, {p.name: draws[OF_EFFECT + p.name] for p in variant.parameters})}
+        return None, draws, f"The rig has the effect {effect.name}, as in the fit."
+    acts = f"The driven rig has the effect {effect.name}, as in the fit; the linear model, and with it the search for "
+    return Acting(variant), draws, acts + "the best design, leaves it out."
 
 
-def amended(origin: Origin, draws: Draws) -> Draws:
-    """The draws with the constants that the fit's effect amends, a wrong stiffness say."""
-    effect = EFFECTS.get(origin.effect)
-    variant = formula_of(effect, origin, draws)
-    if effect is None or variant is None or variant.amend is None or variant.has_kernel or effect.site in _NOT_DRIVEN:
-        return draws
-    return {**draws, **variant.amend(draws, _values(variant, draws))}
-
-
-def formula_of(effect: Effect | None, origin: Origin, draws: Draws) -> Variant | None:
+def formula_of(effect: Effect, origin: Origin, draws: Draws) -> Variant | None:
     """The formula of an effect that a fit took, if its draws hold the numbers of it."""
-    if effect is None:
-        return None
     found = [v for v in effect.variants if v.formula == origin.formula]
     return next((v for v in found if all(OF_EFFECT + p.name in draws for p in v.parameters)), None)
-
-
-def _values(variant: Variant, draws: Draws) -> Mapping[str, Array]:
-    return {p.name: draws[OF_EFFECT + p.name] for p in variant.parameters}

@@ -21,7 +21,7 @@ from bayes_damper.rig.units import in_words_of
 from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.text import counted, gathered
-from bayes_damper.tuning.acting import Acting, acting_of, amended
+from bayes_damper.tuning.acting import Acting, acting_of
 from bayes_damper.tuning.curves import Band, Curve, frequency_responses, tuning_curves
 from bayes_damper.tuning.draws import Draws, Origin, chosen_case, origin_of, posterior_draws
 from bayes_damper.tuning.optimum import Optimum, best_design, shares_of_variance, usual_bounds
@@ -274,8 +274,7 @@ def tune(
     elif origin.effect in _LEARNT:
         acting, note = None, _GIVE_FILE.format(origin.effect)
     else:
-        acting, note = acting_of(origin, draws)
-        draws = amended(origin, draws)
+        acting, draws, note = acting_of(origin, draws)
     lengths = ("R",) if origin.kind == "torsional" else ()
     if bounds is None:
         bounds = usual_bounds(draws, ("J2", "k2t", *lengths))
