@@ -40,7 +40,7 @@ from bayes_damper.diagnosis.sets import (
     weighed,
 )
 from bayes_damper.diagnosis.shares import IN_WORDS, NO_SHARE, Closed, Products, products_of, shortest_interval
-from bayes_damper.diagnosis.verdict import FLOOR, PRIOR_NONE, RULE, Answers, Left, Rule, logistic
+from bayes_damper.diagnosis.verdict import FLOOR, PRIOR_NONE, RULE, Answers, Left, Rule
 from bayes_damper.runs.contents.diagnosis import BudgetEntry, Estimate
 
 Array = NDArray[np.float64]
@@ -294,7 +294,7 @@ def misses_alone(left: float, rule: Rule = RULE) -> float:
     Evidence is the likelihood under noise that stands for the error of the model too. Where that is not what it is
     taken for, coloured noise say, or one trial that went wrong, a set may have much evidence and close next to nothing.
     """
-    return logistic(math.log(max(left, 1e-6) / rule.share_lone) / rule.share_width)
+    return rule.large(left, rule.share_lone)
 
 
 def idle_alone(left: float, none: Left, rule: Rule = RULE) -> float:
@@ -302,8 +302,7 @@ def idle_alone(left: float, none: Left, rule: Rule = RULE) -> float:
 
     none : what the nominal model leaves.
     """
-    seen = logistic((none.nats - rule.strength) / rule.strength_width)
-    return misses_alone(left, rule) * (1.0 - seen) * min(left, 1.0)
+    return misses_alone(left, rule) * (1.0 - rule.seen(none.nats)) * min(left, 1.0)
 
 
 def answers_of(
@@ -331,7 +330,7 @@ def answers_of(
     scale = 1.0 / (1.0 + other)
     out = dict.fromkeys(("none", "unknown", *offered), 0.0)
     out["unknown"] = other * scale
-    seen = logistic((none.nats - rule.strength) / rule.strength_width)
+    seen = rule.seen(none.nats)
     pair, pair_effects = 0.0, None
     for names, weight in weights.items():
         p = weight * scale

@@ -75,6 +75,14 @@ class Rule:
     prior_unknown: float = PRIOR_UNKNOWN
     """Prior probability that the cause is one that the library does not have."""
 
+    def seen(self, nats: float) -> float:
+        """Probability that so much evidence of a remainder counts."""
+        return _logistic((nats - self.strength) / self.strength_width)
+
+    def large(self, share: float, limit: float) -> float:
+        """Probability that a share of the gap is more than a matter of formulas, which leave up to a limit."""
+        return _logistic(math.log(max(share, 1e-6) / limit) / self.share_width)
+
 
 RULE = Rule()
 
@@ -168,8 +176,7 @@ def _log_mean(values: Sequence[float]) -> float:
     return top + math.log(sum(math.exp(v - top) for v in values) / len(values))
 
 
-def logistic(x: float) -> float:
-    """1 / (1 + exp(-x))."""
+def _logistic(x: float) -> float:
     return 1.0 / (1.0 + math.exp(-max(min(x, 60.0), -60.0)))
 
 
@@ -200,18 +207,16 @@ def outside_library(left: Left, evidence: float, rule: Rule = RULE, easy: bool =
     well enough for that: the fainter the gap and the fewer the readings that show it, the easier. evidence : of the
     answer over the nominal model, nats; easy : whether the answer is one of those that imitate easily.
     """
-    seen = logistic((left.nats - rule.strength) / rule.strength_width)
-    log_share = math.log(max(left.share, 1e-6))
     home = rule.share_away * (rule.share_home / rule.share_away) ** left.home
     limit = rule.share_lone if left.lone else home
-    large = logistic((log_share - math.log(limit)) / rule.share_width)
+    large = rule.large(left.share, limit)
     if left.peak > rule.torque_band:
-        lined = logistic((left.line - rule.smooth_error * left.nats - rule.line) / rule.strength_width)
-        large = max(large, lined * logistic((log_share - math.log(0.3 * limit)) / rule.share_width))
+        lined = _logistic((left.line - rule.smooth_error * left.nats - rule.line) / rule.strength_width)
+        large = max(large, lined * rule.large(left.share, 0.3 * limit))
     least = rule.least_easy if easy else rule.least
     unnoticed = max(rule.unseen / max(evidence, 1e-9), least, rule.few_readings / max(left.readings, 1e-9))
     base = float(rule.prior_unknown / (1.0 - PRIOR_NONE) * min(1.0, unnoticed) ** rule.imitated)
-    return 1.0 - (1.0 - base) * (1.0 - seen * large)
+    return 1.0 - (1.0 - base) * (1.0 - rule.seen(left.nats) * large)
 
 
 def weigh(
@@ -267,7 +272,7 @@ def weigh(
             continue
         remains = left.get(answer, after)
         if answer == "none":
-            lost = logistic((remains.nats - rule.strength) / rule.strength_width)
+            lost = rule.seen(remains.nats)
         else:
             easy = set(answer) != FRICTIONS if isinstance(answer, tuple) else answer in definitions
             lost = outside_library(remains, log_evidence_of(answer, evidence, pairs), rule, easy)
