@@ -212,8 +212,9 @@ def _shortfalls(
 
 def _normal_scores(values: Array) -> Array:
     """Ranks over all draws turned into standard normal quantiles (Blom), same shape."""
-    _, place, counts = np.unique(values, return_inverse=True, return_counts=True)
-    ranks = (np.cumsum(counts) - 0.5 * (counts - 1))[place].reshape(values.shape)  # equal ones share theirs
+    from scipy.stats import rankdata  # slow to load, and a diagnosis draws nothing
+
+    ranks = rankdata(values, axis=None).reshape(values.shape)
     return np.asarray(ndtri((ranks - 0.375) / (values.size + 0.25)))
 
 
