@@ -32,7 +32,6 @@ from bayes_damper.simulation.model import Quantity
 
 Array = NDArray[np.float64]
 STEPS_PER_PERIOD = 120.0  # at least, of the primary on its spring
-SURE = 5.0  # standard deviations of the noise by which a reading is less than another for certain
 SHARPNESS = 200.0
 """nu times the peak speed before any reading is seen: dry friction changes sign within a two hundredth of it."""
 LEAST_DIGITS = 3  # of a declared constant that count: 216 may be 216.0, or rounded
