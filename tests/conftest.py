@@ -16,6 +16,7 @@ if not os.environ.get("FUZZ"):
     settings.load_profile("fixed")
 
 os.environ.setdefault("MPLBACKEND", "Agg")
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # as all commands have it
 HERE = Path(__file__).parent
 # Helpers of tests/, e.g. campaigns.py, and test modules that lend others their campaigns.
 LENDING = ("", "calibration", "diagnosis", "fit", "runs", "sampling", "validation/withheld")

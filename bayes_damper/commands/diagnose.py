@@ -42,7 +42,7 @@ from bayes_damper.runs.contents.diagnosis import (
     PairEntry,
 )
 from bayes_damper.runs.json_files import write_json
-from bayes_damper.runs.parallel_map import forked_map
+from bayes_damper.runs.parallel_map import forked_map, single_threaded
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.text import (
     budget_sentence,
@@ -84,6 +84,7 @@ class Diagnosed:
         return "\n".join([*_words(self.result), *warnings, f"Files: {self.folder}", *follows])
 
 
+@single_threaded
 def diagnose(
     campaign: str | Path,
     *,

@@ -39,6 +39,7 @@ from bayes_damper.rig.parameters import unit_of
 from bayes_damper.rig.units import effect_unit, in_words_of, sentence_of
 from bayes_damper.runs.contents.plan import Addition, PlanFile, PlannedEffect, PlannedParameter
 from bayes_damper.runs.json_files import write_json
+from bayes_damper.runs.parallel_map import single_threaded
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.sampling.prior_sensitivity import decided_by
 from bayes_damper.text import counted, trial_words
@@ -127,6 +128,7 @@ def _digits(low: float, high: float) -> tuple[str, str]:
     return f"{low:.{digits}f}", f"{high:.{digits}f}"
 
 
+@single_threaded
 def plan(
     campaign: str | Path,
     *,

@@ -27,6 +27,7 @@ from bayes_damper.errors import BayesDamperError, ExitCode, InputError, Interrup
 from bayes_damper.inputs import fields
 from bayes_damper.runs.json_files import read_json, write_json
 from bayes_damper.runs.memory import collect_seldom
+from bayes_damper.runs.parallel_map import single_threaded
 
 _POLL_S = 0.2
 _STATUS_EVERY_S = 0.5
@@ -105,7 +106,7 @@ def execute(task: Task, folder: Path) -> Any:
             last = time.monotonic()
             write_json(folder / "status.json", {"share": share, "text": text})
 
-    result = task.call(folder, report, **task.arguments)
+    result = single_threaded(task.call)(folder, report, **task.arguments)
     write_json(done, result)
     return result
 

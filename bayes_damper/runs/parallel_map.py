@@ -13,11 +13,13 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import wraps
 from multiprocessing.connection import Connection, wait
-from typing import Any, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
+Given = ParamSpec("Given")
 
 
 def cores() -> int:
@@ -30,6 +32,23 @@ def can_fork() -> bool:
     that are not to outlive their parent, as the workers of a cluster, may have no children.
     """
     return sys.platform.startswith("linux") and not multiprocessing.current_process().daemon
+
+
+def single_threaded(work: Callable[Given, Answer]) -> Callable[Given, Answer]:
+    """The same function with linear algebra in one thread.
+
+    The matrices here are many and small: threads that wait for one another's share of each doubled the time of a
+    diagnosis on two cores, and took three times the processor time.
+    """
+
+    @wraps(work)
+    def alone(*args: Given.args, **options: Given.kwargs) -> Answer:
+        from threadpoolctl import threadpool_limits  # a tenth of the time that `--help` takes
+
+        with threadpool_limits(limits=1, user_api="blas"):
+            return work(*args, **options)
+
+    return alone
 
 
 @contextmanager

@@ -19,6 +19,7 @@ from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.rig.parameters import OTHER_UNIT, PARAMETERS, unit_of
 from bayes_damper.rig.units import in_words_of
 from bayes_damper.runs.json_files import write_json
+from bayes_damper.runs.parallel_map import single_threaded
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.text import counted, gathered
 from bayes_damper.tuning.acting import Acting, acting_of
@@ -208,6 +209,7 @@ def _summary(x: Array) -> dict[str, Any]:
     }
 
 
+@single_threaded
 def tune(
     source: Mapping[str, ArrayLike] | Path | str,
     *,

@@ -29,6 +29,7 @@ from bayes_damper.runs.contents.variability import (
 )
 from bayes_damper.runs.execution import Progress, RunRecord, Task, claim, run_record, run_tasks
 from bayes_damper.runs.json_files import folder_name, plain, read_json, write_json
+from bayes_damper.runs.parallel_map import single_threaded
 from bayes_damper.runs.provenance import code_sha256, provenance
 from bayes_damper.sampling import arviz_adapter
 from bayes_damper.text import gathered
@@ -116,6 +117,7 @@ class Variability:
         return "\n".join([*lines, *(f"  {s}" for s in r["sentences"]), f"Files: {self.folder}"])
 
 
+@single_threaded
 def variability(
     folder: str | Path,
     *,

@@ -13,10 +13,26 @@ from compiled import without_kernels
 
 from bayes_damper.effects import EFFECTS
 from bayes_damper.rig.kernels import compiled
-from bayes_damper.runs.parallel_map import can_fork, forked_map
+from bayes_damper.runs.parallel_map import can_fork, forked_map, single_threaded
 from bayes_damper.simulation import specialised
 from bayes_damper.simulation.model import Model
 from bayes_damper.simulation.precompile import _alone, compile_ahead
+
+# What a task, a diagnosis and a process that either starts see of the threads of linear algebra, begun with two.
+THREADS = """
+import pathlib, tempfile
+import numpy
+from threadpoolctl import threadpool_info, threadpool_limits
+from bayes_damper.runs.execution import Task, execute
+from bayes_damper.runs.parallel_map import forked_map
+
+def seen(*_):
+    return max(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
+
+threadpool_limits(2, "blas")
+with tempfile.TemporaryDirectory() as folder:
+    print(seen(), execute(Task("t", lambda *_: [seen(), *forked_map(seen, range(2), 2)]), pathlib.Path(folder)), seen())
+"""
 
 forks = pytest.mark.skipif(not can_fork(), reason="this system cannot fork")
 
@@ -157,3 +173,19 @@ def test_a_stopped_run_leaves_no_process_behind(tmp_path):
     assert last == "stopped"
     assert len(pids) == 2
     assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
+
+
+def test_linear_algebra_of_a_task_has_one_thread_and_of_others_what_it_had():
+    given = os.environ | {"OMP_NUM_THREADS": "2"}
+    shown = subprocess.run([sys.executable, "-c", THREADS], env=given, capture_output=True, text=True, check=True)
+    assert shown.stdout.split() == ["2", "[1,", "1,", "1]", "2"]
+
+
+def test_a_function_keeps_its_name_and_its_answer():
+    @single_threaded
+    def work(x: float, *, times: int) -> float:
+        """Documented."""
+        return x * times
+
+    assert work(2.0, times=3) == 6.0
+    assert (work.__name__, work.__doc__) == ("work", "Documented.")
