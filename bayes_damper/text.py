@@ -114,10 +114,19 @@ def named_answers(probabilities: Mapping[str, float], pair: PairEntry | None) ->
     return {" + ".join(both) if both and name == both[0] else name: float(p) for name, p in probabilities.items()}
 
 
-def misses(entry: CaseEntry) -> bool:
-    """Whether the model of an entry of summary.json leaves clearly more than the noise: its numbers rest on less."""
+MISSED = "THE MODEL MISSES SOMETHING"
+
+
+def missed(repeats: bool) -> str:
+    """What is said where a fit leaves more than the noise: without repeats, slow noise may be the cause too."""
+    return MISSED if repeats else f"{MISSED}, OR THE NOISE IS SLOW"
+
+
+def misses(entry: CaseEntry) -> str:
+    """What is said of an entry of summary.json whose model leaves clearly more than the noise; "" where it does not."""
     channels = (entry.get("noise") or {}).get("channels", ())
-    return any(c.get("learnt_from") == "residuals" and c.get("left_over_floor") for c in channels)
+    left = [c for c in channels if c.get("learnt_from") == "residuals" and c.get("left_over_floor")]
+    return missed(any(c.get("repeats") for c in left)) if left else ""
 
 
 def budget_sentence(budget: BudgetEntry | None) -> str:

@@ -38,6 +38,7 @@ from bayes_damper.calibration import (
     whittle,
 )
 from bayes_damper.runs.contents.fit import ChannelEntry, NoiseEntry
+from bayes_damper.text import missed
 
 Array = NDArray[np.float64]
 Kind = Literal["gaussian", "student", "ar"]
@@ -56,7 +57,8 @@ class ChannelNoise:
     """Figures of one channel, in the unit of its readings: None where there are no repeats.
 
     repeats : sd of what repeats do not share; fast : sd of the fast content; left : rms of the residuals; correlation :
-    of neighbouring residuals; used : sd of the noise that the fit works with; widened : learnt from what is left.
+    of neighbouring residuals; used : sd of the noise that the fit works with; widened : what is left exceeds the noise,
+    which is learnt from it.
     """
 
     repeats: float | None
@@ -98,8 +100,10 @@ class FittedNoise:
     def to_json(self, unit: str) -> NoiseEntry:
         """The entry `noise` of summary.json."""
         rows: list[ChannelEntry] = []
+        asked = self.kind == "ar" and not self.chosen
         for number, c in enumerate(self.channels, 1):
             floor = c.repeats or c.fast
+            known = "repeats" if c.repeats else "fast content"
             rows.append(
                 {
                     "channel": number,
@@ -110,7 +114,7 @@ class FittedNoise:
                     "left_over_floor": c.left / floor if floor > 0.0 else None,
                     "correlation": c.correlation,
                     "used": c.used,
-                    "learnt_from": "residuals" if c.widened else "repeats" if c.repeats else "fast content",
+                    "learnt_from": "residuals" if c.widened else "residuals, as asked" if asked else known,
                 }
             )
         return {
@@ -155,6 +159,7 @@ def fit_with_noise(
 ) -> FittedNoise:
     """The best fit under the noise asked for: "gaussian" (white), "student", "ar" or "auto".
 
+    report : called with each stage, and with `text.missed` as soon as the fit is known to leave more than the noise;
     begin : a fit to begin with, of a model with an effect for example; default the nominal model's.
     """
     first = calibrate_nominal(experiment) if begin is None else begin
@@ -173,11 +178,16 @@ def fit_with_noise(
         report("outliers found: reducing their weight")
         fit = _robust(fit, freedom)
         freedom, _ = _tails(fit)
-    wide = [False] * len(repeats)
+    wide = exceeded = [False] * len(repeats)
     if kind in ("auto", "ar"):
-        learnt, wide = _learn_from_what_is_left(fit, always=kind == "ar")
+        learnt, exceeded = _learn_from_what_is_left(fit, always=False)
+        wide = exceeded
+        if kind == "ar":
+            learnt, wide = _learn_from_what_is_left(fit, always=True)
         if any(wide):
-            report("residuals exceed the noise: estimating the noise from them")
+            if any(exceeded):
+                report(missed(any(r is not None for r, e in zip(repeats, exceeded, strict=True) if e)))
+            report("estimating the noise from the residuals")
             for _ in range(2):
                 fit = _anew(fit, learnt)
                 learnt, _ = _learn_from_what_is_left(fit, always=True, only=wide)
@@ -186,7 +196,7 @@ def fit_with_noise(
     if chosen == "gaussian" and any(p != 0.0 for p in fit.problem.noise.phi):
         chosen = "ar"
     freedom = freedom if chosen == "student" else math.inf
-    return _described(fit, chosen, kind == "auto", repeats, wide, freedom, unlike)
+    return _described(fit, chosen, kind == "auto", repeats, wide, freedom, unlike, exceeded)
 
 
 # Trials unlike their repeats ----------------------------------------------------------------------------------------
@@ -245,6 +255,7 @@ def _described(
     wide: Sequence[bool],
     freedom: float,
     unlike: tuple[Unlike, ...],
+    exceeded: Sequence[bool] = (),
 ) -> FittedNoise:
     problem = fit.problem
     fast = rough_noise(problem.experiment, problem.trials).total
@@ -262,7 +273,7 @@ def _described(
         square = float(np.mean(x**2)) if x.size else 0.0
         lagged = float(np.mean(np.concatenate(products))) if products and sum(p.size for p in products) else 0.0
         # Without repeats the first noise has been learnt from what is left already.
-        learnt = wide[c] or (repeats[c] is None and square > (1.5 * fast[c]) ** 2)
+        learnt = (exceeded or wide)[c] or (repeats[c] is None and square > (1.5 * fast[c]) ** 2)
         correlation = lagged / square if square else 0.0
         channels.append(ChannelNoise(repeats[c], fast[c], math.sqrt(square), correlation, used, learnt))
     power = tuple(p if w else 1.0 for p, w in zip(_power(fit), wide, strict=True))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -37,11 +39,12 @@ from bayes_damper.rig.parameters import unit_of
 from bayes_damper.rig.units import effect_unit
 from bayes_damper.runs.contents.fit import BestFitEntry, CaseEntry, EvidenceEntry, FitPlan, TrialUnknown
 from bayes_damper.runs.memory import shortage
+from bayes_damper.runs.progress import NOTICE
 from bayes_damper.sampling import Sampling, resampled_start
 from bayes_damper.sampling.arviz_adapter import hdi
 from bayes_damper.sampling.bridge import bridge
 from bayes_damper.sampling.prior_sensitivity import of_standard_draws
-from bayes_damper.text import misses
+from bayes_damper.text import MISSED, misses
 
 Array = NDArray[np.float64]
 PROPOSALS = 4000
@@ -55,9 +58,10 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: FitPlan
     begin_with = None
     if (effect := plan.get("effect")) is not None:
         begin_with = fit_with_effect(experiment, effect, plan["effects"])
-    noise = fit_with_noise(experiment, plan.get("noise", "auto"), lambda text: report(0.0, text), begin_with)
-    if misses({"noise": noise.to_json("")}):
-        report = _with_a_warning(report)
+    news = _News(report, plan)
+    report = news.report
+    noise = fit_with_noise(experiment, plan.get("noise", "auto"), news.of_noise, begin_with)
+    news.missed = news.missed or misses({"noise": noise.to_json("")})
     best = noise.fit
     declared = () if best.problem.effect is None else best.problem.effect.parameters
     own = {f"effect.{p.name}": effect_unit(p.unit, kind, experiment.quantity) for p in declared}
@@ -146,13 +150,26 @@ def _best_fit_entry(best: Calibration, effect: str | None) -> BestFitEntry:
     }
 
 
-def _with_a_warning(report: Report) -> Report:
-    """Progress that says at each stage that the model misses something, so that nobody need wait for the draws."""
+@dataclass
+class _News:
+    """Progress of a case with a notice that the model misses something, from when that is known: nobody need wait."""
 
-    def warned(share: float, text: str) -> None:
-        report(share, f"{text}; THE MODEL MISSES SOMETHING: stop with Ctrl-C and run `bayes-damper diagnose`")
+    to: Report
+    plan: FitPlan
+    missed: str = ""
 
-    return warned
+    def of_noise(self, text: str) -> None:
+        """A stage of the search for the noise, or that it finds more left than noise."""
+        if text.startswith(MISSED):
+            self.missed = text
+        else:
+            self.report(0.0, text)
+
+    def report(self, share: float, text: str) -> None:
+        """A stage of the fit."""
+        command = f"bayes-damper diagnose {shlex.quote(self.plan['campaign'])}"
+        notice = f"{NOTICE}{self.missed}: stop with Ctrl-C and run `{command}`" if self.missed else ""
+        self.to(share, text + notice)
 
 
 def fit_with_effect(experiment: Experiment, effect: str, folder: str | None = None) -> Calibration:

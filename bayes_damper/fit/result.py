@@ -96,10 +96,8 @@ class Fit:
             title = "all cases together" if name == "joint" else f"case {name}"
             if not found["converged"]:
                 title += "   *** DID NOT CONVERGE: do not use these numbers ***"
-            elif misses(found):
-                title += (
-                    "   *** THE MODEL MISSES SOMETHING: run `bayes-damper diagnose` before you use these numbers ***"
-                )
+            elif missed := misses(found):
+                title += f"   *** {missed}: run `bayes-damper diagnose` before you use these numbers ***"
             parts.append(table_text(found["parameters"], title))
             parts += [f"  {sentence}" for sentence in found["sentences"]]
             parts += _more_text(found)

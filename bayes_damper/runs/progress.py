@@ -15,9 +15,28 @@ _MOST_BARS = 8
 """Tasks whose bars stay when they are done; of more, only those at work are drawn."""
 
 
+NOTICE = "\n"
+"""What separates the stage in a text of progress from a notice: a sentence of its own, shown once."""
+
+
+class Notices:
+    """Notices of tasks, each given the first time only: several tasks that have the same to say say it once."""
+
+    def __init__(self) -> None:
+        self._said: set[str] = set()
+
+    def separate(self, task: str, text: str) -> tuple[str, str]:
+        """The stage in a text of progress, and the line of its notice, "" where there is nothing new."""
+        stage, _, notice = text.partition(NOTICE)
+        if not notice or notice in self._said:
+            return stage, ""
+        self._said.add(notice)
+        return stage, f"{task}: {notice}"
+
+
 class Bars:
     """One bar per task that has begun, and one of all together where there are several, drawn by rich on standard
-    error (or on `console`, a rich.console.Console).
+    error (or on `console`, a rich.console.Console). Notices stand above the bars.
     """
 
     def __init__(self, console: Any = None) -> None:
@@ -36,11 +55,15 @@ class Bars:
         self._known: dict[str, TaskID] = {}
         self._shares: dict[str, float] = {}
         self._all: TaskID | None = None
+        self._notices = Notices()
         self._bars.start()
 
     def update(self, task: str, share: float, text: str) -> None:
         """Draw how far a task is; one that waits has no bar yet but counts."""
         self._shares[task] = share
+        text, notice = self._notices.separate(task, text)
+        if notice:
+            self._bars.console.print(notice, markup=False, highlight=False)
         if text != WAITING:
             if task not in self._known:
                 self._known[task] = self._bars.add_task(task, total=1.0, text=text)
@@ -88,6 +111,7 @@ class Lines:
         self._file, self._clock = file, clock
         self._begun = clock()
         self._parts: dict[str, _Part] = {}
+        self._notices = Notices()
 
     def write(self, text: str) -> None:
         """Write one line."""
@@ -96,6 +120,9 @@ class Lines:
     def update(self, task: str, share: float, text: str) -> None:
         """Report how far a task is, where that is news."""
         part = self._parts.setdefault(task, _Part())
+        text, notice = self._notices.separate(task, text)
+        if notice:
+            self.write(notice)
         if text == WAITING or part.done:
             return
         now = self._clock()

@@ -24,6 +24,7 @@ from bayes_damper.errors import InputError
 from bayes_damper.fit import plan_fit
 from bayes_damper.priors.distributions import LogNormal, to_standard
 from bayes_damper.sampling.prior_sensitivity import of_standard_draws, text
+from bayes_damper.text import misses
 
 ONE_CASE: dict[str, Any] = {"cases": [("IV", 1, 0.08)], "duration": 0.4, "repeats": 3}
 
@@ -77,10 +78,21 @@ def test_a_misfit_that_repeats_share_is_found_and_widens_the_answer(plain: Fitte
     assert row["left_over_floor"] == pytest.approx(row["left"] / row["repeats"])
 
 
+def test_noise_estimated_from_the_residuals_on_request_accuses_nobody() -> None:
+    for sensor, missed in ((None, ""), (_same_misfit, "THE MODEL MISSES SOMETHING")):
+        found = _fitted(sensor, "ar")
+        assert (found.kind, found.chosen) == ("ar", False)
+        entry = {"noise": found.to_json("rad/s^2")}
+        assert misses(entry) == missed
+        asked = {c["learnt_from"] for c in entry["noise"]["channels"]}
+        assert asked == ({"residuals"} if missed else {"residuals, as asked"})
+
+
 def test_a_single_trial_with_coloured_noise_is_not_taken_for_a_quiet_one() -> None:
     found = _fitted(_same_misfit, repeats=1)
     assert all(c.repeats is None and c.widened for c in found.channels)
     assert all(c.used > 2.0 * c.fast for c in found.channels)
+    assert misses({"noise": found.to_json("rad/s^2")}) == "THE MODEL MISSES SOMETHING, OR THE NOISE IS SLOW"
 
 
 def test_unevenly_sampled_records_are_widened_too() -> None:

@@ -7,6 +7,7 @@ from bayes_damper.cli import main
 from bayes_damper.errors import InputError
 from bayes_damper.fit.plan import plan_fit
 from bayes_damper.fit.recorded import fit_recorded_cases
+from bayes_damper.runs.progress import NOTICE
 
 
 def test_the_example_is_a_campaign_without_a_fault(tmp_path):
@@ -51,13 +52,17 @@ def test_a_fit_that_misses_something_says_so_before_it_draws(tmp_path):
 
     def report(share, text):
         news.append(text)
-        if "finding starting points" in text:
+        if NOTICE in text:
             raise Stopped
 
     with pytest.raises(Stopped):
         fit_recorded_cases(tmp_path, report, name="large", plan=plan)
-    assert "MISSES SOMETHING" not in news[0]
-    assert news[-1].endswith("THE MODEL MISSES SOMETHING: stop with Ctrl-C and run `bayes-damper diagnose`")
+    assert news[0] == "finding the best fit"
+    # As soon as the best fit under the noise of the repeats is there, before the noise is estimated anew.
+    assert news[-1] == (
+        "estimating the noise from the residuals\nTHE MODEL MISSES SOMETHING: stop with Ctrl-C and run "
+        f"`bayes-damper diagnose {written.folder}`"
+    )
 
 
 @pytest.mark.slow

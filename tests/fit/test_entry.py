@@ -377,7 +377,7 @@ def test_ctrl_c_with_two_workers_saves_and_ends(tmp_path):
 def test_a_fit_is_read_from_its_folder_and_says_first_what_its_model_misses(tmp_path):
     k2t = {"unit": "N m/rad", "mean": 1.0, "sd": 0.1, "median": 1.0, "hdi90": [0.9, 1.1], "r_hat": 1.0,
            "ess_bulk": 1000.0, "ess_tail": 1000.0, "prior_share": 0.1}  # fmt: skip
-    channel = {"channel": 1, "left_over_floor": 1.9, "learnt_from": "residuals"}
+    channel = {"channel": 1, "repeats": 1.0, "left_over_floor": 1.9, "learnt_from": "residuals"}
     case = {"converged": True, "parameters": {"k2t": k2t}, "sentences": [], "noise": {"channels": [channel]}}
     summary = {"schema": "bayes-damper/fit/1", "campaign": "cart", "converged": True, "cases": {"IV": case}}
     write_json(tmp_path / "summary.json", summary)

@@ -161,3 +161,31 @@ def test_a_stopped_run_says_how_it_goes_on(tmp_path):
     with pytest.raises(Interrupted, match=f"the state is saved; go on with: bayes-damper resume {tmp_path}"):
         run_tasks([Task(n, interrupted) for n in ("a", "b")], tmp_path, progress=shown)
     assert shown.told == [("a", 0.0, WAITING), ("b", 0.0, WAITING)]
+
+
+def test_a_notice_is_shown_once_on_a_line_of_its_own():
+    """Tasks repeat it with each stage, and several have the same to say; an 80-column bar would cut it."""
+    notice = "THE MODEL MISSES SOMETHING: " + "run another command " * 4
+    updates = [
+        ("IV", 0.0, "finding the best fit"),
+        ("IV", 0.0, f"estimating the noise\n{notice}"),
+        ("joint", 0.0, f"estimating the noise\n{notice}"),
+        ("IV", 0.05, f"warm-up, 50 steps\n{notice}"),
+        ("IV", 0.1, "warm-up, 100 steps\nanother"),
+    ]
+    assert lines([(1, *update) for update in updates]) == [
+        "0:00:01  IV, 0% done: finding the best fit",
+        f"0:00:02  IV: {notice}",
+        "0:00:02  IV, 0% done: estimating the noise",
+        "0:00:03  joint, 0% done: estimating the noise",
+        "0:00:04  IV, 5% done: warm-up, 50 steps",
+        "0:00:05  IV: another",
+    ]
+    screen = io.StringIO()
+    bars = Bars(Console(file=screen, force_terminal=True, width=80, color_system=None))
+    for update in updates:
+        bars.update(*update)
+    bars.close()
+    shown = " ".join(screen.getvalue().split())
+    assert shown.count(f"IV: {notice}".strip()) == 1
+    assert shown.count("THE MODEL MISSES SOMETHING") == 1

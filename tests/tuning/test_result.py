@@ -599,7 +599,7 @@ def test_a_law_that_the_fit_has_acts_on_the_driven_rig_and_warns_beyond_its_rang
 def test_a_fit_that_misses_something_warns_what_is_tuned_from_it(tmp_path):
     folder = fitted_folder(tmp_path)
     summary = json.loads((folder / "summary.json").read_text())
-    channel = {"channel": 1, "left_over_floor": 1.9, "learnt_from": "residuals"}
+    channel = {"channel": 1, "repeats": 1.0, "left_over_floor": 1.9, "learnt_from": "residuals"}
     summary["cases"]["IV"]["noise"] = {"channels": [channel]}
     write_json(folder / "summary.json", summary)
     found = tuning.tune(folder, case="IV", amplitudes=(), optimise=False, n_draws=10)
