@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from bayes_damper.runs.contents.diagnosis import BudgetEntry, GapEntry, LawEntry, PairEntry
@@ -67,6 +67,15 @@ def gathered(warnings: Iterable[str]) -> list[str]:
             same = "" if all(said == sentence for _, _, said in found) else " (numbers of the first)"
             out.append(f"{file} and {files - 1} others{column}: {sentence}{same}")
     return out
+
+
+def warning_lines(warnings: Sequence[str], known: int = 0) -> list[str]:
+    """Warnings for the terminal; the first `known`, which `check` lists for the campaign, are only counted."""
+    lines = [f"warning: {w}" for w in gathered(warnings[known:])]
+    if n := len(gathered(warnings[:known])):
+        hold = "it holds" if n == 1 else "they hold"
+        lines.append(f"`bayes-damper check` lists {counted(n, 'warning')} about these trials; {hold} here too.")
+    return lines
 
 
 def held_out_of(gap: GapEntry) -> bool:

@@ -14,6 +14,7 @@ from bayes_damper.text import (
     gathered,
     p_value,
     share_of_gap,
+    warning_lines,
 )
 
 
@@ -80,6 +81,16 @@ def test_what_is_said_of_three_records_is_said_once():
     ]
     assert gathered(tops) == [f"trials/A_1.csv and 2 others{tops[0][len('trials/A_1.csv') :]} (numbers of the first)"]
     assert gathered(tops[:4]) == tops[:4]
+
+
+def test_what_check_lists_is_counted_and_what_a_command_adds_is_said():
+    late = [f"trials/A_{i}.csv: motion begins late" for i in (1, 2, 3)]
+    assert warning_lines(["The law ends at 1 m."]) == ["warning: The law ends at 1 m."]
+    assert warning_lines([*late, "Friction was not given.", "The law ends at 1 m."], 4) == [
+        "warning: The law ends at 1 m.",
+        "`bayes-damper check` lists 2 warnings about these trials; they hold here too.",
+    ]
+    assert warning_lines([]) == []
 
 
 @pytest.mark.parametrize(("share", "begins"), [(0.5, "Most probable, but not sure: a gap"), (0.96, "There is a gap")])

@@ -458,10 +458,11 @@ def _guessed_all(
 
 def _guessed_time(paths: Sequence[Path], given: Mapping[str, Any], caveats: list[str]) -> dict[str, Any]:
     """The column of the time where none was named and all files have the same one, beside the named channels."""
-    found, chosen = set(), ""
+    found, chosen, named = set(), "", True
     for path in paths:
         source = read_file(path, given)
         time = source.time_column()
+        named = named and time is not None and source.called_time(time)
         try:
             taken = [source.index(c, path.name) for c in given["columns"]]
         except InputError:
@@ -470,7 +471,8 @@ def _guessed_time(paths: Sequence[Path], given: Mapping[str, Any], caveats: list
         chosen = chosen or ("" if time is None else source.column(time))
     if len(found) != 1 or None in found:
         return {}
-    caveats.append(f"No time column was named; used: {chosen}.")
+    if not named:
+        caveats.append(f"No time column was named; used: {chosen}.")
     return {"time": found.pop()}
 
 

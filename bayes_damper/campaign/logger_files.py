@@ -129,11 +129,15 @@ class LoggerFile:
         """A column for a sentence: its number, and its name where it has one."""
         return f"column {i + 1}" + (f" ({self.names[i]})" if self.names else "")
 
+    def called_time(self, i: int) -> bool:
+        """Whether a column (from 0) is called after the time."""
+        return i < len(self.names) and bool(_TIME_NAMES.fullmatch(self.names[i].strip().strip('"')))
+
     def time_column(self) -> int | None:
         """The column (from 0) that is called after the time, or the first if it alone rises steadily; else None."""
-        called = [i for i, name in enumerate(self.names) if _TIME_NAMES.fullmatch(name.strip().strip('"'))]
-        if called:
-            return called[0]
+        called = next((i for i in range(len(self.names)) if self.called_time(i)), None)
+        if called is not None:
+            return called
         first = self.table[:, 0]
         rises = len(first) > 2 and np.isfinite(first).all() and bool((np.diff(first) > 0.0).all())
         return 0 if rises and self.table.shape[1] > 1 else None

@@ -48,13 +48,13 @@ from bayes_damper.text import (
     budget_sentence,
     failed_sentence,
     gap_beside_verdict,
-    gathered,
     held_out_of,
     law_sentence,
     named_answers,
     named_sentence,
     p_value,
     trial_words,
+    warning_lines,
 )
 
 Array = NDArray[np.float64]
@@ -79,9 +79,9 @@ class Diagnosed:
 
     def text(self) -> str:
         """The verdict in plain words, what speaks for it, and what to do next."""
-        warnings = [f"warning: {w}" for w in gathered(self.result.get("warnings", ()))]
+        warned, known = self.result.get("warnings", ()), self.result.get("warnings_of_check", 0)
         follows = next_steps(self.result, self.campaign, str(self.folder))
-        return "\n".join([*_words(self.result), *warnings, f"Files: {self.folder}", *follows])
+        return "\n".join([*_words(self.result), *warning_lines(warned, known), f"Files: {self.folder}", *follows])
 
 
 @single_threaded
@@ -140,6 +140,7 @@ def diagnose(
         },
         "forecast": ahead,
         "warnings": [*loaded.warnings, *beyond],
+        "warnings_of_check": len(loaded.warnings),
         "campaign_sha256": loaded.sha256,
         "provenance": provenance(),
     }
@@ -338,8 +339,8 @@ def _words(result: DiagnosisFile) -> list[str]:
     else:
         row = next(r for r in result["effects"] if r["name"] == verdict)
         sure = "The missing effect is" if share >= CERTAIN else "Most probable, but not sure:"
-        title = f", {row['title']}" if row.get("title") else ""
-        lines = [f"{sure} {verdict}{title} ({row['site']}), probability {share:.2f}: {row['formula']}."]
+        title = f"{row['title']} ({verdict}, at {row['site']})" if row.get("title") else f"{verdict} ({row['site']})"
+        lines = [f"{sure} {title}, probability {share:.2f}: {row['formula']}."]
         lines += [f"  {row['meaning']}"] if row.get("meaning") else []
         parameters: Mapping[str, Mapping[str, Estimate]] = {verdict: row["parameters"]}
         if pair := result.get("pair"):
@@ -362,7 +363,12 @@ def _words(result: DiagnosisFile) -> list[str]:
     if ahead := result.get("forecast"):
         lines += _forecast_words(ahead, str(result.get("reading_unit") or ""), added=not none)
     answers = named_answers(probabilities, result.get("pair"))
-    lines.append("Probability of each answer: " + _ranked(answers, str, 5))
+    rows = [row for row in result.get("effects", ()) if row.get("title")]
+    titles = {row["name"]: f"{row['title']} ({row['name']})" for row in rows}
+    lines.append(
+        "Probability of each answer: "
+        + _ranked(answers, lambda name: " + ".join(titles.get(n, n) for n in name.split(" + ")), 5)
+    )
     lines.append("Probability of each place: " + _ranked(result["sites"], lambda site: said(_place(site)), 3))
     if result["indistinguishable"]:
         lines.append(

@@ -99,6 +99,7 @@ class Plan:
             lines.append(
                 f"  {name:22s}{p['unit']:>14s}{' to '.join(_digits(*p['expected90'])):>30s}{p['sd_over_prior']:16.2f}"
             )
+        lines += [f"  {row['name']}: {title}" for row in r["effects"] if (title := row.get("title"))]
         lines += [f"  {s}" for s in r["sentences"]]
         return "\n".join([*lines, *([] if self.folder is None else [f"Files: {self.folder}"]), *self._next()])
 

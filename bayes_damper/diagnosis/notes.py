@@ -48,8 +48,9 @@ def notes_on(
         )
     if place.torque_site is not None and not place.torque:
         notes.append(
-            f"The nominal model leaves up to {place.left:.0%} of a record, too much for a linear estimate of the "
-            "missing torque, so none is given: add what you know of the rig, and diagnose again."
+            f"The nominal model leaves up to {100.0 * place.left:.0f} % of a record, too much for a linear estimate of "
+            "the missing torque: missing_torque.csv is empty."
+            + (" Add what you know of the rig, and diagnose again." if named is None else "")
         )
     if answers.verdict == "unknown" and place.only is not None:
         trials = f"the trials of {place.only}" if place.only.startswith("case ") else f"{place.only} trials"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from textwrap import fill
 from typing import Any
 
 import matplotlib as mpl
@@ -17,6 +18,7 @@ from bayes_damper.runs.contents.plan import PlanFile
 from bayes_damper.runs.contents.variability import LINEAR_NAMES, DecompositionEntry, EffectiveEntry, LinearName
 from bayes_damper.runs.contents.withheld import Rate, ScoresEntry
 
+_EFFECT = 30  # characters of an effect's title in a line
 _SHOWN_HZ = 20.0
 """Up to where frequency responses of the thesis are drawn."""
 
@@ -217,15 +219,19 @@ def thesis_figure(found: Mapping[str, Any]) -> Figure:
 def plan_figure(result: PlanFile, *, title: str) -> Figure:
     """What a plan could see and distinguish: chance of each effect to be seen, and nats of each beside each rival.
 
-    result : what plan.json holds. The numbers in the right part are expected nats, left out from 10 on (distinguished);
-    dark cells are pairs that the planned trials cannot distinguish.
+    result : what plan.json holds. Effects have their plain titles and numbers from the top. The figures in the
+    right part are expected nats, left out from 10 on (distinguished); dark cells are pairs that the planned trials
+    cannot distinguish.
     """
     names = [row["name"] for row in result["effects"]]
-    figure = new_figure(4.0 + 0.36 * len(names), 1.9 + 0.26 * len(names))
+    numbers = range(1, len(names) + 1)
+    titles = [row.get("title") or row["name"].replace("_", " ") for row in result["effects"]]
+    figure = new_figure(4.8 + 0.3 * len(names), 1.5 + 0.34 * len(names))
     with mpl.rc_context(RC | {"axes.grid": False}):
-        left, right = figure.subplots(1, 2, width_ratios=[2.2, 0.36 * len(names)])
+        left, right = figure.subplots(1, 2, width_ratios=[2.2, 0.3 * len(names)])
         left.barh(range(len(names)), [row["chance"] for row in result["effects"]], color=COLOURS[0])
-        left.set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
+        said = [f"{fill(title, _EFFECT)}  {n}" for title, n in zip(titles, numbers, strict=True)]
+        left.set_yticks(range(len(names)), said, fontsize=8)
         left.set_xlim(0.0, 1.0)
         left.set_ylim(len(names) - 0.5, -0.5)
         left.set_xlabel("share of plausible sizes\nthat would be seen")
@@ -234,10 +240,10 @@ def plan_figure(result: PlanFile, *, title: str) -> Figure:
         for (y, x), nats in np.ndenumerate(table):
             if nats < 10.0:
                 right.text(x, y, f"{nats:.0f}", ha="center", va="center", fontsize=7, color="w" if nats < 3.0 else "k")
-        right.set_xticks(range(len(names)), [name.replace("_", " ") for name in names], rotation=90)
+        right.set_xticks(range(len(names)), [str(n) for n in numbers])
         right.set_yticks([])
         right.set_ylim(len(names) - 0.5, -0.5)
-        right.set_xlabel("rival")
+        right.set_xlabel("rival, by its number")
         right.set_title(
             "evidence [nats] that distinguishes a typical\neffect from its rival (empty: 10 or more)", loc="left"
         )

@@ -198,11 +198,13 @@ def planned_campaign(plan: FitPlan) -> Campaign:
     return unchanged(plan["campaign"], plan["campaign_sha256"], since)
 
 
-def planned_warnings(plan: FitPlan) -> list[str]:
-    """What is odd in the campaign that a fit was planned for, and where a learnt law does not reach."""
+def planned_warnings(plan: FitPlan) -> tuple[Sequence[str], Sequence[str]]:
+    """What is odd in the campaign that a fit was planned for, as `check` lists it, and where a learnt law does not
+    reach.
+    """
     campaign, effect = planned_campaign(plan), plan["effect"]
     beyond = [] if effect is None else laws_on({effect: all_effects(plan["effects"])[effect]}, campaign)
-    return [*campaign.warnings, *beyond]
+    return campaign.warnings, beyond
 
 
 def recorded_experiment(plan: FitPlan, case: str | None) -> tuple[Experiment, str]:

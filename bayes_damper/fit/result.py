@@ -23,7 +23,7 @@ from bayes_damper.runs.json_files import folder_name, read_json, write_json
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.sampling import arviz_adapter
 from bayes_damper.sampling.prior_sensitivity import text as sensitivity_text
-from bayes_damper.text import gathered, misses
+from bayes_damper.text import misses, warning_lines
 
 SCHEMA = "bayes-damper/fit/1"
 _OVERVIEW = "overview"
@@ -90,7 +90,7 @@ class Fit:
 
     def text(self) -> str:
         """Tables for the terminal, warnings first."""
-        parts = [f"warning: {w}" for w in gathered(self.summary.get("warnings", ()))]
+        parts = warning_lines(self.summary.get("warnings", ()), self.summary.get("warnings_of_check", 0))
         groups = dict(self.summary["cases"]) | ({"joint": self.summary["joint"]} if self.summary.get("joint") else {})
         for name, found in groups.items():
             title = "all cases together" if name == "joint" else f"case {name}"
@@ -219,7 +219,7 @@ def finish_fit(
         if the campaign is not the one that the fit was planned for.
     """
     published = is_published(plan["campaign"])
-    warnings = () if published else planned_warnings(plan)
+    known, beyond = ((), ()) if published else planned_warnings(plan)
     call = fit_published_case if published else fit_recorded_cases
     names = [*plan["cases"], *(["joint"] if plan["joint"] else [])]
     # The joint fit is the longest: it starts first.
@@ -237,7 +237,8 @@ def finish_fit(
         "campaign_sha256": plan["campaign_sha256"],
         "seed": plan["seed"],
         "converged": all(r["converged"] for r in results.values()),
-        "warnings": list(warnings),
+        "warnings": [*known, *beyond],
+        "warnings_of_check": len(known),
         "cases": found,
     }
     if plan["joint"]:

@@ -124,8 +124,8 @@ class Origin:
     """Where draws come from: name of the campaign, its checksum, and the rig's constants that are not among them.
 
     kind : of the rig; amplitudes : torques (N m; forces, N) that suit its size; converged : whether the fit of the case
-    did, True where nothing says; warnings : what is odd in the records that were fitted; effect, formula : that the fit
-    has beside the nominal model, or "".
+    did, True where nothing says; known : what is odd in the records that were fitted, as `check` lists it; warnings :
+    of the fit and of the tuning; effect, formula : that the fit has beside the nominal model, or "".
     """
 
     campaign: str = ""
@@ -134,6 +134,7 @@ class Origin:
     kind: str = "torsional"
     amplitudes: tuple[float, ...] = AMPLITUDES
     converged: bool = True
+    known: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     effect: str = ""
     formula: str = ""
@@ -187,15 +188,17 @@ def origin_of(
     with as_written(folder, "fit"):
         plan = dict(read_json(folder / "run.json").get("plan", {}))
         entry = summary.get("joint") if case == "joint" else (summary.get("cases") or {}).get(case)
+        warned, n = summary.get("warnings", ()), int(summary.get("warnings_of_check", 0))
         about: dict[str, Any] = {
             "campaign": str(plan.get("name", "")),
             "sha256": plan.get("campaign_sha256"),
             "converged": bool((entry or {}).get("converged", True)),
             "effect": str(plan.get("effect") or ""),
             "formula": str(((entry or {}).get("best_fit") or {}).get("formula") or ""),
+            "known": tuple(map(str, warned[:n])),
             "warnings": (
                 *((_MISSES.format(case),) if (entry and misses(entry)) else ()),
-                *map(str, summary.get("warnings", ())),
+                *map(str, warned[n:]),
             ),
         }
     if plan.get("campaign") is None or is_published(plan["campaign"]):

@@ -21,7 +21,7 @@ from bayes_damper.rig.units import in_words_of
 from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.parallel_map import single_threaded
 from bayes_damper.runs.provenance import provenance
-from bayes_damper.text import counted, gathered
+from bayes_damper.text import counted, warning_lines
 from bayes_damper.tuning.acting import Acting, acting_of
 from bayes_damper.tuning.curves import Band, Curve, frequency_responses, tuning_curves
 from bayes_damper.tuning.draws import Draws, Origin, chosen_case, origin_of, posterior_draws
@@ -91,7 +91,8 @@ class TuneResult:
             "case": self.case,
             "kind": self.origin.kind,
             "converged": self.origin.converged,
-            "warnings": list(self.origin.warnings),
+            "warnings": [*self.origin.known, *self.origin.warnings],
+            "warnings_of_check": len(self.origin.known),
             "definition": "20 log10 of the highest accelerance without the secondary over the highest with it (eq. 24)",
             "draws": len(self.draws["J1"]),
             "target_db": self.target_db,
@@ -143,7 +144,8 @@ class TuneResult:
     def text(self) -> str:
         """The result in a few lines."""
         effort, unit = self.origin.effort
-        lines = [f"warning: {w}" for w in gathered(self.origin.warnings)]
+        known = self.origin.known
+        lines = warning_lines([*known, *self.origin.warnings], len(known))
         if not self.origin.converged:
             lines.append("*** THE FIT DID NOT CONVERGE: do not use these numbers ***")
         lines += [f"Case {self.case}, {counted(len(self.draws['J1']), 'draw')}; target {self.target_db:g} dB."]

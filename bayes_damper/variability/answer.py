@@ -32,7 +32,7 @@ from bayes_damper.runs.json_files import folder_name, plain, read_json, write_js
 from bayes_damper.runs.parallel_map import single_threaded
 from bayes_damper.runs.provenance import code_sha256, provenance
 from bayes_damper.sampling import arviz_adapter
-from bayes_damper.text import gathered
+from bayes_damper.text import warning_lines
 from bayes_damper.variability.averaged import (
     DRAWS,
     Parts,
@@ -98,7 +98,7 @@ class Variability:
     def text(self) -> str:
         """A table for the terminal, warnings first."""
         r = self.result
-        lines = [f"warning: {w}" for w in gathered(r.get("warnings", ()))]
+        lines = warning_lines(r.get("warnings", ()), r.get("warnings_of_check", 0))
         lines += [] if self.converged else ["*** DID NOT CONVERGE: do not use these numbers ***"]
         lines.append(f"{r['campaign']}: cases {', '.join(r['cases'])}")
         lines.append(f"  {'':44s}{'log evidence':>14s}{'probability':>13s}{'unseen data':>13s}")
@@ -203,7 +203,9 @@ def variability(
     }
     if more:
         result["would_settle"] = list(WOULD_SETTLE)
-    result["warnings"] = [] if fitted is None else list(read_json(fitted / "summary.json").get("warnings", ()))
+    summary = {} if fitted is None else read_json(fitted / "summary.json")
+    result["warnings"] = list(summary.get("warnings", ()))
+    result["warnings_of_check"] = summary.get("warnings_of_check", 0)
     result["sentences"] = _sentences(result, fit_converged)
     result["provenance"] = provenance()
     result = cast("VariabilityFile", plain(result))

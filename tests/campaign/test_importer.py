@@ -136,12 +136,17 @@ def test_a_unit_that_contradicts_the_file_is_told(tmp_path: Path) -> None:
 
 
 def test_the_time_need_not_be_named_beside_the_channels(tmp_path: Path) -> None:
+    """A column that is called after the time is taken without a word, another one that rises steadily with one."""
     source = logger_file(tmp_path / "run.csv", wave())
     options = {key: value for key, value in OPTIONS.items() if key != "time"}
     campaign = load_campaign(init_campaign(tmp_path / "out", [source], **options))
     named = load_campaign(init_campaign(tmp_path / "named", [source], **OPTIONS))
     assert np.array_equal(campaign.trials[0].times, named.trials[0].times)
-    assert campaign.warnings == (*named.warnings, "No time column was named; used: column 1 (t).")
+    assert campaign.warnings == named.warnings
+    head, *body = source.read_text().splitlines()
+    source.write_text("\n".join([head.replace("t,", "n,", 1), *body]) + "\n")
+    guessed = load_campaign(init_campaign(tmp_path / "guessed", [source], **options))
+    assert guessed.warnings == (*named.warnings, "No time column was named; used: column 1 (n).")
 
 
 def test_in_a_terminal_it_shows_the_columns_and_asks(

@@ -105,6 +105,14 @@ def test_a_learnt_law_is_drawn_in_the_units_of_its_rig_and_with_signs_in_grey(tr
     assert {dashes is None for _, dashes in lines[0].get_linestyle()} == {True, False}, "broken below 0"
 
 
+def test_a_plan_speaks_of_effects_by_their_titles_and_of_rivals_by_their_numbers() -> None:
+    effects = [{"name": name, "title": title, "chance": 0.5} for name, title in (("grit", "dirt in it"), ("x_y", ""))]
+    matrix = {"grit": {"x_y": 4.0}, "x_y": {"grit": 40.0}}
+    left, right = figures.plan_figure({"effects": effects, "matrix": matrix}, title="").axes
+    assert [t.get_text() for t in left.get_yticklabels()] == ["dirt in it  1", "x y  2"]
+    assert [t.get_text() for t in right.get_xticklabels()] == ["1", "2"]
+
+
 def test_a_matrix_of_answers_has_the_diagonal_first_and_no_column_that_was_never_given() -> None:
     counts = {"grit": {"unknown": 2}, "mass": {"mass": 3, "none": 1}, "stop": {"stop": 2, "grit's twin": 1}}
     empty = {"n": 0, "bins": [], "error": None, "p_value": None}

@@ -145,7 +145,7 @@ def test_a_fit_of_records_converges_and_covers_the_truth(fitted):
         assert min(p["ess_bulk"], p["ess_tail"]) >= 1000
     assert found["sigma1"]["mean"] == pytest.approx(2.0, rel=0.1)
     assert fitted.summary["warnings"] == ["Made by a test."]
-    assert fitted.text().startswith("warning: Made by a test.\n")
+    assert fitted.text().startswith("`bayes-damper check` lists 1 warning about these trials; it holds here too.\n")
     assert found["friction_torque"]["mean"] == pytest.approx(found["mu"]["mean"] * 10.0, rel=1e-9)
     assert found["c1t"]["prior_share"] < 0.3
     low, high = found["friction_torque"]["prior"]["hdi90"]

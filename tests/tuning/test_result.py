@@ -358,7 +358,7 @@ def test_constants_of_a_fitted_campaign_are_its_own(tmp_path):
 def test_a_fit_that_did_not_converge_marks_what_is_tuned_from_it(tmp_path, converged):
     fit = fitted_folder(tmp_path)
     summary = json.loads((fit / "summary.json").read_text())
-    summary["warnings"] = ["trials/2.csv: a gap"]
+    summary |= {"warnings": ["trials/2.csv: a gap", "The law ends at 1 m."], "warnings_of_check": 1}
     for entry in summary["cases"].values():
         entry["converged"] = converged
     write_json(fit / "summary.json", summary)
@@ -366,9 +366,11 @@ def test_a_fit_that_did_not_converge_marks_what_is_tuned_from_it(tmp_path, conve
     assert found.exit_code == (ExitCode.DONE if converged else ExitCode.NOT_CONVERGED)
     told = json.loads((tmp_path / "tune" / "tune.json").read_text())
     assert told["converged"] is converged
-    assert told["warnings"] == ["trials/2.csv: a gap"]
+    assert told["warnings"] == ["trials/2.csv: a gap", "The law ends at 1 m."]
     text = found.text()
-    assert text.startswith("warning: trials/2.csv: a gap\n")
+    assert text.startswith(
+        "warning: The law ends at 1 m.\n`bayes-damper check` lists 1 warning about these trials; it holds here too.\n"
+    )
     assert ("DID NOT CONVERGE" in text) is not converged
     assert ("NOT CONVERGED" in (tmp_path / "tune" / "tune_loss.svg").read_text(encoding="utf-8")) is not converged
     page = report(tmp_path / "tune").path.read_text(encoding="utf-8")

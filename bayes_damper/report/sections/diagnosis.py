@@ -225,7 +225,7 @@ def _verdict_sentences(
     meant = [str(found["meaning"])] if found.get("meaning") else []
     if size and found.get("formula"):
         meant.append(f"Its law: {found['formula']}, with {size} (90 % intervals). {_meanings(found)}".strip())
-    named = f"{words(verdict)}, {found['title']}" if found.get("title") else words(verdict)
+    named = f"{found['title']}, {words(verdict)}" if found.get("title") else words(verdict)
     return [f"{first} {named} ({percent(share)}).", *meant, *where]
 
 

@@ -447,6 +447,7 @@ class DiagnosisFile(TypedDict, total=False):
     scatter: Mapping[str, ScatterEntry]
     notes: Sequence[str]
     warnings: Sequence[str]
+    warnings_of_check: NotRequired[int]
     seconds: float | None
     law: LawEntry | None
     forecast: Forecasts

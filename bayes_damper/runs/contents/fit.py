@@ -179,6 +179,7 @@ class FitFile(TypedDict, total=False):
     seed: int
     converged: bool
     warnings: Sequence[str]
+    warnings_of_check: int
     cases: Mapping[str, CaseEntry]
     joint: CaseEntry
     provenance: Mapping[str, object]

@@ -212,6 +212,7 @@ class VariabilityFile(TypedDict, total=False):
     method_of_effective: str | None
     would_settle: Sequence[str]
     warnings: Sequence[str]
+    warnings_of_check: NotRequired[int]
     sentences: Sequence[str]
     provenance: Mapping[str, object]
 
