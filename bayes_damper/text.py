@@ -123,19 +123,28 @@ def named_answers(probabilities: Mapping[str, float], pair: PairEntry | None) ->
     return {" + ".join(both) if both and name == both[0] else name: float(p) for name, p in probabilities.items()}
 
 
-MISSED = "THE MODEL MISSES SOMETHING"
+def missed(repeats: bool, effect: str | None = "") -> str:
+    """What is said where a fit, with an effect or none, leaves more than the noise, and what to do.
+
+    repeats : whether repeats show the noise; without them slow noise may be the cause too.
+    """
+    doubt = "" if repeats else ", OR THE NOISE IS SLOW"
+    if effect:
+        return f"THE MODEL MISSES SOMETHING BESIDE {effect}{doubt}: the intervals are wider for it"
+    return f"THE MODEL MISSES SOMETHING{doubt}: run `bayes-damper diagnose` before you use these numbers"
 
 
-def missed(repeats: bool) -> str:
-    """What is said where a fit leaves more than the noise: without repeats, slow noise may be the cause too."""
-    return MISSED if repeats else f"{MISSED}, OR THE NOISE IS SLOW"
+def effect_of(entry: CaseEntry) -> str:
+    """The effect beside the nominal model of an entry of summary.json; "" where there is none."""
+    best = entry.get("best_fit")
+    return str(best.get("effect") or "") if best else ""
 
 
 def misses(entry: CaseEntry) -> str:
-    """What is said of an entry of summary.json whose model leaves clearly more than the noise; "" where it does not."""
+    """What `missed` says of an entry of summary.json whose model leaves clearly more than the noise; else ""."""
     channels = (entry.get("noise") or {}).get("channels", ())
     left = [c for c in channels if c.get("learnt_from") == "residuals" and c.get("left_over_floor")]
-    return missed(any(c.get("repeats") for c in left)) if left else ""
+    return missed(any(c.get("repeats") for c in left), effect_of(entry)) if left else ""
 
 
 def budget_sentence(budget: BudgetEntry | None) -> str:

@@ -38,7 +38,6 @@ from bayes_damper.calibration import (
     whittle,
 )
 from bayes_damper.runs.contents.fit import ChannelEntry, NoiseEntry
-from bayes_damper.text import missed
 
 Array = NDArray[np.float64]
 Kind = Literal["gaussian", "student", "ar"]
@@ -156,11 +155,13 @@ def fit_with_noise(
     kind: str = "auto",
     report: Callable[[str], None] = lambda _: None,
     begin: Calibration | None = None,
+    on_excess: Callable[[bool], None] = lambda _: None,
 ) -> FittedNoise:
     """The best fit under the noise asked for: "gaussian" (white), "student", "ar" or "auto".
 
-    report : called with each stage, and with `text.missed` as soon as the fit is known to leave more than the noise;
-    begin : a fit to begin with, of a model with an effect for example; default the nominal model's.
+    report : called with each stage; begin : a fit to begin with, of a model with an effect for example; default the
+    nominal model's; on_excess : called as soon as the fit is known to leave more than the noise, with whether repeats
+    show that noise.
     """
     first = calibrate_nominal(experiment) if begin is None else begin
     if sensor := first.problem.noise.sensor:
@@ -186,7 +187,7 @@ def fit_with_noise(
             learnt, wide = _learn_from_what_is_left(fit, always=True)
         if any(wide):
             if any(exceeded):
-                report(missed(any(r is not None for r, e in zip(repeats, exceeded, strict=True) if e)))
+                on_excess(any(r is not None for r, e in zip(repeats, exceeded, strict=True) if e))
             report("estimating the noise from the residuals")
             for _ in range(2):
                 fit = _anew(fit, learnt)

@@ -44,7 +44,7 @@ from bayes_damper.sampling import Sampling, resampled_start
 from bayes_damper.sampling.arviz_adapter import hdi
 from bayes_damper.sampling.bridge import bridge
 from bayes_damper.sampling.prior_sensitivity import of_standard_draws
-from bayes_damper.text import MISSED, misses
+from bayes_damper.text import missed, misses
 
 Array = NDArray[np.float64]
 PROPOSALS = 4000
@@ -60,8 +60,9 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: FitPlan
         begin_with = fit_with_effect(experiment, effect, plan["effects"])
     news = _News(report, plan)
     report = news.report
-    noise = fit_with_noise(experiment, plan.get("noise", "auto"), news.of_noise, begin_with)
-    news.missed = news.missed or misses({"noise": noise.to_json("")})
+    noise = fit_with_noise(experiment, plan.get("noise", "auto"), partial(report, 0.0), begin_with, news.excess)
+    if not news.notice and misses({"noise": noise.to_json("")}):
+        news.excess(any(c.repeats is not None for c in noise.channels))
     best = noise.fit
     declared = () if best.problem.effect is None else best.problem.effect.parameters
     own = {f"effect.{p.name}": effect_unit(p.unit, kind, experiment.quantity) for p in declared}
@@ -156,20 +157,17 @@ class _News:
 
     to: Report
     plan: FitPlan
-    missed: str = ""
+    notice: str = ""
 
-    def of_noise(self, text: str) -> None:
-        """A stage of the search for the noise, or that it finds more left than noise."""
-        if text.startswith(MISSED):
-            self.missed = text
-        else:
-            self.report(0.0, text)
+    def excess(self, repeats: bool) -> None:
+        """The fit leaves more than the noise."""
+        command = f"bayes-damper diagnose {shlex.quote(self.plan['campaign'])}"
+        said = missed(repeats, self.plan["effect"]).partition(":")
+        self.notice = "".join(said) if self.plan["effect"] else f"{said[0]}: stop with Ctrl-C and run `{command}`"
 
     def report(self, share: float, text: str) -> None:
         """A stage of the fit."""
-        command = f"bayes-damper diagnose {shlex.quote(self.plan['campaign'])}"
-        notice = f"{NOTICE}{self.missed}: stop with Ctrl-C and run `{command}`" if self.missed else ""
-        self.to(share, text + notice)
+        self.to(share, text + NOTICE + self.notice if self.notice else text)
 
 
 def fit_with_effect(experiment: Experiment, effect: str, folder: str | None = None) -> Calibration:

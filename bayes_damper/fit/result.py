@@ -97,7 +97,7 @@ class Fit:
             if not found["converged"]:
                 title += "   *** DID NOT CONVERGE: do not use these numbers ***"
             elif missed := misses(found):
-                title += f"   *** {missed}: run `bayes-damper diagnose` before you use these numbers ***"
+                title += f"   *** {missed} ***"
             parts.append(table_text(found["parameters"], title))
             parts += [f"  {sentence}" for sentence in found["sentences"]]
             parts += _more_text(found)

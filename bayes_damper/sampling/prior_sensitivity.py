@@ -72,9 +72,11 @@ def text(table: Mapping[str, PriorEntry]) -> list[str]:
     if not shown:
         return ["  No answer moves by more than 0.1 sd when a prior is half or twice as wide."]
     lines = ["  shift in sd when a prior is half / twice as wide (others: below 0.1)"]
+    doubtful = False
     for name in shown:
         row = table[name]
         cells = " / ".join(f"{w['shift']:+.2f}{'' if w['reliable'] else '?'}" for w in (row["half"], row["double"]))
+        doubtful = doubtful or "?" in cells
         mark = "   the prior decides" if row["decided_by"] == "prior" else ""
         lines.append(f"  {name:28s}{cells}{mark}")
-    return lines
+    return [*lines, "  ?: too few draws count to be sure; fit with that prior to know"] if doubtful else lines

@@ -38,10 +38,8 @@ AMPLITUDES = (0.02, 0.05, 0.1, 0.2)  # N m
 """Exciting torques of the thesis's rig, and of draws whose campaign is not known."""
 OF_RELEASE = (0.025, 0.06, 0.12, 0.24)
 """Exciting torques (forces) of another rig, as shares of k1t theta0, which held it before the release."""
-_MISSES = (
-    "the fit of case {} misses something of the rig, so that the loss may be off by more than its interval says: run "
-    "`bayes-damper diagnose`, and tune the fit with the effect that it names"
-)
+_MISSES = "the fit of case {} misses something of the rig{}, so that the loss may be off by more than its interval says"
+_REMEDY = ": run `bayes-damper diagnose`, and tune the fit with the effect that it names"
 _WITHOUT_LIMIT = 1e9  # m: a face so large that the pull does not fall with the overlap
 
 
@@ -197,7 +195,7 @@ def origin_of(
             "formula": str(((entry or {}).get("best_fit") or {}).get("formula") or ""),
             "known": tuple(map(str, warned[:n])),
             "warnings": (
-                *((_MISSES.format(case),) if (entry and misses(entry)) else ()),
+                *((_missing(case, plan.get("effect")),) if (entry and misses(entry)) else ()),
                 *map(str, warned[n:]),
             ),
         }
@@ -238,6 +236,11 @@ def origin_of(
         kind=rig.kind,
         amplitudes=_suitable(campaign, case),
     )
+
+
+def _missing(case: str, effect: str | None) -> str:
+    """That a fit misses something, with an effect or without."""
+    return _MISSES.format(case, f" beside {effect}" if effect else "") + ("" if effect else _REMEDY)
 
 
 def _suitable(campaign: Campaign, case: str) -> tuple[float, ...]:

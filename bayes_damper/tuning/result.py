@@ -291,8 +291,10 @@ def tune(
         optimum = None
     designs = {"design": design} | ({} if optimum is None else {"best design": optimum.design})
     few = {name: column[:n_nonlinear] for name, column in draws.items()}
-    report(f"driving the nonlinear rig at {counted(len(amplitudes), 'amplitude')}")
-    driven = {float(a): nonlinear_performances(few, float(a), designs, acting) for a in amplitudes}
+    driven = {}
+    for i, a in enumerate(amplitudes, 1):
+        report(f"driving the nonlinear rig: {a:.2g} {origin.effort[1]}, amplitude {i} of {len(amplitudes)}")
+        driven[float(a)] = nonlinear_performances(few, float(a), designs, acting)
     nonlinear = {a: found["design"] for a, found in driven.items()}
     at_optimum = {a: found["best design"] for a, found in driven.items() if "best design" in found}
     if acting is not None:

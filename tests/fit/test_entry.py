@@ -385,6 +385,11 @@ def test_a_fit_is_read_from_its_folder_and_says_first_what_its_model_misses(tmp_
     assert "case IV   *** THE MODEL MISSES SOMETHING: run `bayes-damper diagnose`" in found.text()
     assert repr(found) == f"Fit({str(tmp_path)!r}: cart, cases IV, converged)"
     assert found._repr_html_() == f"<pre>{html.escape(found.text())}</pre>"
+    case["best_fit"] = {"effect": "spring_cubic"}
+    write_json(tmp_path / "summary.json", summary)
+    told = load_fit(tmp_path).text()
+    assert "*** THE MODEL MISSES SOMETHING BESIDE spring_cubic: the intervals are wider for it ***" in told
+    assert "run `bayes-damper diagnose`" not in told
     case["noise"]["channels"][0]["learnt_from"] = "repeats"
     write_json(tmp_path / "summary.json", summary)
     assert "MISSES" not in load_fit(tmp_path).text()

@@ -247,6 +247,15 @@ def test_a_fit_opens_with_what_the_data_determine_and_what_the_model_misses(tmp_
     assert '<section class="answer open">' in page
     assert "Whether the model itself is right" not in text, "something else would change it"
     assert text.index("What next") < text.index("Median and 90 % interval")
+    data["cases"]["IV"] |= {
+        "best_fit": {"effect": "spring_cubic"},
+        "noise": {"channels": [learnt | {"repeats": None, "fast_content": 2.0}]},
+    }
+    (tmp_path / "summary.json").write_text(json.dumps(data))
+    text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
+    assert "The model misses something beside spring cubic, or the noise is slow: in case IV" in text
+    assert "fit again with the effect" not in text
+    del data["cases"]["IV"]["best_fit"]
     data["cases"]["IV"]["noise"] = {"channels": [quiet]}
     data["cases"]["IV"]["trials"] = {"IV coupled #1": {
         "ln_mu": {"mean": 0.0104, "sd": 0.02, "hdi90": [-0.03, 0.047], "unit": ""}}}  # fmt: skip

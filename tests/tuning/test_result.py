@@ -269,7 +269,7 @@ def result(tmp_path_factory):
         spread(60, mu=(0.009, 0.2)), J2=2.474e-3 / 8, amplitudes=(0.05, 0.2), n_draws=60, n_nonlinear=6, out=folder,
         report=lines.append,
     )  # fmt: skip
-    assert [line.split()[0] for line in lines] == ["looking", "driving", "frequency"]
+    assert [line.split()[0] for line in lines] == ["looking", "driving", "driving", "frequency"]
     assert "2 amplitudes" in lines[1]
     return found, json.loads((folder / "tune.json").read_text(encoding="utf-8"))
 
@@ -606,4 +606,11 @@ def test_a_fit_that_misses_something_warns_what_is_tuned_from_it(tmp_path):
     write_json(folder / "summary.json", summary)
     found = tuning.tune(folder, case="IV", amplitudes=(), optimise=False, n_draws=10)
     assert "warning: the fit of case IV misses something of the rig" in found.text()
+    assert "tune the fit with the effect that it names" in found.text()
+    record = json.loads((folder / "run.json").read_text())
+    record["plan"]["effect"] = "spring_cubic"  # fitted already: nobody is sent round in a circle
+    write_json(folder / "run.json", record)
+    told = tuning.tune(folder, case="IV", amplitudes=(), optimise=False, n_draws=10).text()
+    assert "misses something of the rig beside spring_cubic, so that" in told
+    assert "bayes-damper diagnose" not in told
     assert "misses something" not in tuning.tune(folder, case="I", amplitudes=(), optimise=False, n_draws=10).text()

@@ -14,7 +14,7 @@ from bayes_damper.rig.parameters import PARAMETERS
 from bayes_damper.runs.contents.fit import CaseEntry, CheckEntry, FitFile, ParameterEntry, PriorEntry, TrialUnknown
 from bayes_damper.runs.json_files import folder_name
 from bayes_damper.sampling.prior_sensitivity import decided_by
-from bayes_damper.text import NOTHING, counted, gathered, interval, number, plus_minus
+from bayes_damper.text import NOTHING, counted, effect_of, gathered, interval, number, plus_minus
 
 _OUTSIDE = 5.0  # per cent: a measurement below this percentile, or as far above, counts as outside
 _MAIN = (
@@ -181,10 +181,11 @@ def _missed(groups: Mapping[str, CaseEntry]) -> str:
     left = _left(groups, ("residuals",))
     if not left:
         return ""
-    return (
-        f"The model misses something: {left}. The true values may lie outside the intervals below. Run bayes-damper "
-        "diagnose, and fit again with the effect that it names."
-    )
+    beside = next((f" beside {words(e)}" for entry in groups.values() if (e := effect_of(entry))), "")
+    slow = "" if "repeats differ" in left else ", or the noise is slow"
+    follows = "" if beside else " Run bayes-damper diagnose, and fit again with the effect that it names."
+    outside = "The true values may lie outside the intervals below."
+    return f"The model misses something{beside}{slow}: {left}. {outside}{follows}"
 
 
 def _left(groups: Mapping[str, CaseEntry], learnt_from: Collection[str]) -> str:
