@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from bayes_damper.effects import EFFECTS, Effect, Variant
 from bayes_damper.effects._law import Law, driven_variant
+from bayes_damper.rig.units import in_words_of
 from bayes_damper.tuning.draws import OF_EFFECT, SIZE, Draws, Origin
 
 Array = NDArray[np.float64]
@@ -64,7 +65,9 @@ def acting_of(origin: Origin, draws: Draws) -> tuple[Acting | None, Draws, str]:
         return None, draws, ""
     effect = EFFECTS.get(origin.effect)
     variant = None if effect is None else formula_of(effect, origin, draws)
-    left_out = f"The fit has the effect {origin.effect} too, which is left out here: "
+    title = "" if effect is None else in_words_of(effect.title, origin.kind)
+    named = f"the effect {origin.effect}{f' ({title})' if title else ''}"
+    left_out = f"The fit has {named} too, which is left out here: "
     if effect is None or variant is None:
         why = "only effects of the library and learnt laws are driven" if effect is None else "fit it again"
         return None, draws, f"{left_out}{why}; the design is judged by the nominal model alone."
@@ -76,9 +79,9 @@ def acting_of(origin: Origin, draws: Draws) -> tuple[Acting | None, Draws, str]:
     if not variant.has_kernel:
         if variant.amend is not None:
             draws = {**draws, **variant.amend(draws, {p.name: draws[OF_EFFECT + p.name] for p in variant.parameters})}
-        return None, draws, f"The rig has the effect {effect.name}, as in the fit."
-    acts = f"The driven rig has the effect {effect.name}, as in the fit; the linear model, and with it the search for "
-    return Acting(variant), draws, acts + "the best design, leaves it out."
+        return None, draws, f"The rig has {named}, as in the fit."
+    acts = f"The driven rig has {named}, as in the fit; the linear model, and with it the search for the best design, "
+    return Acting(variant), draws, acts + "leaves it out."
 
 
 def formula_of(effect: Effect, origin: Origin, draws: Draws) -> Variant | None:

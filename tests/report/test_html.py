@@ -253,7 +253,10 @@ def test_a_fit_opens_with_what_the_data_determine_and_what_the_model_misses(tmp_
     }
     (tmp_path / "summary.json").write_text(json.dumps(data))
     text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
-    assert "The model misses something beside spring cubic, or the noise is slow: in case IV" in text
+    assert (
+        "The model misses something beside spring to ground that hardens or softens, or the noise is slow: in case IV"
+        in text
+    )
     assert "fit again with the effect" not in text
     del data["cases"]["IV"]["best_fit"]
     data["cases"]["IV"]["noise"] = {"channels": [quiet]}
@@ -275,7 +278,7 @@ def test_the_first_screen_of_a_fit_with_an_effect_has_the_parameters_of_the_effe
     text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
     first = text[: text.index("What next")]
     assert "Determined by the data: k3 (" in first
-    assert "k3 of spring cubic N m/rad^3 120" in text.replace("³", "^3")
+    assert "k3 of spring to ground that hardens or softens N m/rad^3 120" in text.replace("³", "^3")
 
 
 def test_parameters_on_the_first_screen_are_told_in_words_with_how_well_they_are_known(tmp_path):

@@ -44,7 +44,7 @@ def test_an_effect_acts_as_on_a_rig_driven_in_its_own_time(effect, formula, valu
     draws, origin = driven(effect, formula, values)
     acting, same, note = acting_of(origin, draws)
     assert same is draws
-    assert f"The driven rig has the effect {effect}, as in the fit" in note
+    assert f"The driven rig has the effect {effect} ({EFFECTS[effect].title}), as in the fit" in note
     (f, amplitude, cycles, a_cycle) = (7.0, 0.08, 16, 24)
     found, _ = tuning.harmonic_response(draws, [f], amplitude, settle_cycles=cycles - 4, acting=acting)
     times = np.arange(cycles * a_cycle) / (a_cycle * f)
@@ -78,7 +78,7 @@ def test_what_a_driven_rig_does_not_have_is_left_out_with_the_reason(effect, for
     acting, same, note = acting_of(origin, draws)
     assert acting is None
     assert same is draws
-    assert f"The fit has the effect {effect} too, which is left out here: " in note
+    assert f"The fit has the effect {effect} ({EFFECTS[effect].title}) too, which is left out here: " in note
     assert why in note
 
 
@@ -86,7 +86,10 @@ def test_a_wrong_constant_is_put_right_in_the_draws_and_a_new_secondary_is_as_gi
     draws, origin = driven("inertia_error", "factor", J2=2.0e-3)
     acting, right, note = acting_of(origin, draws)
     assert right["J2"] == pytest.approx(2.0e-3 * 1.08)
-    assert (acting, note) == (None, "The rig has the effect inertia_error, as in the fit.")
+    assert (acting, note) == (
+        None,
+        "The rig has the effect inertia_error (wrong inertia of the secondary), as in the fit.",
+    )
     assert tuning.Design(J2=1e-3).apply(right)["J2"] == pytest.approx(1e-3)
 
 

@@ -270,7 +270,7 @@ def result(tmp_path_factory):
         report=lines.append,
     )  # fmt: skip
     assert [line.split()[0] for line in lines] == ["looking", "driving", "driving", "frequency"]
-    assert "2 amplitudes" in lines[1]
+    assert "0.2 N m, amplitude 2 of 2" in lines[2]
     return found, json.loads((folder / "tune.json").read_text(encoding="utf-8"))
 
 
@@ -541,7 +541,7 @@ def test_an_effect_that_tuning_leaves_out_is_named(tmp_path):
     run["plan"]["effect"] = "stick_slip"
     write_json(fit / "run.json", run)
     found = tuning.tune(fit, case="IV", amplitudes=(), optimise=False, n_draws=10, out=tmp_path / "tune")
-    sentence = "The fit has the effect stick_slip too, which is left out here"
+    sentence = "The fit has the effect stick_slip (sticking between the faces) too, which is left out here"
     assert sentence in found.text()
     assert sentence in report(tmp_path / "tune").path.read_text(encoding="utf-8")
 

@@ -82,6 +82,11 @@ def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
         else e
         for e in data.get("effects") or ()
     ]
+    titles = {e["name"]: str(e.get("title") or words(e["name"])) for e in effects}
+
+    def called(name: str) -> str:
+        return titles.get(name, words(name))
+
     share = dict(probabilities).get(verdict)
     sites = sorted((data.get("sites") or {}).items(), key=lambda item: -item[1])
     pair = data.get("pair")
@@ -92,7 +97,7 @@ def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
     sentences = [divided, *_verdict_sentences(verdict, share, sites, pair, effects, said)]
     if pair:
         sentences.append(
-            f"No single effect closes the gap; {listed([words(e) for e in pair['effects']])} together do "
+            f"No single effect closes the gap; {listed([called(e) for e in pair['effects']])} together do "
             f"({percent(pair['probability'])})."
         )
     sentences += [
@@ -102,7 +107,7 @@ def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
     ]
     beside = gap_beside_verdict(verdict, share or 0.0, gap) if gap else ""
     sentences += [beside] if beside and verdict == "none" else [_gap_sentence(gap), beside]
-    credible = [words(n) for n in data.get("credible_set", [])]
+    credible = [called(n) for n in data.get("credible_set", [])]
     both_present = set(data.get("credible_set", ())) <= set(pair["effects"]) if pair else False
     if len(credible) > 1 and not both_present:
         sentences.append(f"With a probability of 90 % it is one of {listed(credible)}; the data do not decide which.")
@@ -111,7 +116,7 @@ def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
         who = "the best candidate would close"
     sentences.append(_closed_sentence(gap, who))
     changes = [
-        f"{listed([words(n) for n in group])} cannot be distinguished by these data."
+        f"{listed([called(n) for n in group])} cannot be distinguished by these data."
         for group in data.get("indistinguishable", [])
         if set(group) & set(data.get("credible_set", []))
     ]
@@ -119,7 +124,7 @@ def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
     if len(probabilities) > 1:
         second = next(item for item in probabilities if item[0] != verdict)
         changes.append(
-            f"The next most probable answer is {_RIVALS.get(second[0], words(second[0]))} ({percent(second[1])})."
+            f"The next most probable answer is {_RIVALS.get(second[0], called(second[0]))} ({percent(second[1])})."
         )
     top = (share or 0.0) > 0.9 and len(credible) <= 1
     if top and verdict != "unknown" and "feature" not in (data.get("where") or {}):
@@ -127,7 +132,7 @@ def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
         changes.insert(0, f"Next: {fit}{'' if verdict == 'none' else f' --effect {verdict}'}")
     tone = "good" if verdict == "none" and top else "bad" if top else "open"
     named = named_answers(dict(probabilities), pair)
-    shown = tuple((" + ".join(map(words, n.split(" + "))), p) for n, p in named.items() if p >= 0.01)[:8]
+    shown = tuple((" + ".join(map(called, n.split(" + "))), p) for n, p in named.items() if p >= 0.01)[:8]
     name = str(data.get("campaign", ""))
     head = Headline(
         f"Diagnosis of {name}" if name else "Diagnosis", tone, tuple(s for s in sentences if s), shown, tuple(changes)
@@ -161,7 +166,7 @@ def _section(
         data, "", ("schema", "campaign", "verdict", "credible_set", "probabilities", "sites", "effects", "provenance",
                    "campaign_sha256", "seed", "indistinguishable", "notes", "next_experiment", "gap", "parameters",
                    "sensitivity", "budget", "prior_unknown", "law", "where", "forecast", "reading_unit", "rig",
-                   "warnings"),
+                   "warnings", "warnings_of_check"),
     )  # fmt: skip
     lacks = "force" if translational else "torque"
     pictures = [
@@ -225,8 +230,8 @@ def _verdict_sentences(
     meant = [str(found["meaning"])] if found.get("meaning") else []
     if size and found.get("formula"):
         meant.append(f"Its law: {found['formula']}, with {size} (90 % intervals). {_meanings(found)}".strip())
-    named = f"{found['title']}, {words(verdict)}" if found.get("title") else words(verdict)
-    return [f"{first} {named} ({percent(share)}).", *meant, *where]
+    name = f", in the library {verdict}" if found.get("title") else ""
+    return [f"{first} {found.get('title') or words(verdict)} ({percent(share)}{name}).", *meant, *where]
 
 
 def _meanings(found: EffectEntry) -> str:
@@ -496,7 +501,7 @@ def _gap_tables(
             share = f"{_whole(middle)} %"
             if closed and closed.get("hdi90"):
                 share += f" ({' to '.join(map(_whole, closed['hdi90'] or ()))} %)"
-        rows.append(Row((f"with {words(str(e['name']))}", number(e["augmented_rms"]), share)))
+        rows.append(Row((f"with {e.get('title') or words(str(e['name']))}", number(e["augmented_rms"]), share)))
     unit = unit or str(gap.get("unit") or "")
     columns = ("model", f"rms residual [{unit}]" if unit else "rms residual", "gap closed (90 %)")
     note = (

@@ -6,13 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from bayes_damper.effects import EFFECTS
 from bayes_damper.report.parts import Picture, Table, generic, words
 from bayes_damper.rig.parameters import PARAMETERS, READING_UNITS, unit_of
 from bayes_damper.rig.units import BODIES, in_words_of
 
 _HEADS = {
     "k1t n m per rad": "k1t [N m/rad]", "k1 n per m": "k1 [N/m]", "theta0 deg": "theta0 [deg]",
-    "theta0 mm": "theta0 [mm]", "expected information nats": "expected information [nats]", "nats": "gain [nats]",
+    "theta0 mm": "release [mm]", "expected information nats": "expected information [nats]", "nats": "gain [nats]",
 }  # fmt: skip
 _PICTURES = {
     "forest": (
@@ -132,6 +133,12 @@ def plain_meaning(name: str, unit: str = "") -> str:
     units = {kind: {unit_of(name, kind, quantity) for quantity in READING_UNITS} for kind in BODIES}
     slides = unit in units["translational"] - units["torsional"]
     return in_words_of(known.meaning, "translational" if slides else "torsional")
+
+
+def titled(effect: str, kind: str = "torsional") -> str:
+    """An effect as people call it, in the words of a rig; its name as words where the library does not know it."""
+    known = EFFECTS.get(effect)
+    return in_words_of(known.title, kind) if known and known.title else words(effect)
 
 
 def pictures_of(folder: Path, group: str = "", *, kind: str = "") -> tuple[Picture, ...]:

@@ -64,7 +64,7 @@ def variability_result(data: VariabilityFile, folder: Path) -> Result:
     rest = generic(
         data, "", ("schema", "campaign", "campaign_sha256", "seed", "converged", "sentences", "provenance", "models",
                    "effective", "decomposition", "recycled", "method", "kind", "method_of_effective", "cases", "pooled",
-                   "common", "warnings", "averaged", "assumptions", "survives", "would_settle"),
+                   "common", "warnings", "warnings_of_check", "averaged", "assumptions", "survives", "would_settle"),
     )  # fmt: skip
     pictures = pictures_of(folder, kind="variability")
     notes = (*method, *(str(data[key]) for key in ("method", "method_of_effective") if data.get(key)))
