@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup, escape
 
 from bayes_damper.errors import ExitCode, InputError, as_written
 from bayes_damper.report.parts import Picture, Result, Section
@@ -156,7 +157,7 @@ def _page(home: Path, names: tuple[str, ...], results: list[Result], warnings: l
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"json": _json, "percent": percent, "typeset": typeset}
+    environment.filters |= {"json": _json, "percent": percent, "typeset": typeset, "sentence": sentence}
     sections = _numbered([r.section for r in results], names)
     charts = sum(len(_json(c.data)) for s in sections for c in _charts(s))
     budget = _Budget(LARGEST - 150_000 - charts)
@@ -185,6 +186,11 @@ _RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 def typeset(text: str) -> str:
     """Exponents raised: rad/s^2 as rad/s², th1^3 as th1³; powers of more than a number stay as they are."""
     return re.sub(r"\^(-?\d+)(?![\d.])", lambda found: found[1].translate(_RAISED), text)
+
+
+def sentence(text: str) -> Markup:
+    """A sentence as HTML: typeset, and what stands between backticks as code."""
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(typeset(text)))))  # noqa: S704 (escaped)
 
 
 def _name(results: list[Result]) -> str:

@@ -35,7 +35,7 @@ from bayes_damper.figures import (
 )
 from bayes_damper.fit.drawings import draw_overlaid
 from bayes_damper.report.charts import pack, record_chart, torque_chart, unpack
-from bayes_damper.report.html import LARGEST, typeset
+from bayes_damper.report.html import LARGEST, sentence, typeset
 from bayes_damper.text import NOTHING, number, percent
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -278,7 +278,7 @@ def test_the_first_screen_of_a_fit_with_an_effect_has_the_parameters_of_the_effe
     text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
     first = text[: text.index("What next")]
     assert "Determined by the data: k3 (" in first
-    assert "k3 of spring to ground that hardens or softens N m/rad^3 120" in text.replace("³", "^3")
+    assert "k3 spring to ground that hardens or softens: cubic stiffness, positive when hardening N m/rad^3 120" in text.replace("³", "^3")
 
 
 def test_parameters_on_the_first_screen_are_told_in_words_with_how_well_they_are_known(tmp_path):
@@ -310,6 +310,7 @@ def test_the_legend_of_a_corner_figure_shows_the_line_of_each_case():
 def test_exponents_are_raised_and_formulas_stay():
     assert typeset("rad/s^2, kg m^-1, th1^3") == "rad/s², kg m⁻¹, th1³"
     assert typeset("N m s^0.5, x^n, 2^(1/2)") == "N m s^0.5, x^n, 2^(1/2)"
+    assert sentence("a < b: run `x --y` at 2 m/s^2") == "a &lt; b: run <code>x --y</code> at 2 m/s²"
 
 
 def test_oddities_of_the_records_stand_on_the_page_once(tmp_path):

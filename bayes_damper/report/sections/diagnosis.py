@@ -129,7 +129,7 @@ def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
     top = (share or 0.0) > 0.9 and len(credible) <= 1
     if top and verdict != "unknown" and "feature" not in (data.get("where") or {}):
         fit = f"bayes-damper fit {shlex.quote(str(data.get('campaign', 'CAMPAIGN')))}"
-        changes.insert(0, f"Next: {fit}{'' if verdict == 'none' else f' --effect {verdict}'}")
+        changes.insert(0, f"Next: `{fit}{'' if verdict == 'none' else f' --effect {verdict}'}`")
     tone = "good" if verdict == "none" and top else "bad" if top else "open"
     named = named_answers(dict(probabilities), pair)
     shown = tuple((" + ".join(map(called, n.split(" + "))), p) for n, p in named.items() if p >= 0.01)[:8]

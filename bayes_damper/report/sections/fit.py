@@ -9,7 +9,15 @@ from types import MappingProxyType
 
 from bayes_damper.report.charts import record_chart
 from bayes_damper.report.parts import Headline, Result, Row, Section, Table, generic, listed, words
-from bayes_damper.report.sections.shared import UNCONVERGED, fingerprint, meaning_of, pictures_of, plain_meaning, titled
+from bayes_damper.report.sections.shared import (
+    UNCONVERGED,
+    fingerprint,
+    meaning_in,
+    meaning_of,
+    pictures_of,
+    plain_meaning,
+    titled,
+)
 from bayes_damper.rig.parameters import PARAMETERS
 from bayes_damper.runs.contents.fit import CaseEntry, CheckEntry, FitFile, ParameterEntry, PriorEntry, TrialUnknown
 from bayes_damper.runs.json_files import folder_name
@@ -98,7 +106,7 @@ def _fit_headline(campaign: str, groups: Mapping[str, CaseEntry], converged: boo
         changes.append(
             "Look at the figure of the records for where the rest is."
             if any(map(effect_of, groups.values()))
-            else "bayes-damper diagnose looks for what the model misses."
+            else "`bayes-damper diagnose` looks for what the model misses."
         )
     elif noise := _left(groups, ("repeats", "fast content")):
         sentences.append(f"The residuals are about as large as the noise: at worst, {noise}.")
@@ -120,7 +128,7 @@ def _fit_headline(campaign: str, groups: Mapping[str, CaseEntry], converged: boo
         if able:
             changes.append(f"Measure {listed(able)} directly to replace an assumption by a fact.")
     if not changes:
-        changes.append("All numbers assume that the model is right; bayes-damper diagnose tests that.")
+        changes.append("All numbers assume that the model is right; `bayes-damper diagnose` tests that.")
     title = f"Fit of {campaign}" if campaign else "Fit"
     return Headline(title, tone, tuple(sentences), changes=tuple(changes), table=_overview(groups))
 
@@ -187,7 +195,7 @@ def _missed(groups: Mapping[str, CaseEntry]) -> str:
         return ""
     beside = next((f" beside {titled(e)}" for entry in groups.values() if (e := effect_of(entry))), "")
     slow = "" if "repeats differ" in left else ", or the noise is slow"
-    follows = "" if beside else " Run bayes-damper diagnose, and fit again with the effect that it names."
+    follows = "" if beside else " Run `bayes-damper diagnose`, and fit again with the effect that it names."
     outside = "The true values may lie outside the intervals below."
     return f"The model misses something{beside}{slow}: {left}. {outside}{follows}"
 
@@ -243,7 +251,9 @@ def _overview(groups: Mapping[str, CaseEntry]) -> Table:
 def _shown_name(name: str, unit: str, effect: str = "") -> str:
     """A parameter for the first column of a table: its name, and below what it is; `effect` : given to the model."""
     if name.startswith(_OF_EFFECT):
-        return f"{name.removeprefix(_OF_EFFECT)}\nof {titled(effect)}"
+        own = name.removeprefix(_OF_EFFECT)
+        meaning = meaning_in(effect, own)
+        return f"{own}\n{titled(effect)}{f': {meaning}' if meaning else ''}"
     known = PARAMETERS.get(name.partition("[")[0])
     if known is None:
         return name

@@ -141,6 +141,13 @@ def titled(effect: str, kind: str = "torsional") -> str:
     return in_words_of(known.title, kind) if known and known.title else words(effect)
 
 
+def meaning_in(effect: str, parameter: str) -> str:
+    """What a parameter of an effect is, in a few words; "" where the library does not say."""
+    variants = EFFECTS[effect].variants if effect in EFFECTS else ()
+    said = next((p.meaning for v in variants for p in v.parameters if p.name == parameter and p.meaning), "")
+    return said[:1].lower() + said[1:].rstrip(".")
+
+
 def pictures_of(folder: Path, group: str = "", *, kind: str = "") -> tuple[Picture, ...]:
     """Figures that lie in a folder, known ones first; one entry for SVG and PNG of a name.
 
