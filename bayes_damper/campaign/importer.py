@@ -676,7 +676,7 @@ def _release_angle(option: Mapping[str, Any], kind: str, start: str) -> Constant
         )
     unit = _DEGREE if kind == "torsional" else 1e-3
     theta0 = float(option["theta0"])
-    std = float(option.get("theta0_std", max(0.1, 0.02 * abs(theta0))))
+    std = float(option.get("theta0_std", f"{max(0.1, 0.02 * abs(theta0)):.3g}"))
     return Constant(theta0 * unit, std * unit)
 
 

@@ -283,7 +283,9 @@ def dominant_frequency(times: Array, readings: Array) -> float:
     largest = max(float(np.max(np.abs(readings))), 1e-300)
     y = np.interp(even, times, readings / largest)  # readings of 1e308 have no finite sum or difference
     size = 8 * count
-    power = np.abs(np.fft.rfft((y - np.mean(y)) * np.hanning(count), size))
+    window = np.hanning(count)
+    # The windowed readings are without a mean: of a decay that is over soon, the level at which it rests would be left.
+    power = np.abs(np.fft.rfft((y - np.average(y, weights=window)) * window, size))
     i = int(np.argmax(power[1:-1])) + 1
     a, b, c = power[i - 1 : i + 2]
     bend = a - 2.0 * b + c

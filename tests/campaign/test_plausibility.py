@@ -204,6 +204,14 @@ def test_times_that_count_from_something_else_than_the_release_are_refused(tmp_p
     cart(tmp_path / "free", records, times=TIMES + 1.7e9, start="free")
 
 
+def test_a_decay_that_is_over_soon_swings_at_its_own_frequency():
+    """A rate of turn: its mean over the decay is not the level at which it rests for most of the record."""
+    times = np.arange(8000) / 200.0
+    noise = 0.002 * np.random.default_rng(2).standard_normal(8000)
+    rate = -18.0 * np.exp(-times) * np.sin(2.0 * np.pi * 4.7 * times) + noise
+    assert look.dominant_frequency(times, rate) == pytest.approx(4.7, rel=0.02)
+
+
 @pytest.mark.filterwarnings("error")
 def test_readings_as_large_as_numbers_get_are_looked_at_without_a_warning():
     times = np.arange(400) / 100.0 + 1e-3 * (np.arange(400) % 3)
