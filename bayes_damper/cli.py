@@ -65,6 +65,7 @@ def _simulate(args: Arguments) -> Any:
 
     return simulate_record(
         case=args.case,
+        campaign=args.campaign,
         coupled=not args.uncoupled,
         settings=args.set or [],
         effect=args.effect,
@@ -472,8 +473,12 @@ def _first_steps(command: Adding) -> None:
     sub.add_argument("campaign", help="folder with campaign.toml and trials.csv; the records need not exist")
     _weighing(sub)
 
-    sub = command("simulate", _simulate, "simulate one noise-free record of the thesis's rig")
-    sub.add_argument("--case", default="IV", help="thesis case: I, II, III or IV (default: IV)")
+    sub = command("simulate", _simulate, "simulate one noise-free record of your rig, or of the thesis's")
+    sub.add_argument(
+        "campaign", nargs="?",
+        help="folder of a campaign: its rig at the medians of its priors; it may be a plan (default: thesis)",
+    )  # fmt: skip
+    sub.add_argument("--case", help="case, which gives spring and release (default: the first; of the thesis IV)")
     sub.add_argument("--uncoupled", action="store_true", help="without the second body")
     sub.add_argument(
         "--set",
@@ -483,8 +488,10 @@ def _first_steps(command: Adding) -> None:
     )
     sub.add_argument("--effect", metavar="NAME", help="add an effect of the library at a typical size")
     _own_effects(sub)
-    sub.add_argument("--rate", type=_real, default=1000.0, metavar="HZ", help="sample rate (default: 1000)")
-    sub.add_argument("--duration", type=_real, default=1.0, metavar="S", help="length of the record (default: 1)")
+    sub.add_argument("--rate", type=_real, metavar="HZ", help="sample rate (default: the campaign's, else 1000)")
+    sub.add_argument(
+        "--duration", type=_real, metavar="S", help="length of the record (default: the campaign's, else 1)"
+    )
     sub.add_argument(
         "--inputs", type=Path, metavar="F.csv",
         help="measured inputs: time_s and any of torque1_n_m, torque2_n_m, ground_rad, motion1_rad, ...",

@@ -695,6 +695,13 @@ def _in_si(channels: Array, option: Mapping[str, Any], kind: str, quantity: str,
             raise InputError(
                 f"{option['where']}: '{key}' has {len(values)} entries for {count} channels; give one for each"
             )
+    kinds = {str(u): q for u in units[:count] for q in _TANGENTIAL if u in _TANGENTIAL[q] or u in _ANGULAR[q]}
+    if "motion" not in option and len(set(kinds.values())) > 1:
+        read = " and ".join(f"{q} ({unit})" for unit, q in kinds.items())
+        raise InputError(
+            f"{where}: the channels read {read}; a campaign has readings of one kind: name in --columns those of one "
+            "kind, and give --quantity"
+        )
     if any(s not in (1, -1) for s in signs):
         raise InputError(f"{option['where']}: sign must be 1 or -1 for each channel")
     rows: list[Array] = []

@@ -1,4 +1,7 @@
-"""`bayes-damper simulate`: one noise-free record of the thesis's rig, any parameter changed and any effect added."""
+"""`bayes-damper simulate`: one noise-free record of a rig, any parameter changed and any effect added.
+
+The rig is that of a campaign, fitted or not, measured or planned, or the thesis's.
+"""
 
 from __future__ import annotations
 
@@ -10,16 +13,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.campaign import INPUT_COLUMNS, Constant, Measurement, Trial, record_text
+from bayes_damper.calibration import Experiment, experiment_of, middle
+from bayes_damper.calibration.experiment import default_priors, longest_step
+from bayes_damper.calibration.unknowns import NOMINAL
+from bayes_damper.campaign import INPUT_COLUMNS, Constant, Measurement, Trial, load_plan, record_text
 from bayes_damper.campaign.logger_files import read_file
 from bayes_damper.campaign.structure import INPUTS
+from bayes_damper.diagnosis.search import offered
 from bayes_damper.effects import Effect, all_effects
 from bayes_damper.effects._law import Law
 from bayes_damper.effects.base import Variant
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.inputs import number_in
 from bayes_damper.priors.distributions import Normal
-from bayes_damper.priors.files import load_priors
+from bayes_damper.priors.files import campaign_priors, load_priors
 from bayes_damper.published.measurements import load_published
 from bayes_damper.rig.equations import ROWS
 from bayes_damper.rig.parameters import OTHER_UNIT, RIG_KEYS, hint, unit_of
@@ -54,14 +61,87 @@ class SimulatedRecord:
         return result | ({"warnings": list(self.warnings)} if self.warnings else {})
 
 
+@dataclass(frozen=True)
+class _Rig:
+    """What a record begins with: values of `equations.ROWS`, words of the rig, and what is offered for it.
+
+    whose : for sentences; experiment : of the campaign, None for the thesis.
+    """
+
+    whose: str
+    case: str
+    values: dict[str, float]
+    words: dict[str, str]
+    coupled: bool
+    kind: str = "torsional"
+    quantity: Quantity = "acceleration"
+    rate: float = 1000.0
+    duration: float = 1.0
+    experiment: Experiment | None = None
+
+    def scaled(self, effect: Effect, variant: Variant) -> Variant | None:
+        """A formula at the scale of the rig; None where the rig cannot have it."""
+        if self.experiment is None:
+            return variant
+        able = offered(self.experiment, "nonlinear", {effect.name: effect})
+        return next((v for _, v in able if v.name == variant.name), None)
+
+    def model(self, coupled: bool, variant: Variant | None) -> Model:
+        """The rig with an effect."""
+        laws: dict[str, Any] = {**self.words, "effect": variant}
+        if self.experiment is not None:
+            laws |= {"coupling_law": self.experiment.coupling_law, "longest_step": longest_step(self.experiment)}
+        return Model(coupled, **laws)
+
+
+def _thesis(case: str | None) -> _Rig:
+    """The thesis's rig at the medians of its priors."""
+    published, case = load_published(), case or "IV"
+    if case not in published.cases:
+        raise InputError(f"--case {case}: the thesis has no such case; its cases are {', '.join(published.cases)}")
+    priors = load_priors("thesis").for_case(case)
+    # Cut at physical bounds, a normal prior's median lies a little off the declared value: that one is meant.
+    values = priors.medians() | {name: d.mean for name, d in priors.free.items() if isinstance(d, Normal)}
+    values |= {"k1t": published.cases[case].k1t, "theta0": published.cases[case].theta0, "J12": 0.0, "k3t": 0.0}
+    return _Rig("the thesis's rig", case, values, {key: choices[0] for key, choices in _WORDS.items()}, coupled=True)
+
+
+def _own(folder: str | Path, case: str | None) -> _Rig:
+    """The rig of a campaign at its declared constants and the medians of its priors; its records need not be there."""
+    campaign = load_plan(folder)
+    file = Path(folder) / "priors.toml"
+    experiment = experiment_of(campaign, campaign_priors(file, campaign) if file.exists() else None)
+    case = case or campaign.cases[0]
+    if case not in campaign.cases:
+        raise InputError(f"--case {case}: there is no such case; {folder} has {', '.join(campaign.cases)}")
+    trials = [t for t in campaign.trials if t.case == case]
+    first = next((t for t in trials if t.coupled), trials[0])
+    values = {"J12": 0.0, "k3t": 0.0, "N0": 0.0, "R": 1.0, "r": 1.0}
+    values |= {name: value for name, (value, _) in experiment.constants.items()}
+    values |= {"k1t": first.k1t.value, "theta0": 0.0 if first.theta0 is None else first.theta0.value}
+    defaults = default_priors(experiment)
+    for name in NOMINAL:
+        given = experiment.case_priors.get(name, {}).get(case, experiment.priors.get(name, defaults[name]))
+        values[name] = middle(given)
+    if not experiment.magnet:
+        values["mu"] = 0.0
+    rig, rate = campaign.rig, float(f"{1.0 / np.median(np.diff(first.times)):.6g}")
+    return _Rig(
+        f"{campaign.name} at the medians of its priors", case, values,
+        {"normal_force": rig.normal_force, "restoring": rig.restoring}, first.coupled, rig.kind,
+        campaign.measurement.quantity, rate, float(first.times[-1]), experiment,
+    )  # fmt: skip
+
+
 def simulate_record(
-    case: str = "IV",
+    case: str | None = None,
     *,
+    campaign: str | Path | None = None,
     coupled: bool = True,
     settings: Sequence[str] = (),
     effect: str | None = None,
-    rate: float = 1000.0,
-    duration: float = 1.0,
+    rate: float | None = None,
+    duration: float | None = None,
     inputs: str | Path | None = None,
     out: str | Path,
     effects_folder: str | Path | None = None,
@@ -70,10 +150,13 @@ def simulate_record(
 
     Parameters
     ----------
-    case : thesis case, which gives k1t and theta0. Everything else starts at the prior medians of the thesis's rig.
+    case : gives k1t and theta0; default IV of the thesis, the first of a campaign. campaign : folder, whose rig takes
+    the place of the thesis's: its declared constants and the medians of its priors, in its units; its records need not
+    be there.
     settings : "NAME=VALUE" each: a parameter, a rig key of campaign.toml, or EFFECT.PARAMETER. SI units.
     effect : name of an effect, or NAME/VARIANT; at the first of its starts where `settings` say nothing else.
-    rate : Hz; duration : s; out : the CSV file to write. coupled : False for the primary alone.
+    rate : Hz; duration : s; by default those of the campaign's first trial of the case, 1000 and 1 for the thesis.
+    out : the CSV file to write. coupled : False for the primary alone.
     inputs : CSV file of what acts, time_s and any of torque1_n_m, torque2_n_m, ground_rad and ground_rad_s2, linear
         between samples; the record has its times, in place of rate and duration, and absolute readings. With
         motion1_rad or motion1_rad_s2 the primary moves so, and its channel is the reaction (reaction1_n_m).
@@ -84,34 +167,34 @@ def simulate_record(
     InputError
         for an unknown name, a value that is no number, or a record that cannot be simulated: all faults at once.
     """
-    published = load_published()
-    if case not in published.cases:
-        raise InputError(f"--case {case}: the thesis has no such case; its cases are {', '.join(published.cases)}")
+    rig = _thesis(case) if campaign is None or str(campaign) == "thesis" else _own(campaign, case)
+    coupled = coupled and rig.coupled
+    rate, duration = rig.rate if rate is None else rate, rig.duration if duration is None else duration
     faults: list[str] = []
     if not (np.isfinite(rate) and rate > 0.0):
         faults.append(f"--rate {rate}: expected a positive number of samples per second")
     if not (np.isfinite(duration) and duration > 0.0) or duration * rate > 1e7:
         faults.append(f"--duration {duration}: expected a positive number of seconds, at most ten million samples")
     chosen = _chosen(effect, effects_folder, faults)
-    variant = None if chosen is None else chosen[1]
-    priors = load_priors("thesis").for_case(case)
-    # Cut at physical bounds, a normal prior's median lies a little off the declared value: that one is meant.
-    values = priors.medians() | {name: d.mean for name, d in priors.free.items() if isinstance(d, Normal)}
-    values |= {"k1t": published.cases[case].k1t, "theta0": published.cases[case].theta0, "J12": 0.0, "k3t": 0.0}
-    words = {key: choices[0] for key, choices in _WORDS.items()}
+    variant = None if chosen is None else rig.scaled(*chosen)
+    if chosen is not None and variant is None:
+        faults.append(f"--effect {effect}: this rig cannot have it (see docs, Effects: what each needs)")
+    values, words = rig.values, rig.words
     own = {} if variant is None else dict(zip((p.name for p in variant.parameters), variant.starts[0], strict=True))
-    suspect = _apply(settings, values, words, own, effect, faults)
+    suspect = _apply(settings, rig, own, effect, faults)
+    if not inputs and not values["theta0"]:
+        faults.append("--set theta0=...: this rig declares no release; give one in " + unit_of("theta0", rig.kind))
     law: Law | None = None if chosen is None else chosen[0].law
-    if law is not None and (why := law.mismatch("torsional", values)) is not None:
+    if law is not None and (why := law.mismatch(rig.kind, values)) is not None:
         faults.append(f"--effect {effect}: {why}")
     if faults:
         raise InputError(faults)
     path = Path(out)
     if path.suffix == ".toml":
         raise InputError(f"--out {path}: the values used go to that name; give the record another ending, e.g. .csv")
-    trial = None if inputs is None else _driven(Path(inputs), coupled)
+    trial = None if inputs is None else _driven(Path(inputs), coupled, rig.kind)
     times = np.arange(round(duration * rate) + 1) / rate if trial is None else trial.times
-    model = Model(coupled, words["normal_force"], words["restoring"], variant)  # type: ignore[arg-type]
+    model = rig.model(coupled, variant)
 
     def run(quantity: Quantity) -> Simulation:
         return model.simulate(
@@ -123,21 +206,24 @@ def simulate_record(
         )
 
     try:
-        simulation = run("acceleration")
+        simulation = run(rig.quantity)
     except ValueError as error:
         raise InputError(f"--inputs {inputs}: {error}") from None
     outcome = Outcome(int(simulation.outcome[0]))
     if outcome is not Outcome.COMPLETED:
         raise InputError(f"this record cannot be simulated: {outcome.sentence.partition(';')[0]}; see what --set gives")
     acting = None if trial is None else {name: getattr(trial, name) for name in INPUTS}
-    write_text(path, record_text(times, simulation.y[0], "torsional", "acceleration", acting))
-    used: dict[str, Any] = {"case": case, "configuration": "coupled" if coupled else "uncoupled"}
+    write_text(path, record_text(times, simulation.y[0], rig.kind, rig.quantity, acting))
+    used: dict[str, Any] = {"case": rig.case, "configuration": "coupled" if coupled else "uncoupled"}
     used |= {"rate": rate, "duration": duration} if inputs is None else {"inputs": str(inputs)}
+    used |= {} if rig.experiment is None else {"campaign": str(campaign), "kind": rig.kind}
     used |= words | {name: values[name] for name in ROWS if name in values}
-    lines = [f"{key} = {_toml(value)}{_comment(key)}" for key, value in used.items()]
+    lines = [f"{key} = {_toml(value)}{_comment(key, rig.kind)}" for key, value in used.items()]
     if variant is not None:
         lines += ["", "[effect]", f'name = "{str(effect).partition("/")[0]}"', f'variant = "{variant.name}"']
-        lines += [f"{p.name} = {own[p.name]!r}  # {effect_unit(p.unit)}" for p in variant.parameters]
+        lines += [
+            f"{p.name} = {own[p.name]!r}  # {effect_unit(p.unit, rig.kind, rig.quantity)}" for p in variant.parameters
+        ]
     write_text(path.with_suffix(".toml"), "\n".join(lines) + "\n")
     warnings = [*suspect, *([] if law is None else _beyond(law, run, times, coupled))]
     period = 2.0 * np.pi * np.sqrt(values["J1"] / values["k1t"]) if values["k1t"] > 0.0 else np.inf
@@ -167,9 +253,11 @@ def _beyond(law: Law, run: Callable[[Quantity], Simulation], times: NDArray[np.f
     return out
 
 
-def _driven(path: Path, coupled: bool) -> Trial:
+def _driven(path: Path, coupled: bool, kind: str) -> Trial:
     """A trial with the times and inputs of a CSV file, and nothing measured yet."""
-    columns = ("time_s", *INPUT_COLUMNS["torsional"])
+    columns = ("time_s", *INPUT_COLUMNS[kind])
+    _, torque2, ground, ground_a, motion, motion_a, _ = INPUT_COLUMNS[kind]
+    torque = columns[1]
     file = read_file(path, {"header": True})
     unknown = [name for name in file.names if name not in columns]
     if unknown or "time_s" not in file.names or len(file.names) < 2:
@@ -182,20 +270,20 @@ def _driven(path: Path, coupled: bool) -> Trial:
     faults = [f"--inputs {path}: column '{n}' has gaps" for n, x in table.items() if not np.isfinite(x).all()]
     if times.size < 2 or not np.isfinite(times).all() or np.any(np.diff(times) <= 0.0):
         faults.append(f"--inputs {path}: time_s must rise from line to line")
-    if "torque2_n_m" in table and not coupled:
-        faults.append(f"--inputs {path}: torque2_n_m acts on the secondary; leave it or --uncoupled out")
-    if {"ground_rad", "ground_rad_s2"} <= set(table):
-        faults.append(f"--inputs {path}: ground_rad and ground_rad_s2 are one motion of the ground; keep one")
-    if {"motion1_rad", "motion1_rad_s2"} <= set(table):
-        faults.append(f"--inputs {path}: motion1_rad and motion1_rad_s2 are one motion of the primary; keep one")
-    if {"motion1_rad", "motion1_rad_s2"} & set(table) and {"torque1_n_m", "ground_rad", "ground_rad_s2"} & set(table):
+    if torque2 in table and not coupled:
+        faults.append(f"--inputs {path}: {torque2} acts on the secondary; leave it or --uncoupled out")
+    if {ground, ground_a} <= set(table):
+        faults.append(f"--inputs {path}: {ground} and {ground_a} are one motion of the ground; keep one")
+    if {motion, motion_a} <= set(table):
+        faults.append(f"--inputs {path}: {motion} and {motion_a} are one motion of the primary; keep one")
+    if {motion, motion_a} & set(table) and {torque, ground, ground_a} & set(table):
         faults.append(
-            f"--inputs {path}: a prescribed motion of the primary leaves no room for torque1_n_m or a moving ground; "
+            f"--inputs {path}: a prescribed motion of the primary leaves no room for {torque} or a moving ground; "
             "keep one"
         )
     if faults:
         raise InputError(faults)
-    names = dict(zip(INPUT_COLUMNS["torsional"], INPUTS, strict=True))
+    names = dict(zip(INPUT_COLUMNS[kind], INPUTS, strict=True))
     acting: dict[str, Any] = {names[n]: x for n, x in table.items()}
     nothing = np.zeros((1 + int(coupled), times.size))
     configuration = "coupled" if coupled else "uncoupled"
@@ -218,19 +306,20 @@ def _chosen(effect: str | None, folder: str | Path | None, faults: list[str]) ->
 
 
 def _apply(
-    settings: Sequence[str],
-    values: dict[str, float],
-    words: dict[str, str],
-    own: dict[str, float],
-    effect: str | None,
-    faults: list[str],
+    settings: Sequence[str], rig: _Rig, own: dict[str, float], effect: str | None, faults: list[str]
 ) -> list[str]:
-    """Changes `values`, `words` and `own` as `settings` say; sentences on numbers that look like another unit's."""
+    """Changes the rig's values and words, and `own`, as `settings` say; sentences on numbers that look like another
+    unit's.
+    """
+    values, words = rig.values, rig.words
     given = set()
     suspect = []
     for setting in settings:
         name, equals, text = (part.strip() for part in setting.partition("="))
         key = RIG_KEYS.get(name, name)
+        if key == "kind":
+            faults.append(f"--set {setting}: a rig of another kind is that of a campaign: bayes-damper simulate FOLDER")
+            continue
         if not equals:
             faults.append(f"--set {setting}: expected NAME=VALUE")
             continue
@@ -259,17 +348,17 @@ def _apply(
         elif key in ROWS:
             usual = abs(values.get(key, 0.0)) if key not in given and key not in ("nu", "tail") else 0.0
             if usual > 0.0 and not 1.0 / OTHER_UNIT <= abs(number) / usual <= OTHER_UNIT and number:
-                unit = unit_of(key)
+                unit = unit_of(key, rig.kind)
                 degrees = ": an angle in radians, not in degrees" if unit == "rad" else ""
                 suspect.append(
-                    f"--set {setting} is {abs(number) / usual:.3g} times what the thesis's rig has, {usual:.4g}"
+                    f"--set {setting} is {abs(number) / usual:.3g} times what {rig.whose} has, {usual:.4g}"
                     f"{' ' + unit if unit and unit != '1' else ''}; it is taken in SI units{degrees}"
                 )
             values[key] = number
             given.add(key)
         else:
             faults.append(f"--set {setting}: nothing is called {name!r}; {hint(name, [*ROWS, *RIG_KEYS, *_WORDS])}")
-    if "c1t" in given and "c3t" not in given:
+    if rig.experiment is None and "c1t" in given and "c3t" not in given:
         values["c3t"] = values["c1t"]  # tied, as in the prior file
     return suspect
 
@@ -278,6 +367,6 @@ def _toml(value: Any) -> str:
     return f'"{value}"' if isinstance(value, str) else repr(float(value))
 
 
-def _comment(name: str) -> str:
-    unit = {"rate": "Hz", "duration": "s"}.get(name) or unit_of(name)
+def _comment(name: str, kind: str) -> str:
+    unit = {"rate": "Hz", "duration": "s"}.get(name) or unit_of(name, kind)
     return f"  # {unit}" if unit else ""

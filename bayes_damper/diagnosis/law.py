@@ -121,8 +121,8 @@ class Learnt:
         rows: list[list[Any]] = []
         for k, term in enumerate(self.law.terms):
             rows += [[k + 1, term.carrier, term.along, *row] for row in zip(*self.law.curve(k), strict=True)]
-        unit = self._units()
-        return ["term", "carrier", "along", "at", f"torque_{unit['torque']}", f"torque_sd_{unit['torque']}"], rows
+        effort, sd = self._heads("torque", "torque_sd")
+        return ["term", "carrier", "along", "at", effort, sd], rows
 
     def _table(self) -> tuple[list[str], list[list[Any]]]:
         """The whole law over the coordinates that it uses."""
@@ -135,8 +135,7 @@ class Learnt:
         columns = [*grid.values(), value, sd]
         if "angle" in grid and "speed" in grid:
             columns.append(self._seen(grid["angle"], grid["speed"]))
-        unit = self._units()
-        head = [f"{name}_{unit[name]}" for name in used] + [f"torque_{unit['torque']}", f"torque_sd_{unit['torque']}"]
+        head = self._heads(*used, "torque", "torque_sd")
         head += ["readings_nearby"] if len(columns) > len(head) else []
         return head, [list(row) for row in zip(*columns, strict=True)]
 
@@ -147,10 +146,17 @@ class Learnt:
         j = np.clip(np.searchsorted(speeds, speed, side="right") - 1, 0, count.shape[1] - 1)
         return count[i, j]
 
-    def _units(self) -> dict[str, str]:
-        translational = (self.law.rig or {}).get("kind") == "translational"
-        names = ("m", "m_s", "s", "n") if translational else ("rad", "rad_s", "s", "n_m")
-        return dict(zip((*COORDINATES, "torque"), names, strict=True))
+    def _heads(self, *names: str) -> list[str]:
+        """Names of columns with their units, in the words of the rig."""
+        kind = (self.law.rig or {}).get("kind")
+        return [_HEADS[name][kind == "translational"] for name in names]
+
+
+_HEADS = {
+    "angle": ("angle_rad", "position_m"), "speed": ("speed_rad_s", "speed_m_s"), "time": ("time_s", "time_s"),
+    "torque": ("torque_n_m", "force_n"), "torque_sd": ("torque_sd_n_m", "force_sd_n"),
+}  # fmt: skip
+"""Columns of the tables of a learnt law, on a torsional rig and on a translational one."""
 
 
 def used_coordinates(terms: Sequence[Term]) -> list[str]:

@@ -135,6 +135,16 @@ def test_a_unit_that_contradicts_the_file_is_told(tmp_path: Path) -> None:
         assert sum(told in w for w in campaign.warnings) == count
 
 
+def test_channels_of_two_kinds_are_refused_with_what_to_do(tmp_path: Path) -> None:
+    """The hint on the unit of one channel would be refused for the unit of the other."""
+    source = logger_file(tmp_path / "run.csv", wave())
+    head, *rows = source.read_text().splitlines()
+    source.write_text("\n".join([f"{head},b", *(f"{row},0.5" for row in rows)]) + "\n")
+    options = {"columns": ["a", "b"], "kind": "translational", "secondary_inertia": 1.0, "units": ["mm", "g"]}
+    told = fault_of(tmp_path, source, **options)
+    assert "displacement (mm) and acceleration (g); a campaign has readings of one kind" in told
+
+
 def test_the_time_need_not_be_named_beside_the_channels(tmp_path: Path) -> None:
     """A column that is called after the time is taken without a word, another one that rises steadily with one."""
     source = logger_file(tmp_path / "run.csv", wave())

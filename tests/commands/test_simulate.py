@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from bayes_damper import examples
+from bayes_damper.campaign import load_campaign
 from bayes_damper.commands.simulate import simulate_record
 from bayes_damper.errors import InputError
 
@@ -46,10 +48,41 @@ def test_an_effect_changes_the_record_and_is_noted(tmp_path):
     assert np.abs(_read(tmp_path / "a.csv")["alpha1_rad_s2"] - _read(tmp_path / "b.csv")["alpha1_rad_s2"]).max() > 1.0
 
 
+def test_the_rig_of_a_campaign_is_simulated_in_its_units_without_a_fit(tmp_path):
+    """A cart at its declared constants, with the rate and duration of its records; the rest as --set says."""
+    cart = examples(tmp_path / "cart").folder
+    campaign = load_campaign(cart)
+    trial = next(t for t in campaign.trials if t.case == "small")
+    k1, x0, mass, k3 = trial.k1t.value, trial.theta0.value, campaign.rig.primary_inertia.value, 2.0e5
+    settings = ["drag=0", "c1t=2.5", f"spring_cubic.k3={k3}"]
+    found = simulate_record("small", campaign=cart, settings=settings, effect="spring_cubic", out=tmp_path / "F.csv")
+    record = _read(found.path)
+    assert record.dtype.names == ("time_s", "a1_m_s2")
+    assert record["time_s"].size == pytest.approx(trial.times.size, abs=10)
+    assert np.diff(record["time_s"]) == pytest.approx(np.median(np.diff(trial.times)))
+    exact = solve_ivp(
+        lambda _, y: [y[1], -(k1 * y[0] + k3 * y[0] ** 3 + 2.5 * y[1]) / mass], (0.0, record["time_s"][-1]), [x0, 0.0],
+        t_eval=record["time_s"], rtol=1e-9, atol=1e-12,
+    )  # fmt: skip
+    x, v = exact.y
+    a = -(k1 * x + k3 * x**3 + 2.5 * v) / mass
+    np.testing.assert_allclose(record["a1_m_s2"], a, atol=5e-4 * np.abs(a).max())
+    text = (tmp_path / "F.toml").read_text()
+    used = tomllib.loads(text)
+    assert (used["campaign"], used["kind"], used["configuration"]) == (str(cart), "translational", "uncoupled")
+    assert "k3 = 200000.0  # N/m^3" in text
+    assert f"k1t = {k1}  # N/m\n" in text
+    with pytest.raises(InputError, match=r"there is no such case; .* has .*small"):
+        simulate_record("huge", campaign=cart, out=tmp_path / "G.csv")
+    with pytest.raises(InputError, match="--effect stick_slip: this rig cannot have it"):
+        simulate_record(campaign=cart, effect="stick_slip", out=tmp_path / "G.csv")
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
         ({"case": "V"}, "no such case"),
+        ({"settings": ["kind=translational"]}, "bayes-damper simulate FOLDER"),
         ({"settings": ["muu=1"]}, "did you mean 'mu'"),
         ({"settings": ["mu=a"]}, "no number"),
         ({"settings": ["mu"]}, "NAME=VALUE"),

@@ -90,6 +90,10 @@ def test_its_files_are_an_effect_that_closes_the_gap_and_tables_that_agree(found
     np.testing.assert_allclose([float(r["torque_sd_n_m"]) for r in rows], sd, atol=1e-7)
     with (home / "interface.csv").open() as file:
         assert {r["along"] for r in csv.DictReader(file)} == {t.along for t in learnt.law.terms}
+    cart = replace(learnt, law=replace(learnt.law, rig={"kind": "translational"}))
+    assert {"force_n", "force_sd_n"} <= set(cart._table()[0]) <= {
+        "position_m", "speed_m_s", "time_s", "force_n", "force_sd_n", "readings_nearby"
+    }  # fmt: skip
 
 
 @pytest.mark.slow
