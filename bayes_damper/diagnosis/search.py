@@ -35,6 +35,7 @@ from bayes_damper.effects import REFERENCE, Scales, candidates, scaled
 from bayes_damper.effects.base import Effect, Variant
 from bayes_damper.priors.distributions import HalfNormal
 from bayes_damper.runs.parallel_map import forked_map
+from bayes_damper.runs.progress import now_and_then
 from bayes_damper.simulation.links import of_links
 from bayes_damper.simulation.precompile import compile_ahead
 
@@ -436,7 +437,8 @@ def search(
     if chosen:
         first = refine(chosen[0], nominal.cost)
         reached = min(nominal.cost, math.inf if first.fit is None else first.fit.cost)
-        essences = forked_map(lambda k: essence(refine(k, reached).fit), chosen[1:], workers)
+        each = now_and_then(report, len(chosen) - 1, "fitted")
+        essences = forked_map(lambda k: essence(refine(k, reached).fit), chosen[1:], workers, each)
         fitted = {chosen[0]: first}
         for k, found in zip(chosen[1:], essences, strict=True):
             effect, variant = pool[k]

@@ -53,6 +53,7 @@ from bayes_damper.diagnosis.verdict import FRICTIONS, RULE, USUAL, Rule, mended_
 from bayes_damper.effects.base import Effect, Variant
 from bayes_damper.priors.distributions import HalfNormal
 from bayes_damper.runs.parallel_map import forked_map
+from bayes_damper.runs.progress import now_and_then
 from bayes_damper.simulation.composition import compose
 
 Array = NDArray[np.float64]
@@ -537,7 +538,8 @@ def grown(
             break
         report(f"fitting {len(wanted)} sets of effects")
         jobs = [(base, members, begun) for members, begun in zip(wanted, starts, strict=True)]
-        packed = forked_map(lambda job: _packed(_grown(nominal, *job)), jobs, workers)
+        each = now_and_then(report, len(jobs), "sets fitted")
+        packed = forked_map(lambda job: _packed(_grown(nominal, *job)), jobs, workers, each)
         for members, (kept, noise) in zip(wanted, packed, strict=True):
             fit = restored(SetProblem(nominal.problem, members, exact=True).with_noise(noise), kept)
             smaller = [s.fit.log_evidence for s in sets.values() if s.names < {e.name for e, _ in members}]

@@ -61,14 +61,22 @@ def _uninterrupted() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def forked_map(work: Callable[[Item], Answer], items: Sequence[Item], count: int) -> list[Answer]:
+def forked_map(
+    work: Callable[[Item], Answer], items: Sequence[Item], count: int, each: Callable[[int], None] = lambda _: None
+) -> list[Answer]:
     """[work(item) for item in items], in `count` processes that take one item after the other.
+
+    each : called after each answer with how many there are.
 
     The answers have to be picklable, the items not. What a process failed at, or took with it when it died, is done
     here, so that errors arise as without them. Without fork, or with a count of 1, everything is done here.
     """
     if count < 2 or len(items) < 2 or not can_fork():
-        return [work(item) for item in items]
+        done = []
+        for item in items:
+            done.append(work(item))
+            each(len(done))
+        return done
     context = multiprocessing.get_context("fork")
     turn = context.Value("i", 0)
 
@@ -103,6 +111,7 @@ def forked_map(work: Callable[[Item], Answer], items: Sequence[Item], count: int
                 try:
                     mine, answer = cast("Connection", end).recv()
                     found[mine] = answer
+                    each(len(found))
                 except EOFError:
                     open_ends.remove(cast("Connection", end))
     finally:

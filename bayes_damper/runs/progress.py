@@ -87,6 +87,8 @@ class Bars:
         self._bars.stop()
 
 
+_SILENT_S = 30.0
+"""Seconds after which many alike steps report how many of them are done."""
 _REPEATED_S = 60.0
 """Seconds after which a stage that lasts is reported again."""
 
@@ -166,6 +168,24 @@ def make_progress(quiet: bool) -> Any:
     """Bars where standard error is a terminal, lines elsewhere, nothing for `quiet`; who makes it closes it."""
     progress: Progress = _Quiet() if quiet else Bars() if sys.stderr.isatty() else Lines()
     return progress
+
+
+def now_and_then(
+    report: Callable[[str], None], total: int, what: str, clock: Callable[[], float] = time.monotonic
+) -> Callable[[int], None]:
+    """What reports `3 of 31 fitted` where half a minute has passed since it last did, or since it was made.
+
+    what : the words behind the numbers; the function takes how many are done.
+    """
+    last = clock()
+
+    def each(done: int) -> None:
+        nonlocal last
+        if done < total and clock() - last >= _SILENT_S:
+            last = clock()
+            report(f"{done} of {total} {what}")
+
+    return each
 
 
 def make_reporter(quiet: bool) -> Callable[[str], None]:

@@ -37,6 +37,13 @@ with tempfile.TemporaryDirectory() as folder:
 forks = pytest.mark.skipif(not can_fork(), reason="this system cannot fork")
 
 
+@pytest.mark.parametrize("count", [1, 3])
+def test_each_answer_is_counted(count):
+    counts = []
+    assert forked_map(lambda x: 2 * x, range(4), count, counts.append) == [0, 2, 4, 6]
+    assert counts == [1, 2, 3, 4]
+
+
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_answers_come_in_the_order_of_the_items(count):
     assert forked_map(lambda x: x**2, list(range(7)), count) == [x**2 for x in range(7)]

@@ -12,7 +12,7 @@ from rich.console import Console
 from bayes_damper import cli
 from bayes_damper.errors import ExitCode, InputError, Interrupted
 from bayes_damper.runs.execution import WAITING, Task, run_tasks
-from bayes_damper.runs.progress import Bars, Lines
+from bayes_damper.runs.progress import Bars, Lines, now_and_then
 
 
 def seen(updates) -> str:
@@ -161,6 +161,15 @@ def test_a_stopped_run_says_how_it_goes_on(tmp_path):
     with pytest.raises(Interrupted, match=f"the state is saved; go on with: bayes-damper resume {tmp_path}"):
         run_tasks([Task(n, interrupted) for n in ("a", "b")], tmp_path, progress=shown)
     assert shown.told == [("a", 0.0, WAITING), ("b", 0.0, WAITING)]
+
+
+def test_many_alike_steps_say_now_and_then_how_many_are_done():
+    now, said = [0.0], []
+    each = now_and_then(said.append, 5, "fitted", lambda: now[0])
+    for done, seconds in enumerate((10, 21, 5, 26, 90), 1):
+        now[0] += seconds
+        each(done)
+    assert said == ["2 of 5 fitted", "4 of 5 fitted"]  # the last one is the end, which the next stage shows
 
 
 def test_a_notice_is_shown_once_on_a_line_of_its_own():
