@@ -16,6 +16,7 @@ from bayes_damper.campaign.structure import SHOWN, Trial, channel_columns, group
 from bayes_damper.text import counted
 
 Array = NDArray[np.float64]
+_UNEVEN = 0.01  # of the usual step, by which another one departs from it
 _MISSING = 0.2  # share of the readings that are not there
 _RESTS = {"displacement": 1.0, "velocity": 0.5, "acceleration": 0.5}
 """Radians of the oscillation for which a primary must rest, so that it is held and not at a turning point."""
@@ -157,7 +158,7 @@ def _look_at_clock(head: Head, trial: Trial, warnings: list[str]) -> None:
             f"sample_rate says {rate:.5g}; the time column decides"
         )
     uneven = look.unevenness_of(times)
-    if uneven > 0.01:
+    if uneven > _UNEVEN:
         warnings.append(f"{trial.file}: time is uneven: steps depart from {step:.4g} s by up to {100.0 * uneven:.0f} %")
     gaps = look.gaps_of(times)
     if gaps:
@@ -166,7 +167,10 @@ def _look_at_clock(head: Head, trial: Trial, warnings: list[str]) -> None:
             f"{trial.file}: {counted(len(gaps), 'gap')} in time, {'the longest ' if len(gaps) > 1 else ''}"
             f"from {longest[0]:.4g} to {longest[1]:.4g} s"
         )
-    missing = look.missing_of(times)
+    missing, singles = look.missing_of(times), look.singles_missing(times)
+    if singles and uneven <= _UNEVEN and missing <= _MISSING:
+        verb = "is" if singles == 1 else "are"
+        warnings.append(f"{trial.file}: {counted(singles, 'single reading')} {verb} missing")
     if missing > _MISSING:
         warnings.append(
             f"{trial.file}: {missing:.0%} of the readings between the first and the last are missing; see how the "

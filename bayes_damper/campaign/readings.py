@@ -150,11 +150,20 @@ def within_gaps(at: Array, times: Array) -> NDArray[np.bool_]:
 
 
 def unevenness_of(times: Array) -> float:
-    """Largest departure of a time step from the median step, as a share of it; gaps are left out."""
+    """Largest departure of a time step from the median step, as a share of it; gaps are left out.
+
+    Where a single reading is missing, a step is twice as long: that is not uneven.
+    """
     steps = np.diff(times)
     middle = float(np.median(steps))
     ordinary = steps[steps <= 2.5 * middle]
-    return float(np.max(np.abs(ordinary - middle))) / middle
+    return float(np.max(np.minimum(np.abs(ordinary - middle), np.abs(ordinary - 2.0 * middle)))) / middle
+
+
+def singles_missing(times: Array) -> int:
+    """How many single readings are missing: steps of about twice the median."""
+    steps = np.diff(times) / np.median(np.diff(times))
+    return int(np.sum((steps > 1.5) & (steps <= 2.5)))
 
 
 def flat_tops_of(times: Array, readings: Array, noise: float, omega: float, held_at_first: bool) -> list[float]:
