@@ -36,6 +36,7 @@ from bayes_damper.figures import (
 from bayes_damper.fit.drawings import draw_overlaid
 from bayes_damper.report.charts import pack, record_chart, torque_chart, unpack
 from bayes_damper.report.html import LARGEST, sentence, typeset
+from bayes_damper.report.sections.fit import _trial_table
 from bayes_damper.text import NOTHING, number, percent
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -280,6 +281,7 @@ def test_the_first_screen_of_a_fit_with_an_effect_has_the_parameters_of_the_effe
     assert "Determined by the data: k3 (" in first
     named = "k3 spring to ground that hardens or softens: cubic stiffness, positive when hardening"
     assert f"{named} N m/rad^3 120" in text.replace("³", "^3")
+    assert "k3: cubic stiffness, positive when hardening" in text
 
 
 def test_parameters_on_the_first_screen_are_told_in_words_with_how_well_they_are_known(tmp_path):
@@ -1225,3 +1227,9 @@ def test_a_doubtful_none_is_told_with_doubt(tmp_path, share, told):
     data |= {"verdict": "none", "probabilities": {"none": share, "unknown": 1.0 - share}}
     (tmp_path / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
     assert told in words_of(report(tmp_path).path.read_text(encoding="utf-8"))
+
+
+def test_what_a_trial_has_for_itself_is_said_in_the_words_of_the_rig():
+    own = {"release_time": {"mean": 2e-4, "sd": 1e-4, "hdi90": [0.0, 4e-4], "unit": "s"}}
+    rows = _trial_table("8 mm", {"8 mm coupled #1": own}, "translational").rows
+    assert rows[0].cells[1] == "release_time: time over which the force that holds body 1 falls to nothing"

@@ -18,7 +18,8 @@ from bayes_damper.report.sections.shared import (
     plain_meaning,
     titled,
 )
-from bayes_damper.rig.parameters import PARAMETERS
+from bayes_damper.rig.parameters import PARAMETERS, unit_of
+from bayes_damper.rig.units import in_words_of
 from bayes_damper.runs.contents.fit import CaseEntry, CheckEntry, FitFile, ParameterEntry, PriorEntry, TrialUnknown
 from bayes_damper.runs.json_files import folder_name
 from bayes_damper.sampling.prior_sensitivity import decided_by
@@ -279,7 +280,7 @@ def _case_section(name: str, entry: CaseEntry, folder: Path, shown: Collection[s
             *(f"{v:.0f}" if (v := p.get(k)) else NOTHING for k in ("ess_bulk", "ess_tail")),
         )
         cells = (
-            meaning_of(key, p["unit"]),
+            _named(key, entry),
             number(p["median"], width),
             number(low, width),
             number(high, width),
@@ -297,7 +298,8 @@ def _case_section(name: str, entry: CaseEntry, folder: Path, shown: Collection[s
     if checks:
         tables.append(_check_table(name, checks))
     if entry.get("trials"):
-        tables.append(_trial_table(name, entry["trials"]))
+        slides = _unit_in([entry], "c1t") == unit_of("c1t", "translational")
+        tables.append(_trial_table(name, entry["trials"], "translational" if slides else "torsional"))
     tables += _more_tables(name, entry)
     sentences = tuple(entry.get("sentences", ()))
     evidence = entry.get("log_evidence")
@@ -329,7 +331,7 @@ def _more_tables(name: str, entry: CaseEntry) -> list[Table]:
         rows = tuple(
             Row(
                 (
-                    meaning_of(n, _unit_in([entry], n)),
+                    _named(n, entry),
                     number(p["with"]["value"]),
                     number(p["without"]["value"]),
                     f"{p['shift_sd']:+.1f} sd",
@@ -359,7 +361,7 @@ def _sensitivity_table(caption: str, rows: Mapping[str, PriorEntry], entry: Case
     out = []
     for name, p in rows.items():
         half, double = p["half"], p["double"]
-        cells = [meaning_of(name, _unit_in([entry], name))]
+        cells = [_named(name, entry)]
         for found in (half, double):
             cells.append(f"{found['shift']:+.2f}" + ("" if found["reliable"] else " ?"))
         most = max((half, double), key=lambda found: abs(found["shift_of_that"]))
@@ -390,11 +392,21 @@ def _check_table(name: str, checks: Sequence[CheckEntry]) -> Table:
     return Table(f"{_title(name)}: what was measured and what the fitted model gives", columns, tuple(rows), note)
 
 
-def _trial_table(name: str, trials: Mapping[str, Mapping[str, TrialUnknown]]) -> Table:
+def _named(name: str, entry: CaseEntry) -> str:
+    """A parameter of an entry with what it means, one of the effect's too."""
+    if not name.startswith(_OF_EFFECT):
+        return meaning_of(name, _unit_in([entry], name))
+    own = name.removeprefix(_OF_EFFECT)
+    meaning = meaning_in(effect_of(entry), own)
+    return f"{own}: {meaning}" if meaning else own
+
+
+def _trial_table(name: str, trials: Mapping[str, Mapping[str, TrialUnknown]], kind: str) -> Table:
     rows = []
     for label, nuisances in trials.items():
         for key, p in nuisances.items():
-            middle, (low, high), unit, what = p["mean"], p["hdi90"], p["unit"], meaning_of(key, p["unit"])
+            middle, (low, high), unit = p["mean"], p["hdi90"], p["unit"]
+            what = in_words_of(meaning_of(key, unit), kind)
             if key.startswith("ln_"):  # readers think in factors
                 middle, low, high, unit = math.exp(middle), math.exp(low), math.exp(high), "1"
                 what = f"{key.removeprefix('ln_')} of this trial over that of all"
