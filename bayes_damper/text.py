@@ -147,11 +147,11 @@ def misses(entry: CaseEntry) -> str:
     return missed(any(c.get("repeats") for c in left), effect_of(entry)) if left else ""
 
 
-def budget_sentence(budget: BudgetEntry | None) -> str:
+def budget_sentence(budget: BudgetEntry | None, held_out: bool = True) -> str:
     """The gap by effects in a sentence; "" where no effect is present.
 
-    budget : as in diagnosis.json. Shares are those of the gap on held-out trials; effects that are less than even odds
-    are left to the table.
+    budget : as in diagnosis.json; held_out : whether any trial tests it. Shares are those of the gap on held-out
+    trials; effects that are less than even odds are left to the table.
     """
     parts = [e for e in budget["effects"] if e["present"] >= 0.5] if budget else []
     if budget is None or not parts:
@@ -161,7 +161,8 @@ def budget_sentence(budget: BudgetEntry | None) -> str:
     if unexplained is None:
         named[0] = named[0][0].upper() + named[0][1:]
         verb = "is" if len(named) == 1 else "are"
-        return f"{' and '.join(named)} {verb} present; the gap on held-out trials is too faint to give shares of it."
+        why = "the gap on held-out trials is too faint to give shares of it"
+        return f"{' and '.join(named)} {verb} present; {why if held_out else 'no trial is held out to test that'}."
     shares = [x for e in parts if (x := e["share"]["median"]) is not None]
     closing = [(name, f"{share_of_gap(x)} %") for name, x in zip(named, shares, strict=True) if round(100.0 * x) > 0]
     harmful = [(name, "nothing") for name, x in zip(named, shares, strict=True) if round(100.0 * x) <= 0]

@@ -154,6 +154,8 @@ def test_the_gap_by_effects_is_one_sentence():
     whole = budget_sentence(divided({"stick_slip": 1.0}, 0.0, 0.999))
     assert whole == "Stick slip (probability >0.99) closes 100 % of the gap; nothing stays unexplained."
     assert "too faint to give shares" in budget_sentence(divided({"stick_slip": None}, None))
+    told = budget_sentence(divided({"stick_slip": None}, None), held_out=False)
+    assert told == "Stick slip (probability 0.96) is present; no trial is held out to test that."
     assert budget_sentence(divided({"stick_slip": 0.9}, 0.1, 0.4)) == budget_sentence(None) == ""
 
 

@@ -350,7 +350,7 @@ def _words(result: DiagnosisFile) -> list[str]:
         lines += [
             f"  {effect}, {name} = {_estimated(p)}" for effect, those in parameters.items() for name, p in those.items()
         ]
-    divided = said(budget_sentence(result.get("budget"))) if verdict != "none" else ""
+    divided = said(budget_sentence(result.get("budget"), held_out_of(gap))) if verdict != "none" else ""
     lines = [divided, *lines] if divided else lines
     failed = said(failed_sentence(result.get("budget")))
     learnt = said(law_sentence(result.get("law")))
@@ -359,7 +359,7 @@ def _words(result: DiagnosisFile) -> list[str]:
     none = verdict == "none"  # nothing is added to the nominal model
     lines.append(_gap_words(gap, str(result.get("reading_unit") or ""), added=not none))
     beside = gap_beside_verdict(verdict, share, gap)
-    lines += [beside] if beside else []
+    lines += [beside] if beside and held_out_of(gap) else []  # else said already
     if ahead := result.get("forecast"):
         lines += _forecast_words(ahead, str(result.get("reading_unit") or ""), added=not none)
     answers = named_answers(probabilities, result.get("pair"))

@@ -93,7 +93,7 @@ def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
     budget = data.get("budget")
     kind = _kind_of(data)
     said = partial(in_words_of, kind=kind, magnet=bool((data.get("rig") or {}).get("magnet", True)))
-    divided = said(budget_sentence(budget)) if budget and verdict != "none" else ""
+    divided = said(budget_sentence(budget, gap is None or held_out_of(gap))) if budget and verdict != "none" else ""
     sentences = [divided, *_verdict_sentences(verdict, share, sites, pair, effects, said)]
     if pair:
         sentences.append(
