@@ -90,7 +90,7 @@ def campaign_toml(campaign: Campaign) -> str:
             lines.append(f"{key} = {quoted(getattr(campaign, key))}")
     if campaign.caveats:
         lines += [
-            "caveats = [  # every command shows them as warnings",
+            "caveats = [  # warnings that `check` lists and later commands count",
             *(f"    {quoted(c)}," for c in campaign.caveats),
             "]",
         ]
