@@ -124,11 +124,14 @@ MORE = "Next, to decide: measure one more uncoupled trial, k1 500 N/m, released 
         ("spring_cubic", 0.6, [MORE, "If you take this answer: bayes-damper fit 'my cart' --effect spring_cubic"]),
         ("none", 0.95, ["Next: bayes-damper fit 'my cart' --out results/fit"]),
         ("none", 0.7, [MORE, "If you take this answer: bayes-damper fit 'my cart' --out"]),
-        ("unknown", 0.96, ["Next: look at sensor on the rig, and at missing_torque.csv"]),
+        ("unknown", 0.96, ["Next: look at sensor on the rig, and at missing_torque.csv; --effects"]),
+        ("unknown, no estimate", 0.96, ["Next: look at sensor on the rig; --effects DIR adds your own effect."]),
     ],
 )
 def test_a_diagnosis_ends_with_what_to_do(verdict, share, steps):
+    verdict, none, _ = verdict.partition(", no estimate")
     result = {
+        "site_map": {"curve": {} if none else {"angle": {}}},
         "where": {}, "verdict": verdict, "probabilities": {verdict: share}, "next_experiment": [PROPOSED],
         "credible_set": [verdict], "sites": {"none": 0.5, "sensor": 0.3, "ground1": 0.2},
     }  # fmt: skip

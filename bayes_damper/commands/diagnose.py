@@ -307,9 +307,9 @@ def next_steps(result: DiagnosisFile, campaign: str, folder: str = "") -> list[s
         steps.append(f"{'If you take this answer' if open_ else 'Next'}: {fit} --out results/fit")
     else:
         place = max((s for s in result["sites"] if s != "none"), key=lambda s: result["sites"][s])
-        steps.append(
-            f"Next: look at {_place(place)} on the rig, and at missing_torque.csv; --effects DIR adds your own effect."
-        )
+        places = result.get("site_map")
+        shown = ", and at missing_torque.csv" if places and places["curve"] else ""
+        steps.append(f"Next: look at {_place(place)} on the rig{shown}; --effects DIR adds your own effect.")
     if law := result.get("law"):
         file = shlex.quote(str(Path(folder) / law["file"]))
         steps.append(f"With the learnt law: {fit} --effects {file} --effect {law['effect']} --out results/fit-learnt")
