@@ -439,8 +439,9 @@ def _draw(folder: Path, found: Diagnosis, workers: int, library: Mapping[str, Ef
     record = _shown_record(found, added)
     if record is not None:
         plain = {_plain(name, titles): p for name, p in probabilities.items()}
+        explained = "" if found.verdict in _NO_EFFECT else ", and the effect that explains it"
         drawn["gap"] = lambda: figures.gap_figure(
-            record, plain, title=f"{found.campaign}: what the model misses, and the effect that explains it"
+            record, plain, title=f"{found.campaign}: what the model misses{explained}"
         )
     torques = found.site_map.torque
     if torques:

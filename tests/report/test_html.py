@@ -221,6 +221,19 @@ def test_the_page_of_a_cart_numbers_its_bodies_and_speaks_of_force(tmp_path):
     assert "As a formula: F = -3.1 x² v (probability 0.90); or F = 0.5 |x| v (0.06); none of these: 0.04" in text
     assert "none of these: shape only 0.04" in text
     assert "displacement -0.1 to 0.12 m;" in text
+    assert (
+        "--effects learnt/interface.toml --effect learnt_interface" in text[: text.index("Probability of each place")]
+    )
+
+
+def test_where_no_trial_is_held_out_no_test_is_quoted(tmp_path):
+    write_diagnosis(tmp_path)
+    data = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
+    data["gap"] |= {"answer": "cannot tell", "p_value": 1.0, "closed": None}
+    (tmp_path / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
+    text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
+    assert "No trial could be held out, so this answer is not tested" in text
+    assert "do not decide whether" not in text
 
 
 def test_a_fit_opens_with_what_the_data_determine_and_what_the_model_misses(tmp_path):

@@ -106,7 +106,8 @@ def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
         said(named_sentence(data.get("law"))),
     ]
     beside = gap_beside_verdict(verdict, share or 0.0, gap) if gap else ""
-    sentences += [beside] if beside and verdict == "none" else [_gap_sentence(gap), beside]
+    alone = beside and (verdict == "none" or (gap is not None and not held_out_of(gap)))
+    sentences += [beside] if alone else [_gap_sentence(gap), beside]
     credible = [called(n) for n in data.get("credible_set", [])]
     both_present = set(data.get("credible_set", ())) <= set(pair["effects"]) if pair else False
     if len(credible) > 1 and not both_present:
@@ -130,6 +131,9 @@ def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
     if top and verdict != "unknown" and "feature" not in (data.get("where") or {}):
         fit = f"bayes-damper fit {shlex.quote(str(data.get('campaign', 'CAMPAIGN')))}"
         changes.insert(0, f"Next: `{fit}{'' if verdict == 'none' else f' --effect {verdict}'}`")
+    if law := data.get("law"):
+        fit = f"bayes-damper fit {shlex.quote(str(data.get('campaign', 'CAMPAIGN')))}"
+        changes.insert(0, f"With the learnt law: `{fit} --effects {law['file']} --effect {law['effect']}`")
     tone = "good" if verdict == "none" and top else "bad" if top else "open"
     named = named_answers(dict(probabilities), pair)
     shown = tuple((" + ".join(map(called, n.split(" + "))), p) for n, p in named.items() if p >= 0.01)[:8]
