@@ -37,9 +37,10 @@ Array = NDArray[np.float64]
 VARIES = 9.0  # mean square, in variances, of a nuisance's differences between repeats from which it is each trial's own
 FEW_REPEATS = 4  # repeats beyond the first of their kind, over all kinds, below which they may be late alike by chance
 RELEASES = (0.0, 2.0)  # sizes of the time of release from which each trial's is looked for, in all trials alike
-TIMES_TRIED = (0.05, 0.1, 0.2, 0.35, 0.6, 1.0, 1.7, 3.0)  # sizes of it in one trial,
+TIMES_TRIED = (0.0, 0.05, 0.1, 0.2, 0.35, 0.6, 1.0, 1.7, 3.0)  # sizes of it in one trial
 OVER = (0.1, 0.3, 0.5, 0.7, 0.9)  # and shares of it at the first reading
-MOST_ROUNDS = 3  # of that search
+STEPS_TRIED = 3  # of the linearised model with each
+WORTH_A_FIT, MOST_ROUNDS = 1.0, 3  # gain of the cost from which the fit follows, and how often
 STEP_OF_MEAN = math.sqrt(2.0)  # of the mean time of release, from a typical one on, up or down for as long as it gains
 ABOUT = 1.0 / math.sqrt(3.0)  # of their mean: what times differ by where each from none to twice the mean is as likely
 SAME, DIFFERENT = (0.0, 0.1, 0.2, 0.3), (0.4, 0.6, 0.8, 1.0)  # shares of their mean that times of release differ by
@@ -144,9 +145,9 @@ def grown(experiment: Experiment, problem: Problem, starts: Sequence[Array] = ()
 
 def _releases(fit: Calibration) -> Calibration:
     """The fit with each trial's release in its deepest valley, looked for anew as long as the fit gains by it."""
-    for _ in range(MOST_ROUNDS):
-        before, fit = fit.cost, _each_release(fit)
-        if not fit.cost < before - 1.0:
+    for turn in range(MOST_ROUNDS):
+        before, fit = fit.cost, _each_release(fit, () if turn else RELEASES)
+        if not fit.cost < before - WORTH_A_FIT:
             break
     # Differences to one side say nothing of what is hardly known, nor of an evidence.
     return fit if fit.linear.central else calibrate(fit.problem, [fit.q], eta=fit.eta, anneal=False)
@@ -178,40 +179,60 @@ def explained_by_own_releases(fit: Calibration) -> float:
     return max(_log_density(fit) - _log_density(found), 0.0)
 
 
-def _at_readings(fit: Calibration) -> dict[int, Array]:
-    """Nuisances of each trial with the time and instant of release that fit best with all else as it is.
+def _other_valleys(fit: Calibration) -> dict[int, Array]:
+    """Nuisances of the trials that are likelier with another time of release, all that is common as it is.
 
-    As it is; or any time from a grid, with some share of it over at the first reading, or half of it at the fit's
-    own instant.
+    Any time from a grid is tried with some share of it over at the first reading, and with its middle at the fit's own,
+    which is known from all later readings: there the trial's other nuisances go where the linearised model leads, by
+    what comes after the longest release.
     """
-    count = 1 + len(TIMES_TRIED) * (len(OVER) + 1)
-    candidates = {i: np.tile(v, (count, 1)) for i, v in fit.eta.items()}
-    end = float(fit.problem.experiment.ends_bounded)  # the own instant: 0 at the beginning, 1 at the end
-    for group in fit.problem.groups:
+    problem = fit.problem
+    end = float(problem.experiment.ends_bounded)  # the own instant: 0 at the beginning, 1 at the end
+    better: dict[int, Array] = {}
+    gained = 0.0
+    for block in fit.linear.blocks:
+        group = block.group
         rows = {name: (n, mean, sd) for n, (name, mean, sd) in enumerate(group.nuisances)}
         if RELEASE not in rows or "delay" not in rows:
             continue
         (n, least, size), (d, late, unit) = rows[RELEASE], rows["delay"]
-        now = np.array([fit.eta[i] for i in group.trials])
-        first = np.array([fit.problem.experiment.trials[i].times[0] for i in group.trials])
-        tried = [now]
-        for x in TIMES_TRIED:
-            time = least + size * x
-            middle = late + unit * now[:, d] + (0.5 - end) * (least + size * now[:, n])
-            for instant in (*(first + (end - share) * time for share in OVER), middle + (end - 0.5) * time):
-                own = now.copy()
-                own[:, n], own[:, d] = x, (instant - late) / unit
-                tried.append(np.clip(own, group.lower, group.upper))
-        candidates |= {i: np.array([own[k] for own in tried]) for k, i in enumerate(group.trials)}
-    costs = fit.problem.costs_of_trials(np.tile(fit.q, (count, 1)), candidates)
-    return {i: candidates[i][int(np.argmin(np.where(np.isfinite(c), c, np.inf)))] for i, c in costs.items()}
+        free = np.arange(len(rows)) != n
+        weights = group.weights(False)
+
+        def residuals(k: int, own: Array, group: Group = group, weights: Array = weights) -> Array:
+            y = problem.simulate(group, np.full(len(own), k), np.tile(fit.q, (len(own), 1)), own)
+            return np.asarray(problem.whitened(y - group.y[k], weights[k]))
+
+        for k, i in enumerate(group.trials):
+            first = problem.experiment.trials[i].times[0]
+            time = least[k] + size[k] * np.array(TIMES_TRIED)
+            own = np.tile(fit.eta[i], (time.size, 1))
+            own[:, n] = TIMES_TRIED
+            at_first = np.tile(own, (len(OVER), 1))
+            instants = [first + (end - share) * time for share in OVER]
+            at_first[:, d] = (np.concatenate(instants) - late[k]) / unit[k]
+            own[:, d] += (end - 0.5) * size[k] * (own[:, n] - fit.eta[i][n]) / unit[k]
+            T = block.T[k][free] * np.tile(group.times > first + time[-1], len(weights[k]))
+            H = np.eye(len(T)) + T @ T.T
+            for _ in range(STEPS_TRIED):
+                own = np.clip(own, group.lower[k], group.upper[k])
+                own[:, free] -= np.linalg.solve(H, T @ residuals(k, own).T + own[:, free].T).T
+            tried = np.clip(np.concatenate([[fit.eta[i]], own, at_first]), group.lower[k], group.upper[k])
+            costs = np.sum(residuals(k, tried) ** 2, axis=1) + np.sum(tried**2, axis=1)
+            chosen = int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))
+            if chosen:
+                better[i] = tried[chosen]
+                gained += float(costs[0] - costs[chosen])
+    return better if gained > WORTH_A_FIT else {}
 
 
-def _each_release(fit: Calibration) -> Calibration:
+def _each_release(fit: Calibration, sizes: Sequence[float] = ()) -> Calibration:
     """The fit with each trial's time of release in the deepest of its valleys: sudden, as found, or slow.
 
     A reading within the release is met by a sudden one at that very instant, too, and no descent leads from there to
-    a slow one. The trials are apart but for the common parameters: the best of four fits is taken for each.
+    a slow one. The trials are apart but for the common parameters: the best of some fits is taken for each.
+
+    sizes : of the time of release, from which it is looked for in all trials alike, too.
     """
 
     def costs(found: Calibration) -> dict[int, float]:
@@ -224,17 +245,16 @@ def _each_release(fit: Calibration) -> Calibration:
     places = {i: n for g in fit.problem.groups for i in g.trials for n, u in enumerate(g.nuisances) if u[0] == RELEASE}
     if not places:
         return fit
-    starts = [{i: np.where(np.arange(v.size) == places.get(i, -1), x, v) for i, v in fit.eta.items()} for x in RELEASES]
-    found = [
-        fit,
-        *(calibrate(fit.problem, [fit.q], eta=s, anneal=False, finish=False) for s in (_at_readings(fit), *starts)),
-    ]
+    starts = [{i: np.where(np.arange(v.size) == places.get(i, -1), x, v) for i, v in fit.eta.items()} for x in sizes]
+    if elsewhere := _other_valleys(fit):
+        starts.insert(0, {**fit.eta, **elsewhere})
+    found = [fit, *(calibrate(fit.problem, [fit.q], eta=s, anneal=False, finish=False) for s in starts)]
     own = [costs(f) for f in found]
     best = {i: min(range(len(found)), key=lambda k: own[k][i]) for i in places}
-    if not any(best.values()):
-        return fit
-    eta = {i: found[best.get(i, 0)].eta[i] for i in fit.eta}
-    found.append(calibrate(fit.problem, [min(found, key=lambda f: f.cost).q], eta=eta, anneal=False, finish=False))
+    if len(set(best.values())) > 1:
+        eta = {i: found[best.get(i, 0)].eta[i] for i in fit.eta}
+        start = min(found, key=lambda f: f.cost).q
+        found.append(calibrate(fit.problem, [start], eta=eta, anneal=False, finish=False))
     return min(found, key=lambda f: f.cost)
 
 
@@ -251,6 +271,9 @@ def _about_a_mean(fit: Calibration) -> Calibration:
     if not usual or lone(problem.experiment, problem.trials) or all(t.theta0 == 0.0 for t in trials):
         return fit
     others = tuple(s for s in problem.switches.scatter.sizes if s.name != RELEASE)
+    if problem.switches.scatter.sd(RELEASE):  # sizes are learnt on the way: the last times may need none
+        sudden = problem.changed(switches=replace(problem.switches, scatter=Scatter(others)))
+        fit = max(fit, calibrate(sudden, [fit.q], eta=carried(fit, sudden), anneal=False), key=_log_density)
 
     def about(share: float, start: Calibration) -> tuple[Calibration, float]:
         mean = share * usual[0].typical
@@ -457,13 +480,16 @@ def calibrate_nominal(
     nominal: Literal["nonlinear", "linear"] = "nonlinear",
     threads: int = 1,
     switches: Switches | None = None,
+    begin: Calibration | None = None,
     report: Callable[[str], None] = lambda _: None,
 ) -> Calibration:
     """The nominal model fitted to the training trials: roughly, then with the nuisances and noise that they show.
 
     The experiment of the fit knows what noise of the measured inputs does to the readings, where that shows.
+
+    begin : a fit to the same trials but for some readings, near which the search begins.
     """
-    exact = _with_exact_inputs(experiment, nominal, threads, switches, report)
+    exact = _with_exact_inputs(experiment, nominal, threads, switches, begin, report)
     noisy = with_input_noise(exact)
     if noisy is None:
         return exact
@@ -506,16 +532,21 @@ def _sharpened(fit: Calibration) -> Calibration:
     return fit
 
 
-def _with_exact_inputs(
-    experiment: Experiment,
-    nominal: Literal["nonlinear", "linear"],
-    threads: int,
-    switches: Switches | None,
-    report: Callable[[str], None],
+def _again(experiment: Experiment, begin: Calibration) -> Calibration:
+    """A fit made again where some readings of its trials have changed."""
+    b = begin.problem
+    problem = Problem(experiment, nominal=b.nominal, noise=b.noise, switches=b.switches, threads=b.threads)
+    return _releases(calibrate(problem, [begin.q], eta=begin.eta, anneal=False))
+
+
+def _shaped(
+    experiment: Experiment, nominal: Literal["nonlinear", "linear"], threads: int, switches: Switches | None
 ) -> Calibration:
-    """The nominal model fitted with inputs as they were recorded."""
-    alone = lone(experiment, experiment.training)
-    first = (broad_noise if alone else rough_noise)(experiment, experiment.training)
+    """The best fit from many starts under the first noise that is learnt, with the nuisances that the trials ask for.
+
+    switches : the nuisances instead.
+    """
+    first = (broad_noise if lone(experiment, experiment.training) else rough_noise)(experiment, experiment.training)
     problem = Problem(experiment, nominal=nominal, noise=first, threads=threads, switches=switches or Switches())
     fit, long = _begun(problem)
     chosen = switches or Switches(friction=False, scatter=learn_scatter(fit))
@@ -532,7 +563,21 @@ def _with_exact_inputs(
     starts = [fit.q, *default_starts(problem)]
     if len(problem.trials) <= FEW_TRIALS and not long:
         starts += drawn_starts(problem)
-    fit = _releases(calibrate(problem, starts, give_up=300.0))
+    return _releases(calibrate(problem, starts, give_up=300.0))
+
+
+def _with_exact_inputs(
+    experiment: Experiment,
+    nominal: Literal["nonlinear", "linear"],
+    threads: int,
+    switches: Switches | None,
+    begin: Calibration | None,
+    report: Callable[[str], None],
+) -> Calibration:
+    """The nominal model fitted with inputs as they were recorded."""
+    alone = lone(experiment, experiment.training)
+    fit = _shaped(experiment, nominal, threads, switches) if begin is None else _again(experiment, begin)
+    chosen = fit.problem.switches
     noise = learn_noise(fit)
     left = ", ".join(f"{s:.3g}" for s in noise.total)
     report(f"nominal model fitted; residual (sd of each channel, SI units): {left}")

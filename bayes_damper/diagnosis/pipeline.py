@@ -126,7 +126,7 @@ def _cleaned_fit(
             break
         notes += outlying_in_words(experiment, far)
         experiment = without(experiment, far)
-        fit = calibrate_nominal(experiment, nominal=nominal, report=report)
+        fit = calibrate_nominal(experiment, nominal=nominal, begin=fit, report=report)
     return fit, notes
 
 

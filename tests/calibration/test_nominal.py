@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 from scipy.special import erf
 from small_rig import measured
+from test_outliers import exchanged
 from test_scatter import CASES, laboratory
 
 from bayes_damper.calibration import (
@@ -23,11 +24,14 @@ from bayes_damper.calibration import (
     calibrate_nominal,
     gained_by_own_releases,
     learn_noise,
+    nominal,
     under,
     with_rounding,
     with_sizes_of_its_own,
 )
 from bayes_damper.calibration.experiment import default_priors, rounding_sd, unrounded
+from bayes_damper.calibration.own_values import RELEASE, Scatter
+from bayes_damper.calibration.scatter import carried
 from bayes_damper.simulation.model import Model
 
 
@@ -260,3 +264,31 @@ def test_the_noise_of_an_encoder_is_learnt_until_it_settles():
     for name, true in (("drag", 0.12), ("c1t", 0.05)):
         value, sd = fit.parameters[name]
         assert abs(value - true) < 4.0 * sd < 0.1 * true
+
+
+def test_a_fit_goes_on_from_one_before_some_readings_were_left_out():
+    """It ends where a fit from its own starts does, which searches the whole prior for it."""
+    experiment = laboratory(4, {"k1t": 0.004}, repeats=4, noise=0.5)
+    spoilt = experiment.trials[1].y.copy()
+    spoilt[0, 100:103] += 60.0
+    cut = spoilt.copy()
+    cut[0, 100:103] = np.nan
+    with_readings, without_them = (
+        replace(experiment, trials=(experiment.trials[0], replace(experiment.trials[1], y=y), *experiment.trials[2:]))
+        for y in (spoilt, cut)
+    )
+    before = calibrate_nominal(with_readings)
+    alone, after = calibrate_nominal(without_them), calibrate_nominal(without_them, begin=before)
+    assert after.problem.n_data == pytest.approx(alone.problem.n_data)
+    assert nominal._log_density(after) > nominal._log_density(alone) - 0.5
+    for name, (value, sd) in alone.parameters.items():
+        assert abs(after.parameters[name][0] - value) < 0.2 * sd
+
+
+def test_no_fit_is_likelier_without_the_times_of_release_that_it_has():
+    """Sizes are learnt from times on the way, which may all be sudden in the end."""
+    fit = calibrate_nominal(exchanged()[0])
+    sizes = tuple(s for s in fit.problem.switches.scatter.sizes if s.name != RELEASE)
+    sudden = fit.problem.changed(switches=replace(fit.problem.switches, scatter=Scatter(sizes)))
+    found = calibrate(sudden, [fit.q], eta=carried(fit, sudden), anneal=False)
+    assert nominal._log_density(fit) > nominal._log_density(found) - 0.05
