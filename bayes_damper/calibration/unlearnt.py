@@ -153,5 +153,6 @@ def gained_over_sizes(problem: Problem, normals: Normals) -> float:
     sizes = problem.switches.scatter.sizes
     if not sizes or problem.experiment.start != "rest" or not lone(problem.experiment, problem.trials):
         return 0.0
-    gained = Unlearnt.of(problem, normals).gained()
+    with np.errstate(invalid="ignore"):  # where a record fails there is no evidence
+        gained = Unlearnt.of(problem, normals).gained()
     return gained if math.isfinite(gained) else 0.0

@@ -172,11 +172,15 @@ def lone_gap(seed, k3):
 
 
 @pytest.mark.slow
-def test_a_gap_without_repeats_is_measured_against_what_its_cause_leaves():
+@pytest.mark.parametrize(
+    ("sound", "most"),  # more alarms come in fewer than one of 150 tests of its size
+    [(8, 2), pytest.param(40, 6, marks=pytest.mark.prove)],
+)
+def test_a_gap_without_repeats_is_measured_against_what_its_cause_leaves(sound, most):
     """What the nominal model leaves, three times as much, holds the gap; where there is none the test has its size."""
     assert all(lone_gap(100 + seed, 60.0).p_value < 0.05 for seed in range(4))
-    alarms = [lone_gap(100 + seed, 0.0).answer == "gap" for seed in range(40)]
-    assert sum(alarms) <= 6  # 2 expected; more in fewer than one of 200 tests of its size
+    alarms = [lone_gap(100 + seed, 0.0).answer == "gap" for seed in range(sound)]
+    assert sum(alarms) <= most
 
 
 def test_the_length_of_a_prediction_is_the_spread_of_its_product_with_correlated_noise():

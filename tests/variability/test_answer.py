@@ -353,10 +353,14 @@ def test_known_pooling_is_found_at_the_right_rate(kind):
     assert told >= 14
 
 
-def test_intervals_of_the_scatter_cover_the_truth():
+@pytest.mark.parametrize(
+    ("campaigns", "least", "most"),  # beyond by chance in fewer than one of 100 runs, three s a campaign
+    [(10, 0.55, 0.97), pytest.param(30, 0.65, 0.93, marks=pytest.mark.prove)],
+)
+def test_intervals_of_the_scatter_cover_the_truth(campaigns, least, most):
     """Truth drawn from the prior of the partly pooled model: 80 % intervals of s hold it about as often as they say."""
     inside = []
-    for seed in range(30):
+    for seed in range(campaigns):
         rng = np.random.default_rng([seed, 17])
         s = rng.random(3)
         m, gaussians = rng.standard_normal(3), []
@@ -369,7 +373,7 @@ def test_intervals_of_the_scatter_cover_the_truth():
         _, _, draws = GaussianHierarchy(gaussians, POOLED).partial(rng, 192)
         low, high = np.quantile(draws, [0.1, 0.9], axis=0)
         inside += list((s > low) & (s < high))
-    assert 0.65 < np.mean(inside) < 0.93
+    assert least < np.mean(inside) < most
 
 
 # The effective linear rig
