@@ -28,6 +28,7 @@ from bayes_damper.inputs import number_in
 from bayes_damper.priors.distributions import Normal
 from bayes_damper.priors.files import campaign_priors, load_priors
 from bayes_damper.published.measurements import load_published
+from bayes_damper.published.sources import is_published
 from bayes_damper.rig.equations import ROWS
 from bayes_damper.rig.parameters import OTHER_UNIT, RIG_KEYS, hint, unit_of
 from bayes_damper.rig.units import effect_unit
@@ -167,7 +168,7 @@ def simulate_record(
     InputError
         for an unknown name, a value that is no number, or a record that cannot be simulated: all faults at once.
     """
-    rig = _thesis(case) if campaign is None or str(campaign) == "thesis" else _own(campaign, case)
+    rig = _thesis(case) if campaign is None or is_published(campaign) else _own(campaign, case)
     coupled = coupled and rig.coupled
     rate, duration = rig.rate if rate is None else rate, rig.duration if duration is None else duration
     faults: list[str] = []
