@@ -271,7 +271,8 @@ def _about_a_mean(fit: Calibration) -> Calibration:
     if not usual or lone(problem.experiment, problem.trials) or all(t.theta0 == 0.0 for t in trials):
         return fit
     others = tuple(s for s in problem.switches.scatter.sizes if s.name != RELEASE)
-    if problem.switches.scatter.sd(RELEASE):  # sizes are learnt on the way: the last times may need none
+    size = problem.switches.scatter.sd(RELEASE)
+    if size and max(times_of_release(fit), default=0.0) < SUDDEN * size:  # it was learnt from other times on the way
         sudden = problem.changed(switches=replace(problem.switches, scatter=Scatter(others)))
         fit = max(fit, calibrate(sudden, [fit.q], eta=carried(fit, sudden), anneal=False), key=_log_density)
 

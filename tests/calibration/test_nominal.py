@@ -285,7 +285,7 @@ def test_a_fit_goes_on_from_one_before_some_readings_were_left_out():
         assert abs(after.parameters[name][0] - value) < 0.2 * sd
 
 
-def test_no_fit_is_likelier_without_the_times_of_release_that_it_has():
+def test_releases_that_are_all_sudden_in_the_end_have_no_times_of_their_own():
     """Sizes are learnt from times on the way, which may all be sudden in the end."""
     fit = calibrate_nominal(exchanged()[0])
     sizes = tuple(s for s in fit.problem.switches.scatter.sizes if s.name != RELEASE)
