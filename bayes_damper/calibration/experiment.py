@@ -132,6 +132,15 @@ class Experiment:
             y.setflags(write=False)
         return self._stacked[members]
 
+    @cached_property
+    def _defaults(self) -> dict[str, Distribution]:
+        return default_priors(self)
+
+    def prior(self, name: str, case: str) -> Distribution | float:
+        """Prior of a nominal parameter for the trials of a case: a distribution, or a number where it is fixed."""
+        own = self.case_priors.get(name, {})
+        return own[case] if case in own else self.priors[name] if name in self.priors else self._defaults[name]
+
     @property
     def omegas(self) -> tuple[float, ...]:
         """Angular frequency of the primary on each of the springs, rad/s."""

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from bayes_damper.calibration.derivatives import Indices, blocks_of
 from bayes_damper.calibration.experiment import (
     Experiment,
-    default_priors,
     longest_step,
 )
 from bayes_damper.calibration.groups import Group, Grouping, Switches
@@ -60,7 +59,6 @@ class Problem:
         self.switches = switches or Switches()
         self.factors = dict(factors or {})
         self.noise = noise or rough_noise(experiment, self.trials)
-        self._defaults = default_priors(experiment)
         self._cases = tuple(dict.fromkeys(t.case for t in experiment.trials))
         self._medians = {
             name: {case: middle(self.prior(name, case)) for case in self._cases} for name in NOMINAL
@@ -113,9 +111,7 @@ class Problem:
 
     def prior(self, name: str, case: str) -> Distribution | float:
         """Prior of a parameter for the trials of a case: a distribution, or a number where it is fixed."""
-        e = self.experiment
-        own = e.case_priors.get(name, {})
-        return own[case] if case in own else e.priors[name] if name in e.priors else self._defaults[name]
+        return self.experiment.prior(name, case)
 
     def grouped(self, trials: Sequence[int]) -> list[Group]:
         """The trials in groups that share a simulation."""

@@ -5,8 +5,8 @@ The rig is that of a campaign, fitted or not, measured or planned, or the thesis
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.calibration import Experiment, experiment_of, middle
-from bayes_damper.calibration.experiment import default_priors, longest_step
+from bayes_damper.calibration.experiment import longest_step
 from bayes_damper.calibration.unknowns import NOMINAL
 from bayes_damper.campaign import INPUT_COLUMNS, Constant, Measurement, Trial, load_plan, record_text
 from bayes_damper.campaign.logger_files import read_file
@@ -66,7 +66,8 @@ class SimulatedRecord:
 class _Rig:
     """What a record begins with: values of `equations.ROWS`, words of the rig, and what is offered for it.
 
-    whose : for sentences; experiment : of the campaign, None for the thesis.
+    whose : for sentences; ties : name -> the one whose value it takes; experiment : of the campaign, None for the
+    thesis.
     """
 
     whose: str
@@ -78,6 +79,7 @@ class _Rig:
     quantity: Quantity = "acceleration"
     rate: float = 1000.0
     duration: float = 1.0
+    ties: Mapping[str, str] = field(default_factory=dict)
     experiment: Experiment | None = None
 
     def scaled(self, effect: Effect, variant: Variant) -> Variant | None:
@@ -104,7 +106,8 @@ def _thesis(case: str | None) -> _Rig:
     # Cut at physical bounds, a normal prior's median lies a little off the declared value: that one is meant.
     values = priors.medians() | {name: d.mean for name, d in priors.free.items() if isinstance(d, Normal)}
     values |= {"k1t": published.cases[case].k1t, "theta0": published.cases[case].theta0, "J12": 0.0, "k3t": 0.0}
-    return _Rig("the thesis's rig", case, values, {key: choices[0] for key, choices in _WORDS.items()}, coupled=True)
+    words = {key: choices[0] for key, choices in _WORDS.items()}
+    return _Rig("the thesis's rig", case, values, words, coupled=True, ties=priors.tied)
 
 
 def _own(folder: str | Path, case: str | None) -> _Rig:
@@ -120,17 +123,15 @@ def _own(folder: str | Path, case: str | None) -> _Rig:
     values = {"J12": 0.0, "k3t": 0.0, "N0": 0.0, "R": 1.0, "r": 1.0}
     values |= {name: value for name, (value, _) in experiment.constants.items()}
     values |= {"k1t": first.k1t.value, "theta0": 0.0 if first.theta0 is None else first.theta0.value}
-    defaults = default_priors(experiment)
-    for name in NOMINAL:
-        given = experiment.case_priors.get(name, {}).get(case, experiment.priors.get(name, defaults[name]))
-        values[name] = middle(given)
+    values |= {name: middle(experiment.prior(name, case)) for name in NOMINAL}
+    values |= {name: values[other] for name, other in experiment.ties.items() if name in NOMINAL}
     if not experiment.magnet:
         values["mu"] = 0.0
     rig, rate = campaign.rig, float(f"{1.0 / np.median(np.diff(first.times)):.6g}")
     return _Rig(
         f"{campaign.name} at the medians of its priors", case, values,
         {"normal_force": rig.normal_force, "restoring": rig.restoring}, first.coupled, rig.kind,
-        campaign.measurement.quantity, rate, float(first.times[-1]), experiment,
+        campaign.measurement.quantity, rate, float(first.times[-1]), experiment.ties, experiment,
     )  # fmt: skip
 
 
@@ -359,8 +360,9 @@ def _apply(
             given.add(key)
         else:
             faults.append(f"--set {setting}: nothing is called {name!r}; {hint(name, [*ROWS, *RIG_KEYS, *_WORDS])}")
-    if rig.experiment is None and "c1t" in given and "c3t" not in given:
-        values["c3t"] = values["c1t"]  # tied, as in the prior file
+    for name, other in rig.ties.items():
+        if other in given and name not in given:
+            values[name] = values[other]
     return suspect
 
 

@@ -7,6 +7,7 @@ import tomllib
 
 import numpy as np
 import pytest
+from campaigns import write_synthetic
 from scipy.integrate import solve_ivp
 
 from bayes_damper import examples
@@ -76,6 +77,21 @@ def test_the_rig_of_a_campaign_is_simulated_in_its_units_without_a_fit(tmp_path)
         simulate_record("huge", campaign=cart, out=tmp_path / "G.csv")
     with pytest.raises(InputError, match="--effect stick_slip: this rig cannot have it"):
         simulate_record(campaign=cart, effect="stick_slip", out=tmp_path / "G.csv")
+
+
+def test_a_tied_parameter_of_a_campaign_follows_the_one_that_it_is_tied_to(tmp_path):
+    """As in a fit, where that one has its prior's median, and where --set changes it."""
+    campaign = write_synthetic(tmp_path / "rig", duration=0.3)
+    reason = 'reason = "two bearings of one kind"'
+    (campaign / "priors.toml").write_text(
+        f'[c1t]\nunit = "N m s/rad"\ndist = "lognormal"\nmedian = 0.02\nfactor = 1.5\n{reason}\n\n'
+        f'[c3t]\nunit = "N m s/rad"\ndist = "tied"\nto = "c1t"\n{reason}\n'
+    )
+    for settings, damping in ([], 0.02), (["c1t=0.03"], 0.03):
+        simulate_record(campaign=campaign, settings=settings, out=tmp_path / "F.csv")
+        used = tomllib.loads((tmp_path / "F.toml").read_text())
+        assert used["configuration"] == "coupled"
+        assert (used["c1t"], used["c3t"]) == pytest.approx((damping, damping))
 
 
 @pytest.mark.parametrize(
