@@ -172,7 +172,8 @@ def fit_with_noise(
     if kind == "gaussian":
         report("white noise")
         fit = _again(fit, _white(fit))
-        return _described(fit, "gaussian", False, repeats, [False] * len(repeats), math.inf, unlike)
+        none = [False] * len(repeats)
+        return _described(fit, "gaussian", False, repeats, none, math.inf, unlike, none)
     freedom, gain = _tails(fit)
     heavy = kind == "student" or (kind == "auto" and gain > CLEARLY)
     if heavy:
@@ -256,7 +257,7 @@ def _described(
     wide: Sequence[bool],
     freedom: float,
     unlike: tuple[Unlike, ...],
-    exceeded: Sequence[bool] = (),
+    exceeded: Sequence[bool],
 ) -> FittedNoise:
     problem = fit.problem
     fast = rough_noise(problem.experiment, problem.trials).total
@@ -274,7 +275,7 @@ def _described(
         square = float(np.mean(x**2)) if x.size else 0.0
         lagged = float(np.mean(np.concatenate(products))) if products and sum(p.size for p in products) else 0.0
         # Without repeats the first noise has been learnt from what is left already.
-        learnt = (exceeded or wide)[c] or (repeats[c] is None and square > (1.5 * fast[c]) ** 2)
+        learnt = exceeded[c] or (repeats[c] is None and square > (1.5 * fast[c]) ** 2)
         correlation = lagged / square if square else 0.0
         channels.append(ChannelNoise(repeats[c], fast[c], math.sqrt(square), correlation, used, learnt))
     power = tuple(p if w else 1.0 for p, w in zip(_power(fit), wide, strict=True))

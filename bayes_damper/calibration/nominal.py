@@ -188,8 +188,7 @@ def _other_valleys(fit: Calibration) -> dict[int, Array]:
     """
     problem = fit.problem
     end = float(problem.experiment.ends_bounded)  # the own instant: 0 at the beginning, 1 at the end
-    better: dict[int, Array] = {}
-    gained = 0.0
+    looked: dict[int, Array] = {}
     for block in fit.linear.blocks:
         group = block.group
         rows = {name: (n, mean, sd) for n, (name, mean, sd) in enumerate(group.nuisances)}
@@ -198,10 +197,6 @@ def _other_valleys(fit: Calibration) -> dict[int, Array]:
         (n, least, size), (d, late, unit) = rows[RELEASE], rows["delay"]
         free = np.arange(len(rows)) != n
         weights = group.weights(False)
-
-        def residuals(k: int, own: Array, group: Group = group, weights: Array = weights) -> Array:
-            y = problem.simulate(group, np.full(len(own), k), np.tile(fit.q, (len(own), 1)), own)
-            return np.asarray(problem.whitened(y - group.y[k], weights[k]))
 
         for k, i in enumerate(group.trials):
             first = problem.experiment.trials[i].times[0]
@@ -216,14 +211,19 @@ def _other_valleys(fit: Calibration) -> dict[int, Array]:
             H = np.eye(len(T)) + T @ T.T
             for _ in range(STEPS_TRIED):
                 own = np.clip(own, group.lower[k], group.upper[k])
-                own[:, free] -= np.linalg.solve(H, T @ residuals(k, own).T + own[:, free].T).T
-            tried = np.clip(np.concatenate([[fit.eta[i]], own, at_first]), group.lower[k], group.upper[k])
-            costs = np.sum(residuals(k, tried) ** 2, axis=1) + np.sum(tried**2, axis=1)
-            chosen = int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))
-            if chosen:
-                better[i] = tried[chosen]
-                gained += float(costs[0] - costs[chosen])
-    return better if gained > WORTH_A_FIT else {}
+                y = problem.simulate(group, np.full(len(own), k), np.tile(fit.q, (len(own), 1)), own)
+                r = problem.whitened(y - group.y[k], weights[k])
+                own[:, free] -= np.linalg.solve(H, T @ r.T + own[:, free].T).T
+            looked[i] = np.clip(np.concatenate([[fit.eta[i]], own, at_first]), group.lower[k], group.upper[k])
+    if not looked:
+        return {}
+    count = len(next(iter(looked.values())))
+    tried = {i: np.tile(v, (count, 1)) for i, v in fit.eta.items()} | looked
+    costs = problem.costs_of_trials(np.tile(fit.q, (count, 1)), tried)
+    best = {i: int(np.argmin(np.where(np.isfinite(c), c, np.inf))) for i, c in costs.items()}
+    better = {i: k for i, k in best.items() if k}
+    gained = sum(float(costs[i][0] - costs[i][k]) for i, k in better.items())
+    return {i: tried[i][k] for i, k in better.items()} if gained > WORTH_A_FIT else {}
 
 
 def _each_release(fit: Calibration, sizes: Sequence[float] = ()) -> Calibration:
@@ -578,12 +578,11 @@ def _with_exact_inputs(
     """The nominal model fitted with inputs as they were recorded."""
     alone = lone(experiment, experiment.training)
     fit = _shaped(experiment, nominal, threads, switches) if begin is None else _again(experiment, begin)
-    chosen = fit.problem.switches
     noise = learn_noise(fit)
     left = ", ".join(f"{s:.3g}" for s in noise.total)
     report(f"nominal model fitted; residual (sd of each channel, SI units): {left}")
     # The first noise held the scatter that was not learnt yet.
-    fit = under(fit, noise, None if switches is None else chosen.scatter)
+    fit = under(fit, noise, None if switches is None else switches.scatter)
     if switches is None:
         fit = _as_declared(fit)
     fit = _usual_curve(fit)

@@ -162,8 +162,8 @@ class _News:
     def excess(self, repeats: bool) -> None:
         """The fit leaves more than the noise."""
         command = f"bayes-damper diagnose {shlex.quote(self.plan['campaign'])}"
-        said = missed(repeats, self.plan["effect"]).partition(":")
-        self.notice = "".join(said) if self.plan["effect"] else f"{said[0]}: stop with Ctrl-C and run `{command}`"
+        said = missed(repeats, self.plan["effect"])
+        self.notice = said if self.plan["effect"] else f"{said.partition(':')[0]}: stop with Ctrl-C and run `{command}`"
 
     def report(self, share: float, text: str) -> None:
         """A stage of the fit."""

@@ -128,11 +128,10 @@ def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
             f"The next most probable answer is {_RIVALS.get(second[0], called(second[0]))} ({percent(second[1])})."
         )
     top = (share or 0.0) > 0.9 and len(credible) <= 1
+    fit = f"bayes-damper fit {shlex.quote(str(data.get('campaign', 'CAMPAIGN')))}"
     if top and verdict != "unknown" and "feature" not in (data.get("where") or {}):
-        fit = f"bayes-damper fit {shlex.quote(str(data.get('campaign', 'CAMPAIGN')))}"
         changes.insert(0, f"Next: `{fit}{'' if verdict == 'none' else f' --effect {verdict}'}`")
     if law := data.get("law"):
-        fit = f"bayes-damper fit {shlex.quote(str(data.get('campaign', 'CAMPAIGN')))}"
         changes.insert(0, f"With the learnt law: `{fit} --effects {law['file']} --effect {law['effect']}`")
     tone = "good" if verdict == "none" and top else "bad" if top else "open"
     named = named_answers(dict(probabilities), pair)
