@@ -225,16 +225,17 @@ def _verdict_sentences(
     if verdict == "unknown":
         first = "The model misses something" if sure else "Most probable, but not sure: the model misses something"
         return [f"{first} that no effect of the library explains (probability {percent(share)}).", *where]
-    if pair:
-        return [f"Two causes; the stronger one is {words(verdict)} ({percent(share)})."]
-    first = "The missing effect is" if sure else "Most probable, but not sure:"
     found = next((e for e in effects if e.get("name") == verdict), EffectEntry())
+    title = found.get("title") or words(verdict)
+    if pair:
+        return [f"Two causes; the stronger one is {title} ({percent(share)})."]
+    first = "The missing effect is" if sure else "Most probable, but not sure:"
     size = "; ".join(_parameter(k, v) for k, v in (found.get("parameters") or {}).items())
     meant = [str(found["meaning"])] if found.get("meaning") else []
     if size and found.get("formula"):
         meant.append(f"Its law: {found['formula']}, with {size} (90 % intervals). {_meanings(found)}".strip())
     name = f", in the library {verdict}" if found.get("title") else ""
-    return [f"{first} {found.get('title') or words(verdict)} ({percent(share)}{name}).", *meant, *where]
+    return [f"{first} {title} ({percent(share)}{name}).", *meant, *where]
 
 
 def _meanings(found: EffectEntry) -> str:
