@@ -38,6 +38,7 @@ SLOW = 0.25  # of the rig's frequency, up to which what a free record shows is i
 _FARTHEST = 37.0  # standard deviations beyond which a coordinate is not followed
 Nuisance = tuple[str, Array, Array]  # name, prior mean and sd for each trial
 Bounds = tuple[Array | float, Array | float]  # of each trial's coordinate
+NEAR_READING = 1e-9  # s, by which a release that ends at a reading may lie beyond it by rounding
 _WIDE: Bounds = (-_FARTHEST, _FARTHEST)
 
 
@@ -72,6 +73,29 @@ class Group:
         out = np.zeros(self.y.shape[1:])
         out[channel_of(name)] = wave(name, self.times)
         return out
+
+    def between_readings(self, eta: Array) -> tuple[Array, Array]:
+        """Bounds (trials, m) within which each trial's release begins between the readings that it now begins between.
+
+        A release that takes time begins by as much before its instant; here it gets no shorter.
+        """
+        lower, upper = self.lower.copy(), self.upper.copy()
+        names = [name for name, _, _ in self.nuisances]
+        if "delay" not in names:
+            return lower, upper
+        k, taken = names.index("delay"), np.zeros(len(eta))
+        _, middle, half = self.nuisances[k]
+        if RELEASE in names:
+            m = names.index(RELEASE)
+            _, mean, sd = self.nuisances[m]
+            taken = mean + sd * eta[:, m]
+            lower[:, m] = eta[:, m]
+        edges = np.concatenate([[-np.inf], self.times, [np.inf]])
+        for j, own in enumerate(eta[:, k]):
+            after = int(np.searchsorted(edges, middle[j] + half[j] * own - taken[j] - NEAR_READING))
+            low, high = (edges[after - 1 : after + 1] + taken[j] - middle[j]) / half[j]
+            lower[j, k], upper[j, k] = min(max(lower[j, k], low), own), max(min(upper[j, k], high), own)
+        return lower, upper
 
     def only(self, at: slice) -> Group:
         """The group of some of its trials."""

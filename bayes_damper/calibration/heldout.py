@@ -11,7 +11,14 @@ from numpy.typing import NDArray
 
 from bayes_damper.calibration.derivatives import LEAST_STEP, RELEASE_STEP, Indices
 from bayes_damper.calibration.groups import Group
-from bayes_damper.calibration.least_squares import HOPELESS, HURRY, SAME_COST, SAME_PLACE, Calibration
+from bayes_damper.calibration.least_squares import (
+    HOPELESS,
+    HURRY,
+    SAME_COST,
+    SAME_PLACE,
+    Calibration,
+    calibrate,
+)
 from bayes_damper.calibration.normal_equations import step_within
 from bayes_damper.calibration.own_values import RELEASE, middle_of, of_readings
 from bayes_damper.calibration.problem import Problem
@@ -23,6 +30,7 @@ ARRIVED = 0.01  # the cost hardly falls any more
 KEPT = 2  # predictions of a problem that are held
 PATIENT = 5  # rounds before a row is given up for being far behind
 STUCK = 1e3  # damping by which no step has gained
+STANDS_OUT, MISSED = 4.0, 60.0  # cost per reading over the median trial's, and beyond it, of a trial looked at again
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +88,26 @@ def _predicted(fit: Calibration, trials: tuple[int, ...]) -> dict[int, Predictio
             residual = problem.experiment.trials[i].y - y[j]
             out[i] = Prediction(i, y[j], residual, chosen[j], float(r[j] @ r[j]), float(np.sum(group.weight[j] ** 2)))
     return out
+
+
+def freed(fit: Calibration, most: int) -> Calibration:
+    """The fit, gone on by at most so many steps where trials that stand out have better values of their own.
+
+    Where the first fit of a model misses much, the own values of a trial may be caught in a valley that no descent of
+    all unknowns together leaves.
+    """
+    blocks = fit.linear.blocks
+    cost = np.concatenate([np.sum(b.r**2, axis=1) + np.sum(b.eta**2, axis=1) for b in blocks])
+    readings = np.concatenate([np.sum(b.group.weight**2, axis=(1, 2)) for b in blocks])
+    usual = np.quantile(cost / readings, 0.5, method="lower") * readings
+    trials = [i for b in blocks for i in b.group.trials]
+    odd = {i: c for i, c, u in zip(trials, cost, usual, strict=True) if c > max(STANDS_OUT * u, u + MISSED)}
+    found = predict(fit, list(odd)) if odd else {}
+    better = {i: p.eta for i, p in found.items() if p.chi2 + float(p.eta @ p.eta) < odd[i] - MISSED}
+    if not better:
+        return fit
+    again = calibrate(fit.problem, [fit.q], eta=dict(fit.eta) | better, anneal=False, most=most)
+    return again if again.cost < fit.cost else fit
 
 
 def _starts(names: Sequence[str]) -> Array:

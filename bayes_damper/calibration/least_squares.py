@@ -227,6 +227,7 @@ def _descend(
     """Levenberg-Marquardt from one start; known : the end of another one, beside which this one stops."""
     q, eta = start.q, start.eta
     damping = 1e-2
+    between = False  # whether instants of release stay between the readings that they lie between
     cost = float(problem.costs(q[None], {i: v[None] for i, v in eta.items()}, annealed)[0])
     if not math.isfinite(cost):
         return _End(cost, q, eta, False, 0)
@@ -235,7 +236,7 @@ def _descend(
         accepted = False
         gained = 0.0
         for _ in range(3):
-            tried, moved_q, moved, moved_cost = _tried(problem, normals, damping, q, eta, annealed, straight)
+            tried, moved_q, moved, moved_cost = _tried(problem, normals, damping, q, eta, annealed, straight, between)
             if moved_cost < cost:
                 gained = cost - moved_cost
                 cost, q, eta = moved_cost, moved_q, moved
@@ -243,13 +244,33 @@ def _descend(
                 accepted = True
                 break
             damping *= 300.0 if math.isfinite(moved_cost) else 100.0
+        ended = not accepted or gained < _least(problem, cost, tolerance)
+        if ended and not between and _crosses(normals):
+            ended, between, damping = False, True, 1e-2
         del normals  # before the next ones are made: they hold all derivatives
-        end = _End(cost, q, eta, not accepted or gained < _least(problem, cost, tolerance), iteration)
+        end = _End(cost, q, eta, ended, iteration)
         if end.converged or (known is not None and _alike(end, known)):
             return end
         if math.isfinite(target) and iteration >= 3 and cost - target > HOPELESS and HURRY * gained < cost - target:
             return end
     return _End(cost, q, eta, False, most)
+
+
+def _crosses(normals: Normals) -> bool:
+    """Whether the undamped step carries the instant of a release past a reading, at which an acceleration jumps.
+
+    A jump is no slope: where it costs more than the step gains, every step fails, long before the descent's end.
+    """
+    try:
+        _, moves = normals.steps([0.0], REACH)
+    except np.linalg.LinAlgError:
+        return False
+    for block, *_ in normals.parts:
+        low, high = block.group.between_readings(block.eta)
+        there = block.eta + np.array([moves[i][0] for i in block.group.trials])
+        if np.any((there < low) | (there > high)):
+            return True
+    return False
 
 
 def _least(problem: Problem, cost: float, tolerance: float) -> float:
@@ -259,17 +280,17 @@ def _least(problem: Problem, cost: float, tolerance: float) -> float:
 
 def _tried(
     problem: Problem, normals: Normals, damping: float, q: Array, eta: Mapping[int, Array], annealed: bool,
-    straight: bool = False,
+    straight: bool = False, between: bool = False,
 ) -> tuple[float, Array, dict[int, Array], float]:  # fmt: skip
     """The best of four steps, damped by about `damping`: its damping, where it leads, and the cost there.
 
-    straight : of eight, the same four along the values too.
+    straight : of eight, the same four along the values too; between : instants stay between the same readings.
 
     The cost is inf where no step can be made.
     """
     bounds = {i: (g.lower[k], g.upper[k]) for g in problem.groups for k, i in enumerate(g.trials)}
     try:
-        moves, own_moves = normals.steps([damping * x for x in FACTORS], REACH, _bend(problem, q, normals.g))
+        moves, own_moves = normals.steps([damping * x for x in FACTORS], REACH, _bend(problem, q, normals.g), between)
     except np.linalg.LinAlgError:
         return damping, q, dict(eta), math.inf
     steps = []

@@ -233,7 +233,7 @@ class Normals:
         return S[0], g[0], [inverse[0] for inverse in inverses]
 
     def steps(
-        self, dampings: Sequence[float], reach: float = math.inf, bend: Array | None = None
+        self, dampings: Sequence[float], reach: float = math.inf, bend: Array | None = None, between: bool = False
     ) -> tuple[Array, dict[int, Array]]:
         """Damped Gauss-Newton steps, one for each damping, with every eta within its bounds.
 
@@ -243,14 +243,17 @@ class Normals:
         leave to nothing what the others were meant to give way for. So does a coordinate of q that would move by more
         than `reach`: what the readings hardly show may be sent anywhere, and must not hold up the rest.
 
-        bend (size,) : further curvature of the cost by each q.
+        bend (size,) : further curvature of the cost by each q; between : instants stay between the same readings.
         """
         damping = np.asarray(dampings, float)
         count = damping.size
         curved = np.zeros(self.size) if bend is None else bend
         far = np.full(self.size, reach)
         stuck, fixed = np.zeros((count, self.size), dtype=np.bool_), np.zeros((count, self.size))
-        ends = [(b.group.lower - b.eta, b.group.upper - b.eta) for b, _, _, _ in self.parts]
+        ends = []
+        for b, *_ in self.parts:
+            low, high = b.group.between_readings(b.eta) if between else (b.group.lower, b.group.upper)
+            ends.append((low - b.eta, high - b.eta))
         held = [np.zeros((count, *low.shape), dtype=np.bool_) for low, _ in ends]
         at = [np.zeros(h.shape) for h in held]
         diagonal = np.arange(self.size)

@@ -27,6 +27,7 @@ from bayes_damper.calibration import (
     summarise,
 )
 from bayes_damper.calibration.experiment import angles_of
+from bayes_damper.calibration.heldout import freed
 from bayes_damper.calibration.nominal import broad_noise, out_of_phase
 from bayes_damper.calibration.problem import READINGS_AT_ONCE
 from bayes_damper.calibration.scatter import carried
@@ -342,6 +343,7 @@ def fit_variant(
             eta = carried(long, problem)
             other = calibrate(problem, [long.q], eta=eta, anneal=False, finish=True, most=MOST_STEPS, target=target)
             found = min(found, other, key=lambda f: f.cost)
+    found = freed(found, MOST_STEPS)
     return Candidate(effect, variant, tuple(screens), found, found.log_evidence - fit.log_evidence)
 
 

@@ -11,8 +11,9 @@ import pytest
 
 from bayes_damper.calibration import Experiment, Noise, Problem, TrialRecord, calibrate
 from bayes_damper.calibration.groups import Switches
-from bayes_damper.calibration.least_squares import _bend
-from bayes_damper.calibration.own_values import Scatter, Size
+from bayes_damper.calibration.heldout import freed
+from bayes_damper.calibration.least_squares import _bend, summarise
+from bayes_damper.calibration.own_values import RELEASE, Scatter, Size
 from bayes_damper.calibration.unknowns import Coordinate
 from bayes_damper.diagnosis.search import essence, restored
 from bayes_damper.effects import EFFECTS
@@ -117,3 +118,38 @@ def test_normal_equations_are_those_of_the_arrays_that_a_block_has(problem):
     for name, array in changes.items():
         other = replace(block, **{name: array})
         assert np.array_equal(other.full, np.concatenate([other.J, other.T, other.r[:, None, :]], axis=1))
+
+
+def test_own_values_caught_in_another_valley_are_found_again(problem):
+    """Those of one trial of two: its instant is late, and its gain makes up for some of that."""
+    fit = calibrate(problem)
+    assert freed(fit, 25) is fit
+    names = [name for name, _, _ in problem.groups[0].nuisances]
+    caught = {i: v.copy() for i, v in fit.eta.items()}
+    caught[1][names.index("delay")] = problem.groups[0].upper[1, names.index("delay")]
+    caught[1][names.index("gain1")] = -20.0
+    spoilt = summarise(problem, fit.q, caught, True, 1)
+    assert spoilt.cost > fit.cost + 1000.0
+    assert freed(spoilt, 25).cost < fit.cost + 0.1
+
+
+@pytest.mark.parametrize("slow", [False, True])
+def test_a_descent_that_a_jump_holds_up_keeps_releases_between_their_readings(problem, slow):
+    """The reading at 0 jumps where a release begins after it; one that takes time begins before its instant."""
+    size = Size(RELEASE, 1e-3, 0.0, 1.0, 1e-3)
+    switches = Switches(scatter=Scatter((*problem.switches.scatter.sizes, size) if slow else ()))
+    (group,) = problem.changed(switches=switches).groups
+    names = [name for name, _, _ in group.nuisances]
+    k = names.index("delay")
+    _, middle, half = group.nuisances[k]
+    taken = 2e-4 if slow else 0.0
+    eta = np.zeros((2, len(names)))
+    if slow:
+        _, mean, sd = group.nuisances[names.index(RELEASE)]
+        eta[:, names.index(RELEASE)] = (taken - mean) / sd
+    eta[:, k] = (np.array([-2e-8, -3e-4]) + taken - middle) / half
+    low, high = group.between_readings(eta)
+    assert middle + half * high[:, k] - taken == pytest.approx(0.0, abs=1e-9)
+    assert np.all((low <= eta) & (eta <= high))
+    if slow:
+        assert np.array_equal(low[:, names.index(RELEASE)], eta[:, names.index(RELEASE)])

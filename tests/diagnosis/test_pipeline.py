@@ -715,9 +715,11 @@ def slow_sensors() -> tuple[Calibration, Callable[[Variant, int], Candidate]]:
 def test_fits_that_may_lead_are_weighed_at_the_end_of_their_descents():
     """What lies behind the best one, and would at its end, stays as it is."""
     _, fitted = slow_sensors()
-    cut, behind, whole = fitted(SLOW, 2), fitted(RAMP, 3), fitted(SLOW, 25)
+    cut, behind, whole = fitted(SLOW, 2), fitted(RAMP, 3), fitted(SLOW, 200)
     assert cut.fit is not None
+    assert whole.fit is not None
     assert not cut.fit.converged
+    assert whole.fit.converged
     assert whole.log_evidence > cut.log_evidence + 3.0
     first, second = finished([cut, behind])
     assert first.log_evidence == pytest.approx(whole.log_evidence, abs=0.1)
