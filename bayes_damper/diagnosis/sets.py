@@ -31,6 +31,7 @@ from typing import Any, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from bayes_damper.calibration import (
     Block,
@@ -470,14 +471,17 @@ def log_prior(names: Collection[str], offered: int) -> float:
 
 
 def probabilities(sets: Sequence[SetFit], offered: int) -> dict[frozenset[str], float]:
-    """Probability of each set of effects, over its formulas, among those that were fitted."""
+    """Probability of each set of effects, over its formulas, among those that were fitted.
+
+    The formulas of an effect are equally likely beforehand, as those of single effects are (verdict.py).
+    """
     weight: dict[frozenset[str], list[float]] = {}
     for s in sets:
-        weight.setdefault(s.names, []).append(s.evidence + log_prior(s.names, offered))
-    logs = {names: max(values) for names, values in weight.items()}
-    top = max(logs.values())
-    total = sum(math.exp(v - top) for v in logs.values())
-    return {names: math.exp(v - top) / total for names, v in logs.items()}
+        formulas = sum(math.log(len(e.variants)) for e, _ in s.members)
+        weight.setdefault(s.names, []).append(s.evidence - formulas + log_prior(s.names, offered))
+    logs = {names: float(logsumexp(values)) for names, values in weight.items()}
+    total = logsumexp(list(logs.values()))
+    return {names: math.exp(v - total) for names, v in logs.items()}
 
 
 # Search -------------------------------------------------------------------------------------------------------------

@@ -224,8 +224,8 @@ class Calibrated:
     eta: str
 
 
-def stub(names, plain, squares, pieces=40.0):
-    members = tuple((SimpleNamespace(name=n), SimpleNamespace(name=n)) for n in names)
+def stub(names, plain, squares, pieces=40.0, formulas=1):
+    members = tuple((SimpleNamespace(name=n, variants=(None,) * formulas), SimpleNamespace(name=n)) for n in names)
     return SetFit(members, SimpleNamespace(), plain, squares, pieces)
 
 
@@ -275,6 +275,13 @@ def test_an_effect_that_gains_nothing_costs_its_prior():
     assert weights[frozenset("a")] == pytest.approx(0.95, abs=0.01)
     assert log_prior(("a", "b"), 20) == pytest.approx(2.0 * math.log(1.0 / 19.0))
     assert log_prior(("bearing_drag", "interface_friction"), 20) == pytest.approx(math.log(1.0 / 19.0))
+
+
+def test_formulas_share_the_prior_of_their_effect():
+    """Chance takes up more of the noise by one of five formulas than by one alone."""
+    sets = [stub((), 0.0, 0.0), stub(("a",), 3.0, 0.0), *(stub(("b",), 3.0, 0.0, formulas=5) for _ in range(4))]
+    weights = probabilities(weighed(sets), 20)
+    assert weights[frozenset("b")] == pytest.approx(0.8 * weights[frozenset("a")])
 
 
 def test_a_second_effect_that_mends_the_first_ones_formula_is_none():
