@@ -168,6 +168,11 @@ class Grouping:
             early = first.times <= first.times[0] + 1.5 * float(np.median(np.diff(first.times)))
             falling = ~early & (first.times <= first.times[0] + 2.0 * self.switches.scatter.sd(RELEASE))
             for k, t in enumerate(trials):
+                held = first.times <= release_window(t, e.quantity)[0] + NEAR_READING
+                if first.coupled and e.constants.get("k3t", (0.0, 0.0))[0]:
+                    # What keeps the secondary from following its own spring while the primary is held, if anything
+                    # does, is not declared.
+                    weight[k][1, held] = 0.0
                 if t.times[0] <= 0.0:
                     weight[k][:, early] *= RELEASE_WEIGHT
                     jump = e.stiffnesses[t.k1t][0] * t.theta0 / e.constants["J1"][0]

@@ -182,6 +182,28 @@ def test_a_motion_may_be_released_on_either_side_of_the_first_reading(quantity, 
     assert abs(fit.excess) < 4.0 * math.sqrt(2.0 * fit.problem.n_data)
 
 
+def test_a_secondary_that_its_own_spring_moves_while_the_primary_is_held_is_not_early():
+    """Releases that take 0.4 ms of a sample: the first reading shows the primary at rest, and the secondary under way."""
+    rng = np.random.default_rng(3)
+    ramp, times, trials = EFFECTS["release_ramp"].variants[0], np.arange(400) * 1e-3, []
+    for index, (case, k1t, degrees) in enumerate(CASES):
+        for number in (1, 2, 3):
+            theta0 = math.radians(degrees)
+            rig = RIG | TRUE | {"k1t": k1t, "k3t": 3.0, "theta0": theta0}
+            y = Model(True, effect=ramp).simulate(rig, times, effect={"time": 4e-4}).y[0]
+            y = y + 2.0 * rng.standard_normal(y.shape)
+            trials.append(TrialRecord(f"{case}{number}", case, True, number, times, y, index, theta0, 0.01 * theta0))
+    assert min(abs(t.y[1, 0]) for t in trials) > 5.0 * max(abs(t.y[0, 0]) for t in trials)
+    stiffnesses = tuple((k, 0.0) for _, k, _ in CASES)
+    constants = {name: (RIG[name], 0.0) for name in ("J1", "J2", "R", "r", "N0")} | {"k3t": (3.0, 0.0)}
+    fit = calibrate_nominal(Experiment(constants, stiffnesses, tuple(trials)))
+    assert fit.chi2 < 1.1 * fit.problem.n_data
+    for group in fit.problem.groups:
+        assert not group.weight[:, 1, 0].any()
+        assert group.weight[:, 1, 1:].all()
+        assert group.weight[:, 0].all()
+
+
 def test_lone_trials_keep_their_own_release():
     """One training trial of a kind cannot tell whether releases vary, so each keeps its own."""
     fit = calibrate_nominal(with_release("velocity", 5e-3, repeats=2))
