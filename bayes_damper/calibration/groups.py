@@ -165,7 +165,8 @@ class Grouping:
         nuisances, lower, upper = self._nuisances(trials)
         if e.start == "rest" and first.times.size > 2 and e.quantity == "acceleration":
             # The release itself: what rig and sensor do within a sample of it is given by no formula exactly.
-            early = first.times <= first.times[0] + 1.5 * float(np.median(np.diff(first.times)))
+            step = float(np.median(np.diff(first.times)))
+            early = first.times <= first.times[0] + 1.5 * step
             falling = ~early & (first.times <= first.times[0] + 2.0 * self.switches.scatter.sd(RELEASE))
             for k, t in enumerate(trials):
                 held = first.times <= release_window(t, e.quantity)[0] + NEAR_READING
@@ -173,6 +174,9 @@ class Grouping:
                     # What keeps the secondary from following its own spring while the primary is held, if anything
                     # does, is not declared.
                     weight[k][1, held] = 0.0
+                if not self.switches.delay:
+                    # At the very instant of a release a reading may show either side of the jump.
+                    weight[k][:, held & (first.times < step)] = 0.0
                 if t.times[0] <= 0.0:
                     weight[k][:, early] *= RELEASE_WEIGHT
                     jump = e.stiffnesses[t.k1t][0] * t.theta0 / e.constants["J1"][0]

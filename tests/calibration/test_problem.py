@@ -28,6 +28,7 @@ from bayes_damper.calibration import (
     thinned,
 )
 from bayes_damper.calibration.experiment import unrounded
+from bayes_damper.calibration.groups import Switches
 from bayes_damper.calibration.least_squares import drawn_starts
 from bayes_damper.calibration.scatter import TYPICAL
 from bayes_damper.campaign.records import crossings
@@ -183,7 +184,7 @@ def test_a_motion_may_be_released_on_either_side_of_the_first_reading(quantity, 
 
 
 def test_a_secondary_that_its_own_spring_moves_while_the_primary_is_held_is_not_early():
-    """Releases that take 0.4 ms of a sample: the first reading shows the primary at rest, and the secondary under way."""
+    """Releases that take 0.4 ms: the first reading shows the primary at rest, and the secondary under way."""
     rng = np.random.default_rng(3)
     ramp, times, trials = EFFECTS["release_ramp"].variants[0], np.arange(400) * 1e-3, []
     for index, (case, k1t, degrees) in enumerate(CASES):
@@ -201,7 +202,24 @@ def test_a_secondary_that_its_own_spring_moves_while_the_primary_is_held_is_not_
     for group in fit.problem.groups:
         assert not group.weight[:, 1, 0].any()
         assert group.weight[:, 1, 1:].all()
-        assert group.weight[:, 0].all()
+        assert group.weight[:, 0, 1:].all()
+
+
+def test_a_reading_at_the_instant_of_the_release_may_show_the_rig_held():
+    """All trials are let go just after the reading at 0, sooner than they could show: no instant is late."""
+    found = make_experiment(5, noise=1.0)
+    rng = np.random.default_rng(5)
+    trials = []
+    for t in found.trials:
+        rig = RIG | TRUE | {"k1t": CASES[t.k1t][1], "theta0": t.theta0 * (1.0 + 0.01 * rng.standard_normal())}
+        y = Model(t.coupled).simulate(rig | {"delay": 1e-8}, t.times).y[0]
+        trials.append(replace(t, y=y + rng.standard_normal(y.shape)))
+    assert max(abs(t.y[0, 0]) for t in trials) < 5.0
+    noise = Noise((1.0, 1.0), (0.0, 0.0), (0.0, 0.0))
+    fixed = Problem(replace(found, trials=tuple(trials)), noise=noise, switches=Switches(delay=False, friction=False))
+    fit = calibrate(fixed)
+    assert fit.chi2 < 1.1 * fit.problem.n_data
+    assert not any(g.weight[:, :, 0].any() for g in fit.problem.groups)
 
 
 def test_lone_trials_keep_their_own_release():
