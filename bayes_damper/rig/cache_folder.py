@@ -2,17 +2,20 @@
 
 numba keeps compiled code as pickles, and whoever can change a pickle decides what runs when it is read. So a folder is
 used only when it and all files in it belong to the user and nobody else may write them. Otherwise kernels are compiled
-anew, in a folder that only the user can enter.
+anew, in a folder that only the user can enter. What no run has used for KEPT days is deleted: each version of the package,
+and each learnt law, leaves some.
 """
 
 from __future__ import annotations
 
 import atexit
+import contextlib
 import os
 import shutil
 import stat
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -20,6 +23,8 @@ from pathlib import Path
 _VARIABLE = "BAYES_DAMPER_CACHE"
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 _MACHINE_CODE = "__pycache__"  # where numba puts it
+KEPT = 90  # days since a kernel was used, after which it is deleted
+_DAY = 86_400.0  # s
 
 
 def cache_folder() -> Path:
@@ -38,6 +43,7 @@ def _usable(base: Path) -> Path:
     """The folder, if it is safe, else a private one; judged once in a process, not again by those that it starts."""
     reason = _unfit(base)
     if reason is None:
+        _forget(base)
         return base
     user = os.getuid() if hasattr(os, "getuid") else "user"
     folder = Path(tempfile.gettempdir()) / f"bayes_damper-{user}"
@@ -49,6 +55,24 @@ def _usable(base: Path) -> Path:
     os.environ[_VARIABLE] = str(folder)
     sys.stderr.write(f"bayes-damper: {reason}. Compiled code is kept in {folder} instead.\n")
     return folder
+
+
+def mark_used(kernel: Path) -> None:
+    """Keep a kernel's file for KEPT days more. By its access time: by the other, numba knows machine code from it."""
+    with contextlib.suppress(OSError):
+        os.utime(kernel, ns=(time.time_ns(), kernel.stat().st_mtime_ns))
+
+
+def _forget(base: Path) -> None:
+    """Delete kernels that have not been used for long, with their machine code."""
+    before = time.time() - KEPT * _DAY
+    for path in base.glob("*.py"):
+        with contextlib.suppress(OSError):  # another process has just deleted it, too
+            found = path.stat()
+            if max(found.st_atime, found.st_mtime) < before:
+                for code in (base / _MACHINE_CODE).glob(f"{path.stem}.*"):
+                    code.unlink()
+                path.unlink()
 
 
 def _unfit(base: Path) -> str | None:

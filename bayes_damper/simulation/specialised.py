@@ -27,7 +27,7 @@ from numba import float64, int64, njit, types
 
 from bayes_damper.effects.base import MOST_PARAMETERS, Variant
 from bayes_damper.rig import equations, vector_math
-from bayes_damper.rig.cache_folder import cache_folder
+from bayes_damper.rig.cache_folder import cache_folder, mark_used
 from bayes_damper.rig.equations import Rig
 from bayes_damper.simulation import integrator, late_binding
 
@@ -208,6 +208,7 @@ def _in_file(function: Callable[..., Any], bound: dict[str, object], path: Path,
         partial = path.with_suffix(f".{os.getpid()}")
         partial.write_text(inspect.getsource(function), encoding="utf-8")
         partial.replace(path)
+    mark_used(path)
     code = function.__code__.replace(co_filename=str(path), co_firstlineno=1)
     return njit(cache=True, **_NUMBA_OPTIONS, **options)(FunctionType(code, vars(integrator) | bound))
 

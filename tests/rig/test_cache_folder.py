@@ -6,13 +6,14 @@ import os
 import pickle
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 from compiled import without_kernels
 
 from bayes_damper.rig import cache_folder as module
-from bayes_damper.rig.cache_folder import cache_folder, distrusted
+from bayes_damper.rig.cache_folder import KEPT, cache_folder, distrusted, mark_used
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "getuid"), reason="files have no owner here")
 OTHER = 65534
@@ -43,6 +44,17 @@ def test_a_folder_of_ones_own_is_used_again_and_closed_to_others(base):
     assert cache_folder() == base
     assert base.stat().st_mode & 0o77 == 0
     assert (base / "__pycache__").stat().st_mode & 0o77 == 0
+
+
+def test_kernels_that_no_run_has_used_for_long_are_deleted(base):
+    long_ago = time.time() - 86_400.0 * (KEPT + 1)
+    for name in ("advance_1", "advance_2"):
+        for path in (planted(base, f"{name}.py"), planted(base, f"__pycache__/{name}.linked-1.py311.nbi")):
+            os.utime(path, (long_ago, long_ago))
+    mark_used(base / "advance_2.py")
+    assert (base / "advance_2.py").stat().st_mtime == pytest.approx(long_ago), "or numba would compile it again"
+    assert cache_folder() == base
+    assert {path.name for path in base.rglob("*.*")} == {"advance_2.py", "advance_2.linked-1.py311.nbi"}
 
 
 def in_private(base, capsys, words):
