@@ -386,14 +386,16 @@ def promising(nominal: Calibration, pool: Sequence[tuple[Effect, Variant]], gain
     return chosen
 
 
-def _screened(nominal: Calibration, pool: Sequence[tuple[Effect, Variant]], workers: int) -> list[tuple[Screened, ...]]:
+def _screened(
+    nominal: Calibration, pool: Sequence[tuple[Effect, Variant]], workers: int, report: Callable[[str], None]
+) -> list[tuple[Screened, ...]]:
     """Every start of every variant, screened, and fainter ones where none of them shows."""
     screen = Screen(nominal)  # with all derivatives, so that it must not outlive the screening
 
     def judge(item: tuple[Effect, Variant]) -> tuple[Screened, ...]:
         return screen_variant(screen, item[1])
 
-    screens = forked_map(judge, list(pool), workers)
+    screens = forked_map(judge, list(pool), workers, now_and_then(report, len(pool), "formulas screened"))
     if max((s.gain for row in screens for s in row), default=0.0) < FAINTER:
 
         def again(item: tuple[Variant, tuple[Screened, ...]]) -> tuple[Screened, ...]:
@@ -418,7 +420,7 @@ def search(
     curved = nominal.problem.nominal == "nonlinear"
     driven = any(g.inputs is not None and g.inputs.active for g in groups)
     compile_ahead((replace(model, effect=variant) for model in models for _, variant in pool), driven, curved, report)
-    screens = _screened(nominal, pool, workers)
+    screens = _screened(nominal, pool, workers, report)
     gains = np.array([max(s.gain for s in row) for row in screens])
     best = float(gains.max()) if len(pool) else 0.0
     chosen = promising(nominal, pool, gains, full_fits)

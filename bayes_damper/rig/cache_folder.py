@@ -2,8 +2,8 @@
 
 numba keeps compiled code as pickles, and whoever can change a pickle decides what runs when it is read. So a folder is
 used only when it and all files in it belong to the user and nobody else may write them. Otherwise kernels are compiled
-anew, in a folder that only the user can enter. What no run has used for KEPT days is deleted: each version of the package,
-and each learnt law, leaves some.
+anew, in a folder that only the user can enter. What no run has used for KEPT days is deleted: each version of the
+package, and each learnt law, leaves some.
 """
 
 from __future__ import annotations

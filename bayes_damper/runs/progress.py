@@ -173,17 +173,19 @@ def make_progress(quiet: bool) -> Any:
 def now_and_then(
     report: Callable[[str], None], total: int, what: str, clock: Callable[[], float] = time.monotonic
 ) -> Callable[[int], None]:
-    """What reports `3 of 31 fitted` where half a minute has passed since it last did, or since it was made.
+    """What reports `3 of 31 fitted, 0:05:10 left`, where half a minute has passed since it last did or was made.
 
-    what : the words behind the numbers; the function takes how many are done.
+    what : the words behind the numbers; the function takes how many are done. The time left is that of as many more
+    steps as are missing, each as long as those done were on average.
     """
-    last = clock()
+    begun = last = clock()
 
     def each(done: int) -> None:
         nonlocal last
-        if done < total and clock() - last >= _SILENT_S:
-            last = clock()
-            report(f"{done} of {total} {what}")
+        now = clock()
+        if 0 < done < total and now - last >= _SILENT_S:
+            last = now
+            report(f"{done} of {total} {what}, {_hours((now - begun) / done * (total - done))} left")
 
     return each
 

@@ -169,7 +169,8 @@ def test_many_alike_steps_say_now_and_then_how_many_are_done():
     for done, seconds in enumerate((10, 21, 5, 26, 90), 1):
         now[0] += seconds
         each(done)
-    assert said == ["2 of 5 fitted", "4 of 5 fitted"]  # the last one is the end, which the next stage shows
+    # The last one is the end, which the next stage shows.
+    assert said == ["2 of 5 fitted, 0:00:46 left", "4 of 5 fitted, 0:00:15 left"]
 
 
 def test_a_notice_is_shown_once_on_a_line_of_its_own():
