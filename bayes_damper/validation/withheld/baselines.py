@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from bayes_damper.calibration import Calibration, predict
+from bayes_damper.calibration.unknowns import NOMINAL
 from bayes_damper.diagnosis import Diagnosis
 from bayes_damper.diagnosis.response import Motion, motions
 from bayes_damper.runs.contents.withheld import BaselineAnswers
@@ -219,7 +220,8 @@ def residual_features(fit: Calibration, moved: Sequence[Motion]) -> list[float]:
             rows = [_channel_features(m, c, noise[min(c, len(noise) - 1)]) for m in here]
             out += np.mean(rows, axis=0).tolist() if rows else [0.0] * 30
     pulls = [float(fit.q[i]) for i, x in enumerate(fit.problem.coordinates) if x.role in ("constant", "stiffness")]
-    nominal = [float(fit.q[i]) for i, x in enumerate(fit.problem.coordinates) if x.role == "nominal"]
+    moved_by = dict(zip([c.parameter for c in fit.problem.coordinates], fit.q.tolist(), strict=True))
+    nominal = [moved_by.get(name, 0.0) for name in NOMINAL]  # where it differs from case to case, of the last one
     return [*out, *nominal, *sorted(pulls, key=abs, reverse=True)[:4], *([0.0] * (4 - min(len(pulls), 4)))]
 
 
@@ -257,7 +259,7 @@ def forest_out_of_fold(
 
     Empty where there are too few to learn from, or without scikit-learn.
 
-    features : campaign -> numbers, all of one length; labels : campaign -> right answer.
+    features : campaign -> numbers, 0 beyond the last of a campaign that has fewer; labels : campaign -> right answer.
     """
     names = sorted(set(features) & set(labels)) if has_forest() else []
     counts: dict[str, int] = {}
@@ -266,7 +268,9 @@ def forest_out_of_fold(
     if len(names) < 2 * FOLDS or not any(count >= LEAST_OF_A_CLASS for count in counts.values()):
         return {}
     forest = importlib.import_module("sklearn.ensemble").RandomForestClassifier
-    table = np.nan_to_num(np.array([features[name] for name in names], float), posinf=0.0, neginf=0.0)
+    table = np.zeros((len(names), max(len(features[name]) for name in names)))
+    for row, name in zip(table, names, strict=True):
+        row[: len(features[name])] = np.nan_to_num(np.array(features[name], float), posinf=0.0, neginf=0.0)
     answers = np.array([labels[name] for name in names])
     every = sorted(counts)
     fold = np.random.default_rng(seed).permutation(len(names)) % FOLDS

@@ -676,6 +676,9 @@ def test_a_forest_learns_from_the_other_folds_only():
     assert np.mean([max(guessed[n], key=guessed[n].get) == a for n, a in labels.items()]) < 0.65
     assert all(sum(p.values()) == pytest.approx(1.0) for p in told.values())
     assert forest_out_of_fold({}, labels, 1) == {}
+    shorter = {n: x[: 1 + i % 2] for i, (n, x) in enumerate(features.items())}  # rigs with fewer parameters
+    told = forest_out_of_fold(shorter, labels, seed=1, trees=40)
+    assert np.mean([max(told[n], key=told[n].get) == a for n, a in labels.items()]) > 0.9
 
 
 def test_without_scikit_learn_the_forest_is_skipped_with_a_sentence(tmp_path, monkeypatch):
