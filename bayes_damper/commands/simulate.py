@@ -359,7 +359,9 @@ def _apply(
             values[key] = number
             given.add(key)
         else:
-            faults.append(f"--set {setting}: nothing is called {name!r}; {hint(name, [*ROWS, *RIG_KEYS, *_WORDS])}")
+            of_effect = [f"{effect.partition('/')[0]}.{p}" for p in own] if effect is not None else []
+            known = [*of_effect, *ROWS, *RIG_KEYS, *_WORDS]
+            faults.append(f"--set {setting}: nothing is called {name!r}; {hint(name, known)}")
     for name, other in rig.ties.items():
         if other in given and name not in given:
             values[name] = values[other]

@@ -110,7 +110,9 @@ def _ingredients(name: str, value: Any, files: set[Path], callers: tuple[Any, ..
     source = inspect.getsourcefile(function) if function is not None else getattr(module, "__file__", None)
     path = Path(source) if source else None
     ours = path is not None and path.suffix == ".py" and "site-packages" not in path.parts
-    parts = [name if function is None else f"{name}:{function.__qualname__}:{_code(function.__code__)}"]
+    parts = [name]
+    if function is not None:  # its module, too: numba imports that where it reads machine code from a file
+        parts = [f"{name}:{function.__module__}.{function.__qualname__}:{_code(function.__code__)}"]
     if path is not None and (function is not None or ours):
         files.add(path)
     if function is not None:

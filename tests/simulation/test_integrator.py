@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import os
 import shutil
 import subprocess
@@ -528,6 +529,22 @@ def test_a_kernel_is_compiled_anew_when_anything_that_it_calls_changes(tmp_path,
     assert mark(1.0) != before
     helper.write_text(HELPER)
     assert mark(1.0) == before
+
+
+def test_a_file_that_is_moved_into_the_library_has_kernels_of_its_own(tmp_path, monkeypatch):
+    """Machine code names the module that it is made from, which is imported where it is read from a file."""
+    (tmp_path / "grip_helper.py").write_text(HELPER)
+    (tmp_path / "grip_user.py").write_text(USER)
+    monkeypatch.syspath_prepend(tmp_path)
+    marks = []
+    for name in ("bayes_damper_effect_grip", "bayes_damper.effects.grip"):
+        spec = importlib.util.spec_from_file_location(name, tmp_path / "grip_user.py")
+        module = importlib.util.module_from_spec(spec)
+        monkeypatch.setitem(sys.modules, name, module)
+        spec.loader.exec_module(module)
+        variant = Variant("grip", "size grip(w)", (), torque=module.factory(1.0))
+        marks.append(specialised._fingerprint(specialised.specialised_globals(True, True, False, False, variant)))
+    assert marks[0] != marks[1]
 
 
 def test_only_what_decides_the_machine_code_has_kernels_compiled_anew(monkeypatch):
