@@ -4,10 +4,12 @@ No effect of the library is named here. Each site has groups of columns, e.g. sm
 memories of them, or bumps in time; a group is what one cause would use. Coordinates are scaled by their largest value
 in the campaign, so a column means the same in every case.
 
-A new shape is one more `Shape` in the function of its site (`_ground1`, ...): in the group of the cause that it is a
-form of, or in a new one, for another cause. Every group of trials gives the same shapes in the same order, zeros where
-one does not act; a group whose name ends in 2 is left out where no trial is coupled. A group of laws of torque that an
-effect's formula may stand for is also named in `LAWS` of diagnosis/formula.py.
+Polynomials up to degree 5 in a site's own angle and velocity are there already (`_tensor`): add what they cannot
+follow, such as |v|, corners or memories. A new shape is one more `Shape` in the function of its site (`_ground1`, ...):
+in the group of the cause that it is a form of, or in a new one, for another cause. Every group of trials gives the same
+shapes in the same order, zeros where one does not act; a group whose name ends in 2 is left out where no trial is
+coupled. A group of laws of torque that an effect's formula may stand for is also named in `LAWS` of
+diagnosis/formula.py.
 """
 
 from __future__ import annotations

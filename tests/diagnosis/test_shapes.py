@@ -43,6 +43,37 @@ def test_shapes_are_finite_and_as_large_as_the_motion(made, coupled):
         assert shape.reading is None or shape.site == "sensor", f"{where}: only a sensor changes readings"
 
 
+def test_no_shape_is_nothing_everywhere(made):
+    for alone, both in zip(made[False][1], made[True][1], strict=True):
+        if alone.group == "place":  # one of them for each place, where a motion need not come
+            continue
+        given = [a for s in (alone, both) for a in (s.q1, s.q2, s.start, s.reading) if a is not None]
+        assert any(np.any(a) for a in given), f"{alone.site}/{alone.group}: a column is 0 in every trial"
+
+
+OWN_LAWS = {
+    ("ground1", "spring"): [lambda m: m.th1**3],
+    ("ground1", "drift"): [lambda m: m.th1 * m.grid],
+    ("bearings", "drag"): [lambda m: m.w1 * np.abs(m.w1)],
+    ("interface", "damping"): [lambda m: (m.w1 - m.w2) * np.abs(m.w1 - m.w2)],
+    ("interface", "magnet"): [lambda m: (m.th1 - m.th2) ** 3],
+    ("ground2", "weight"): [lambda m: m.th2**2],
+    ("ground2", "inertia"): [lambda m: m.a2],
+}
+"""Formulas of torques, written out once more; a new shape is one line here, which fails without it."""
+
+
+@pytest.mark.parametrize("place", OWN_LAWS, ids="/".join)
+def test_a_shape_is_its_formula(made, place):
+    motion, shapes = made[True]
+    given = [s.q1 if s.q1 is not None and np.any(s.q1) else s.q2 for s in shapes if (s.site, s.group) == place]
+    assert given, f"no shape is in the group {'/'.join(place)}"
+    for law in OWN_LAWS[place]:
+        wanted = law(motion).ravel()
+        alike = [abs(a.ravel() @ wanted) / np.linalg.norm(a) / np.linalg.norm(wanted) for a in given]
+        assert max(alike) > 1.0 - 1e-9, f"{'/'.join(place)}: no column is proportional to the formula"
+
+
 def test_shapes_with_a_memory_follow_their_equations(made):
     motion = made[True][0]
     rate, tau, breakaway = motion.w1, 0.02, 0.01
