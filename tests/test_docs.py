@@ -177,6 +177,11 @@ def test_the_effect_on_its_page_is_a_sound_effect(tmp_path):
     assert done.returncode == 0, f"moved to bayes_damper/effects it would not pass `make lint`: {done.stdout}"
 
 
+def test_the_counts_of_effects_in_the_readme_are_those_of_the_library():
+    counts = f"{len(EFFECTS)} effects ({sum(len(e.variants) for e in EFFECTS.values())} formulas)"
+    assert counts in (ROOT / "README.md").read_text(encoding="utf-8"), f"README.md: write {counts}"
+
+
 def generator():
     spec = importlib.util.spec_from_file_location("generator_of_docs", DOCS / "_generate.py")
     module = importlib.util.module_from_spec(spec)

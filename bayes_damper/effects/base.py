@@ -3,7 +3,8 @@
 The author of an effect writes one file in this folder (or in a folder of their own, `--effects DIR`) that defines
 `EFFECT`. Its duties:
 
-1. Name, site and a summary in one line; what it looks like in a record; which nominal terms can hide it; its source.
+1. Name, title, site and a summary in one line; what it looks like in a record; which nominal terms can hide it; its
+   source.
 2. One variant or more: the formula, its parameters (unit, prior and the reason for it) and the functions below.
 3. A parameter with a `null` makes the effect vanish there: the record is then that of the bare rig to 1e-12 of its
    peak. A variant that replaces the nominal friction says so (`replaces_friction`) and has no null.

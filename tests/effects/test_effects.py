@@ -80,6 +80,7 @@ def named(variant, values):
 def test_effect_meets_the_duties_of_an_author(effect):
     found = faults(effect)
     assert not found, "\n".join(found)
+    assert effect.title, "title: what it is in a few words, e.g. 'drag that grows with the square of the speed'"
     unknown = set(effect.hides_behind) - set(equations.ROWS)
     assert effect.hides_behind, f"hides_behind: name one or more of {', '.join(equations.ROWS)}"
     assert not unknown, f"hides_behind: {sorted(unknown)} is none of {', '.join(equations.ROWS)}"
