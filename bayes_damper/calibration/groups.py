@@ -90,11 +90,11 @@ class Group:
             _, mean, sd = self.nuisances[m]
             taken = mean + sd * eta[:, m]
             lower[:, m] = eta[:, m]
-        edges = np.concatenate([[-np.inf], self.times, [np.inf]])
-        for j, own in enumerate(eta[:, k]):
-            after = int(np.searchsorted(edges, middle[j] + half[j] * own - taken[j] - NEAR_READING))
-            low, high = (edges[after - 1 : after + 1] + taken[j] - middle[j]) / half[j]
-            lower[j, k], upper[j, k] = min(max(lower[j, k], low), own), max(min(upper[j, k], high), own)
+        edges, own = np.concatenate([[-np.inf], self.times, [np.inf]]), eta[:, k]
+        after = np.searchsorted(edges, middle + half * own - taken - NEAR_READING)
+        low, high = (edges[[after - 1, after]] + taken - middle) / half
+        lower[:, k] = np.minimum(np.maximum(lower[:, k], low), own)
+        upper[:, k] = np.maximum(np.minimum(upper[:, k], high), own)
         return lower, upper
 
     def only(self, at: slice) -> Group:

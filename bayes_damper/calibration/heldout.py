@@ -11,14 +11,7 @@ from numpy.typing import NDArray
 
 from bayes_damper.calibration.derivatives import LEAST_STEP, RELEASE_STEP, Indices
 from bayes_damper.calibration.groups import Group
-from bayes_damper.calibration.least_squares import (
-    HOPELESS,
-    HURRY,
-    SAME_COST,
-    SAME_PLACE,
-    Calibration,
-    calibrate,
-)
+from bayes_damper.calibration.least_squares import HOPELESS, HURRY, SAME_COST, SAME_PLACE, Calibration, calibrate
 from bayes_damper.calibration.normal_equations import step_within
 from bayes_damper.calibration.own_values import RELEASE, middle_of, of_readings
 from bayes_damper.calibration.problem import Problem

@@ -261,11 +261,14 @@ def _crosses(normals: Normals) -> bool:
 
     A jump is no slope: where it costs more than the step gains, every step fails, long before the descent's end.
     """
+    released = [block for block, *_ in normals.parts if any(name == "delay" for name, _, _ in block.group.nuisances)]
+    if not released:
+        return False
     try:
         _, moves = normals.steps([0.0], REACH)
     except np.linalg.LinAlgError:
         return False
-    for block, *_ in normals.parts:
+    for block in released:
         low, high = block.group.between_readings(block.eta)
         there = block.eta + np.array([moves[i][0] for i in block.group.trials])
         if np.any((there < low) | (there > high)):
