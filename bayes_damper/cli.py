@@ -376,6 +376,9 @@ def _tune(args: Arguments) -> Any:
         k2t=args.k2t,
         R=args.bar_radius,
         magnet_pull=args.magnet_pull,
+        c2t=args.c2t,
+        friction_torque=args.friction_torque,
+        free=args.free,
         target_db=args.target_db,
         amplitudes=args.torque,
         seed=args.seed,
@@ -545,6 +548,7 @@ def _fitting(command: Adding) -> None:
         help="inertia (mass) of the second body, kg m^2 (kg); default: as on the rig",
     )
     sub.add_argument("--k2t", type=_real, help="stiffness of the coupling, N m/rad (N/m); default: as fitted")
+    sub.add_argument("--c2t", type=_real, help="damping of the coupling, N m s/rad (N s/m); default: as fitted")
     sub.add_argument(
         "--bar-radius",
         type=_real,
@@ -552,6 +556,10 @@ def _fitting(command: Adding) -> None:
         help="radius of the magnet's bar, m; k2t grows with its square (eq. 21)",
     )
     sub.add_argument("--magnet-pull", type=_real, metavar="N0", help="pull of the magnet, N; default: as on the rig")
+    about = "dry friction between the bodies at full overlap, N m (force, N); default: as fitted"
+    sub.add_argument("--friction-torque", type=_real, metavar="F", help=about)
+    about = "what the search for the best design changes, of J2, k2t, R and c2t (default: J2, k2t and R)"
+    sub.add_argument("--free", nargs="+", metavar="NAME", help=about)
     sub.add_argument("--torque", type=_real, nargs="+", metavar="T",
                      help="amplitudes of the exciting torque, N m (force, N); default: to suit the rig")  # fmt: skip
     _own_effects(sub)

@@ -103,6 +103,19 @@ def test_numbers_below_zero_are_told_in_a_sentence(number, capsys, tmp_path):
     assert capsys.readouterr().err.startswith(f"bayes-damper tune: J2 = {float(number):g}: a design needs a J2 above")
 
 
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [
+        (["--c2t", "-1"], "c2t = -1: a design cannot have a negative c2t"),
+        (["--friction-torque", "-1"], "friction_torque = -1: a design cannot"),
+        (["--friction-torque", "1", "--magnet-pull", "2"], "not both"),
+    ],
+)
+def test_damping_and_friction_of_a_design_are_options(option, said, capsys, tmp_path):
+    assert main(["tune", str(tmp_path), *option]) == 2
+    assert said in capsys.readouterr().err
+
+
 def test_an_unknown_command_is_refused():
     with pytest.raises(SystemExit) as ended:
         main(["fly"])

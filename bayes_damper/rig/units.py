@@ -7,7 +7,7 @@ the same for the parameters of the model.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
 from bayes_damper.errors import InputError
@@ -59,6 +59,24 @@ def sentence_of(sentence: str, kind: str = "torsional") -> str:
         for old, new in ((word, _STRAIGHT[word]), (word[0].upper() + word[1:], _STRAIGHT[word].capitalize())):
             sentence = re.sub(rf"(?<![\w'`/.\\-]){re.escape(old)}(?![\w'`/\\-]|\.\w)", new, sentence)
     return sentence
+
+
+CHOSEN = {
+    "J2": "J2", "k2t": "k2t", "c2t": "c2t", "R": "R", "friction_torque": "friction_torque", "magnet_pull": "N0",
+    "bar_inertia": "J2",
+}  # fmt: skip
+"""What a design may set -> the parameter whose unit it has."""
+
+
+def design_in_words(design: Mapping[str, float | None], kind: str = "torsional") -> str:
+    """What a design sets, each with its unit: "J2 = 0.17 kg, k2t = 86 N/m"; design : as in tune.json."""
+    chosen = {name: design.get(name) for name in CHOSEN}
+    said = {
+        in_words_of(name.replace("_", " "), kind): f"{value:.4g} {unit_of(CHOSEN[name], kind)}"
+        for name, value in chosen.items()
+        if value is not None and (value or name != "bar_inertia")
+    }
+    return ", ".join(f"{name} = {value}" for name, value in said.items())
 
 
 @contextmanager

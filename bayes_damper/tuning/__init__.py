@@ -7,9 +7,10 @@ with it, each peak being the highest over all frequencies. Two models answer:
 - the nonlinear one, by integrating the rig under a harmonic torque of stated amplitude until it repeats itself, and
   taking the fundamental component. Dry friction makes its loss depend on the amplitude.
 
-A design changes the secondary's inertia J2, the magnet's stiffness k2t, the radius R at which the magnets sit, and the
-magnet's pull N0. R acts through k2t = k2 R^2 (eq. 21, p. 27), through the friction torque mu N0 R, and, if a part of J2
-is the bar itself, through that part, which grows with R^3.
+A design changes the secondary's inertia J2, the stiffness k2t and the damping c2t of the coupling, the radius R at
+which the magnets sit, and the dry friction between the bodies, as a torque or by the magnet's pull N0. R acts through
+k2t = k2 R^2 (eq. 21, p. 27), through the friction torque mu N0 R, and, if a part of J2 is the bar itself, through that
+part, which grows with R^3.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from __future__ import annotations
 from bayes_damper.tuning.acting import Acting
 from bayes_damper.tuning.curves import CURVES, Band, Curve, frequency_responses, tuning_curves
 from bayes_damper.tuning.draws import AMPLITUDES, OF_RELEASE, Origin, chosen_case, complete, origin_of, posterior_draws
-from bayes_damper.tuning.optimum import BOUNDS, Optimum, best_design, shares_of_variance, usual_bounds
+from bayes_damper.tuning.optimum import BOUNDS, FREE, Optimum, best_design, shares_of_variance, usual_bounds
 from bayes_damper.tuning.performance import (
     Design,
     Performance,
@@ -32,6 +33,7 @@ __all__ = [
     "AMPLITUDES",
     "BOUNDS",
     "CURVES",
+    "FREE",
     "OF_RELEASE",
     "SCHEMA",
     "Acting",

@@ -212,7 +212,7 @@ def origin_of(
               "N0": rig.magnet_pull}  # fmt: skip
     constants = {name: constant.value for name, constant in fields.items() if constant is not None}
     if not rig.has_magnet:
-        constants = {"R": 1.0} | constants | {"mu": 0.0, "N0": 0.0}
+        constants = {"R": 1.0, "r": _WITHOUT_LIMIT} | constants | {"mu": 0.0, "N0": 0.0}
     if (plan.get("normal_force") or rig.normal_force) == "constant":
         constants["r"] = _WITHOUT_LIMIT
     constants |= known or {}

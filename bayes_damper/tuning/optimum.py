@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,8 +16,10 @@ from bayes_damper.tuning.draws import NONLINEAR, Draws
 from bayes_damper.tuning.performance import Design, Performance, linear_performance
 
 Array = NDArray[np.float64]
-BOUNDS = {"J2": (0.1, 2.0), "k2t": (0.25, 4.0), "R": (0.5, 2.0)}
-"""Where the best design is sought by default: factors on the present J2, k2t and R."""
+BOUNDS = {"J2": (0.1, 2.0), "k2t": (0.25, 4.0), "R": (0.5, 2.0), "c2t": (0.05, 20.0)}
+"""Where the best design is sought if nothing else is said: factors on what the rig has at present."""
+FREE = ("J2", "k2t", "R")
+"""What the search for the best design changes if nothing else is said."""
 _OPTIMISED_DRAWS = 100  # the search for the best design uses so many; its result is judged by all
 
 
@@ -35,33 +37,51 @@ class Optimum:
         return float(np.nanmean(self.performance.insertion_loss))
 
 
-def usual_bounds(draws: Draws, names: Sequence[str] = tuple(BOUNDS)) -> dict[str, tuple[float, float]]:
-    """Where the best design is sought if nothing else is said: `BOUNDS` times the rig's present medians, if not 0."""
+def usual_bounds(draws: Draws, names: Sequence[str] = FREE) -> dict[str, tuple[float, float]]:
+    """Where the best design is sought if nothing else is said: `BOUNDS` times the rig's present medians, if not 0.
+
+    Raises
+    ------
+    InputError
+        if one of the names cannot be optimised.
+    """
+    if faults := _not_free(names):
+        raise InputError(faults)
     middle = {name: middle_of(draws, name) for name in names}
     return {name: (BOUNDS[name][0] * x, BOUNDS[name][1] * x) for name, x in middle.items() if x > 0.0}
+
+
+def _not_free(names: Iterable[str]) -> list[str]:
+    """Sentences on names that the search for the best design cannot change."""
+    *most, last = BOUNDS
+    return [
+        f"{name}: only {', '.join(most)} and {last} can be optimised; leave it out"
+        for name in names
+        if name not in BOUNDS
+    ]
 
 
 def best_design(
     draws: Draws, start: Design | None = None, bounds: Mapping[str, tuple[float, float]] | None = None
 ) -> Optimum:
-    """Maximises the expected insertion loss of the linear model over J2, k2t and R.
+    """Maximises the expected insertion loss of the linear model over J2, k2t, R and c2t.
 
-    bounds : name -> lowest and highest value (SI) of those of "J2", "k2t", "R" that are free; the others stay as in
-    `start`. By default all three are free within `BOUNDS` times the rig's present medians. As long as no bar grows with
-    R, only k2t R^2 enters: the radius is then changed only where k2t alone does not reach far enough.
+    bounds : name -> lowest and highest value (SI) of those of "J2", "k2t", "R", "c2t" that are free; the others stay as
+    in `start`. By default the first three are free within `BOUNDS` times the rig's present medians. As long as no bar
+    grows with R, only k2t R^2 enters: the radius is then changed only where k2t alone does not reach far enough.
     """
     start = start or Design()
-    now = {name: middle_of(draws, name) for name in ("J2", "k2t", "R")}
+    now = {name: middle_of(draws, name) for name in BOUNDS}
     if bounds is None:
         bounds = usual_bounds(draws)
-    faults = [f"{name}: only J2, k2t and R can be optimised; leave it out" for name in bounds if name not in now]
+    faults = _not_free(bounds)
     faults += [
         f"{name}: its bounds {low:g} and {high:g} must be above zero and rise"
         for name, (low, high) in bounds.items()
         if not 0.0 < low < high
     ]
     if not bounds:
-        faults.append("bounds: nothing is free; name at least one of J2, k2t and R")
+        faults.append(f"bounds: nothing is free; name at least one of {', '.join(BOUNDS)}")
     if faults:
         raise InputError(faults)
     box = {name: (math.log(low), math.log(high)) for name, (low, high) in bounds.items()}

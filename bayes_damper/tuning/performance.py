@@ -24,9 +24,10 @@ _MEASURED_CYCLES = 4
 
 @dataclass(frozen=True)
 class Design:
-    """A secondary: J2 (kg m^2), k2t (N m/rad, at the present radius), R (m), N0 (N); None leaves the posterior's.
+    """A secondary: J2 (kg m^2), k2t (N m/rad, at the present radius), R (m), N0 (N), c2t (N m s/rad, whatever R).
 
-    bar_inertia : the part of J2 that grows with R^3, kg m^2 (the thesis's bar: 2.146e-3); 0 keeps J2 whatever R.
+    None leaves the posterior's. bar_inertia : the part of J2 that grows with R^3, kg m^2 (the thesis's bar: 2.146e-3);
+    0 keeps J2 whatever R. friction_torque : mu N0 R, dry friction between the bodies at full overlap, N m.
     """
 
     J2: float | None = None
@@ -34,6 +35,8 @@ class Design:
     R: float | None = None
     magnet_pull: float | None = None
     bar_inertia: float = 0.0
+    c2t: float | None = None
+    friction_torque: float | None = None
 
     def __post_init__(self) -> None:
         faults = []
@@ -41,12 +44,17 @@ class Design:
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > 0.0):
                 faults.append(f"{name} = {value:g}: a design needs a {name} above zero; give it in {unit}")
-        for name, unit in (("k2t", "N m/rad (N/m)"), ("magnet_pull", "N"), ("bar_inertia", "kg m^2")):
+        for name, unit in (
+            ("k2t", "N m/rad (N/m)"), ("magnet_pull", "N"), ("bar_inertia", "kg m^2"), ("c2t", "N m s/rad (N s/m)"),
+            ("friction_torque", "N m (N)"),
+        ):  # fmt: skip
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value >= 0.0):
                 faults.append(f"{name} = {value:g}: a design cannot have a negative {name}; give it in {unit}")
         if not faults and self.J2 is not None and self.bar_inertia > self.J2:
             faults.append(f"bar_inertia = {self.bar_inertia:g}: the bar cannot weigh more than J2 = {self.J2:g} in all")
+        if self.friction_torque is not None and self.magnet_pull is not None:
+            faults.append("friction_torque is mu N0 R whatever the pull: give it or magnet_pull, not both")
         if faults:
             raise InputError(faults)
 
@@ -74,6 +82,11 @@ class Design:
         out["R"] = draws["R"] * ratio
         if self.magnet_pull is not None:
             out["N0"] = np.full_like(draws["N0"], self.magnet_pull)
+        if self.c2t is not None:
+            out["c2t"] = np.full_like(draws["c2t"], self.c2t)
+        if self.friction_torque is not None:
+            out["N0"] = np.where(out["N0"] > 0.0, out["N0"], 1.0)
+            out["mu"] = self.friction_torque / (out["N0"] * out["R"])
         return out
 
     def to_json(self) -> dict[str, float | None]:

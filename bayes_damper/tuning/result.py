@@ -17,7 +17,7 @@ from bayes_damper.effects import load_effects
 from bayes_damper.effects._law import SITES, Law
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.rig.parameters import OTHER_UNIT, PARAMETERS, unit_of
-from bayes_damper.rig.units import in_words_of
+from bayes_damper.rig.units import CHOSEN, design_in_words, in_words_of
 from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.parallel_map import single_threaded
 from bayes_damper.runs.provenance import provenance
@@ -152,10 +152,7 @@ class TuneResult:
         lines.append(f"linear model: {_sentence(self.linear, self.target_db)}")
         lines += [f"{effort} {a:g} {unit}: {_sentence(p, self.target_db)}" for a, p in self.nonlinear.items()]
         if self.optimum is not None:
-            d = self.optimum.design
-            units = {"J2": "J2", "k2t": "k2t", "R": "R", "magnet_pull": "N0", "bar_inertia": "J2"}
-            values = {k: f"{v:.4g} {unit_of(units[k], self.origin.kind)}" for k, v in d.to_json().items() if v}
-            free = ", ".join(f"{k} = {v}" for k, v in values.items())
+            free = design_in_words(self.optimum.design.to_json(), self.origin.kind)
             bound = f" (at the bound: {', '.join(self.optimum.at_bound)})" if self.optimum.at_bound else ""
             lines.append(f"best design: {free}{bound}; {_sentence(self.optimum.performance, self.target_db)}")
             lines += [f"  at {a:g} {unit}: {_sentence(p, self.target_db)}" for a, p in self.optimum_nonlinear.items()]
@@ -222,9 +219,12 @@ def tune(
     R: float | None = None,
     magnet_pull: float | None = None,
     bar_inertia: float = 0.0,
+    c2t: float | None = None,
+    friction_torque: float | None = None,
     target_db: float = 10.0,
     amplitudes: Sequence[float] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
+    free: Sequence[str] | None = None,
     optimise: bool = True,
     n_draws: int = 400,
     n_nonlinear: int = 50,
@@ -240,10 +240,15 @@ def tune(
     source : posterior draws, name -> (n,), or the folder of a fit; case : which of its cases ("joint": all together),
     by default the only one, else IV.
     rig : constants that the posterior does not hold (SI); else those of the fitted campaign, else the thesis's.
-    J2, k2t, R, magnet_pull, bar_inertia : the design (see `Design`); None keeps the rig as it is.
+    J2, k2t, R, magnet_pull, c2t : the design: inertia of the secondary (kg m^2; mass, kg), stiffness (N m/rad; N/m) and
+    damping (N m s/rad; N s/m) of the coupling, radius of the magnets (m), pull (N); None keeps the rig as it is.
+    bar_inertia : the part of J2 that grows with R^3; friction_torque : dry friction between the bodies at full overlap,
+    N m (force, N), in place of what the pull makes of mu.
     target_db : loss whose probability is given; amplitudes : torques (N m; forces, N) at which the nonlinear model is
     driven, by default of the size of the rig.
-    bounds : where the best design is sought, SI (see `best_design`); out : folder for `tune.json` and figures.
+    free : what the search for the best design changes, of "J2", "k2t", "R" and "c2t"; by default the first three.
+    bounds : name -> lowest and highest value (SI) in that search, of further ones or of these in place of the usual
+    shares of what the rig has; out : folder for `tune.json` and figures.
     n_draws, n_nonlinear : draws for the linear and, among them, for the nonlinear model; seed : picks them.
     effects : the file of a learnt law (learnt/SITE.toml) that the fit has, or a folder with it: it then acts on the
     driven rig; beyond the range that it was learnt in it holds its last value, and a warning says so. An effect of the
@@ -255,7 +260,7 @@ def tune(
     InputError
         if the design, the draws or the bounds mean nothing physically, or `effects` is not a law that the fit has.
     """
-    design = Design(J2, k2t, R, magnet_pull, bar_inertia)
+    design = Design(J2, k2t, R, magnet_pull, bar_inertia, c2t, friction_torque)
     faults = []
     if min(n_draws, n_nonlinear) < 1:
         faults.append(f"n_draws = {n_draws}, n_nonlinear = {n_nonlinear}: at least one draw of each is needed")
@@ -267,8 +272,8 @@ def tune(
     rng = np.random.default_rng(seed)
     case = chosen_case(source, case)
     origin = origin_of(source, case, rig)
-    if origin.kind == "translational" and R is not None:
-        raise InputError(f"R = {R:g}: a translational rig has no radius; change J2 or k2t")
+    if origin.kind == "translational" and (R is not None or "R" in {*(free or ()), *(bounds or {})}):
+        raise InputError(f"R{'' if R is None else f' = {R:g}'}: a translational rig has no radius; change J2 or k2t")
     law = None if effects is None else _law_of(Path(effects), origin, isinstance(source, Mapping))
     if amplitudes is None:
         amplitudes = origin.amplitudes
@@ -279,9 +284,18 @@ def tune(
         acting, note = None, _GIVE_FILE.format(origin.effect)
     else:
         acting, draws, note = acting_of(origin, draws)
+    if magnet_pull is not None and not draws["mu"].any():
+        raise InputError(
+            f"magnet_pull = {magnet_pull:g}: the fit has no friction between the bodies (mu = 0), so the pull changes "
+            "nothing; leave it out, or give the friction itself (friction_torque)"
+        )
     lengths = ("R",) if origin.kind == "torsional" else ()
-    if bounds is None:
-        bounds = usual_bounds(draws, ("J2", "k2t", *lengths))
+    if bounds is None or free is not None:
+        usual = usual_bounds(draws, ("J2", "k2t", *lengths) if free is None else free)
+        missing = [name for name in free or () if name not in {**usual, **(bounds or {})}]
+        if missing:
+            raise InputError([f"{n}: it is 0 on the rig, so nothing says where to look; give bounds" for n in missing])
+        bounds = {**usual, **(bounds or {})}
     origin = replace(origin, warnings=(*origin.warnings, *_unlike(design, draws, origin.kind)))
     performance = linear_performance(draws, design)
     if optimise:
@@ -346,9 +360,10 @@ def _law_of(path: Path, origin: Origin, arrays: bool) -> Law:
 def _unlike(design: Design, draws: Draws, kind: str) -> list[str]:
     """Warnings on numbers of a design that are far from the rig's: perhaps in another unit."""
     out = []
+    has = {**draws, "friction_torque": draws["mu"] * draws["N0"] * draws["R"]}
     for name, value in design.to_json().items():
-        key = "N0" if name == "magnet_pull" else name
-        usual = float(np.median(draws[key])) if key in draws else 0.0
+        key = CHOSEN[name]
+        usual = 0.0 if name == "bar_inertia" else float(np.median(has[key]))
         if value and usual > 0.0 and not 1.0 / OTHER_UNIT <= value / usual <= OTHER_UNIT:
             unit = unit_of(key, kind)
             out.append(

@@ -38,6 +38,9 @@ def spread(n=60, seed=0, **changes):
         ({"k2t": -1.0}, "negative k2t"),
         ({"magnet_pull": np.nan}, "magnet_pull"),
         ({"J2": 1e-3, "bar_inertia": 2e-3}, "bar cannot weigh more"),
+        ({"c2t": -0.1}, "negative c2t; give it in N m s/rad"),
+        ({"friction_torque": -0.1}, "negative friction_torque; give it in N m"),
+        ({"friction_torque": 0.1, "magnet_pull": 5.0}, "not both"),
     ],
 )
 def test_a_design_outside_physics_is_refused(changes, words):
@@ -69,17 +72,35 @@ def test_the_radius_acts_on_stiffness_and_on_the_bar():
     [
         ({"J2": 2.474}, r"J2 = 2.474 kg m\^2 is 1e\+03 times what the rig has, 0.00247; in kg m\^2\?"),
         ({"R": 100.0}, "R = 100 m is 1e\\+03 times"),
-        ({"J2": 0.02, "R": 0.3, "k2t": 5.0, "magnet_pull": 10.2}, None),
+        ({"c2t": 10.0}, r"c2t = 10 N m s/rad is 125 times what the rig has, 0.08; in N m s/rad\?"),
+        ({"friction_torque": 10.0}, r"friction_torque = 10 N m is 1e\+04 times"),
+        ({"J2": 0.02, "R": 0.3, "k2t": 5.0, "c2t": 0.8, "magnet_pull": 10.2}, None),
     ],
 )
 def test_a_design_in_another_unit_is_named(changes, said):
-    found = tuning.tune(THESIS, **changes, n_draws=4, n_nonlinear=1, amplitudes=[0.05], optimise=False).origin.warnings
+    found = tuning.tune(
+        THESIS | {"mu": 1e-4}, **changes, n_draws=4, n_nonlinear=1, amplitudes=[0.05], optimise=False
+    ).origin.warnings
     assert (said is None and not found) or (len(found) == 1 and re.search(said, found[0])), found
 
 
 def test_a_bar_heavier_than_the_posteriors_inertia_is_refused():
     with pytest.raises(InputError, match="bar"):
         Design(bar_inertia=3e-3).apply(tuning.complete(THESIS))
+
+
+@pytest.mark.parametrize("N0", [100.0, 0.0])
+def test_a_chosen_friction_is_mu_n0_r_at_the_new_radius(N0):
+    """Also on a rig without a magnet, where no pull is known."""
+    changed = Design(friction_torque=0.03, R=0.2, c2t=0.05).apply(tuning.complete(THESIS | {"mu": 0.004, "N0": N0}))
+    assert changed["mu"] * changed["N0"] * changed["R"] == pytest.approx([0.03])
+    assert changed["c2t"] == pytest.approx([0.05])
+
+
+def test_a_pull_that_changes_nothing_is_refused():
+    with pytest.raises(InputError, match=r"magnet_pull = 5: the fit has no friction .* give the friction itself"):
+        tuning.tune(THESIS, magnet_pull=5.0)
+    tuning.tune(THESIS | {"mu": 0.004}, magnet_pull=5.0, amplitudes=(), optimise=False)
 
 
 # The linear model -------------------------------------------------------------------------------------------------
@@ -191,6 +212,47 @@ def test_the_radius_is_changed_only_where_the_magnet_does_not_reach():
     assert reach.design.k2t == pytest.approx(2.0)
     assert pytest.approx(0.1 * np.sqrt(wide.design.k2t / 2.0), rel=0.05) == reach.design.R
     assert reach.expected == pytest.approx(wide.expected, abs=0.02)
+
+
+@pytest.mark.parametrize("mass_ratio", [0.02, 0.1])
+def test_the_best_damping_is_that_of_the_textbook(mass_ratio):
+    """Undamped primary, highest acceleration per force (Warburton 1982); per displacement Den Hartog's is near.
+
+    f = 1/sqrt(1 + mu), zeta = sqrt(3 mu/(8 + 4 mu)), peak sqrt(2/(mu (1 + mu)))/J1; Den Hartog's c2t is
+    2 J2 w1 sqrt(3 mu/(8 (1 + mu)^3)).
+    """
+    J1, k1t = 2.0, 800.0
+    J2, w1 = mass_ratio * J1, np.sqrt(k1t / J1)
+    rig = {"J1": J1, "J2": J2, "k1t": k1t, "c1t": 1e-3, "c3t": 0.0, "k2t": J2 * w1**2, "c2t": 0.05 * J2 * w1}
+    best = tuning.best_design(
+        draws := tuning.complete(rig), bounds=tuning.usual_bounds(tuning.complete(rig), ("k2t", "c2t"))
+    )
+    f, zeta = 1.0 / np.sqrt(1.0 + mass_ratio), np.sqrt(3.0 * mass_ratio / (8.0 + 4.0 * mass_ratio))
+    assert best.design.J2 is None
+    assert best.at_bound == ()
+    assert best.design.k2t == pytest.approx(J2 * (f * w1) ** 2, rel=0.005)
+    assert best.design.c2t == pytest.approx(2.0 * zeta * J2 * f * w1, rel=0.02)
+    den_hartog = 2.0 * J2 * w1 * np.sqrt(3.0 * mass_ratio / (8.0 * (1.0 + mass_ratio) ** 3))
+    assert best.design.c2t == pytest.approx(den_hartog, rel=mass_ratio)
+    peak = linear.resonances(tuning.linear_rig(best.design.apply(draws))).peak
+    assert peak == pytest.approx(np.sqrt(2.0 / (mass_ratio * (1.0 + mass_ratio))) / J1, rel=0.02)
+
+
+def test_damping_is_sought_only_where_it_is_asked_for():
+    few = {"amplitudes": (), "n_draws": 5}
+    assert tuning.tune(THESIS, **few).optimum.design.c2t is None
+    found = tuning.tune(THESIS, J2=1e-3, free=["k2t", "c2t"], **few).optimum
+    assert (found.design.J2, found.design.R) == (1e-3, None)
+    assert 0.004 <= found.design.c2t <= 1.6
+    kept = tuning.tune(THESIS, c2t=0.05, bounds={"k2t": (0.5, 2.0)}, **few).optimum.design
+    assert kept.c2t == 0.05
+    narrow = tuning.tune(THESIS, free=["k2t"], bounds={"c2t": (0.01, 0.02)}, **few)
+    assert 0.01 <= narrow.optimum.design.c2t <= 0.02
+    assert " N m/rad, c2t = 0.0" in narrow.text()
+    with pytest.raises(InputError, match="mu: only J2, k2t, R and c2t can be optimised"):
+        tuning.tune(THESIS, free=["mu"], **few)
+    with pytest.raises(InputError, match="c2t: it is 0 on the rig"):
+        tuning.tune(THESIS | {"c2t": 0.0}, free=["c2t"], **few)
 
 
 @pytest.mark.parametrize("bounds", [{"mu": (0.0, 1.0)}, {"J2": (0.0, 1e-3)}, {"J2": (2e-3, 1e-3)}, {}])
@@ -455,6 +517,24 @@ def test_carts_are_tuned_in_newtons_and_kilograms(tmp_path):
     assert "N m" not in text
     with pytest.raises(InputError, match="a translational rig has no radius"):
         tuning.tune(fit, case="A", R=0.1)
+
+
+def test_damping_and_friction_are_chosen_in_the_units_of_a_cart(tmp_path):
+    """Without a magnet nothing makes a chosen friction fall as the bodies part: not the thesis's magnets of 13 mm."""
+    fit = translational_folder(tmp_path)
+    few = {"case": "A", "amplitudes": (1.7,), "n_draws": 6, "n_nonlinear": 2}
+    found = tuning.tune(fit, c2t=2.0, friction_torque=0.4, optimise=False, out=tmp_path / "tune", **few)
+    free = tuning.tune(fit, c2t=2.0, optimise=False, **few)
+    assert np.all(np.abs(found.nonlinear[1.7].insertion_loss - free.nonlinear[1.7].insertion_loss) > 0.1)
+    page = re.sub(r"<[^>]+>|\s+", " ", report(tmp_path / "tune").path.read_text(encoding="utf-8"))
+    assert re.search(r"c2t +N s/m +2", page)
+    assert re.search(r"friction force +N +0.4", page)
+    draws = found.design.apply(found.draws)
+    assert draws["mu"] * draws["N0"] * (1.0 - 0.05 * draws["R"] / (2.0 * draws["r"])) == pytest.approx(
+        0.4 + 0 * draws["mu"]
+    )
+    with pytest.raises(InputError, match="R: a translational rig has no radius"):
+        tuning.tune(fit, free=["R"], **few)
 
 
 def store(folder, case, **values):

@@ -10,6 +10,7 @@ from bayes_damper.report.charts import response_chart
 from bayes_damper.report.parts import Headline, Result, Row, Section, Table, listed, words
 from bayes_damper.report.sections.shared import fingerprint, meaning_of, pictures_of
 from bayes_damper.rig.parameters import unit_of
+from bayes_damper.rig.units import CHOSEN, design_in_words, in_words_of
 from bayes_damper.text import NOTHING, SDS_WIDE, counted, gathered, number, percent
 
 _Designs = Sequence[tuple[str, Mapping[str, Any], Mapping[str, Any]]]  # name, what was chosen, results
@@ -20,7 +21,7 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
     target = data["target_db"]
     translational = data.get("kind") == "translational"
     effort, newton = ("force", "N") if translational else ("torque", "N m")
-    asked = any(data.get("design", {}).get(key) is not None for key in ("J2", "k2t", "R", "magnet_pull"))
+    asked = bool(design_in_words(data.get("design", {})))
     own = "your design" if asked else "the rig as it is"
     designs = [(own, data.get("design", {}), data)]
     if data.get("optimum"):
@@ -171,12 +172,15 @@ def _interval(low: float | None, high: float | None, least: float) -> str:
 
 
 def _design_table(designs: Sequence[tuple[str, Mapping[str, Any], Any]], kind: str) -> Table:
-    names = {"J2": "J2", "k2t": "k2t", "R": "R", "magnet_pull": "N0", "bar_inertia": "J2"}
-    if kind == "translational":
-        names = {key: name for key, name in names.items() if key in ("J2", "k2t", "magnet_pull")}
-    units = {key: unit_of(name, kind) for key, name in names.items()}
+    units = {key: unit_of(name, kind) for key, name in CHOSEN.items()}
     rows = tuple(
-        Row((words(key), unit, *("as it is" if d.get(key) is None else number(d[key]) for _, d, _ in designs)))
+        Row(
+            (
+                in_words_of(words(key), kind),
+                unit,
+                *("as it is" if d.get(key) is None else number(d[key]) for _, d, _ in designs),
+            )
+        )
         for key, unit in units.items()
         if any(d.get(key) not in (None, 0.0) for _, d, _ in designs)
     )
