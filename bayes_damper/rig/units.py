@@ -6,6 +6,7 @@ the same for the parameters of the model.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -59,6 +60,16 @@ def sentence_of(sentence: str, kind: str = "torsional") -> str:
         for old, new in ((word, _STRAIGHT[word]), (word[0].upper() + word[1:], _STRAIGHT[word].capitalize())):
             sentence = re.sub(rf"(?<![\w'`/.\\-]){re.escape(old)}(?![\w'`/\\-]|\.\w)", new, sentence)
     return sentence
+
+
+MOTION = {"torsional": (math.degrees(1.0), "deg"), "translational": (1e3, "mm")}
+"""Kind of rig -> factor and unit in which a person reads how far the primary moves."""
+
+
+def motion_in_words(reach: float, kind: str = "torsional") -> str:
+    """How far a body moves, from rad (m): "12 deg", "58 mm"."""
+    factor, unit = MOTION[kind]
+    return f"{factor * reach:.3g} {unit}"
 
 
 CHOSEN = {

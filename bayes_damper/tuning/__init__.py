@@ -16,16 +16,28 @@ part, which grows with R^3.
 from __future__ import annotations
 
 from bayes_damper.tuning.acting import Acting
-from bayes_damper.tuning.curves import CURVES, Band, Curve, frequency_responses, tuning_curves
+from bayes_damper.tuning.curves import CURVES, Band, Curve, driven_responses, frequency_responses, tuning_curves
 from bayes_damper.tuning.draws import AMPLITUDES, OF_RELEASE, Origin, chosen_case, complete, origin_of, posterior_draws
-from bayes_damper.tuning.optimum import BOUNDS, FREE, Optimum, best_design, shares_of_variance, usual_bounds
+from bayes_damper.tuning.optimum import (
+    BOUNDS,
+    FREE,
+    Optimum,
+    best_design,
+    best_driven,
+    shares_of_variance,
+    usual_bounds,
+)
 from bayes_damper.tuning.performance import (
     Design,
+    Driven,
     Performance,
+    Sweep,
+    driven,
     harmonic_response,
     linear_performance,
     linear_rig,
     nonlinear_performances,
+    sweep,
 )
 from bayes_damper.tuning.result import SCHEMA, TuneResult, tune
 
@@ -40,13 +52,18 @@ __all__ = [
     "Band",
     "Curve",
     "Design",
+    "Driven",
     "Optimum",
     "Origin",
     "Performance",
+    "Sweep",
     "TuneResult",
     "best_design",
+    "best_driven",
     "chosen_case",
     "complete",
+    "driven",
+    "driven_responses",
     "frequency_responses",
     "harmonic_response",
     "linear_performance",
@@ -55,6 +72,7 @@ __all__ = [
     "origin_of",
     "posterior_draws",
     "shares_of_variance",
+    "sweep",
     "tune",
     "tuning_curves",
     "usual_bounds",

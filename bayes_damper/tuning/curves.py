@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.rig import linear
-from bayes_damper.tuning.acting import Acting
 from bayes_damper.tuning.draws import Draws
 from bayes_damper.tuning.optimum import middle_of
-from bayes_damper.tuning.performance import Design, harmonic_response, linear_performance, linear_rig, probability_of
+from bayes_damper.tuning.performance import SWEPT, Design, Driven, linear_performance, linear_rig, probability_of
 
 Array = NDArray[np.float64]
 CURVES: Mapping[str, tuple[float, float]] = {"J2": (0.1, 2.0), "R": (0.5, 2.0)}
 """What the tuning curves go over, as factors on the rig's present J2 and R."""
 _CURVE_POINTS = 25
+_EVEN, _CLOSE = 161, 21  # frequencies of a response: over all the range, and among the resonances of the draws
 
 
 @dataclass(frozen=True)
@@ -75,21 +75,30 @@ def quantiles(x: Array) -> Array:
     return np.where(some, found, np.nan)
 
 
-def frequency_responses(
-    draws: Draws, designs: Mapping[str, Design], amplitude: float | None = None, acting: Acting | None = None
-) -> dict[str, Band]:
-    """Bands of the accelerance without a secondary ("uncoupled") and with each design.
+def frequency_responses(draws: Draws, designs: Mapping[str, Design]) -> dict[str, Band]:
+    """Bands of the linear model's accelerance without a secondary ("uncoupled") and with each design."""
+    without = {"uncoupled": dict(draws) | {k: np.zeros_like(draws[k]) for k in ("k2t", "c2t")}}
+    out = {}
+    for name, values in (without | {name: d.apply(draws) for name, d in designs.items()}).items():
+        rig = linear_rig(values)
+        frequency = _frequencies(draws, linear.resonances(rig).frequency_hz)
+        out[name] = _band(frequency, linear.accelerance(rig, frequency)[:, 0])
+    return out
 
-    By the linear model, or by the nonlinear one at an `amplitude` (N m), where an effect may act too.
-    """
+
+def driven_responses(draws: Draws, found: Driven) -> dict[str, Band]:
+    """The same of the nonlinear rig, from the sweeps that its losses were taken from."""
+    out = {}
+    for name, swept in found.sweeps.items():
+        frequency = _frequencies(draws, swept.resonances())
+        out[name] = _band(frequency, swept.at(frequency))
+    return out
+
+
+def _frequencies(draws: Draws, resonances: Array) -> Array:
+    """Frequencies to draw at: an even grid, and where the resonances of the draws lie."""
     own = float(np.median(linear.natural_frequency(draws["k1t"], draws["J1"])))
-    frequency = own * np.linspace(0.3, 2.0, 171 if amplitude is None else 35)
-
-    def response(values: Draws, coupled: bool) -> Array:
-        if amplitude is not None:
-            return harmonic_response(values, frequency, amplitude, coupled, acting=acting)[0]
-        without = dict(values) if coupled else dict(values) | {k: np.zeros_like(values[k]) for k in ("k2t", "c2t")}
-        return linear.accelerance(linear_rig(without), frequency)[:, 0]
-
-    bands = {"uncoupled": _band(frequency, response(draws, coupled=False))}
-    return bands | {name: _band(frequency, response(d.apply(draws), coupled=True)) for name, d in designs.items()}
+    known = resonances[np.isfinite(resonances)]
+    close = np.quantile(known, np.linspace(0.0, 1.0, _CLOSE)) if known.size else np.array([own])
+    even = np.geomspace(min(SWEPT[0] * own, 0.9 * close[0]), max(SWEPT[1] * own, 1.1 * close[-1]), _EVEN)
+    return np.unique(np.concatenate([even, close]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -123,7 +123,8 @@ class Origin:
 
     kind : of the rig; amplitudes : torques (N m; forces, N) that suit its size; converged : whether the fit of the case
     did, True where nothing says; known : what is odd in the records that were fitted, as `check` lists it; warnings :
-    of the fit and of the tuning; effect, formula : that the fit has beside the nominal model, or "".
+    of the fit and of the tuning; effect, formula : that the fit has beside the nominal model, or ""; reach : how far
+    the primary moves in the records of the fit, rad (m), None where they are not known.
     """
 
     campaign: str = ""
@@ -136,6 +137,7 @@ class Origin:
     warnings: tuple[str, ...] = ()
     effect: str = ""
     formula: str = ""
+    reach: float | None = None
 
     @property
     def effort(self) -> tuple[str, str]:
@@ -230,11 +232,13 @@ def origin_of(
         listed = ", ".join(f"{k:g}" for k in springs)
         unit = unit_of("k1t", rig.kind)
         raise InputError(f"case {case!r} has several springs ({listed} {unit}): name one case, or give k1t in `rig`")
+    reached, held = _swings(campaign, case)
     return Origin(
         **about,
         constants=constants,
         kind=rig.kind,
-        amplitudes=_suitable(campaign, case),
+        amplitudes=_suitable(held),
+        reach=max(reached, default=None),
     )
 
 
@@ -243,19 +247,27 @@ def _missing(case: str, effect: str | None) -> str:
     return _MISSES.format(case, f" beside {effect}" if effect else "") + ("" if effect else _REMEDY)
 
 
-def _suitable(campaign: Campaign, case: str) -> tuple[float, ...]:
-    """Exciting torques (forces) of the size of this rig: shares of what held it before the release, two digits each.
+def _swings(campaign: Campaign, case: str) -> tuple[list[float], list[float]]:
+    """How far the primary moves in each trial of a case, rad (m), and the torque (force) that holds it there.
 
-    Where no release is declared, the largest swing that the readings imply stands in for it.
+    From where it is released; where no release is declared, as the readings imply: the third largest, and for the
+    torque a swing that one in a hundred exceeds.
     """
-    held = []
+    reached, held = [], []
     for t in campaign.trials:
         if case not in ("joint", t.case):
             continue
         pace = math.sqrt(t.k1t.value / campaign.rig.primary_inertia.value)
-        reach = {"acceleration": pace**2, "velocity": pace, "displacement": 1.0}[campaign.measurement.quantity]
-        swing = float(np.quantile(np.abs(t.channels[0]), 0.99)) / reach
-        held.append(t.k1t.value * (abs(t.theta0.value) if t.theta0 is not None and t.theta0.value else swing))
+        scale = {"acceleration": pace**2, "velocity": pace, "displacement": 1.0}[campaign.measurement.quantity]
+        size = np.sort(np.abs(t.channels[0][np.isfinite(t.channels[0])])) / scale
+        released = abs(t.theta0.value) if t.theta0 is not None else 0.0
+        reached.append(released or float(size[-min(3, size.size)]))
+        held.append(t.k1t.value * (released or float(np.quantile(size, 0.99))))
+    return reached, held
+
+
+def _suitable(held: Sequence[float]) -> tuple[float, ...]:
+    """Exciting torques (forces) of the size of a rig: shares of what held it before the releases, two digits each."""
     largest = float(np.median(held)) if held else 0.0
     return tuple(float(f"{share * largest:.2g}") for share in OF_RELEASE) if largest > 0.0 else AMPLITUDES
 

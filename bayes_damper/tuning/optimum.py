@@ -10,16 +10,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
+from scipy.stats.qmc import Sobol
 
 from bayes_damper.errors import InputError
+from bayes_damper.tuning.acting import Acting
 from bayes_damper.tuning.draws import NONLINEAR, Draws
-from bayes_damper.tuning.performance import Design, Performance, linear_performance
+from bayes_damper.tuning.performance import Design, Performance, linear_performance, sweep
 
 Array = NDArray[np.float64]
 BOUNDS = {"J2": (0.1, 2.0), "k2t": (0.25, 4.0), "R": (0.5, 2.0), "c2t": (0.05, 20.0)}
 """Where the best design is sought if nothing else is said: factors on what the rig has at present."""
 FREE = ("J2", "k2t", "R")
 """What the search for the best design changes if nothing else is said."""
+TRIED = (32, 16, 8)
+"""Designs that are tried at each amplitude, in turns."""
+_WORTH = 0.2  # dB by which a design must be better to count as better
 _OPTIMISED_DRAWS = 100  # the search for the best design uses so many; its result is judged by all
 
 
@@ -71,58 +76,125 @@ def best_design(
     grows with R, only k2t R^2 enters: the radius is then changed only where k2t alone does not reach far enough.
     """
     start = start or Design()
-    now = {name: middle_of(draws, name) for name in BOUNDS}
-    if bounds is None:
-        bounds = usual_bounds(draws)
-    faults = _not_free(bounds)
-    faults += [
-        f"{name}: its bounds {low:g} and {high:g} must be above zero and rise"
-        for name, (low, high) in bounds.items()
-        if not 0.0 < low < high
-    ]
-    if not bounds:
-        faults.append(f"bounds: nothing is free; name at least one of {', '.join(BOUNDS)}")
-    if faults:
-        raise InputError(faults)
-    box = {name: (math.log(low), math.log(high)) for name, (low, high) in bounds.items()}
-    together = "k2t" in box and "R" in box and start.bar_inertia == 0.0
-    if together:  # one variable stands for k2t R^2
-        radius = box.pop("R")
-        start = replace(start, R=None)
-        reach = [2.0 * (x - math.log(now["R"])) for x in radius]
-        box["k2t"] = (box["k2t"][0] + min(reach[0], 0.0), box["k2t"][1] + max(reach[1], 0.0))
-    names, edges = tuple(box), np.array(list(box.values()))
-
-    def design(x: Array) -> Design:
-        found = dict(zip(names, (float(v) for v in np.exp(x)), strict=True))
-        if together:
-            product = found["k2t"]
-            found["k2t"] = float(np.clip(product, *bounds["k2t"]))
-            if found["k2t"] != product:
-                found["R"] = now["R"] * math.sqrt(product / found["k2t"])
-        return replace(start, **found)
-
+    space = Space.of(draws, start, usual_bounds(draws) if bounds is None else bounds)
+    edges = space.edges
     some = {name: column[:_OPTIMISED_DRAWS] for name, column in draws.items()}
 
     def objective(x: Array) -> float:
-        loss = linear_performance(some, design(x)).insertion_loss
+        loss = linear_performance(some, space.design(x)).insertion_loss
         known = np.isfinite(loss)
         return -float(loss[known].mean()) if known.any() else 1e3
 
-    middle = np.clip(np.log([max(now[name], 1e-12) for name in names]), edges[:, 0], edges[:, 1])
     corners = [np.array(c) for c in itertools.product(*((0.8 * a + 0.2 * b, 0.2 * a + 0.8 * b) for a, b in edges))]
     runs = [
-        minimize(objective, x, method="L-BFGS-B", bounds=edges, options={"maxiter": 40}) for x in (middle, *corners)
+        minimize(objective, x, method="L-BFGS-B", bounds=edges, options={"maxiter": 40})
+        for x in (space.middle, *corners)
     ]
     best = min(runs, key=lambda run: float(run.fun))
-    found = design(np.asarray(best.x, dtype=np.float64))
-    near = 1e-3 * (edges[:, 1] - edges[:, 0])
-    at_bound = tuple(
-        "k2t R^2" if together and name == "k2t" else name
-        for i, name in enumerate(names)
-        if not edges[i, 0] + near[i] < best.x[i] < edges[i, 1] - near[i]
-    )
-    return Optimum(found, linear_performance(draws, found), at_bound)
+    found = space.design(np.asarray(best.x, dtype=np.float64))
+    return Optimum(found, linear_performance(draws, found), space.at_bound(best.x))
+
+
+@dataclass(frozen=True)
+class Space:
+    """The designs within bounds: a point of logarithms of what is free, within `edges` (n_free, 2), is a design.
+
+    middle : the point of the rig as it is; radius : at present, where one variable stands for k2t R^2.
+    """
+
+    start: Design
+    bounds: Mapping[str, tuple[float, float]]
+    names: tuple[str, ...]
+    edges: Array
+    middle: Array
+    radius: float | None
+
+    @classmethod
+    def of(cls, draws: Draws, start: Design, bounds: Mapping[str, tuple[float, float]]) -> Space:
+        """The space about a start.
+
+        Raises
+        ------
+        InputError
+            if nothing is free, a name cannot be, or bounds do not rise from above zero.
+        """
+        faults = _not_free(bounds)
+        faults += [
+            f"{name}: its bounds {low:g} and {high:g} must be above zero and rise"
+            for name, (low, high) in bounds.items()
+            if not 0.0 < low < high
+        ]
+        if not bounds:
+            faults.append(f"bounds: nothing is free; name at least one of {', '.join(BOUNDS)}")
+        if faults:
+            raise InputError(faults)
+        now = {name: middle_of(draws, name) for name in BOUNDS}
+        box = {name: (math.log(low), math.log(high)) for name, (low, high) in bounds.items()}
+        together = "k2t" in box and "R" in box and start.bar_inertia == 0.0
+        if together:
+            radius = box.pop("R")
+            start = replace(start, R=None)
+            reach = [2.0 * (x - math.log(now["R"])) for x in radius]
+            box["k2t"] = (box["k2t"][0] + min(reach[0], 0.0), box["k2t"][1] + max(reach[1], 0.0))
+        edges = np.array(list(box.values()))
+        middle = np.clip(np.log([max(now[name], 1e-12) for name in box]), edges[:, 0], edges[:, 1])
+        return cls(start, bounds, tuple(box), edges, middle, now["R"] if together else None)
+
+    def design(self, x: Array) -> Design:
+        """The design at a point."""
+        found = dict(zip(self.names, (float(v) for v in np.exp(x)), strict=True))
+        if self.radius is not None:
+            product = found["k2t"]
+            found["k2t"] = float(np.clip(product, *self.bounds["k2t"]))
+            if found["k2t"] != product:
+                found["R"] = self.radius * math.sqrt(product / found["k2t"])
+        return replace(self.start, **found)
+
+    def at_bound(self, x: Array) -> tuple[str, ...]:
+        """What lies at a bound in the design at a point."""
+        near = 1e-3 * (self.edges[:, 1] - self.edges[:, 0])
+        inside = (self.edges[:, 0] + near < x) & (x < self.edges[:, 1] - near)
+        return tuple(
+            "k2t R^2" if self.radius is not None and name == "k2t" else name
+            for name, within in zip(self.names, inside, strict=True)
+            if not within
+        )
+
+
+def best_driven(
+    draws: Draws,
+    designs: Sequence[Design],
+    bounds: Mapping[str, tuple[float, float]],
+    amplitude: float,
+    acting: Acting | None = None,
+) -> tuple[Design, tuple[str, ...]]:
+    """The design with the highest loss of the nonlinear rig, of those given and `TRIED` others, and what is at a bound.
+
+    amplitude : of the exciting torque, N m.
+    What is not free is as in the first of `designs`. The others lie evenly within the bounds, then twice more closely
+    about the best of them. The rig is the middle of the draws, so that all are integrated at once. A design that was
+    given is kept unless another is better by `_WORTH`.
+    """
+    space = Space.of(draws, designs[0], bounds)
+    middle = {name: np.array([np.median(column)]) for name, column in draws.items()}
+
+    def heights(tried: Sequence[Design]) -> Array:
+        several = [design.apply(middle) for design in tried]
+        stacked = {name: np.concatenate([draws[name] for draws in several]) for name in middle}
+        return np.nan_to_num(sweep(stacked, amplitude, True, acting).highest()[1], nan=np.inf)
+
+    low, high = space.edges.T
+    even = Sobol(len(space.names), scramble=False).random_base2(5)
+    centre, points, found = 0.5 * (low + high), np.empty((0, low.size)), np.empty(0)
+    for width, n in zip((1.0, 0.25, 0.06), TRIED, strict=True):
+        points = np.concatenate([points, np.clip(centre + width * (high - low) * (even[:n] - 0.5), low, high)])
+        found = np.concatenate([found, heights([space.design(x) for x in points[-n:]])])
+        centre = points[np.argmin(found)]
+    given = heights(designs)
+    k = int(np.argmin(given))
+    if found.min() * 10.0 ** (_WORTH / 20.0) < given[k]:
+        return space.design(centre), space.at_bound(centre)
+    return designs[k], ()
 
 
 def shares_of_variance(draws: Draws, answer: Array) -> dict[str, float]:

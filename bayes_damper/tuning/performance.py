@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import PchipInterpolator
 
 from bayes_damper.errors import InputError
 from bayes_damper.rig import linear
@@ -20,6 +21,9 @@ Array = NDArray[np.float64]
 _COMMON_HZ = 10.0  # every drive is brought to this frequency by scaling time
 _PER_CYCLE = 24
 _MEASURED_CYCLES = 4
+SWEPT = (0.4, 2.0)
+"""From where to where the frequency of excitation goes at least, in natural frequencies of the primary alone."""
+_COARSE = 29  # points of the even grid in that range
 
 
 @dataclass(frozen=True)
@@ -100,11 +104,17 @@ def linear_rig(draws: Draws) -> LinearRig:
 
 @dataclass(frozen=True)
 class Performance:
-    """What a design does, per draw, each (n,): dB, Hz; NaN where damping leaves no resonance or nothing moves."""
+    """What a design does, per draw, each (n,): dB, Hz; NaN where damping leaves no resonance or nothing moves.
+
+    displacement, displacement_without : amplitude of the primary at its resonance with and without the secondary, rad;
+    None by the linear model, in which it is as large as the torque.
+    """
 
     insertion_loss: Array
     resonance: Array
     resonance_without: Array
+    displacement: Array | None = None
+    displacement_without: Array | None = None
 
     @property
     def shift(self) -> Array:
@@ -218,61 +228,138 @@ def _settling(draws: Draws) -> int:
     return int(np.clip(math.ceil(7.0 / (2.0 * math.pi * max(zeta, 1e-3))), 20, 150))
 
 
-def _grid(draws: Draws, coupled: bool) -> tuple[Array, float]:
-    """Frequencies (n, m) among which a draw's highest accelerance is sought first, and their largest logarithmic step.
+def _grid(draws: Draws, coupled: bool) -> tuple[Array, Array]:
+    """Frequencies (n, m) among which the resonances of each draw are sought first, and their logarithmic step (n, 1).
 
-    Besides an even grid: where the linear model has its resonances, and that of both inertias stuck together.
+    An even grid that holds the resonances of the linear model, these themselves, and that of both inertias stuck
+    together.
     """
     own = linear.natural_frequency(draws["k1t"], draws["J1"])[:, None]
-    low, high, points = (0.4, 2.0, 29) if coupled else (0.8, 1.2, 13)
-    even = own * np.geomspace(low, high, points)
-    if not coupled:
-        return even, math.log(high / low) / (points - 1)
-    likely = linear.resonances(linear_rig(draws)).frequency_hz
-    stuck = linear.natural_frequency(draws["k1t"], draws["J1"] + draws["J2"])[:, None]
-    extra = np.concatenate([np.where(np.isfinite(likely), likely, own), stuck], axis=1)
-    return np.sort(np.concatenate([even, extra], axis=1), axis=1), math.log(high / low) / (points - 1)
+    extra = own
+    if coupled:
+        likely = linear.resonances(linear_rig(draws)).frequency_hz
+        stuck = linear.natural_frequency(draws["k1t"], draws["J1"] + draws["J2"])[:, None]
+        extra = np.concatenate([np.where(np.isfinite(likely), likely, own * [[0.99, 1.01]]), stuck], axis=1)
+    low = np.minimum(SWEPT[0] * own, 0.8 * extra.min(axis=1, keepdims=True))
+    step = np.log(np.maximum(SWEPT[1] * own, 1.25 * extra.max(axis=1, keepdims=True)) / low) / (_COARSE - 1)
+    return np.sort(np.concatenate([low * np.exp(step * np.arange(_COARSE)), extra], axis=1), axis=1), step
 
 
-def _peak(draws: Draws, amplitude: float, coupled: bool, acting: Acting | None = None) -> tuple[Array, Array]:
-    """Frequency and height of the highest accelerance of every draw: a grid, then two finer ones about its best."""
+@dataclass(frozen=True)
+class Sweep:
+    """Accelerance of every draw over rising frequencies of its own, close together at its resonances; (n, m) each."""
+
+    frequency_hz: Array
+    accelerance: Array
+
+    def maxima(self) -> NDArray[np.bool_]:
+        """Where a draw has a resonance: higher than its neighbours and, by half a percent, than what lies beyond.
+
+        Faces and bearings that stick leave a mass that follows the torque: highest at the end, wherever that is.
+        """
+        h = np.nan_to_num(self.accelerance)
+        out = np.zeros(h.shape, dtype=bool)
+        lowest_before = np.minimum.accumulate(h, axis=1)
+        lowest_after = np.minimum.accumulate(h[:, ::-1], axis=1)[:, ::-1]
+        inner = h[:, 1:-1]
+        out[:, 1:-1] = (inner >= h[:, :-2]) & (inner > h[:, 2:])
+        return out & (h > 1.005 * np.maximum(lowest_before, lowest_after))
+
+    def resonances(self, most: int = 2) -> Array:
+        """Frequencies of the highest resonances of every draw, highest first: (n, most), nan where there are fewer."""
+        height = np.where(self.maxima(), self.accelerance, -np.inf)
+        best = np.argsort(-height, axis=1)[:, :most]
+        found = np.take_along_axis(self.frequency_hz, best, 1)
+        return np.where(np.isfinite(np.take_along_axis(height, best, 1)), found, np.nan)
+
+    def highest(self) -> tuple[Array, Array]:
+        """Frequency and height of the highest resonance of every draw, by a parabola; nan where there is none."""
+        height = np.where(self.maxima(), self.accelerance, -np.inf)
+        k = np.clip(np.argmax(height, axis=1), 1, height.shape[1] - 2)[:, None]
+        some = np.isfinite(np.take_along_axis(height, k, 1)[:, 0])
+        x, y = (
+            np.concatenate([np.take_along_axis(values, k + i, 1) for i in (-1, 0, 1)], axis=1)
+            for values in (np.log(self.frequency_hz), np.nan_to_num(self.accelerance))
+        )
+        before, after = np.maximum(np.diff(x, axis=1), 1e-12).T
+        rise, fall = (y[:, 1] - y[:, 0]) / before, (y[:, 1] - y[:, 2]) / after
+        bend = (rise + fall) / (before + after)  # y = y1 + slope u - bend u^2
+        slope = (rise * after - fall * before) / (before + after)
+        u = np.clip(slope / np.where(bend > 0.0, 2.0 * bend, np.inf), -before, after)
+        found = np.exp(x[:, 1] + u), y[:, 1] + slope * u - bend * u**2
+        return np.where(some, found[0], np.nan), np.where(some, found[1], np.nan)
+
+    def at(self, frequency_hz: Array) -> Array:
+        """Accelerance at other frequencies, the same for every draw: (n, n_frequencies); nan where none is known."""
+        out = np.full((len(self.accelerance), frequency_hz.size), np.nan)
+        for row, f, h in zip(out, self.frequency_hz, self.accelerance, strict=True):
+            x, first = np.unique(np.log(f[h > 0.0]).round(9), return_index=True)
+            if x.size > 1:
+                curve = PchipInterpolator(x, np.log(h[h > 0.0][first]), extrapolate=False)
+                row[:] = np.exp(curve(np.log(frequency_hz)))
+        return out
+
+
+def sweep(draws: Draws, amplitude: float, coupled: bool, acting: Acting | None = None) -> Sweep:
+    """The nonlinear rig's accelerance: over a coarse grid, then ever more closely about the highest resonances."""
     grid, step = _grid(draws, coupled)
-    edge = grid[:, -1]
-    for _ in range(2):
-        height, _ = harmonic_response(draws, grid, amplitude, coupled, acting=acting)
-        best = np.take_along_axis(grid, np.argmax(np.nan_to_num(height), axis=1)[:, None], 1)
-        grid = best * np.exp(np.linspace(-step, step, 9))
-        step /= 4.0
-    height, _ = harmonic_response(draws, grid, amplitude, coupled, acting=acting)
-    k = np.clip(np.argmax(np.nan_to_num(height), axis=1), 1, grid.shape[1] - 2)[:, None]
-    a, b, c = (np.take_along_axis(height, k + i, 1)[:, 0] for i in (-1, 0, 1))
-    bend = a - 2.0 * b + c
-    x = np.where(bend < 0.0, np.clip(0.5 * (a - c) / np.where(bend < 0.0, bend, -1.0), -1.0, 1.0), 0.0)
-    frequency = np.take_along_axis(grid, k, 1)[:, 0] * np.exp(x * step)
-    # Faces and bearings that stick leave a mass that follows the torque: highest at the end, wherever that is.
-    inside = frequency < 0.98 * edge
-    return np.where(inside, frequency, np.nan), np.where(inside, b - 0.25 * (a - c) * x, np.nan)
+    found = Sweep(grid, harmonic_response(draws, grid, amplitude, coupled, acting=acting)[0])
+    for resonances in (2, 2, 1) if coupled else (1, 1, 1):
+        centre = found.resonances(resonances)
+        there = np.isfinite(centre)
+        highest = np.argmax(np.nan_to_num(found.accelerance), axis=1)[:, None]
+        highest = np.where(there[:, :1], centre[:, :1], np.take_along_axis(found.frequency_hz, highest, 1))
+        # Where there are fewer resonances the points lie between those about the highest.
+        centre = np.where(there, centre, highest * np.exp(step * np.arange(resonances) / 16.0))
+        more = (centre[:, :, None] * np.exp(step[:, :, None] * np.arange(-7, 8, 2) / 8.0)).reshape(len(centre), -1)
+        height, _ = harmonic_response(draws, more, amplitude, coupled, acting=acting)
+        grid = np.concatenate([found.frequency_hz, more], axis=1)
+        order = np.argsort(grid, axis=1)
+        both = np.concatenate([found.accelerance, height], axis=1)
+        found = Sweep(np.take_along_axis(grid, order, 1), np.take_along_axis(both, order, 1))
+        step = step / 4.0
+    return found
 
 
-def nonlinear_performances(
-    draws: Draws, amplitude: float, designs: Mapping[str, Design], acting: Acting | None = None
-) -> dict[str, Performance]:
-    """Insertion loss and resonances of the nonlinear model of each design, under a torque of this amplitude (N m).
+@dataclass(frozen=True)
+class Driven:
+    """The nonlinear rig under a harmonic torque of one amplitude: what each design does, and the sweeps behind it."""
 
-    acting : what acts beside the nominal model.
+    performances: Mapping[str, Performance]
+    sweeps: Mapping[str, Sweep]  # of each design, and "uncoupled"
+
+
+def driven(
+    draws: Draws, amplitude: float, designs: Mapping[str, Design], acting: Acting | None = None,
+    uncoupled: Sweep | None = None,
+) -> Driven:  # fmt: skip
+    """Insertion loss, resonances and motion of the nonlinear model of each design, under a torque of this amplitude.
+
+    amplitude : N m; acting : what acts beside the nominal model; uncoupled : the sweep without a secondary, if known.
     """
-    without_frequency, without = _peak(draws, amplitude, False, acting)
+    sweeps = {"uncoupled": sweep(draws, amplitude, False, acting) if uncoupled is None else uncoupled}
+    sweeps |= {name: sweep(design.apply(draws), amplitude, True, acting) for name, design in designs.items()}
+    without_frequency, without = sweeps["uncoupled"].highest()
     out = {}
-    for name, design in designs.items():
-        frequency, height = _peak(design.apply(draws), amplitude, True, acting)
+    for name in designs:
+        frequency, height = sweeps[name].highest()
         moving = (height > 0.0) & (without > 0.0)  # nowhere true of nan
         loss = 20.0 * np.log10(np.where(moving, without, 1.0) / np.where(moving, height, 1.0))
         out[name] = Performance(
             np.where(moving, loss, np.nan),
             np.where(moving, frequency, np.nan),
             np.where(moving, without_frequency, np.nan),
+            height * amplitude / (2.0 * np.pi * frequency) ** 2,
+            without * amplitude / (2.0 * np.pi * without_frequency) ** 2,
         )
-    return out
+    return Driven(out, sweeps)
+
+
+def nonlinear_performances(
+    draws: Draws, amplitude: float, designs: Mapping[str, Design], acting: Acting | None = None
+) -> Mapping[str, Performance]:
+    """What each design does by the nonlinear model under a torque of this amplitude (N m)."""
+    return driven(draws, amplitude, designs, acting).performances
 
 
 def probability_of(p: Performance, target: float) -> float:

@@ -17,21 +17,21 @@ from bayes_damper.effects import load_effects
 from bayes_damper.effects._law import SITES, Law
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.rig.parameters import OTHER_UNIT, PARAMETERS, unit_of
-from bayes_damper.rig.units import CHOSEN, design_in_words, in_words_of
+from bayes_damper.rig.units import BODIES, CHOSEN, design_in_words, in_words_of, motion_in_words
 from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.parallel_map import single_threaded
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.text import counted, warning_lines
 from bayes_damper.tuning.acting import Acting, acting_of
-from bayes_damper.tuning.curves import Band, Curve, frequency_responses, tuning_curves
+from bayes_damper.tuning.curves import Band, Curve, driven_responses, frequency_responses, tuning_curves
 from bayes_damper.tuning.draws import Draws, Origin, chosen_case, origin_of, posterior_draws
-from bayes_damper.tuning.optimum import Optimum, best_design, shares_of_variance, usual_bounds
+from bayes_damper.tuning.optimum import TRIED, Optimum, best_design, best_driven, shares_of_variance, usual_bounds
 from bayes_damper.tuning.performance import (
     Design,
     Performance,
+    driven,
     drives,
     linear_performance,
-    nonlinear_performances,
     outside_of,
     probability_of,
     refused,
@@ -63,6 +63,7 @@ class TuneResult:
     nonlinear: Mapping[float, Performance]
     optimum: Optimum | None
     optimum_nonlinear: Mapping[float, Performance]
+    """Of that one, which the linear model chose, at each amplitude."""
     shares: Mapping[str, float]
     response: Mapping[str, Band]
     curves: Mapping[str, Curve] = field(default_factory=dict)
@@ -74,6 +75,11 @@ class TuneResult:
     """Name of the learnt law that acts on the driven rig."""
     note: str = ""
     """What becomes of the effect that the fit has."""
+    present: Performance | None = None
+    """Of the rig as it is, by the linear model; None where that is the design."""
+    present_nonlinear: Mapping[float, Performance] = field(default_factory=dict)
+    better: Mapping[float, Optimum] = field(default_factory=dict)
+    """Amplitude -> a design that is better there than the best one of the linear model."""
 
     @property
     def exit_code(self) -> ExitCode:
@@ -98,18 +104,25 @@ class TuneResult:
             "target_db": self.target_db,
             "design": self.design.to_json(),
             "linear": _performance_json(self.linear, self.target_db),
-            "nonlinear": [
-                {"torque_amplitude_n_m": a} | _performance_json(p, self.target_db) for a, p in self.nonlinear.items()
-            ],
+            "nonlinear": self._driven_json(self.nonlinear),
+            "records_reach": self.origin.reach,
+            "present": None
+            if self.present is None
+            else {
+                "linear": _performance_json(self.present, self.target_db),
+                "nonlinear": self._driven_json(self.present_nonlinear),
+            },
             "optimum": None
             if best is None
             else {
                 "design": best.design.to_json(),
                 "at_bound": list(best.at_bound),
                 "linear": _performance_json(best.performance, self.target_db),
-                "nonlinear": [
-                    {"torque_amplitude_n_m": a} | _performance_json(p, self.target_db)
-                    for a, p in self.optimum_nonlinear.items()
+                "nonlinear": self._driven_json(self.optimum_nonlinear),
+                "better_when_driven": [
+                    {"torque_amplitude_n_m": a, "design": b.design.to_json(), "at_bound": list(b.at_bound)}
+                    | _performance_json(b.performance, self.target_db)
+                    for a, b in self.better.items()
                 ],
             },
             "variance_shares": dict(self.shares),
@@ -137,6 +150,23 @@ class TuneResult:
             "provenance": dict(self.provenance),
         }  # fmt: skip
 
+    def _motion(self, p: Performance) -> str:
+        if p.displacement is None or p.displacement_without is None or not np.isfinite(p.displacement).any():
+            return ""
+        first, second = BODIES[self.origin.kind]
+        moves, without = (
+            motion_in_words(float(np.nanmedian(x)), self.origin.kind) for x in (p.displacement, p.displacement_without)
+        )
+        return f"; {first} moves {moves} ({without} without {second})"
+
+    def _who(self, best: Optimum) -> str:
+        """A design by what it sets, and what of that is at a bound."""
+        bound = f" (at the bound: {', '.join(best.at_bound)})" if best.at_bound else ""
+        return (design_in_words(best.design.to_json(), self.origin.kind) or "the rig as it is") + bound
+
+    def _driven_json(self, found: Mapping[float, Performance]) -> list[dict[str, Any]]:
+        return [{"torque_amplitude_n_m": a} | _performance_json(p, self.target_db) for a, p in found.items()]
+
     def _place(self, design: Design, name: str) -> float:
         given = getattr(design, name)
         return float(np.median(self.draws[name]) if given is None else given)
@@ -150,12 +180,26 @@ class TuneResult:
             lines.append("*** THE FIT DID NOT CONVERGE: do not use these numbers ***")
         lines += [f"Case {self.case}, {counted(len(self.draws['J1']), 'draw')}; target {self.target_db:g} dB."]
         lines.append(f"linear model: {_sentence(self.linear, self.target_db)}")
-        lines += [f"{effort} {a:g} {unit}: {_sentence(p, self.target_db)}" for a, p in self.nonlinear.items()]
+        lines += [
+            f"{effort} {a:g} {unit}: {_sentence(p, self.target_db)}{self._motion(p)}" for a, p in self.nonlinear.items()
+        ]
+        if self.present is not None:
+            lines.append(f"the rig as it is, linear model: {_sentence(self.present, self.target_db)}")
         if self.optimum is not None:
-            free = design_in_words(self.optimum.design.to_json(), self.origin.kind)
-            bound = f" (at the bound: {', '.join(self.optimum.at_bound)})" if self.optimum.at_bound else ""
-            lines.append(f"best design: {free}{bound}; {_sentence(self.optimum.performance, self.target_db)}")
-            lines += [f"  at {a:g} {unit}: {_sentence(p, self.target_db)}" for a, p in self.optimum_nonlinear.items()]
+            free = self._who(self.optimum)
+            sentence = _sentence(self.optimum.performance, self.target_db)
+            lines.append(f"best design, linear model: {free}; {sentence}")
+            present = self.present_nonlinear or self.nonlinear
+            lines += [
+                f"  at {a:g} {unit}: {_sentence(p, self.target_db)}{self._motion(p)}; the rig as it is: "
+                f"{_loss(present[a])}"
+                for a, p in self.optimum_nonlinear.items()
+            ]
+            lines += [
+                f"At {a:g} {unit} another design is better, {_loss(b.performance)}: {self._who(b)} (the best of the "
+                f"linear model: {_loss(self.optimum_nonlinear[a])}; the rig as it is: {_loss(present[a])})."
+                for a, b in self.better.items()
+            ]
         if any("no resonance" in line for line in lines):
             lines.append("No resonance: dry friction holds the rig, or damping leaves no peak.")
         lines += [self.note] if self.note else []
@@ -167,6 +211,12 @@ class TuneResult:
         if self.folder is not None:
             lines += [f"Files: {self.folder}", f"Next: bayes-damper report {shlex.quote(str(self.folder))}"]
         return "\n".join(lines)
+
+
+def _loss(p: Performance) -> str:
+    """The loss alone."""
+    known = p.insertion_loss[np.isfinite(p.insertion_loss)]
+    return "no resonance" if known.size == 0 else f"{known.mean():.1f} dB"
 
 
 def _sentence(p: Performance, target: float) -> str:
@@ -192,7 +242,11 @@ def _performance_json(p: Performance, target: float) -> dict[str, Any]:
         "resonance_without_hz": _summary(p.resonance_without),
         "resonance_shift_hz": _summary(p.shift),
         "probability_of_target": probability_of(p, target),
-    }
+    } | (
+        {}
+        if p.displacement is None or p.displacement_without is None
+        else {"displacement": _summary(p.displacement), "displacement_without": _summary(p.displacement_without)}
+    )
 
 
 def _summary(x: Array) -> dict[str, Any]:
@@ -303,28 +357,39 @@ def tune(
     optimum = best_design(draws, design, bounds) if optimise else None
     if optimum is not None and not np.isfinite(optimum.performance.insertion_loss).any():
         optimum = None
-    designs = {"design": design} | ({} if optimum is None else {"best design": optimum.design})
+    same = {name: np.array_equal(x, draws[name]) for name, x in design.apply(draws).items()}
+    designs = ({} if all(same.values()) else {"present": Design()}) | {"design": design}
+    if optimum is not None:
+        designs |= {"best design": optimum.design}
     few = {name: column[:n_nonlinear] for name, column in draws.items()}
-    driven = {}
-    for i, a in enumerate(amplitudes, 1):
+    linear_is_exact = acting is None and not any(design.apply(few)[name].any() for name in ("mu", "drag"))
+    by_amplitude: dict[str, dict[float, Performance]] = {name: {} for name in designs}
+    better: dict[float, Optimum] = {}
+    response = {f"linear, {name}": band for name, band in frequency_responses(draws, designs).items()}
+    for i, a in enumerate(map(float, amplitudes), 1):
         report(f"driving the nonlinear rig: {a:.2g} {origin.effort[1]}, amplitude {i} of {len(amplitudes)}")
-        driven[float(a)] = nonlinear_performances(few, float(a), designs, acting)
-    nonlinear = {a: found["design"] for a, found in driven.items()}
-    at_optimum = {a: found["best design"] for a, found in driven.items() if "best design" in found}
-    if acting is not None:
-        origin = replace(origin, warnings=(*origin.warnings, *_beyond(acting, few, nonlinear, design)))
-    with_present = designs if design == Design() else {"present": Design()} | designs
-    report("frequency responses of each design")
-    response = {f"linear, {name}": band for name, band in frequency_responses(draws, with_present).items()}
-    fewer = {name: column[:20] for name, column in draws.items()}
-    for a in driven:
-        bands = frequency_responses(fewer, designs, a, acting)
-        response |= {f"{a:g} {origin.effort[1]}, {name}": band for name, band in bands.items()}
+        found = driven(few, a, designs, acting)
+        for name, p in found.performances.items():
+            by_amplitude[name][a] = p
+        response |= {f"{a:g} {origin.effort[1]}, {name}": band for name, band in driven_responses(few, found).items()}
+        moves = any(np.isfinite(p.insertion_loss).any() for p in found.performances.values())
+        if optimum is not None and moves and not linear_is_exact:
+            report(f"trying {sum(TRIED)} designs at this amplitude")
+            best, at_bound = best_driven(few, [optimum.design, *designs.values()], bounds, a, acting)
+            if best != optimum.design:
+                p = driven(few, a, {"": best}, acting, found.sweeps["uncoupled"]).performances[""]
+                better[a] = Optimum(best, p, at_bound)
+    nonlinear = by_amplitude["design"]
+    outside = [] if acting is None else _beyond(acting, few, nonlinear, design)
+    outside += _far(origin, by_amplitude)
+    origin = replace(origin, warnings=(*origin.warnings, *outside))
     shares = shares_of_variance(draws, performance.insertion_loss)
     result = TuneResult(
-        case, design, draws, target_db, performance, nonlinear, optimum, at_optimum, shares, response,
+        case, design, draws, target_db, performance, nonlinear, optimum, by_amplitude.get("best design", {}),
+        shares, response,
         tuning_curves(draws, design, target_db, ("J2", *lengths)), origin, seed, provenance(),
         None if out is None else Path(out), "" if law is None else law.name, note,
+        linear_performance(draws) if "present" in designs else None, by_amplitude.get("present", {}), better,
     )  # fmt: skip
     if out is not None:
         saved = result.to_json()
@@ -370,6 +435,31 @@ def _unlike(design: Design, draws: Draws, kind: str) -> list[str]:
                 f"{name} = {value:g} {unit} is {value / usual:.3g} times what the rig has, {usual:.3g}; in {unit}?"
             )
     return out
+
+
+def _far(origin: Origin, by_amplitude: Mapping[str, Mapping[float, Performance]]) -> list[str]:
+    """A warning where the primary moves farther than in the records of the fit; by_amplitude : of each design."""
+    first, second = BODIES[origin.kind]
+    effort, unit = origin.effort
+    as_it_is = f"{second} as it is"
+    own = "your design" if "present" in by_amplitude else as_it_is
+    names = {"present": as_it_is, "design": own, "best design": "the best design"}
+    where = []
+    for a in by_amplitude["design"]:
+        moves = {f"without {second}": by_amplitude["design"][a].displacement_without}
+        moves |= {f"with {names[name]}": performances[a].displacement for name, performances in by_amplitude.items()}
+        reach = {side: float(np.nanmedian(x)) for side, x in moves.items() if x is not None and np.isfinite(x).any()}
+        far = [
+            f"{motion_in_words(x, origin.kind)} {side}"
+            for side, x in reach.items()
+            if origin.reach is not None and x > 1.02 * origin.reach
+        ]
+        where += [f"{effort} {a:g} {unit}: {', '.join(far)}"] if far else []
+    if not where or origin.reach is None:
+        return []
+    reach_said = motion_in_words(origin.reach, origin.kind)
+    farther = f"{first} moves farther than in the records of the fit ({reach_said}), where the model is not tested: "
+    return [farther + "; ".join(where)]
 
 
 def _beyond(acting: Acting, draws: Draws, driven: Mapping[float, Performance], design: Design) -> list[str]:
