@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from textwrap import fill
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from bayes_damper.figures.style import COLOURS, RC, STYLES, label, new_figure
+from bayes_damper.figures.style import COLOURS, RC, STYLES, label, new_figure, raised
 from bayes_damper.rig.parameters import unit_of
+from bayes_damper.rig.units import BODIES, design_in_words
 from bayes_damper.runs.contents.plan import PlanFile
 from bayes_damper.runs.contents.variability import LINEAR_NAMES, DecompositionEntry, EffectiveEntry, LinearName
 from bayes_damper.runs.contents.withheld import Rate, ScoresEntry
@@ -95,6 +97,33 @@ def variability_figure(
     return figure
 
 
+_DESIGNS = ("uncoupled", "present", "design", "best design", "better")
+_HUES = dict(zip(_DESIGNS, (COLOURS[6], COLOURS[4], COLOURS[0], COLOURS[1], COLOURS[2]), strict=True))
+_LINES = dict(zip(_DESIGNS, ("-", ":", "-.", "--", "none"), strict=True))
+
+
+def _design_names(result: Mapping[str, Any]) -> dict[str, str]:
+    """What the designs of tune.json are called in its figures."""
+    kind = str(result.get("kind") or "torsional")
+    second = BODIES[kind][1]
+    best = raised(design_in_words((result.get("optimum") or {}).get("design", {}), kind))
+    own = raised(design_in_words(result["design"], kind))
+    return {
+        "uncoupled": f"without {second}",
+        "present": f"{second} as it is",
+        "design": f"your design ({own})" if own else f"{second} as it is",
+        "best design": f"best design of the linear model ({best})",
+        "better": "another design, better at that " + ("force" if kind == "translational" else "torque"),
+    }
+
+
+def _legend_below(figure: Figure, axes: Iterable[Axes], title: str) -> None:
+    """One legend for all panels, below them, and the title."""
+    drawn = {name: line for axis in axes for line, name in zip(*axis.get_legend_handles_labels(), strict=True)}
+    figure.legend(list(drawn.values()), list(drawn), loc="outside lower center", ncols=1, fontsize=8)
+    figure.suptitle(title)
+
+
 def response_figure(result: Mapping[str, Any], *, title: str) -> Figure:
     """Frequency response of the primary without a secondary and with each design: one panel for each way of exciting.
 
@@ -104,24 +133,31 @@ def response_figure(result: Mapping[str, Any], *, title: str) -> Figure:
     for name, band in result["frequency_response"].items():
         excited, _, design = name.partition(", ")
         panels.setdefault(excited, []).append((design, band))
-    designs = list(dict.fromkeys(design for bands in panels.values() for design, _ in bands))
-    effort = "force" if result.get("kind") == "translational" else "torque"
+    names = _design_names(result)
+    effort, newton = ("force", "N") if result.get("kind") == "translational" else ("torque", "N m")
+    held = {
+        f"{row['torque_amplitude_n_m']:g} {newton}"
+        for row in result["nonlinear"]
+        if row["insertion_loss_db"]["median"] is None
+    }
     columns = min(2, len(panels))
     rows = -(-len(panels) // columns)
-    figure = new_figure(4.6 * columns, 2.7 * rows + 0.5, result.get("converged", True))
+    figure = new_figure(4.6 * columns, 2.7 * rows + 1.0, result.get("converged", True))
     with mpl.rc_context(RC):
         axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
         for axis, (excited, bands) in zip(axes, panels.items(), strict=False):
+            axis.set_title("linear model" if excited == "linear" else f"nonlinear, {effort} {excited}", loc="left")
+            axis.set_yscale("log")
+            if excited in held:
+                said = "no resonance: dry friction holds the rig,\nor damping leaves no peak"
+                axis.text(0.5, 0.5, said, transform=axis.transAxes, ha="center", va="center", color="#555555")
+                continue
             for design, band in bands:
-                k = designs.index(design)
                 frequency, low, middle, high = (
                     np.array(band[key], float) for key in ("frequency_hz", "q05", "median", "q95")
                 )
-                marks: dict[str, Any] = {"color": COLOURS[k % len(COLOURS)]}
-                axis.plot(frequency, middle, ls=STYLES[k % len(STYLES)], label=design, **marks)
-                axis.fill_between(frequency, low, high, alpha=0.2, lw=0, **marks)
-            axis.set_yscale("log")
-            axis.set_title("linear model" if excited == "linear" else f"nonlinear, {effort} {excited}", loc="left")
+                axis.plot(frequency, middle, ls=_LINES[design], color=_HUES[design], label=names[design])
+                axis.fill_between(frequency, low, high, alpha=0.2, lw=0, color=_HUES[design])
         for axis in axes[len(panels) :]:
             axis.set_visible(False)
         for axis in axes[: len(panels)]:
@@ -130,56 +166,75 @@ def response_figure(result: Mapping[str, Any], *, title: str) -> Figure:
             axis.set_xlabel("frequency [Hz]")
         for axis in axes[::columns]:
             axis.set_ylabel("accelerance [1/kg]" if effort == "force" else "accelerance [1/(kg m²)]")
-        axes[0].legend(loc="best", fontsize=8)
-        figure.suptitle(title)
+        _legend_below(figure, list(axes[: len(panels)]), title)
     return figure
 
 
 def tuning_figure(result: Mapping[str, Any], *, title: str) -> Figure:
     """Insertion loss against the exciting torque, and over the inertia and the radius of the secondary.
 
-    result : what tune.json holds. Bars and bands hold 90 % of the draws; the grey line is the target, the
-    upright ones are the design and the best design.
+    result : what tune.json holds. Bars and bands hold 90 % of the draws; the grey line is the target. Each curve over
+    the inertia has all else as in one design, which is the mark on it.
     """
-    curves = result["curves"]
-    driven = {"design": result["nonlinear"], "best design": (result["optimum"] or {}).get("nonlinear", [])}
+    curves, best = result["curves"], result["optimum"] or {}
+    driven = {
+        "present": (result.get("present") or {}).get("nonlinear", []),
+        "design": result["nonlinear"],
+        "best design": best.get("nonlinear", []),
+        "better": best.get("better_when_driven", []),
+    }
+    names = _design_names(result)
     first = bool(result["nonlinear"])
     translational = result.get("kind") == "translational"
     columns = len(curves) + first
-    figure = new_figure(3.4 * max(columns, 1) + 0.4, 3.3, result.get("converged", True))
+    figure = new_figure(3.4 * max(columns, 1) + 0.4, 3.9, result.get("converged", True))
     with mpl.rc_context(RC):
         axes = figure.subplots(1, max(columns, 1), squeeze=False, sharey=True)[0]
+        marks: dict[str, Any] = dict(zip(driven, "^osD", strict=True))
         for k, (name, rows) in enumerate(driven.items()):
             finite = [r for r in rows if r["insertion_loss_db"]["median"] is not None]
-            x = np.array([r["torque_amplitude_n_m"] for r in finite]) * (0.97 if k else 1.03)
+            x = np.array([r["torque_amplitude_n_m"] for r in finite]) * 1.03 ** (k - 1)
             for at, row in zip(x, finite, strict=True):
-                axes[0].plot([at] * 2, row["insertion_loss_db"]["interval90"], color=COLOURS[k], lw=1.5)
+                axes[0].plot([at] * 2, row["insertion_loss_db"]["interval90"], color=_HUES[name], lw=1.5)
             y = [r["insertion_loss_db"]["median"] for r in finite]
-            axes[0].plot(x, y, color=COLOURS[k], ls=STYLES[k], marker="os"[k], ms=4, label=name)
+            if finite:
+                axes[0].plot(x, y, color=_HUES[name], ls=_LINES[name], marker=marks[name], ms=4, label=names[name])
         if first:
             axes[0].set_xscale("log")
             ticks = [r["torque_amplitude_n_m"] for r in result["nonlinear"]]
+            for row in result["nonlinear"]:
+                if row["insertion_loss_db"]["median"] is None:
+                    said = {"x": row["torque_amplitude_n_m"], "y": 0.03, "s": "no resonance"}
+                    axes[0].text(
+                        **said, transform=axes[0].get_xaxis_transform(), rotation=90, ha="center", va="bottom",
+                        color="#555555", fontsize=8,
+                    )  # fmt: skip
             axes[0].set_xticks(ticks, [f"{x:g}" for x in ticks])
+            axes[0].set_xlim(ticks[0] / 1.15, ticks[-1] * 1.15)
             axes[0].minorticks_off()
             axes[0].set_xlabel("exciting force [N]" if translational else "exciting torque [N m]")
-            axes[0].legend(loc="best", fontsize=8)
-            axes[0].set_title("with dry friction", loc="left")
+            axes[0].set_title("nonlinear rig", loc="left")
         labels = {"J2": ("J2 [kg]", 1.0) if translational else ("J2 [g m²]", 1e3), "R": ("R [mm]", 1e3)}
         for axis, (name, curve) in zip(axes[int(first) :], curves.items(), strict=False):
             words, unit = labels.get(name, (name, 1.0))
-            x = unit * np.asarray(curve["value"])
-            mean, low, high = (np.array(curve[key], float) for key in ("mean", "q05", "q95"))
-            axis.plot(x, mean, color=COLOURS[0], label="mean")
-            axis.fill_between(x, low, high, color=COLOURS[0], alpha=0.2, lw=0, label="90 %")
-            for k, place in enumerate((curve["design"], curve["best_design"])):
-                if place is not None:
-                    axis.axvline(unit * place, color=COLOURS[k], ls=STYLES[k], lw=1.0)
-            axis.set_xlabel(words)
+            shown = {"design": (curve, curve["design"], result["linear"])}
+            if curve.get("of_best_design") is not None:
+                shown["best design"] = (curve["of_best_design"], curve["best_design"], best["linear"])
+            for design, (drawn, place, found) in shown.items():
+                mean, low, high = (np.array(drawn[key], float) for key in ("mean", "q05", "q95"))
+                style: dict[str, Any] = {"color": _HUES[design], "ls": _LINES[design]}
+                x = unit * np.asarray(drawn["value"])
+                axis.plot(x, mean, label=None if first else names[design], **style)
+                axis.fill_between(x, low, high, color=_HUES[design], alpha=0.2, lw=0)
+                if place is not None and found["insertion_loss_db"]["mean"] is not None:
+                    at = unit * place, found["insertion_loss_db"]["mean"]
+                    axis.plot(*at, marker=marks[design], color=_HUES[design], ms=6)
+            axis.set_xlabel(f"{words}, else as in the marked design")
             axis.set_title("linear model", loc="left")
         for axis in axes:
             axis.axhline(result["target_db"], color="#888888", lw=0.9)
         axes[0].set_ylabel("insertion loss [dB]")
-        figure.suptitle(title)
+        _legend_below(figure, list(axes), title)
     return figure
 
 

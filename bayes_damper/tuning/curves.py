@@ -40,7 +40,8 @@ def tuning_curves(
     out = {}
     for name in over:
         low, high = CURVES[name]
-        values = middle_of(draws, name) * np.geomspace(low, high, _CURVE_POINTS)
+        present = middle_of(draws, name)
+        values = np.union1d(present * np.geomspace(low, high, _CURVE_POINTS), getattr(design, name) or present)
         if name == "J2":
             values = values[values >= design.bar_inertia]
         found = [linear_performance(draws, replace(design, **{name: float(x)})) for x in values]

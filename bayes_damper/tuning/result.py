@@ -39,6 +39,7 @@ from bayes_damper.tuning.performance import (
 
 Array = NDArray[np.float64]
 SCHEMA = "bayes-damper/tune/1"
+_DEFINITION = "20 log10 of the highest accelerance without the secondary over the highest with it (eq. 24)"
 _LAW_ACTS = (
     "The driven rig has the law {}, as large as in the fit; the linear model, and with it the search for the best "
     "design, leaves it out."
@@ -80,6 +81,8 @@ class TuneResult:
     present_nonlinear: Mapping[float, Performance] = field(default_factory=dict)
     better: Mapping[float, Optimum] = field(default_factory=dict)
     """Amplitude -> a design that is better there than the best one of the linear model."""
+    curves_of_best: Mapping[str, Curve] = field(default_factory=dict)
+    """As `curves`, with all else as in the best design."""
 
     @property
     def exit_code(self) -> ExitCode:
@@ -99,7 +102,7 @@ class TuneResult:
             "converged": self.origin.converged,
             "warnings": [*self.origin.known, *self.origin.warnings],
             "warnings_of_check": len(self.origin.known),
-            "definition": "20 log10 of the highest accelerance without the secondary over the highest with it (eq. 24)",
+            "definition": in_words_of(_DEFINITION, self.origin.kind),
             "draws": len(self.draws["J1"]),
             "target_db": self.target_db,
             "design": self.design.to_json(),
@@ -144,6 +147,12 @@ class TuneResult:
                     "best_design": None if best is None else self._place(best.design, name),
                     "value": c.values.tolist(), "mean": c.mean.tolist(), "q05": c.low.tolist(), "q95": c.high.tolist(),
                     "probability_of_target": c.probability.tolist(),
+                    "of_best_design": None
+                    if name not in self.curves_of_best
+                    else {
+                        key: getattr(self.curves_of_best[name], field_).tolist()
+                        for key, field_ in (("value", "values"), ("mean", "mean"), ("q05", "low"), ("q95", "high"))
+                    },
                 }
                 for name, c in self.curves.items()
             },
@@ -390,6 +399,7 @@ def tune(
         tuning_curves(draws, design, target_db, ("J2", *lengths)), origin, seed, provenance(),
         None if out is None else Path(out), "" if law is None else law.name, note,
         linear_performance(draws) if "present" in designs else None, by_amplitude.get("present", {}), better,
+        {} if optimum is None else tuning_curves(draws, optimum.design, target_db, ("J2", *lengths)),
     )  # fmt: skip
     if out is not None:
         saved = result.to_json()

@@ -463,6 +463,49 @@ def test_the_figures_are_drawn(result, tmp_path):
         assert "a title" in written[0].read_text(encoding="utf-8")
 
 
+def test_figures_of_a_cart_name_each_design_and_where_nothing_moves(tmp_path):
+    """In the words of a cart; the best design's mark lies on a curve of its own, and both on their curves."""
+    fit = translational_folder(tmp_path, nu=3000.0)
+    given = {"case": "A", "J2": 0.3, "amplitudes": (0.05, 2.0), "n_draws": 5, "n_nonlinear": 1}
+    told = tuning.tune(fit, out=tmp_path / "tune", **given).to_json()
+    response, loss = ((tmp_path / "tune" / f"{name}.svg").read_text() for name in ("tune_response", "tune_loss"))
+    for drawn in (response, loss):
+        assert "body 2 as it is" in drawn
+        assert "your design (J2 = 0.3 kg)" in drawn
+        assert "best design of the linear model (J2 = " in drawn
+        assert "no resonance" in drawn
+        assert not re.search("the secondary|torque", drawn)
+    assert "without body 2" in response
+    assert "exciting force [N]" in loss
+    curve, best = told["curves"]["J2"], told["optimum"]
+    for drawn, place, found in (
+        (curve, 0.3, told["linear"]), (curve["of_best_design"], best["design"]["J2"], best["linear"]),
+    ):  # fmt: skip
+        assert drawn["mean"][drawn["value"].index(place)] == pytest.approx(found["insertion_loss_db"]["mean"])
+
+
+def test_the_answer_of_the_page_names_the_best_design_and_its_loss_at_each_force(tmp_path):
+    fit = translational_folder(tmp_path, nu=3000.0)
+    given = {"case": "A", "J2": 0.3, "amplitudes": (0.05, 0.4, 3.0), "n_draws": 5, "n_nonlinear": 1}
+    found = tuning.tune(fit, out=tmp_path / "tune", **given)
+    page = re.sub(r"<[^>]+>|\s+", " ", report(tmp_path / "tune").path.read_text(encoding="utf-8"))
+    best = found.optimum.design
+    assert f"Best design (J2 = {best.J2:.4g} kg, k2t = {best.k2t:.4g} N/m), linear model: insertion loss" in page
+    losses = {
+        name: [f"{p[a].insertion_loss[0]:.1f} dB" for a in (0.4, 3.0)]
+        for name, p in (("it", found.present_nonlinear), ("own", found.nonlinear), ("best", found.optimum_nonlinear))
+    }
+    said = [
+        f"{losses['best'][i]} at {a} N (the rig as it is: {losses['it'][i]}, your design: {losses['own'][i]})"
+        for i, a in enumerate(("0.4", "3"))
+    ]
+    assert f"On the nonlinear rig the best design gives {said[0]} and {said[1]}." in page
+    for a, better in found.better.items():
+        assert f"At {a:g} N another design is better, {better.performance.insertion_loss[0]:.1f} dB: J2 = " in page
+    assert page.count("body 1 moves farther than in the records of the fit (8 mm)") == 1
+    assert f"{1e3 * found.nonlinear[3.0].displacement[0]:.3g} (" in page
+
+
 def test_a_rig_that_sticks_has_no_resonance():
     """Drag above the torque holds the bearings: what still moves is highest at the end of the range, no peak."""
     held = tuning.complete(THESIS | {"mu": 0.0, "drag": 0.05, "nu": 300.0})
@@ -555,7 +598,7 @@ def test_no_draws_are_refused():
         tuning.tune(THESIS, n_draws=0)
 
 
-def translational_folder(folder):
+def translational_folder(folder, nu=300.0):
     """A fit of two carts: 1.9 kg at 900 N/m, let go 8 mm from rest, a second cart of 0.6 kg."""
     rig = folder / "rig"
     rig.mkdir(parents=True)
@@ -570,7 +613,7 @@ def translational_folder(folder):
     plan = {"campaign": str(rig), "name": "carts", "campaign_sha256": load_campaign(rig).sha256, "normal_force": None}
     write_json(folder / "fit" / "run.json", {"command": "fit", "plan": plan})
     row = {"sd": 0.01}
-    values = {"k2t": 90.0, "c2t": 1.0, "c1t": 1.1, "c3t": 0.2, "drag": 0.1, "nu": 300.0}
+    values = {"k2t": 90.0, "c2t": 1.0, "c1t": 1.1, "c3t": 0.2, "drag": 0.1, "nu": nu}
     table = {name: row | {"mean": value} for name, value in values.items()}
     write_json(folder / "fit" / "summary.json", {"cases": {"A": {"parameters": table}}})
     return folder / "fit"
@@ -603,8 +646,8 @@ def test_damping_and_friction_are_chosen_in_the_units_of_a_cart(tmp_path):
     free = tuning.tune(fit, c2t=2.0, optimise=False, **few)
     assert np.all(np.abs(found.nonlinear[1.7].insertion_loss - free.nonlinear[1.7].insertion_loss) > 0.1)
     page = re.sub(r"<[^>]+>|\s+", " ", report(tmp_path / "tune").path.read_text(encoding="utf-8"))
-    assert re.search(r"c2t +N s/m +2", page)
-    assert re.search(r"friction force +N +0.4", page)
+    assert re.search(r"c2t +N s/m +as it is +2", page)
+    assert re.search(r"friction force +N +as it is +0.4", page)
     draws = found.design.apply(found.draws)
     assert draws["mu"] * draws["N0"] * (1.0 - 0.05 * draws["R"] / (2.0 * draws["r"])) == pytest.approx(
         0.4 + 0 * draws["mu"]

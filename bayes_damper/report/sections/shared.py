@@ -96,11 +96,11 @@ _MORE = {
     "comparison": ("Parameters compared", "Median and 90 % interval of each parameter in each folder."),
     "tune_response": (
         "Frequency response",
-        "Acceleration of the first body per exciting torque (force), without the second body and with each design.",
+        "Acceleration of the primary per exciting torque, without the secondary and with each design.",
     ),
     "tune_loss": (
         "Insertion loss",
-        "Insertion loss against the exciting torque (force), and against the design of the second body.",
+        "Insertion loss against the exciting torque, and over the inertia of the secondary, else as in one design.",
     ),
     "plan": (
         "What could be distinguished",
