@@ -11,16 +11,19 @@ import importlib
 import logging
 import os
 import signal
+import sys
 import threading
 import time
 from asyncio import CancelledError as AsyncCancelled
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing import get_context, parent_process
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
+from types import ModuleType
 from typing import Any, NotRequired, Protocol, TypedDict, cast
 
 from bayes_damper.errors import BayesDamperError, ExitCode, InputError, Interrupted
@@ -194,9 +197,10 @@ def _on_processes(tasks: Sequence[Task], folder: Path, workers: int, progress: P
         crew = (workers, context.Value("i", len(waiting)))
         pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker, initargs=crew)
         try:
-            futures: dict[Future[Any], Task] = {
-                pool.submit(_execute, task, folder / task.name): task for task in waiting
-            }
+            with _script_set_aside():
+                futures: dict[Future[Any], Task] = {
+                    pool.submit(_execute, task, folder / task.name): task for task in waiting
+                }
             _collect(futures, folder, progress, results)
         except BrokenProcessPool:
             # A worker was killed from outside: what it had saved is there, so a new pool goes on with the rest.
@@ -212,6 +216,21 @@ def _on_processes(tasks: Sequence[Task], folder: Path, workers: int, progress: P
             raise stopped(folder) from None
         finally:
             pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _script_set_aside() -> Iterator[None]:
+    """Processes that start meanwhile do not run the user's script again, as a spawned process otherwise does.
+
+    Tasks never need it, and a script without `if __name__ == "__main__":`, or one read from standard input, would end
+    every worker before it began.
+    """
+    script = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = script
 
 
 _WORKER = {"busy": False, "stopped": False}

@@ -29,19 +29,37 @@ RUN = """
 from pathlib import Path
 from endless import endless
 from bayes_damper.runs.execution import Task, run_tasks
-if __name__ == "__main__":
-    run_tasks([Task(n, endless) for n in ("a", "b")], Path("out"), workers=2)
+run_tasks([Task(n, endless) for n in ("a", "b")], Path("out"), workers=2)
 """
+
+
+def python(folder, **files):
+    """What starts Python in a folder with modules of these names, which it can import beside the package."""
+    for name, text in files.items():
+        (folder / f"{name}.py").write_text(text)
+    root = str(Path(__file__).resolve().parents[2])
+    return {"cwd": folder, "env": os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), root])}}
+
+
+SCRIPT = """
+from counted import count
+from bayes_damper.runs.execution import Task, run_tasks
+print(run_tasks([Task(n, count) for n in ("a", "b")], __import__("pathlib").Path("out"), workers=2))
+"""
+
+
+@pytest.mark.parametrize("given", ["a file", "standard input"])
+def test_a_script_without_a_guard_is_not_run_again_by_its_workers(tmp_path, given):
+    where = python(tmp_path, counted="def count(folder, report):\n    return len(folder.name)\n", go=SCRIPT)
+    command = [sys.executable, "go.py" if given == "a file" else "-"]
+    ran = subprocess.run(command, **where, input=SCRIPT, capture_output=True, text=True, timeout=60, check=False)
+    assert ran.stdout.splitlines() == ["{'a': 1, 'b': 1}"], ran.stderr
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL")
 def test_workers_end_when_their_parent_is_killed(tmp_path):
-    (tmp_path / "endless.py").write_text(ENDLESS)
-    (tmp_path / "go.py").write_text(RUN)
-    root = str(Path(__file__).resolve().parents[2])
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), root])}
-    parent = subprocess.Popen([sys.executable, "go.py"], cwd=tmp_path, env=environment)
+    parent = subprocess.Popen([sys.executable, "go.py"], **python(tmp_path, endless=ENDLESS, go=RUN))
     alive = [tmp_path / "out" / name / "alive" for name in ("a", "b")]
     try:
         _until(lambda: all(path.exists() for path in alive), 60.0)
@@ -64,8 +82,7 @@ def test_workers_end_when_their_parent_is_killed(tmp_path):
 
 CREW = """
 import time
-from pathlib import Path
-from bayes_damper.runs.execution import Task, processes, run_tasks
+from bayes_damper.runs.execution import processes
 
 def short(folder, report):
     return processes()
@@ -76,22 +93,21 @@ def long(folder, report):
         time.sleep(0.05)
         seen.append(processes())
     return sorted(set(seen))
-
-if __name__ == "__main__":
-    found = run_tasks([Task("long", long), Task("a", short), Task("b", short)], Path("out"), workers=3)
-    print(found["long"], processes())
+"""
+RUN_CREW = """
+from pathlib import Path
+from crew import long, processes, short
+from bayes_damper.runs.execution import Task, run_tasks
+found = run_tasks([Task("long", long), Task("a", short), Task("b", short)], Path("out"), workers=3)
+print(found["long"], processes())
 """
 
 
 @pytest.mark.slow
 def test_the_last_task_may_use_the_workers_of_all(tmp_path):
     """From one of three to all three; outside a worker a task has its own process alone."""
-    (tmp_path / "crew.py").write_text(CREW)
-    root = str(Path(__file__).resolve().parents[2])
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), root])}
-    done = subprocess.run(
-        [sys.executable, "crew.py"], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
-    )
+    where = python(tmp_path, crew=CREW, go=RUN_CREW)
+    done = subprocess.run([sys.executable, "go.py"], **where, capture_output=True, text=True, check=True)
     assert done.stdout.split() in (["[1,", "3]", "1"], ["[3]", "1"]), done.stdout
 
 
