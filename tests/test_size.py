@@ -51,6 +51,35 @@ def test_points_of_a_posterior_are_evaluated_in_turns_with_the_same_results(fit,
     assert max(sizes) <= 6000 < 0.5 * at_once.size / 8 * 300
 
 
+def test_matrices_of_what_each_trial_has_for_itself_are_held_in_turns_with_the_same_draws(fit, monkeypatch):
+    target = posterior.RecordPosterior(fit)
+    points = target.start + 0.1 * np.random.default_rng(1).standard_normal((64, target.ndim))
+    value, drawn = target.evaluated(points, np.random.default_rng(2))
+    monkeypatch.setattr(posterior, "READINGS_AT_ONCE", 6000)
+    held = []
+    original = target._evaluated
+
+    def noted(*args):
+        found = original(*args)
+        held.append(weakref.ref(found[2]))
+        return found
+
+    monkeypatch.setattr(target, "_evaluated", noted)
+    most = 0
+    monkeypatch.setattr(np.linalg, "cholesky", lambda A, of=np.linalg.cholesky: counted(A) and of(A))
+
+    def counted(A):
+        nonlocal most
+        most = max(most, sum(x() is not None for x in held))
+        return True
+
+    again, drawn_again = target.evaluated(points, np.random.default_rng(2))
+    assert np.array_equal(again, value)
+    assert all(np.array_equal(drawn_again[i], d) for i, d in drawn.items())
+    assert len(held) > 10
+    assert most == 1
+
+
 def test_candidates_are_compared_in_turns_with_the_same_results(fit, monkeypatch):
     q = fit.q + 0.1 * np.random.default_rng(1).standard_normal((40, fit.problem.size))
     own = {i: np.tile(v, (40, 1)) for i, v in fit.eta.items()}

@@ -216,17 +216,18 @@ class RecordPosterior:
                 w[:, :, c] = noise.whiten(c, w[:, :, c]) * noise.innovation[c]
         return w
 
-    def _evaluated(self, part: _Part, points: Array, s: Array) -> tuple[Array, Array, Array]:
-        """Log likelihood (k, trials), mean (k, trials, m) and inverse covariance (k, trials, m, m) of the nuisances."""
-        turns = math.ceil(len(points) * part.group.y.size / READINGS_AT_ONCE)
-        each = max(math.ceil(len(points) / max(turns, 1)), 1)
-        starts = range(0, max(len(points), 1), each)
-        found = [self._evaluated_at_once(part, points[k : k + each], s[k : k + each]) for k in starts]
-        values, means, inverses = zip(*found, strict=True)
-        return np.concatenate(values), np.concatenate(means), np.concatenate(inverses)
+    def _turns(self, part: _Part, points: Array) -> list[slice]:
+        """So few points at a time that their records, and matrices of what each trial has for itself, are held
+        together.
+        """
+        n, m = part.eta.shape
+        each = max(READINGS_AT_ONCE // max(part.group.y.size, n * m * m), 1)
+        return [slice(k, k + each) for k in range(0, max(len(points), 1), each)]
 
-    def _evaluated_at_once(self, part: _Part, points: Array, s: Array) -> tuple[Array, Array, Array]:
-        """`_evaluated` of so few points that their records are held together."""
+    def _evaluated(self, part: _Part, points: Array, s: Array) -> tuple[Array, Array, Array]:
+        """Log likelihood (k, trials), mean (k, trials, m) and inverse covariance (k, trials, m, m) of the nuisances, of
+        the points of a turn.
+        """
         q = points[:, : self.problem.size]
         eta, growth = self._followed(part, q)
         w = self._residuals(part, q, eta)
@@ -247,7 +248,11 @@ class RecordPosterior:
         Up to `constant`, which depends on the data and the noise model alone.
         """
         points = np.atleast_2d(points)
-        value = np.concatenate([self._evaluated(part, points, s)[0] for part, s in self._scaled(points)], axis=1)
+        each = [
+            np.concatenate([self._evaluated(part, points[at], s[at])[0] for at in self._turns(part, points)])
+            for part, s in self._scaled(points)
+        ]
+        value = np.concatenate(each, axis=1)
         return np.where(np.isfinite(value), value, -np.inf)
 
     def _scaled(self, points: Array) -> Iterator[tuple[_Part, Array]]:
@@ -285,15 +290,18 @@ class RecordPosterior:
         values = []
         drawn: dict[int, Array] = {}
         for part, s in self._scaled(points):
-            value, mean, A = self._evaluated(part, points, s)
+            turns = [self._drawn(part, points[at], s[at], rng) for at in self._turns(part, points)]
+            value, nuisances = (np.concatenate(x) for x in zip(*turns, strict=True))
             values.append(np.where(np.isfinite(value), value, -np.inf))
-            if part.eta.shape[1] == 0:
-                continue
-            root = np.linalg.inv(np.linalg.cholesky(A)).transpose(0, 1, 3, 2)
-            noise = np.einsum("knij,knj->kni", root, rng.standard_normal(mean.shape))
-            for k, i in enumerate(part.group.trials):
-                drawn[i] = mean[:, k] + noise[:, k]
+            if part.eta.shape[1]:
+                drawn |= {i: nuisances[:, k] for k, i in enumerate(part.group.trials)}
         return np.concatenate(values, axis=1), drawn
+
+    def _drawn(self, part: _Part, points: Array, s: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Log likelihood (k, trials) and a draw of the nuisances (k, trials, m) of the points of a turn."""
+        value, mean, A = self._evaluated(part, points, s)
+        root = np.linalg.inv(np.linalg.cholesky(A)).transpose(0, 1, 3, 2)
+        return value, mean + np.einsum("knij,knj->kni", root, rng.standard_normal(mean.shape))
 
     def _settled(self, part: _Part, points: Array, s: Array, rng: np.random.Generator) -> Array:
         """Nuisances (k, trials, m) of each point that fit disturbed readings and a disturbed prior best.
@@ -339,8 +347,8 @@ class RecordPosterior:
         points = np.atleast_2d(points)
         out: dict[int, Array] = {}
         for part, s in self._scaled(points):
-            turns = np.array_split(np.arange(len(points)), max(len(points) * part.group.y.size // READINGS_AT_ONCE, 1))
-            drawn = np.concatenate([self._settled(part, points[k], s[k], rng) for k in turns])
+            turns = self._turns(part, points)
+            drawn = np.concatenate([self._settled(part, points[at], s[at], rng) for at in turns])
             for k, i in enumerate(part.group.trials):
                 out[i] = self.problem.simulate(
                     part.group, np.full(len(points), k), points[:, : self.problem.size], drawn[:, k]
