@@ -37,6 +37,7 @@ from bayes_damper.calibration import (
     summarise,
     whittle,
 )
+from bayes_damper.calibration.experiment import repeats_by_reading
 from bayes_damper.runs.contents.fit import ChannelEntry, NoiseEntry
 
 Array = NDArray[np.float64]
@@ -442,12 +443,8 @@ def _mean_residuals(fit: Calibration, channel: int) -> list[tuple[Array, Array]]
     total = problem.noise.total
     residuals, weights = fit.residuals(), _weights(fit)
     free = _left_free(fit, channel)
-    sets: dict[tuple[Any, ...], list[int]] = {}
-    for i in problem.trials:
-        t = problem.experiment.trials[i]
-        sets.setdefault((*t.conditions, t.times.tobytes()), []).append(i)
     out = []
-    for members in sets.values():
+    for members in repeats_by_reading(problem.experiment, problem.trials):
         members = [i for i in members if channel < len(weights[i]) and weights[i][channel].max() > 0.9]  # noqa: PLW2901
         if not members:
             continue

@@ -269,6 +269,31 @@ def repeats(trials: Sequence[TrialRecord]) -> list[list[int]]:
     return list(same.values())
 
 
+def repeats_by_reading(experiment: Experiment, among: Sequence[int]) -> list[list[int]]:
+    """Some trials in sets of repeats whose readings lie at the same instants, to within a step of their clocks.
+
+    Their residuals can be compared reading by reading: what a model misses hardly changes in so short a time. Records
+    that start in motion have no repeats: no two begin alike.
+    """
+    sets: list[list[int]] = []
+    for i in among:
+        t = experiment.trials[i]
+        same = (s for s in sets if experiment.start != "free" and _read_alike(experiment.trials[s[0]], t))
+        found = next(same, None)
+        if found is None:
+            sets.append([i])
+        else:
+            found.append(i)
+    return sets
+
+
+def _read_alike(one: TrialRecord, other: TrialRecord) -> bool:
+    if one.conditions != other.conditions or one.times.size != other.times.size:
+        return False
+    apart = float(np.max(np.abs(one.times - other.times), initial=0.0))
+    return apart == 0.0 or apart < float(np.median(np.diff(one.times)))
+
+
 def with_priors(experiment: Experiment, priors: PriorSet) -> Experiment:
     """The experiment under the priors of a campaign's file: values, levels, and ties.
 

@@ -34,11 +34,11 @@ from scipy.special import ndtr, stdtr
 
 from bayes_damper.calibration import (
     Calibration,
+    Experiment,
     Group,
     Noise,
     Prediction,
     Problem,
-    TrialRecord,
     calibrate,
     error_level,
     learn_noise,
@@ -227,13 +227,12 @@ def repeats_say(fit: Calibration) -> dict[int, Array]:
     experiment = fit.problem.experiment
     residuals = fit.residuals()
     out: dict[int, Array] = {}
-    if experiment.start == "free":
-        return out  # no two such records begin alike
     for i in experiment.heldout:
         t = experiment.trials[i]
-        same = [j for j in fit.problem.trials if _repeat(experiment.trials[j], t)]
+        same = _repeats_of(experiment, i, fit.problem.trials)
         if same:
-            mean = np.mean([np.nan_to_num(residuals[j]) for j in same], axis=0)
+            each = [_read_at(t.times, experiment.trials[j].times, np.nan_to_num(residuals[j])) for j in same]
+            mean = np.mean(each, axis=0)
             dt = float(np.median(np.diff(t.times)))
             spectrum = np.fft.rfft(mean, axis=1)
             spectrum[:, np.fft.rfftfreq(mean.shape[1], dt) > _SLOW * own_frequency(experiment)] = 0.0
@@ -326,12 +325,14 @@ def unshared_along(fit: Calibration, shapes: Mapping[int, Array]) -> tuple[float
     records = {i: block.r[k] for block in fit.linear.blocks for k, i in enumerate(block.group.trials)}
     total, weight, square = 0.0, 0.0, 0.0
     for i, x in shapes.items():
-        same = [j for j in records if _repeat(trials[j], trials[i]) and records[j].size == x.size]
-        length = float(x @ x)
-        if len(same) < 2 or fit.problem.experiment.start == "free":
+        same = _repeats_of(fit.problem.experiment, i, list(records))
+        if len(same) < 2:
             continue
-        contrasts = helmert(len(same)) @ np.array([records[j] for j in same])
-        total += float(np.sum((contrasts @ x) ** 2))
+        rows = x.reshape(trials[i].y.shape)
+        own = [_read_at(trials[j].times, trials[i].times, rows).ravel() for j in same]
+        contrasts = helmert(len(same)) @ np.array([y @ records[j] for j, y in zip(same, own, strict=True)])
+        length = float(np.mean([y @ y for y in own]))
+        total += float(contrasts @ contrasts)
         weight += len(contrasts) * length
         square += len(contrasts) * length**2
     if weight <= 0.0:
@@ -339,9 +340,15 @@ def unshared_along(fit: Calibration, shapes: Mapping[int, Array]) -> tuple[float
     return max(total / weight, 1e-12), weight**2 / square
 
 
-def _repeat(one: TrialRecord, other: TrialRecord) -> bool:
-    """Whether two trials are repeats of each other."""
-    return one.conditions == other.conditions and np.array_equal(one.times, other.times)
+def _repeats_of(experiment: Experiment, i: int, among: Sequence[int]) -> list[int]:
+    """Some trials that repeat trial i, whatever their clocks. Of records that start in motion no two begin alike."""
+    trials = experiment.trials
+    return [] if experiment.start == "free" else [j for j in among if trials[j].conditions == trials[i].conditions]
+
+
+def _read_at(times: Array, own: Array, rows: Array) -> Array:
+    """Records (channels, n) read at instants `own`, at other ones; nothing beyond."""
+    return rows if np.array_equal(times, own) else np.array([np.interp(times, own, x, 0.0, 0.0) for x in rows])
 
 
 def _by_trials(products: Array, z: float) -> float:

@@ -23,6 +23,7 @@ from scipy.linalg import helmert
 from scipy.special import gammaincc
 
 from bayes_damper.calibration import Calibration, Experiment
+from bayes_damper.calibration.experiment import repeats_by_reading
 
 Array = NDArray[np.float64]
 
@@ -61,16 +62,8 @@ class Remainder:
 
 
 def repeats_of(fit: Calibration) -> list[list[int]]:
-    """Trials of the fit in sets of repeats: same case, configuration, release angle and sample times.
-
-    Records that start in motion have no repeats: no two begin alike.
-    """
-    sets: dict[tuple[object, ...], list[int]] = {}
-    for i in fit.problem.trials:
-        t = fit.problem.experiment.trials[i]
-        alone = i if fit.problem.experiment.start == "free" else -1
-        sets.setdefault((*t.conditions, t.times.tobytes(), alone), []).append(i)
-    return list(sets.values())
+    """Trials of the fit in sets of repeats that were read at the same instants."""
+    return repeats_by_reading(fit.problem.experiment, fit.problem.trials)
 
 
 def own_frequency(experiment: Experiment) -> float:

@@ -26,13 +26,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct, idct
 
 from bayes_damper.calibration import Calibration, Group, Noise, predict
+from bayes_damper.calibration.experiment import repeats_by_reading
 from bayes_damper.calibration.own_values import INPUT
 from bayes_damper.diagnosis.remainder import LOW_BAND, own_frequency
 from bayes_damper.runs.contents.diagnosis import Share
@@ -156,8 +157,9 @@ def products(
     groups = problem.grouped(tuple(heldout))
     weights = {i: g.weight[k] for g in groups for k, i in enumerate(g.trials)}
     fitted_by_all = [j for j in problem.trials if all(j in fitted for fitted, _ in residuals)]
-    partners = {i: _repeats_of(i, fitted_by_all, trials, problem) for i in heldout}
-    spare = {i: _repeats_of(i, heldout, trials, problem) for i in heldout}
+    alike = {i: s for s in repeats_by_reading(problem.experiment, [*fitted_by_all, *heldout]) for i in s}
+    partners = {i: [j for j in alike[i] if j in fitted_by_all] for i in heldout}
+    spare = {i: [j for j in alike[i] if j in heldout and j != i] for i in heldout}
     repeated = all(partners[i] or spare[i] for i in heldout)
     sds = np.array(problem.noise.floor)
     taken_up = {} if repeated else {i: _taken_up(g, k, sds) for g in groups for k, i in enumerate(g.trials)}
@@ -216,20 +218,6 @@ def _taken_up(group: Group, k: int, sds: Array) -> Array:
     flat = U.reshape(len(names), -1)
     followed = np.tensordot(np.linalg.inv(np.eye(len(names)) + flat @ flat.T), U, 1)
     return np.asarray(np.sum(U[:, :, :-1] * followed[:, :, 1:], axis=0))
-
-
-def _repeats_of(i: int, among: Sequence[int], trials: Sequence[Any], problem: Any) -> list[int]:
-    """Trials that repeat one: same case, configuration, release and times. Records that start in motion do not."""
-    if problem.experiment.start == "free":
-        return []
-    t = trials[i]
-    return [
-        j
-        for j in among
-        if j != i
-        and (trials[j].case, trials[j].coupled, trials[j].theta0) == (t.case, t.coupled, t.theta0)
-        and np.array_equal(trials[j].times, t.times)
-    ]
 
 
 def shortest_interval(draws: Array, share: float = 0.9) -> tuple[float, float]:

@@ -11,13 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincc, ndtr
 
 from bayes_damper.calibration import Calibration
+from bayes_damper.calibration.experiment import repeats_by_reading
 from bayes_damper.diagnosis.response import Motion, in_slices, motions, project, whiten
 from bayes_damper.runs.contents.diagnosis import EventEntry, Place, PlaceEntry, WhereRecords
 
@@ -137,23 +137,17 @@ def locate(fit: Calibration, *, size: float = SIZE, events: bool = True) -> Wher
 def repeats_of(fit: Calibration) -> list[Repeats]:
     """Whitened residuals (reading minus model) of the fitted trials in sets of repeats."""
     experiment = fit.problem.experiment
-    found: dict[tuple[Any, ...], list[tuple[int, Array, Array]]] = {}
-    for block in fit.linear.blocks:
-        channels = block.group.y.shape[1]
-        for k, i in enumerate(block.group.trials):
-            t = experiment.trials[i]
-            r = -block.r[k].reshape(channels, -1)
-            alone = i if experiment.start == "free" else -1
-            found.setdefault((*t.conditions, t.times.tobytes(), alone), []).append((i, r, block.group.weight[k]))
+    blocks = [(i, block, k) for block in fit.linear.blocks for k, i in enumerate(block.group.trials)]
+    residuals = {i: -block.r[k].reshape(block.group.y.shape[1], -1) for i, block, k in blocks}
+    weights = {i: block.group.weight[k] for i, block, k in blocks}
     out = []
-    for members in found.values():
-        trials = tuple(i for i, _, _ in members)
-        single = np.array([r for _, r, _ in members])
-        t = experiment.trials[trials[0]]
-        numbers = tuple(experiment.trials[i].number for i in trials)
-        mean = single.sum(axis=0) / math.sqrt(len(trials))
-        weight = np.min([w for _, _, w in members], axis=0)
-        out.append(Repeats(t.case, t.coupled, trials, numbers, t.times, mean, single, weight))
+    for members in repeats_by_reading(experiment, list(residuals)):
+        single = np.array([residuals[i] for i in members])
+        t = experiment.trials[members[0]]
+        numbers = tuple(experiment.trials[i].number for i in members)
+        mean = single.sum(axis=0) / math.sqrt(len(members))
+        weight = np.min([weights[i] for i in members], axis=0)
+        out.append(Repeats(t.case, t.coupled, tuple(members), numbers, t.times, mean, single, weight))
     return out
 
 

@@ -18,6 +18,7 @@ from bayes_damper.diagnosis.gap import (
     measure_gap,
     repeats_say,
     shifts,
+    unshared_along,
 )
 
 CUBIC = variant("magnet_cubic", "cubic")
@@ -84,6 +85,29 @@ def test_predictions_made_of_noise_find_nothing():
     assert held_out_test(fit, eta, [shape() for _ in range(20)]) > 0.05
     assert held_out_test(fit, eta, []) == 1.0
     assert set(repeats_say(fit)) == set(experiment.heldout)
+
+
+def test_repeats_are_compared_whatever_their_clocks():
+    """Each trial has a clock of its own and ends where it likes: what they share and do not share is known as well."""
+    even, rng = measured(3, repeats=3, duration=0.15), np.random.default_rng(3)
+
+    def own(t):
+        step = float(np.median(np.diff(t.times)))
+        times = np.sort(t.times + step * np.concatenate([[0.0], rng.uniform(-0.4, 0.4, t.times.size - 1)]))
+        last = int(rng.integers(1, 6))
+        y = np.array([np.interp(times, t.times, x) for x in t.y])
+        return replace(t, times=times[:-last], y=y[:, :-last])
+
+    told = []
+    for experiment in (even, replace(even, trials=tuple(own(t) for t in even.trials))):
+        fit = calibrate(Problem(experiment), anneal=False, most=3)
+        said = repeats_say(fit)
+        assert set(said) == set(experiment.heldout)
+        assert all(x.shape == experiment.trials[i].y.shape for i, x in said.items())
+        told.append(unshared_along(fit, {i: np.ones(x.size) for i, x in said.items()}))
+    assert told[1][1] == pytest.approx(told[0][1], rel=0.05)
+    assert told[0][1] > 1.0
+    assert told[1][0] == pytest.approx(told[0][0], rel=1.0)
 
 
 def test_parameters_stop_pretending_once_the_cause_is_there(both):
