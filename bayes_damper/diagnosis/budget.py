@@ -4,10 +4,11 @@ From sets of effects that were fitted together (sets.py): an effect is present w
 hold it, less the probability that a cause outside the library does what the set explains. Shares of the gap are those
 on held-out trials (shares.py), divided among the effects of the best set as Shapley (1953) does: what an effect closes
 beyond those before it, averaged over all orders, so that shares and what stays unexplained sum to 1, whichever effects
-hide each other. What is left does not speak against what is found; it stands beside it.
+hide each other. What is left does not speak against what is found; it stands beside it. A part of the effects alone may
+do harm there, as where a small effect is bent to do what a large one does: it closes nothing.
 
-Held-out trials have chosen no set, so they judge it. With s the share that an effect closes there, e its standard
-error, S what it would be without noise, and p the share that it closes on the trials it was fitted to: an effect that
+Held-out trials have chosen no set, so they judge it. With s the share that an effect closes there beyond all others, e
+its standard error, S what it would be without noise, and p the same on the trials it was fitted to: an effect that
 acts has S anywhere between 0 and R = 2 p, at most 1; one that only stands for something else, be it another effect, a
 cause outside the library or what does not repeat, has as often nothing to do with other trials, S = 0, as it does good
 or harm there, -R to R. So a small effect leaves only where one of its size would have shown. What does more harm than R
@@ -39,7 +40,7 @@ from bayes_damper.diagnosis.sets import (
     squares_of,
     weighed,
 )
-from bayes_damper.diagnosis.shares import IN_WORDS, NO_SHARE, Closed, Products, products_of, shortest_interval
+from bayes_damper.diagnosis.shares import DOUBT, IN_WORDS, NO_SHARE, Closed, Products, products_of, shortest_interval
 from bayes_damper.diagnosis.verdict import FLOOR, PRIOR_NONE, RULE, Answers, Left, Rule
 from bayes_damper.runs.contents.diagnosis import BudgetEntry, Estimate
 
@@ -156,14 +157,16 @@ def _parts(
     heldout = nominal.problem.experiment.heldout
     names = [e.name for e, _ in best.members]
     found = _shares(nominal, best, sets, heldout, rng) if heldout else None
-    shares, errors, reach, unexplained, leading = found or (dict.fromkeys(names, NO_SHARE), {}, {}, NO_SHARE, {})
+    shares, beyond, unexplained, leading = found or (dict.fromkeys(names, NO_SHARE), {}, NO_SHARE, {})
     parts = []
     for member in best.members:
         name = member[0].name
         acts = sum(p * (1.0 - outside.get(names, 0.0)) for names, p in weights.items() if name in names)
-        share = shares[name]
-        present = acts if share.median is None else borne_out(share.median, errors[name], acts, reach[name])
-        parts.append(Part(member, present, share, _coordinates(best, name), present / max(acts, 1e-300)))
+        present = acts
+        if name in beyond:
+            more, error, reach = beyond[name]
+            present = borne_out(more, error, acts, reach)
+        parts.append(Part(member, present, shares[name], _coordinates(best, name), present / max(acts, 1e-300)))
     parts.sort(key=lambda part: -(part.share.median if part.share.median is not None else part.present))
     return tuple(parts), unexplained, leading
 
@@ -191,15 +194,14 @@ def _coordinates(best: SetFit, effect: str) -> dict[str, str]:
     return {p.name: f"effect.{p.name}" for p in best.members[0][1].parameters}
 
 
-Shares = tuple[dict[str, Closed], dict[str, float], dict[str, float], Closed, dict[str, float]]
+Shares = tuple[dict[str, Closed], dict[str, tuple[float, float, float]], Closed, dict[str, float]]
 
 
 def _shares(
     nominal: Calibration, best: SetFit, sets: Sequence[SetFit], heldout: Sequence[int], rng: np.random.Generator | None
 ) -> Shares | None:
-    """Share of each effect, its standard error and reach, share unexplained, and probability that each is the largest.
-
-    None where held-out trials show no gap.
+    """Share of each effect; its share beyond all others, with standard error and reach; share unexplained; and
+    probability that each is the largest. None where held-out trials show no gap.
     """
     names = [e.name for e, _ in best.members]
     smaller = [frozenset(some) for n in range(1, len(names)) for some in combinations(names, n)]
@@ -223,18 +225,23 @@ def _divided(
     fitted : on the trials that were fitted, where all effects together close the whole gap.
     """
     out: dict[str, Closed] = {}
-    errors, reach, columns = {}, {}, {}
+    beyond, columns = {}, {}
+    last = place[frozenset(names)]
+    for name in names:
+        without = place[frozenset(names) - {name}]
+        share, drawn, own = (x[..., without] - x[..., last] for x in (left, draws, fitted))
+        reach = float(np.clip(2.0 * own, LEAST_REACH, 1.0))
+        beyond[name] = float(share), float(np.std(np.maximum(drawn, -reach))), reach
+    harmful = np.mean(draws <= 1.0, axis=0) < DOUBT
+    harmful[last] = False
+    left, draws = np.where(harmful, 1.0, left), np.where(harmful, 1.0, draws)
     for name in names:
         columns[name] = drawn = _shapley(name, names, place, draws)
-        share = float(_shapley(name, names, place, left))
-        out[name] = Closed(share, shortest_interval(np.sort(drawn)), found.method)
-        reach[name] = float(np.clip(2.0 * _shapley(name, names, place, fitted), LEAST_REACH, 1.0))
-        errors[name] = float(np.std(np.maximum(drawn, -reach[name])))
-    last = place[frozenset(names)]
+        out[name] = Closed(float(_shapley(name, names, place, left)), shortest_interval(np.sort(drawn)), found.method)
     columns["unknown"] = draws[:, last]
     unexplained = Closed(float(left[last]), shortest_interval(np.sort(draws[:, last])), found.method)
     largest = np.argmax(np.stack(list(columns.values())), axis=0)
-    return out, errors, reach, unexplained, {n: float(np.mean(largest == k)) for k, n in enumerate(columns)}
+    return out, beyond, unexplained, {n: float(np.mean(largest == k)) for k, n in enumerate(columns)}
 
 
 def _shapley(name: str, names: Sequence[str], place: Mapping[frozenset[str], int], left: Array) -> Array:

@@ -298,14 +298,28 @@ def test_shares_of_effects_that_hide_each_other_sum_to_one():
     place = {frozenset[str](): 0, frozenset("a"): 1, frozenset("b"): 2, frozenset("ab"): 3}
     left = np.array([1.0, 1.0, 1.0, 0.2])
     draws = np.tile(left, (50, 1))
-    shares, errors, reach, unexplained, leading = _divided(
+    shares, beyond, unexplained, leading = _divided(
         ["a", "b"], place, left, draws, left / 0.8, Products(left[:, None], draws, "repeats")
     )
     assert shares["a"].median == pytest.approx(0.4)
     assert sum(s.median for s in shares.values()) + unexplained.median == pytest.approx(1.0)
     assert sum(leading.values()) == pytest.approx(1.0)
-    assert errors["a"] == pytest.approx(0.0, abs=1e-12)
-    assert reach == pytest.approx({"a": 1.0, "b": 1.0})
+    assert beyond["a"] == pytest.approx((0.8, 0.0, 1.0), abs=1e-12)
+
+
+def test_a_small_effect_that_is_bent_to_do_the_work_of_a_large_one_stands_beside_it():
+    """Alone it makes the gap larger where it was not fitted; beside the large one it closes all that is left."""
+    place = {frozenset[str](): 0, frozenset("a"): 1, frozenset("b"): 2, frozenset("ab"): 3}
+    left = np.array([1.0, 0.02, 2.5, 0.0])
+    draws = left + 0.001 * np.random.default_rng(1).standard_normal((200, 4))
+    draws[:, 0] = 1.0
+    fitted = np.array([1.0, 0.02, 0.6, 0.0])
+    shares, beyond, *_ = _divided(["a", "b"], place, left, draws, fitted, Products(left[:, None], draws, "repeats"))
+    assert shares["a"].median == pytest.approx(0.99)
+    assert shares["b"].median == pytest.approx(0.01)
+    share, error, reach = beyond["b"]
+    assert (share, reach) == pytest.approx((0.02, 0.04))
+    assert borne_out(share, error, 0.9, reach) == pytest.approx(0.9, abs=0.01)
 
 
 def test_held_out_trials_take_away_what_closes_nothing_there_and_add_nothing():
@@ -339,10 +353,11 @@ def test_an_effect_that_makes_the_gap_much_larger_is_not_kept_for_the_size_of_it
     picked = rng.multinomial(6, np.full(6, 1 / 6), 2000)
     found = Products(values, picked @ values.T, "neighbours")
     fitted = np.array([1.0, 0.0])
-    shares, errors, *_ = _divided(["a"], {frozenset(): 0, frozenset("a"): 1}, *found.shares(), fitted, found)
+    shares, beyond, *_ = _divided(["a"], {frozenset(): 0, frozenset("a"): 1}, *found.shares(), fitted, found)
     assert shares["a"].median < -1e4
     assert np.std(found.shares()[1][:, 1]) > 1e4
-    assert borne_out(shares["a"].median, errors["a"], 0.99) < 1e-6
+    share, error, _ = beyond["a"]
+    assert borne_out(share, error, 0.99) < 1e-6
 
 
 def test_the_next_best_set_is_judged_where_one_fails(monkeypatch):
@@ -351,8 +366,7 @@ def test_the_next_best_set_is_judged_where_one_fails(monkeypatch):
 
     def shares(nominal, best, sets, heldout, rng):
         of = {n: Closed(told[n][0], (0.0, 1.0), "repeats") for n in best.names}
-        reach = dict.fromkeys(best.names, 1.0)
-        return of, {n: told[n][1] for n in best.names}, reach, Closed(0.2, (0.1, 0.3), "repeats"), {}
+        return of, {n: (*told[n], 1.0) for n in best.names}, Closed(0.2, (0.1, 0.3), "repeats"), {}
 
     monkeypatch.setattr("bayes_damper.diagnosis.budget._shares", shares)
     monkeypatch.setattr("bayes_damper.diagnosis.budget._coordinates", lambda best, effect: {})
@@ -370,8 +384,7 @@ def test_an_effect_that_closes_nothing_on_held_out_trials_leaves_the_budget(monk
 
     def shares(nominal, best, sets, heldout, rng):
         of = {n: Closed(told[n][0], (told[n][0] - 0.1, told[n][0] + 0.1), "repeats") for n in best.names}
-        reach = dict.fromkeys(best.names, 1.0)
-        return of, {n: told[n][1] for n in best.names}, reach, Closed(0.2, (0.1, 0.3), "repeats"), {}
+        return of, {n: (*told[n], 1.0) for n in best.names}, Closed(0.2, (0.1, 0.3), "repeats"), {}
 
     monkeypatch.setattr("bayes_damper.diagnosis.budget._shares", shares)
     monkeypatch.setattr("bayes_damper.diagnosis.budget._coordinates", lambda best, effect: {})
