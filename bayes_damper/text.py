@@ -27,6 +27,17 @@ COORDINATES = {
 """Coordinates of the motion: symbol and unit on a torsional rig, and on a translational one."""
 
 
+class Printable:
+    """What a command gives; `print` shows it as the command line does."""
+
+    def text(self) -> str:
+        """For people."""
+        raise NotImplementedError
+
+    def __str__(self) -> str:
+        return self.text()
+
+
 def counted(n: int, one: str, many: str = "") -> str:
     """A number with its noun: `1 case`, `3 cases`; `many` where the plural is not made by an s."""
     return f"{n} {one if n == 1 else many or one + 's'}"
@@ -164,8 +175,9 @@ def budget_sentence(budget: BudgetEntry | None, held_out: bool = True) -> str:
         why = "the gap on held-out trials is too faint to give shares of it"
         return f"{' and '.join(named)} {verb} present; {why if held_out else 'no trial is held out to test that'}."
     shares = [x for e in parts if (x := e["share"]["median"]) is not None]
-    closing = [(name, f"{share_of_gap(x)} %") for name, x in zip(named, shares, strict=True) if round(100.0 * x) > 0]
-    harmful = [(name, "nothing") for name, x in zip(named, shares, strict=True) if round(100.0 * x) <= 0]
+    each = list(zip(named, shares, strict=True))
+    closing = [(name, f"{share_of_gap(x)} %" if x >= 0.005 else "less than 1 %") for name, x in each if x > 0.0]
+    harmful = [(name, "nothing") for name, x in each if x <= 0.0]
     # No share of a gap is below none of it, or above all.
     left = round(100.0 * min(unexplained, 1.0)) if harmful else 100 - sum(round(100.0 * x) for x in shares)
     sites = budget["unexplained"].get("sites") or {}

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from bayes_damper.commands.check import Check
 from bayes_damper.commands.diagnose import Diagnosed, next_steps
 from bayes_damper.text import (
     budget_sentence,
@@ -156,6 +157,9 @@ def test_the_gap_by_effects_is_one_sentence():
     )
     whole = budget_sentence(divided({"stick_slip": 1.0}, 0.0, 0.999))
     assert whole == "Stick slip (probability >0.99) closes 100 % of the gap; nothing stays unexplained."
+    assert budget_sentence(divided({"release_offset": 0.998, "spring_cubic": 0.002}, 0.0)).endswith(
+        "spring cubic (probability 0.96) less than 1 %; nothing stays unexplained."
+    )
     assert "too faint to give shares" in budget_sentence(divided({"stick_slip": None}, None))
     told = budget_sentence(divided({"stick_slip": None}, None), held_out=False)
     assert told == "Stick slip (probability 0.96) is present; no trial is held out to test that."
@@ -195,3 +199,12 @@ def test_the_package_shows_reports_and_gives_and_does_not_tell():
         if re.search(rf"\b(?:{'|'.join(OLD_WORDS)})\b", line)
     }
     assert not found, "say shows, reports, gives, distinguishes: see Style in CONTRIBUTING.md"
+
+
+def test_print_shows_a_result_as_the_command_line_does():
+    found = Check("rig", "4 trials", (), "0")
+    assert str(found) == found.text()
+    assert (
+        len(repr(Diagnosed(Path("results/diagnose"), {"probabilities": dict.fromkeys(map(str, range(999)), 0.0)})))
+        < 200
+    )

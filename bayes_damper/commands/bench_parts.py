@@ -22,6 +22,7 @@ from typing import Any, ClassVar
 from bayes_damper.errors import ExitCode
 from bayes_damper.inputs import shipped_path
 from bayes_damper.runs.json_files import write_json, write_text
+from bayes_damper.text import Printable
 
 SCHEMA = "bayes-damper/bench-parts/1"
 SHIPPED = "data/withheld/campaigns/4c19e3018027"  # 16 records of a rig with a secondary and a hidden effect
@@ -68,7 +69,7 @@ WORK = {
 
 
 @dataclass(frozen=True)
-class Parts:
+class Parts(Printable):
     """CPU seconds of one diagnosis: in all, by step and by work, and peak memory in MB."""
 
     campaign: str

@@ -10,10 +10,11 @@ from typing import Any
 
 from bayes_damper.errors import ExitCode
 from bayes_damper.published.sources import PublishedSource, source_of
+from bayes_damper.text import Printable
 
 
 @dataclass(frozen=True)
-class Check:
+class Check(Printable):
     """A campaign that can be read: what it holds, and sentences on what looks odd."""
 
     name: str

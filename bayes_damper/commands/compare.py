@@ -33,6 +33,7 @@ from bayes_damper.runs.provenance import provenance
 from bayes_damper.sampling import arviz_adapter
 from bayes_damper.sampling.bridge import bridge
 from bayes_damper.sampling.prior_sensitivity import of_standard_draws
+from bayes_damper.text import Printable
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -43,7 +44,7 @@ _PROPOSALS = 4000
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(Printable):
     """Results side by side; `result` is what comparison.json holds."""
 
     result: ComparisonFile

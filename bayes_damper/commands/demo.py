@@ -10,6 +10,7 @@ from bayes_damper.fit import Fit, OtherRun, fit
 from bayes_damper.report import report
 from bayes_damper.runs.contents.fit import FitFile
 from bayes_damper.runs.execution import Progress
+from bayes_damper.text import Printable
 from bayes_damper.variability import Variability, variability
 
 QUICK_STEPS = 300
@@ -19,7 +20,7 @@ _DRAWS = 100
 
 
 @dataclass(frozen=True)
-class Demo:
+class Demo(Printable):
     """The fit of the thesis's cases, what they share, and the page that shows both."""
 
     fit: Fit

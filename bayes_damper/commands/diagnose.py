@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from textwrap import wrap
@@ -45,6 +45,7 @@ from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.parallel_map import forked_map, single_threaded
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.text import (
+    Printable,
     budget_sentence,
     failed_sentence,
     gap_beside_verdict,
@@ -64,11 +65,11 @@ CERTAIN = 0.9  # probability from which an answer is given without doubt
 
 
 @dataclass(frozen=True)
-class Diagnosed:
+class Diagnosed(Printable):
     """A diagnosis and the folder that its files are in; `result` is what diagnosis.json holds."""
 
     folder: Path
-    result: DiagnosisFile
+    result: DiagnosisFile = field(repr=False)
     campaign: str = ""
     """What was diagnosed, as the command line names it."""
     exit_code: ExitCode = ExitCode.DONE

@@ -14,6 +14,7 @@ from bayes_damper.effects import EFFECTS
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.simulation.model import Model
 from bayes_damper.simulation.outcome import Outcome
+from bayes_damper.text import Printable
 
 MASS = 2.0  # kg
 STIFFNESS = 500.0  # N/m
@@ -26,7 +27,7 @@ RATE, DURATION = 200.0, 4.0  # Hz, s
 
 
 @dataclass(frozen=True)
-class Example:
+class Example(Printable):
     """A campaign written to `folder`; `cause` names the effect that it was simulated with."""
 
     folder: Path

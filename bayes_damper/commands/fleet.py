@@ -20,7 +20,7 @@ from bayes_damper.report import report
 from bayes_damper.runs.execution import Progress, Task, claim, run_tasks
 from bayes_damper.runs.json_files import folder_name, write_json
 from bayes_damper.runs.provenance import code_sha256, provenance
-from bayes_damper.text import NOTHING, counted
+from bayes_damper.text import NOTHING, Printable, counted
 
 SCHEMA = "bayes-damper/fleet/1"
 _PLANNED: dict[str, tuple[type, ...]] = {
@@ -30,7 +30,7 @@ _PLANNED: dict[str, tuple[type, ...]] = {
 
 
 @dataclass(frozen=True)
-class Fleet:
+class Fleet(Printable):
     """Diagnoses of several campaigns; `result` is what fleet.json of `folder` holds, `page` the page of all."""
 
     folder: Path

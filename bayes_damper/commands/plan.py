@@ -42,7 +42,7 @@ from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.parallel_map import single_threaded
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.sampling.prior_sensitivity import decided_by
-from bayes_damper.text import counted, trial_words
+from bayes_damper.text import Printable, counted, trial_words
 
 Array = NDArray[np.float64]
 
@@ -62,7 +62,7 @@ _PROPOSED = 5
 
 
 @dataclass(frozen=True)
-class Plan:
+class Plan(Printable):
     """What a plan could distinguish; `result` is what plan.json holds, `folder` where it is (None: not written)."""
 
     result: PlanFile

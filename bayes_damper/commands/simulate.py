@@ -35,6 +35,7 @@ from bayes_damper.rig.units import effect_unit
 from bayes_damper.runs.json_files import write_text
 from bayes_damper.simulation.model import Model, Quantity, Simulation
 from bayes_damper.simulation.outcome import Outcome
+from bayes_damper.text import Printable
 
 _ABOVE_ZERO = ("J1", "J2", "R", "r", "nu")
 _NOT_NEGATIVE = ("k1t", "c1t", "c2t", "c3t", "mu", "N0", "drag")
@@ -43,7 +44,7 @@ _WORDS = {"normal_force": ("linear", "constant"), "restoring": ("linear", "pendu
 
 
 @dataclass(frozen=True)
-class SimulatedRecord:
+class SimulatedRecord(Printable):
     """A record written to `path`; `values` holds every value that was used."""
 
     path: Path

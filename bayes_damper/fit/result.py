@@ -23,7 +23,7 @@ from bayes_damper.runs.json_files import folder_name, read_json, write_json
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.sampling import arviz_adapter
 from bayes_damper.sampling.prior_sensitivity import text as sensitivity_text
-from bayes_damper.text import misses, warning_lines
+from bayes_damper.text import Printable, misses, warning_lines
 
 SCHEMA = "bayes-damper/fit/1"
 _OVERVIEW = "overview"
@@ -42,7 +42,7 @@ class _Titled:
 
 
 @dataclass(frozen=True, repr=False)
-class Fit:
+class Fit(Printable):
     """Posteriors of a campaign: `summary` is what summary.json holds, `folder` where all files are."""
 
     folder: Path

@@ -25,7 +25,7 @@ from bayes_damper.report.sections import READERS
 from bayes_damper.report.terms import terms
 from bayes_damper.runs.json_files import read_json, write_text
 from bayes_damper.runs.provenance import provenance
-from bayes_damper.text import NOTHING, counted, percent
+from bayes_damper.text import NOTHING, Printable, counted, percent
 
 LARGEST = 5_000_000
 """Bytes that a page may have, so that it can be sent by mail."""
@@ -37,7 +37,7 @@ _ORDER = ("forest", "predictive", "records", "corner", "trace")
 
 
 @dataclass(frozen=True)
-class Report:
+class Report(Printable):
     """A page written to `path`: which results it shows, how many figures, and the warnings that stand on it."""
 
     path: Path

@@ -20,7 +20,7 @@ from bayes_damper import figures as drawing
 from bayes_damper.errors import ExitCode
 from bayes_damper.runs.json_files import plain, write_json, write_text
 from bayes_damper.runs.provenance import provenance
-from bayes_damper.text import counted
+from bayes_damper.text import Printable, counted
 from bayes_damper.thesis.contradictions import Contradiction, Needed, contradictions
 from bayes_damper.thesis.figures import Figure, figures
 from bayes_damper.thesis.printed import CASES, printed_case
@@ -36,7 +36,7 @@ SCHEMA = "bayes-damper/thesis/1"
 
 
 @dataclass(frozen=True)
-class Recomputation:
+class Recomputation(Printable):
     """Everything recomputed.
 
     table : where, page, quantity, unit, printed, computed, low, high, difference, verdict, explanation; low and high

@@ -21,7 +21,7 @@ from bayes_damper.rig.units import BODIES, CHOSEN, design_in_words, in_words_of,
 from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.parallel_map import single_threaded
 from bayes_damper.runs.provenance import provenance
-from bayes_damper.text import counted, warning_lines
+from bayes_damper.text import Printable, counted, warning_lines
 from bayes_damper.tuning.acting import Acting, acting_of
 from bayes_damper.tuning.curves import Band, Curve, driven_responses, frequency_responses, tuning_curves
 from bayes_damper.tuning.draws import Draws, Origin, chosen_case, origin_of, posterior_draws
@@ -53,7 +53,7 @@ _GIVE_FILE = "The fit has the effect {}, which is left out here: give its file, 
 
 
 @dataclass(frozen=True)
-class TuneResult:
+class TuneResult(Printable):
     """What `tune` found; `linear` and `nonlinear` belong to `design`, and `optimum` to the best one within bounds."""
 
     case: str

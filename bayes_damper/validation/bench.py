@@ -34,6 +34,7 @@ from bayes_damper.sampling.moves import DifferentialEvolution, Snooker
 from bayes_damper.simulation import integrator, specialised
 from bayes_damper.simulation.integrator import LANES, LONGEST_STEP
 from bayes_damper.simulation.model import Model
+from bayes_damper.text import Printable
 from bayes_damper.validation import bench_peers
 
 Array = NDArray[np.float64]
@@ -93,7 +94,7 @@ class Target:
 
 
 @dataclass(frozen=True)
-class Bench:
+class Bench(Printable):
     """What `bench` measured; `work_precision` holds points (microseconds, error) of each method at nu = 100."""
 
     machine: dict[str, str]

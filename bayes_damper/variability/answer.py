@@ -32,7 +32,7 @@ from bayes_damper.runs.json_files import folder_name, plain, read_json, write_js
 from bayes_damper.runs.parallel_map import single_threaded
 from bayes_damper.runs.provenance import code_sha256, provenance
 from bayes_damper.sampling import arviz_adapter
-from bayes_damper.text import warning_lines
+from bayes_damper.text import Printable, warning_lines
 from bayes_damper.variability.averaged import (
     DRAWS,
     Parts,
@@ -76,7 +76,7 @@ _MORE, _MOST_PARTICLES = 4, 1024
 
 
 @dataclass(frozen=True)
-class Variability:
+class Variability(Printable):
     """What the cases share and where they differ; `result` is what variability.json holds, `folder` where it is."""
 
     folder: Path

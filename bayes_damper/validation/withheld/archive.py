@@ -21,7 +21,7 @@ from bayes_damper.effects import all_effects, classes
 from bayes_damper.errors import ExitCode, InputError, SelfCheckError
 from bayes_damper.runs.contents.withheld import Freeze, Verdict, VerifiedFile
 from bayes_damper.runs.json_files import read_json
-from bayes_damper.text import counted
+from bayes_damper.text import Printable, counted
 from bayes_damper.validation.withheld import scores
 from bayes_damper.validation.withheld.sealing import (
     chain,
@@ -62,7 +62,7 @@ def write_archive(run: Path, key: Path, path: Path) -> Path:
 
 
 @dataclass(frozen=True)
-class Verified:
+class Verified(Printable):
     """What holding an archive's seals found: sentences, and the facts for programs."""
 
     results: VerifiedFile

@@ -32,7 +32,7 @@ from bayes_damper.runs.contents.withheld import (
 from bayes_damper.runs.execution import Progress, Task, run_tasks
 from bayes_damper.runs.json_files import plain, write_json, write_text
 from bayes_damper.runs.provenance import provenance
-from bayes_damper.text import counted, p_value
+from bayes_damper.text import Printable, counted, p_value
 from bayes_damper.validation.withheld import scores
 from bayes_damper.validation.withheld.archive import NAME as ARCHIVE
 from bayes_damper.validation.withheld.archive import write_archive
@@ -54,7 +54,7 @@ SUBSET = 24  # campaigns of a run that is not full: at most 20 s each on 2 cores
 
 
 @dataclass(frozen=True)
-class Withheld:
+class Withheld(Printable):
     """What the check found; `results` is the content of withheld.json."""
 
     results: WithheldFile

@@ -42,6 +42,7 @@ from bayes_damper.errors import InputError
 from bayes_damper.runs.contents.diagnosis import LeftEntry
 from bayes_damper.runs.contents.withheld import KeyEntry, Verdict
 from bayes_damper.runs.json_files import read_json
+from bayes_damper.text import Printable
 from bayes_damper.validation.withheld.scores import LEAST_PROBABILITY, Scored, score_one
 
 Array = NDArray[np.float64]
@@ -173,7 +174,7 @@ def fit_rule(rows: Sequence[Known], most: int = 400) -> Rule:
 
 
 @dataclass(frozen=True)
-class Fitted:
+class Fitted(Printable):
     """Constants fitted to verdicts; scores: mean log score of the present constants, of the fitted ones on the same
     verdicts, and of constants fitted to one half on the other half (both ways, mean), beside the present ones' there.
     """
