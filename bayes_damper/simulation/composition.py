@@ -15,13 +15,18 @@ from bayes_damper.effects.base import MOST_PARAMETERS, Kernel, Variant
 from bayes_damper.rig.vector_math import lane
 
 MOST_SECOND = 4  # parameters of the second of two variants that are composed
+Labels = tuple[str, str]
+PLACES: Labels = ("first", "second")
 
 
-def compose(first: Variant, second: Variant, *, coupled: bool = True) -> Variant | None:
+def compose(
+    first: Variant, second: Variant, *, coupled: bool = True, labels: Labels = PLACES
+) -> Variant | None:  # fmt: skip
     """Both variants at once, for the coupled or the uncoupled rig; None if the kernel has no room for both.
 
-    Parameters are called `first.NAME` and `second.NAME`. In the uncoupled rig only those act that say so; the
-    parameters of the others are kept, so that both configurations take the same ones.
+    Parameters are called `LABEL.NAME`, by default `first.NAME` and `second.NAME`; other labels also stand before the
+    formulas. In the uncoupled rig only those act that say so; the parameters of the others are kept, so that both
+    configurations take the same ones.
     """
     split = len(first.parameters)
     if len(second.parameters) > MOST_SECOND or split + len(second.parameters) > MOST_PARAMETERS:
@@ -34,14 +39,11 @@ def compose(first: Variant, second: Variant, *, coupled: bool = True) -> Variant
     a, b = (_shifted(v, start) for v, start in zip(acting, (0, split), strict=True))
     one_memory = a.memory
     couples = {v.couples for v in (a, b) if v.torque is not None}
+    named = list(zip(labels, (first, second), strict=True))
     return Variant(
         name=f"{first.name}+{second.name}",
-        formula=f"{first.formula}; {second.formula}",
-        parameters=tuple(
-            replace(p, name=f"{label}.{p.name}")
-            for label, v in (("first", first), ("second", second))
-            for p in v.parameters
-        ),
+        formula="; ".join(v.formula if labels == PLACES else f"{label}: {v.formula}" for label, v in named),
+        parameters=tuple(replace(p, name=f"{label}.{p.name}") for label, v in named for p in v.parameters),
         torque=_both(a.torque, b.torque, one_memory),
         couples=couples.pop() if len(couples) == 1 else "all",
         timed=a.timed or b.timed,
@@ -50,9 +52,9 @@ def compose(first: Variant, second: Variant, *, coupled: bool = True) -> Variant
         memory=a.memory + b.memory,
         memory_scale=a.memory_scale + b.memory_scale,
         sense=a.sense or b.sense,
-        lag=_both_lags(acting),
-        amend=_both_amendments(acting),
-        lets_go=f"first.{a.lets_go}" if a.lets_go else f"second.{b.lets_go}" if b.lets_go else "",
+        lag=_both_lags(acting, labels),
+        amend=_both_amendments(acting, labels),
+        lets_go=next((f"{label}.{v.lets_go}" for label, v in zip(labels, acting, strict=True) if v.lets_go), ""),
         replaces_friction=a.replaces_friction or b.replaces_friction,
         uncoupled=first.uncoupled or second.uncoupled,
     )
@@ -177,8 +179,8 @@ def _own(p: Mapping[str, Any], label: str) -> dict[str, Any]:
     return {name.removeprefix(f"{label}."): x for name, x in p.items() if name.startswith(f"{label}.")}
 
 
-def _both_lags(acting: list[Variant]) -> Callable[..., tuple[Any, Any]] | None:
-    lags = [(label, v.lag) for label, v in zip(("first", "second"), acting, strict=True) if v.lag is not None]
+def _both_lags(acting: list[Variant], labels: Labels) -> Callable[..., tuple[Any, Any]] | None:
+    lags = [(label, v.lag) for label, v in zip(labels, acting, strict=True) if v.lag is not None]
     if not lags:
         return None
 
@@ -189,8 +191,8 @@ def _both_lags(acting: list[Variant]) -> Callable[..., tuple[Any, Any]] | None:
     return lag
 
 
-def _both_amendments(acting: list[Variant]) -> Callable[..., Mapping[str, Any]] | None:
-    changes = [(label, v.amend) for label, v in zip(("first", "second"), acting, strict=True) if v.amend is not None]
+def _both_amendments(acting: list[Variant], labels: Labels) -> Callable[..., Mapping[str, Any]] | None:
+    changes = [(label, v.amend) for label, v in zip(labels, acting, strict=True) if v.amend is not None]
     if not changes:
         return None
 

@@ -85,3 +85,22 @@ def test_what_the_kernel_has_no_room_for_is_not_composed():
     assert compose(lugre, lugre) is None
     assert compose(lugre, formula("magnet_cubic")) is not None
     assert compose(formula("sensor_gain"), formula("sensor_highpass")) is None
+
+
+def test_parameters_are_called_by_the_labels_and_find_their_functions_under_them():
+    """Kernels are the same; what changes constants and what a trial's own release adds to know their parameters."""
+    inertia, cubic, ramp = formula("inertia_error"), formula("spring_cubic"), formula("release_ramp")
+    plain, named = compose(cubic, inertia), compose(cubic, inertia, labels=("spring_cubic", "inertia_error"))
+    assert plain is not None
+    assert named is not None
+    assert [p.name for p in plain.parameters] == ["first.k3", "second.error"]
+    assert [p.name for p in named.parameters] == ["spring_cubic.k3", "inertia_error.error"]
+    assert [p.unit for p in named.parameters] == ["N m/rad^3", "1"]
+    assert named.torque is plain.torque
+    assert plain.formula == f"{cubic.formula}; {inertia.formula}"
+    assert named.formula == f"spring_cubic: {cubic.formula}; inertia_error: {inertia.formula}"
+    assert named.amend is not None
+    assert named.amend({"J2": 2.0}, {"spring_cubic.k3": 1.0, "inertia_error.error": 0.5})["J2"] == 3.0
+    released = compose(cubic, ramp, labels=("spring_cubic", "release_ramp"))
+    assert released is not None
+    assert released.lets_go == "release_ramp.time"
