@@ -134,19 +134,29 @@ def named_answers(probabilities: Mapping[str, float], pair: PairEntry | None) ->
     return {" + ".join(both) if both and name == both[0] else name: float(p) for name, p in probabilities.items()}
 
 
+def effects_to_fit(verdict: str, pair: PairEntry | None) -> list[str]:
+    """Effects with which a fit takes a verdict: both of a pair that is the answer, else the one that it names.
+
+    pair : as in diagnosis.json.
+    """
+    return list(pair["effects"]) if pair and verdict in pair["effects"] else [verdict]
+
+
 def missed(repeats: bool, effect: str | None = "") -> str:
     """What is said where a fit, with an effect or none, leaves more than the noise, and what to do.
 
-    repeats : whether repeats show the noise; without them slow noise may be the cause too.
+    repeats : whether repeats show the noise; without them slow noise may be the cause too; effect : "A+B" where the fit
+    has two.
     """
     doubt = "" if repeats else ", OR THE NOISE IS SLOW"
     if effect:
-        return f"THE MODEL MISSES SOMETHING BESIDE {effect}{doubt}: the intervals are wider for it"
+        beside = effect.replace("+", " AND ")
+        return f"THE MODEL MISSES SOMETHING BESIDE {beside}{doubt}: the intervals are wider for it"
     return f"THE MODEL MISSES SOMETHING{doubt}: run `bayes-damper diagnose` before you use these numbers"
 
 
 def effect_of(entry: CaseEntry) -> str:
-    """The effect beside the nominal model of an entry of summary.json; "" where there is none."""
+    """The effect beside the nominal model of an entry of summary.json, "A+B" of two; "" where there is none."""
     best = entry.get("best_fit")
     return str(best.get("effect") or "") if best else ""
 

@@ -123,6 +123,11 @@ MORE = "Next, to decide: measure one more uncoupled trial, k1 500 N/m, released 
             ["Next: bayes-damper fit 'my cart' --effect spring_cubic --out results/fit-spring_cubic"],
         ),
         ("spring_cubic", 0.6, [MORE, "If you take this answer: bayes-damper fit 'my cart' --effect spring_cubic"]),
+        (
+            "spring_cubic+release_offset",
+            0.97,
+            ["Next: bayes-damper fit 'my cart' --effect spring_cubic --effect release_offset --out results/fit-spring"],
+        ),
         ("none", 0.95, ["Next: bayes-damper fit 'my cart' --out results/fit"]),
         ("none", 0.7, [MORE, "If you take this answer: bayes-damper fit 'my cart' --out"]),
         ("unknown", 0.96, ["Next: look at sensor on the rig, and at missing_torque.csv; --effects"]),
@@ -131,7 +136,9 @@ MORE = "Next, to decide: measure one more uncoupled trial, k1 500 N/m, released 
 )
 def test_a_diagnosis_ends_with_what_to_do(verdict, share, steps):
     verdict, none, _ = verdict.partition(", no estimate")
+    both, verdict = verdict.split("+"), verdict.partition("+")[0]
     result = {
+        "pair": {"effects": both, "probability": 0.9} if len(both) > 1 else None,
         "site_map": {"curve": {} if none else {"angle": {}}},
         "where": {}, "verdict": verdict, "probabilities": {verdict: share}, "next_experiment": [PROPOSED],
         "credible_set": [verdict], "sites": {"none": 0.5, "sensor": 0.3, "ground1": 0.2},
@@ -139,6 +146,7 @@ def test_a_diagnosis_ends_with_what_to_do(verdict, share, steps):
     found = next_steps(result, "my cart")
     assert len(found) == len(steps)
     assert all(line.startswith(begins) for line, begins in zip(found, steps, strict=True))
+    assert len(both) == 1 or found[-1].endswith(f" --out results/fit-{'+'.join(both)}")
 
 
 def divided(shares, left, present=0.96):

@@ -47,6 +47,7 @@ from bayes_damper.runs.provenance import provenance
 from bayes_damper.text import (
     Printable,
     budget_sentence,
+    effects_to_fit,
     failed_sentence,
     gap_beside_verdict,
     held_out_of,
@@ -301,8 +302,10 @@ def next_steps(result: DiagnosisFile, campaign: str, folder: str = "") -> list[s
             "and diagnose again."
         )
     if verdict not in ("none", "unknown"):
+        effects = effects_to_fit(verdict, result.get("pair"))
+        options = "".join(f" --effect {name}" for name in effects)
         steps.append(
-            f"{'If you take this answer' if open_ else 'Next'}: {fit} --effect {verdict} --out results/fit-{verdict}"
+            f"{'If you take this answer' if open_ else 'Next'}: {fit}{options} --out results/fit-{'+'.join(effects)}"
         )
     elif verdict == "none":
         steps.append(f"{'If you take this answer' if open_ else 'Next'}: {fit} --out results/fit")

@@ -14,6 +14,7 @@ import math
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any, Self, cast
 
 import numpy as np
@@ -24,6 +25,7 @@ from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.remainder import Remainder, remainder_of
 from bayes_damper.diagnosis.search import (
     FAINTER,
+    MISSED,
     NOTHING,
     Candidate,
     Screen,
@@ -38,7 +40,7 @@ from bayes_damper.diagnosis.search import (
 from bayes_damper.diagnosis.verdict import pair_log_prior
 from bayes_damper.effects.base import Effect, Variant
 from bayes_damper.runs.parallel_map import forked_map
-from bayes_damper.simulation.composition import compose
+from bayes_damper.simulation.composition import PLACES, Labels, compose
 
 Array = NDArray[np.float64]
 
@@ -46,6 +48,7 @@ LEADERS = 4  # families that are held in turn
 LEAST_GAIN = 8.0  # nats of the second effect by the screening, below which no pair is fitted
 MOST_PAIRS = 4  # pairs fitted in full
 MOST_STEPS = 16
+MOST_TOGETHER = 3  # choices of formulas of two given effects that are fitted
 
 
 class PairProblem(Problem):
@@ -101,10 +104,11 @@ class PairProblem(Problem):
 class ComposedProblem(Problem):
     """The fit of a campaign with two effects composed into one kernel: exact, whatever they do to each other.
 
-    Coordinates as those of a `PairProblem`, named `effect.first.NAME` and `effect.second.NAME`.
+    Coordinates as those of a `PairProblem`, named `effect.LABEL.NAME`: by default `effect.first.NAME` and
+    `effect.second.NAME`.
     """
 
-    def __init__(self, base: Problem, first: Variant, second: Variant) -> None:
+    def __init__(self, base: Problem, first: Variant, second: Variant, labels: Labels = PLACES) -> None:
         """`base`: the nominal problem, whose data, noise and nuisances are used.
 
         Raises
@@ -112,17 +116,18 @@ class ComposedProblem(Problem):
         ValueError
             if the kernel has no room for both.
         """
-        both, apart = (compose(first, second, coupled=coupled) for coupled in (True, False))
+        both, apart = (compose(first, second, coupled=coupled, labels=labels) for coupled in (True, False))
         if both is None or apart is None:
             raise ValueError(f"{first.name} and {second.name} cannot be composed: the kernel has no room for both")
         self.__dict__.update(base.with_effect(both).__dict__)
         self.models = self.models | {False: replace(self.models[False], effect=apart)}
         self.base = base
         self.variants = (first, second)
+        self.labels = labels
 
     def changed(self, **changes: Any) -> Self:
         """The same problem with other arguments."""
-        return cast("Self", ComposedProblem(self.base.changed(**changes), *self.variants))
+        return cast("Self", ComposedProblem(self.base.changed(**changes), *self.variants, self.labels))
 
 
 def pair_problem(base: Problem, first: Variant, second: Variant) -> PairProblem | ComposedProblem:
@@ -130,10 +135,15 @@ def pair_problem(base: Problem, first: Variant, second: Variant) -> PairProblem 
 
     Its `variants` may come in the other order: one without a kernel of its own stands last.
     """
-    one, two = (first, second) if first.has_kernel else (second, first)
+    one, two = _in_order(first, second)
     if not two.has_kernel and compose(one, two) is not None:
         return ComposedProblem(base, one, two)
     return PairProblem(base, first, second)
+
+
+def _in_order(first: Variant, second: Variant) -> tuple[Variant, Variant]:
+    """Two formulas as a kernel takes them: one that has none of its own stands last."""
+    return (first, second) if first.has_kernel else (second, first)
 
 
 def _vector(problem: PairProblem | ComposedProblem, nominal: Array, *own: tuple[Variant, Array]) -> Array:
@@ -190,7 +200,9 @@ class Pair:
         """Effect -> name of its parameter -> that of the coordinate of `fit`."""
         problem = self.fit.problem
         assert isinstance(problem, PairProblem | ComposedProblem)
-        prefixes = ("effect.", "second.") if isinstance(problem, PairProblem) else ("effect.first.", "effect.second.")
+        prefixes = ["effect.", "second."]
+        if isinstance(problem, ComposedProblem):
+            prefixes = [f"effect.{label}." for label in problem.labels]
         out = {}
         for prefix, variant in zip(prefixes, problem.variants, strict=True):
             effect = self.first[0] if self.first[1] is variant else self.second[0]
@@ -326,3 +338,46 @@ def exactly(nominal: Calibration, pair: Pair, found: Sequence[Candidate]) -> Pai
     again = calibrate(exact, [pair.fit.q], eta=pair.fit.eta, anneal=False, most=MOST_STEPS)
     single = {c.effect.name: c.log_evidence for c in reversed(leaders_of(found, len(found)))}
     return _pair(nominal, (pair.first, pair.second), again, single) or pair
+
+
+def room_for(pool: Sequence[tuple[Effect, Variant]]) -> bool:
+    """Whether the kernel has room for two of these formulas that are not of the same effect."""
+    return any(_composable(*two) for two in combinations(pool, 2))
+
+
+def _composable(first: tuple[Effect, Variant], second: tuple[Effect, Variant]) -> bool:
+    return first[0].name != second[0].name and compose(*_in_order(first[1], second[1])) is not None
+
+
+def fit_together(nominal: Calibration, found: Sequence[Candidate]) -> Calibration:
+    """The best fit with both of two effects, whatever they gain, composed into one kernel.
+
+    Its coordinates are called `effect.NAME_OF_EFFECT.NAME`. found : every formula of the two, fitted alone; the kernel
+    must have room for two of them.
+    """
+    beside = {
+        c.label: [o for o in found if _composable((c.effect, c.variant), (o.effect, o.variant))]
+        for c in found if c.fit is not None
+    }  # fmt: skip
+    leaders: dict[str, Candidate] = {}
+    for c in sorted(found, key=lambda c: -c.log_evidence):
+        if beside.get(c.label):
+            leaders.setdefault(c.effect.name, c)
+    rows = []
+    for first in leaders.values():
+        others = beside[first.label]
+        shown = seconds_of(first, nominal, [(c.effect, c.variant) for c in others])
+        # Where the screening shows none beside the first, each begins as it is alone.
+        rows += shown or [Second(first, c.effect, c.variant, max(c.screens, key=lambda s: s.gain)) for c in others]
+    rows.sort(key=lambda s: -s.log_evidence)
+    chosen: dict[frozenset[str], Second] = {}
+    for s in rows:
+        if s.log_evidence >= rows[0].log_evidence - MISSED:
+            chosen.setdefault(frozenset((s.first.label, f"{s.effect.name}/{s.variant.name}")), s)
+    fits = [_fitted(nominal, s, found) for s in list(chosen.values())[:MOST_TOGETHER]]
+    best = max(fits, key=lambda f: f.log_evidence)
+    assert isinstance(best.problem, PairProblem | ComposedProblem)
+    one, two = best.problem.variants
+    labels = {id(c.variant): c.effect.name for c in found}
+    both = ComposedProblem(nominal.problem, one, two, (labels[id(one)], labels[id(two)]))
+    return calibrate(both, [best.q], eta=best.eta, anneal=False)

@@ -11,7 +11,7 @@ import hashlib
 import importlib.util
 import re
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -43,6 +43,7 @@ __all__ = [
     "effects_sha256",
     "faults",
     "load_effects",
+    "names_in",
     "same_effects",
     "scaled",
 ]
@@ -61,6 +62,26 @@ EFFECTS: dict[str, Effect] = {
     if module.name != "base" and not module.name.startswith("_")
 }
 """Name -> effect of the library, in alphabetical order."""
+
+
+def names_in(effect: str | Sequence[str] | None) -> tuple[str, ...]:
+    """Names of the effects that a model is given: of one, of two ("A+B" or a name each), or of none.
+
+    Raises
+    ------
+    InputError
+        for more than two, or twice the same.
+    """
+    words = [effect] if isinstance(effect, str) else effect or ()
+    names = tuple(name.strip() for word in words for name in word.split("+"))
+    given = " ".join(f"--effect {name}" for name in names)
+    if "" in names:
+        raise InputError(f"{given}: a name is missing; give the name of an effect, or leave this out")
+    if len(set(names)) < len(names):
+        raise InputError(f"{given}: this is the same effect twice; give it once, or another one beside it")
+    if len(names) > 2:
+        raise InputError(f"{given}: a fit takes one effect, or two at once; leave out {len(names) - 2} of these")
+    return names
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from bayes_damper.calibration import Experiment, experiment_of
 from bayes_damper.calibration.correlated_noise import KINDS
 from bayes_damper.calibration.experiment import laws_on
 from bayes_damper.campaign import Campaign
-from bayes_damper.effects import all_effects, effects_sha256, same_effects
+from bayes_damper.effects import Effect, Variant, all_effects, effects_sha256, names_in, same_effects
 from bayes_damper.errors import InputError
 from bayes_damper.inputs import fields, resolved, shown
 from bayes_damper.priors.files import campaign_priors
@@ -44,14 +44,15 @@ def plan_fit(
     priors: str | None,
     normal_force: str | None,
     noise: str = "auto",
-    effect: str | None = None,
+    effect: str | Sequence[str] | None = None,
     effects: str | None = None,
     seed: int,
     thorough: bool,
     most_steps: int | None,
     joint: bool,
 ) -> FitPlan:
-    """Everything that decides the results of a fit, as plain data."""
+    """Everything that decides the results of a fit, as plain data; two effects are one word, "A+B"."""
+    names = names_in(effect)
     source = source_of(campaign)
     prior_set = source.priors(priors)
     recorded = source.campaign if isinstance(source, RecordedSource) else None
@@ -69,15 +70,17 @@ def plan_fit(
         raise InputError(f"normal_force {normal_force!r}: expected linear or constant")
     if noise not in KINDS:
         raise InputError(f"--noise {noise}: expected one of {', '.join(KINDS)}")
-    if effect is not None:
+    if names:
         if recorded is None:
             raise InputError(
                 "--effect: `diagnose thesis` weighs effects by the published features; a fit needs records"
             )
         known_effects = all_effects(effects)
-        if effect not in known_effects:
-            raise InputError(f"--effect {effect}: there is no such effect; {hint(effect, known_effects)}")
-        laws_on({effect: known_effects[effect]}, recorded)
+        if missing := [name for name in names if name not in known_effects]:
+            raise InputError(f"--effect {missing[0]}: there is no such effect; {hint(missing[0], known_effects)}")
+        chosen_effects = {name: known_effects[name] for name in names}
+        check_room([(e, v) for e in chosen_effects.values() for v in e.variants])
+        laws_on(chosen_effects, recorded)
     if noise != "auto" and recorded is None:
         raise InputError("--noise: the published features have standard errors of their own; leave it out")
     return {
@@ -89,13 +92,33 @@ def plan_fit(
         "priors": None if prior_set is None else prior_set.to_dict(),
         "normal_force": cast("Literal['linear', 'constant'] | None", normal_force),
         "noise": noise,
-        "effect": effect,
-        "effects": None if effects is None or effect is None else str(resolved(effects)),
-        "effects_sha256": None if effects is None or effect is None else effects_sha256(effects),
+        "effect": "+".join(names) or None,
+        "effects": None if effects is None or not names else str(resolved(effects)),
+        "effects_sha256": None if effects is None or not names else effects_sha256(effects),
         "seed": seed,
         "thorough": thorough,
         "most_steps": most_steps,
     }
+
+
+def check_room(pool: Sequence[tuple[Effect, Variant]]) -> None:
+    """Refuse two effects that no kernel has room for; pool : all formulas of one effect, or of two.
+
+    Raises
+    ------
+    InputError
+        if no two of their formulas go together.
+    """
+    names = list(dict.fromkeys(effect.name for effect, _ in pool))
+    if len(names) < 2:
+        return
+    from bayes_damper.diagnosis.pairs import room_for  # numba is of no use to a plan without two effects
+
+    if not room_for(pool):
+        raise InputError(
+            f"--effect {' --effect '.join(names)}: the simulation has no room for both at once, as for two effects of "
+            "the sensors; fit each of them alone"
+        )
 
 
 def kept(plan: Mapping[str, object]) -> dict[str, object]:
@@ -202,9 +225,9 @@ def planned_warnings(plan: FitPlan) -> tuple[Sequence[str], Sequence[str]]:
     """What is odd in the campaign that a fit was planned for, as `check` lists it, and where a learnt law does not
     reach.
     """
-    campaign, effect = planned_campaign(plan), plan["effect"]
-    beyond = [] if effect is None else laws_on({effect: all_effects(plan["effects"])[effect]}, campaign)
-    return campaign.warnings, beyond
+    campaign, names = planned_campaign(plan), names_in(plan["effect"])
+    known = all_effects(plan["effects"]) if names else {}
+    return campaign.warnings, laws_on({name: known[name] for name in names}, campaign)
 
 
 def recorded_experiment(plan: FitPlan, case: str | None) -> tuple[Experiment, str]:

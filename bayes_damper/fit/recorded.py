@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,7 @@ from bayes_damper.calibration.experiment import trial_label
 from bayes_damper.calibration.influence import comparison, influence, without
 from bayes_damper.calibration.posterior import RecordPosterior
 from bayes_damper.calibration.scatter import scatter_in_words, scatter_shown
-from bayes_damper.effects import all_effects
+from bayes_damper.effects import all_effects, names_in
 from bayes_damper.errors import InputError
 from bayes_damper.fit.draw import DRAWN, Report, number_of, sampled, shaped
 from bayes_damper.fit.drawings import draw_case, draw_records
@@ -34,7 +34,7 @@ from bayes_damper.fit.entry import (
     tell_priors,
     write_draws,
 )
-from bayes_damper.fit.plan import recorded_experiment
+from bayes_damper.fit.plan import check_room, recorded_experiment
 from bayes_damper.rig.parameters import unit_of
 from bayes_damper.rig.units import effect_unit
 from bayes_damper.runs.contents.fit import BestFitEntry, CaseEntry, EvidenceEntry, FitPlan, TrialUnknown
@@ -170,25 +170,30 @@ class _News:
         self.to(share, text + NOTICE + self.notice if self.notice else text)
 
 
-def fit_with_effect(experiment: Experiment, effect: str, folder: str | None = None) -> Calibration:
-    """The best fit of the model with one effect, in the formula with the largest evidence.
+def fit_with_effect(experiment: Experiment, effect: str | Sequence[str], folder: str | None = None) -> Calibration:
+    """The best fit of the model with one effect or two ("A+B"), in the formulas with the largest evidence.
 
     Raises
     ------
     InputError
-        if these trials cannot show the effect.
+        if these trials cannot show an effect, or no kernel has room for two.
     """
+    from bayes_damper.diagnosis.pairs import fit_together
     from bayes_damper.diagnosis.search import Screen, fit_variant, offered, screen_variant
 
-    pool = [(e, v) for e, v in offered(experiment, "nonlinear", all_effects(folder)) if e.name == effect]
-    if not pool:
-        raise InputError(
-            f"--effect {effect}: the rig of these trials cannot have it (see docs, Effects: what each needs)"
-        )
+    names = names_in(effect)
+    pool = [(e, v) for e, v in offered(experiment, "nonlinear", all_effects(folder)) if e.name in names]
+    for name in names:
+        if not any(e.name == name for e, _ in pool):
+            raise InputError(
+                f"--effect {name}: the rig of these trials cannot have it (see docs, Effects: what each needs)"
+            )
+    check_room(pool)
     nominal = calibrate_nominal(experiment)
     screen = Screen(nominal)
     found = [fit_variant(nominal, e, v, screen_variant(screen, v), len(v.starts)) for e, v in pool]
-    best = max((c.fit for c in found if c.fit is not None), key=lambda f: f.log_evidence)
+    alone = max((c.fit for c in found if c.fit is not None), key=lambda f: f.log_evidence)
+    best = fit_together(nominal, found) if len(names) > 1 else alone
     again = best.problem.with_noise(learn_noise(best))
     return calibrate(again, [best.q], eta=best.eta, anneal=False)
 

@@ -160,7 +160,7 @@ def fit(
     priors: str | Path | None = None,
     normal_force: str | None = None,
     noise: str = "auto",
-    effect: str | None = None,
+    effect: str | Sequence[str] | None = None,
     effects: str | Path | None = None,
     out: str | Path = "results/fit",
     seed: int = 1,
@@ -179,7 +179,8 @@ def fit(
     cases : only these; default all. priors : prior file in place of the shipped one. normal_force : "linear" or
     "constant" (eq. 20), overrides the campaign's. noise : "gaussian" (white), "student" (outliers), "ar" (correlated,
     learnt from what the fit leaves) or "auto", by the data. effect : name of one effect of the library that the model
-    gets, in the formula that fits best, e.g. the verdict of a diagnosis; effects : folder with effects of your own.
+    gets, in the formula that fits best, e.g. the verdict of a diagnosis, or two names, ("A", "B") or "A+B"; effects :
+    folder with effects of your own.
     seed : decides every random number. workers : processes. thorough : 50 autocorrelation times in place of 20.
     most_steps : at most so many steps of each ensemble, the warm-up not counted, or as many as the fewest that can be
     judged. joint : whether to fit all cases of a campaign together too. out : folder for all files. scheduler : address

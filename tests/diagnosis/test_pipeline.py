@@ -608,6 +608,21 @@ def test_a_problem_with_two_effects_keeps_both_and_its_weights_when_something_el
         np.testing.assert_allclose(own.weight, 0.5 * before.weight)
 
 
+def test_a_composed_problem_calls_its_parameters_by_its_labels_whatever_changes():
+    base = Problem(make_experiment(1, n=80))
+    pair = EFFECTS["spring_cubic"].variants[0], EFFECTS["inertia_error"].variants[0]
+    own = {"effect.spring_cubic.k3", "effect.inertia_error.error"}
+    named = ComposedProblem(base, *pair, labels=("spring_cubic", "inertia_error"))
+    for problem in (named, named.with_noise(base.noise), named.for_trials(base.trials[:1]), named.finer()):
+        assert set(problem.names) - set(base.names) == own
+    plain, q = ComposedProblem(base, *pair), np.full(named.size, 0.1)
+    assert plain.names[-2:] == ("effect.first.k3", "effect.second.error")
+    for group in named.groups:
+        which, eta = np.arange(len(group.trials)), np.zeros((len(group.trials), len(group.nuisances)))
+        found, same = (p.simulate(group, which, np.tile(q, (which.size, 1)), eta) for p in (named, plain))
+        np.testing.assert_array_equal(found, same)
+
+
 def test_a_wrong_constant_beside_another_effect_is_exact_and_needs_no_kernel_of_its_own():
     """Whichever comes first: the records are those of a rig that has the constant, under the other effect."""
     experiment = make_experiment(1, n=80)

@@ -220,12 +220,36 @@ def test_workers_give_what_one_gives_also_where_it_does_not_converge(tmp_path):
         ({"campaign": "thesis", "priors": "nowhere.toml"}, "nowhere.toml"),
         ({"campaign": "thesis", "normal_force": "square"}, "linear or constant"),
         ({"campaign": "thesis", "effect": "stick_slip"}, "needs records"),
+        ({"campaign": "thesis", "effect": "stick_slip+spring_cubic"}, "needs records"),
     ],
 )
 def test_bad_arguments_get_a_sentence(arguments, told):
     defaults = dict.fromkeys(("cases", "priors", "normal_force", "most_steps"))
     with pytest.raises(InputError, match=told):
         plan_fit(**(defaults | {"seed": 1, "thorough": False, "joint": True} | arguments))
+
+
+def test_two_effects_stand_in_the_plan_as_one_word(tmp_path):
+    """However they were given; a plan of one, or of none, is what it was."""
+    folder = str(_campaign(tmp_path / "campaign"))
+    defaults = dict.fromkeys(("cases", "priors", "normal_force", "most_steps"))
+
+    def planned(effect):
+        return plan_fit(folder, **defaults, seed=1, thorough=False, joint=True, effect=effect)["effect"]
+
+    for given in (("release_offset", "spring_cubic"), "release_offset+spring_cubic", ["release_offset + spring_cubic"]):
+        assert planned(given) == "release_offset+spring_cubic"
+    assert planned("spring_cubic") == planned(["spring_cubic"]) == "spring_cubic"
+    assert planned(None) is planned([]) is None
+    for given, told in (
+        ("release_offset+spring_cubi", "--effect spring_cubi: there is no such effect; .*spring_cubic"),
+        (("spring_cubic", "spring_cubic"), "--effect spring_cubic --effect spring_cubic: this is the same effect"),
+        ("sensor_gain+sensor_clipping", "--effect sensor_gain --effect sensor_clipping: the simulation has no room"),
+        ("spring_cubic+stick_slip+sensor_gain", "a fit takes one effect, or two at once; leave out 1 of these"),
+        ("spring_cubic+", "--effect spring_cubic --effect : a name is missing"),
+    ):
+        with pytest.raises(InputError, match=told):
+            planned(given)
 
 
 def test_a_case_cannot_be_called_what_results_call_their_own_folders(tmp_path):

@@ -297,6 +297,25 @@ def test_the_first_screen_of_a_fit_with_an_effect_has_the_parameters_of_the_effe
     assert "k3: cubic stiffness, positive when hardening" in text
 
 
+def test_a_fit_with_two_effects_names_the_effect_of_each_parameter(tmp_path):
+    write_fit(tmp_path)
+    data = json.loads((tmp_path / "summary.json").read_text())
+    for entry in data["cases"].values():
+        entry["parameters"]["effect.release_offset.offset"] = parameter(0.01, 0.01) | {"unit": "rad"}
+        entry["parameters"]["effect.spring_cubic.k3"] = parameter(120.0, 0.01) | {"unit": "N m/rad^3"}
+        entry["best_fit"] = {"effect": "release_offset+spring_cubic"}
+        entry["noise"] = {"channels": [{"channel": 1, "unit": "rad/s^2", "repeats": 2.0, "left": 5.0,
+                                        "left_over_floor": 2.5, "learnt_from": "residuals"}]}  # fmt: skip
+    (tmp_path / "summary.json").write_text(json.dumps(data))
+    text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
+    first = text[: text.index("What next")]
+    assert "Determined by the data: release_offset.offset (±30 %), spring_cubic.k3 (±30 %) and" in first
+    assert "misses something beside secondary at another angle at release and spring to ground that hardens" in first
+    named = "spring_cubic.k3 spring to ground that hardens or softens: cubic stiffness, positive when hardening"
+    assert f"{named} N m/rad^3 120" in text.replace("³", "^3")
+    assert "spring_cubic.k3: cubic stiffness, positive when hardening" in text
+
+
 def test_parameters_on_the_first_screen_are_told_in_words_with_how_well_they_are_known(tmp_path):
     write_fit(tmp_path)
     text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
@@ -825,6 +844,11 @@ def test_a_run_that_has_not_ended_is_told_how_to_go_on(tmp_path):
     ("verdict", "share", "step"),
     [
         ("stick_slip", 0.97, "What next Next: bayes-damper fit 'my rig' --effect stick_slip Next experiment:"),
+        (
+            "stick_slip+spring_cubic",
+            0.97,
+            "What next Next: bayes-damper fit 'my rig' --effect stick_slip --effect spring_cubic Next experiment:",
+        ),
         ("none", 0.97, "What next Next: bayes-damper fit 'my rig' Next experiment:"),
         ("unknown", 0.97, "What next Next experiment:"),
         ("stick_slip", 0.7, "What next Next experiment:"),
@@ -837,13 +861,16 @@ def test_a_sure_verdict_comes_with_the_command_that_follows(tmp_path, verdict, s
     )
     data = json.loads(file.read_text(encoding="utf-8"))
     other = "unknown" if verdict != "unknown" else "stick_slip"
+    both, verdict = verdict.split("+"), verdict.partition("+")[0]
+    if len(both) > 1:
+        data["pair"] = {"effects": both, "probability": 0.9, "log_evidence": 9.0, "gain": 9.0, "parameters": {}}
     data |= {"campaign": "my rig", "verdict": verdict, "probabilities": {verdict: share, other: 1.0 - share},
              "credible_set": [verdict], "indistinguishable": []}  # fmt: skip
     data["gap"]["closed"] = {"median": 1.0, "hdi90": [0.999, 1.001], "how": "products of residuals"}
     file.write_text(json.dumps(data), encoding="utf-8")
     text = words_of(report(file.parent).path.read_text(encoding="utf-8"))
     assert step in text
-    if verdict == "stick_slip":
+    if both == ["stick_slip"]:
         assert "closes 100 % of the gap. Measured from products of residuals." in text
 
 

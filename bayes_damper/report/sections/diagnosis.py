@@ -42,6 +42,7 @@ from bayes_damper.text import (
     COORDINATES,
     NOTHING,
     budget_sentence,
+    effects_to_fit,
     failed_sentence,
     gap_beside_verdict,
     gathered,
@@ -130,7 +131,8 @@ def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
     top = (share or 0.0) > 0.9 and len(credible) <= 1
     fit = f"bayes-damper fit {shlex.quote(str(data.get('campaign', 'CAMPAIGN')))}"
     if top and verdict != "unknown" and "feature" not in (data.get("where") or {}):
-        changes.insert(0, f"Next: `{fit}{'' if verdict == 'none' else f' --effect {verdict}'}`")
+        added = [] if verdict == "none" else effects_to_fit(verdict, pair)
+        changes.insert(0, f"Next: `{fit}{''.join(f' --effect {name}' for name in added)}`")
     if law := data.get("law"):
         changes.insert(0, f"With the learnt law: `{fit} --effects {law['file']} --effect {law['effect']}`")
     tone = "good" if verdict == "none" and top else "bad" if top else "open"

@@ -254,7 +254,8 @@ def _shown_name(name: str, unit: str, effect: str = "") -> str:
     if name.startswith(_OF_EFFECT):
         own = name.removeprefix(_OF_EFFECT)
         meaning = meaning_in(effect, own)
-        return f"{own}\n{titled(effect)}{f': {meaning}' if meaning else ''}"
+        title = titled(own.partition(".")[0] if "+" in effect else effect)
+        return f"{own}\n{title}{f': {meaning}' if meaning else ''}"
     known = PARAMETERS.get(name.partition("[")[0])
     if known is None:
         return name

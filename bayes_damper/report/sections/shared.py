@@ -136,13 +136,21 @@ def plain_meaning(name: str, unit: str = "") -> str:
 
 
 def titled(effect: str, kind: str = "torsional") -> str:
-    """An effect as people call it, in the words of a rig; its name as words where the library does not know it."""
-    known = EFFECTS.get(effect)
-    return in_words_of(known.title, kind) if known and known.title else words(effect)
+    """An effect as people call it, in the words of a rig; its name as words where the library does not know it.
+
+    effect : its name, or "A+B" for both.
+    """
+    known = {name: EFFECTS.get(name) for name in effect.split("+")}
+    return " and ".join(in_words_of(e.title, kind) if e and e.title else words(name) for name, e in known.items())
 
 
 def meaning_in(effect: str, parameter: str) -> str:
-    """What a parameter of an effect is, in a few words; "" where the library does not say."""
+    """What a parameter of an effect is, in a few words; "" where the library does not say.
+
+    effect : "A+B" for two, whose parameters are called `A.NAME` and `B.NAME`.
+    """
+    if "+" in effect:
+        effect, _, parameter = parameter.partition(".")
     variants = EFFECTS[effect].variants if effect in EFFECTS else ()
     said = next((p.meaning for v in variants for p in v.parameters if p.name == parameter and p.meaning), "")
     return said[:1].lower() + said[1:].rstrip(".")

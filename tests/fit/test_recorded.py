@@ -1,0 +1,99 @@
+"""The fit of recorded trials with an effect, or with two at once."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from reference import solve
+from small_rig import NOISE, RIG, STIFFNESSES, measured, variant
+
+from bayes_damper.calibration import Experiment, TrialRecord
+from bayes_damper.calibration.correlated_noise import fit_with_noise
+from bayes_damper.calibration.posterior import RecordPosterior
+from bayes_damper.diagnosis.pairs import ComposedProblem
+from bayes_damper.errors import InputError
+from bayes_damper.fit.recorded import fit_with_effect
+from bayes_damper.simulation.composition import compose
+
+HEAVIER, BEHIND = 0.15, 0.012  # of J2; rad by which the secondary lags at the release
+
+
+def solved(seed=1):
+    """Trials by an independent solver: J2 is larger than declared, and the secondary is let go elsewhere."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(300) * 1e-3
+    rig = RIG | {"k1t": STIFFNESSES[0], "tail": 0.0, "J2": RIG["J2"] * (1.0 + HEAVIER)}
+    trials = []
+    for coupled in (False, True):
+        for number in (1, 2):
+            theta0 = 0.1 * (1.0 + 0.01 * rng.standard_normal())
+            y = solve(rig, times, coupled=coupled, start=(theta0, theta0 + BEHIND, 0.0, 0.0))[0, : 1 + coupled]
+            y = y + NOISE * rng.standard_normal(y.shape)
+            trials.append(TrialRecord(f"{coupled} {number}", "I", coupled, number, times, y, 0, 0.1, 0.001))
+    constants = {name: (RIG[name], 0.0) for name in ("J1", "J2", "R", "r", "N0")}
+    return Experiment(constants, ((STIFFNESSES[0], 0.0),), tuple(trials))
+
+
+@pytest.fixture(scope="module")
+def both():
+    return fit_with_effect(solved(), "release_offset+inertia_error")
+
+
+def test_two_effects_are_recovered_from_the_records_of_another_solver(both):
+    """By either formula of the offset: what it is in rad, or as a share of the release."""
+    found = both.parameters
+    error, sd = found["effect.inertia_error.error"]
+    assert abs(error - HEAVIER) < 3.0 * sd < 0.1
+    own = {name: x for name, x in found.items() if name.startswith("effect.release_offset.")}
+    ((name, (value, sd)),) = own.items()
+    truth = {"offset": BEHIND, "share": BEHIND / 0.1}[name.rpartition(".")[2]]
+    assert abs(value - truth) < 3.0 * sd < 0.5 * truth
+    assert both.chi2 / both.problem.n_data == pytest.approx(1.0, abs=0.1)
+    effect = both.problem.effect
+    assert sorted(part.partition(":")[0] for part in effect.formula.split("; ")) == ["inertia_error", "release_offset"]
+    assert {p.unit for p in effect.parameters} <= {"1", "rad"}
+
+
+def test_what_follows_a_fit_takes_two_effects(both):
+    """Its noise is learnt as for one, and the posterior is that of the composed model."""
+    noise = fit_with_noise(both.problem.experiment, "gaussian", begin=both)
+    assert isinstance(noise.fit.problem, ComposedProblem)
+    posterior = RecordPosterior(noise.fit, power=noise.power)
+    values = posterior.values(posterior.start[None])
+    for name in noise.fit.problem.names:
+        if name.startswith("effect."):
+            assert values[name][0] == pytest.approx(noise.fit.parameters[name][0], rel=1e-6)
+    assert np.isfinite(posterior.evaluated(posterior.start[None], np.random.default_rng(1))[0]).all()
+
+
+@pytest.mark.slow
+def test_names_may_be_two_words_and_come_in_any_order(both):
+    again = fit_with_effect(both.problem.experiment, ("inertia_error", "release_offset"))
+    assert again.problem.names == both.problem.names
+    np.testing.assert_allclose(again.q, both.q, atol=1e-4)
+
+
+def test_two_that_the_kernel_has_no_room_for_are_refused():
+    with pytest.raises(
+        InputError, match="--effect sensor_clipping --effect sensor_gain: the simulation has no room for both"
+    ):
+        fit_with_effect(measured(duration=0.05), "sensor_gain+sensor_clipping")
+
+
+def test_each_of_two_must_be_possible_on_the_rig():
+    alone = measured(duration=0.05, configurations=(False,))
+    with pytest.raises(InputError, match="--effect inertia_error: the rig of these trials cannot have it"):
+        fit_with_effect(alone, ("spring_cubic", "inertia_error"))
+
+
+@pytest.mark.slow
+def test_two_torques_are_recovered():
+    """Both in one kernel; the truth is simulated so too."""
+    cubic, drag = variant("spring_cubic"), variant("quadratic_drag")
+    truth = {"k3": 60.0, "coefficient": 0.8}
+    values = {"first.k3": truth["k3"], "second.coefficient": truth["coefficient"]}
+    records = measured(2, effect=compose(cubic, drag), values=values, duration=0.4, repeats=2)
+    found = fit_with_effect(records, ("spring_cubic", "quadratic_drag"))
+    for name, value in {"spring_cubic.k3": 60.0, "quadratic_drag.coefficient": 0.8}.items():
+        mean, sd = found.parameters[f"effect.{name}"]
+        assert abs(mean - value) < 3.0 * sd < value, name
