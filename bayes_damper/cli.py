@@ -274,10 +274,22 @@ def _with_commands(parser: argparse.ArgumentParser) -> Iterator[argparse.Argumen
             yield from action.choices.values()
 
 
-class _OneOrEach(argparse.Action):
+class _Once(argparse.Action):
+    """Takes what an option is given, and refuses something else a second time: argparse would keep the last."""
+
+    def __call__(self, _parser: Any, namespace: Any, values: Any, option: Any = None) -> None:
+        before = vars(namespace).setdefault("given", {}).setdefault(self.dest, values)
+        if option is not None and before != values:
+            one, two = (" ".join(map(str, v)) if isinstance(v, list) else v for v in (before, values))
+            raise argparse.ArgumentError(self, f"given twice, as {one} and as {two}; give it once")
+        setattr(namespace, self.dest, values)
+
+
+class _OneOrEach(_Once):
     """One value for all channels, or one for each of them."""
 
-    def __call__(self, _parser: Any, namespace: Any, values: Any, _option: Any = None) -> None:
+    def __call__(self, parser: Any, namespace: Any, values: Any, option: Any = None) -> None:
+        super().__call__(parser, namespace, values, option)
         setattr(namespace, self.dest, values[0] if len(values) == 1 else values)
 
 
@@ -419,6 +431,7 @@ def _command(
 ) -> argparse.ArgumentParser:
     """A command with the options that all have."""
     sub: argparse.ArgumentParser = commands.add_parser(name, help=text, description=text)
+    sub.register("action", None, _Once)  # what an argument does that says nothing else
     sub.set_defaults(run=run)
     if out is not None:
         sub.add_argument("--out", type=Path, default=Path(out), help=f"folder for the results (default: {out})")
@@ -516,7 +529,8 @@ def _fitting(command: Adding) -> None:
     )
     sub.add_argument("--noise", choices=("auto", "gaussian", "student", "ar"), default="auto",
                      help="noise: white, with outliers (student) or correlated (ar); default: by data")  # fmt: skip
-    sub.add_argument("--effect", metavar="NAME", help="add this effect to the model, e.g. the one that diagnose named")
+    about = "add this effect to the model, e.g. the one that diagnose named (repeat for two at once)"
+    sub.add_argument("--effect", action="append", metavar="NAME", help=about)
     _own_effects(sub)
     sub.add_argument("--thorough", action="store_true", help="run longer: 50 autocorrelation times instead of 20")
     sub.add_argument(

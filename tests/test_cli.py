@@ -81,6 +81,16 @@ def test_bad_input_is_a_sentence_and_exit_code_2(arguments, capsys, tmp_path, mo
         (["fit", "thesis", "--workers", "0"], "argument --workers: 0: give a whole number, at least 1"),
         (["simulate", "--out", "F.toml"], "--out F.toml: the values used go to that name"),
         (["bench", "--repeats", "many"], "argument --repeats: many: give a whole number, at least 1"),
+        (["fit", "thesis", "--effect", "a+b", "--effect", "c"], "takes one effect, or two at once; leave out 1 of"),
+        (["fit", "thesis", "--effect", "a", "--effect", "a"], "--effect a --effect a: this is the same effect twice"),
+        (["fit", "thesis", "--out", "a", "--out", "b"], "argument --out: given twice, as a and as b; give it once"),
+        (["simulate", "--effect", "a", "--effect", "b"], "argument --effect: given twice, as a and as b; give it once"),
+        (["init", "new", "--columns", "1", "--columns", "2", "3"], "argument --columns: given twice, as 1 and as 2 3;"),
+        (["init", "new", "--sign", "1", "-1", "--sign", "1"], "argument --sign: given twice, as 1 -1 and as 1; give"),
+        (
+            ["init", "new", "--sensor-range", "1", "--sensor-range", "2"],
+            "argument --sensor-range: given twice, as 1 and",
+        ),
     ],
 )
 def test_what_cannot_be_done_is_told_without_a_traceback(arguments, told, capsys, tmp_path, monkeypatch):
@@ -94,6 +104,13 @@ def test_what_cannot_be_done_is_told_without_a_traceback(arguments, told, capsys
         code = ended.code
     assert code == 2
     assert told in capsys.readouterr().err
+
+
+def test_an_option_may_be_given_twice_alike_and_those_of_several_values_as_often_as_one_likes():
+    several = ["--case", "I", "--case", "II", "--effect", "a", "--effect", "b"]
+    args = _parser().parse_args(["fit", "rig", "--seed", "3", "--seed", "3", "--out", "a", *several, "--out", "a"])
+    assert (args.seed, args.case, args.effect) == (3, ["I", "II"], ["a", "b"])
+    assert _parser().parse_args(["fit", "rig"]).effect is None
 
 
 @pytest.mark.parametrize("number", ["-1e-3", "-.5E-3", "-2", "0"])
