@@ -123,8 +123,8 @@ class Origin:
 
     kind : of the rig; amplitudes : torques (N m; forces, N) that suit its size; converged : whether the fit of the case
     did, True where nothing says; known : what is odd in the records that were fitted, as `check` lists it; warnings :
-    of the fit and of the tuning; effect, formula : that the fit has beside the nominal model, or ""; reach : how far
-    the primary moves in the records of the fit, rad (m), None where they are not known.
+    of the fit and of the tuning; effect, formula : that the fit has beside the nominal model, "A+B" of two, or "";
+    reach : how far the primary moves in the records of the fit, rad (m), None where they are not known.
     """
 
     campaign: str = ""
@@ -244,7 +244,9 @@ def origin_of(
 
 def _missing(case: str, effect: str | None) -> str:
     """That a fit misses something, with an effect or without."""
-    return _MISSES.format(case, f" beside {effect}" if effect else "") + ("" if effect else _REMEDY)
+    return _MISSES.format(case, f" beside {effect.replace('+', ' and ')}" if effect else "") + (
+        "" if effect else _REMEDY
+    )
 
 
 def _swings(campaign: Campaign, case: str) -> tuple[list[float], list[float]]:

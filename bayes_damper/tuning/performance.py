@@ -186,8 +186,7 @@ def _driven(
         for name in NONLINEAR
     }
     parameters |= {"theta0": 0.0, "delay": 0.0}
-    if acting is not None and not (coupled or acting.variant.uncoupled):
-        acting = None
+    acting = None if acting is None else acting.on_rig(coupled)
     run = Model(coupled=coupled, effect=None if acting is None else acting.variant).simulate(
         parameters, times, effect=None if acting is None else acting.numbers(draws, scale), torque=torque,
         quantity="displacement", threads=2,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayes_damper import figures
-from bayes_damper.effects import load_effects
+from bayes_damper.effects import load_effects, names_in
 from bayes_damper.effects._law import SITES, Law
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.rig.parameters import OTHER_UNIT, PARAMETERS, unit_of
@@ -421,6 +421,11 @@ def _law_of(path: Path, origin: Origin, arrays: bool) -> Law:
     laws: dict[str, Law] = {name: e.law for name, e in load_effects(path).items() if e.law is not None}
     wanted = origin.effect if not arrays else next(iter(laws), "")
     law = laws.get(wanted)
+    if beside := [name for name in names_in(wanted or None) if name in laws and name != wanted]:
+        raise InputError(
+            f"{path}: the fit has {beside[0]} beside another effect, and tune drives a learnt law alone; leave out "
+            "--effects to drive the rig without the law"
+        )
     if law is None:
         has = f"the fit has the effect {origin.effect}" if origin.effect else "the fit has no learnt law"
         raise InputError(

@@ -100,3 +100,87 @@ def test_a_formula_that_is_not_known_is_left_out():
     assert "which is left out here: fit it again" in note
     assert "only effects of the library" in acting_of(tuning.Origin(effect="my_own"), draws)[2]
     assert acting_of(tuning.Origin(), draws)[::2] == (None, "")
+
+
+def with_two(first, second, **more):
+    """Draws of one rig with two effects, each at a first point of its search, and what a fit's folder says of both."""
+    pair = {effect: EFFECTS[effect].variant(formula) for effect, formula in (first, second)}
+    numbers = {
+        f"effect.{name}.{p.name}": x
+        for name, v in pair.items() for p, x in zip(v.parameters, v.starts[0], strict=True)
+    }  # fmt: skip
+    draws = tuning.posterior_draws(RIG | numbers | more, "IV", 1, np.random.default_rng(1))
+    # A kernel may take them in the other order.
+    formula = "; ".join(f"{name}: {v.formula}" for name, v in reversed(pair.items()))
+    return draws, tuning.Origin(effect="+".join(pair), formula=formula)
+
+
+CUBIC, OFFSET = ("spring_cubic", "same_for_all"), ("release_offset", "offset")
+
+
+@pytest.mark.parametrize("pair", [(OFFSET, CUBIC), (CUBIC, OFFSET)], ids=str)
+def test_of_two_effects_the_one_of_the_release_is_left_out_and_the_other_acts(pair):
+    draws, origin = with_two(*pair)
+    acting, same, note = acting_of(origin, draws)
+    assert same is draws
+    assert acting.variant is EFFECTS["spring_cubic"].variant("same_for_all")
+    numbers = acting.numbers(draws, np.array([[0.5, 2.0]]))
+    assert {name: list(x) for name, x in numbers.items()} == {"k3": [draws["effect.spring_cubic.k3"][0]] * 2}
+    assert f"The driven rig has the effect spring_cubic ({EFFECTS['spring_cubic'].title}), as in the fit; the" in note
+    assert f"The fit has the effect release_offset ({EFFECTS['release_offset'].title}) too, which is left out" in note
+
+
+def test_two_effects_that_act_drive_the_rig_together():
+    """Alone on the primary, too, only the one that can act there does; each number is that of its own effect."""
+    draws, origin = with_two(("magnet_cubic", "cubic"), ("quadratic_drag", "alike"))
+    acting, same, note = acting_of(origin, draws)
+    assert same is draws
+    assert "has the effects magnet_cubic (" in note
+    assert ") and quadratic_drag (" in note
+    assert note.endswith(
+        ", as in the fit; the linear model, and with it the search for the best design, leaves them out."
+    )
+    assert {p.name for p in acting.variant.parameters} == {"magnet_cubic.cubic", "quadratic_drag.coefficient"}
+    cubic, drag = EFFECTS["magnet_cubic"].variant("cubic"), EFFECTS["quadratic_drag"].variant("alike")
+    scale = np.array([[0.5, 2.0]])
+    numbers = acting.numbers(draws, scale)
+    assert list(numbers["magnet_cubic.cubic"]) == [cubic.starts[0][0]] * 2
+    assert list(numbers["quadratic_drag.coefficient"]) == [drag.starts[0][0]] * 2
+    assert acting.on_rig(True) is acting
+    apart = acting.on_rig(False)
+    assert [p.name for p in apart.variant.parameters] == [p.name for p in acting.variant.parameters]
+    assert apart.variant.torque is not acting.variant.torque
+
+
+@pytest.mark.slow
+def test_two_effects_drive_the_rig_as_each_would_beside_the_other():
+    """With one at its null, the response is that of the other alone; without the secondary, that of the drag."""
+    for name, formula in (("magnet_cubic", "cubic"), ("quadratic_drag", "alike")):
+        draws, origin = with_two(("magnet_cubic", "cubic"), ("quadratic_drag", "alike"))
+        off = {k: 0.0 * x for k, x in draws.items() if k.startswith("effect.") and name not in k}
+        both, draws, _ = acting_of(origin, draws | off)
+        alone = tuning.Acting(EFFECTS[name].variant(formula), label=f"{name}.")
+        for coupled in (True, False):
+            found, right = (
+                tuning.harmonic_response(draws, [7.0], 0.08, coupled, settle_cycles=12, acting=acting)[0][0, 0]
+                for acting in (both, alone)
+            )
+            assert found == pytest.approx(right, rel=1e-6)
+
+
+def test_a_wrong_constant_beside_an_effect_that_acts_is_put_right_in_the_draws():
+    draws, origin = with_two(("inertia_error", "factor"), CUBIC, J2=2.0e-3)
+    acting, right, note = acting_of(origin, draws)
+    assert right["J2"] == pytest.approx(2.0e-3 * 1.08)
+    assert acting.variant is EFFECTS["spring_cubic"].variant("same_for_all")
+    assert acting.numbers(right, np.ones((1, 1)))["k3"] == draws["effect.spring_cubic.k3"]
+    assert note.startswith("The rig has the effect inertia_error (wrong inertia of the secondary), as in the fit. The")
+
+
+def test_of_two_effects_one_that_is_not_known_is_left_out():
+    draws, origin = with_two(CUBIC, OFFSET)
+    formula = origin.formula.replace("release_offset", "learnt_ground1")
+    acting, _, note = acting_of(tuning.Origin(effect="spring_cubic+learnt_ground1", formula=formula), draws)
+    assert acting.variant is EFFECTS["spring_cubic"].variant("same_for_all")
+    assert "has the effect learnt_ground1 too, which is left out here: " in note
+    assert "the design is judged without it" in note

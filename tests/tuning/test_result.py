@@ -776,6 +776,16 @@ def test_a_law_that_is_a_nominal_one_does_to_a_driven_rig_what_that_does(tmp_pat
     assert np.abs(without / wanted - 1.0).max() > 0.02
 
 
+def test_a_law_that_the_fit_has_beside_an_effect_is_refused_with_the_way_out(tmp_path):
+    fit = fitted_folder(tmp_path)
+    path, _ = law_file(tmp_path / "learnt", (Term("speed", "time", (-0.1, *[0.0] * (ORDER - 1))),))
+    run = json.loads((fit / "run.json").read_text())
+    run["plan"]["effect"] = "learnt_ground1+spring_cubic"
+    write_json(fit / "run.json", run)
+    with pytest.raises(InputError, match=r"the fit has learnt_ground1 beside another effect, .* leave out --effects"):
+        tuning.tune(fit, effects=path, case="IV", amplitudes=(0.5,), optimise=False, n_draws=4, n_nonlinear=2)
+
+
 def test_a_law_that_the_fit_has_acts_on_the_driven_rig_and_warns_beyond_its_range(tmp_path):
     fit = fitted_folder(tmp_path)
     path, _ = law_file(tmp_path / "learnt", (Term("speed", "time", (-0.1, *[0.0] * (ORDER - 1))),), fast=2.0)
