@@ -70,9 +70,10 @@ def write_table(summary: FitFile, path: Path) -> None:
 
 def table_text(parameters: Mapping[str, ParameterEntry], title: str) -> str:
     """A table for the terminal: median and 90 % interval, who decided (data or prior), and the health figures."""
-    lines = [title, f"  {'':28s}{'median':>11s}  {'90 % interval':^25s}  {'unit':10s} decided by"]
+    wide = max([28, *(len(name) + 1 for name in parameters)])
+    lines = [title, f"  {'':{wide}s}{'median':>11s}  {'90 % interval':^25s}  {'unit':10s} decided by"]
     for name, p in parameters.items():
         low, high = p["hdi90"]
         word = "(derived)" if p["prior_share"] is None else decided_by(p["prior_share"])
-        lines.append(f"  {name:28s}{p['median']:11.4g}  {low:11.4g} .. {high:<11.4g} {p['unit']:10s} {word}")
+        lines.append(f"  {name:{wide}s}{p['median']:11.4g}  {low:11.4g} .. {high:<11.4g} {p['unit']:10s} {word}")
     return "\n".join(lines)

@@ -73,10 +73,11 @@ def text(table: Mapping[str, PriorEntry]) -> list[str]:
         return ["  No answer moves by more than 0.1 sd when a prior is half or twice as wide."]
     lines = ["  shift in sd when a prior is half / twice as wide (others: below 0.1)"]
     doubtful = False
+    wide = max(28, *(len(name) + 1 for name in shown))
     for name in shown:
         row = table[name]
         cells = " / ".join(f"{w['shift']:+.2f}{'' if w['reliable'] else '?'}" for w in (row["half"], row["double"]))
         doubtful = doubtful or "?" in cells
         mark = "   the prior decides" if row["decided_by"] == "prior" else ""
-        lines.append(f"  {name:28s}{cells}{mark}")
+        lines.append(f"  {name:{wide}s}{cells}{mark}")
     return [*lines, "  ?: too few draws count to be sure; fit with that prior to know"] if doubtful else lines

@@ -15,7 +15,7 @@ from bayes_damper.priors.files import load_priors
 from bayes_damper.published.measurements import load_published
 from bayes_damper.runs.json_files import write_json
 from bayes_damper.sampling import arviz_adapter
-from bayes_damper.sampling.prior_sensitivity import of_standard_draws
+from bayes_damper.sampling.prior_sensitivity import of_standard_draws, text
 from bayes_damper.sampling.sequential import temper
 from bayes_damper.variability.pooling import Hierarchy
 from bayes_damper.variability.published import PublishedCases
@@ -143,6 +143,25 @@ def test_tables_and_shifts_agree_on_who_decided():
     row = {"median": 1.0, "hdi90": (0.5, 1.5), "unit": "1"}
     lines = table_text({n: row | {"prior_share": found[n]["prior_share"]} for n in "abc"}, "case").splitlines()
     assert [line.rpartition("  ")[2].strip() for line in lines[2:]] == ["data", "data and prior", "prior"]
+
+
+def test_names_as_long_as_those_of_two_effects_stay_apart_from_their_numbers():
+    name = "effect.quadratic_drag.coefficient"
+    row = {"median": 1.25, "hdi90": (0.5, 1.5), "unit": "1/rad", "prior_share": 0.1}
+    head, long, short = table_text({name: row, "mu": row}, "case").splitlines()[1:]
+    assert long.split()[:2] == [name, "1.25"]
+    assert short.index("1.25") == long.index("1.25")
+    assert long.index("data") == short.index("data") == head.index("decided by")
+    side = {
+        "shift": 0.5,
+        "width": 1.0,
+        "moves_most": name,
+        "shift_of_that": 0.0,
+        "effective_share": 1.0,
+        "reliable": True,
+    }
+    entry = {"prior_share": 0.5, "decided_by": "data", "half": side, "double": side}
+    assert text({name: entry})[1].split()[:2] == [name, "+0.50"]
 
 
 @pytest.mark.slow
