@@ -18,6 +18,7 @@ from bayes_damper.errors import BayesDamperError, ExitCode, InputError, printabl
 from bayes_damper.inputs import is_file, number_in, real
 from bayes_damper.runs.interrupts import interrupts_passed_on
 from bayes_damper.runs.memory import seldom_collected
+from bayes_damper.text import gathered
 
 Arguments = argparse.Namespace
 Adding = Callable[..., argparse.ArgumentParser]  # name, what it runs, help, and `out` where it writes by default
@@ -715,7 +716,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         with seldom_collected(), interrupts_passed_on(), _closed_afterwards(args):
             result = args.run(args)
     except BayesDamperError as error:
-        print(f"bayes-damper {args.command}: {error}", file=sys.stderr)
+        said = "\n".join(gathered(error.faults)) if isinstance(error, InputError) else str(error)
+        print(f"bayes-damper {args.command}: {said}", file=sys.stderr)
         return int(error.exit_code)
     except OSError as error:  # a folder that cannot be written, a full disk
         place = f"{error.filename}: " if error.filename else ""

@@ -17,7 +17,8 @@ SDS_WIDE = 3.29
 SMALLEST_P = 1e-12
 """Below this a p value says nothing more: no model of noise holds so far out in its tails."""
 
-_ALIKE = 3  # records of which the same is said, from which on it is said once
+_ALIKE = 3  # records or lines of which the same is said, from which on it is said once
+_NAMED = 12  # lines that a sentence names one by one
 
 COORDINATES = {
     "th1": (("θ1", "rad"), ("x1", "m")), "th2": (("θ2", "rad"), ("x2", "m")),
@@ -48,36 +49,47 @@ def p_value(p: float) -> str:
     return f"p below {SMALLEST_P:.0e}" if p < SMALLEST_P else f"p = {p:.2g}"
 
 
+_PLACE = re.compile(r"(.*?)(?:(, line )(\d+))?((?:, column .*|(?<=\d), .*)?)", re.DOTALL)
+"""Where something is: a file, the line in it, and the column or field."""
 _NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.])")
 
 
-def gathered(warnings: Iterable[str]) -> list[str]:
-    """Warnings for reading: what is said of three records or more, alike but for its numbers, is said once.
+def gathered(sentences: Iterable[str]) -> list[str]:
+    """Warnings or faults for reading: what is said of three records or lines, alike but for its numbers, is said once.
 
-    warnings : `FILE: sentence` or `FILE, column 'NAME': sentence`; others stay as they are, each in its place.
+    sentences : `FILE: sentence`, `FILE, column 'NAME': sentence` or `FILE, line N, ...: sentence`; others stay as they
+    are, each in its place.
     """
     alike: dict[tuple[str, ...], list[tuple[str, str, str]]] = {}
-    for warning in warnings:
-        place, mark, sentence = warning.partition(": ")
-        file, comma, column = place.partition(", column ")
+    for whole in sentences:
+        place, mark, sentence = whole.partition(": ")
+        file, line, number, rest = _PLACE.fullmatch(place).groups("")  # type: ignore[union-attr]
         if mark and ".csv" in file:
-            key = (column, _NUMBER.sub("#", sentence))
-            alike.setdefault(key, []).append((file, comma + column, sentence))
+            key = (rest, _NUMBER.sub("#", sentence), file if line else "")
+            alike.setdefault(key, []).append((number if line else file, place, sentence))
         else:
-            alike.setdefault((warning,), []).append(("", "", warning))
+            alike.setdefault((whole,), []).append(("", "", whole))
     out = []
-    for found in alike.values():
-        file, column, sentence = found[0]
-        if not file:
+    for (rest, *of), found in alike.items():
+        first, place, sentence = found[0]
+        names = list(dict.fromkeys(name for name, _, _ in found))
+        if not place:
             out.append(sentence)
-            continue
-        files = len({name for name, _, _ in found})
-        if files < _ALIKE:
-            out += [f"{name}{column}: {said}" for name, column, said in found]
+        elif len(names) < _ALIKE:
+            out += [f"{where}: {said}" for _, where, said in found]
         else:
             same = "" if all(said == sentence for _, _, said in found) else " (numbers of the first)"
-            out.append(f"{file} and {files - 1} others{column}: {sentence}{same}")
+            shared = f"{of[1]}, lines {_listed(names)}" if of[1] else f"{first} and {len(names) - 1} others"
+            out.append(f"{shared}{rest}: {sentence}{same}")
     return out
+
+
+def _listed(numbers: Sequence[str]) -> str:
+    """Numbers of lines: `2 to 13` where none is left out, else `2, 5, 7`, a dozen at most."""
+    if int(numbers[-1]) - int(numbers[0]) == len(numbers) - 1:
+        return f"{numbers[0]} to {numbers[-1]}"
+    more = f" and {len(numbers) - _NAMED} more" if len(numbers) > _NAMED else ""
+    return ", ".join(numbers[:_NAMED]) + more
 
 
 def warning_lines(warnings: Sequence[str], known: int = 0) -> list[str]:

@@ -84,6 +84,21 @@ def test_what_is_said_of_three_records_is_said_once():
     assert gathered(tops[:4]) == tops[:4]
 
 
+def test_a_fault_of_many_lines_is_said_once_with_their_numbers():
+    free = [f"trials.csv, line {i}, theta0_mm: it is empty; fill it in" for i in range(2, 14)]
+    cells = [f"trials/A_1.csv, line {i}, column 'x1_m': the cell is empty" for i in (5, 7, 30)]
+    other = [f"trials/A_{i}.csv, line 5, column 'x1_m': the cell is empty" for i in (2, 3, 4)]
+    assert gathered([*free, *cells]) == [
+        "trials.csv, lines 2 to 13, theta0_mm: it is empty; fill it in",
+        "trials/A_1.csv, lines 5, 7, 30, column 'x1_m': the cell is empty",
+    ]
+    assert gathered([*free[:2], *cells[:2], *other]) == [*free[:2], *cells[:2], *other]  # their lines are to be found
+    many = [f"trials.csv, line {2 * i}: it is empty; fill it in" for i in range(1, 41)]
+    assert gathered(many) == [
+        "trials.csv, lines 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24 and 28 more: it is empty; fill it in"
+    ]
+
+
 def test_what_check_lists_is_counted_and_what_a_command_adds_is_said():
     late = [f"trials/A_{i}.csv: motion begins late" for i in (1, 2, 3)]
     assert warning_lines(["The law ends at 1 m."]) == ["warning: The law ends at 1 m."]
