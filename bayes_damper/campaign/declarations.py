@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bayes_damper.campaign import readings as look
 from bayes_damper.campaign.head import Head
 from bayes_damper.campaign.records import DERIVATIVE, departure
-from bayes_damper.campaign.structure import Trial, natural_period
+from bayes_damper.campaign.structure import TO_SI, Trial, natural_period
 
 Array = NDArray[np.float64]
 _OFF = 0.1  # of the frequency: nonlinear springs and viscous damping of a free decay stay below it, as a rule
@@ -24,6 +24,8 @@ _HIGHER, _LOWER = 1.25, 0.7  # first swing, less what friction takes of it, over
 _STILL = 0.1  # of the largest reading, below which a rig is held to have come to rest
 _FEWEST = 3.0  # swings that give a frequency
 _FIRST = 0.5  # rad of the primary's oscillation, in which the release shows and nothing has turned round
+_APART = 0.1  # of the primary's displacement at the release: where dry friction stops a body is nearer, as a rule
+_FEWEST_HELD = 3  # readings up to the release that show a rig at rest
 
 
 def look_at_declarations(head: Head, trials: Sequence[Trial], warnings: list[str]) -> None:
@@ -59,9 +61,66 @@ def wiring_of(head: Head, trial: Trial) -> Literal["exchanged", "reversed"] | No
     if found is None:
         return None
     first, second, noise = found
+    held = held_at(head, trial)
+    if held is not None and trial.theta0 is not None:
+        share = held / trial.theta0.value
+        if abs(share[0]) < 0.5 * abs(share[1]) and 0.7 < share[1] < 1.4:
+            return "exchanged"
+        if share[0] > 0.0 and abs(share[1]) < 0.5 * share[0]:  # not released together: the primary draws it near
+            return "reversed" if first > 0.3 and second > max(0.02, 6.0 * noise) else None
     if head.rig.ground2_stiffness.value == 0.0 and second > 0.5 and first < 0.6 * second:
         return "exchanged"
     return "reversed" if first > 0.3 and second < -max(0.02, 6.0 * noise) else None
+
+
+def held_at(head: Head, trial: Trial) -> Array | None:
+    """Displacement that each channel reads where the rig is held before the release, (n_channels,).
+
+    None where no displacements are read, or the readings up to t = 0 do not show a rig at rest. A record that begins
+    with the release has one such reading; it counts where it is that of the declared release.
+    """
+    if head.measurement.quantity != "displacement" or head.measurement.start != "rest" or trial.theta0 is None:
+        return None
+    until = trial.channels[:, trial.times <= 0.5 * float(np.median(np.diff(trial.times)))]
+    if until.size == 0 or trial.driven:
+        return None
+    held = np.median(until, axis=1)
+    if until.shape[1] < _FEWEST_HELD:
+        return held if abs(held[0] - trial.theta0.value) < 0.05 * abs(trial.theta0.value) else None
+    still = max(12.0 * look.noise_floor_of(trial.channels[0]), 0.01 * float(np.max(np.abs(trial.channels[0]))))
+    return held if float(np.ptp(until[0])) < still else None
+
+
+def look_at_starts(head: Head, trials: Sequence[Trial], warnings: list[str]) -> None:
+    """Adds a warning where most coupled trials show the secondary away from the primary at their release."""
+    apart = [(t, levels) for t in trials if t.coupled and (levels := _apart(head, t)) is not None]
+    if not apart or len(apart) < 0.5 * sum(t.coupled for t in trials):
+        return
+    unit, name, sign = ("mm", "theta0_mm", "x") if head.rig.kind == "translational" else ("deg", "theta0_deg", "th")
+    levels = apart[0][1] / TO_SI[head.rig.kind]
+    first, second = np.round(levels, 1 - math.floor(math.log10(abs(levels[0])))) + 0.0  # no -0
+    warnings.append(
+        f"{apart[0][0].file}{f' and {len(apart) - 1} other coupled trials' if len(apart) > 1 else ''}: at the release "
+        f"the primary stands at {first:g} {unit} and the secondary at {second:g} {unit}, but the model releases both "
+        f"from the same angle, {sign}2(0) = {sign}1(0). If only the primary was held there, let the initial angles of "
+        "both bodies be inferred: run `init` again without theta0 (no --theta0, and {case} for {theta0} in --pattern); "
+        f'or set start = "free" in campaign.toml, empty the column {name} of trials.csv, and take off all readings '
+        "before the release. If both were held there, take the zero of the second sensor off (--offset)"
+    )
+
+
+def _apart(head: Head, trial: Trial) -> Array | None:
+    """Where the bodies are held before the release, (2,), if that is not the same place; else None."""
+    held = held_at(head, trial)
+    if held is None or wiring_of(head, trial) is not None:
+        return None
+    omega = 2.0 * math.pi / natural_period(head.rig, trial)
+    noise = [look.noise_floor_of(c) for c in trial.channels]
+    zeros = [look.offset_of(trial.times, c, s, omega) for c, s in zip(trial.channels, noise, strict=True)]
+    for levels in (held, held - zeros):  # a zero that is not taken off is no distance, nor one that seems to be there
+        if not max(_APART * abs(levels[0]), 20.0 * noise[1]) < abs(levels[1] - levels[0]):
+            return None
+    return levels if abs(levels[1]) < 3.0 * abs(levels[0]) else None  # else in another unit, which its torques show
 
 
 def _alone(trials: Sequence[Trial]) -> dict[str, list[Trial]]:
@@ -196,6 +255,8 @@ def _drives(head: Head, trial: Trial) -> tuple[float, float, float] | None:
     onset = math.inf
     for channel, level in zip(trial.channels, held, strict=True):
         start = math.copysign(trial.theta0.value, level) if power == 0 else trial.theta0.value
+        if power == 0 and abs(level - start) > 0.3 * abs(start):  # held elsewhere than declared
+            start = level
         away, bound = departure(channel, head.measurement.quantity, start)
         if np.any(away > bound):
             share = min(bound / reach, 1.0)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from bayes_damper.campaign.balance import look_at_balance
-from bayes_damper.campaign.declarations import look_at_declarations
+from bayes_damper.campaign.declarations import look_at_declarations, look_at_starts
 from bayes_damper.campaign.head import Head, check_rig, per_channel, read_head
 from bayes_damper.campaign.magnitudes import check_declared, check_magnitudes
 from bayes_damper.campaign.plausibility import look_at_rates, look_at_repeats, look_at_trial
@@ -63,6 +63,7 @@ def _loaded(folder: Path, head: Head, rows: Sequence[Row], faults: list[str], di
         raise InputError(faults)
     LOG.info("read %s: %d trials, %d readings", folder, len(trials), sum(t.channels.size for t in trials))
     look_at_declarations(head, trials, warnings)
+    look_at_starts(head, trials, warnings)
     look_at_repeats(head, trials, warnings)
     look_at_rates(head, trials, of_records)
     both = any(t.coupled for t in trials)

@@ -154,7 +154,10 @@ def _theta0_from(
     text, std_text = cells.get(name, ""), cells.get(std_name, "")
     if start == "free":
         if text:
-            faults.append(f'{where}: {name} is given but start = "free"; leave it empty or set start = "rest"')
+            faults.append(
+                f'{where}: {name} is given but start = "free"; empty the column and take all readings before the '
+                'release off the records, or set start = "rest"'
+            )
         return None
     if not text:
         faults.append(f'{where}: {name} is empty; give the release angle, or set start = "free" in campaign.toml')

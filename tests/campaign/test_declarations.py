@@ -1,0 +1,92 @@
+"""What records of two carts show of what is declared: where they stand at the release, channels, signs, units."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from bayes_damper.campaign import load_campaign
+from bayes_damper.cli import main
+
+M1, M2, K1, K2, C1, C2, C3 = 1.8, 0.9, 900.0, 150.0, 5.0, 3.0, 1.0
+STEP, HELD = 2e-3, 10
+TIMES = np.arange(-HELD, 1500) * STEP
+
+
+def decay(x2, mm=20.0):
+    """Displacements of both carts, the second released from `x2` times the first's; (2, n) m, held before t = 0."""
+    masses = np.array([[M1], [M2]])
+    stiffness = np.array([[K1 + K2, -K2], [-K2, K2]]) / masses
+    damping = np.array([[C1 + C2, -C2], [-C2, C2 + C3]]) / masses
+    step = expm(STEP * np.block([[np.zeros((2, 2)), np.eye(2)], [-stiffness, -damping]]))
+    state = 1e-3 * mm * np.array([1.0, x2, 0.0, 0.0])
+    found = [state[:2]] * HELD
+    for _ in TIMES[HELD:]:
+        found.append(state[:2])
+        state = step @ state
+    return np.array(found).T
+
+
+def carts(folder, x2=1.0, change=lambda y: y, mm=20.0, declared=20.0, begin=0, m2=M2, start="rest", seed=1):
+    """Warnings of three coupled trials, changed by `change`; begin : the first reading that is kept."""
+    rng = np.random.default_rng(seed)
+    folder.mkdir(parents=True)
+    (folder / "campaign.toml").write_text(
+        f'name = "carts"\n[rig]\nkind = "translational"\nprimary_inertia = {M1}\nsecondary_inertia = {m2}\n'
+        f'[measurement]\nquantity = "displacement"\nstart = "{start}"\n'
+    )
+    (folder / "priors.toml").write_text("mu = 0.0\n")
+    rows = ["file,case,configuration,k1_n_per_m,theta0_mm,trial"]
+    for k in range(3):
+        y = change(decay(x2, mm) + rng.normal(0.0, 5e-6, (2, TIMES.size)))
+        lines = ["time_s,x1_m,x2_m", *(f"{t:.6g},{a!r},{b!r}" for t, a, b in zip(TIMES, *y.tolist(), strict=True))]
+        (folder / f"{k}.csv").write_text("\n".join(lines[:1] + lines[1 + begin :]) + "\n")
+        rows.append(f"{k}.csv,A,coupled,{K1},{declared if start == 'rest' else ''},{k + 1}")
+    (folder / "trials.csv").write_text("\n".join(rows) + "\n")
+    return " ".join(load_campaign(folder).warnings)
+
+
+@pytest.mark.parametrize("begin", [0, HELD])
+def test_a_second_body_that_is_not_held_beside_the_first_is_told_with_what_to_do(tmp_path, begin):
+    said = carts(tmp_path / "apart", x2=0.0, begin=begin)
+    assert "0.csv and 2 other coupled trials: at the release body 1 stands at 20 mm and body 2 at 0 mm" in said
+    assert all(words in said for words in ("x2(0) = x1(0)", "without theta0", 'start = "free"'))
+    assert "stands at" not in carts(tmp_path / "free", x2=0.0, begin=HELD, start="free")
+
+
+@pytest.mark.parametrize("x2", [0.95, 1.0, 1.05])
+@pytest.mark.parametrize("begin", [0, HELD])
+def test_bodies_released_together_are_not_remarked_on(tmp_path, x2, begin):
+    assert not carts(tmp_path / "sound", x2=x2, begin=begin)
+
+
+def test_zeros_of_the_sensors_do_not_set_the_bodies_apart(tmp_path):
+    assert "stands at" not in carts(tmp_path / "zeros", change=lambda y: y + np.array([[8e-3], [-6e-3]]))
+
+
+def turned(first, second):
+    return lambda y: y * np.array([[first], [second]])
+
+
+@pytest.mark.parametrize("x2", [0.0, 1.0])
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [(lambda y: y[::-1], "the channels look exchanged"), (turned(1.0, -1.0), "its sign looks reversed")],
+    ids=["exchanged", "second turned"],
+)
+def test_channels_are_judged_wherever_the_second_body_was_released(tmp_path, x2, change, said):
+    found = carts(tmp_path / "wrong", x2, change)
+    assert said in found
+    assert "stands at" not in found
+    assert said not in carts(tmp_path / "right", x2)
+
+
+def test_an_entry_that_a_free_start_leaves_empty_is_told_once_for_all_lines(tmp_path, capsys):
+    carts(tmp_path / "rig")
+    head = tmp_path / "rig" / "campaign.toml"
+    head.write_text(head.read_text().replace('"rest"', '"free"'))
+    assert main(["check", str(tmp_path / "rig")]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith('bayes-damper check: trials.csv, lines 2 to 4: theta0_mm is given but start = "free"; empty')
+    assert said.count("\n") == 1
