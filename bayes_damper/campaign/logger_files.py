@@ -441,7 +441,8 @@ def _begin(lines: Sequence[Line], option: Mapping[str, Any], mark: str, comma: b
     of one length, and the line before them holds names if it has as many cells and is no row of numbers itself.
     """
     if "skip_lines" in option:
-        return 0, bool(option.get("header", True))
+        named = bool(option.get("header", True))
+        return int(named and any(_units_of(_head(lines[1][1], mark)) or ())), named
     widths = []
     for _, line in lines[:_LOOKED_AT]:
         values = _cells(line, mark, comma)
@@ -453,10 +454,14 @@ def _begin(lines: Sequence[Line], option: Mapping[str, Any], mark: str, comma: b
     # A line with words between rows of numbers is no head: it is reported as a bad line.
     while first > 1 and widths[first - 2] == widths[first] and _half_numbers(lines[first - 1][1], mark, comma):
         first -= 2
-    # The names may do without the empty last column, or have one (of comments) that the rows do without.
-    enough = first > 0 and abs(len(_trimmed(_head(lines[first - 1][1], mark))) - widths[first]) <= 1
+    # The names may do without the empty last column, or have one (of comments) that the rows do without. Units may be
+    # empty for a column of words too.
+    head = _head(lines[first - 1][1], mark) if first > 0 else []
+    enough = first > 0 and (
+        abs(len(_trimmed(head)) - widths[first]) <= 1 or (len(head) == widths[first] and any(_units_of(head) or ()))
+    )
     if widths[first] == 1:
-        enough = first > 0 and len(_trimmed(_head(lines[first - 1][1], mark))) == 1
+        enough = first > 0 and len(_trimmed(head)) == 1
     return (first - 1, True) if enough and option.get("header", True) else (first, False)
 
 
@@ -515,12 +520,18 @@ def _names(head: Sequence[Line], mark: str, width: int) -> tuple[tuple[str, ...]
         return (), ()
     cells = _head(head[-1][1], mark)[:width]
     cells += [""] * (width - len(cells))
-    units = tuple(unit_of(c) or "" for c in cells)
-    if len(head) > 1 and any(units) and all(u or not c for u, c in zip(units, cells, strict=True)):
+    units = _units_of(cells)
+    if len(head) > 1 and units is not None and any(units):
         above = _head(head[-2][1], mark)[:width]
-        if sum(map(bool, above)) >= sum(map(bool, cells)):
+        if sum(map(bool, above)) >= sum(map(bool, units)):
             return tuple(above + [""] * (width - len(above))), units
     return tuple(cells), ()
+
+
+def _units_of(cells: Sequence[str]) -> tuple[str, ...] | None:
+    """The units of a line that holds nothing else, "" where a cell has none (it is empty, or a dash); else None."""
+    units = tuple(unit_of(c) or "" for c in cells)
+    return units if all(u or not c.strip("[]()- ") for u, c in zip(units, cells, strict=True)) else None
 
 
 def _without_unit(name: str) -> str:

@@ -331,10 +331,23 @@ def rows(form: str, scale: float = 1.0, at: float = 0.2) -> list[str]:
 STAMPED = [r.replace("@", "2024-05-03 10:11:", 1) for r in rows("@{0:09.6f},{1:.4f},{2:.4f}", at=12.2)]
 CLOCKED = [r.replace("@", "10:11:", 1) for r in rows("@{0:06.3f},{1:.4f},{2:.4f}", at=12.2)]
 COMMAS = [r.replace(".", ",") for r in rows("{0:.4f};{1:.6f};{2:.6f};", G)]
+WORDS = [f"{row}OK;" for row in COMMAS]
 STYLES: dict[str, tuple[bytes, dict[str, object]]] = {
     "units in a line of their own, empty last column": (
         table(["Messung 12;;;", "", "Zeit;B 1;B 2;", "s;g;g;"], COMMAS, "cp1252", "\r\n"),
         {"time": "Zeit", "columns": ["B 1", "b 2"], "mounting_radius": 0.1},
+    ),
+    "no unit for a column of words, empty last column": (
+        table(["Kanal 1;A", "", "Zeit;B 1;B 2;Status;", "[s];[g];[g];;"], WORDS),
+        {"columns": ["B 1", "B 2"], "mounting_radius": 0.1},
+    ),
+    "a dash for the unit of a column of words": (
+        table(["Kanal 1;A", "", "Zeit;B 1;B 2;Status;", "[s];[g];[g];-;"], WORDS),
+        {"columns": ["B 1", "B 2"], "mounting_radius": 0.1},
+    ),
+    "lines to skip before the names, units below them": (
+        table(["Kanal 1;A", "", "Zeit;B 1;B 2;Status;", "[s];[g];[g];;"], WORDS),
+        {"columns": ["B 1", "B 2"], "mounting_radius": 0.1, "skip_lines": 2},
     ),
     "LabVIEW with a column of comments": (
         table(
