@@ -28,6 +28,9 @@ Array = NDArray[np.float64]
 _SHOWN = 0.95  # share of the primary's torques that the second body must explain, for its inertia to be believed
 _OFF = (0.6, 1.4)  # times J2, beyond which it is an error: effects and noise that rigs have change it by less
 _FAR = 30.0  # times J2 or a part of it, beyond which no fit can follow: the two bodies' numbers are in other units
+_TAKES = 4.0  # times what primary and springs can give, from which the secondary takes more than any drag accounts for
+_UNIT = 300.0  # times J2, which no other law of spring or friction looks like
+_FAINT = 0.2  # share explained that still gives an inertia to within its unit
 _FEWEST = 20.0  # readings in a natural period
 _LATE = 0.3  # rad of the rig's oscillation by which channels may be apart
 _LEAST = 5.0  # natural periods of a record that are looked at, where the motion dies out sooner
@@ -55,6 +58,7 @@ def look_at_balance(head: Head, trials: Sequence[Trial], faults: list[str], warn
         return
     declared = rig.secondary_inertia
     wrong: dict[str, float] = {}
+    sure = False
     off = frequency_ratios(head, trials)
     unseen: set[str] = set()  # cases whose spring no uncoupled trial shows
     for case, own in cases.items():
@@ -72,20 +76,46 @@ def look_at_balance(head: Head, trials: Sequence[Trial], faults: list[str], warn
             known = 5.0 * math.hypot(found.error / max(found.inertia, 1e-300), declared.std / declared.value)
             ratios = [found.inertia / declared.value, found.inertia / (own_swing * declared.value)]
             if all(not _OFF[0] < r < _OFF[1] and abs(math.log(max(r, 1e-9))) > known for r in ratios):
-                wrong[case] = found.inertia
+                wrong[case], sure = found.inertia, True
+            continue
+        other_unit = found.inertia > _UNIT * declared.value or _taken(head, filtered, own_swing) > _TAKES
+        if found.explained > _FAINT and other_unit:
+            wrong[case] = found.inertia
             continue
         otherwise = _or_the_spring(head, case in unseen)
         _look_at_clock(head, case, filtered, found, own_swing, otherwise, warnings)
     if wrong:
         middle = float(np.median(list(wrong.values())))
         unit = "kg m^2" if rig.kind == "torsional" else "kg"
-        balancing = ", ".join(f"{value:.3g} in case {case}" for case, value in wrong.items())
+        balancing = ", ".join(f"{value:.3g} {unit} in case {case}" for case, value in wrong.items())
         far = max(middle / declared.value, declared.value / middle) > _FAR
-        (faults if far else warnings).append(
-            f"the torques on both bodies add up to zero only with a secondary_inertia of about {balancing} {unit}, "
-            f"not with the declared {declared.value:.3g}: correct it, or {_cause(head, middle / declared.value)}"
+        (faults if far and sure else warnings).append(
+            f"the torques on both bodies add up to zero only with a secondary_inertia of about {balancing}, "
+            f"not with the declared {declared.value:.3g}: correct it{f' (is it in {unit}?)' if far else ''}, or "
+            + _cause(head, middle / declared.value, 1.3 if sure else 2.0)
             + _or_the_spring(head, not unseen.isdisjoint(wrong))
         )
+
+
+def _taken(head: Head, trials: Sequence[_Filtered], own_swing: float) -> float:
+    """What torque the secondary takes if J2 and its readings are right, over the most that primary and springs give.
+
+    Whatever couples the bodies, their inertias and springs balance but for drags: no law of it makes this large.
+    """
+    rig, ratios = head.rig, []
+    declared = rig.secondary_inertia
+    assert declared is not None
+    beside = rig.inertial_coupling.value
+    for filtered in trials:
+        th1, a1, th2, a2 = (
+            float(np.sqrt(np.mean(x**2))) for x in (filtered.first[0], filtered.first[2], *filtered.second(0.0)[::2])
+        )
+        given = (rig.primary_inertia.value + abs(beside)) * a1 + rig.ground2_stiffness.value * th2
+        given += max(own_swing, 1.0) * filtered.trial.k1t.value * th1
+        noise = look.noise_floor_of(filtered.trial.channels[1]) * float(np.linalg.norm(filtered.bumps[2]))
+        least = max(declared.value + min(beside, 0.0) - 3.0 * declared.std, 0.0)
+        ratios.append(least * max(a2 - 3.0 * noise, 0.0) / max(given, 1e-300))
+    return float(np.median(ratios)) if ratios else 0.0
 
 
 def _or_the_spring(head: Head, unseen: bool) -> str:
@@ -94,8 +124,8 @@ def _or_the_spring(head: Head, unseen: bool) -> str:
     return f"; or {spring} or primary_inertia is not as declared, which an uncoupled trial would show" * unseen
 
 
-def _cause(head: Head, ratio: float) -> str:
-    """What may be wrong with a second channel that has to be multiplied by `ratio`."""
+def _cause(head: Head, ratio: float, within: float) -> str:
+    """What may be wrong with a second channel that has to be multiplied by `ratio`, known to a factor of `within`."""
     torsional = head.rig.kind == "torsional"
     radius = head.rig.bar_radius.value if head.rig.bar_radius is not None else 0.1
     guesses = {
@@ -110,7 +140,7 @@ def _cause(head: Head, ratio: float) -> str:
     elif head.measurement.quantity == "acceleration":
         guesses["is in g, not in m/s^2"] = 9.81
     best = min(guesses, key=lambda text: abs(math.log(guesses[text] / ratio)))
-    likely = f"; it may be that it {best}" if abs(math.log(guesses[best] / ratio)) < math.log(1.3) else ""
+    likely = f"; it may be that it {best}" if abs(math.log(guesses[best] / ratio)) < math.log(within) else ""
     return f"the second channel reads {1.0 / ratio:.3g} times what it should{likely}"
 
 
