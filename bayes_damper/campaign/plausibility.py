@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.campaign import readings as look
-from bayes_damper.campaign.declarations import wiring_of
+from bayes_damper.campaign.declarations import held_at, wiring_of
 from bayes_damper.campaign.head import Head, per_channel
 from bayes_damper.campaign.records import DERIVATIVE, USUAL_LAG, departure, picks
-from bayes_damper.campaign.structure import SHOWN, Trial, channel_columns, groups_of, natural_period
+from bayes_damper.campaign.structure import SHOWN, TO_SI, Trial, channel_columns, groups_of, natural_period
 from bayes_damper.text import counted
 
 Array = NDArray[np.float64]
@@ -189,7 +189,7 @@ def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]
     assert trial.theta0 is not None
     sign = math.copysign(1.0, trial.theta0.value) * (1.0 if power == 0 else -1.0)
     level = abs(trial.theta0.value) if power == 0 else 0.0
-    rest = _RESTS[quantity]
+    rest = 0.0 if power == 0 and _is_held(trial, omega) else _RESTS[quantity]
     if not trial.driven and (onset_away := _moves_the_wrong_way(times, sign * y, quantity, omega, rest)) is not None:
         place = "on the other side of 0 than theta0" if power == 0 else "at rest"
         then = "" if power == 0 else " and then begins to move away from its rest position, not towards it"
@@ -205,7 +205,16 @@ def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]
     onset = float(times[int(np.argmax(departed))])
     step = float(np.median(np.diff(times)))
     early = trial.times[0] < -1.5 * step and onset < -1.5 * step
-    if early:
+    held = held_at(head, trial)
+    if early and held is not None and (y[0] > 0.0) == (trial.theta0.value > 0.0):
+        at, declared = abs(float(held[0])) / TO_SI[head.rig.kind], level / TO_SI[head.rig.kind]
+        unit = "mm" if head.rig.kind == "translational" else "deg"
+        warnings.append(
+            f"{trial.file}: before the release the primary stands {at:.3g} {unit} from 0, not {declared:.3g} {unit} as "
+            "theta0 says; correct theta0 in trials.csv (where `init` made the campaign, --theta0 or {theta0} in "
+            "--pattern), or the sensor's zero or scale (--offset, --units)"
+        )
+    elif early:
         warnings.append(
             f"{trial.file}: motion begins {-onset:.4g} s before the nominal release; the trigger came late; "
             "fits take the release from the record"
@@ -233,6 +242,17 @@ def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]
             f"{trial.file}: the first readings are not those of a release; "
             f"{looks}the record begins after the motion began{_TURNED if reversed_sign else ''}"
         )
+
+
+def _is_held(trial: Trial, omega: float) -> bool:
+    """Whether displacements up to t = 0 show a primary at rest: its turning point, at omega (rad/s), would be bent."""
+    until = trial.times <= 0.5 * float(np.median(np.diff(trial.times)))
+    if np.count_nonzero(until) < _FEW:
+        return False
+    slowest = 0.5 * omega if trial.coupled else omega
+    turn = min(0.5 * slowest * float(np.ptp(trial.times[until])), 0.5 * math.pi)
+    y = trial.channels[0][until]
+    return float(np.ptp(y)) < 0.5 * abs(float(np.median(y))) * (1.0 - math.cos(turn))
 
 
 def _moves_the_wrong_way(times: Array, y: Array, quantity: str, omega: float, rest: float = 1.0) -> float | None:

@@ -48,8 +48,10 @@ def rubbing(x2, mm):
     return found.sol(times)[:2]
 
 
-def carts(folder, x2=1.0, change=lambda y: y, mm=20.0, declared=20.0, begin=0, m2=M2, start="rest", rig=decay):
-    """Warnings of three coupled trials, changed by `change`; begin : the first reading that is kept."""
+def carts(
+    folder, x2=1.0, change=lambda y: y, mm=20.0, declared=20.0, begin=0, end=None, m2=M2, start="rest", rig=decay
+):
+    """Warnings of three coupled trials, changed by `change`; begin, end : of the readings that are kept."""
     rng = np.random.default_rng(1)
     folder.mkdir(parents=True)
     (folder / "campaign.toml").write_text(
@@ -61,7 +63,7 @@ def carts(folder, x2=1.0, change=lambda y: y, mm=20.0, declared=20.0, begin=0, m
     for k in range(3):
         y = change(rig(x2, mm) + rng.normal(0.0, 5e-6, (2, TIMES.size)))
         lines = ["time_s,x1_m,x2_m", *(f"{t:.6g},{a!r},{b!r}" for t, a, b in zip(TIMES, *y.tolist(), strict=True))]
-        (folder / f"{k}.csv").write_text("\n".join(lines[:1] + lines[1 + begin :]) + "\n")
+        (folder / f"{k}.csv").write_text("\n".join(lines[:1] + lines[1:][begin:end]) + "\n")
         rows.append(f"{k}.csv,A,coupled,{K1},{declared if start == 'rest' else ''},{k + 1}")
     (folder / "trials.csv").write_text("\n".join(rows) + "\n")
     return " ".join(load_campaign(folder).warnings)
@@ -130,3 +132,24 @@ def test_another_unit_of_the_second_body_shows_beside_friction_and_a_hard_spring
 @pytest.mark.parametrize("m2", [0.5 * M2, M2, 3.0 * M2])
 def test_friction_and_a_hard_spring_are_no_other_unit(tmp_path, m2):
     assert "add up" not in carts(tmp_path / "sound", m2=m2, rig=rubbing)
+
+
+@pytest.mark.parametrize("x2", [0.0, 1.0])
+def test_a_first_channel_turned_round_is_told_after_few_readings_at_rest(tmp_path, x2):
+    found = carts(tmp_path / "wrong", x2, turned(-1.0, 1.0))
+    assert "0.csv: body 1 is held on the other side of 0 than theta0" in found
+    assert "the trigger came" not in found
+
+
+def test_a_record_that_begins_at_the_far_turning_point_is_not_called_turned_round(tmp_path):
+    """A few readings about it lie nearly still, as those of a held rig do."""
+    far = int(np.argmin(decay(1.0)[0])) - HELD // 2
+    found = carts(tmp_path / "late", change=lambda y: np.roll(y, -far, axis=1), end=TIMES.size - far)
+    assert "other side of 0" not in found
+
+
+@pytest.mark.parametrize(("mm", "told"), [(12.0, True), (18.0, True), (20.0, False)])
+def test_a_rig_held_elsewhere_than_declared_is_said_to_be(tmp_path, mm, told):
+    found = carts(tmp_path / "carts", mm=mm)
+    assert (f"0.csv: before the release body 1 stands {mm:g} mm from 0, not 20 mm as theta0 says" in found) == told
+    assert "the trigger came" not in found
