@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from bayes_damper.campaign import readings as look
 from bayes_damper.campaign.files import decoded, read_bytes
 from bayes_damper.campaign.head import Head
 from bayes_damper.campaign.structure import (
@@ -30,6 +31,7 @@ from bayes_damper.inputs import LARGEST, collected, csv_rows, in_lines, number_i
 from bayes_damper.text import counted
 
 Array = NDArray[np.float64]
+_SWINGS = 3.0  # of a record, which give a frequency
 
 
 def read_trial(folder: Path, row: Row, head: Head, faults: list[str], digest: hashlib._Hash) -> Trial | None:
@@ -265,6 +267,29 @@ def _check_times(trial: Trial, head: Head, name: str, faults: list[str]) -> bool
         faults.append(
             f"{name}: {duration:.4g} s of motion is less than one natural period, {period:.4g} s (2 pi sqrt(J1/k1t)); "
             "record longer, or correct the unit of time, k1t or primary_inertia"
+            + _unit_guess(trial, head.rig.kind, period)
         )
         return False
     return True
+
+
+_UNITS = {
+    "translational": {"g taken for kg, or N/mm for N/m": 1e3, "g taken for kg, and N/mm for N/m": 1e6},
+    "torsional": {"kg cm^2 taken for kg m^2": 1e4, "kg mm^2 taken for kg m^2": 1e6, "g cm^2 taken for kg m^2": 1e7},
+}
+"""By how much k1t/J1 is too small for units that are mixed up."""
+
+
+def _unit_guess(trial: Trial, kind: str, period: float) -> str:
+    """Which units of spring and inertia the record's own frequency points to; "" where it shows none.
+
+    period : s, as declared
+    """
+    frequency = look.dominant_frequency(trial.times, trial.channels[0])
+    if trial.driven or frequency * float(np.ptp(trial.times)) < _SWINGS:
+        return ""
+    ratio = (frequency * period) ** 2
+    near = [guess for guess, factor in _UNITS[kind].items() if 0.5 < ratio / factor < 2.0]
+    name = "k1" if kind == "translational" else "k1t"
+    guess = f": {near[0]}?" if near else ""
+    return f"; it swings at {frequency:.3g} Hz, for which {name}/primary_inertia is {ratio:.3g} times too small{guess}"

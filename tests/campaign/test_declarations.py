@@ -12,6 +12,7 @@ from scipy.linalg import expm
 
 from bayes_damper.campaign import load_campaign
 from bayes_damper.cli import main
+from bayes_damper.errors import InputError
 
 M1, M2, K1, K2, C1, C2, C3 = 1.8, 0.9, 900.0, 150.0, 5.0, 3.0, 1.0
 STEP, HELD = 2e-3, 10
@@ -49,13 +50,14 @@ def rubbing(x2, mm):
 
 
 def carts(
-    folder, x2=1.0, change=lambda y: y, mm=20.0, declared=20.0, begin=0, end=None, m2=M2, start="rest", rig=decay
-):
+    folder, x2=1.0, change=lambda y: y, mm=20.0, declared=20.0, begin=0, end=None, m1=M1, m2=M2, k1=K1, start="rest",
+    rig=decay,
+):  # fmt: skip
     """Warnings of three coupled trials, changed by `change`; begin, end : of the readings that are kept."""
     rng = np.random.default_rng(1)
     folder.mkdir(parents=True)
     (folder / "campaign.toml").write_text(
-        f'name = "carts"\n[rig]\nkind = "translational"\nprimary_inertia = {M1}\nsecondary_inertia = {m2}\n'
+        f'name = "carts"\n[rig]\nkind = "translational"\nprimary_inertia = {m1}\nsecondary_inertia = {m2}\n'
         f'[measurement]\nquantity = "displacement"\nstart = "{start}"\n'
     )
     (folder / "priors.toml").write_text("mu = 0.0\n")
@@ -64,7 +66,7 @@ def carts(
         y = change(rig(x2, mm) + rng.normal(0.0, 5e-6, (2, TIMES.size)))
         lines = ["time_s,x1_m,x2_m", *(f"{t:.6g},{a!r},{b!r}" for t, a, b in zip(TIMES, *y.tolist(), strict=True))]
         (folder / f"{k}.csv").write_text("\n".join(lines[:1] + lines[1:][begin:end]) + "\n")
-        rows.append(f"{k}.csv,A,coupled,{K1},{declared if start == 'rest' else ''},{k + 1}")
+        rows.append(f"{k}.csv,A,coupled,{k1},{declared if start == 'rest' else ''},{k + 1}")
     (folder / "trials.csv").write_text("\n".join(rows) + "\n")
     return " ".join(load_campaign(folder).warnings)
 
@@ -153,3 +155,16 @@ def test_a_rig_held_elsewhere_than_declared_is_said_to_be(tmp_path, mm, told):
     found = carts(tmp_path / "carts", mm=mm)
     assert (f"0.csv: before the release body 1 stands {mm:g} mm from 0, not 20 mm as theta0 says" in found) == told
     assert "the trigger came" not in found
+
+
+@pytest.mark.parametrize("units", [{"m1": 1e3 * M1, "m2": 1e3 * M2}, {"k1": 1e-3 * K1}], ids=["g as kg", "N/mm as N/m"])
+def test_a_record_too_short_for_its_declared_period_names_the_unit(tmp_path, units):
+    with pytest.raises(InputError, match=r"is less than one natural period.*: g taken for kg, or N/mm for N/m\?"):
+        carts(tmp_path / "carts", **units)
+
+
+def test_a_record_that_is_too_short_gets_no_guess(tmp_path):
+    with pytest.raises(InputError) as error:
+        carts(tmp_path / "carts", end=HELD + 100)
+    assert "less than one natural period" in str(error.value)
+    assert "taken for" not in str(error.value)
