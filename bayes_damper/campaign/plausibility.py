@@ -17,6 +17,7 @@ from bayes_damper.text import counted
 
 Array = NDArray[np.float64]
 _UNEVEN = 0.01  # of the usual step, by which another one departs from it
+_JITTERS = 0.25  # of it, up to which a step of two differs clearly from a step of one
 _MISSING = 0.2  # share of the readings that are not there
 _RESTS = {"displacement": 1.0, "velocity": 0.5, "acceleration": 0.5}
 """Radians of the oscillation for which a primary must rest, so that it is held and not at a turning point."""
@@ -168,7 +169,7 @@ def _look_at_clock(head: Head, trial: Trial, warnings: list[str]) -> None:
             f"from {longest[0]:.4g} to {longest[1]:.4g} s"
         )
     missing, singles = look.missing_of(times), look.singles_missing(times)
-    if singles and uneven <= _UNEVEN and missing <= _MISSING:
+    if singles and uneven <= _JITTERS and missing <= _MISSING:
         verb = "is" if singles == 1 else "are"
         warnings.append(f"{trial.file}: {counted(singles, 'single reading')} {verb} missing")
     if missing > _MISSING:

@@ -402,6 +402,10 @@ ODD = [
     (lambda c: [c[0] + 0.0003 * np.sin(np.arange(len(c[0]))), c[1]], "time is uneven"),
     (lambda c: [np.delete(x, slice(400, 450)) for x in c], "1 gap in time, from 0.399 to 0.45 s"),
     (lambda c: [np.delete(x, [300, 400, 450]) for x in c], "3 single readings are missing"),
+    (
+        lambda c: [np.delete(x, 300) for x in (c[0] + 0.00004 * np.sin(np.arange(len(c[0]))), c[1])],
+        "1 single reading is missing",
+    ),
     (lambda c: [x[:500] for x in c], "trials/IV_uncoupled_1.csv at 0.499 s, the longest at 1 s"),
     (lambda c: [c[0][80:], c[1][80:]], "late start: the record begins 0.08 s"),
     (lambda c: [c[0][:-80], c[1][80:]], "the record begins after the motion began"),
