@@ -182,7 +182,8 @@ def fit_with_effect(experiment: Experiment, effect: str | Sequence[str], folder:
     from bayes_damper.diagnosis.search import Screen, fit_variant, offered, screen_variant
 
     names = names_in(effect)
-    pool = [(e, v) for e, v in offered(experiment, "nonlinear", all_effects(folder)) if e.name in names]
+    able = offered(experiment, "nonlinear", all_effects(folder))
+    pool = [(e, v) for name in names for e, v in able if e.name == name]
     for name in names:
         if not any(e.name == name for e, _ in pool):
             raise InputError(

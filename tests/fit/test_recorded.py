@@ -75,7 +75,7 @@ def test_names_may_be_two_words_and_come_in_any_order(both):
 
 def test_two_that_the_kernel_has_no_room_for_are_refused():
     with pytest.raises(
-        InputError, match="--effect sensor_clipping --effect sensor_gain: the simulation has no room for both"
+        InputError, match="--effect sensor_gain --effect sensor_clipping: the simulation has no room for both"
     ):
         fit_with_effect(measured(duration=0.05), "sensor_gain+sensor_clipping")
 
