@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from bayes_damper.cli import _parser, main
+from bayes_damper.commands.check import Check
 
 COMMANDS = next(a.choices for a in _parser()._actions if a.dest == "command")
 
@@ -131,6 +132,15 @@ def test_numbers_below_zero_are_told_in_a_sentence(number, capsys, tmp_path):
 def test_damping_and_friction_of_a_design_are_options(option, said, capsys, tmp_path):
     assert main(["tune", str(tmp_path), *option]) == 2
     assert said in capsys.readouterr().err
+
+
+def test_what_the_search_of_tune_may_change_is_an_option(monkeypatch):
+    given = {}
+    monkeypatch.setattr(
+        "bayes_damper.tuning.tune", lambda *_, **options: given.update(options) or Check("", "", (), "")
+    )
+    assert main(["tune", "fit", "--free", "J2", "c2t"]) == 0
+    assert given["free"] == ["J2", "c2t"]
 
 
 def test_an_unknown_command_is_refused():
