@@ -278,12 +278,11 @@ def repeats_by_reading(experiment: Experiment, among: Sequence[int]) -> list[lis
     sets: list[list[int]] = []
     for i in among:
         t = experiment.trials[i]
-        same = (s for s in sets if experiment.start != "free" and _read_alike(experiment.trials[s[0]], t))
-        found = next(same, None)
-        if found is None:
+        alike = (s for s in sets if experiment.start != "free" and _read_alike(experiment.trials[s[0]], t))
+        if (known := next(alike, None)) is None:
             sets.append([i])
         else:
-            found.append(i)
+            known.append(i)
     return sets
 
 

@@ -73,6 +73,11 @@ def wiring_of(head: Head, trial: Trial) -> Literal["exchanged", "reversed"] | No
     return "reversed" if first > 0.3 and second < -max(0.02, 6.0 * noise) else None
 
 
+def up_to_release(trial: Trial) -> NDArray[np.bool_]:
+    """Which readings of a record lie before the release or at it."""
+    return trial.times <= 0.5 * float(np.median(np.diff(trial.times)))
+
+
 def held_at(head: Head, trial: Trial) -> Array | None:
     """Displacement that each channel reads where the rig is held before the release, (n_channels,).
 
@@ -81,7 +86,7 @@ def held_at(head: Head, trial: Trial) -> Array | None:
     """
     if head.measurement.quantity != "displacement" or head.measurement.start != "rest" or trial.theta0 is None:
         return None
-    until = trial.channels[:, trial.times <= 0.5 * float(np.median(np.diff(trial.times)))]
+    until = trial.channels[:, up_to_release(trial)]
     if until.size == 0 or trial.driven:
         return None
     held = np.median(until, axis=1)

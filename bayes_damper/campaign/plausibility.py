@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.campaign import readings as look
-from bayes_damper.campaign.declarations import held_at, wiring_of
+from bayes_damper.campaign.declarations import held_at, up_to_release, wiring_of
 from bayes_damper.campaign.head import Head, per_channel
 from bayes_damper.campaign.records import DERIVATIVE, USUAL_LAG, departure, picks
-from bayes_damper.campaign.structure import SHOWN, TO_SI, Trial, channel_columns, groups_of, natural_period
+from bayes_damper.campaign.structure import SHOWN, Trial, channel_columns, groups_of, natural_period
+from bayes_damper.rig.units import motion_in_words
 from bayes_damper.text import counted
 
 Array = NDArray[np.float64]
@@ -208,11 +209,10 @@ def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]
     early = trial.times[0] < -1.5 * step and onset < -1.5 * step
     held = held_at(head, trial)
     if early and held is not None and (y[0] > 0.0) == (trial.theta0.value > 0.0):
-        at, declared = abs(float(held[0])) / TO_SI[head.rig.kind], level / TO_SI[head.rig.kind]
-        unit = "mm" if head.rig.kind == "translational" else "deg"
+        at, declared = (motion_in_words(x, head.rig.kind) for x in (abs(float(held[0])), level))
         warnings.append(
-            f"{trial.file}: before the release the primary stands {at:.3g} {unit} from 0, not {declared:.3g} {unit} as "
-            "theta0 says; correct theta0 in trials.csv (where `init` made the campaign, --theta0 or {theta0} in "
+            f"{trial.file}: before the release the primary stands {at} from 0, not {declared} as theta0 "
+            "says; correct theta0 in trials.csv (where `init` made the campaign, --theta0 or {theta0} in "
             "--pattern), or the sensor's zero or scale (--offset, --units)"
         )
     elif early:
@@ -247,7 +247,7 @@ def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]
 
 def _is_held(trial: Trial, omega: float) -> bool:
     """Whether displacements up to t = 0 show a primary at rest: its turning point, at omega (rad/s), would be bent."""
-    until = trial.times <= 0.5 * float(np.median(np.diff(trial.times)))
+    until = up_to_release(trial)
     if np.count_nonzero(until) < _FEW:
         return False
     slowest = 0.5 * omega if trial.coupled else omega

@@ -193,8 +193,10 @@ def fit_with_effect(experiment: Experiment, effect: str | Sequence[str], folder:
     nominal = calibrate_nominal(experiment)
     screen = Screen(nominal)
     found = [fit_variant(nominal, e, v, screen_variant(screen, v), len(v.starts)) for e, v in pool]
-    alone = max((c.fit for c in found if c.fit is not None), key=lambda f: f.log_evidence)
-    best = fit_together(nominal, found) if len(names) > 1 else alone
+    if len(names) > 1:
+        best = fit_together(nominal, found)
+    else:
+        best = max((c.fit for c in found if c.fit is not None), key=lambda f: f.log_evidence)
     again = best.problem.with_noise(learn_noise(best))
     return calibrate(again, [best.q], eta=best.eta, anneal=False)
 

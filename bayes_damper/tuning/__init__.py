@@ -36,7 +36,6 @@ from bayes_damper.tuning.performance import (
     harmonic_response,
     linear_performance,
     linear_rig,
-    nonlinear_performances,
     sweep,
 )
 from bayes_damper.tuning.result import SCHEMA, TuneResult, tune
@@ -68,7 +67,6 @@ __all__ = [
     "harmonic_response",
     "linear_performance",
     "linear_rig",
-    "nonlinear_performances",
     "origin_of",
     "posterior_draws",
     "shares_of_variance",

@@ -184,7 +184,7 @@ def best_driven(
         return np.nan_to_num(sweep(stacked, amplitude, True, acting).highest()[1], nan=np.inf)
 
     low, high = space.edges.T
-    even = Sobol(len(space.names), scramble=False).random_base2(5)
+    even = Sobol(len(space.names), scramble=False).random(max(TRIED))
     centre, points, found = 0.5 * (low + high), np.empty((0, low.size)), np.empty(0)
     for width, n in zip((1.0, 0.25, 0.06), TRIED, strict=True):
         points = np.concatenate([points, np.clip(centre + width * (high - low) * (even[:n] - 0.5), low, high)])

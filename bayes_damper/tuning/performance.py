@@ -354,13 +354,6 @@ def driven(
     return Driven(out, sweeps)
 
 
-def nonlinear_performances(
-    draws: Draws, amplitude: float, designs: Mapping[str, Design], acting: Acting | None = None
-) -> Mapping[str, Performance]:
-    """What each design does by the nonlinear model under a torque of this amplitude (N m)."""
-    return driven(draws, amplitude, designs, acting).performances
-
-
 def probability_of(p: Performance, target: float) -> float:
     """Share of all draws that reach the target; a draw without a loss does not."""
     return float(np.mean(np.nan_to_num(p.insertion_loss, nan=-np.inf) >= target))

@@ -384,7 +384,8 @@ def tune(
         moves = any(np.isfinite(p.insertion_loss).any() for p in found.performances.values())
         if optimum is not None and moves and not linear_is_exact:
             report(f"trying {sum(TRIED)} designs at this amplitude")
-            best, at_bound = best_driven(few, [optimum.design, *designs.values()], bounds, a, acting)
+            # What is not free is as in the first of them: the best one of the linear model.
+            best, at_bound = best_driven(few, list(reversed(designs.values())), bounds, a, acting)
             if best != optimum.design:
                 p = driven(few, a, {"": best}, acting, found.sweeps["uncoupled"]).performances[""]
                 better[a] = Optimum(best, p, at_bound)

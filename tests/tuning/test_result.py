@@ -159,7 +159,7 @@ def test_without_friction_both_models_agree():
     draws = tuning.complete(spread(20))
     damped, fast = Design(J2=4e-3, k2t=4.0, c2t=0.2), Design(J2=0.5e-3, k2t=10.0, c2t=0.001)
     for design in (Design(), Design(J2=2.474e-3 / 8), damped, fast):
-        ours = tuning.nonlinear_performances(draws, 0.05, {"d": design})["d"]
+        ours = tuning.driven(draws, 0.05, {"d": design}).performances["d"]
         exact = tuning.linear_performance(draws, design)
         np.testing.assert_allclose(ours.insertion_loss, exact.insertion_loss, atol=0.05)
         np.testing.assert_allclose(ours.shift, exact.shift, atol=0.02)
@@ -194,7 +194,7 @@ def test_friction_makes_the_loss_depend_on_the_amplitude():
     """Far above the friction torque the loss is that of the viscous coupling; near it, it is not."""
     draws = tuning.complete(THESIS | {"mu": 0.009})
     losses = [
-        tuning.nonlinear_performances(draws, a, {"d": Design()})["d"].insertion_loss[0] for a in (0.05, 0.2, 1.0, 20.0)
+        tuning.driven(draws, a, {"d": Design()}).performances["d"].insertion_loss[0] for a in (0.05, 0.2, 1.0, 20.0)
     ]
     viscous = tuning.linear_performance(draws).insertion_loss[0]
     assert np.ptp(losses) > 1.0
@@ -205,7 +205,7 @@ def test_friction_makes_the_loss_depend_on_the_amplitude():
 def test_stuck_faces_make_one_inertia():
     """A friction that the torque cannot break leaves the resonance of J1 + J2."""
     draws = tuning.complete(THESIS | {"mu": 0.5, "c2t": 0.0, "k2t": 0.0, "c1t": 0.03, "nu": 500.0})
-    found = tuning.nonlinear_performances(draws, 0.01, {"d": Design()})["d"]
+    found = tuning.driven(draws, 0.01, {"d": Design()}).performances["d"]
     expected = linear.natural_frequency(draws["k1t"], draws["J1"] + draws["J2"])
     assert found.resonance == pytest.approx(expected, rel=0.02)
 
@@ -286,9 +286,8 @@ def test_a_design_that_is_better_on_the_driven_rig_is_named_beside_the_linear_op
     rig = THESIS | {"mu": 0.004, "c2t": 0.01}
     found = tuning.tune(rig, amplitudes=(0.05,), free=["J2", "k2t"], n_draws=3, n_nonlinear=1, out=tmp_path)
     better = found.better[0.05]
-    again = tuning.nonlinear_performances(
-        found.draws, 0.05, {"b": better.design, "o": found.optimum.design, "p": Design()}
-    )
+    designs = {"b": better.design, "o": found.optimum.design, "p": Design()}
+    again = tuning.driven(found.draws, 0.05, designs).performances
     assert better.performance.insertion_loss[0] == pytest.approx(again["b"].insertion_loss[0], abs=1e-6)
     assert again["b"].insertion_loss[0] > max(again[k].insertion_loss[0] for k in "op") + 0.2
     for name, (low, high) in tuning.usual_bounds(found.draws, ("J2", "k2t")).items():
@@ -509,7 +508,7 @@ def test_the_answer_of_the_page_names_the_best_design_and_its_loss_at_each_force
 def test_a_rig_that_sticks_has_no_resonance():
     """Drag above the torque holds the bearings: what still moves is highest at the end of the range, no peak."""
     held = tuning.complete(THESIS | {"mu": 0.0, "drag": 0.05, "nu": 300.0})
-    found = tuning.nonlinear_performances(held, 0.02, {"design": Design()})["design"]
+    found = tuning.driven(held, 0.02, {"design": Design()}).performances["design"]
     assert np.isnan(found.resonance).all()
     assert np.isnan(found.insertion_loss).all()
 
