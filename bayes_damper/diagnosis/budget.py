@@ -316,6 +316,7 @@ def answers_of(
     budget: Budget,
     sets: Sequence[SetFit],
     offered: Sequence[str],
+    alone: Mapping[str, float],
     shares: Mapping[frozenset[str], float],
     none: Left,
     left: Left,
@@ -326,12 +327,12 @@ def answers_of(
 
     `unknown` stands for what a cause outside the library does, for a gap that no set explains, and for the largest
     share being that which stays unexplained. A set that closes little is no explanation: there is none where noise
-    accounts for what the nominal model leaves, else an unknown one. offered : all effects; shares : that each likely
+    accounts for what the nominal model leaves, else an unknown one. offered : all effects; alone : effect -> log
+    evidence of its set of one, which decides for what other sets than the budget's speak; shares : that each likely
     set leaves; none, left : what the nominal model and the best set leave; generic : log evidence of an unnamed cause
     that was fitted, such as exchanged channels.
     """
     weights = probabilities(sets, len(offered))
-    alone = {names: s.evidence for s in reversed(sets) if len(names := s.names) == 1}
     known = sets[0].evidence
     other = math.exp(min(generic + log_prior(("unknown",), len(offered)) - known, 60.0)) if generic > 0.0 else 0.0
     scale = 1.0 / (1.0 + other)
@@ -353,7 +354,7 @@ def answers_of(
         lost = 1.0 if "unknown" in names else foreign_alone(share, rule)
         leading: Mapping[str, float] = budget.leading if names == budget.best.names else {}
         if not leading:
-            leading = {max(names, key=lambda n: alone.get(frozenset((n,)), -math.inf)): 1.0}
+            leading = {max(sorted(names), key=lambda n: alone.get(n, -math.inf)): 1.0}
         for name, largest in leading.items():
             out[name] += p * (1.0 - lost) * largest
         out["unknown"] += p * lost

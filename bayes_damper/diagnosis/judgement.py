@@ -146,16 +146,17 @@ def judge_without_repeats(
     budget = _budget(seen, sets, failing, rng)
     sets = _standing(sets, budget)
     shares = _shares_left(fit, sets, len(names))
+    alone = {s.members[0][0].name: s.evidence for s in reversed(sets) if len(s.members) == 1}
 
     def answered(rule: Rule, sets: Sequence[SetFit] = sets) -> Answers:
         gain = -math.inf if seen.wiring is None else seen.wiring.gain
-        return answers_of(budget, sets, names, shares, none_left, left, gain, rule)
+        return answers_of(budget, sets, names, alone, shares, none_left, left, gain, rule)
 
     answers = answered(rule)
     return Judgement(
         seen, next((c for c in found for part in budget.parts[:1] if c.effect is part.member[0]), None),
         _as_pairs(budget, seen.evidence), answers, budget,
-        sensitivity_of_sets(fit, sets, partial(answered, rule), answers.verdict),
+        sensitivity_of_sets(fit, sets, partial(answered, rule), answers.verdict, len(names)),
         _under_priors(answered, answers, rule), _weighed(seen, none_left, left, _excess(seen.after)),
     )  # fmt: skip
 

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.calibration import Calibration, TrialRecord, calibrate
-from bayes_damper.diagnosis.sets import SetFit, set_fit, weighed
+from bayes_damper.diagnosis.sets import SetFit, log_weight, set_fit, weighed
 from bayes_damper.diagnosis.verdict import Answers
 from bayes_damper.runs.contents.diagnosis import ChoiceEntry
 from bayes_damper.text import counted
@@ -144,15 +144,16 @@ def _other_choices(fit: Calibration, most: int) -> list[tuple[str, Collection[in
 
 
 def sensitivity_of_sets(
-    nominal: Calibration, sets: Sequence[SetFit], answered: Callable[[Sequence[SetFit]], Answers], leading: str
-) -> list[Choice]:
+    nominal: Calibration, sets: Sequence[SetFit], answered: Callable[[Sequence[SetFit]], Answers], leading: str,
+    offered: int,
+) -> list[Choice]:  # fmt: skip
     """The verdict under every other choice, where no trial has repeats.
 
-    sets : weighed, best first, the nominal model among them; answered : gives the answers from weighed sets; leading :
-    the verdict on all data. Sets far behind the best ones stay where they are.
+    sets : weighed, the nominal model among them; answered : gives the answers from weighed sets; leading : the verdict
+    on all data; offered : effects that the rig can have. The most probable sets are weighed again, without the others.
     """
     none = next(s for s in sets if not s.members)
-    likely = [*(s for s in sets if s.members and math.isfinite(s.evidence)), none][:MOST_SETS]
+    likely = sorted((s for s in sets if math.isfinite(s.evidence)), key=lambda s: -log_weight(s, offered))[:MOST_SETS]
     likely += [] if none in likely else [none]
     quadratic = [Quadratic.of(s.fit) for s in likely]
     out = []

@@ -477,11 +477,15 @@ def probabilities(sets: Sequence[SetFit], offered: int) -> dict[frozenset[str], 
     """
     weight: dict[frozenset[str], list[float]] = {}
     for s in sets:
-        formulas = sum(math.log(len(e.variants)) for e, _ in s.members)
-        weight.setdefault(s.names, []).append(s.evidence - formulas + log_prior(s.names, offered))
+        weight.setdefault(s.names, []).append(log_weight(s, offered))
     logs = {names: float(logsumexp(values)) for names, values in weight.items()}
     total = logsumexp(list(logs.values()))
     return {names: math.exp(v - total) for names, v in logs.items()}
+
+
+def log_weight(s: SetFit, offered: int) -> float:
+    """Log evidence of a set with the prior of its effects and formulas; offered : effects that the rig can have."""
+    return s.evidence - sum(math.log(len(e.variants)) for e, _ in s.members) + log_prior(s.names, offered)
 
 
 # Search -------------------------------------------------------------------------------------------------------------

@@ -411,7 +411,7 @@ def test_the_answer_is_what_has_the_largest_share():
 
     def verdict(leading, left=0.1, none=quiet):
         budget = SimpleNamespace(best=best, parts=(), leading=leading)
-        return answers_of(budget, sets, ["a", "b"], {best.names: left}, none, quiet)
+        return answers_of(budget, sets, ["a", "b"], {}, {best.names: left}, none, quiet)
 
     assert verdict({"a": 1.0}).verdict == "a"
     assert verdict({"a": 1.0}).probabilities["a"] > 0.9
@@ -422,6 +422,41 @@ def test_the_answer_is_what_has_the_largest_share():
     assert idle_alone(0.95, quiet) > 0.8
     assert max(idle_alone(0.95, loud), idle_alone(0.1, quiet)) < 0.01
     assert foreign_alone(0.05) < foreign_alone(0.5) < foreign_alone(1.0) == pytest.approx(0.15 / 0.7)
+
+
+def test_a_larger_set_speaks_for_the_effect_that_has_more_evidence_alone():
+    """The budget's set of one is likelier a priori, and the larger ones with a little more evidence agree with it."""
+    known = {(): -50.0, ("a",): 0.0, ("b",): -40.0, ("a", "b"): 2.0}
+    sets = weighed([stub(names, plain, 0.0) for names, plain in known.items()])
+    budget = SimpleNamespace(best=sets[1], parts=(), leading={"a": 1.0})
+    quiet = Left(0.0, 0.0, lone=True)
+    shares = {s.names: 0.05 for s in sets}
+    for evidence, verdict in (({"a": 50.0, "b": 10.0}, "a"), ({"a": 10.0, "b": 50.0}, "b")):
+        only = [s for s in sets if len(s.members) != 1]  # as where few sets are weighed again
+        assert answers_of(budget, only, ["a", "b"], evidence, shares, quiet, quiet).verdict == verdict
+
+
+def test_other_choices_weigh_the_most_probable_sets_again(monkeypatch):
+    """Not those of most evidence: sets of three have some more of it, and are less likely a priori."""
+    many = [("a", "b"), ("a", "c"), ("b", "c"), ("a", "b", "c"), ("a", "b", "d")]
+    known = {(): -50.0, ("a",): 0.0} | dict.fromkeys(many, 1.0)
+    sets = weighed([stub(names, plain, 0.0) for names, plain in known.items()])
+    monkeypatch.setattr(
+        "bayes_damper.diagnosis.sensitivity.Quadratic.of", lambda fit: SimpleNamespace(log_evidence=lambda **how: 0.0)
+    )
+    monkeypatch.setattr(
+        "bayes_damper.diagnosis.sensitivity._other_choices", lambda nominal, most: [("prior widths halved", (), 0.5)]
+    )
+    budget = SimpleNamespace(best=next(s for s in sets if s.names == {"a"}), parts=(), leading={"a": 1.0})
+    quiet = Left(0.0, 0.0, lone=True)
+
+    def answered(sets):
+        shares = {s.names: 0.05 for s in sets}
+        return answers_of(budget, sets, ["a", "b", "c", "d"], {"a": 50.0}, shares, quiet, quiet)
+
+    (choice,) = sensitivity_of_sets(None, sets, answered, "a", 20)
+    assert choice.verdict == "a"
+    assert choice.of_leading == pytest.approx(answered(sets).probabilities["a"], abs=0.05)
 
 
 @pytest.mark.slow
@@ -449,9 +484,9 @@ def test_without_repeats_each_choice_weighs_the_sets_again():
 
     def answered(sets):
         asked.append({s.fit.problem.trials for s in sets})
-        return answers_of(budget, sets, ["bearing_drag", "quadratic_drag"], {sets[0].names: 0.02}, quiet, quiet)
+        return answers_of(budget, sets, ["bearing_drag", "quadratic_drag"], {}, {sets[0].names: 0.02}, quiet, quiet)
 
-    choices = sensitivity_of_sets(nominal, sets, answered, "bearing_drag")
+    choices = sensitivity_of_sets(nominal, sets, answered, "bearing_drag", 2)
     assert [c.what for c in choices] == [
         "prior widths halved", "prior widths doubled", "without case case 1", "without case case 3"
     ]  # fmt: skip
