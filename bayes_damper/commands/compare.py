@@ -395,7 +395,7 @@ def _sentences(result: ComparisonFile) -> list[str]:
                 f"{label}: {name} of case {case} hangs most on its own prior (half or twice as wide: {size:.2f} sd)."
             )
         if any(not w["reliable"] for rows in cases.values() for p in rows.values() for w in _widths(p)):
-            out.append(f"{label}: shifts marked ? rest on too few draws; fit with that prior to know.")
+            out.append(f"{label}: the draws are too few to be sure of shifts marked ?; fit with that prior to know.")
     return out
 
 

@@ -130,6 +130,7 @@ def diagnose(
         path_of_law.unlink(missing_ok=True)
     if found.law is not None:
         found.law.write(folder)
+    report("forecasting held-out trials, and drawing figures")
     ahead = forecasts(found.nominal, found.best, found.weighed_fits())
     result = found.to_json()
     result |= {

@@ -89,7 +89,7 @@ class Budget:
     def method(self) -> str:
         """How the shares were measured, in words."""
         how = IN_WORDS[self.unexplained.method]
-        divided = "; divided among the effects by their mean over all orders (Shapley)"
+        divided = "; each effect closes what it does on average over all orders of adding the effects (Shapley)"
         return how if self.unexplained.median is None else how + divided
 
     def to_json(self, estimate: Callable[[str, str], Estimate]) -> BudgetEntry:

@@ -42,6 +42,7 @@ PAIR_FROM = 6.0  # nats left by the leading effect from which pairs are fitted
 WORTH_RELEARNING = 10.0  # nats of the leading effect from which the noise is learnt again from what it leaves
 PRIORS_OF_UNKNOWN = (0.05, 0.15, 0.3, 0.5)  # prior probabilities of a foreign cause under which verdicts are given
 MOST_ROUNDS = 4  # of 25 steps by which a leader's descent goes on
+OTHER_CHOICES = "asking whether other priors, or a case or trial less, would change the answer"
 UNLIKELY = 0.01  # probability of a set below which it is not asked what it leaves
 JUDGED_PAIRS = 2  # pairs whose remainder is mapped
 Offered = Sequence[tuple[Effect, Variant]]
@@ -153,6 +154,7 @@ def judge_without_repeats(
         return answers_of(budget, sets, names, alone, shares, none_left, left, gain, rule)
 
     answers = answered(rule)
+    report(OTHER_CHOICES)
     return Judgement(
         seen, next((c for c in found for part in budget.parts[:1] if c.effect is part.member[0]), None),
         _as_pairs(budget, seen.evidence), answers, budget,
@@ -175,6 +177,7 @@ def judge_by_repeats(
     seconds = [] if winner is None or winner.effect is DRIFT else seconds_of(winner, fit, pool, workers)
     pairs: list[Pair] = []
     if max(left.nats, max((s.gain for s in seconds), default=0.0)) > PAIR_FROM:
+        report("the leading effect leaves something: fitting it together with others")
         pairs = best_pairs(fit, found, pool, seconds, workers=workers)
     pairs, judged = _judged_pairs(seen, pairs, left, report)
     excess = _excess(pairs[0].after if pairs and pairs[0].gain > 0.0 else seen.after)
@@ -189,8 +192,10 @@ def judge_by_repeats(
         return weigh(moved, none_left, left, excess, rule, both, other, seen.definitions, usual)
 
     answers = judge({}, {})
+    report("dividing the gap among effects")
     sets = grown(fit, found, pool, pairs, home=left.home, workers=workers, report=report)
     budget = _budget(seen, sets, dict.fromkeys((s.names for s in sets), given_a_gap(answers)), rng)
+    report(OTHER_CHOICES)
     choices = sensitivity(
         fit, seen.families, judge, answers.verdict, {**seen.evidence, DRIFT.name: seen.drift},
         {"+".join(p.effects): p.fit for p in pairs[:JUDGED_PAIRS]},

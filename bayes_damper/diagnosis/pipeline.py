@@ -43,6 +43,7 @@ from bayes_damper.effects.base import Variant
 from bayes_damper.priors.distributions import Distribution
 from bayes_damper.priors.files import PriorSet
 from bayes_damper.runs.memory import shortage
+from bayes_damper.text import counted
 
 CLEANINGS = 2  # times that outlying readings are looked for: the first ones hide others
 INDISTINCT = 3.0  # nats between two families below which these data cannot tell them apart
@@ -91,17 +92,20 @@ def diagnose(
         notes.insert(0, seen.wiring.sentence())
     notes += notes_on(experiment, fit, named, answers, seen.before_map)
     notes.append(in_a_sentence(judged.choices, answers.verdict))
+    report("measuring the gap on held-out trials, and how far it shrinks")
     gap = measure_gap(fit, best, rng=rng)
     first = sorted(evidence, key=lambda n: -evidence[n])[:SHOWN]
     closes = {} if best is None else closing(fit, {n: fits[n][0] for n in first if n in fits}, rng)
     if best is not None and winner is not None and winner.effect is not DRIFT:
         acting = [winner.effect] if best is winner.fit or pair is None else [pair.first[0], pair.second[0]]
         best = widened(best, [effect.site for effect in acting])
+    report("looking for the experiment that would decide best")
+    proposals = tuple(_proposals(fit, found, answers))
     law = learn(fit, judged.budget, answers.verdict, seen.before_map, name, kind, np.random.default_rng(seed), report)
     return Diagnosis(
         campaign=name, experiment=experiment, nominal_kind=nominal, nominal=fit, candidates=tuple(found),
         winner=winner, answers=answers, before=seen.before, after=seen.after, gap=gap, where=locate(fit),
-        site_map=seen.before_map, remainder_map=seen.after_map, proposals=tuple(_proposals(fit, found, answers)),
+        site_map=seen.before_map, remainder_map=seen.after_map, proposals=proposals,
         sites=_sites(
             answers, effects, seen.before_map, seen.after_map, sites_of(experiment), seen.wiring is not None
         ),
@@ -125,6 +129,8 @@ def _cleaned_fit(
         if not far:
             break
         notes += outlying_in_words(experiment, far)
+        count = sum(int(mask.sum()) for mask in far.values())
+        report(f"{counted(count, 'reading')} far from those of their repeats left out; fitting the nominal model again")
         experiment = without(experiment, far)
         fit = calibrate_nominal(experiment, nominal=nominal, begin=fit, report=report)
     return fit, notes

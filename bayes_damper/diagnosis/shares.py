@@ -46,8 +46,8 @@ DOUBT = 0.05  # share of draws without a gap from which no share of it is given
 SURE = 3.0  # standard deviations of noise from which the part above the band of the rig's motion counts
 BLOCKS = 6  # of a record without repeats: what its model misses is alike over long stretches
 IN_WORDS = {
-    "repeats": "products of held-out residuals with those of trials that repeat them, in which the noise averages out",
-    "neighbours": "products of neighbouring held-out residuals, in which the sensors' noise averages out",
+    "repeats": "from what held-out trials and their repeats leave in common, which noise does not",
+    "neighbours": "from what neighbouring readings of held-out trials leave in common, which sensor noise does not",
     "cannot tell": "on the held-out trials the gap is too faint to say which share of it anything closes",
 }
 

@@ -148,7 +148,8 @@ def _more_text(found: CaseEntry) -> list[str]:
     if found.get("log_evidence"):
         e = found["log_evidence"]
         lines.append(
-            f"  Log evidence {e['value']:.2f} +- {e['error']:.2f} nats, for comparing models of these records."
+            f"  Log evidence {e['value']:.2f} +- {e['error']:.2f} nats, to compare models of these records: 3 more "
+            "are odds of 20 to 1."
         )
     return lines
 

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from bayes_damper.rig.units import plain_meaning
 from bayes_damper.runs.contents.fit import FitFile, ParameterEntry
 from bayes_damper.runs.json_files import write_text
 from bayes_damper.sampling.arviz_adapter import hdi
@@ -69,11 +70,12 @@ def write_table(summary: FitFile, path: Path) -> None:
 
 
 def table_text(parameters: Mapping[str, ParameterEntry], title: str) -> str:
-    """A table for the terminal: median and 90 % interval, who decided (data or prior), and the health figures."""
-    wide = max([28, *(len(name) + 1 for name in parameters)])
-    lines = [title, f"  {'':{wide}s}{'median':>11s}  {'90 % interval':^25s}  {'unit':10s} decided by"]
+    """A table for the terminal: median and 90 % interval, who decided (data or prior), and what each parameter is."""
+    wide = max([8, *(len(name) + 1 for name in parameters)])
+    lines = [title, f"  {'':{wide}s}{'median':>11s}  {'90 % interval':^25s}  {'unit':10s} {'decided by':14s} meaning"]
     for name, p in parameters.items():
         low, high = p["hdi90"]
         word = "(derived)" if p["prior_share"] is None else decided_by(p["prior_share"])
-        lines.append(f"  {name:{wide}s}{p['median']:11.4g}  {low:11.4g} .. {high:<11.4g} {p['unit']:10s} {word}")
+        row = f"  {name:{wide}s}{p['median']:11.4g}  {low:11.4g} .. {high:<11.4g} {p['unit']:10s} {word:14s} "
+        lines.append((row + plain_meaning(name, p["unit"])).rstrip())
     return "\n".join(lines)

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
 from bayes_damper.errors import InputError
-from bayes_damper.rig.parameters import unit_of
+from bayes_damper.rig.parameters import PARAMETERS, READING_UNITS, unit_of
 
 
 def effect_unit(declared: str, kind: str = "torsional", quantity: str = "acceleration") -> str:
@@ -60,6 +60,16 @@ def sentence_of(sentence: str, kind: str = "torsional") -> str:
         for old, new in ((word, _STRAIGHT[word]), (word[0].upper() + word[1:], _STRAIGHT[word].capitalize())):
             sentence = re.sub(rf"(?<![\w'`/.\\-]){re.escape(old)}(?![\w'`/\\-]|\.\w)", new, sentence)
     return sentence
+
+
+def plain_meaning(name: str, unit: str = "") -> str:
+    """What a parameter is, in the words of the rig that its unit belongs to; "" where the library does not know it."""
+    known = PARAMETERS.get(name.partition("[")[0])
+    if known is None:
+        return ""
+    units = {kind: {unit_of(name, kind, quantity) for quantity in READING_UNITS} for kind in BODIES}
+    slides = unit in units["translational"] - units["torsional"]
+    return in_words_of(known.meaning, "translational" if slides else "torsional")
 
 
 MOTION = {"torsional": (math.degrees(1.0), "deg"), "translational": (1e3, "mm")}

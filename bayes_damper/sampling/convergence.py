@@ -162,8 +162,9 @@ def judge(
         )
     if not faults:
         good = (
-            f"Converged: R-hat at most {hats.max():.4f}, {steps / tau_steps.max():.0f} autocorrelation times of "
-            f"{tau_steps.max():.0f} steps, effective sample size at least {min(bulk.min(), tail.min()):.0f}."
+            f"Converged: independent runs agree (R-hat at most {hats.max():.4f}; 1 is perfect), and the draws are "
+            f"worth {min(bulk.min(), tail.min()):.0f} independent ones or more (effective sample size; "
+            f"{steps / tau_steps.max():.0f} autocorrelation times of {tau_steps.max():.0f} steps)."
         )
         return Verdict(True, hats, bulk, tail, tau_steps, steps, stranded, (good,))
     return Verdict(False, hats, bulk, tail, tau_steps, steps, stranded, tuple(faults))

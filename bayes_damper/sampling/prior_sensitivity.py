@@ -70,8 +70,8 @@ def text(table: Mapping[str, PriorEntry]) -> list[str]:
     moved = {name: max(abs(row["half"]["shift"]), abs(row["double"]["shift"])) for name, row in table.items()}
     shown = [n for n in sorted(moved, key=lambda n: -moved[n]) if moved[n] > 0.1 or table[n]["decided_by"] == "prior"]
     if not shown:
-        return ["  No answer moves by more than 0.1 sd when a prior is half or twice as wide."]
-    lines = ["  shift in sd when a prior is half / twice as wide (others: below 0.1)"]
+        return ["  No parameter moves by more than 0.1 standard deviations when a prior is half or twice as wide."]
+    lines = ["  A prior half / twice as wide moves its parameter by so many standard deviations (others: below 0.1):"]
     doubtful = False
     wide = max(28, *(len(name) + 1 for name in shown))
     for name in shown:
@@ -80,4 +80,4 @@ def text(table: Mapping[str, PriorEntry]) -> list[str]:
         doubtful = doubtful or "?" in cells
         mark = "   the prior decides" if row["decided_by"] == "prior" else ""
         lines.append(f"  {name:{wide}s}{cells}{mark}")
-    return [*lines, "  ?: too few draws count to be sure; fit with that prior to know"] if doubtful else lines
+    return [*lines, "  ?: the draws are too few for a sure figure; fit with that prior to know"] if doubtful else lines

@@ -142,7 +142,7 @@ def test_tables_and_shifts_agree_on_who_decided():
     assert [found[name]["decided_by"] for name in "abc"] == ["data", "data and prior", "prior"]
     row = {"median": 1.0, "hdi90": (0.5, 1.5), "unit": "1"}
     lines = table_text({n: row | {"prior_share": found[n]["prior_share"]} for n in "abc"}, "case").splitlines()
-    assert [line.rpartition("  ")[2].strip() for line in lines[2:]] == ["data", "data and prior", "prior"]
+    assert [line.rpartition(" 1 ")[2].strip() for line in lines[2:]] == ["data", "data and prior", "prior"]
 
 
 def test_names_as_long_as_those_of_two_effects_stay_apart_from_their_numbers():
@@ -152,6 +152,7 @@ def test_names_as_long_as_those_of_two_effects_stay_apart_from_their_numbers():
     assert long.split()[:2] == [name, "1.25"]
     assert short.index("1.25") == long.index("1.25")
     assert long.index("data") == short.index("data") == head.index("decided by")
+    assert short.index("coefficient of friction between the bodies") == head.index("meaning")
     side = {
         "shift": 0.5,
         "width": 1.0,

@@ -185,7 +185,12 @@ def test_the_maps_of_residuals_pale_where_the_effect_is_added(named):
 
 def test_nothing_wrong_is_called_none():
     """Records of the nominal rig itself, with late triggers and uncertain stiffness, get no effect."""
-    found = diagnose(make_experiment(6, late=True, k1t_sd=0.01, n=500), effects=FEW)
+    said: list[str] = []
+    found = diagnose(make_experiment(6, late=True, k1t_sd=0.01, n=500), effects=FEW, report=said.append)
+    stages = ("nominal model fitted", "screened", "testing the residuals", "whether other priors", "held-out trials")
+    assert [stage for line in said for stage in stages if stage in line] == list(stages), (
+        "each stage says that it begins"
+    )
     assert found.verdict == "none"
     assert found.answers.probabilities["none"] > 0.7
     assert found.to_json()["law"] is None

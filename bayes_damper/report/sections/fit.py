@@ -15,11 +15,10 @@ from bayes_damper.report.sections.shared import (
     meaning_in,
     meaning_of,
     pictures_of,
-    plain_meaning,
     titled,
 )
 from bayes_damper.rig.parameters import PARAMETERS, unit_of
-from bayes_damper.rig.units import in_words_of
+from bayes_damper.rig.units import in_words_of, plain_meaning
 from bayes_damper.runs.contents.fit import CaseEntry, CheckEntry, FitFile, ParameterEntry, PriorEntry, TrialUnknown
 from bayes_damper.runs.json_files import folder_name
 from bayes_damper.sampling.prior_sensitivity import decided_by
@@ -369,7 +368,10 @@ def _sensitivity_table(caption: str, rows: Mapping[str, PriorEntry], entry: Case
         cells.append(f"{most['moves_most']} {most['shift_of_that']:+.2f}")
         out.append(Row(tuple(cells)))
     columns = ("parameter", "its prior half as wide", "twice as wide", "moves most among the others")
-    note = "Shifts of the mean in standard deviations. ?: too few draws count to be sure; fit with that prior to know."
+    note = (
+        "How far the mean moves, in standard deviations. ?: the draws are too few for a sure figure; fit with that "
+        "prior to know."
+    )
     return Table(caption, columns, tuple(out), note)
 
 

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from bayes_damper.effects import EFFECTS
 from bayes_damper.report.parts import Picture, Table, generic, words
-from bayes_damper.rig.parameters import PARAMETERS, READING_UNITS, unit_of
-from bayes_damper.rig.units import BODIES, in_words_of
+from bayes_damper.rig.units import in_words_of, plain_meaning
 
 _HEADS = {
     "k1t n m per rad": "k1t [N m/rad]", "k1 n per m": "k1 [N/m]", "theta0 deg": "theta0 [deg]",
@@ -123,16 +122,6 @@ def meaning_of(name: str, unit: str = "") -> str:
     """
     meant = plain_meaning(name, unit)
     return f"{name}: {meant}" if meant else name
-
-
-def plain_meaning(name: str, unit: str = "") -> str:
-    """What a parameter is, in the words of the rig that its unit belongs to; "" where the library does not know it."""
-    known = PARAMETERS.get(name.partition("[")[0])
-    if known is None:
-        return ""
-    units = {kind: {unit_of(name, kind, quantity) for quantity in READING_UNITS} for kind in BODIES}
-    slides = unit in units["translational"] - units["torsional"]
-    return in_words_of(known.meaning, "translational" if slides else "torsional")
 
 
 def titled(effect: str, kind: str = "torsional") -> str:
