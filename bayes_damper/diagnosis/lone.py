@@ -8,12 +8,14 @@ held-out ones can score it.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from bayes_damper.calibration import Calibration
 from bayes_damper.calibration.noise import tails_of
 from bayes_damper.diagnosis.gap import squares_of_trials
+from bayes_damper.diagnosis.shares import products_of
 from bayes_damper.diagnosis.verdict import RULE, Left, Rule
 
 REDUCIBLE = 2.0  # times the sensors' noise that a trial's sum of squares must be for its share to count
@@ -25,6 +27,8 @@ def left_alone(nominal: Calibration, fit: Calibration, rule: Rule = RULE) -> Lef
     That noise, from the readings' fast content, is the floor here. The share is the mean over trials: the swing of
     largest amplitude, where models err most, does not decide alone. Heavy tails of the noise belong to the floor: what
     an answer leaves shows them, but not what the nominal model leaves, in which events of a gap are as rare and large.
+    Where no trial stands out of that noise, sums of squares say little of the share, and products of residuals in which
+    noise averages out (shares.py) give it if they can.
     """
     before, floor = squares_of_trials(nominal)
     if fit is nominal:
@@ -32,7 +36,12 @@ def left_alone(nominal: Calibration, fit: Calibration, rule: Rule = RULE) -> Lef
     after, _ = squares_of_trials(fit)
     sds = fit.problem.noise.floor
     tails = tails_of([r[c] / sds[c] for r in fit.residuals().values() for c in range(len(r))])
-    return left_of_squares(before, after, tails * floor, rule)
+    left = left_of_squares(before, after, tails * floor, rule)
+    heldout = nominal.problem.experiment.heldout
+    if not heldout or (before > REDUCIBLE * floor).any():
+        return left
+    closed = products_of([nominal, fit], heldout).closed(1).median
+    return left if closed is None else replace(left, share=min(max(1.0 - closed, 0.0), 1.0))
 
 
 def left_of_squares(before: np.ndarray, after: np.ndarray, floor: np.ndarray, rule: Rule = RULE) -> Left:

@@ -31,7 +31,7 @@ from bayes_damper.commands.diagnose import diagnose as diagnose_folder
 from bayes_damper.diagnosis import diagnose, pairs
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.judgement import finished, sites_of
-from bayes_damper.diagnosis.lone import left_of_squares
+from bayes_damper.diagnosis.lone import left_alone, left_of_squares
 from bayes_damper.diagnosis.notes import symmetries
 from bayes_damper.diagnosis.outliers import outlying, outlying_in_words, without
 from bayes_damper.diagnosis.pairs import ComposedProblem, PairProblem, Second, best_pairs, pair_problem
@@ -458,6 +458,23 @@ def test_the_largest_swing_does_not_decide_alone_what_is_left():
     """Each trial's share counts the same; one without a gap to reduce does not count."""
     found = left_by_trials([1e8, 1e4, 150.0], [6e7, 1e3, 100.0], [100.0, 100.0, 100.0])
     assert found.share == pytest.approx(0.5 * (6e7 / 1e8 + 900.0 / 9900.0), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("before", "closed", "share"), [(150.0, 0.8, 0.2), (150.0, None, 45.0 / 50.0), (1e4, 0.8, 0.0)]
+)
+def test_a_gap_below_the_noise_is_shared_out_by_products_of_residuals(monkeypatch, before, closed, share):
+    """There sums of squares compare noise with noise, whose tails alone may outweigh what is left."""
+    squares = iter([(np.array([before]), np.array([100.0])), (np.array([min(before, 1e3) - 5.0]), np.array([100.0]))])
+    monkeypatch.setattr("bayes_damper.diagnosis.lone.squares_of_trials", lambda fit: next(squares))
+    found = SimpleNamespace(closed=lambda after: SimpleNamespace(median=closed))
+    monkeypatch.setattr("bayes_damper.diagnosis.lone.products_of", lambda fits, heldout: found)
+    nominal = SimpleNamespace(problem=SimpleNamespace(experiment=SimpleNamespace(heldout=(1,))))
+    noise = np.random.default_rng(1).standard_normal((1, 5000))
+    fit = SimpleNamespace(
+        problem=SimpleNamespace(noise=SimpleNamespace(floor=(1.0,))), residuals=lambda: {0: noise},
+    )  # fmt: skip
+    assert left_alone(nominal, fit).share == pytest.approx(share, abs=0.1)
 
 
 def test_both_dry_frictions_are_one_answer_beside_a_linear_model():
