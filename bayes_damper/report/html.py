@@ -9,9 +9,10 @@ from __future__ import annotations
 import base64
 import hashlib
 import io
+import itertools
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -120,8 +121,8 @@ def report(folder: str | Path, *, out: str | Path | None = None) -> Report:
         if begun:
             hint = f"the run in it has not ended; go on with: bayes-damper resume {begun[0]}"
         raise InputError([f"{home}: there is nothing to report; {hint}", *warnings])
-    warnings = [w for r in results for w in r.warnings] + warnings
     names = tuple(str(f.relative_to(home)) for f in files)
+    warnings = [*_of_different_data(names, results), *(w for r in results for w in r.warnings), *warnings]
     with as_written(home, "fit, diagnose ..."):
         page, budget = _page(home, names, results, warnings)
     write_text(path, page)
@@ -197,6 +198,25 @@ def _name(results: list[Result]) -> str:
     """The campaign that the results are of, if they say so and are of one."""
     names = {str(r.provenance["campaign"]) for r in results if r.provenance.get("campaign")}
     return names.pop() if len(names) == 1 else ""
+
+
+def _of_different_data(names: Sequence[str], results: Sequence[Result]) -> list[str]:
+    """A warning where results are of several campaigns, or of one that was changed between them."""
+    made: dict[str, dict[str, list[str]]] = {}
+    for name, r in zip(names, results, strict=True):
+        if r.provenance.get("campaign"):
+            of = made.setdefault(str(r.provenance["campaign"]), {})
+            of.setdefault(str(r.provenance.get("campaign_sha256", "")), []).append(name)
+    if len(made) > 1:
+        each = "; ".join(f"{campaign}: {', '.join(itertools.chain(*of.values()))}" for campaign, of in made.items())
+        return [f"The results are of different campaigns, so their numbers do not belong together ({each})."]
+    known = {campaign: {sha: files for sha, files in of.items() if sha} for campaign, of in made.items()}
+    return [
+        f"The files of campaign {campaign} changed between {' and '.join(', '.join(files) for files in of.values())}: "
+        "run again what is older."
+        for campaign, of in known.items()
+        if len(of) > 1
+    ]
 
 
 def _numbered(sections: list[Section], names: tuple[str, ...]) -> list[Section]:

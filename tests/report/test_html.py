@@ -814,10 +814,27 @@ def test_a_page_of_several_campaigns_bears_the_name_of_the_folder(tmp_path):
         file = tmp_path / name / "diagnosis.json"
         data = json.loads(file.read_text(encoding="utf-8"))
         file.write_text(json.dumps(data | {"campaign": name}), encoding="utf-8")
-    report(tmp_path)
+    assert report(tmp_path).warnings[0] == (
+        "The results are of different campaigns, so their numbers do not belong together "
+        "(bench: bench/diagnosis.json; rig: rig/diagnosis.json)."
+    )
     assert f"<h1>Report: {tmp_path.name}</h1>" in (tmp_path / "report.html").read_text(encoding="utf-8")
-    report(tmp_path / "rig")
+    assert not report(tmp_path / "rig").warnings
     assert "<h1>Report: rig</h1>" in (tmp_path / "rig" / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_campaign_that_changed_between_two_results_is_named(tmp_path):
+    """Where both say what they were made from."""
+    for name, checksum in (("old", {"campaign_sha256": "a" * 64}), ("new", {"campaign_sha256": "b" * 64}), ("any", {})):
+        (tmp_path / name).mkdir()
+        write_diagnosis(tmp_path / name)
+        file = tmp_path / name / "diagnosis.json"
+        data = json.loads(file.read_text(encoding="utf-8"))
+        data.pop("campaign_sha256", None)
+        file.write_text(json.dumps(data | {"campaign": "rig"} | checksum), encoding="utf-8")
+    assert report(tmp_path).warnings[0] == (
+        "The files of campaign rig changed between new/diagnosis.json and old/diagnosis.json: run again what is older."
+    )
 
 
 def test_a_gap_beside_the_verdict_none_is_explained_on_the_first_screen(tmp_path):
