@@ -142,26 +142,39 @@ def rough_noise(experiment: Experiment, trials: Sequence[int]) -> Noise:
     return Noise(tuple(sds), (0.0,) * channels, (0.0,) * channels)
 
 
-def fast_level(series: Sequence[Array], order: int = 4) -> float:
+def fast_level(series: Sequence[Array], order: int = 4, readings: Sequence[Array] | None = None) -> float:
     """Standard deviation of the white noise in series, from differences of an order; 0 where there is too little.
 
-    The higher the order, the faster may be what is no noise, and the more readings does one event spoil.
+    The higher the order, the faster may be what is no noise, and the more readings does one event spoil. readings :
+    of which the series are residuals; by default the series themselves.
     """
-    kept = _differences(series, order)
+    kept = _differences(series, order, readings)
     return 1.4826 * float(np.median(np.abs(kept))) if kept.size else 0.0
 
 
-def tails_of(series: Sequence[Array], order: int = 4) -> float:
+def tails_of(series: Sequence[Array], order: int = 4, readings: Sequence[Array] | None = None) -> float:
     """Mean square of the white noise in series over its `fast_level` squared: above 1 where its tails are heavy."""
-    kept, level = _differences(series, order), fast_level(series, order)
+    kept, level = _differences(series, order, readings), fast_level(series, order, readings)
     return max(float(np.mean(kept**2)) / level**2, 1.0) if level > 0.0 else 1.0
 
 
-def _differences(series: Sequence[Array], order: int) -> Array:
-    """Differences of an order along each series, as large as the white noise in it."""
-    fast = [np.diff(x, n=order)[4:] for x in series if x.size > order + 8]
-    gain = math.sqrt(math.comb(2 * order, order))  # on white noise
-    return np.concatenate([f[np.isfinite(f)] for f in fast]) / gain if fast else np.zeros(0)
+def _differences(series: Sequence[Array], order: int, readings: Sequence[Array] | None) -> Array:
+    """Differences of an order along each series, as large as the white noise in it.
+
+    Where most of those of the readings are 0, as where a body stands still below the step of an encoder, the others
+    show the noise.
+    """
+
+    def along(rows: Sequence[Array]) -> Array:
+        fast = [np.diff(x, n=order)[4:] for x in rows if x.size > order + 8]
+        return np.concatenate(fast) if fast else np.zeros(0)
+
+    found = along(series)
+    moves = found != 0.0 if readings is None else along(readings) != 0.0
+    known = np.isfinite(found)
+    if 0 < np.count_nonzero(moves[known]) < 0.5 * np.count_nonzero(known):
+        known &= moves
+    return found[known] / math.sqrt(math.comb(2 * order, order))  # the gain on white noise
 
 
 def rounding(experiment: Experiment, channel: int) -> float:

@@ -96,9 +96,10 @@ def learn_noise(fit: Calibration, colour: bool = True) -> Noise:
     weights = {i: g.weight[k] for g in problem.groups for k, i in enumerate(g.trials)}
     levels, sensors, white = [], [], []
     for c, total in enumerate(noise.total):
-        used = [r[c][_trusted(weights[i][c])] for i, r in found.items() if c < r.shape[0]]
+        kept = {i: _trusted(weights[i][c]) for i, r in found.items() if c < r.shape[0]}
+        used = [found[i][c][mask] for i, mask in kept.items()]
         # Lines leak from a large slow error into the fast ones of a short record; differences do not.
-        fast = fast_level(used)
+        fast = fast_level(used, readings=[problem.experiment.trials[i].y[c][mask] for i, mask in kept.items()])
         sensors.append(max(min(fast, total) if fast > 0.0 else total, least[c]))
         levels.append(max(sensors[-1], error_level(used)))
         white.append(levels[-1] < _white_enough(sum(r.size for r in used)) * sensors[-1])

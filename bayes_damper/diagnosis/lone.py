@@ -35,7 +35,11 @@ def left_alone(nominal: Calibration, fit: Calibration, rule: Rule = RULE) -> Lef
         return left_of_squares(before, before, floor, rule)
     after, _ = squares_of_trials(fit)
     sds = fit.problem.noise.floor
-    tails = tails_of([r[c] / sds[c] for r in fit.residuals().values() for c in range(len(r))])
+    residuals, trials = fit.residuals(), nominal.problem.experiment.trials
+    tails = tails_of(
+        [r[c] / sds[c] for r in residuals.values() for c in range(len(r))],
+        readings=[trials[i].y[c] for i, r in residuals.items() for c in range(len(r))],
+    )
     left = left_of_squares(before, after, tails * floor, rule)
     heldout = nominal.problem.experiment.heldout
     if not heldout or (before > REDUCIBLE * floor).any():

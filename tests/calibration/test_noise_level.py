@@ -250,3 +250,15 @@ def test_heavy_tails_are_distinguished_from_white_noise_and_from_colour():
     assert tails_of(list(heavy)) == pytest.approx(expected, rel=0.1)
     assert expected > 1.3
     assert tails_of([]) == 1.0
+
+
+def test_a_body_at_rest_below_the_step_of_an_encoder_does_not_hide_its_noise():
+    """Most of the record stands still there, and the model creeps: the readings that move show the noise."""
+    step, t = 0.01, np.arange(4000) * 1e-3
+    motion = np.where(t < 1.0, np.exp(-2.0 * t) * np.cos(60.0 * t), 0.0)
+    reading = step * np.round(motion / step)
+    residual = reading - motion + 1e-9 * np.exp(-t)
+    assert fast_level([residual]) < 1e-3 * step, "the median difference is that of the model"
+    assert 0.1 * step < fast_level([residual], readings=[reading]) < step
+    assert tails_of([residual], readings=[reading]) < 3.0
+    assert 0.1 * step < fast_level([reading]) < step
