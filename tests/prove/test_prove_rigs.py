@@ -1,4 +1,4 @@
-"""The measured rigs: what the diagnosis and its peers say of each, and how well held-out stretches are forecast."""
+"""The five measured rigs: what the diagnosis and its peers say of each, and how well held-out stretches are forecast."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from bayes_damper.commands.diagnose import diagnose
 from bayes_damper.priors.files import campaign_priors
 
 RAW = Path(os.environ.get("BAYES_DAMPER_REALDATA", parts.ROOT.parent / "shared" / "realdata"))
-RIGS = ("rotary_pendulum", "tuned_mass_damper", "double_pendulum")
+RIGS = ("rotary_pendulum", "tuned_mass_damper", "single_pendulum", "servo_drop", "double_pendulum")
 KEPT = ("verdict", "probabilities", "credible_set", "pair", "sites", "gap", "forecast", "notes")
 
 
@@ -61,9 +61,12 @@ def test_what_measured_rigs_say(tmp_path):
     assert by_name["rotary_pendulum"]["verdict"] == "bearing_drag"
     assert by_name["tuned_mass_damper"]["verdict"] == "none"
     assert by_name["tuned_mass_damper"]["gap"]["answer"] != "gap"
-    assert max(by_name["tuned_mass_damper"]["probabilities"].values()) < 0.9
+    named = {n: p for n, p in by_name["tuned_mass_damper"]["probabilities"].items() if n not in ("none", "unknown")}
+    assert max(named.values()) < 0.1, "its damping law cannot be identified"
+    assert by_name["servo_drop"]["verdict"] == "bearing_drag"
+    assert set(by_name["single_pendulum"]["pair"]["effects"]) == {"bearing_drag", "quadratic_drag"}
     assert set(by_name["double_pendulum"]["pair"]["effects"]) == {"bearing_drag", "interface_friction"}
-    for name in ("rotary_pendulum", "double_pendulum"):
+    for name in ("rotary_pendulum", "single_pendulum", "servo_drop", "double_pendulum"):
         ahead = by_name[name]["forecast"]
         assert ahead["after"]["rms"] < ahead["before"]["rms"]
     # What least squares by others are quoted with, the state from the whole stretch.
