@@ -399,10 +399,9 @@ def _forecast_cells(row: Mapping[str, Any]) -> list[list[str]]:
     trials = [t for d in (row["diagnosis"], *row["others"]) for t in d["forecast"]["trials"]]
     out = []
     for t in sorted(trials, key=lambda t: int(t["trial"])):
-        held = [" / ".join(f"{100 * t[s][f'coverage{c}']:.0f} %" for s in ("before", "after")) for c in (50, 90)]
-        ahead, whole = (
-            " / ".join(f"{t[side][key] * times:.3g}" for side in ("before", "after")) for key in ("rms", "rms_whole")
-        )
+        sides = [t[side] for side in ("before", "after") if side in t]  # nothing is added where the answer is none
+        held = [" / ".join(f"{100 * s[f'coverage{c}']:.0f} %" for s in sides) for c in (50, 90)]
+        ahead, whole = (" / ".join(f"{s[key] * times:.3g}" for s in sides) for key in ("rms", "rms_whole"))
         name, reference = f"{row['rig']}, trial {t['trial']}", REFERENCE.get((row["rig"], int(t["trial"])), "-")
         out.append([name, str(t["readings"]), unit, ahead, *held, whole, str(reference)])
     return out

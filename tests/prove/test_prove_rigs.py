@@ -1,4 +1,4 @@
-"""The five measured rigs: what the diagnosis and its peers say of each, and how well held-out stretches are forecast."""
+"""The five measured rigs: what the diagnosis and its peers say of each, and how held-out stretches are forecast."""
 
 from __future__ import annotations
 
