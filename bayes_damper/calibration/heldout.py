@@ -163,7 +163,8 @@ def _descend(
         H = T @ T.transpose(0, 2, 1) + np.eye(m)
         H += damping[:, None, None] * H * np.eye(m)
         g = (T @ np.nan_to_num(r)[:, :, None])[:, :, 0] + eta
-        move = step_within(H, g, np.maximum(low - eta, -most), np.minimum(high - eta, most))
+        move = step_within(H, g, low - eta, high - eta)
+        move *= np.minimum(1.0, most / np.maximum(np.abs(move).max(axis=1), 1e-12))[:, None]
         candidate = np.clip(eta + move, low, high)
         r_new, cost_new = evaluate(candidate)
         better = cost_new < cost
