@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -135,18 +135,19 @@ def judge_without_repeats(
     found = as_candidates(found, sets)
     best = next((c.fit for c in found if c.fit is not None), None)
     seen = Seen.of(fit, found, best if first is None else first, report)
-    none_left = left_alone(fit, fit)
-    left = none_left if first is None else left_alone(fit, first)
+    left_by = cache(partial(left_alone, fit))
+    none_left = left_by(fit)
+    left = none_left if first is None else left_by(first)
     names = sorted(seen.evidence)
 
-    shares = _shares_left(fit, sets, len(names))
+    shares = _shares_left(left_by, sets, len(names))
     failing = {
         some: 1.0 - (1.0 - foreign_alone(share, rule)) * (1.0 - idle_alone(share, none_left, rule))
         for some, share in shares.items()
     }
     budget = _budget(seen, sets, failing, rng)
     sets = _standing(sets, budget)
-    shares = _shares_left(fit, sets, len(names))
+    shares = _shares_left(left_by, sets, len(names))
     alone = {s.members[0][0].name: s.evidence for s in reversed(sets) if len(s.members) == 1}
 
     def answered(rule: Rule, sets: Sequence[SetFit] = sets) -> Answers:
@@ -247,11 +248,13 @@ def _budget(
     return replace(found, sites={site: place.probabilities.get(site, 0.0) / total for site in known})
 
 
-def _shares_left(fit: Calibration, sets: Sequence[SetFit], among: int) -> dict[frozenset[str], float]:
-    """Share of the gap that each likely set leaves, where no trial has repeats."""
+def _shares_left(
+    left_by: Callable[[Calibration], Left], sets: Sequence[SetFit], among: int
+) -> dict[frozenset[str], float]:
+    """Share of the gap that each likely set leaves, where no trial has repeats; left_by : what a fit leaves."""
     weights = probabilities(sets, among)
     likely = {s.names: s for s in reversed(sets) if weights[s.names] > UNLIKELY and s.members}
-    return {names: left_alone(fit, s.fit).share for names, s in likely.items()}
+    return {names: left_by(s.fit).share for names, s in likely.items()}
 
 
 def _as_pairs(budget: Budget, alone: Mapping[str, float]) -> list[Pair]:

@@ -469,9 +469,9 @@ def test_a_gap_below_the_noise_is_shared_out_by_products_of_residuals(monkeypatc
     monkeypatch.setattr("bayes_damper.diagnosis.lone.squares_of_trials", lambda fit: next(squares))
     found = SimpleNamespace(closed=lambda after: SimpleNamespace(median=closed))
     monkeypatch.setattr("bayes_damper.diagnosis.lone.products_of", lambda fits, heldout: found)
-    nominal = SimpleNamespace(problem=SimpleNamespace(experiment=SimpleNamespace(heldout=(1,), trials=[])))
     noise = np.random.default_rng(1).standard_normal((1, 5000))
-    nominal.problem.experiment.trials.append(SimpleNamespace(y=noise))
+    experiment = SimpleNamespace(heldout=(1,), trials=[SimpleNamespace(y=noise)])
+    nominal = SimpleNamespace(problem=SimpleNamespace(experiment=experiment))
     fit = SimpleNamespace(
         problem=SimpleNamespace(noise=SimpleNamespace(floor=(1.0,))), residuals=lambda: {0: noise},
     )  # fmt: skip
