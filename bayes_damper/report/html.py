@@ -9,9 +9,9 @@ from __future__ import annotations
 import base64
 import hashlib
 import io
-import itertools
 import json
 import re
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -130,7 +130,7 @@ def report(folder: str | Path, *, out: str | Path | None = None) -> Report:
     return Report(path, names, shown, tuple(budget.left_out), tuple(warnings), len(page.encode("utf-8")))
 
 
-def listed_results(names: tuple[str, ...]) -> str:
+def listed_results(names: Sequence[str]) -> str:
     """Names of result files for a sentence."""
     return ", ".join(names)
 
@@ -202,21 +202,19 @@ def _name(results: list[Result]) -> str:
 
 def _of_different_data(names: Sequence[str], results: Sequence[Result]) -> list[str]:
     """A warning where results are of several campaigns, or of one that was changed between them."""
-    made: dict[str, dict[str, list[str]]] = {}
+    of_campaign, of_files = defaultdict[str, list[str]](list), defaultdict[str, list[str]](list)
     for name, r in zip(names, results, strict=True):
-        if r.provenance.get("campaign"):
-            of = made.setdefault(str(r.provenance["campaign"]), {})
-            of.setdefault(str(r.provenance.get("campaign_sha256", "")), []).append(name)
-    if len(made) > 1:
-        each = "; ".join(f"{campaign}: {', '.join(itertools.chain(*of.values()))}" for campaign, of in made.items())
+        if campaign := r.provenance.get("campaign"):
+            of_campaign[str(campaign)].append(name)
+            if checksum := r.provenance.get("campaign_sha256"):
+                of_files[str(checksum)].append(name)
+    if len(of_campaign) > 1:
+        each = "; ".join(f"{campaign}: {listed_results(those)}" for campaign, those in of_campaign.items())
         return [f"The results are of different campaigns, so their numbers do not belong together ({each})."]
-    known = {campaign: {sha: files for sha, files in of.items() if sha} for campaign, of in made.items()}
-    return [
-        f"The files of campaign {campaign} changed between {' and '.join(', '.join(files) for files in of.values())}: "
-        "run again what is older."
-        for campaign, of in known.items()
-        if len(of) > 1
-    ]
+    if len(of_files) > 1:
+        each = " and ".join(listed_results(those) for those in of_files.values())
+        return [f"The files of campaign {next(iter(of_campaign))} changed between {each}: run again what is older."]
+    return []
 
 
 def _numbered(sections: list[Section], names: tuple[str, ...]) -> list[Section]:
