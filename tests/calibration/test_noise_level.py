@@ -8,8 +8,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from small_rig import NOISE, RIG, measured
+from test_forecast import swings
 
-from bayes_damper.calibration import Experiment, Noise, Problem, Switches, calibrate, with_priors
+from bayes_damper.calibration import (
+    Experiment,
+    Noise,
+    Problem,
+    Switches,
+    calibrate,
+    calibrate_nominal,
+    learn_noise,
+    with_priors,
+)
 from bayes_damper.calibration.noise import fast_level, tails_of
 from bayes_damper.calibration.posterior import RecordPosterior
 from bayes_damper.errors import InputError
@@ -262,3 +272,14 @@ def test_a_body_at_rest_below_the_step_of_an_encoder_does_not_hide_its_noise():
     assert 0.1 * step < fast_level([residual], readings=[reading]) < step
     assert tails_of([residual], readings=[reading]) < 3.0
     assert 0.1 * step < fast_level([reading]) < step
+
+
+def test_the_noise_learnt_from_a_fit_is_that_of_the_encoder_while_it_moves():
+    """Five seconds of swinging, then twenty in which dry friction holds the pendulum within a step."""
+    step = 0.02
+    swinging = swings(2, trained=1, unseen=0, duration=25.0)
+    (trial,) = swinging.trials
+    reading = step * np.round(trial.y / step)
+    assert np.mean(np.diff(reading[0], n=4) == 0.0) > 0.5
+    fit = calibrate_nominal(replace(swinging, trials=(replace(trial, y=reading),)))
+    assert 0.1 * step < learn_noise(fit).floor[0] < step
