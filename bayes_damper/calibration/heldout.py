@@ -69,12 +69,11 @@ def _predicted(fit: Calibration, trials: tuple[int, ...]) -> dict[int, Predictio
         starts = _starts([name for name, _, _ in group.nuisances])
         k = len(starts)
         which = np.repeat(np.arange(n), k)
-        eta, cost, gain = _descend(fit, group, which, np.tile(starts, (n, 1)), ROUNDS if m else 0, (0, 3), NEAR)
+        eta, cost = _descend(fit, group, which, np.tile(starts, (n, 1)), ROUNDS if m else 0, (0, 3), NEAR)
         winner = cost.reshape(n, k).argmin(axis=1) + np.arange(n) * k
         chosen = eta[winner]
-        far = np.flatnonzero(gain[winner] > ARRIVED)
-        if far.size:
-            chosen[far] = _descend(fit, group, far, chosen[far], MORE, range(0, MORE, 4), FAR)[0]
+        if m:
+            chosen = _descend(fit, group, np.arange(n), chosen, MORE, range(MORE), FAR)[0]
         y = problem.simulate(group, np.arange(n), np.tile(fit.q, (n, 1)), chosen)
         r = problem.whitened(y - group.y, group.weight)
         for j, i in enumerate(group.trials):
@@ -119,8 +118,8 @@ def _starts(names: Sequence[str]) -> Array:
 
 def _descend(
     fit: Calibration, group: Group, which: Indices, eta: Array, rounds: int, renewed: Container[int], most: float
-) -> tuple[Array, Array, Array]:
-    """Damped Gauss-Newton steps in the nuisances alone: where each row ends, its cost, and what its last round gained.
+) -> tuple[Array, Array]:
+    """Damped Gauss-Newton steps in the nuisances alone: where each row ends, and its cost.
 
     which : trial of the group of each row of eta (rows, m); renewed : rounds in which derivatives by what acts nearly
     linearly are taken; most : the largest step, in sizes. A row goes on until it is there, or is seen to lead nowhere.
@@ -138,14 +137,16 @@ def _descend(
         return r, np.where(np.isfinite(total), total, np.inf)
 
     r, cost = evaluate(eta)
-    ends, costs, gains = eta.copy(), cost.copy(), np.zeros(rows)
+    ends, costs = eta.copy(), cost.copy()
     live = np.arange(rows)
     damping = np.full(rows, 1e-2)
     T = np.zeros((rows, m, r.shape[1]))
+    better = np.ones(rows, dtype=np.bool_)
     for number in range(rounds):
+        known = number - 1 in renewed and not better.any()
         for i, name in enumerate(names):
-            if number not in renewed and (name.startswith("ln_") or of_readings(name)):
-                continue  # nearly linear
+            if known or (number not in renewed and (name.startswith("ln_") or of_readings(name))):
+                continue  # no row has moved, or nearly linear
             if of_readings(name) and not name.startswith("gain"):
                 column = group.nuisances[i][2][:, None, None] * group.shape(name)
                 T[:, i] = problem.whitened(column, group.weight)[which]
@@ -156,15 +157,14 @@ def _descend(
             elif name.startswith("ln_"):
                 step = np.maximum(step, LEAST_STEP / group.nuisances[i][2][which])
             step = np.where(eta[:, i] + step > high[:, i], -step, step)
-            moved = eta.copy()
-            moved[:, i] += step
-            T[:, i] = (evaluate(moved)[0] - r) / step[:, None]
+            beside = eta.copy()
+            beside[:, i] += step
+            T[:, i] = (evaluate(beside)[0] - r) / step[:, None]
         T = np.nan_to_num(T)
         H = T @ T.transpose(0, 2, 1) + np.eye(m)
         H += damping[:, None, None] * H * np.eye(m)
         g = (T @ np.nan_to_num(r)[:, :, None])[:, :, 0] + eta
-        move = step_within(H, g, low - eta, high - eta)
-        move *= np.minimum(1.0, most / np.maximum(np.abs(move).max(axis=1), 1e-12))[:, None]
+        move = step_within(H, g, np.maximum(low - eta, -most), np.minimum(high - eta, most))
         candidate = np.clip(eta + move, low, high)
         r_new, cost_new = evaluate(candidate)
         better = cost_new < cost
@@ -173,7 +173,7 @@ def _descend(
         r = np.where(better[:, None], r_new, r)
         damping = np.where(better, damping * 0.1, damping * 30.0)
         cost = np.where(better, cost_new, cost)
-        ends[live], costs[live], gains[live] = eta, cost, gain
+        ends[live], costs[live] = eta, cost
         arrived = np.where(better, gain < ARRIVED, damping > STUCK)
         on = np.flatnonzero(~arrived & ~_idle(which, eta, cost, gain, number))
         if on.size == 0:
@@ -181,7 +181,7 @@ def _descend(
         if on.size < len(which):
             live, which, weight, low, high = live[on], which[on], weight[on], low[on], high[on]
             eta, cost, damping, r, T = eta[on], cost[on], damping[on], r[on], T[on]
-    return ends, costs, gains
+    return ends, costs
 
 
 def _idle(which: Indices, eta: Array, cost: Array, gain: Array, number: int) -> NDArray[np.bool_]:

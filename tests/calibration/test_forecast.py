@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 from small_rig import measured, variant
 
-from bayes_damper.calibration import Calibration, Experiment, Noise, Problem, TrialRecord, calibrate
+from bayes_damper.calibration import Calibration, Experiment, Noise, Problem, Switches, TrialRecord, calibrate
 from bayes_damper.calibration.forecast import (
     PERIODS,
     Forecast,
@@ -21,7 +23,8 @@ from bayes_damper.calibration.forecast import (
     period_of,
     summary,
 )
-from bayes_damper.calibration.heldout import predict
+from bayes_damper.calibration.heldout import NEAR, ROUNDS, _descend, predict
+from bayes_damper.calibration.own_values import Scatter, Size
 from bayes_damper.priors.distributions import LogNormal, Normal
 
 K, VISCOUS, DRY, NU = 90.0, 0.30, 1.1, 30.0  # per unit inertia: s^-2, s^-1, s^-2, s
@@ -203,6 +206,28 @@ def test_what_a_held_out_trial_has_for_itself_is_found_however_far_off():
     assert np.std(found.residual) == pytest.approx(SIGMA, rel=0.1)
     assert abs(found.residual.mean()) < 0.5 * SIGMA
     assert np.abs(found.eta).max() > 25.0
+
+
+def test_values_that_scatter_by_little_do_not_hold_back_the_state_of_a_held_out_trial():
+    """Before its initial angle is found they would have to be hundreds of sizes off."""
+    experiment = replace(swings(3, trained=2, unseen=1), restoring="linear")
+    sizes = tuple(Size(name, sd, 0.0, math.inf, sd) for name, sd in (("k1t", 1e-4), ("c1t", 5e-4), ("drag", 1e-3)))
+    noise, switches = Noise((2e-5,), (0.0,), (0.0,)), Switches(scatter=Scatter(sizes))
+    problem = Problem(experiment, noise=noise, switches=switches)
+    (group,) = problem.grouped((2,))
+    true = np.full((1, len(group.nuisances)), 0.3)
+    y = problem.simulate(group, np.array([0]), problem.prior_mean()[None], true)[0]
+    unseen = replace(experiment.trials[2], y=y)
+    problem = Problem(
+        replace(experiment, trials=(*experiment.trials[:2], unseen)), noise=noise, switches=switches
+    )  # fmt: skip
+    (group,) = problem.grouped((2,))
+    fit = SimpleNamespace(problem=problem, q=problem.prior_mean())
+    away = true.copy()
+    away[0, [name for name, *_ in group.nuisances].index("theta0")] -= 1.0
+    eta, cost = _descend(fit, group, np.array([0]), away, ROUNDS, (0, 3), NEAR)
+    assert cost[0] < 1.0
+    assert eta[0, -3:] == pytest.approx(true[0, -3:], abs=0.01)
 
 
 def test_both_channels_of_trials_released_from_rest():
