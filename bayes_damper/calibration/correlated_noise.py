@@ -37,7 +37,7 @@ from bayes_damper.calibration import (
     summarise,
     whittle,
 )
-from bayes_damper.calibration.experiment import repeats_by_reading
+from bayes_damper.calibration.experiment import lone, repeats_by_reading
 from bayes_damper.runs.contents.fit import ChannelEntry, NoiseEntry
 
 Array = NDArray[np.float64]
@@ -174,7 +174,7 @@ def fit_with_noise(
         report("white noise")
         fit = _again(fit, _white(fit))
         none = [False] * len(repeats)
-        return _described(fit, "gaussian", False, repeats, none, math.inf, unlike, none)
+        return _described(fit, "gaussian", False, repeats, none, math.inf, unlike, none, sensor)
     freedom, gain = _tails(fit)
     heavy = kind == "student" or (kind == "auto" and gain > CLEARLY)
     if heavy:
@@ -199,7 +199,7 @@ def fit_with_noise(
     if chosen == "gaussian" and any(p != 0.0 for p in fit.problem.noise.phi):
         chosen = "ar"
     freedom = freedom if chosen == "student" else math.inf
-    return _described(fit, chosen, kind == "auto", repeats, wide, freedom, unlike, exceeded)
+    return _described(fit, chosen, kind == "auto", repeats, wide, freedom, unlike, exceeded, sensor)
 
 
 # Trials unlike their repeats ----------------------------------------------------------------------------------------
@@ -259,9 +259,10 @@ def _described(
     freedom: float,
     unlike: tuple[Unlike, ...],
     exceeded: Sequence[bool],
+    sensor: Sequence[float],
 ) -> FittedNoise:
     problem = fit.problem
-    fast = rough_noise(problem.experiment, problem.trials).total
+    fast = sensor or rough_noise(problem.experiment, problem.trials).total
     residuals = fit.residuals()
     channels = []
     for c, used in enumerate(problem.noise.total):
@@ -321,6 +322,8 @@ def _power(fit: Calibration) -> list[float]:
 def _repeats(fit: Calibration) -> list[float | None]:
     """Sd of each channel's noise from repeats, None where there are none."""
     experiment = fit.problem.experiment
+    if lone(experiment, fit.problem.trials):
+        return [None] * len(fit.problem.noise.total)
     sets: dict[tuple[Any, ...], int] = {}
     for i in fit.problem.trials:
         t = experiment.trials[i]

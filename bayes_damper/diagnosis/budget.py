@@ -212,7 +212,8 @@ def _shares(
     if not found.is_known():
         return None
     squares = np.array([squares_of(nominal, model) for model in models])
-    fitted = squares / max(squares[0] - squares[-1], 1e-300)
+    gained = float(squares[0] - squares[-1])
+    fitted = squares / gained if gained > 0.0 else np.zeros_like(squares)
     left, draws = found.shares()
     return _divided(names, {k: i for i, k in enumerate(keys)}, left, draws, fitted, found)
 

@@ -95,6 +95,15 @@ def test_a_single_trial_with_coloured_noise_is_not_taken_for_a_quiet_one() -> No
     assert misses({"noise": found.to_json("rad/s^2")}).startswith("THE MODEL MISSES SOMETHING, OR THE NOISE IS SLOW:")
 
 
+def test_trials_that_start_free_are_no_repeats_of_each_other() -> None:
+    """No two begin alike: their noise is what residuals have in their fast content."""
+    experiment = measured(1, configurations=(False,), **ONE_CASE)
+    still = replace(experiment, start="free", scatter=dict.fromkeys(TYPICAL, 0.0))
+    (channel,) = fit_with_noise(still).channels
+    assert channel.repeats is None
+    assert channel.fast == pytest.approx(NOISE, rel=0.1)
+
+
 def test_unevenly_sampled_records_are_widened_too() -> None:
     experiment = measured(1, sensor=_same_misfit, **(ONE_CASE | {"repeats": 1}))
     rng = np.random.default_rng(0)
