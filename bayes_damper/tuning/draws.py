@@ -41,6 +41,7 @@ OF_RELEASE = (0.025, 0.06, 0.12, 0.24)
 _MISSES = "the fit of case {} misses something of the rig{}, so that the loss may be off by more than its interval says"
 _REMEDY = ": run `bayes-damper diagnose`, and tune the fit with the effect that it names"
 _WITHOUT_LIMIT = 1e9  # m: a face so large that the pull does not fall with the overlap
+_NO_RADIUS = 1.0  # m: bar_radius where forces between the bodies are given as torques
 
 
 def complete(
@@ -124,7 +125,8 @@ class Origin:
     kind : of the rig; amplitudes : torques (N m; forces, N) that suit its size; converged : whether the fit of the case
     did, True where nothing says; known : what is odd in the records that were fitted, as `check` lists it; warnings :
     of the fit and of the tuning; effect, formula : that the fit has beside the nominal model, "A+B" of two, or "";
-    reach : how far the primary moves in the records of the fit, rad (m), None where they are not known.
+    reach : how far the primary moves in the records of the fit, rad (m), None where they are not known; radius :
+    whether the rig has a radius that can be chosen.
     """
 
     campaign: str = ""
@@ -138,6 +140,7 @@ class Origin:
     effect: str = ""
     formula: str = ""
     reach: float | None = None
+    radius: bool = True
 
     @property
     def effort(self) -> tuple[str, str]:
@@ -214,7 +217,7 @@ def origin_of(
               "N0": rig.magnet_pull}  # fmt: skip
     constants = {name: constant.value for name, constant in fields.items() if constant is not None}
     if not rig.has_magnet:
-        constants = {"R": 1.0, "r": _WITHOUT_LIMIT} | constants | {"mu": 0.0, "N0": 0.0}
+        constants = {"R": _NO_RADIUS, "r": _WITHOUT_LIMIT, "mu": 0.0, "N0": 0.0} | constants
     if (plan.get("normal_force") or rig.normal_force) == "constant":
         constants["r"] = _WITHOUT_LIMIT
     constants |= known or {}
@@ -239,6 +242,7 @@ def origin_of(
         kind=rig.kind,
         amplitudes=_suitable(held),
         reach=max(reached, default=None),
+        radius=rig.kind == "torsional" and (rig.has_magnet or constants["R"] != _NO_RADIUS),
     )
 
 

@@ -335,8 +335,9 @@ def tune(
     rng = np.random.default_rng(seed)
     case = chosen_case(source, case)
     origin = origin_of(source, case, rig)
-    if origin.kind == "translational" and (R is not None or "R" in {*(free or ()), *(bounds or {})}):
-        raise InputError(f"R{'' if R is None else f' = {R:g}'}: a translational rig has no radius; change J2 or k2t")
+    if not origin.radius and (R is not None or "R" in {*(free or ()), *(bounds or {})}):
+        which = "a translational rig" if origin.kind == "translational" else "a rig without a magnet, bar_radius = 1,"
+        raise InputError(f"R{'' if R is None else f' = {R:g}'}: {which} has no radius; change J2 or k2t")
     law = None if effects is None else _law_of(Path(effects), origin, isinstance(source, Mapping))
     if amplitudes is None:
         amplitudes = origin.amplitudes
@@ -352,7 +353,7 @@ def tune(
             f"magnet_pull = {magnet_pull:g}: the fit has no friction between the bodies (mu = 0), so the pull changes "
             "nothing; leave it out, or give the friction itself (friction_torque)"
         )
-    lengths = ("R",) if origin.kind == "torsional" else ()
+    lengths = ("R",) if origin.radius else ()
     if bounds is None or free is not None:
         usual = usual_bounds(draws, ("J2", "k2t", *lengths) if free is None else free)
         missing = [name for name in free or () if name not in {**usual, **(bounds or {})}]

@@ -722,6 +722,21 @@ def test_what_cannot_be_driven_or_reached_is_refused_before_any_work(changes, wo
         tuning.tune(THESIS, n_draws=10**9, **changes)
 
 
+def test_friction_without_a_magnet_acts_on_the_driven_rig(tmp_path):
+    """Declared as a torque, pull and radius 1: it is the fit's, and there is no radius to choose."""
+    toml = CAMPAIGN_TOML.replace("bar_radius = 0.10", "bar_radius = 1.0").replace("pull = 100.0", "pull = 1.0")
+    toml = toml.replace("magnet_radius = 0.0127", 'normal_force = "constant"')
+    fit = fitted_folder(tmp_path, toml)
+    summary = json.loads((fit / "summary.json").read_text())
+    summary["cases"]["IV"]["parameters"]["mu"] = {"mean": 0.085, "sd": 0.001}
+    write_json(fit / "summary.json", summary)
+    found = tuning.tune(fit, case="IV", amplitudes=(), optimise=False, n_draws=10)
+    assert found.draws["mu"] * found.draws["N0"] * found.draws["R"] == pytest.approx(np.full(10, 0.085), rel=0.1)
+    assert set(found.curves) == {"J2"}
+    with pytest.raises(InputError, match=r"R = 0\.5: a rig without a magnet, bar_radius = 1, has no radius"):
+        tuning.tune(fit, case="IV", R=0.5)
+
+
 def test_a_rig_without_a_secondary_is_not_given_the_thesiss(tmp_path):
     fit = translational_folder(tmp_path)
     head = (tmp_path / "rig" / "campaign.toml").read_text().replace("secondary_inertia = 0.6\n", "")
