@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from bayes_damper.campaign.logger_formats import channels_of, form_of
 from bayes_damper.errors import InputError
 from bayes_damper.inputs import check_matlab, file_bytes, json_of, number_in
+from bayes_damper.runs.parallel_map import apart
 
 Array = NDArray[np.float64]
 Line = tuple[int, str]
@@ -35,6 +36,8 @@ _FEWEST_ROWS = 5
 """Rows of which on a column of words is no column of readings that failed."""
 _LONGEST_LINE = 100_000
 """Characters of a line in which quotes are looked for: whatever is longer is no row of a logger's table."""
+_MATLAB_SECONDS = 60.0
+"""Time in which a MATLAB file must be read: half a gigabyte takes a few, some damaged ones would take for ever."""
 _MISSING = {"", "-", "--", "---", "na", "n/a", "nan", "null", "none"}
 """What loggers write where there is no reading."""
 _OTHER_FORMATS = (
@@ -245,13 +248,15 @@ def read_text(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
 
 def read_matlab(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
     """Time in column 1 where matlab_time is given, then the channels; cell arrays are joined piece by piece."""
-    from scipy.io import loadmat
+    import scipy.io  # noqa: F401 (once, here, and not in each forked process)
 
     try:
         check_matlab(raw)
-        content = loadmat(io.BytesIO(raw))
+        content = apart(_loaded, raw, _MATLAB_SECONDS)  # some damaged files end the process that reads them
     except Exception as error:
-        raise InputError(f"{name}: not a MATLAB file that can be read ({error}); save it as version 5 or 7") from error
+        raise InputError(
+            f"{name}: not a MATLAB file that can be read ({error}); copy it again, or save it as version 5 or 7"
+        ) from error
     parts = []
     for key in ("matlab_time", "matlab_data"):
         pieces: list[NDArray[Any]] = []
@@ -281,6 +286,12 @@ def read_matlab(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
             f"{_listed(content)}: name arrays of one length"
         )
     return LoggerFile((), np.ascontiguousarray(np.concatenate(parts, axis=1), dtype=float))
+
+
+def _loaded(raw: bytes) -> dict[str, Any]:
+    from scipy.io import loadmat
+
+    return dict(loadmat(io.BytesIO(raw)))
 
 
 def _listed(content: Mapping[str, Any], most: int = 20) -> str:

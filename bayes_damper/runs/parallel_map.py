@@ -6,6 +6,7 @@ another longer than they work.
 
 from __future__ import annotations
 
+import faulthandler
 import multiprocessing
 import os
 import signal
@@ -59,6 +60,49 @@ def _uninterrupted() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _sent(end: Connection, work: Callable[[Any], Any], item: Any) -> None:
+    faulthandler.disable()  # the sentence says what a dump of the stack would
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # as in `forked_map`
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    try:
+        end.send((work(item), None))
+    except Exception as error:  # noqa: BLE001 (it is raised again by whoever receives it)
+        end.send((None, str(error) or type(error).__name__))
+
+
+def apart(work: Callable[[Item], Answer], item: Item, seconds: float) -> Answer:
+    """work(item) in a process of its own, for libraries that may take the process with them; both must be picklable.
+
+    Raises
+    ------
+    RuntimeError
+        if the process died, took longer, or met an exception: says which.
+    """
+    if multiprocessing.current_process().daemon:  # may have no children, and is one itself
+        return work(item)
+    context: Any = multiprocessing.get_context("fork" if can_fork() else "spawn")
+    ours, theirs = context.Pipe(duplex=False)
+    process = context.Process(target=_sent, args=(theirs, work, item), daemon=True)
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", ".*fork.*", DeprecationWarning)  # as in `forked_map`
+            process.start()
+        theirs.close()
+        if not ours.poll(seconds):
+            raise RuntimeError(f"reading it does not end within {seconds:g} s")
+        answer, fault = ours.recv()
+    except EOFError:
+        raise RuntimeError("it crashes the reader") from None
+    finally:
+        if process.pid is not None:
+            process.kill()
+            process.join()
+        ours.close()
+    if fault is not None:
+        raise RuntimeError(fault)
+    return cast("Answer", answer)
 
 
 def forked_map(

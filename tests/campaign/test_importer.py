@@ -888,6 +888,18 @@ def test_the_arrays_of_a_matlab_file_are_listed(tmp_path: Path, option: dict[str
         read_file(path, option)
 
 
+@pytest.mark.parametrize("place", [176, 177])
+def test_a_matlab_file_that_crashes_its_reader_is_refused(tmp_path: Path, place: int) -> None:
+    """SciPy looks the type of numbers up in a table and past its end, which ends the process with a signal."""
+    path = tmp_path / "log.mat"
+    savemat(path, {"t": TIMES[:6]})
+    raw = bytearray(path.read_bytes())
+    raw[place] = 0xFF
+    path.write_bytes(raw)
+    with pytest.raises(InputError, match=r"log\.mat: not a MATLAB file that can be read .*; copy it again, or save it"):
+        read_file(path, {"matlab_data": ["t"]})
+
+
 def test_the_sideways_position_of_a_marker_becomes_an_angle() -> None:
     """Of 0.5 rad the arc x / L is 4 % less: a sound pendulum would seem to have a wrong law of gravity."""
     angle = np.linspace(-0.5, 0.5, 5)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,7 @@ from compiled import without_kernels
 
 from bayes_damper.effects import EFFECTS
 from bayes_damper.rig.kernels import compiled
-from bayes_damper.runs.parallel_map import can_fork, forked_map, single_threaded
+from bayes_damper.runs.parallel_map import apart, can_fork, forked_map, single_threaded
 from bayes_damper.simulation import specialised
 from bayes_damper.simulation.model import Model
 from bayes_damper.simulation.precompile import _alone, compile_ahead
@@ -85,6 +87,19 @@ def test_an_answer_that_cannot_be_sent_is_found_here():
 
 @forks
 @pytest.mark.slow
+def ends(way):
+    """Work that ends in some way, or not at all."""
+    return {"answer": os.getpid, "dies": os.abort, "fails": lambda: 1 / 0, "hangs": lambda: time.sleep(60.0)}[way]()
+
+
+@pytest.mark.parametrize(("way", "told"), [("dies", "crashes"), ("fails", "division by zero"), ("hangs", "not end")])
+def test_work_done_apart_takes_no_other_process_with_it(way, told):
+    assert apart(ends, "answer", 30.0) != os.getpid()
+    with pytest.raises(RuntimeError, match=told):
+        apart(ends, way, 0.5 if way == "hangs" else 30.0)
+    assert not multiprocessing.active_children()
+
+
 def test_kernels_are_compiled_ahead_and_not_again(tmp_path, monkeypatch):
     cache = without_kernels(tmp_path / "cache")
     monkeypatch.setenv("BAYES_DAMPER_CACHE", str(cache))
