@@ -107,8 +107,9 @@ class LoggerFile:
                 raise InputError(f"{where}: {sum(found)} columns are called '{column}'; give their numbers from 1")
             if any(found):
                 return found.index(True)
-        near = difflib.get_close_matches(column, self.names, 1, 0.4)
-        hint = f"did you mean '{near[0]}'?" if near else "name or number the columns"
+        near = _nearest(column, self.names)
+        number = "name or number the columns" if self.names else "give its number from 1"
+        hint = f"did you mean '{near}'?" if near else number
         raise InputError(f"{where}: column '{column}' is missing, the file has {self.described()}; {hint}")
 
     def described(self) -> str:
@@ -294,16 +295,32 @@ def _loaded(raw: bytes) -> dict[str, Any]:
     return dict(loadmat(io.BytesIO(raw)))
 
 
-def _listed(content: Mapping[str, Any], most: int = 20) -> str:
-    """The arrays of a MATLAB file for a sentence, those in structures too: path and shape of each."""
-    found: list[str] = []
+def _nearest(word: str, names: Sequence[str]) -> str | None:
+    """The name that is meant: the shortest that has the word in it, or the most alike, whole or without its path."""
+    word = word.strip().lower()[:60]
+    if holding := [n for n in names if len(word) > 1 and word in n.lower()]:
+        return min(holding, key=len)
+    known = {n.lower().rpartition(".")[2]: n for n in names} | {n.lower(): n for n in names}
+    near = difflib.get_close_matches(word, known, 1, 0.4)
+    return known[near[0]] if near else None
+
+
+def _arrays(content: Mapping[str, Any]) -> dict[str, tuple[int, ...]]:
+    """The arrays of a MATLAB file, those in structures too: path and shape of each."""
+    found: dict[str, tuple[int, ...]] = {}
     level = [(key, np.asarray(value)) for key, value in content.items() if not key.startswith("__")]
     while level:
         path, value = level.pop(0)
         if value.dtype.names and value.size == 1:
             level = [(f"{path}.{field}", np.asarray(value[field].ravel()[0])) for field in value.dtype.names] + level
         elif value.size > 1:
-            found.append(f"{path} ({' x '.join(map(str, value.shape))})")
+            found[path] = value.shape
+    return found
+
+
+def _listed(content: Mapping[str, Any], most: int = 20) -> str:
+    """The arrays of a MATLAB file for a sentence."""
+    found = [f"{path} ({' x '.join(map(str, shape))})" for path, shape in _arrays(content).items()]
     more = f" and {len(found) - most} more" if len(found) > most else ""
     return ", ".join(found[:most]) + more if found else "no arrays"
 
@@ -311,14 +328,14 @@ def _listed(content: Mapping[str, Any], most: int = 20) -> str:
 def _variable(content: Mapping[str, Any], path: str, name: str, key: str) -> NDArray[Any]:
     """A variable of a MATLAB file, or a field of a structure in it: "Theta1.signals.values"."""
     first, *fields = path.split(".")
-    known = [k for k in content if not k.startswith("__")]
     found = content.get(first)
     for field in fields:
-        known = list(found.dtype.names or ()) if found is not None else known
-        inside = found[field] if found is not None and field in known else None
+        inside = found[field] if found is not None and field in (found.dtype.names or ()) else None
         found = inside.ravel()[0] if inside is not None and inside.size == 1 else inside
     if found is None:
-        raise InputError(f"{name}: no variable '{path}'; it holds {', '.join(known)}: correct {key}")
+        near = _nearest(path, list(_arrays(content)))
+        hint = f"did you mean '{near}'?" if near else f"correct {key}"
+        raise InputError(f"{name}: no variable '{path}'; it holds {_listed(content)}: {hint}")
     return np.asarray(found)
 
 

@@ -864,7 +864,7 @@ def test_a_field_of_a_matlab_structure_is_a_variable(tmp_path: Path) -> None:
     savemat(path, {"th": {"time": TIMES[:, None], "signals": {"values": wave()[:, None]}}})
     option = {"matlab_time": ["th.time"], "matlab_data": ["th.signals.values"]}
     np.testing.assert_array_equal(read_file(path, option).table, np.stack([TIMES, wave()], axis=1))
-    with pytest.raises(InputError, match=r"no variable 'th\.signal'; it holds time, signals"):
+    with pytest.raises(InputError, match=r"no variable 'th\.signal'; it holds th\.time \(1400 x 1\), th\.sig"):
         read_file(path, option | {"matlab_data": ["th.signal"]})
 
 
@@ -886,6 +886,19 @@ def test_the_arrays_of_a_matlab_file_are_listed(tmp_path: Path, option: dict[str
     savemat(path, content)
     with pytest.raises(InputError, match=sentence):
         read_file(path, option)
+
+
+@pytest.mark.parametrize("word", ["zeit", "Zeit_MS", "messung.ziet_ms", "zeitms", "messung.t.zeit"])
+def test_an_array_that_is_misspelt_or_abbreviated_is_found(tmp_path: Path, word: str) -> None:
+    path = tmp_path / "log.mat"
+    savemat(path, {"messung": {"weg_mm": wave(), "zeit_ms": TIMES}, "rate": 100.0})
+    listed = r"it holds messung\.weg_mm \(1 x 1400\), messung\.zeit_ms \(1 x 1400\)"
+    with pytest.raises(InputError, match=rf"no variable '{word}'; {listed}: did you mean 'messung\.zeit_ms'\?"):
+        read_file(path, {"matlab_time": [word]})
+    with pytest.raises(InputError, match="columns without names; give its number from 1"):
+        read_file(path, {"matlab_data": ["messung.weg_mm"]}).index(word, "log.mat")
+    with pytest.raises(InputError, match=r"did you mean 'messung\.zeit_ms'"):
+        LoggerFile(("messung.weg_mm", "messung.zeit_ms"), np.zeros((9, 2))).index(word, "log.csv")
 
 
 @pytest.mark.parametrize("place", [176, 177])
