@@ -99,7 +99,12 @@ def effects() -> str:
     from bayes_damper.effects.base import SITES
 
     alike = {name: sorted(group - {name}) for group in classes() for name in group}
-    parts = []
+    rows = [f"| `{e.name}` | {words} |" for e in EFFECTS.values() if (words := e.needs_in_words())]
+    parts = [
+        "## What each effect needs",
+        "Any rig can have the others. `fit` and `simulate` refuse an effect that a rig cannot have.",
+        "\n".join(["| effect | needs |", "| --- | --- |", *rows]),
+    ]
     for site in SITES:
         parts.append(f"## {site}")
         for effect in (e for e in EFFECTS.values() if e.site == site):

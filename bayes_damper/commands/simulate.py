@@ -181,7 +181,7 @@ def simulate_record(
     chosen = _chosen(effect, effects_folder, faults)
     variant = None if chosen is None else rig.scaled(*chosen)
     if chosen is not None and variant is None:
-        faults.append(f"--effect {effect}: this rig cannot have it (see docs, Effects: what each needs)")
+        faults.append(f"--effect {effect}: this rig cannot have it: it needs {chosen[0].needs_in_words()}")
     values, words = rig.values, rig.words
     own = {} if variant is None else dict(zip((p.name for p in variant.parameters), variant.starts[0], strict=True))
     suspect = _apply(settings, rig, own, effect, faults)

@@ -54,6 +54,13 @@ class EffectParameter:
 
 
 Need = Literal["coupled", "magnet", "linear_nominal", "no_rubbing", "spring"]
+NEEDED: dict[Need, str] = {
+    "coupled": "coupled trials", "magnet": "a magnet (magnet_pull and magnet_radius)",
+    "linear_nominal": "diagnose --nominal linear (else the model has it)",
+    "no_rubbing": "a model without friction between the bodies (mu = 0)",
+    "spring": "a spring to ground, not a pendulum",
+}  # fmt: skip
+"""What a rig must have for an effect -> in words."""
 
 
 @dataclass(frozen=True)
@@ -176,6 +183,11 @@ class Effect:
         # Of what needs the coupled rig, the uncoupled one shows nothing, but for what the first channel reads.
         if "coupled" in self.needs and self.site != "sensor":
             object.__setattr__(self, "variants", tuple(replace(v, uncoupled=False) for v in self.variants))
+
+    def needs_in_words(self) -> str:
+        """What a rig must have for the effect, empty where any rig can have it."""
+        released = ("trials released from rest",) if self.site == "release" else ()
+        return " and ".join([*(NEEDED[need] for need in self.needs), *released])
 
     def variant(self, name: str) -> Variant:
         """The variant of that name; KeyError if there is none."""

@@ -57,7 +57,7 @@ def plan_fit(
     prior_set = source.priors(priors)
     recorded = source.campaign if isinstance(source, RecordedSource) else None
     if recorded is not None:
-        experiment_of(recorded, prior_set)  # raises where the file and the campaign contradict each other
+        experiment = experiment_of(recorded, prior_set)  # raises where file and campaign contradict each other
     chosen = list(source.cases) if cases is None else list(dict.fromkeys(cases))
     unknown = [case for case in chosen if case not in source.cases]
     if unknown:
@@ -81,6 +81,9 @@ def plan_fit(
         chosen_effects = {name: known_effects[name] for name in names}
         check_room([(e, v) for e in chosen_effects.values() for v in e.variants])
         laws_on(chosen_effects, recorded)
+        for case in chosen:
+            trials = tuple(t for t in experiment.trials if t.case == case)
+            possible(replace(experiment, trials=trials), names, chosen_effects)
     if noise != "auto" and recorded is None:
         raise InputError("--noise: the published features have standard errors of their own; leave it out")
     return {
@@ -99,6 +102,29 @@ def plan_fit(
         "thorough": thorough,
         "most_steps": most_steps,
     }
+
+
+def possible(
+    experiment: Experiment, names: Sequence[str], effects: Mapping[str, Effect]
+) -> list[tuple[Effect, Variant]]:
+    """All formulas of these effects, at the scale of the rig.
+
+    Raises
+    ------
+    InputError
+        if the rig of these trials cannot have one of them, with what it needs.
+    """
+    from bayes_damper.diagnosis.search import offered  # numba is of no use to a plan without effects
+
+    pool = offered(experiment, "nonlinear", {name: effects[name] for name in names})
+    for name in names:
+        if not any(effect.name == name for effect, _ in pool):
+            cases = list(dict.fromkeys(t.case for t in experiment.trials))
+            raise InputError(
+                f"--effect {name}: the trials of case {', '.join(cases)} cannot have it: it needs "
+                f"{effects[name].needs_in_words()}"
+            )
+    return pool
 
 
 def check_room(pool: Sequence[tuple[Effect, Variant]]) -> None:

@@ -20,7 +20,6 @@ from bayes_damper.calibration.influence import comparison, influence, without
 from bayes_damper.calibration.posterior import RecordPosterior
 from bayes_damper.calibration.scatter import scatter_in_words, scatter_shown
 from bayes_damper.effects import all_effects, names_in
-from bayes_damper.errors import InputError
 from bayes_damper.fit.draw import DRAWN, Report, number_of, sampled, shaped
 from bayes_damper.fit.drawings import draw_case, draw_records
 from bayes_damper.fit.entry import (
@@ -34,7 +33,7 @@ from bayes_damper.fit.entry import (
     tell_priors,
     write_draws,
 )
-from bayes_damper.fit.plan import check_room, recorded_experiment
+from bayes_damper.fit.plan import check_room, possible, recorded_experiment
 from bayes_damper.rig.parameters import unit_of
 from bayes_damper.rig.units import effect_unit
 from bayes_damper.runs.contents.fit import BestFitEntry, CaseEntry, EvidenceEntry, FitPlan, TrialUnknown
@@ -179,16 +178,10 @@ def fit_with_effect(experiment: Experiment, effect: str | Sequence[str], folder:
         if these trials cannot show an effect, or no kernel has room for two.
     """
     from bayes_damper.diagnosis.pairs import fit_together
-    from bayes_damper.diagnosis.search import Screen, fit_variant, offered, screen_variant
+    from bayes_damper.diagnosis.search import Screen, fit_variant, screen_variant
 
     names = names_in(effect)
-    able = offered(experiment, "nonlinear", all_effects(folder))
-    pool = [(e, v) for name in names for e, v in able if e.name == name]
-    for name in names:
-        if not any(e.name == name for e, _ in pool):
-            raise InputError(
-                f"--effect {name}: the rig of these trials cannot have it (see docs, Effects: what each needs)"
-            )
+    pool = possible(experiment, names, all_effects(folder))
     check_room(pool)
     nominal = calibrate_nominal(experiment)
     screen = Screen(nominal)

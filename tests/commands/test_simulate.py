@@ -75,7 +75,7 @@ def test_the_rig_of_a_campaign_is_simulated_in_its_units_without_a_fit(tmp_path)
     assert f"k1t = {k1}  # N/m\n" in text
     with pytest.raises(InputError, match=r"there is no such case; .* has .*small"):
         simulate_record("huge", campaign=cart, out=tmp_path / "G.csv")
-    with pytest.raises(InputError, match="--effect stick_slip: this rig cannot have it"):
+    with pytest.raises(InputError, match="--effect stick_slip: this rig cannot have it: it needs coupled"):
         simulate_record(campaign=cart, effect="stick_slip", out=tmp_path / "G.csv")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from campaigns import write_synthetic
 from reference import solve
 from small_rig import NOISE, RIG, STIFFNESSES, measured, variant
 
@@ -12,6 +13,7 @@ from bayes_damper.calibration.correlated_noise import fit_with_noise
 from bayes_damper.calibration.posterior import RecordPosterior
 from bayes_damper.diagnosis.pairs import ComposedProblem
 from bayes_damper.errors import InputError
+from bayes_damper.fit import fit
 from bayes_damper.fit.recorded import fit_with_effect
 from bayes_damper.simulation.composition import compose
 
@@ -82,8 +84,18 @@ def test_two_that_the_kernel_has_no_room_for_are_refused():
 
 def test_each_of_two_must_be_possible_on_the_rig():
     alone = measured(duration=0.05, configurations=(False,))
-    with pytest.raises(InputError, match="--effect inertia_error: the rig of these trials cannot have it"):
+    with pytest.raises(InputError, match=r"--effect inertia_error: .* cannot have it: it needs coupled trials"):
         fit_with_effect(alone, ("spring_cubic", "inertia_error"))
+
+
+def test_an_effect_that_the_rig_cannot_have_is_refused_before_anything_is_written(tmp_path):
+    campaign, out = write_synthetic(tmp_path / "rig", duration=0.3), tmp_path / "out"
+    head = campaign / "campaign.toml"
+    head.write_text("\n".join(x for x in head.read_text().splitlines() if not x.startswith("magnet_radius")))
+    (campaign / "priors.toml").write_text("mu = 0.0\n")
+    with pytest.raises(InputError, match=r"stick_slip: the trials of case .* needs coupled trials and a magnet \("):
+        fit(campaign, effect="stick_slip", out=out)
+    assert not out.exists()
 
 
 @pytest.mark.slow
