@@ -28,6 +28,7 @@ _LIGHTEST = 0.1 * math.pi * 4000.0
 4000 kg/m^3 (ferrite has 4800, neodymium 7500)."""
 _FILTERED = 3.0
 """Bandwidth over the rig's frequency below which a filter of the first order takes 5 % of the motion."""
+_IN_DEGREES = " (`init --units deg` converts them)"
 _LATE = 10.0  # lengths of a record after the release, from which the times count from something else
 _MOST_APART = 1e6  # a ratio beyond which one of two numbers does not act
 
@@ -216,7 +217,9 @@ def _unit_guess(rig: Rig, ratio: float, power: int) -> str:
     torsional = rig.kind == "torsional"
     guesses: dict[str, float] = {"k1t, the inertia or the release are in another unit than declared": 1e6}
     if torsional:
-        guesses["it looks like degrees taken for radians: give radians in the record, degrees in theta0_deg"] = 57.3
+        guesses[
+            f"it looks like degrees taken for radians: give radians in the record{_IN_DEGREES}, degrees in theta0_deg"
+        ] = 57.3
         if power == 2:
             guesses[
                 "it looks like g at the mounting radius: convert to rad/s^2, or import it with `bayes-damper init`"
@@ -251,10 +254,13 @@ def _check_free_magnitude(
     y = trial.channels[0] - np.median(trial.channels[0])
     to_and_fro = int(np.count_nonzero(np.diff(np.sign(y)) != 0)) >= 4
     if swing > 20.0:
-        faults.append(f"{where} rad; it looks like degrees taken for radians: give radians in the record")
+        faults.append(f"{where} rad; it looks like degrees taken for radians: give radians in the record{_IN_DEGREES}")
     elif swing > 3.5 and to_and_fro:
         warnings.append(
             f"{where} rad to and fro, more than half a turn; if these are degrees, give radians in the record"
+            + _IN_DEGREES
         )
     elif swing > 1.6 and head.rig.restoring == "linear":
-        warnings.append(f'{where} rad; if these are degrees, give radians; if it hangs, set restoring = "pendulum"')
+        warnings.append(
+            f'{where} rad; if these are degrees, give radians{_IN_DEGREES}; if it hangs, set restoring = "pendulum"'
+        )

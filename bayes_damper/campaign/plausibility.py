@@ -19,6 +19,7 @@ from bayes_damper.text import counted
 Array = NDArray[np.float64]
 _UNEVEN = 0.01  # of the usual step, by which another one departs from it
 _JITTERS = 0.25  # of it, up to which a step of two differs clearly from a step of one
+_OF_STEPS = 1.5  # of an encoder: its rounding, that of its zero, and that of a mean between two steps, half a step each
 _MISSING = 0.2  # share of the readings that are not there
 _RESTS = {"displacement": 1.0, "velocity": 0.5, "acceleration": 0.5}
 """Radians of the oscillation for which a primary must rest, so that it is held and not at a turning point."""
@@ -89,7 +90,8 @@ def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
                 else f"{where}: {len(spikes)} single readings stick out, at {some} s{more}; they look like outliers"
             )
         offset = look.offset_of(trial.times, y, noise, omega)
-        if offset and not trial.driven and not (head.rig.restoring == "pendulum" and held):
+        least = _OF_STEPS * step if step > noise else 0.0
+        if abs(offset) > least and not trial.driven and not (head.rig.restoring == "pendulum" and held):
             half = _is_angle(head) and abs(abs(offset) - math.pi) < 0.1
             held_off = ", or dry friction holds it there" if head.measurement.quantity == "displacement" else ""
             turned = " (half a turn: it may count from the upper position)" if half else ""

@@ -272,7 +272,7 @@ def test_the_working_directory_gives_the_campaign_its_name(tmp_path: Path, monke
 
 def test_degrees_taken_for_radians(tmp_path: Path) -> None:
     source = logger_file(tmp_path / "run.csv", np.degrees(wave()))
-    assert "it looks like degrees taken for radians" in fault_of(tmp_path, source)
+    assert re.search("it looks like degrees taken for radians.*`init --units deg`", fault_of(tmp_path, source))
 
 
 def test_decimal_commas_need_not_be_told(tmp_path: Path) -> None:

@@ -124,6 +124,15 @@ def test_a_record_that_ends_in_mid_swing_rests_nowhere(tmp_path):
     assert sum("rests at 0.0" in w and "or dry friction holds it there" in w for w in found) == 2
 
 
+def test_an_encoder_that_ends_within_a_step_of_zero_has_no_offset(tmp_path):
+    """It stands on its last step: what it rests at lies within its rounding."""
+    step = 7.7e-4
+    for name, away, said in (("within", 0.8 * step, 0), ("beyond", 3.0 * step, 2)):
+        records = [step * np.round((swing(TIMES) * np.exp(-TIMES) + away + 1e-4 * s) / step) for s in (1, 2)]
+        found = cart(tmp_path / name, records)
+        assert sum("rests at" in w for w in found) == said, found
+
+
 def test_a_release_declared_half_as_large_again_in_one_case_is_named(tmp_path):
     records = [noisy(i, swing(TIMES, a)) for i, a in enumerate([0.1, 0.1, 0.06, 0.06])]
     case = lambda i: "large" if i < 2 else "small"  # noqa: E731 (two words)
