@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import itertools
 import math
 import re
 import shutil
@@ -76,6 +77,7 @@ _FEWEST_AT_REST = 8  # readings before a release of which a mean is taken
 _FEWEST_PERIODS = 2.0  # of an oscillation which the weighted mean of a tail takes out but for 5 %
 _SWINGS = 0.2  # share of the record's range in its last quarter
 _TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}
+_INPUT_KEYS = ("torque", "torque2", "ground", "motion", "pivot")
 _INPUT = {
     "torsional": {"N m": 1.0, "N mm": 1e-3, "mN m": 1e-3},
     "translational": {"N": 1.0, "kN": 1e3, "mN": 1e-3},
@@ -439,6 +441,7 @@ def _trial_from(
         )
     n_channels = 2 if coupled else 1
     places = [source.index(c, where) for c in wanted[:n_channels]]
+    _check_columns(source, places, option, where)
     channels = _unwrapped(source.table[:, places].T, option)
     if measurement.quantity == "displacement" and "wrap" not in option:
         _refuse_wraps(source.table[:, places].T, where)
@@ -490,10 +493,31 @@ def _trial_from(
     )
 
 
+def _check_columns(source: LoggerFile, places: Sequence[int], option: Mapping[str, Any], where: str) -> None:
+    """InputError where one column (from 0) is named for two things, or a clock for a channel."""
+    named = [("columns", i) for i in places]
+    named += [(key, source.index(option[key], where)) for key in ("time", *_INPUT_KEYS) if key in option]
+    for (one, i), (other, j) in itertools.combinations(named, 2):
+        if i == j:
+            twice = "twice in 'columns'" if one == other else f"in both '{one}' and '{other}'"
+            raise InputError(f"{option['where']}: {source.column(i)} is named {twice}; name each column once")
+    _refuse_clocks(source, places, option)
+
+
+def _refuse_clocks(source: LoggerFile, places: Sequence[int], option: Mapping[str, Any]) -> None:
+    """InputError where a channel (a column from 0) is called after the time and rises all along."""
+    for i in places:
+        if source.called_time(i) and (np.diff(source.table[:, i]) > 0.0).all():
+            raise InputError(
+                f"{option['where']}: {source.column(i)} is a clock and stands in 'columns'; name it as 'time', and "
+                f"there what the sensors read (the file has {source.described()})"
+            )
+
+
 def _inputs_of(source: LoggerFile, option: Mapping[str, Any], kind: str, where: str) -> dict[str, Array]:
     """Measured inputs in SI units, by their names in structure.INPUTS."""
     out: dict[str, Array] = {}
-    for key in ("torque", "torque2", "ground", "motion", "pivot"):
+    for key in _INPUT_KEYS:
         if key not in option:
             continue
         place = source.index(option[key], where)
@@ -578,6 +602,8 @@ def _source_of(
     parts = [read(s, digest) for s, digest in zip(sources, sums, strict=True)]
     clocks = [_own_times(part, option, Path(s).name) for part, s in zip(parts, sources, strict=True)]
     places = [p.index(c, Path(s).name) for p, c, s in zip(parts, columns, sources, strict=True)]
+    for part, place in zip(parts, places, strict=True):
+        _refuse_clocks(part, [place], option)
     channels = [p.table[:, i] for p, i in zip(parts, places, strict=True)]
     units = ("s", *(p.unit(i) or "" for p, i in zip(parts, places, strict=True)))
     notes: tuple[str, ...] = ()

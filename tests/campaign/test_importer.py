@@ -315,6 +315,21 @@ def test_a_column_of_missing_readings_is_refused(tmp_path: Path) -> None:
     assert "100 % of the readings in the chosen columns are missing" in fault_of(tmp_path, path)
 
 
+@pytest.mark.parametrize(
+    ("named", "told"),
+    [
+        ({"columns": ["a", "a"]}, "column 2 (a) is named twice in 'columns'"),
+        ({"columns": ["a", 2]}, "column 2 (a) is named twice in 'columns'"),
+        ({"columns": ["a", "t"]}, "column 1 (t) is named in both 'columns' and 'time'"),
+        ({"columns": [1]}, "column 1 (t) is named in both 'columns' and 'time'"),
+        ({"columns": ["a"], "torque": "a"}, "column 2 (a) is named in both 'columns' and 'torque'"),
+        ({"columns": ["t"], "time": None, "sample_rate": 1000.0}, "column 1 (t) is a clock and stands in 'columns'"),
+    ],
+)
+def test_a_column_is_one_thing_alone(tmp_path: Path, named: dict[str, object], told: str) -> None:
+    assert told in fault_of(tmp_path, logger_file(tmp_path / "run.csv", wave()), **named)
+
+
 TWO = {**OPTIONS, "secondary_inertia": 2.474e-3, "bar_radius": 0.1, "magnet_radius": 0.0127, "magnet_pull": 100.0}
 G = 0.1 / 9.80665
 """g at 0.1 m for one rad/s^2."""
