@@ -158,10 +158,16 @@ def _init(args: Arguments) -> Any:
     from bayes_damper.commands.check import check
 
     before = records_in(args.folder)
+    given = {key: value for key, value in vars(args).items() if key in args.options and value is not None}
     if args.table is not None:
+        beside = [*map(str, args.files), *(f"--{key.replace('_', '-')}" for key in given)]
+        if beside:
+            raise InputError(
+                f"--table {args.table}: the table says all that is done, and {', '.join(beside)} would do nothing; "
+                "write that into the table, or leave --table out"
+            )
         import_records(args.table, args.folder, args.raw, args.overwrite)
         return check(args.folder, left_over(args.folder, before))
-    given = {key: value for key, value in vars(args).items() if key in args.options and value is not None}
     if not args.files and given.get("words"):  # the option takes all that follows: what says no meaning is a file
         args.files = [Path(str(word)) for word in given["words"] if "=" not in str(word)]
         given["words"] = [word for word in given["words"] if "=" in str(word)]

@@ -214,6 +214,14 @@ def test_init_takes_files_behind_the_options_and_names_those_that_an_option_took
     assert ended.value.code == 2
 
 
+def test_what_is_given_beside_an_import_table_is_refused(tmp_path, capsys):
+    beside = ["a.csv", "--theta0", "4.7", "--no-header", "--primary-inertia", "0.003"]
+    assert main(["init", str(tmp_path / "rig"), *beside, "--table", "import.toml"]) == 2
+    assert "and a.csv, --theta0, --header, --primary-inertia would do nothing; write" in capsys.readouterr().err
+    assert main(["init", str(tmp_path / "rig"), "--table", str(tmp_path / "no.toml"), "--raw", "x", "--overwrite"]) == 2
+    assert "would do nothing" not in capsys.readouterr().err
+
+
 def test_a_cell_of_a_logger_file_that_no_computer_holds_is_named_with_its_line(tmp_path, capsys):
     rows = [f"{0.004 * i:.3f},{0.08 * math.cos(0.232 * i):.6f}" for i in range(300)]
     rows[100] = f"0.400,{'1' * 140_000}"
