@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import difflib
 import functools
 import logging
 import re
@@ -12,7 +13,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from decimal import Decimal
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from bayes_damper.errors import BayesDamperError, ExitCode, InputError, printable
 from bayes_damper.inputs import is_file, number_in, real
@@ -257,6 +258,20 @@ def _real(text: str) -> float:
         return real(_number(text), "its value")
     except InputError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says which option or choice a word may mean that is none, and writes the usage of its own command."""
+
+    def error(self, message: str) -> NoReturn:
+        """Ends with a sentence and exit code 2."""
+        if found := re.search(r"invalid choice: '(.*)' \(choose from (.*)\)", message):
+            words, valid = [found[1]], re.findall(r"[\w-]+", found[2])
+        else:
+            words = re.findall(r"(?<!\S)--[^\s=]+", message) if message.startswith("unrecognized") else []
+            valid = [name for action in self._actions for name in action.option_strings]
+        near = [n for word in words for n in difflib.get_close_matches(word.lower()[:60], valid, 1, 0.6)]
+        super().error(message + (f"; did you mean {', '.join(dict.fromkeys(near))}?" if near else ""))
 
 
 class _Completion(argparse.Action):
@@ -663,7 +678,7 @@ def _proofs(command: Adding) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="bayes-damper",
         description="Fit the model of a damped rig to measured free decays, with the uncertainty of each parameter, "
         "and find out where and why the model and the rig differ. Start with: bayes-damper examples",
@@ -713,7 +728,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = _parser()
     args, rest = parser.parse_known_args(words or ["--help"])
     if rest and (args.command != "init" or any(word.startswith("-") for word in rest)):
-        parser.error(f"unrecognized arguments: {' '.join(rest)}")
+        own = next(sub for sub in _with_commands(parser) if sub.prog == f"{parser.prog} {args.command}")
+        own.error(f"unrecognized arguments: {' '.join(rest)}")
     if rest:  # files behind the options
         args.files += map(Path, rest)
     _log_from(args.log_level)

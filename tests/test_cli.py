@@ -149,6 +149,33 @@ def test_an_unknown_command_is_refused():
     assert ended.value.code == 2
 
 
+def _said_of(words, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert ended.value.code == 2
+    return capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["fti", "thesis"], "did you mean fit?"),
+        (["fit", "thesis", "--efect", "stick_slip"], "--efect stick_slip; did you mean --effect?"),
+        (["fit", "thesis", "--efect=stick_slip", "--sed=1"], "did you mean --effect, --seed?"),
+        (["fit", "thesis", "--noise", "gausian"], "did you mean gaussian?"),
+        (["diagnose", "thesis", "--nominal", "Linaer"], "did you mean linear?"),
+        (["init", "rig", "a.csv", "--colums", "1"], "did you mean --columns?"),
+    ],
+)
+def test_a_misspelt_word_of_the_command_line_is_told_what_it_may_mean(words, told, capsys):
+    assert _said_of(words, capsys).rstrip().endswith(told)
+
+
+def test_a_word_that_is_like_none_is_told_nothing(capsys):
+    assert "did you mean" not in _said_of(["fit", "thesis", "--xyzzy", "--effect", "drag"], capsys)
+    assert "did you mean" not in _said_of(["fit", "thesis", "--noise", "xyzzy"], capsys)
+
+
 @pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])
 def test_completion_for_a_shell_names_every_command_and_option(capsys, shell):
     with pytest.raises(SystemExit, match="0"):
