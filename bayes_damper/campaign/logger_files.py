@@ -36,8 +36,11 @@ _FEWEST_ROWS = 5
 """Rows of which on a column of words is no column of readings that failed."""
 _LONGEST_LINE = 100_000
 """Characters of a line in which quotes are looked for: whatever is longer is no row of a logger's table."""
-_MATLAB_SECONDS = 60.0
-"""Time in which a MATLAB file must be read: half a gigabyte takes a few, some damaged ones would take for ever."""
+_MATLAB_SECONDS = 15.0
+_MATLAB_SPEED = 5e6
+"""Bytes a second beyond these seconds in which a MATLAB file must be read, a tenth of what is usual: some small damaged
+ones would take for ever, and hundreds of megabytes of memory more each second.
+"""
 _MISSING = {"", "-", "--", "---", "na", "n/a", "nan", "null", "none"}
 """What loggers write where there is no reading."""
 _OTHER_FORMATS = (
@@ -253,7 +256,9 @@ def read_matlab(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
 
     try:
         check_matlab(raw)
-        content = apart(_loaded, raw, _MATLAB_SECONDS)  # some damaged files end the process that reads them
+        content = apart(
+            _loaded, raw, _MATLAB_SECONDS + len(raw) / _MATLAB_SPEED
+        )  # some damaged files end the process that reads them
     except Exception as error:
         raise InputError(
             f"{name}: not a MATLAB file that can be read ({error}); copy it again, or save it as version 5 or 7"

@@ -15,7 +15,7 @@ import pytest
 from campaigns import decay
 from scipy.io import savemat
 
-from bayes_damper.campaign import load_campaign
+from bayes_damper.campaign import load_campaign, logger_files
 from bayes_damper.campaign.importer import _middle, convert, import_records, init_campaign, records_in
 from bayes_damper.campaign.logger_files import LoggerFile, read_file
 from bayes_damper.campaign.readings import find_first_peak, find_release
@@ -926,6 +926,15 @@ def test_a_matlab_file_that_crashes_its_reader_is_refused(tmp_path: Path, place:
     path.write_bytes(raw)
     with pytest.raises(InputError, match=r"log\.mat: not a MATLAB file that can be read .*; copy it again, or save it"):
         read_file(path, {"matlab_data": ["t"]})
+
+
+def test_a_small_matlab_file_has_less_time_to_be_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some damaged ones fill the memory until they are stopped."""
+    seconds: list[float] = []
+    monkeypatch.setattr(logger_files, "apart", lambda _, __, most: seconds.append(most) or {"t": TIMES[:, None]})
+    for size in (1000, 1_000_000):
+        logger_files.read_matlab(bytes(size), "log.mat", {"matlab_data": ["t"]})
+    assert seconds == pytest.approx([15.0, 15.2], abs=0.01)
 
 
 def test_the_sideways_position_of_a_marker_becomes_an_angle() -> None:
