@@ -35,7 +35,7 @@ from bayes_damper.fit.entry import (
 )
 from bayes_damper.fit.plan import check_room, possible, recorded_experiment
 from bayes_damper.rig.parameters import unit_of
-from bayes_damper.rig.units import effect_unit
+from bayes_damper.rig.units import effect_unit, in_words_of
 from bayes_damper.runs.contents.fit import BestFitEntry, CaseEntry, EvidenceEntry, FitPlan, TrialUnknown
 from bayes_damper.runs.memory import shortage
 from bayes_damper.runs.progress import NOTICE
@@ -96,7 +96,7 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: FitPlan
     report(0.8, "influence of each trial done; next: evidence, files, figures")
     entry["log_evidence"] = _evidence(posterior, sampling, rng)
     entry["trials"] = _trials_entry(nuisances, labels, units)
-    entry["best_fit"] = _best_fit_entry(best, plan.get("effect"))
+    entry["best_fit"] = _best_fit_entry(best, plan.get("effect"), kind)
     groups: dict[str, Mapping[str, Array]] = {
         "trial_posterior": _per_trial(nuisances, labels, sampling),
         "prior": one_chain(posterior.values(rng.standard_normal((2000, posterior.ndim)))),
@@ -137,7 +137,8 @@ def _per_trial(
     }
 
 
-def _best_fit_entry(best: Calibration, effect: str | None) -> BestFitEntry:
+def _best_fit_entry(best: Calibration, effect: str | None, kind: str) -> BestFitEntry:
+    declared = () if best.problem.effect is None else best.problem.effect.parameters
     return {
         "chi2": best.chi2,
         "readings": best.problem.n_data,
@@ -147,6 +148,7 @@ def _best_fit_entry(best: Calibration, effect: str | None) -> BestFitEntry:
         "constants_pulled": best.pulled,
         "effect": effect,
         "formula": None if best.problem.effect is None else best.problem.effect.formula,
+        "meanings": {f"effect.{p.name}": in_words_of(p.meaning, kind) for p in declared if p.meaning},
     }
 
 

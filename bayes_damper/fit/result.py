@@ -98,7 +98,9 @@ class Fit(Printable):
                 title += "   *** DID NOT CONVERGE: do not use these numbers ***"
             elif missed := misses(found):
                 title += f"   *** {missed} ***"
-            parts.append(table_text(found["parameters"], title))
+            best = found.get("best_fit")
+            parts.append(table_text(found["parameters"], title, best.get("meanings", {}) if best else {}))
+            parts += [f"  Effect: {best['formula']}"] if best and best.get("formula") else []
             parts += [f"  {sentence}" for sentence in found["sentences"]]
             parts += _more_text(found)
         parts += [f"Files: {self.folder}", f"Next: bayes-damper report {shlex.quote(str(self.folder))}"]

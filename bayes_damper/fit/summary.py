@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -69,13 +70,18 @@ def write_table(summary: FitFile, path: Path) -> None:
     write_text(path, pd.DataFrame(rows).to_csv(index=False, lineterminator="\n"))
 
 
-def table_text(parameters: Mapping[str, ParameterEntry], title: str) -> str:
-    """A table for the terminal: median and 90 % interval, who decided (data or prior), and what each parameter is."""
+def table_text(
+    parameters: Mapping[str, ParameterEntry], title: str, meanings: Mapping[str, str] = MappingProxyType({})
+) -> str:
+    """A table for the terminal: median and 90 % interval, who decided (data or prior), and what each parameter is.
+
+    meanings : of the parameters of an effect.
+    """
     wide = max([8, *(len(name) + 1 for name in parameters)])
     lines = [title, f"  {'':{wide}s}{'median':>11s}  {'90 % interval':^25s}  {'unit':10s} {'decided by':14s} meaning"]
     for name, p in parameters.items():
         low, high = p["hdi90"]
         word = "(derived)" if p["prior_share"] is None else decided_by(p["prior_share"])
         row = f"  {name:{wide}s}{p['median']:11.4g}  {low:11.4g} .. {high:<11.4g} {p['unit']:10s} {word:14s} "
-        lines.append((row + plain_meaning(name, p["unit"])).rstrip())
+        lines.append((row + (meanings.get(name) or plain_meaning(name, p["unit"]))).rstrip())
     return "\n".join(lines)

@@ -153,6 +153,8 @@ def test_names_as_long_as_those_of_two_effects_stay_apart_from_their_numbers():
     assert short.index("1.25") == long.index("1.25")
     assert long.index("data") == short.index("data") == head.index("decided by")
     assert short.index("coefficient of friction between the bodies") == head.index("meaning")
+    shown = table_text({name: row}, "case", {name: "torque per angle and speed"}).splitlines()[2]
+    assert shown.index("torque per angle") == head.index("meaning")
     side = {
         "shift": 0.5,
         "width": 1.0,

@@ -179,6 +179,8 @@ def test_a_fit_with_an_effect_infers_its_parameters(tmp_path):
     found = fit(campaign, out=tmp_path / "out", effect="quadratic_drag", most_steps=100, joint=False)
     entry = found.summary["cases"]["IV"]
     assert entry["best_fit"]["effect"] == "quadratic_drag"
+    (meaning,) = entry["best_fit"]["meanings"].values()
+    assert meaning in found.text()
     coefficient = entry["parameters"]["effect.coefficient"]
     assert coefficient["unit"] == "1/rad"
     assert abs(coefficient["mean"] - 0.8) < 4.0 * coefficient["sd"]

@@ -236,7 +236,8 @@ def _overview(groups: Mapping[str, CaseEntry]) -> Table:
             cells.append(f"{number(p['median'], high - low)}{star}\n({interval(low, high)})")
         best = next((e.get("best_fit") for e in groups.values()), None)
         who = str((best.get("effect") if best else None) or "")
-        rows.append(Row((_shown_name(name, unit, who), unit, *cells)))
+        meant = (best.get("meanings") if best else None) or {}
+        rows.append(Row((_shown_name(name, unit, who, meant.get(name, "")), unit, *cells)))
     heads = [
         (name if name.startswith("all") else f"case {name}")
         + (": median\n(90 %)" if entry.get("converged") else ": median\n(90 %) NOT CONVERGED")
@@ -248,11 +249,14 @@ def _overview(groups: Mapping[str, CaseEntry]) -> Table:
     return Table("Median and 90 % interval", columns, tuple(rows), note)
 
 
-def _shown_name(name: str, unit: str, effect: str = "") -> str:
-    """A parameter for the first column of a table: its name, and below what it is; `effect` : given to the model."""
+def _shown_name(name: str, unit: str, effect: str = "", meant: str = "") -> str:
+    """A parameter for the first column of a table: its name, and below what it is.
+
+    effect : given to the model; meant : what its parameter is, where the fit says so.
+    """
     if name.startswith(_OF_EFFECT):
         own = name.removeprefix(_OF_EFFECT)
-        meaning = meaning_in(effect, own)
+        meaning = meant[:1].lower() + meant[1:].rstrip(".") or meaning_in(effect, own)
         title = titled(own.partition(".")[0] if "+" in effect else effect)
         return f"{own}\n{title}{f': {meaning}' if meaning else ''}"
     known = PARAMETERS.get(name.partition("[")[0])

@@ -145,6 +145,8 @@ class BestFitEntry(TypedDict):
     constants_pulled: Mapping[str, float]
     effect: str | None
     formula: str | None
+    meanings: NotRequired[Mapping[str, str]]
+    """Of the parameters of the effect, in the words of the rig."""
 
 
 class CaseEntry(TypedDict, total=False):
