@@ -161,6 +161,9 @@ def test_a_diagnosis_ends_with_what_to_do(verdict, share, steps):
     found = next_steps(result, "my cart")
     assert len(found) == len(steps)
     assert all(line.startswith(begins) for line, begins in zip(found, steps, strict=True))
+    result |= {"verdict": "own_spring", "probabilities": {"own_spring": 0.97}, "pair": None}
+    asked = next_steps(result, "cart", own="my effects")[-1]
+    assert "fit cart --effects 'my effects' --effect own_spring --out" in asked
     assert len(both) == 1 or found[-1].endswith(f" --out results/fit-{'+'.join(both)}")
 
 

@@ -24,7 +24,7 @@ from bayes_damper.diagnosis.published import diagnose_published
 from bayes_damper.diagnosis.response import Motion, motions
 from bayes_damper.diagnosis.sites import write_missing_torque
 from bayes_damper.diagnosis.verdict import RULE
-from bayes_damper.effects import Effect, all_effects
+from bayes_damper.effects import Effect, all_effects, options_of
 from bayes_damper.effects._law import SITES
 from bayes_damper.effects.base import SITE_TITLES
 from bayes_damper.errors import ExitCode, InputError
@@ -73,6 +73,8 @@ class Diagnosed(Printable):
     result: DiagnosisFile = field(repr=False)
     campaign: str = ""
     """What was diagnosed, as the command line names it."""
+    effects: str = ""
+    """Folder or file with effects of the user's own, as the command line names it."""
     exit_code: ExitCode = ExitCode.DONE
 
     def to_json(self) -> DiagnosisFile:
@@ -82,7 +84,7 @@ class Diagnosed(Printable):
     def text(self) -> str:
         """The verdict in plain words, what speaks for it, and what to do next."""
         warned, known = self.result.get("warnings", ()), self.result.get("warnings_of_check", 0)
-        follows = next_steps(self.result, self.campaign, str(self.folder))
+        follows = next_steps(self.result, self.campaign, str(self.folder), self.effects)
         return "\n".join([*_words(self.result), *warning_lines(warned, known), f"Files: {self.folder}", *follows])
 
 
@@ -158,7 +160,7 @@ def diagnose(
     _add_meanings(result, library, loaded.rig.kind, loaded.rig.has_magnet)
     _draw(folder, found, workers, library, loaded.rig.has_magnet)
     write_json(path, result)  # last: a folder with it is whole
-    return Diagnosed(folder, result, str(campaign))
+    return Diagnosed(folder, result, str(campaign), effects="" if effects is None else str(effects))
 
 
 def check_choices(nominal: str, prior_unknown: float) -> None:
@@ -284,11 +286,11 @@ def _estimated(p: Estimate) -> str:
     return f"{p['mean']:.4g}{unit}, 90 % interval {p['hdi90'][0]:.4g} to {p['hdi90'][1]:.4g}"
 
 
-def next_steps(result: DiagnosisFile, campaign: str, folder: str = "") -> list[str]:
+def next_steps(result: DiagnosisFile, campaign: str, folder: str = "", own: str = "") -> list[str]:
     """What to do with a verdict: the fit that it asks for, or the trial to measure while the answer is open.
 
-    result : what diagnosis.json holds, of recorded trials; campaign : its folder; folder : of the results.
-    Nothing for published numbers.
+    result : what diagnosis.json holds, of recorded trials; campaign : its folder; folder : of the results; own :
+    folder with effects of the user's own. Nothing for published numbers.
     """
     if not campaign or "feature" in result["where"]:
         return []
@@ -304,7 +306,7 @@ def next_steps(result: DiagnosisFile, campaign: str, folder: str = "") -> list[s
         )
     if verdict not in ("none", "unknown"):
         effects = effects_to_fit(verdict, result.get("pair"))
-        options = "".join(f" --effect {name}" for name in effects)
+        options = options_of(effects, shlex.quote(own) if own else "")
         steps.append(
             f"{'If you take this answer' if open_ else 'Next'}: {fit}{options} --out results/fit-{'+'.join(effects)}"
         )

@@ -371,6 +371,12 @@ def all_effects(folder: str | Path | None = None) -> dict[str, Effect]:
     return effects if folder is None else effects | load_effects(folder, effects)
 
 
+def options_of(names: Sequence[str], folder: str) -> str:
+    """Options with which `fit` takes these effects; folder : of those that are not of the library, if any."""
+    own = f" --effects {folder}" if folder and any(name not in EFFECTS for name in names) else ""
+    return own + "".join(f" --effect {name}" for name in names)
+
+
 def classes(effects: Mapping[str, Effect] = EFFECTS) -> list[frozenset[str]]:
     """Groups of two effects or more that agree to first order, each once."""
     groups: list[set[str]] = []

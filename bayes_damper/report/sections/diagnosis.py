@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
-from bayes_damper.effects import EFFECTS
+from bayes_damper.effects import EFFECTS, options_of
 from bayes_damper.effects.base import SITES
 from bayes_damper.report.charts import torque_chart
 from bayes_damper.report.parts import Headline, Result, Row, Section, Table, folded, generic, listed, words
@@ -132,7 +132,7 @@ def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
     fit = f"bayes-damper fit {shlex.quote(str(data.get('campaign', 'CAMPAIGN')))}"
     if top and verdict != "unknown" and "feature" not in (data.get("where") or {}):
         added = [] if verdict == "none" else effects_to_fit(verdict, pair)
-        changes.insert(0, f"Next: `{fit}{''.join(f' --effect {name}' for name in added)}`")
+        changes.insert(0, f"Next: `{fit}{options_of(added, 'DIR')}`")
     if law := data.get("law"):
         changes.insert(0, f"With the learnt law: `{fit} --effects {law['file']} --effect {law['effect']}`")
     tone = "good" if verdict == "none" and top else "bad" if top else "open"
