@@ -113,9 +113,10 @@ class Rig:
             parts.append(f"{second} {self.secondary_inertia.value:.4g} {unit}")
         if self.magnet_pull is not None and self.magnet_pull.value > 0.0:
             pull = self.magnet_pull.value
-            parts.append(f"faces pressed together with {pull:.4g} N, the weight of {pull / 9.80665:.3g} kg")
-        if self.has_magnet and self.magnet_radius is not None:
-            parts[-1] += f", over a radius of {1e3 * self.magnet_radius.value:.3g} mm"
+            parts.append(f"faces pressed together with {pull:.4g} N")
+            if self.magnet_radius is not None:
+                weight, radius = pull / 9.80665, 1e3 * self.magnet_radius.value
+                parts[-1] += f", the weight of {weight:.3g} kg, over a radius of {radius:.3g} mm"
         return "rig: " + "; ".join(parts)
 
 

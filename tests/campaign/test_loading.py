@@ -719,3 +719,5 @@ def test_a_description_shows_the_declared_numbers_so_that_a_wrong_unit_is_seen(f
     assert f"{line} of 10.2 kg, over a radius of 12.7 mm" in load_campaign(folder).describe()
     edit(folder / "campaign.toml", "magnet_pull = 100.0", "magnet_pull = 10.2")
     assert "pressed together with 10.2 N, the weight of 1.04 kg" in load_campaign(folder).describe()
+    edit(folder / "campaign.toml", "magnet_radius = 0.0127\n", 'normal_force = "constant"\n')
+    assert "pressed together with 10.2 N\n" in load_campaign(folder).describe()
