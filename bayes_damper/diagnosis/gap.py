@@ -146,11 +146,12 @@ def measure_gap(
     if p_value < size:
         answer, why = "gap", f"held-out residuals follow what the training trials predict ({words_of_p(p_value)})"
     elif upper < NEGLIGIBLE:
-        answer, why = "none", f"no sign of a gap; one above {upper:.2f} of the noise is excluded"
+        answer, why = "none", f"no gap shows; one larger than {upper:.2f} times the sensor noise is excluded"
     else:
+        upper_shown = f"{float(f'{upper:.2g}'):.9g}"
         answer, why = (
             "cannot tell",
-            f"no sign of a gap, but one up to {upper:.2f} of the noise is not excluded: add trials",
+            f"no gap shows, but one as large as {upper_shown} times the sensor noise could hide: add trials",
         )
     return Gap(answer, p_value, size, _floor_rms(nominal.problem, heldout), nominal_rms, augmented, closed, upper, why)
 

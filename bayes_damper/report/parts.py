@@ -142,7 +142,7 @@ def folded(rest: Section) -> tuple[Section, ...]:
     if not rest.tables and not rest.parts:
         return ()
     return (
-        Section("All other numbers of the file", tables=rest.tables, parts=rest.parts, folded=True, on_paper=False),
+        Section("Further numbers of the result", tables=rest.tables, parts=rest.parts, folded=True, on_paper=False),
     )
 
 

@@ -125,9 +125,8 @@ def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
     changes += [_experiment_sentence(e) for e in (data.get("next_experiment") or [])[:1]]
     if len(probabilities) > 1:
         second = next(item for item in probabilities if item[0] != verdict)
-        changes.append(
-            f"The next most probable answer is {_RIVALS.get(second[0], called(second[0]))} ({percent(second[1])})."
-        )
+        rival = f"Second most probable: {_RIVALS.get(second[0], called(second[0]))} ({percent(second[1])})."
+        changes += [rival] if second[1] >= 0.01 else []
     top = (share or 0.0) > 0.9 and len(credible) <= 1
     fit = f"bayes-damper fit {shlex.quote(str(data.get('campaign', 'CAMPAIGN')))}"
     if top and verdict != "unknown" and "feature" not in (data.get("where") or {}):
