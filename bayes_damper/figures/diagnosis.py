@@ -91,7 +91,7 @@ def gap_figure(record: Mapping[str, Any], probabilities: Mapping[str, float], *,
             axes[name].sharex(axes["record"])
             axes[name].tick_params(labelbottom=name == rows[-1])
         axes[rows[-1]].set_xlabel("time [s]")
-        shown = _leading(probabilities, 10)
+        shown = _leading(probabilities, 6)  # of up to three lines each
         likely = {name: p for name, p in shown.items() if p > 0.005} if len(shown) > 3 else shown
         _draw_probabilities(axes["answers"], likely, 6, "what is missing")
         figure.suptitle(title)

@@ -82,9 +82,9 @@ def corner_figure(
                 axis.set_ylim(0.0, 1.05 * max(tops, default=1.0))
         _keep_numbers_apart(figure)
         for axis, name, ends in zip(figure.axes[:: len(names) + 1], names, ranges, strict=True):
-            _mark_interval(axis, ends, intervals.get(name), assumed.get(name))
+            _mark_interval(axis, ends, labels.get(name, name), intervals.get(name), assumed.get(name))
         margin = 1.05 / figure.get_figwidth()  # room for the labels beside the slanted numbers
-        above = (0.45 if intervals else 0.15) / figure.get_figheight()
+        above = (0.6 if intervals else 0.15) / figure.get_figheight()
         figure.subplots_adjust(left=margin, bottom=margin, top=1.0 - above)
         figure.suptitle(title, x=0.98 if single else 0.75, y=0.99, ha="right", va="top", fontsize=12)
     if not converged:
@@ -110,9 +110,9 @@ def _keep_numbers_apart(figure: Figure) -> None:
 
 
 def _mark_interval(
-    axis: Axes, ends: Array, intervals: tuple[float, float, float] | None, assumed: Array | None
+    axis: Axes, ends: Array, label: str, intervals: tuple[float, float, float] | None, assumed: Array | None
 ) -> None:
-    """In the panel of a parameter by itself: its prior in grey, its interval dashed and in numbers."""
+    """In the panel of a parameter by itself: its prior in grey, its interval dashed, its name and interval above."""
     logarithmic = axis.get_xscale() == "log"
     edges = (np.geomspace if logarithmic else np.linspace)(float(ends[0]), float(ends[1]), _BINS + 1)
     if assumed is not None:
@@ -127,7 +127,7 @@ def _mark_interval(
         low, median, high = intervals
         for x in intervals:
             axis.axvline(x, ls="--", lw=0.9, color=COLOURS[0])
-        axis.set_title(f"{number(median, high - low)}\n({interval(low, high)})", fontsize=8)
+        axis.set_title(f"{label}\n{number(median, high - low)}\n({interval(low, high)})", fontsize=8)
 
 
 def trace_figure(
@@ -288,6 +288,9 @@ def record_figure(trials: Sequence[Mapping[str, Any]], unit: str, *, title: str,
                     *(times, trial["low"][c], trial["high"][c]), color=COLOURS[0], alpha=0.3, lw=0, label="model, 90 %"
                 )
                 _draw_residuals(lower, times, np.asarray(trial["measured"][c]) - np.asarray(trial["median"][c]))
+                for axis in (upper, lower):  # short numbers leave room for the label
+                    axis.ticklabel_format(axis="y", scilimits=(-2, 4))
+                lower.yaxis.get_offset_text().set_fontsize(7.5)
                 upper.set_title(f"{trial['label']}, channel {c + 1}", loc="left")
                 if c == 0:
                     upper.set_ylabel(f"reading [{raised(unit)}]")

@@ -736,6 +736,15 @@ def test_one_reading_far_out_does_not_hide_the_other_residuals():
     assert len(marks["."]) == 399
 
 
+def test_the_label_of_small_residuals_stays_in_the_figure():
+    zero = np.zeros((1, 400))
+    trial = {"label": "IV", "times": np.arange(400) * 1e-3, "low": zero, "median": zero, "high": zero}
+    trial["measured"] = 2e-4 * np.random.default_rng(4).normal(size=(1, 400))
+    figure = record_figure([trial], "rad", title="rig")
+    figure.draw_without_rendering()
+    assert all(axis.yaxis.label.get_window_extent().x0 >= 0.0 for axis in figure.axes)
+
+
 def test_residuals_are_gathered_in_cells():
     found = _rms(np.array([0, 0, 0, 1, 5, -1]), np.array([1.0, 4.0, 4.0, 9.0, 9.0, 9.0]), np.ones(6), 3, 3.0)
     assert found[0] == pytest.approx(math.sqrt(3.0))
@@ -792,7 +801,7 @@ def test_a_corner_figure_tells_each_interval_and_what_was_assumed():
     for axis, name in zip(figure.axes[::3], draws, strict=True):
         prior = next(line for line in axis.lines if line.get_label() == "prior")
         assert np.max(prior.get_ydata()) == pytest.approx(np.max(axis.lines[0].get_ydata()), rel=1e-6), name
-    assert [axis.get_title() for axis in figure.axes[::3]] == ["1.000\n(0.840 to 1.160)", "60\n(2 to 400)"]
+    assert [axis.get_title() for axis in figure.axes[::3]] == ["mu\n1.000\n(0.840 to 1.160)", "nu\n60\n(2 to 400)"]
 
 
 def test_a_diagnosis_shows_the_record_that_proves_it_before_the_missing_torque(tmp_path):
