@@ -485,6 +485,7 @@ def test_everything_a_folder_holds_is_on_the_page(tmp_path):
     done = report(write_everything(tmp_path / "results"))
     text = words_of(done.path.read_text(encoding="utf-8"))
     assert done.exit_code is ExitCode.DONE
+    assert "</p><p" not in done.path.read_text(encoding="utf-8")  # text taken out of the page keeps sentences apart
     assert set(done.results) == {
         "diagnosis/diagnosis.json", "summary.json", "variability.json", "tune.json", "plan.json", "withheld.json",
     }  # fmt: skip
