@@ -77,7 +77,7 @@ def gap_figure(record: Mapping[str, Any], probabilities: Mapping[str, float], *,
         axes["record"].legend(loc="upper right", ncols=2)
         axes["record"].set_ylabel(reading)
         line = "" if augmented is None else "\n" + textwrap.fill(f"line: the change due to {record['added']}", _TITLE)
-        axes["before"].set_title(f"measured minus nominal model (band: two sd of the noise){line}", loc="left")
+        axes["before"].set_title(f"measured minus nominal model{line}", loc="left")
         axes["before"].plot(times, measured - nominal, ".", **dots)
         if augmented is not None:
             axes["before"].plot(times, np.asarray(augmented) - nominal, color=COLOURS[1], lw=1.0)
@@ -86,7 +86,9 @@ def gap_figure(record: Mapping[str, Any], probabilities: Mapping[str, float], *,
             axes["after"].sharey(axes["before"])
         for name in rows:
             if name != "record":
-                axes[name].axhspan(-2.0 * noise, 2.0 * noise, color="#cccccc", alpha=0.5, lw=0, zorder=0)
+                shade: dict[str, Any] = {"color": "#cccccc", "alpha": 0.5, "lw": 0, "zorder": 0}
+                axes[name].axhspan(-2.0 * noise, 2.0 * noise, label="noise, ± 2 sd", **shade)
+                axes[name].legend(loc="upper right", frameon=True, framealpha=0.8, edgecolor="none")
                 axes[name].set_ylabel(reading)
             axes[name].sharex(axes["record"])
             axes[name].tick_params(labelbottom=name == rows[-1])

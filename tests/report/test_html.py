@@ -27,6 +27,7 @@ from bayes_damper.figures import (
     COLOURS,
     corner_figure,
     forest_figure,
+    gap_figure,
     missing_torque_figure,
     new_figure,
     record_figure,
@@ -735,6 +736,15 @@ def test_one_reading_far_out_does_not_hide_the_other_residuals():
     assert marks["v"].tolist() == [[0.007, low]]
     assert "^" not in marks
     assert len(marks["."]) == 399
+
+
+def test_the_band_of_the_noise_has_a_legend_below_each_record():
+    times, zero = np.arange(400) * 1e-3, np.zeros(400)
+    record = {"label": "IV", "unit": "rad", "times": times, "measured": zero, "nominal": zero, "augmented": zero,
+              "added": "stick slip", "noise": 0.1}  # fmt: skip
+    figure = gap_figure(record, {"none": 1.0}, title="rig")
+    legends = [[t.get_text() for t in a.get_legend().get_texts()] for a in figure.axes if a.get_legend()]
+    assert legends == [["measured", "fitted nominal model"], ["noise, ± 2 sd"], ["noise, ± 2 sd"]]
 
 
 def test_the_label_of_small_residuals_stays_in_the_figure():
