@@ -23,7 +23,7 @@ from bayes_damper.runs.json_files import folder_name, read_json, write_json
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.sampling import arviz_adapter
 from bayes_damper.sampling.prior_sensitivity import text as sensitivity_text
-from bayes_damper.text import Printable, misses, warning_lines
+from bayes_damper.text import Printable, effect_of, misses, warning_lines
 
 SCHEMA = "bayes-damper/fit/1"
 _OVERVIEW = "overview"
@@ -103,8 +103,20 @@ class Fit(Printable):
             parts += [f"  Effect: {best['formula']}"] if best and best.get("formula") else []
             parts += [f"  {sentence}" for sentence in found["sentences"]]
             parts += _more_text(found)
-        parts += [f"Files: {self.folder}", f"Next: bayes-damper report {shlex.quote(str(self.folder))}"]
+        parts.append(f"Files: {self.folder}")
+        alone = any(misses(found) and not effect_of(found) for found in groups.values())
+        campaign = self._campaign() if alone else ""
+        if campaign:
+            parts.append(f"Next: bayes-damper diagnose {shlex.quote(campaign)} --out results/diagnose")
+        parts.append(f"{'Or' if campaign else 'Next'}: bayes-damper report {shlex.quote(str(self.folder))}")
         return "\n".join(parts)
+
+    def _campaign(self) -> str:
+        """The folder that was fitted; "" where no file says it."""
+        file = self.folder / "run.json"
+        run = read_json(file) if file.is_file() else {}
+        plan = run.get("plan") if isinstance(run, dict) else None
+        return str(plan.get("campaign") or "") if isinstance(plan, dict) else ""
 
 
 def load_fit(folder: str | Path) -> Fit:

@@ -7,6 +7,7 @@ import json
 import math
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -411,9 +412,14 @@ def test_a_fit_is_read_from_its_folder_and_says_first_what_its_model_misses(tmp_
     assert "case IV   *** THE MODEL MISSES SOMETHING: run `bayes-damper diagnose`" in found.text()
     assert repr(found) == f"Fit({str(tmp_path)!r}: cart, cases IV, converged)"
     assert found._repr_html_() == f"<pre>{html.escape(found.text())}</pre>"
+    report = f"bayes-damper report {shlex.quote(str(tmp_path))}"
+    assert found.text().endswith(f"\nNext: {report}")
+    write_json(tmp_path / "run.json", {"command": "fit", "plan": {"campaign": "my cart"}})
+    assert found.text().endswith(f"\nNext: bayes-damper diagnose 'my cart' --out results/diagnose\nOr: {report}")
     case["best_fit"] = {"effect": "spring_cubic"}
     write_json(tmp_path / "summary.json", summary)
     told = load_fit(tmp_path).text()
+    assert told.endswith(f"\nNext: {report}")
     assert "*** THE MODEL MISSES SOMETHING BESIDE spring_cubic: the intervals are wider for it ***" in told
     assert "run `bayes-damper diagnose`" not in told
     case["noise"]["channels"][0]["learnt_from"] = "repeats"
