@@ -85,8 +85,6 @@ def test_an_answer_that_cannot_be_sent_is_found_here():
     assert [answer() for answer in answers] == [1, 2, 3]
 
 
-@forks
-@pytest.mark.slow
 def ends(way):
     """Work that ends in some way, or not at all."""
     return {"answer": os.getpid, "dies": os.abort, "fails": lambda: 1 / 0, "hangs": lambda: time.sleep(60.0)}[way]()
@@ -100,6 +98,8 @@ def test_work_done_apart_takes_no_other_process_with_it(way, told):
     assert not multiprocessing.active_children()
 
 
+@forks
+@pytest.mark.slow
 def test_kernels_are_compiled_ahead_and_not_again(tmp_path, monkeypatch):
     cache = without_kernels(tmp_path / "cache")
     monkeypatch.setenv("BAYES_DAMPER_CACHE", str(cache))
