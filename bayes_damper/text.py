@@ -300,6 +300,11 @@ def number(x: Any, width: float | None = None) -> str:
     return f"{x:.{min(significant, 6)}g}"
 
 
+def two_digits(x: float) -> str:
+    """A number rounded to two digits, without a power of ten up to a billion."""
+    return f"{float(f'{x:.2g}'):.9g}"
+
+
 def plus_minus(x: Any, sd: Any) -> str:
     """A value and its standard deviation, with the digits that this supports."""
     if not isinstance(sd, int | float) or not math.isfinite(sd) or sd <= 0.0:

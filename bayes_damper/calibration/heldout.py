@@ -18,7 +18,7 @@ from bayes_damper.calibration.problem import Problem
 
 Array = NDArray[np.float64]
 ROUNDS, NEAR = 12, 1.5  # rounds from every start, in steps of at most so many sizes of a nuisance
-MORE, FAR = 48, 6.0  # further rounds, from the best start of a trial that is not there yet
+MORE, FAR = 48, 6.0  # further rounds, from the best start of each trial
 ARRIVED = 0.01  # the cost hardly falls any more
 KEPT = 2  # predictions of a problem that are held
 PATIENT = 5  # rounds before a row is given up for being far behind

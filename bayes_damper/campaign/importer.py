@@ -510,7 +510,7 @@ def _refuse_clocks(source: LoggerFile, places: Sequence[int], option: Mapping[st
         if source.called_time(i) and (np.diff(source.table[:, i]) > 0.0).all():
             raise InputError(
                 f"{option['where']}: {source.column(i)} is a clock and stands in 'columns'; name it as 'time', and "
-                f"there what the sensors read (the file has {source.described()})"
+                f"in 'columns' those that the sensors read (the file has {source.described()})"
             )
 
 

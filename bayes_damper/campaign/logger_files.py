@@ -256,9 +256,8 @@ def read_matlab(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
 
     try:
         check_matlab(raw)
-        content = apart(
-            _loaded, raw, _MATLAB_SECONDS + len(raw) / _MATLAB_SPEED
-        )  # some damaged files end the process that reads them
+        # Some damaged files end the process that reads them.
+        content = apart(_loaded, raw, _MATLAB_SECONDS + len(raw) / _MATLAB_SPEED)
     except Exception as error:
         raise InputError(
             f"{name}: not a MATLAB file that can be read ({error}); copy it again, or save it as version 5 or 7"

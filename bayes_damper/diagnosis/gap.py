@@ -51,6 +51,7 @@ from bayes_damper.diagnosis.response import on_trials
 from bayes_damper.diagnosis.shares import Closed, products
 from bayes_damper.runs.contents.diagnosis import GapEntry, ShiftEntry
 from bayes_damper.text import p_value as words_of_p
+from bayes_damper.text import two_digits
 
 Array = NDArray[np.float64]
 
@@ -148,10 +149,9 @@ def measure_gap(
     elif upper < NEGLIGIBLE:
         answer, why = "none", f"no gap shows; one larger than {upper:.2f} times the sensor noise is excluded"
     else:
-        upper_shown = f"{float(f'{upper:.2g}'):.9g}"
         answer, why = (
             "cannot tell",
-            f"no gap shows, but one as large as {upper_shown} times the sensor noise could hide: add trials",
+            f"no gap shows, but one as large as {two_digits(upper)} times the sensor noise could hide: add trials",
         )
     return Gap(answer, p_value, size, _floor_rms(nominal.problem, heldout), nominal_rms, augmented, closed, upper, why)
 

@@ -22,7 +22,7 @@ from bayes_damper.rig.units import in_words_of, plain_meaning
 from bayes_damper.runs.contents.fit import CaseEntry, CheckEntry, FitFile, ParameterEntry, PriorEntry, TrialUnknown
 from bayes_damper.runs.json_files import folder_name
 from bayes_damper.sampling.prior_sensitivity import decided_by
-from bayes_damper.text import NOTHING, counted, effect_of, gathered, interval, number, plus_minus
+from bayes_damper.text import NOTHING, counted, effect_of, gathered, interval, number, plus_minus, two_digits
 
 _OUTSIDE = 5.0  # per cent: a measurement below this percentile, or as far above, counts as outside
 _MAIN = (
@@ -162,7 +162,7 @@ def _precision(name: str, entries: Sequence[CaseEntry]) -> str:
         low, high = p["hdi90"]
         halves.append(0.5 * (high - low) / abs(p["median"]) if p["median"] else math.inf)
     worst = max(halves)
-    return f"±{float(f'{100.0 * worst:.2g}'):g} %" if worst < 1.0 else ""
+    return f"±{two_digits(100.0 * worst)} %" if worst < 1.0 else ""
 
 
 def _in_words(
