@@ -148,7 +148,11 @@ def _best_fit_entry(best: Calibration, effect: str | None, kind: str) -> BestFit
         "constants_pulled": best.pulled,
         "effect": effect,
         "formula": None if best.problem.effect is None else best.problem.effect.formula,
-        "meanings": {f"effect.{p.name}": in_words_of(p.meaning, kind) for p in declared if p.meaning},
+        "meanings": {
+            f"effect.{p.name}": in_words_of(p.meaning[0].lower() + p.meaning[1:].rstrip("."), kind)
+            for p in declared
+            if p.meaning
+        },
     }
 
 

@@ -17,6 +17,7 @@ from bayes_damper.fit.published import fit_published_case
 from bayes_damper.fit.recorded import fit_recorded_cases
 from bayes_damper.fit.summary import table_text, write_table
 from bayes_damper.published.sources import is_published
+from bayes_damper.rig.units import in_words_of, kind_by
 from bayes_damper.runs.contents.fit import CaseEntry, FitFile, FitPlan
 from bayes_damper.runs.execution import WAITING, Progress, Silent, Task, run_tasks, stopped
 from bayes_damper.runs.json_files import folder_name, read_json, write_json
@@ -100,7 +101,10 @@ class Fit(Printable):
                 title += f"   *** {missed} ***"
             best = found.get("best_fit")
             parts.append(table_text(found["parameters"], title, best.get("meanings", {}) if best else {}))
-            parts += [f"  Effect: {best['formula']}"] if best and best.get("formula") else []
+            if best and (formula := best.get("formula")):
+                damping = found["parameters"].get("c1t")
+                kind = kind_by(damping["unit"] if damping else "")
+                parts.append(f"  Effect: {in_words_of(formula, kind)}")
             parts += [f"  {sentence}" for sentence in found["sentences"]]
             parts += _more_text(found)
         parts.append(f"Files: {self.folder}")

@@ -72,6 +72,11 @@ def plain_meaning(name: str, unit: str = "") -> str:
     return in_words_of(known.meaning, "translational" if slides else "torsional")
 
 
+def kind_by(damping: str) -> str:
+    """The kind of rig on which c1t has this unit."""
+    return "translational" if damping == unit_of("c1t", "translational") else "torsional"
+
+
 MOTION = {"torsional": (math.degrees(1.0), "deg"), "translational": (1e3, "mm")}
 """Kind of rig -> factor and unit in which a person reads how far the primary moves."""
 

@@ -416,9 +416,13 @@ def test_a_fit_is_read_from_its_folder_and_says_first_what_its_model_misses(tmp_
     assert found.text().endswith(f"\nNext: {report}")
     write_json(tmp_path / "run.json", {"command": "fit", "plan": {"campaign": "my cart"}})
     assert found.text().endswith(f"\nNext: bayes-damper diagnose 'my cart' --out results/diagnose\nOr: {report}")
-    case["best_fit"] = {"effect": "spring_cubic"}
+    case["best_fit"] = {"effect": "spring_cubic", "formula": "Q1 = -k1t a th1^3"}
     write_json(tmp_path / "summary.json", summary)
     told = load_fit(tmp_path).text()
+    assert "  Effect: Q1 = -k1t a th1^3" in told
+    case["parameters"]["c1t"] = k2t | {"unit": "N s/m"}
+    write_json(tmp_path / "summary.json", summary)
+    assert "  Effect: F1 = -k1t a x1^3" in load_fit(tmp_path).text()
     assert told.endswith(f"\nNext: {report}")
     assert "*** THE MODEL MISSES SOMETHING BESIDE spring_cubic: the intervals are wider for it ***" in told
     assert "run `bayes-damper diagnose`" not in told

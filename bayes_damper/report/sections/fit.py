@@ -17,8 +17,8 @@ from bayes_damper.report.sections.shared import (
     pictures_of,
     titled,
 )
-from bayes_damper.rig.parameters import PARAMETERS, unit_of
-from bayes_damper.rig.units import in_words_of, plain_meaning
+from bayes_damper.rig.parameters import PARAMETERS
+from bayes_damper.rig.units import in_words_of, kind_by, plain_meaning
 from bayes_damper.runs.contents.fit import CaseEntry, CheckEntry, FitFile, ParameterEntry, PriorEntry, TrialUnknown
 from bayes_damper.runs.json_files import folder_name
 from bayes_damper.sampling.prior_sensitivity import decided_by
@@ -256,7 +256,7 @@ def _shown_name(name: str, unit: str, effect: str = "", meant: str = "") -> str:
     """
     if name.startswith(_OF_EFFECT):
         own = name.removeprefix(_OF_EFFECT)
-        meaning = meant[:1].lower() + meant[1:].rstrip(".") or meaning_in(effect, own)
+        meaning = meant or meaning_in(effect, own)
         title = titled(own.partition(".")[0] if "+" in effect else effect)
         return f"{own}\n{title}{f': {meaning}' if meaning else ''}"
     known = PARAMETERS.get(name.partition("[")[0])
@@ -302,8 +302,7 @@ def _case_section(name: str, entry: CaseEntry, folder: Path, shown: Collection[s
     if checks:
         tables.append(_check_table(name, checks))
     if entry.get("trials"):
-        slides = _unit_in([entry], "c1t") == unit_of("c1t", "translational")
-        tables.append(_trial_table(name, entry["trials"], "translational" if slides else "torsional"))
+        tables.append(_trial_table(name, entry["trials"], kind_by(_unit_in([entry], "c1t"))))
     tables += _more_tables(name, entry)
     sentences = tuple(entry.get("sentences", ()))
     evidence = entry.get("log_evidence")
