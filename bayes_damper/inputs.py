@@ -182,8 +182,8 @@ def check_hdf5(file: Any, size: int, plain: bool = False) -> None:
     _check_claim(total, size)
 
 
-def check_matlab(raw: bytes) -> None:
-    """Looks through the packed arrays of a MATLAB file of version 5 or 7 before any of them is kept.
+def check_matlab(raw: bytes) -> int:
+    """Bytes of a MATLAB file of version 5 or 7 with its packed arrays unpacked, before any of them is kept.
 
     Raises
     ------
@@ -203,6 +203,7 @@ def check_matlab(raw: bytes) -> None:
             packed = stream.unconsumed_tail
             _check_claim(total, len(raw))
         place += length
+    return total + len(raw)
 
 
 def _check_claim(total: int, size: int) -> None:

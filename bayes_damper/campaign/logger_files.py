@@ -41,6 +41,11 @@ _MATLAB_SPEED = 5e6
 """Bytes a second beyond these seconds in which a MATLAB file must be read, a tenth of what is usual: some small damaged
 ones would take for ever, and hundreds of megabytes of memory more each second.
 """
+_MATLAB_MEMORY = 500_000_000
+_MATLAB_GROWTH = 20
+"""Bytes that reading may take beside so many for each of the file's, unpacked: a byte may stand for a number of eight,
+and what is sent is there twice.
+"""
 _MISSING = {"", "-", "--", "---", "na", "n/a", "nan", "null", "none"}
 """What loggers write where there is no reading."""
 _OTHER_FORMATS = (
@@ -255,9 +260,14 @@ def read_matlab(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
     import scipy.io  # noqa: F401 (once, here, and not in each forked process)
 
     try:
-        check_matlab(raw)
+        size = check_matlab(raw)
         # Some damaged files end the process that reads them.
-        content = apart(_loaded, raw, _MATLAB_SECONDS + len(raw) / _MATLAB_SPEED)
+        content = apart(
+            _loaded,
+            raw,
+            seconds=_MATLAB_SECONDS + len(raw) / _MATLAB_SPEED,
+            memory=_MATLAB_MEMORY + _MATLAB_GROWTH * size,
+        )
     except Exception as error:
         raise InputError(
             f"{name}: not a MATLAB file that can be read ({error}); copy it again, or save it as version 5 or 7"

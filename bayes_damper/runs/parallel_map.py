@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import wraps
 from multiprocessing.connection import Connection, wait
+from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
 Item = TypeVar("Item")
@@ -62,29 +63,44 @@ def _uninterrupted() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _sent(end: Connection, work: Callable[[Any], Any], item: Any) -> None:
+def _limit_memory(most: int) -> None:
+    """Let this process take `most` bytes beyond what it has; on Linux alone, which says in a file how much that is."""
+    with suppress(ImportError, OSError, ValueError):
+        import resource
+
+        has = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        _, hard = resource.getrlimit(resource.RLIMIT_AS)
+        resource.setrlimit(resource.RLIMIT_AS, (has + most, hard))
+
+
+def _sent(end: Connection, work: Callable[[Any], Any], item: Any, memory: int) -> None:
+    _limit_memory(memory)
     faulthandler.disable()  # the sentence says what a dump of the stack would
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # as in `forked_map`
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     try:
         end.send((work(item), None))
+    except MemoryError:
+        end.send((None, f"reading it takes more than {memory / 1e9:.2g} GB of memory"))
     except Exception as error:  # noqa: BLE001 (it is raised again by whoever receives it)
         end.send((None, str(error) or type(error).__name__))
 
 
-def apart(work: Callable[[Item], Answer], item: Item, seconds: float) -> Answer:
+def apart(work: Callable[[Item], Answer], item: Item, seconds: float, memory: int) -> Answer:
     """work(item) in a process of its own, for libraries that may take the process with them; both must be picklable.
+
+    memory : bytes that it may take beyond those that this process has, on Linux.
 
     Raises
     ------
     RuntimeError
-        if the process died, took longer, or met an exception: says which.
+        if the process died, took longer or more memory, or met an exception: says which.
     """
     if multiprocessing.current_process().daemon:  # may have no children, and is one itself
         return work(item)
     context: Any = multiprocessing.get_context("fork" if can_fork() else "spawn")
     ours, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=_sent, args=(theirs, work, item), daemon=True)
+    process = context.Process(target=_sent, args=(theirs, work, item, memory), daemon=True)
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", ".*fork.*", DeprecationWarning)  # as in `forked_map`

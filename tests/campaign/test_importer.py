@@ -928,13 +928,14 @@ def test_a_matlab_file_that_crashes_its_reader_is_refused(tmp_path: Path, place:
         read_file(path, {"matlab_data": ["t"]})
 
 
-def test_a_small_matlab_file_has_less_time_to_be_read(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_small_matlab_file_has_less_time_and_memory_to_be_read(monkeypatch: pytest.MonkeyPatch) -> None:
     """Some damaged ones fill the memory until they are stopped."""
-    seconds: list[float] = []
-    monkeypatch.setattr(logger_files, "apart", lambda _, __, most: seconds.append(most) or {"t": TIMES[:, None]})
+    given: list[dict[str, float]] = []
+    monkeypatch.setattr(logger_files, "apart", lambda _, __, **most: given.append(most) or {"t": TIMES[:, None]})
     for size in (1000, 1_000_000):
         logger_files.read_matlab(bytes(size), "log.mat", {"matlab_data": ["t"]})
-    assert seconds == pytest.approx([15.0, 15.2], abs=0.01)
+    assert [most["seconds"] for most in given] == pytest.approx([15.0, 15.2], abs=0.01)
+    assert [most["memory"] for most in given] == pytest.approx([5e8, 5.2e8], rel=1e-3)
 
 
 def test_the_sideways_position_of_a_marker_becomes_an_angle() -> None:

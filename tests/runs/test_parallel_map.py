@@ -85,16 +85,28 @@ def test_an_answer_that_cannot_be_sent_is_found_here():
     assert [answer() for answer in answers] == [1, 2, 3]
 
 
+HALF_GB = 500_000_000
+
+
 def ends(way):
     """Work that ends in some way, or not at all."""
-    return {"answer": os.getpid, "dies": os.abort, "fails": lambda: 1 / 0, "hangs": lambda: time.sleep(60.0)}[way]()
+    ends = {"answer": os.getpid, "dies": os.abort, "fails": lambda: 1 / 0, "hangs": lambda: time.sleep(60.0)}
+    return (ends | {"grows": lambda: len(np.ones(100_000_000))})[way]()
 
 
-@pytest.mark.parametrize(("way", "told"), [("dies", "crashes"), ("fails", "division by zero"), ("hangs", "not end")])
+@pytest.mark.parametrize(
+    ("way", "told"),
+    [
+        ("dies", "crashes"),
+        ("fails", "division by zero"),
+        ("hangs", "not end"),
+        pytest.param("grows", r"more than 0\.5 GB of memory", marks=forks),
+    ],
+)
 def test_work_done_apart_takes_no_other_process_with_it(way, told):
-    assert apart(ends, "answer", 30.0) != os.getpid()
+    assert apart(ends, "answer", 30.0, HALF_GB) != os.getpid()
     with pytest.raises(RuntimeError, match=told):
-        apart(ends, way, 0.5 if way == "hangs" else 30.0)
+        apart(ends, way, 0.5 if way == "hangs" else 30.0, HALF_GB)
     assert not multiprocessing.active_children()
 
 
