@@ -24,6 +24,7 @@ from bayes_damper.priors.distributions import (
     Distribution,
     from_standard,
 )
+from bayes_damper.rig.parameters import OF_EFFECT
 from bayes_damper.simulation.model import Model, delayed
 
 Array = NDArray[np.float64]
@@ -166,7 +167,7 @@ class Problem:
         for i, c in enumerate(self.coordinates):
             x = _values(c.prior, q[:, i])
             if c.role == "effect":
-                effect[c.name.removeprefix("effect.")] = x
+                effect[c.name.removeprefix(OF_EFFECT)] = x
             elif c.role in ("sensor", "lag"):
                 continue
             elif c.role == "stiffness" or c.case is not None:

@@ -11,6 +11,7 @@ import numpy as np
 from bayes_damper.calibration.experiment import Experiment, TrialRecord
 from bayes_damper.effects.base import Variant
 from bayes_damper.priors.distributions import Distribution, Normal, from_standard, median, to_standard
+from bayes_damper.rig.parameters import OF_EFFECT
 
 Priors = Callable[[str, str], Distribution | float]
 """Of a parameter, by name and case: a distribution, or a number where it is fixed."""
@@ -85,7 +86,7 @@ def coordinates_of(
         if sd > 0.0:
             out.append(Coordinate(f"lag{c + 1}", "lag", Normal(0.0, sd), c))
     if effect is not None:
-        out += [Coordinate(f"effect.{p.name}", "effect", p.prior) for p in effect.parameters]
+        out += [Coordinate(OF_EFFECT + p.name, "effect", p.prior) for p in effect.parameters]
     return tuple(out)
 
 

@@ -42,6 +42,7 @@ from bayes_damper.diagnosis.sets import (
 )
 from bayes_damper.diagnosis.shares import DOUBT, IN_WORDS, NO_SHARE, Closed, Products, products_of, shortest_interval
 from bayes_damper.diagnosis.verdict import FLOOR, PRIOR_NONE, RULE, Answers, Left, Rule
+from bayes_damper.rig.parameters import OF_EFFECT
 from bayes_damper.runs.contents.diagnosis import BudgetEntry, Estimate
 
 Array = NDArray[np.float64]
@@ -191,7 +192,7 @@ def _coordinates(best: SetFit, effect: str) -> dict[str, str]:
     problem = best.fit.problem
     if isinstance(problem, SetProblem):
         return problem.parameters_of(effect)
-    return {p.name: f"effect.{p.name}" for p in best.members[0][1].parameters}
+    return {p.name: OF_EFFECT + p.name for p in best.members[0][1].parameters}
 
 
 Shares = tuple[dict[str, Closed], dict[str, tuple[float, float, float]], Closed, dict[str, float]]

@@ -25,7 +25,8 @@ from bayes_damper.errors import InputError
 from bayes_damper.priors.distributions import Distribution, from_standard, median
 from bayes_damper.priors.files import PriorSet
 from bayes_damper.published.marginal import BLUR, OWN, TOLERANCE, CaseFeatures
-from bayes_damper.published.posterior import EFFECT_PREFIX, Coordinates, Datum, damping_pairs
+from bayes_damper.published.posterior import Coordinates, Datum, damping_pairs
+from bayes_damper.rig.parameters import OF_EFFECT
 from bayes_damper.sampling.moves import StudentT
 from bayes_damper.sampling.sequential import Powers, Whole, temper
 
@@ -53,7 +54,7 @@ class Formula:
     @property
     def extras(self) -> dict[str, Distribution]:
         """Priors of what the formula adds to the nominal parameters."""
-        own = {} if self.variant is None else {EFFECT_PREFIX + p.name: p.prior for p in self.variant.parameters}
+        own = {} if self.variant is None else {OF_EFFECT + p.name: p.prior for p in self.variant.parameters}
         return own if self.blur is None else own | {BLUR: self.blur}
 
 

@@ -44,6 +44,7 @@ from bayes_damper.effects._law import (
 )
 from bayes_damper.effects.base import Effect, EffectParameter
 from bayes_damper.priors.distributions import Normal
+from bayes_damper.rig.parameters import OF_EFFECT
 from bayes_damper.runs.contents.diagnosis import LawEntry
 from bayes_damper.simulation.links import of_links
 
@@ -220,7 +221,7 @@ def learn(
     law = replace(
         law, rig={"kind": kind, **rig}, campaign=campaign, beside=tuple(e.name for e, _ in members),
         closes=(closes.median, *closes.hdi90),
-        nominal={n: v for n, (v, _) in fit.parameters.items() if not n.startswith("effect.")},
+        nominal={n: v for n, (v, _) in fit.parameters.items() if not n.startswith(OF_EFFECT)},
         formulas=() if named is None else named.in_words(), shape_only=None if named is None else named.shape_only,
     )  # fmt: skip
     return Learnt(law, closes, rest, freedom, fit, _density(moved, law), named)

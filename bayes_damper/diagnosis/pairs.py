@@ -39,6 +39,7 @@ from bayes_damper.diagnosis.search import (
 )
 from bayes_damper.diagnosis.verdict import pair_log_prior
 from bayes_damper.effects.base import Effect, Variant
+from bayes_damper.rig.parameters import OF_EFFECT
 from bayes_damper.runs.parallel_map import forked_map
 from bayes_damper.simulation.composition import PLACES, Labels, compose
 
@@ -200,9 +201,9 @@ class Pair:
         """Effect -> name of its parameter -> that of the coordinate of `fit`."""
         problem = self.fit.problem
         assert isinstance(problem, PairProblem | ComposedProblem)
-        prefixes = ["effect.", "second."]
+        prefixes = [OF_EFFECT, "second."]
         if isinstance(problem, ComposedProblem):
-            prefixes = [f"effect.{label}." for label in problem.labels]
+            prefixes = [f"{OF_EFFECT}{label}." for label in problem.labels]
         out = {}
         for prefix, variant in zip(prefixes, problem.variants, strict=True):
             effect = self.first[0] if self.first[1] is variant else self.second[0]

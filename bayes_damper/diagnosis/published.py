@@ -30,7 +30,8 @@ from bayes_damper.effects import EFFECTS, Effect, candidates
 from bayes_damper.effects.base import SITES
 from bayes_damper.priors.distributions import Distribution, LogNormal, median
 from bayes_damper.priors.files import PriorSet
-from bayes_damper.published.posterior import EFFECT_PREFIX, FEATURE_QUANTITIES, Datum
+from bayes_damper.published.posterior import FEATURE_QUANTITIES, Datum
+from bayes_damper.rig.parameters import OF_EFFECT
 from bayes_damper.runs.contents.diagnosis import (
     CombinedEntry,
     DiagnosisFile,
@@ -272,7 +273,7 @@ def _parameters(result: Result) -> dict[str, Estimate]:
         unit = {} if run.joint.formula.variant is None else {
             p.name: p.unit for p in run.joint.formula.variant.parameters
         }  # fmt: skip
-        short = name.removeprefix(EFFECT_PREFIX)
+        short = name.removeprefix(OF_EFFECT)
         out[short] = {
             "unit": unit.get(short, "1"), "mean": float(draws.mean()), "sd": float(draws.std()),
             "median": float(np.median(draws)), "hdi90": list(hdi(draws)),
@@ -702,7 +703,7 @@ def _record(
 ) -> Array:
     """Readings (n, channels, times) at points of a posterior, over the noise; without those that failed."""
     values = {n: x for n, x in joint.coordinates.values(points).items() if n not in ("t_min", "blur")}
-    effect = {n.removeprefix(EFFECT_PREFIX): values.pop(n) for n in list(values) if n.startswith(EFFECT_PREFIX)}
+    effect = {n.removeprefix(OF_EFFECT): values.pop(n) for n in list(values) if n.startswith(OF_EFFECT)}
     model = Model(configuration == "coupled", normal_force, effect=joint.formula.variant)  # type: ignore[arg-type]
     y = model.simulate(values | {"k1t": k1t, "theta0": theta0}, times, effect=effect).y / _NOISE
     return np.asarray(y[np.isfinite(y).all(axis=(1, 2))])

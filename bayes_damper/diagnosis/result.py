@@ -23,7 +23,7 @@ from bayes_damper.diagnosis.shares import Closed
 from bayes_damper.diagnosis.sites import SiteMap, write_missing_torque
 from bayes_damper.diagnosis.verdict import Answers
 from bayes_damper.diagnosis.where import Where
-from bayes_damper.rig.parameters import unit_of
+from bayes_damper.rig.parameters import OF_EFFECT, unit_of
 from bayes_damper.runs.contents.diagnosis import DiagnosisFile, EffectEntry, Estimate, ShiftEntry
 from bayes_damper.runs.json_files import plain, write_json
 
@@ -180,7 +180,7 @@ class Diagnosis:
             "fitted": best.fit is not None,
             "augmented_rms": self.closing[name][0] if name in self.closing else None,
             "closed": self.closing[name][1].to_json() if name in self.closing else None,
-            "parameters": {p.name: _estimate(fit, f"effect.{p.name}", p.unit) for p in best.variant.parameters}
+            "parameters": {p.name: _estimate(fit, OF_EFFECT + p.name, p.unit) for p in best.variant.parameters}
             if fit is not None
             else {},
         }

@@ -27,6 +27,7 @@ import math
 from collections.abc import Callable, Collection, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any, Self, cast
 
 import numpy as np
@@ -53,6 +54,7 @@ from bayes_damper.diagnosis.search import Candidate, Essence, Screen, essence, r
 from bayes_damper.diagnosis.verdict import FRICTIONS, RULE, USUAL, Rule, mended_share
 from bayes_damper.effects.base import Effect, Variant
 from bayes_damper.priors.distributions import HalfNormal
+from bayes_damper.rig.parameters import OF_EFFECT
 from bayes_damper.runs.parallel_map import forked_map
 from bayes_damper.runs.progress import now_and_then
 from bayes_damper.simulation.composition import compose
@@ -92,15 +94,14 @@ class SetProblem(Problem):
         self.parts = tuple(_cluster_problem(base, [members[k][1] for k in cluster]) for cluster in clusters)
         self.effect, self.models = self.parts[0].effect, self.parts[0].models
         own = [
-            Coordinate(f"effect.{k}.{p.name}", "effect", p.prior)
+            [Coordinate(f"{OF_EFFECT}{k}.{p.name}", "effect", p.prior) for p in v.parameters]
             for k, (_, v) in enumerate(self.members)
-            for p in v.parameters
         ]
-        self.coordinates = (*base.coordinates, *own)
+        self.coordinates = (*base.coordinates, *chain.from_iterable(own))
         self.names = tuple(c.name for c in self.coordinates)
         self.size = len(self.coordinates)
         nominal = list(range(base.size))
-        labels = [[f"effect.{k}.{p.name}" for k in cluster for p in members[k][1].parameters] for cluster in clusters]
+        labels = [[c.name for k in cluster for c in own[k]] for cluster in clusters]
         self._places = [np.array([*nominal, *map(self.names.index, names)]) for names in labels]
 
     def changed(self, **changes: Any) -> Self:
@@ -136,7 +137,7 @@ class SetProblem(Problem):
     def parameters_of(self, effect: str) -> dict[str, str]:
         """Name of each parameter of an effect -> that of its coordinate."""
         k, variant = next((k, v) for k, (e, v) in enumerate(self.members) if e.name == effect)
-        return {p.name: f"effect.{k}.{p.name}" for p in variant.parameters}
+        return {p.name: f"{OF_EFFECT}{k}.{p.name}" for p in variant.parameters}
 
 
 def _clusters(members: Sequence[Member], exact: bool) -> list[list[int]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ from bayes_damper import figures
 from bayes_damper.calibration import Experiment
 from bayes_damper.calibration.experiment import trial_label
 from bayes_damper.fit.entry import Units, thinned_draws
-from bayes_damper.rig.parameters import PARAMETERS, unit_of
+from bayes_damper.rig.parameters import OF_EFFECT, PARAMETERS, unit_of
 from bayes_damper.runs.contents.fit import CaseEntry, FitFile, ParameterEntry
 from bayes_damper.sampling import Sampling, arviz_adapter
 from bayes_damper.sampling.prior_sensitivity import decided_by
@@ -24,12 +24,16 @@ _MAIN = ("k1t", "mu", "k2t", "c2t", "drag", "nu", "tail", "c1t", "c3t", "frictio
 _OVERLAID = 6  # panels each way of the figure of all cases
 
 
+def _shown(names: Collection[str]) -> list[str]:
+    """Parameters that the figures show, those of an effect first."""
+    main = [name for main in _MAIN for name in names if name.partition("[")[0] == main]
+    return [name for name in names if name.startswith(OF_EFFECT)] + main
+
+
 def _axis_labels(units: Mapping[str, str]) -> dict[str, str]:
     """Labels from units by parameter."""
-    return {
-        name: figures.label(PARAMETERS[name].symbol if name.startswith("friction") else name, unit)
-        for name, unit in units.items()
-    }
+    named = {n: PARAMETERS[n].symbol if n.startswith("friction") else n.removeprefix(OF_EFFECT) for n in units}
+    return {name: figures.label(named[name], unit) for name, unit in units.items()}
 
 
 def draw_case(
@@ -43,7 +47,7 @@ def draw_case(
 ) -> None:
     """Figures of one case: its entry of summary.json is what they show, `assumed` draws of the priors."""
     thinned = thinned_draws(draws, sampling)
-    names = [name for main in _MAIN for name in thinned if name.partition("[")[0] == main]
+    names = _shown(thinned)
     labels = _axis_labels({name: units(name) for name in draws})
     beside = {"friction_torque", "sigma1", "sigma2"} & set(names) if len(names) > _CROWDED else set()
     flat = {name: thinned[name].ravel() for name in names if name not in beside}
@@ -67,7 +71,8 @@ def _interval_of(numbers: ParameterEntry) -> tuple[float, float, float]:
 def draw_overview(folder: Path, summary: FitFile) -> None:
     """Figures that cover all cases: the forest, and their posteriors laid over one another."""
     cases = summary["cases"]
-    names = [name for name in _MAIN if all(name in entry["parameters"] for entry in cases.values())]
+    first, *others = (entry["parameters"] for entry in cases.values())
+    names = [name for name in _shown(first) if all(name in other for other in others)]
     groups = dict(cases) | ({"all": summary["joint"]} if summary.get("joint") else {})
     intervals = {
         name: {

@@ -34,7 +34,7 @@ from bayes_damper.fit.entry import (
     write_draws,
 )
 from bayes_damper.fit.plan import check_room, possible, recorded_experiment
-from bayes_damper.rig.parameters import unit_of
+from bayes_damper.rig.parameters import OF_EFFECT, unit_of
 from bayes_damper.rig.units import effect_unit, in_words_of
 from bayes_damper.runs.contents.fit import BestFitEntry, CaseEntry, EvidenceEntry, FitPlan, TrialUnknown
 from bayes_damper.runs.memory import shortage
@@ -64,7 +64,7 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: FitPlan
         news.excess(any(c.repeats is not None for c in noise.channels))
     best = noise.fit
     declared = () if best.problem.effect is None else best.problem.effect.parameters
-    own = {f"effect.{p.name}": effect_unit(p.unit, kind, experiment.quantity) for p in declared}
+    own = {OF_EFFECT + p.name: effect_unit(p.unit, kind, experiment.quantity) for p in declared}
 
     def units(name: str) -> str:
         name = "sigma1" if name.startswith("offset") else name
@@ -149,7 +149,7 @@ def _best_fit_entry(best: Calibration, effect: str | None, kind: str) -> BestFit
         "effect": effect,
         "formula": None if best.problem.effect is None else best.problem.effect.formula,
         "meanings": {
-            f"effect.{p.name}": in_words_of(p.meaning[0].lower() + p.meaning[1:].rstrip("."), kind)
+            OF_EFFECT + p.name: in_words_of(p.meaning[0].lower() + p.meaning[1:].rstrip("."), kind)
             for p in declared
             if p.meaning
         },

@@ -29,6 +29,7 @@ from bayes_damper.priors.distributions import (
     to_standard,
 )
 from bayes_damper.published.features import Features, features
+from bayes_damper.rig.parameters import OF_EFFECT
 from bayes_damper.simulation.model import Model
 from bayes_damper.simulation.outcome import count_outcomes
 
@@ -223,10 +224,6 @@ FEATURE_TIMES: Array = np.concatenate([np.linspace(0.0, 1e-3, 21), np.arange(2, 
 """Sample times of a simulated record from which features are taken, s: fine where the first peak is, then 1 kHz."""
 
 
-EFFECT_PREFIX = "effect."
-"""Begins the name of a coordinate that belongs to an effect."""
-
-
 def feature_times(data: Sequence[Datum], longest: float = math.inf) -> Array:
     """Sample times that the features of these data need, s: twice the longest measured period, `longest` at most.
 
@@ -302,8 +299,8 @@ class FeaturePosterior:
         """All features of the records of one configuration for parameter values (n,) by name, each (n,)."""
         values = dict(parameters)
         t_min = values.pop("t_min")
-        changes = {name: values.pop(name) for name in list(values) if name.startswith(EFFECT_PREFIX)}
-        effect = {name.removeprefix(EFFECT_PREFIX): x for name, x in changes.items()}
+        changes = {name: values.pop(name) for name in list(values) if name.startswith(OF_EFFECT)}
+        effect = {name.removeprefix(OF_EFFECT): x for name, x in changes.items()}
         found = self._seen(configuration, values, effect, t_min, self._soon[configuration])
         left = np.flatnonzero(~found.valid)
         if left.size == 0 or self._soon[configuration].size == self.times.size:

@@ -9,6 +9,8 @@ import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+OF_EFFECT = "effect."
+"""Begins the name of a parameter that belongs to an effect."""
 OTHER_UNIT = 30.0
 """Times what the rig has, or a part of it, from which a number looks like one in another unit (degrees for radians are
 57, thousandths 1000): such a number is reported, and used."""

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from bayes_damper.effects import EFFECTS, Effect, Variant, names_in
 from bayes_damper.effects._law import Law, driven_variant
+from bayes_damper.rig.parameters import OF_EFFECT
 from bayes_damper.rig.units import in_words_of
 from bayes_damper.simulation.composition import compose
-from bayes_damper.tuning.draws import OF_EFFECT, SIZE, Draws, Origin
+from bayes_damper.tuning.draws import SIZE, Draws, Origin
 
 Array = NDArray[np.float64]
 _SECONDS = {"s": 1, "Hz": -1, "kg": 2}  # kg = N s^2/m, with torques and angles as they are

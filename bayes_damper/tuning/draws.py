@@ -16,7 +16,7 @@ from bayes_damper.campaign import Campaign
 from bayes_damper.errors import InputError, as_written
 from bayes_damper.published.measurements import load_published
 from bayes_damper.published.sources import is_published, unchanged
-from bayes_damper.rig.parameters import unit_of
+from bayes_damper.rig.parameters import OF_EFFECT, unit_of
 from bayes_damper.runs.json_files import folder_name, read_json
 from bayes_damper.sampling import arviz_adapter
 from bayes_damper.text import misses
@@ -30,8 +30,6 @@ SETUP = {
 """What stands in where the posterior has no such parameter (thesis, pp. 9, 24, 27; R and r are working values)."""
 LINEAR = ("J1", "J2", "k1t", "c1t", "c3t", "k2t", "c2t")
 NONLINEAR = (*LINEAR, "mu", "drag", "nu", "tail", "N0", "R", "r")
-OF_EFFECT = "effect."
-"""With this before its name a fit stores a number of its effect."""
 SIZE = f"{OF_EFFECT}size"
 """Under this name a fit stores the size of a learnt law."""
 AMPLITUDES = (0.02, 0.05, 0.1, 0.2)  # N m

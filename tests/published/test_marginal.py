@@ -12,7 +12,8 @@ from bayes_damper.priors.distributions import from_standard, to_standard
 from bayes_damper.priors.files import load_priors
 from bayes_damper.published.marginal import BLUR, OWN, CaseFeatures
 from bayes_damper.published.measurements import load_published
-from bayes_damper.published.posterior import EFFECT_PREFIX, FEATURE_QUANTITIES, Datum
+from bayes_damper.published.posterior import FEATURE_QUANTITIES, Datum
+from bayes_damper.rig.parameters import OF_EFFECT
 
 RIG = {"J1": 3.1e-3, "J2": 2.474e-3, "R": 0.1, "r": 0.0127, "N0": 100.0, "t_min": 0.6e-3}
 USUAL = {"mu": 0.012, "k2t": 2.0, "c2t": 0.006, "drag": 0.035, "nu": 40.0, "c1t": 0.005}
@@ -94,7 +95,7 @@ def test_likelihood_of_a_formula_is_the_integral_too(case, effect, parameters):
     law = EFFECTS[effect].variants[0]
     assert {p.name for p in law.parameters} == set(parameters)
     found = case_features(case, law=law, pilot=True)
-    z, more = point(found, USUAL | OF_CASES[case]), {EFFECT_PREFIX + name: x for name, x in parameters.items()}
+    z, more = point(found, USUAL | OF_CASES[case]), {OF_EFFECT + name: x for name, x in parameters.items()}
     values = found.coordinates.values(z) | {name: np.array([x]) for name, x in more.items()}
     assert found.log_density(values)[0] == pytest.approx(on_a_grid(found, z, more)[0], abs=0.5)
 

@@ -12,7 +12,6 @@ from bayes_damper.fit import published_posterior
 from bayes_damper.priors.distributions import HalfNormal, LogNormal, Normal, Uniform
 from bayes_damper.priors.files import load_priors
 from bayes_damper.published.posterior import (
-    EFFECT_PREFIX,
     FEATURE_TIMES,
     Coordinates,
     Datum,
@@ -21,6 +20,7 @@ from bayes_damper.published.posterior import (
     Sheet,
     feature_times,
 )
+from bayes_damper.rig.parameters import OF_EFFECT
 from bayes_damper.sampling import annealed_start
 from bayes_damper.sampling.sequential import Powers
 
@@ -220,7 +220,7 @@ def test_a_posterior_with_an_effect_takes_its_parameters_as_coordinates():
     plain = FeaturePosterior(fitted.data, Coordinates(fitted.coordinates.free, tied=fitted.coordinates.tied,
                                                       fixed=fitted.coordinates.fixed))  # fmt: skip
     ramp = EFFECTS["release_ramp"].variant("linear")
-    free = plain.coordinates.free | {f"{EFFECT_PREFIX}{p.name}": p.prior for p in ramp.parameters}
+    free = plain.coordinates.free | {f"{OF_EFFECT}{p.name}": p.prior for p in ramp.parameters}
     changed = FeaturePosterior(
         fitted.data, Coordinates(free, plain.coordinates.fixed, plain.coordinates.tied), effect=ramp
     )

@@ -17,7 +17,7 @@ from bayes_damper.report.sections.shared import (
     pictures_of,
     titled,
 )
-from bayes_damper.rig.parameters import PARAMETERS
+from bayes_damper.rig.parameters import OF_EFFECT, PARAMETERS
 from bayes_damper.rig.units import in_words_of, kind_by, plain_meaning
 from bayes_damper.runs.contents.fit import CaseEntry, CheckEntry, FitFile, ParameterEntry, PriorEntry, TrialUnknown
 from bayes_damper.runs.json_files import folder_name
@@ -29,7 +29,6 @@ _MAIN = (
     "mu", "friction_torque", "friction_torque_per_inertia", "k2t", "c2t", "drag", "nu", "tail", "c1t", "c3t",
     "k1t", "J1", "J2",
 )  # fmt: skip
-_OF_EFFECT = "effect."  # before the name of a parameter of the effect that a fit was given
 _SPELT_OUT = 7  # parameters in a sentence; of more, the names alone
 _SPELT_FIRST = 4  # the same in the first sentence
 _MEASURABLE = ("J1", "J2", "R", "r", "N0", "k1t", "k2t", "theta0", "drag", "mu")
@@ -136,7 +135,7 @@ def _fit_headline(campaign: str, groups: Mapping[str, CaseEntry], converged: boo
 def _determined(groups: Mapping[str, CaseEntry]) -> str:
     """Which parameters the data decide about, and in which cases, in a sentence."""
     where: dict[tuple[str, ...], list[str]] = {}
-    added = dict.fromkeys(n for e in groups.values() for n in e.get("parameters", {}) if n.startswith(_OF_EFFECT))
+    added = dict.fromkeys(n for e in groups.values() for n in e.get("parameters", {}) if n.startswith(OF_EFFECT))
     for name in (*added, *_MAIN):
         found = [g for g, e in groups.items() if _decided(e.get("parameters", {}).get(name)) == "data"]
         if found:
@@ -175,7 +174,7 @@ def _in_words(
         meant = plain_meaning(name, units.get(name, "")) if len(names) <= most else ""
         beside = more.get(name, "")
         if not meant:
-            own = name.removeprefix(_OF_EFFECT)
+            own = name.removeprefix(OF_EFFECT)
             spelt.append(f"{own} ({beside})" if beside else own)
         else:
             spelt.append(f"the {meant} ({name}{', ' if beside else ''}{beside})")
@@ -221,7 +220,7 @@ def _left(groups: Mapping[str, CaseEntry], learnt_from: Collection[str]) -> str:
 
 def _overview(groups: Mapping[str, CaseEntry]) -> Table:
     found = dict.fromkeys(n for e in groups.values() for n in e.get("parameters", {}))
-    names = [n for n in found if n.startswith(_OF_EFFECT)] + [n for n in _MAIN if n in found]
+    names = [n for n in found if n.startswith(OF_EFFECT)] + [n for n in _MAIN if n in found]
     rows = []
     for name in names:
         cells, unit = [], ""
@@ -254,8 +253,8 @@ def _shown_name(name: str, unit: str, effect: str = "", meant: str = "") -> str:
 
     effect : given to the model; meant : what its parameter is, where the fit says so.
     """
-    if name.startswith(_OF_EFFECT):
-        own = name.removeprefix(_OF_EFFECT)
+    if name.startswith(OF_EFFECT):
+        own = name.removeprefix(OF_EFFECT)
         meaning = meant or meaning_in(effect, own)
         title = titled(own.partition(".")[0] if "+" in effect else effect)
         return f"{own}\n{title}{f': {meaning}' if meaning else ''}"
@@ -400,9 +399,9 @@ def _check_table(name: str, checks: Sequence[CheckEntry]) -> Table:
 
 def _named(name: str, entry: CaseEntry) -> str:
     """A parameter of an entry with what it means, one of the effect's too."""
-    if not name.startswith(_OF_EFFECT):
+    if not name.startswith(OF_EFFECT):
         return meaning_of(name, _unit_in([entry], name))
-    own = name.removeprefix(_OF_EFFECT)
+    own = name.removeprefix(OF_EFFECT)
     meaning = meaning_in(effect_of(entry), own)
     return f"{own}: {meaning}" if meaning else own
 
