@@ -5,7 +5,8 @@ periodogram of the mean is held against that of white noise, Exp(1): a smooth ex
 missing), a narrow line or band (a resonance, a hum), or an event in time.
 
 What repeats do not share is the laboratory's, not the model's. Trials are what is independent, so the mean is held
-against what the repeats do differ by, where that is more than the noise, at the frequencies where it is. Lines that
+against what the repeats do differ by, where that is more than the noise, at the frequencies where it is; a trial
+without repeats among others that have some, against its own fast readings, for its noise need not be theirs. Lines that
 keep no phase from trial to trial drop out of the mean and are looked for in the single records: above the frequencies
 of the rig's own motion, which differs from trial to trial with whatever scatters, and in more than one record. A trial
 that differs from its repeats by more than anything that scatters accounts for is reported by its name (`unlike`).
@@ -103,6 +104,7 @@ def remainder_of(fit: Calibration) -> Remainder:
     own = own_frequency(fit.problem.experiment)
     power: list[tuple[Array, Array]] = []
     shared: list[tuple[Array, Array]] = []
+    by_itself: list[bool] = []
     unshared: list[tuple[Array, Array]] = []
     for members in repeats_of(fit):
         stack = np.array([records[i] for i in members])
@@ -114,6 +116,7 @@ def remainder_of(fit: Calibration) -> Remainder:
             # Missing readings bring no power: without them a gap would drown in what they should have brought.
             kept = [max(int(np.count_nonzero(known[i][channel])), 1) for i in members]
             shared.append((f, np.abs(np.fft.rfft(mean[channel])[1:-1]) ** 2 / np.mean(kept)))
+            by_itself.append(len(members) == 1)
             for k in range(len(members)):
                 power.append((f, np.abs(np.fft.rfft(stack[k, channel])[1:-1]) ** 2 / kept[k]))
             if len(members) > 1:
@@ -122,7 +125,10 @@ def remainder_of(fit: Calibration) -> Remainder:
     if not shared or shared[0][0].size < 8:
         return Remainder(0.0, 0.0, 0.0, 0.0, 1.0, fit.excess, own)
     floors = _floors(unshared)
-    shared = [(f, p / floors.get(f.tobytes(), 1.0)) for f, p in shared]
+    shared = [
+        (f, p / (_own_floor(f, p, own) if unshared and no_other else floors.get(f.tobytes(), 1.0)))
+        for (f, p), no_other in zip(shared, by_itself, strict=True)
+    ]
     generic, level, corner = _generic(shared, own)
     # A peak of a smooth excess is no line: what the smooth spectrum explains is taken out first.
     smooth = level if generic > 0.0 else 0.0
@@ -164,6 +170,18 @@ def _floors(unshared: Sequence[tuple[Array, Array]]) -> dict[bytes, Array]:
         sd = math.sqrt(1.0 / (wide * len(powers)))  # of a mean of so many Exp(1)
         out[key] = np.where(level > 1.0 + 2.0 * sd, level, 1.0)
     return out
+
+
+def _own_floor(f: Array, p: Array, own: float) -> float:
+    """Power of a single record over the noise at frequencies beyond those of torques where it is clearly more, else 1.
+
+    The median of Exp(1) is ln 2, with a standard deviation of 1 / sqrt(n); a line does not change it.
+    """
+    fast = p[f > LOW_BAND * own]
+    if fast.size < SMOOTHED / 2.0:
+        return 1.0
+    level = float(np.median(fast)) / math.log(2.0)
+    return level if level > 1.0 + 2.0 / (math.log(2.0) * math.sqrt(fast.size)) else 1.0
 
 
 def _of_several(spectra: Sequence[tuple[Array, Array]]) -> list[tuple[Array, Array]]:

@@ -42,3 +42,16 @@ def test_a_line_without_phase_in_every_trial_is_found():
 
 def test_a_wave_that_repeats_share_is_found():
     assert remainder_of(fitted([0.6], 100.0)).strength > 30.0
+
+
+def test_the_noise_of_a_trial_without_repeats_is_its_own():
+    """Outliers of its repeats are found and left out, its own are not: it seemed to have a gap of every frequency."""
+    drawn = measured(3, configurations=(False,), repeats=5)
+    rng = np.random.default_rng(1)
+    alone = drawn.trials[5]
+    noisy = replace(alone, y=alone.y + NOISE * rng.standard_normal(alone.y.shape))
+    fit = calibrate_nominal(replace(drawn, trials=(*drawn.trials[:5], noisy)))
+    wave = 0.4 * NOISE * np.sin(100.0 * noisy.times)
+    shared = tuple(replace(t, y=t.y + wave) for t in (*drawn.trials[:5], noisy))
+    assert remainder_of(fit).strength < 5.0
+    assert remainder_of(calibrate_nominal(replace(drawn, trials=shared))).strength > 20.0
