@@ -50,6 +50,14 @@ def test_a_forest_shows_the_middle_half_inside_the_interval() -> None:
     assert bars[1].get_linewidth() > 2.0 * bars[0].get_linewidth()
 
 
+def test_numbers_of_a_narrow_interval_stand_in_full() -> None:
+    figure = figures.forest_figure({"k3": {"I": (179.90, 179.97, 180.03)}}, {}, title="")
+    FigureCanvasAgg(figure).draw()
+    axis = figure.axes[0].xaxis
+    assert axis.get_offset_text().get_text() == ""
+    assert "179.95" in [tick.get_text() for tick in axis.get_ticklabels()]
+
+
 @pytest.mark.parametrize(("translational", "body"), [(False, "the primary"), (True, "body 1")])
 def test_missing_torque_is_drawn_on_bodies_that_bear_the_names_of_their_rig(translational: bool, body: str) -> None:
     t = np.linspace(0.0, 1.0, 50)
