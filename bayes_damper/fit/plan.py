@@ -81,9 +81,17 @@ def plan_fit(
         chosen_effects = {name: known_effects[name] for name in names}
         check_room([(e, v) for e in chosen_effects.values() for v in e.variants])
         laws_on(chosen_effects, recorded)
+        refused: dict[str, InputError] = {}
         for case in chosen:
             trials = tuple(t for t in experiment.trials if t.case == case)
-            possible(replace(experiment, trials=trials), names, chosen_effects)
+            try:
+                possible(replace(experiment, trials=trials), names, chosen_effects)
+            except InputError as error:
+                refused[case] = error
+        if refused:
+            able = [f"--case {case}" for case in chosen if case not in refused]
+            first = next(iter(refused.values()))
+            raise InputError(f"{first}; other cases can: {' '.join(able)}" if able else str(first)) from first
     if noise != "auto" and recorded is None:
         raise InputError("--noise: the published features have standard errors of their own; leave it out")
     return {
