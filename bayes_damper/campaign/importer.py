@@ -873,6 +873,11 @@ def _window(
         )
     else:
         zero = float(release)
+        if zero < 2.0 * times[0] - times[-1]:
+            raise InputError(
+                f"{where}: release = {zero:g} s is longer before the first reading than the record lasts, which runs "
+                f"from {times[0]:g} to {times[-1]:g} s; correct release"
+            )
     before = float(option.get("before", 0.02 if measurement.start == "rest" else 0.0))
     keep = inside[t >= zero - before - 1e-9][:: option.get("every", 1)]
     if len(keep) < _FEWEST:
@@ -890,7 +895,8 @@ def _times_of(source: LoggerFile, option: Mapping[str, Any], where: str) -> Arra
         unit = option.get("time_unit") or (found if found in _TIME else "s")
         if unit not in _TIME:
             raise InputError(f"{option['where']}: time_unit '{unit}' is none of {', '.join(_TIME)}")
-        return source.table[:, column] * _TIME[unit]
+        with np.errstate(over="ignore"):  # what is beyond all numbers counts as missing
+            return np.asarray(source.table[:, column] * _TIME[unit], float)
     if not option.get("sample_rate", 0.0) > 0.0:
         raise InputError(
             f"{option['where']}: neither 'time' nor 'sample_rate' is given; one of them makes the clock (the file has "

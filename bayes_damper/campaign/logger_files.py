@@ -213,7 +213,9 @@ def read_binary(raw: bytes, name: str, form: str, option: Mapping[str, Any]) -> 
         for unit, plain, n in zip(units, known, names, strict=True)
         if unit.strip() and not plain
     ]
-    return LoggerFile(tuple(names), np.column_stack(columns), tuple(known), tuple(notes))
+    with np.errstate(invalid="ignore"):  # a NaN that raises a warning wherever it is used becomes one that does not
+        table = np.column_stack(columns) + 0.0
+    return LoggerFile(tuple(names), table, tuple(known), tuple(notes))
 
 
 def read_text(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:

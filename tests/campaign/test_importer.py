@@ -235,6 +235,7 @@ def test_a_number_in_other_words_is_refused_once_for_all_files(tmp_path: Path) -
         ({"start": 900.0}, "only 0 readings"),
         ({"release": 900.0}, "only 0 readings are left"),
         ({"release": math.nan}, "release must be finite, not nan"),
+        ({"release": -1e26}, "release = -1e+26 s is longer before the first reading than the record lasts"),
         ({"every": 200}, "readings are left of the record, which runs from 4.8 to 6.199 s; correct release"),
         ({"every": 0}, "every = 0 is too small; give at least 1"),
         ({"before": -1.0}, "before = -1.0 is too small"),

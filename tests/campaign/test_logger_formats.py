@@ -37,6 +37,18 @@ def hdf5(path: Path) -> Path:
     return path
 
 
+def test_a_reading_that_is_no_number_in_an_odd_way_is_a_missing_one(tmp_path: Path) -> None:
+    """Bytes that are damaged may be a signalling NaN, which warns wherever it is used."""
+    odd = np.array([0x7FF0000000000001]).view(float)
+    with h5py.File(tmp_path / "odd.h5", "w") as file:
+        file["time"] = np.concatenate([TIMES, odd])
+        file["a"] = np.concatenate([FIRST, odd])
+        file["time"].attrs["unit"] = "ms"
+    found = read_file(tmp_path / "odd.h5", {})
+    assert np.isnan(found.table[-1]).all()
+    assert not found.table[-1].tobytes().startswith(odd.tobytes())
+
+
 def wav(path: Path) -> Path:
     wavfile.write(path, int(RATE), np.column_stack([FIRST, SECOND]).astype(np.float32))
     return path
