@@ -303,8 +303,3 @@ def log_evidence_of(
     if isinstance(answer, str):
         return evidence[answer]
     return next(value for effects, value, _ in pairs if effects == answer)
-
-
-def rank(evidence: Mapping[str, float]) -> list[str]:
-    """Families, best first."""
-    return sorted(evidence, key=lambda n: -np.nan_to_num(evidence[n], nan=-np.inf))
