@@ -78,11 +78,6 @@ class TrialRecord:
         return self.inputs is not None and self.inputs.motion is not None
 
     @property
-    def carried(self) -> bool:
-        """Whether a pendulum's pivot moves."""
-        return self.inputs is not None and self.inputs.pivot is not None
-
-    @property
     def conditions(self) -> tuple[Any, ...]:
         """Equal for repeats: trials of one case and configuration, release and inputs."""
         return self.case, self.coupled, self.theta0, None if self.inputs is None else self.inputs.key
