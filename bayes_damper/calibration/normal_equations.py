@@ -152,7 +152,7 @@ class Linear:
             g += gram[:, :p, -1].sum(axis=0)
             cost += float(gram[:, -1, -1].sum() + np.sum(block.eta**2))
             parts.append((block, H, TJ, gT))
-        return Normals(self, S, g, cost, tuple(parts), size, k)
+        return Normals(self, S, g, cost, tuple(parts), size)
 
     def pinned(self) -> Linear:
         """The same with nuisances held that are pressed against an end of their range: they can take nothing up."""
@@ -225,7 +225,6 @@ class Normals:
     cost: float
     parts: tuple[tuple[Block, Array, Array, Array], ...]
     size: int
-    extra: int
 
     def reduced(self) -> tuple[Array, Array, list[Array]]:
         """S and g with the nuisances eliminated, and H_j^-1 of each block."""
