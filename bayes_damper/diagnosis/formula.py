@@ -19,13 +19,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayes_damper.calibration import Calibration
 from bayes_damper.diagnosis.response import in_slices, motions, project, whiten
 from bayes_damper.diagnosis.shapes import scale_of_motions, shapes_of
-
-Array = NDArray[np.float64]
 
 SHARE = 0.2
 """Of the change that an effect makes to the records, by which formulas of one family differ: between the two best of a

@@ -11,14 +11,12 @@ import hashlib
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from bayes_damper.errors import InputError
 from bayes_damper.inputs import file_bytes, shipped_path, toml_file
 
 FILES = ("cases", "measurements", "derived", "inertia", "printed", "frequency_response")
 _TO_SI = {"ms": (1e3, "s"), "kg mm^2": (1e6, "kg m^2")}  # printed unit -> divisor, SI unit
-Configuration = Literal["uncoupled", "coupled"]
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ missing. Results do not depend on the number of workers or on the order, because
 from __future__ import annotations
 
 import importlib
-import logging
 import os
 import signal
 import sys
@@ -36,7 +35,6 @@ _POLL_S = 0.2
 _STATUS_EVERY_S = 0.5
 _MOST_BREAKDOWNS = 3
 _MOST_WORKERS = 10_000
-LOG = logging.getLogger(__name__)
 WAITING = "waiting"
 """What progress shows of a task that has not begun."""
 

@@ -41,7 +41,6 @@ from bayes_damper.variability.pooling import POOLINGS, CaseLikelihood, Hierarchy
 from bayes_damper.variability.scenarios import Bridge, Scenario, ratio_of, scenarios, widened
 
 Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 _SCALINGS: tuple[Mapping[str, float], ...] = ({"N0": 1.0, "mu": -1.0}, {"R": 1.0, "r": 1.0, "mu": -1.0})
 """Changes that leave the motion as it is: friction between the faces is the product mu N0 R."""
 _KEPT = 16
