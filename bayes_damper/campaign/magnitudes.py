@@ -227,9 +227,6 @@ def _unit_guess(rig: Rig, ratio: float, power: int) -> str:
             guesses[
                 "it looks like m/s^2 at the mounting radius: convert to rad/s^2, or import it with `bayes-damper init`"
             ] = radius
-            guesses["it looks like g at the mounting radius: convert to rad/s^2 with `bayes-damper init`"] = (
-                radius / 9.81
-            )
     else:
         guesses["it looks like millimetres taken for metres: give SI units in the record, mm in theta0_mm"] = 1000.0
         guesses["it looks like metres given as theta0_mm, or the like: theta0_mm is in millimetres"] = 1e-3
