@@ -284,17 +284,12 @@ def _closed_sentence(gap: GapEntry | None, who: str) -> str:
     share, hdi = _share_of(closed), closed.get("hdi90")
     if share is None:
         return f"On {where} the gap is too small to give shares of it."
-    ends = {_whole(x) for x in hdi} if hdi else set()
-    spread = f" (90 % interval {_whole(hdi[0])} to {_whole(hdi[1])} %)" if hdi and ends != {_whole(share)} else ""
+    ends = [share_of_gap(x) for x in hdi or ()]
+    spread = f" (90 % interval {' to '.join(ends)} %)" if ends and set(ends) != {share_of_gap(share)} else ""
     if share <= 0.0:
         return f"On {where} none of the effects tried is shown to reduce the gap{spread}."
     how = f" Measured from {closed['how']}." if closed.get("how") else ""
-    return f"On {where} {who} {_whole(share)} % of the gap{spread}.{how}"
-
-
-def _whole(share: float) -> str:
-    """A share of the gap in whole per cent."""
-    return share_of_gap(share)
+    return f"On {where} {who} {share_of_gap(share)} % of the gap{spread}.{how}"
 
 
 def _experiment_sentence(e: Mapping[str, object]) -> str:
@@ -503,9 +498,9 @@ def _gap_tables(
         closed = e.get("closed")
         share = NOTHING
         if (middle := _share_of(closed)) is not None:
-            share = f"{_whole(middle)} %"
+            share = f"{share_of_gap(middle)} %"
             if closed and closed.get("hdi90"):
-                share += f" ({' to '.join(map(_whole, closed['hdi90'] or ()))} %)"
+                share += f" ({' to '.join(map(share_of_gap, closed['hdi90'] or ()))} %)"
         rows.append(Row((f"with {e.get('title') or words(str(e['name']))}", number(e["augmented_rms"]), share)))
     unit = unit or str(gap.get("unit") or "")
     columns = ("model", f"rms residual [{unit}]" if unit else "rms residual", "gap closed (90 %)")
@@ -604,7 +599,7 @@ def _budget_tables(budget: BudgetEntry | None) -> list[Table]:
     def share(found: Share) -> str:
         if (middle := found.get("median")) is None:
             return NOTHING
-        return f"{_whole(middle)} % ({' to '.join(map(_whole, found['hdi90'] or ()))} %)"
+        return f"{share_of_gap(middle)} % ({' to '.join(map(share_of_gap, found['hdi90'] or ()))} %)"
 
     rows = [
         Row((
@@ -673,7 +668,7 @@ def _effect_table(effects: Sequence[EffectEntry], probabilities: Sequence[tuple[
             percent(e.get("probability")),
             number(e.get("log_evidence")),
             "; ".join(_parameter(k, v) for k, v in (e.get("parameters") or {}).items()) or NOTHING,
-            NOTHING if closed is None else f"{_whole(closed)} %",
+            NOTHING if closed is None else f"{share_of_gap(closed)} %",
         )
         rows.append(Row(cells))
     columns = ("effect", "formula", "site", "probability", "log evidence, nats", "parameters", "gap closed")
