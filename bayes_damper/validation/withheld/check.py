@@ -198,7 +198,7 @@ def withheld(
     called as `verdict_of` is. effects : folder with effects of your own, candidates beside those of the library and of
     installed packages; in the key they are effects of the library. leave_one_out : whether campaigns are judged again
     without the effect that they have; None: as `full`. workers : processes; scheduler : address of a Dask cluster in
-    their place; seed : decides every random number; progress : scored how far it is, as in `fit`.
+    their place; seed : decides every random number; progress : receives how far it is, as in `fit`.
 
     Raises
     ------
