@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -22,7 +22,7 @@ from scipy.special import logsumexp
 
 from bayes_damper.effects.base import Variant
 from bayes_damper.errors import InputError
-from bayes_damper.priors.distributions import Distribution, from_standard, median
+from bayes_damper.priors.distributions import Distribution, median
 from bayes_damper.priors.files import PriorSet
 from bayes_damper.published.marginal import BLUR, OWN, TOLERANCE, CaseFeatures
 from bayes_damper.published.posterior import Coordinates, Datum, damping_pairs
@@ -255,26 +255,3 @@ def _flattened(log_weights: Array, least: float) -> Array:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if _effective(middle * np.maximum(finite, -1e6)) >= least else (low, middle)
     return np.asarray(low * np.maximum(finite, -1e6))
-
-
-def simulated(joint: Joint, rng: np.random.Generator, tries: int = 200) -> dict[str, tuple[Datum, ...]]:
-    """Numbers as the formula would have given them: everything drawn from its prior, published standard errors.
-
-    Drawn again where a record has no second peak, because such numbers would not have been published.
-
-    Raises
-    ------
-    InputError
-        if no draw of the prior has all features.
-    """
-    for _ in range(tries):
-        values = joint.coordinates.values(joint.coordinates.draw(rng, 1))
-        out: dict[str, tuple[Datum, ...]] = {}
-        for name, case in joint.cases.items():
-            own = {key: from_standard(prior, rng.standard_normal(1)) for key, prior in case.own.items()}
-            features = case.predict(values | own)
-            measured = features + case.scales(values, features) * rng.standard_t(joint.dof, features.shape)
-            out[name] = tuple(replace(d, value=float(x)) for d, x in zip(case.data, measured[0], strict=True))
-        if all(math.isfinite(d.value) and d.value > 0.0 for rows in out.values() for d in rows):
-            return out
-    raise InputError(f"{joint.formula.family}: none of {tries} draws of the prior shows all features")
