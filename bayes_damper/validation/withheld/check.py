@@ -514,21 +514,6 @@ def seal_path(key: Path) -> Path:
     return key.with_name(key.name.removesuffix(".json").removesuffix("_key") + "_seal.json")
 
 
-def seal_campaigns(folder: str | Path, key: str | Path | None = None, *, code: bool = True) -> Path:
-    """Bind a set of campaigns to its key and to the code of this moment; the file written, NAME_seal.json beside it.
-
-    Scores of these campaigns under other code are rehearsals from now on. code : False binds the data and the key
-    alone, as for campaigns that are shipped: no change of the code touches that seal.
-    """
-    source = Path(folder)
-    key_file = Path(key) if key is not None else source.parent / f"{source.name}_key.json"
-    frozen = freeze(find_campaigns(source), key_file, all_effects(), 0, name_of(verdict_of))
-    data = ("schema", "key_sha256", "campaigns", "written")
-    kept = frozen if code else {name: value for name, value in frozen.items() if name in data}
-    write_freeze(seal_path(key_file), cast("Freeze", kept))
-    return seal_path(key_file)
-
-
 def _earlier(key: Path, now: Freeze) -> list[str]:
     """Reasons for a rehearsal that come from an earlier seal of the same campaigns."""
     path = seal_path(key)

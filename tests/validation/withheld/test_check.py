@@ -12,6 +12,7 @@ import pytest
 
 from bayes_damper.cli import main
 from bayes_damper.diagnosis.verdict import credible_set
+from bayes_damper.effects import all_effects
 from bayes_damper.errors import ExitCode, InputError, Interrupted, SelfCheckError
 from bayes_damper.inputs import shipped_path
 from bayes_damper.validation.withheld import archive as archives
@@ -40,6 +41,16 @@ def entry(truth, *, kind="easy", level=0.5, visible=500.0, standing="library", s
         "level_wanted": 0.0 if none else level, "visible_chi2": 0.0 if none else visible,
         "nominal": {"mu": 0.005, "k2t": 1.6}, "disturbances": [{"shape": [0.3, 0.01, 0.0]}],
     }  # fmt: skip
+
+
+def seal_campaigns(folder, *, code=True):
+    """Bind a set of campaigns to its key and, unless code is False, to the code of this moment; the file written."""
+    key = folder.parent / f"{folder.name}_key.json"
+    frozen = sealing.freeze(check.find_campaigns(folder), key, all_effects(), 0, check.name_of(check.verdict_of))
+    data = ("schema", "key_sha256", "campaigns", "written")
+    kept = frozen if code else {name: frozen[name] for name in data}
+    sealing.write_freeze(check.seal_path(key), kept)
+    return check.seal_path(key)
 
 
 def said(verdict, p=0.95, **more):
@@ -195,7 +206,7 @@ def test_verdicts_given_by_other_code_make_a_rehearsal(tmp_path, monkeypatch):
 
 def test_campaigns_may_be_sealed_before_anybody_runs_them(tmp_path, monkeypatch):
     folder = write_set(tmp_path, ["spring_cubic", "none"])
-    assert check.seal_campaigns(folder) == tmp_path / "set_seal.json"
+    assert seal_campaigns(folder) == tmp_path / "set_seal.json"
     assert not run(tmp_path).rehearsal
     monkeypatch.setattr(sealing, "library_sha256", lambda _: "0" * 64)
     assert "library of effects" in run(tmp_path, out=tmp_path / "later").results["why_rehearsal"][0]
@@ -344,7 +355,7 @@ def test_an_archive_is_held_against_the_data(tmp_path):
 
 def test_a_seal_of_data_alone_does_not_ask_for_the_code(tmp_path, monkeypatch):
     folder = write_set(tmp_path, ["none", "spring_cubic"])
-    seal = check.seal_campaigns(folder, code=False)
+    seal = seal_campaigns(folder, code=False)
     assert "code_sha256" not in sealing.read_freeze(seal)
     monkeypatch.setattr(sealing, "code_sha256", lambda *roots: "0" * 64)
     assert not run(tmp_path).rehearsal
