@@ -42,13 +42,6 @@ def pack(values: ArrayLike) -> dict[str, Any]:
     return {"low": low, "scale": scale, "data": base64.b64encode(steps.tobytes()).decode("ascii")}
 
 
-def unpack(packed: Mapping[str, Any]) -> Array:
-    """The numbers of `pack`, to half a step."""
-    steps = np.frombuffer(base64.b64decode(packed["data"]), dtype="<i2").astype(np.float64)
-    values = packed["low"] + packed["scale"] * (steps + 32767.0)
-    return np.where(steps == _MISSING, np.nan, values)
-
-
 def series(name: str, kind: str, colour: int, **values: ArrayLike) -> dict[str, Any]:
     """One series: values are y, or low and high for a band; x where it has an axis of its own."""
     return {"name": name, "kind": kind, "colour": colour} | {key: pack(v) for key, v in values.items()}

@@ -35,7 +35,7 @@ from bayes_damper.figures import (
     save,
 )
 from bayes_damper.fit.drawings import draw_overlaid
-from bayes_damper.report.charts import pack, record_chart, torque_chart, unpack
+from bayes_damper.report.charts import pack, record_chart, torque_chart
 from bayes_damper.report.html import LARGEST, sentence, typeset
 from bayes_damper.report.sections.fit import _trial_table
 from bayes_damper.text import NOTHING, number, percent
@@ -52,6 +52,12 @@ LAW = {
         "shape_only": 0.04, "grammar": "f(x) g(v) h(t)",
     },
 }  # fmt: skip
+
+
+def unpack(packed: dict) -> np.ndarray:
+    """The numbers of `pack`, to half a step, as the report's script reads them."""
+    steps = np.frombuffer(base64.b64decode(packed["data"]), dtype="<i2").astype(np.float64)
+    return np.where(steps == -32768, np.nan, packed["low"] + packed["scale"] * (steps + 32767.0))
 
 
 def parameter(median: float, share: float | None, unit: str = "1") -> dict:
