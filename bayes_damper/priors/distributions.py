@@ -171,11 +171,6 @@ def median(distribution: Distribution) -> float:
     return float(distribution.ppf(0.5))
 
 
-def sample(distribution: Distribution, rng: np.random.Generator, size: int | tuple[int, ...]) -> Array:
-    """Independent draws of shape `size`."""
-    return distribution.ppf(rng.random(size))
-
-
 # Standard coordinates: z = Phi^-1(F(x)), in which every prior is a unit Gaussian.
 
 _FARTHEST = 37.0  # standard deviations beyond which a standard coordinate is not followed

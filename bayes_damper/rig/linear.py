@@ -83,11 +83,6 @@ def natural_frequency_of_period(period: ArrayLike, zeta: ArrayLike) -> Array:
     return _array(1.0 / (_array(period) * np.sqrt(1.0 - _array(zeta) ** 2)))
 
 
-def standard_error(standard_deviation: ArrayLike, n: ArrayLike) -> Array:
-    """Standard error of the mean of `n` samples (eq. 13, p. 13)."""
-    return _array(_array(standard_deviation) / np.sqrt(_array(n)))
-
-
 def percent_difference(predicted: ArrayLike, measured: ArrayLike, relative_to: str = "measured") -> Array:
     """Difference in percent of the measurement (eq. 14, p. 14), or of the prediction as Tables 4 and 5 have it."""
     p, m = _array(predicted), _array(measured)

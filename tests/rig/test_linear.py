@@ -182,7 +182,6 @@ def test_elementary_formulas():
     assert linear.damping_ratio(linear.damping_coefficient(0.031, 10.2, J1), 10.2, J1) == pytest.approx(0.031)
     assert 1e3 * linear.potential_energy(10.2, np.deg2rad(4.7)) == pytest.approx(34.3, abs=0.05)  # Table 2, p. 11
     assert linear.acceleration_bound(10.2, np.deg2rad(4.7), J1) == pytest.approx(277.5, abs=0.05)  # Table 5, p. 16
-    assert linear.standard_error(3.0, 9) == pytest.approx(1.0)
     assert linear.percent_difference(7.19, 6.76, "predicted") == pytest.approx(5.98, abs=0.005)  # Table 4, p. 14
     assert linear.percent_difference(7.19, 6.76) == pytest.approx(6.36, abs=0.005)
     assert linear.transmissibility(np.sqrt(2.0), [0.01, 0.5]) == pytest.approx([1.0, 1.0])
