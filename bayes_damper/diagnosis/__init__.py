@@ -3,7 +3,7 @@
     from bayes_damper.diagnosis import diagnose
     diagnosis = diagnose(load_campaign(folder))
     diagnosis.verdict, diagnosis.answers.probabilities
-    diagnosis.write(out)
+    diagnosis.to_json()
 
 search.py screens and fits the effects, remainder.py tests what they leave, verdict.py turns both into probabilities,
 judgement.py turns both into answers, pipeline.py runs them in order; result.py holds what comes out.

@@ -13,7 +13,6 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any, Literal, cast
 
 import numpy as np
@@ -42,7 +41,6 @@ from bayes_damper.runs.contents.diagnosis import (
     GapEntry,
     ProposalEntry,
 )
-from bayes_damper.runs.json_files import write_json
 from bayes_damper.sampling.arviz_adapter import hdi
 from bayes_damper.sampling.moves import StudentT
 from bayes_damper.simulation.model import Model
@@ -229,12 +227,6 @@ class PublishedDiagnosis:
             "seed": self.seed,
             "seconds": self.seconds,
         }
-
-    def write(self, folder: str | Path) -> Path:
-        """Write diagnosis.json into the folder (made if absent); returns its path."""
-        path = Path(folder) / "diagnosis.json"
-        write_json(path, self.to_json())
-        return path
 
     def _formula(self, result: Result) -> FormulaEntry:
         return {

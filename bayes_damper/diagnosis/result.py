@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Literal
 
 from bayes_damper.calibration import Calibration, Experiment
@@ -20,12 +19,12 @@ from bayes_damper.diagnosis.search import Candidate
 from bayes_damper.diagnosis.sensitivity import Choice
 from bayes_damper.diagnosis.sets import SetProblem
 from bayes_damper.diagnosis.shares import Closed
-from bayes_damper.diagnosis.sites import SiteMap, write_missing_torque
+from bayes_damper.diagnosis.sites import SiteMap
 from bayes_damper.diagnosis.verdict import Answers
 from bayes_damper.diagnosis.where import Where
 from bayes_damper.rig.parameters import OF_EFFECT, unit_of
 from bayes_damper.runs.contents.diagnosis import DiagnosisFile, EffectEntry, Estimate, ShiftEntry
-from bayes_damper.runs.json_files import plain, write_json
+from bayes_damper.runs.json_files import plain
 
 SCHEMA = "bayes-damper/diagnosis/1"
 
@@ -155,16 +154,6 @@ class Diagnosis:
             out["budget"]["unexplained"]["law"] = self.law.file
         out["law"] = None if self.law is None else self.law.to_json()
         return plain(out | {"seed": self.seed})  # type: ignore[no-any-return]
-
-    def write(self, folder: str | Path) -> Path:
-        """Write diagnosis.json and missing_torque.csv into the folder (made if absent); returns the former's path."""
-        home = Path(folder)
-        path = home / "diagnosis.json"
-        write_json(path, self.to_json())
-        write_missing_torque(home / "missing_torque.csv", self.site_map)
-        if self.law is not None:
-            self.law.write(home)
-        return path
 
     def _row(self, name: str) -> EffectEntry:
         rows = [c for c in self.candidates if c.effect.name == name]

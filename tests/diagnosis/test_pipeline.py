@@ -48,12 +48,14 @@ from bayes_damper.diagnosis.search import (
     screen_variant,
 )
 from bayes_damper.diagnosis.sensitivity import Quadratic, sensitivity
+from bayes_damper.diagnosis.sites import write_missing_torque
 from bayes_damper.diagnosis.verdict import RULE, Answers, Left, family_evidence, left_of, weigh
 from bayes_damper.effects import EFFECTS
 from bayes_damper.effects.base import SITES, Variant
 from bayes_damper.errors import InputError
 from bayes_damper.figures import gap_figure
 from bayes_damper.priors.distributions import from_standard
+from bayes_damper.runs.json_files import write_json
 from bayes_damper.simulation import specialised
 from bayes_damper.simulation.model import Model
 from bayes_damper.text import named_answers
@@ -87,11 +89,18 @@ def with_effect(effect: str, variant: str, values: dict[str, float], seed: int =
     return Experiment({n: (v, 0.0) for n, v in RIG.items()}, ((6.2, 0.0), (10.2, 0.0)), tuple(trials))
 
 
+def written(found, folder):
+    """The diagnosis as its file holds it, in the folder."""
+    path = folder / "diagnosis.json"
+    write_json(path, found.to_json())
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
 @pytest.fixture(scope="module")
 def named(tmp_path_factory):
     found = diagnose(with_effect("quadratic_drag", "alike", {"coefficient": 0.8}), effects=FEW)
     folder = tmp_path_factory.mktemp("diagnosis")
-    return found, json.loads(found.write(folder).read_text()), folder
+    return found, written(found, folder), folder
 
 
 def test_a_strong_effect_is_named_and_sized(named):
@@ -159,7 +168,7 @@ def test_the_gap_closes_on_trials_that_no_fit_has_seen(named):
 
 def test_the_file_holds_what_the_contract_says(named):
     """Fields, sums and schema of diagnosis.json; the missing torque beside it."""
-    _, table, folder = named
+    found, table, folder = named
     assert table["schema"] == "bayes-damper/diagnosis/1"
     assert sum(table["probabilities"].values()) == pytest.approx(1.0)
     assert sum(table["sites"].values()) == pytest.approx(1.0)
@@ -167,6 +176,7 @@ def test_the_file_holds_what_the_contract_says(named):
     assert set(table["gap"]) >= {"answer", "p_value", "size", "noise_rms", "nominal_rms", "augmented_rms", "closed"}
     assert set(table["where"]) >= {"time", "frequency", "channel", "case", "phase_space"}
     assert {"name", "variant", "site", "probability", "log_evidence", "parameters"} <= set(table["effects"][0])
+    write_missing_torque(folder / "missing_torque.csv", found.site_map)
     assert (folder / "missing_torque.csv").stat().st_size > 0
 
 
@@ -216,8 +226,8 @@ def test_an_effect_outside_the_candidates_is_unknown_and_its_law_is_learnt(tmp_p
     others = {name: EFFECTS[name] for name in ("sensor_gain", "inertia_error", "sensor_delay")}
     found = diagnose(with_effect("quadratic_drag", "alike", {"coefficient": 0.8}), effects=others)
     assert found.verdict == "unknown"
-    found.write(tmp_path)
-    table = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
+    table = written(found, tmp_path)
+    found.law.write(tmp_path)
     assert table["law"]["closes"]["hdi90"][0] > 0.8
     assert table["budget"]["unexplained"]["law"] == table["law"]["file"] == f"learnt/{table['law']['site']}.toml"
     assert (tmp_path / table["law"]["file"]).exists()
