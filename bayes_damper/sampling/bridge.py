@@ -1,4 +1,4 @@
-"""Evidence of a model from the draws of its posterior: bridge sampling, a Laplace figure, and nautilus as a check.
+"""Evidence of a model from the draws of its posterior, by bridge sampling.
 
 All in natural logarithms (nats). The log density must be that of the normalised prior times the normalised likelihood.
 """
@@ -50,7 +50,7 @@ class Evidence:
             "count."
         )
         if not self.trusted:
-            sentence += " Distrust it: the posterior is unlike any Student t; check with `nested`."
+            sentence += " Distrust it: the posterior is unlike any Student t."
         return sentence
 
 
@@ -85,23 +85,6 @@ def bridge(
     health = min(p[2] for p in parts)
     spread = abs(parts[0][0] - parts[1][0])
     return Evidence(log_z, error, health, spread, 2 * (proposals // 2))
-
-
-def nested(
-    log_likelihood: LogDensity, transform: Callable[[Array], Array], ndim: int, seed: int, *, live: int = 1000
-) -> tuple[float, float]:
-    """Log evidence and its error by nautilus, exploration discarded; slow, independent of any chain.
-
-    transform : unit cube (n, ndim) -> points (n, ndim) distributed as the prior.
-    """
-    try:
-        import nautilus
-    except ImportError:
-        raise InputError("The check by nested sampling needs nautilus: pip install 'bayes-damper[check]'.") from None
-
-    sampler = nautilus.Sampler(transform, log_likelihood, n_dim=ndim, n_live=live, vectorized=True, seed=seed)
-    sampler.run(discard_exploration=True, verbose=False)
-    return float(sampler.log_z), float(1.0 / np.sqrt(sampler.n_eff))
 
 
 class _Unfolding:

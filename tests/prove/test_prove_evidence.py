@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 import parts
 import pytest
+from nested import nested
 from scipy.special import ndtri
 from small_rig import RIG, measured
 
 from bayes_damper.calibration import Noise, Problem, Switches, calibrate
 from bayes_damper.calibration.posterior import RecordPosterior
 from bayes_damper.sampling import resampled_start, sample
-from bayes_damper.sampling.bridge import bridge, nested
+from bayes_damper.sampling.bridge import bridge
 
 SEEDS = 8
 LIVE = 500
