@@ -36,11 +36,6 @@ class Optimum:
     performance: Performance
     at_bound: tuple[str, ...]
 
-    @property
-    def expected(self) -> float:
-        """Mean insertion loss, dB."""
-        return float(np.nanmean(self.performance.insertion_loss))
-
 
 def usual_bounds(draws: Draws, names: Sequence[str] = FREE) -> dict[str, tuple[float, float]]:
     """Where the best design is sought if nothing else is said: `BOUNDS` times the rig's present medians, if not 0.

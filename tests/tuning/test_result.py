@@ -218,6 +218,11 @@ def test_an_amplitude_of_zero_is_refused():
 # The best design --------------------------------------------------------------------------------------------------
 
 
+def expected(optimum):
+    """Mean insertion loss, dB."""
+    return float(np.nanmean(optimum.performance.insertion_loss))
+
+
 def test_the_best_design_beats_every_design_of_a_grid():
     draws = tuning.complete(spread(40))
     bounds = {"J2": (0.5e-3, 4e-3), "k2t": (0.3, 6.0)}
@@ -225,7 +230,7 @@ def test_the_best_design_beats_every_design_of_a_grid():
     for j2 in np.geomspace(*bounds["J2"], 9):
         for k2t in np.geomspace(*bounds["k2t"], 9):
             loss = tuning.linear_performance(draws, Design(J2=j2, k2t=k2t)).insertion_loss
-            assert np.nanmean(loss) <= best.expected + 0.02
+            assert np.nanmean(loss) <= expected(best) + 0.02
     assert best.design.J2 is not None
     assert bounds["J2"][0] * 0.999 <= best.design.J2 <= bounds["J2"][1] * 1.001
 
@@ -237,7 +242,7 @@ def test_the_radius_is_changed_only_where_the_magnet_does_not_reach():
     assert wide.design.R is None
     assert reach.design.k2t == pytest.approx(2.0)
     assert pytest.approx(0.1 * np.sqrt(wide.design.k2t / 2.0), rel=0.05) == reach.design.R
-    assert reach.expected == pytest.approx(wide.expected, abs=0.02)
+    assert expected(reach) == pytest.approx(expected(wide), abs=0.02)
 
 
 @pytest.mark.parametrize("mass_ratio", [0.02, 0.1])
@@ -305,7 +310,7 @@ def test_where_the_linear_model_is_exact_its_best_design_stands():
     assert found.better == {}
     assert "another design" not in found.text()
     at = re.search(r"at 0.05 N m: insertion loss (\d+\.\d) dB .*; the rig as it is: 17.9 dB", found.text())
-    assert float(at[1]) == pytest.approx(found.optimum.expected, abs=0.1)
+    assert float(at[1]) == pytest.approx(expected(found.optimum), abs=0.1)
 
 
 def test_the_motion_stands_beside_each_force_with_a_warning_beyond_the_records(tmp_path):
@@ -430,8 +435,8 @@ def test_bands_of_the_frequency_response_are_ordered(result):
 
 def test_the_best_design_is_better_than_the_given_one(result):
     found, stored = result
-    assert found.optimum.expected > np.nanmean(found.linear.insertion_loss)
-    assert stored["optimum"]["linear"]["insertion_loss_db"]["mean"] == pytest.approx(found.optimum.expected)
+    assert expected(found.optimum) > np.nanmean(found.linear.insertion_loss)
+    assert stored["optimum"]["linear"]["insertion_loss_db"]["mean"] == pytest.approx(expected(found.optimum))
 
 
 def test_the_text_names_the_answer(result):
