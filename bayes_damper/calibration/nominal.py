@@ -479,7 +479,6 @@ def calibrate_nominal(
     experiment: Experiment,
     *,
     nominal: Literal["nonlinear", "linear"] = "nonlinear",
-    threads: int = 1,
     switches: Switches | None = None,
     begin: Calibration | None = None,
     report: Callable[[str], None] = lambda _: None,
@@ -490,12 +489,12 @@ def calibrate_nominal(
 
     begin : a fit to the same trials but for some readings, near which the search begins.
     """
-    exact = _with_exact_inputs(experiment, nominal, threads, switches, begin, report)
+    exact = _with_exact_inputs(experiment, nominal, switches, begin, report)
     noisy = with_input_noise(exact)
     if noisy is None:
         return exact
     noise, chosen = exact.problem.noise.of_sensors, exact.problem.switches
-    problem = Problem(noisy, nominal=nominal, noise=noise, switches=chosen, threads=threads)
+    problem = Problem(noisy, nominal=nominal, noise=noise, switches=chosen)
     fit = calibrate(problem, [exact.q], eta=carried(exact, problem), anneal=False)
     if felt(fit) < FELT:
         return exact
@@ -540,15 +539,13 @@ def _again(experiment: Experiment, begin: Calibration) -> Calibration:
     return _releases(calibrate(problem, [begin.q], eta=begin.eta, anneal=False))
 
 
-def _shaped(
-    experiment: Experiment, nominal: Literal["nonlinear", "linear"], threads: int, switches: Switches | None
-) -> Calibration:
+def _shaped(experiment: Experiment, nominal: Literal["nonlinear", "linear"], switches: Switches | None) -> Calibration:
     """The best fit from many starts under the first noise that is learnt, with the nuisances that the trials ask for.
 
     switches : the nuisances instead.
     """
     first = (broad_noise if lone(experiment, experiment.training) else rough_noise)(experiment, experiment.training)
-    problem = Problem(experiment, nominal=nominal, noise=first, threads=threads, switches=switches or Switches())
+    problem = Problem(experiment, nominal=nominal, noise=first, switches=switches or Switches())
     fit, long = _begun(problem)
     chosen = switches or Switches(friction=False, scatter=learn_scatter(fit))
     if switches is None:
@@ -560,7 +557,7 @@ def _shaped(
             if not vary:
                 break
         chosen = replace(chosen, delay=vary, scatter=with_releases(problem, chosen.scatter))
-    problem = Problem(experiment, nominal=nominal, noise=learn_noise(fit), switches=chosen, threads=threads)
+    problem = Problem(experiment, nominal=nominal, noise=learn_noise(fit), switches=chosen)
     starts = [fit.q, *default_starts(problem)]
     if len(problem.trials) <= FEW_TRIALS and not long:
         starts += drawn_starts(problem)
@@ -570,14 +567,13 @@ def _shaped(
 def _with_exact_inputs(
     experiment: Experiment,
     nominal: Literal["nonlinear", "linear"],
-    threads: int,
     switches: Switches | None,
     begin: Calibration | None,
     report: Callable[[str], None],
 ) -> Calibration:
     """The nominal model fitted with inputs as they were recorded."""
     alone = lone(experiment, experiment.training)
-    fit = _shaped(experiment, nominal, threads, switches) if begin is None else _again(experiment, begin)
+    fit = _shaped(experiment, nominal, switches) if begin is None else _again(experiment, begin)
     noise = learn_noise(fit)
     left = ", ".join(f"{s:.3g}" for s in noise.total)
     report(f"nominal model fitted; residual (sd of each channel, SI units): {left}")

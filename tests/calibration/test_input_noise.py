@@ -69,7 +69,7 @@ def driven(seed, coupled=False, error=0.004, shown=None, trials=1):
 @cache
 def exact_fit(coupled=False):
     experiment = driven(3, coupled)
-    return _with_exact_inputs(experiment, "linear", 1, None, None, lambda _: None)
+    return _with_exact_inputs(experiment, "linear", None, None, lambda _: None)
 
 
 @pytest.mark.parametrize("coupled", [False, True])
@@ -105,7 +105,7 @@ def test_a_rig_is_known_as_well_as_noise_of_its_input_lets_it_be():
         left.append((unseen.chi2 + unseen.eta @ unseen.eta) / unseen.n_data)
         assert fit.problem.noise.total[0] == pytest.approx(NOISE, rel=0.1)
         if seed < 2:
-            rough = _with_exact_inputs(experiment, "linear", 1, Switches(), None, lambda _: None)
+            rough = _with_exact_inputs(experiment, "linear", Switches(), None, lambda _: None)
             before.append(rough.problem.noise.total[0] / NOISE)
     assert 0.6 < math.sqrt(np.mean(np.square(z))) < 1.5
     assert np.mean(left) == pytest.approx(1.0, abs=0.08)
