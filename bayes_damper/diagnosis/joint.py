@@ -82,14 +82,12 @@ class Joint:
         if k1t or theta0 has no prior, a number is missing, or they come from different numbers of trials.
     """
 
-    def __init__(
-        self, data: Mapping[str, Sequence[Datum]], priors: PriorSet, formula: Formula, normal_force: str = "linear"
-    ) -> None:
+    def __init__(self, data: Mapping[str, Sequence[Datum]], priors: PriorSet, formula: Formula) -> None:
         self.formula = formula
         own = {case: priors.for_case(case) for case in data}
         self.cases = {
             case: CaseFeatures(
-                case, rows, own[case], normal_force, formula.variant, TOLERANCE, blurred=formula.blurred,
+                case, rows, own[case], law=formula.variant, tolerance=TOLERANCE, blurred=formula.blurred,
                 pilot=formula.variant is not None,
             )
             for case, rows in data.items()

@@ -169,7 +169,6 @@ class PublishedDiagnosis:
     beside their prediction, by answer ("none" and the leading ones).
     """
 
-    campaign: str
     nominal_kind: str
     data: Data
     results: tuple[Result, ...]
@@ -203,7 +202,7 @@ class PublishedDiagnosis:
         effects = [name for name in self.evidence if name != "unknown"]
         return {
             "schema": SCHEMA,
-            "campaign": self.campaign,
+            "campaign": "thesis",
             "nominal": self.nominal_kind,
             "verdict": self.verdict,
             "credible_set": self.answers.credible_set(),
@@ -294,10 +293,8 @@ def diagnose_published(
     data: Data,
     priors: PriorSet,
     *,
-    campaign: str = "thesis",
     nominal: Literal["nonlinear", "linear"] = "nonlinear",
     effects: Mapping[str, Effect] = EFFECTS,
-    normal_force: str = "linear",
     seed: int = 1,
     workers: int = 2,
     settings: Settings = Settings(),
@@ -316,7 +313,7 @@ def diagnose_published(
     if nominal == "linear":
         priors = priors.replace(mu=0.0, drag=0.0)
     everything = formulas(nominal, effects)
-    joints = [Joint(data, priors, f, normal_force) for f in everything]
+    joints = [Joint(data, priors, f) for f in everything]
     compile_ahead(
         (m for joint in joints for case in joint.cases.values() for m in case.posterior.models.values()), report=report
     )
@@ -365,9 +362,9 @@ def diagnose_published(
     p_value = _gap_p(results[0].runs[0], rng)
     gap = _gap(rows["none"], rows[leading[0]] if leading else rows["none"], p_value, answers)
     shown = [n for n in answers.ranked if n != "unknown"][:_LEADING]
-    proposals = further([best[n].runs for n in shown], [answers.probabilities[n] for n in shown], normal_force, rng)
+    proposals = further([best[n].runs for n in shown], [answers.probabilities[n] for n in shown], rng)
     return PublishedDiagnosis(
-        campaign, nominal, data, tuple(results), answers, spread, evidence, errors,
+        nominal, data, tuple(results), answers, spread, evidence, errors,
         _sites(answers, results, evidence), rows, p_value, gap, _indistinct(evidence), tuple(proposals[:5]),
         tuple(_notes(answers, results, data, cannot_rank(evidence, errors))), (base, base_error), seed,
         time.perf_counter() - began,
@@ -647,7 +644,6 @@ KINDS = ("record of the primary", "records of both bodies")
 def further(
     answers: Sequence[Sequence[Weighed]],
     probabilities: Sequence[float],
-    normal_force: str,
     rng: np.random.Generator,
     draws: int = 160,
 ) -> list[Measurement]:
@@ -680,7 +676,7 @@ def further(
                 records = []
                 for (j, x), k1t in zip(taken, own, strict=True):
                     theta0 = angle * (1.0 + 0.02 * rng.standard_normal(len(x)))
-                    records.append(_record(j, x, k1t, theta0, configuration, normal_force, times))
+                    records.append(_record(j, x, k1t, theta0, configuration, times))
                 kinds = {KINDS[0]: [r[:, 0] for r in records]}
                 if configuration == "coupled":
                     kinds[KINDS[1]] = [r.reshape(len(r), -1) for r in records]
@@ -690,13 +686,11 @@ def further(
     return sorted(out, key=lambda m: (-round(m.information, 3), -m.margin))
 
 
-def _record(
-    joint: Joint, points: Array, k1t: Array, theta0: Array, configuration: str, normal_force: str, times: Array
-) -> Array:
+def _record(joint: Joint, points: Array, k1t: Array, theta0: Array, configuration: str, times: Array) -> Array:
     """Readings (n, channels, times) at points of a posterior, over the noise; without those that failed."""
     values = {n: x for n, x in joint.coordinates.values(points).items() if n not in ("t_min", "blur")}
     effect = {n.removeprefix(OF_EFFECT): values.pop(n) for n in list(values) if n.startswith(OF_EFFECT)}
-    model = Model(configuration == "coupled", normal_force, effect=joint.formula.variant)  # type: ignore[arg-type]
+    model = Model(configuration == "coupled", effect=joint.formula.variant)
     y = model.simulate(values | {"k1t": k1t, "theta0": theta0}, times, effect=effect).y / _NOISE
     return np.asarray(y[np.isfinite(y).all(axis=(1, 2))])
 
