@@ -32,6 +32,7 @@ OF_EXCESS = 1e-4  # the same, of what is left beyond noise: the last nats of a m
 NEAR_END = 0.1  # of the way to where a value's prior ends that a step along the values leaves
 HOPELESS, HURRY = 60.0, 6.0  # cost above a target, and in how many such steps it must be reachable, to go on
 FAR_BEHIND = 600.0  # cost above a target from which forward differences are good enough for the evidence
+DRAWN, STARTS = 512, 6  # draws from the prior, and the best of them from which descents begin
 SAME_COST, SAME_PLACE = 1.0, 0.05  # difference of costs, and of each coordinate, of two descents in one valley
 
 
@@ -173,16 +174,16 @@ def default_starts(problem: Problem) -> list[Array]:
     return out
 
 
-def drawn_starts(problem: Problem, count: int = 6, draws: int = 512) -> list[Array]:
-    """The best `count` of so many draws from the prior, always the same ones, each (size,).
+def drawn_starts(problem: Problem) -> list[Array]:
+    """The best `STARTS` of `DRAWN` draws from the prior, always the same ones, each (size,).
 
     For costs of many valleys, as few trials have whose errors are correlated: there the valley that leads down from
     the prior medians was not the deepest one for some of a hundred campaigns.
     """
-    q = np.random.default_rng(0).standard_normal((draws, problem.size))
-    own = {i: np.tile(v, (draws, 1)) for i, v in problem.no_nuisance().items()}
+    q = np.random.default_rng(0).standard_normal((DRAWN, problem.size))
+    own = {i: np.tile(v, (DRAWN, 1)) for i, v in problem.no_nuisance().items()}
     order = np.argsort(problem.costs(q, own, annealed=True), kind="stable")
-    return [q[i] for i in order[:count]]
+    return [q[i] for i in order[:STARTS]]
 
 
 def summarise(

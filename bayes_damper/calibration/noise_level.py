@@ -76,7 +76,7 @@ def noise_alone(noise: Noise, readings: int) -> bool:
     return all(x < _white_enough(readings, CHANCE) * s for x, s in zip(noise.total, sensor, strict=True))
 
 
-def learn_noise(fit: Calibration, colour: bool = True) -> Noise:
+def learn_noise(fit: Calibration) -> Noise:
     """Noise of each channel from what the repeats do not share; without repeats, from the residuals.
 
     What the repeats share is the model's fault, not noise: it drops out of the differences. Colour is only claimed
@@ -86,7 +86,7 @@ def learn_noise(fit: Calibration, colour: bool = True) -> Noise:
 
     A channel that errs by its rounding alone has at least the noise of that, as far as repeats share it.
     """
-    noise = _unshared_noise(fit, colour)
+    noise = _unshared_noise(fit)
     least = _rounding_floors(fit)
     noise = _not_below(noise, least)
     problem = fit.problem
@@ -133,7 +133,7 @@ def _not_below(noise: Noise, least: Sequence[float]) -> Noise:
     return Noise(tuple(innovation), tuple(phi), tuple(theta))
 
 
-def _unshared_noise(fit: Calibration, colour: bool) -> Noise:
+def _unshared_noise(fit: Calibration) -> Noise:
     problem = fit.problem
     e = problem.experiment
     residuals = fit.residuals()
@@ -170,9 +170,7 @@ def _unshared_noise(fit: Calibration, colour: bool) -> Noise:
                     power = np.abs(np.fft.rfft(np.where(keep, d, 0.0))) ** 2 / max(np.count_nonzero(keep), 1)
                     lone.setdefault(d.size, []).append(power[power.size // 3 :])
         if spectra and sum(len(v) for v in spectra.values()) > 1:
-            a, p, theta = _fit_spectrum(
-                spectra, counts, colour and all(_steady(e.trials[i].times) for i in problem.trials)
-            )
+            a, p, theta = _fit_spectrum(spectra, counts, all(_steady(e.trials[i].times) for i in problem.trials))
         elif lone:
             values = np.concatenate([x for v in lone.values() for x in v])
             a, p, theta = math.sqrt(float(np.mean(np.minimum(values, 12.0 * np.median(values))))), 0.0, 0.0

@@ -112,7 +112,6 @@ def measure_gap(
     nominal: Calibration,
     winner: Calibration | None = None,
     *,
-    size: float = SIZE,
     rng: np.random.Generator | None = None,
     chosen_from: int = 1,
 ) -> Gap:
@@ -128,7 +127,7 @@ def measure_gap(
         rms = _rms(nominal.residuals(), nominal.problem, nominal.problem.trials)
         floor = _floor_rms(nominal.problem, nominal.problem.trials)
         return Gap(
-            "cannot tell", 1.0, size, floor, rms, None, None, math.inf,
+            "cannot tell", 1.0, SIZE, floor, rms, None, None, math.inf,
             "no trial is held out: every case has a single trial; repeat at least one",
         )  # fmt: skip
     before = predict(nominal, heldout)
@@ -144,7 +143,7 @@ def measure_gap(
     if winner is not None and after is not None:
         closed = products(nominal, heldout, [_both(nominal, before), _both(winner, after)], rng).closed(1)
     answer: Literal["none", "gap", "cannot tell"]
-    if p_value < size:
+    if p_value < SIZE:
         answer, why = "gap", f"held-out residuals follow what the training trials predict ({words_of_p(p_value)})"
     elif upper < NEGLIGIBLE:
         answer, why = "none", f"no gap shows; one larger than {upper:.2f} times the sensor noise is excluded"
@@ -153,7 +152,7 @@ def measure_gap(
             "cannot tell",
             f"no gap shows, but one as large as {two_digits(upper)} times the sensor noise could hide: add trials",
         )
-    return Gap(answer, p_value, size, _floor_rms(nominal.problem, heldout), nominal_rms, augmented, closed, upper, why)
+    return Gap(answer, p_value, SIZE, _floor_rms(nominal.problem, heldout), nominal_rms, augmented, closed, upper, why)
 
 
 def closing(
@@ -491,9 +490,7 @@ class Extrapolation:
         }  # fmt: skip
 
 
-def left_out_case(
-    nominal: Calibration, winner: Calibration, case: str, rng: np.random.Generator | None = None
-) -> Extrapolation:
+def left_out_case(nominal: Calibration, winner: Calibration, case: str) -> Extrapolation:
     """Both models refitted without one case, which they then predict.
 
     Raises
@@ -522,7 +519,7 @@ def left_out_case(
         )  # fmt: skip
         predictions.append(predict(widened, out))
     before, after = predictions
-    closed = products(nominal, out, [({}, {i: p.residual for i, p in side.items()}) for side in predictions], rng)
+    closed = products(nominal, out, [({}, {i: p.residual for i, p in side.items()}) for side in predictions])
     return Extrapolation(
         case, _rms({i: before[i].residual for i in out}, nominal.problem, out),
         _rms({i: after[i].residual for i in out}, nominal.problem, out), _floor_rms(nominal.problem, out),

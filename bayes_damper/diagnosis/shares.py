@@ -220,9 +220,9 @@ def _taken_up(group: Group, k: int, sds: Array) -> Array:
     return np.asarray(np.sum(U[:, :, :-1] * followed[:, :, 1:], axis=0))
 
 
-def shortest_interval(draws: Array, share: float = 0.9) -> tuple[float, float]:
-    """The shortest interval that holds `share` of sorted draws."""
-    inside = max(1, math.ceil(share * draws.size) - 1)
+def shortest_interval(draws: Array) -> tuple[float, float]:
+    """The shortest interval that holds 90 % of sorted draws."""
+    inside = max(1, math.ceil(0.9 * draws.size) - 1)
     widths = draws[inside:] - draws[: draws.size - inside]
     k = int(np.argmin(widths))
     return float(draws[k]), float(draws[k + inside])

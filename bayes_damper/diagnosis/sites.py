@@ -41,6 +41,7 @@ Array = NDArray[np.float64]
 
 STRENGTHS = np.geomspace(1.0, 3e4, 19)  # of a column's response, in noise standard deviations
 MOST_SHAPES = 6  # in a sparse hypothesis
+SHAPES_AT_ONCE = 64  # responses to them that are held at a time
 USABLE = 1e-3  # a column of which parameters leave less than this share of its length is not used
 PRIOR_NONE = 0.4
 CONFIGURATIONS = {False: "uncoupled", True: "coupled"}
@@ -320,8 +321,8 @@ def _noted(shapes: Iterable[Shape], notes: list[tuple[str, str, bool]]) -> Itera
         yield shape
 
 
-def _columns(fit: Calibration, motion: Motion, shapes: Iterable[Shape], most: int = 64) -> Array:
-    """Whitened responses (trials, k, data) to the shapes, of which so many are held at a time."""
+def _columns(fit: Calibration, motion: Motion, shapes: Iterable[Shape]) -> Array:
+    """Whitened responses (trials, k, data) to the shapes, of which `SHAPES_AT_ONCE` are held at a time."""
     zero, still = np.zeros_like(motion.th1), np.zeros((motion.th1.shape[0], 4))
     parts: list[tuple[list[int], Array]] = []
     count = 0
@@ -334,7 +335,7 @@ def _columns(fit: Calibration, motion: Motion, shapes: Iterable[Shape], most: in
                 yield count - 1, shape
 
     for of_sensor, alike in groupby(numbered(), key=lambda s: s[1].reading is not None):
-        while chunk := list(islice(alike, most)):
+        while chunk := list(islice(alike, SHAPES_AT_ONCE)):
             if of_sensor:
                 y = np.stack([s.reading for _, s in chunk if s.reading is not None], axis=1)
             else:

@@ -31,6 +31,7 @@ NOISE_SPREAD = 0.01  # relative uncertainty of the noise variance
 MOST_ENTRIES = 12
 AT_ONCE = 2_000_000  # changed readings that responses to short torques are held of at a time
 EVENT_WIDTHS = (0.004, 0.012, 0.03)  # s
+EVENT = 8.0  # nats that a short torque gains at least
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,18 +119,18 @@ class Where:
         }
 
 
-def locate(fit: Calibration, *, size: float = SIZE, events: bool = True) -> Where:
+def locate(fit: Calibration, *, events: bool = True) -> Where:
     """Where a fit's residuals exceed the noise; about 1 s a campaign, most of it for events."""
     fit = in_slices(fit)
     sets = repeats_of(fit)
     moved = motions(fit)
     event = find_event(fit, moved) if events else None
     return Where(
-        tuple(_kept(list(_in_time(sets)), size)),
-        tuple(_kept(list(_in_frequency(sets)), size)),
+        tuple(_kept(list(_in_time(sets)))),
+        tuple(_kept(list(_in_frequency(sets)))),
         tuple(_adjusted(list(_in_channels(sets)))),
         tuple(_adjusted(list(_in_cases(sets)))),
-        tuple(_kept(list(_in_phase_space(sets, moved)), size)),
+        tuple(_kept(list(_in_phase_space(sets, moved)))),
         event,
     )
 
@@ -169,12 +170,12 @@ def _adjusted(entries: Sequence[Entry]) -> list[Entry]:
     return [Entry(e.place, float(p)) for e, p in zip(entries, adjusted, strict=True)]
 
 
-def _kept(entries: Sequence[Entry], size: float) -> list[Entry]:
-    """Entries below `size` after Holm, the strongest first, none that overlaps a stronger one of the same record."""
+def _kept(entries: Sequence[Entry]) -> list[Entry]:
+    """Entries below `SIZE` after Holm, the strongest first, none that overlaps a stronger one of the same record."""
     pairs = sorted(zip(_adjusted(entries), entries, strict=True), key=lambda pair: (pair[0].p_value, pair[1].p_value))
     out: list[Entry] = []
     for entry, _ in pairs:
-        if entry.p_value >= size or len(out) >= MOST_ENTRIES:
+        if entry.p_value >= SIZE or len(out) >= MOST_ENTRIES:
             break
         if not any(_overlap(entry.place, other.place) for other in out):
             out.append(entry)
@@ -338,8 +339,8 @@ def _in_phase_space(sets: Sequence[Repeats], moved: Sequence[Motion]) -> Iterato
 # Events ---------------------------------------------------------------------------------------------------------------
 
 
-def find_event(fit: Calibration, moved: Sequence[Motion] | None = None, threshold: float = 8.0) -> Event | None:
-    """The strongest short torque at one instant of all trials, None if its gain stays below `threshold` nats.
+def find_event(fit: Calibration, moved: Sequence[Motion] | None = None) -> Event | None:
+    """The strongest short torque at one instant of all trials, None if its gain stays below `EVENT` nats.
 
     Half-sines of several widths are tried on the primary, the secondary and between the bodies, first on a coarse
     raster of instants, then ever closer; the number of places tried is paid for.
@@ -358,7 +359,7 @@ def find_event(fit: Calibration, moved: Sequence[Motion] | None = None, threshol
         if best is None or gain[k] > best[0]:
             best = (float(gain[k]), float(coarse[k]), width, site, float(size[k]), float(sd[k]))
     assert best is not None
-    if best[0] < 0.3 * threshold:
+    if best[0] < 0.3 * EVENT:
         return None
     reach = 0.5 * width
     for _ in range(4):
@@ -373,7 +374,7 @@ def find_event(fit: Calibration, moved: Sequence[Motion] | None = None, threshol
         reach *= 0.4
     gain_found, instant, width, site, impulse, impulse_sd = best
     paid = gain_found - math.log(max(looks, 1.0))
-    if paid < threshold:
+    if paid < EVENT:
         return None
     share = min(1.0, paid / max(0.5 * fit.excess, paid, 1.0))
     return Event(instant, instant - 0.5 * width, instant + 0.5 * width, site, impulse, impulse_sd, paid, share)

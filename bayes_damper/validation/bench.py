@@ -425,8 +425,9 @@ def _scaling() -> dict[str, list[tuple[float, float]]]:
     return curves
 
 
-def _emcee_overhead(walkers: int = 64, ndim: int = 6, steps: int = 400) -> float:
+def _emcee_overhead() -> float:
     """CPU time per walker and step of the default mix of moves on a target that costs next to nothing, us."""
+    walkers, ndim, steps = 64, 6, 400
     mix = [(DifferentialEvolution(spread=0.3), 0.7), (DifferentialEvolution(1.0, spread=1e-3), 0.1), (Snooker(), 0.2)]
 
     def target(points: Array) -> Array:
