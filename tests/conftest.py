@@ -21,6 +21,7 @@ HERE = Path(__file__).parent
 # Helpers of tests/, e.g. campaigns.py, and test modules that lend others their campaigns.
 LENDING = ("", "calibration", "diagnosis", "fit", "runs", "sampling", "validation/withheld")
 sys.path[:0] = [str(HERE / folder) for folder in LENDING]
+sys.path.append(str(HERE.parent))  # the programs of validation/
 
 # Files whose tests, quick or slow, take longest together: they come first, or one process would be left with such a
 # file when all others are done. `pytest --durations=60` shows what has grown.

@@ -26,8 +26,8 @@ from bayes_damper.effects import EFFECTS, load_effects
 from bayes_damper.priors.distributions import Uniform
 from bayes_damper.report.terms import _TERMS
 from bayes_damper.runs.json_files import read_json
-from bayes_damper.validation.withheld import page as proof_page
 from bayes_damper.validation.withheld import verify
+from validation.proofs import page as proof_page
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"

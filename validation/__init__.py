@@ -1,1 +1,4 @@
-"""What the package is held against: simulators that share no code with it. Not part of the wheel."""
+"""What the package is held against: simulators that share no code with it, and programs for the pages of proofs.
+
+Not part of the wheel.
+"""

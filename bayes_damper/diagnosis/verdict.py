@@ -35,7 +35,7 @@ FLOOR = 0.005  # probability that no answer falls below, shared among all
 
 @dataclass(frozen=True)
 class Rule:
-    """Constants of the rule, calibrated on simulated campaigns (withheld/constants.py).
+    """Constants of the rule, calibrated on simulated campaigns (validation/proofs/constants.py of the repository).
 
     strength, strength_width : nats left from which a remainder counts, logistic; share_home, share_away : share of the
     gap's evidence left, at the answer's own site or at another one, from which it is no matter of formulas, logistic in

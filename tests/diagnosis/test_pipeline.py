@@ -59,7 +59,7 @@ from bayes_damper.runs.json_files import write_json
 from bayes_damper.simulation import specialised
 from bayes_damper.simulation.model import Model
 from bayes_damper.text import named_answers
-from bayes_damper.validation.withheld.constants import replay
+from validation.proofs.constants import replay
 
 FEW = {name: EFFECTS[name] for name in ("quadratic_drag", "spring_cubic", "sensor_gain")}
 QUIET = Left(-3.0, 0.0)

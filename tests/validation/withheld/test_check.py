@@ -16,8 +16,9 @@ from bayes_damper.effects import all_effects
 from bayes_damper.errors import ExitCode, InputError, Interrupted, SelfCheckError
 from bayes_damper.inputs import shipped_path
 from bayes_damper.validation.withheld import archive as archives
-from bayes_damper.validation.withheld import baselines, check, page, scores, sealing, together, verify
+from bayes_damper.validation.withheld import baselines, check, scores, sealing, verify
 from bayes_damper.validation.withheld.baselines import forest_out_of_fold
+from validation.proofs import page, together
 
 GROUPS = [frozenset({"friction_displacement", "normal_force_law"})]
 ANSWERS = ("spring_cubic", "sensor_gain", "stick_slip", "none")

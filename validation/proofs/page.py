@@ -1,9 +1,9 @@
 """Tables of a proof, for its page.
 
-    python -m bayes_damper.validation.withheld.page EASY HARD
-    python -m bayes_damper.validation.withheld.page LABORATORIES
+    python -m validation.proofs.page EASY HARD
+    python -m validation.proofs.page LABORATORIES
 
-EASY, HARD: what `withheld.together` wrote of the two kinds. Printed are the tables of docs/proof/withheld.md, the
+EASY, HARD: what `together` wrote of the two kinds. Printed are the tables of docs/proof/withheld.md, the
 misses one by one, and the short table of counts; a test holds the page against them. LABORATORIES: the withheld.json of
 drawn laboratories, for docs/proof/laboratories.md.
 """

@@ -1,6 +1,6 @@
 """Several runs of the check scored as one.
 
-    python -m bayes_damper.validation.withheld.together OUT RUN KEY [RUN KEY ...]
+    python -m validation.proofs.together OUT RUN KEY [RUN KEY ...]
 
 RUN: the folder of a finished `bayes-damper withheld` run; KEY: the key of its campaigns. A large proof is made in parts
 this way, each sealed and opened on its own. All must be proofs by the same code: a rehearsal among them, or verdicts

@@ -10,7 +10,7 @@ import pytest
 
 from bayes_damper.diagnosis.verdict import RULE, Left, weigh
 from bayes_damper.errors import InputError
-from bayes_damper.validation.withheld.constants import Known, fit_constants, fit_rule, main, mean_log_score, read_run
+from validation.proofs.constants import Known, fit_constants, fit_rule, main, mean_log_score, read_run
 
 ENTRY = {
     "kind": "easy", "effects": ["quadratic_drag"], "truth": "quadratic_drag", "site": "bearings", "class": None,

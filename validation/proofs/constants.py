@@ -1,6 +1,6 @@
 """The constants of the diagnosis's rule, fitted to sealed verdicts whose key is open.
 
-    python -m bayes_damper.validation.withheld.constants RUN KEY [RUN KEY ...]
+    python -m validation.proofs.constants RUN KEY [RUN KEY ...]
 
 RUN: the folder of a `bayes-damper withheld` run (verdicts, and leave_one_out where it is there); KEY: the key of its
 campaigns. Every verdict holds what the rule made its probabilities from (`weighed` in diagnosis.json), so that other
