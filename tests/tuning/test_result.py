@@ -427,10 +427,19 @@ def test_tune_writes_what_it_returns(result):
     assert 0.0 <= stored["linear"]["probability_of_target"] <= 1.0
 
 
-def test_bands_of_the_frequency_response_are_ordered(result):
-    for band in result[0].response.values():
-        assert (band.low <= band.median).all()
-        assert (band.median <= band.high).all()
+def test_bands_of_the_frequency_response_are_quantiles_over_the_draws(result):
+    """Without a secondary in closed form: w^2 / (k1t - J1 w^2 + i c1t w)."""
+    assert set(result[0].response) == {
+        f"{how}, {design}"
+        for how in ("linear", "0.05 N m", "0.2 N m")
+        for design in ("uncoupled", "present", "design", "best design")
+    }
+    draws = tuning.complete(spread(60, mu=(0.009, 0.2)))
+    band = result[0].response["linear, uncoupled"]
+    w = 2.0 * np.pi * band.frequency_hz[:, None]
+    height = np.abs(w**2 / (draws["k1t"] - draws["J1"] * w**2 + 1j * draws["c1t"] * w))
+    for found, share in ((band.low, 0.05), (band.median, 0.5), (band.high, 0.95)):
+        np.testing.assert_allclose(found, np.quantile(height, share, axis=1), rtol=1e-9)
 
 
 def test_the_best_design_is_better_than_the_given_one(result):
