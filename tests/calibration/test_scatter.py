@@ -316,7 +316,9 @@ def test_stretches_of_one_decay_have_no_springs_of_their_own():
 def test_a_held_out_trial_has_values_of_its_own():
     experiment = laboratory(6, {"k1t": 0.005, "c1t": 0.1, "offset": 2.0}, repeats=4, coupled=True)
     fit = calibrate_nominal(experiment)
-    for found in predict(fit, experiment.heldout).values():
+    predicted = predict(fit, experiment.heldout)
+    assert predicted
+    for found in predicted.values():
         assert abs(found.chi2 - found.n_data) < 5.0 * math.sqrt(2.0 * found.n_data)
 
 

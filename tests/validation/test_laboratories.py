@@ -350,8 +350,10 @@ def test_records_are_the_model_with_noise_of_the_declared_size(made):
 
 def test_nothing_in_a_campaign_shows_its_cause(made):
     home, _, key = made
+    assert len(key["campaigns"]) == 8
     for name, entry in key["campaigns"].items():
         text = "".join(p.read_text() for p in (home / "set" / name).glob("*.*"))
+        assert "[rig]" in text
         assert not [n for n in kinds.KINDS if n in text]
         assert str(entry["order"]["seed"]) not in text
         assert "salt" not in text
