@@ -132,10 +132,7 @@ def grown(experiment: Experiment, problem: Problem, starts: Sequence[Array] = ()
     found: Calibration | None = None
     while window < span:
         cut = tuple(t.at(t.times <= t.times[0] + window) for t in experiment.trials)
-        part = Problem(
-            replace(experiment, trials=cut), problem.effect, nominal=problem.nominal, noise=problem.noise,
-            switches=problem.switches, threads=problem.threads, trials=problem.trials,
-        )  # fmt: skip
+        part = problem.changed(experiment=replace(experiment, trials=cut), tolerance=1.0, factors=None)
         eta = None if found is None else carried(found, part)
         found = calibrate(part, starts, eta=eta, most=GROWING_STEPS, finish=False, give_up=300.0)
         starts = [found.q]
@@ -359,10 +356,7 @@ def _begun(problem: Problem) -> tuple[Calibration, bool]:
     e = problem.experiment
     if "tail" in problem.names and e.levels.get("tail", "campaign") == "campaign" and "tail" not in e.case_priors:
         e = replace(e, priors=dict(e.priors) | {"tail": middle(problem.prior("tail", ""))})
-    few = Problem(
-        e, nominal=problem.nominal, noise=problem.noise, switches=problem.switches, threads=problem.threads,
-        trials=_one_of_each(problem),
-    )  # fmt: skip
+    few = problem.changed(experiment=e, effect=None, tolerance=1.0, trials=_one_of_each(problem), factors=None)
     long = grown(e, few)
     starts = [*default_starts(few), *drawn_starts(few)] if long is None else [long.q, *default_starts(few)]
     found = calibrate(few, starts, most=15, finish=False, give_up=300.0)
@@ -534,8 +528,7 @@ def _sharpened(fit: Calibration) -> Calibration:
 
 def _again(experiment: Experiment, begin: Calibration) -> Calibration:
     """A fit made again where some readings of its trials have changed."""
-    b = begin.problem
-    problem = Problem(experiment, nominal=b.nominal, noise=b.noise, switches=b.switches, threads=b.threads)
+    problem = begin.problem.changed(experiment=experiment, effect=None, tolerance=1.0, trials=None, factors=None)
     return _releases(calibrate(problem, [begin.q], eta=begin.eta, anneal=False))
 
 

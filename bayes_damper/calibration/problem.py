@@ -30,7 +30,8 @@ from bayes_damper.simulation.model import Model, delayed
 Array = NDArray[np.float64]
 READINGS_AT_ONCE = 1_000_000  # simulated in one go where candidates are compared
 FINER = 0.01  # factor on the integrator's tolerance where records are subtracted from each other
-_KEPT = ("nominal", "noise", "switches", "threads", "tolerance", "trials", "factors")  # arguments of a `Problem`
+_KEPT = ("experiment", "effect", "nominal", "noise", "switches", "threads", "tolerance", "trials", "factors")
+"""Arguments of a `Problem`."""
 
 
 class Problem:
@@ -69,9 +70,8 @@ class Problem:
         self.groups = self.grouped(self.trials)
 
     def changed(self, **changes: Any) -> Self:
-        """The same problem with other arguments: `noise`, `trials`, `factors` ... Subclasses say how they are made."""
-        given = {name: getattr(self, name) for name in _KEPT} | changes
-        return cast("Self", Problem(self.experiment, self.effect, **given))
+        """The same problem with other arguments: `experiment`, `noise` ... Subclasses say how they are made."""
+        return cast("Self", Problem(**({name: getattr(self, name) for name in _KEPT} | changes)))
 
     def with_noise(self, noise: Noise) -> Self:
         """The same problem under another noise."""

@@ -18,7 +18,6 @@ import numpy as np
 from bayes_damper.calibration import (
     Calibration,
     Experiment,
-    Problem,
     calibrate,
     explained_by_own_releases,
     gained_by_own_releases,
@@ -343,10 +342,7 @@ def _with_winners_noise(fit: Calibration, found: list[Candidate]) -> tuple[Calib
     shrunk = max(old / new for old, new in zip(fit.problem.noise.innovation, noise.innovation, strict=True))
     if shrunk < 1.015:
         return fit, found
-    base = Problem(
-        fit.problem.experiment, nominal=fit.problem.nominal, noise=noise, switches=fit.problem.switches,
-        threads=fit.problem.threads, tolerance=fit.problem.tolerance, trials=fit.problem.trials,
-    )  # fmt: skip
+    base = fit.problem.changed(effect=None, noise=noise, factors=None)
     fresh = calibrate(base, [fit.q], eta=fit.eta, anneal=False, most=12)
     out = []
     for c in found:

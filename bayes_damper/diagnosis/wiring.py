@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.calibration import Calibration, Experiment, Problem, calibrate
+from bayes_damper.calibration import Calibration, Experiment, calibrate
 
 Array = NDArray[np.float64]
 
@@ -83,10 +83,7 @@ def _fitted(nominal: Calibration, change: Callable[[Array], Array]) -> Calibrati
         )
         for t in experiment.trials
     )  # fmt: skip
-    again = Problem(
-        replace(experiment, trials=trials), nominal=problem.nominal, noise=problem.noise, switches=problem.switches,
-        threads=problem.threads, tolerance=problem.tolerance, trials=problem.trials,
-    )  # fmt: skip
+    again = problem.changed(experiment=replace(experiment, trials=trials), effect=None, factors=None)
     return calibrate(again, most=15, finish=False)
 
 
