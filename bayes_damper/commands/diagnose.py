@@ -28,7 +28,7 @@ from bayes_damper.effects import Effect, all_effects, options_of
 from bayes_damper.effects._law import SITES
 from bayes_damper.effects.base import SITE_TITLES
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.published.posterior import Datum
+from bayes_damper.published.posterior import data_of
 from bayes_damper.published.sources import PublishedSource, source_of
 from bayes_damper.rig.parameters import unit_of
 from bayes_damper.rig.units import BODIES, effect_unit, in_words_of
@@ -186,12 +186,8 @@ def _published(
 ) -> Diagnosed:
     """The same answers from the 24 published numbers."""
     published = source.published
-    data = {
-        case: tuple(Datum(m.configuration, m.quantity, m.value, m.standard_error, m.n) for m in published.of_case(case))
-        for case in published.cases
-    }
     found = diagnose_published(
-        data,
+        {case: data_of(published, case) for case in published.cases},
         source.priors(priors),
         nominal=nominal,
         effects=effects,

@@ -24,16 +24,21 @@ from bayes_damper.fit.entry import (
 )
 from bayes_damper.priors.files import PriorSet, priors_from_dict
 from bayes_damper.published.measurements import load_published
-from bayes_damper.published.posterior import Coordinates, Datum, FeaturePosterior, damping_pairs, feature_sheets
+from bayes_damper.published.posterior import (
+    Coordinates,
+    Datum,
+    FeaturePosterior,
+    damping_pairs,
+    data_of,
+    feature_sheets,
+)
 from bayes_damper.runs.contents.fit import CheckEntry, FitPlan
 from bayes_damper.sampling.arviz_adapter import hdi
 
 
 def published_posterior(case: str, priors: PriorSet, normal_force: str = "linear") -> FeaturePosterior:
     """The posterior of one thesis case: six published numbers, priors of the thesis's rig."""
-    published = load_published()
-    data = [Datum(m.configuration, m.quantity, m.value, m.standard_error, m.n) for m in published.of_case(case)]
-    return feature_posterior(data, case, priors, normal_force)
+    return feature_posterior(list(data_of(load_published(), case)), case, priors, normal_force)
 
 
 def feature_posterior(

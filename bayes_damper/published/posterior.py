@@ -29,6 +29,7 @@ from bayes_damper.priors.distributions import (
     to_standard,
 )
 from bayes_damper.published.features import Features, features
+from bayes_damper.published.measurements import Published
 from bayes_damper.rig.parameters import OF_EFFECT
 from bayes_damper.simulation.model import Model
 from bayes_damper.simulation.outcome import count_outcomes
@@ -216,6 +217,18 @@ class Datum:
     @property
     def name(self) -> str:
         return f"{self.quantity} ({self.configuration})"
+
+
+def data_of(published: Published, case: str) -> tuple[Datum, ...]:
+    """The published numbers of one case.
+
+    Raises
+    ------
+    InputError
+        if there is no such case.
+    """
+    rows = published.of_case(case)
+    return tuple(Datum(m.configuration, m.quantity, m.value, m.standard_error, m.n) for m in rows)
 
 
 FEATURE_QUANTITIES = ("log_decrement", "period", "max_acceleration")

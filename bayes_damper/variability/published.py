@@ -23,7 +23,7 @@ from bayes_damper.priors.distributions import Distribution, LogNormal, LogUnifor
 from bayes_damper.priors.files import priors_from_dict
 from bayes_damper.published.marginal import TOLERANCE, CaseFeatures
 from bayes_damper.published.measurements import load_published
-from bayes_damper.published.posterior import Coordinates, Datum, damping_pairs
+from bayes_damper.published.posterior import Coordinates, Datum, damping_pairs, data_of
 from bayes_damper.published.sources import PublishedSource
 from bayes_damper.runs.checkpoint import Checkpoint
 from bayes_damper.runs.contents.variability import (
@@ -107,11 +107,9 @@ class PublishedCases:
             raise InputError(
                 "the priors leave no parameter to the cases: give some of mu, k2t, c2t ... the level 'case'"
             )
-        published = load_published()
-        data = {
-            case: [Datum(m.configuration, m.quantity, m.value, m.standard_error, m.n) for m in published.of_case(case)]
-            for case in self.names
-        } if data is None else data  # fmt: skip
+        if data is None:
+            published = load_published()
+            data = {case: list(data_of(published, case)) for case in self.names}
         self.features = {
             case: CaseFeatures(case, data[case], self.prior_set.for_case(case), self.normal_force, law, TOLERANCE)
             for case in self.names
