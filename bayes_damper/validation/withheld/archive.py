@@ -24,12 +24,11 @@ from bayes_damper.runs.json_files import read_json
 from bayes_damper.text import Printable, counted
 from bayes_damper.validation.withheld import scores
 from bayes_damper.validation.withheld.sealing import (
-    chain,
+    chained,
     file_sha256,
     folder_sha256,
     read_freeze,
     read_key,
-    read_verdict,
     verdict_path,
 )
 
@@ -150,8 +149,7 @@ def _hold(home: Path, path: Path) -> tuple[Freeze, dict[str, Verdict], str]:
     missing = [name for name in frozen["campaigns"] if not verdict_path(home, name).exists()]
     if missing:
         raise SelfCheckError(f"{path}: broken seal: the verdicts of {', '.join(missing[:3])} are missing")
-    sealed = {n: read_verdict(verdict_path(home, n), n, frozen["seal"]) for n in frozen["campaigns"]}
-    links = chain(frozen["seal"], {name: content["seal"] for name, content in sealed.items()})
+    sealed, links = chained(frozen, home)
     if read_json(home / "chain.json")["links"] != links:
         raise SelfCheckError(f"{path}: broken seal: verdicts were replaced after they were chained")
     return frozen, {name: content["verdict"] for name, content in sealed.items()}, links[-1]

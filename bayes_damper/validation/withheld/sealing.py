@@ -165,6 +165,18 @@ def chain(freeze_seal: str, seals: Mapping[str, str]) -> list[str]:
     return links
 
 
+def chained(frozen: Freeze, home: Path) -> tuple[dict[str, SealedVerdict], list[str]]:
+    """The sealed verdicts of a run by name, each held against its seal, and the links of the chain over them.
+
+    Raises
+    ------
+    SelfCheckError
+        as `read_verdict`.
+    """
+    sealed = {name: read_verdict(verdict_path(home, name), name, frozen["seal"]) for name in frozen["campaigns"]}
+    return sealed, chain(frozen["seal"], {name: content["seal"] for name, content in sealed.items()})
+
+
 @dataclass(frozen=True)
 class Opened:
     """A key that was opened: name -> entry, with the verdicts, the chain's head, and reasons for a rehearsal."""
@@ -202,13 +214,12 @@ def open_key(run: Path, key: Path, campaigns: Mapping[str, Path], now: Freeze) -
             raise SelfCheckError(f"{path}: broken seal: the campaign is not what it was when the run was frozen")
     if file_sha256(key) != frozen["key_sha256"]:
         raise SelfCheckError(f"{key}: broken seal: the key is not the one that was there when the run was frozen")
-    sealed = {name: read_verdict(verdict_path(run, name), name, frozen["seal"]) for name in frozen["campaigns"]}
+    sealed, links = chained(frozen, run)
+    path = run / "chain.json"
+    if path.exists() and read_json(path)["links"] != links:
+        raise SelfCheckError(f"{path}: broken seal: verdicts were replaced after they were chained")
     seals = {name: content["seal"] for name, content in sealed.items()}
-    links = chain(frozen["seal"], seals)
-    chained = run / "chain.json"
-    if chained.exists() and read_json(chained)["links"] != links:
-        raise SelfCheckError(f"{chained}: broken seal: verdicts were replaced after they were chained")
-    write_json(chained, {"schema": "bayes-damper/withheld-chain/1", "seals": seals, "links": links})
+    write_json(path, {"schema": "bayes-damper/withheld-chain/1", "seals": seals, "links": links})
     reasons = differences(frozen, now)
     others = sorted({content["code_sha256"] for content in sealed.values()} - {frozen["code_sha256"]})
     reasons += [f"verdicts were given by other code than was frozen ({code[:12]})" for code in others]
