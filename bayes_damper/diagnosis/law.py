@@ -25,7 +25,7 @@ from bayes_damper.diagnosis.budget import Budget
 from bayes_damper.diagnosis.named import Named, Place, name_law
 from bayes_damper.diagnosis.remainder import own_frequency
 from bayes_damper.diagnosis.response import Motion, Projected, in_slices, motions, project, whiten
-from bayes_damper.diagnosis.sets import Member, SetProblem
+from bayes_damper.diagnosis.sets import Member, SetProblem, from_cheapest
 from bayes_damper.diagnosis.shares import Closed, products_of, shortest_interval
 from bayes_damper.diagnosis.sites import TEMPERING, SiteMap
 from bayes_damper.effects._law import (
@@ -457,8 +457,7 @@ def _refitted(
     )  # fmt: skip
     order = _in_order(nominal, base, budget, members)
     starts = [np.concatenate([(base.q + share * shift)[order], share * p]) for share in STARTS]
-    costs = problem.costs(np.array(starts), {i: np.tile(v, (len(starts), 1)) for i, v in base.eta.items()})
-    fit = calibrate(problem, [starts[int(np.argmin(costs))]], eta=base.eta, anneal=False, most=STEPS)
+    fit = from_cheapest(problem, starts, base.eta, STEPS)
     own = slice(problem.size - count, problem.size)
     covariance = fit.covariance[own, own]
     values, vectors = np.linalg.eigh(covariance)

@@ -27,9 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from bayes_damper.calibration import Calibration, Problem, calibrate, coordinate_of
+from bayes_damper.calibration import Calibration, Problem, coordinate_of
 from bayes_damper.diagnosis.response import Motion, Projected, in_slices, motions, project, whiten
-from bayes_damper.diagnosis.sets import Member, SetProblem, left_over
+from bayes_damper.diagnosis.sets import Member, SetProblem, from_cheapest, left_over
 from bayes_damper.diagnosis.shapes import dahl, relaxed
 from bayes_damper.effects._formula import GRAMMAR, MOST_TERMS, SHAPE_UNITS, TERMS, FormulaTerm, formula_variant
 from bayes_damper.effects.base import Effect
@@ -521,5 +521,4 @@ def _fitted(
     starts = [
         np.concatenate([bare.q + share * shift, np.where(amounts, share, 1.0) * np.array(start)]) for share in STARTS
     ]
-    costs = problem.costs(np.array(starts), {i: np.tile(v, (len(starts), 1)) for i, v in bare.eta.items()})
-    return calibrate(problem, [starts[int(np.argmin(costs))]], eta=bare.eta, anneal=False, most=STEPS)
+    return from_cheapest(problem, starts, bare.eta, STEPS)

@@ -24,7 +24,7 @@ noise is the smallest that any set leaves; what an effect adds is known by the n
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -138,6 +138,12 @@ class SetProblem(Problem):
         """Name of each parameter of an effect -> that of its coordinate."""
         k, variant = next((k, v) for k, (e, v) in enumerate(self.members) if e.name == effect)
         return {p.name: f"{OF_EFFECT}{k}.{p.name}" for p in variant.parameters}
+
+
+def from_cheapest(problem: Problem, starts: Sequence[Array], eta: Mapping[int, Array], most: int) -> Calibration:
+    """The problem fitted from the cheapest of some starts, with the trials' own values where they are in eta."""
+    costs = problem.costs(np.array(starts), {i: np.tile(v, (len(starts), 1)) for i, v in eta.items()})
+    return calibrate(problem, [starts[int(np.argmin(costs))]], eta=eta, anneal=False, most=most)
 
 
 def _clusters(members: Sequence[Member], exact: bool) -> list[list[int]]:
