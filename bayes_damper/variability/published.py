@@ -28,6 +28,7 @@ from bayes_damper.published.sources import PublishedSource
 from bayes_damper.runs.checkpoint import Checkpoint
 from bayes_damper.runs.contents.variability import (
     FittedPlan,
+    Interval,
     Pooling,
     PoolingEntry,
     PoolingRun,
@@ -279,16 +280,23 @@ class PublishedCases:
         for i, case in enumerate(self.names):
             values = self.values(hierarchy, points, i)
             cases[case] = {name: summary(values[name]) for name in self.pooled}
-        if hierarchy.pooling == "shared":
-            return {"parameters": next(iter(cases.values()))}
-        if hierarchy.pooling == "separate":
-            return {"cases": cases}
-        s = hierarchy.scatter(points)
         priors = self.priors(self.names[0])
-        return {"cases": cases, "scatter": describe_scatter(s, self.pooled, priors)}
+        return described(hierarchy.pooling, cases, hierarchy.scatter(points), self.pooled, priors)
 
 
-def describe_scatter(
+def described(
+    pooling: Pooling, cases: Mapping[str, Mapping[str, Interval]], s: Array, pooled: tuple[str, ...],
+    priors: Mapping[str, Distribution],
+) -> PoolingEntry:  # fmt: skip
+    """What a result says of one answer: parameters of each case or the shared ones, and the scatter s if partial."""
+    if pooling == "shared":
+        return {"parameters": next(iter(cases.values()))}
+    if pooling == "separate":
+        return {"cases": cases}
+    return {"cases": cases, "scatter": _described_scatter(s, pooled, priors)}
+
+
+def _described_scatter(
     s: Array, pooled: tuple[str, ...], priors: Mapping[str, Distribution]
 ) -> dict[str, ScatterOfCases]:
     """Intervals of s, of the scatter of ln x where x has a lognormal prior, and how probable a small s is."""

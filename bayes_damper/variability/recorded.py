@@ -25,7 +25,7 @@ from bayes_damper.runs.contents.variability import FittedPlan, Pooling, PoolingE
 from bayes_damper.variability.decomposition import summary
 from bayes_damper.variability.equivalent import PERIOD
 from bayes_damper.variability.pooling import POOLINGS, Direct, GaussianCase, GaussianHierarchy
-from bayes_damper.variability.published import describe_scatter
+from bayes_damper.variability.published import described
 
 Array = NDArray[np.float64]
 _AVERAGED = 64
@@ -187,8 +187,4 @@ class RecordedCases:
             cases[case] = {
                 name: summary(from_standard(priors[name], drawn[:, i, j])) for j, name in enumerate(self.pooled)
             }
-        if pooling == "shared":
-            return {"parameters": next(iter(cases.values()))}
-        if pooling == "separate":
-            return {"cases": cases}
-        return {"cases": cases, "scatter": describe_scatter(s, self.pooled, self.priors(self.names[0]))}
+        return described(pooling, cases, s, self.pooled, self.priors(self.names[0]))
