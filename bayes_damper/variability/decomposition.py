@@ -14,7 +14,7 @@ three among themselves. The intervals are those of the partly pooled posterior: 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -37,6 +37,7 @@ from bayes_damper.variability.equivalent import FIRST, LAST, NAMES, TIMES, Equiv
 
 Array = NDArray[np.float64]
 Values = Mapping[str, Array]
+_CURVE_DRAWS, _CURVE_POINTS = 48, 8
 
 
 @dataclass(frozen=True)
@@ -185,3 +186,12 @@ def curve_values(values: Values, k1t: float, energies: Array) -> dict[str, Array
     out["k1t"] = np.full(n * len(energies), k1t)
     out["theta0"] = np.sqrt(2.0 * np.tile(energies, n) / k1t)
     return out
+
+
+def curves_of(
+    values: Values, springs: Mapping[str, float], energies: Collection[float]
+) -> dict[str, tuple[Array, dict[str, Array]]]:
+    """For each spring k1t, by its label, energies about those of the cases and the parameters of some draws there."""
+    grid = np.geomspace(0.6 * min(energies), 1.3 * max(energies), _CURVE_POINTS)
+    some = {name: x[:_CURVE_DRAWS] for name, x in values.items()}
+    return {label: (grid, curve_values(some, k1t, grid)) for label, k1t in springs.items()}

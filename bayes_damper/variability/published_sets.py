@@ -11,15 +11,13 @@ from numpy.typing import NDArray
 from bayes_damper.priors.distributions import Distribution, LogNormal, from_standard
 from bayes_damper.published.marginal import OWN
 from bayes_damper.published.measurements import load_published
-from bayes_damper.variability.decomposition import CaseDraws, Sets, curve_values, mean_over_cases
+from bayes_damper.variability.decomposition import CaseDraws, Sets, curves_of, mean_over_cases
 from bayes_damper.variability.equivalent import NAMES, bearing_damping, feature_scatter
 from bayes_damper.variability.pooling import POOLINGS, Hierarchy
 from bayes_damper.variability.published import PublishedCases
 
 Array = NDArray[np.float64]
 _Values = dict[str, tuple[dict[str, Array], dict[str, Array]]]
-_CURVE_DRAWS = 48
-_CURVE_POINTS = 8
 
 
 def published_sets(
@@ -32,8 +30,6 @@ def published_sets(
     every = [cases.hierarchy(pooling) for pooling in POOLINGS]
     before = _joined([_values(cases, h, rng.standard_normal((count, h.ndim)), rng, True) for h in every])
     energies = {case: 0.5 * published.cases[case].k1t * published.cases[case].theta0 ** 2 for case in cases.names}
-    grid = np.geomspace(0.6 * min(energies.values()), 1.3 * max(energies.values()), _CURVE_POINTS)
-    reference = {name: x[:_CURVE_DRAWS] for name, x in found[cases.names[0]][1].items()}
     springs = sorted({published.cases[case].k1t for case in cases.names})
     table, rounding = _printed(cases.names)
     return Sets(
@@ -42,7 +38,7 @@ def published_sets(
         table,
         rounding,
         {case: _scatter(cases, case, found[case][0]) for case in cases.names},
-        {f"k1t = {k:g} N m/rad": (grid, curve_values(reference, k, grid)) for k in springs},
+        curves_of(found[cases.names[0]][1], {f"k1t = {k:g} N m/rad": k for k in springs}, energies.values()),
         cases.normal_force,
         measurement="Measurement scatter: the printed standard errors of the three coupled features, carried to "
         "the linear model's k2t and c2t to first order. Beside the result stands Table 9 (p. 20), whose values are "

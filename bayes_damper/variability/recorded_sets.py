@@ -11,13 +11,11 @@ from numpy.typing import NDArray
 from bayes_damper.calibration import Calibration, Experiment, predict
 from bayes_damper.priors.distributions import from_standard
 from bayes_damper.rig.parameters import unit_of
-from bayes_damper.variability.decomposition import CaseDraws, Sets, curve_values, mean_over_cases
+from bayes_damper.variability.decomposition import CaseDraws, Sets, curves_of, mean_over_cases
 from bayes_damper.variability.equivalent import NAMES, TIMES, bearing_damping, fit_linear
 from bayes_damper.variability.recorded import RecordedCases
 
 Array = NDArray[np.float64]
-_CURVE_DRAWS = 48
-_CURVE_POINTS = 8
 
 
 def recorded_sets(cases: RecordedCases, drawn: Array, common: Array, rng: np.random.Generator) -> Sets | None:
@@ -45,16 +43,15 @@ def recorded_sets(cases: RecordedCases, drawn: Array, common: Array, rng: np.ran
     }
     energies = {case: float(np.median(0.5 * d.values["k1t"] * d.values["theta0"] ** 2)) for case, d in drawn_of.items()}
     found = {case: _measured(cases, case) for case in cases.names}
-    grid = np.geomspace(0.6 * min(energies.values()), 1.3 * max(energies.values()), _CURVE_POINTS)
     springs = sorted({float(np.median(d.values["k1t"])) for d in drawn_of.values()})
-    reference = {name: x[:_CURVE_DRAWS] for name, x in drawn_of[cases.names[0]].reference.items()}
+    labels = {f"k1t = {k:.3g} {unit_of('k1t', cases.kind)}": k for k in springs}
     return Sets(
         drawn_of,
         energies,
         {case: (math.exp(m[0][0]), math.exp(m[0][1])) for case, m in found.items() if m is not None},
         (0.0, 0.0),
         {case: _constant(m[1] if m is not None else np.zeros(2)) for case, m in found.items()},
-        {f"k1t = {k:.3g} {unit_of('k1t', cases.kind)}": (grid, curve_values(reference, k, grid)) for k in springs},
+        curves_of(drawn_of[cases.names[0]].reference, labels, energies.values()),
         first.normal_force,
         first.restoring,
         first.quantity,
