@@ -9,7 +9,7 @@ below `SIZE`, so a fit that lacks nothing has any entry of a kind in at most tha
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -279,22 +279,25 @@ def _low_energy(s: Repeats, channel: int) -> tuple[float, float]:
     return float(2.0 * np.sum(np.abs(np.fft.rfft(r)[keep]) ** 2) * scale), float(2.0 * np.sum(keep))
 
 
+def _low_excess(places: Iterable[tuple[Repeats, int]]) -> tuple[float, float]:
+    """Energy below 100 Hz in channels of some repeats, over that of noise less 1, and its p-value under noise."""
+    pairs = [_low_energy(s, channel) for s, channel in places]
+    energy, count = sum(p[0] for p in pairs), sum(p[1] for p in pairs)
+    return energy / max(count, 1.0) - 1.0, float(_exceeds(np.array(energy), np.array(count)))
+
+
 def _in_channels(sets: Sequence[Repeats]) -> Iterator[Entry]:
     for channel in range(max(s.mean.shape[0] for s in sets)):
-        pairs = [_low_energy(s, channel) for s in sets if s.mean.shape[0] > channel]
-        energy, count = sum(p[0] for p in pairs), sum(p[1] for p in pairs)
-        p = float(_exceeds(np.array(energy), np.array(count)))
-        yield Entry({"channel": channel + 1, "excess_over_noise": energy / max(count, 1.0) - 1.0}, p)
+        excess, p = _low_excess((s, channel) for s in sets if s.mean.shape[0] > channel)
+        yield Entry({"channel": channel + 1, "excess_over_noise": excess}, p)
 
 
 def _in_cases(sets: Sequence[Repeats]) -> Iterator[Entry]:
     for s in sets:
-        pairs = [_low_energy(s, channel) for channel in range(s.mean.shape[0])]
-        energy, count = sum(p[0] for p in pairs), sum(p[1] for p in pairs)
-        p = float(_exceeds(np.array(energy), np.array(count)))
+        excess, p = _low_excess((s, channel) for channel in range(s.mean.shape[0]))
         place: Place = {
             "label": f"{s.case} {_words(s.coupled)}", "case": s.case, "configuration": _words(s.coupled),
-            "excess_over_noise": energy / max(count, 1.0) - 1.0,
+            "excess_over_noise": excess,
         }  # fmt: skip
         yield Entry(place, p)
 
