@@ -35,6 +35,12 @@ def read_bytes(path: Path, name: str, faults: list[str], digest: hashlib._Hash) 
     return raw
 
 
+def read_text(path: Path, name: str, faults: list[str], digest: hashlib._Hash) -> str | None:
+    """The text of a file, with `digest` fed; None, and a fault, if it cannot be read or is no text."""
+    raw = read_bytes(path, name, faults, digest)
+    return None if raw is None else decoded(raw, name, faults)
+
+
 def _nearest_file(path: Path) -> str | None:
     """The file that a name may mean: the same with other letters, or with / between the folders."""
     wanted = PurePosixPath(path.as_posix().replace("\\", "/"))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bayes_damper.campaign.files import decoded, nearest_name, read_bytes
+from bayes_damper.campaign.files import nearest_name, read_text
 from bayes_damper.campaign.structure import (
     MEASUREMENT_NUMBERS,
     MEASUREMENT_SPREADS,
@@ -57,8 +57,7 @@ def read_head(folder: Path, faults: list[str], digest: hashlib._Hash) -> Head | 
     if not (folder / name).exists():
         faults.append(f"{folder}: holds no {name}; `bayes-damper init` makes a campaign from logger files")
         return None
-    raw = read_bytes(folder / name, name, faults, digest)
-    text = None if raw is None else decoded(raw, name, faults)
+    text = read_text(folder / name, name, faults, digest)
     if text is None:
         return None
     with collected(faults):

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
-from bayes_damper.campaign.files import decoded, nearest_name, read_bytes
+from bayes_damper.campaign.files import nearest_name, read_text
 from bayes_damper.campaign.structure import TO_SI, TRIAL_COLUMNS, Constant
 from bayes_damper.inputs import collected, csv_rows, number_in, real, shown
 
@@ -33,8 +33,7 @@ class Row:
 def read_rows(folder: Path, kind: str, start: str, faults: list[str], digest: hashlib._Hash) -> list[Row]:
     """The rows of trials.csv, read and checked."""
     name = "trials.csv"
-    raw = read_bytes(folder / name, name, faults, digest)
-    text = None if raw is None else decoded(raw, name, faults)
+    text = read_text(folder / name, name, faults, digest)
     if text is None:
         return []
     table: list[tuple[int, list[str]]] = []
