@@ -493,7 +493,7 @@ def calibrate_nominal(
     if felt(fit) < FELT:
         return exact
     for _ in range(TURNS):
-        fit = calibrate(fit.problem.with_noise(learn_noise(fit)), [fit.q], eta=fit.eta, anneal=False)
+        fit = _under_its_noise(fit)
     left = ", ".join(f"{s:.3g}" for s in fit.problem.noise.total)
     report(f"noise of the measured inputs estimated; residual (sd of each channel, SI units): {left}")
     return fit
@@ -515,11 +515,16 @@ def _usual_curve(fit: Calibration) -> Calibration:
     return again if again.cost < fit.cost else fit
 
 
+def _under_its_noise(fit: Calibration) -> Calibration:
+    """The fit gone on with under the noise that it shows."""
+    return calibrate(fit.problem.with_noise(learn_noise(fit)), [fit.q], eta=fit.eta, anneal=False)
+
+
 def _sharpened(fit: Calibration) -> Calibration:
     """The fit and its noise in turns: a better fit leaves smaller residuals, whose smaller noise sharpens the fit."""
     for _ in range(MOST_TURNS):
         before = fit.problem.noise.total
-        fit = calibrate(fit.problem.with_noise(learn_noise(fit)), [fit.q], eta=fit.eta, anneal=False)
+        fit = _under_its_noise(fit)
         if all(new > SHARPER * old for new, old in zip(fit.problem.noise.total, before, strict=True)):
             break
         fit = _usual_curve(fit)

@@ -285,7 +285,7 @@ def best_pairs(
         if s.gain > least:
             chosen.setdefault(frozenset((s.first.effect.name, s.effect.name)), s)
     picked = list(chosen.values())[:most]
-    single = {c.effect.name: c.log_evidence for c in reversed(leaders_of(found, len(found)))}
+    single = _alone(found)
 
     essences = forked_map(lambda s: essence(_fitted(nominal, s, found)), picked, workers)
     pairs = []
@@ -327,6 +327,11 @@ def _pair(
     return Pair(first, second, fit, evidence, evidence - max(alone), remainder_of(fit))
 
 
+def _alone(found: Sequence[Candidate]) -> dict[str, float]:
+    """Log evidence of each effect by itself, of its best formula."""
+    return {c.effect.name: c.log_evidence for c in reversed(leaders_of(found, len(found)))}
+
+
 def exactly(nominal: Calibration, pair: Pair, found: Sequence[Candidate]) -> Pair:
     """The pair fitted with its formulas composed into one kernel; the pair itself where the kernel has no room."""
     problem = pair.fit.problem
@@ -337,7 +342,7 @@ def exactly(nominal: Calibration, pair: Pair, found: Sequence[Candidate]) -> Pai
         return pair
     exact = ComposedProblem(nominal.problem, first, second)
     again = calibrate(exact, [pair.fit.q], eta=pair.fit.eta, anneal=False, most=MOST_STEPS)
-    single = {c.effect.name: c.log_evidence for c in reversed(leaders_of(found, len(found)))}
+    single = _alone(found)
     return _pair(nominal, (pair.first, pair.second), again, single) or pair
 
 
