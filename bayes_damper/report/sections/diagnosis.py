@@ -142,7 +142,7 @@ def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
         f"Diagnosis of {name}" if name else "Diagnosis", tone, tuple(s for s in sentences if s), shown, tuple(changes)
     )
     section = _section(data, folder, effects, probabilities, sites, said)
-    about = dict(data.get("provenance", {})) | fingerprint(data)
+    about = fingerprint(data)
     return Result(head, section, (), about, tuple(gathered(data.get("warnings", ()))))
 
 

@@ -61,7 +61,7 @@ def fit_result(summary: FitFile, folder: Path) -> Result:
         sections.append(_case_section(name, entry, place, shown if len(groups) > 1 else set()))
     section = Section("Fit", (_INTERVALS,), pictures=pictures, parts=tuple(sections))
     head = _fit_headline(str(summary.get("campaign", "")), groups, converged)
-    about = dict(summary.get("provenance", {})) | fingerprint(summary)
+    about = fingerprint(summary)
     return Result(head, section, tuple(warnings), about, tuple(gathered(summary.get("warnings", ()))))
 
 

@@ -59,7 +59,7 @@ def plan_result(data: PlanFile, folder: Path) -> Result:
     name = str(data.get("campaign", ""))
     head = Headline(f"Plan of {name}" if name else "Plan", "open", sentences[:4], changes=tuple(changes))
     section = Section("Plan", sentences[4:], tuple(tables), (), pictures_of(folder, kind="plan"))
-    return Result(head, section, (), dict(data.get("provenance", {})) | fingerprint(data))
+    return Result(head, section, (), fingerprint(data))
 
 
 def _spelt_out(sentence: str, names: Sequence[str]) -> str:

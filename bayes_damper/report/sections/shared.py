@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 from bayes_damper.effects import EFFECTS
 from bayes_damper.report.parts import Picture, Table, generic, words
@@ -111,8 +112,9 @@ UNCONVERGED = "The run did not converge: do not use these numbers."
 
 
 def fingerprint(data: Mapping[str, object]) -> dict[str, object]:
-    """Data and seed that a result is of, as far as it says so."""
-    return {k: data[k] for k in ("campaign", "campaign_sha256", "seed") if k in data}
+    """Where a result comes from, with the data and the seed that it is of, as far as it says so."""
+    made = dict(cast("Mapping[str, object]", data.get("provenance", {})))
+    return made | {k: data[k] for k in ("campaign", "campaign_sha256", "seed") if k in data}
 
 
 def meaning_of(name: str, unit: str = "") -> str:

@@ -79,7 +79,7 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
             for p in pictures_of(folder, kind="tune")
         ),
     )
-    about = dict(data.get("provenance", {})) | fingerprint(data)
+    about = fingerprint(data)
     return Result(head, section, (*warnings, *gathered(remarks[known:])), about, tuple(gathered(remarks[:known])))
 
 

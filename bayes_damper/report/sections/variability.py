@@ -76,7 +76,7 @@ def variability_result(data: VariabilityFile, folder: Path) -> Result:
     )
     section = Section("Variability", notes, tables, (), pictures, folded(rest))
     warnings = () if converged else ("The comparison of the cases did not converge: do not use its numbers.",)
-    about = dict(data.get("provenance", {})) | fingerprint(data)
+    about = fingerprint(data)
     return Result(head, section, warnings, about, tuple(gathered(data.get("warnings", ()))))
 
 
