@@ -19,6 +19,7 @@ from scipy.special import logsumexp
 from bayes_damper import figures
 from bayes_damper.errors import ExitCode, InputError, as_written
 from bayes_damper.fit import published_posterior
+from bayes_damper.fit.summary import groups_of
 from bayes_damper.inputs import resolved
 from bayes_damper.priors.distributions import to_standard
 from bayes_damper.priors.files import priors_from_dict
@@ -200,8 +201,7 @@ def _parameters(fits: Mapping[str, FitFile]) -> dict[str, dict[str, dict[str, Co
     """Parameters by case, name and folder: median and interval, with the distance from the first folder."""
     out: dict[str, dict[str, dict[str, ComparedCell]]] = {}
     for label, summary in fits.items():
-        groups = dict(summary["cases"]) | ({"joint": summary["joint"]} if summary.get("joint") else {})
-        for case, entry in groups.items():
+        for case, entry in groups_of(summary).items():
             for name, p in entry["parameters"].items():
                 cell: ComparedCell = {
                     "unit": p["unit"], "median": p["median"], "mean": p["mean"], "sd": p["sd"], "hdi90": p["hdi90"],

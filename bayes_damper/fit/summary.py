@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from bayes_damper.rig.units import plain_meaning
-from bayes_damper.runs.contents.fit import FitFile, ParameterEntry
+from bayes_damper.runs.contents.fit import CaseEntry, FitFile, ParameterEntry
 from bayes_damper.runs.json_files import write_text
 from bayes_damper.sampling.arviz_adapter import hdi
 from bayes_damper.sampling.convergence import diagnose_draws
@@ -53,11 +53,15 @@ def _finite(x: float) -> float | None:
     return float(x) if np.isfinite(x) else None
 
 
+def groups_of(summary: FitFile) -> dict[str, CaseEntry]:
+    """What was fitted of each case, and of all together ("joint") if that was."""
+    return dict(summary["cases"]) | ({"joint": summary["joint"]} if summary.get("joint") else {})
+
+
 def write_table(summary: FitFile, path: Path) -> None:
     """The parameters of all cases as CSV, one row each; `converged` says whether that case's run did."""
     rows = []
-    groups = dict(summary["cases"]) | ({"joint": summary["joint"]} if summary.get("joint") else {})
-    for case, found in groups.items():
+    for case, found in groups_of(summary).items():
         for name, numbers in found["parameters"].items():
             row: dict[str, Any] = {"case": case, "parameter": name, "converged": found["converged"], **numbers}
             row["hdi90_low"], row["hdi90_high"] = row.pop("hdi90")
