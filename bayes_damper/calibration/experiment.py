@@ -16,6 +16,7 @@ from bayes_damper.campaign import Campaign, Constant
 from bayes_damper.campaign.records import (
     DERIVATIVE,
     STEPS_OF_DOUBT,
+    Release,
     common_grid,
     crossings,
     picks,
@@ -49,7 +50,8 @@ class TrialRecord:
     times (n,) s; y (channels, n), nan where a reading is missing; k1t: index into Experiment.stiffnesses;
     theta0, theta0_sd: nominal release angle (rad) and its standard uncertainty; inputs: what acted on the rig;
     weight (channels, n): what multiplies the residuals of readings that do not count fully; errors (k, channels, n):
-    what independent standard deviations of the inputs' noise do to the readings (input_noise.py).
+    what independent standard deviations of the inputs' noise do to the readings (input_noise.py);
+    doubt: s by which the release may be off, where that is more than `STEPS_OF_DOUBT` of the clock.
     """
 
     label: str
@@ -65,6 +67,7 @@ class TrialRecord:
     heldout: bool = False
     weight: Array | None = None
     errors: Array | None = None
+    doubt: float = 0.0
 
     def at(self, which: NDArray[np.bool_] | slice) -> TrialRecord:
         """The trial with these of its readings only; inputs stay as they were measured."""
@@ -233,7 +236,8 @@ def release_window(trial: TrialRecord, quantity: str) -> tuple[float, float]:
     n = min(trial.times.size - 1, 400)
     dt = float(np.median(np.diff(trial.times[: n + 1]))) if n > 0 else 1e-3
     if quantity != "acceleration":
-        return -STEPS_OF_DOUBT * dt, (STEPS_OF_DOUBT * dt if trial.times[0] <= 0.0 else 0.0)
+        doubt = max(STEPS_OF_DOUBT * dt, trial.doubt)
+        return -doubt, (doubt if trial.times[0] <= 0.0 else 0.0)
     if trial.times[0] > 0.0 or trial.times.size < 4:
         return -dt, 0.0
     y = np.abs(np.nan_to_num(trial.y[0]))
@@ -494,10 +498,10 @@ def experiment_of(
     for t in campaign.trials:
         angle = Constant(0.0) if t.theta0 is None else t.theta0
         times, channels = np.array(t.times, float), np.atleast_2d(np.array(t.channels, float))
-        first, shift = 0, 0.0
+        begins = Release()
         if measurement.start == "rest" and not t.given:
             omega = _omega(t.k1t.value, constants["J1"][0])
-            first, shift = release_of(times, channels[0], measurement.quantity, angle.value, omega)
+            begins = release_of(times, channels[0], measurement.quantity, angle.value, omega)
         inputs = t.inputs(measurement)
         if inputs is not None and inputs.motion is not None:
             inputs = replace(inputs, unit=reaction)
@@ -508,13 +512,14 @@ def experiment_of(
                 case=t.case,
                 coupled=t.coupled,
                 number=t.trial,
-                times=times[first:] - shift,
-                y=channels[:, first:],
+                times=times[begins.first :] - begins.shift,
+                y=channels[:, begins.first :],
                 k1t=stiffnesses.index((t.k1t.value, t.k1t.std)),
                 theta0=angle.value,
                 theta0_sd=0.0 if t.theta0 is None else math.hypot(angle.std, apart),
                 inputs=inputs,
                 heldout=id(t) in heldout,
+                doubt=begins.doubt,
             )
         )
     given, offset = (s and (s[0] / reaction, *s[1:]) for s in (measurement.noise_std, measurement.offset_std))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +30,26 @@ READINGS_PER_SWING = 100.0  # the same of displacements and velocities of free s
 DERIVATIVE = {"displacement": 0, "velocity": 1, "acceleration": 2}  # order in time of a quantity that is read
 EARLY = 0.35  # of the release angle, or of the velocity that belongs to it: passed before a quarter of a swing is over
 BEND, BENDS = 4000, 400  # readings up to a release among noise, and instants of it that are tried, at most
+SEEN, SURE = 3.0, 5.0
+"""Standard deviations by which noisy readings must speak against a release within `STEPS_OF_DOUBT` of the nominal one
+for its range to be wider, and for the clock to be set: a campaign has a hundred trials, of which three in a thousand
+are beyond 3 by chance."""
 TINY = 1e-300  # in place of zero below a fraction's line
 USUAL_LAG = {"displacement": 0.5, "velocity": 0.2, "acceleration": 0.02}
 """Radians of the oscillation after which the motion stands out from its noise."""
+
+
+class Release(NamedTuple):
+    """Where a record of a rig released from rest begins, and how much its clock is off.
+
+    first : index of the first reading to keep: the last one of the held rig, or at or before the nominal release;
+    shift : s to take from the clock, 0 where the release lies within one and a half steps of t = 0 or is not found;
+    doubt : s by which the release may be off after that, where noise leaves more than those steps of doubt, else 0.
+    """
+
+    first: int = 0
+    shift: float = 0.0
+    doubt: float = 0.0
 
 
 def departure(readings: Array, quantity: str, theta0: float) -> tuple[Array, float]:
@@ -45,19 +63,14 @@ def departure(readings: Array, quantity: str, theta0: float) -> tuple[Array, flo
     return np.abs(sign * readings - level), max(8.0 * look.noise_floor_of(readings), 0.05 * reach)
 
 
-def release_of(times: Array, readings: Array, quantity: str, theta0: float, omega: float) -> tuple[int, float]:
+def release_of(times: Array, readings: Array, quantity: str, theta0: float, omega: float) -> Release:
     """Where a record of a rig released from rest begins, and how much its clock is off.
 
     times : (n,) s, nominal release at 0; readings : (n,) of the primary; omega : rad/s of the primary on its spring.
-
-    Returns
-    -------
-    first : index of the first reading to keep: the last one of the held rig, or at or before the nominal release.
-    shift : s to take from the clock. 0 where the release lies within one and a half steps of t = 0 or is not found.
     """
     usable = np.isfinite(readings)
     if usable.sum() < 8 or theta0 == 0.0:
-        return 0, 0.0
+        return Release()
     t, y = times[usable], readings[usable]
     step = float(np.median(np.diff(t)))
     # A held reading before the release bounds it, wherever between two readings the clock puts 0.
@@ -65,24 +78,25 @@ def release_of(times: Array, readings: Array, quantity: str, theta0: float, omeg
     away, bound = departure(y, quantity, theta0)
     moving = away > bound
     if not moving.any():
-        return first, 0.0
+        return Release(first)
     k = int(np.argmax(moving))
     if k == 0:
-        return 0, 0.0
+        return Release()
     lag = USUAL_LAG[quantity] / omega
     if -STEPS_OF_DOUBT * step <= t[k] <= lag + STEPS_OF_DOUBT * step:
-        return first, 0.0
-    start = float(t[k - 1])
+        return Release(first)
+    start, low, high = (float(t[k - 1]),) * 3
     if quantity != "acceleration":
         noise = look.noise_floor_of(y)
         if bound > 8.0 * noise:
             start = _beginning(t[k:], away[k:], quantity, theta0, omega, step)
         else:
-            start = _bend(t, y, k, theta0, DERIVATIVE[quantity], omega, noise)
+            start, low, high = _bend(t, y, k, theta0, DERIVATIVE[quantity], omega, noise)
     if abs(start) <= STEPS_OF_DOUBT * step:
-        return first, 0.0
+        return Release(first, 0.0, max(-low, high, 0.0) if start == 0.0 else 0.0)
     keep = max(int(np.searchsorted(times, start, side="right")) - 1, 0)
-    return keep, float(times[keep])
+    shift = float(times[keep])
+    return Release(keep, shift, max(shift - low, high - shift) if low < high else 0.0)
 
 
 def _beginning(times: Array, away: Array, quantity: str, theta0: float, omega: float, step: float) -> float:
@@ -99,8 +113,10 @@ def _beginning(times: Array, away: Array, quantity: str, theta0: float, omega: f
 
 def _bend(
     times: Array, readings: Array, seen: int, theta0: float, derivative: int, omega: float, noise: float
-) -> float:
-    """Instant at which noisy readings begin to leave a held value: 0 unless they speak against it by three sd.
+) -> tuple[float, float, float]:
+    """Instant at which noisy readings begin to leave a held value, 0 unless they are `SURE` against it, and its range.
+
+    The range is 0 to 0 where they are not `SEEN` to be against the steps of doubt about 0.
 
     Where the noise is large, the first reading beyond it comes long after the beginning. A parabola of a displacement,
     a line of a velocity, is fitted behind each instant that it may have begun at, and a constant before.
@@ -125,7 +141,13 @@ def _bend(
     u, v = float(x.sum()), shape @ x
     left = float(x @ x) - (c * u * u - 2.0 * b * u * v + a * v * v) / np.maximum(a * c - b * b, TINY)
     best = int(np.argmin(left))
-    return float(instants[best]) if left[-1] - left[best] > 9.0 * noise * noise else 0.0
+    step = float(np.median(np.diff(times)))
+    nominal = np.abs(instants) <= STEPS_OF_DOUBT * step
+    against = (float(np.min(left[nominal])) - float(left[best])) / noise**2
+    if not against > SEEN**2:
+        return 0.0, 0.0, 0.0
+    likely = instants[left - left[best] <= (SEEN * noise) ** 2]
+    return float(instants[best]) if against > SURE**2 else 0.0, float(likely.min()) - step, float(likely.max()) + step
 
 
 def picks(sizes: Sequence[int], steps: Sequence[float], period: float, swings: bool) -> list[int]:
