@@ -257,11 +257,13 @@ def _ahead(fit: Calibration, trials: Sequence[int], periods: float, missed: Arra
     out = {}
     for group in (some for whole in problem.grouped(tuple(seen)) for _, some in whole.turns(READINGS_AT_ONCE)):
         scaled = {i: _scaled(*cut[i], group, k) for k, i in enumerate(group.trials)}
-        eta = np.array([scaled[i][0] + scaled[i][1] * own[i] for i in group.trials]).reshape(len(group.trials), -1)
+        eta = np.array([scaled[i][0] + scaled[i][1] @ own[i] for i in group.trials]).reshape(len(group.trials), -1)
         base, by_q, by_eta = _slopes(problem, group, fit.q, eta)
         for k, i in enumerate(group.trials):
-            state = by_eta[k] * scaled[i][1][:, None, None]
+            _, factors = scaled[i]
+            state = np.einsum("wcn,wm->mcn", by_eta[k], factors)
             variance = np.einsum("mcn,ml,lcn->cn", state, spread[i], state)
+            variance = variance + np.sum(by_eta[k][~factors.any(axis=1)] ** 2, axis=0)  # of these nothing is seen yet
             if missed is not None:
                 along = by_q[k] + np.einsum("mcn,mk->kcn", state, follow[i])
                 variance = variance + np.einsum("kcn,kl,lcn->cn", along, fit.covariance, along)
@@ -319,11 +321,17 @@ def _begun(problem: Problem, seen: dict[int, float]) -> Problem:
 
 
 def _scaled(begun: Group, k: int, whole: Group, w: int) -> tuple[Array, Array]:
-    """Shift and factor (m,) that take a cut trial's nuisances to those of the whole one, whose priors differ."""
-    shift, factor = np.zeros(len(whole.nuisances)), np.ones(len(whole.nuisances))
-    for n, ((_, mean, sd), (_, mean2, sd2)) in enumerate(zip(begun.nuisances, whole.nuisances, strict=True)):
-        shift[n], factor[n] = (mean[k] - mean2[w]) / sd2[w], sd[k] / sd2[w]
-    return shift, factor
+    """Shift (whole,) and factors (whole, cut) that take a cut trial's nuisances to those of the whole one.
+
+    Their priors differ, and of a free start a short record has fewer waves of a drift: the others stay at their means.
+    """
+    seen = {name: (n, mean[k], sd[k]) for n, (name, mean, sd) in enumerate(begun.nuisances)}
+    shift, factors = np.zeros(len(whole.nuisances)), np.zeros((len(whole.nuisances), len(seen)))
+    for m, (name, mean, sd) in enumerate(whole.nuisances):
+        if name in seen:
+            n, mean_cut, sd_cut = seen[name]
+            shift[m], factors[m, n] = (mean_cut - mean[w]) / sd[w], sd_cut / sd[w]
+    return shift, factors
 
 
 def _slopes(problem: Problem, group: Group, q: Array, eta: Array) -> tuple[Array, Array, Array]:

@@ -254,6 +254,20 @@ def test_the_unknown_offset_of_a_sensor_is_part_of_the_state():
     assert told["rms"] == pytest.approx(SIGMA, rel=0.25)
 
 
+def test_waves_of_a_drift_that_the_first_periods_cannot_show_widen_the_bands():
+    """A cut record of a free start has fewer of them than the whole one."""
+    noise = Noise((SIGMA,), (0.0,), (0.0,))
+    found = {}
+    for sd in (1e-6, 0.02):
+        switches = Switches(scatter=Scatter((Size("drift1", sd, 0.0, math.inf, sd, waves=3),)))
+        problem = Problem(swings(9, trained=2, unseen=2), noise=noise, switches=switches)
+        found[sd] = forecast(calibrate(problem, [problem.prior_mean()]), (2, 3))
+    assert {name for name, *_ in problem.grouped((2,))[0].nuisances} >= {"drift1_1", "drift1_2", "drift1_3"}
+    for i in (2, 3):
+        assert np.median(found[1e-6][i].sd) < 3.0 * SIGMA
+        assert 0.005 < np.median(found[0.02][i].sd) < 0.08
+
+
 def test_the_period_is_that_of_the_slow_mode_where_it_leads():
     """Two pendulums whose primary swings with both modes, mostly with the slow one; a sensor that misses readings."""
     times = np.arange(600) / 50.0
