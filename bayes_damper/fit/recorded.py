@@ -48,6 +48,8 @@ from bayes_damper.text import missed, misses
 Array = NDArray[np.float64]
 PROPOSALS = 4000
 """Points of bridge sampling for the evidence."""
+_CHOICES = 4
+"""Times that the formula of an effect is chosen, each under the noise that the last choice leaves, until it stays."""
 
 
 def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: FitPlan) -> Any:
@@ -192,12 +194,16 @@ def fit_with_effect(experiment: Experiment, effect: str | Sequence[str], folder:
     nominal = calibrate_nominal(experiment)
     screen = Screen(nominal)
     found = [fit_variant(nominal, e, v, screen_variant(screen, v), len(v.starts)) for e, v in pool]
-    if len(names) > 1:
-        best = fit_together(nominal, found)
-    else:
-        best = max((c.fit for c in found if c.fit is not None), key=lambda f: f.log_evidence)
-    again = best.problem.with_noise(learn_noise(best))
-    return calibrate(again, [best.q], eta=best.eta, anneal=False)
+    fits = [fit_together(nominal, found)] if len(names) > 1 else [c.fit for c in found if c.fit is not None]
+    # Under the noise of the nominal model, which holds all that it misses, formulas that differ by far seem alike.
+    chosen = max(fits, key=lambda f: f.log_evidence)
+    for _ in range(_CHOICES):
+        before, noise = chosen.problem.effect, learn_noise(chosen)
+        fits = [calibrate(f.problem.with_noise(noise), [f.q], eta=f.eta, anneal=False) for f in fits]
+        chosen = max(fits, key=lambda f: f.log_evidence)
+        if chosen.problem.effect is before:
+            break
+    return chosen
 
 
 def _trials_apart(experiment: Experiment, noise: FittedNoise, labels: Mapping[int, str], kind: str) -> CaseEntry:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from campaigns import write_synthetic
@@ -11,6 +13,7 @@ from small_rig import NOISE, RIG, STIFFNESSES, measured, variant
 from bayes_damper.calibration import Experiment, TrialRecord
 from bayes_damper.calibration.correlated_noise import fit_with_noise
 from bayes_damper.calibration.posterior import RecordPosterior
+from bayes_damper.diagnosis import search
 from bayes_damper.diagnosis.pairs import ComposedProblem
 from bayes_damper.errors import InputError
 from bayes_damper.fit import fit
@@ -118,3 +121,20 @@ def test_two_torques_are_recovered():
     for name, value in {"spring_cubic.k3": 60.0, "quadratic_drag.coefficient": 0.8}.items():
         mean, sd = found.parameters[f"effect.{name}"]
         assert abs(mean - value) < 3.0 * sd < value, name
+
+
+def test_the_formula_of_an_effect_is_chosen_under_what_itself_leaves(monkeypatch):
+    """Under the noise of the nominal model, which holds all that it misses, a wrong formula may lead by a nat."""
+    fitted = search.fit_variant
+
+    def misled(nominal, effect, formula, *rest):
+        found = fitted(nominal, effect, formula, *rest)
+        lead = 1e5 if formula.name == "rounded" else 0.0
+        return replace(found, fit=replace(found.fit, log_evidence=found.fit.log_evidence + lead))
+
+    monkeypatch.setattr(search, "fit_variant", misled)
+    rig = measured(2, effect=variant("coupling_backlash", "dead_zone"), values={"play": 0.02}, configurations=(False,))
+    found = fit_with_effect(rig, "coupling_backlash")
+    assert found.problem.effect.name == "dead_zone"
+    value, sd = found.parameters["effect.play"]
+    assert abs(value - 0.02) < 4.0 * sd < 0.002
