@@ -44,6 +44,7 @@ from bayes_damper.campaign.logger_files import COUNTED, LoggerFile, read_file, u
 from bayes_damper.campaign.trials_table import inside
 from bayes_damper.errors import InputError
 from bayes_damper.inputs import file_bytes, resolved, shown, text_of, toml_file
+from bayes_damper.rig.parameters import unit_of as unit_of_parameter
 from bayes_damper.rig.units import sentence_of, spoken_of
 
 Array = NDArray[np.float64]
@@ -78,6 +79,7 @@ _FEWEST_PERIODS = 2.0  # of an oscillation which the weighted mean of a tail tak
 _SWINGS = 0.2  # share of the record's range in its last quarter
 _TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}
 _INPUT_KEYS = ("torque", "torque2", "ground", "motion", "pivot")
+_PLURAL = {"displacement": "displacements", "velocity": "velocities", "acceleration": "accelerations"}
 _INPUT = {
     "torsional": {"N m": 1.0, "N mm": 1e-3, "mN m": 1e-3},
     "translational": {"N": 1.0, "kN": 1e3, "mN": 1e-3},
@@ -316,7 +318,7 @@ def _build(table: Mapping[str, Any], name: str, raw: Path) -> Campaign:
         raise InputError(_gathered(faults))
     trials = _with_estimates(trials, head.rig)
     notes = [note for source in files.values() for note in source.notes if note not in head.caveats]
-    if "quantity" in table.get("measurement", {}):
+    if "quantity" in table.get("measurement", {}) and not any(t.given for t in trials):
         unnamed = []
     notes = _gathered([*notes, *contradicted, *unnamed]) + _resting(trials, options) + _idle(trials)
     caveats = (*head.caveats, *(sentence_of(note, head.rig.kind) for note in notes))
@@ -446,12 +448,14 @@ def _trial_from(
     if measurement.quantity == "displacement" and "wrap" not in option:
         _refuse_wraps(source.table[:, places].T, where)
     contradicted += _other_units(source, places, option.get("units", []), where)
-    released = measurement.start == "rest"  # then the size of the first peak shows what is read
+    # Of a rig released from rest the size of the first peak shows what is read.
+    released = measurement.start == "rest" and not set(_INPUT_KEYS) & set(option)
     if not {"units", "motion"} & set(option) and not released and not all(source.unit(place) for place in places):
-        unit, slow = ("m/s^2", "positions") if rig.kind == "translational" else ("rad/s^2", "angles")
+        slow = "positions" if rig.kind == "translational" else "angles"
+        give = f"for {slow} or speeds give --quantity, and" if measurement.quantity == "acceleration" else "give"
         unnamed.append(
-            f"{where}: no unit is named, so the readings were taken as accelerations in {unit}; for {slow} or speeds "
-            "give --quantity, and --units where they are not in SI."
+            f"{where}: no unit is named, so the readings were taken as {_PLURAL[measurement.quantity]} in "
+            f"{unit_of_parameter('sigma1', rig.kind, measurement.quantity)}; {give} --units where they are not in SI."
         )
     named = _named_units(source, places, rig.kind, measurement.quantity)
     if "motion" in option:
@@ -531,6 +535,7 @@ def _inputs_of(source: LoggerFile, option: Mapping[str, Any], kind: str, where: 
             tables = {key: _TANGENTIAL["acceleration"]}
         every = {unit: (target, factor) for target, table in tables.items() for unit, factor in table.items()}
         unit = option.get(name) or source.unit(place) or next(iter(every))
+        unit = unit if unit in every else unit_of(unit) or unit
         if unit not in every:
             raise InputError(f"{option['where']}: {name} '{unit}' is none of {', '.join(every)}")
         target, factor = every[unit]

@@ -65,6 +65,8 @@ _BEHIND = r"(?:rad|mrad|deg|mm|cm|um|m)(?:_s2?)?|n_m|g|mg|ms|us|s|rpm"
 """Units that a name ends with, as in x_mm, alpha1_rad_s2, t_ms; one letter that may mean something else is none."""
 _AFTER = re.compile(r"\S(?:\s+/\s*|,\s*|\s+in\s+)(\S.*)$")
 """A unit behind a spaced slash, a comma or `in`, as in `x / mm`, `Position, mm` and `Time in s`."""
+_FORCE = re.compile(r"([mk]?N)\s*[.*·⋅]?\s*(m?m)")
+"""A torque's unit with or without a mark between its parts, as in Nm, N*m and mN·m."""
 _MISREAD = str.maketrans({"²": "^2", "µ": "u", "μ": "u", "°": "deg"})
 COUNTED = ("px", "pixel", "pixels", "count", "counts", "lsb", "tick", "ticks")
 """What an encoder or a video gives in place of a unit."""
@@ -159,7 +161,9 @@ def unit_of(text: str) -> str | None:
     """A unit as the tables of units write it, from what stands in a file: "m/s²" and "(m/s2)" are "m/s^2"."""
     plain = text.strip().strip("[]() ").translate(_MISREAD).replace("**", "^")
     plain = re.sub(r"(?<=/s)2$|(?<=/sec)2$", "^2", plain).replace("/sec", "/s").replace("m/s/s", "m/s^2")
-    plain = {"sec": "s", "seconds": "s", "Nm": "N m", "Nmm": "N mm", "G": "g", "g's": "g"}.get(plain, plain)
+    if force := _FORCE.fullmatch(plain):
+        plain = " ".join(x for x in force.groups() if x)
+    plain = {"sec": "s", "seconds": "s", "G": "g", "g's": "g"}.get(plain, plain)
     return plain if plain.lower() in _UNITS or plain.lower() in COUNTED else None
 
 
@@ -251,6 +255,10 @@ def read_text(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
             "decimal = ',' and delimiter"
         )
     names, units = _names(lines[: begin + 1] if named else [], mark, width)
+    for i, unit in enumerate(units):
+        if unit.strip("[]()- ") and unit_of(unit) is None:
+            notes.append(f"{name}: the unit '{unit.strip()}' of {names[i]} is not known; give it with --units.")
+    units = tuple(unit_of(unit) or "" for unit in units)
     for i in wordy:
         called = f"column {i + 1}" + (f" ({names[i]})" if names[i : i + 1] not in ((), ("",)) else "")
         notes.append(f"{name}: {called} holds words, no numbers, and was left out.")
@@ -486,7 +494,7 @@ def _begin(lines: Sequence[Line], option: Mapping[str, Any], mark: str, comma: b
     """
     if "skip_lines" in option:
         named = bool(option.get("header", True))
-        return int(named and any(_units_of(_head(lines[1][1], mark)) or ())), named
+        return int(named and _of_units(_head(lines[1][1], mark))), named
     widths = []
     for _, line in lines[:_LOOKED_AT]:
         values = _cells(line, mark, comma)
@@ -502,7 +510,7 @@ def _begin(lines: Sequence[Line], option: Mapping[str, Any], mark: str, comma: b
     # empty for a column of words too.
     head = _head(lines[first - 1][1], mark) if first > 0 else []
     enough = first > 0 and (
-        abs(len(_trimmed(head)) - widths[first]) <= 1 or (len(head) == widths[first] and any(_units_of(head) or ()))
+        abs(len(_trimmed(head)) - widths[first]) <= 1 or (len(head) == widths[first] and _of_units(head))
     )
     if widths[first] == 1:
         enough = first > 0 and len(_trimmed(head)) == 1
@@ -559,23 +567,24 @@ def _rows(
 
 
 def _names(head: Sequence[Line], mark: str, width: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names and units of the columns from the last line of the head; a line of units alone has the names above it."""
+    """Names and units, as they stand there, of the columns from the last line of the head.
+
+    A line of units alone, most of which are known, has the names above it.
+    """
     if not head:
         return (), ()
     cells = _head(head[-1][1], mark)[:width]
     cells += [""] * (width - len(cells))
-    units = _units_of(cells)
-    if len(head) > 1 and units is not None and any(units):
+    if len(head) > 1 and _of_units(cells):
         above = _head(head[-2][1], mark)[:width]
-        if sum(map(bool, above)) >= sum(map(bool, units)):
-            return tuple(above + [""] * (width - len(above))), units
+        if sum(map(bool, above)) >= sum(unit_of(c) is not None for c in cells):
+            return tuple(above + [""] * (width - len(above))), tuple(cells)
     return tuple(cells), ()
 
 
-def _units_of(cells: Sequence[str]) -> tuple[str, ...] | None:
-    """The units of a line that holds nothing else, "" where a cell has none (it is empty, or a dash); else None."""
-    units = tuple(unit_of(c) or "" for c in cells)
-    return units if all(u or not c.strip("[]()- ") for u, c in zip(units, cells, strict=True)) else None
+def _of_units(cells: Sequence[str]) -> bool:
+    """Whether a line is one of units: most of its cells that are neither empty nor a dash are known ones."""
+    return 2 * sum(unit_of(c) is not None for c in cells) > sum(bool(c.strip("[]()- ")) for c in cells)
 
 
 def _without_unit(name: str) -> str:

@@ -726,6 +726,24 @@ def test_the_end_of_a_name_is_its_unit(name: str, unit: str | None) -> None:
     assert LoggerFile((name,), np.zeros((3, 1))).unit(0) == unit
 
 
+@pytest.mark.parametrize("unit", ["mNm", "mN·m", "mN*m", "mN m", "mN.m"])
+def test_a_torque_has_its_unit_however_it_is_written(tmp_path: Path, unit: str) -> None:
+    """A line of units stays one where one of them is unknown, and that one is named."""
+    rows = "\n".join(f"{0.01 * i:.2f};{math.sin(0.1 * i):.5f};{2.0 * math.cos(i):.3f};21.5" for i in range(400))
+    (tmp_path / "bench.txt").write_text(f"# bench\nt;gyro;torque;temp\ns;rad/s;{unit};degC\n{rows}\n")
+    options = {"quantity": "velocity", "primary_inertia": 0.021, "k1t": 0.92, "columns": ["gyro"], "torque": "torque"}
+    options |= {"configuration": "uncoupled"}
+    campaign = load_campaign(init_campaign(tmp_path / "out", [tmp_path / "bench.txt"], time="t", **options))
+    assert np.abs(campaign.trials[0].torque).max() == pytest.approx(2e-3, rel=0.01)
+    assert any("the unit 'degC' of temp is not known" in w for w in campaign.warnings)
+    assert not any("no unit is named" in w for w in campaign.warnings)
+    (tmp_path / "bare.txt").write_text(f"t;gyro;torque\n{rows.replace(';21.5', '')}\n")
+    options |= {"torque_unit": unit}
+    campaign = load_campaign(init_campaign(tmp_path / "bare", [tmp_path / "bare.txt"], time="t", **options))
+    assert np.abs(campaign.trials[0].torque).max() == pytest.approx(2e-3, rel=0.01)
+    assert any("no unit is named, so the readings were taken as velocities in rad/s" in w for w in campaign.warnings)
+
+
 def test_positions_are_not_silently_taken_as_accelerations(tmp_path: Path) -> None:
     """A column whose name or unit says a length asks for --quantity; where nothing says what it is, a caveat does."""
     y = 12.0 * decay(TIMES, 1.0, 10.2, 0.031)[200:] / 3383.0  # mm
