@@ -62,7 +62,10 @@ READER: dict[str, tuple[tuple[type, ...], str]] = {
         "offset to subtract: 'none' (default), 'mean', 'tail' (end), 'head' (before the release), or raw numbers",
     ),
     "matlab_time": ((list,), "names of the time arrays in a .mat file, in order; a field as 'name.field'"),
-    "matlab_data": ((list,), "names of the data arrays in a .mat file, channels along the shorter side"),
+    "matlab_data": (
+        (list,),
+        "names of the data arrays in a .mat file, channels along the shorter side or each in an array of its own",
+    ),
     "group": ((str,), "prefix of the channel names to take, if a TDMS, MDF4, HDF5 or UFF file has several clocks"),
     "wrap": ((list,), "value at which a raw channel wraps around, 0 for none: 360 (deg), 65536 (16-bit counter)"),
     "scale": ((list,), "size of one raw count in 'units', per channel: 0.0879 (deg per count), 0.35 (mm per pixel)"),

@@ -266,7 +266,11 @@ def read_text(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
 
 
 def read_matlab(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
-    """Time in column 1 where matlab_time is given, then the channels; cell arrays are joined piece by piece."""
+    """Time in column 1 where matlab_time is given, then the channels.
+
+    Several arrays of data, and those of a cell array, are joined one below the other, or side by side where each is as
+    long as the time.
+    """
     import scipy.io  # noqa: F401 (once, here, and not in each forked process)
 
     try:
@@ -282,7 +286,7 @@ def read_matlab(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
         raise InputError(
             f"{name}: not a MATLAB file that can be read ({error}); copy it again, or save it as version 5 or 7"
         ) from error
-    parts = []
+    parts: list[NDArray[Any]] = []
     for key in ("matlab_time", "matlab_data"):
         pieces: list[NDArray[Any]] = []
         for variable in option.get(key, []):
@@ -292,14 +296,16 @@ def read_matlab(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
                         f"{name}: '{variable}' holds no numbers; it holds {_listed(content)}: correct {key}"
                     )
                 tall = _tall(piece)
-                if pieces and tall.shape[1] != pieces[0].shape[1]:
+                beside = bool(parts) and all(len(p) == len(parts[0]) for p in (*pieces, tall))
+                if pieces and not beside and tall.shape[1] != pieces[0].shape[1]:
                     raise InputError(
                         f"{name}: '{variable}' has {tall.shape[1]} columns, those before it {pieces[0].shape[1]}, but "
                         f"{key} joins them one below the other; correct {key}"
                     )
                 pieces.append(tall)
         if pieces:
-            parts.append(np.concatenate(pieces))
+            # Arrays as long as the time are channels of their own, others the pieces of one record.
+            parts.append(np.concatenate(pieces, axis=int(bool(parts) and all(len(p) == len(parts[0]) for p in pieces))))
     if not parts:
         raise InputError(
             f"{name}: which of its arrays are the readings? It holds {_listed(content)}: name them with --matlab-data, "

@@ -7,6 +7,7 @@ import json
 import math
 import os
 import re
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -933,6 +934,18 @@ def test_an_array_that_is_misspelt_or_abbreviated_is_found(tmp_path: Path, word:
         read_file(path, {"matlab_data": ["messung.weg_mm"]}).index(word, "log.mat")
     with pytest.raises(InputError, match=r"did you mean 'messung\.zeit_ms'"):
         LoggerFile(("messung.weg_mm", "messung.zeit_ms"), np.zeros((9, 2))).index(word, "log.csv")
+
+
+def test_a_matlab_file_may_hold_each_channel_in_an_array_of_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "log.mat"
+    savemat(path, {"daq": {"t": TIMES, "enc1": wave(), "enc2": 0.3 * wave(), "both": np.stack([wave(), wave()])}})
+    read = partial(read_file, path)
+    table = read({"matlab_time": ["daq.t"], "matlab_data": ["daq.enc1", "daq.enc2"]}).table
+    np.testing.assert_array_equal(table, np.column_stack([TIMES, wave(), 0.3 * wave()]))
+    assert read({"matlab_time": ["daq.t"], "matlab_data": ["daq.enc1", "daq.both"]}).table.shape == (TIMES.size, 4)
+    twice = read({"matlab_time": ["daq.t", "daq.t"], "matlab_data": ["daq.enc1", "daq.enc2"]}).table
+    assert twice.shape == (2 * TIMES.size, 2)
+    assert read({"matlab_data": ["daq.enc1", "daq.enc2"]}).table.shape == (2 * TIMES.size, 1)
 
 
 @pytest.mark.parametrize("place", [176, 177])
