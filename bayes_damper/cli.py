@@ -538,7 +538,7 @@ def _first_steps(command: Adding) -> None:
 
 
 def _fitting(command: Adding) -> None:
-    """Commands that fit a campaign and use the fit."""
+    """Commands that fit and diagnose a campaign."""
     sub = command("fit", _fit, "fit the model: parameters with intervals, per case and for all cases together",
                   out="results/fit")  # fmt: skip
     sub.add_argument("campaign", help="folder of the campaign, or `thesis`")
@@ -571,6 +571,9 @@ def _fitting(command: Adding) -> None:
                      help="prior probability that the cause is not in the library (default: 0.15)")  # fmt: skip
     _weighing(sub)
 
+
+def _using_fits(command: Adding) -> None:
+    """Commands that use a fit."""
     sub = command("tune", _tune, "predict insertion loss and resonance shift of a damper design, with uncertainty",
                   out="results/tune")  # fmt: skip
     sub.add_argument("folder", type=Path, help="results folder of a fit")
@@ -694,7 +697,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
-    for add in (_first_steps, _fitting, _results, _proofs):
+    for add in (_first_steps, _fitting, _using_fits, _results, _proofs):
         add(functools.partial(_command, commands))
     return parser
 

@@ -421,29 +421,7 @@ def _trial_from(
     """
     source, where, option = _source_of(option, raw, files)
     times = _times_of(source, option, where)
-    wanted = option.get("columns")
-    if option["configuration"] not in ("uncoupled", "coupled"):
-        raise InputError(
-            f"{option['where']}: configuration = {option['configuration']!r} is none of 'uncoupled' and 'coupled'"
-        )
-    coupled = option["configuration"] == "coupled"
-    if not wanted:
-        raise InputError(
-            f"{option['where']}: 'columns' is missing; name the channels, the primary first (the file has "
-            f"{source.described()})"
-        )
-    if len(wanted) < 1 + coupled:
-        raise InputError(
-            f"{option['where']}: a coupled trial needs two columns, primary and secondary; 'columns' has one"
-        )
-    if len(wanted) > 2:
-        raise InputError(
-            f"{option['where']}: 'columns' names {len(wanted)} channels, {', '.join(map(str, wanted))}; a rig has one, "
-            "or when coupled two: the primary's, then the secondary's"
-        )
-    n_channels = 2 if coupled else 1
-    places = [source.index(c, where) for c in wanted[:n_channels]]
-    _check_columns(source, places, option, where)
+    places = _places_of(source, option, where)
     channels = _unwrapped(source.table[:, places].T, option)
     if measurement.quantity == "displacement" and "wrap" not in option:
         _refuse_wraps(source.table[:, places].T, where)
@@ -495,6 +473,33 @@ def _trial_from(
         holdout=option.get("holdout", False),
         **acting,
     )
+
+
+def _places_of(source: LoggerFile, option: Mapping[str, Any], where: str) -> list[int]:
+    """Columns (from 0) of a trial's channels."""
+    wanted = option.get("columns")
+    if option["configuration"] not in ("uncoupled", "coupled"):
+        raise InputError(
+            f"{option['where']}: configuration = {option['configuration']!r} is none of 'uncoupled' and 'coupled'"
+        )
+    coupled = option["configuration"] == "coupled"
+    if not wanted:
+        raise InputError(
+            f"{option['where']}: 'columns' is missing; name the channels, the primary first (the file has "
+            f"{source.described()})"
+        )
+    if len(wanted) < 1 + coupled:
+        raise InputError(
+            f"{option['where']}: a coupled trial needs two columns, primary and secondary; 'columns' has one"
+        )
+    if len(wanted) > 2:
+        raise InputError(
+            f"{option['where']}: 'columns' names {len(wanted)} channels, {', '.join(map(str, wanted))}; a rig has one, "
+            "or when coupled two: the primary's, then the secondary's"
+        )
+    places = [source.index(c, where) for c in wanted[: 1 + coupled]]
+    _check_columns(source, places, option, where)
+    return places
 
 
 def _check_columns(source: LoggerFile, places: Sequence[int], option: Mapping[str, Any], where: str) -> None:

@@ -34,76 +34,8 @@ def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
     """Everything about one record that can be handled but should be known."""
     _look_at_clock(head, trial, warnings)
     omega = 2.0 * math.pi / natural_period(head.rig, trial)
-    held = head.measurement.quantity == "displacement" and head.measurement.start == "rest"
-    coupled = len(trial.channels) > 1
-    given = per_channel(head.measurement.noise_std, coupled)
-    limits = per_channel(head.measurement.sensor_range, coupled)
     grows = _growth(trial) if head.measurement.start == "free" and not trial.driven else []
-    made_up = False
-    for i, y in enumerate(trial.channels):
-        where = f"{trial.file}, column '{channel_columns(trial, head.rig.kind, head.measurement.quantity)[i]}'"
-        noise = look.noise_floor_of(y)
-        step = look.resolution_of(y)
-        if np.ptp(y) == 0.0:
-            warnings.append(f"{where}: every reading is the same; the sensor looks dead")
-            continue
-        if (filled := look.filled_in_of(y, step)) is not None:
-            others = "lie on straight lines between those" if filled[1] else "repeat it"
-            warnings.append(
-                f"{where}: only one reading in {filled[0]} was measured, the others {others}: this hides the noise and "
-                "counts each reading several times; give the readings as they were measured"
-            )
-            made_up = True
-            continue
-        held_for = _held_for(head, trial, y)
-        stuck = look.standstill_of(y[held_for:], step)
-        if stuck is not None:
-            first, last = held_for + stuck[0], held_for + stuck[1] - 1
-            start, end = float(trial.times[first]), float(trial.times[last])
-            warnings.append(
-                f"{where}: stands still at {y[first]:.4g} from {start:.4g} to {end:.4g} s, "
-                f"{stuck[1] - stuck[0]} equal readings: the logger or the sensor stopped; leave them out of the record"
-            )
-        if step > noise:
-            warnings.append(f"{where}: quantised in steps of {step:.3g}; noise below that cannot be seen")
-        slowest = 2.0 * math.pi * look.dominant_frequency(trial.times, y)  # of a coupled rig's slow mode: round tops
-        reacts = trial.prescribed and i == 0  # dry friction has flat tops
-        begins_held = head.measurement.quantity == "displacement"
-        tops = look.flat_tops_of(trial.times, y, noise, min(omega, max(slowest, 0.25 * omega)), begins_held)
-        for level in [] if reacts or grows else tops:  # a hand that holds the rig makes them too
-            warnings.append(f"{where}: flat tops at {level:.4g}; it looks clipped there")
-        if limits is not None and np.max(np.abs(y)) > 0.98 * limits[i]:
-            beyond = float(np.max(np.abs(y))) > 1.05 * limits[i]
-            warnings.append(
-                f"{where}: readings go to {np.max(np.abs(y)):.4g}, beyond the sensor's range of {limits[i]:.4g}: is "
-                "sensor_range in the unit of the readings?"
-                if beyond
-                else f"{where}: readings reach the sensor's range of {limits[i]:.4g}; it may be clipped"
-            )
-        spikes = look.outliers_of(trial.times, y, noise, omega, head.measurement.quantity == "displacement")
-        if spikes:
-            some = ", ".join(f"{trial.times[j]:.4g}" for j in spikes[:SHOWN])
-            more = f" and {len(spikes) - SHOWN} more" if len(spikes) > SHOWN else ""
-            warnings.append(
-                f"{where}: 1 single reading sticks out, at {some} s; it looks like an outlier"
-                if len(spikes) == 1
-                else f"{where}: {len(spikes)} single readings stick out, at {some} s{more}; they look like outliers"
-            )
-        offset = look.offset_of(trial.times, y, noise, omega)
-        least = _OF_STEPS * step if step > noise else 0.0
-        if abs(offset) > least and not trial.driven and not (head.rig.restoring == "pendulum" and held):
-            half = _is_angle(head) and abs(abs(offset) - math.pi) < 0.1
-            held_off = ", or dry friction holds it there" if head.measurement.quantity == "displacement" else ""
-            turned = " (half a turn: it may count from the upper position)" if half else ""
-            warnings.append(
-                f"{where}: rests at {offset:.3g} at the end, not at 0{turned}; the sensor has an "
-                f"offset{held_off}: `init --offset tail` takes off what it reads at the end, offset_std under "
-                "[measurement] of campaign.toml lets fits infer it"
-            )
-        if given is not None and noise > 0.0 and not reacts and not 1.0 / 3.0 <= noise / given[i] <= 3.0:
-            warnings.append(
-                f"{where}: noise is about {noise:.3g}, noise_std says {given[i]:.3g}; check unit and sensor"
-            )
+    filled_in = [_look_at_channel(head, trial, i, omega, bool(grows), warnings) for i in range(len(trial.channels))]
     wiring = wiring_of(head, trial)
     if wiring == "exchanged":
         return  # reported with its repeats
@@ -113,9 +45,88 @@ def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
             f"secondary along; its sign looks reversed{_TURNED}"
         )
     released = head.measurement.start == "rest" and trial.theta0 is not None
-    if released and not made_up and not (trial.driven and trial.theta0 is not None and not trial.theta0.value):
+    if released and not any(filled_in) and not (trial.driven and trial.theta0 is not None and not trial.theta0.value):
         _look_at_release(head, trial, omega, warnings)
     warnings += grows
+
+
+def _look_at_channel(head: Head, trial: Trial, i: int, omega: float, grows: bool, warnings: list[str]) -> bool:
+    """What is odd about one channel; whether most of its readings were filled in.
+
+    omega : rad/s of the rig; grows : whether a free motion gains energy.
+    """
+    y = trial.channels[i]
+    coupled = len(trial.channels) > 1
+    given = per_channel(head.measurement.noise_std, coupled)
+    limits = per_channel(head.measurement.sensor_range, coupled)
+    where = f"{trial.file}, column '{channel_columns(trial, head.rig.kind, head.measurement.quantity)[i]}'"
+    noise = look.noise_floor_of(y)
+    step = look.resolution_of(y)
+    if np.ptp(y) == 0.0:
+        warnings.append(f"{where}: every reading is the same; the sensor looks dead")
+        return False
+    if (filled := look.filled_in_of(y, step)) is not None:
+        others = "lie on straight lines between those" if filled[1] else "repeat it"
+        warnings.append(
+            f"{where}: only one reading in {filled[0]} was measured, the others {others}: this hides the noise and "
+            "counts each reading several times; give the readings as they were measured"
+        )
+        return True
+    held_for = _held_for(head, trial, y)
+    stuck = look.standstill_of(y[held_for:], step)
+    if stuck is not None:
+        first, last = held_for + stuck[0], held_for + stuck[1] - 1
+        start, end = float(trial.times[first]), float(trial.times[last])
+        warnings.append(
+            f"{where}: stands still at {y[first]:.4g} from {start:.4g} to {end:.4g} s, "
+            f"{stuck[1] - stuck[0]} equal readings: the logger or the sensor stopped; leave them out of the record"
+        )
+    if step > noise:
+        warnings.append(f"{where}: quantised in steps of {step:.3g}; noise below that cannot be seen")
+    slowest = 2.0 * math.pi * look.dominant_frequency(trial.times, y)  # of a coupled rig's slow mode: round tops
+    reacts = trial.prescribed and i == 0  # dry friction has flat tops
+    begins_held = head.measurement.quantity == "displacement"
+    tops = look.flat_tops_of(trial.times, y, noise, min(omega, max(slowest, 0.25 * omega)), begins_held)
+    for level in [] if reacts or grows else tops:  # a hand that holds the rig makes them too
+        warnings.append(f"{where}: flat tops at {level:.4g}; it looks clipped there")
+    if limits is not None and np.max(np.abs(y)) > 0.98 * limits[i]:
+        beyond = float(np.max(np.abs(y))) > 1.05 * limits[i]
+        warnings.append(
+            f"{where}: readings go to {np.max(np.abs(y)):.4g}, beyond the sensor's range of {limits[i]:.4g}: is "
+            "sensor_range in the unit of the readings?"
+            if beyond
+            else f"{where}: readings reach the sensor's range of {limits[i]:.4g}; it may be clipped"
+        )
+    spikes = look.outliers_of(trial.times, y, noise, omega, head.measurement.quantity == "displacement")
+    if spikes:
+        some = ", ".join(f"{trial.times[j]:.4g}" for j in spikes[:SHOWN])
+        more = f" and {len(spikes) - SHOWN} more" if len(spikes) > SHOWN else ""
+        warnings.append(
+            f"{where}: 1 single reading sticks out, at {some} s; it looks like an outlier"
+            if len(spikes) == 1
+            else f"{where}: {len(spikes)} single readings stick out, at {some} s{more}; they look like outliers"
+        )
+    _look_at_offset(head, trial, where, y, omega, warnings)
+    if given is not None and noise > 0.0 and not reacts and not 1.0 / 3.0 <= noise / given[i] <= 3.0:
+        warnings.append(f"{where}: noise is about {noise:.3g}, noise_std says {given[i]:.3g}; check unit and sensor")
+    return False
+
+
+def _look_at_offset(head: Head, trial: Trial, where: str, y: Array, omega: float, warnings: list[str]) -> None:
+    """Whether a channel rests elsewhere than at 0."""
+    noise, step = look.noise_floor_of(y), look.resolution_of(y)
+    held = head.measurement.quantity == "displacement" and head.measurement.start == "rest"
+    offset = look.offset_of(trial.times, y, noise, omega)
+    least = _OF_STEPS * step if step > noise else 0.0
+    if abs(offset) > least and not trial.driven and not (head.rig.restoring == "pendulum" and held):
+        half = _is_angle(head) and abs(abs(offset) - math.pi) < 0.1
+        held_off = ", or dry friction holds it there" if head.measurement.quantity == "displacement" else ""
+        turned = " (half a turn: it may count from the upper position)" if half else ""
+        warnings.append(
+            f"{where}: rests at {offset:.3g} at the end, not at 0{turned}; the sensor has an "
+            f"offset{held_off}: `init --offset tail` takes off what it reads at the end, offset_std under "
+            "[measurement] of campaign.toml lets fits infer it"
+        )
 
 
 def _held_for(head: Head, trial: Trial, y: Array) -> int:

@@ -115,19 +115,7 @@ class TuneResult(Printable):
                 "linear": _performance_json(self.present, self.target_db),
                 "nonlinear": self._driven_json(self.present_nonlinear),
             },
-            "optimum": None
-            if best is None
-            else {
-                "design": best.design.to_json(),
-                "at_bound": list(best.at_bound),
-                "linear": _performance_json(best.performance, self.target_db),
-                "nonlinear": self._driven_json(self.optimum_nonlinear),
-                "better_when_driven": [
-                    {"torque_amplitude_n_m": a, "design": b.design.to_json(), "at_bound": list(b.at_bound)}
-                    | _performance_json(b.performance, self.target_db)
-                    for a, b in self.better.items()
-                ],
-            },
+            "optimum": None if best is None else self._optimum_json(best),
             "variance_shares": dict(self.shares),
             "hangs_most_on": next(iter(self.shares), None),
             "law": self.law or None,
@@ -141,22 +129,38 @@ class TuneResult(Printable):
                 }
                 for name, band in self.response.items()
             },
-            "curves": {
-                name: {
-                    "design": self._place(self.design, name),
-                    "best_design": None if best is None else self._place(best.design, name),
-                    "value": c.values.tolist(), "mean": c.mean.tolist(), "q05": c.low.tolist(), "q95": c.high.tolist(),
-                    "probability_of_target": c.probability.tolist(),
-                    "of_best_design": None
-                    if name not in self.curves_of_best
-                    else {
-                        key: getattr(self.curves_of_best[name], field_).tolist()
-                        for key, field_ in (("value", "values"), ("mean", "mean"), ("q05", "low"), ("q95", "high"))
-                    },
-                }
-                for name, c in self.curves.items()
-            },
+            "curves": {name: self._curve_json(name) for name in self.curves},
             "provenance": dict(self.provenance),
+        }  # fmt: skip
+
+    def _optimum_json(self, best: Optimum) -> dict[str, Any]:
+        """Entry `optimum` of tune.json."""
+        return {
+            "design": best.design.to_json(),
+            "at_bound": list(best.at_bound),
+            "linear": _performance_json(best.performance, self.target_db),
+            "nonlinear": self._driven_json(self.optimum_nonlinear),
+            "better_when_driven": [
+                {"torque_amplitude_n_m": a, "design": b.design.to_json(), "at_bound": list(b.at_bound)}
+                | _performance_json(b.performance, self.target_db)
+                for a, b in self.better.items()
+            ],
+        }
+
+    def _curve_json(self, name: str) -> dict[str, Any]:
+        """Entry of `curves` of tune.json: losses along one value of the design, the others as they are."""
+        c, best = self.curves[name], self.optimum
+        return {
+            "design": self._place(self.design, name),
+            "best_design": None if best is None else self._place(best.design, name),
+            "value": c.values.tolist(), "mean": c.mean.tolist(), "q05": c.low.tolist(), "q95": c.high.tolist(),
+            "probability_of_target": c.probability.tolist(),
+            "of_best_design": None
+            if name not in self.curves_of_best
+            else {
+                key: getattr(self.curves_of_best[name], field_).tolist()
+                for key, field_ in (("value", "values"), ("mean", "mean"), ("q05", "low"), ("q95", "high"))
+            },
         }  # fmt: skip
 
     def _motion(self, p: Performance) -> str:
@@ -271,6 +275,29 @@ def _summary(x: Array) -> dict[str, Any]:
     }
 
 
+def _check_numbers(n_draws: int, n_nonlinear: int, target_db: float, amplitudes: Sequence[float]) -> None:
+    """InputError for numbers with which nothing can be predicted."""
+    faults = []
+    if min(n_draws, n_nonlinear) < 1:
+        faults.append(f"n_draws = {n_draws}, n_nonlinear = {n_nonlinear}: at least one draw of each is needed")
+    if not math.isfinite(target_db):
+        faults.append(f"target_db = {target_db:g}: give the loss to reach as a number of dB")
+    faults += [refused(a) for a in amplitudes if not drives(a)]
+    if faults:
+        raise InputError(faults)
+
+
+def _bounds_of(
+    draws: Draws, origin: Origin, free: Sequence[str] | None, given: Mapping[str, tuple[float, float]]
+) -> dict[str, tuple[float, float]]:
+    """Bounds of the search: those given, and the usual ones of what else is free."""
+    usual = usual_bounds(draws, ("J2", "k2t", *(("R",) if origin.radius else ())) if free is None else free)
+    bounds = {**usual, **given}
+    if missing := [name for name in free or () if name not in bounds]:
+        raise InputError([f"{n}: it is 0 on the rig, so nothing says where to look; give bounds" for n in missing])
+    return bounds
+
+
 @single_threaded
 def tune(
     source: Mapping[str, ArrayLike] | Path | str,
@@ -324,14 +351,7 @@ def tune(
         if the design, the draws or the bounds mean nothing physically, or `effects` is not a law that the fit has.
     """
     design = Design(J2, k2t, R, magnet_pull, bar_inertia, c2t, friction_torque)
-    faults = []
-    if min(n_draws, n_nonlinear) < 1:
-        faults.append(f"n_draws = {n_draws}, n_nonlinear = {n_nonlinear}: at least one draw of each is needed")
-    if not math.isfinite(target_db):
-        faults.append(f"target_db = {target_db:g}: give the loss to reach as a number of dB")
-    faults += [refused(a) for a in amplitudes or () if not drives(a)]
-    if faults:
-        raise InputError(faults)
+    _check_numbers(n_draws, n_nonlinear, target_db, amplitudes or ())
     rng = np.random.default_rng(seed)
     case = chosen_case(source, case)
     origin = origin_of(source, case, rig)
@@ -353,13 +373,9 @@ def tune(
             f"magnet_pull = {magnet_pull:g}: the fit has no friction between the bodies (mu = 0), so the pull changes "
             "nothing; leave it out, or give the friction itself (friction_torque)"
         )
-    lengths = ("R",) if origin.radius else ()
+    varied = ("J2", "R") if origin.radius else ("J2",)
     if bounds is None or free is not None:
-        usual = usual_bounds(draws, ("J2", "k2t", *lengths) if free is None else free)
-        missing = [name for name in free or () if name not in {**usual, **(bounds or {})}]
-        if missing:
-            raise InputError([f"{n}: it is 0 on the rig, so nothing says where to look; give bounds" for n in missing])
-        bounds = {**usual, **(bounds or {})}
+        bounds = _bounds_of(draws, origin, free, bounds or {})
     origin = replace(origin, warnings=(*origin.warnings, *_unlike(design, draws, origin.kind)))
     performance = linear_performance(draws, design)
     if optimise:
@@ -398,10 +414,10 @@ def tune(
     result = TuneResult(
         case, design, draws, target_db, performance, nonlinear, optimum, by_amplitude.get("best design", {}),
         shares, response,
-        tuning_curves(draws, design, target_db, ("J2", *lengths)), origin, seed, provenance(),
+        tuning_curves(draws, design, target_db, varied), origin, seed, provenance(),
         None if out is None else Path(out), "" if law is None else law.name, note,
         linear_performance(draws) if "present" in designs else None, by_amplitude.get("present", {}), better,
-        {} if optimum is None else tuning_curves(draws, optimum.design, target_db, ("J2", *lengths)),
+        {} if optimum is None else tuning_curves(draws, optimum.design, target_db, varied),
     )  # fmt: skip
     if out is not None:
         saved = result.to_json()

@@ -117,23 +117,8 @@ def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
     if verdict in ("none", "unknown"):
         who = "the best candidate would close"
     sentences.append(_closed_sentence(gap, who))
-    changes = [
-        f"{listed([called(n) for n in group])} cannot be distinguished by these data."
-        for group in data.get("indistinguishable", [])
-        if set(group) & set(data.get("credible_set", []))
-    ]
-    changes += [_experiment_sentence(e) for e in (data.get("next_experiment") or [])[:1]]
-    if len(probabilities) > 1:
-        second = next(item for item in probabilities if item[0] != verdict)
-        rival = f"Second most probable: {_RIVALS.get(second[0], called(second[0]))} ({percent(second[1])})."
-        changes += [rival] if second[1] >= 0.01 else []
     top = (share or 0.0) > 0.9 and len(credible) <= 1
-    fit = f"bayes-damper fit {shlex.quote(str(data.get('campaign', 'CAMPAIGN')))}"
-    if top and verdict != "unknown" and "feature" not in (data.get("where") or {}):
-        added = [] if verdict == "none" else effects_to_fit(verdict, pair)
-        changes.insert(0, f"Next: `{fit}{options_of(added, 'DIR')}`")
-    if law := data.get("law"):
-        changes.insert(0, f"With the learnt law: `{fit} --effects {law['file']} --effect {law['effect']}`")
+    changes = _changes(data, folder, verdict, probabilities, called, top)
     tone = "good" if verdict == "none" and top else "bad" if top else "open"
     named = named_answers(dict(probabilities), pair)
     shown = tuple((" + ".join(map(called, n.split(" + "))), p) for n, p in named.items() if p >= 0.01)[:8]
@@ -144,6 +129,30 @@ def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
     section = _section(data, folder, effects, probabilities, sites, said)
     about = fingerprint(data)
     return Result(head, section, (), about, tuple(gathered(data.get("warnings", ()))))
+
+
+def _changes(
+    data: DiagnosisFile, folder: Path, verdict: str, probabilities: Sequence[tuple[str, float]],
+    called: Callable[[str], str], top: bool,
+) -> list[str]:  # fmt: skip
+    """What would change the answer, and the next command; top : whether there is one answer alone."""
+    changes = [
+        f"{listed([called(n) for n in group])} cannot be distinguished by these data."
+        for group in data.get("indistinguishable", [])
+        if set(group) & set(data.get("credible_set", []))
+    ]
+    changes += [_experiment_sentence(e) for e in (data.get("next_experiment") or [])[:1]]
+    if len(probabilities) > 1:
+        second = next(item for item in probabilities if item[0] != verdict)
+        rival = f"Second most probable: {_RIVALS.get(second[0], called(second[0]))} ({percent(second[1])})."
+        changes += [rival] if second[1] >= 0.01 else []
+    fit = f"bayes-damper fit {shlex.quote(str(data.get('campaign', 'CAMPAIGN')))}"
+    if top and verdict != "unknown" and "feature" not in (data.get("where") or {}):
+        added = [] if verdict == "none" else effects_to_fit(verdict, data.get("pair"))
+        changes.insert(0, f"Next: `{fit}{options_of(added, 'DIR')}`")
+    if law := data.get("law"):
+        changes.insert(0, f"With the learnt law: `{fit} --effects {law['file']} --effect {law['effect']}`")
+    return changes
 
 
 def _section(
