@@ -228,9 +228,8 @@ def test_the_page_of_a_cart_numbers_its_bodies_and_speaks_of_force(tmp_path):
     assert "As a formula: F = -3.1 x² v (probability 0.90); or F = 0.5 |x| v (0.06); none of these: 0.04" in text
     assert "none of these: shape only 0.04" in text
     assert "displacement -0.1 to 0.12 m;" in text
-    assert (
-        "--effects learnt/interface.toml --effect learnt_interface" in text[: text.index("Probability of each place")]
-    )
+    first = text[: text.index("Probability of each place")]
+    assert f"--effects {tmp_path / 'learnt/interface.toml'} --effect learnt_interface" in first
 
 
 def test_where_no_trial_is_held_out_no_test_is_quoted(tmp_path):

@@ -151,7 +151,8 @@ def _changes(
         added = [] if verdict == "none" else effects_to_fit(verdict, data.get("pair"))
         changes.insert(0, f"Next: `{fit}{options_of(added, 'DIR')}`")
     if law := data.get("law"):
-        changes.insert(0, f"With the learnt law: `{fit} --effects {law['file']} --effect {law['effect']}`")
+        file = shlex.quote(str(folder / law["file"]))
+        changes.insert(0, f"With the learnt law: `{fit} --effects {file} --effect {law['effect']}`")
     return changes
 
 
