@@ -159,7 +159,8 @@ def plan(
     chosen = campaign_priors(file, loaded) if priors is not None or file.exists() else None
     if loaded.measurement.start != "rest":
         raise InputError(
-            f'{campaign}: a plan needs a release from rest; with start = "free" nothing gives the size of the motion'
+            f'{campaign}: a plan needs a release from rest; with start = "free" nothing gives the size of the motion; '
+            'where the rig is let go at rest, write start = "rest" under [measurement] and the release in trials.csv'
         )
     measured = loaded.measurement.noise_std is None
     if measured:

@@ -186,7 +186,9 @@ def simulate_record(
     own = {} if variant is None else dict(zip((p.name for p in variant.parameters), variant.starts[0], strict=True))
     suspect = _apply(settings, rig, own, effect, faults)
     if not inputs and not values["theta0"]:
-        faults.append("--set theta0=...: this rig declares no release; give one in " + unit_of("theta0", rig.kind))
+        faults.append(
+            "this rig declares no release; give one with --set theta0=NUMBER, in " + unit_of("theta0", rig.kind)
+        )
     law: Law | None = None if chosen is None else chosen[0].law
     if law is not None and (why := law.mismatch(rig.kind, values)) is not None:
         faults.append(f"--effect {effect}: {why}")

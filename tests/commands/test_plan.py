@@ -187,7 +187,7 @@ def test_a_free_start_cannot_be_planned(tmp_path):
     rows = (folder / "trials.csv").read_text().splitlines()
     emptied = [",".join([*r.split(",")[:4], "", "", r.split(",")[6]]) for r in rows[1:]]
     (folder / "trials.csv").write_text("\n".join([rows[0], *emptied]) + "\n")
-    with pytest.raises(InputError, match="release from rest"):
+    with pytest.raises(InputError, match=r"and the release in trials\.csv"):
         plan(folder)
 
 

@@ -908,7 +908,7 @@ def test_a_sure_verdict_comes_with_the_command_that_follows(tmp_path, verdict, s
         data["pair"] = {"effects": both, "probability": 0.9, "log_evidence": 9.0, "gain": 9.0, "parameters": {}}
     data |= {"campaign": "my rig", "verdict": verdict, "probabilities": {verdict: share, other: 1.0 - share},
              "credible_set": [verdict], "indistinguishable": []}  # fmt: skip
-    data["gap"]["closed"] = {"median": 1.0, "hdi90": [0.999, 1.001], "how": "products of residuals"}
+    data["gap"]["closed"] = {"median": 1.0, "hdi90": [0.999, 1.001], "how": "from products of residuals"}
     file.write_text(json.dumps(data), encoding="utf-8")
     text = words_of(report(file.parent).path.read_text(encoding="utf-8"))
     assert step in text

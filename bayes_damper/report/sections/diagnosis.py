@@ -298,7 +298,7 @@ def _closed_sentence(gap: GapEntry | None, who: str) -> str:
     spread = f" (90 % interval {' to '.join(ends)} %)" if ends and set(ends) != {share_of_gap(share)} else ""
     if share <= 0.0:
         return f"On {where} none of the effects tried is shown to reduce the gap{spread}."
-    how = f" Measured from {closed['how']}." if closed.get("how") else ""
+    how = f" Measured from {closed['how'].removeprefix('from ')}." if closed.get("how") else ""
     return f"On {where} {who} {share_of_gap(share)} % of the gap{spread}.{how}"
 
 
