@@ -211,15 +211,21 @@ def read_binary(raw: bytes, name: str, form: str, option: Mapping[str, Any]) -> 
         columns, names, units = [times, *columns], ["time", *names], ["s", *units]
     elif called and names[called[0]] != "time":
         names[called[0]] = "time"
-    known = [unit_of(unit) or "" for unit in units]
-    notes += [
-        f"{name}: the unit '{unit}' of {n} is not known; give it with --units."
-        for unit, plain, n in zip(units, known, names, strict=True)
-        if unit.strip() and not plain
-    ]
+    known, unknown = _known_units(name, names, units)
+    notes += unknown
     with np.errstate(invalid="ignore"):  # a NaN that raises a warning wherever it is used becomes one that does not
         table = np.column_stack(columns) + 0.0
-    return LoggerFile(tuple(names), table, tuple(known), tuple(notes))
+    return LoggerFile(tuple(names), table, known, tuple(notes))
+
+
+def _known_units(name: str, columns: Sequence[str], units: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:
+    """The units of columns as the tables of units write them, "" for an unknown one, and a note on each of these."""
+    known = tuple(unit_of(unit) or "" for unit in units)
+    return known, [
+        f"{name}: the unit '{unit}' of {column} is not known; give it with --units."
+        for column, unit, plain in zip(columns, units, known, strict=True)
+        if unit.strip() and not plain
+    ]
 
 
 def read_text(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
@@ -255,10 +261,8 @@ def read_text(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
             "decimal = ',' and delimiter"
         )
     names, units = _names(lines[: begin + 1] if named else [], mark, width)
-    for i, unit in enumerate(units):
-        if unit.strip("[]()- ") and unit_of(unit) is None:
-            notes.append(f"{name}: the unit '{unit.strip()}' of {names[i]} is not known; give it with --units.")
-    units = tuple(unit_of(unit) or "" for unit in units)
+    units, unknown = _known_units(name, names, [unit.strip("[]()- ") for unit in units]) if units else ((), [])
+    notes += unknown
     for i in wordy:
         called = f"column {i + 1}" + (f" ({names[i]})" if names[i : i + 1] not in ((), ("",)) else "")
         notes.append(f"{name}: {called} holds words, no numbers, and was left out.")
@@ -289,6 +293,7 @@ def read_matlab(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
     parts: list[NDArray[Any]] = []
     for key in ("matlab_time", "matlab_data"):
         pieces: list[NDArray[Any]] = []
+        beside = bool(parts)  # arrays as long as the time are channels of their own, others the pieces of one record
         for variable in option.get(key, []):
             for piece in _pieces(_variable(content, variable, name, key)):
                 if piece.ndim != 2 or piece.dtype.kind not in "biuf":
@@ -296,7 +301,7 @@ def read_matlab(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
                         f"{name}: '{variable}' holds no numbers; it holds {_listed(content)}: correct {key}"
                     )
                 tall = _tall(piece)
-                beside = bool(parts) and all(len(p) == len(parts[0]) for p in (*pieces, tall))
+                beside = beside and len(tall) == len(parts[0])
                 if pieces and not beside and tall.shape[1] != pieces[0].shape[1]:
                     raise InputError(
                         f"{name}: '{variable}' has {tall.shape[1]} columns, those before it {pieces[0].shape[1]}, but "
@@ -304,8 +309,7 @@ def read_matlab(raw: bytes, name: str, option: Mapping[str, Any]) -> LoggerFile:
                     )
                 pieces.append(tall)
         if pieces:
-            # Arrays as long as the time are channels of their own, others the pieces of one record.
-            parts.append(np.concatenate(pieces, axis=int(bool(parts) and all(len(p) == len(parts[0]) for p in pieces))))
+            parts.append(np.concatenate(pieces, axis=int(beside)))
     if not parts:
         raise InputError(
             f"{name}: which of its arrays are the readings? It holds {_listed(content)}: name them with --matlab-data, "

@@ -106,19 +106,18 @@ def _look_at_channel(head: Head, trial: Trial, i: int, omega: float, grows: bool
             if len(spikes) == 1
             else f"{where}: {len(spikes)} single readings stick out, at {some} s{more}; they look like outliers"
         )
-    _look_at_offset(head, trial, where, y, omega, warnings)
+    offset = look.offset_of(trial.times, y, noise, omega)
+    if abs(offset) > (_OF_STEPS * step if step > noise else 0.0):
+        _tell_offset(head, trial, where, offset, warnings)
     if given is not None and noise > 0.0 and not reacts and not 1.0 / 3.0 <= noise / given[i] <= 3.0:
         warnings.append(f"{where}: noise is about {noise:.3g}, noise_std says {given[i]:.3g}; check unit and sensor")
     return False
 
 
-def _look_at_offset(head: Head, trial: Trial, where: str, y: Array, omega: float, warnings: list[str]) -> None:
-    """Whether a channel rests elsewhere than at 0."""
-    noise, step = look.noise_floor_of(y), look.resolution_of(y)
+def _tell_offset(head: Head, trial: Trial, where: str, offset: float, warnings: list[str]) -> None:
+    """A warning where a channel should rest at 0 and does not."""
     held = head.measurement.quantity == "displacement" and head.measurement.start == "rest"
-    offset = look.offset_of(trial.times, y, noise, omega)
-    least = _OF_STEPS * step if step > noise else 0.0
-    if abs(offset) > least and not trial.driven and not (head.rig.restoring == "pendulum" and held):
+    if not trial.driven and not (head.rig.restoring == "pendulum" and held):
         half = _is_angle(head) and abs(abs(offset) - math.pi) < 0.1
         held_off = ", or dry friction holds it there" if head.measurement.quantity == "displacement" else ""
         turned = " (half a turn: it may count from the upper position)" if half else ""
