@@ -34,8 +34,9 @@ from bayes_damper.calibration.unknowns import middle
 from bayes_damper.calibration.unlearnt import log_prior
 
 Array = NDArray[np.float64]
-VARIES = 9.0  # mean square, in variances, of a nuisance's differences between repeats from which it is each trial's own
 FEW_REPEATS = 4  # repeats beyond the first of their kind, over all kinds, below which they may be late alike by chance
+VARIES = 9.0  # mean square, in variances, of differences between so few repeats from which instants are each trial's own
+VARIES_MANY = 3.0  # and between many: what coloured noise and other scatter may add to the 1 of the noise itself
 RELEASES = (0.0, 2.0)  # sizes of the time of release from which each trial's is looked for, in all trials alike
 TIMES_TRIED = (0.0, 0.05, 0.1, 0.2, 0.35, 0.6, 1.0, 1.7, 3.0)  # sizes of it in one trial
 OVER = (0.1, 0.3, 0.5, 0.7, 0.9)  # and shares of it at the first reading
@@ -96,11 +97,20 @@ def releases_vary(fit: Calibration) -> bool:
             pressed += _pressed(block.group, i, members, block.eta[members, i])
             z += list((values - values.mean()) / sd[members] / math.sqrt(max(1.0 - 1.0 / len(members), 1e-9)))
     few = spare < FEW_REPEATS or 2 * pressed >= len(z)
-    if not z or few or float(np.mean(np.square(z))) > VARIES:
+    if not z or few or float(np.mean(np.square(z))) > _differing(spare):
         return bool(z)
     common = float(np.average(when, weights=known))
     alike = float(np.mean(np.array(known) * (np.array(when) - common) ** 2)) < VARIES
     return alike and -common * math.sqrt(sum(known)) > math.sqrt(VARIES)
+
+
+def _differing(spare: int) -> float:
+    """Mean square of the differences between repeats above which they are real, with so many beyond the first.
+
+    By chance a mean square of n differences is off by a share of sqrt(2 / n): what few repeats may show without any
+    scatter of the instants, many do not.
+    """
+    return max(VARIES_MANY, 1.0 + (VARIES - 1.0) * math.sqrt(FEW_REPEATS / spare))
 
 
 def _pressed(group: Group, i: int, members: Sequence[int], values: Array) -> int:
