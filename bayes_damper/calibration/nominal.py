@@ -35,8 +35,8 @@ from bayes_damper.calibration.unlearnt import log_prior
 
 Array = NDArray[np.float64]
 FEW_REPEATS = 4  # repeats beyond the first of their kind, over all kinds, below which they may be late alike by chance
-VARIES = 9.0  # mean square, in variances, of differences between so few repeats from which instants are each trial's own
-VARIES_MANY = 3.0  # and between many: what coloured noise and other scatter may add to the 1 of the noise itself
+VARIES = 9.0  # mean square, in variances, of differences between so few repeats from which instants are the trials' own
+VARIES_MANY = 3.0  # and between many: what coloured noise and other scatter may add to the 1 of noise
 RELEASES = (0.0, 2.0)  # sizes of the time of release from which each trial's is looked for, in all trials alike
 TIMES_TRIED = (0.0, 0.05, 0.1, 0.2, 0.35, 0.6, 1.0, 1.7, 3.0)  # sizes of it in one trial
 OVER = (0.1, 0.3, 0.5, 0.7, 0.9)  # and shares of it at the first reading
