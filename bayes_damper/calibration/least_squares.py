@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import ndtri
 
+from bayes_damper.calibration.jumps import beside_jumps
 from bayes_damper.calibration.normal_equations import Linear, Normals
 from bayes_damper.calibration.problem import Problem
 from bayes_damper.calibration.unknowns import coordinate_of, value_and_slope
@@ -188,15 +189,20 @@ def drawn_starts(problem: Problem) -> list[Array]:
 
 def summarise(
     problem: Problem, q: Array, eta: Mapping[int, Array], converged: bool, iterations: int, central: bool = True,
-    linear: Linear | None = None,
+    linear: Linear | None = None, evidence: float | None = None,
 ) -> Calibration:  # fmt: skip
-    """Covariance, evidence and the rest at a point that a fit has reached; linear : the problem there, if known."""
+    """Covariance, evidence and the rest at a point that a fit has reached.
+
+    linear : the problem there, evidence : its logarithm, where they are known.
+    """
     linear = problem.linearise(q, eta, central=central) if linear is None else linear
     normals = linear.normal()
     S, _, _ = normals.reduced()
     try:
         covariance = cho_solve(cho_factor(S), np.eye(problem.size))
-        evidence = normals.log_evidence() + gained_over_sizes(problem, normals)
+        if evidence is None:
+            evidence = normals.log_evidence() + gained_over_sizes(problem, normals)
+            evidence += beside_jumps(problem, q, eta, normals)
     except (np.linalg.LinAlgError, ValueError):
         covariance, evidence = np.full((problem.size, problem.size), np.nan), -math.inf
     prior = float(q @ q) + sum(float(v @ v) for v in eta.values())

@@ -41,7 +41,7 @@ from bayes_damper.simulation.links import of_links
 from bayes_damper.simulation.precompile import compile_ahead
 
 Array = NDArray[np.float64]
-Essence = tuple[Array, dict[int, Array], bool, int, bool, tuple[tuple[Array, Array, Array, Array], ...]]
+Essence = tuple[Array, dict[int, Array], float, bool, int, bool, tuple[tuple[Array, Array, Array, Array], ...]]
 """Of a fit: q, eta, whether it converged, iterations, whether its differences are central, and r, J, T, eta of each
 block, unless these are large."""
 
@@ -353,15 +353,15 @@ def essence(fit: Calibration | None) -> Essence:
     blocks = fit.linear.blocks
     sent = blocks if sum(b.nbytes for b in blocks) < MOST_SENT else ()
     derivatives = tuple((b.r, b.J, b.T, b.eta) for b in sent)
-    return fit.q, dict(fit.eta), fit.converged, fit.iterations, fit.linear.central, derivatives
+    return fit.q, dict(fit.eta), fit.log_evidence, fit.converged, fit.iterations, fit.linear.central, derivatives
 
 
 def restored(problem: Problem, found: Essence) -> Calibration:
     """The fit of a problem from its essence, in which its derivatives are: to differentiate again costs most."""
-    q, eta, converged, iterations, central, derivatives = found
+    q, eta, evidence, converged, iterations, central, derivatives = found
     blocks = tuple(Block(g, *arrays) for g, arrays in zip(problem.groups, derivatives, strict=bool(derivatives)))
     linear = problem.linearise(q, eta, central=central, known=blocks)
-    return summarise(problem, q, eta, converged, iterations, linear=linear)
+    return summarise(problem, q, eta, converged, iterations, linear=linear, evidence=evidence)
 
 
 def promising(nominal: Calibration, pool: Sequence[tuple[Effect, Variant]], gains: Array, full_fits: int) -> list[int]:
