@@ -213,6 +213,16 @@ def budget_sentence(budget: BudgetEntry | None, held_out: bool = True) -> str:
     return f"{', '.join([f'{name} closes {share} of the gap', *map(' '.join, others)])}; {rest}."
 
 
+def places_of_rest(sites: Mapping[str, float], budget: BudgetEntry | None) -> dict[str, float]:
+    """Where what no effect explains may act, without "none": beside the effects that are present, if any are.
+
+    sites : of the gap of the nominal model, budget : as in diagnosis.json.
+    """
+    present = budget is not None and any(e["present"] >= 0.5 for e in budget["effects"])
+    beside = (budget["unexplained"].get("sites") if budget is not None and present else None) or sites
+    return {site: p for site, p in beside.items() if site != "none"}
+
+
 def failed_sentence(budget: BudgetEntry | None) -> str:
     """Effects that were fitted and fail on held-out trials, in a sentence; "" where there are none.
 

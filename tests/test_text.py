@@ -14,6 +14,7 @@ from bayes_damper.text import (
     gap_beside_verdict,
     gathered,
     p_value,
+    places_of_rest,
     share_of_gap,
     warning_lines,
 )
@@ -190,6 +191,14 @@ def test_the_gap_by_effects_is_one_sentence():
     told = budget_sentence(divided({"stick_slip": None}, None), held_out=False)
     assert told == "Stick slip (probability 0.96) is present; no trial is held out to test that."
     assert budget_sentence(divided({"stick_slip": 0.9}, 0.1, 0.4)) == budget_sentence(None) == ""
+
+
+def test_what_stays_unexplained_has_one_place():
+    """The gap of the nominal model may lie elsewhere than what effects that are present leave of it."""
+    sites = {"ground1": 0.6, "bearings": 0.3, "none": 0.1}
+    assert places_of_rest(sites, divided({"bearing_drag": 0.7}, 0.3)) == {"bearings": 0.7, "sensor": 0.3}
+    alone = {"ground1": 0.6, "bearings": 0.3}
+    assert places_of_rest(sites, divided({"bearing_drag": 0.7}, 0.3, 0.4)) == places_of_rest(sites, None) == alone
 
 
 def test_no_share_of_a_gap_is_below_none_or_above_all_of_it():

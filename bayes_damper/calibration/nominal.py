@@ -504,9 +504,19 @@ def calibrate_nominal(
         return exact
     for _ in range(TURNS):
         fit = _under_its_noise(fit)
-    left = ", ".join(f"{s:.3g}" for s in fit.problem.noise.total)
-    report(f"noise of the measured inputs estimated; residual (sd of each channel, SI units): {left}")
+    report(f"noise of the measured inputs estimated; {_left(fit)}")
     return fit
+
+
+def _left(fit: Calibration) -> str:
+    """Rms of the readings and of what the fit leaves of them, channel by channel, in words."""
+    residuals, trials = fit.residuals(), fit.problem.experiment.trials
+    each = []
+    for c in range(max(len(r) for r in residuals.values())):
+        left = np.concatenate([r[c] for r in residuals.values() if c < len(r)])
+        read = np.concatenate([trials[i].y[c] for i, r in residuals.items() if c < len(r)])
+        each.append(f"{math.sqrt(np.nanmean(left**2)):.3g} of {math.sqrt(np.nanmean(read**2)):.3g}")
+    return f"it leaves (rms of each channel, SI units) {', '.join(each)}"
 
 
 def _usual_curve(fit: Calibration) -> Calibration:
@@ -583,8 +593,7 @@ def _with_exact_inputs(
     alone = lone(experiment, experiment.training)
     fit = _shaped(experiment, nominal, switches) if begin is None else _again(experiment, begin)
     noise = learn_noise(fit)
-    left = ", ".join(f"{s:.3g}" for s in noise.total)
-    report(f"nominal model fitted; residual (sd of each channel, SI units): {left}")
+    report(f"nominal model fitted; {_left(fit)}")
     # The first noise held the scatter that was not learnt yet.
     fit = under(fit, noise, None if switches is None else switches.scatter)
     if switches is None:

@@ -55,6 +55,7 @@ from bayes_damper.text import (
     named_answers,
     named_sentence,
     p_value,
+    places_of_rest,
     trial_words,
     warning_lines,
 )
@@ -128,8 +129,9 @@ def diagnose(
     path = _emptied(folder)
     write_missing_torque(folder / "missing_torque.csv", found.site_map)
     earlier = [folder / "learnt" / f"{site}{end}" for site in SITES for end in (".toml", ".csv", "_table.csv")]
-    for path_of_law in (*earlier, *(folder / f"learnt_law{end}" for end in (".svg", ".png"))):
-        path_of_law.unlink(missing_ok=True)
+    pictures = [folder / f"{name}{end}" for name in ("learnt_law", "missing_torque") for end in (".svg", ".png")]
+    for file in (*earlier, *pictures):
+        file.unlink(missing_ok=True)
     if found.law is not None:
         found.law.write(folder)
     report("forecasting held-out trials, and drawing figures")
@@ -309,7 +311,8 @@ def next_steps(result: DiagnosisFile, campaign: str, folder: str = "", own: str 
     elif verdict == "none":
         steps.append(f"{'If you take this answer' if open_ else 'Next'}: {fit} --out results/fit")
     else:
-        place = max((s for s in result["sites"] if s != "none"), key=lambda s: result["sites"][s])
+        rest = places_of_rest(result["sites"], result.get("budget"))
+        place = max(rest, key=lambda s: rest[s])
         places = result.get("site_map")
         shown = ", and at missing_torque.csv" if places and places["curve"] else ""
         steps.append(f"Next: look at {_place(place)} on the rig{shown}; --effects DIR adds your own effect.")
@@ -335,7 +338,8 @@ def _words(result: DiagnosisFile) -> list[str]:
                 f"No missing effect found (probability {share:.2f} that the model is complete, which is not certain)."
             ]
     elif verdict == "unknown":
-        site = max((s for s in result["sites"] if s != "none"), key=lambda s: result["sites"][s])
+        rest = places_of_rest(result["sites"], result.get("budget"))
+        site = max(rest, key=lambda s: rest[s])
         sure = "There is" if share >= CERTAIN else "Most probable, but not sure:"
         first = f"{sure} a gap that no effect of the library explains (probability {share:.2f}); "
         lines = [f"{first}its most likely place: {said(_place(site))}."]
@@ -447,7 +451,7 @@ def _draw(folder: Path, found: Diagnosis, workers: int, library: Mapping[str, Ef
             record, plain, title=f"{found.campaign}: what the model misses{explained}"
         )
     torques = found.site_map.torque
-    if torques:
+    if torques and found.verdict != "none":
         shown = max(torques, key=lambda found: float(np.abs(found.torque).max()))
         drawn["missing_torque"] = lambda: figures.missing_torque_figure(
             shown,

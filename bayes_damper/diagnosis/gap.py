@@ -57,6 +57,7 @@ Array = NDArray[np.float64]
 
 SIZE = 0.05
 NEGLIGIBLE = 0.25  # of the noise sd: a gap below it adds 3 % to the residuals
+FAR = 2.0  # times the noise: residuals beyond it are seen, whatever they are
 KEPT_WEIGHT = 0.5  # readings that a fit trusts less (release, friction reversals) are left out of sums of squares
 BELIEVED = 6.0  # degrees of freedom that the noise model counts as, beside what repeats do not share
 FEWEST_TRIALS = 4  # held out, from which they show how they vary
@@ -138,6 +139,7 @@ def measure_gap(
     count = np.array([sum(m.sum() for m in masks[i]) for i in heldout], float)
     upper = _upper_limit(float(x0.sum()), float(count.sum()), noise_spread(nominal.problem))
     nominal_rms = _rms({i: before[i].residual for i in heldout}, nominal.problem, heldout)
+    floor = _floor_rms(nominal.problem, heldout)
     augmented = None if after is None else _rms({i: after[i].residual for i in heldout}, nominal.problem, heldout)
     closed = None
     if winner is not None and after is not None:
@@ -147,12 +149,18 @@ def measure_gap(
         answer, why = "gap", f"held-out residuals follow what the training trials predict ({words_of_p(p_value)})"
     elif upper < NEGLIGIBLE:
         answer, why = "none", f"no gap shows; one larger than {upper:.2f} times the sensor noise is excluded"
+    elif nominal_rms > FAR * floor:
+        answer, why = (
+            "cannot tell",
+            f"held-out residuals are {two_digits(nominal_rms / floor)} times the sensor noise, but other than the "
+            "training trials predict: the trials differ by what the model does not allow for",
+        )
     else:
         answer, why = (
             "cannot tell",
             f"no gap shows, but one as large as {two_digits(upper)} times the sensor noise could hide: add trials",
         )
-    return Gap(answer, p_value, SIZE, _floor_rms(nominal.problem, heldout), nominal_rms, augmented, closed, upper, why)
+    return Gap(answer, p_value, SIZE, floor, nominal_rms, augmented, closed, upper, why)
 
 
 def closing(

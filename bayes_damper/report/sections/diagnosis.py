@@ -53,6 +53,7 @@ from bayes_damper.text import (
     named_sentence,
     number,
     p_value,
+    places_of_rest,
     percent,
     plus_minus,
     share_of_gap,
@@ -95,7 +96,10 @@ def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
     kind = _kind_of(data)
     said = partial(in_words_of, kind=kind, magnet=bool((data.get("rig") or {}).get("magnet", True)))
     divided = said(budget_sentence(budget, gap is None or held_out_of(gap))) if budget and verdict != "none" else ""
-    sentences = [divided, *_verdict_sentences(verdict, share, sites, pair, effects, said)]
+    likely = sites
+    if verdict == "unknown":
+        likely = sorted(places_of_rest(dict(sites), data.get("budget")).items(), key=lambda item: -item[1])
+    sentences = [divided, *_verdict_sentences(verdict, share, likely, pair, effects, said)]
     if pair:
         sentences.append(
             f"No single effect closes the gap; {listed([called(e) for e in pair['effects']])} together do "
@@ -174,7 +178,7 @@ def _section(
     accelerations = str(data.get("reading_unit") or "").endswith("s^2")
     charts = [
         torque_chart(f, translational=translational, accelerations=accelerations)
-        for f in sorted(folder.glob("*torque*.csv"))
+        for f in (sorted(folder.glob("*torque*.csv")) if data.get("verdict") != "none" else ())
     ]
     rest = generic(
         data, "", ("schema", "campaign", "verdict", "credible_set", "probabilities", "sites", "effects", "provenance",
