@@ -150,16 +150,14 @@ def measure_gap(
     elif upper < NEGLIGIBLE:
         answer, why = "none", f"no gap shows; one larger than {upper:.2f} times the sensor noise is excluded"
     elif nominal_rms > FAR * floor:
-        answer, why = (
-            "cannot tell",
+        answer = "cannot tell"
+        why = (
             f"held-out residuals are {two_digits(nominal_rms / floor)} times the sensor noise, but other than the "
-            "training trials predict: the trials differ by what the model does not allow for",
+            "training trials predict: the trials differ by what the model does not allow for"
         )
     else:
-        answer, why = (
-            "cannot tell",
-            f"no gap shows, but one as large as {two_digits(upper)} times the sensor noise could hide: add trials",
-        )
+        answer = "cannot tell"
+        why = f"no gap shows, but one as large as {two_digits(upper)} times the sensor noise could hide: add trials"
     return Gap(answer, p_value, SIZE, floor, nominal_rms, augmented, closed, upper, why)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -183,6 +184,19 @@ def test_instants_that_are_the_declared_ones_have_no_prior_of_their_own():
             noise[:, k] += 0.8 * noise[:, k - 1]
         trials.append(replace(t, y=t.y + noise))
     assert not calibrate_nominal(replace(drawn, trials=tuple(trials))).problem.switches.delay
+
+
+def test_the_fit_reports_what_it_leaves_of_the_readings():
+    """Their rms beside that of the residuals; it gave a noise learnt from repeats, which may be above the readings."""
+    said = []
+    measurements = measured(3)
+    fit = calibrate_nominal(measurements, report=said.append)
+    left, read = map(
+        float, re.search(r"leaves \(rms of each channel, SI units\) ([\d.e+-]+) of ([\d.e+-]+)", said[0]).groups()
+    )
+    every = np.concatenate([measurements.trials[i].y[0] for i in fit.problem.trials])
+    assert read == pytest.approx(math.sqrt(np.mean(every**2)), rel=0.01)
+    assert left == pytest.approx(fit.problem.noise.total[0], rel=0.1)
 
 
 @pytest.mark.parametrize("instants", [0.0, 2e-4])

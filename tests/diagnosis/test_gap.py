@@ -141,6 +141,18 @@ def test_without_repeats_the_answer_is_that_none_can_be_told():
     assert gap.closed is None
 
 
+def test_held_out_trials_that_differ_far_beyond_the_noise_are_not_said_to_show_nothing():
+    """Of a chaotic drive: 130 times the noise, and "no gap shows, but one as large as that could hide"."""
+    fit = calibrate_nominal(measured(3))
+    e = fit.problem.experiment
+    rng = np.random.default_rng(5)
+    odd = tuple(replace(t, y=t.y + 10.0 * NOISE * rng.standard_normal(t.y.shape)) if t.heldout else t for t in e.trials)
+    gap = measure_gap(replace(fit, problem=fit.problem.changed(experiment=replace(e, trials=odd))))
+    assert gap.answer == "cannot tell"
+    assert gap.nominal_rms > 5.0 * gap.noise_rms
+    assert gap.why.startswith(f"held-out residuals are {float(f'{gap.nominal_rms / gap.noise_rms:.2g}'):g} times")
+
+
 def test_a_short_campaign_without_a_sign_cannot_exclude_a_gap():
     experiment = measured(21, cases=(("I", 0, 0.1),), configurations=(False,), repeats=2, duration=0.1)
     gap = measure_gap(calibrate_nominal(experiment))

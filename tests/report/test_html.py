@@ -832,6 +832,16 @@ def test_a_diagnosis_shows_the_record_that_proves_it_before_the_missing_torque(t
     assert page.count("<figcaption><strong>What the model misses</strong>") == 1
 
 
+def test_a_page_on_which_nothing_is_missing_shows_no_missing_torque(tmp_path):
+    write_diagnosis(tmp_path)
+    file = tmp_path / "diagnosis.json"
+    data = json.loads(file.read_text(encoding="utf-8"))
+    for verdict, shown in (("unknown", True), ("none", False)):
+        file.write_text(json.dumps(data | {"verdict": verdict}), encoding="utf-8")
+        report(tmp_path)
+        assert ("<strong>Missing torque</strong>" in (tmp_path / "report.html").read_text(encoding="utf-8")) == shown
+
+
 def test_a_page_of_several_campaigns_bears_the_name_of_the_folder(tmp_path):
     for name in ("bench", "rig"):
         (tmp_path / name).mkdir()

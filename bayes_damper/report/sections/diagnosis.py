@@ -53,8 +53,8 @@ from bayes_damper.text import (
     named_sentence,
     number,
     p_value,
-    places_of_rest,
     percent,
+    places_of_rest,
     plus_minus,
     share_of_gap,
 )
