@@ -219,6 +219,8 @@ def convert(
     if unit not in valid:
         other = next((q for q in _TANGENTIAL if unit in _TANGENTIAL[q] or unit in _ANGULAR[q]), None)
         other_quantity = f", but of {other}: for such readings give --quantity {other}" if other else ""
+        if other == quantity:  # of a rig that turns
+            other_quantity = " of a cart, but of a rig that turns: for such readings give --kind torsional"
         if unit.lower() in COUNTED:
             first = next(iter(valid))
             other_quantity = f": give --units {first} and, as --scale, how many {first} one of them is"
@@ -517,9 +519,12 @@ def _refuse_clocks(source: LoggerFile, places: Sequence[int], option: Mapping[st
     """InputError where a channel (a column from 0) is called after the time and rises all along."""
     for i in places:
         if source.called_time(i) and (np.diff(source.table[:, i]) > 0.0).all():
+            mend = "name it as 'time', and in 'columns' those that the sensors read"
+            if "sample_rate" in option:
+                mend = "leave out the sample rate, or name in 'columns' those that the sensors read"
             raise InputError(
-                f"{option['where']}: {source.column(i)} is a clock and stands in 'columns'; name it as 'time', and "
-                f"in 'columns' those that the sensors read (the file has {source.described()})"
+                f"{option['where']}: {source.column(i)} is a clock and stands in 'columns'; {mend} "
+                f"(the file has {source.described()})"
             )
 
 

@@ -31,6 +31,7 @@ _FILTERED = 3.0
 _IN_DEGREES = " (`init --units deg` converts them)"
 _LATE = 10.0  # lengths of a record after the release, from which the times count from something else
 _MOST_APART = 1e6  # a ratio beyond which one of two numbers does not act
+_USUAL = {"torsional": 1.0, "translational": 0.3}  # swing, rad or m, up to which it is theta0 that is in another unit
 
 
 def check_declared(head: Head, trials: Sequence[Trial], faults: list[str], warnings: list[str]) -> None:
@@ -207,19 +208,20 @@ def check_magnitudes(head: Head, trial: Trial, faults: list[str], warnings: list
             "correct one of them, or the time column"
         )
     else:
-        guess = _unit_guess(head.rig, ratio, power)
+        guess = _unit_guess(head.rig, ratio, power, ratio * abs(trial.theta0.value))
     (faults if ratio > 10.0 or ratio < 0.03 else warnings).append(f"{sentence}; {guess}")
 
 
-def _unit_guess(rig: Rig, ratio: float, power: int) -> str:
-    """Which confusion of units a ratio far from one looks like, as advice."""
+def _unit_guess(rig: Rig, ratio: float, power: int, reach: float) -> str:
+    """Which confusion of units a ratio far from one looks like, as advice; reach : by the readings, rad or m."""
     radius = rig.bar_radius.value if rig.bar_radius is not None else 0.1
     torsional = rig.kind == "torsional"
     guesses: dict[str, float] = {"k1t, the inertia or the release are in another unit than declared": 1e6}
     if torsional:
-        guesses[
-            f"it looks like degrees taken for radians: give radians in the record{_IN_DEGREES}, degrees in theta0_deg"
-        ] = 57.3
+        guess = f"degrees taken for radians: give radians in the record{_IN_DEGREES}, degrees in theta0_deg"
+        if reach < _USUAL["torsional"]:
+            guess = "radians given for theta0, which is in degrees; or degrees taken for radians in the record"
+        guesses[f"it looks like {guess}"] = 57.3
         if power == 2:
             guesses[
                 "it looks like g at the mounting radius: convert to rad/s^2, or import it with `bayes-damper init`"
@@ -228,7 +230,10 @@ def _unit_guess(rig: Rig, ratio: float, power: int) -> str:
                 "it looks like m/s^2 at the mounting radius: convert to rad/s^2, or import it with `bayes-damper init`"
             ] = radius
     else:
-        guesses["it looks like millimetres taken for metres: give SI units in the record, mm in theta0_mm"] = 1000.0
+        guess = "it looks like millimetres taken for metres: give SI units in the record, mm in theta0_mm"
+        if reach < _USUAL["translational"]:
+            guess = "it looks like metres given for theta0, which is in mm"
+        guesses[guess] = 1000.0
         guesses["it looks like metres given as theta0_mm, or the like: theta0_mm is in millimetres"] = 1e-3
         if power == 2:
             guesses["it looks like g: give m/s^2"] = 1.0 / 9.81

@@ -163,6 +163,12 @@ def test_a_record_too_short_for_its_declared_period_names_the_unit(tmp_path, uni
         carts(tmp_path / "carts", **units)
 
 
+def test_metres_given_for_a_release_in_millimetres_are_said_to_be(tmp_path):
+    """The record was said to be in millimetres, whose largest reading is 2 cm."""
+    with pytest.raises(InputError, match="it looks like metres given for theta0, which is in mm"):
+        carts(tmp_path / "carts", declared=0.02)
+
+
 def test_a_record_that_is_too_short_gets_no_guess(tmp_path):
     with pytest.raises(InputError) as error:
         carts(tmp_path / "carts", end=HELD + 100)

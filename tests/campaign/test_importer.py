@@ -231,6 +231,7 @@ def test_a_number_in_other_words_is_refused_once_for_all_files(tmp_path: Path) -
         ({"units": ["m/s^2"]}, "give mounting_radius in metres"),
         ({"units": ["furlong"]}, "'furlong' is no unit of acceleration;"),
         ({"units": ["mm"]}, "but of displacement: for such readings give --quantity displacement"),
+        ({"units": ["deg"], "kind": "translational", "quantity": "displacement"}, "of a rig that turns: for such"),
         ({"colums": ["a"]}, "option 'colums' does not exist; did you mean 'columns'?"),
         ({"release": "guess"}, "release = 'guess' is none of"),
         ({"start": 900.0}, "only 0 readings"),
@@ -330,6 +331,15 @@ def test_a_column_of_missing_readings_is_refused(tmp_path: Path) -> None:
 )
 def test_a_column_is_one_thing_alone(tmp_path: Path, named: dict[str, object], told: str) -> None:
     assert told in fault_of(tmp_path, logger_file(tmp_path / "run.csv", wave()), **named)
+
+
+def test_a_sample_rate_beside_a_clock_is_said_to_be_too_much(tmp_path: Path) -> None:
+    source = logger_file(tmp_path / "run.csv", wave())
+    options = {k: v for k, v in OPTIONS.items() if k not in ("columns", "time")}
+    with pytest.raises(
+        InputError, match=r"column 1 .t. is a clock and stands in 'columns'; leave out the sample rate, or"
+    ):
+        init_campaign(tmp_path / "out", [source], **options, sample_rate=1000.0)
 
 
 TWO = {**OPTIONS, "secondary_inertia": 2.474e-3, "bar_radius": 0.1, "magnet_radius": 0.0127, "magnet_pull": 100.0}

@@ -261,7 +261,7 @@ TRIAL_FAULTS = [
     ("10.2,4.7,1", "-10.2,4.7,1", "k1t_n_m_per_rad = -10.2 must be positive"),
     ("10.2,4.7,1", "10.2,nan,1", "'nan' is not finite"),
     ("10.2,4.7,1", "10.2,4.7,1.5", "trial '1.5' is not a whole number"),
-    ("10.2,4.7,1", "10.2,0.082,1", "it looks like degrees taken for radians"),
+    ("10.2,4.7,1", "10.2,0.082,1", "radians given for theta0, which is in degrees; or degrees taken for radians"),
 ]
 
 

@@ -879,7 +879,7 @@ def test_a_gap_beside_the_verdict_none_is_explained_on_the_first_screen(tmp_path
     data["gap"] |= {"p_value": 0.03}
     (tmp_path / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
     text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
-    first = text[: text.index("Missing torque")]
+    first = text[: text.index("Every answer that was tried")]
     assert "alone says gap (p = 0.03), as it does for one faultless rig in 20" in first
     assert "differ by more than the noise" not in first
     assert "the best candidate would close 97 % of the gap" in first
