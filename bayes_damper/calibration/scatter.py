@@ -10,10 +10,10 @@ with its own values at 0, and T_j their derivatives by these, in units of typica
 
     r_j = -T_j (m + eta_j) + noise,   m ~ flat,   eta_j ~ N(0, D),
 
-D the squares of the sizes over the typical ones: what is shared goes into m, and only what the repeats differ by is
-left to judge D (Patterson and Thompson 1971, Biometrika 58, 545: restricted likelihood). It needs T_j T_j' and T_j r_j
-alone, so that an evaluation costs microseconds, and repeats may have other clocks and lengths. The instant of release
-has a flat prior here: it is not linear.
+D the squares of the sizes over the typical ones: what is shared goes into m (of angles and gains, up to a tenth), and
+only what the repeats differ by is left to judge D (Patterson and Thompson 1971, Biometrika 58, 545: restricted
+likelihood). It needs T_j T_j' and T_j r_j alone, so that an evaluation costs microseconds, and repeats may have other
+clocks and lengths. The instant of release has a flat prior here: it is not linear.
 
 Nor is the time that a release takes, over which what holds the primary gives way in proportion (equations.ROWS): a fit
 follows it first. It is never negative, so eta is half a normal variable, which differs from its mean by less than from
@@ -43,6 +43,7 @@ from scipy.optimize import minimize
 from scipy.special import stdtr
 
 from bayes_damper.calibration.experiment import lone, repeats
+from bayes_damper.calibration.groups import Nuisance
 from bayes_damper.calibration.least_squares import Calibration
 from bayes_damper.calibration.noise import Noise
 from bayes_damper.calibration.own_values import (
@@ -77,6 +78,7 @@ TYPICAL: Mapping[str, float] = {
 }
 """Typical standard deviation from trial to trial: the scale of a size's prior where the campaign gives none."""
 _FLAT = 1e8  # prior variance of what has a flat prior, in its own units
+WITHIN_REACH = 0.1  # share of an angle or gain that repeats may have in common beyond the fit
 _GRID = np.linspace(-5.0, 3.5, 35)  # of ln(size / typical size)
 _WIDEST = 9.0  # of the same for the baseline of a single record, which may be thousands of times the noise
 _FINE = np.linspace(-5.0, 3.5, 681)
@@ -123,12 +125,14 @@ def typical_scatter(problem: Problem, releases: bool = False) -> Scatter:
 class Repeats:
     """Sums over the readings of a set of n repeats, from whitened residuals and what m own values change in them.
 
-    names : of the m own values; gram (n, m, m) : T T' of each repeat; product (n, m) : T r, with own values at 0.
+    names : of the m own values; gram (n, m, m) : T T' of each repeat; product (n, m) : T r, with own values at 0;
+    shared (m,) : prior variances of what all of them share, by default flat.
     """
 
     names: tuple[str, ...]
     gram: Array
     product: Array
+    shared: Array | float = _FLAT
 
     def log_likelihood(self, variances: Array) -> tuple[float, Array]:
         """Log likelihood of what repeats do not share, up to a constant; its derivatives by ln variances (m,).
@@ -139,7 +143,7 @@ class Repeats:
         H = self.gram + np.diag(1.0 / variances)
         inverse = np.linalg.inv(H)
         pulled = self.gram @ inverse
-        S = np.sum(self.gram - pulled @ self.gram, axis=0) + np.eye(variances.size) / _FLAT
+        S = np.sum(self.gram - pulled @ self.gram, axis=0) + np.eye(variances.size) / self.shared
         g = np.sum(self.product - np.einsum("jmn,jn->jm", pulled, self.product), axis=0)
         spread = np.linalg.inv(S)
         mean = spread @ g
@@ -156,7 +160,7 @@ class Repeats:
         both = np.concatenate([self.gram, self.product[:, :, None]], axis=2)
         pulled = both.transpose(0, 2, 1) @ np.linalg.solve(H, np.broadcast_to(both, (*H.shape[:2], *both.shape[1:])))
         left = np.sum(both - pulled[:, :, :m], axis=1)
-        S, g = left[:, :, :m] + np.eye(m) / _FLAT, left[:, :, m]
+        S, g = left[:, :, :m] + np.eye(m) / self.shared, left[:, :, m]
         explained = np.einsum("km,km->k", g, np.linalg.solve(S, g[:, :, None])[:, :, 0]) + pulled[:, :, m, m].sum(
             axis=1
         )
@@ -213,7 +217,7 @@ def _of_repeats(fit: Calibration, problem: Problem, alike: Mapping[int, Hashable
     typical = typical_scatter(problem, releases=fit.problem.switches.scatter.sd(RELEASE) > 0.0)
     wide = problem.changed(switches=replace(problem.switches, friction=False, drag=False, scatter=typical))
     linear = wide.linearise(fit.q, carried(fit, wide))
-    found: dict[Hashable, list[tuple[tuple[str, ...], Array, Array]]] = {}
+    found: dict[Hashable, list[tuple[tuple[str, ...], Array, Array, Array]]] = {}
     information: dict[str, float] = {}
     for block in linear.blocks:
         names = tuple(name for name, _, _ in block.group.nuisances)
@@ -227,15 +231,30 @@ def _of_repeats(fit: Calibration, problem: Problem, alike: Mapping[int, Hashable
                 known = known - gram[:, k, free][:, 0] ** 2 / np.maximum(gram[:, free, free][:, 0], 1e-300)
             information[name] = max(information.get(name, 0.0), float(np.max(known)))
         for k, i in enumerate(block.group.trials):
-            found.setdefault(alike[i], []).append((names, gram[k], product[k]))
+            found.setdefault(alike[i], []).append((names, gram[k], product[k], _shared(block.group.nuisances, k)))
     sets = [
-        Repeats(rows[0][0], np.array([r[1] for r in rows]), np.array([r[2] for r in rows]))
+        Repeats(rows[0][0], np.array([r[1] for r in rows]), np.array([r[2] for r in rows]), rows[0][3])
         for rows in found.values()
         if len(rows) > 1
     ]
     sizes = _posterior(sets, typical.sizes)
     times = math.sqrt(float(np.mean(np.square(times_of_release(fit) or [0.0]))))
     return Scatter(tuple(s for s in sizes if _matters(s, information, times)))
+
+
+def _shared(nuisances: Sequence[Nuisance], k: int) -> Array:
+    """Prior variances (m,) of what trial k shares with its repeats, in units of its nuisances: flat but for two.
+
+    Angles and gains have all but the same derivatives. With twice the angle and none of the gain, what these
+    derivatives differ by from trial to trial, of second order, would explain what the trials' own gains differ by.
+    """
+    out = np.full(len(nuisances), _FLAT)
+    for m, (name, mean, sd) in enumerate(nuisances):
+        if name == "theta0" and mean[k]:
+            out[m] = (WITHIN_REACH * mean[k] / sd[k]) ** 2
+        elif name.startswith("gain"):
+            out[m] = (WITHIN_REACH / sd[k]) ** 2
+    return out
 
 
 def _baselines(fit: Calibration, problem: Problem) -> Scatter:
