@@ -294,9 +294,9 @@ def _about_a_mean(fit: Calibration) -> Calibration:
     best, most = about(1.0, fit)
     if most < known - HOPELESS:
         return fit
-    share = 1.0
+    share, longest = 1.0, 1.0 / (usual[0].typical * max(problem.experiment.omegas))  # groups.py: none takes longer
     for step in (STEP_OF_MEAN, 1.0 / STEP_OF_MEAN):
-        while (further := about(share * step, best))[1] > most:
+        while share * step < longest and (further := about(share * step, best))[1] > most:
             share, (best, most) = share * step, further
     return best if most > known + SHOWN_FROM and not _alike(best) else fit
 
