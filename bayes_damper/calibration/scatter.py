@@ -10,7 +10,7 @@ with its own values at 0, and T_j their derivatives by these, in units of typica
 
     r_j = -T_j (m + eta_j) + noise,   m ~ flat,   eta_j ~ N(0, D),
 
-D the squares of the sizes over the typical ones: what is shared goes into m (of angles and gains, up to a tenth), and
+D the squares of the sizes over the typical ones: what is shared goes into m (of release angles, about a tenth), and
 only what the repeats differ by is left to judge D (Patterson and Thompson 1971, Biometrika 58, 545: restricted
 likelihood). It needs T_j T_j' and T_j r_j alone, so that an evaluation costs microseconds, and repeats may have other
 clocks and lengths. The instant of release has a flat prior here: it is not linear.
@@ -78,7 +78,7 @@ TYPICAL: Mapping[str, float] = {
 }
 """Typical standard deviation from trial to trial: the scale of a size's prior where the campaign gives none."""
 _FLAT = 1e8  # prior variance of what has a flat prior, in its own units
-WITHIN_REACH = 0.1  # share of an angle or gain that repeats may have in common beyond the fit
+ANGLES_SHARED = 0.1  # of the angle: prior sd of what repeats may be released apart from it by, all alike
 _GRID = np.linspace(-5.0, 3.5, 35)  # of ln(size / typical size)
 _WIDEST = 9.0  # of the same for the baseline of a single record, which may be thousands of times the noise
 _FINE = np.linspace(-5.0, 3.5, 681)
@@ -243,7 +243,7 @@ def _of_repeats(fit: Calibration, problem: Problem, alike: Mapping[int, Hashable
 
 
 def _shared(nuisances: Sequence[Nuisance], k: int) -> Array:
-    """Prior variances (m,) of what trial k shares with its repeats, in units of its nuisances: flat but for two.
+    """Prior variances (m,) of what trial k shares with its repeats, in units of its nuisances: flat but for the angle.
 
     Angles and gains have all but the same derivatives. With twice the angle and none of the gain, what these
     derivatives differ by from trial to trial, of second order, would explain what the trials' own gains differ by.
@@ -251,9 +251,7 @@ def _shared(nuisances: Sequence[Nuisance], k: int) -> Array:
     out = np.full(len(nuisances), _FLAT)
     for m, (name, mean, sd) in enumerate(nuisances):
         if name == "theta0" and mean[k]:
-            out[m] = (WITHIN_REACH * mean[k] / sd[k]) ** 2
-        elif name.startswith("gain"):
-            out[m] = (WITHIN_REACH / sd[k]) ** 2
+            out[m] = (ANGLES_SHARED * mean[k] / sd[k]) ** 2
     return out
 
 
