@@ -31,6 +31,7 @@ from bayes_damper.calibration import (
     with_sizes_of_its_own,
 )
 from bayes_damper.calibration.experiment import default_priors, rounding_sd, unrounded
+from bayes_damper.calibration.nominal import _log_density
 from bayes_damper.calibration.own_values import RELEASE, Scatter
 from bayes_damper.calibration.scatter import carried
 from bayes_damper.diagnosis.outliers import odd_trials, without_trials
@@ -204,6 +205,26 @@ def test_many_repeats_show_a_small_scatter_of_the_instant(instants):
     """A fifth of a sample: a mean square of 5.7 of 20 differences, which 4 of them might show by chance."""
     drawn = laboratory(2, {}, repeats=12, n=300, quantity="displacement", noise=3e-3, instants=instants)
     assert calibrate_nominal(drawn).problem.switches.delay == (instants > 0.0)
+
+
+def test_readings_that_exact_instants_leave_out_do_not_count_in_their_units():
+    """Of instants of each trial's own a noise 40 times smaller costs the logarithm of 40 a trial, no more and no less.
+
+    With first readings that show the rig still held, which have no weight where instants are exact: it cost nothing.
+    """
+    gained = []
+    for noise in (2.0, 0.05):
+        drawn = laboratory(1, {}, repeats=3, n=60, noise=noise)
+        held = tuple(replace(t, y=np.where(np.arange(60) == 0, noise, t.y)) for t in drawn.trials)
+        sudden = Problem(
+            replace(drawn, trials=held), switches=Switches(friction=False), noise=Noise((noise,), (0.0,), (0.0,))
+        )
+        own = calibrate(sudden)
+        exact = sudden.changed(switches=replace(sudden.switches, delay=False))
+        alike = calibrate(exact, [own.q], eta=carried(own, exact), anneal=False)
+        gained.append(_log_density(alike) - _log_density(own))
+    trials = len(sudden.trials)
+    assert gained[1] - gained[0] == pytest.approx(trials * math.log(40.0), abs=3.0)
 
 
 def test_a_release_late_by_more_than_a_reading_is_followed():
