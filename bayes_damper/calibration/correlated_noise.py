@@ -38,6 +38,7 @@ from bayes_damper.calibration import (
     whittle,
 )
 from bayes_damper.calibration.experiment import lone, repeats_by_reading
+from bayes_damper.calibration.noise import rounding
 from bayes_damper.runs.contents.fit import ChannelEntry, NoiseEntry
 
 Array = NDArray[np.float64]
@@ -49,6 +50,7 @@ APART = 1.5  # times the residual power of its repeats from which a trial is unl
 SURE = 8.0  # standard errors by which it must be so
 CUT = 4.0  # innovations beyond which a reading counts no further where noise is learnt
 RESTARTED = 300.0  # by which the cost of a start may exceed another's after its first stage
+ROUNDED = 1.2  # times its standard deviation up to which what is left of a channel is its rounding
 ORDERS = (4, 8, 16, 32)  # of autoregressions tried where something is left
 
 
@@ -184,7 +186,7 @@ def fit_with_noise(
     wide = exceeded = [False] * len(repeats)
     if kind in ("auto", "ar"):
         learnt, exceeded = _learn_from_what_is_left(fit, always=False)
-        wide = exceeded
+        wide, exceeded = exceeded, [e and not _rounded(fit, c) for c, e in enumerate(exceeded)]
         if kind == "ar":
             learnt, wide = _learn_from_what_is_left(fit, always=True)
         if any(wide):
@@ -200,6 +202,13 @@ def fit_with_noise(
         chosen = "ar"
     freedom = freedom if chosen == "student" else math.inf
     return _described(fit, chosen, kind == "auto", repeats, wide, freedom, unlike, exceeded, sensor)
+
+
+def _rounded(fit: Calibration, channel: int) -> bool:
+    """Whether a channel that errs by its rounding alone leaves no more: correlated, where the motion is slow."""
+    step = rounding(fit.problem.experiment, channel)
+    left = [r[channel] for r in fit.residuals().values() if channel < len(r)]
+    return math.sqrt(float(np.nanmean(np.square(np.concatenate(left))))) < ROUNDED * step
 
 
 # Trials unlike their repeats ----------------------------------------------------------------------------------------

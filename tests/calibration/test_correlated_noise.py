@@ -13,6 +13,7 @@ import pytest
 from coloured import NAMES, autoregression, campaign, covered, share_inside
 from scipy.special import ndtr
 from small_rig import NOISE, RIG, measured
+from test_scatter import laboratory
 
 from bayes_damper.calibration import Calibration, Noise, Problem, Switches, calibrate, default_starts
 from bayes_damper.calibration.correlated_noise import FittedNoise, fit_with_noise, student_log_density
@@ -373,3 +374,16 @@ def test_a_spectrum_without_any_white_part_has_a_finite_noise(farthest):
     assert 0.0 <= theta < 1e-100
     # of the likelihood with that phi and no white part the maximum is known
     assert sd**2 == pytest.approx(np.mean(power * (1.0 + phi**2 - 2.0 * phi * np.cos(omega))), rel=1e-3)
+
+
+def test_what_an_encoder_rounds_is_nothing_that_the_model_misses() -> None:
+    """In slow motion errors of rounding are alike from reading to reading, and were taken for a misfit."""
+    step = 6e-3
+    drawn = laboratory(1, {}, repeats=3, n=800, quantity="displacement", noise=1e-6)
+    trials = tuple(replace(t, y=step * np.round(t.y / step)) for t in drawn.trials)
+    said: list[bool] = []
+    fitted = fit_with_noise(replace(drawn, rounding=(step,), trials=trials), on_excess=said.append)
+    (channel,) = fitted.channels
+    assert channel.left == pytest.approx(step / math.sqrt(12.0), rel=0.05)
+    assert not channel.widened
+    assert said == []
