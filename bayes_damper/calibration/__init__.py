@@ -49,7 +49,7 @@ from bayes_damper.calibration.nominal import (
     with_sizes_of_its_own,
 )
 from bayes_damper.calibration.normal_equations import Block, Linear, Normals
-from bayes_damper.calibration.problem import Problem
+from bayes_damper.calibration.problem import Problem, simulated_once
 from bayes_damper.calibration.unknowns import NOMINAL, Coordinate, coordinate_of, middle, value_and_slope
 
 __all__ = [
@@ -85,6 +85,7 @@ __all__ = [
     "middle",
     "predict",
     "rough_noise",
+    "simulated_once",
     "spectrum_bins",
     "summarise",
     "thinned",

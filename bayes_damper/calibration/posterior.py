@@ -61,6 +61,14 @@ class _Part:
     readings: Array
     scale: Array
 
+    def turns(self, points: int) -> list[slice]:
+        """So few points at a time that their records, and matrices of what each trial has for itself, are held
+        together.
+        """
+        n, m = self.eta.shape
+        each = max(READINGS_AT_ONCE // max(self.group.y.size, n * m * m), 1)
+        return [slice(k, k + each) for k in range(0, max(points, 1), each)]
+
 
 def _solve(A: Array, b: Array) -> Array:
     return np.asarray(np.linalg.solve(A, b[..., None])[..., 0]) if b.shape[-1] else b
@@ -216,14 +224,6 @@ class RecordPosterior:
                 w[:, :, c] = noise.whiten(c, w[:, :, c]) * noise.innovation[c]
         return w
 
-    def _turns(self, part: _Part, points: Array) -> list[slice]:
-        """So few points at a time that their records, and matrices of what each trial has for itself, are held
-        together.
-        """
-        n, m = part.eta.shape
-        each = max(READINGS_AT_ONCE // max(part.group.y.size, n * m * m), 1)
-        return [slice(k, k + each) for k in range(0, max(len(points), 1), each)]
-
     def _evaluated(self, part: _Part, points: Array, s: Array) -> tuple[Array, Array, Array]:
         """Log likelihood (k, trials), mean (k, trials, m) and inverse covariance (k, trials, m, m) of the nuisances, of
         the points of a turn.
@@ -249,7 +249,7 @@ class RecordPosterior:
         """
         points = np.atleast_2d(points)
         each = [
-            np.concatenate([self._evaluated(part, points[at], s[at])[0] for at in self._turns(part, points)])
+            np.concatenate([self._evaluated(part, points[at], s[at])[0] for at in part.turns(len(points))])
             for part, s in self._scaled(points)
         ]
         value = np.concatenate(each, axis=1)
@@ -290,7 +290,7 @@ class RecordPosterior:
         values = []
         drawn: dict[int, Array] = {}
         for part, s in self._scaled(points):
-            turns = [self._drawn(part, points[at], s[at], rng) for at in self._turns(part, points)]
+            turns = [self._drawn(part, points[at], s[at], rng) for at in part.turns(len(points))]
             value, nuisances = (np.concatenate(x) for x in zip(*turns, strict=True))
             values.append(np.where(np.isfinite(value), value, -np.inf))
             if part.eta.shape[1]:
@@ -347,7 +347,7 @@ class RecordPosterior:
         points = np.atleast_2d(points)
         out: dict[int, Array] = {}
         for part, s in self._scaled(points):
-            turns = self._turns(part, points)
+            turns = part.turns(len(points))
             drawn = np.concatenate([self._settled(part, points[at], s[at], rng) for at in turns])
             for k, i in enumerate(part.group.trials):
                 out[i] = self.problem.simulate(

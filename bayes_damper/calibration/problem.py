@@ -197,20 +197,13 @@ class Problem:
         """Readings (n, channels, n_times) of vectors q (n, size), eta (n, m) on the group's trials `which` (n,)."""
         rig, effect = self._inputs(group, which, q, eta)
 
+        known: dict[str, Any] = {
+            "effect": effect if self.effect is not None else None, "inputs": group.inputs,
+            "quantity": self.experiment.quantity, "tolerance": self.tolerance, "threads": self.threads,
+        }  # fmt: skip
+
         def readings(rig: dict[str, Any]) -> Array:
-            return (
-                self.models[group.coupled]
-                .simulate(
-                    rig,
-                    group.times,
-                    effect=effect if self.effect is not None else None,
-                    inputs=group.inputs,
-                    quantity=self.experiment.quantity,
-                    tolerance=self.tolerance,
-                    threads=self.threads,
-                )
-                .y
-            )
+            return self.models[group.coupled].simulate(rig, group.times, **known).y
 
         y = readings(rig)
         for i, c in enumerate(self.coordinates):
@@ -222,11 +215,6 @@ class Problem:
                 late = rig | {"delay": rig.get("delay", 0.0) + from_standard(c.prior, q[:, i])}
                 y[:, c.index] = readings(late)[:, c.index]
         return _as_sensors_show(y, self.coordinates, group, which, q, eta)
-
-    def simulate_once(self, group: Group, which: Indices, q: Array, eta: Array) -> Array:
-        """The same as `simulate`, where many vectors may be equal: each is integrated once."""
-        _, first, place = np.unique(np.column_stack([which, q, eta]), axis=0, return_index=True, return_inverse=True)
-        return self.simulate(group, which[first], q[first], eta[first])[place.ravel()]
 
     def finer(self) -> Problem:
         """The same problem with records integrated more finely, for differences between them."""
@@ -291,6 +279,12 @@ class Problem:
             return group.coupled or c.index == 0
         free = group.coupled or c.role == "stiffness" or c.parameter in acting_alone(self.experiment)
         return free and bool(self.touched(c, group).any())
+
+
+def simulated_once(problem: Problem, group: Group, which: Indices, q: Array, eta: Array) -> Array:
+    """The same as `Problem.simulate`, where many vectors may be equal: each is integrated once."""
+    _, first, place = np.unique(np.column_stack([which, q, eta]), axis=0, return_index=True, return_inverse=True)
+    return problem.simulate(group, which[first], q[first], eta[first])[place.ravel()]
 
 
 def _model(experiment: Experiment, coupled: bool, effect: Variant | None) -> Model:

@@ -20,7 +20,7 @@ from typing import Any, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.calibration import Calibration, Coordinate, Group, Indices, Problem, calibrate
+from bayes_damper.calibration import Calibration, Coordinate, Group, Indices, Problem, calibrate, simulated_once
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.remainder import Remainder, remainder_of
 from bayes_damper.diagnosis.search import (
@@ -92,8 +92,8 @@ class PairProblem(Problem):
         """Readings (n, channels, n_times) of vectors q (n, size), eta (n, m) on the group's trials `which` (n,)."""
         n = self.base.size
         alone = (q[:, : self._split], np.concatenate([q[:, :n], q[:, self._split :]], axis=1))
-        first, second = (part.simulate_once(group, which, x, eta) for part, x in zip(self.parts, alone, strict=True))
-        return first + second - self.base.simulate_once(group, which, q[:, :n], eta)
+        first, second = (simulated_once(part, group, which, x, eta) for part, x in zip(self.parts, alone, strict=True))
+        return first + second - simulated_once(self.base, group, which, q[:, :n], eta)
 
     def acts(self, c: Coordinate, group: Group) -> bool:
         if c.role != "effect":

@@ -45,6 +45,7 @@ from bayes_damper.calibration import (
     calibrate,
     coordinate_of,
     learn_noise,
+    simulated_once,
     value_and_slope,
 )
 from bayes_damper.calibration.input_noise import followed
@@ -123,10 +124,10 @@ class SetProblem(Problem):
         if len(self.parts) == 1:
             return self.parts[0].simulate(group, which, q[:, self._places[0]], eta)
         each = [
-            part.simulate_once(group, which, q[:, place], eta)
+            simulated_once(part, group, which, q[:, place], eta)
             for part, place in zip(self.parts, self._places, strict=True)
         ]
-        alone = self.base.simulate_once(group, which, q[:, : self.base.size], eta)
+        alone = simulated_once(self.base, group, which, q[:, : self.base.size], eta)
         return np.asarray(sum(each) - (len(each) - 1) * alone)
 
     def acts(self, c: Coordinate, group: Group) -> bool:

@@ -616,7 +616,7 @@ def test_equal_records_of_two_effects_are_integrated_once(monkeypatch):
 
     monkeypatch.setattr(Model, "_run", counted)
     once, records = both.linearise(q, both.no_nuisance()).blocks, integrated[0]
-    monkeypatch.setattr(Problem, "simulate_once", Problem.simulate)
+    monkeypatch.setattr("bayes_damper.diagnosis.pairs.simulated_once", Problem.simulate)
     each = both.linearise(q, both.no_nuisance()).blocks
     assert all(np.array_equal(a.full, b.full) for a, b in zip(once, each, strict=True))
     assert records < 0.95 * (integrated[0] - records)
