@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import version
@@ -89,7 +90,7 @@ def plan_fit(
             except InputError as error:
                 refused[case] = error
         if refused:
-            able = [f"--case {case}" for case in chosen if case not in refused]
+            able = [f"--case {shlex.quote(case)}" for case in chosen if case not in refused]
             first = next(iter(refused.values()))
             raise InputError(f"{first}; other cases can: {' '.join(able)}" if able else str(first)) from first
     if noise != "auto" and recorded is None:

@@ -73,6 +73,17 @@ _TERMS = (
         "data. It "
         "is not the probability that the model is right.",
     ),
+    _Term(
+        "innovation, phi",
+        r"(?m)^innovation$",
+        "Of the noise: what a reading adds to what those before it predict, and the correlation of neighbouring ones.",
+    ),
+    _Term(
+        "temperature",
+        r"(?m)^temperature$",
+        "Differences of the evidence are divided by it before they become probabilities: above 1 where what the best "
+        "answer leaves does not look like noise.",
+    ),
     _Term("residual", r"\b[Rr]esiduals?\b", "Measured minus modelled."),
     _Term(
         "held-out trial",

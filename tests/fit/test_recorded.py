@@ -102,10 +102,12 @@ def test_an_effect_that_the_rig_cannot_have_is_refused_before_anything_is_writte
 
 
 def test_cases_that_can_have_an_effect_are_named_beside_one_that_cannot(tmp_path):
-    campaign = write_synthetic(tmp_path / "rig", duration=0.3, cases=[("I", 6.2, 5.2), ("IV", 10.2, 4.7)])
+    campaign = write_synthetic(tmp_path / "rig", duration=0.3, cases=[("I", 6.2, 5.2), ("IV b", 10.2, 4.7)])
     rows = (campaign / "trials.csv").read_text().splitlines()
     (campaign / "trials.csv").write_text("\n".join(x for x in rows if ",I,coupled," not in x) + "\n")
-    told = "--effect stick_slip: the trials of case I cannot .* needs coupled trials .*; other cases can: --case IV$"
+    told = (
+        "--effect stick_slip: the trials of case I cannot .* needs coupled trials .*; other cases can: --case 'IV b'$"
+    )
     with pytest.raises(InputError, match=told):
         fit(campaign, effect="stick_slip", out=tmp_path / "out")
 

@@ -540,6 +540,17 @@ def test_figures_say_how_they_are_read_once_and_words_are_explained(tmp_path):
     assert re.search(r'friction_<wbr>torque = mu N0 R<span class="meaning">\s+friction torque between the faces', page)
 
 
+def test_numbers_of_a_diagnosis_are_explained_by_their_names(tmp_path):
+    write_diagnosis(tmp_path)
+    file = tmp_path / "diagnosis.json"
+    data = json.loads(file.read_text(encoding="utf-8"))
+    data |= {"noise": {"sd": [2.0], "phi": [0.1], "innovation": [2.0]}, "remainder": {"temperature": 1.03}}
+    file.write_text(json.dumps(data), encoding="utf-8")
+    page = report(tmp_path).path.read_text(encoding="utf-8")
+    words = re.findall(r"<dt>(.*?)</dt>", page.partition('id="words"')[2].partition("</section>")[0])
+    assert {"innovation, phi", "temperature"} <= set(words)
+
+
 def test_a_verdict_says_what_the_effect_is_and_how_large(tmp_path):
     write_diagnosis(tmp_path)
     data = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
