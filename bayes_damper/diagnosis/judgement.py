@@ -41,6 +41,7 @@ PAIR_FROM = 6.0  # nats left by the leading effect from which pairs are fitted
 WORTH_RELEARNING = 10.0  # nats of the leading effect from which the noise is learnt again from what it leaves
 PRIORS_OF_UNKNOWN = (0.05, 0.15, 0.3, 0.5)  # prior probabilities of a foreign cause under which verdicts are given
 MOST_ROUNDS = 4  # of 25 steps by which a leader's descent goes on
+SETTLED = 0.1  # nats by which such a round moves the evidence at the end: slowly, where the valley is flat
 OTHER_CHOICES = "asking whether other priors, or a case or trial less, would change the answer"
 UNLIKELY = 0.01  # probability of a set below which it is not asked what it leaves
 JUDGED_PAIRS = 2  # pairs whose remainder is mapped
@@ -363,12 +364,14 @@ def finished(found: Sequence[Candidate]) -> list[Candidate]:
     best = max((c.log_evidence for c in found if c.fit is not None), default=0.0)
     out = []
     for c in found:
-        fit, rounds = c.fit, 0
-        if c.fit is not None and c.log_evidence + Quadratic.of(c.fit).log_evidence() - c.fit.log_evidence > best:
-            while fit is not None and not fit.converged and rounds < MOST_ROUNDS:
-                fit = calibrate(fit.problem, [fit.q], eta=fit.eta, anneal=False)
-                rounds += 1
-        gained = fit.log_evidence - c.fit.log_evidence if fit is not None and c.fit is not None else 0.0
+        fit, gained = c.fit, 0.0
+        if fit is not None and c.log_evidence + Quadratic.of(fit).log_evidence() - fit.log_evidence > best:
+            moves, rounds = not fit.converged, 0
+            while moves and rounds < MOST_ROUNDS:
+                before, rounds = fit, rounds + 1
+                fit = calibrate(before.problem, [before.q], eta=before.eta, anneal=False)
+                moves = not fit.converged or abs(fit.log_evidence - before.log_evidence) > SETTLED
+                gained += fit.log_evidence - before.log_evidence
         out.append(replace(c, fit=fit, log_evidence=c.log_evidence + gained) if gained > 0.0 else c)
     return sorted(out, key=lambda c: -c.log_evidence)
 
