@@ -206,9 +206,11 @@ def fit_with_noise(
 
 def _rounded(fit: Calibration, channel: int) -> bool:
     """Whether a channel that errs by its rounding alone leaves no more: correlated, where the motion is slow."""
-    step = rounding(fit.problem.experiment, channel)
+    sd = rounding(fit.problem.experiment, channel)
+    if sd == 0.0:
+        return False
     left = [r[channel] for r in fit.residuals().values() if channel < len(r)]
-    return math.sqrt(float(np.nanmean(np.square(np.concatenate(left))))) < ROUNDED * step
+    return math.sqrt(float(np.nanmean(np.square(np.concatenate(left))))) < ROUNDED * sd
 
 
 # Trials unlike their repeats ----------------------------------------------------------------------------------------

@@ -13,7 +13,6 @@ instant, and shows the acceleration before the release or after it: two halves o
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,14 +26,17 @@ Array = NDArray[np.float64]
 STEP = 2e-6  # s from a reading, at which it is out of the jump: twice the step of the differences that give its slope
 
 
-def beside_jumps(problem: Problem, q: Array, eta: Mapping[int, Array], normals: Normals) -> float:
-    """What is added to the log evidence of a fit at q, eta for its trials of which a reading lies in the jump."""
+def beside_jumps(problem: Problem, normals: Normals) -> float:
+    """What is added to the log evidence of a fit for its trials of which a reading lies in the jump."""
     if problem.experiment.quantity != "acceleration":
         return 0.0
+    eta: dict[int, Array] = {}
+    cost: dict[int, float] = {}
     moved: dict[int, Array] = {}
     wider: dict[int, float] = {}
     for block, H, _, _ in normals.parts:
         group = block.group
+        eta |= dict(zip(group.trials, block.eta, strict=True))
         names = [name for name, _, _ in group.nuisances]
         if "delay" not in names:
             continue
@@ -49,6 +51,7 @@ def beside_jumps(problem: Problem, q: Array, eta: Mapping[int, Array], normals: 
             first, last = group.times[hit[[0, -1]]]
             to = np.array([first - STEP - ends, last + STEP - begins]) / group.nuisances[d][2][k] + eta[i][d]
             to = to[(group.lower[k, d] <= to) & (to <= group.upper[k, d])]
+            cost[i] = float(block.r[k] @ block.r[k] + eta[i] @ eta[i])
             moved[i] = np.tile(eta[i], (to.size, 1))
             moved[i][:, d] = to
             # What the readings in the jump say of its instant is left out.
@@ -58,16 +61,16 @@ def beside_jumps(problem: Problem, q: Array, eta: Mapping[int, Array], normals: 
             T = block.T[k].copy()
             T[timing] -= (T[timing] @ basis) @ basis.T
             wider[i] = 0.5 * float(np.linalg.slogdet(H[k])[1] - np.linalg.slogdet(T @ T.T + np.eye(len(T)))[1])
-    if not any(others.size for others in moved.values()):
+    sides = max(map(len, moved.values()), default=0)
+    if not sides:
         return 0.0
-    sides = max(map(len, moved.values()))
-    tried = {i: np.tile(v, (1 + sides, 1)) for i, v in eta.items()}
+    tried = {i: np.tile(v, (sides, 1)) for i, v in eta.items()}
     for i, others in moved.items():
-        tried[i][1 : 1 + len(others)] = others
-    costs = problem.costs_of_trials(np.tile(q, (1 + sides, 1)), tried)
+        tried[i][: len(others)] = others
+    costs = problem.costs_of_trials(np.tile(normals.linear.q, (sides, 1)), tried)
     total = 0.0
     for i, others in moved.items():
-        worse = costs[i][1 : 1 + len(others)] - costs[i][0]
+        worse = costs[i][: len(others)] - cost[i]
         worse[~np.isfinite(worse)] = np.inf
         total += max(float(np.logaddexp.reduce(wider[i] - 0.5 * worse - math.log(2.0), initial=-np.inf)), 0.0)
     return total

@@ -201,8 +201,7 @@ def summarise(
     try:
         covariance = cho_solve(cho_factor(S), np.eye(problem.size))
         if evidence is None:
-            evidence = normals.log_evidence() + gained_over_sizes(problem, normals)
-            evidence += beside_jumps(problem, q, eta, normals)
+            evidence = normals.log_evidence() + gained_over_sizes(problem, normals) + beside_jumps(problem, normals)
     except (np.linalg.LinAlgError, ValueError):
         covariance, evidence = np.full((problem.size, problem.size), np.nan), -math.inf
     prior = float(q @ q) + sum(float(v @ v) for v in eta.values())

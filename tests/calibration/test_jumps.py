@@ -26,6 +26,6 @@ def test_a_microsecond_of_an_instant_is_no_evidence():
             eta[i][d] = (instant - middle[k]) / half[k]
             eta[i][r] = group.lower[k, r]  # none
     found = [summarise(problem, fit.q, eta, True, 1) for eta in (at, beside)]
-    plain = [f.log_evidence - beside_jumps(problem, f.q, f.eta, f.linear.normal()) for f in found]
+    plain = [f.log_evidence - beside_jumps(problem, f.linear.normal()) for f in found]
     assert plain[1] - plain[0] > 15.0
     assert found[1].log_evidence - found[0].log_evidence == pytest.approx(0.0, abs=1.5)
