@@ -234,7 +234,7 @@ def _unit_guess(rig: Rig, ratio: float, power: int, reach: float) -> str:
         if reach < _USUAL["translational"]:
             guess = "it looks like metres given for theta0, which is in mm"
         guesses[guess] = 1000.0
-        guesses["it looks like metres given as theta0_mm, or the like: theta0_mm is in millimetres"] = 1e-3
+        guesses["it looks like micrometres given for theta0, which is in mm"] = 1e-3
         if power == 2:
             guesses["it looks like g: give m/s^2"] = 1.0 / 9.81
     best = min(guesses, key=lambda text: abs(math.log(0.8 * guesses[text] / ratio)))

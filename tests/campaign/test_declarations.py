@@ -163,10 +163,11 @@ def test_a_record_too_short_for_its_declared_period_names_the_unit(tmp_path, uni
         carts(tmp_path / "carts", **units)
 
 
-def test_metres_given_for_a_release_in_millimetres_are_said_to_be(tmp_path):
-    """The record was said to be in millimetres, whose largest reading is 2 cm."""
-    with pytest.raises(InputError, match="it looks like metres given for theta0, which is in mm"):
-        carts(tmp_path / "carts", declared=0.02)
+@pytest.mark.parametrize(("declared", "unit"), [(0.02, "metres"), (2e4, "micrometres")])
+def test_another_unit_of_a_release_in_millimetres_is_named(tmp_path, declared, unit):
+    """The record was said to be in millimetres, whose largest reading is 2 cm; and micrometres to be metres."""
+    with pytest.raises(InputError, match=f"it looks like {unit} given for theta0, which is in mm"):
+        carts(tmp_path / "carts", declared=declared)
 
 
 def test_a_record_that_is_too_short_gets_no_guess(tmp_path):
