@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import copy
+from functools import partial
 from typing import Any, Literal, Self, cast
 
 import numpy as np
@@ -196,16 +197,11 @@ class Problem:
     def simulate(self, group: Group, which: Indices, q: Array, eta: Array) -> Array:
         """Readings (n, channels, n_times) of vectors q (n, size), eta (n, m) on the group's trials `which` (n,)."""
         rig, effect = self._inputs(group, which, q, eta)
-
-        known: dict[str, Any] = {
-            "effect": effect if self.effect is not None else None, "inputs": group.inputs,
-            "quantity": self.experiment.quantity, "tolerance": self.tolerance, "threads": self.threads,
-        }  # fmt: skip
-
-        def readings(rig: dict[str, Any]) -> Array:
-            return self.models[group.coupled].simulate(rig, group.times, **known).y
-
-        y = readings(rig)
+        motion = partial(
+            self.models[group.coupled].simulate, times=group.times, effect=effect if self.effect is not None else None,
+            inputs=group.inputs, quantity=self.experiment.quantity, tolerance=self.tolerance, threads=self.threads,
+        )  # fmt: skip
+        y = motion(rig).y
         for i, c in enumerate(self.coordinates):
             if c.role == "lag" and c.index < y.shape[1]:
                 if group.inputs is not None and group.inputs.active:
@@ -213,7 +209,7 @@ class Problem:
                     y = delayed(y, group.times, lags)
                     continue
                 late = rig | {"delay": rig.get("delay", 0.0) + from_standard(c.prior, q[:, i])}
-                y[:, c.index] = readings(late)[:, c.index]
+                y[:, c.index] = motion(late).y[:, c.index]
         return _as_sensors_show(y, self.coordinates, group, which, q, eta)
 
     def finer(self) -> Problem:
