@@ -15,6 +15,7 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any, NoReturn
 
+import bayes_damper
 from bayes_damper.errors import BayesDamperError, ExitCode, InputError, printable
 from bayes_damper.inputs import is_file, number_in, real
 from bayes_damper.runs.interrupts import interrupts_passed_on
@@ -45,27 +46,21 @@ def _closed_afterwards(args: Arguments) -> Iterator[None]:
 
 
 def _demo(args: Arguments) -> Any:
-    from bayes_damper.commands.demo import demo
-
-    return demo(out=args.out, seed=args.seed, workers=args.workers, quick=args.quick, progress=_progress(args))
+    return bayes_damper.demo(
+        out=args.out, seed=args.seed, workers=args.workers, quick=args.quick, progress=_progress(args)
+    )
 
 
 def _examples(args: Arguments) -> Any:
-    from bayes_damper.commands.examples import examples
-
-    return examples(args.out, seed=args.seed)
+    return bayes_damper.examples(args.out, seed=args.seed)
 
 
 def _check(args: Arguments) -> Any:
-    from bayes_damper.commands.check import check
-
-    return check(args.campaign)
+    return bayes_damper.check(args.campaign)
 
 
 def _simulate(args: Arguments) -> Any:
-    from bayes_damper.commands.simulate import simulate_record
-
-    return simulate_record(
+    return bayes_damper.simulate_record(
         case=args.case,
         campaign=args.campaign,
         coupled=not args.uncoupled,
@@ -80,9 +75,7 @@ def _simulate(args: Arguments) -> Any:
 
 
 def _fit(args: Arguments) -> Any:
-    from bayes_damper.fit import fit
-
-    return fit(
+    return bayes_damper.fit(
         args.campaign,
         cases=args.case,
         priors=args.priors,
@@ -101,15 +94,13 @@ def _fit(args: Arguments) -> Any:
 
 
 def _resume(args: Arguments) -> Any:
-    from bayes_damper.commands.resume import resume
-
-    return resume(args.folder, more=args.more, effects=args.effects, workers=args.workers, progress=_progress(args))
+    return bayes_damper.resume(
+        args.folder, more=args.more, effects=args.effects, workers=args.workers, progress=_progress(args)
+    )
 
 
 def _variability(args: Arguments) -> Any:
-    from bayes_damper.variability import variability
-
-    return variability(
+    return bayes_damper.variability(
         args.folder,
         out=args.out,
         seed=args.seed,
@@ -124,9 +115,7 @@ def _variability(args: Arguments) -> Any:
 
 
 def _compare(args: Arguments) -> Any:
-    from bayes_damper.commands.compare import compare
-
-    return compare(args.folders, out=args.out, seed=args.seed)
+    return bayes_damper.compare(args.folders, out=args.out, seed=args.seed)
 
 
 _QUESTIONS = (
@@ -155,8 +144,7 @@ _QUESTIONS = (
 
 def _init(args: Arguments) -> Any:
     from bayes_damper.campaign.import_options import columns_of
-    from bayes_damper.campaign.importer import import_records, init_campaign, left_over, records_in
-    from bayes_damper.commands.check import check
+    from bayes_damper.campaign.importer import left_over, records_in
 
     before = records_in(args.folder)
     given = {key: value for key, value in vars(args).items() if key in args.options and value is not None}
@@ -167,8 +155,8 @@ def _init(args: Arguments) -> Any:
                 f"--table {args.table}: the table says all that is done, and {', '.join(beside)} would do nothing; "
                 "write that into the table, or leave --table out"
             )
-        import_records(args.table, args.folder, args.raw, args.overwrite)
-        return check(args.folder, left_over(args.folder, before))
+        bayes_damper.import_records(args.table, args.folder, args.raw, args.overwrite)
+        return bayes_damper.check(args.folder, left_over(args.folder, before))
     if not args.files and given.get("words"):  # the option takes all that follows: what says no meaning is a file
         args.files = [Path(str(word)) for word in given["words"] if "=" not in str(word)]
         given["words"] = [word for word in given["words"] if "=" in str(word)]
@@ -187,13 +175,13 @@ def _init(args: Arguments) -> Any:
         answers = _answers(set(given), given.get("kind"))
         given |= answers
     try:
-        init_campaign(args.folder, [raw / f for f in args.files], args.overwrite, args.raw, **given)
+        bayes_damper.init_campaign(args.folder, [raw / f for f in args.files], args.overwrite, args.raw, **given)
     except InputError as error:
         if not answers:
             raise
         kept = f"what was answered, to be given again as options: {_as_options(answers)}"
         raise InputError([*error.faults, kept]) from None
-    return check(args.folder, left_over(args.folder, before))
+    return bayes_damper.check(args.folder, left_over(args.folder, before))
 
 
 def _as_options(answers: Mapping[str, object]) -> str:
@@ -363,30 +351,26 @@ def _weighed(args: Arguments) -> dict[str, Any]:
 
 
 def _diagnose(args: Arguments) -> Any:
-    from bayes_damper.commands.diagnose import diagnose
-    from bayes_damper.commands.fleet import diagnose_fleet
     from bayes_damper.runs.progress import make_reporter
 
     given = _weighed(args) | {"prior_unknown": args.prior_unknown}
     if len(args.campaign) > 1:
-        return diagnose_fleet(args.campaign, scheduler=args.scheduler, progress=_progress(args), **given)
+        return bayes_damper.diagnose_fleet(args.campaign, scheduler=args.scheduler, progress=_progress(args), **given)
     if args.scheduler is not None:
         raise InputError("--scheduler: it spreads several campaigns over a cluster; leave it out for one")
-    return diagnose(args.campaign[0], report=make_reporter(quiet=args.quiet or args.json), **given)
+    return bayes_damper.diagnose(args.campaign[0], report=make_reporter(quiet=args.quiet or args.json), **given)
 
 
 def _plan(args: Arguments) -> Any:
-    from bayes_damper.commands.plan import plan
-
-    return plan(args.campaign, **_weighed(args))
+    return bayes_damper.plan(args.campaign, **_weighed(args))
 
 
 def _withheld(args: Arguments) -> Any:
-    from bayes_damper.validation.withheld import verify, withheld
-
     if args.verify is not None:
+        from bayes_damper.validation.withheld import verify
+
         return verify(args.verify, args.folder)
-    return withheld(
+    return bayes_damper.withheld(
         args.folder,
         full=args.full,
         key=args.key,
@@ -401,9 +385,8 @@ def _withheld(args: Arguments) -> Any:
 
 def _tune(args: Arguments) -> Any:
     from bayes_damper.runs.progress import make_reporter
-    from bayes_damper.tuning import tune
 
-    return tune(
+    return bayes_damper.tune(
         args.folder,
         case=args.case,
         J2=args.secondary_inertia,
@@ -423,9 +406,7 @@ def _tune(args: Arguments) -> Any:
 
 
 def _thesis(args: Arguments) -> Any:
-    from bayes_damper.thesis import recompute
-
-    return recompute(args.out)
+    return bayes_damper.recompute(args.out)
 
 
 def _bench(args: Arguments) -> Any:
@@ -435,17 +416,15 @@ def _bench(args: Arguments) -> Any:
         found = bench_parts.diagnose_by_parts(args.campaign)
         bench_parts.save(found, args.out)
         return found
-    from bayes_damper.validation.bench import bench, save
+    from bayes_damper.validation.bench import save
 
-    result = bench(repeats=args.repeats, peers=not args.no_peers)
+    result = bayes_damper.bench(repeats=args.repeats, peers=not args.no_peers)
     save(result, args.out)
     return result
 
 
 def _report(args: Arguments) -> Any:
-    from bayes_damper.report import report
-
-    return report(args.folder, out=args.out)
+    return bayes_damper.report(args.folder, out=args.out)
 
 
 def _command(

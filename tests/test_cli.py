@@ -136,9 +136,7 @@ def test_damping_and_friction_of_a_design_are_options(option, said, capsys, tmp_
 
 def test_what_the_search_of_tune_may_change_is_an_option(monkeypatch):
     given = {}
-    monkeypatch.setattr(
-        "bayes_damper.tuning.tune", lambda *_, **options: given.update(options) or Check("", "", (), "")
-    )
+    monkeypatch.setattr("bayes_damper.tune", lambda *_, **options: given.update(options) or Check("", "", (), ""))
     assert main(["tune", "fit", "--free", "J2", "c2t"]) == 0
     assert given["free"] == ["J2", "c2t"]
 

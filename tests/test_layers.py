@@ -51,7 +51,9 @@ def taken_by(path):
     """Modules of the package that a file imports."""
     for name, line in imports_of(path):
         if name.startswith("bayes_damper"):
-            assert name != "bayes_damper", f"{path}:{line}: nothing inside imports the package itself"
+            if name == "bayes_damper":
+                assert path == ROOT / "cli.py", f"{path}:{line}: only the command line calls the public functions"
+                continue
             yield name.removeprefix("bayes_damper.")
 
 

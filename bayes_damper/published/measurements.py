@@ -126,6 +126,15 @@ def load_published(folder: Path | str | None = None) -> Published:
     return Published(cases, measurements, derived, printed, response, inertia, digest)
 
 
+def published_rows(name: str) -> list[dict[str, str]]:
+    """The rows of one shipped table, as text by column; InputError if it is missing or was changed."""
+    faults: list[str] = []
+    rows = _table(shipped_path("data/thesis"), name, faults)
+    if faults:
+        raise InputError(faults)
+    return rows
+
+
 def _table(root: Path, name: str, faults: list[str]) -> list[dict[str, str]]:
     """The rows of one CSV, after comparing it with its TOML."""
     path, about_path = root / f"{name}.csv", root / f"{name}.toml"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import itertools
 import math
 from collections.abc import Sequence
@@ -13,8 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.inputs import shipped_path
-from bayes_damper.published.measurements import load_published
+from bayes_damper.published.measurements import load_published, published_rows
 
 Array = NDArray[np.float64]
 
@@ -62,14 +60,14 @@ class Case:
 @cache
 def _texts() -> dict[tuple[str, str, str, str], tuple[str, str]]:
     """(case, configuration, quantity, table) -> value and standard error as printed, of everything in `data/thesis`."""
-    load_published()  # verifies the checksums
-    texts = {}
-    for name in ("measurements", "derived", "printed"):
-        with shipped_path(f"data/thesis/{name}.csv").open(encoding="utf-8", newline="") as file:
-            for row in csv.DictReader(file):
-                key = (row["case"], row["configuration"], row["quantity"], row["table"])
-                texts[key] = (row["value"], row.get("standard_error", ""))
-    return texts
+    return {
+        (row["case"], row["configuration"], row["quantity"], row["table"]): (
+            row["value"],
+            row.get("standard_error", ""),
+        )
+        for name in ("measurements", "derived", "printed")
+        for row in published_rows(name)
+    }
 
 
 @cache

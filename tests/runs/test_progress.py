@@ -91,8 +91,8 @@ def test_commands_without_a_terminal_tell_in_lines_unless_asked_for_quiet(words,
             report("screening")
         return FoundPlain()
 
-    monkeypatch.setattr(import_module("bayes_damper.fit"), "fit", run)
-    monkeypatch.setattr(import_module("bayes_damper.commands.diagnose"), "diagnose", run)
+    monkeypatch.setattr("bayes_damper.fit", run)
+    monkeypatch.setattr("bayes_damper.diagnose", run)
     assert cli.main([*words, "somewhere"]) == 0
     told = capsys.readouterr().err
     assert re.match(begins, told) if begins else told == ""
@@ -142,7 +142,7 @@ def test_bars_are_closed_before_anything_is_printed(error, monkeypatch, capsys):
         return Found(progress)
 
     monkeypatch.setattr(import_module("bayes_damper.runs.progress"), "make_progress", lambda quiet: shown)
-    monkeypatch.setattr(import_module("bayes_damper.fit"), "fit", fit)
+    monkeypatch.setattr("bayes_damper.fit", fit)
     code = cli.main(["fit", "somewhere"])
     assert shown.closed
     printed = capsys.readouterr()
