@@ -30,13 +30,14 @@ from bayes_damper.calibration.experiment import (
     TrialRecord,
     default_priors,
     experiment_of,
+    fitted_to_all,
     longest_step,
     thinned,
     with_priors,
     with_rounding,
 )
 from bayes_damper.calibration.groups import FRICTION_SPREAD, Group, Switches
-from bayes_damper.calibration.heldout import Prediction, predict
+from bayes_damper.calibration.heldout import Prediction, predict, unseeing
 from bayes_damper.calibration.least_squares import Calibration, calibrate, default_starts, drawn_starts, summarise
 from bayes_damper.calibration.noise import Noise, rough_noise
 from bayes_damper.calibration.noise_level import error_level, evenly_sampled, learn_noise, spectrum_bins, whittle
@@ -78,6 +79,7 @@ __all__ = [
     "evenly_sampled",
     "experiment_of",
     "explained_by_own_releases",
+    "fitted_to_all",
     "gained_by_own_releases",
     "grown",
     "learn_noise",
@@ -90,6 +92,7 @@ __all__ = [
     "summarise",
     "thinned",
     "under",
+    "unseeing",
     "value_and_slope",
     "whittle",
     "with_priors",

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from functools import cached_property
@@ -97,7 +98,8 @@ class Experiment:
     "campaign" (one value for all trials, the default), "case" or "trial"; case_priors: parameter -> case -> prior where
     cases differ; ties: parameter -> the one whose value it takes; rounding: step of each channel whose readings err by
     their rounding alone, 0 for the others; scatter: typical sizes by which things differ from trial to trial, in place
-    of the default (scatter.py).
+    of the default (scatter.py); fits_all: models are fitted to the held-out trials too, and held-out figures come from
+    fits without them (`heldout.unseeing`).
     """
 
     constants: Mapping[str, tuple[float, float]]
@@ -118,6 +120,7 @@ class Experiment:
     coupling_law: Literal["constant", "cosine"] = "constant"
     rounding: tuple[float, ...] = ()
     scatter: Mapping[str, float] = field(default_factory=dict)
+    fits_all: bool = False
 
     @cached_property
     def _stacked(self) -> dict[tuple[int, ...], Array]:
@@ -173,12 +176,12 @@ class Experiment:
 
     @property
     def training(self) -> tuple[int, ...]:
-        """Indices of the trials that fits may use."""
-        return tuple(i for i, trial in enumerate(self.trials) if not trial.heldout)
+        """Indices of the trials that models are fitted to."""
+        return tuple(i for i, trial in enumerate(self.trials) if self.fits_all or not trial.heldout)
 
     @property
     def heldout(self) -> tuple[int, ...]:
-        """Indices of the trials on which only their own nuisances are ever fitted."""
+        """Indices of the trials on which, for held-out figures, only their own nuisances are fitted."""
         return tuple(i for i, trial in enumerate(self.trials) if trial.heldout)
 
 
@@ -254,6 +257,20 @@ def lone(experiment: Experiment, trials: Sequence[int]) -> bool:
     """Whether no two of the trials are repeats, of one record length too. Free starts never repeat."""
     keys = [(*t.conditions, t.times.size) for t in (experiment.trials[i] for i in trials)]
     return experiment.start == "free" or len(set(keys)) == len(keys)
+
+
+def fitted_to_all(experiment: Experiment) -> Experiment:
+    """The experiment with models fitted to its held-out trials too, if each trial has repeats but training has none.
+
+    Of two trials each, it takes both to separate what the model misses from what differs from trial to trial.
+    """
+
+    def repeated(some: Iterable[TrialRecord]) -> set[bool]:
+        return {n > 1 for n in Counter((*t.conditions, t.times.size) for t in some).values()}
+
+    trials = experiment.trials
+    in_pairs = repeated(trials) == {True} and repeated(t for t in trials if not t.heldout) == {False}
+    return replace(experiment, fits_all=True) if in_pairs and experiment.start == "rest" else experiment
 
 
 def _omega(stiffness: float, inertia: float) -> float:

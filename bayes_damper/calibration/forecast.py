@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
-from bayes_damper.calibration import Calibration, Experiment, Group, Problem, predict
+from bayes_damper.calibration import Calibration, Experiment, Group, Problem, predict, unseeing
 from bayes_damper.calibration.derivatives import READINGS_AT_ONCE, RELEASE_STEP
 from bayes_damper.calibration.own_values import RELEASE
 from bayes_damper.runs.contents.diagnosis import ForecastEntry, Forecasts, ForecastSides, TrialForecast
@@ -147,6 +147,7 @@ def forecast(fit: Calibration, trials: Sequence[int], periods: float = PERIODS) 
 
     periods : of the primary (`period_of`), from which a trial's own state is inferred.
     """
+    fit = unseeing(fit)
     return _ahead(fit, trials, periods, _missed(fit, periods)) if trials else {}
 
 
@@ -174,7 +175,7 @@ def forecasts(
         each = [(p, known.get(id(fit)) or forecast(fit, experiment.heldout, periods)) for p, fit in answers]
         found["averaged"] = {i: averaged([(p, own[i]) for p, own in each]) for i in found["before"]}
     whole = {
-        name: {i: p.residual for i, p in predict(fit, tuple(found[name])).items()}
+        name: {i: p.residual for i, p in predict(unseeing(fit), tuple(found[name])).items()}
         for name, fit in (("before", before), ("after", after))
         if fit is not None and found[name]
     }

@@ -46,6 +46,29 @@ _KNOWN: WeakKeyDictionary[Problem, dict[tuple[bytes, tuple[int, ...]], dict[int,
 """The last predictions of each problem, by q and trials: a diagnosis asks for those of its answers again and again."""
 
 
+_WITHOUT: WeakKeyDictionary[Calibration, Calibration] = WeakKeyDictionary()
+"""Fits without held-out trials, by those with them."""
+
+
+def unseeing(fit: Calibration) -> Calibration:
+    """The fit as it is without the trials held out: the same, where they are not among those that it was fitted to.
+
+    Noise and sizes of scatter stay.
+    """
+    problem = fit.problem
+    heldout = set(problem.experiment.heldout)
+    if not heldout & set(problem.trials):
+        return fit
+    if (known := _WITHOUT.get(fit)) is None:
+        fewer = problem.for_trials([i for i in problem.trials if i not in heldout])
+        where = {name: z for name, z in zip(problem.names, fit.q, strict=True) if name in fewer.names}
+        q = fewer.prior_mean()
+        q[[fewer.names.index(name) for name in where]] = list(where.values())
+        eta = {i: fit.eta[i] for i in fewer.trials}
+        known = _WITHOUT[fit] = calibrate(fewer, [q], eta=eta, anneal=False)
+    return known
+
+
 def predict(fit: Calibration, trials: Sequence[int]) -> dict[int, Prediction]:
     """Predictions for trials that the fit has not used: only their own nuisances are estimated, from several starts.
 

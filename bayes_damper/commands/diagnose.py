@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper import figures
-from bayes_damper.calibration import Calibration, predict
+from bayes_damper.calibration import Calibration, predict, unseeing
 from bayes_damper.calibration.experiment import laws_on, trial_label
 from bayes_damper.calibration.forecast import forecasts
 from bayes_damper.diagnosis import Diagnosis
@@ -624,4 +624,4 @@ def _shown_record(found: Diagnosis, added: str) -> dict[str, Any] | None:
 def _residuals(fit: Calibration) -> dict[int, Array]:
     """Reading minus model (channels, n) of the held-out trials, of all trials where none is held out."""
     heldout = fit.problem.experiment.heldout
-    return {i: p.residual for i, p in predict(fit, heldout).items()} if heldout else fit.residuals()
+    return {i: p.residual for i, p in predict(unseeing(fit), heldout).items()} if heldout else fit.residuals()

@@ -44,6 +44,7 @@ from bayes_damper.calibration import (
     learn_noise,
     predict,
     under,
+    unseeing,
     with_sizes_of_its_own,
 )
 from bayes_damper.diagnosis.remainder import own_frequency
@@ -121,6 +122,8 @@ def measure_gap(
     Predictions of what is missing come from the repeats and the winner. `rng` draws the bootstrap (default: seed 0).
     chosen_from : number of answers from which the held-out readings helped to choose the winner; 1 if they did not.
     """
+    nominal = unseeing(nominal)
+    winner = None if winner is None else unseeing(winner)
     experiment = nominal.problem.experiment
     heldout = experiment.heldout
     noise = nominal.problem.noise.floor
@@ -157,7 +160,10 @@ def measure_gap(
         )
     else:
         answer = "cannot tell"
-        why = f"no gap shows, but one as large as {two_digits(upper)} times the sensor noise could hide: add trials"
+        why = (
+            f"the held-out trials alone show no gap, but one as large as {two_digits(upper)} times the sensor noise "
+            "could hide in them: add trials"
+        )
     return Gap(answer, p_value, SIZE, floor, nominal_rms, augmented, closed, upper, why)
 
 
@@ -171,6 +177,7 @@ def closing(
     heldout = nominal.problem.experiment.heldout
     if not heldout or not fits:
         return {}
+    nominal, fits = unseeing(nominal), {name: unseeing(fit) for name, fit in fits.items()}
     after = {name: predict(fit, heldout) for name, fit in fits.items()}
     sides = [_both(fits[name], after[name]) for name in fits]
     found = products(nominal, heldout, [_both(nominal, predict(nominal, heldout)), *sides], rng)
@@ -316,7 +323,10 @@ def held_out_test(
             power = (BELIEVED + freedom * power) / both
             p = float(stdtr(both, -float(x @ r) / (length * math.sqrt(power))))
         else:
-            p = _by_trials(np.array([float(own[i] @ r[s]) for i, (_, s) in ranges.items()]), float(x @ r) / length)
+            moved = np.array([float(own[i] @ own[i]) for i in ranges])
+            p = _by_trials(
+                np.array([float(own[i] @ r[s]) for i, (_, s) in ranges.items()]), moved, float(x @ r) / length
+            )
         p_values.append(tried * p)
     return min(1.0, len(p_values) * min(p_values))
 
@@ -357,9 +367,12 @@ def _read_at(times: Array, own: Array, rows: Array) -> Array:
     return rows if np.array_equal(times, own) else np.array([np.interp(times, own, x, 0.0, 0.0) for x in rows])
 
 
-def _by_trials(products: Array, z: float) -> float:
-    """p-value of products (trials,) that vary as they do, each about nothing; z: their sum if noise alone makes it."""
-    p, n = float(ndtr(-z)), np.count_nonzero(products)
+def _by_trials(products: Array, expected: Array, z: float) -> float:
+    """p-value of products (trials,) that vary as they do, each about nothing; z: their sum if noise alone makes it.
+
+    expected : of each, up to a factor; trials of which nothing is expected show nothing and do not count.
+    """
+    p, n = float(ndtr(-z)), float(expected.sum()) ** 2 / max(float(expected @ expected), 1e-300)
     if n < FEWEST_TRIALS:
         return p
     share = float(products.sum() / math.sqrt(float(products @ products)))

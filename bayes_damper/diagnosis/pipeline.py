@@ -14,6 +14,7 @@ from bayes_damper.calibration import (
     calibrate,
     calibrate_nominal,
     experiment_of,
+    fitted_to_all,
     with_rounding,
 )
 from bayes_damper.campaign import Campaign
@@ -72,6 +73,8 @@ def diagnose(
     else:
         name, kind = campaign.name, campaign.rig.kind
         experiment = with_rounding(experiment_of(campaign, priors))
+        if not any(t.holdout for t in campaign.trials):
+            experiment = fitted_to_all(experiment)
     if short := shortage(sum(t.y.size for t in experiment.trials)):
         report(short)
     fit, notes = _cleaned_fit(experiment, nominal, report)
@@ -93,7 +96,8 @@ def diagnose(
     notes += notes_on(experiment, fit, named, answers, seen.before_map)
     notes.append(in_a_sentence(judged.choices, answers.verdict))
     report("measuring the gap on held-out trials, and how far it shrinks")
-    gap = measure_gap(fit, best, rng=rng)
+    # Where all trials chose the answer, those held out among them, its prediction is one of many.
+    gap = measure_gap(fit, best, rng=rng, chosen_from=max(len(evidence), 1) if experiment.fits_all else 1)
     first = sorted(evidence, key=lambda n: -evidence[n])[:SHOWN]
     closes = {} if best is None else closing(fit, {n: fits[n][0] for n in first if n in fits}, rng)
     if best is not None and winner is not None and winner.effect is not DRIFT:

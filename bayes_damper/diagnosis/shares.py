@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct, idct
 
-from bayes_damper.calibration import Calibration, Group, Noise, predict
+from bayes_damper.calibration import Calibration, Group, Noise, predict, unseeing
 from bayes_damper.calibration.experiment import repeats_by_reading
 from bayes_damper.calibration.own_values import INPUT
 from bayes_damper.diagnosis.remainder import LOW_BAND, own_frequency
@@ -110,6 +110,7 @@ def products_of(
 ) -> Products:  # fmt: skip
     """Products of residuals of the held-out trials under each of the fits of one experiment, the nominal one first."""
     residuals, moved = [], []
+    fits = [unseeing(fit) for fit in fits]
     for fit in fits:
         inside = set(fit.problem.trials)
         predicted = predict(fit, heldout)

@@ -142,7 +142,7 @@ def test_without_repeats_the_answer_is_that_none_can_be_told():
 
 
 def test_held_out_trials_that_differ_far_beyond_the_noise_are_not_said_to_show_nothing():
-    """Of a chaotic drive: 130 times the noise, and "no gap shows, but one as large as that could hide"."""
+    """Of a chaotic drive: 130 times the noise, and "no gap, but one as large as that could hide"."""
     fit = calibrate_nominal(measured(3))
     e = fit.problem.experiment
     rng = np.random.default_rng(5)
@@ -158,7 +158,7 @@ def test_a_short_campaign_without_a_sign_cannot_exclude_a_gap():
     gap = measure_gap(calibrate_nominal(experiment))
     assert gap.answer == "cannot tell"
     as_large = f"{float(f'{gap.upper_rms:.2g}'):g}"
-    assert gap.why == f"no gap shows, but one as large as {as_large} times the sensor noise could hide: add trials"
+    assert f"show no gap, but one as large as {as_large} times the sensor noise could hide in them: add" in gap.why
 
 
 def slow_errors(seed, width=20.0):
@@ -262,6 +262,12 @@ def test_what_repeats_do_not_share_is_no_gap():
 
 def test_held_out_trials_show_how_they_vary_where_nothing_else_does():
     """Eight products of one sign and size are no chance; one large among seven small ones may be."""
-    assert _by_trials(np.ones(8), 8.0) < 1e-4
-    assert _by_trials(np.array([8.0, *np.zeros(3), 0.1, -0.1, 0.1, 0.05]), 8.0) > 0.1
-    assert _by_trials(np.array([2.0]), 2.0) == pytest.approx(float(norm.sf(2.0)))
+    assert _by_trials(np.ones(8), np.ones(8), 8.0) < 1e-4
+    assert _by_trials(np.array([8.0, *np.zeros(3), 0.1, -0.1, 0.1, 0.05]), np.ones(8), 8.0) > 0.1
+    assert _by_trials(np.array([2.0]), np.ones(1), 2.0) == pytest.approx(float(norm.sf(2.0)))
+
+
+def test_held_out_trials_in_which_nothing_is_expected_do_not_hide_what_the_others_show():
+    """Coupled trials show a gap, uncoupled ones hardly any: what the latter show is neither for nor against it."""
+    products, expected = np.array([9.0, 7.0, 8.0, 10.0, *np.zeros(6)]), np.array([9.0, 9.0, 8.0, 8.0, *np.full(6, 0.1)])
+    assert _by_trials(products, expected, 9.0) < 0.002 < 0.01 < _by_trials(products, np.ones(10), 9.0)

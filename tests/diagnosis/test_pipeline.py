@@ -24,11 +24,12 @@ from bayes_damper.calibration import (
     calibrate,
     calibrate_nominal,
     coordinate_of,
+    fitted_to_all,
 )
 from bayes_damper.calibration.nominal import out_of_phase
 from bayes_damper.commands.diagnose import _estimated, _maps, _shown_record
 from bayes_damper.commands.diagnose import diagnose as diagnose_folder
-from bayes_damper.diagnosis import diagnose, pairs
+from bayes_damper.diagnosis import diagnose, pairs, pipeline
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.judgement import finished, sites_of
 from bayes_damper.diagnosis.lone import left_alone, left_of_squares
@@ -863,6 +864,37 @@ def test_formulas_that_few_readings_show_are_not_told_apart_by_a_few_nats():
 
 
 @pytest.mark.slow
+def slow_swing(times):
+    """A torque from outside at the pace of the rig, the same in every trial, N m."""
+    return 0.02 * np.sin(2.0 * np.pi * 14.0 * times) * np.exp(-(((times - 0.25) / 0.08) ** 2))
+
+
+def test_two_trials_each_show_what_both_miss():
+    """What both trials miss alike, 1.6 times the noise, is no scatter: held-out trials are among those that judge."""
+    experiment = fitted_to_all(measured(5, repeats=2, torque=slow_swing, configurations=(False,)))
+    found = diagnose(experiment, effects=FEW)
+    assert found.answers.probabilities["unknown"] > 0.9
+    assert found.gap.answer == "gap"
+    assert found.gap.nominal_rms > 1.3 * found.gap.noise_rms
+
+
+def test_only_a_campaign_of_pairs_that_marks_no_trial_judges_by_all(monkeypatch):
+    seen = []
+
+    def stop(experiment, *_):
+        seen.append(experiment.fits_all)
+        raise InterruptedError
+
+    monkeypatch.setattr(pipeline, "_cleaned_fit", stop)
+    monkeypatch.setattr(pipeline, "experiment_of", lambda *_: measured(repeats=2, duration=0.1))
+    rig = SimpleNamespace(kind="torsional")
+    for marked in (False, True):
+        campaign = SimpleNamespace(name="", rig=rig, trials=[SimpleNamespace(holdout=marked)])
+        with pytest.raises(InterruptedError):
+            diagnose(campaign)
+    assert seen == [True, False]
+
+
 def test_slightly_coloured_noise_without_repeats_is_no_gap():
     """A fifth of the noise's variance is slow. No repeat tells it from a model's error; white noise it must not be."""
     rng = np.random.default_rng(4)

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from bayes_damper.calibration import Calibration, predict
+from bayes_damper.calibration import Calibration, predict, unseeing
 from bayes_damper.calibration.unknowns import NOMINAL
 from bayes_damper.diagnosis import Diagnosis
 from bayes_damper.diagnosis.response import Motion, motions
@@ -98,7 +98,7 @@ def stacking_weights(
 ) -> dict[str, float]:
     """Weights of the mixture of fits that best predicts the held-out trials, found by expectation-maximisation."""
     everything = {"none": nominal, **fits}
-    misfit = np.array([[predict(fit, (i,))[i].chi2 for i in held_out] for fit in everything.values()])
+    misfit = np.array([[predict(unseeing(fit), (i,))[i].chi2 for i in held_out] for fit in everything.values()])
     relative = np.exp(-0.5 * np.clip(misfit - misfit.min(axis=0), 0.0, 1400.0))  # (fits, trials)
     w = np.full(len(everything), 1.0 / len(everything))
     for _ in range(rounds):
