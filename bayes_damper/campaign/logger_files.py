@@ -457,6 +457,10 @@ def _seconds(cell: str) -> float:
     return seconds
 
 
+_LETTER = re.compile(r"[^\W\d_eE]")
+"""A letter that no number is written with."""
+
+
 def _has_decimal_commas(lines: Sequence[Line], mark: str) -> bool:
     """Whether the later half of the lines writes its numbers with decimal commas."""
     cells = [c.strip() for _, line in lines[len(lines) // 2 :] for c in _split(line, mark)]
@@ -464,27 +468,44 @@ def _has_decimal_commas(lines: Sequence[Line], mark: str) -> bool:
 
 
 def _without_words(lines: list[Line], mark: str, comma: bool) -> tuple[list[Line], list[int]]:
-    """The lines with columns of words ("OK", a date) as missing readings, and which columns these are, from 0.
+    """The lines with columns of words ("OK", a date, remarks) as missing readings, and which columns these are, from 0.
 
-    A column is one of words if none of its cells in the later half is a number, beside one of numbers alone.
+    A column is one of words if none of its cells in the later half is a number, beside one of numbers alone; one of
+    remarks if it holds words in some rows of numbers and a number in none.
     """
     later = [_split(line, mark) for _, line in lines[len(lines) // 2 :]]
     width = Counter(map(len, later)).most_common(1)[0][0]
     rows = [cells for cells in later if len(cells) == width]
     numbers = [sum(_is_number(row[i], comma) for row in rows) for i in range(width)]
-    wordy = [
-        i for i in range(width) if not numbers[i] and all(row[i].strip(' "').lower() not in _MISSING for row in rows)
-    ]
+    wordy = {i for i in range(width) if not numbers[i] and all(_is_word(row[i], comma) for row in rows)}
+    wordy |= _remarks(lines, mark, comma)
     if not wordy or max(numbers) < len(rows) or len(rows) < _FEWEST_ROWS:
         return lines, []
 
     def numbers_of(line: str) -> str:
         cells = _split(line, mark)
+        while len(cells) > width and len(cells) - 1 in wordy:
+            cells.pop()
         if len(cells) != width or not any(_is_number(c, comma) for c in cells):
             return line
         return mark.join("nan" if i in wordy else f'"{c}"' if mark in c else c for i, c in enumerate(cells))
 
-    return [(number, numbers_of(line)) for number, line in lines], wordy
+    return [(number, numbers_of(line)) for number, line in lines], sorted(wordy)
+
+
+def _is_word(cell: str, comma: bool) -> bool:
+    """Whether a cell holds neither a number nor what stands for a missing one."""
+    return cell.strip(' "').lower() not in _MISSING and not _is_number(cell, comma)
+
+
+def _remarks(lines: Sequence[Line], mark: str, comma: bool) -> set[int]:
+    """Columns, from 0, that hold words in some rows of numbers, and a number in none."""
+    odd = [_split(line, mark) for _, line in lines if _LETTER.search(line) and _half_numbers(line, mark, comma)]
+    found = {i for cells in odd for i, cell in enumerate(cells) if _is_word(cell, comma)}
+    for _, line in lines if found else ():
+        cells = _split(line, mark)
+        found -= {i for i in found if i < len(cells) and _is_number(cells[i], comma)}
+    return found
 
 
 def _cells(line: str, mark: str, comma: bool) -> list[float] | None:

@@ -303,6 +303,19 @@ def test_heads_units_in_names_and_missing_readings_are_understood(tmp_path: Path
     assert np.max(np.diff(trial.times)) == pytest.approx(4.0 * float(np.median(np.diff(TIMES))), rel=1e-3)
 
 
+@pytest.mark.parametrize("last", [";", ""], ids=["marks at the end", "no marks at the end"])
+@pytest.mark.parametrize("where", [(0,), (150,), (0, 150, 399)], ids=str)
+def test_remarks_beside_some_rows_are_left_out(tmp_path: Path, where, last) -> None:
+    rows = [f"{t:.4f};{v:.4f}".replace(".", ",") + last for t, v in zip(TIMES, wave(), strict=True)]
+    for k in where:
+        rows[k] = rows[k].rstrip(";") + ";losgelassen?"
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join(["Wagen 3", "t;a;Bemerkung", *rows]) + "\n", encoding="utf-8")
+    campaign = load_campaign(init_campaign(tmp_path / "out", [path], **OPTIONS))
+    assert np.isfinite(campaign.trials[0].channels).all()
+    assert any("column 3" in w and "holds words, no numbers, and was left out" in w for w in campaign.warnings)
+
+
 def test_a_file_of_numbers_alone_needs_no_header(tmp_path: Path) -> None:
     path = tmp_path / "run.dat"
     path.write_text("\n".join(f"{v:.5f}" for v in wave()) + "\n", encoding="utf-8")
