@@ -144,6 +144,7 @@ MORE = "Next, to decide: measure one more uncoupled trial, k1 500 N/m, released 
             0.97,
             ["Next: bayes-damper fit 'my cart' --effect spring_cubic --effect release_offset --out results/fit-spring"],
         ),
+        ("bearing_drag+quadratic_drag", 0.97, ["Next: bayes-damper fit 'my cart' --effect quadratic_drag --out"]),
         ("none", 0.95, ["Next: bayes-damper fit 'my cart' --out results/fit"]),
         ("none", 0.7, [MORE, "If you take this answer: bayes-damper fit 'my cart' --out"]),
         ("unknown", 0.96, ["Next: look at sensor on the rig, and at missing_torque.csv; --effects"]),

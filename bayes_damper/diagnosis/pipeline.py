@@ -34,7 +34,7 @@ from bayes_damper.diagnosis.outliers import (
     without_trials,
 )
 from bayes_damper.diagnosis.result import Diagnosis
-from bayes_damper.diagnosis.search import Candidate, offered, scales_of, search
+from bayes_damper.diagnosis.search import Candidate, from_usual_friction, offered, scales_of, search
 from bayes_damper.diagnosis.sensitivity import in_a_sentence
 from bayes_damper.diagnosis.sites import SiteMap
 from bayes_damper.diagnosis.verdict import RULE, Answers, Rule
@@ -81,7 +81,7 @@ def diagnose(
     experiment = fit.problem.experiment
     pool = offered(experiment, nominal, effects)
     found = search(fit, [*pool, *_drifts(experiment)], workers=workers, report=report)
-    fit, found = _reseeded(fit, found)
+    fit, found = _reseeded(fit, from_usual_friction(found))
     judge = judge_without_repeats if fit.problem.noise.sensor else judge_by_repeats
     rng = np.random.default_rng(seed)
     judged = judge(fit, found, pool, rng, rule, workers, report)

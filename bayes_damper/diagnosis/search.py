@@ -51,6 +51,8 @@ LEADING_SHARE = 0.25  # every variant that screens above this share of the best 
 MOST_FITS = 14
 MOST_STEPS = 25
 FAINT = 8.0  # nats: below, formulas that replace the friction are not tried
+LEADERS, UNUSUAL = 3, 2.0  # candidates, and standard deviations of its prior from which friction is unusual
+FRICTION = frozenset({"mu", "drag", "nu", "tail", "c1t", "c3t", "c2t"})
 STARTS_OF_LEADERS = 2
 MISSED = 10.0  # nats that a fit may stay behind its screening before other starts are tried
 LOST = -1.2  # prior sds below the median at which a friction counts as given up
@@ -345,6 +347,28 @@ def fit_variant(
             found = min(found, other, key=lambda f: f.cost)
     found = freed(found, MOST_STEPS)
     return Candidate(effect, variant, tuple(screens), found, found.log_evidence - fit.log_evidence)
+
+
+def from_usual_friction(found: Sequence[Candidate]) -> list[Candidate]:
+    """The candidates, best first, the leading ones fitted from usual friction too where theirs is none.
+
+    A model that lacks something may smear its dry friction into a viscous one; with the effect added it is stuck in
+    that valley, although the one of sharp friction lies far deeper.
+    """
+    out = list(found)
+    for k, c in enumerate(found[:LEADERS]):
+        if c.fit is None:
+            continue
+        friction = [i for i, own in enumerate(c.fit.problem.coordinates) if own.parameter in FRICTION]
+        if not np.abs(c.fit.q[friction]).max(initial=0.0) > UNUSUAL:
+            continue
+        usual = c.fit.q.copy()
+        usual[friction] = 0.0
+        again = calibrate(c.fit.problem, [usual], eta=c.fit.eta, anneal=False, most=MOST_STEPS, target=c.fit.cost)
+        gained = again.log_evidence - c.fit.log_evidence
+        if gained > 0.0:
+            out[k] = replace(c, fit=again, log_evidence=c.log_evidence + gained)
+    return sorted(out, key=lambda c: -c.log_evidence)
 
 
 def essence(fit: Calibration | None) -> Essence:

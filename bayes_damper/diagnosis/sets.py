@@ -525,7 +525,9 @@ def grown(
             sets[key] = new
 
     for c in found:
-        if c.fit is not None and math.isfinite(c.log_evidence):
+        # Under a noise of its own a fit that is far behind (`judgement`) cannot be weighed beside the others.
+        comparable = c.fit is not None and (alone or c.fit.problem.noise == nominal.problem.noise)
+        if c.fit is not None and comparable and math.isfinite(c.log_evidence):
             add(((c.effect, c.variant),), _sharper(c.fit) if alone else c.fit)
     explained = max((c.log_evidence for c in found if c.fit is not None), default=0.0)
     for pair in pairs:

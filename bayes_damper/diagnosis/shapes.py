@@ -393,13 +393,13 @@ def _sensor(m: Motion, s: Scale) -> Iterator[Shape]:
         slope = np.gradient(y, group.times, axis=1) * released / s.omega
         other = m.y[:, 1 - c] / s.readings[1 - c] if channels == 2 and present else np.zeros((n, size))
 
-        def column(kind: str, f: Array, c: int = c, present: bool = present) -> Shape:
+        def column(kind: str, f: Array, c: int = c, present: bool = present, while_held: bool = False) -> Shape:
             out = np.zeros((n, channels, size))
             if present:
-                out[:, c] = f * released
+                out[:, c] = f if while_held else f * released
             return Shape("", f"{kind}{'' if c == 0 else ' 2'}", reading=out)
 
-        yield column("gain", y)
+        yield column("gain", y, while_held=True)
         yield column("delay", slope)
         for tau in (0.3, 1.0, 3.0, 8.0):
             yield column("lowpass", _passed(y, tau * h, dt) - y)
@@ -409,9 +409,9 @@ def _sensor(m: Motion, s: Scale) -> Iterator[Shape]:
         for tau in (3.0, 30.0):
             yield column("highpass", _passed(_passed(y, tau / s.omega, dt), tau / s.omega, dt))
         for limit in (0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9):
-            yield column("clip", y - np.clip(y, -limit, limit))
+            yield column("clip", y - np.clip(y, -limit, limit), while_held=True)
         for f in (y**2, y**3, y * np.abs(y), np.abs(y), np.tanh(y / 0.05)):
-            yield column("nonlinear", f)
+            yield column("nonlinear", f, while_held=True)
         for f in (other, np.gradient(other, group.times, axis=1) / s.omega):
             yield column("cross 2", f)
         for f in (np.ones((n, size)), t, t * t, np.exp(-5.0 * t)):

@@ -372,9 +372,13 @@ def all_effects(folder: str | Path | None = None) -> dict[str, Effect]:
 
 
 def options_of(names: Sequence[str], folder: str) -> str:
-    """Options with which `fit` takes these effects; folder : of those that are not of the library, if any."""
+    """Options with which `fit` takes these effects; folder : of those that are not of the library, if any.
+
+    None for what only a linear nominal model lacks: the model that is fitted has it.
+    """
     own = f" --effects {folder}" if folder and any(name not in EFFECTS for name in names) else ""
-    return own + "".join(f" --effect {name}" for name in names)
+    lacked = [name for name in names if name not in EFFECTS or "linear_nominal" not in EFFECTS[name].needs]
+    return own + "".join(f" --effect {name}" for name in lacked)
 
 
 def classes(effects: Mapping[str, Effect] = EFFECTS) -> list[frozenset[str]]:

@@ -445,8 +445,10 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
                 released = (rest > 0.0) or (after >= delay)
                 m1, m2, s1, s2 = effect_sense(block[HLAST, lane], u1, u2, y1, y2, old1, old2, p, first)
                 held = block[NOW, lane] < delay
-                block[Y1, lane] = rest1 if held else m1
-                block[Y2, lane] = rest2 if held else m2
+                # The sensors show a rig that is still held as they show everything: scaled, clipped, long settled.
+                h1, h2, _, _ = effect_sense(0.0, rest1, rest2, rest1, rest2, old1, old2, p, 1.0)
+                block[Y1, lane] = h1 if held else m1
+                block[Y2, lane] = h2 if held else m2
                 block[S1, lane] = s1 if released else old1
                 block[S2, lane] = s2 if released else old2
                 block[U1, lane] = y1

@@ -41,8 +41,17 @@ def test_the_torque_that_an_effect_adds_is_that_of_its_formula(drag):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("effect", ["interface_friction", "bearing_drag", "quadratic_drag"])
-def test_the_torque_that_an_effect_adds_to_two_links_is_that_of_its_formula(effect):
+@pytest.mark.parametrize(
+    ("effect", "name"),
+    [
+        ("interface_friction", None),
+        ("bearing_drag", None),
+        ("quadratic_drag", "by_inertia"),
+        ("quadratic_drag", "first"),
+        ("quadratic_drag", "second"),
+    ],
+)
+def test_the_torque_that_an_effect_adds_to_two_links_is_that_of_its_formula(effect, name):
     """Wide swings of a double pendulum, whose inertia turns and whose first arm carries the second through the air."""
     times = np.arange(0.0, 4.0, 0.01)
     trial = TrialRecord("a", "A", True, 1, times, np.ones((2, times.size)), 0, theta0=1.0)
@@ -52,7 +61,7 @@ def test_the_torque_that_an_effect_adds_to_two_links_is_that_of_its_formula(effe
         normal_force="constant", restoring="pendulum", coupling_law="cosine",
         priors={"k2t": 0.0, "c1t": 0.02, "c2t": 0.01, "c3t": 0.3, "mu": 0.0, "drag": 0.2, "nu": 40.0, "tail": 0.0},
     )  # fmt: skip
-    variant = EFFECTS[effect].variants[-1]
+    variant = EFFECTS[effect].variants[-1] if name is None else EFFECTS[effect].variant(name)
     problem = Problem(experiment, of_links(variant) if EFFECTS[effect].site == "bearings" else variant)
     fit = summarise(problem, np.full(problem.size, 0.5), problem.no_nuisance(), True, 0, central=False)
     p = {name.removeprefix("effect."): value for name, (value, _) in fit.parameters.items()}
@@ -65,8 +74,8 @@ def test_the_torque_that_an_effect_adds_to_two_links_is_that_of_its_formula(effe
         expected = -p["drag"] * np.tanh(p["smoothing"] * m.w1), 0.0 * m.w1
     else:
         v = m.w2 + lever * m.w1
-        q2 = -p["coefficient"] * constants["J2"] * v * np.abs(v)
-        expected = -p["coefficient"] * m.w1 * np.abs(m.w1) + lever * q2, q2
+        q2 = -p["coefficient"] * constants["J2"] * v * np.abs(v) * (name != "first")
+        expected = -p["coefficient"] * m.w1 * np.abs(m.w1) * (name != "second") + lever * q2, q2
     assert np.abs(m.phi).max() > 0.3
     for found, right in zip(m.added[0], expected, strict=True):
         off = np.abs(found - np.where(m.since[0] > 0.0, right[0], 0.0)) / np.max(np.abs(expected))

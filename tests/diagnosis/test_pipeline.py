@@ -43,6 +43,7 @@ from bayes_damper.diagnosis.search import (
     Screen,
     fainter,
     fit_variant,
+    from_usual_friction,
     offered,
     promising,
     scales_of,
@@ -242,10 +243,10 @@ def test_the_screening_puts_the_truth_first():
     experiment = experiment or with_effect("quadratic_drag", "alike", {"coefficient": 0.8})
     truth = "spring_cubic" if _has("spring_cubic", "k3") else "quadratic_drag"
     screen = Screen(calibrate_nominal(experiment))
-    gains = {
-        effect.name: max(s.gain for s in screen_variant(screen, variant))
-        for effect, variant in offered(experiment, "nonlinear", FEW)
-    }
+    gains = dict.fromkeys(FEW, 0.0)
+    for effect, formula in offered(experiment, "nonlinear", FEW):
+        best = max(s.gain for s in screen_variant(screen, formula))
+        gains[effect.name] = max(gains[effect.name], best)
     assert max(gains, key=gains.get) == truth
 
 
@@ -773,6 +774,21 @@ def test_fits_that_may_lead_are_weighed_at_the_end_of_their_descents():
     first, second = finished([cut, behind])
     assert first.log_evidence == pytest.approx(whole.log_evidence, abs=0.1)
     assert second is behind
+
+
+def test_a_leader_whose_friction_is_smeared_is_fitted_from_usual_friction_too():
+    """The nominal model stands sharp friction (nu 60) for what it lacks, and the effect's descent stays there."""
+    effect, formula = EFFECTS["quadratic_drag"], variant("quadratic_drag")
+    nominal = calibrate_nominal(
+        measured(5, effect=formula, values={"coefficient": 0.8}, configurations=(False,), noise=0.2)
+    )
+    problem = nominal.problem.with_effect(formula)
+    caught = calibrate(problem, [np.append(nominal.q, 0.5)], eta=nominal.eta, anneal=False)
+    gained = caught.log_evidence - nominal.log_evidence
+    (first,) = from_usual_friction([Candidate(effect, formula, (), caught, gained)])
+    assert first.log_evidence > gained + 1000.0
+    assert first.fit.parameters["effect.coefficient"][0] == pytest.approx(0.8, rel=0.02)
+    assert from_usual_friction([first]) == [first], "usual friction is left as it is"
 
 
 def test_other_choices_are_judged_where_a_bound_stops_the_nominal_fit():

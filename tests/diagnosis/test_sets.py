@@ -24,7 +24,7 @@ from bayes_damper.diagnosis import sets as sets_module
 from bayes_damper.diagnosis.budget import _divided, answers_of, borne_out, budget_of, foreign_alone, idle_alone
 from bayes_damper.diagnosis.formula import widened
 from bayes_damper.diagnosis.response import motions
-from bayes_damper.diagnosis.search import offered
+from bayes_damper.diagnosis.search import Candidate, offered
 from bayes_damper.diagnosis.sensitivity import sensitivity_of_sets
 from bayes_damper.diagnosis.sets import (
     SetFit,
@@ -216,6 +216,19 @@ def test_a_set_that_explains_less_than_one_it_holds_is_fitted_from_there(monkeyp
     ends[3] = 3.0
     assert _grown(nominal, base, (), [1, 2, 3, 4]).misses == 3.0
     assert len(fitted) == 5, "what explains more than the base is not fitted again"
+
+
+def test_single_effects_under_another_noise_are_not_weighed_beside_the_others():
+    """One far behind the leader keeps the noise of before, by which it would explain a thousand nats."""
+    nominal = calibrate(Problem(measured(1, duration=0.1, configurations=(False,))), most=4, anneal=False)
+    loud = Noise((50.0,) * 2, (0.0,) * 2, (0.0,) * 2)
+    found = []
+    for name, noise in (("spring_cubic", nominal.problem.noise), ("quadratic_drag", loud)):
+        effect, formula = member(name)
+        problem = nominal.problem.with_noise(noise).with_effect(formula)
+        fit = calibrate(problem, [np.append(nominal.q, 0.1)], eta=nominal.eta, anneal=False, most=4)
+        found.append(Candidate(effect, formula, (), fit, 1.0))
+    assert {s.names for s in grown(nominal, found, [])} == {frozenset(), frozenset({"spring_cubic"})}
 
 
 @dataclass(frozen=True)

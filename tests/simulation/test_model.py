@@ -108,6 +108,22 @@ def test_velocity_and_displacement_are_read(quantity):
     np.testing.assert_array_equal(y[:, ~after], reference.BASE["theta0"] if quantity == "displacement" else 0.0)
 
 
+@pytest.mark.parametrize(
+    ("effect", "formula", "values", "shown"),
+    [
+        ("sensor_gain", "channel1", {"error": 0.05}, 1.05),
+        ("sensor_clipping", "both", {"level": 0.6 * reference.BASE["theta0"]}, 0.6),
+        ("sensor_bandwidth", "both", {"time": 3e-3}, 1.0),
+        ("sensor_highpass", "both", {"rate": 4.0}, 1.0),
+    ],
+)
+def test_sensors_show_a_rig_that_is_held_as_they_show_everything(effect, formula, values, shown):
+    """A wrong scale is there before the release too: 25 sd of one such reading hid gains of 5 %."""
+    model = Model(effect=EFFECTS[effect].variant(formula))
+    y = model.simulate(reference.BASE | {"delay": 0.0103}, TIMES, effect=values, quantity="displacement").y[0]
+    np.testing.assert_allclose(y[0, TIMES < 0.0103], shown * reference.BASE["theta0"], rtol=1e-9)
+
+
 @pytest.mark.parametrize("coupled", [True, False])
 @pytest.mark.parametrize("quantity", ["acceleration", "displacement"])
 def test_a_release_that_takes_its_time_is_that_of_a_torque_that_falls(coupled, quantity):
