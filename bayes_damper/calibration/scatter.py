@@ -86,6 +86,7 @@ SHOWN_FROM = 3.0  # nats by which the repeats' likelihood must gain from a scatt
 SURE_OF_TREND = 0.01
 SUDDEN, WORTH_IT = 0.3, 1.0  # of the typical time of release, and nats, below both of which there is none
 USUAL = (0.3, 2.5)  # range of times of release over their size, root mean square, in which they scatter about none
+SLOW, SAME_WAY = 10.0, 1.5  # times the typical time of release, and of the shortest one, in which all are slow alike
 ABOUT_ITS_MEAN = 1.0 - 2.0 / math.pi  # variance of half a normal distribution over its mean square
 ALIKE = 0.1  # by how much one free start may swing further than another that it repeats: hands let go that differently
 APART = 1.3  # times what it still swings at its end is what another begins with, where they are releases of their own
@@ -529,6 +530,14 @@ def scatter_in_words(fit: Calibration) -> list[str]:
         listed = ", ".join(f"{s.name} (by {float(f'{100.0 * s.sd:.2g}'):g} %)" for s in relative)
         out.append(
             f"Differs from trial to trial: {listed}. The fit allows each trial its own value; no cause is named for it."
+        )
+    times = 1e3 * np.array(times_of_release(fit))
+    slow = times.size > 0 and bool(times.min() > SLOW * 1e3 * TYPICAL[RELEASE])
+    if slow and times.max() < SAME_WAY * times.min():
+        out.append(
+            f"The trials are released over {times.min():.3g} to {times.max():.3g} ms, which is long for a latch "
+            f"({1e3 * TYPICAL[RELEASE]:g} ms is typical). The fit allows each trial its own time, and no cause "
+            "is named for it: look at what lets go of the rig."
         )
     for size in shown:
         r, p = trend_with_order(fit, size)

@@ -427,6 +427,24 @@ def test_each_size_comes_with_its_unit(monkeypatch):
     assert units == {"k1t": "relative", "gain2": "relative", "offset1": "m", RELEASE: "s"}
 
 
+@pytest.mark.parametrize(
+    ("times", "said"),
+    [([1e-4, 9e-4], []), ([0.0, 0.0, 1.1e-2], []), ([4.5e-3, 1.3e-2], []), ([1.1e-2, 1.19e-2], ["11 to 11.9 ms"])],
+)
+def test_a_release_that_takes_long_in_every_trial_is_said(monkeypatch, times, said):
+    """As one of 12 ms, which each trial's own time takes up; where some are three times as slow it is the gap's."""
+    fit = SimpleNamespace(
+        problem=SimpleNamespace(
+            effect=None, switches=SimpleNamespace(scatter=Scatter(())), trials=(),
+            experiment=SimpleNamespace(trials=(), start="rest"),
+        )
+    )  # fmt: skip
+    monkeypatch.setattr(scatters, "times_of_release", lambda _: times)
+    found = scatters.scatter_in_words(fit)
+    assert len(found) == len(said)
+    assert all(words in sentence for words, sentence in zip(said, found, strict=True))
+
+
 def sagging(drift: float, inputs: Inputs | None = None) -> Experiment:
     """A damped cosine of closed form, 37 periods from mid-swing, whose sensor reads a bow and a slope too."""
     rng = np.random.default_rng(5)
