@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from bayes_damper.calibration.hum import mains_in
 from bayes_damper.campaign import Campaign, Constant
 from bayes_damper.campaign.records import (
     DERIVATIVE,
@@ -146,6 +147,13 @@ class Experiment:
     def omegas(self) -> tuple[float, ...]:
         """Angular frequency of the primary on each of the springs, rad/s."""
         return tuple(_omega(k, self.constants["J1"][0]) for k, _ in self.stiffnesses)
+
+    @cached_property
+    def hum(self) -> tuple[float | None, ...]:
+        """Frequency of the mains, Hz, that each channel picks up, (channels,); None where none shows."""
+        quickest = max(self.omegas) / (2.0 * math.pi)
+        of_channel = [[(t.times, t.y[c]) for t in self.trials if c < len(t.y)] for c in range(1 + int(self.coupled))]
+        return tuple(mains_in(records, quickest) for records in of_channel)
 
     def rounding_step(self, channel: int) -> float:
         """Step of a channel that errs by its rounding alone, else 0."""

@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 RELEASE = "release_time"
 RELATIVE = ("k1t", "k2t", "c1t", "c3t", "c2t", "mu", "drag")
 COUPLED_ONLY = ("k2t", "c2t", "c3t", "mu")
-READINGS = ("gain", "offset", "drift")  # of each channel
+READINGS = ("gain", "offset", "drift", "hum")  # of each channel
 INPUT = "input"  # with a number: noise of a measured input, by what it does to all channels
 DRIFT_WAVES = 3  # half periods of the fastest cosine that a drift may have over a record
 BASELINE_WAVES = 12  # the same of a baseline that single records show
@@ -25,7 +25,7 @@ class Size:
     sd : what fits use, the root of the posterior mean of its square; low, high : shortest interval holding 90 % of the
     probability; typical : scale of its prior; gained : nats of the repeats' likelihood by the likeliest size over none;
     waves : of a drift, half periods of its fastest cosine over a record; mean : of times of release, s, about which
-    they lie.
+    they lie; hertz : frequency of a hum, Hz.
     """
 
     name: str
@@ -36,12 +36,15 @@ class Size:
     gained: float = 0.0
     waves: int = DRIFT_WAVES
     mean: float = 0.0
+    hertz: float = 0.0
 
     @property
     def columns(self) -> tuple[tuple[str, float], ...]:
         """Names and standard deviations of the nuisances that it makes in each trial."""
         if self.name.startswith("drift"):
             return tuple((f"{self.name}_{k}", self.sd / k) for k in range(1, self.waves + 1))
+        if self.name.startswith("hum"):
+            return tuple((f"{self.name}_{self.hertz:.2f}{phase}", self.sd) for phase in "cs")
         return ((nuisance(self.name), self.sd),)
 
 
@@ -98,8 +101,11 @@ def half_periods(name: str) -> int:
 
 
 def wave(name: str, times: Array) -> Array:
-    """Shape (n,) in time of an offset, or of a half-period cosine of mean square 1 of a drift."""
+    """Shape (n,) in time, of mean square 1: an offset, a half-period cosine of a drift, a cosine or sine of a hum."""
     if name.startswith("offset"):
         return np.ones_like(times)
+    if name.startswith("hum"):
+        turns = float(name.partition("_")[2][:-1]) * times
+        return np.asarray(math.sqrt(2.0) * (np.cos if name.endswith("c") else np.sin)(2.0 * math.pi * turns))
     span = max(float(times[-1] - times[0]), 1e-300)
     return np.asarray(math.sqrt(2.0) * np.cos(half_periods(name) * math.pi * (times - times[0]) / span))

@@ -74,6 +74,7 @@ TYPICAL: Mapping[str, float] = {
     "gain": 0.002,  # an amplifier in a room
     "offset": 0.5,  # of the channel's noise
     "drift": 0.5,  # of the channel's noise, over the record
+    "hum": 0.5,  # of the channel's noise, where a line of the mains shows; its phase at a release is any
     "release_time": 3e-4,  # s, over which what holds the rig gives way: valves and latches take that long
 }
 """Typical standard deviation from trial to trial: the scale of a size's prior where the campaign gives none."""
@@ -101,6 +102,7 @@ def typical_scatter(problem: Problem, releases: bool = False) -> Scatter:
     e = problem.experiment
     coupled = any(e.trials[i].coupled for i in problem.trials)
     found: dict[str, float] = {}
+    hertz: dict[str, float] = {}
     for name in RELATIVE:
         absent = name in e.ties or e.levels.get(name) == "trial" or (name in COUPLED_ONLY and not coupled)
         absent |= name in ("mu", "drag") and problem.nominal == "linear"
@@ -110,8 +112,10 @@ def typical_scatter(problem: Problem, releases: bool = False) -> Scatter:
     for channel in range(1 + int(coupled)) if e.start == "rest" else ():
         noise = problem.noise.floor[min(channel, len(problem.noise.floor) - 1)]
         own_offset = e.offset_sd is not None or e.quantity == "displacement"
+        if (mains := e.hum[channel]) is not None:
+            hertz[f"hum{channel + 1}"] = mains
         for kind in READINGS:
-            if not (kind == "offset" and own_offset):
+            if not (kind == "offset" and own_offset) and (kind != "hum" or mains is not None):
                 found[f"{kind}{channel + 1}"] = TYPICAL[kind] * (1.0 if kind == "gain" else noise)
     if releases and e.start == "rest" and "delay" not in e.levels:
         found[RELEASE] = TYPICAL[RELEASE]
@@ -119,7 +123,8 @@ def typical_scatter(problem: Problem, releases: bool = False) -> Scatter:
         for key in found:
             if key == name or (name in READINGS and key[:-1] == name):
                 found[key] = size
-    return Scatter(tuple(Size(n, s, 0.0, math.inf, s) for n, s in found.items() if s > 0.0))
+    made = (Size(n, s, 0.0, math.inf, s, hertz=hertz.get(n, 0.0)) for n, s in found.items() if s > 0.0)
+    return Scatter(tuple(made))
 
 
 @dataclass(frozen=True, eq=False)
@@ -413,7 +418,8 @@ def _from_grid(size: Size, logs: Array, gained: float) -> Size:
     share /= share.sum()
     low, high = _shortest(share)
     t = size.typical
-    return Size(size.name, t * math.sqrt(float(share @ np.exp(2.0 * _FINE))), t * low, t * high, t, gained)
+    sd = t * math.sqrt(float(share @ np.exp(2.0 * _FINE)))
+    return replace(size, sd=sd, low=t * low, high=t * high, gained=gained)
 
 
 def without_repeats(fit: Calibration) -> Scatter:
@@ -525,6 +531,13 @@ def scatter_in_words(fit: Calibration) -> list[str]:
                 f"The zero of channel {c + 1} drifts slowly, by about {100.0 * size.sd / reach:.2g} % of its largest "
                 "reading. The fit allows for it; no cause is named, since nothing on the rig moves so slowly."
             )
+    for size in shown:
+        if size.name.startswith("hum"):
+            hum = math.sqrt(2.0) * size.sd / fit.problem.noise.floor[int(size.name[-1]) - 1]
+            out.append(
+                f"Channel {size.name[-1]} picks up the mains: {size.hertz:.4g} Hz, {float(f'{hum:.2g}'):g} times "
+                "its noise (rms), with another phase in each trial. The fit allows for it; no cause is named for it."
+            )
     relative = [s for s in shown if s.name in RELATIVE or s.name.startswith("gain")]
     if relative:
         listed = ", ".join(f"{s.name} (by {float(f'{100.0 * s.sd:.2g}'):g} %)" for s in relative)
@@ -540,7 +553,7 @@ def scatter_in_words(fit: Calibration) -> list[str]:
             "is named for it: look at what lets go of the rig."
         )
     for size in shown:
-        r, p = trend_with_order(fit, size)
+        r, p = (0.0, 1.0) if size.name.startswith("hum") else trend_with_order(fit, size)
         if p < SURE_OF_TREND:
             out.append(
                 f"{size.name} {'grows' if r > 0.0 else 'falls'} from repeat to repeat "

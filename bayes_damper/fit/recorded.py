@@ -253,7 +253,7 @@ def _trial_draws(posterior: RecordPosterior, drawn: Mapping[int, Array]) -> dict
     """What each trial has for itself, from draws of its nuisances in standard coordinates: trial -> name -> (n,).
 
     Release angle (rad), instant (s), parameters relative to those of all trials (ln_mu, ln_k1t), gains and offsets of
-    channels, and what the prior file gives to trials. Waves of a drift and noise of inputs are left out.
+    channels, and what the prior file gives to trials. Waves of a drift or a hum and noise of inputs are left out.
     """
     out: dict[int, dict[str, Array]] = {}
     problem = posterior.problem
@@ -261,7 +261,7 @@ def _trial_draws(posterior: RecordPosterior, drawn: Mapping[int, Array]) -> dict
         for k, i in enumerate(part.group.trials):
             out[i] = {}
             for m, (name, mean, sd) in enumerate(part.group.nuisances):
-                if name.startswith(("drift", "input")):
+                if name.startswith(("drift", "hum", "input")):
                     continue
                 value = mean[k] + sd[k] * drawn[i][:, m]
                 own = name.removeprefix("ln_")
