@@ -41,6 +41,7 @@ from bayes_damper.runs.contents.diagnosis import (
     GapEntry,
     PairEntry,
 )
+from bayes_damper.runs.execution import not_a_campaign
 from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.parallel_map import forked_map, single_threaded
 from bayes_damper.runs.provenance import provenance
@@ -112,9 +113,10 @@ def diagnose(
     Raises
     ------
     InputError
-        if the campaign, the priors or an effect cannot be used.
+        if the campaign, the priors or an effect cannot be used, or if `out` is the folder of a campaign.
     """
     check_choices(nominal, prior_unknown)
+    not_a_campaign(Path(out))
     source = source_of(campaign)
     library = all_effects(effects)
     if isinstance(source, PublishedSource):

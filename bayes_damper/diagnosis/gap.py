@@ -323,10 +323,8 @@ def held_out_test(
             power = (BELIEVED + freedom * power) / both
             p = float(stdtr(both, -float(x @ r) / (length * math.sqrt(power))))
         else:
-            moved = np.array([float(own[i] @ own[i]) for i in ranges])
-            p = _by_trials(
-                np.array([float(own[i] @ r[s]) for i, (_, s) in ranges.items()]), moved, float(x @ r) / length
-            )
+            shown = np.array([(own[i] @ r[s], own[i] @ own[i]) for i, (_, s) in ranges.items()])
+            p = _by_trials(shown[:, 0], shown[:, 1], float(x @ r) / length)
         p_values.append(tried * p)
     return min(1.0, len(p_values) * min(p_values))
 

@@ -74,7 +74,6 @@ def gap_figure(record: Mapping[str, Any], probabilities: Mapping[str, float], *,
         axes["record"].plot(times, measured, ".", label="measured", **dots)
         axes["record"].plot(times, nominal, color=COLOURS[0], lw=1.0, label="fitted nominal model")
         axes["record"].set_title(record["label"], loc="left")
-        axes["record"].legend(loc="upper right", ncols=2)
         axes["record"].set_ylabel(reading)
         line = "" if augmented is None else "\n" + textwrap.fill(f"line: the change due to {record['added']}", _TITLE)
         axes["before"].set_title(f"measured minus nominal model{line}", loc="left")
@@ -87,11 +86,12 @@ def gap_figure(record: Mapping[str, Any], probabilities: Mapping[str, float], *,
         for name in rows:
             if name != "record":
                 shade: dict[str, Any] = {"color": "#cccccc", "alpha": 0.5, "lw": 0, "zorder": 0}
-                axes[name].axhspan(-2.0 * noise, 2.0 * noise, label="noise, ± 2 sd", **shade)
-                axes[name].legend(loc="upper right", frameon=True, framealpha=0.8, edgecolor="none")
+                band = axes[name].axhspan(-2.0 * noise, 2.0 * noise, label="noise, ± 2 sd", **shade)
                 axes[name].set_ylabel(reading)
             axes[name].sharex(axes["record"])
             axes[name].tick_params(labelbottom=name == rows[-1])
+        drawn, _ = axes["record"].get_legend_handles_labels()
+        figure.legend(handles=[*drawn, band], loc="outside lower left", ncols=3)
         axes[rows[-1]].set_xlabel("time [s]")
         shown = _leading(probabilities, 6)  # of up to three lines each
         likely = {name: p for name, p in shown.items() if p > 0.005} if len(shown) > 3 else shown

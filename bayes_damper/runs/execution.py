@@ -112,14 +112,21 @@ def execute(task: Task, folder: Path) -> Any:
     return result
 
 
+def not_a_campaign(folder: Path) -> None:
+    """Refuses the folder of a campaign for results, by an InputError: both have files that commands would mix up."""
+    if (folder / "campaign.toml").exists():
+        raise InputError(f"{folder}: holds a campaign, and results do not go beside it; name another --out")
+
+
 def claim(folder: Path, record: Mapping[str, Any], workers: int) -> None:
     """Note in run.json of `folder` what runs there (`command`, `plan`, and more); the same run goes on.
 
     Raises
     ------
     InputError
-        if another run is there, whose pieces are not mixed with this one's.
+        if another run is there, or a campaign, whose pieces are not mixed with this one's.
     """
+    not_a_campaign(folder)
     path = folder / "run.json"
     if path.exists():
         before = run_record(folder)

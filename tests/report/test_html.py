@@ -754,13 +754,16 @@ def test_one_reading_far_out_does_not_hide_the_other_residuals():
     assert len(marks["."]) == 399
 
 
-def test_the_band_of_the_noise_has_a_legend_below_each_record():
+def test_one_legend_below_the_panels_names_the_band_of_the_noise_too():
     times, zero = np.arange(400) * 1e-3, np.zeros(400)
     record = {"label": "IV", "unit": "rad", "times": times, "measured": zero, "nominal": zero, "augmented": zero,
               "added": "stick slip", "noise": 0.1}  # fmt: skip
     figure = gap_figure(record, {"none": 1.0}, title="rig")
-    legends = [[t.get_text() for t in a.get_legend().get_texts()] for a in figure.axes if a.get_legend()]
-    assert legends == [["measured", "fitted nominal model"], ["noise, ± 2 sd"], ["noise, ± 2 sd"]]
+    figure.draw_without_rendering()
+    (legend,) = figure.legends
+    assert [t.get_text() for t in legend.get_texts()] == ["measured", "fitted nominal model", "noise, ± 2 sd"]
+    assert all(axis.get_legend() is None for axis in figure.axes)
+    assert legend.get_window_extent().y1 < min(axis.get_window_extent().y0 for axis in figure.axes)
 
 
 def test_the_label_of_small_residuals_stays_in_the_figure():

@@ -13,6 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bayes_damper.commands.diagnose import diagnose
+from bayes_damper.errors import InputError
+from bayes_damper.runs.execution import claim
 from bayes_damper.runs.json_files import read_json, write_json
 
 ENDLESS = """
@@ -124,3 +127,12 @@ def _until(condition, seconds: float) -> None:
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.05)
+
+
+def test_results_do_not_go_into_the_folder_of_a_campaign(tmp_path):
+    (tmp_path / "campaign.toml").write_text('name = "cart"\n')
+    with pytest.raises(InputError, match="holds a campaign, and results do not go beside it; name another --out"):
+        claim(tmp_path, {"command": "fit", "plan": {}}, 1)
+    with pytest.raises(InputError, match="holds a campaign"):
+        diagnose(tmp_path / "other", out=tmp_path)
+    assert [p.name for p in tmp_path.iterdir()] == ["campaign.toml"]
