@@ -338,7 +338,7 @@ def _repeats(fit: Calibration) -> list[float | None]:
     sets: dict[tuple[Any, ...], int] = {}
     for i in fit.problem.trials:
         t = experiment.trials[i]
-        key = (*t.conditions, t.times.size)
+        key = t.conditions_and_length
         sets[key] = sets.get(key, 0) + 1
     total = learn_noise(fit).total
     known = [any(n > 1 and (coupled or c == 0) for (_, coupled, *_), n in sets.items()) for c in range(len(total))]

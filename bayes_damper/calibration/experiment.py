@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from functools import cached_property
@@ -86,6 +86,11 @@ class TrialRecord:
     def conditions(self) -> tuple[Any, ...]:
         """Equal for repeats: trials of one case and configuration, release and inputs."""
         return self.case, self.coupled, self.theta0, None if self.inputs is None else self.inputs.key
+
+    @property
+    def conditions_and_length(self) -> tuple[Any, ...]:
+        """Equal for repeats of one record length too, whose residuals can be compared."""
+        return *self.conditions, self.times.size
 
 
 @dataclass(frozen=True)
@@ -263,7 +268,7 @@ def release_window(trial: TrialRecord, quantity: str) -> tuple[float, float]:
 
 def lone(experiment: Experiment, trials: Sequence[int]) -> bool:
     """Whether no two of the trials are repeats, of one record length too. Free starts never repeat."""
-    keys = [(*t.conditions, t.times.size) for t in (experiment.trials[i] for i in trials)]
+    keys = [experiment.trials[i].conditions_and_length for i in trials]
     return experiment.start == "free" or len(set(keys)) == len(keys)
 
 
@@ -272,13 +277,9 @@ def fitted_to_all(experiment: Experiment) -> Experiment:
 
     Of two trials each, it takes both to separate what the model misses from what differs from trial to trial.
     """
-
-    def repeated(some: Iterable[TrialRecord]) -> set[bool]:
-        return {n > 1 for n in Counter((*t.conditions, t.times.size) for t in some).values()}
-
-    trials = experiment.trials
-    in_pairs = repeated(trials) == {True} and repeated(t for t in trials if not t.heldout) == {False}
-    return replace(experiment, fits_all=True) if in_pairs and experiment.start == "rest" else experiment
+    counts = Counter(t.conditions_and_length for t in experiment.trials)
+    in_pairs = experiment.start == "rest" and min(counts.values()) > 1 and lone(experiment, experiment.training)
+    return replace(experiment, fits_all=True) if in_pairs else experiment
 
 
 def _omega(stiffness: float, inertia: float) -> float:

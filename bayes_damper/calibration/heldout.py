@@ -61,11 +61,9 @@ def unseeing(fit: Calibration) -> Calibration:
         return fit
     if (known := _WITHOUT.get(fit)) is None:
         fewer = problem.for_trials([i for i in problem.trials if i not in heldout])
-        where = {name: z for name, z in zip(problem.names, fit.q, strict=True) if name in fewer.names}
-        q = fewer.prior_mean()
-        q[[fewer.names.index(name) for name in where]] = list(where.values())
+        keep = [problem.names.index(name) for name in fewer.names]
         eta = {i: fit.eta[i] for i in fewer.trials}
-        known = _WITHOUT[fit] = calibrate(fewer, [q], eta=eta, anneal=False)
+        known = _WITHOUT[fit] = calibrate(fewer, [fit.q[keep]], eta=eta, anneal=False)
     return known
 
 

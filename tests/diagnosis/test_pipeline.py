@@ -879,12 +879,12 @@ def test_formulas_that_few_readings_show_are_not_told_apart_by_a_few_nats():
     assert "sensor_bandwidth" not in weigh(evidence, before, replace(after, readings=300.0)).credible_set()
 
 
-@pytest.mark.slow
 def slow_swing(times):
     """A torque from outside at the pace of the rig, the same in every trial, N m."""
     return 0.02 * np.sin(2.0 * np.pi * 14.0 * times) * np.exp(-(((times - 0.25) / 0.08) ** 2))
 
 
+@pytest.mark.slow
 def test_two_trials_each_show_what_both_miss():
     """What both trials miss alike, 1.6 times the noise, is no scatter: held-out trials are among those that judge."""
     experiment = fitted_to_all(measured(5, repeats=2, torque=slow_swing, configurations=(False,)))
@@ -911,6 +911,7 @@ def test_only_a_campaign_of_pairs_that_marks_no_trial_judges_by_all(monkeypatch)
     assert seen == [True, False]
 
 
+@pytest.mark.slow
 def test_slightly_coloured_noise_without_repeats_is_no_gap():
     """A fifth of the noise's variance is slow. No repeat tells it from a model's error; white noise it must not be."""
     rng = np.random.default_rng(4)
