@@ -120,12 +120,14 @@ class Group:
 class Switches:
     """Which nuisances of the trials are free: the instant of release, each trial's own friction, its bearings' drag.
 
+    slow : all releases take their time, alike, so that the model lacks it; they may begin before a reading shows it.
     scatter : what else differs from trial to trial, and by how much; it takes the place of `friction` and `drag`.
     """
 
     delay: bool = True
     friction: bool = True
     drag: bool = False
+    slow: bool = False
     scatter: Scatter = NO_SCATTER
 
 
@@ -274,7 +276,12 @@ class Grouping:
             last = high + self.switches.scatter.sd(RELEASE)
         half = 0.35 * (last - low)
         # A rig seen held at the first reading bounds the release from below; else the logger may be later yet.
-        slack = np.where(low >= np.array([t.times[0] for t in trials]), -1e-6, 0.4)
+        slack = np.where(low >= (first := np.array([t.times[0] for t in trials])), -1e-6, 0.4)
+        own = self.switches.scatter.sd(RELEASE) > 0.0
+        if own or self.switches.slow:  # one that takes its time begins unseen
+            slack = np.where(low >= first, (low - first) / half - 1e-6, 0.4)
+        if own and self.experiment.quantity == "acceleration":  # and may last as long as any
+            last = high + 1.0 / np.array([self.experiment.omegas[t.k1t] for t in trials])
         return ("delay", middle, half), ((low - middle) / half - slack, (last - middle) / half * (1.0 - 1e-9))
 
     def _of_inputs(self, trials: list[TrialRecord]) -> list[Nuisance]:

@@ -38,7 +38,7 @@ FEW_REPEATS = 4  # repeats beyond the first of their kind, over all kinds, below
 VARIES = 9.0  # mean square, in variances, of differences between so few repeats from which instants are the trials' own
 VARIES_MANY = 3.0  # and between many: what coloured noise and other scatter may add to the 1 of noise
 RELEASES = (0.0, 2.0)  # sizes of the time of release from which each trial's is looked for, in all trials alike
-TIMES_TRIED = (0.0, 0.05, 0.1, 0.2, 0.35, 0.6, 1.0, 1.7, 3.0)  # sizes of it in one trial
+TIMES_TRIED = (0.0, 0.05, 0.1, 0.2, 0.35, 0.6, 1.0, 1.7, 3.0, 6.0, 12.0, 25.0)  # sizes of it in one trial
 OVER = (0.1, 0.3, 0.5, 0.7, 0.9)  # and shares of it at the first reading
 STEPS_TRIED = 3  # of the linearised model with each
 WORTH_A_FIT, MOST_ROUNDS = 1.0, 3  # gain of the cost from which the fit follows, and how often
@@ -279,9 +279,16 @@ def _about_a_mean(fit: Calibration) -> Calibration:
         return fit
     others = tuple(s for s in problem.switches.scatter.sizes if s.name != RELEASE)
     size = problem.switches.scatter.sd(RELEASE)
+
+    def sudden(slow: bool = False) -> Calibration:
+        switches = replace(problem.switches, scatter=Scatter(others), slow=slow)
+        without = problem.changed(switches=switches)
+        return calibrate(without, [fit.q], eta=carried(fit, without), anneal=False)
+
+    if size and _alike(fit):
+        return sudden(slow=True)
     if size and max(times_of_release(fit), default=0.0) < SUDDEN * size:  # it was learnt from other times on the way
-        sudden = problem.changed(switches=replace(problem.switches, scatter=Scatter(others)))
-        fit = max(fit, calibrate(sudden, [fit.q], eta=carried(fit, sudden), anneal=False), key=_log_density)
+        fit = max(fit, sudden(), key=_log_density)
 
     def about(share: float, start: Calibration) -> tuple[Calibration, float]:
         mean = share * usual[0].typical
@@ -298,7 +305,10 @@ def _about_a_mean(fit: Calibration) -> Calibration:
     for step in (STEP_OF_MEAN, 1.0 / STEP_OF_MEAN):
         while share * step < longest and (further := about(share * step, best))[1] > most:
             share, (best, most) = share * step, further
-    return best if most > known + SHOWN_FROM and not _alike(best) else fit
+    if most <= known + SHOWN_FROM:
+        return fit
+    best = _releases(best)
+    return sudden(slow=True) if _alike(best) else best
 
 
 def _alike(fit: Calibration) -> bool:
