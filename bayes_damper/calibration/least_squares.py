@@ -12,6 +12,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import ndtri
 
 from bayes_damper.calibration.jumps import beside_jumps
+from bayes_damper.calibration.kept_fits import keep, kept_end, place_of
 from bayes_damper.calibration.normal_equations import Linear, Normals
 from bayes_damper.calibration.problem import Problem
 from bayes_damper.calibration.unknowns import coordinate_of, value_and_slope
@@ -130,6 +131,10 @@ def calibrate(
     A fit in which every simulation fails has cost inf and log_evidence -inf.
     """
     points = [np.asarray(s, float) for s in starts] or default_starts(problem)
+    place = place_of(problem, points, eta, most, finish, anneal, give_up, target, straight)
+    if known := kept_end(place, problem):
+        q, own, converged, used, central = known
+        return summarise(problem, q, own, converged, used, central)
     best: _End | None = None
     passed: list[_End] = []  # where descents have been after their first stage
     for point in points:
@@ -157,6 +162,7 @@ def calibrate(
             break
         damping, q, own, cost, used = max(tried, 1e-7), moved_q, moved, moved_cost, used + 1
         linear = problem.linearise(q, own, central=True)
+    keep(place, (q, own, converged, used, linear.central))
     return summarise(problem, q, own, converged, used, linear=linear)
 
 

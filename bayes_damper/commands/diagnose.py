@@ -18,16 +18,19 @@ from bayes_damper import figures
 from bayes_damper.calibration import Calibration, predict, unseeing
 from bayes_damper.calibration.experiment import laws_on, trial_label
 from bayes_damper.calibration.forecast import forecasts
+from bayes_damper.calibration.kept_fits import fits_kept_in
+from bayes_damper.campaign import Campaign
 from bayes_damper.diagnosis import Diagnosis
 from bayes_damper.diagnosis import diagnose as diagnose_campaign
 from bayes_damper.diagnosis.published import diagnose_published
 from bayes_damper.diagnosis.response import Motion, motions
 from bayes_damper.diagnosis.sites import write_missing_torque
 from bayes_damper.diagnosis.verdict import RULE
-from bayes_damper.effects import Effect, all_effects, options_of
+from bayes_damper.effects import Effect, all_effects, effects_sha256, options_of
 from bayes_damper.effects._law import SITES
 from bayes_damper.effects.base import SITE_TITLES
 from bayes_damper.errors import ExitCode, InputError
+from bayes_damper.inputs import file_sha256, resolved
 from bayes_damper.published.posterior import data_of
 from bayes_damper.published.sources import PublishedSource, source_of
 from bayes_damper.rig.parameters import unit_of
@@ -41,10 +44,10 @@ from bayes_damper.runs.contents.diagnosis import (
     GapEntry,
     PairEntry,
 )
-from bayes_damper.runs.execution import not_a_campaign
+from bayes_damper.runs.execution import not_a_campaign, pieces_kept
 from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.parallel_map import forked_map, single_threaded
-from bayes_damper.runs.provenance import provenance
+from bayes_damper.runs.provenance import code_sha256, provenance
 from bayes_damper.text import (
     Printable,
     budget_sentence,
@@ -114,6 +117,8 @@ def diagnose(
     ------
     InputError
         if the campaign, the priors or an effect cannot be used, or if `out` is the folder of a campaign.
+    Interrupted
+        after Ctrl-C: the same call, or `resume`, goes on with the fits that were made.
     """
     check_choices(nominal, prior_unknown)
     not_a_campaign(Path(out))
@@ -122,12 +127,48 @@ def diagnose(
     if isinstance(source, PublishedSource):
         return _published(source, nominal, library, priors, Path(out), seed, workers, report)
     loaded, chosen = source.campaign, source.priors(priors)
-    beyond = laws_on(library, loaded)
-    found = diagnose_campaign(
-        loaded, nominal=nominal, effects=library, priors=chosen, seed=seed, workers=workers, report=report,
-        rule=replace(RULE, prior_unknown=prior_unknown),
-    )  # fmt: skip
-    folder = Path(out)
+    plan = plan_of(
+        {loaded.name: Path(campaign)}, {loaded.name: loaded.sha256}, nominal, seed, prior_unknown, priors, effects
+    )
+    with pieces_kept(Path(out), {"command": "diagnose", "plan": plan, "code": code_sha256()}, workers) as pieces:
+        with fits_kept_in(pieces / "fits"):
+            found = diagnose_campaign(
+                loaded, nominal=nominal, effects=library, priors=chosen, seed=seed, workers=workers, report=report,
+                rule=replace(RULE, prior_unknown=prior_unknown),
+            )  # fmt: skip
+        return _written(found, loaded, Path(out), str(campaign), effects, library, workers, report)
+
+
+def plan_of(
+    places: Mapping[str, Path],
+    checksums: Mapping[str, str],
+    nominal: str,
+    seed: int,
+    prior_unknown: float,
+    priors: str | Path | None,
+    effects: str | Path | None,
+) -> dict[str, Any]:
+    """What decides a diagnosis, or several, for run.json: places and checksums of campaigns by name, and settings."""
+    file = None if priors is None else resolved(priors)
+    return {
+        "campaigns": {name: str(resolved(path)) for name, path in places.items()}, "sha256": dict(checksums),
+        "nominal": nominal, "seed": seed, "prior_unknown": float(prior_unknown),
+        "priors": None if file is None else str(file), "priors_sha256": None if file is None else file_sha256(file),
+        "effects_sha256": None if effects is None else effects_sha256(effects),
+    }  # fmt: skip
+
+
+def _written(
+    found: Diagnosis,
+    loaded: Campaign,
+    folder: Path,
+    campaign: str,
+    effects: str | Path | None,
+    library: Mapping[str, Effect],
+    workers: int,
+    report: Callable[[str], None],
+) -> Diagnosed:
+    """The files and figures of a diagnosis, in its folder; those of an earlier one are removed."""
     path = _emptied(folder)
     write_missing_torque(folder / "missing_torque.csv", found.site_map)
     earlier = [folder / "learnt" / f"{site}{end}" for site in SITES for end in (".toml", ".csv", "_table.csv")]
@@ -148,7 +189,7 @@ def diagnose(
             "magnet": loaded.rig.has_magnet,
         },
         "forecast": ahead,
-        "warnings": [*loaded.warnings, *beyond],
+        "warnings": [*loaded.warnings, *laws_on(library, loaded)],
         "warnings_of_check": len(loaded.warnings),
         "campaign_sha256": loaded.sha256,
         "provenance": provenance(),
@@ -164,7 +205,7 @@ def diagnose(
     _add_meanings(result, library, loaded.rig.kind, loaded.rig.has_magnet)
     _draw(folder, found, workers, library, loaded.rig.has_magnet)
     write_json(path, result)  # last: a folder with it is whole
-    return Diagnosed(folder, result, str(campaign), effects="" if effects is None else str(effects))
+    return Diagnosed(folder, result, campaign, effects="" if effects is None else str(effects))
 
 
 def check_choices(nominal: str, prior_unknown: float) -> None:

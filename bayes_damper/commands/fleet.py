@@ -10,14 +10,14 @@ from types import NoneType
 from typing import Any, Literal
 
 from bayes_damper.campaign import load_campaign
-from bayes_damper.commands.diagnose import check_choices, diagnose
+from bayes_damper.commands.diagnose import Diagnosed, check_choices, diagnose, plan_of
 from bayes_damper.diagnosis.verdict import RULE
-from bayes_damper.effects import all_effects, effects_sha256, same_effects
+from bayes_damper.effects import all_effects, same_effects
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.inputs import fields, file_sha256, resolved
+from bayes_damper.inputs import fields, resolved
 from bayes_damper.published.sources import is_published
 from bayes_damper.report import report
-from bayes_damper.runs.execution import Progress, Task, claim, run_tasks
+from bayes_damper.runs.execution import Progress, Silent, Task, claim, run_tasks
 from bayes_damper.runs.json_files import folder_name, write_json
 from bayes_damper.runs.provenance import code_sha256, provenance
 from bayes_damper.text import NOTHING, Printable, counted
@@ -84,14 +84,7 @@ def diagnose_fleet(
     checksums = _checksums(places)
     all_effects(effects)  # faults of an effect are found before any work
     home = Path(out)
-    folders = {name: str(resolved(path)) for name, path in places.items()}
-    file = None if priors is None else resolved(priors)
-    plan = {
-        "campaigns": folders, "sha256": checksums, "nominal": nominal, "seed": seed,
-        "prior_unknown": float(prior_unknown), "priors": None if file is None else str(file),
-        "priors_sha256": None if file is None else file_sha256(file),
-        "effects_sha256": None if effects is None else effects_sha256(effects),
-    }  # fmt: skip
+    plan = plan_of(places, checksums, nominal, seed, prior_unknown, priors, effects)
     if (home / "diagnosis.json").exists() and not (home / "run.json").exists():
         raise InputError(f"{home}: holds the diagnosis of one campaign; name another --out, or remove that folder")
     claim(home, {"command": "diagnose", "plan": plan, "code": code_sha256()}, workers)
@@ -100,7 +93,7 @@ def diagnose_fleet(
         "effects": None if effects is None else str(resolved(effects)),
         "workers": 2 if workers == 1 and scheduler is None else 1,
     }  # fmt: skip
-    tasks = [Task(name, diagnose_one, {"campaign": folder, **given}) for name, folder in folders.items()]
+    tasks = [Task(name, diagnose_one, {"campaign": folder, **given}) for name, folder in plan["campaigns"].items()]
     rows = run_tasks(tasks, home, workers=workers, scheduler=scheduler, progress=progress)
     named = [{"name": name, "campaign": str(places[name]), **row} for name, row in rows.items()]
     result = {
@@ -111,10 +104,18 @@ def diagnose_fleet(
     return Fleet(home, report(home).path, result)
 
 
-def finish_fleet(
-    home: Path, record: Mapping[str, object], *, effects: str | Path | None, workers: int, progress: Progress | None
-) -> Fleet:
+def finish_diagnoses(
+    home: Path,
+    record: Mapping[str, object],
+    *,
+    effects: str | Path | None,
+    workers: int,
+    progress: Progress | None,
+    alone: bool = False,
+) -> Fleet | Diagnosed:
     """Go on with a run that was stopped; `record` as its run.json holds it, effects as the run began with.
+
+    alone : it is the diagnosis of one campaign, whose results stand in `home` itself.
 
     Raises
     ------
@@ -126,6 +127,15 @@ def finish_fleet(
     places = plan["campaigns"]
     if not all(isinstance(path, str) for path in places.values()):
         raise InputError(f"{home / 'run.json'}: damaged: campaigns are no paths; give the same command again")
+    if alone and len(places) == 1:
+        ((name, campaign),) = places.items()
+        if load_campaign(campaign).sha256 != plan["sha256"].get(name):
+            raise InputError(f"{campaign}: has changed since its diagnosis in {home} was stopped; diagnose it anew")
+        step = (progress or Silent()).update
+        return diagnose(
+            campaign, nominal=plan["nominal"], effects=effects, priors=plan["priors"], out=home, seed=plan["seed"],
+            workers=workers, prior_unknown=plan["prior_unknown"], report=lambda words: step("diagnosis", 0.0, words),
+        )  # fmt: skip
     return diagnose_fleet(
         list(places.values()), nominal=plan["nominal"], effects=effects, priors=plan["priors"], out=home,
         seed=plan["seed"], workers=workers, prior_unknown=plan["prior_unknown"], progress=progress,

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from bayes_damper.commands.fleet import finish_fleet
+from bayes_damper.commands.fleet import finish_diagnoses
 from bayes_damper.errors import InputError
 from bayes_damper.fit import finish_fit, kept, plan_in, refuse_changes
 from bayes_damper.inputs import resolved, shown
-from bayes_damper.runs.execution import Progress, run_record
+from bayes_damper.runs.execution import UNFINISHED, Progress, run_record
 from bayes_damper.runs.json_files import write_json
 from bayes_damper.validation.withheld.check import finish_withheld
 from bayes_damper.variability import finish_variability
@@ -40,14 +40,13 @@ def resume(
     """
     path = Path(folder)
     _refuse_links_outside(path)
-    pieces = _unfinished_variability(path)
+    pieces = _unfinished(path)
     record = run_record(path if pieces is None or more else pieces)
     command = record["command"]
     if command not in GOES_ON or (more and command != "fit"):
         raise InputError(
-            f"{path}: run.json names the command {shown(command)}; fits, variability, withheld checks and diagnoses of "
-            "several campaigns can be resumed, and only fits extended; other commands go on when the same command is "
-            "given again"
+            f"{path}: run.json names the command {shown(command)}; fits, diagnoses, variability and withheld "
+            "checks can be resumed, and only fits extended; other commands go on when the same command is given again"
         )
     if command == "variability" and effects is not None:
         raise InputError("--effects: variability knows the nominal model only; leave it out")
@@ -57,7 +56,8 @@ def resume(
     if command == "withheld":
         return finish_withheld(path, record["plan"], effects=effects, workers=processes, progress=progress)
     if command == "diagnose":
-        return finish_fleet(path, record, effects=effects, workers=processes, progress=progress)
+        alone = pieces is not None
+        return finish_diagnoses(path, record, effects=effects, workers=processes, progress=progress, alone=alone)
     plan = plan_in(record, path, effects)
     refuse_changes(path, record)
     if more:
@@ -78,8 +78,13 @@ def _refuse_links_outside(path: Path) -> None:
         raise InputError([f"{p}: a link to {resolved(p)}, {remedy}" for p in out])
 
 
-def _unfinished_variability(path: Path) -> Path | None:
-    """The folder with the pieces of a `variability` run: named itself, or in that of the results it has not written."""
+def _unfinished(path: Path) -> Path | None:
+    """The folder with the pieces of a `diagnose` or `variability` run, in that of the results it has not written.
+
+    That of a `variability` run may be named itself.
+    """
+    if (path / UNFINISHED / "run.json").exists():
+        return path / UNFINISHED
     if (path / "run.json").exists() and run_record(path)["command"] == "variability":
         return path
     inside = path / "variability"

@@ -74,6 +74,10 @@ class PairProblem(Problem):
         self.size = len(self.coordinates)
         self._split = self.parts[0].size
 
+    @property
+    def identity(self) -> tuple[Any, ...]:
+        return (*super().identity, self.variants)
+
     def changed(self, **changes: Any) -> Self:
         """The same problem with other arguments."""
         return cast("Self", PairProblem(self.base.changed(**changes), *self.variants))
@@ -125,6 +129,10 @@ class ComposedProblem(Problem):
         self.base = base
         self.variants = (first, second)
         self.labels = labels
+
+    @property
+    def identity(self) -> tuple[Any, ...]:
+        return (*super().identity, self.variants, self.labels)
 
     def changed(self, **changes: Any) -> Self:
         """The same problem with other arguments."""

@@ -105,6 +105,10 @@ class SetProblem(Problem):
         labels = [[c.name for k in cluster for c in own[k]] for cluster in clusters]
         self._places = [np.array([*nominal, *map(self.names.index, names)]) for names in labels]
 
+    @property
+    def identity(self) -> tuple[Any, ...]:
+        return (*super().identity, [variant for _, variant in self.members], self.exact)
+
     def changed(self, **changes: Any) -> Self:
         """The same problem with other arguments."""
         return cast("Self", SetProblem(self.base.changed(**changes), self.members, self.exact))

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.errors import InputError
+from bayes_damper.runs.json_files import whole
 
 _KEPT = 2
 _RECORD = "__record__"
@@ -52,23 +53,14 @@ class Checkpoint:
         """Writes a state: named arrays and a JSON record. The oldest beyond the last two is removed."""
         begun = time.monotonic()
         self.folder.mkdir(parents=True, exist_ok=True)
-        text = json.dumps({"fingerprint": self.fingerprint, "record": record})
-        buffer = io.BytesIO()
-        np.savez(buffer, **{_RECORD: np.frombuffer(text.encode(), dtype=np.uint8)}, **dict(arrays))  # type: ignore[arg-type]
-        payload = buffer.getvalue()
         known = self._states()
         number = 1 + (_number(known[0]) if known else 0)
-        final = self.folder / f"state-{number:06d}.npz"
-        scratch = self.folder / f".{final.name}.{os.getpid()}.part"
-        with scratch.open("wb") as file:
-            file.write(hashlib.sha256(payload).digest())
-            file.write(payload)
-            file.flush()
-            os.fsync(file.fileno())
-        scratch.replace(final)
+        write_whole(
+            self.folder / f"state-{number:06d}.npz", arrays, {"fingerprint": self.fingerprint, "record": record}
+        )
         for old in self._states()[_KEPT:]:
             old.unlink(missing_ok=True)
-        for left in self.folder.glob(".state-*.part"):
+        for left in self.folder.glob("state-*.partial"):
             left.unlink(missing_ok=True)
         self._last = time.monotonic()
         self._cost = self._last - begun
@@ -80,8 +72,8 @@ class Checkpoint:
         """
         states = self._states()
         for path in states:
-            content = _read(path)
-            if content is None:
+            content = read_whole(path)
+            if content is None or not all(isinstance(content[1].get(k), dict) for k in ("fingerprint", "record")):
                 continue
             arrays, outer = content
             faults = self._differences(outer["fingerprint"])
@@ -113,8 +105,27 @@ def _number(path: Path) -> int:
     return int(digits) if digits.isdigit() else 0
 
 
-def _read(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]] | None:
-    """Content of one state file, or None when it is not what was written."""
+def write_whole(
+    path: Path, arrays: Mapping[str, NDArray[Any]], record: Mapping[str, object], flush: bool = True
+) -> None:
+    """Named arrays and a JSON record in a file that is there whole or not at all, with its checksum at the front.
+
+    flush : to the disk, where it outlives a loss of power; else it may be found torn then, and is not read.
+    """
+    buffer = io.BytesIO()
+    text = np.frombuffer(json.dumps(record).encode(), dtype=np.uint8)
+    np.savez(buffer, **{_RECORD: text}, **dict(arrays))  # type: ignore[arg-type]
+    payload = buffer.getvalue()
+    with whole(path) as partial, partial.open("wb") as file:
+        file.write(hashlib.sha256(payload).digest())
+        file.write(payload)
+        if flush:
+            file.flush()
+            os.fsync(file.fileno())
+
+
+def read_whole(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]] | None:
+    """Arrays and record of such a file, or None when it is not what was written."""
     try:
         content = path.read_bytes()
     except OSError:
@@ -128,7 +139,6 @@ def _read(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]] | None:
                 return None
         with np.load(io.BytesIO(payload), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-        outer = json.loads(arrays.pop(_RECORD).tobytes().decode())
-        return arrays, {"fingerprint": dict(outer["fingerprint"]), "record": dict(outer["record"])}
+        return arrays, dict(json.loads(arrays.pop(_RECORD).tobytes().decode()))
     except (ValueError, LookupError, TypeError, EOFError, RecursionError, zipfile.BadZipFile):
         return None  # not written here, checksum or not

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import shutil
 import signal
 import sys
 import threading
@@ -135,6 +136,37 @@ def claim(folder: Path, record: Mapping[str, Any], workers: int) -> None:
             what = f", with other {', '.join(changed)}" if changed else ", or one of another version of the package"
             raise InputError(f"{folder}: holds another run{what}; name another --out, or remove that folder")
     write_json(path, {**record, "workers": workers})
+
+
+UNFINISHED = "unfinished"
+"""Folder with the pieces of a run that has not ended, in that of its results."""
+
+
+@contextmanager
+def pieces_kept(folder: Path, record: Mapping[str, Any], workers: int) -> Iterator[Path]:
+    """A place in `folder` for pieces of a run, which are there again when the same run is begun after a stop.
+
+    record : what runs (`command`, `plan`, and more), noted in run.json there; the pieces of another run are removed,
+    and all of them when this one has ended.
+
+    Raises
+    ------
+    Interrupted
+        after Ctrl-C; the sentence says how to go on.
+    """
+    inside = folder / UNFINISHED
+    try:
+        begun = read_json(inside / "run.json") if inside.exists() else None
+    except InputError:
+        begun = None
+    if not isinstance(begun, dict) or {**begun, "workers": workers} != {**record, "workers": workers}:
+        shutil.rmtree(inside, ignore_errors=True)
+        write_json(inside / "run.json", {**record, "workers": workers})
+    try:
+        yield inside
+    except KeyboardInterrupt:
+        raise stopped(folder) from None
+    shutil.rmtree(inside, ignore_errors=True)
 
 
 def stopped(folder: Path) -> Interrupted:

@@ -87,7 +87,7 @@ def read_json(path: Path) -> Any:
     except FileNotFoundError:
         hint = "name a folder that bayes-damper has written"
         if path.name == "run.json":
-            hint = "no run in that folder can go on; a diagnosis of one campaign begins again with its own command"
+            hint = "no run in that folder can go on; begin it again with its own command"
         elif (path.parent / "run.json").is_file():
             hint = f"the run in that folder has not ended; go on with: bayes-damper resume {path.parent}"
         raise InputError(f"{path}: there is no such file; {hint}") from None

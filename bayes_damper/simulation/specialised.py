@@ -18,7 +18,7 @@ import warnings
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
-from types import CodeType, FunctionType, ModuleType
+from types import FunctionType, ModuleType
 from typing import Any
 
 import numba
@@ -29,6 +29,7 @@ from bayes_damper.effects.base import MOST_PARAMETERS, Variant
 from bayes_damper.rig import equations, vector_math
 from bayes_damper.rig.cache_folder import cache_folder, mark_used
 from bayes_damper.rig.equations import Rig
+from bayes_damper.runs.content_hash import code_of
 from bayes_damper.simulation import integrator, late_binding
 
 _COUPLES = {"bodies": 0, "interface": 1, "all": 2}
@@ -112,7 +113,7 @@ def _ingredients(name: str, value: Any, files: set[Path], callers: tuple[Any, ..
     ours = path is not None and path.suffix == ".py" and "site-packages" not in path.parts
     parts = [name]
     if function is not None:  # its module, too: numba imports that where it reads machine code from a file
-        parts = [f"{name}:{function.__module__}.{function.__qualname__}:{_code(function.__code__)}"]
+        parts = [f"{name}:{function.__module__}.{function.__qualname__}:{code_of(function.__code__)}"]
     if path is not None and (function is not None or ours):
         files.add(path)
     if function is not None:
@@ -122,13 +123,6 @@ def _ingredients(name: str, value: Any, files: set[Path], callers: tuple[Any, ..
             if part is not value and not any(part is caller for caller in callers):
                 parts += _ingredients(f"{name}.{inner}", part, files, (*callers, value))
     return parts
-
-
-def _code(code: CodeType) -> str:
-    """A checksum of what a function does: two that a factory makes may share name, file and all that they use."""
-    constants = [_code(c) if isinstance(c, CodeType) else repr(c) for c in code.co_consts]
-    used = (constants, code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars)
-    return hashlib.sha256(code.co_code + repr(used).encode()).hexdigest()
 
 
 def _fingerprint(bound: dict[str, object]) -> str:
