@@ -20,7 +20,7 @@ def content_sha256(*values: Any) -> str:
     Raises
     ------
     TypeError
-        for anything else, since two of them that differ could not be told apart.
+        for anything else, since two of them that differ would have the same.
     """
     digest = hashlib.sha256()
     for value in values:

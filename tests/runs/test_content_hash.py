@@ -59,7 +59,7 @@ def test_what_is_the_same_has_the_same_one(one, other):
     assert content_sha256(one) == content_sha256(other)
 
 
-def test_what_cannot_be_told_apart_is_refused():
+def test_what_has_no_known_content_is_refused():
     with pytest.raises(TypeError, match="no checksum of a object"):
         content_sha256([object()])
     assert content_sha256(MappingProxyType({"a": 1})) != content_sha256(MappingProxyType({"a": 2}))
