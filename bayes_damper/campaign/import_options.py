@@ -271,8 +271,9 @@ def spec_from_options(
         caveats.append(NOTHING_RUBS)
     if any(trial["k1t"] == "estimate" for trial in trials):
         caveats.append("k1t was not given; it is estimated from the strongest frequency, with an uncertainty of 20 %.")
-    known = all("theta0" in trial for trial in trials)
-    start = "rest" if known and not given.get("free_start") else "free"
+    known = _all_released(trials) and not given.get("free_start")
+    caveats += _rows_without_files(rows, groups, trials, str(given.get("sheet")))
+    start = "rest" if known else "free"
     if start == "rest" and not all("theta0_std" in trial for trial in trials):
         caveats.append(_RELEASE_ASSUMED["translational" if given.get("kind") == "translational" else "torsional"])
     spec: dict[str, Any] = {"name": given.get("name", name), "description": given.get("description", "")}
@@ -308,17 +309,46 @@ def _trial_row(
     if pattern is not None:
         row |= _named_in(files[0], str(pattern), words)
     for entry in rows:
-        keys = [key for key in ("file", "case", "configuration") if key in entry]
-        own = {"file": None, **row}
-        matches = [
-            Path(str(entry[key])).name == files[0].name if key == "file" else str(entry[key]) == str(own[key])
-            for key in keys
-            if key == "file" or "file" not in entry
-        ]
-        if all(matches):
+        if _describes(entry, files[0], row):
             row |= {key: value for key, value in entry.items() if key != "file"}
     row["case"] = str(row["case"])
     return row
+
+
+def _describes(entry: Mapping[str, Any], file: Path, row: Mapping[str, Any]) -> bool:
+    """Whether a row of the sheet is about a trial, by its file, else by its case and configuration."""
+    if "file" in entry:
+        return Path(str(entry["file"])).name == file.name
+    return all(str(entry[key]) == str(row[key]) for key in ("case", "configuration") if key in entry)
+
+
+def _rows_without_files(
+    rows: Sequence[Mapping[str, Any]], groups: Sequence[Sequence[Path]], trials: Sequence[Mapping[str, Any]], sheet: str
+) -> list[str]:
+    """A sentence on the rows of the sheet that are about none of the files."""
+    lost = [
+        ", ".join(str(entry[key]) for key in ("file", "case", "configuration") if key in entry)
+        for entry in rows
+        if not any(_describes(entry, files[0], row) for files, row in zip(groups, trials, strict=True))
+    ]
+    return [f"{sheet}: {_first_of(lost)} describe{'s' * (len(lost) == 1)} none of the files."] if lost else []
+
+
+def _first_of(names: Sequence[str]) -> str:
+    """The first three names, and how many more there are."""
+    return ", ".join(names[:3]) + f" and {len(names) - 3} more" * (len(names) > 3)
+
+
+def _all_released(trials: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether all trials have a release angle, or none has one; InputError where some have one."""
+    missing = [row for row in trials if "theta0" not in row]
+    if missing and len(missing) < len(trials):
+        names = _first_of([Path(str(s[0] if isinstance(s := row["source"], list) else s)).name for row in missing])
+        raise InputError(
+            f"theta0 is given for some trials and missing for {names}; give it for all of them (--theta0, --pattern or "
+            "the sheet), or for none: the start of each is then inferred"
+        )
+    return not missing
 
 
 def _name_cases(trials: Sequence[dict[str, Any]], pattern: str, straight: bool) -> None:

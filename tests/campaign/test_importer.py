@@ -721,6 +721,13 @@ def test_names_and_a_sheet_tell_the_trials_apart(tmp_path: Path) -> None:
     ):
         with pytest.raises(InputError, match=sentence):
             init_campaign(tmp_path / "wrong", sources, **(options | wrong))
+    sheet.write_text("case,k1t,theta0\nI,6.2,5.7\nIV,10.2,\nII,7.9,5.0\n", encoding="utf-8")
+    lacking = r"theta0 is given for some trials and missing for caseIV_uncoupled_1.csv, caseIV_uncoupled_2.csv; give it"
+    with pytest.raises(InputError, match=lacking):  # no trial becomes a free start without a word
+        init_campaign(tmp_path / "wrong", sources, pattern=pattern, **options)
+    sheet.write_text("case,k1t,theta0\nI,6.2,5.7\nIV,10.2,4.7\nII,7.9,5.0\n", encoding="utf-8")
+    extra = init_campaign(tmp_path / "extra", sources, pattern=pattern, **options)
+    assert "sheet.csv: II describes none of the files" in (extra / "campaign.toml").read_text()
     sheet.write_text("case,kt1\nI,6.2\n", encoding="utf-8")
     with pytest.raises(InputError, match="unknown column 'kt1'"):
         init_campaign(tmp_path / "wrong", sources, **options)
