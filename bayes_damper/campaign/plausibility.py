@@ -26,6 +26,7 @@ _RESTS = {"displacement": 1.0, "velocity": 0.5, "acceleration": 0.5}
 _SHORT = 0.8  # of the longest repeat's end, before which a record counts as ending early
 _UNLIKE = 0.3  # rms difference over rms, from which repeats are held to be of different channels
 _TURNED = "; where `init` made the campaign, run it again with --sign -1 (coupled: one for each channel, such as -1 1)"
+_OTHER_SIDE = "on the other side of 0 than theta0"
 _GROWS = 0.4  # of the largest excursion, which a free decay exceeds within its first period
 _FEW = 3  # readings at rest, and in the first swing, that show which way it goes
 
@@ -205,12 +206,8 @@ def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]
     level = abs(trial.theta0.value) if power == 0 else 0.0
     rest = 0.0 if power == 0 and _is_held(trial, omega) else _RESTS[quantity]
     if not trial.driven and (onset_away := _moves_the_wrong_way(times, sign * y, quantity, omega, rest)) is not None:
-        place = "on the other side of 0 than theta0" if power == 0 else "at rest"
-        then = "" if power == 0 else " and then begins to move away from its rest position, not towards it"
-        warnings.append(
-            f"{trial.file}: the primary is held {place} until {onset_away:.4g} s{then}; the sign of the channel "
-            f"looks reversed (or that of theta0 in trials.csv){_TURNED}"
-        )
+        at_rest = f"at rest until {onset_away:.4g} s and then begins to move away from its rest position, not towards it"
+        warnings.append(_reversed(trial, _OTHER_SIDE if power == 0 else at_rest))
         y = -y
     away, bound = departure(y, quantity, trial.theta0.value)
     departed = away > bound
@@ -227,6 +224,8 @@ def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]
             "says; correct theta0 in trials.csv (where `init` made the campaign, --theta0 or {theta0} in "
             "--pattern), or the sensor's zero or scale (--offset, --units)"
         )
+    elif early and power == 0 and sign * y[0] < -0.3 * float(np.max(np.abs(y))):
+        warnings.append(_reversed(trial, _OTHER_SIDE))
     elif early:
         warnings.append(
             f"{trial.file}: motion begins {-onset:.4g} s before the nominal release; the trigger came late; "
@@ -255,6 +254,14 @@ def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]
             f"{trial.file}: the first readings are not those of a release; "
             f"{looks}the record begins after the motion began{_TURNED if reversed_sign else ''}"
         )
+
+
+def _reversed(trial: Trial, held: str) -> str:
+    """The warning that a channel looks reversed; held : how the primary is held before the release."""
+    return (
+        f"{trial.file}: the primary is held {held}; the sign of the channel looks reversed (or that of theta0 in "
+        f"trials.csv){_TURNED}"
+    )
 
 
 def _is_held(trial: Trial, omega: float) -> bool:
