@@ -372,11 +372,16 @@ def with_priors(experiment: Experiment, priors: PriorSet) -> Experiment:
 
 
 def gridded(experiment: Experiment) -> Experiment:
-    """The experiment with repeats on one even grid of times, nan where a reading is missing, where there is one."""
+    """The experiment with repeats on one even grid of times, nan where a reading is missing, where there is one.
+
+    A free start is simulated from the first time of its grid: those that begin at another time have another one.
+    """
     trials = list(experiment.trials)
-    sets: dict[tuple[str, bool, float], list[int]] = {}
+    sets: dict[tuple[Any, ...], list[int]] = {}
     for i, t in enumerate(trials):
-        sets.setdefault((t.case, t.coupled, t.theta0), []).append(i)
+        free = experiment.start == "free" and t.times.size > 1
+        begins = round(float(t.times[0] / np.median(np.diff(t.times)))) if free else 0
+        sets.setdefault((t.case, t.coupled, t.theta0, begins), []).append(i)
     for members in sets.values():
         found = common_grid([trials[i].times for i in members])
         if found is None:

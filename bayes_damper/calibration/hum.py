@@ -11,7 +11,8 @@ from scipy.special import gammaincc
 
 Array = NDArray[np.float64]
 MAINS, BY_CHANCE = (50, 60), 1e-6  # Hz; probability below which a line is no chance
-ABOVE, BESIDE = 3.0, 10  # times the rig's frequency above which it is looked for; lines to each side, less the nearest
+ABOVE, BESIDE = 1.3, 10  # times the rig's frequency above which it is looked for; lines to each side, less the nearest
+LASTS = 0.5  # of its power in the first half of a record that a line has in the second: what the rig does dies away
 OFF = np.arange(-20, 21) / 100.0  # Hz by which a grid may run fast or slow
 NEAREST = 3  # lines to each side that the window's own width fills
 
@@ -21,14 +22,26 @@ def mains_in(records: Iterable[tuple[Array, Array]], quickest: float) -> float |
 
     records : times (n,), s, and readings (n,) of each trial; quickest : frequency of the primary, Hz. Each record's
     power at a frequency, under Hann's window, over the mean of that beside it is nearly Exp(1) where there is no line
-    (Bartlett, 1955, An Introduction to Stochastic Processes, sec. 9.2), and their sum follows a gamma law.
+    (Bartlett, 1955, An Introduction to Stochastic Processes, sec. 9.2), and their sum follows a gamma law. The mains do
+    not die away as a second mode of the rig does.
     """
     known = [(t[np.isfinite(y)], y[np.isfinite(y)]) for t, y in records]
     chances = {f: _chance(known, f) for f in MAINS if f > ABOVE * quickest}
     found = min(chances, key=chances.__getitem__, default=None)
-    if found is None or chances[found] >= BY_CHANCE:
+    if found is None or chances[found] >= BY_CHANCE or not _lasts(known, found):
         return None
     return float(found + OFF[np.sum([_power(t, y, found + OFF) for t, y in known if t.size > 1], axis=0).argmax()])
+
+
+def _lasts(records: Iterable[tuple[Array, Array]], hertz: int) -> bool:
+    """Whether a line has as much power late in the records as early, in all of them together."""
+    halves = [(t < 0.5 * (t[0] + t[-1]), t, y) for t, y in records if t.size > 4 * BESIDE]
+    near = hertz + OFF
+    early, late = (
+        sum(float(_power(t[part], y[part], near).max()) for first, t, y in halves for part in [first == begins])
+        for begins in (True, False)
+    )
+    return late > LASTS * early
 
 
 def _power(times: Array, y: Array, hertz: Array) -> Array:

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.calibration import Calibration, Experiment
+from bayes_damper.calibration import Calibration, Experiment, predict
+from bayes_damper.calibration.experiment import repeats_by_reading
 from bayes_damper.campaign import readings as look
-from bayes_damper.diagnosis.remainder import repeats_of
 
 Array = NDArray[np.float64]
 FAR, NEAR = 7.0, 3.5  # robust standard deviations: of the reading, and of its repeats
@@ -29,13 +29,16 @@ MOST = 0.1  # share of a record beyond which it is not a matter of single readin
 
 
 def outlying(fit: Calibration) -> dict[int, NDArray[np.bool_]]:
-    """Readings to leave out: trial -> (channels, n), only trials that have any."""
+    """Readings to leave out: trial -> (channels, n), only trials that have any. Held-out ones are judged as well."""
+    experiment = fit.problem.experiment
     residuals = fit.residuals()
-    trials = fit.problem.experiment.trials
+    unseen = [i for i in experiment.heldout if i not in residuals]
+    residuals |= {i: p.residual for i, p in predict(fit, unseen).items()} if unseen else {}
+    trials = experiment.trials
     jumps = fit.problem.experiment.quantity == "acceleration" and fit.problem.experiment.start == "rest"
     out = {}
     begun = {}
-    for members in repeats_of(fit):
+    for members in repeats_by_reading(experiment, [*fit.problem.trials, *unseen]):
         if len(members) < 2:
             continue
         r = np.array([residuals[i] for i in members])

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from small_rig import measured
 
-from bayes_damper.calibration.experiment import repeats_by_reading
+from bayes_damper.calibration.experiment import Experiment, TrialRecord, gridded, repeats_by_reading
 
 
 def with_clocks(experiment, jitter):
@@ -29,3 +29,18 @@ def test_trials_read_by_uneven_clocks_repeat_each_other():
     assert repeats_by_reading(with_clocks(even, 0.3), among) == sets
     assert {len(s) for s in repeats_by_reading(with_clocks(even, 3.0), among)} == {1}
     assert {len(s) for s in repeats_by_reading(replace(even, start="free"), among)} == {1}
+
+
+def test_free_starts_that_begin_at_other_times_have_grids_of_their_own():
+    """A record in parts keeps its clock: on a common grid the second part began with readings that are missing."""
+    times = np.delete(np.arange(0.0, 4.0, 0.02), 7)
+    trials = tuple(
+        TrialRecord(str(k), "A", False, k, times + begins, np.cos(5.0 * times)[None], 0)
+        for k, begins in enumerate((0.0, 12.0, 12.0))
+    )
+    first, *later = gridded(Experiment({"J1": (1.0, 0.0)}, ((25.0, 0.0),), trials, "displacement", start="free")).trials
+    assert first.times[0] == 0.0
+    for t in later:
+        assert t.times[0] == 12.0
+        assert np.array_equal(t.times, later[0].times)
+        assert np.flatnonzero(np.isnan(t.y[0])).tolist() == [7]

@@ -34,8 +34,14 @@ def test_a_line_of_the_mains_is_found_with_its_frequency(hertz):
 
 def test_without_one_and_beside_a_rig_as_quick_nothing_is_found():
     assert all(mains_in(decays(seed), 5.0) is None for seed in range(40))
-    assert mains_in(decays(1, 0.5), 30.0) is None
+    assert mains_in(decays(1, 0.5), 20.0) == pytest.approx(50.0, abs=0.03)
+    assert mains_in(decays(1, 0.5), 40.0) is None
     assert mains_in([(TIMES[:15], y[:15]) for _, y in decays(1, 5.0)], 5.0) is None
+
+
+def test_a_second_mode_at_that_frequency_dies_away_and_is_none():
+    mode = 5.0 * np.exp(-2.0 * TIMES) * np.cos(2.0 * np.pi * 50.0 * TIMES)
+    assert mains_in([(t, y + mode) for t, y in decays(1)], 20.0) is None
 
 
 def test_hum_of_another_phase_in_each_trial_is_followed_and_is_no_gap():

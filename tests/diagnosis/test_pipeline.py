@@ -833,6 +833,8 @@ def test_a_burst_in_one_trial_is_left_out_and_one_in_all_repeats_is_not():
     assert np.isnan(clean.trials[coupled[0]].y[0, 100:106]).all()
     assert "left out" in outlying_in_words(dirty, far)[0]
     assert found(coupled)[1] == {}
+    kept_back = next(i for i, t in enumerate(experiment.trials) if t.coupled and t.heldout)
+    assert list(found((kept_back,))[1]) == [kept_back], "a held-out trial is judged by readings, too"
 
 
 def test_a_gap_in_a_few_readings_of_each_record_is_named_with_doubt():
