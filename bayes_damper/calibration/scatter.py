@@ -84,7 +84,8 @@ _GRID = np.linspace(-5.0, 3.5, 35)  # of ln(size / typical size)
 _WIDEST = 9.0  # of the same for the baseline of a single record, which may be thousands of times the noise
 _FINE = np.linspace(-5.0, 3.5, 681)
 SHOWN_FROM = 3.0  # nats by which the repeats' likelihood must gain from a scatter for it to be reported
-SURE_OF_TREND = 0.01
+SURE_OF_TREND = 0.01  # by chance, in any of the things that differ
+LEAST_FREEDOM = 3  # of a correlation: two trials each of two cases are in some order or the other
 SUDDEN, WORTH_IT = 0.3, 1.0  # of the typical time of release, and nats, below both of which there is none
 USUAL = (0.3, 2.5)  # range of times of release over their size, root mean square, in which they scatter about none
 SLOW, SAME_WAY = 10.0, 1.5  # times the typical time of release, and of the shortest one, in which all are slow alike
@@ -477,7 +478,10 @@ def _in_proportion(name: str) -> bool:
 
 
 def trend_with_order(fit: Calibration, size: Size) -> tuple[float, float]:
-    """Correlation of the trials' own values with their order among the repeats, and the p-value of none."""
+    """Correlation of the trials' own values with their order among the repeats, and the p-value of none.
+
+    It is 1 where too few trials are repeated to show any.
+    """
     column = size.columns[0][0]
     values, order, sets = [], [], 0
     trials = fit.problem.experiment.trials
@@ -497,6 +501,8 @@ def trend_with_order(fit: Calibration, size: Size) -> tuple[float, float]:
     if freedom < 1 or both <= 0.0:
         return 0.0, 1.0
     r = float(np.clip(x @ y / math.sqrt(both), -1.0, 1.0))
+    if freedom < LEAST_FREEDOM:
+        return r, 1.0
     return r, float(2.0 * stdtr(freedom, -abs(r) * math.sqrt(freedom / max(1.0 - r * r, 1e-12))))
 
 
@@ -554,7 +560,7 @@ def scatter_in_words(fit: Calibration) -> list[str]:
         )
     for size in shown:
         r, p = (0.0, 1.0) if size.name.startswith("hum") else trend_with_order(fit, size)
-        if p < SURE_OF_TREND:
+        if p < SURE_OF_TREND / len(shown):
             out.append(
                 f"{size.name} {'grows' if r > 0.0 else 'falls'} from repeat to repeat "
                 f"(correlation {r:+.2f}): something warms up or wears."

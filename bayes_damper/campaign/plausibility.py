@@ -206,7 +206,9 @@ def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]
     level = abs(trial.theta0.value) if power == 0 else 0.0
     rest = 0.0 if power == 0 and _is_held(trial, omega) else _RESTS[quantity]
     if not trial.driven and (onset_away := _moves_the_wrong_way(times, sign * y, quantity, omega, rest)) is not None:
-        at_rest = f"at rest until {onset_away:.4g} s and then begins to move away from its rest position, not towards it"
+        at_rest = (
+            f"at rest until {onset_away:.4g} s and then begins to move away from its rest position, not towards it"
+        )
         warnings.append(_reversed(trial, _OTHER_SIDE if power == 0 else at_rest))
         y = -y
     away, bound = departure(y, quantity, trial.theta0.value)

@@ -429,6 +429,41 @@ def test_each_size_comes_with_its_unit(monkeypatch):
     assert units == {"k1t": "relative", "gain2": "relative", "offset1": "m", RELEASE: "s"}
 
 
+def in_order(sets, falls=0.01):
+    """A fit in whose sets of so many repeats the spring falls from each to the next."""
+    numbers = [number for count in sets for number in range(1, count + 1)]
+    cases = [str(k) for k, count in enumerate(sets) for _ in range(count)]
+    trials = tuple(SimpleNamespace(number=n, conditions=case) for n, case in zip(numbers, cases, strict=True))
+    own = 1e-4 * np.random.default_rng(2).standard_normal(len(trials))
+    eta = {i: np.array([own[i] - falls * numbers[i]]) for i in range(len(trials))}
+    group = SimpleNamespace(nuisances=(("ln_k1t", None, None),), trials=tuple(range(len(trials))))
+    experiment = SimpleNamespace(trials=trials)
+    return SimpleNamespace(problem=SimpleNamespace(groups=[group], experiment=experiment), eta=eta)
+
+
+def test_a_trend_needs_more_than_two_repeats_of_two_cases():
+    spring = Size("k1t", 0.01, 0.005, 0.02, 0.002)
+    r, p = scatters.trend_with_order(in_order([2, 2]), spring)
+    assert (round(r, 3), p) == (-1.0, 1.0)
+    r, p = scatters.trend_with_order(in_order([3, 4]), spring)
+    assert r < -0.99
+    assert p < 0.001
+    assert scatters.trend_with_order(in_order([3, 4], 0.0), spring)[1] > 0.05
+
+
+@pytest.mark.parametrize(("sizes", "said"), [(1, True), (4, False)])
+def test_a_trend_is_said_where_chance_explains_none_of_them(monkeypatch, sizes, said):
+    """Of some ten quantities in each campaign, one had a correlation of p = 0.005 in every twentieth."""
+    named = tuple(Size(name, 0.01, 0.005, 0.02, 0.002, gained=9.0) for name in ("k1t", "c1t", "drag", "mu")[:sizes])
+    experiment = SimpleNamespace(trials=(), start="rest")
+    problem = SimpleNamespace(
+        effect=None, experiment=experiment, groups=[], trials=(), switches=SimpleNamespace(scatter=Scatter(named))
+    )
+    monkeypatch.setattr(scatters, "trend_with_order", lambda *_: (0.9, 0.005))
+    found = scatters.scatter_in_words(SimpleNamespace(problem=problem))
+    assert any("warms up or wears" in words for words in found) is said
+
+
 @pytest.mark.parametrize(
     ("times", "said"),
     [([1e-4, 9e-4], []), ([0.0, 0.0, 1.1e-2], []), ([4.5e-3, 1.3e-2], []), ([1.1e-2, 1.19e-2], ["11 to 11.9 ms"])],
