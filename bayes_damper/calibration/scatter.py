@@ -110,12 +110,14 @@ def typical_scatter(problem: Problem, releases: bool = False) -> Scatter:
         absent |= name == "mu" and not e.magnet
         if not absent:
             found[name] = TYPICAL[name]
-    for channel in range(1 + int(coupled)) if e.start == "rest" else ():
+    # Of a free start the gain of one channel does what its first angle does; baselines are looked for in each record.
+    kinds = READINGS if e.start == "rest" else ("gain",) if coupled else ()
+    for channel in range(1 + int(coupled)):
         noise = problem.noise.floor[min(channel, len(problem.noise.floor) - 1)]
         own_offset = e.offset_sd is not None or e.quantity == "displacement"
         if (mains := e.hum[channel]) is not None:
             hertz[f"hum{channel + 1}"] = mains
-        for kind in READINGS:
+        for kind in kinds:
             if not (kind == "offset" and own_offset) and (kind != "hum" or mains is not None):
                 found[f"{kind}{channel + 1}"] = TYPICAL[kind] * (1.0 if kind == "gain" else noise)
     if releases and e.start == "rest" and "delay" not in e.levels:

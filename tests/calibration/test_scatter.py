@@ -550,6 +550,20 @@ def test_releases_by_hand_that_swing_equally_far_show_what_differs_from_trial_to
     assert any("c1t (by " in sentence for sentence in scatters.scatter_in_words(fit))
 
 
+def test_gains_of_coupled_free_starts_scatter_too():
+    """By 0.6 % in each trial and channel: on such a sound rig a gain that is wrong in all was named (0.78)."""
+    released = laboratory(21, {"gain": 0.006}, repeats=5, coupled=True, quantity="displacement", noise=2e-5)
+    own = tuple(replace(t, theta0=0.0, theta0_sd=0.0) for t in released.trials)
+    fit = calibrate_nominal(replace(released, trials=own, start="free"))
+    sizes = sizes_of(fit.problem.switches.scatter)
+    assert sizes["gain2"].low < 0.006 < sizes["gain2"].high
+    assert fit.problem.noise.total == pytest.approx((2e-5, 2e-5), rel=0.15)
+    declared = Problem(replace(fit.problem.experiment, scatter={"gain": 0.004}))
+    assert sizes_of(scatters.typical_scatter(declared))["gain2"].typical == 0.004
+    single = Problem(let_go_by_hand([0.28, 0.27], 0.0))
+    assert "gain1" not in sizes_of(scatters.typical_scatter(single)), "its first angle does the same"
+
+
 @pytest.mark.slow
 def test_what_an_effect_explains_is_not_said_to_scatter():
     """Repeats released 1 % apart on a hardening spring: under the linear one stiffness and damping seem to differ."""
