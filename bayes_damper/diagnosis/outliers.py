@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,9 @@ LATE = 2.0  # samples by which the instant of a release or of a friction reversa
 UNLIKE = 4.0  # times the usual distance between repeats that a trial is away which is none of them
 VISIBLY = 0.1  # of the rms of a record: the least distance that counts as another motion
 SCALES = (0.8, 1.25)  # of a record beside its repeat, by which the release angle may differ
+STOPS = 0.25  # of its largest reading, under which a record says little of how it decays
+DECAYS = (0.5, 2.0)  # the same at any time of it, where friction differs too
+STRETCHES = np.linspace(0.98, 1.02, 17)  # of its time, by which the spring may differ: four per cent of its stiffness
 FEWEST = 32  # readings that two records must share to be compared
 MOST = 0.1  # share of a record beyond which it is not a matter of single readings
 
@@ -159,14 +163,22 @@ def _odd_one(experiment: Experiment, members: list[int]) -> Odd | None:
     if not min(away[worst].values()) > limit:
         return None
     nearest = min(_distance(experiment, worst, j, shifts=True) for j in away[worst])
-    return Odd(worst, nearest, usual) if nearest > limit else None
+    if (
+        not nearest > limit
+        or min(_distance(experiment, worst, j, shifts=True, scatters=True) for j in away[worst]) < limit
+    ):
+        return None
+    return Odd(worst, nearest, usual)
 
 
-def _distance(experiment: Experiment, i: int, j: int, swapped: bool = False, shifts: bool = False) -> float:
+def _distance(
+    experiment: Experiment, i: int, j: int, swapped: bool = False, shifts: bool = False, scatters: bool = False
+) -> float:
     """Smallest rms difference of two records, beyond white noise, over the rms of the second; the larger channel's.
 
-    Over scales of the first. shifts : over shifts in time too; swapped : with the channels of the first exchanged. inf
-    where they cannot be compared.
+    Over scales of the first. shifts : over shifts in time too; scatters : and over periods and decays, as far as the
+    spring and the friction of one rig may differ from trial to trial; swapped : with the channels of the first
+    exchanged. inf where they cannot be compared.
     """
     a, b = experiment.trials[i], experiment.trials[j]
     if a.y.shape[0] != b.y.shape[0] or min(a.times.size, b.times.size) < FEWEST:
@@ -179,8 +191,8 @@ def _distance(experiment: Experiment, i: int, j: int, swapped: bool = False, shi
     step = float(np.median(np.diff(b.times)))
     most = min(int(0.5 * np.pi / experiment.omegas[b.k1t] / step), b.times.size // 4) if shifts else 0
     best = math.inf
-    for lag in range(-most, most + 1):
-        at = b.times + lag * step
+    for lag, stretch in product(range(-most, most + 1), STRETCHES if scatters else (1.0,)):
+        at = b.times[0] + stretch * (b.times - b.times[0]) + lag * step
         inside = np.ones(at.shape, dtype=np.bool_)
         for (here, _), (there, _), alike in zip(first, second, rounded, strict=True):
             inside &= (at >= here[0]) & (at <= here[-1]) & (b.times >= there[0]) & (b.times <= there[-1])
@@ -190,13 +202,35 @@ def _distance(experiment: Experiment, i: int, j: int, swapped: bool = False, shi
             continue
         x = np.array([np.interp(at[inside], t, r) for t, r in first])
         y = np.array([np.interp(b.times[inside], t, r) for t, r in second])
-        scale = float(np.clip(np.sum(x * y) / max(float(np.sum(x * x)), 1e-300), *SCALES))
-        d = scale * x - y
+        if scatters:  # friction that differs stops one of them first
+            k = min(_lasts(x[0]), _lasts(y[0]))
+            x, y = x[:, :k], y[:, :k]
+        d = _scaled(x, y, b.times[inside][:k] if scatters else None) - y
         # Neighbouring differences hold the white noise (von Neumann 1941), with five of its standard errors.
         fast = 0.5 * np.mean(np.diff(d, axis=1) ** 2, axis=1) * (1.0 + 5.0 * math.sqrt(6.0 / d.shape[1]))
         off = np.maximum(np.mean(d**2, axis=1) - fast, 0.0) / np.maximum(np.mean(y**2, axis=1), 1e-300)
         best = min(best, math.sqrt(float(np.max(off))))
     return best
+
+
+def _lasts(x: Array) -> int:
+    """Readings of a record (n,) up to the last one as large as a share STOPS of the largest, a third at least."""
+    return max(int(np.flatnonzero(np.abs(x) > STOPS * np.abs(x).max())[-1]) + 1, x.size // 3, FEWEST)
+
+
+def _scaled(x: Array, y: Array, times: Array | None) -> Array:
+    """Records x (channels, n), scaled to be nearest to y; by a parabola of times (n,), where they are given.
+
+    Where such a parabola leaves the range of `DECAYS` at some time, which the decays of one rig do not, one factor.
+    """
+    if times is not None:
+        s = (times - times[0]) / (times[-1] - times[0])
+        powers = s ** np.arange(3)[:, None]
+        columns = (powers[:, None] * x).reshape(3, -1)
+        factor = np.linalg.lstsq(columns.T, y.ravel(), rcond=None)[0] @ powers
+        if DECAYS[0] < factor.min() and factor.max() < DECAYS[1]:
+            return factor * x
+    return float(np.clip(np.sum(x * y) / max(float(np.sum(x * x)), 1e-300), *SCALES)) * x
 
 
 def _known(times: Array, readings: Array) -> tuple[Array, Array]:

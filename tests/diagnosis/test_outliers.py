@@ -11,6 +11,7 @@ from bayes_damper.calibration import Experiment, TrialRecord
 from bayes_damper.diagnosis import diagnose
 from bayes_damper.diagnosis.outliers import odd_in_words, odd_trials, outlying, without_trials
 from bayes_damper.effects import EFFECTS
+from bayes_damper.simulation.model import Model
 
 
 def place(experiment: Experiment, case: str, coupled: bool, number: int) -> int:
@@ -131,3 +132,27 @@ def test_an_acceleration_read_during_one_release_is_left_out_and_a_slow_release_
     beyond.problem.experiment.trials[6].y[0, 0] = -1.5  # more than the whole way: nothing of a release
     beyond.residuals()[6][0, 0] = -0.5
     assert outlying(beyond) == {}
+
+
+def rubbed(drags: tuple[float, ...], k1t: float = 6.2) -> Experiment:
+    """Repeats that dry friction stops within ten swings, each with its own; the last one on a spring k1t, N m/rad."""
+    times, rng = np.arange(0.0, 1.5, 2e-3), np.random.default_rng(6)
+    rig = {"J1": 3e-3, "c1t": 2e-3, "nu": 100.0, "theta0": 0.1}
+    springs = [6.2] * (len(drags) - 1) + [k1t]
+    trials = []
+    for number, (drag, k) in enumerate(zip(drags, springs, strict=True), 1):
+        y = Model(False).simulate(rig | {"drag": drag, "k1t": k}, times, quantity="displacement").y[0]
+        y += 1e-4 * rng.standard_normal(y.shape)
+        trials.append(TrialRecord(str(number), "I", False, number, times, y, 0, 0.1, 1e-3))
+    return Experiment({"J1": (3e-3, 0.0)}, ((6.2, 0.1),), tuple(trials), quantity="displacement")
+
+
+@pytest.mark.parametrize("k1t", [6.2, 6.35])
+def test_a_trial_whose_friction_and_spring_differ_as_those_of_one_rig_do_is_not_odd(k1t):
+    """By 12 and 2 %: such a trial was left out, as one of another rig."""
+    assert odd_trials(rubbed((0.02, 0.0201, 0.0176), k1t)) == []
+
+
+def test_a_trial_of_another_spring_is_odd_whatever_its_friction():
+    assert [o.trial for o in odd_trials(rubbed((0.02, 0.0201, 0.0176), 7.4))] == [2]
+    assert [o.trial for o in odd_trials(rubbed((0.02, 0.0201, 0.05)))] == [2], "two and a half times the friction"
