@@ -124,6 +124,11 @@ def test_an_unknown_cause_is_told_at_a_place_and_as_surely_as_it_is_known(tmp_pa
     first = Diagnosed(tmp_path, result).text().splitlines()[0]
     assert first.startswith(begins)
     assert first.endswith("most likely place: sensor.")
+    result["gap"]["augmented_rms"] = 1.2
+    result["effects"] = [{"name": "quadratic_drag", "augmented_rms": 1.2}]
+    said = Diagnosed(tmp_path, result).text()
+    assert "2 with the nominal model, 1.2 with quadratic_drag (no explanation of the gap) added; noise 1." in said
+    assert "with the answer" not in said
 
 
 PROPOSED = {"configuration": "uncoupled", "k1_n_per_m": 500.0, "theta0_mm": 40.0}

@@ -407,7 +407,10 @@ def _words(result: DiagnosisFile) -> list[str]:
     named = said(named_sentence(result.get("law")))
     lines += [line for line in (failed, learnt, named) if line]
     none = verdict == "none"  # nothing is added to the nominal model
-    lines.append(_gap_words(gap, str(result.get("reading_unit") or ""), added=not none))
+    best = next((r["name"] for r in result.get("effects", ()) if r.get("augmented_rms") == gap["augmented_rms"]), "")
+    rejected = f"{best or 'the best two candidates'} (no explanation of the gap)"
+    added = "" if none else rejected if verdict == "unknown" else "the answer"
+    lines.append(_gap_words(gap, str(result.get("reading_unit") or ""), added))
     beside = gap_beside_verdict(verdict, share, gap)
     lines += [beside] if beside and held_out_of(gap) else []  # else said already
     if ahead := result.get("forecast"):
@@ -433,14 +436,14 @@ def _ranked(probabilities: Mapping[str, float], named: Callable[[str], str], mos
     return ", ".join(f"{named(name)} {p:.2f}" for name, p in ranked if p >= 0.005 or p == ranked[0][1])
 
 
-def _gap_words(gap: GapEntry, unit: str, *, added: bool = True) -> str:
-    """What the test of the gap says, and the residuals without and (if `added`) with the answer; unit : of readings."""
+def _gap_words(gap: GapEntry, unit: str, added: str) -> str:
+    """What the test of the gap says, and the residuals without and with what is `added`; unit : of readings."""
     tested = (
         f"Test on held-out trials: {gap['answer']} ({p_value(gap['p_value'])})."
         if held_out_of(gap)
         else "No trial is held out, so the gap cannot be tested."
     )
-    after = "" if gap["augmented_rms"] is None or not added else f", {gap['augmented_rms']:.3g} with the answer added"
+    after = "" if gap["augmented_rms"] is None or not added else f", {gap['augmented_rms']:.3g} with {added} added"
     sizes = f"{gap['nominal_rms']:.3g} with the nominal model{after}; noise {gap['noise_rms']:.3g}"
     return f"{tested} Rms residual{f' in {unit}' if unit else ''}: {sizes}."
 
