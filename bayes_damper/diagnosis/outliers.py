@@ -229,8 +229,8 @@ def _scaled(x: Array, y: Array, times: Array | None) -> Array:
         columns = (powers[:, None] * x).reshape(3, -1)
         factor = np.linalg.lstsq(columns.T, y.ravel(), rcond=None)[0] @ powers
         if DECAYS[0] < factor.min() and factor.max() < DECAYS[1]:
-            return factor * x
-    return float(np.clip(np.sum(x * y) / max(float(np.sum(x * x)), 1e-300), *SCALES)) * x
+            return np.asarray(factor * x)
+    return np.asarray(float(np.clip(np.sum(x * y) / max(float(np.sum(x * x)), 1e-300), *SCALES)) * x)
 
 
 def _known(times: Array, readings: Array) -> tuple[Array, Array]:
