@@ -26,7 +26,8 @@ def notes_on(
     if len(fit.problem.trials) == 1:
         kept_back = ", and another held out" if len(experiment.trials) > 1 else ""
         notes.append(
-            f"There is only one trial to fit{kept_back}, so nothing shows which of its features would repeat; add repeats."
+            f"There is only one trial to fit{kept_back}, so nothing shows which of its features would repeat; "
+            "add repeats."
         )
     elif not any(
         len({t.number for t in experiment.trials if (t.case, t.coupled) == key}) > 1
