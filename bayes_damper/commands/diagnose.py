@@ -407,10 +407,7 @@ def _words(result: DiagnosisFile) -> list[str]:
     named = said(named_sentence(result.get("law")))
     lines += [line for line in (failed, learnt, named) if line]
     none = verdict == "none"  # nothing is added to the nominal model
-    best = next((r["name"] for r in result.get("effects", ()) if r.get("augmented_rms") == gap["augmented_rms"]), "")
-    rejected = f"{best or 'the best two candidates'} (no explanation of the gap)"
-    added = "" if none else rejected if verdict == "unknown" else "the answer"
-    lines.append(_gap_words(gap, str(result.get("reading_unit") or ""), added))
+    lines.append(_gap_words(gap, str(result.get("reading_unit") or ""), _named_addition(result)))
     beside = gap_beside_verdict(verdict, share, gap)
     lines += [beside] if beside and held_out_of(gap) else []  # else said already
     if ahead := result.get("forecast"):
@@ -434,6 +431,15 @@ def _ranked(probabilities: Mapping[str, float], named: Callable[[str], str], mos
     """The most probable of these with their probabilities, those that round to nothing left out."""
     ranked = sorted(probabilities.items(), key=lambda item: -item[1])[:most]
     return ", ".join(f"{named(name)} {p:.2f}" for name, p in ranked if p >= 0.005 or p == ranked[0][1])
+
+
+def _named_addition(result: DiagnosisFile) -> str:
+    """What is added to the nominal model for the second residual of the test of the gap, in words; "" for nothing."""
+    verdict, rms = result["verdict"], result["gap"]["augmented_rms"]
+    if verdict != "unknown":
+        return "" if verdict == "none" else "the answer"
+    best = next((r["name"] for r in result.get("effects", ()) if r.get("augmented_rms") == rms), None)
+    return f"{best or 'the best two candidates'} (no explanation of the gap)"
 
 
 def _gap_words(gap: GapEntry, unit: str, added: str) -> str:

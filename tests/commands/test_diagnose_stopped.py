@@ -52,6 +52,7 @@ def values_of(out):
     return {key: value for key, value in found.items() if key not in ("provenance", "seconds")}
 
 
+@pytest.mark.slow
 def test_a_stopped_diagnosis_goes_on_to_the_same_result(tmp_path, monkeypatch):
     campaign = write_synthetic(tmp_path / "campaign", repeats=2, rate=200.0, configurations=["uncoupled"], duration=0.5)
     made = []
