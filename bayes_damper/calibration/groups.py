@@ -276,10 +276,9 @@ class Grouping:
             last = high + self.switches.scatter.sd(RELEASE)
         half = 0.35 * (last - low)
         # A rig seen held at the first reading bounds the release from below; else the logger may be later yet.
-        slack = np.where(low >= (first := np.array([t.times[0] for t in trials])), -1e-6, 0.4)
-        own = self.switches.scatter.sd(RELEASE) > 0.0
-        if own or self.switches.slow:  # one that takes its time begins unseen
-            slack = np.where(low >= first, (low - first) / half - 1e-6, 0.4)
+        first, own = np.array([t.times[0] for t in trials]), self.switches.scatter.sd(RELEASE) > 0.0
+        begins = first if own or self.switches.slow else low  # one that takes its time begins unseen
+        slack = np.where(low >= first, (low - begins) / half - 1e-6, 0.4)
         if own and self.experiment.quantity == "acceleration":  # and may last as long as any
             last = high + 1.0 / np.array([self.experiment.omegas[t.k1t] for t in trials])
         return ("delay", middle, half), ((low - middle) / half - slack, (last - middle) / half * (1.0 - 1e-9))

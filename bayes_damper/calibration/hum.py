@@ -35,12 +35,11 @@ def mains_in(records: Iterable[tuple[Array, Array]], quickest: float) -> float |
 
 def _lasts(records: Iterable[tuple[Array, Array]], hertz: int) -> bool:
     """Whether a line has as much power late in the records as early, in all of them together."""
-    halves = [(t < 0.5 * (t[0] + t[-1]), t, y) for t, y in records if t.size > 4 * BESIDE]
-    near = hertz + OFF
-    early, late = (
-        sum(float(_power(t[part], y[part], near).max()) for first, t, y in halves for part in [first == begins])
-        for begins in (True, False)
-    )
+    early = late = 0.0
+    for times, y in records:
+        if (half := times.size // 2) > 2 * BESIDE:
+            early += float(_power(times[:half], y[:half], hertz + OFF).max())
+            late += float(_power(times[half:], y[half:], hertz + OFF).max())
     return late > LASTS * early
 
 

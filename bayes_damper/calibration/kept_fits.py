@@ -49,12 +49,13 @@ def kept_end(place: Path | None, problem: Problem) -> End | None:
         return None
     arrays, record = content
     own = problem.no_nuisance()
-    eta = {i: arrays.get(f"eta{i}") for i in own}
-    q = arrays.get("q")
-    if q is None or q.shape != (problem.size,) or any(v is None or v.shape != own[i].shape for i, v in eta.items()):
+    wanted = {"q": problem.prior_mean(), **{f"eta{i}": v for i, v in own.items()}}
+    steps = record.get("iterations")
+    fits = all(n in arrays and (arrays[n].shape, arrays[n].dtype) == (v.shape, v.dtype) for n, v in wanted.items())
+    if not fits or not isinstance(steps, int):
         return None
-    known = {i: v for i, v in eta.items() if v is not None}
-    return q, known, bool(record.get("converged")), int(record.get("iterations", 0)), bool(record.get("central"))
+    eta = {i: arrays[f"eta{i}"] for i in own}
+    return arrays["q"], eta, bool(record.get("converged")), steps, bool(record.get("central"))
 
 
 def keep(place: Path | None, end: End) -> None:

@@ -115,7 +115,7 @@ def typical_scatter(problem: Problem, releases: bool = False) -> Scatter:
     for channel in range(1 + int(coupled)):
         noise = problem.noise.floor[min(channel, len(problem.noise.floor) - 1)]
         own_offset = e.offset_sd is not None or e.quantity == "displacement"
-        if (mains := e.hum[channel]) is not None:
+        if (mains := e.hum[channel] if "hum" in kinds else None) is not None:
             hertz[f"hum{channel + 1}"] = mains
         for kind in kinds:
             if not (kind == "offset" and own_offset) and (kind != "hum" or mains is not None):

@@ -125,9 +125,11 @@ def finish_diagnoses(
     plan = fields(record["plan"], _PLANNED, f"{home / 'run.json'}: damaged", "give the same command again")
     same_effects(home, plan["effects_sha256"], effects)
     places = plan["campaigns"]
-    if not all(isinstance(path, str) for path in places.values()):
-        raise InputError(f"{home / 'run.json'}: damaged: campaigns are no paths; give the same command again")
-    if alone and len(places) == 1:
+    if not all(isinstance(path, str) for path in places.values()) or (alone and len(places) != 1):
+        raise InputError(
+            f"{home / 'run.json'}: damaged: campaigns are no paths, or too many; give the same command again"
+        )
+    if alone:
         ((name, campaign),) = places.items()
         if load_campaign(campaign).sha256 != plan["sha256"].get(name):
             raise InputError(f"{campaign}: has changed since its diagnosis in {home} was stopped; diagnose it anew")

@@ -28,6 +28,7 @@ SCALES = (0.8, 1.25)  # of a record beside its repeat, by which the release angl
 STOPS = 0.25  # of its largest reading, under which a record says little of how it decays
 DECAYS = (0.5, 2.0)  # the same at any time of it, where friction differs too
 STRETCHES = np.linspace(0.98, 1.02, 17)  # of its time, by which the spring may differ: four per cent of its stiffness
+LAGS = 20  # within a quarter of a period, that are tried with each stretch
 FEWEST = 32  # readings that two records must share to be compared
 MOST = 0.1  # share of a record beyond which it is not a matter of single readings
 
@@ -35,16 +36,15 @@ MOST = 0.1  # share of a record beyond which it is not a matter of single readin
 def outlying(fit: Calibration) -> dict[int, NDArray[np.bool_]]:
     """Readings to leave out: trial -> (channels, n), only trials that have any. Held-out ones are judged as well."""
     experiment = fit.problem.experiment
-    residuals = fit.residuals()
-    unseen = [i for i in experiment.heldout if i not in residuals]
-    residuals |= {i: p.residual for i, p in predict(fit, unseen).items()} if unseen else {}
-    trials = experiment.trials
-    jumps = fit.problem.experiment.quantity == "acceleration" and fit.problem.experiment.start == "rest"
+    trials, residuals = experiment.trials, fit.residuals()
+    sets = repeats_by_reading(experiment, sorted({*residuals, *experiment.heldout}))
+    sets = [members for members in sets if len(members) > 1]
+    if unseen := [i for members in sets for i in members if i not in residuals]:
+        residuals |= {i: p.residual for i, p in predict(fit, unseen).items()}
+    jumps = experiment.quantity == "acceleration" and experiment.start == "rest"
     out = {}
     begun = {}
-    for members in repeats_by_reading(experiment, [*fit.problem.trials, *unseen]):
-        if len(members) < 2:
-            continue
+    for members in sets:
         r = np.array([residuals[i] for i in members])
         with np.errstate(invalid="ignore"):
             scale = 1.4826 * np.nanmedian(np.abs(r), axis=(0, 2))
@@ -163,12 +163,10 @@ def _odd_one(experiment: Experiment, members: list[int]) -> Odd | None:
     if not min(away[worst].values()) > limit:
         return None
     nearest = min(_distance(experiment, worst, j, shifts=True) for j in away[worst])
-    if (
-        not nearest > limit
-        or min(_distance(experiment, worst, j, shifts=True, scatters=True) for j in away[worst]) < limit
-    ):
+    if not nearest > limit:
         return None
-    return Odd(worst, nearest, usual)
+    of_one_rig = min(_distance(experiment, worst, j, shifts=True, scatters=True) for j in away[worst])
+    return Odd(worst, nearest, usual) if of_one_rig > limit else None
 
 
 def _distance(
@@ -191,7 +189,8 @@ def _distance(
     step = float(np.median(np.diff(b.times)))
     most = min(int(0.5 * np.pi / experiment.omegas[b.k1t] / step), b.times.size // 4) if shifts else 0
     best = math.inf
-    for lag, stretch in product(range(-most, most + 1), STRETCHES if scatters else (1.0,)):
+    lags = range(-most, most + 1, max(1, most // LAGS) if scatters else 1)
+    for lag, stretch in product(lags, STRETCHES if scatters else (1.0,)):
         at = b.times[0] + stretch * (b.times - b.times[0]) + lag * step
         inside = np.ones(at.shape, dtype=np.bool_)
         for (here, _), (there, _), alike in zip(first, second, rounded, strict=True):

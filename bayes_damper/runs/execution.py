@@ -131,11 +131,16 @@ def claim(folder: Path, record: Mapping[str, Any], workers: int) -> None:
     path = folder / "run.json"
     if path.exists():
         before = run_record(folder)
-        if {**before, "workers": workers} != {**record, "workers": workers}:
+        if not _same_run(before, record):
             changed = [key for key, value in record["plan"].items() if before["plan"].get(key) != value]
             what = f", with other {', '.join(changed)}" if changed else ", or one of another version of the package"
             raise InputError(f"{folder}: holds another run{what}; name another --out, or remove that folder")
     write_json(path, {**record, "workers": workers})
+
+
+def _same_run(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Whether two records are of one run, by whatever number of workers."""
+    return {**one, "workers": 0} == {**other, "workers": 0}
 
 
 UNFINISHED = "unfinished"
@@ -159,7 +164,7 @@ def pieces_kept(folder: Path, record: Mapping[str, Any], workers: int) -> Iterat
         begun = read_json(inside / "run.json") if inside.exists() else None
     except InputError:
         begun = None
-    if not isinstance(begun, dict) or {**begun, "workers": workers} != {**record, "workers": workers}:
+    if not isinstance(begun, dict) or not _same_run(begun, record):
         shutil.rmtree(inside, ignore_errors=True)
         write_json(inside / "run.json", {**record, "workers": workers})
     try:

@@ -10,6 +10,7 @@ import pytest
 from bayes_damper.calibration import Noise, calibrate, least_squares
 from bayes_damper.calibration.kept_fits import fits_kept_in
 from bayes_damper.effects import EFFECTS
+from bayes_damper.runs.checkpoint import read_whole, write_whole
 
 from .test_least_squares import problem  # noqa: F401 (a fixture)
 
@@ -67,4 +68,11 @@ def test_a_damaged_file_is_no_fit(problem, tmp_path):  # noqa: F811
             file.write_bytes(damaged)
             assert calibrate(problem, most=2, finish=False).log_evidence == first.log_evidence
             assert file.read_bytes() == whole
+        arrays, record = read_whole(file)
+        for odd in ({"iterations": "many"}, {"iterations": None}):
+            write_whole(file, arrays, record | odd)
+            assert calibrate(problem, most=2, finish=False).log_evidence == first.log_evidence
+        for odd in ({"q": arrays["q"][:-1]}, {"q": arrays["q"].astype(str)}, {"eta0": arrays["eta0"][None]}):
+            write_whole(file, arrays | odd, record)
+            assert calibrate(problem, most=2, finish=False).log_evidence == first.log_evidence
     assert [p.name for p in tmp_path.iterdir()] == [file.name]

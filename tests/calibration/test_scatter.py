@@ -228,10 +228,13 @@ def test_releases_that_are_under_way_at_a_reading_are_followed():
     assert nominal._releases(stuck).cost < fit.cost + 10.0
 
 
-@pytest.mark.parametrize(("time", "noise"), [(2e-3, 2.0), pytest.param(12e-3, 0.65, marks=pytest.mark.slow)])
-def test_a_release_that_takes_the_same_time_in_each_trial_is_a_gap(time, noise):
+@pytest.mark.parametrize(
+    ("time", "seed", "sizes", "noise"),
+    [(2e-3, 10, {}, 2.0), pytest.param(12e-3, 11, {"k1t": 0.002}, 0.65, marks=pytest.mark.slow)],
+)
+def test_a_release_that_takes_the_same_time_in_each_trial_is_a_gap(time, seed, sizes, noise):
     """Also a long one, within which readings lie far from any sudden release."""
-    fit = calibrate_nominal(laboratory(11, {"k1t": 0.002}, repeats=5, releases=lambda _: time, noise=noise))
+    fit = calibrate_nominal(laboratory(seed, sizes, repeats=5, releases=lambda _: time, noise=noise))
     assert fit.problem.switches.scatter.sd(RELEASE) == 0.0
     ramped = calibrate(fit.problem.with_effect(COSINE), [np.append(fit.q, 0.7)], eta=fit.eta, anneal=False)
     assert ramped.log_evidence - fit.log_evidence > 100.0
