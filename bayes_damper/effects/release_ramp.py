@@ -1,6 +1,6 @@
 """The actuator lets go over a finite time: its holding torque decays.
 
-    Q1 = k1t theta0 f(t/T),    f(x) = 1 - x,    (1 + cos(pi x))/2    (0 beyond x = 1)    or    exp(-x)
+    Q1 = k1t theta0 f(t/T),    f(x) = 1 - x,    (1 + cos(pi x))/2,    (1 - x)^n    (0 beyond x = 1)    or    exp(-x)
 
 Times count from a microsecond before the release, so that T = 0 is the sudden release. Source:
 Augustine (2013), p. 10 (pneumatic actuator); Inman (2014), Engineering Vibration, sec. 3.2.
@@ -9,8 +9,8 @@ Augustine (2013), p. 10 (pneumatic actuator); Inman (2014), Engineering Vibratio
 from __future__ import annotations
 
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
-from bayes_damper.priors.distributions import HalfNormal
-from bayes_damper.rig.vector_math import cos, exp, lane
+from bayes_damper.priors.distributions import HalfNormal, LogNormal
+from bayes_damper.rig.vector_math import cos, exp, lane, log
 
 
 @lane
@@ -30,6 +30,13 @@ def cosine(t, th1, th2, w1, w2, z1, z2, p, rig):
 def exponential(t, th1, th2, w1, w2, z1, z2, p, rig):
     """A torque that leaks away."""
     return rig.k1t * rig.theta0 * exp(-(t + 1e-6) / max(p[0], 2e-8)), 0.0
+
+
+@lane
+def power(t, th1, th2, w1, w2, z1, z2, p, rig):
+    """A torque that falls fast at first (n > 1), as pressure does that drives its own outflow, or last (n < 1)."""
+    left = max(0.0, 1.0 - (t + 1e-6) / max(p[0], 1e-6))
+    return rig.k1t * rig.theta0 * exp(p[1] * log(left)), 0.0
 
 
 TIME = EffectParameter(
@@ -76,6 +83,22 @@ EFFECT = Effect(
             timed=True,
             lets_go="time",
             starts=STARTS,
+        ),
+        Variant(
+            name="power",
+            formula="Q1 = k1t theta0 max(0, 1 - t/T)^n",
+            parameters=(
+                TIME,
+                EffectParameter(
+                    "exponent", "1", "Exponent of the fall.", LogNormal(1.5, 1.5),
+                    "Between a force that lets go at once at the end and pressure behind an orifice, which falls as a square.",
+                ),
+            ),
+            torque=power,
+            couples="bodies",
+            timed=True,
+            lets_go="time",
+            starts=tuple((time, 1.5) for (time,) in STARTS),
         ),
     ),
 )

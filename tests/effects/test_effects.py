@@ -443,7 +443,7 @@ def test_release_ramp_holds_the_rig_at_first_and_then_lets_go():
     for variant in EFFECTS["release_ramp"].variants:
         holding = RIG.k1t * RIG.theta0
         q = [
-            variant.torque.py_func(t, RIG.theta0, 0, 0, 0, 0, 0, padded((0.004,)), RIG)[0]
+            variant.torque.py_func(t, RIG.theta0, 0, 0, 0, 0, 0, padded((0.004, 1.5)), RIG)[0]
             for t in (0.0, 1e-3, 3e-3, 0.1)
         ]
         assert q[0] == pytest.approx(holding, rel=1e-3)
