@@ -127,6 +127,7 @@ def diagnose(
     if isinstance(source, PublishedSource):
         return _published(source, nominal, library, priors, Path(out), seed, workers, report)
     loaded, chosen = source.campaign, source.priors(priors)
+    warned = [*loaded.warnings, *laws_on(library, loaded)]
     plan = plan_of(
         {loaded.name: Path(campaign)}, {loaded.name: loaded.sha256}, nominal, seed, prior_unknown, priors, effects
     )
@@ -136,7 +137,7 @@ def diagnose(
                 loaded, nominal=nominal, effects=library, priors=chosen, seed=seed, workers=workers, report=report,
                 rule=replace(RULE, prior_unknown=prior_unknown),
             )  # fmt: skip
-        return _written(found, loaded, Path(out), str(campaign), effects, library, workers, report)
+        return _written(found, loaded, Path(out), str(campaign), effects, library, warned, workers, report)
 
 
 def plan_of(
@@ -165,6 +166,7 @@ def _written(
     campaign: str,
     effects: str | Path | None,
     library: Mapping[str, Effect],
+    warned: list[str],
     workers: int,
     report: Callable[[str], None],
 ) -> Diagnosed:
@@ -189,7 +191,7 @@ def _written(
             "magnet": loaded.rig.has_magnet,
         },
         "forecast": ahead,
-        "warnings": [*loaded.warnings, *laws_on(library, loaded)],
+        "warnings": warned,
         "warnings_of_check": len(loaded.warnings),
         "campaign_sha256": loaded.sha256,
         "provenance": provenance(),

@@ -250,3 +250,4 @@ def test_laws_of_other_rigs_are_refused_and_short_ones_warned_of(tmp_path, capsy
             main([command[0], str(campaign), *command[1:], "--effects", str(path), "--out", str(tmp_path / "o")]) == 2
         )
         assert "was learnt on a translational rig, and this one is torsional" in capsys.readouterr().err
+        assert not (tmp_path / "o").exists()  # said before anything is fitted
