@@ -79,6 +79,7 @@ def test_a_misfit_that_repeats_share_is_found_and_widens_the_answer(plain: Fitte
     assert row["left_over_floor"] == pytest.approx(row["left"] / row["repeats"])
 
 
+@pytest.mark.slow
 def test_noise_estimated_from_the_residuals_on_request_accuses_nobody() -> None:
     for sensor, missed in ((None, ""), (_same_misfit, "THE MODEL MISSES SOMETHING")):
         found = _fitted(sensor, "ar")
@@ -210,6 +211,7 @@ def _one_bad(number: int) -> Callable[..., Any]:
     return sensor
 
 
+@pytest.mark.slow
 def test_a_bad_trial_is_named_weighed_down_and_left_out_for_comparison() -> None:
     experiment = measured(1, sensor=_one_bad(5), **(ONE_CASE | {"repeats": 4}))
     found = fit_with_noise(experiment)

@@ -97,6 +97,7 @@ def test_no_curve_of_friction_in_use_is_less_likely_than_another():
         assert prior.logpdf(tail) == pytest.approx(float(prior.logpdf(0.5)))
 
 
+@pytest.mark.slow
 def test_a_stiffness_in_three_digits_leaves_no_gap():
     """Springs that are stiffer by 6e-4 than declared, within their last digit: hundreds of nats, and no missing law."""
     stiff = laboratory(3, {}, stiffer=1.0006, n=1500, noise=0.5, repeats=5)
@@ -109,6 +110,7 @@ def test_a_stiffness_in_three_digits_leaves_no_gap():
         assert sd < 1e-4 * value
 
 
+@pytest.mark.slow
 def test_the_fit_finds_the_valley_of_a_coupling_that_holds():
     """A stiff magnet with a light friction, far from the prior medians, over three periods.
 
@@ -138,6 +140,7 @@ def test_the_fit_finds_the_valley_of_a_coupling_that_holds():
     assert at_once.chi2 < 1.3 * fit.problem.n_data  # from the prior medians alone
 
 
+@pytest.mark.slow
 def test_releases_that_fade_within_a_first_reading_are_found():
     """Holds that let go within 0.05 to 0.12 ms, a fiftieth of a sample late: in half of the trials the first reading is
     taken in the midst of it, and no descent leads there from a release in an instant.
@@ -149,6 +152,7 @@ def test_releases_that_fade_within_a_first_reading_are_found():
     assert fit.chi2 < 1.2 * fit.problem.n_data  # 6 where times of release are dropped, 4 where they are not found
 
 
+@pytest.mark.slow
 def test_a_logger_that_starts_after_every_release_by_the_same_time_is_no_gap():
     exact = measured(3, rate=2500.0, duration=0.4)
     assert not calibrate_nominal(exact).problem.switches.delay
@@ -237,6 +241,7 @@ def test_a_release_late_by_more_than_a_reading_is_followed():
     assert fit.problem.noise.total == pytest.approx((1e-3, 1e-3), rel=0.1)
 
 
+@pytest.mark.slow
 def test_own_times_of_release_count_where_none_could_be_learnt():
     slow = [
         laboratory(
@@ -328,6 +333,7 @@ def test_a_fit_goes_on_from_one_before_some_readings_were_left_out():
         assert abs(after.parameters[name][0] - value) < 0.2 * sd
 
 
+@pytest.mark.slow
 def test_releases_that_are_all_sudden_in_the_end_have_no_times_of_their_own():
     """Sizes are learnt from times on the way, which may all be sudden in the end."""
     experiment, _, _ = exchanged()

@@ -288,6 +288,7 @@ def with_release(quantity, noise, repeats):
     return replace(drawn, trials=tuple(trials), quantity=quantity)
 
 
+@pytest.mark.slow
 def test_a_factor_on_all_torques_and_inertias_stays_as_unknown_as_it_was_declared():
     """It changes no motion, over however many periods, so what is known of it is the declarations taken together."""
     rng = np.random.default_rng(5)

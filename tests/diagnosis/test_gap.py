@@ -33,6 +33,7 @@ def both():
     return nominal, winner
 
 
+@pytest.mark.slow
 def test_the_test_has_its_stated_size():
     """200 small campaigns without a gap, each fitted anew: about 5 % are called a gap, never many more."""
     alarms = 0

@@ -266,6 +266,7 @@ def test_a_lag_of_less_than_a_sample_screens_as_well_as_it_fits():
         assert max(s.gain for s in screens) > 0.7 * fitted
 
 
+@pytest.mark.slow
 def test_a_late_primary_from_which_the_release_was_read_is_an_early_secondary():
     """Triggers up to 1 ms late, the primary 0.4 ms behind: the first reading of some is "not released yet"."""
     delay = EFFECTS["sensor_delay"]
@@ -278,6 +279,7 @@ def test_a_late_primary_from_which_the_release_was_read_is_an_early_secondary():
     assert found["channel2_early"] > max(40.0, found["channel1"] + 5.0)
 
 
+@pytest.mark.slow
 def test_a_faint_effect_is_screened_where_it_would_just_be_seen():
     """A play of a tenth of a milliradian, constants known to 2 %: five times as much tells little of it."""
     backlash = EFFECTS["coupling_backlash"]
@@ -298,6 +300,7 @@ def _has(effect: str, parameter: str) -> bool:
     return any(p.name == parameter for v in EFFECTS[effect].variants for p in v.parameters if v.name == "cubic")
 
 
+@pytest.mark.slow
 def test_the_remainder_of_noise_is_small_and_of_a_hum_is_not():
     """A line without a common phase is found in the single records; that of the mains is followed (test_hum.py)."""
     clean = make_experiment(9, n=500)
@@ -813,6 +816,7 @@ def test_other_choices_are_judged_where_a_bound_stops_the_nominal_fit():
     assert left_out == ["sensor_bandwidth"] * 6
 
 
+@pytest.mark.slow
 def test_a_burst_in_one_trial_is_left_out_and_one_in_all_repeats_is_not():
     """The first is the measurement's, the second the rig's."""
     experiment = make_experiment(2, n=160)

@@ -125,6 +125,7 @@ def test_two_torques_are_recovered():
         assert abs(mean - value) < 3.0 * sd < value, name
 
 
+@pytest.mark.slow
 def test_the_formula_of_an_effect_is_chosen_under_what_itself_leaves(monkeypatch):
     """Under the noise of the nominal model, which holds all that it misses, a wrong formula may lead by a nat."""
     fitted = search.fit_variant

@@ -60,6 +60,7 @@ def test_arviz_gives_honest_sample_sizes_for_ensembles(tmp_path):
     assert ess == pytest.approx(draws.size * (1 - phi) / (1 + phi), rel=0.2)
 
 
+@pytest.mark.slow
 def test_figures_are_there_where_the_cache_folder_of_the_user_cannot_be_written(tmp_path):
     """Which is how ArviZ 0.23 sees it where two processes import it at once, too."""
     (tmp_path / "cache").write_text("a file")

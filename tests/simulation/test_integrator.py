@@ -375,6 +375,7 @@ def _probe(environment):
     return int(hits), int(misses), float(reading)
 
 
+@pytest.mark.slow
 def test_a_second_process_does_not_compile_again(tmp_path):
     cache = without_kernels(tmp_path / "cache")
     first = _probe({"BAYES_DAMPER_CACHE": str(cache)})

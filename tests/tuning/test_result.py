@@ -286,6 +286,7 @@ def test_damping_is_sought_only_where_it_is_asked_for():
         tuning.tune(THESIS | {"c2t": 0.0}, free=["c2t"], **few)
 
 
+@pytest.mark.slow
 def test_a_design_that_is_better_on_the_driven_rig_is_named_beside_the_linear_optimum(tmp_path):
     """With friction another design does more at a small torque; what is named does, and lies within the bounds."""
     rig = THESIS | {"mu": 0.004, "c2t": 0.01}
@@ -476,6 +477,7 @@ def test_the_figures_are_drawn(result, tmp_path):
         assert "a title" in written[0].read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_figures_of_a_cart_name_each_design_and_where_nothing_moves(tmp_path):
     """In the words of a cart; the best design's mark lies on a curve of its own, and both on their curves."""
     fit = translational_folder(tmp_path, nu=3000.0)
@@ -497,6 +499,7 @@ def test_figures_of_a_cart_name_each_design_and_where_nothing_moves(tmp_path):
         assert drawn["mean"][drawn["value"].index(place)] == pytest.approx(found["insertion_loss_db"]["mean"])
 
 
+@pytest.mark.slow
 def test_the_answer_of_the_page_names_the_best_design_and_its_loss_at_each_force(tmp_path):
     fit = translational_folder(tmp_path, nu=3000.0)
     given = {"case": "A", "J2": 0.3, "amplitudes": (0.05, 0.4, 3.0), "n_draws": 5, "n_nonlinear": 1}

@@ -103,7 +103,7 @@ def test_closed_form_agrees_with_the_whole_gaussian_integral():
 
 
 @pytest.mark.parametrize("kind", ["shared", "separate"])
-@pytest.mark.parametrize("common", [COMMON, ()])
+@pytest.mark.parametrize("common", [COMMON, pytest.param((), marks=pytest.mark.slow)])
 def test_tempering_agrees_with_the_closed_form(kind, common):
     rng = np.random.default_rng(1)
     gaussians, likelihoods, _ = linear_cases(rng, kind, sharpness=1.5)
@@ -274,6 +274,7 @@ def test_coordinates_are_straight_for_the_power_of_the_stage_alone():
     assert {width for width, _ in powers} == {0.3}
 
 
+@pytest.mark.slow
 def test_recycled_draws_agree_with_direct_sampling():
     rng = np.random.default_rng(7)
     _, likelihoods, draws = linear_cases(rng, "separate", sharpness=1.5)
@@ -632,6 +633,7 @@ def test_a_case_is_as_uncertain_as_in_its_fit_where_the_model_misses_something(t
     assert all(0.6 < x < 1.7 for x in ratio.values()), ratio
 
 
+@pytest.mark.slow
 def test_the_fit_of_one_case_is_brought_to_the_common_prior(tmp_path):
     """Draws of a case under its own prior, drawn again, have the mean that the common prior gives."""
     write_campaign(tmp_path / "campaign", "shared")
