@@ -30,9 +30,9 @@ from bayes_damper.diagnosis.pairs import Pair, best_pairs, exactly, seconds_of
 from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of
 from bayes_damper.diagnosis.search import Candidate
 from bayes_damper.diagnosis.sensitivity import Choice, Quadratic, sensitivity, sensitivity_of_sets
-from bayes_damper.diagnosis.sets import SetFit, as_candidates, grown, probabilities
+from bayes_damper.diagnosis.sets import SetFit, as_candidates, grown, probabilities, support
 from bayes_damper.diagnosis.sites import SiteMap, site_map
-from bayes_damper.diagnosis.verdict import Answers, Left, Rule, family_evidence, left_of, weigh
+from bayes_damper.diagnosis.verdict import Answers, Left, Rule, borne_by_sets, family_evidence, left_of, weigh
 from bayes_damper.diagnosis.wiring import Wiring, miswired
 from bayes_damper.effects import Effect
 from bayes_damper.effects.base import SITES, Variant
@@ -190,11 +190,13 @@ def judge_by_repeats(
         other = seen.drift + changes.get(DRIFT.name, 0.0)
         if seen.wiring is not None:
             other = float(np.logaddexp(other, seen.wiring.gain))
-        return weigh(moved, none_left, left, excess, rule, both, other, seen.definitions, usual)
+        found = weigh(moved, none_left, left, excess, rule, both, other, seen.definitions, usual)
+        return borne_by_sets(found, held)
 
-    answers = judge({}, {})
     report("dividing the gap among effects")
     sets = grown(fit, found, pool, pairs, home=left.home, workers=workers, report=report)
+    held = support(probabilities(sets, len(seen.evidence)))
+    answers = judge({}, {})
     budget = _budget(seen, sets, dict.fromkeys((s.names for s in sets), given_a_gap(answers)), rng)
     report(OTHER_CHOICES)
     choices = sensitivity(
@@ -204,7 +206,7 @@ def judge_by_repeats(
     return Judgement(
         seen, winner, pairs, answers, budget, choices,
         _under_priors(lambda rule: judge({}, {}, rule), answers, rule),
-        _weighed(seen, none_left, left, excess, judged, usual),
+        _weighed(seen, none_left, left, excess, judged, usual) | {"support": held},
     )  # fmt: skip
 
 

@@ -495,6 +495,22 @@ def probabilities(sets: Sequence[SetFit], offered: int) -> dict[frozenset[str], 
     return {names: math.exp(v - total) for names, v in logs.items()}
 
 
+def support(weights: Mapping[frozenset[str], float]) -> dict[str, float]:
+    """Effect -> probability of the sets that hold it, over that of these and of what explains the gap without it.
+
+    That are sets of several others, and a drift of the nominal laws; other single effects are as good an answer alone.
+    weights : probability of each set (`probabilities`).
+    """
+    out = {}
+    for effect in set().union(*weights) - {"unknown"}:
+        held = sum(p for names, p in weights.items() if effect in names)
+        without = sum(
+            p for names, p in weights.items() if effect not in names and (len(names) > 1 or "unknown" in names)
+        )
+        out[effect] = held / max(held + without, 1e-300)
+    return out
+
+
 def log_weight(s: SetFit, offered: int) -> float:
     """Log evidence of a set with the prior of its effects and formulas; offered : effects that the rig can have."""
     return s.evidence - sum(math.log(len(e.variants)) for e, _ in s.members) + log_prior(s.names, offered)

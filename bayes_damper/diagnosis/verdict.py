@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -292,6 +292,26 @@ def weigh(
         {n: float(p / total) for n, p in mixed.items()}, temperature, left.get(leading, after), float(unknown), pair,
         pair_effects,
     )  # fmt: skip
+
+
+def borne_by_sets(answers: Answers, support: Mapping[str, float]) -> Answers:
+    """The answers, each effect only as far as the sets that explain the gap hold it; the rest is for `unknown`.
+
+    support : effect -> probability of the sets that hold it, over that of these and of those that explain the gap by
+    several others, or by a drift of the nominal laws. What explains most alone and is not needed there imitates a cause
+    that has no formula of its own.
+    """
+    moved = {n: p * (1.0 - support[n]) for n, p in answers.probabilities.items() if n in support}
+    lost = sum(moved.values())
+    kept = {n: max(p - moved.get(n, 0.0), FLOOR / len(answers.probabilities)) for n, p in answers.probabilities.items()}
+    kept["unknown"] += lost
+    total = sum(kept.values())
+    return replace(
+        answers,
+        probabilities={n: p / total for n, p in kept.items()},
+        unknown=answers.unknown + lost,
+        pair=answers.pair * min((support.get(n, 1.0) for n in answers.pair_effects or ()), default=1.0),
+    )
 
 
 def log_evidence_of(

@@ -90,8 +90,11 @@ EFFECT = Effect(
             parameters=(
                 TIME,
                 EffectParameter(
-                    "exponent", "1", "Exponent of the fall.", LogNormal(1.5, 1.5),
-                    "Between a force that lets go at once at the end and pressure behind an orifice, which falls as a square.",
+                    "exponent",
+                    "1",
+                    "Exponent of the fall.",
+                    LogNormal(1.5, 1.5),
+                    "From a force that goes last (below 1) to pressure behind an orifice, which falls as a square.",
                 ),
             ),
             torque=power,

@@ -41,10 +41,11 @@ from bayes_damper.diagnosis.sets import (
     probabilities,
     proposals,
     set_fit,
+    support,
     weighed,
 )
 from bayes_damper.diagnosis.shares import Closed, Products
-from bayes_damper.diagnosis.verdict import Left
+from bayes_damper.diagnosis.verdict import Answers, Left, borne_by_sets
 from bayes_damper.effects import EFFECTS
 from bayes_damper.priors.distributions import LogNormal
 from bayes_damper.simulation.composition import compose
@@ -295,6 +296,25 @@ def test_formulas_share_the_prior_of_their_effect():
     sets = [stub((), 0.0, 0.0), stub(("a",), 3.0, 0.0), *(stub(("b",), 3.0, 0.0, formulas=5) for _ in range(4))]
     weights = probabilities(weighed(sets), 20)
     assert weights[frozenset("b")] == pytest.approx(0.8 * weights[frozenset("a")])
+
+
+def test_an_effect_is_borne_by_the_sets_that_hold_it_against_several_others_and_a_drift():
+    """Other single effects are no reason against it, since they are weighed as answers of their own."""
+    sets = {(): 0.02, ("a",): 0.1, ("b",): 0.38, ("b", "c"): 0.3, ("unknown",): 0.2}
+    held = support({frozenset(names): p for names, p in sets.items()})
+    assert held == pytest.approx({"a": 0.1 / 0.6, "b": 0.68 / 0.88, "c": 0.3 / 0.5})
+    assert support({frozenset(): 0.9, frozenset("a"): 0.1}) == {"a": 1.0}
+
+
+def test_what_a_set_without_the_effect_explains_better_is_unknown():
+    before = Answers({"none": 0.1, "unknown": 0.1, "a": 0.7, "b": 0.05, "c": 0.05}, 1.0, Left(0.0, 0.0), 0.1)
+    after = borne_by_sets(before, {"a": 0.01, "b": 1.0}).probabilities
+    assert after == pytest.approx({"none": 0.1, "unknown": 0.793, "a": 0.007, "b": 0.05, "c": 0.05})
+    assert borne_by_sets(before, {"a": 1.0}) == before
+    none = borne_by_sets(before, {"a": 0.0}).probabilities["a"]
+    assert none > 0.0  # as no answer ever is
+    paired = replace(before, pair=0.6, pair_effects=("a", "b"))
+    assert borne_by_sets(paired, {"a": 0.5, "b": 0.9}).pair == pytest.approx(0.3)
 
 
 def test_a_second_effect_that_mends_the_first_ones_formula_is_none():

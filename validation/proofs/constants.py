@@ -35,6 +35,7 @@ from bayes_damper.diagnosis.verdict import (
     Answers,
     Left,
     Rule,
+    borne_by_sets,
     weigh,
 )
 from bayes_damper.effects import EFFECTS, classes
@@ -94,7 +95,9 @@ def replay(verdict: Verdict, rule: Rule = RULE) -> Answers:
     drift = _number(weighed["drift"], -math.inf)
     left = _left(weighed["before"]), _left(weighed["after"])
     usual = float(weighed.get("usual", 0.0))
-    return weigh(evidence, *left, float(weighed["excess"]), rule, pairs, drift, weighed.get("definitions", ()), usual)
+    definitions = weighed.get("definitions", ())
+    answers = weigh(evidence, *left, float(weighed["excess"]), rule, pairs, drift, definitions, usual)
+    return borne_by_sets(answers, weighed.get("support", {}))
 
 
 def _number(x: Any, missing: float) -> float:

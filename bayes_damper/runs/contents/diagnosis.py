@@ -412,6 +412,7 @@ class WeighedEntry(TypedDict):
     pairs: Sequence[WeighedPair]
     definitions: NotRequired[Sequence[str]]
     usual: NotRequired[float]
+    support: NotRequired[Mapping[str, float]]
 
 
 class DiagnosisFile(TypedDict, total=False):
