@@ -218,9 +218,14 @@ def places_of_rest(sites: Mapping[str, float], budget: BudgetEntry | None) -> di
 
     sites : of the gap of the nominal model, budget : as in diagnosis.json.
     """
-    present = budget is not None and any(e["present"] >= 0.5 for e in budget["effects"])
-    beside = (budget["unexplained"].get("sites") if budget is not None and present else None) or sites
+    beside = (budget["unexplained"].get("sites") if budget is not None and left_beside(budget) else None) or sites
     return {site: p for site, p in beside.items() if site != "none"}
+
+
+def left_beside(budget: BudgetEntry | None) -> str:
+    """Whose place `places_of_rest` gives, after "place": what the effects that are present leave, "" without any."""
+    names = [e["name"].replace("_", " ") for e in budget["effects"] if e["present"] >= 0.5] if budget else []
+    return f" of what {' and '.join(names)} leave{'s' if len(names) == 1 else ''} of it" if names else ""
 
 
 def failed_sentence(budget: BudgetEntry | None) -> str:

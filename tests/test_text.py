@@ -13,6 +13,7 @@ from bayes_damper.text import (
     failed_sentence,
     gap_beside_verdict,
     gathered,
+    left_beside,
     p_value,
     places_of_rest,
     share_of_gap,
@@ -126,6 +127,9 @@ def test_an_unknown_cause_is_told_at_a_place_and_as_surely_as_it_is_known(tmp_pa
     assert first.endswith("most likely place: sensor.")
     result["gap"]["augmented_rms"] = 1.2
     result["effects"] = [{"name": "quadratic_drag", "augmented_rms": 1.2}]
+    beside = result | {"budget": divided({"stick_slip": 0.7}, 0.3)}
+    said = Diagnosed(tmp_path, beside).text()
+    assert "the most likely place of what stick slip leaves of it: bearings." in said
     said = Diagnosed(tmp_path, result).text()
     assert "2 with the nominal model, 1.2 with quadratic_drag (no explanation of the gap) added; noise 1." in said
     assert "with the answer" not in said
@@ -205,6 +209,13 @@ def test_what_stays_unexplained_has_one_place():
     assert places_of_rest(sites, divided({"bearing_drag": 0.7}, 0.3)) == {"bearings": 0.7, "sensor": 0.3}
     alone = {"ground1": 0.6, "bearings": 0.3}
     assert places_of_rest(sites, divided({"bearing_drag": 0.7}, 0.3, 0.4)) == places_of_rest(sites, None) == alone
+
+
+def test_whose_place_is_given_is_said_where_effects_are_present():
+    assert left_beside(divided({"bearing_drag": 0.7}, 0.3)) == " of what bearing drag leaves of it"
+    both = divided({"bearing_drag": 0.5, "stick_slip": 0.2}, 0.3)
+    assert left_beside(both) == " of what bearing drag and stick slip leave of it"
+    assert left_beside(None) == left_beside(divided({"bearing_drag": 0.7}, 0.3, 0.4)) == ""
 
 
 def test_no_share_of_a_gap_is_below_none_or_above_all_of_it():

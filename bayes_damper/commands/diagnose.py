@@ -56,6 +56,7 @@ from bayes_damper.text import (
     gap_beside_verdict,
     held_out_of,
     law_sentence,
+    left_beside,
     named_answers,
     named_sentence,
     p_value,
@@ -387,7 +388,8 @@ def _words(result: DiagnosisFile) -> list[str]:
         site = max(rest, key=lambda s: rest[s])
         sure = "There is" if share >= CERTAIN else "Most probable, but not sure:"
         first = f"{sure} a gap that no effect of the library explains (probability {share:.2f}); "
-        lines = [f"{first}its most likely place: {said(_place(site))}."]
+        left = left_beside(result.get("budget"))
+        lines = [f"{first}{'the' if left else 'its'} most likely place{said(left)}: {said(_place(site))}."]
     else:
         row = next(r for r in result["effects"] if r["name"] == verdict)
         sure = "The missing effect is" if share >= CERTAIN else "Most probable, but not sure:"

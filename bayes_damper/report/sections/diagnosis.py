@@ -49,6 +49,7 @@ from bayes_damper.text import (
     held_out_of,
     interval,
     law_sentence,
+    left_beside,
     named_answers,
     named_sentence,
     number,
@@ -99,7 +100,8 @@ def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
     likely = sites
     if verdict == "unknown":
         likely = sorted(places_of_rest(dict(sites), data.get("budget")).items(), key=lambda item: -item[1])
-    sentences = [divided, *_verdict_sentences(verdict, share, likely, pair, effects, said)]
+    left = left_beside(budget)
+    sentences = [divided, *_verdict_sentences(verdict, share, likely, pair, effects, said, left)]
     if pair:
         sentences.append(
             f"No single effect closes the gap; {listed([called(e) for e in pair['effects']])} together do "
@@ -224,10 +226,11 @@ def _verdict_sentences(
     pair: PairEntry | None,
     effects: Sequence[EffectEntry] = (),
     said: Said = str,
+    left: str = "",
 ) -> list[str]:
     """The verdict in plain words, with its probability, what the effect is, its size, and the most probable place.
 
-    said : puts a text into the words of the rig.
+    said : puts a text into the words of the rig; left : whose place it is (`left_beside`) where the cause is unknown.
     """
     sure = (share or 0.0) >= 0.9
     if verdict == "none":
@@ -236,7 +239,8 @@ def _verdict_sentences(
     places = [(s, p) for s, p in sites if s != "none"]
     likely = [(s, p) for s, p in places[:2] if p > 0.5 * places[0][1]] or places[:1]
     named = " and ".join(f"{said(_place(s))} ({percent(p)})" for s, p in likely)
-    where = [f"Most probable place{'s' if len(likely) > 1 else ''}: {named}."] if likely else []
+    of = said(left) if verdict == "unknown" else ""
+    where = [f"Most probable place{'s' if len(likely) > 1 else ''}{of}: {named}."] if likely else []
     if verdict == "unknown":
         first = "The model misses something" if sure else "Most probable, but not sure: the model misses something"
         return [f"{first} that no effect of the library explains (probability {percent(share)}).", *where]
