@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from bayes_damper.calibration import Calibration, Experiment
 from bayes_damper.calibration.scatter import scatter_in_words
 from bayes_damper.campaign.records import DERIVATIVE
 from bayes_damper.diagnosis.remainder import unlike_in_words
 from bayes_damper.diagnosis.sites import SiteMap
 from bayes_damper.diagnosis.verdict import Answers
+from bayes_damper.effects import EFFECTS
 from bayes_damper.priors.distributions import from_standard
+
+ONE_AMPLITUDE = 1.25  # ratio of the largest to the smallest first swing up to which trials have one amplitude
 
 
 def notes_on(
@@ -38,6 +43,7 @@ def notes_on(
         )
     judged = fit if named is None else named  # what the answer explains does not scatter
     notes += [*scatter_in_words(judged), *unlike_in_words(judged), *symmetries(experiment)]
+    notes += time_or_amplitude(experiment, answers)
     still = {} if named is None else named.pulled
     priors = {} if named is None else {c.name: c.prior for c in named.problem.coordinates}
     for name, z in still.items():
@@ -67,6 +73,28 @@ def notes_on(
     if answers.probabilities["none"] > 0.5 and hidden:
         notes += hidden
     return notes
+
+
+def time_or_amplitude(experiment: Experiment, answers: Answers) -> list[str]:
+    """That decays from one amplitude cannot distinguish a law of the motion from a change over the time since release.
+
+    Nothing where the verdict is no such law, where trials begin far from each other, or where a rig is driven.
+    """
+    law = EFFECTS.get(answers.verdict)
+    if law is None or law.site in ("sensor", "release") or law.exact:
+        return []
+    if any(t.inputs is not None and t.inputs.active for t in experiment.trials):
+        return []
+    rest = experiment.start == "rest"
+    begins = [abs(t.theta0) if rest else float(np.nanmax(np.abs(t.y[0]), initial=0.0)) for t in experiment.trials]
+    if min(begins) <= 0.0 or max(begins) > ONE_AMPLITUDE * min(begins):
+        return []
+    said = (
+        f"All trials begin with about the same swing, so a law of the motion such as {law.name} looks like a stiffness "
+        "or damping that changes over the time since release (oil that warms, say); a trial from half of that swing "
+        "distinguishes them."
+    )
+    return [said]
 
 
 def symmetries(experiment: Experiment) -> list[str]:

@@ -33,7 +33,7 @@ from bayes_damper.diagnosis import diagnose, pairs, pipeline
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.judgement import finished, sites_of
 from bayes_damper.diagnosis.lone import left_alone, left_of_squares
-from bayes_damper.diagnosis.notes import symmetries
+from bayes_damper.diagnosis.notes import symmetries, time_or_amplitude
 from bayes_damper.diagnosis.outliers import outlying, outlying_in_words, without
 from bayes_damper.diagnosis.pairs import ComposedProblem, PairProblem, Second, best_pairs, pair_problem
 from bayes_damper.diagnosis.pipeline import _sites
@@ -545,6 +545,22 @@ def test_records_that_begin_in_motion_try_weak_effects_too():
     usual = {v.name: v for e, v in offered(at_rest, "linear", EFFECTS) if e.name == "bearing_drag"}["dry"]
     assert min(s[0] for s in own.starts) == pytest.approx(0.1 * min(s[0] for s in usual.starts))
     assert {s[1] for s in own.starts} == {s[1] for s in usual.starts}
+
+
+def test_one_amplitude_cannot_distinguish_the_swing_from_the_time_since_release():
+    def asked(name, angles=(), swings=(), **changes):
+        trials = [TrialRecord("a", "A", False, i, np.arange(4.0), np.ones((1, 4)), 0, x) for i, x in enumerate(angles)]
+        trials += [TrialRecord("a", "A", False, i, np.arange(4.0), np.full((1, 4), x), 0) for i, x in enumerate(swings)]
+        experiment = replace(Experiment({"J1": (1.0, 0.0)}, ((1.0, 0.0),), tuple(trials)), **changes)
+        return time_or_amplitude(experiment, Answers({name: 0.9, "none": 0.1}, 1.0, QUIET, 0.1))
+
+    (said,) = asked("quadratic_drag", (0.1, -0.11))
+    assert "a law of the motion such as quadratic_drag" in said
+    assert asked("quadratic_drag", (0.1, 0.05)) == []
+    assert len(asked("spring_cubic", swings=(2.0, 2.2), start="free")) == 1
+    assert asked("spring_cubic", swings=(2.0, 1.0), start="free") == []
+    for other in ("unknown", "sensor_gain", "stiffness_error", "release_ramp"):
+        assert asked(other, (0.1, 0.1)) == []
 
 
 @pytest.mark.parametrize(("quantity", "order"), [("displacement", 0), ("velocity", 1), ("acceleration", 2)])
