@@ -25,6 +25,7 @@ _RESTS = {"displacement": 1.0, "velocity": 0.5, "acceleration": 0.5}
 """Radians of the oscillation for which a primary must rest, so that it is held and not at a turning point."""
 _SHORT = 0.8  # of the longest repeat's end, before which a record counts as ending early
 _UNLIKE = 0.3  # rms difference over rms, from which repeats are held to be of different channels
+_PACES = np.linspace(0.99, 1.01, 81)  # of its repeats' time, at which a record may run: two per cent of the spring
 _TURNED = "; where `init` made the campaign, run it again with --sign -1 (coupled: one for each channel, such as -1 1)"
 _OTHER_SIDE = "on the other side of 0 than theta0"
 _GROWS = 0.4  # of the largest excursion, which a free decay exceeds within its first period
@@ -436,7 +437,8 @@ def _look_for_odd_twin(group: Sequence[Trial], quantity: str, warnings: list[str
             others = np.delete(np.delete(distance, i, 0), i, 1)
             usual = float(np.median(others[np.triu_indices(len(group) - 1, 1)]))
             nearest = float(np.min(np.delete(distance[i], i)))
-            if nearest > 4.0 * usual and nearest > max(0.1 * scale, 4.0 * noise):
+            bound = max(4.0 * usual, 0.1 * scale, 4.0 * noise)
+            if nearest > bound and _at_another_pace(curves, i) > bound:
                 worst[trial.file] = max(worst.get(trial.file, (0.0, 0.0)), (nearest / scale, usual / scale))
                 break
     for file, (nearest, usual) in worst.items():
@@ -446,6 +448,17 @@ def _look_for_odd_twin(group: Sequence[Trial], quantity: str, warnings: list[str
             f"{file}: unlike its repeats: {nearest:.0%} away from the nearest, they {usual:.0%} from each other"
             + ("; see what was different" if home is None else f"; it is like the trials of case {home}: a wrong name?")
         )
+
+
+def _at_another_pace(curves: Array, odd: int) -> float:
+    """Rms distance of a record from the nearest of its repeats, all (trials, n), were its spring like theirs.
+
+    A spring that differs by half a per cent, as springs do from trial to trial, is a radian apart after 60 periods.
+    """
+    readings = np.arange(curves.shape[1])
+    paces = [np.interp(pace * readings, readings, curves[odd], right=np.nan) for pace in _PACES]
+    rest = np.delete(curves, odd, 0)
+    return float(np.sqrt(min(np.nanmean((rest - curve) ** 2, axis=1).min() for curve in paces)))
 
 
 def _looks_like(odd: Trial, quantity: str, away: float, trials: Sequence[Trial]) -> str | None:

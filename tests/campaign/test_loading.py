@@ -507,6 +507,24 @@ def test_a_late_trigger_alone_makes_no_trial_unlike_its_repeats(folder: Path) ->
     assert told[0].startswith("trials/IV_coupled_3.csv: unlike its repeats")
 
 
+def test_a_spring_that_differs_a_little_makes_no_trial_unlike_its_repeats(folder: Path) -> None:
+    """One per cent of it is a quarter of a radian after the nine periods of these records."""
+    times = read_table(folder / COUPLED)[1][0]
+
+    def warned(stiffness: float) -> bool:
+        for trial, k1t in ((1, 10.2), (2, 10.205), (3, stiffness)):
+            clean = decay(times, math.radians(4.7), k1t, 0.004)
+            noise = 0.3 * np.random.default_rng(trial).standard_normal((2, times.size))
+            alter(
+                folder / f"trials/IV_coupled_{trial}.csv",
+                lambda c, y=clean, e=noise: [c[0], y + e[0], 0.3 * y + e[1]],
+            )
+        return any("IV_coupled_3.csv: unlike its repeats" in w for w in load_campaign(folder).warnings)
+
+    assert not warned(1.01 * 10.2)
+    assert warned(1.1 * 10.2)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_the_round_tops_of_a_slow_channel_are_not_taken_for_clipping(folder: Path, seed: int) -> None:
     """The second body swings at half the frequency of the first, so its turns last twice as long."""
