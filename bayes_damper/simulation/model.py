@@ -6,6 +6,7 @@ once. It takes many parameter vectors at a time, because sixteen cost hardly mor
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -32,6 +33,7 @@ Parameters = Mapping[str, ArrayLike]
 _OPTIONAL = {"J12": 0.0, "k3t": 0.0, "omega1_0": 0.0, "omega2_0": 0.0, "delay": 0.0, "release_time": 0.0, "tail": 0.0}
 # What the uncoupled rig does not see.
 _COUPLED_ONLY = {"J2": 1.0, "c3t": 0.0, "k2t": 0.0, "c2t": 0.0, "mu": 0.0, "N0": 0.0, "R": 1.0, "r": 1.0}
+_WIDTH = 4  # lanes of a vector register: a block of few vectors is no wider than they need
 _POSITIVE = [ROWS.index(name) for name in ("J1", "J2", "R", "r", "nu")]
 
 
@@ -274,7 +276,8 @@ class Model:
             final = np.empty(LANES)
             status = np.empty(LANES, np.int64)
             for start in starts[worker::workers]:
-                lanes = which[np.minimum(np.arange(start, start + LANES), which.size - 1)]
+                width = min(LANES, _WIDTH * math.ceil((which.size - start) / _WIDTH))
+                lanes = which[np.minimum(np.arange(start, start + width), which.size - 1)]
                 kernel(
                     *(grid, np.ascontiguousarray(rows[:, lanes]), np.ascontiguousarray(extras[:, lanes]), pieces),
                     *(np.full(LANES, tolerance), memory_weights, self.longest_step, read, out, final, status),
