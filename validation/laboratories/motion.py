@@ -175,7 +175,7 @@ def derivative(t: float, x: Array, g: Array, codes: NDArray[np.int64], P: Array,
         elif c == 17:  # release_ramp
             left = 1.0 - t * w0 / p0 if p0 > 0.0 else 0.0
             if left > 0.0:
-                hold = max(hold, left**1.5)
+                hold = max(hold, left / (1.0 + p1 * (1.0 - left)))
         elif c == 40:  # lost_spring
             k1 = k1 * (1.0 - p0 * _logistic((t - p1 * period) / (0.01 * period)))
         elif c == 41:  # shaken_spring
