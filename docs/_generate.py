@@ -1,7 +1,8 @@
 """Hook of mkdocs: fills the reference pages from the code, so that they cannot fall behind it.
 
 A line `<!-- generated: NAME -->`, and the line after it that tells readers of the repository where to look, give place
-to what the function of that name below returns.
+to what the function of that name below returns. Below a line `<!-- thresholds -->`, with the line after it, constants
+of the code stand in braces, as {plausibility._MISSING:.0%} does; numbers take their place.
 """
 # ruff: noqa: INP001 (docs is no package)
 
@@ -9,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import importlib
 import inspect
 import re
 import sys
@@ -16,13 +18,37 @@ from collections.abc import Callable
 from typing import Any
 
 _MARK = re.compile(r"<!-- generated: (\w+) -->(?:\n\*In the repository[^\n]*\*)?")
+_THRESHOLDS = re.compile(r"<!-- thresholds -->\n\*In the repository[^\n]*\*\n")
+_CONSTANT = re.compile(r"\{(\w+)\.\w+(?:\[\w+\])*(?::[^{}]*)?\}")
+_HOMES = {
+    path.rpartition(".")[2]: f"bayes_damper.{path}"
+    for path in (
+        *("campaign.balance", "campaign.declarations", "campaign.head", "campaign.magnitudes", "campaign.plausibility"),
+        *("campaign.readings", "campaign.record_files", "campaign.records", "campaign.trials_table"),
+        *("calibration.correlated_noise", "calibration.hum", "diagnosis.outliers", "priors.files", "priors.limits"),
+        "inputs",
+    )
+}
+"""Modules whose constants pages may name: by their last name, the whole one."""
 _MATH = re.compile(r"^```math\n(.*?)\n```$", re.MULTILINE | re.DOTALL)
 _HEADINGS = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """Put the generated parts in place, and typeset equations (MathML, so that pages need no network)."""
+    if _THRESHOLDS.search(markdown):
+        markdown = thresholds(markdown)
     return _MATH.sub(_typeset, _MARK.sub(lambda found: _PARTS[found[1]](), markdown))
+
+
+def thresholds(markdown: str) -> str:
+    """A page with the constants that it names as numbers: 20 %, 1 000 000, 1e-6."""
+
+    def number(found: re.Match[str]) -> str:
+        text = found[0].format(**{found[1]: importlib.import_module(_HOMES[found[1]])})
+        return re.sub(r"e([+-])0*", lambda e: "e" + e[1].strip("+"), text).replace("%", " %").replace(",", " ")
+
+    return _CONSTANT.sub(number, _THRESHOLDS.sub("", markdown))
 
 
 def _typeset(found: re.Match[str]) -> str:

@@ -246,6 +246,22 @@ def test_what_readers_of_the_repository_are_told_does_not_reach_the_pages():
         assert "In the repository" not in made.on_page_markdown(text), page
 
 
+def test_thresholds_on_the_page_of_check_are_those_of_the_code(monkeypatch):
+    made = generator()
+    page = (DOCS / "reference" / "check.md").read_text(encoding="utf-8")
+    text = made.on_page_markdown(page)
+    assert not re.search(r"[{}]|thresholds|In the repository", text)
+    assert "| Many readings are missing | more than 20 % |" in text
+    assert "a factor above 1 000 000 |" in text
+    assert "outside 1e-6 to 1e6 N" in text
+    monkeypatch.setattr("bayes_damper.campaign.plausibility._MISSING", 0.3)
+    assert "| Many readings are missing | more than 30 % |" in made.on_page_markdown(page)
+    named = re.compile(r"\{[^}]*\}|`[^`]*`|\bk1t|\bJ[12]\b|theta0|\b[01]\b")
+    cells = [line.split("|")[2] for line in page.splitlines() if line.startswith("| ")]
+    typed = [cell for cell in cells if re.search(r"\d", named.sub("", cell))]
+    assert not typed, "name the constant of the code in place of the number, as {plausibility._MISSING:.0%}"
+
+
 def test_every_public_name_can_be_had_and_is_documented():
     for name in bayes_damper.__all__:
         value = getattr(bayes_damper, name)

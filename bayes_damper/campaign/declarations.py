@@ -21,9 +21,11 @@ from bayes_damper.campaign.structure import TO_SI, Trial, natural_period
 Array = NDArray[np.float64]
 _OFF = 0.1  # of the frequency: nonlinear springs and viscous damping of a free decay stay below it, as a rule
 _HIGHER, _LOWER = 1.25, 0.7  # first swing, less what friction takes of it, over the declared one
+_SURE = 5.0  # standard uncertainties of what is declared, beyond which the records contradict it
 _STILL = 0.1  # of the largest reading, below which a rig is held to have come to rest
 _FEWEST = 3.0  # swings that give a frequency
 _FIRST = 0.5  # rad of the primary's oscillation, in which the release shows and nothing has turned round
+_FREE, _LESS = 0.5, 0.6  # of a free primary's way that an exchanged channel goes, and of that what the other goes
 _APART = 0.1  # of the primary's displacement at the release: where dry friction stops a body is nearer, as a rule
 _FEWEST_HELD = 3  # readings up to the release that show a rig at rest
 
@@ -68,7 +70,7 @@ def wiring_of(head: Head, trial: Trial) -> Literal["exchanged", "reversed"] | No
             return "exchanged"
         if share[0] > 0.0 and abs(share[1]) < 0.5 * share[0]:  # not released together: the primary draws it near
             return "reversed" if first > 0.3 and second > max(0.02, 6.0 * noise) else None
-    if head.rig.ground2_stiffness.value == 0.0 and second > 0.5 and first < 0.6 * second:
+    if head.rig.ground2_stiffness.value == 0.0 and second > _FREE and first < _LESS * second:
         return "exchanged"
     return "reversed" if first > 0.3 and second < -max(0.02, 6.0 * noise) else None
 
@@ -178,7 +180,7 @@ def _look_at_springs(
         trial = first[case]
         ratio = frequency * natural_period(head.rig, trial)
         known = 0.5 * math.hypot(trial.k1t.std / trial.k1t.value, inertia.std / inertia.value)
-        if abs(ratio - 1.0) > max(_OFF, 5.0 * known, error / frequency):
+        if abs(ratio - 1.0) > max(_OFF, _SURE * known, error / frequency):
             off[case] = ratio
     if not off:
         return
@@ -228,7 +230,7 @@ def _look_at_releases(first: Mapping[str, Trial], swings: Mapping[str, float], w
     for case, ratio in swings.items():
         theta0 = first[case].theta0
         assert theta0 is not None
-        known = 5.0 * theta0.std / abs(theta0.value)
+        known = _SURE * theta0.std / abs(theta0.value)
         if ratio > max(_HIGHER, 1.0 + known) or ratio < min(_LOWER * most, 1.0 - known):
             off[case] = ratio
     if not off:

@@ -29,6 +29,7 @@ from bayes_damper.inputs import collected, real, shown, toml_file, toml_of
 TomlValue = Any  # whatever a TOML file can hold: checked by those who take it
 _SINGLE = {"sample_rate": "one number, in Hz", "duration": "one number, in s", "every": "one whole number"}
 _MOST_APART = 1e6  # a ratio of inertias, or of springs, beyond which one of them does not act
+_LARGEST_RADIUS = 10.0  # m, of a rig in a laboratory
 _MOST_UNKNOWN = 20
 _TOP = ("name", "description", "source", "caveats", "rig", "measurement", "scatter")
 _TABLES = {"rig": (*RIG_NUMBERS, *RIG_WORDS),
@@ -187,7 +188,7 @@ def _check_constant(key: str, constant: Constant, kind: str, where: str, faults:
         faults.append(f"{where}: {key} = {value!r} must be positive; give it in SI units")
     if key in ("magnet_pull", "ground2_stiffness") and value < 0.0:
         faults.append(f"{where}: {key} = {value!r} must not be negative; give it in SI units")
-    if key in ("bar_radius", "magnet_radius") and value > 10.0 and kind == "torsional":
+    if key in ("bar_radius", "magnet_radius") and value > _LARGEST_RADIUS and kind == "torsional":
         faults.append(f"{where}: {key} = {value!r} m is not a laboratory rig; it looks like millimetres, give metres")
 
 

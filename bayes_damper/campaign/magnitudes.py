@@ -29,6 +29,12 @@ _LIGHTEST = 0.1 * math.pi * 4000.0
 _FILTERED = 3.0
 """Bandwidth over the rig's frequency below which a filter of the first order takes 5 % of the motion."""
 _IN_DEGREES = " (`init --units deg` converts them)"
+_FEWEST_LEFT = 16  # readings of a record that `every` leaves
+_COARSE = 0.5  # of a period, above which the steps of a record show no motion
+_ODD, _WRONG = (0.2, 2.0), (0.03, 10.0)  # largest reading over what the release gives, beyond which it is odd, or wrong
+_SWINGS = {"translational": (1.0, 10.0), "torsional": (1.6, 20.0)}
+"""Swing of a free start, m or rad, from which it is odd, or wrong."""
+_TO_AND_FRO = 3.5  # rad of a swing to and fro: more than half a turn
 _LATE = 10.0  # lengths of a record after the release, from which the times count from something else
 _MOST_APART = 1e6  # a ratio beyond which one of two numbers does not act
 _USUAL = {"torsional": 1.0, "translational": 0.3}  # swing, rad or m, up to which it is theta0 that is in another unit
@@ -131,7 +137,7 @@ def _check_measurement(head: Head, trials: Sequence[Trial], faults: list[str], w
         for trial in trials:
             left = natural_period(rig, trial) / (declared.every * float(np.median(np.diff(trial.times))))
             kept = trial.times.size // declared.every
-            if left < _FEWEST or kept < 16:
+            if left < _FEWEST or kept < _FEWEST_LEFT:
                 faults.append(
                     f"{where}: every = {declared.every} leaves {kept} readings of {trial.file}, {left:.2g} to a period "
                     f"of the primary; at least {_FEWEST:g} show a motion"
@@ -176,7 +182,7 @@ def check_magnitudes(head: Head, trial: Trial, faults: list[str], warnings: list
             "instant of the release off its times, or import it with `bayes-damper init --release find`"
         )
         return
-    if step > 0.5 * natural_period(head.rig, trial):
+    if step > _COARSE * natural_period(head.rig, trial):
         faults.append(
             f"{trial.file}: readings come every {step:.3g} s, but sqrt(k1t/primary_inertia) swings with a period of "
             f"{natural_period(head.rig, trial):.3g} s; the time column is in milliseconds or microseconds, or k1t and "
@@ -198,7 +204,7 @@ def check_magnitudes(head: Head, trial: Trial, faults: list[str], warnings: list
         f"{trial.file}, column '{names[0]}': the largest reading, {largest:.4g} {unit}, is {ratio:.3g} times "
         f"{formula} = {bound:.4g} {unit}, the most that this release can give"
     )
-    if 0.2 <= ratio <= 2.0:
+    if _ODD[0] <= ratio <= _ODD[1]:
         return
     swings = look.dominant_frequency(trial.times, trial.channels[0])
     own = swings / (omega / (2.0 * math.pi))
@@ -209,7 +215,7 @@ def check_magnitudes(head: Head, trial: Trial, faults: list[str], warnings: list
         )
     else:
         guess = _unit_guess(head.rig, ratio, power, ratio * abs(trial.theta0.value))
-    (faults if ratio > 10.0 or ratio < 0.03 else warnings).append(f"{sentence}; {guess}")
+    (faults if ratio > _WRONG[1] or ratio < _WRONG[0] else warnings).append(f"{sentence}; {guess}")
 
 
 def _unit_guess(rig: Rig, ratio: float, power: int, reach: float) -> str:
@@ -247,22 +253,23 @@ def _check_free_magnitude(
 ) -> None:
     """Without a declared release: the swing that the readings imply, rad or m, must be possible."""
     where = f"{trial.file}, column '{column}': the readings imply a swing of {swing:.4g}"
+    odd, wrong = _SWINGS[head.rig.kind]
     if head.rig.kind == "translational":
-        if swing > 10.0:
+        if swing > wrong:
             faults.append(f"{where} m; it looks like millimetres taken for metres: give SI units in the record")
-        elif swing > 1.0:
+        elif swing > odd:
             warnings.append(f"{where} m; if these are millimetres, give metres")
         return
     y = trial.channels[0] - np.median(trial.channels[0])
     to_and_fro = int(np.count_nonzero(np.diff(np.sign(y)) != 0)) >= 4
-    if swing > 20.0:
+    if swing > wrong:
         faults.append(f"{where} rad; it looks like degrees taken for radians: give radians in the record{_IN_DEGREES}")
-    elif swing > 3.5 and to_and_fro:
+    elif swing > _TO_AND_FRO and to_and_fro:
         warnings.append(
             f"{where} rad to and fro, more than half a turn; if these are degrees, give radians in the record"
             + _IN_DEGREES
         )
-    elif swing > 1.6 and head.rig.restoring == "linear":
+    elif swing > odd and head.rig.restoring == "linear":
         warnings.append(
             f'{where} rad; if these are degrees, give radians{_IN_DEGREES}; if it hangs, set restoring = "pendulum"'
         )

@@ -19,11 +19,20 @@ from bayes_damper.text import counted
 Array = NDArray[np.float64]
 _UNEVEN = 0.01  # of the usual step, by which another one departs from it
 _JITTERS = 0.25  # of it, up to which a step of two differs clearly from a step of one
+_RATE = 0.02  # by which the rate of the time column departs from the declared one
+_BESIDE = 1.5  # steps from the nominal release, within which a record begins with it
+_RANGE, _ABOVE = 0.98, 1.05  # of a sensor's range: at its end, and beyond it
+_NOISE = 3.0  # times the declared noise, or a part of it
 _OF_STEPS = 1.5  # of an encoder: its rounding, that of its zero, and that of a mean between two steps, half a step each
 _MISSING = 0.2  # share of the readings that are not there
 _RESTS = {"displacement": 1.0, "velocity": 0.5, "acceleration": 0.5}
 """Radians of the oscillation for which a primary must rest, so that it is held and not at a turning point."""
 _SHORT = 0.8  # of the longest repeat's end, before which a record counts as ending early
+_BEGINS = {"displacement": 0.8, "velocity": 0.3, "acceleration": 0.4}
+"""First readings of a release: a displacement is above this share of theta0, a velocity below this share of its
+largest, an acceleration above it."""
+_APART, _OF_MOTION = 4.0, 0.1  # times the distance of repeats from each other, and of their rms, of one that is odd
+_COMMON = 8  # readings in which repeats are compared, at least
 _UNLIKE = 0.3  # rms difference over rms, from which repeats are held to be of different channels
 _PACES = np.linspace(0.99, 1.01, 81)  # of its repeats' time, at which a record may run: two per cent of the spring
 _TURNED = "; where `init` made the campaign, run it again with --sign -1 (coupled: one for each channel, such as -1 1)"
@@ -91,8 +100,8 @@ def _look_at_channel(head: Head, trial: Trial, i: int, omega: float, grows: bool
     tops = look.flat_tops_of(trial.times, y, noise, min(omega, max(slowest, 0.25 * omega)), begins_held)
     for level in [] if reacts or grows else tops:  # a hand that holds the rig makes them too
         warnings.append(f"{where}: flat tops at {level:.4g}; it looks clipped there")
-    if limits is not None and np.max(np.abs(y)) > 0.98 * limits[i]:
-        beyond = float(np.max(np.abs(y))) > 1.05 * limits[i]
+    if limits is not None and np.max(np.abs(y)) > _RANGE * limits[i]:
+        beyond = float(np.max(np.abs(y))) > _ABOVE * limits[i]
         warnings.append(
             f"{where}: readings go to {np.max(np.abs(y)):.4g}, beyond the sensor's range of {limits[i]:.4g}: is "
             "sensor_range in the unit of the readings?"
@@ -111,7 +120,7 @@ def _look_at_channel(head: Head, trial: Trial, i: int, omega: float, grows: bool
     offset = look.offset_of(trial.times, y, noise, omega)
     if abs(offset) > (_OF_STEPS * step if step > noise else 0.0):
         _tell_offset(head, trial, where, offset, warnings)
-    if given is not None and noise > 0.0 and not reacts and not 1.0 / 3.0 <= noise / given[i] <= 3.0:
+    if given is not None and noise > 0.0 and not reacts and not 1.0 / _NOISE <= noise / given[i] <= _NOISE:
         warnings.append(f"{where}: noise is about {noise:.3g}, noise_std says {given[i]:.3g}; check unit and sensor")
     return False
 
@@ -168,7 +177,7 @@ def _look_at_clock(head: Head, trial: Trial, warnings: list[str]) -> None:
     times = trial.times
     step = float(np.median(np.diff(times)))
     rate = head.measurement.sample_rate
-    if rate is not None and abs(step * rate - 1.0) > 0.02:
+    if rate is not None and abs(step * rate - 1.0) > _RATE:
         warnings.append(
             f"{trial.file}: the time column says {1.0 / step:.5g} Hz, "
             f"sample_rate says {rate:.5g}; the time column decides"
@@ -192,7 +201,7 @@ def _look_at_clock(head: Head, trial: Trial, warnings: list[str]) -> None:
             f"{trial.file}: {missing:.0%} of the readings between the first and the last are missing; see how the "
             "record was exported"
         )
-    if times[0] > 1.5 * step:
+    if times[0] > _BESIDE * step:
         warnings.append(f"{trial.file}: late start: the record begins {times[0]:.4g} s after the nominal release")
 
 
@@ -218,7 +227,7 @@ def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]
         return
     onset = float(times[int(np.argmax(departed))])
     step = float(np.median(np.diff(times)))
-    early = trial.times[0] < -1.5 * step and onset < -1.5 * step
+    early = trial.times[0] < -_BESIDE * step and onset < -_BESIDE * step
     held = held_at(head, trial)
     if early and held is not None and (y[0] > 0.0) == (trial.theta0.value > 0.0):
         at, declared = (motion_in_words(x, head.rig.kind) for x in (abs(float(held[0])), level))
@@ -234,23 +243,24 @@ def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]
             f"{trial.file}: motion begins {-onset:.4g} s before the nominal release; the trigger came late; "
             "fits take the release from the record"
         )
-    if onset > USUAL_LAG[quantity] / omega + 1.5 * step and times[0] <= 1.5 * step:
+    if onset > USUAL_LAG[quantity] / omega + _BESIDE * step and times[0] <= _BESIDE * step:
         warnings.append(
             f"{trial.file}: motion begins {onset:.4g} s after the nominal "
             "release; the trigger came early or the rig stuck; fits take the release from the record"
         )
     first = float(np.median(y[:3]))
     largest = float(np.max(np.abs(y)))
-    middle = {0: sign * first < 0.8 * level, 1: abs(first) > 0.3 * largest, 2: False}[power]
+    begins = _BEGINS[quantity]
+    middle = {0: sign * first < begins * level, 1: abs(first) > begins * largest, 2: False}[power]
     soon = min(int(np.searchsorted(times, onset + 0.13 / omega)), len(y) - 1)
     if power == 2 and abs(first) <= 8.0 * noise and onset < times[0] + 0.3 / omega:  # no jump where a release jumps
-        middle = sign * y[soon] < 0.4 * float(np.quantile(np.abs(y), 0.998))
+        middle = sign * y[soon] < begins * float(np.quantile(np.abs(y), 0.998))
     if power == 2 and abs(first) > 8.0 * noise:
-        middle = sign * first < 0.4 * float(np.quantile(np.abs(y), 0.998))
+        middle = sign * first < begins * float(np.quantile(np.abs(y), 0.998))
     away_at_once = (
         power == 1 and not trial.driven and _moves_the_wrong_way(times, sign * y, quantity, omega, 0.0) is not None
     )
-    if times[0] <= 1.5 * step and not early and (middle or away_at_once):
+    if times[0] <= _BESIDE * step and not early and (middle or away_at_once):
         reversed_sign = away_at_once or (power != 1 and sign * first < -0.3 * largest)
         looks = "the sign of the channel looks reversed, or " if reversed_sign else ""
         warnings.append(
@@ -422,7 +432,7 @@ def _look_for_odd_twin(group: Sequence[Trial], quantity: str, warnings: list[str
     inside = (clocks[0] >= max(start, 2.0 * max(steps))) & (clocks[0] <= end)
     grid = clocks[0][inside]
     grid = grid[~np.any([look.within_gaps(grid, c) for c in clocks], axis=0)]
-    if len(grid) < 8:
+    if len(grid) < _COMMON:
         warnings.append(f"{group[0].file} and its repeats hardly overlap in time; they cannot be compared")
         return
     worst: dict[str, tuple[float, float]] = {}
@@ -437,7 +447,7 @@ def _look_for_odd_twin(group: Sequence[Trial], quantity: str, warnings: list[str
             others = np.delete(np.delete(distance, i, 0), i, 1)
             usual = float(np.median(others[np.triu_indices(len(group) - 1, 1)]))
             nearest = float(np.min(np.delete(distance[i], i)))
-            bound = max(4.0 * usual, 0.1 * scale, 4.0 * noise)
+            bound = max(_APART * usual, _OF_MOTION * scale, 4.0 * noise)
             if nearest > bound and _at_another_pace(curves, i) > bound:
                 worst[trial.file] = max(worst.get(trial.file, (0.0, 0.0)), (nearest / scale, usual / scale))
                 break
@@ -469,7 +479,7 @@ def _looks_like(odd: Trial, quantity: str, away: float, trials: Sequence[Trial])
             continue
         clocks = odd.times - _onset(odd, quantity), other.times - _onset(other, quantity)
         grid = clocks[0][(clocks[0] > 0.0) & (clocks[0] <= clocks[1][-1])]
-        if len(grid) < 8:
+        if len(grid) < _COMMON:
             continue
         y, x = (
             np.stack([np.interp(grid, clock, channel) for channel in trial.channels])
@@ -510,7 +520,7 @@ def _apart(a: Trial, b: Trial) -> tuple[float, float]:
     (0, 0) where they cannot be compared: one channel only, or hardly any time in common.
     """
     inside = (a.times >= b.times[0]) & (a.times <= b.times[-1]) & ~look.within_gaps(a.times, b.times)
-    if len(a.channels) < 2 or np.count_nonzero(inside) < 8:
+    if len(a.channels) < 2 or np.count_nonzero(inside) < _COMMON:
         return 0.0, 0.0
     x = a.channels[:, inside] / _release(a)
     y = np.stack([np.interp(a.times[inside], b.times, channel) for channel in b.channels]) / _release(b)

@@ -12,6 +12,14 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 _MAD_TO_SD = 1.482602218505602
+GAP, DOUBLE = 2.5, 1.5  # usual steps from one reading to the next: above them several are missing, or one
+MARKS = (3, 3.0)  # equal readings that stand for missing ones, and times all others that they are
+STOPPED = 8  # equal readings of a sensor that never repeats itself otherwise
+FILLED_RUNS, FILLED = 8, 0.4  # runs of readings that were put in, and the least share of the steps that they hold
+STANDS_OUT, EQUAL = 12.0, 3  # noises by which a top stands out, and equal readings that make it flat
+TURNED, TOP = 1.4, 6.0  # times that a sinusoid turns for, which a flat top lasts, and the noises within which it lies
+SPIKE = 10.0  # noises by which a single reading leaves its neighbours
+OF_SCATTER, OF_ERROR = 0.15, 8.0  # of the scatter, and standard errors, beyond which a level of rest is not 0
 _HELD = 0.78  # of its peak: what is still further out half-way to the next crossing does not swing freely yet
 
 
@@ -71,7 +79,7 @@ def wrap_of(readings: Array) -> tuple[float, float] | None:
 def gaps_of(times: Array) -> list[tuple[float, float]]:
     """The stretches (start, end), in seconds, where more than one sample is missing from an otherwise denser record."""
     steps = np.diff(times)
-    where = np.flatnonzero(steps > 2.5 * np.median(steps))
+    where = np.flatnonzero(steps > GAP * np.median(steps))
     return [(float(times[i]), float(times[i + 1])) for i in where]
 
 
@@ -96,7 +104,7 @@ def standstill_of(readings: Array, step: float) -> tuple[int, int] | None:
     first, last = max(runs, key=lambda run: run[1] - run[0])
     level = readings[first]
     elsewhere = sum(b - a for a, b in runs) - (last - first)
-    if last - first < 7 or elsewhere > 0.02 * readings.size or level in (readings.min(), readings.max()):
+    if last - first < STOPPED - 1 or elsewhere > 0.02 * readings.size or level in (readings.min(), readings.max()):
         return None
     return first, last + 1
 
@@ -114,7 +122,7 @@ def filled_in_of(readings: Array, step: float) -> tuple[int, bool] | None:
     straight = (np.abs(np.diff(readings, 2)) <= small) & ~(equal[:-1] & equal[1:])
     for mask, lines in ((equal, False), (straight, True)):
         lengths = np.array([b - a for a, b in _runs(mask)])
-        if lengths.size < 8 or np.mean(mask) < 0.4:
+        if lengths.size < FILLED_RUNS or np.mean(mask) < FILLED:
             continue
         usual = float(np.median(lengths))
         if np.mean(np.abs(lengths - usual) <= (1.0 if usual > 1.5 else 0.0)) > 0.9:
@@ -127,7 +135,8 @@ def mark_of(readings: Array) -> tuple[float, int] | None:
     for value in (readings.min(), readings.max()):
         marked = readings == value
         others = readings[~marked]
-        if np.count_nonzero(marked) > 2 and others.size > marked.sum() and abs(value) > 3.0 * np.max(np.abs(others)):
+        far = others.size > marked.sum() and abs(value) > MARKS[1] * np.max(np.abs(others))
+        if far and np.count_nonzero(marked) >= MARKS[0]:
             return float(value), int(marked.sum())
     return None
 
@@ -156,14 +165,14 @@ def unevenness_of(times: Array) -> float:
     """
     steps = np.diff(times)
     middle = float(np.median(steps))
-    ordinary = steps[steps <= 2.5 * middle]
+    ordinary = steps[steps <= GAP * middle]
     return float(np.max(np.minimum(np.abs(ordinary - middle), np.abs(ordinary - 2.0 * middle)))) / middle
 
 
 def singles_missing(times: Array) -> int:
     """How many single readings are missing: steps of about twice the median."""
     steps = np.diff(times) / np.median(np.diff(times))
-    return int(np.sum((steps > 1.5) & (steps <= 2.5)))
+    return int(np.sum((steps > DOUBLE) & (steps <= GAP)))
 
 
 def flat_tops_of(times: Array, readings: Array, noise: float, omega: float, held_at_first: bool) -> list[float]:
@@ -181,7 +190,7 @@ def flat_tops_of(times: Array, readings: Array, noise: float, omega: float, held
     for side in (-1.0, 1.0):
         y = side * (readings - centre)
         top = float(np.max(y))
-        if top <= 12.0 * max(noise, step):
+        if top <= STANDS_OUT * max(noise, step):
             continue
         if _flat_by_equality(y, top, step, dt, omega, held_at_first) or (
             step < 2.0 * noise and _flat_by_spread(y, top, max(noise, step / 3.0), dt, omega, held_at_first)
@@ -203,9 +212,9 @@ def _flat_by_equality(y: Array, top: float, step: float, dt: float, omega: float
         if not (held_at_first and a == 0) and (step == 0.0 or _cut_off(y, a, b, step))
     ]
     if step > 0.0:
-        return bool(runs) and max(runs) >= 3
+        return bool(runs) and max(runs) >= EQUAL
     turn = 2.0 * math.acos(max(-1.0, 1.0 - step / top)) / (omega * dt)  # samples that a rounded sinusoid stays there
-    return bool(runs) and max(runs) >= 3 and max(runs) > 2.0 * turn + 1.0
+    return bool(runs) and max(runs) >= EQUAL and max(runs) > 2.0 * turn + 1.0
 
 
 def _cut_off(y: Array, a: int, b: int, step: float) -> bool:
@@ -221,7 +230,7 @@ def _cut_off(y: Array, a: int, b: int, step: float) -> bool:
 
 
 def _flat_by_spread(y: Array, top: float, noise: float, dt: float, omega: float, held_at_first: bool) -> bool:
-    width = 6.0 * noise
+    width = TOP * noise
     turn = 2.0 * math.acos(max(-1.0, 1.0 - width / top)) / (omega * dt)
     for a, b in _runs(y > top - width):
         inside = y[a + 2 : b - 2]
@@ -229,7 +238,7 @@ def _flat_by_spread(y: Array, top: float, noise: float, dt: float, omega: float,
             continue
         slope = np.polyfit(np.arange(len(inside)), inside, 2)
         bow = abs(slope[0]) * (len(inside) / 2.0) ** 2
-        if b - a > 1.4 * turn and np.std(inside) < 1.3 * noise and bow < 1.5 * noise:
+        if b - a > TURNED * turn and np.std(inside) < 1.3 * noise and bow < 1.5 * noise:
             return True
     return False
 
@@ -247,7 +256,7 @@ def outliers_of(times: Array, readings: Array, noise: float, omega: float, smoot
     departure = inner - np.median(around, axis=0)
     dt = float(np.median(np.diff(times)))
     bend = 2.0 * np.ptp(readings) * min(1.0, (5.0 * omega * dt) ** 2)
-    bound = max(10.0 * noise, bend, 1e-9 * float(np.ptp(readings)))
+    bound = max(SPIKE * noise, bend, 1e-9 * float(np.ptp(readings)))
     spike = (np.abs(departure) > bound) & (np.abs(departure) > 3.0 * np.ptp(around[1:3], axis=0))
     return [int(i) + 2 for i in np.flatnonzero(spike | (smooth and _off_the_cubic(readings, noise)))]
 
@@ -261,7 +270,7 @@ def _off_the_cubic(readings: Array, noise: float) -> NDArray[np.bool_]:
     off = np.zeros(readings.size)
     off[2:-2] = readings[2:-2] - (4.0 * (readings[1:-3] + readings[3:-1]) - readings[:-4] - readings[4:]) / 6.0
     size = np.abs(off)
-    bound = max(10.0 * noise, 5.0 * float(np.quantile(size[2:-2], 0.98)), 1e-9 * float(np.ptp(readings)))
+    bound = max(SPIKE * noise, 5.0 * float(np.quantile(size[2:-2], 0.98)), 1e-9 * float(np.ptp(readings)))
     beside = np.maximum(size[1:-3], size[3:-1])
     nearest = np.minimum(np.abs(readings[2:-2] - readings[1:-3]), np.abs(readings[2:-2] - readings[3:-1]))
     return (size[2:-2] > bound) & (size[2:-2] > 1.3 * beside) & (size[2:-2] > 0.8 * nearest) & (nearest > 0.5 * bound)
@@ -280,7 +289,7 @@ def offset_of(times: Array, readings: Array, noise: float, omega: float) -> floa
     large = (tail - mean)[np.abs(tail - mean) > 0.5 * scatter]
     if scatter > 5.0 * noise and np.count_nonzero(np.diff(np.sign(large))) < 3:
         return 0.0  # less than two swings: the mean of a part of one is no level of rest
-    return mean if abs(mean) > max(0.15 * scatter, 8.0 * noise / math.sqrt(len(tail))) else 0.0
+    return mean if abs(mean) > max(OF_SCATTER * scatter, OF_ERROR * noise / math.sqrt(len(tail))) else 0.0
 
 
 def dominant_frequency(times: Array, readings: Array) -> float:

@@ -31,6 +31,8 @@ from bayes_damper.inputs import LARGEST, collected, csv_rows, in_lines, number_i
 from bayes_damper.text import counted
 
 Array = NDArray[np.float64]
+_THOUSAND = (300.0, 3000.0)  # times the declared step, of times that are in milliseconds
+_COARSE = 0.5  # of a natural period, above which steps are too long to be in seconds
 _SWINGS = 3.0  # of a record, which give a frequency
 
 
@@ -253,7 +255,8 @@ def _check_times(trial: Trial, head: Head, name: str, faults: list[str]) -> bool
     steps = np.diff(times)
     rate = head.measurement.sample_rate
     if len(steps) and (
-        (rate and 300.0 < np.median(steps) * rate < 3000.0) or (not rate and np.median(steps) > 0.5 * period)
+        (rate and _THOUSAND[0] < np.median(steps) * rate < _THOUSAND[1])
+        or (not rate and np.median(steps) > _COARSE * period)
     ):
         faults.append(
             f"{name}: time_s runs from {times[0]:.6g} to {times[-1]:.6g} in steps of {np.median(steps):.4g}, where one "

@@ -34,6 +34,7 @@ SEEN, SURE = 3.0, 5.0
 """Standard deviations by which noisy readings must speak against a release within `STEPS_OF_DOUBT` of the nominal one
 for its range to be wider, and for the clock to be set: a campaign has a hundred trials, of which three in a thousand
 are beyond 3 by chance."""
+DEPARTS = (8.0, 0.05)  # noises, and of the largest reading, by which a reading has left a held rig
 TINY = 1e-300  # in place of zero below a fraction's line
 USUAL_LAG = {"displacement": 0.5, "velocity": 0.2, "acceleration": 0.02}
 """Radians of the oscillation after which the motion stands out from its noise."""
@@ -60,7 +61,7 @@ def departure(readings: Array, quantity: str, theta0: float) -> tuple[Array, flo
     sign = math.copysign(1.0, theta0) * (1.0 if quantity == "displacement" else -1.0)
     level = abs(theta0) if quantity == "displacement" else 0.0
     reach = float(np.max(np.abs(readings)))
-    return np.abs(sign * readings - level), max(8.0 * look.noise_floor_of(readings), 0.05 * reach)
+    return np.abs(sign * readings - level), max(DEPARTS[0] * look.noise_floor_of(readings), DEPARTS[1] * reach)
 
 
 def release_of(times: Array, readings: Array, quantity: str, theta0: float, omega: float) -> Release:

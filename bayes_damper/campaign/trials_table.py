@@ -14,6 +14,7 @@ from bayes_damper.campaign.structure import TO_SI, TRIAL_COLUMNS, Constant
 from bayes_damper.inputs import collected, csv_rows, number_in, real, shown
 
 _MOST_FAULTS = 100  # of trials.csv: whoever has more has one cause
+_TURN = 360.0  # degrees of a release, at most
 
 
 @dataclass(frozen=True)
@@ -165,7 +166,7 @@ def _theta0_from(
     std = _number(std_text, f"{where}, {std_name}", faults) if std_text else None
     if value is None:
         return None
-    if kind == "torsional" and abs(value) > 360.0:
+    if kind == "torsional" and abs(value) > _TURN:
         faults.append(f"{where}: {name} = {value!r} is more than a turn; give degrees")
     if std is not None and std <= 0.0:
         faults.append(f"{where}: {std_name} = {std!r} must be positive; leave it empty for the larger of 0.1 and 2 %")
