@@ -80,7 +80,7 @@ def _check_rig(rig: Rig, trials: Sequence[Trial], faults: list[str], warnings: l
             )
     for key, (least, most, unit) in _POSSIBLE.items():
         constant = getattr(rig, key)
-        if constant is not None and not least <= constant.value <= most:
+        if constant is not None and constant.value != 0.0 and not least <= constant.value <= most:
             faults.append(
                 f"{where}: {key} = {constant.value:g} {unit} is none of a rig ({least:g} to {most:g} {unit} are read): "
                 "check its unit"

@@ -184,7 +184,7 @@ def _look_at_clock(head: Head, trial: Trial, warnings: list[str]) -> None:
         )
     uneven = look.unevenness_of(times)
     if uneven > _UNEVEN:
-        warnings.append(f"{trial.file}: time is uneven: steps depart from {step:.4g} s by up to {100.0 * uneven:.0f} %")
+        warnings.append(f"{trial.file}: time is uneven: steps depart from {step:.4g} s by up to {100.0 * uneven:.2g} %")
     gaps = look.gaps_of(times)
     if gaps:
         longest = max(gaps, key=lambda g: g[1] - g[0])

@@ -283,6 +283,10 @@ def test_a_magnet_that_cannot_be_is_refused(tmp_path, key, value):
         load_campaign(magnet_rig(tmp_path, **{key: value}))
 
 
+def test_a_magnet_that_was_taken_off_pulls_with_nothing(tmp_path):
+    assert not load_campaign(magnet_rig(tmp_path, magnet_pull=0.0)).rig.has_magnet
+
+
 @pytest.mark.parametrize(("pull", "said"), [(100.0, False), (450.0, False), (470.0, True), (10_200.0, True)])
 def test_a_pull_that_no_magnet_of_that_face_has_is_named(tmp_path, pull, said):
     warnings = load_campaign(magnet_rig(tmp_path, magnet_pull=pull)).warnings
