@@ -34,7 +34,8 @@ largest, an acceleration above it."""
 _APART, _OF_MOTION = 4.0, 0.1  # times the distance of repeats from each other, and of their rms, of one that is odd
 _COMMON = 8  # readings in which repeats are compared, at least
 _UNLIKE = 0.3  # rms difference over rms, from which repeats are held to be of different channels
-_PACES = np.linspace(0.99, 1.01, 81)  # of its repeats' time, at which a record may run: two per cent of the spring
+_SPRINGS = 0.02  # by which a trial's spring may differ from that of its repeats
+_PACES = np.linspace(1.0 - 0.5 * _SPRINGS, 1.0 + 0.5 * _SPRINGS, 81)  # of its repeats' time, at which it then runs
 _TURNED = "; where `init` made the campaign, run it again with --sign -1 (coupled: one for each channel, such as -1 1)"
 _OTHER_SIDE = "on the other side of 0 than theta0"
 _GROWS = 0.4  # of the largest excursion, which a free decay exceeds within its first period
