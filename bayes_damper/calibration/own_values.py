@@ -24,6 +24,7 @@ class Size:
 
     sd : what fits use, the root of the posterior mean of its square; low, high : shortest interval holding 90 % of the
     probability; typical : scale of its prior; gained : nats of the repeats' likelihood by the likeliest size over none;
+    middle : of a normal distribution with the central 90 % of own values, over all likely sizes; 0 if not known;
     waves : of a drift, half periods of its fastest cosine over a record; mean : of times of release, s, about which
     they lie; hertz : frequency of a hum, Hz.
     """
@@ -37,6 +38,7 @@ class Size:
     waves: int = DRIFT_WAVES
     mean: float = 0.0
     hertz: float = 0.0
+    middle: float = 0.0
 
     @property
     def columns(self) -> tuple[tuple[str, float], ...]:

@@ -40,11 +40,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize
-from scipy.special import stdtr
+from scipy.special import ndtr, ndtri, stdtr
 
 from bayes_damper.calibration.experiment import lone, repeats
 from bayes_damper.calibration.groups import Nuisance
-from bayes_damper.calibration.least_squares import Calibration
+from bayes_damper.calibration.least_squares import Calibration, calibrate
 from bayes_damper.calibration.noise import Noise
 from bayes_damper.calibration.own_values import (
     BASELINE_WAVES,
@@ -422,7 +422,35 @@ def _from_grid(size: Size, logs: Array, gained: float) -> Size:
     low, high = _shortest(share)
     t = size.typical
     sd = t * math.sqrt(float(share @ np.exp(2.0 * _FINE)))
-    return replace(size, sd=sd, low=t * low, high=t * high, gained=gained)
+    return replace(size, sd=sd, low=t * low, high=t * high, gained=gained, middle=t * _of_intervals(share))
+
+
+def _of_intervals(share: Array) -> float:
+    """The size, in typical ones, of a normal distribution with the central 90 % of own values whose size is not known.
+
+    share : probability of the sizes on the fine grid. Few trials leave a size long tails, as of Student's t: the root
+    of the mean square lies far out in them, and intervals made from it would be several times too wide.
+    """
+    sizes, end = np.exp(_FINE), float(ndtri(0.95))
+    low, high = float(sizes[0]), float(sizes[-1])
+    for _ in range(60):
+        tried = math.sqrt(low * high)
+        enough = float(share @ ndtr(end * tried / sizes)) > 0.95
+        low, high = (low, tried) if enough else (tried, high)
+    return high
+
+
+def with_sizes_of_intervals(fit: Calibration) -> Calibration:
+    """The fit with sizes of scatters that give intervals the width that they have over all likely sizes.
+
+    Those of a calibration are roots of mean squares, so that evidences, which sum squares, accuse nobody in haste.
+    """
+    old = fit.problem.switches.scatter
+    sizes = Scatter(tuple(replace(s, sd=min(s.middle, s.sd)) if s.middle > 0.0 else s for s in old.sizes))
+    if sizes == old:
+        return fit
+    problem = fit.problem.changed(switches=replace(fit.problem.switches, scatter=sizes))
+    return calibrate(problem, [fit.q], eta=carried(fit, problem), anneal=False)
 
 
 def without_repeats(fit: Calibration) -> Scatter:
