@@ -26,7 +26,14 @@ from bayes_damper.calibration import (
 )
 from bayes_damper.calibration import scatter as scatters
 from bayes_damper.calibration.own_values import RELEASE, Scatter, Size
-from bayes_damper.calibration.scatter import TYPICAL, Repeats, learn_scatter, typical_scatter, with_releases
+from bayes_damper.calibration.scatter import (
+    TYPICAL,
+    Repeats,
+    learn_scatter,
+    typical_scatter,
+    with_releases,
+    with_sizes_of_intervals,
+)
 from bayes_damper.diagnosis.remainder import unlike_in_words
 from bayes_damper.effects import EFFECTS
 from bayes_damper.fit.recorded import fit_with_effect
@@ -322,6 +329,33 @@ def test_without_repeats_priors_carry_the_scatter_as_far_as_trials_allow():
     assert given["k1t"].typical == 0.01
     assert sound.sd < given["k1t"].sd < 1.05 * math.sqrt(2.0) * 0.01
     assert "c1t" not in given
+
+
+def test_sizes_of_intervals_hold_nine_tenths_of_own_values_over_all_likely_sizes():
+    """By brute force, from draws of the sizes; a tail that falls as 1/s^2 keeps the root mean square far above it."""
+    rng = np.random.default_rng(2)
+    steps = np.arange(scatters._FINE.size)
+    spike = np.where(np.exp(scatters._FINE) > 0.5, 1.0, 0.0) * (steps == np.searchsorted(scatters._FINE, math.log(0.5)))
+    assert scatters._of_intervals(spike / spike.sum()) == pytest.approx(0.5, rel=0.01)
+    sizes = np.exp(scatters._FINE)
+    tail = sizes / (1.0 + (sizes / 0.02) ** 2)
+    found = scatters._of_intervals(tail := tail / tail.sum())
+    own = rng.choice(sizes, 400_000, p=tail) * rng.standard_normal(400_000)
+    assert np.mean(np.abs(own) < 1.645 * found) == pytest.approx(0.9, abs=0.002)
+    assert math.sqrt(tail @ sizes**2) > 5.0 * found
+
+
+def test_trials_that_agree_far_better_than_usual_give_narrow_intervals():
+    """Trials that differ by nothing but noise: 90 % are those of a Student's t, not its root mean square."""
+    fit = calibrate_nominal(laboratory(4, {}, repeats=1))
+    narrow = with_sizes_of_intervals(fit)
+    width = [np.sqrt(np.diag(f.covariance)) for f in (fit, narrow)]
+    k = fit.problem.names.index("c1t")
+    assert width[1][k] < 0.95 * width[0][k]
+    assert narrow.q == pytest.approx(fit.q, abs=0.5 * float(width[0].max()))
+    for before, after in zip(fit.problem.switches.scatter.sizes, narrow.problem.switches.scatter.sizes, strict=True):
+        assert (after.name, after.gained) == (before.name, before.gained)
+        assert 0.0 < after.sd <= before.sd
 
 
 def test_stretches_of_one_decay_have_no_springs_of_their_own():
