@@ -92,6 +92,7 @@ SLOW, SAME_WAY = 10.0, 1.5  # times the typical time of release, and of the shor
 ABOUT_ITS_MEAN = 1.0 - 2.0 / math.pi  # variance of half a normal distribution over its mean square
 ALIKE = 0.1  # by how much one free start may swing further than another that it repeats: hands let go that differently
 APART = 1.3  # times what it still swings at its end is what another begins with, where they are releases of their own
+WIDENED = 2.0  # by how much a scatter that is not seen may widen an interval before it is said
 NEGLIGIBLE = 0.05  # information s^2 T'T of every trial's own value, below which it is left out
 
 
@@ -443,13 +444,20 @@ def _of_intervals(share: Array) -> float:
 def with_sizes_of_intervals(fit: Calibration) -> Calibration:
     """The fit with sizes of scatters that give intervals the width that they have over all likely sizes.
 
-    Those of a calibration are roots of mean squares, so that evidences, which sum squares, accuse nobody in haste.
+    Those of a calibration are roots of mean squares, so that evidences, which sum squares, accuse nobody in haste. What
+    a single trial has of its own is what is fitted: its parameters are those of that trial.
     """
-    old = fit.problem.switches.scatter
-    sizes = Scatter(tuple(replace(s, sd=min(s.middle, s.sd)) if s.middle > 0.0 else s for s in old.sizes))
-    if sizes == old:
-        return fit
-    problem = fit.problem.changed(switches=replace(fit.problem.switches, scatter=sizes))
+    sizes = fit.problem.switches.scatter.sizes
+    if len(fit.problem.trials) == 1:
+        sizes = tuple(s for s in sizes if s.name not in RELATIVE)
+    elif sizes and lone(fit.problem.experiment, fit.problem.trials):
+        sizes = without_repeats(fit).sizes
+    narrow = Scatter(tuple(replace(s, sd=min(s.middle, s.sd)) if s.middle > 0.0 else s for s in sizes))
+    return fit if narrow == fit.problem.switches.scatter else _with_sizes(fit, narrow)
+
+
+def _with_sizes(fit: Calibration, scatter: Scatter) -> Calibration:
+    problem = fit.problem.changed(switches=replace(fit.problem.switches, scatter=scatter))
     return calibrate(problem, [fit.q], eta=carried(fit, problem), anneal=False)
 
 
@@ -596,3 +604,26 @@ def scatter_in_words(fit: Calibration) -> list[str]:
                 f"(correlation {r:+.2f}): something warms up or wears."
             )
     return out
+
+
+def unseen_in_words(fit: Calibration) -> list[str]:
+    """A sentence where intervals are wide for scatters of the rig that these trials do not show, and may have."""
+    if len(fit.problem.trials) == 1:
+        return ["There is one trial: parameters and intervals are those of that trial, and another may differ."]
+    sizes = fit.problem.switches.scatter.sizes
+    unseen = [s for s in sizes if s.name in RELATIVE and s.gained <= SHOWN_FROM]
+    if not unseen:
+        return []
+    without = _with_sizes(fit, Scatter(tuple(s for s in sizes if s not in unseen)))
+    ratios = np.sqrt(np.diag(fit.covariance) / np.diag(without.covariance))
+    named = zip(fit.problem.names, ratios, strict=True)
+    wide = [f"{name} ({ratio:.2g} times)" for name, ratio in named if ratio > WIDENED]
+    if not wide:
+        return []
+    listed = ", ".join(wide[:-1]) + (" and " if wide[1:] else "") + wide[-1]
+    said = (
+        "Intervals are wider than noise alone makes them, because trials may differ by more than these show: "
+        f"{listed}. If you know that nothing differs from trial to trial, set it in `[scatter]` of campaign.toml: "
+        f"{', '.join(f'{s.name} = 0' for s in unseen)}."
+    )
+    return [said]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
@@ -31,6 +32,7 @@ from bayes_damper.calibration.scatter import (
     Repeats,
     learn_scatter,
     typical_scatter,
+    unseen_in_words,
     with_releases,
     with_sizes_of_intervals,
 )
@@ -356,6 +358,28 @@ def test_trials_that_agree_far_better_than_usual_give_narrow_intervals():
     for before, after in zip(fit.problem.switches.scatter.sizes, narrow.problem.switches.scatter.sizes, strict=True):
         assert (after.name, after.gained) == (before.name, before.gained)
         assert 0.0 < after.sd <= before.sd
+
+
+def test_parameters_of_a_single_trial_are_those_of_that_trial():
+    """What it has of its own cannot be separated from what the rig has, and would only widen every interval."""
+    experiment = laboratory(4, {}, repeats=1)
+    alone = calibrate_nominal(replace(experiment, trials=experiment.trials[:1]))
+    assert {"k1t", "c1t", "drag"} <= {s.name for s in alone.problem.switches.scatter.sizes}
+    fit = with_sizes_of_intervals(alone)
+    assert not {s.name for s in fit.problem.switches.scatter.sizes} & {"k1t", "c1t", "drag"}
+    assert (np.diag(fit.covariance) <= 1.01 * np.diag(alone.covariance)).all()
+    assert unseen_in_words(fit) == [
+        "There is one trial: parameters and intervals are those of that trial, and another may differ."
+    ]
+
+
+def test_a_scatter_that_is_not_seen_and_widens_intervals_is_said():
+    fit = with_sizes_of_intervals(calibrate_nominal(laboratory(4, {}, repeats=1)))
+    (said,) = unseen_in_words(fit)
+    assert re.search(r"trials may differ by more than these show: .*c1t \([2-9]\.\d times\)", said)
+    assert "k1t = 0, " in said
+    steady = replace(fit.problem.experiment, scatter=dict.fromkeys(("k1t", "c1t", "drag"), 0.0))
+    assert unseen_in_words(with_sizes_of_intervals(calibrate_nominal(steady))) == []
 
 
 def test_stretches_of_one_decay_have_no_springs_of_their_own():
