@@ -46,6 +46,7 @@ Array = NDArray[np.float64]
 Kind = Literal["gaussian", "student", "ar"]
 KINDS = ("auto", "gaussian", "student", "ar")
 CLEARLY = 8.0  # nats by which another noise has to describe the residuals better
+SURELY, STANDARD_ERRORS = 24.0, 3.0  # nats by which it does so, or by how many they have more power: no chance
 REPORTED_CORRELATION = 0.05  # of neighbouring residuals from which it is reported
 APART = 1.5  # times the residual power of its repeats from which a trial is unlike them
 SURE = 8.0  # standard errors by which it must be so
@@ -430,6 +431,7 @@ def _learn_from_what_is_left(
     innovation, phi, theta = list(noise.innovation), list(noise.phi), list(noise.theta)
     longer = list(noise.longer or ((),) * len(innovation))
     even = all(evenly_sampled(problem.experiment.trials[i].times) for i in problem.trials)
+    repeats = max(len(members) for members in repeats_by_reading(problem.experiment, problem.trials))
     changed = []
     for c in range(len(innovation)):
         series = _mean_residuals(fit, c)
@@ -440,13 +442,26 @@ def _learn_from_what_is_left(
             new, gain = _spectral(series, noise, c)
         else:
             new, gain = _uneven([x for x, _ in series], noise.total[c])
-        if not always and gain < CLEARLY:
+        beyond = gain > SURELY or _beyond(series, noise.total[c], repeats) > STANDARD_ERRORS
+        if not always and (gain < CLEARLY or not beyond):
             changed.append(False)
             continue
         innovation[c], phi[c], theta[c], longer[c] = new
         changed.append(True)
     found = Noise(tuple(innovation), tuple(phi), tuple(theta), tuple(longer) if any(longer) else ())
     return found, changed
+
+
+def _beyond(series: Sequence[tuple[Array, Array]], noise: float, repeats: int) -> float:
+    """By how many standard errors the mean residuals of sets of repeats have more power than their noise, inf alone.
+
+    What repeats differ by shows the noise with an error of its own.
+    """
+    if repeats < 2:
+        return math.inf
+    known = np.concatenate([x[x != 0.0] for x, _ in series])
+    error = math.sqrt((1.0 + 1.0 / (repeats - 1)) / (2.0 * known.size))
+    return (math.sqrt(float(np.mean(known**2))) / noise - 1.0) / error
 
 
 def _mean_residuals(fit: Calibration, channel: int) -> list[tuple[Array, Array]]:

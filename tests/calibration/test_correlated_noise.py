@@ -16,7 +16,7 @@ from small_rig import NOISE, RIG, measured
 from test_scatter import laboratory
 
 from bayes_damper.calibration import Calibration, Noise, Problem, Switches, calibrate, default_starts
-from bayes_damper.calibration.correlated_noise import FittedNoise, fit_with_noise, student_log_density
+from bayes_damper.calibration.correlated_noise import FittedNoise, _beyond, fit_with_noise, student_log_density
 from bayes_damper.calibration.influence import comparison, influence, without
 from bayes_damper.calibration.noise_level import whittle
 from bayes_damper.calibration.posterior import RecordPosterior
@@ -389,3 +389,17 @@ def test_what_an_encoder_rounds_is_nothing_that_the_model_misses() -> None:
     assert channel.left == pytest.approx(step / math.sqrt(12.0), rel=0.05)
     assert not channel.widened
     assert said == []
+
+
+def test_power_beyond_what_repeats_show_is_judged_by_the_error_of_both():
+    """By simulation: of white noise that three repeats share, three standard errors are as rare as they should be."""
+    rng = np.random.default_rng(4)
+    found = []
+    for _ in range(400):
+        readings = rng.standard_normal((3, 800))
+        mean = math.sqrt(3.0) * readings.mean(axis=0)
+        noise = math.sqrt(float(np.sum((readings - readings.mean(axis=0)) ** 2)) / (2.0 * 800.0))
+        found.append(_beyond([(mean, np.ones(800))], noise, 3))
+    assert np.std(found) == pytest.approx(1.0, abs=0.1)
+    assert abs(np.mean(found)) < 0.2
+    assert _beyond([(mean, np.ones(800))], noise, 1) == math.inf
