@@ -39,7 +39,6 @@ from bayes_damper.calibration import (
 )
 from bayes_damper.calibration.experiment import lone, repeats_by_reading
 from bayes_damper.calibration.noise import rounding
-from bayes_damper.calibration.scatter import with_sizes_of_intervals
 from bayes_damper.runs.contents.fit import ChannelEntry, NoiseEntry
 
 Array = NDArray[np.float64]
@@ -168,7 +167,7 @@ def fit_with_noise(
     nominal model's; on_excess : called as soon as the fit is known to leave more than the noise, with whether repeats
     show that noise.
     """
-    first = with_sizes_of_intervals(calibrate_nominal(experiment) if begin is None else begin)
+    first = calibrate_nominal(experiment) if begin is None else begin
     if sensor := first.problem.noise.sensor:
         # What the model leaves is separated from the noise of the sensors below, with its colour.
         first = _again(first, Noise(sensor, (0.0,) * len(sensor), (0.0,) * len(sensor)))

@@ -18,7 +18,7 @@ from bayes_damper.calibration.correlated_noise import FittedNoise, fit_with_nois
 from bayes_damper.calibration.experiment import trial_label
 from bayes_damper.calibration.influence import comparison, influence, without
 from bayes_damper.calibration.posterior import RecordPosterior
-from bayes_damper.calibration.scatter import scatter_in_words, scatter_shown, unseen_in_words
+from bayes_damper.calibration.scatter import scatter_in_words, scatter_shown, unseen_in_words, with_sizes_of_intervals
 from bayes_damper.effects import all_effects, names_in
 from bayes_damper.fit.draw import DRAWN, Report, number_of, sampled, shaped
 from bayes_damper.fit.drawings import draw_case, draw_records
@@ -56,9 +56,9 @@ def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: FitPlan
     """Task: fit one case of a campaign, or all together (`name` "joint"); its entry of summary.json."""
     experiment, kind = recorded_experiment(plan, None if name == "joint" else name)
     report(0.0, shortage(sum(t.y.size for t in experiment.trials)) or "finding the best fit")
-    begin_with = None
-    if (effect := plan.get("effect")) is not None:
-        begin_with = fit_with_effect(experiment, effect, plan["effects"])
+    effect = plan.get("effect")
+    found = fit_with_effect(experiment, effect, plan["effects"]) if effect else calibrate_nominal(experiment)
+    begin_with = with_sizes_of_intervals(found)
     news = _News(report, plan)
     report = news.report
     noise = fit_with_noise(experiment, plan.get("noise", "auto"), partial(report, 0.0), begin_with, news.excess)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import NoneType
 from typing import Any, cast
@@ -27,7 +28,7 @@ from bayes_damper.runs.contents.variability import (
     TwoWaysOfParameter,
     VariabilityFile,
 )
-from bayes_damper.runs.execution import Progress, RunRecord, Task, claim, run_record, run_tasks
+from bayes_damper.runs.execution import Progress, RunRecord, Silent, Task, claim, run_record, run_tasks
 from bayes_damper.runs.json_files import folder_name, plain, read_json, write_json
 from bayes_damper.runs.parallel_map import single_threaded
 from bayes_damper.runs.provenance import code_sha256, provenance
@@ -157,7 +158,8 @@ def variability(
         raise InputError("variability needs at least 32 particles, 1 repeat and 8 draws; raise those that are below")
     plan, fitted = _read_fit(folder)
     target = Path(out) if out is not None else fitted or Path("results/variability")
-    cases = PublishedCases(plan) if is_published(plan["campaign"]) else RecordedCases(plan)
+    report = partial((progress or Silent()).update, "variability")
+    cases = PublishedCases(plan) if is_published(plan["campaign"]) else RecordedCases(plan, report)
     rng = np.random.default_rng([seed, 5])
     settings: PoolingSettings = {"fit": plan, "seed": seed, "particles": particles, "repeats": repeats}
     run = {**settings, "source": str(folder), "draws": draws, "unseen": unseen, "adapt": adapt}
@@ -172,7 +174,9 @@ def variability(
         sets: Sets | None = published_sets(cases, _some(parts, draws, rng), rng)
     else:
         models, pooled_draws, common_draws = cases.models(rng, particles, draws)
+        report(0.6, "simulating what each part of the scatter does")
         sets = recorded_sets(cases, pooled_draws, common_draws, rng)
+        report(0.8, "comparing with the draws of the fit")
         draws_of = {
             case: cases.reweighted(case, z, rng)
             for case, z in _fit_draws(fitted or target, plan, cases, lambda _: cases.pooled).items()
@@ -538,7 +542,7 @@ def _about_recycled(check: AgreementEntry) -> list[str]:
         f"under one population, Pareto k at most {worst:.2f}"
     )
     if not check["reliable"]:
-        out.append(f"The fit's draws used again by weights cannot be trusted here ({k}): use the direct runs.")
+        out.append(f"The fit's draws used again by weights cannot be trusted here ({k}): use the probabilities above.")
     elif check["agree"]:
         out.append(f"The fit's draws used again by weights ({k}) agree with direct sampling.")
     elif check["direct_repeats_apart_sd"] > _APART:

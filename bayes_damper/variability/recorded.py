@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -49,8 +49,9 @@ class RecordedCases:
         "score is minus half their chi-square at the best values."
     )
 
-    def __init__(self, plan: FittedPlan) -> None:
-        self.plan = plan
+    def __init__(self, plan: FittedPlan, report: Callable[[float, str], None] = lambda *_: None) -> None:
+        """`report` : called with the share of the work that is done, and what is done next."""
+        self.plan, self.report = plan, report
         self.names = tuple(plan["cases"])
         campaign = unchanged(plan["campaign"], plan["campaign_sha256"], "it was fitted; fit it again")
         whole = experiment_of(campaign, None if plan["priors"] is None else campaign_priors(plan["priors"], campaign))
@@ -67,7 +68,10 @@ class RecordedCases:
         one = default_priors(whole) | dict(whole.priors)
         self.experiments = {case: replace(e, priors=one) for case, e in alone.items()}
         kind = plan.get("noise", "auto")
-        self.noises = {case: fit_with_noise(e, kind) for case, e in self.experiments.items()}
+        self.noises = {}
+        for k, (case, e) in enumerate(self.experiments.items()):
+            report(0.4 * k / len(self.experiments), f"fitting case {case}")
+            self.noises[case] = fit_with_noise(e, kind)
         self.fits: dict[str, Calibration] = {case: found.fit for case, found in self.noises.items()}
         known = [set(fit.problem.names) for fit in self.fits.values()]
         self.pooled = tuple(name for name in NOMINAL if all(name in names for names in known))
@@ -108,10 +112,12 @@ class RecordedCases:
         self, rng: np.random.Generator, particles: int, draws: int
     ) -> tuple[dict[str, PoolingEntry], Array, Array]:
         """What variability.json says of the answers, and draws if partly pooled: (n, cases, pooled) and (n, common)."""
+        self.report(0.4, "comparing one set, scattered and separate values")
         everything = self._solve(self.gaussians(), rng, particles)
-        without = {
-            case: self._solve([g for g in self.gaussians() if g.name != case], rng, particles) for case in self.names
-        }
+        without = {}
+        for k, case in enumerate(self.names):
+            self.report(0.45 + 0.15 * k / len(self.names), f"the same without case {case}")
+            without[case] = self._solve([g for g in self.gaussians() if g.name != case], rng, particles)
         hierarchy = GaussianHierarchy(self.gaussians(), self.pooled, self.common)
         models: dict[str, PoolingEntry] = {}
         for pooling in POOLINGS:

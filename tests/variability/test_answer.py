@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -531,12 +532,17 @@ def test_half_shared_campaign_end_to_end(tmp_path, monkeypatch):
     cases = RecordedCases(plan_of(tmp_path / "campaign"))
     write_fit(tmp_path / "fit", cases)
 
-    def fitted_already(plan):
+    def fitted_already(plan, report):
         assert {name: plan[name] for name in cases.plan} == cases.plan
+        cases.report = report
         return cases
 
     monkeypatch.setattr(answer, "RecordedCases", fitted_already)
-    found = variability(tmp_path / "fit", particles=64, draws=24, seed=3)
+    told = mock.Mock()
+    found = variability(tmp_path / "fit", particles=64, draws=24, seed=3, progress=told)
+    shares = [call.args[1] for call in told.update.call_args_list]
+    assert shares == sorted(shares)
+    assert len(shares) >= 6
     assert found.exit_code is ExitCode.DONE
     result = json.loads((tmp_path / "fit" / "variability.json").read_text())
     assert result["schema"] == "bayes-damper/variability/1"
