@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from bayes_damper import figures
 from bayes_damper.calibration import Calibration, Noise, Problem, coordinate_of, experiment_of, summarise
+from bayes_damper.calibration.scatter import typical_scatter
 from bayes_damper.campaign import Campaign, load_plan, noise_floor
 from bayes_damper.diagnosis.next_experiment import candidate_trials, places_of, with_events
 from bayes_damper.diagnosis.search import offered
@@ -215,7 +216,7 @@ def judge(
     rows = [_row(view, rivals[view.effect.name], campaign) for view in views]
     rows.sort(key=lambda row: (-row["chance"], -row["nats"]))
     groups = _alike(rows)
-    parameters = _parameters(fit, campaign.rig.kind)
+    parameters = _parameters(_that_scatters(fit), campaign.rig.kind)
     return {
         "schema": SCHEMA,
         "campaign": campaign.name,
@@ -609,6 +610,15 @@ def _alike(rows: Sequence[PlannedEffect]) -> list[list[str]]:
             if pair not in out:
                 out.append(pair)
     return out
+
+
+def _that_scatters(fit: Calibration) -> Calibration:
+    """The fit of trials that differ from each other as usual, or as the campaign says; a single one as it is."""
+    problem = fit.problem
+    if len(problem.trials) == 1:
+        return fit
+    wide = problem.changed(switches=replace(problem.switches, scatter=typical_scatter(problem)))
+    return summarise(wide, fit.q, wide.no_nuisance(), True, 0)
 
 
 def _parameters(fit: Calibration, kind: str) -> dict[str, PlannedParameter]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from campaigns import CAMPAIGN_TOML, write_synthetic
 
+from bayes_damper.calibration.own_values import RELATIVE
 from bayes_damper.campaign import load_plan
 from bayes_damper.cli import main
 from bayes_damper.commands.plan import (
@@ -125,6 +126,16 @@ def test_the_result_says_what_would_be_seen(planned):
     assert wide[0] < low < high < wide[1]
     assert rows["sensor_gain"]["smallest"]["error"]["unit"] == ""
     json.dumps(result, allow_nan=False)
+
+
+def test_expected_intervals_allow_for_trials_that_differ_as_usual_or_as_declared(planned, tmp_path):
+    """What scatters by 5 % from trial to trial is known from eight trials to no less than 5 % / sqrt(8)."""
+    steady = write_plan(tmp_path, TOML + "[scatter]\n" + "".join(f"{name} = 0\n" for name in RELATIVE))
+    widths = []
+    for result in (planned[1], judge(load_plan(steady), FEW)):
+        low, high = result["parameters"]["c1t"]["expected90"]
+        widths.append((high - low) / (high + low) / 1.645)
+    assert widths[0] > 0.05 / math.sqrt(8.0) > 2.0 * widths[1]
 
 
 def test_a_plan_ends_with_the_command_that_comes_next(planned):
