@@ -781,10 +781,11 @@ def _with_rest(option: Mapping[str, Any], before: Array, measurement: Measuremen
     offsets = given if isinstance(given, list) else [given] * len(before)
     if "head" not in offsets:
         return option
-    if measurement.quantity == "displacement" or measurement.start == "free":
+    free = measurement.start == "free" and option.get("release") != "find"  # else it was at rest before it began
+    if measurement.quantity == "displacement" or free:
         raise InputError(
             f"{where}: offset = 'head' takes what the sensor reads while the rig is held for 0; "
-            + ("a displacement" if measurement.start == "rest" else "a record of start = 'free'")
+            + ("a record of start = 'free'" if free else "a displacement")
             + " does not begin at 0: use 'tail' or a number"
         )
     if before.shape[1] < _FEWEST_AT_REST:

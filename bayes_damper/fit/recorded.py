@@ -263,7 +263,8 @@ def _trial_draws(posterior: RecordPosterior, drawn: Mapping[int, Array]) -> dict
             for m, (name, mean, sd) in enumerate(part.group.nuisances):
                 if name.startswith(("drift", "hum", "input")):
                     continue
-                value = mean[k] + sd[k] * drawn[i][:, m]
+                within = np.clip(drawn[i][:, m], part.group.lower[k, m], part.group.upper[k, m])  # no time is negative
+                value = mean[k] + sd[k] * within
                 own = name.removeprefix("ln_")
                 if own != name and problem.experiment.levels.get(own) == "trial":
                     case = problem.experiment.trials[i].case

@@ -242,9 +242,12 @@ def _sentence(p: Performance, target: float) -> str:
     if gone > 0.005:
         where = f"no resonance in {100 * gone:.0f} % of the draws; in the others "
         among = " among all of them"
+    down, up = np.nanquantile(p.shift, [0.05, 0.95])
+    # Of two peaks that are as high, which is the highest is a matter of chance.
+    either = f" (90 %: {down:+.2f} to {up:+.2f})" if down < 0.0 < up else ""
     return (
         f"{where}insertion loss {known.mean():.1f} dB (90 %: {low:.1f} to {high:.1f}), resonance moves by "
-        f"{np.nanmedian(p.shift):+.2f} Hz, P(loss >= {target:g} dB){among} = {probability_of(p, target):.2f}"
+        f"{np.nanmedian(p.shift):+.2f} Hz{either}, P(loss >= {target:g} dB){among} = {probability_of(p, target):.2f}"
     )
 
 

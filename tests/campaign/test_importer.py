@@ -1052,6 +1052,12 @@ def test_what_a_sensor_reads_before_the_release_is_taken_off(tmp_path: Path) -> 
     assert "wants at least 8 readings before the release, the record has 0" in fault_of(tmp_path / "a", source, **early)
     moved = {**OPTIONS, "quantity": "displacement", "offset": "head"}
     assert "a displacement does not begin at 0: use 'tail'" in fault_of(tmp_path / "b", source, **moved)
+    free = {key: value for key, value in OPTIONS.items() if not key.startswith("theta0")} | {"offset": "head"}
+    begun = load_campaign(init_campaign(tmp_path / "free", [source], **free | {"release": "find"}))
+    assert begun.measurement.start == "free"
+    np.testing.assert_allclose(begun.trials[0].channels[:, :50], trial.channels[:, :50], atol=1e-6)
+    told = fault_of(tmp_path / "c", source, **free | {"release": "first_peak"})
+    assert "a record of start = 'free' does not begin at 0: use 'tail'" in told
 
 
 def test_a_tail_that_holds_too_little_of_a_swing_is_noted(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from bayes_damper.diagnosis import search
 from bayes_damper.diagnosis.pairs import ComposedProblem
 from bayes_damper.errors import InputError
 from bayes_damper.fit import fit
-from bayes_damper.fit.recorded import fit_with_effect
+from bayes_damper.fit.recorded import _trial_draws, fit_with_effect
 from bayes_damper.simulation.composition import compose
 
 HEAVIER, BEHIND = 0.15, 0.012  # of J2; rad by which the secondary lags at the release
@@ -141,3 +142,16 @@ def test_the_formula_of_an_effect_is_chosen_under_what_itself_leaves(monkeypatch
     assert found.problem.effect.name == "dead_zone"
     value, sd = found.parameters["effect.play"]
     assert abs(value - 0.02) < 4.0 * sd < 0.002
+
+
+def test_no_draw_of_a_trials_own_time_of_release_is_negative():
+    group = SimpleNamespace(
+        trials=(0,), nuisances=[("release_time", np.zeros(1), np.full(1, 1e-3))], lower=np.zeros((1, 1)),
+        upper=np.full((1, 1), np.inf),
+    )  # fmt: skip
+    problem = SimpleNamespace(experiment=SimpleNamespace(levels={}))
+    posterior = SimpleNamespace(problem=problem, parts=[SimpleNamespace(group=group)])
+    drawn = {0: np.random.default_rng(1).standard_normal((100, 1))}
+    times = _trial_draws(posterior, drawn)[0]["release_time"]
+    assert times.min() == 0.0
+    assert times.max() == pytest.approx(1e-3 * drawn[0].max())

@@ -16,6 +16,8 @@ from bayes_damper.rig import linear
 from bayes_damper.runs.json_files import folder_name, write_json
 from bayes_damper.sampling import arviz_adapter
 from bayes_damper.tuning import Design
+from bayes_damper.tuning.performance import Performance
+from bayes_damper.tuning.result import _sentence
 
 THESIS = {"k1t": 10.2, "c1t": 0.0109, "k2t": 1.0, "c2t": 0.08}
 
@@ -520,6 +522,17 @@ def test_the_answer_of_the_page_names_the_best_design_and_its_loss_at_each_force
         assert f"At {a:g} N another design is better, {better.performance.insertion_loss[0]:.1f} dB: J2 = " in page
     assert page.count("body 1 moves farther than in the records of the fit (8 mm)") == 1
     assert f"{1e3 * found.nonlinear[3.0].displacement[0]:.3g} (" in page
+
+
+def test_a_shift_that_may_go_either_way_is_said_with_its_interval():
+    """At the best design both peaks are equally high, and chance decides which of them is the resonance."""
+
+    def said(shifts):
+        loss, before = np.full(4, 10.0), np.full(4, 5.0)
+        return _sentence(Performance(loss, before + np.array(shifts), before), 10.0)
+
+    assert "resonance moves by +0.40 Hz (90 %: -0.28 to +0.40), P(" in said([0.4, 0.4, -0.4, 0.4])
+    assert "resonance moves by +0.40 Hz, P(" in said([0.4, 0.4, 0.3, 0.4])
 
 
 def test_a_rig_that_sticks_has_no_resonance():
