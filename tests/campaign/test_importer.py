@@ -1058,7 +1058,7 @@ def test_what_a_sensor_reads_before_the_release_is_taken_off(tmp_path: Path) -> 
     moving = trial.channels[0, trial.times > 0.0]
     np.testing.assert_allclose(begun.trials[0].channels[0, 1:51], moving[1:51], atol=1e-6)
     told = fault_of(tmp_path / "c", source, **free | {"release": "start"})
-    assert "a record of start = 'free' does not begin at 0: use 'tail'" in told
+    assert "wants at least 8 readings before the release, the record has 0: use --release find" in told
 
 
 def test_a_tail_that_holds_too_little_of_a_swing_is_noted(tmp_path: Path) -> None:
