@@ -34,7 +34,7 @@ from bayes_damper.runs.provenance import provenance
 from bayes_damper.sampling import arviz_adapter
 from bayes_damper.sampling.bridge import bridge
 from bayes_damper.sampling.prior_sensitivity import of_standard_draws
-from bayes_damper.text import Printable
+from bayes_damper.text import Printable, plus_minus
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -72,7 +72,7 @@ class Comparison(Printable):
                 unit = next(iter(found.values()))["unit"]
                 lines.append(f"  {name:28s}{unit:8s}{cells}")
         tables: tuple[tuple[str, ComparedRows | Mapping[str, Mapping[str, float]]], ...] = (
-            ("log evidence, nats", r["evidence"]), ("held-out score, nats", r["heldout"]),
+            ("log evidence, nats", r["evidence"]), ("score of each trial left out, nats", r["heldout"]),
             ("gap and verdict", r["diagnosis"]), ("what the cases share", r["variability"]),
         )  # fmt: skip
         for title, table in tables:
@@ -340,7 +340,7 @@ def leave_out(log_likelihood: Array) -> tuple[float, float]:
 def _cell(found: ComparedCell | None) -> str:
     if found is None:
         return "-"
-    return f"{found['median']:.3g} +- {found['sd']:.2g}"
+    return plus_minus(found["median"], found["sd"]).replace("±", "+-")
 
 
 def _widths(found: PriorEntry) -> tuple[WidthEntry, WidthEntry]:
@@ -355,7 +355,9 @@ def _shift(found: WidthEntry) -> str:
 def _word(value: float | str | None) -> str:
     if value is None:
         return "-"
-    return f"{value:.4g}" if isinstance(value, float | int) else str(value)
+    if not isinstance(value, float | int):
+        return str(value)
+    return f"{value:.1f}" if abs(value) >= 1000.0 else f"{value:.4g}"  # nats: differences count
 
 
 def _sentences(result: ComparisonFile) -> list[str]:

@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 import pytest
 
-from bayes_damper.commands.compare import compare, leave_out
+from bayes_damper.commands.compare import _cell, _word, compare, leave_out
 from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.fit import published_posterior
 from bayes_damper.fit.summary import summarise, table_text
@@ -224,3 +224,9 @@ def test_bad_folders_are_all_named(tmp_path):
 
 def test_the_published_cases_are_those_of_the_thesis():
     assert PublishedCases.default_plan()["cases"] == list(load_published().cases)
+
+
+def test_values_have_the_digits_that_their_uncertainty_supports():
+    assert _cell({"median": 1799.9634, "sd": 0.837, "unit": "N/m"}) == "1799.96 +- 0.84"
+    assert _word(25599.234) == "25599.2"  # nats, of which differences count
+    assert _word(0.012346) == "0.01235"
