@@ -24,6 +24,7 @@ _BESIDE = 1.5  # steps from the nominal release, within which a record begins wi
 _RANGE, _ABOVE = 0.98, 1.05  # of a sensor's range: at its end, and beyond it
 _NOISE = 3.0  # times the declared noise, or a part of it
 _OF_STEPS = 1.5  # of an encoder: its rounding, that of its zero, and that of a mean between two steps, half a step each
+_OF_DECLARED = 3.0  # times offset_std
 _MISSING = 0.2  # share of the readings that are not there
 _RESTS = {"displacement": 1.0, "velocity": 0.5, "acceleration": 0.5}
 """Radians of the oscillation for which a primary must rest, so that it is held and not at a turning point."""
@@ -70,6 +71,7 @@ def _look_at_channel(head: Head, trial: Trial, i: int, omega: float, grows: bool
     y = trial.channels[i]
     coupled = len(trial.channels) > 1
     given = per_channel(head.measurement.noise_std, coupled)
+    declared = per_channel(head.measurement.offset_std, coupled)
     limits = per_channel(head.measurement.sensor_range, coupled)
     where = f"{trial.file}, column '{channel_columns(trial, head.rig.kind, head.measurement.quantity)[i]}'"
     noise = look.noise_floor_of(y)
@@ -119,7 +121,8 @@ def _look_at_channel(head: Head, trial: Trial, i: int, omega: float, grows: bool
             else f"{where}: {len(spikes)} single readings stick out, at {some} s{more}; they look like outliers"
         )
     offset = look.offset_of(trial.times, y, noise, omega)
-    if abs(offset) > (_OF_STEPS * step if step > noise else 0.0):
+    expected = _OF_DECLARED * declared[i] if declared is not None else 0.0  # fits infer it within that
+    if abs(offset) > max(_OF_STEPS * step if step > noise else 0.0, expected):
         _tell_offset(head, trial, where, offset, warnings)
     if given is not None and noise > 0.0 and not reacts and not 1.0 / _NOISE <= noise / given[i] <= _NOISE:
         warnings.append(f"{where}: noise is about {noise:.3g}, noise_std says {given[i]:.3g}; check unit and sensor")

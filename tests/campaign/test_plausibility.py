@@ -122,6 +122,10 @@ def test_a_record_that_ends_in_mid_swing_rests_nowhere(tmp_path):
     assert not any("rests at" in w for w in found)
     found = cart(tmp_path / "offset", [noisy(s, swing(TIMES) + 0.02) for s in (1, 2)], theta0=120.0)
     assert sum("rests at 0.0" in w and "or dry friction holds it there" in w for w in found) == 2
+    records = [noisy(s, swing(TIMES) + 0.02) for s in (1, 2)]
+    for declared, said in ((0.01, False), (0.005, True)):  # within three of what is declared fits infer it
+        found = cart(tmp_path / f"{declared}", records, theta0=120.0, measurement=f"offset_std = [{declared}]")
+        assert any("rests at" in w for w in found) == said
 
 
 def test_an_encoder_that_ends_within_a_step_of_zero_has_no_offset(tmp_path):
