@@ -42,9 +42,9 @@ def beyond(where: str, values: Mapping[str, Sequence[Distribution | float]], cam
     for name, given in values.items():
         for value in given:
             x = value if isinstance(value, float) else median(value)
-            share = "" if isinstance(value, float) else "half of the prior lies beyond "
+            given_as = f"{x:g}" if isinstance(value, float) else f"a median of {x:g}"
             if name == "tail" and not CURVES[0] <= x <= CURVES[1]:
-                yield f"{where}: tail: {share}{x:g} cannot be: curves of friction have {CURVES[0]:g} to {CURVES[1]:g}"
+                yield f"{where}: tail: {given_as} cannot be: curves of friction have {CURVES[0]:g} to {CURVES[1]:g}"
             elif name == "drag" and isinstance(value, float) and x > still:
                 yield (
                     f"{where}: drag: fixed at {x:g}, above the largest torque of the records, {still:.3g}: nothing "
@@ -52,7 +52,7 @@ def beyond(where: str, values: Mapping[str, Sequence[Distribution | float]], cam
                 )
             elif name in limits and abs(x) > limits[name].most:
                 most, what = limits[name].most, limits[name].what
-                yield f"{where}: {name}: {share}{x:g} cannot be: above {most:.3g}, {what}; check its unit"
+                yield f"{where}: {name}: {given_as} cannot be: above {most:.3g}, {what}; check its unit"
 
 
 def _limits(campaign: Campaign) -> dict[str, _Limit]:
