@@ -173,17 +173,7 @@ def variability(
         more, parts = _averaged(cases, models, runs, chosen, work, rng)
         sets: Sets | None = published_sets(cases, _some(parts, draws, rng), rng)
     else:
-        models, pooled_draws, common_draws = cases.models(rng, particles, draws)
-        report(0.6, "simulating what each part of the scatter does")
-        sets = recorded_sets(cases, pooled_draws, common_draws, rng)
-        report(0.8, "comparing with the draws of the fit")
-        draws_of = {
-            case: cases.reweighted(case, z, rng)
-            for case, z in _fit_draws(fitted or target, plan, cases, lambda _: cases.pooled).items()
-        }
-        check = _agreement(
-            recycle(draws_of, rng, particles), cases.direct(rng, particles), cases.pooled, cases.priors(cases.names[0])
-        )
+        models, sets, check = _compared_records(cases, plan, fitted or target, rng, particles, draws)
     found = None if sets is None else decompose(sets)
     _add_probabilities(models)
     fit_converged = bool(plan.get("fit_converged", True))
@@ -216,6 +206,22 @@ def variability(
     write_json(target / "variability.json", result)
     _draw(target, cases, plan["name"], result)
     return Variability(target, result)
+
+
+def _compared_records(
+    cases: RecordedCases, plan: FittedPlan, fitted: Path, rng: np.random.Generator, particles: int, draws: int
+) -> tuple[dict[str, PoolingEntry], Sets | None, AgreementEntry]:
+    """What variability.json says of the answers, draws by which the scatter is divided, and how the fit agrees."""
+    models, pooled_draws, common_draws = cases.models(rng, particles, draws)
+    cases.report(0.6, "simulating what each part of the scatter does")
+    sets = recorded_sets(cases, pooled_draws, common_draws, rng)
+    cases.report(0.8, "comparing with the draws of the fit")
+    draws_of = {
+        case: cases.reweighted(case, z, rng)
+        for case, z in _fit_draws(fitted, plan, cases, lambda _: cases.pooled).items()
+    }
+    used, direct = recycle(draws_of, rng, particles), cases.direct(rng, particles)
+    return models, sets, _agreement(used, direct, cases.pooled, cases.priors(cases.names[0]))
 
 
 def _draw(target: Path, cases: PublishedCases | RecordedCases, name: str, result: VariabilityFile) -> None:

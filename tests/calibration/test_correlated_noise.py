@@ -106,6 +106,7 @@ def test_trials_that_start_free_are_no_repeats_of_each_other() -> None:
     assert channel.fast == pytest.approx(NOISE, rel=0.1)
 
 
+@pytest.mark.slow
 def test_unevenly_sampled_records_are_widened_too() -> None:
     experiment = measured(1, sensor=_same_misfit, **(ONE_CASE | {"repeats": 1}))
     rng = np.random.default_rng(0)
@@ -228,6 +229,7 @@ def test_a_bad_trial_is_named_weighed_down_and_left_out_for_comparison() -> None
         assert abs(value - RIG[name]) < 4.0 * sd
 
 
+@pytest.mark.slow
 def test_one_of_two_repeats_may_be_the_odd_one() -> None:
     experiment = measured(1, sensor=_one_bad(3), **(ONE_CASE | {"repeats": 2}))
     experiment = replace(experiment, trials=tuple(replace(t, heldout=False) for t in experiment.trials))
@@ -310,7 +312,9 @@ def test_the_best_fit_is_looked_for_anew_under_the_noise_that_was_learnt() -> No
 # Coverage -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("seed", "kind", "repeats"), [(9011, "shared", 1), (9039, "own", 3)])
+@pytest.mark.parametrize(
+    ("seed", "kind", "repeats"), [(9011, "shared", 1), pytest.param(9039, "own", 3, marks=pytest.mark.slow)]
+)
 def test_no_valley_near_the_truth_is_deeper_than_the_fit(seed: int, kind: str, repeats: int) -> None:
     """Few trials with correlated errors: their cost has many valleys, and prior medians lead to another one."""
     experiment, truth, _ = campaign(seed, kind, repeats)

@@ -72,7 +72,7 @@ def exact_fit(coupled=False):
     return _with_exact_inputs(experiment, "linear", None, None, lambda _: None)
 
 
-@pytest.mark.parametrize("coupled", [False, True])
+@pytest.mark.parametrize("coupled", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_responses_hold_all_that_noise_of_the_input_does_beside_that_of_the_sensor(coupled):
     """Covariance by brute force: scipy's response to an error of each sample of the torque, one after the other."""
     found = with_input_noise(exact_fit(coupled))

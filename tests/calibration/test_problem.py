@@ -107,7 +107,7 @@ LAWS = {
 }
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", ["tanh", pytest.param("algebraic", marks=pytest.mark.slow), "arctangent"])
 def test_drag_and_damping_hold_whichever_curve_dry_friction_follows(law):
     """One body by scipy, noise 1/2000 of the peak; of the sharp friction mostly the slow end of its curve is seen."""
     sign, times = LAWS[law], np.arange(600) * 2e-3
@@ -175,7 +175,9 @@ def test_slopes_at_the_end_of_a_range_look_inward():
     np.testing.assert_allclose(lengths[0], lengths[1], rtol=0.3)
 
 
-@pytest.mark.parametrize(("quantity", "noise"), [("displacement", 2e-5), ("velocity", 5e-3)])
+@pytest.mark.parametrize(
+    ("quantity", "noise"), [pytest.param("displacement", 2e-5, marks=pytest.mark.slow), ("velocity", 5e-3)]
+)
 def test_a_motion_may_be_released_on_either_side_of_the_first_reading(quantity, noise):
     """Where readings start without a jump the logger may have run before the release, and that is no gap."""
     fit = calibrate_nominal(with_release(quantity, noise, repeats=3))
@@ -364,7 +366,7 @@ def test_evidence_of_a_linear_gaussian_problem_is_exact(fitted):
     assert normals.log_evidence() == pytest.approx(exact, abs=0.5)
 
 
-@pytest.mark.parametrize("clock", ["jittered", "slowing"])
+@pytest.mark.parametrize("clock", [pytest.param("jittered", marks=pytest.mark.slow), "slowing"])
 def test_slow_noise_is_learnt_where_the_clock_is_not_even(clock):
     """White noise and as much of an Ornstein-Uhlenbeck process that forgets within 15 ms, exact on each clock."""
     rng = np.random.default_rng(4)

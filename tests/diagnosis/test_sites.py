@@ -87,7 +87,7 @@ def test_projection_takes_out_what_parameters_can_do(faultless):
     ("site", "cause"),
     [
         ("ground1", {"effect": variant("spring_cubic"), "values": {"k3": 40.0}}),
-        ("ground1", {"torque": knock(0.2, 0.012, 0.06)}),
+        pytest.param("ground1", {"torque": knock(0.2, 0.012, 0.06)}, marks=pytest.mark.slow),
         ("bearings", {"effect": variant("quadratic_drag"), "values": {"coefficient": 0.3}}),
         pytest.param("sensor", {"sensor": lambda t, y: np.clip(y, -130.0, 130.0)}, marks=pytest.mark.slow),
         pytest.param(
@@ -198,6 +198,7 @@ def test_missing_torque_is_what_the_fitted_laws_lack(interface):
     assert np.std(told) == pytest.approx(np.std(lacking), rel=0.15)
 
 
+@pytest.mark.slow
 def test_no_torque_is_given_where_the_fit_is_too_far_off_for_linear_responses():
     """A coupling that hardens eight times as much: its torque would err by as much as it has."""
     fit = calibrate_nominal(measured(4, effect=CUBIC["effect"], values={"cubic": 1600.0}))

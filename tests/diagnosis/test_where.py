@@ -76,7 +76,9 @@ def test_a_hum_is_found_at_its_frequency():
     assert strongest["p_value"] < 1e-6
 
 
-@pytest.mark.parametrize("looks", [_in_time, _in_frequency], ids=["time", "frequency"])
+@pytest.mark.parametrize(
+    "looks", [_in_time, pytest.param(_in_frequency, marks=pytest.mark.slow)], ids=["time", "frequency"]
+)
 def test_noise_yields_an_entry_in_few_campaigns(looks):
     """At most 5 % of campaigns without a gap have any entry of a kind: 100 campaigns, thousands of looks each."""
     rng = np.random.default_rng(11)

@@ -92,7 +92,9 @@ def test_a_half_line_with_a_hard_wall_is_kept(name):
     assert stats.kstest(points[:, 1], "norm").pvalue > 1e-3
 
 
-@pytest.mark.parametrize("name", ["snooker", "default_mix"])  # most of the mix is differential evolution
+@pytest.mark.parametrize(
+    "name", [pytest.param("snooker", marks=pytest.mark.slow), "default_mix"]
+)  # most of the mix is differential evolution
 def test_a_banana_is_found_from_a_small_ball(name):
     """x ~ N(0, 1), y | x ~ N(x^2, 0.3): the moments of the long run are those of the formula."""
 

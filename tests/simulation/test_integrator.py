@@ -385,6 +385,7 @@ def test_a_second_process_does_not_compile_again(tmp_path):
     assert first[2] == second[2]
 
 
+@pytest.mark.slow
 def test_a_home_that_cannot_be_written_falls_back(tmp_path):
     blocked = tmp_path / "file"
     blocked.write_text("not a folder")
