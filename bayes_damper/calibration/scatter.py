@@ -58,7 +58,7 @@ from bayes_damper.calibration.own_values import (
     middle_of,
 )
 from bayes_damper.calibration.problem import Problem
-from bayes_damper.calibration.unlearnt import Unlearnt, log_prior, prior_slope
+from bayes_damper.calibration.unlearnt import LARGEST, Unlearnt, log_prior, prior_slope
 from bayes_damper.runs.contents.diagnosis import ScatterEntry
 
 Array = NDArray[np.float64]
@@ -450,8 +450,10 @@ def with_sizes_of_intervals(fit: Calibration) -> Calibration:
     sizes = fit.problem.switches.scatter.sizes
     if len(fit.problem.trials) == 1:
         sizes = tuple(s for s in sizes if s.name not in RELATIVE)
-    elif sizes and lone(fit.problem.experiment, fit.problem.trials):
-        sizes = without_repeats(fit).sizes
+    elif lone(fit.problem.experiment, fit.problem.trials) and all(s.sd < s.typical * math.exp(LARGEST) for s in sizes):
+        # What repeats among them show stays; of the rest all trials together say more than each set of repeats.
+        together = zip(sizes, without_repeats(fit).sizes, strict=True)
+        sizes = tuple(s if s.gained > SHOWN_FROM else replace(all_of, gained=s.gained) for s, all_of in together)
     narrow = Scatter(tuple(replace(s, sd=min(s.middle, s.sd)) if s.middle > 0.0 else s for s in sizes))
     return fit if narrow == fit.problem.switches.scatter else _with_sizes(fit, narrow)
 

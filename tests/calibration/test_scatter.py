@@ -569,6 +569,22 @@ def test_a_baseline_slower_than_the_rig_can_move_is_followed():
     assert calibrate_nominal(sagging(0.0), nominal="linear").problem.switches.scatter.sizes == ()
 
 
+def test_a_large_baseline_of_several_records_keeps_its_size_in_a_fit():
+    """It may be thousands of times the noise, more than the sizes go up to that trials judge together."""
+    experiment = sagging(0.1)
+    (one,) = experiment.trials
+    noise = 1e-3 * np.random.default_rng(6).standard_normal(one.y.shape)
+    again = replace(one, number=2, y=0.8 * one.y + noise)
+    fit = calibrate_nominal(replace(experiment, trials=(one, again)), nominal="linear")
+    (size,) = (s for s in fit.problem.switches.scatter.sizes if s.name == "drift1")
+    assert size.sd > 35.0 * size.typical
+    narrow = with_sizes_of_intervals(fit)
+    assert narrow.problem.switches.scatter.sd("drift1") == size.sd
+    small = calibrate_nominal(sagging(6e-3), nominal="linear")
+    assert scatters.scatter_in_words(with_sizes_of_intervals(small)) == scatters.scatter_in_words(small) != []
+    assert np.std(narrow.residuals()[0]) == pytest.approx(np.std(fit.residuals()[0]), rel=0.01)
+
+
 def test_what_drives_a_rig_may_be_as_slow_as_a_baseline():
     t = np.arange(0.0, 40.0, 0.02)
     driven = sagging(6e-3, inputs=Inputs.measured(t, 1e-9 * np.sin(t)))
@@ -609,6 +625,9 @@ def test_releases_by_hand_that_swing_equally_far_show_what_differs_from_trial_to
     assert size.gained > 50.0
     assert fit.problem.noise.total[0] == pytest.approx(1e-4, rel=0.1)
     assert any("c1t (by " in sentence for sentence in scatters.scatter_in_words(fit))
+    narrow = with_sizes_of_intervals(fit)
+    assert any("c1t (by " in sentence for sentence in scatters.scatter_in_words(narrow))
+    assert 0.9 * size.sd < sizes_of(narrow.problem.switches.scatter)["c1t"].sd <= size.sd
 
 
 def test_gains_of_coupled_free_starts_scatter_too():
