@@ -94,7 +94,7 @@ EFFECT = Effect(
                     "1",
                     "Exponent of the fall.",
                     LogNormal(1.5, 1.5),
-                    "Half for a force that goes late, twice for pressure behind an orifice, which falls as a square.",
+                    "From 1, a constant rate, to 2, pressure behind an orifice, which falls as a square.",
                 ),
             ),
             torque=power,
