@@ -83,6 +83,11 @@ class TrialRecord:
         return self.inputs is not None and self.inputs.motion is not None
 
     @property
+    def driven(self) -> bool:
+        """Whether a torque, a motion or the ground acts on it while it is recorded."""
+        return self.inputs is not None and self.inputs.active
+
+    @property
     def conditions(self) -> tuple[Any, ...]:
         """Equal for repeats: trials of one case and configuration, release and inputs."""
         return self.case, self.coupled, self.theta0, None if self.inputs is None else self.inputs.key

@@ -260,7 +260,7 @@ class Grouping:
             ):
                 found = _own_value(name, [self.prior(name, t.case) for t in trials])
                 out += [] if found is None else [found]
-        forced = trials[0].inputs is not None and trials[0].inputs.active and not np.any(mean)
+        forced = trials[0].driven and not np.any(mean)
         if self.switches.delay and "delay" not in e.levels and not forced:  # nothing is released
             out.append(self._instant(trials))
         for name, free in (("mu", self.switches.friction and trials[0].coupled), ("drag", self.switches.drag)):

@@ -83,7 +83,7 @@ def time_or_amplitude(experiment: Experiment, answers: Answers) -> list[str]:
     law = EFFECTS.get(answers.verdict)
     if law is None or law.site in ("sensor", "release") or law.exact:
         return []
-    if any(t.inputs is not None and t.inputs.active for t in experiment.trials):
+    if any(t.driven for t in experiment.trials):
         return []
     rest = experiment.start == "rest"
     begins = [abs(t.theta0) if rest else float(np.nanmax(np.abs(t.y[0]), initial=0.0)) for t in experiment.trials]
@@ -99,7 +99,7 @@ def time_or_amplitude(experiment: Experiment, answers: Answers) -> list[str]:
 
 def symmetries(experiment: Experiment) -> list[str]:
     """What no record of the campaign could show, in sentences: errors that scale every term of a free decay alike."""
-    if experiment.start != "free" or any(t.inputs is not None and t.inputs.active for t in experiment.trials):
+    if experiment.start != "free" or any(t.driven for t in experiment.trials):
         return []
     pendulum = experiment.restoring == "pendulum"  # how far it swings shows in its period
     powers = {"dry friction": 2 - DERIVATIVE[experiment.quantity], "viscous damping": 1}
