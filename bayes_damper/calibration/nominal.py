@@ -28,6 +28,7 @@ from bayes_damper.calibration.scatter import (
     typical_scatter,
     usual_releases,
     with_releases,
+    with_scatter,
     without_repeats,
 )
 from bayes_damper.calibration.unknowns import middle
@@ -177,13 +178,11 @@ def gained_by_own_releases(fit: Calibration) -> float:
 
 def explained_by_own_releases(fit: Calibration) -> float:
     """Nats that a time of release of each trial's own gains the nominal model that has it, else 0."""
-    switches = fit.problem.switches
-    sizes = tuple(s for s in switches.scatter.sizes if s.name != RELEASE)
-    if len(sizes) == len(switches.scatter.sizes):
+    every = fit.problem.switches.scatter.sizes
+    sizes = tuple(s for s in every if s.name != RELEASE)
+    if len(sizes) == len(every):
         return 0.0
-    sudden = fit.problem.changed(switches=replace(switches, scatter=Scatter(sizes)))
-    found = calibrate(sudden, [fit.q], eta=carried(fit, sudden), anneal=False)
-    return max(_log_density(fit) - _log_density(found), 0.0)
+    return max(_log_density(fit) - _log_density(with_scatter(fit, Scatter(sizes))), 0.0)
 
 
 def _other_valleys(fit: Calibration) -> dict[int, Array]:
@@ -417,18 +416,13 @@ def under(fit: Calibration, noise: Noise, scatter: Scatter | None = None) -> Cal
     Times of release that differ are kept if it is far worse without them: that repeats need none is judged along a
     line. If all are alike it is a gap.
     """
-
-    def again(sizes: Scatter) -> Calibration:
-        problem = fit.problem.changed(noise=noise, switches=replace(fit.problem.switches, scatter=sizes))
-        return calibrate(problem, [fit.q], eta=carried(fit, problem), anneal=False)
-
     sizes = learn_scatter(fit, noise) if scatter is None else scatter
-    found = again(sizes)
+    found = with_scatter(fit, sizes, noise)
     own = [s for s in fit.problem.switches.scatter.sizes if s.name == RELEASE and not sizes.sd(RELEASE)]
     times = np.array(times_of_release(fit) or [0.0])
     differ = float(np.std(times)) > ALIKE * float(np.mean(times))
     if scatter is None and own and differ and _log_density(found) < _log_density(fit) - KEPT:
-        found = again(Scatter((*sizes.sizes, *own)))
+        found = with_scatter(fit, Scatter((*sizes.sizes, *own)), noise)
     return found
 
 
@@ -455,8 +449,7 @@ def _as_single_releases(fit: Calibration) -> Calibration:
     sizes = learn_scatter(fit, apart=True)
     if sizes.sizes == fit.problem.switches.scatter.sizes:
         return fit
-    tried = fit.problem.changed(switches=replace(fit.problem.switches, scatter=sizes))
-    found = calibrate(tried, [fit.q], eta=carried(fit, tried), anneal=False)
+    found = with_scatter(fit, sizes)
     for _ in range(MOST_TURNS):
         noise = learn_noise(found)
         found = calibrate(found.problem.with_noise(noise), [found.q], eta=found.eta, anneal=False)

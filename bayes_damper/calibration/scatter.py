@@ -39,7 +39,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.optimize import minimize
+from scipy.optimize import brentq, minimize
 from scipy.special import ndtr, ndtri, stdtr
 
 from bayes_damper.calibration.experiment import lone, repeats
@@ -272,7 +272,7 @@ def _baselines(fit: Calibration, problem: Problem) -> Scatter:
     out; the size over a grid of its logarithm. None where something drives the rig, which may be as slow as that.
     """
     trials = [problem.experiment.trials[i] for i in problem.trials]
-    if any(t.inputs is not None and t.inputs.active for t in trials):
+    if any(t.driven for t in trials):
         return NO_SCATTER
     channels = range(1 + int(any(t.coupled for t in trials)))
     sizes = [
@@ -432,13 +432,8 @@ def _of_intervals(share: Array) -> float:
     share : probability of the sizes on the fine grid. Few trials leave a size long tails, as of Student's t: the root
     of the mean square lies far out in them, and intervals made from it would be several times too wide.
     """
-    sizes, end = np.exp(_FINE), float(ndtri(0.95))
-    low, high = float(sizes[0]), float(sizes[-1])
-    for _ in range(60):
-        tried = math.sqrt(low * high)
-        enough = float(share @ ndtr(end * tried / sizes)) > 0.95
-        low, high = (low, tried) if enough else (tried, high)
-    return high
+    end = float(ndtri(0.95))
+    return math.exp(brentq(lambda u: share @ ndtr(end * np.exp(u - _FINE)) - 0.95, _FINE[0] - 1.0, _FINE[-1] + 1.0))
 
 
 def with_sizes_of_intervals(fit: Calibration) -> Calibration:
@@ -455,11 +450,13 @@ def with_sizes_of_intervals(fit: Calibration) -> Calibration:
         together = zip(sizes, without_repeats(fit).sizes, strict=True)
         sizes = tuple(s if s.gained > SHOWN_FROM else replace(all_of, gained=s.gained) for s, all_of in together)
     narrow = Scatter(tuple(replace(s, sd=min(s.middle, s.sd)) if s.middle > 0.0 else s for s in sizes))
-    return fit if narrow == fit.problem.switches.scatter else _with_sizes(fit, narrow)
+    return fit if narrow == fit.problem.switches.scatter else with_scatter(fit, narrow)
 
 
-def _with_sizes(fit: Calibration, scatter: Scatter) -> Calibration:
-    problem = fit.problem.changed(switches=replace(fit.problem.switches, scatter=scatter))
+def with_scatter(fit: Calibration, scatter: Scatter, noise: Noise | None = None) -> Calibration:
+    """The fit with these sizes of scatters, under a noise (default: that of the fit)."""
+    switches = replace(fit.problem.switches, scatter=scatter)
+    problem = fit.problem.changed(noise=noise or fit.problem.noise, switches=switches)
     return calibrate(problem, [fit.q], eta=carried(fit, problem), anneal=False)
 
 
@@ -616,7 +613,7 @@ def unseen_in_words(fit: Calibration) -> list[str]:
     unseen = [s for s in sizes if s.name in RELATIVE and s.gained <= SHOWN_FROM]
     if not unseen:
         return []
-    without = _with_sizes(fit, Scatter(tuple(s for s in sizes if s not in unseen)))
+    without = with_scatter(fit, Scatter(tuple(s for s in sizes if s not in unseen)))
     ratios = np.sqrt(np.diag(fit.covariance) / np.diag(without.covariance))
     named = zip(fit.problem.names, ratios, strict=True)
     wide = [f"{name} ({ratio:.2g} times)" for name, ratio in named if ratio > WIDENED]
