@@ -452,7 +452,7 @@ def _look_for_odd_twin(group: Sequence[Trial], quantity: str, warnings: list[str
             usual = float(np.median(others[np.triu_indices(len(group) - 1, 1)]))
             nearest = float(np.min(np.delete(distance[i], i)))
             bound = max(_APART * usual, _OF_MOTION * scale, 4.0 * noise)
-            if nearest > bound and _at_another_pace(curves, i) > bound:
+            if nearest > bound and _at_another_pace(grid, curves, i) > bound:
                 worst[trial.file] = max(worst.get(trial.file, (0.0, 0.0)), (nearest / scale, usual / scale))
                 break
     for file, (nearest, usual) in worst.items():
@@ -464,13 +464,12 @@ def _look_for_odd_twin(group: Sequence[Trial], quantity: str, warnings: list[str
         )
 
 
-def _at_another_pace(curves: Array, odd: int) -> float:
-    """Rms distance of a record from the nearest of its repeats, all (trials, n), were its spring like theirs.
+def _at_another_pace(times: Array, curves: Array, odd: int) -> float:
+    """Rms distance of a record from the nearest of its repeats, all (trials, n) at times (n,), were its spring theirs.
 
     A spring that differs by half a per cent, as springs do from trial to trial, is a radian apart after 60 periods.
     """
-    readings = np.arange(curves.shape[1])
-    paces = [np.interp(pace * readings, readings, curves[odd], right=np.nan) for pace in _PACES]
+    paces = [np.interp(pace * times, times, curves[odd], left=np.nan, right=np.nan) for pace in _PACES]
     rest = np.delete(curves, odd, 0)
     return float(np.sqrt(min(np.nanmean((rest - curve) ** 2, axis=1).min() for curve in paces)))
 
