@@ -45,8 +45,8 @@ Array = NDArray[np.float64]
 Kind = Literal["gaussian", "student", "ar"]
 KINDS = ("auto", "gaussian", "student", "ar")
 CLEARLY = 8.0  # nats by which another noise has to describe the residuals better
-SURELY = 12.0  # the same, from which it need not have more power: a colour of its own is no chance
-STANDARD_ERRORS = 3.0  # by which it has to have more power else
+SURELY = 12.0  # the same where the residuals have no more power than that noise: a colour alone
+STANDARD_ERRORS = 3.0  # by which they have more
 REPORTED_CORRELATION = 0.05  # of neighbouring residuals from which it is reported
 APART = 1.5  # times the residual power of its repeats from which a trial is unlike them
 SURE = 8.0  # standard errors by which it must be so
@@ -442,8 +442,8 @@ def _learn_from_what_is_left(
             new, gain = _spectral(series, noise, c)
         else:
             new, gain = _uneven([x for x, _ in series], noise.total[c])
-        beyond = gain > SURELY or _beyond(series, noise.total[c], repeats) > STANDARD_ERRORS
-        if not always and (gain < CLEARLY or not beyond):
+        least = CLEARLY if _beyond(series, noise.total[c], repeats) > STANDARD_ERRORS else SURELY
+        if not always and gain < least:
             changed.append(False)
             continue
         innovation[c], phi[c], theta[c], longer[c] = new

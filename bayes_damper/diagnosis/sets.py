@@ -504,9 +504,8 @@ def support(weights: Mapping[frozenset[str], float]) -> dict[str, float]:
     out = {}
     for effect in set().union(*weights) - {"unknown"}:
         held = sum(p for names, p in weights.items() if effect in names)
-        without = sum(
-            p for names, p in weights.items() if effect not in names and (len(names) > 1 or "unknown" in names)
-        )
+        rivals = (names for names in weights if effect not in names and (len(names) > 1 or "unknown" in names))
+        without = sum(weights[names] for names in rivals)
         out[effect] = held / max(held + without, 1e-300)
     return out
 

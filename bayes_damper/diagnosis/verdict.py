@@ -301,9 +301,10 @@ def borne_by_sets(answers: Answers, support: Mapping[str, float]) -> Answers:
     several others, or by a drift of the nominal laws. What explains most alone and is not needed there imitates a cause
     that has no formula of its own.
     """
-    moved = {n: p * (1.0 - support[n]) for n, p in answers.probabilities.items() if n in support}
-    lost = sum(moved.values())
-    kept = {n: max(p - moved.get(n, 0.0), FLOOR / len(answers.probabilities)) for n, p in answers.probabilities.items()}
+    given = answers.probabilities
+    held = {n: p * support.get(n, 1.0) for n, p in given.items()}
+    lost = sum(given.values()) - sum(held.values())
+    kept = {n: max(p, FLOOR / len(held)) for n, p in held.items()}
     kept["unknown"] += lost
     total = sum(kept.values())
     return replace(
