@@ -113,6 +113,8 @@ def test_a_strong_effect_is_named_and_sized(named):
     assert abs(value - 0.8) < 4.0 * sd
     assert found.answers.credible_set() == ["quadratic_drag"]
     assert max(found.sites, key=found.sites.get) == "bearings"
+    (confused,) = time_or_amplitude(found.nominal.problem.experiment, found.answers)
+    assert confused in found.notes
 
 
 @pytest.mark.slow
