@@ -29,7 +29,7 @@ from bayes_damper.calibration import (
 from bayes_damper.calibration.nominal import out_of_phase
 from bayes_damper.commands.diagnose import _estimated, _maps, _shown_record
 from bayes_damper.commands.diagnose import diagnose as diagnose_folder
-from bayes_damper.diagnosis import diagnose, pairs, pipeline
+from bayes_damper.diagnosis import diagnose, judgement, pairs, pipeline
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.judgement import finished, sites_of
 from bayes_damper.diagnosis.lone import left_alone, left_of_squares
@@ -115,6 +115,15 @@ def test_a_strong_effect_is_named_and_sized(named):
     assert max(found.sites, key=found.sites.get) == "bearings"
     (confused,) = time_or_amplitude(found.nominal.problem.experiment, found.answers)
     assert confused in found.notes
+
+
+@pytest.mark.slow
+def test_an_effect_that_the_sets_do_not_hold_is_unknown_however_it_is_weighed(monkeypatch):
+    monkeypatch.setattr(judgement, "support", lambda weights: {"quadratic_drag": 1e-3})
+    found = diagnose(with_effect("quadratic_drag", "alike", {"coefficient": 0.8}), effects=FEW)
+    assert found.verdict == "unknown"
+    assert found.answers.probabilities["unknown"] > 0.9
+    assert all(verdict == "unknown" for _, verdict, _ in found.under_priors)
 
 
 @pytest.mark.slow

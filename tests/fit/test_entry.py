@@ -93,6 +93,20 @@ def fitted(tmp_path_factory):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
+def test_a_fit_of_one_trial_gives_the_parameters_of_that_trial(tmp_path):
+    campaign = _campaign(tmp_path / "campaign")
+    rows = (campaign / "trials.csv").read_text(encoding="utf-8").splitlines()
+    (campaign / "trials.csv").write_text("\n".join(rows[:2]) + "\n", encoding="utf-8")
+    entry = fit(campaign, out=tmp_path / "out", most_steps=100).summary["cases"]["IV"]
+    assert any(sentence.startswith("There is one trial: parameters") for sentence in entry["sentences"])
+    (own,) = entry["trials"].values()
+    assert not {"ln_k1t", "ln_c1t", "ln_drag"} & set(own)
+    low, high = entry["parameters"]["c1t"]["hdi90"]
+    assert low < TRUTH["c1t"] < high
+
+
+@pytest.mark.slow
 def test_progress_tells_what_is_left_when_all_is_drawn(fitted):
     """The draws are two thirds of the work; what comes after has shares of its own, and so have the files of all."""
     assert fitted.converged
