@@ -445,7 +445,11 @@ def with_sizes_of_intervals(fit: Calibration) -> Calibration:
     sizes = fit.problem.switches.scatter.sizes
     if len(fit.problem.trials) == 1:
         sizes = tuple(s for s in sizes if s.name not in RELATIVE)
-    elif lone(fit.problem.experiment, fit.problem.trials) and all(s.sd < s.typical * math.exp(LARGEST) for s in sizes):
+    elif (
+        sizes
+        and lone(fit.problem.experiment, fit.problem.trials)
+        and all(s.sd < s.typical * math.exp(LARGEST) for s in sizes)
+    ):
         # What repeats among them show stays; of the rest all trials together say more than each set of repeats.
         together = zip(sizes, without_repeats(fit).sizes, strict=True)
         sizes = tuple(s if s.gained > SHOWN_FROM else replace(all_of, gained=s.gained) for s, all_of in together)

@@ -385,7 +385,9 @@ def test_a_scatter_that_is_not_seen_and_widens_intervals_is_said():
 def test_stretches_of_one_decay_have_no_springs_of_their_own():
     stretches = laboratory(5, {}, repeats=1)
     assert sizes_of(calibrate_nominal(stretches).problem.switches.scatter)
-    assert calibrate_nominal(replace(stretches, start="free")).problem.switches.scatter.sizes == ()
+    fit = calibrate_nominal(replace(stretches, start="free"))
+    assert fit.problem.switches.scatter.sizes == ()
+    assert with_sizes_of_intervals(fit) is fit
 
 
 def test_a_held_out_trial_has_values_of_its_own():
