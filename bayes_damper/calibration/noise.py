@@ -78,7 +78,11 @@ class Noise:
 
     def whiten(self, channel: int, r: Array, out: Array | None = None) -> Array:
         """Innovations of residuals r (..., n), in units of their standard deviation; out : where they are put."""
-        if self.coloured(channel):
+        if self.longer and self.longer[channel]:
+            r = _left_of(np.ascontiguousarray(r).reshape(-1, r.shape[-1]), np.array(self.longer[channel])).reshape(
+                r.shape
+            )
+        elif self.coloured(channel):
             from scipy.signal import lfilter
 
             r = np.asarray(lfilter(*self.filter(channel), r, axis=-1))
@@ -123,6 +127,19 @@ def _whiten(
             qc, qd = zc + ahead[c] * pc + back[c] * qc, zd + ahead[d] * pd + back[d] * qd
             pa, pb, pc, pd = za, zb, zc, zd
             out[a, i], out[b, i], out[c, i], out[d, i] = qa, qb, qc, qd
+
+
+@compiled(fastmath={"contract"})
+def _left_of(x: Array, coefficients: Array) -> Array:
+    """Rows of x (rows, n) without what an autoregression predicts from the readings before each."""
+    out = x.copy()
+    for a in range(len(x)):
+        before = x[a]
+        for k in range(coefficients.size):
+            left, c = out[a, k + 1 :], coefficients[k]
+            for i in range(left.size):
+                left[i] -= c * before[i]
+    return out
 
 
 def rough_noise(experiment: Experiment, trials: Sequence[int]) -> Noise:

@@ -1,15 +1,16 @@
 """Runs several independent emcee ensembles until a rule is satisfied, with saved states, on one or more processes.
 
-An ensemble goes through two phases. Warm-up: rounds of growing length until two rounds in succession look alike; each
-round fits a mixture of Student t distributions to its draws, which from then on serves as an independence proposal, as
-often as its acceptance earns it. Drawing: proposals are frozen and all steps count. Every ensemble has its own
-generator spawned from the seed, and works in blocks that depend on nothing but its own state, so results are the same
-for any number of processes, and a run that goes on from a saved state gives bit for bit what it would have given
-without the stop.
+An ensemble goes through two phases. Warm-up: rounds of growing length until two rounds in succession look alike; after
+each a mixture of Student t distributions is fitted to the draws of all ensembles, which from then on serves as an
+independence proposal, as often as its acceptance earns it. Drawing: proposals are frozen and all steps count. Every
+ensemble has its own generator spawned from the seed, and works in blocks that depend on nothing but its own state, so
+results are the same for any number of processes, and a run that goes on from a saved state gives bit for bit what it
+would have given without the stop.
 """
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 import os
 import signal
@@ -42,7 +43,9 @@ _TUNING = 200  # steps of warm-up after an annealed start
 _TAUS = 6  # of the latest round, that such a warm-up takes at least: a sample may have too much or too little of a mode
 _BLOCK = 25  # stored steps between two states
 _FEWEST_STORED = 75
-_LEARNT_FROM = 4000  # draws of a round
+_MOST_ANEW = 2  # times that draws count as warm-up after all
+_POOR = 10.0  # steps between independent draws, beyond what a good proposal leaves; and how many of these are few
+_LEARNT_FROM = 8000  # draws of a round, of all ensembles together
 _EARNED = ((0.45, 0.9), (0.1, 0.7), (0.05, 0.45), (0.02, 0.15), (0.0, 0.03))
 """Weight of the learnt mixture in the mix of moves, by the least share of its draws that is accepted. Where nearly half
 are, two draws of it are worth more than two steps of any other move: all but a tenth are then drawn from it.
@@ -136,12 +139,15 @@ class _Ensemble:
     warm: bool = False
     weight: float = 0.0  # of the independence proposal
     annealed: bool = False  # began as a sample of the posterior: little to forget, proposals to tune
-    known: int = 0  # members of that sample
     shares: Array = field(default_factory=lambda: np.empty(0))  # of the mixture that was learnt
     centres: Array = field(default_factory=lambda: np.empty(0))
     spreads: Array = field(default_factory=lambda: np.empty(0))
     tau: float = 1.0  # what is to be expected of the draws
     last: Array = field(default_factory=lambda: np.empty(0))  # (2, ndim + 1): mean and standard deviation last round
+    rounds: int = 0
+    anew: int = 0  # how often draws were counted as warm-up
+    latest: Array = field(default_factory=lambda: np.empty(0))  # (n, ndim): draws of the last round of warm-up
+    counted: float = 0.0  # independent ones that these are worth
     tried: int = 0
     taken: int = 0
     undefined: int = 0
@@ -215,6 +221,7 @@ class _Run:
         self.monitor = monitor
         self.checkpoint, self.progress = checkpoint, progress
         self.walkers = walkers
+        self.begun_as = start.population if len(start.population) else np.empty((0, target.ndim))
         self.thin = 0
         self.judged = 0
         self.verdict: Verdict | None = None
@@ -234,6 +241,11 @@ class _Run:
         """Runs warm-up rounds, each ensemble its own number, until all are warm; then fixes the common thinning."""
         while not all(s.warm for s in self.states):
             cold = [i for i, s in enumerate(self.states) if not s.warm]
+            least = min(self.states[i].rounds for i in cold)
+            if all(s.rounds <= least for s in self.states):
+                self._share()
+            else:  # a stopped run goes on in the midst of a round
+                cold = [i for i in cold if self.states[i].rounds == least]
             for i, (state, _, _) in zip(cold, advance([(self.states[i], 0) for i in cold]), strict=True):
                 self.states[i] = state
                 ahead = sum(_warm_up_ahead(s) for s in self.states)
@@ -241,15 +253,57 @@ class _Run:
                 self._announce("warm-up", max(s.steps for s in self.states), done / (done + ahead))
                 self._save_if_due()
         if self.thin == 0:
+            self._share()
+            most = max(s.weight for s in self.states)
+            self.states = [replace(s, weight=most, latest=np.empty(0)) for s in self.states]
             # The fewest draws that can be judged come no later than the rule asks for draws.
             share = min(1.0 / 8.0, self.rule.taus / _FEWEST_STORED)
             self.thin = max(1, int(share * max(s.tau for s in self.states)))
+
+    def _share(self) -> None:
+        """Gives all ensembles the mixture that the start's sample and the latest draws of all together show.
+
+        What one of them has not found yet, or knows by few draws, another one may know: a proposal that is seldom made
+        where the target is high leaves walkers there for long.
+        """
+        parts = [(s.latest, s.counted) for s in self.states if s.latest.size]
+        if len(
+            self.begun_as
+        ):  # members of that sample are independent: draws count as much as they are worth beside it
+            parts = [(draws[:: max(1, math.ceil(len(draws) / worth))], worth) for draws, worth in parts]
+        if parts:
+            self._learn(np.concatenate([self.begun_as, *(draws for draws, _ in parts)]))
+
+    def _learn(self, draws: Array) -> None:
+        """Gives all ensembles the mixture that draws (n, ndim) show."""
+        shares, centres, spreads = fit_mixture(draws[:: max(1, len(draws) // _LEARNT_FROM)])
+        spreads = spreads + np.eye(draws.shape[1]) * 1e-300
+        self.states = [replace(s, shares=shares, centres=centres, spreads=spreads) for s in self.states]
+
+    def _begin_anew(self) -> None:
+        """Counts the draws so far, which are far from enough, as warm-up: their proposal knew less than they do."""
+        self._learn(self.draws.reshape(-1, self.target.ndim))
+        self.states = [
+            replace(s, steps=s.steps + s.drawn, drawn=0, tried=0, taken=0, anew=s.anew + 1) for s in self.states
+        ]
+        self.draws, self.log_prob = self.draws[:, :0], self.log_prob[:, :0]
+        self.thin, self.judged, self.verdict = 1, 0, None
+
+    def _drawn_poorly(self) -> bool:
+        """Whether the draws, just judged, follow each other closely and are far fewer than a rule asks for."""
+        verdict = self.verdict
+        if verdict is None or self.judged != self.draws.shape[1] * self.thin or self.states[0].anew >= _MOST_ANEW:
+            return False
+        tau = float(verdict.tau.max())
+        return not (tau < _POOR or verdict.steps > min(_POOR, 0.5 * self.rule.taus) * tau)
 
     def draw(self, advance: _Advance) -> None:
         """Draws block by block until the rule holds or the budget is spent."""
         if self.judged > 0 and self.judged == self.draws.shape[1] * self.thin:
             self._judge()  # finished, perhaps under a new rule; elsewhere an early look would change the end
         while not self._finished():
+            if self._drawn_poorly():
+                self._begin_anew()
             parts = list(advance([(s, self.thin) for s in self.states]))
             self.states = [p[0] for p in parts]
             self.draws = np.concatenate([self.draws, np.stack([p[1] for p in parts])], axis=1)
@@ -367,8 +421,7 @@ def _begin(
     if learnt is None:
         return state
     shares, centres, spreads = learnt
-    known = len(start.population)
-    return replace(state, annealed=True, known=known, shares=shares, centres=centres, spreads=spreads, weight=0.3)
+    return replace(state, annealed=True, shares=shares, centres=centres, spreads=spreads, weight=0.3)
 
 
 def _advance(target: Target, state: _Ensemble, thin: int) -> tuple[_Ensemble, Array, Array]:
@@ -404,7 +457,7 @@ def _advance(target: Target, state: _Ensemble, thin: int) -> tuple[_Ensemble, Ar
 
 
 def _after_round(state: _Ensemble, chain: Array, heights: Array, moves: list[HalvesMove]) -> _Ensemble:
-    """What a round of warm-up teaches: stranded walkers, the independence proposal, whether it was the last round."""
+    """What a round of warm-up shows: stranded walkers, what the proposal is worth, whether it was the last round."""
     ndim = chain.shape[2]
     steps = state.steps + len(chain)
     coords, log_prob = state.coords.copy(), state.log_prob.copy()
@@ -427,10 +480,6 @@ def _after_round(state: _Ensemble, chain: Array, heights: Array, moves: list[Hal
     alike = state.last.size > 0 and _alike(state.last, figures)
     settled = steps >= max(_tuning(weight), _TAUS * ahead) if state.annealed else alike and len(chain) >= 3 * tau
     warm = (settled and state.weight > 0 and not lost) or steps >= _LONGEST_WARM_UP
-    shares, centres, spreads = state.shares, state.centres, state.spreads
-    if len(flat) / tau > state.known:  # else the start knew more than this round
-        shares, centres, spreads = fit_mixture(flat[:: max(1, len(flat) // _LEARNT_FROM), :ndim])
-        spreads = spreads + np.eye(ndim) * 1e-300
     return replace(
         state,
         coords=coords,
@@ -439,11 +488,11 @@ def _after_round(state: _Ensemble, chain: Array, heights: Array, moves: list[Hal
         length=max(_FIRST_ROUND, steps // 2),
         warm=bool(warm),
         weight=weight,
-        shares=shares,
-        centres=centres,
-        spreads=spreads,
         tau=ahead,
         last=figures,
+        rounds=state.rounds + 1,
+        latest=flat[:: max(1, len(flat) // _LEARNT_FROM), :ndim],
+        counted=len(flat) / tau,
         reseated=state.reseated + len(lost),
     )
 

@@ -56,7 +56,7 @@ def annealed_start(
 
 
 def resampled_start(
-    target: LogDensity, point: Array, covariance: Array, rng: np.random.Generator, *, draws: int = 1024, rounds: int = 4
+    target: LogDensity, point: Array, covariance: Array, rng: np.random.Generator, *, draws: int = 1024, rounds: int = 8
 ) -> Start:
     """A sample of a posterior that is nearly the Gaussian of a best fit: weighted draws about it, resampled.
 

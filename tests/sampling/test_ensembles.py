@@ -14,6 +14,7 @@ from bayes_damper.errors import InputError, Interrupted
 from bayes_damper.runs.checkpoint import Checkpoint
 from bayes_damper.sampling import Start, StoppingRule, diagnose_draws, sample
 from bayes_damper.sampling.convergence import stranded_walkers
+from bayes_damper.sampling.ensembles import _fingerprint, _Run
 from bayes_damper.sampling.moves import fit_mixture
 from bayes_damper.sampling.sequential import Powers
 from bayes_damper.sampling.start import annealed_start, cloud, resampled_start
@@ -266,6 +267,63 @@ def test_two_processes_give_what_one_gives():
     assert one.draws.tobytes() == two.draws.tobytes() == more.draws.tobytes()
     assert one.log_prob.tobytes() == two.log_prob.tobytes() == more.log_prob.tobytes()
     assert len(asked) > 3
+
+
+class Bent:
+    """Two log-normal coordinates; along the square of the first, the others in two modes, the right one seldomer."""
+
+    ndim = 8
+    names = tuple(f"p{i}" for i in range(8))
+
+    def __call__(self, points):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            logs = np.log(points[:, :2])
+            scale = -0.5 * (logs**2).sum(axis=1) / 0.36 - logs.sum(axis=1)
+            rest = points[:, 2:] - 0.3 * points[:, :1] ** 2
+        modes = [np.log(w) - 2.0 * ((rest - c) ** 2).sum(axis=1) for w, c in ((0.8, -1.0), (0.2, 1.0))]
+        return np.where((points[:, :2] > 0.0).all(axis=1), scale + np.logaddexp(*modes), -np.inf)
+
+
+def bent_and_start():
+    target = Bent()
+    return target, Start(np.ones(8), 0.3 * np.eye(8), float(target(np.ones((1, 8)))[0]), 1)
+
+
+@pytest.mark.slow
+def test_ensembles_propose_what_all_of_them_have_seen(tmp_path):
+    """The autocorrelation time was 82 steps where each learnt from its own draws alone."""
+    target, start = bent_and_start()
+    result = sample(target, start, seed=1, checkpoint=Checkpoint(tmp_path, {}))
+    assert result.converged, result.verdict.sentences
+    assert result.verdict.tau.max() < 12.0
+    assert result.flat()[:, 1].mean() == pytest.approx(np.exp(0.18), rel=0.05)
+    assert np.mean(result.flat()[:, 2] > 0.3 * result.flat()[:, 0] ** 2) == pytest.approx(0.2, abs=0.03)
+    arrays, _ = Checkpoint(tmp_path, {}).bound_to(_fingerprint(target, start, 1, 4, 64)).load()
+    for i in range(1, 4):
+        assert arrays[f"{i}.centres"].tobytes() == arrays["0.centres"].tobytes()
+
+
+@pytest.mark.slow
+def test_poor_draws_count_as_warm_up_and_a_stopped_run_counts_them_so_too(tmp_path, monkeypatch):
+    target, start = bent_and_start()
+    begun = []
+    anew = _Run._begin_anew
+    monkeypatch.setattr(_Run, "_begin_anew", lambda run: (begun.append(run.draws.shape[1]), anew(run)))
+    whole = sample(target, start, seed=1)
+    assert 1 <= len(begun) <= 2
+    assert whole.evaluations == 64 * (whole.warm_up.sum() + 4 * whole.draws.shape[1] * whole.thin)
+    calls = []
+
+    def stop(progress):
+        calls.append(progress)
+        if len(calls) in (3, 9, 14):
+            raise KeyboardInterrupt
+
+    for _ in range(3):
+        with pytest.raises(Interrupted, match="saved"):
+            sample(target, start, seed=1, checkpoint=Checkpoint(tmp_path, {}), progress=stop)
+    again = sample(target, start, seed=1, checkpoint=Checkpoint(tmp_path, {}))
+    assert again.draws.tobytes() == whole.draws.tobytes()
 
 
 RULE = StoppingRule(ess=1e7, max_steps=300)
