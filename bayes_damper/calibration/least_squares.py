@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +14,7 @@ from scipy.special import ndtri
 
 from bayes_damper.calibration.jumps import beside_jumps
 from bayes_damper.calibration.kept_fits import keep, kept_end, place_of
-from bayes_damper.calibration.normal_equations import Linear, Normals
+from bayes_damper.calibration.normal_equations import Block, Linear, Normals
 from bayes_damper.calibration.problem import Problem
 from bayes_damper.calibration.unknowns import coordinate_of, value_and_slope
 from bayes_damper.calibration.unlearnt import gained_over_sizes
@@ -24,6 +25,8 @@ from bayes_damper.priors.distributions import (
     from_standard,
     median,
 )
+from bayes_damper.runs.parallel_map import forked_map
+from bayes_damper.simulation.threads import threads_allowed
 
 Array = NDArray[np.float64]
 REACH = 1.5  # of a step in each coordinate
@@ -35,7 +38,10 @@ NEAR_END = 0.1  # of the way to where a value's prior ends that a step along the
 HOPELESS, HURRY = 60.0, 6.0  # cost above a target, and in how many such steps it must be reachable, to go on
 FAR_BEHIND = 600.0  # cost above a target from which forward differences are good enough for the evidence
 DRAWN, STARTS = 512, 6  # draws from the prior, and the best of them from which descents begin
+MOST_SENT = 12_000_000  # bytes of a fit's derivatives up to which they are sent: a dozen fits are on their way at once
 SAME_COST, SAME_PLACE = 1.0, 0.05  # difference of costs, and of each coordinate, of two descents in one valley
+
+Essence = tuple[Array, dict[int, Array], float, bool, int, bool, tuple[tuple[Array, Array, Array, Array], ...]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,10 +143,13 @@ def calibrate(
         return summarise(problem, q, own, converged, used, central)
     best: _End | None = None
     passed: list[_End] = []  # where descents have been after their first stage
-    for point in points:
-        start = _End(math.inf, point, {i: v.copy() for i, v in (eta or problem.no_nuisance()).items()}, False, 0)
+    begun = [
+        _End(math.inf, q, {i: v.copy() for i, v in (eta or problem.no_nuisance()).items()}, False, 0) for q in points
+    ]
+    if anneal:
+        begun = forked_map(lambda start: _descend(problem, start, most, True, 0.5), begun, threads_allowed())
+    for start in begun:
         if anneal:
-            start = _descend(problem, start, most, annealed=True, tolerance=0.5)
             if best is not None and start.cost > best.cost + give_up:
                 continue
             if any(_alike(start, other) for other in passed):
@@ -164,6 +173,33 @@ def calibrate(
         linear = problem.linearise(q, own, central=True)
     keep(place, (q, own, converged, used, linear.central))
     return summarise(problem, q, own, converged, used, linear=linear)
+
+
+def calibrate_each(
+    problem: Problem, starts: Sequence[tuple[Array, Mapping[int, Array]]], **how: Any
+) -> list[Calibration]:
+    """The fit from each start (q, eta) by itself, with options of `calibrate`, in as many processes as are allowed."""
+    found = forked_map(
+        lambda start: essence(calibrate(problem, [start[0]], eta=start[1], **how)), starts, threads_allowed()
+    )
+    return [restored(problem, each) for each in found]
+
+
+def essence(fit: Calibration | None) -> Essence:
+    """Of a fit, what has to be sent from one process to another."""
+    assert fit is not None
+    blocks = fit.linear.blocks
+    sent = blocks if sum(b.nbytes for b in blocks) < MOST_SENT else ()
+    derivatives = tuple((b.r, b.J, b.T, b.eta) for b in sent)
+    return fit.q, dict(fit.eta), fit.log_evidence, fit.converged, fit.iterations, fit.linear.central, derivatives
+
+
+def restored(problem: Problem, found: Essence) -> Calibration:
+    """The fit of a problem from its essence, in which its derivatives are: to differentiate again costs most."""
+    q, eta, evidence, converged, iterations, central, derivatives = found
+    blocks = tuple(Block(g, *arrays) for g, arrays in zip(problem.groups, derivatives, strict=bool(derivatives)))
+    linear = problem.linearise(q, eta, central=central, known=blocks)
+    return summarise(problem, q, eta, converged, iterations, linear=linear, evidence=evidence)
 
 
 def default_starts(problem: Problem) -> list[Array]:

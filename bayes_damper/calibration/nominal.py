@@ -14,7 +14,7 @@ from scipy.special import logsumexp
 from bayes_damper.calibration.experiment import Experiment, lone, repeats
 from bayes_damper.calibration.groups import Group, Switches
 from bayes_damper.calibration.input_noise import FELT, felt, with_input_noise
-from bayes_damper.calibration.least_squares import Calibration, calibrate, default_starts, drawn_starts
+from bayes_damper.calibration.least_squares import Calibration, calibrate, calibrate_each, default_starts, drawn_starts
 from bayes_damper.calibration.noise import Noise, rough_noise
 from bayes_damper.calibration.noise_level import learn_noise, noise_alone
 from bayes_damper.calibration.own_values import RELEASE, Scatter
@@ -254,7 +254,7 @@ def _each_release(fit: Calibration, sizes: Sequence[float] = ()) -> Calibration:
     starts = [{i: np.where(np.arange(v.size) == places.get(i, -1), x, v) for i, v in fit.eta.items()} for x in sizes]
     if elsewhere := _other_valleys(fit):
         starts.insert(0, {**fit.eta, **elsewhere})
-    found = [fit, *(calibrate(fit.problem, [fit.q], eta=s, anneal=False, finish=False) for s in starts)]
+    found = [fit, *calibrate_each(fit.problem, [(fit.q, s) for s in starts], anneal=False, finish=False)]
     own = [costs(f) for f in found]
     best = {i: min(range(len(found)), key=lambda k: own[k][i]) for i in places}
     if len(set(best.values())) > 1:

@@ -31,7 +31,7 @@ from bayes_damper.simulation.model import Model, delayed
 Array = NDArray[np.float64]
 READINGS_AT_ONCE = 1_000_000  # simulated in one go where candidates are compared
 FINER = 0.01  # factor on the integrator's tolerance where records are subtracted from each other
-_KEPT = ("experiment", "effect", "nominal", "noise", "switches", "threads", "tolerance", "trials", "factors")
+_KEPT = ("experiment", "effect", "nominal", "noise", "switches", "tolerance", "trials", "factors")
 """Arguments of a `Problem`."""
 
 
@@ -46,7 +46,6 @@ class Problem:
         nominal: Literal["nonlinear", "linear"] = "nonlinear",
         noise: Noise | None = None,
         switches: Switches | None = None,
-        threads: int = 1,
         tolerance: float = 1.0,
         trials: Sequence[int] | None = None,
         factors: Mapping[int, Array] | None = None,
@@ -56,7 +55,6 @@ class Problem:
         """
         self.experiment = experiment
         self.nominal = nominal
-        self.threads = threads
         self.tolerance = tolerance
         self.trials = tuple(experiment.training if trials is None else trials)
         self.switches = switches or Switches()
@@ -107,7 +105,7 @@ class Problem:
     @property
     def identity(self) -> tuple[Any, ...]:
         """All that decides what a fit of it ends at: two problems with equal ones are one."""
-        return (type(self).__name__, *(getattr(self, name) for name in _KEPT if name != "threads"))
+        return (type(self).__name__, *(getattr(self, name) for name in _KEPT))
 
     @property
     def n_data(self) -> float:
@@ -204,7 +202,7 @@ class Problem:
         rig, effect = self._inputs(group, which, q, eta)
         motion = partial(
             self.models[group.coupled].simulate, times=group.times, effect=effect if self.effect is not None else None,
-            inputs=group.inputs, quantity=self.experiment.quantity, tolerance=self.tolerance, threads=self.threads,
+            inputs=group.inputs, quantity=self.experiment.quantity, tolerance=self.tolerance,
         )  # fmt: skip
         y = motion(rig).y
         for i, c in enumerate(self.coordinates):

@@ -48,6 +48,7 @@ from bayes_damper.runs.execution import not_a_campaign, pieces_kept
 from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.parallel_map import forked_map, single_threaded
 from bayes_damper.runs.provenance import code_sha256, provenance
+from bayes_damper.simulation.threads import kernel_threads
 from bayes_damper.text import (
     Printable,
     budget_sentence,
@@ -181,7 +182,8 @@ def _written(
     if found.law is not None:
         found.law.write(folder)
     report("forecasting held-out trials, and drawing figures")
-    ahead = forecasts(found.nominal, found.best, found.weighed_fits())
+    with kernel_threads(workers):
+        ahead = forecasts(found.nominal, found.best, found.weighed_fits())
     result = found.to_json()
     result |= {
         "reading_unit": loaded.reading_unit,

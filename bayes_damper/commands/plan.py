@@ -43,6 +43,7 @@ from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.parallel_map import single_threaded
 from bayes_damper.runs.provenance import provenance
 from bayes_damper.sampling.prior_sensitivity import decided_by
+from bayes_damper.simulation.threads import kernel_threads
 from bayes_damper.text import Printable, counted, trial_words
 
 Array = NDArray[np.float64]
@@ -166,7 +167,8 @@ def plan(
     measured = loaded.measurement.noise_std is None
     if measured:
         loaded = replace(loaded, measurement=replace(loaded.measurement, noise_std=_noise_of_records(loaded)))
-    result = judge(loaded, all_effects(effects), nominal, chosen, seed, workers)
+    with kernel_threads(workers):
+        result = judge(loaded, all_effects(effects), nominal, chosen, seed)
     if measured:
         result["sentences"].append("The noise was taken from the records that are there: noise_std is not declared.")
     result |= {"campaign_sha256": loaded.sha256, "seed": seed, "provenance": provenance()}
@@ -203,10 +205,9 @@ def judge(
     nominal: Literal["nonlinear", "linear"] = "nonlinear",
     priors: PriorSet | None = None,
     seed: int = 1,
-    threads: int = 2,
 ) -> PlanFile:
     """The content of plan.json, without checksum and provenance."""
-    fit = planned_fit(campaign, nominal, priors, threads)
+    fit = planned_fit(campaign, nominal, priors)
     sd = campaign.measurement.noise_std or ()
     pool = offered(fit.problem.experiment, nominal, effects)
     rng = np.random.default_rng([seed, 9])
@@ -239,18 +240,16 @@ def judge(
 # The nominal problem --------------------------------------------------------------------------------------------------
 
 
-def planned_fit(
-    campaign: Campaign, nominal: Literal["nonlinear", "linear"], priors: PriorSet | None, threads: int
-) -> Calibration:
+def planned_fit(campaign: Campaign, nominal: Literal["nonlinear", "linear"], priors: PriorSet | None) -> Calibration:
     """The nominal model at its prior medians, linearised on the readings that it predicts itself."""
     experiment = experiment_of(campaign, priors)
     sd = experiment.noise_sd
     channels = 2 if experiment.coupled else 1
     noise = Noise(tuple(sd[min(c, len(sd) - 1)] for c in range(channels)), (0.0,) * channels, (0.0,) * channels)
-    blank = Problem(experiment, nominal=nominal, noise=noise, threads=threads)
+    blank = Problem(experiment, nominal=nominal, noise=noise)
     at = np.zeros(blank.size)
     experiment = with_events(summarise(blank, at, blank.no_nuisance(), True, 0, central=False), experiment)
-    problem = Problem(experiment, nominal=nominal, noise=noise, threads=threads)
+    problem = Problem(experiment, nominal=nominal, noise=noise)
     return summarise(problem, at, problem.no_nuisance(), True, 0)
 
 
@@ -522,7 +521,7 @@ def _additions(fit: Calibration, views: Sequence[View], rivals: Mapping[str, Riv
     candidates = with_events(fit, candidates)
     base = fit.problem
     problem = Problem(
-        candidates, nominal=base.nominal, noise=base.noise, switches=base.switches, threads=base.threads,
+        candidates, nominal=base.nominal, noise=base.noise, switches=base.switches,
         trials=tuple(range(len(candidates.trials))),
     )  # fmt: skip
     places = places_of(fit, problem)

@@ -184,7 +184,7 @@ def moved(fit: Calibration, experiment: Experiment) -> tuple[Problem, Array]:
     """The fit's model on other trials, and its coordinates there: at the prior mean where they are new."""
     old = fit.problem
     problem = Problem(
-        experiment, old.effect, nominal=old.nominal, noise=old.noise, switches=old.switches, threads=old.threads,
+        experiment, old.effect, nominal=old.nominal, noise=old.noise, switches=old.switches,
         tolerance=old.tolerance, trials=tuple(range(len(experiment.trials))),
     )  # fmt: skip
     return problem, np.array([0.0 if k is None else fit.q[k] for k in places_of(fit, problem)])

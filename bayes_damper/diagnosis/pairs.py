@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.calibration import Calibration, Coordinate, Group, Indices, Problem, calibrate, simulated_once
+from bayes_damper.calibration.least_squares import essence, restored
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.remainder import Remainder, remainder_of
 from bayes_damper.diagnosis.search import (
@@ -31,9 +32,7 @@ from bayes_damper.diagnosis.search import (
     Screen,
     Screened,
     bases_of,
-    essence,
     fainter,
-    restored,
     screen_column,
     start_points,
 )

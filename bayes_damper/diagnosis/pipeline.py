@@ -44,6 +44,7 @@ from bayes_damper.effects.base import Variant
 from bayes_damper.priors.distributions import Distribution
 from bayes_damper.priors.files import PriorSet
 from bayes_damper.runs.memory import shortage
+from bayes_damper.simulation.threads import kernel_threads
 from bayes_damper.text import counted
 
 CLEANINGS = 2  # times that outlying readings are looked for: the first ones hide others
@@ -65,8 +66,24 @@ def diagnose(
     """The sim-to-real gap of a campaign (campaign.Campaign, or an Experiment): whether, which, how far it shrinks.
 
     effects : name -> Effect, the candidates; priors : of nominal parameters, in place of the defaults; seed : kept in
-    the record of the run (every step is deterministic); workers : processes; report : receives a line per stage.
+    the record of the run (every step is deterministic); workers : processes, or threads where a step has no parts;
+    report : receives a line per stage.
     """
+    with kernel_threads(workers):
+        return _diagnosed(campaign, nominal, effects, priors, seed, workers, rule, report)
+
+
+def _diagnosed(
+    campaign: Campaign | Experiment,
+    nominal: Literal["nonlinear", "linear"],
+    effects: Mapping[str, Effect],
+    priors: PriorSet | Mapping[str, Distribution | float] | None,
+    seed: int,
+    workers: int,
+    rule: Rule,
+    report: Callable[[str], None],
+) -> Diagnosis:
+    """The whole diagnosis, step by step."""
     began = time.perf_counter()
     if isinstance(campaign, Experiment):
         name, kind, experiment = "campaign", "torsional", campaign

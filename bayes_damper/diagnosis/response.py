@@ -257,7 +257,7 @@ def _motion(fit: Calibration, block: Block) -> Motion:
     inputs = None if group.inputs is None else group.inputs.seen_from_ground()
     run = partial(
         model.simulate, rig, grid, effect=effect if model.effect is not None else None, inputs=inputs,
-        tolerance=problem.tolerance, threads=problem.threads,
+        tolerance=problem.tolerance,
     )  # fmt: skip
     th, w, a = (_of_both(run(quantity=name).y) for name in ("displacement", "velocity", "acceleration"))
     delay = value("delay", 0.0)

@@ -24,10 +24,10 @@ from bayes_damper.calibration import (
     calibrate,
     coordinate_of,
     grown,
-    summarise,
 )
 from bayes_damper.calibration.experiment import angles_of
 from bayes_damper.calibration.heldout import freed
+from bayes_damper.calibration.least_squares import essence, restored
 from bayes_damper.calibration.nominal import broad_noise, out_of_phase
 from bayes_damper.calibration.problem import READINGS_AT_ONCE
 from bayes_damper.calibration.scatter import carried
@@ -41,11 +41,9 @@ from bayes_damper.simulation.links import of_links
 from bayes_damper.simulation.precompile import compile_ahead
 
 Array = NDArray[np.float64]
-Essence = tuple[Array, dict[int, Array], float, bool, int, bool, tuple[tuple[Array, Array, Array, Array], ...]]
 """Of a fit: q, eta, whether it converged, iterations, whether its differences are central, and r, J, T, eta of each
 block, unless these are large."""
 
-MOST_SENT = 12_000_000  # bytes of a fit's derivatives up to which they are sent: a dozen fits are on their way at once
 FULL_FITS = 8  # variants fitted in full, at least
 LEADING_SHARE = 0.25  # every variant that screens above this share of the best gain is fitted too
 MOST_FITS = 14
@@ -369,23 +367,6 @@ def from_usual_friction(found: Sequence[Candidate]) -> list[Candidate]:
         if gained > 0.0:
             out[k] = replace(c, fit=again, log_evidence=c.log_evidence + gained)
     return sorted(out, key=lambda c: -c.log_evidence)
-
-
-def essence(fit: Calibration | None) -> Essence:
-    """Of a fit, what has to be sent from one process to another."""
-    assert fit is not None
-    blocks = fit.linear.blocks
-    sent = blocks if sum(b.nbytes for b in blocks) < MOST_SENT else ()
-    derivatives = tuple((b.r, b.J, b.T, b.eta) for b in sent)
-    return fit.q, dict(fit.eta), fit.log_evidence, fit.converged, fit.iterations, fit.linear.central, derivatives
-
-
-def restored(problem: Problem, found: Essence) -> Calibration:
-    """The fit of a problem from its essence, in which its derivatives are: to differentiate again costs most."""
-    q, eta, evidence, converged, iterations, central, derivatives = found
-    blocks = tuple(Block(g, *arrays) for g, arrays in zip(problem.groups, derivatives, strict=bool(derivatives)))
-    linear = problem.linearise(q, eta, central=central, known=blocks)
-    return summarise(problem, q, eta, converged, iterations, linear=linear, evidence=evidence)
 
 
 def promising(nominal: Calibration, pool: Sequence[tuple[Effect, Variant]], gains: Array, full_fits: int) -> list[int]:

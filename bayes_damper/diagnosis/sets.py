@@ -49,9 +49,10 @@ from bayes_damper.calibration import (
     value_and_slope,
 )
 from bayes_damper.calibration.input_noise import followed
+from bayes_damper.calibration.least_squares import Essence, essence, restored
 from bayes_damper.diagnosis.pairs import ComposedProblem, Pair, PairProblem
 from bayes_damper.diagnosis.remainder import LOW_BAND, own_frequency, repeats_of, whitened_records
-from bayes_damper.diagnosis.search import Candidate, Essence, Screen, essence, restored
+from bayes_damper.diagnosis.search import Candidate, Screen
 from bayes_damper.diagnosis.verdict import FRICTIONS, RULE, USUAL, Rule, mended_share
 from bayes_damper.effects.base import Effect, Variant
 from bayes_damper.priors.distributions import HalfNormal

@@ -37,12 +37,14 @@ from bayes_damper.fit.plan import check_room, possible, recorded_experiment
 from bayes_damper.rig.parameters import OF_EFFECT, unit_of
 from bayes_damper.rig.units import effect_unit, in_words_of
 from bayes_damper.runs.contents.fit import BestFitEntry, CaseEntry, EvidenceEntry, FitPlan, TrialUnknown
+from bayes_damper.runs.execution import processes
 from bayes_damper.runs.memory import shortage
 from bayes_damper.runs.progress import NOTICE
 from bayes_damper.sampling import Sampling, resampled_start
 from bayes_damper.sampling.arviz_adapter import hdi
 from bayes_damper.sampling.bridge import bridge
 from bayes_damper.sampling.prior_sensitivity import of_standard_draws
+from bayes_damper.simulation.threads import kernel_threads
 from bayes_damper.text import missed, misses
 
 Array = NDArray[np.float64]
@@ -54,6 +56,12 @@ _CHOICES = 4
 
 def fit_recorded_cases(folder: Path, report: Report, *, name: str, plan: FitPlan) -> Any:
     """Task: fit one case of a campaign, or all together (`name` "joint"); its entry of summary.json."""
+    with kernel_threads(processes()):
+        return _fitted(folder, report, name, plan)
+
+
+def _fitted(folder: Path, report: Report, name: str, plan: FitPlan) -> CaseEntry:
+    """The entry of summary.json; files of the draws and figures are in the folder then."""
     experiment, kind = recorded_experiment(plan, None if name == "joint" else name)
     report(0.0, shortage(sum(t.y.size for t in experiment.trials)) or "finding the best fit")
     effect = plan.get("effect")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, Literal
@@ -22,6 +21,7 @@ from bayes_damper.rig.equations import ROWS
 from bayes_damper.rig.inputs import Inputs
 from bayes_damper.simulation import integrator, links, specialised
 from bayes_damper.simulation.integrator import LANES, LONGEST_STEP
+from bayes_damper.simulation.threads import side_by_side
 
 Quantity = Literal["acceleration", "velocity", "displacement"]
 QUANTITIES: tuple[Quantity, ...] = ("acceleration", "velocity", "displacement")
@@ -121,7 +121,6 @@ class Model:
         inputs: Inputs | None = None,
         quantity: Quantity = "acceleration",
         tolerance: float = 1.0,
-        threads: int = 1,
     ) -> Simulation:
         """Readings of all channels for n parameter vectors.
 
@@ -141,7 +140,6 @@ class Model:
             begins at times[0], and of theta0, theta2_0 and initial velocities the differences between the bodies count.
         quantity : what the channels read.
         tolerance : factor on the integrator's error tolerance: 1 keeps errors below 1e-4 of the peak, 0.1 below 1e-5.
-        threads : blocks of 16 vectors integrated side by side; the result does not depend on it.
 
         Raises
         ------
@@ -152,15 +150,15 @@ class Model:
         """
         rows, extras, grid, drive, lags = self._prepared(parameters, times, effect, torque, inputs)
         if lags is None:
-            return self._run(rows, extras, grid, drive, quantity, tolerance, threads)
+            return self._run(rows, extras, grid, drive, quantity, tolerance)
         if drive is not None:
-            there = self._run(rows, extras, grid, drive, quantity, tolerance, threads)
+            there = self._run(rows, extras, grid, drive, quantity, tolerance)
             return Simulation(delayed(there.y, grid, lags), there.outcome)
         readings = []
         for channel, lag in enumerate(lags):
             late = np.array(np.broadcast_to(rows, (rows.shape[0], max(rows.shape[1], np.size(lag)))))
             late[ROWS.index("delay")] += lag
-            readings.append((channel, self._run(late, extras, grid, drive, quantity, tolerance, threads)))
+            readings.append((channel, self._run(late, extras, grid, drive, quantity, tolerance)))
         y = np.stack([simulation.y[:, channel] for channel, simulation in readings], axis=1)
         return Simulation(y, np.max([simulation.outcome for _, simulation in readings], axis=0))
 
@@ -228,7 +226,6 @@ class Model:
         inputs: Inputs | None,
         quantity: Quantity,
         tolerance: float,
-        threads: int,
     ) -> Simulation:
         """Integrate block by block."""
         n = max(rows.shape[1], extras.shape[1])
@@ -269,13 +266,12 @@ class Model:
         memory_weights = 1.0 / np.array(scales)
 
         starts = range(0, which.size, LANES)
-        workers = max(1, min(threads, len(starts)))
 
-        def work(worker: int) -> None:
+        def work(first: int, step: int) -> None:
             out = np.empty((LANES, 2, grid.size + 1))
             final = np.empty(LANES)
             status = np.empty(LANES, np.int64)
-            for start in starts[worker::workers]:
+            for start in starts[first::step]:
                 width = min(LANES, _WIDTH * math.ceil((which.size - start) / _WIDTH))
                 lanes = which[np.minimum(np.arange(start, start + width), which.size - 1)]
                 kernel(
@@ -288,11 +284,7 @@ class Model:
                 there = slice(skip, grid.size) if at is None else at
                 y[lanes[:kept]] = out[:kept, : self.channels, there]
 
-        if workers > 1:
-            with ThreadPoolExecutor(workers) as pool:
-                list(pool.map(work, range(workers)))
-        else:
-            work(0)
+        side_by_side(work, len(starts))
         y[outcome != integrator.COMPLETED] = np.nan
         if inputs is not None and prescribed:
             y[:, 0] /= inputs.unit

@@ -189,7 +189,7 @@ def _driven(
     acting = None if acting is None else acting.on_rig(coupled)
     run = Model(coupled=coupled, effect=None if acting is None else acting.variant).simulate(
         parameters, times, effect=None if acting is None else acting.numbers(draws, scale), torque=torque,
-        quantity="displacement", threads=2,
+        quantity="displacement",
     )  # fmt: skip
     return run.y.reshape(*f.shape, *run.y.shape[1:]), f
 

@@ -33,6 +33,7 @@ from bayes_damper.runs.json_files import folder_name, plain, read_json, write_js
 from bayes_damper.runs.parallel_map import single_threaded
 from bayes_damper.runs.provenance import code_sha256, provenance
 from bayes_damper.sampling import arviz_adapter
+from bayes_damper.simulation.threads import kernel_threads
 from bayes_damper.text import Printable, warning_lines
 from bayes_damper.variability.averaged import (
     DRAWS,
@@ -159,7 +160,8 @@ def variability(
     plan, fitted = _read_fit(folder)
     target = Path(out) if out is not None else fitted or Path("results/variability")
     report = partial((progress or Silent()).update, "variability")
-    cases = PublishedCases(plan) if is_published(plan["campaign"]) else RecordedCases(plan, report)
+    with kernel_threads(workers):
+        cases = PublishedCases(plan) if is_published(plan["campaign"]) else RecordedCases(plan, report)
     rng = np.random.default_rng([seed, 5])
     settings: PoolingSettings = {"fit": plan, "seed": seed, "particles": particles, "repeats": repeats}
     run = {**settings, "source": str(folder), "draws": draws, "unseen": unseen, "adapt": adapt}
@@ -173,7 +175,8 @@ def variability(
         more, parts = _averaged(cases, models, runs, chosen, work, rng)
         sets: Sets | None = published_sets(cases, _some(parts, draws, rng), rng)
     else:
-        models, sets, check = _compared_records(cases, plan, fitted or target, rng, particles, draws)
+        with kernel_threads(workers):
+            models, sets, check = _compared_records(cases, plan, fitted or target, rng, particles, draws)
     found = None if sets is None else decompose(sets)
     _add_probabilities(models)
     fit_converged = bool(plan.get("fit_converged", True))

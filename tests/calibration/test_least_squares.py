@@ -12,13 +12,13 @@ import pytest
 from bayes_damper.calibration import Experiment, Noise, Problem, TrialRecord, calibrate
 from bayes_damper.calibration.groups import Switches
 from bayes_damper.calibration.heldout import freed
-from bayes_damper.calibration.least_squares import _bend, summarise
+from bayes_damper.calibration.least_squares import _bend, calibrate_each, essence, restored, summarise
 from bayes_damper.calibration.own_values import RELEASE, Scatter, Size
 from bayes_damper.calibration.unknowns import Coordinate
-from bayes_damper.diagnosis.search import essence, restored
 from bayes_damper.effects import EFFECTS
 from bayes_damper.priors.distributions import LogNormal, LogUniform, Normal, Uniform
 from bayes_damper.simulation.model import Model
+from bayes_damper.simulation.threads import kernel_threads
 
 CONSTANTS = {"J1": 3.015e-3, "J2": 2.474e-3, "R": 0.10, "r": 0.0127, "N0": 100.0}
 TRUE = {"c1t": 0.011, "drag": 0.005, "nu": 40.0, "k1t": 6.2, "theta0": 0.1}
@@ -83,6 +83,23 @@ def test_a_fit_from_another_process_is_not_differentiated_again(problem, monkeyp
     again = restored(problem.with_effect(CUBIC), sent)
     assert again.log_evidence == fit.log_evidence
     assert np.array_equal(again.covariance, fit.covariance)
+
+
+@pytest.mark.parametrize("allowed", [1, 2])
+def test_fits_side_by_side_are_those_one_after_the_other(problem, allowed):
+    fit = calibrate(problem)
+    starts = [(fit.q + shift, fit.eta) for shift in (0.5, -0.5)]
+    alone = [calibrate(problem, [q], eta=eta, anneal=False) for q, eta in starts]
+    with kernel_threads(allowed):
+        beside = calibrate_each(problem, starts, anneal=False)
+        again = calibrate(problem)
+    assert again.cost == fit.cost
+    assert np.array_equal(again.q, fit.q)
+    for one, other in zip(alone, beside, strict=True):
+        assert one.cost == other.cost
+        assert one.log_evidence == other.log_evidence
+        assert np.array_equal(one.q, other.q)
+        assert np.array_equal(one.covariance, other.covariance)
 
 
 def test_the_bend_of_a_bounded_value_is_the_curvature_that_gauss_newton_leaves_out():

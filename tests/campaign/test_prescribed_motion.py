@@ -151,7 +151,7 @@ def test_diagnose_names_what_the_reaction_of_a_prescribed_motion_shows(tmp_path,
     campaign = load_campaign(folder)
     if cubic:
         declared = replace(campaign, measurement=replace(campaign.measurement, noise_std=NOISE[:1]))
-        plan = judge(declared, {name: EFFECTS[name] for name in ("spring_cubic", "quadratic_drag")}, threads=1)
+        plan = judge(declared, {name: EFFECTS[name] for name in ("spring_cubic", "quadratic_drag")})
         assert plan["noise"] == [NOISE[0]]  # N m
         assert all(row["chance"] > 0.5 for row in plan["effects"])
         low, high = plan["parameters"]["J1"]["expected90"]

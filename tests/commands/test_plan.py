@@ -78,7 +78,7 @@ def test_planned_records_last_as_declared_and_hold_nothing(tmp_path):
 
 def test_what_the_nominal_model_leaves_is_that_of_the_whole_gaussian(tmp_path):
     """d' (1 + A A')^-1 d with A all derivatives of parameters and nuisances of all trials, written out."""
-    fit = planned_fit(load_plan(write_plan(tmp_path, repeats=2)), "nonlinear", None, 1)
+    fit = planned_fit(load_plan(write_plan(tmp_path, repeats=2)), "nonlinear", None)
     bench = Bench(fit)
     _, variant = offered(fit.problem.experiment, "nonlinear", {"quadratic_drag": EFFECTS["quadratic_drag"]})[0]
     columns = bench.changes(variant, _standard(variant, variant.starts[0])[None])
@@ -99,8 +99,8 @@ def test_what_the_nominal_model_leaves_is_that_of_the_whole_gaussian(tmp_path):
 
 def test_repeats_count_as_if_they_had_been_planned(tmp_path):
     """Two trials of each for fitting, taken three times, against six; the held-out one is added to both."""
-    few = planned_fit(load_plan(write_plan(tmp_path / "few", repeats=3)), "nonlinear", None, 1)
-    many = planned_fit(load_plan(write_plan(tmp_path / "many", repeats=7)), "nonlinear", None, 1)
+    few = planned_fit(load_plan(write_plan(tmp_path / "few", repeats=3)), "nonlinear", None)
+    many = planned_fit(load_plan(write_plan(tmp_path / "many", repeats=7)), "nonlinear", None)
     _, variant = offered(few.problem.experiment, "nonlinear", {"spring_cubic": EFFECTS["spring_cubic"]})[0]
     z = _standard(variant, variant.starts[0])[None]
     lengths = [float(b.pieces(b.changes(variant, z)).left(m)[0, 0]) for b, m in ((Bench(few), 3), (Bench(many), 1))]
@@ -239,7 +239,7 @@ def simulated(campaign, fit, variant=None, values=None, seed=1):
 def test_an_effect_called_visible_is_found_and_one_called_invisible_is_not(planned, name):
     """At 2.5 times the smallest size that the plan calls visible a diagnosis names it; at an eighth it does not."""
     campaign, result = planned
-    fit = planned_fit(campaign, "nonlinear", None, 2)
+    fit = planned_fit(campaign, "nonlinear", None)
     row = next(r for r in result["effects"] if r["name"] == name)
     pool = offered(fit.problem.experiment, "nonlinear", FEW)
     variant = next(v for e, v in pool if e.name == name and v.name == row["variant"])
@@ -262,7 +262,7 @@ def test_an_effect_called_visible_is_found_and_one_called_invisible_is_not(plann
 def test_the_evidence_of_a_diagnosis_is_what_the_plan_expects(planned):
     """At the smallest visible size the evidence over seeds is about `NATS`, as forecast without any record."""
     campaign, result = planned
-    fit = planned_fit(campaign, "nonlinear", None, 2)
+    fit = planned_fit(campaign, "nonlinear", None)
     row = next(r for r in result["effects"] if r["name"] == "quadratic_drag")
     variant = next(
         v for _, v in offered(fit.problem.experiment, "nonlinear", {"quadratic_drag": EFFECTS["quadratic_drag"]})

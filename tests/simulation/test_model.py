@@ -9,8 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayes_damper.effects import EFFECTS
+from bayes_damper.runs.parallel_map import can_fork, forked_map
 from bayes_damper.simulation.model import Model
 from bayes_damper.simulation.outcome import Outcome
+from bayes_damper.simulation.threads import kernel_threads, threads_allowed
 
 TIMES = np.arange(0.0, 0.1005, 1e-3)
 
@@ -29,7 +31,22 @@ def test_a_record_is_bitwise_the_same_alone_in_any_batch_and_in_any_order(seed, 
     everything = _table(40)
     whole = Model().simulate(everything, TIMES).y
     chosen = np.random.default_rng(seed).permutation(40)[:n]
-    np.testing.assert_array_equal(Model().simulate(_take(everything, chosen), TIMES, threads=threads).y, whole[chosen])
+    with kernel_threads(threads):
+        alone = Model().simulate(_take(everything, chosen), TIMES).y
+    np.testing.assert_array_equal(alone, whole[chosen])
+
+
+@pytest.mark.skipif(not can_fork(), reason="this system cannot fork")
+def test_a_forked_process_integrates_in_one_thread_of_its_own():
+    everything = _table(40)
+    with kernel_threads(2):
+        here = Model().simulate(everything, TIMES).y
+        apart = forked_map(lambda _: (threads_allowed(), Model().simulate(everything, TIMES).y), [0, 1], 2)
+        assert threads_allowed() == 2
+    assert threads_allowed() == 1
+    for threads, there in apart:
+        assert threads == 1
+        np.testing.assert_array_equal(there, here)
 
 
 def test_delays_of_others_do_not_touch_a_record():
