@@ -26,7 +26,7 @@ from bayes_damper.priors.distributions import (
     median,
 )
 from bayes_damper.runs.parallel_map import forked_map
-from bayes_damper.simulation.threads import threads_allowed
+from bayes_damper.runs.threads import threads_allowed
 
 Array = NDArray[np.float64]
 REACH = 1.5  # of a step in each coordinate

@@ -48,7 +48,7 @@ from bayes_damper.runs.execution import not_a_campaign, pieces_kept
 from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.parallel_map import forked_map, single_threaded
 from bayes_damper.runs.provenance import code_sha256, provenance
-from bayes_damper.simulation.threads import kernel_threads
+from bayes_damper.runs.threads import kernel_threads
 from bayes_damper.text import (
     Printable,
     budget_sentence,

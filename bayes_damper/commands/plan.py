@@ -42,8 +42,8 @@ from bayes_damper.runs.contents.plan import Addition, PlanFile, PlannedEffect, P
 from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.parallel_map import single_threaded
 from bayes_damper.runs.provenance import provenance
+from bayes_damper.runs.threads import kernel_threads
 from bayes_damper.sampling.prior_sensitivity import decided_by
-from bayes_damper.simulation.threads import kernel_threads
 from bayes_damper.text import Printable, counted, trial_words
 
 Array = NDArray[np.float64]

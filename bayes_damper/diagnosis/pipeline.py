@@ -44,7 +44,7 @@ from bayes_damper.effects.base import Variant
 from bayes_damper.priors.distributions import Distribution
 from bayes_damper.priors.files import PriorSet
 from bayes_damper.runs.memory import shortage
-from bayes_damper.simulation.threads import kernel_threads
+from bayes_damper.runs.threads import kernel_threads
 from bayes_damper.text import counted
 
 CLEANINGS = 2  # times that outlying readings are looked for: the first ones hide others

@@ -40,11 +40,11 @@ from bayes_damper.runs.contents.fit import BestFitEntry, CaseEntry, EvidenceEntr
 from bayes_damper.runs.execution import processes
 from bayes_damper.runs.memory import shortage
 from bayes_damper.runs.progress import NOTICE
+from bayes_damper.runs.threads import kernel_threads
 from bayes_damper.sampling import Sampling, resampled_start
 from bayes_damper.sampling.arviz_adapter import hdi
 from bayes_damper.sampling.bridge import bridge
 from bayes_damper.sampling.prior_sensitivity import of_standard_draws
-from bayes_damper.simulation.threads import kernel_threads
 from bayes_damper.text import missed, misses
 
 Array = NDArray[np.float64]

@@ -267,9 +267,7 @@ class _Run:
         where the target is high leaves walkers there for long.
         """
         parts = [(s.latest, s.counted) for s in self.states if s.latest.size]
-        if len(
-            self.begun_as
-        ):  # members of that sample are independent: draws count as much as they are worth beside it
+        if len(self.begun_as):  # draws that follow each other count by what they are worth beside independent ones
             parts = [(draws[:: max(1, math.ceil(len(draws) / worth))], worth) for draws, worth in parts]
         if parts:
             self._learn(np.concatenate([self.begun_as, *(draws for draws, _ in parts)]))

@@ -19,9 +19,9 @@ from scipy.interpolate import Akima1DInterpolator
 from bayes_damper.effects.base import MOST_PARAMETERS, Variant, parameter_table
 from bayes_damper.rig.equations import ROWS
 from bayes_damper.rig.inputs import Inputs
+from bayes_damper.runs.threads import side_by_side
 from bayes_damper.simulation import integrator, links, specialised
 from bayes_damper.simulation.integrator import LANES, LONGEST_STEP
-from bayes_damper.simulation.threads import side_by_side
 
 Quantity = Literal["acceleration", "velocity", "displacement"]
 QUANTITIES: tuple[Quantity, ...] = ("acceleration", "velocity", "displacement")

@@ -21,7 +21,7 @@ from bayes_damper.rig.units import BODIES, CHOSEN, design_in_words, in_words_of,
 from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.parallel_map import single_threaded
 from bayes_damper.runs.provenance import provenance
-from bayes_damper.simulation.threads import kernel_threads
+from bayes_damper.runs.threads import kernel_threads
 from bayes_damper.text import Printable, counted, warning_lines
 from bayes_damper.tuning.acting import Acting, acting_of
 from bayes_damper.tuning.curves import Band, Curve, driven_responses, frequency_responses, tuning_curves

@@ -32,8 +32,8 @@ from bayes_damper.runs.execution import Progress, RunRecord, Silent, Task, claim
 from bayes_damper.runs.json_files import folder_name, plain, read_json, write_json
 from bayes_damper.runs.parallel_map import single_threaded
 from bayes_damper.runs.provenance import code_sha256, provenance
+from bayes_damper.runs.threads import kernel_threads
 from bayes_damper.sampling import arviz_adapter
-from bayes_damper.simulation.threads import kernel_threads
 from bayes_damper.text import Printable, warning_lines
 from bayes_damper.variability.averaged import (
     DRAWS,

@@ -17,8 +17,8 @@ from bayes_damper.calibration.own_values import RELEASE, Scatter, Size
 from bayes_damper.calibration.unknowns import Coordinate
 from bayes_damper.effects import EFFECTS
 from bayes_damper.priors.distributions import LogNormal, LogUniform, Normal, Uniform
+from bayes_damper.runs.threads import kernel_threads
 from bayes_damper.simulation.model import Model
-from bayes_damper.simulation.threads import kernel_threads
 
 CONSTANTS = {"J1": 3.015e-3, "J2": 2.474e-3, "R": 0.10, "r": 0.0127, "N0": 100.0}
 TRUE = {"c1t": 0.011, "drag": 0.005, "nu": 40.0, "k1t": 6.2, "theta0": 0.1}

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from bayes_damper.effects import EFFECTS
 from bayes_damper.runs.parallel_map import can_fork, forked_map
+from bayes_damper.runs.threads import kernel_threads, threads_allowed
 from bayes_damper.simulation.model import Model
 from bayes_damper.simulation.outcome import Outcome
-from bayes_damper.simulation.threads import kernel_threads, threads_allowed
 
 TIMES = np.arange(0.0, 0.1005, 1e-3)
 
