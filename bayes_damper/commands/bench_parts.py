@@ -123,6 +123,10 @@ class Stopwatch:
 
         return run
 
+    def start(self) -> None:
+        """Count from now on: not what it took to import what is timed."""
+        self._since = time.process_time()
+
     def stop(self) -> dict[str, float]:
         """Seconds by part until now."""
         self._charge()
@@ -178,6 +182,8 @@ def diagnose_by_parts(campaign: str | Path | None = None, **options: Any) -> Par
     steps, work = Stopwatch(), Stopwatch()
     with tempfile.TemporaryDirectory() as folder, timed(steps, STEPS), timed(work, WORK):
         begun = time.process_time()
+        steps.start()
+        work.start()
         found = diagnose(campaign, out=Path(folder) / "diagnosis", **({"workers": 1} | options))
         seconds = time.process_time() - begun
         by_step, by_work = steps.stop(), work.stop()

@@ -29,6 +29,13 @@ def test_of_nested_parts_the_innermost_counts():
     assert seconds["outer"] == pytest.approx(0.02, abs=0.015)
 
 
+def test_what_is_spent_before_the_start_does_not_count():
+    watch = bench_parts.Stopwatch()
+    spend(0.05)
+    watch.start()
+    assert sum(watch.stop().values()) < 0.02
+
+
 def test_functions_are_timed_wherever_they_are_used_and_only_then():
     given = sites.site_map
     watch = bench_parts.Stopwatch()
