@@ -51,7 +51,8 @@ SETTINGS = {
     f"2 degrees of freedom), FeaturePosterior; annealed start of {POPULATION} members in place of 2048, then as above",
     "seed": str(SEED),
 }
-SWITCHES = {"lone": None, synthetic.FAINT: None, "repeats": Switches(delay=True, friction=True)}
+SWITCHES = dict.fromkeys((*synthetic.KINDS, synthetic.FAINT), Switches(delay=True, friction=True))
+"""What each trial has of its own is as in the synthetic ones: the usual scatter of single trials would widen all."""
 
 
 @contextmanager
@@ -141,7 +142,8 @@ def recorded(
     for i, mine in enumerate(made.own):
         truth |= {f"{name}[{i + 1}]": x for name, x in mine.items()}
         drawn |= {f"{name}[{i + 1}]": x for name, x in own[i].items()}
-    return {"ranks": _ranks(truth, drawn), "switches": vars(best.problem.switches)} | health
+    switches = {name: on for name, on in vars(best.problem.switches).items() if isinstance(on, bool)}
+    return {"ranks": _ranks(truth, drawn), "switches": switches} | health
 
 
 def published(case: str, number: int) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from functools import partial
 from typing import Any
 
@@ -22,6 +23,12 @@ EXACT = 70
 """Of each kind, for the fit without allowance for release and reversals."""
 THESES = 20
 """Of each case."""
+
+
+def test_what_a_part_finds_can_be_kept():
+    """It is a line of JSON: seen here, long before the next proof."""
+    found = calibrated.recorded("lone", 0, weights=True)
+    assert json.loads(json.dumps(found)) == found
 
 
 @pytest.mark.prove
