@@ -179,9 +179,13 @@ def calibrate_each(
     problem: Problem, starts: Sequence[tuple[Array, Mapping[int, Array]]], **how: Any
 ) -> list[Calibration]:
     """The fit from each start (q, eta) by itself, with options of `calibrate`, in as many processes as are allowed."""
-    found = forked_map(
-        lambda start: essence(calibrate(problem, [start[0]], eta=start[1], **how)), starts, threads_allowed()
-    )
+
+    def fitted(start: tuple[Array, Mapping[int, Array]]) -> Calibration:
+        return calibrate(problem, [start[0]], eta=start[1], **how)
+
+    if threads_allowed() < 2 or len(starts) < 2:  # nothing has to be sent
+        return [fitted(start) for start in starts]
+    found = forked_map(lambda start: essence(fitted(start)), starts, threads_allowed())
     return [restored(problem, each) for each in found]
 
 

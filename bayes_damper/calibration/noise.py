@@ -79,9 +79,8 @@ class Noise:
     def whiten(self, channel: int, r: Array, out: Array | None = None) -> Array:
         """Innovations of residuals r (..., n), in units of their standard deviation; out : where they are put."""
         if self.longer and self.longer[channel]:
-            r = _left_of(np.ascontiguousarray(r).reshape(-1, r.shape[-1]), np.array(self.longer[channel])).reshape(
-                r.shape
-            )
+            rows = np.ascontiguousarray(r).reshape(-1, r.shape[-1])
+            r = _left_of(rows, np.array(self.longer[channel])).reshape(r.shape)
         elif self.coloured(channel):
             from scipy.signal import lfilter
 

@@ -44,7 +44,8 @@ _TAUS = 6  # of the latest round, that such a warm-up takes at least: a sample m
 _BLOCK = 25  # stored steps between two states
 _FEWEST_STORED = 75
 _MOST_ANEW = 2  # times that draws count as warm-up after all
-_POOR = 10.0  # steps between independent draws, beyond what a good proposal leaves; and how many of these are few
+_CLOSE = 10.0  # autocorrelation time, steps, from which draws follow each other too closely for a good proposal
+_FEW = 10.0  # autocorrelation times that are few
 _LEARNT_FROM = 8000  # draws of a round, of all ensembles together
 _EARNED = ((0.45, 0.9), (0.1, 0.7), (0.05, 0.45), (0.02, 0.15), (0.0, 0.03))
 """Weight of the learnt mixture in the mix of moves, by the least share of its draws that is accepted. Where nearly half
@@ -147,7 +148,6 @@ class _Ensemble:
     rounds: int = 0
     anew: int = 0  # how often draws were counted as warm-up
     latest: Array = field(default_factory=lambda: np.empty(0))  # (n, ndim): draws of the last round of warm-up
-    counted: float = 0.0  # independent ones that these are worth
     tried: int = 0
     taken: int = 0
     undefined: int = 0
@@ -221,7 +221,7 @@ class _Run:
         self.monitor = monitor
         self.checkpoint, self.progress = checkpoint, progress
         self.walkers = walkers
-        self.begun_as = start.population if len(start.population) else np.empty((0, target.ndim))
+        self.population = start.population.reshape(-1, target.ndim)
         self.thin = 0
         self.judged = 0
         self.verdict: Verdict | None = None
@@ -266,11 +266,9 @@ class _Run:
         What one of them has not found yet, or knows by few draws, another one may know: a proposal that is seldom made
         where the target is high leaves walkers there for long.
         """
-        parts = [(s.latest, s.counted) for s in self.states if s.latest.size]
-        if len(self.begun_as):  # draws that follow each other count by what they are worth beside independent ones
-            parts = [(draws[:: max(1, math.ceil(len(draws) / worth))], worth) for draws, worth in parts]
-        if parts:
-            self._learn(np.concatenate([self.begun_as, *(draws for draws, _ in parts)]))
+        latest = [s.latest for s in self.states if s.latest.size]
+        if latest:
+            self._learn(np.concatenate([self.population, *latest]))
 
     def _learn(self, draws: Array) -> None:
         """Gives all ensembles the mixture that draws (n, ndim) show."""
@@ -293,7 +291,7 @@ class _Run:
         if verdict is None or self.judged != self.draws.shape[1] * self.thin or self.states[0].anew >= _MOST_ANEW:
             return False
         tau = float(verdict.tau.max())
-        return not (tau < _POOR or verdict.steps > min(_POOR, 0.5 * self.rule.taus) * tau)
+        return tau >= _CLOSE and verdict.steps <= min(_FEW, 0.5 * self.rule.taus) * tau
 
     def draw(self, advance: _Advance) -> None:
         """Draws block by block until the rule holds or the budget is spent."""
@@ -478,6 +476,8 @@ def _after_round(state: _Ensemble, chain: Array, heights: Array, moves: list[Hal
     alike = state.last.size > 0 and _alike(state.last, figures)
     settled = steps >= max(_tuning(weight), _TAUS * ahead) if state.annealed else alike and len(chain) >= 3 * tau
     warm = (settled and state.weight > 0 and not lost) or steps >= _LONGEST_WARM_UP
+    # Beside the independent members of an annealed sample draws count by what they are worth.
+    every = math.ceil(tau) if state.annealed else max(1, len(flat) // _LEARNT_FROM)
     return replace(
         state,
         coords=coords,
@@ -489,8 +489,7 @@ def _after_round(state: _Ensemble, chain: Array, heights: Array, moves: list[Hal
         tau=ahead,
         last=figures,
         rounds=state.rounds + 1,
-        latest=flat[:: max(1, len(flat) // _LEARNT_FROM), :ndim],
-        counted=len(flat) / tau,
+        latest=flat[::every, :ndim],
         reseated=state.reseated + len(lost),
     )
 
