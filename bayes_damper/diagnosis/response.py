@@ -313,6 +313,8 @@ def _parts(e: Experiment, value: Callable[[str, float], Array], coupled: bool) -
     """What the nominal laws need, by name, (trials,) each."""
     parts = {name: value(name, 0.0) for name in ("k1t", "k3t", "c1t", "c3t", "k2t", "c2t", "drag", "nu", "tail")}
     nothing = np.zeros_like(parts["nu"])
+    parts["drag2"] = value("drag2", math.nan)
+    parts["drag2"] = np.where(np.isnan(parts["drag2"]), parts["drag"], parts["drag2"])
     magnet = coupled and e.magnet
     parts["friction"] = value("mu", 0.0) * value("N0", 0.0) * value("R", 1.0) if magnet else nothing
     linear = e.normal_force == "linear" and magnet
@@ -398,7 +400,7 @@ def _nominal_torques(th: Array, w: Array, p: dict[str, Array], coupled: bool, pe
     out = np.zeros_like(th)
     out[:, 0] = -column("k1t") * bent[:, 0] - column("c1t") * w[:, 0] - column("drag") * dry(w[:, 0])
     if coupled:
-        out[:, 1] = -column("k3t") * bent[:, 1] - column("c3t") * w[:, 1] - column("drag") * dry(w[:, 1])
+        out[:, 1] = -column("k3t") * bent[:, 1] - column("c3t") * w[:, 1] - column("drag2") * dry(w[:, 1])
         phi, slip = th[:, 0] - th[:, 1], w[:, 0] - w[:, 1]
         pull = column("friction") * np.maximum(0.0, 1.0 - column("slope") * np.abs(phi))
         joint = column("k2t") * phi + column("c2t") * slip + pull * dry(slip)
@@ -455,7 +457,7 @@ def _jacobian(
     if coupled:
         slope2, _ = _secant(p["nu"], p["tail"], w_a[:, 1], w_b[:, 1])
         K[:, :, 1, 1] = -column("k3t") * bend[:, 1]
-        C[:, :, 1, 1] = -column("c3t") - column("drag") * slope2
+        C[:, :, 1, 1] = -column("c3t") - column("drag2") * slope2
         phi = th[:, 0] - th[:, 1]
         ratio = np.maximum(0.0, 1.0 - column("slope") * np.abs(phi))
         slip_slope, slip_sign = _secant(p["nu"], p["tail"], w_a[:, 0] - w_a[:, 1], w_b[:, 0] - w_b[:, 1])

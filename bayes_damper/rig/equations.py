@@ -1,12 +1,13 @@
 """The nominal rig: two inertias, a spring to ground, bearings, and the magnetic interface between them.
 
     J1 a1 + J12 a2 + c1t w1 + k1t g(th1) + drag s(nu w1) + T = torque1(t) + Q1
-    J12 a1 + J2 a2 + c3t w2 + k3t g(th2) + drag s(nu w2) - T = torque2(t) + Q2
+    J12 a1 + J2 a2 + c3t w2 + k3t g(th2) + drag2 s(nu w2) - T = torque2(t) + Q2
     T = k2t phi + c2t (w1 - w2) + mu N R s(nu (w1 - w2)),    phi = th1 - th2
     N = N0 max(0, 1 - R |phi| / (2 r))   or   N = N0,    g(th) = th   or   sin(th)
     s(x) = tanh(x)   or, with `tail`, another curve from -1 to 1 (vector_math.smooth_sign_scaled)
 
-Augustine (2013), eqs. 17-20; Q1, Q2 are what an effect adds. The uncoupled rig keeps the first line without T and J12.
+Augustine (2013), eqs. 17-20, where drag2 is drag; Q1, Q2 are what an effect adds. The uncoupled rig keeps the first
+line without T and J12.
 Here live the torques and their Jacobian, as kernels of plain floats; stepping in time is integrator.py's.
 """
 
@@ -17,7 +18,7 @@ from typing import NamedTuple
 from bayes_damper.rig.vector_math import TANH_SCALE, cos, lane, sin, smooth_sign_scaled, tanh_scaled
 
 ROWS = (
-    *("J1", "J2", "J12", "k1t", "k3t", "c1t", "c3t", "k2t", "c2t", "mu", "N0", "R", "r", "drag", "nu", "tail"),
+    *("J1", "J2", "J12", "k1t", "k3t", "c1t", "c3t", "k2t", "c2t", "mu", "N0", "R", "r", "drag", "drag2", "nu", "tail"),
     *("theta0", "theta2_0", "omega1_0", "omega2_0", "delay", "release_time"),
 )
 """What one simulation needs, in the order of the kernel's rows (SI; angles in rad, delay and release_time in s).
@@ -81,20 +82,20 @@ def _sign(y, tail, curved):
 
 
 @lane
-def friction_torques(th1, th2, w1, w2, friction, slope, drag, sharpness, tail, curved, coupled):
+def friction_torques(th1, th2, w1, w2, friction, slope, drag, drag2, sharpness, tail, curved, coupled):
     """Dry friction that holds each inertia back, N m; friction = mu N0 R, sharpness = TANH_SCALE nu."""
     held1 = drag * _sign(sharpness * w1, tail, curved)[0]
     held2 = 0.0
     if coupled:
         face = friction * normal_force_ratio(th1 - th2, slope) * _sign(sharpness * (w1 - w2), tail, curved)[0]
-        held2 = drag * _sign(sharpness * w2, tail, curved)[0] - face
+        held2 = drag2 * _sign(sharpness * w2, tail, curved)[0] - face
         held1 = held1 + face
     return held1, held2
 
 
 @lane
 def linearised(
-    th1, th2, w1, w2, k1t, k3t, c1t, c3t, k2t, c2t, friction, slope, drag, nu, tail, curved, coupled, pendulum
+    th1, th2, w1, w2, k1t, k3t, c1t, c3t, k2t, c2t, friction, slope, drag, drag2, nu, tail, curved, coupled, pendulum
 ):
     """Nominal torques with their derivatives; friction = mu N0 R.
 
@@ -124,9 +125,9 @@ def linearised(
         smooth = k2t * phi + c2t * slip
         face = friction * ratio * s
         tau1 = (tau1 - smooth) - (drag * s1 + face)
-        tau2 = (smooth - c3t * w2 - k3t * g2) - (drag * s2 - face)
+        tau2 = (smooth - c3t * w2 - k3t * g2) - (drag2 * s2 - face)
         a2 = -k3t * slope2
-        b2 = -c3t - drag * nu * steep2
+        b2 = -c3t - drag2 * nu * steep2
         side = (slope if phi < 0.0 else -slope) if ratio > 0.0 else 0.0
         t_phi = k2t + friction * side * s
         t_slip = c2t + friction * ratio * nu * steep

@@ -60,20 +60,20 @@ T2, T3 = 1.0, 0.6
 G1, G2, G3, G4 = 0.5, -1.5, 2.42, 0.116
 
 # Rows of the block: parameters in the order of equations.ROWS, those of the effect, what is derived from them once,
-J1, J2, J12, K1, K3, C1, C3, K2, C2, MU, N0, R_BAR, R_FACE, DRAG, NU, TAIL = range(16)
-THETA0, TH20, W10, W20, DELAY, LETS_GO = range(16, 22)
-EXTRA = 22  # and the three after it; MORE has the rest
-FRICTION, SLOPE, MI11, MI12, MI22, PER_SPEED, PER_ACC1, PER_ACC2, EPS_TH, EPS_W, HELD1, HELD2 = range(26, 38)
-HOLD, FALL = range(38, 40)  # torque that holds the primary at its release, and the share of it that goes in a second
+J1, J2, J12, K1, K3, C1, C3, K2, C2, MU, N0, R_BAR, R_FACE, DRAG, DRAG_2, NU, TAIL = range(17)
+THETA0, TH20, W10, W20, DELAY, LETS_GO = range(17, 23)
+EXTRA = 23  # and the three after it; MORE has the rest
+FRICTION, SLOPE, MI11, MI12, MI22, PER_SPEED, PER_ACC1, PER_ACC2, EPS_TH, EPS_W, HELD1, HELD2 = range(27, 39)
+HOLD, FALL = range(39, 41)  # torque that holds the primary at its release, and the share of it that goes in a second
 # the state, and what a step leaves behind for the next.
-TH1, TH2, W1, W2, Z1, Z2, HTRY, REST, TIME, Y1, Y2, U1, U2, S1, S2, HLAST, FIRST, NOW, AFTER, NEXT = range(40, 60)
-SAMPLE, SLOT, ATTEMPTS, GIVEN_UP = range(60, 64)
+TH1, TH2, W1, W2, Z1, Z2, HTRY, REST, TIME, Y1, Y2, U1, U2, S1, S2, HLAST, FIRST, NOW, AFTER, NEXT = range(41, 61)
+SAMPLE, SLOT, ATTEMPTS, GIVEN_UP = range(61, 65)
 # Inputs: torques on both bodies and what the ground adds to readings, at the end of this interval with their slopes,
 # and the same of the next.
-DRIVE1, DRIVE2, SHOWN, RAMP1, RAMP2, RISE = range(64, 70)
-DRIVE1_NEXT, DRIVE2_NEXT, SHOWN_NEXT, RAMP1_NEXT, RAMP2_NEXT, RISE_NEXT = range(70, 76)
-MORE = 76  # and the seven after it
-BLOCK_ROWS = 84
+DRIVE1, DRIVE2, SHOWN, RAMP1, RAMP2, RISE = range(65, 71)
+DRIVE1_NEXT, DRIVE2_NEXT, SHOWN_NEXT, RAMP1_NEXT, RAMP2_NEXT, RISE_NEXT = range(71, 77)
+MORE = 77  # and the seven after it
+BLOCK_ROWS = 85
 
 
 @lru_cache(maxsize=None, typed=True)  # True, 1 and 1.0 are equal, but different constants
@@ -133,7 +133,7 @@ def effect_sense(h, u1, u2, y1, y2, s1, s2, p, first):
 def advance(times, parameters, extras, inputs, weights, memory_weights, longest_step, read, out, final, status):
     """Integrate one block of lanes over the sample times and write what the channels read.
 
-    times (n,) s; parameters (22, LANES) rows of equations.ROWS; extras (12, LANES) parameters of the effect; inputs
+    times (n,) s; parameters (23, LANES) rows of equations.ROWS; extras (12, LANES) parameters of the effect; inputs
     (8, n) as Inputs.pieces gives them, read where the record is driven (prescribed: the first is the acceleration of
     the primary, and channel 1 reads the torque that it takes, N m; swings: the fourth is that of a pendulum's pivot,
     m/s^2, in place of what the ground adds to readings); weights (LANES,) factor on the error tolerance;
@@ -264,6 +264,7 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
             friction = 0.0 if frictionless() else block[FRICTION, lane]
             slope = block[SLOPE, lane]
             drag = block[DRAG, lane]
+            drag2 = block[DRAG_2, lane]
             nu = block[NU, lane]
             tail = block[TAIL, lane]
             sharpness = TANH_SCALE * nu
@@ -304,6 +305,7 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
                 friction,
                 slope,
                 drag,
+                drag2,
                 nu,
                 tail,
                 curved(),
@@ -610,7 +612,7 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
             aw2 = w2 + A21 * r12
             tau1, tau2 = smooth_torques(ath1, ath2, aw1, aw2, k1t, k3t, c1t, c3t, k2t, c2t, coupled(), pendulum())
             held1, held2 = friction_torques(
-                ath1, ath2, aw1, aw2, friction, slope, drag, sharpness, tail, curved(), coupled()
+                ath1, ath2, aw1, aw2, friction, slope, drag, drag2, sharpness, tail, curved(), coupled()
             )
             tau1 = tau1 + hold * max(1.0 - (t + AT_ONCE + T2 * h) * fall, 0.0)
             if driven():
@@ -663,7 +665,7 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
             az2 = z2 + A31 * m12 + A32 * m22
             tau1, tau2 = smooth_torques(ath1, ath2, aw1, aw2, k1t, k3t, c1t, c3t, k2t, c2t, coupled(), pendulum())
             held1, held2 = friction_torques(
-                ath1, ath2, aw1, aw2, friction, slope, drag, sharpness, tail, curved(), coupled()
+                ath1, ath2, aw1, aw2, friction, slope, drag, drag2, sharpness, tail, curved(), coupled()
             )
             tau1 = tau1 + hold * max(1.0 - (t + AT_ONCE + T3 * h) * fall, 0.0)
             if driven():

@@ -53,7 +53,7 @@ def _linked_torque(inner: Kernel, pendulum: bool, own_friction: bool) -> Kernel:
         )
         friction = 0.0 if own_friction else rig.mu * rig.N0 * rig.R
         held1, held2 = friction_torques(
-            th1, th2, w1, w2, friction, rig.slope, rig.drag, TANH_SCALE * rig.nu, rig.tail, True, True
+            th1, th2, w1, w2, friction, rig.slope, rig.drag, rig.drag, TANH_SCALE * rig.nu, rig.tail, True, True
         )
         tau1 = tau1 - held1
         tau2 = tau2 - held2

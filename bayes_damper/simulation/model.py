@@ -126,9 +126,9 @@ class Model:
 
         Parameters
         ----------
-        parameters : name -> scalar or (n,), SI; names of `equations.ROWS` (theta2_0 defaults to theta0; J12, k3t,
-            initial velocities, delay and release_time to 0; what only the coupled rig has may be left out for the
-            uncoupled one).
+        parameters : name -> scalar or (n,), SI; names of `equations.ROWS` (theta2_0 defaults to theta0, drag2 to drag;
+            J12, k3t, initial velocities, delay and release_time to 0; what only the coupled rig has may be left out
+            for the uncoupled one).
         times : (n_times,) s on the record's clock, increasing. The rig is released at `delay`; before, it is held.
             A delay below times[0] means that the record begins after the release.
         effect : parameters of the effect, name -> scalar or (n,), if the model has one.
@@ -205,7 +205,7 @@ class Model:
         return self._rows(amended), extras, grid, drive, lags
 
     def _rows(self, parameters: Parameters) -> Array:
-        """Parameters as rows of equations.ROWS, (22, n)."""
+        """Parameters as rows of equations.ROWS, (23, n)."""
         given = _complete(parameters)
         if not self.coupled:
             # Placeholders of what is not there: nothing between the bodies acts on the motion, whatever was given.
@@ -313,4 +313,6 @@ def _complete(parameters: Parameters) -> dict[str, Any]:
     given = _OPTIONAL | dict(parameters)
     if "theta2_0" not in given and "theta0" in given:
         given["theta2_0"] = given["theta0"]
+    if "drag2" not in given and "drag" in given:
+        given["drag2"] = given["drag"]
     return given

@@ -180,7 +180,7 @@ def _block(nu: float) -> tuple[Any, ...]:
     table = vectors(nu, LANES) | dict.fromkeys(
         ("J12", "k3t", "omega1_0", "omega2_0", "delay", "release_time", "tail"), 0.0
     )
-    table["theta2_0"] = table["theta0"]
+    table |= {"theta2_0": table["theta0"], "drag2": table["drag"]}
     rows = np.array([np.broadcast_to(table[name], LANES) for name in ROWS], float)
     n = TIMES.size
     return (
@@ -252,7 +252,7 @@ def _fixed_step(rows, sharp, substeps, n, out):  # type: ignore[no-untyped-def] 
 @vector_math.lane
 def _rates(x1, x2, w1, w2, k1, c1, c3, k2, c2, F, slope, d, sharp, i1, i2):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     tau1, tau2 = equations.smooth_torques(x1, x2, w1, w2, k1, 0.0, c1, c3, k2, c2, True, False)
-    held1, held2 = equations.friction_torques(x1, x2, w1, w2, F, slope, d, sharp, 0.0, False, True)
+    held1, held2 = equations.friction_torques(x1, x2, w1, w2, F, slope, d, d, sharp, 0.0, False, True)
     return (tau1 - held1) * i1, (tau2 - held2) * i2
 
 

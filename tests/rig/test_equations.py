@@ -8,7 +8,7 @@ import pytest
 from bayes_damper.rig import equations, vector_math
 
 CONSTANTS = {"k1t": 6.2, "k3t": 0.7, "c1t": 0.01, "c3t": 0.02, "k2t": 1.3, "c2t": 0.03}
-NU, FRICTION, SLOPE, DRAG, TAIL = 40.0, 0.09, 3.9, 0.015, 0.6
+NU, FRICTION, SLOPE, DRAG, DRAG2, TAIL = 40.0, 0.09, 3.9, 0.015, 0.022, 0.6
 STATES = np.random.default_rng(3).normal(0.0, [0.05, 0.05, 1.0, 1.0], (20, 4))
 
 
@@ -27,12 +27,12 @@ def _formula(state, coupled, pendulum):
     tau1 = -k["c1t"] * w1 - k["k1t"] * g1 - DRAG * _sign(NU * w1)
     if not coupled:
         return np.array([tau1, 0.0])
-    return np.array([tau1 - T, T - k["c3t"] * w2 - k["k3t"] * g2 - DRAG * _sign(NU * w2)])
+    return np.array([tau1 - T, T - k["c3t"] * w2 - k["k3t"] * g2 - DRAG2 * _sign(NU * w2)])
 
 
 def _linearised(state, coupled, pendulum):
     return equations.linearised.py_func(
-        *state, *CONSTANTS.values(), FRICTION, SLOPE, DRAG, NU, TAIL, True, coupled, pendulum
+        *state, *CONSTANTS.values(), FRICTION, SLOPE, DRAG, DRAG2, NU, TAIL, True, coupled, pendulum
     )
 
 
@@ -43,7 +43,7 @@ def test_torques_are_those_of_the_equations(coupled, pendulum):
         expected = _formula(state, coupled, pendulum)
         smooth = equations.smooth_torques(*state, *CONSTANTS.values(), coupled, pendulum)
         held = equations.friction_torques(
-            *state, FRICTION, SLOPE, DRAG, vector_math.TANH_SCALE * NU, TAIL, True, coupled
+            *state, FRICTION, SLOPE, DRAG, DRAG2, vector_math.TANH_SCALE * NU, TAIL, True, coupled
         )
         np.testing.assert_allclose(np.subtract(smooth, held), expected, atol=2e-5 * (FRICTION + DRAG))
         np.testing.assert_allclose(_linearised(state, coupled, pendulum)[:2], np.subtract(smooth, held), atol=1e-13)
