@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 RELEASE = "release_time"
-RELATIVE = ("k1t", "k2t", "c1t", "c3t", "c2t", "mu", "drag", "drag2")
-ABOUT = {"drag2": "drag"}
-"""What scatters about a trial's own value of something else: the drag of one bearing about that of the other."""
-COUPLED_ONLY = ("k2t", "c2t", "c3t", "mu", "drag2")
+RELATIVE = ("k1t", "k2t", "c1t", "c3t", "c2t", "mu", "drag", "drag_ratio")
+COUPLED_ONLY = ("k2t", "c2t", "c3t", "mu", "drag_ratio")
 READINGS = ("gain", "offset", "drift", "hum")  # of each channel
 INPUT = "input"  # with a number: noise of a measured input, by what it does to all channels
 DRIFT_WAVES = 3  # half periods of the fastest cosine that a drift may have over a record

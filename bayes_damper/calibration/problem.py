@@ -18,7 +18,7 @@ from bayes_damper.calibration.experiment import (
 from bayes_damper.calibration.groups import Group, Grouping, Switches
 from bayes_damper.calibration.noise import Noise, rough_noise
 from bayes_damper.calibration.normal_equations import Block, Linear, Remade
-from bayes_damper.calibration.own_values import ABOUT, RELEASE, channel_of, middle_of, of_readings
+from bayes_damper.calibration.own_values import RELEASE, channel_of, middle_of, of_readings
 from bayes_damper.calibration.unknowns import NOMINAL, Coordinate, acting_alone, coordinates_of, middle
 from bayes_damper.effects.base import Variant
 from bayes_damper.priors.distributions import (
@@ -182,7 +182,7 @@ class Problem:
         for i, (name, mean, sd) in enumerate(group.nuisances):
             x = mean[which] + sd[which] * eta[:, i]
             if name.startswith("ln_"):
-                rig[name[3:]] = rig[ABOUT.get(name[3:], name[3:])] * np.exp(x)
+                rig[name[3:]] = rig.get(name[3:], 1.0) * np.exp(x)
             elif not of_readings(name):
                 rig[name] = x
         for name, other in e.ties.items():

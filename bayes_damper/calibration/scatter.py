@@ -47,7 +47,6 @@ from bayes_damper.calibration.groups import Nuisance
 from bayes_damper.calibration.least_squares import Calibration, calibrate
 from bayes_damper.calibration.noise import Noise
 from bayes_damper.calibration.own_values import (
-    ABOUT,
     BASELINE_WAVES,
     COUPLED_ONLY,
     NO_SCATTER,
@@ -72,7 +71,7 @@ TYPICAL: Mapping[str, float] = {
     "c2t": 0.05,
     "mu": 0.05,  # dry friction repeats to 4 to 6 % between runs of one day
     "drag": 0.05,
-    "drag2": 0.05,  # about `drag`: each bearing has its own grease and seals
+    "drag_ratio": 0.05,  # each bearing has its own grease and seals
     "gain": 0.002,  # an amplifier in a room
     "offset": 0.5,  # of the channel's noise
     "drift": 0.5,  # of the channel's noise, over the record
@@ -108,10 +107,9 @@ def typical_scatter(problem: Problem, releases: bool = False) -> Scatter:
     found: dict[str, float] = {}
     hertz: dict[str, float] = {}
     for name in RELATIVE:
-        parameter = ABOUT.get(name, name)
-        absent = parameter in e.ties or e.levels.get(name) == "trial" or (name in COUPLED_ONLY and not coupled)
-        absent |= parameter in ("mu", "drag") and problem.nominal == "linear"
-        absent |= name == "drag2" and e.coupling_law == "cosine"  # the second link has no bearing to ground
+        absent = name in e.ties or e.levels.get(name) == "trial" or (name in COUPLED_ONLY and not coupled)
+        absent |= name in ("mu", "drag", "drag_ratio") and problem.nominal == "linear"
+        absent |= name == "drag_ratio" and e.coupling_law == "cosine"  # the second link has no bearing to ground
         absent |= name == "mu" and not e.magnet
         if not absent:
             found[name] = TYPICAL[name]

@@ -64,7 +64,7 @@ MEASUREMENT_WORDS = {
     "input": ("linear", "held"),
 }
 MEASUREMENT_NUMBERS = ("sample_rate", "duration", "noise_std", "sensor_range", "sensor_bandwidth", "every")
-SCATTER_RELATIVE = ("k1t", "k2t", "c1t", "c2t", "c3t", "mu", "drag", "drag2", "gain", "gain1", "gain2")
+SCATTER_RELATIVE = ("k1t", "k2t", "c1t", "c2t", "c3t", "mu", "drag", "drag_ratio", "gain", "gain1", "gain2")
 SCATTER_SIZES = ("offset", "offset1", "offset2", "drift", "drift1", "drift2", "release_time")  # in SI units
 MEASUREMENT_SPREADS = ("offset_std", "scale_std", "lag_std")  # may be 0: known
 SHOWN = 5  # faults of one kind shown for one file

@@ -38,7 +38,7 @@ from bayes_damper.simulation.outcome import Outcome
 from bayes_damper.text import Printable
 
 _ABOVE_ZERO = ("J1", "J2", "R", "r", "nu")
-_NOT_NEGATIVE = ("k1t", "c1t", "c2t", "c3t", "mu", "N0", "drag", "drag2")
+_NOT_NEGATIVE = ("k1t", "c1t", "c2t", "c3t", "mu", "N0", "drag", "drag_ratio")
 _FEWEST = 4.0  # readings in a period, below which a motion is not seen
 _WORDS = {"normal_force": ("linear", "constant"), "restoring": ("linear", "pendulum")}
 

@@ -313,8 +313,7 @@ def _parts(e: Experiment, value: Callable[[str, float], Array], coupled: bool) -
     """What the nominal laws need, by name, (trials,) each."""
     parts = {name: value(name, 0.0) for name in ("k1t", "k3t", "c1t", "c3t", "k2t", "c2t", "drag", "nu", "tail")}
     nothing = np.zeros_like(parts["nu"])
-    parts["drag2"] = value("drag2", math.nan)
-    parts["drag2"] = np.where(np.isnan(parts["drag2"]), parts["drag"], parts["drag2"])
+    parts["drag2"] = parts["drag"] * value("drag_ratio", 1.0)
     magnet = coupled and e.magnet
     parts["friction"] = value("mu", 0.0) * value("N0", 0.0) * value("R", 1.0) if magnet else nothing
     linear = e.normal_force == "linear" and magnet

@@ -1,12 +1,12 @@
 """The nominal rig: two inertias, a spring to ground, bearings, and the magnetic interface between them.
 
     J1 a1 + J12 a2 + c1t w1 + k1t g(th1) + drag s(nu w1) + T = torque1(t) + Q1
-    J12 a1 + J2 a2 + c3t w2 + k3t g(th2) + drag2 s(nu w2) - T = torque2(t) + Q2
+    J12 a1 + J2 a2 + c3t w2 + k3t g(th2) + drag2 s(nu w2) - T = torque2(t) + Q2,    drag2 = drag drag_ratio
     T = k2t phi + c2t (w1 - w2) + mu N R s(nu (w1 - w2)),    phi = th1 - th2
     N = N0 max(0, 1 - R |phi| / (2 r))   or   N = N0,    g(th) = th   or   sin(th)
     s(x) = tanh(x)   or, with `tail`, another curve from -1 to 1 (vector_math.smooth_sign_scaled)
 
-Augustine (2013), eqs. 17-20, where drag2 is drag; Q1, Q2 are what an effect adds. The uncoupled rig keeps the first
+Augustine (2013), eqs. 17-20, where drag_ratio is 1; Q1, Q2 are what an effect adds. The uncoupled rig keeps the first
 line without T and J12.
 Here live the torques and their Jacobian, as kernels of plain floats; stepping in time is integrator.py's.
 """
@@ -18,8 +18,8 @@ from typing import NamedTuple
 from bayes_damper.rig.vector_math import TANH_SCALE, cos, lane, sin, smooth_sign_scaled, tanh_scaled
 
 ROWS = (
-    *("J1", "J2", "J12", "k1t", "k3t", "c1t", "c3t", "k2t", "c2t", "mu", "N0", "R", "r", "drag", "drag2", "nu", "tail"),
-    *("theta0", "theta2_0", "omega1_0", "omega2_0", "delay", "release_time"),
+    *("J1", "J2", "J12", "k1t", "k3t", "c1t", "c3t", "k2t", "c2t", "mu", "N0", "R", "r", "drag", "drag_ratio"),
+    *("nu", "tail", "theta0", "theta2_0", "omega1_0", "omega2_0", "delay", "release_time"),
 )
 """What one simulation needs, in the order of the kernel's rows (SI; angles in rad, delay and release_time in s).
 

@@ -31,7 +31,7 @@ _ALL = (
     Parameter("k2t", "k2t", "N m/rad", "stiffness of the coupling between the bodies"),
     Parameter("c2t", "c2t", "N m s/rad", "damping of the coupling between the bodies"),
     Parameter("drag", "d", "N m", "bearing drag torque, each bearing"),
-    Parameter("drag2", "d2", "N m", "drag torque of the secondary's bearing, where it differs"),
+    Parameter("drag_ratio", "d2/d", "1", "drag of the secondary's bearing over that of the primary's"),
     Parameter("nu", "nu", "s/rad", "sharpness with which dry friction changes its sign"),
     Parameter("tail", "tail", "1", "curve of dry friction, from 0 for a tanh to 1 for an arctangent"),
     Parameter("c1t", "c1t", "N m s/rad", "viscous damping of the primary's bearing"),

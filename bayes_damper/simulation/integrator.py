@@ -60,7 +60,7 @@ T2, T3 = 1.0, 0.6
 G1, G2, G3, G4 = 0.5, -1.5, 2.42, 0.116
 
 # Rows of the block: parameters in the order of equations.ROWS, those of the effect, what is derived from them once,
-J1, J2, J12, K1, K3, C1, C3, K2, C2, MU, N0, R_BAR, R_FACE, DRAG, DRAG_2, NU, TAIL = range(17)
+J1, J2, J12, K1, K3, C1, C3, K2, C2, MU, N0, R_BAR, R_FACE, DRAG, DRAG_RATIO, NU, TAIL = range(17)
 THETA0, TH20, W10, W20, DELAY, LETS_GO = range(17, 23)
 EXTRA = 23  # and the three after it; MORE has the rest
 FRICTION, SLOPE, MI11, MI12, MI22, PER_SPEED, PER_ACC1, PER_ACC2, EPS_TH, EPS_W, HELD1, HELD2 = range(27, 39)
@@ -264,7 +264,7 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
             friction = 0.0 if frictionless() else block[FRICTION, lane]
             slope = block[SLOPE, lane]
             drag = block[DRAG, lane]
-            drag2 = block[DRAG_2, lane]
+            drag2 = drag * block[DRAG_RATIO, lane]
             nu = block[NU, lane]
             tail = block[TAIL, lane]
             sharpness = TANH_SCALE * nu

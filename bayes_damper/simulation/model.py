@@ -30,7 +30,10 @@ Parameters = Mapping[str, ArrayLike]
 
 # What a rig has when nothing is said: no second stiffness, friction along a tanh, a start at rest, both bodies at one
 # angle, no late trigger.
-_OPTIONAL = {"J12": 0.0, "k3t": 0.0, "omega1_0": 0.0, "omega2_0": 0.0, "delay": 0.0, "release_time": 0.0, "tail": 0.0}
+_OPTIONAL = {
+    "J12": 0.0, "k3t": 0.0, "omega1_0": 0.0, "omega2_0": 0.0, "delay": 0.0, "release_time": 0.0, "tail": 0.0,
+    "drag_ratio": 1.0,
+}  # fmt: skip
 # What the uncoupled rig does not see.
 _COUPLED_ONLY = {"J2": 1.0, "c3t": 0.0, "k2t": 0.0, "c2t": 0.0, "mu": 0.0, "N0": 0.0, "R": 1.0, "r": 1.0}
 _WIDTH = 4  # lanes of a vector register: a block of few vectors is no wider than they need
@@ -126,8 +129,8 @@ class Model:
 
         Parameters
         ----------
-        parameters : name -> scalar or (n,), SI; names of `equations.ROWS` (theta2_0 defaults to theta0, drag2 to drag;
-            J12, k3t, initial velocities, delay and release_time to 0; what only the coupled rig has may be left out
+        parameters : name -> scalar or (n,), SI; names of `equations.ROWS` (theta2_0 defaults to theta0, drag_ratio to
+            1; J12, k3t, initial velocities, delay and release_time to 0; what only the coupled rig has may be left out
             for the uncoupled one).
         times : (n_times,) s on the record's clock, increasing. The rig is released at `delay`; before, it is held.
             A delay below times[0] means that the record begins after the release.
@@ -210,6 +213,8 @@ class Model:
         if not self.coupled:
             # Placeholders of what is not there: nothing between the bodies acts on the motion, whatever was given.
             given = _COUPLED_ONLY | given | dict.fromkeys(("J12", "k3t", "k2t", "c2t", "c3t", "mu", "N0"), 0.0)
+        elif self.coupling_law == "cosine":
+            given["drag_ratio"] = 1.0  # the second link has no bearing to ground
         missing = [name for name in ROWS if name not in given]
         if missing:
             raise KeyError(f"the simulation needs {', '.join(missing)}; give them in SI units")
@@ -313,6 +318,4 @@ def _complete(parameters: Parameters) -> dict[str, Any]:
     given = _OPTIONAL | dict(parameters)
     if "theta2_0" not in given and "theta0" in given:
         given["theta2_0"] = given["theta0"]
-    if "drag2" not in given and "drag" in given:
-        given["drag2"] = given["drag"]
     return given

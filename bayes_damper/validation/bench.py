@@ -180,7 +180,7 @@ def _block(nu: float) -> tuple[Any, ...]:
     table = vectors(nu, LANES) | dict.fromkeys(
         ("J12", "k3t", "omega1_0", "omega2_0", "delay", "release_time", "tail"), 0.0
     )
-    table |= {"theta2_0": table["theta0"], "drag2": table["drag"]}
+    table |= {"theta2_0": table["theta0"], "drag_ratio": 1.0}
     rows = np.array([np.broadcast_to(table[name], LANES) for name in ROWS], float)
     n = TIMES.size
     return (

@@ -78,8 +78,8 @@ def laboratory(
                 angle = math.radians(degrees)
                 rig = RIG | TRUE | {"k1t": k1t * stiffer, "theta0": angle * (1.0 + angles * rng.standard_normal())}
                 rig |= {p: rig[p] * math.exp(sizes.get(p, 0.0) * rng.standard_normal()) for p in (*TRUE, "k1t")}
-                if "drag2" in sizes:
-                    rig["drag2"] = rig["drag"] * math.exp(sizes["drag2"] * rng.standard_normal())
+                if "drag_ratio" in sizes:
+                    rig["drag_ratio"] = math.exp(sizes["drag_ratio"] * rng.standard_normal())
                 slow = {"time": releases(rng)}
                 rig |= {"delay": instants * rng.standard_normal()} if instants else {}
                 y = Model(both, effect=COSINE).simulate(rig, times, effect=slow, quantity=quantity).y[0]
@@ -112,10 +112,10 @@ def test_what_repeats_share_cannot_stand_for_what_their_gains_differ_by():
 
 def test_the_drag_of_one_bearing_may_scatter_alone():
     """Where each body has its own bearing, repeats of both need not have the same drag."""
-    drawn = laboratory(2, {"drag2": 0.4}, repeats=5, coupled=True, noise=0.5)
+    drawn = laboratory(2, {"drag_ratio": 0.4}, repeats=5, coupled=True, noise=0.5)
     sizes = sizes_of(calibrate_nominal(drawn).problem.switches.scatter)
-    assert sizes["drag2"].gained > 6.0
-    assert sizes["drag2"].low < 0.4 < sizes["drag2"].high
+    assert sizes["drag_ratio"].gained > 6.0
+    assert sizes["drag_ratio"].low < 0.4 < sizes["drag_ratio"].high
     assert "drag" not in sizes or sizes["drag"].gained < scatters.SHOWN_FROM
 
 

@@ -7,8 +7,10 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 
-from bayes_damper.calibration import Experiment, Noise, Problem, TrialRecord, summarise
+from bayes_damper.calibration import Experiment, Noise, Problem, Switches, TrialRecord, summarise
+from bayes_damper.calibration.own_values import Scatter, Size
 from bayes_damper.diagnosis.response import motions, nominal_slopes
+from bayes_damper.effects import EFFECTS
 from bayes_damper.rig.inputs import Inputs
 
 TIMES = np.arange(0.0, 2.0, 4e-3)
@@ -30,6 +32,23 @@ def moved(constants, inputs, *, coupled, quantity="displacement", restoring="lin
     fit = summarise(problem, np.zeros(problem.size), problem.no_nuisance(), True, 0, central=False)
     (motion,) = motions(fit)
     return fit, motion, {name: float(x) for name, x in problem.parameters(np.zeros(problem.size)).items()}
+
+
+def test_linear_responses_know_that_the_drag_of_the_bearings_differs():
+    """An effect of no strength adds no torque to the nominal laws, those of a trial whose bearings differ by 10 %."""
+    constants = {"J1": 3e-3, "J2": 2.5e-3, "N0": 100.0, "R": 0.1, "r": 0.0127}
+    trial = TrialRecord("a", "A", True, 1, TIMES, np.ones((2, TIMES.size)), 0, 0.1)
+    fixed = {"mu": 0.0, "k2t": 1.5, "c2t": 0.06, "drag": 0.006, "nu": 40.0, "c1t": 0.01, "c3t": 0.01, "tail": 0.0}
+    experiment = Experiment(
+        {name: (value, 0.0) for name, value in constants.items()}, ((8.0, 0.0),), (trial,), priors=fixed
+    )
+    scatter = Scatter((Size("drag_ratio", 0.1, 0.0, 1.0, 0.1),))
+    problem = Problem(
+        experiment, noise=Noise((1.0, 1.0), (0.0, 0.0), (0.0, 0.0)), switches=Switches(False, False, scatter=scatter),
+        effect=EFFECTS["spring_cubic"].variants[0],
+    )  # fmt: skip
+    (motion,) = motions(summarise(problem, problem.prior_mean(), {0: np.array([1.0])}, True, 0, central=False))
+    assert np.abs(motion.added).max() < 1e-3 * fixed["drag"]
 
 
 def between(grid, values):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -85,6 +87,14 @@ def test_what_the_kernel_has_no_room_for_is_not_composed():
     assert compose(lugre, lugre) is None
     assert compose(lugre, formula("magnet_cubic")) is not None
     assert compose(formula("sensor_gain"), formula("sensor_highpass")) is None
+
+
+def test_an_effect_that_changes_the_drag_changes_that_of_both_bearings():
+    """Whatever their ratio is."""
+    rougher = replace(formula("inertia_error"), amend=lambda rig, p: {**rig, "drag": rig["drag"] * (1.0 + p["error"])})
+    rig = RIG | {"drag_ratio": 1.5}
+    y = Model(effect=rougher).simulate(rig, TIMES, effect={"error": 1.0}).y
+    np.testing.assert_array_equal(y, Model().simulate(rig | {"drag": 2.0 * RIG["drag"]}, TIMES).y)
 
 
 def test_parameters_are_called_by_the_labels_and_find_their_functions_under_them():

@@ -98,7 +98,7 @@ def test_the_error_falls_in_step_with_the_tolerance():
 
 @pytest.mark.parametrize("other", [1.0, 2.5])
 def test_energy_lost_is_the_work_of_friction(other):
-    p = reference.BASE | {"nu": 30.0, "drag2": other * reference.BASE["drag"]}
+    p = reference.BASE | {"nu": 30.0, "drag_ratio": other}
     model = Model()
     th1, th2 = model.simulate(p, SECOND, quantity="displacement", tolerance=0.1).y[0]
     w1, w2 = model.simulate(p, SECOND, quantity="velocity", tolerance=0.1).y[0]
@@ -106,7 +106,7 @@ def test_energy_lost_is_the_work_of_friction(other):
     pull = np.maximum(0.0, 1.0 - p["R"] * np.abs(th1 - th2) / (2.0 * p["r"]))
     slip = w1 - w2
     power = p["c1t"] * w1**2 + p["c3t"] * w2**2 + p["c2t"] * slip**2
-    power += p["drag"] * w1 * np.tanh(p["nu"] * w1) + p["drag2"] * w2 * np.tanh(p["nu"] * w2)
+    power += p["drag"] * (w1 * np.tanh(p["nu"] * w1) + other * w2 * np.tanh(p["nu"] * w2))
     power += p["mu"] * p["N0"] * p["R"] * pull * slip * np.tanh(p["nu"] * slip)
     work = np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * 1e-3)])
     assert np.abs(energy + work - energy[0]).max() < 2e-3 * energy[0]
@@ -397,7 +397,7 @@ def test_a_home_that_cannot_be_written_falls_back(tmp_path):
 
 
 def _block(parameters):
-    given = {"drag2": parameters.get("drag", 0.0)} | parameters
+    given = {"drag_ratio": 1.0} | parameters
     rows = np.array([np.full(LANES, given.get(name, 0.0)) for name in equations.ROWS])
     n = SHORT.size
     return (

@@ -65,6 +65,12 @@ def test_small_angles_do_not_tell_the_two_laws_apart():
     assert np.abs(cosine - constant).max() < 1e-7
 
 
+def test_the_second_link_has_no_bearing_whose_drag_could_differ():
+    model = Model(True, "constant", "pendulum", None, "cosine", 4e-3)
+    y, other = (model.simulate(RIG | ratio, TIMES).y for ratio in ({}, {"drag_ratio": 3.0}))
+    np.testing.assert_array_equal(y, other)
+
+
 @pytest.mark.slow
 def test_an_effect_in_the_bearings_acts_on_the_first_link_only():
     """Dry drag as an effect is the nominal drag of the same size."""
