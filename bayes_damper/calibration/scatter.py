@@ -342,7 +342,8 @@ def with_releases(problem: Problem, scatter: Scatter) -> Scatter:
 
 def _released(problem: Problem, scatter: Scatter) -> Scatter:
     added = tuple(s for s in typical_scatter(problem, releases=True).sizes if s.name == RELEASE)
-    return Scatter((*scatter.sizes, *_posterior((), added)))
+    others = tuple(s for s in scatter.sizes if s.name != RELEASE)
+    return Scatter((*others, *_posterior((), added)))
 
 
 def usual_releases(problem: Problem) -> Problem:

@@ -714,3 +714,13 @@ def test_an_error_of_the_model_is_not_hidden_in_values_of_releases_own():
     fit = calibrate_nominal(replace(rubbing, trials=tuple(dry)), nominal="linear")
     assert fit.problem.noise.sensor
     assert fit.problem.switches.scatter.sizes == ()
+
+
+def test_a_time_of_release_that_is_asked_for_again_is_still_one():
+    """A fit that begins from one with it had two, and ended in an error of ours."""
+    once = scatters.usual_releases(Problem(measured(3, configurations=(False,))))
+    again = scatters.usual_releases(once)
+    for group in again.groups:
+        names = [name for name, _, _ in group.nuisances]
+        assert names.count(RELEASE) == 1
+    assert again.switches == once.switches
