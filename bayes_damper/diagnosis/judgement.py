@@ -186,7 +186,7 @@ def judge_by_repeats(
 
     def judge(changes: Mapping[str, float], of_pairs: Mapping[str, float], rule: Rule = rule) -> Answers:
         moved = {n: z + changes.get(n, 0.0) for n, z in seen.evidence.items()}
-        both = [(e, z + of_pairs.get("+".join(e), 0.0), remains) for e, z, remains in judged]
+        both = [(p.effects, p.log_evidence + of_pairs.get("+".join(p.effects), 0.0), remains) for p, remains in judged]
         other = seen.drift + changes.get(DRIFT.name, 0.0)
         if seen.wiring is not None:
             other = float(np.logaddexp(other, seen.wiring.gain))
@@ -201,7 +201,7 @@ def judge_by_repeats(
     report(OTHER_CHOICES)
     choices = sensitivity(
         fit, seen.families, judge, answers.verdict, {**seen.evidence, DRIFT.name: seen.drift},
-        {"+".join(p.effects): p.fit for p in pairs[:JUDGED_PAIRS]},
+        {"+".join(p.effects): p.fit for p, _ in judged},
     )  # fmt: skip
     return Judgement(
         seen, winner, pairs, answers, budget, choices,
@@ -215,7 +215,7 @@ def _excess(remains: Remainder) -> float:
     return remains.low_excess - 2.0 * remains.low_sd
 
 
-JudgedPair = tuple[tuple[str, str], float, Left]  # effects, log evidence, what they leave
+JudgedPair = tuple[Pair, Left]  # what it leaves
 
 
 def _weighed(
@@ -225,7 +225,9 @@ def _weighed(
     return {
         "before": asdict(before), "after": asdict(after), "excess": excess,
         "drift": seen.drift if seen.wiring is None else float(np.logaddexp(seen.drift, seen.wiring.gain)),
-        "pairs": [{"effects": list(e), "log_evidence": z, "left": asdict(remains)} for e, z, remains in pairs],
+        "pairs": [
+            {"effects": list(p.effects), "log_evidence": p.log_evidence, "left": asdict(left)} for p, left in pairs
+        ],
         "definitions": seen.definitions, "usual": usual,
     }  # fmt: skip
 
@@ -283,7 +285,7 @@ def _left_by_winner(seen: Seen) -> Left:
 
 
 def _judged_pairs(seen: Seen, pairs: Sequence[Pair], left: Left, report: Report) -> tuple[list[Pair], list[JudgedPair]]:
-    """Pairs, best first, those that may be the answer composed; and evidence and rest of the leading ones."""
+    """Pairs, best first, those that may be the answer composed; and what the leading ones leave."""
     pairs, judged = list(pairs), list[JudgedPair]()
     for k, p in enumerate(pairs[:JUDGED_PAIRS]):
         remains = _left_by(p, seen)
@@ -293,7 +295,7 @@ def _judged_pairs(seen: Seen, pairs: Sequence[Pair], left: Left, report: Report)
             report(f"composing {' and '.join(p.effects)}")
             pairs[k] = exactly(seen.fit, p, seen.found)
             remains = _left_by(pairs[k], seen)
-        judged.append((pairs[k].effects, pairs[k].log_evidence, remains))
+        judged.append((pairs[k], remains))
     return sorted(pairs, key=lambda p: -p.log_evidence), judged
 
 

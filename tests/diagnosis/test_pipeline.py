@@ -35,7 +35,7 @@ from bayes_damper.diagnosis.judgement import finished, sites_of
 from bayes_damper.diagnosis.lone import left_alone, left_of_squares
 from bayes_damper.diagnosis.notes import symmetries, time_or_amplitude
 from bayes_damper.diagnosis.outliers import outlying, outlying_in_words, without
-from bayes_damper.diagnosis.pairs import ComposedProblem, PairProblem, Second, best_pairs, pair_problem
+from bayes_damper.diagnosis.pairs import ComposedProblem, Pair, PairProblem, Second, best_pairs, pair_problem
 from bayes_damper.diagnosis.pipeline import _sites
 from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of
 from bayes_damper.diagnosis.search import (
@@ -841,6 +841,35 @@ def test_other_choices_are_judged_where_a_bound_stops_the_nominal_fit():
     )
     left_out = [c.verdict for c in choices if c.what.startswith("without")]
     assert left_out == ["sensor_bandwidth"] * 6
+
+
+def test_other_choices_move_every_pair_that_was_judged(monkeypatch):
+    """Composed into one kernel the first of them may fall behind one that was not."""
+    effects = [EFFECTS[n] for n in ("spring_bottoming", "spring_cubic", "quadratic_drag", "sensor_gain")]
+    first, *seconds = [(e, e.variants[0]) for e in effects]
+    known = [Pair(first, s, None, z, 10.0, None) for s, z in zip(seconds, (90.0, 80.0, 70.0), strict=True)]
+    winner = SimpleNamespace(effect=first[0], variant=first[1], fit=None, log_evidence=60.0)
+    seen = SimpleNamespace(
+        winner=winner, before=None, before_map=SimpleNamespace(strength=0.0), after=None, drift=-9.0, wiring=None,
+        evidence={first[0].name: 60.0}, definitions=[], families={}, fit=None, found=[],
+    )  # fmt: skip
+    fakes = {
+        "_with_winners_noise": lambda fit, found: (fit, found), "finished": list, "left_of": lambda *_: ALL,
+        "_left_by_winner": lambda seen: Left(90.0, 0.3), "seconds_of": lambda *_: [], "_excess": lambda remains: 0.0,
+        "best_pairs": lambda *_, **__: known, "_left_by": lambda pair, seen: Left(20.0, 0.01),
+        "grown": lambda *_, **__: [],
+        "exactly": lambda fit, pair, found: replace(pair, log_evidence=65.0) if pair is known[0] else pair,
+        "probabilities": lambda *_: {}, "_budget": lambda *_: None, "_under_priors": lambda *_: (),
+        "sensitivity": lambda fit, families, judge, leading, evidence, pairs: [(judge, pairs)],
+    }  # fmt: skip
+    for name, fake in fakes.items():
+        monkeypatch.setattr(judgement, name, fake)
+    monkeypatch.setattr(judgement.Seen, "of", lambda *_: seen)
+    judged = judgement.judge_by_repeats(None, [], [], np.random.default_rng(1), RULE, 1, lambda text: None)
+    ((judge, pairs),) = judged.choices
+    assert [p.second for p in judged.pairs] == [seconds[1], seconds[2], seconds[0]]
+    assert judged.answers.pair_effects == ("spring_bottoming", "quadratic_drag")
+    assert judge({}, dict.fromkeys(pairs, -1e3)).pair == 0.0
 
 
 @pytest.mark.slow
