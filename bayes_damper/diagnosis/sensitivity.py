@@ -6,7 +6,9 @@ Each model is taken as quadratic about its best fit, in its parameters and in th
 
 with every trial's own nuisances eliminated from its A_j, b_j, c_j; so a choice costs no simulation. Only where leaving
 trials out changes the verdict the fits concerned are made again. P is 1 over the square of the factor on the prior
-widths; a trial left out loses its term. What each answer leaves unexplained is taken from the verdict on all trials.
+widths; a trial left out loses its term. A formula has the evidence of its fit and the change of its quadratic, so one
+whose fit failed stays behind. What each answer leaves unexplained is taken from the verdict on all trials: an answer
+far ahead of the others has the same probability under every choice.
 Where no trial has repeats each set of effects is weighed under what it leaves itself (sets.py), which differs from set
 to set and from choice to choice, so the likely sets are fitted again without the trials that are left out.
 Nothing in a diagnosis is drawn at random but the bootstrap of the interval of the share closed, so another seed gives
@@ -21,6 +23,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from bayes_damper.calibration import Calibration, TrialRecord, calibrate
 from bayes_damper.diagnosis.sets import SetFit, log_weight, set_fit, weighed
@@ -31,6 +34,7 @@ from bayes_damper.text import counted
 Array = NDArray[np.float64]
 
 MOST_REFITS, REFIT_STEPS = 4, 12
+NEGLIGIBLE = 0.01  # nats
 MOST_TRIALS = 40  # beyond, only cases are left out one by one
 MOST_SETS, MOST_TRIALS_REFITTED = 4, 6  # where every choice is fitted again
 
@@ -186,14 +190,21 @@ def sensitivity(
     the change of each family's and pair's log evidence over the nominal model; leading : the verdict on all data;
     evidence : family -> log Z over the nominal model, on all data: those that may be named.
     """
-    base = Quadratic.of(nominal)
-    noise = nominal.problem.noise
+    base, noise = Quadratic.of(nominal), nominal.problem.noise
     # Answers far behind keep the noise of the first fits: they stay behind, but their evidence cannot be carried over.
-    fits = {name: same for name, each in fits.items() if (same := [f for f in each if f.problem.noise == noise])}
-    families = {name: [Quadratic.of(f) for f in each] for name, each in fits.items()}
+    known = {
+        name: [
+            (f, q, z) for f in each
+            if f.problem.noise == noise and math.isfinite(z := (q := Quadratic.of(f)).log_evidence())
+        ]
+        for name, each in fits.items()
+    }  # fmt: skip
+    # Nor can that which a family owes to a formula that was only screened, where the fits of its others failed.
+    known = {
+        name: each for name, each in known.items()
+        if each and logsumexp([f.log_evidence for f, _, _ in each]) > evidence[name] + nominal.log_evidence - NEGLIGIBLE
+    }  # fmt: skip
     both = {label: Quadratic.of(f) for label, f in (pairs or {}).items()}
-    whole = {label: q.log_evidence() for label, q in both.items()}
-    known = {name: [q.log_evidence() for q in each] for name, each in families.items()}
     choices = _other_choices(nominal, MOST_TRIALS)
 
     out = []
@@ -202,10 +213,10 @@ def sensitivity(
         # Quadratics are compared with quadratics, refits with fits: of one that a bound stops the two differ.
         shift = base.log_evidence(without, widths) - base.log_evidence()
         changes = dict.fromkeys(evidence, -math.inf) if without else {}
-        for name, each in families.items():
-            if math.isfinite(max(known[name])):
-                changes[name] = max(q.log_evidence(without, widths) for q in each) - max(known[name]) - shift
-        of_pairs = {label: q.log_evidence(without, widths) - whole[label] - shift for label, q in both.items()}
+        for name, each in known.items():
+            moved = [f.log_evidence + (q.log_evidence(without, widths) - z) for f, q, z in each]
+            changes[name] = float(logsumexp(moved) - logsumexp([f.log_evidence for f, _, _ in each]) - shift)
+        of_pairs = {k: q.log_evidence(without, widths) - q.log_evidence() - shift for k, q in both.items()}
         answers = judge(changes, of_pairs)
         for _ in range(2):
             if answers.verdict == leading or not without or again >= MOST_REFITS:
@@ -213,8 +224,9 @@ def sensitivity(
             # The quadratic may have been carried too far: ask fits that are made again without these trials.
             again += 1
             zero = refitted(nominal, without) - nominal.log_evidence
-            for name in {leading, answers.verdict} & set(fits):
-                best = max(fits[name], key=lambda f: f.log_evidence)
+            strongest = max(changes, key=lambda name: evidence[name] + changes[name])  # which may speak for `unknown`
+            for name in {leading, answers.verdict, strongest} & set(known):
+                best = max((f for f, _, _ in known[name]), key=lambda f: f.log_evidence)
                 changes[name] = refitted(best, without) - best.log_evidence - zero
             answers = judge(changes, of_pairs)
         p = answers.probabilities

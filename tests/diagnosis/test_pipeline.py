@@ -30,6 +30,7 @@ from bayes_damper.calibration.nominal import out_of_phase
 from bayes_damper.commands.diagnose import _estimated, _maps, _shown_record
 from bayes_damper.commands.diagnose import diagnose as diagnose_folder
 from bayes_damper.diagnosis import diagnose, judgement, pairs, pipeline
+from bayes_damper.diagnosis import sensitivity as sensitivities
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.judgement import finished, sites_of
 from bayes_damper.diagnosis.lone import left_alone, left_of_squares
@@ -51,7 +52,7 @@ from bayes_damper.diagnosis.search import (
 )
 from bayes_damper.diagnosis.sensitivity import Quadratic, sensitivity
 from bayes_damper.diagnosis.sites import write_missing_torque
-from bayes_damper.diagnosis.verdict import RULE, Answers, Left, family_evidence, left_of, weigh
+from bayes_damper.diagnosis.verdict import RULE, Answers, Left, borne_by_sets, family_evidence, left_of, weigh
 from bayes_damper.effects import EFFECTS
 from bayes_damper.effects.base import SITES, Variant
 from bayes_damper.errors import InputError
@@ -841,6 +842,33 @@ def test_other_choices_are_judged_where_a_bound_stops_the_nominal_fit():
     )
     left_out = [c.verdict for c in choices if c.what.startswith("without")]
     assert left_out == ["sensor_bandwidth"] * 6
+
+
+def test_other_choices_carry_over_what_fits_hold_and_nothing_from_those_that_failed(monkeypatch):
+    """Where nothing changes the verdict is the same to the last digit; a fit that failed gains most without a trial."""
+
+    def fit(evidence, change):
+        own = SimpleNamespace(log_evidence=lambda without=(), widths=1.0: -300.0 + (change if without else 0.0))
+        return SimpleNamespace(log_evidence=evidence - 900.0, problem=SimpleNamespace(noise=1.0), quadratic=own)
+
+    monkeypatch.setattr(sensitivities.Quadratic, "of", lambda fit: fit.quadratic)
+    monkeypatch.setattr(sensitivities, "refitted", lambda fit, without: fit.log_evidence)
+    others = [("nothing", (), 1.0), ("without trial 1", [0], 1.0)]
+    monkeypatch.setattr(sensitivities, "_other_choices", lambda nominal, most: others)
+    evidence = {"named": 40.0 - math.log(2.0), "screened": -3.0, "failed": -9e3}
+    fits = {"named": [fit(40.0, -1.0), fit(-9e3, 500.0)], "screened": [fit(-9e3, 500.0)], "failed": [fit(-9e3, 500.0)]}
+
+    def judge(changes, of_pairs):
+        pair = (("named", "screened"), 39.0 + of_pairs.get("both", 0.0), Left(0.0, 0.0))
+        moved = {n: z + changes.get(n, 0.0) for n, z in evidence.items()}
+        return borne_by_sets(weigh(moved, ALL, QUIET, pairs=[pair]), {"screened": 0.0, "failed": 0.0})
+
+    headline = judge({}, {}).probabilities
+    nothing, without_one = sensitivity(fit(0.0, 0.0), fits, judge, "named", evidence, {"both": fit(39.0, -1.0)})
+    assert nothing.of_leading == headline["named"]
+    assert without_one.verdict == "named"
+    moved = judge({"named": -1.0, "screened": -math.inf}, {"both": -1.0})
+    assert without_one.of_leading == moved.probabilities["named"]
 
 
 def test_other_choices_move_every_pair_that_was_judged(monkeypatch):
