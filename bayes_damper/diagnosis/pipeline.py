@@ -107,7 +107,8 @@ def _diagnosed(
     pair = next((p for p in pairs if p.effects == answers.pair_effects), None)
     report(f"most probable answer so far: {answers.verdict}")
     best = pair.fit if pair is not None and answers.pair >= 0.5 else None if winner is None else winner.fit
-    named = best if winner is not None and answers.verdict == winner.effect.name else None
+    known = None if winner is None or winner.effect is DRIFT else winner  # a drift stands for what nobody can name
+    named = best if known is not None and answers.verdict == known.effect.name else None
     if seen.wiring is not None:
         notes.insert(0, seen.wiring.sentence())
     notes += notes_on(experiment, fit, named, answers, seen.before_map)
@@ -117,8 +118,8 @@ def _diagnosed(
     gap = measure_gap(fit, best, rng=rng, chosen_from=max(len(evidence), 1) if experiment.fits_all else 1)
     first = sorted(evidence, key=lambda n: -evidence[n])[:SHOWN]
     closes = {} if best is None else closing(fit, {n: fits[n][0] for n in first if n in fits}, rng)
-    if best is not None and winner is not None and winner.effect is not DRIFT:
-        acting = [winner.effect] if best is winner.fit or pair is None else [pair.first[0], pair.second[0]]
+    if best is not None and known is not None:
+        acting = [known.effect] if best is known.fit or pair is None else [pair.first[0], pair.second[0]]
         best = widened(best, [effect.site for effect in acting])
     report("looking for the experiment that would decide best")
     proposals = tuple(_proposals(fit, found, answers))

@@ -235,6 +235,20 @@ def test_a_constant_that_the_named_effect_does_not_free_is_told():
 
 
 @pytest.mark.slow
+def test_a_drift_of_the_nominal_laws_is_unknown_and_no_note_says_that_it_is_in_the_model():
+    """The notes are those of the nominal model."""
+    (drift,) = DRIFT.variants
+    values = {"spring": 0.3, "bearings": -0.6, "coupling": 0.0, "friction": 0.0}
+    found = measured(3, effect=drift, values=values, configurations=(False,), noise=0.5)
+    found = replace(found, constants={**found.constants, "J1": (1.2 * RIG["J1"], 0.02 * RIG["J1"])})
+    told = diagnose(found, effects=FEW)
+    assert told.verdict == "unknown"
+    assert told.winner.effect is DRIFT
+    assert told.named is None
+    assert any(note.startswith("The nominal model fits J1") for note in told.notes)
+
+
+@pytest.mark.slow
 def test_an_effect_outside_the_candidates_is_unknown_and_its_law_is_learnt(tmp_path):
     """When quadratic drag is taken out of the library, no other effect takes its name; its law is learnt."""
     others = {name: EFFECTS[name] for name in ("sensor_gain", "inertia_error", "sensor_delay")}
