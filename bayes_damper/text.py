@@ -129,10 +129,12 @@ def gap_beside_verdict(verdict: str, share: float, gap: GapEntry) -> str:
     if verdict != "none" and answer in ("none", "cannot tell"):
         if not held_out_of(gap):
             return "No trial could be held out, so this answer is not tested on independent trials."
+        chance = "" if p is None else f" ({p_value(p)})"
+        why = gap.get("why") if answer == "cannot tell" else None
+        shown = f"does not decide{chance}: {why}" if why else f"does not show the gap{chance}"
         return (
-            "The test of the held-out trials alone does not show the gap"
-            + ("" if p is None else f" ({p_value(p)})")
-            + "; the answer rests on all trials together. More repeats would confirm or refute it."
+            f"The test of the held-out trials alone {shown}. The answer rests on all trials together. More repeats "
+            "would confirm or refute it."
         )
     return ""
 

@@ -53,6 +53,8 @@ def test_a_p_value_has_no_digits_where_they_mean_nothing(p, told):
                      "upper_rms_over_noise": 0.4}, "held-out trials alone does not show the gap (p = 0.2)"),
         ("unknown", {"answer": "cannot tell", "p_value": 1.0, "augmented_rms": None, "closed": None,
                      "upper_rms_over_noise": 0.4}, "held-out trials alone does not show the gap"),
+        ("unknown", {"answer": "cannot tell", "p_value": 0.11, "augmented_rms": 0.06, "why": "they are 12 times it"},
+         "alone does not decide (p = 0.11): they are 12 times it. The answer rests on all trials together"),
         ("none", {"answer": "none", "p_value": 0.4}, ""),
         ("stick_slip", {"answer": "gap", "p_value": 0.0}, ""),
     ],

@@ -154,9 +154,11 @@ def measure_gap(
         answer, why = "none", f"no gap shows; one larger than {upper:.2f} times the sensor noise is excluded"
     elif nominal_rms > FAR * floor:
         answer = "cannot tell"
-        why = (
-            f"held-out residuals are {two_digits(nominal_rms / floor)} times the sensor noise, but other than the "
-            "training trials predict: the trials differ by what the model does not allow for"
+        repeated = any(_repeats_of(experiment, i, nominal.problem.trials) for i in heldout)
+        why = f"held-out residuals are {two_digits(nominal_rms / floor)} times the sensor noise, but " + (
+            "other than the training trials predict: the trials differ by what the model does not allow for"
+            if repeated
+            else "no trial that was fitted repeats them, and they do not clearly follow what an answer predicts"
         )
     else:
         answer = "cannot tell"

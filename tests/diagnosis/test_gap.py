@@ -152,6 +152,10 @@ def test_held_out_trials_that_differ_far_beyond_the_noise_are_not_said_to_show_n
     assert gap.answer == "cannot tell"
     assert gap.nominal_rms > 5.0 * gap.noise_rms
     assert gap.why.startswith(f"held-out residuals are {float(f'{gap.nominal_rms / gap.noise_rms:.2g}'):g} times")
+    assert "other than the training trials predict" in gap.why
+    other = tuple(replace(t, case=t.case + " held out") if t.heldout else t for t in odd)
+    alone = measure_gap(replace(fit, problem=fit.problem.changed(experiment=replace(e, trials=other))))
+    assert "no trial that was fitted repeats them" in alone.why
 
 
 def test_a_short_campaign_without_a_sign_cannot_exclude_a_gap():

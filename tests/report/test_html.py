@@ -242,6 +242,16 @@ def test_where_no_trial_is_held_out_no_test_is_quoted(tmp_path):
     assert "do not decide whether" not in text
 
 
+def test_why_the_test_of_the_gap_does_not_decide_is_said_beside_an_answer(tmp_path):
+    write_diagnosis(tmp_path)
+    data = json.loads((tmp_path / "diagnosis.json").read_text(encoding="utf-8"))
+    data["gap"] |= {"answer": "cannot tell", "p_value": 0.11, "why": "held-out residuals are 12 times the sensor noise"}
+    (tmp_path / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
+    text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
+    assert "does not decide (p = 0.11): held-out residuals are 12 times the sensor noise." in text
+    assert "do not decide whether" not in text
+
+
 def test_a_fit_opens_with_what_the_data_determine_and_what_the_model_misses(tmp_path):
     write_fit(tmp_path)
     data = json.loads((tmp_path / "summary.json").read_text())

@@ -113,7 +113,7 @@ def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
         said(named_sentence(data.get("law"))),
     ]
     beside = gap_beside_verdict(verdict, share or 0.0, gap) if gap else ""
-    alone = beside and (verdict == "none" or (gap is not None and not held_out_of(gap)))
+    alone = beside and (verdict == "none" or (gap is not None and gap["answer"] == "cannot tell"))
     sentences += [beside] if alone else [_gap_sentence(gap), beside]
     credible = [called(n) for n in data.get("credible_set", [])]
     both_present = set(data.get("credible_set", ())) <= set(pair["effects"]) if pair else False
