@@ -101,7 +101,7 @@ class Diagnosis:
 
     def to_json(self) -> DiagnosisFile:
         """The fields of diagnosis.json (schema bayes-damper/diagnosis/1)."""
-        noise = self.nominal.problem.noise.total
+        noise = self.nominal.problem.noise
         out: dict[str, Any] = {
             "schema": SCHEMA,
             "campaign": self.campaign,
@@ -125,9 +125,10 @@ class Diagnosis:
             "site_map": self.site_map.to_json() | {"curve": self.site_map.curve()},
             "remainder_map": self.remainder_map.to_json(),
             "noise": {
-                "sd": list(noise),
-                "phi": list(self.nominal.problem.noise.phi),
-                "innovation": list(self.nominal.problem.noise.innovation),
+                "sd": list(noise.floor),
+                "level": list(noise.total),
+                "phi": list(noise.phi),
+                "innovation": list(noise.innovation),
             },
             "effects": [self._row(name) for name in sorted(self.evidence, key=lambda n: -self.evidence[n])],
             "parameters": self._shifts(),

@@ -574,5 +574,8 @@ def test_a_spring_that_hardens_is_named_from_two_single_trials():
     found = diagnose(experiment, effects=near)
     assert found.verdict == "spring_cubic"
     assert found.answers.probabilities["spring_cubic"] > 0.9
+    noise = found.to_json()["noise"]
+    assert noise["sd"] == pytest.approx([found.gap.noise_rms])
+    assert noise["level"][0] > 10.0 * noise["sd"][0], "it stands for what the model misses, too"
     assert found.budget is not None
     assert found.budget.parts[0].share.median > 0.99
