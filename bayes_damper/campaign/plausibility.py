@@ -32,6 +32,9 @@ _SHORT = 0.8  # of the longest repeat's end, before which a record counts as end
 _BEGINS = {"displacement": 0.8, "velocity": 0.3, "acceleration": 0.4}
 """First readings of a release: a displacement is above this share of theta0, a velocity below this share of its
 largest, an acceleration above it."""
+_HELD, _SOON = 0.3, 0.2
+"""Radians of the oscillation within which a record of accelerations that begins at 0 begins its motion, where it does
+not rest first; and within which they then reach what a release has, where it jumps and does not swing there."""
 _APART, _OF_MOTION = 4.0, 0.1  # times the distance of repeats from each other, and of their rms, of one that is odd
 _COMMON = 8  # readings in which repeats are compared, at least
 _UNLIKE = 0.3  # rms difference over rms, from which repeats are held to be of different channels
@@ -213,7 +216,6 @@ def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]
     """Late trigger, start in the middle of the motion, reversed sign: seen in the first readings."""
     times, quantity = trial.times, head.measurement.quantity
     y = look.without_outliers(times, trial.channels[0], omega, quantity == "displacement")
-    noise = look.noise_floor_of(y)
     power = DERIVATIVE[quantity]
     assert trial.theta0 is not None
     sign = math.copysign(1.0, trial.theta0.value) * (1.0 if power == 0 else -1.0)
@@ -247,20 +249,16 @@ def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]
             f"{trial.file}: motion begins {-onset:.4g} s before the nominal release; the trigger came late; "
             "fits take the release from the record"
         )
-    if onset > USUAL_LAG[quantity] / omega + _BESIDE * step and times[0] <= _BESIDE * step:
-        warnings.append(
-            f"{trial.file}: motion begins {onset:.4g} s after the nominal "
-            "release; the trigger came early or the rig stuck; fits take the release from the record"
-        )
     first = float(np.median(y[:3]))
+    if power == 2 and onset > times[0]:  # held at first, then it jumps, as fast as latch and sensor let it
+        first = float(y[min(int(np.searchsorted(times, onset + _SOON / omega)), len(y) - 1)])
     largest = float(np.max(np.abs(y)))
     begins = _BEGINS[quantity]
-    middle = {0: sign * first < begins * level, 1: abs(first) > begins * largest, 2: False}[power]
-    soon = min(int(np.searchsorted(times, onset + 0.13 / omega)), len(y) - 1)
-    if power == 2 and abs(first) <= 8.0 * noise and onset < times[0] + 0.3 / omega:  # no jump where a release jumps
-        middle = sign * y[soon] < begins * float(np.quantile(np.abs(y), 0.998))
-    if power == 2 and abs(first) > 8.0 * noise:
-        middle = sign * first < begins * float(np.quantile(np.abs(y), 0.998))
+    middle = {
+        0: sign * first < begins * level,
+        1: abs(first) > begins * largest,
+        2: sign * first < begins * float(np.quantile(np.abs(y), 0.998)) and onset < times[0] + _HELD / omega,
+    }[power]
     away_at_once = (
         power == 1 and not trial.driven and _moves_the_wrong_way(times, sign * y, quantity, omega, 0.0) is not None
     )
@@ -270,6 +268,11 @@ def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]
         warnings.append(
             f"{trial.file}: the first readings are not those of a release; "
             f"{looks}the record begins after the motion began{_TURNED if reversed_sign else ''}"
+        )
+    elif onset > USUAL_LAG[quantity] / omega + _BESIDE * step and times[0] <= _BESIDE * step:
+        warnings.append(
+            f"{trial.file}: motion begins {onset:.4g} s after the nominal release; the trigger came early, the rig "
+            "stuck, or the sensor is slow; fits take the release from the record"
         )
 
 

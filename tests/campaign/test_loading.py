@@ -558,6 +558,29 @@ def test_odd_records_are_told_and_read(folder: Path, change: Callable, sentence:
     assert any(sentence in w and FIRST in w for w in warnings), warnings
 
 
+@pytest.mark.parametrize(("late", "begins"), [(0.0, 0), (0.002, 1)])
+def test_an_acceleration_that_rises_faster_than_it_swings_begins_in_its_record(
+    folder: Path, late: float, begins: int
+) -> None:
+    """A slow sensor or latch lets it rise from 0. From the middle of the motion it swings through 0."""
+
+    def found(change: Callable[[np.ndarray], np.ndarray]) -> list[str]:
+        alter(folder / FIRST, lambda c: [c[0], change(c[0])])
+        return [w for w in load_campaign(folder).warnings if FIRST in w and re.search("motion beg|first readings", w)]
+
+    def risen(times: np.ndarray) -> np.ndarray:
+        t = times - late
+        return decay(t, math.radians(4.7), 10.2, 0.03) * -np.expm1(-np.maximum(t, 0.0) / 0.003)
+
+    told = found(risen)
+    assert len(told) == begins
+    assert all("motion begins 0.00" in w for w in told)
+    (told,) = found(lambda times: -risen(times))
+    assert "looks reversed" in told
+    (told,) = found(lambda times: decay(times + 0.0275, math.radians(4.7), 10.2, 0.03))
+    assert told.endswith("the record begins after the motion began")
+
+
 def _contradictions(folder: Path) -> list[str]:
     return [w for w in load_campaign(folder).warnings if w.startswith("trials.csv: uncoupled, ")]
 
