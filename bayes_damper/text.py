@@ -14,6 +14,8 @@ NOTHING = "\N{EN DASH}"
 """What stands where there is no number."""
 SDS_WIDE = 3.29
 """Standard deviations between the ends of a 90 % interval of a normal distribution."""
+UNDETERMINED = "these data do not determine it"
+"""What is said of a value whose interval is decided by its prior."""
 SMALLEST_P = 1e-12
 """Below this a p value says nothing more: no model of noise holds so far out in its tails."""
 

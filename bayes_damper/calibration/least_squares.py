@@ -68,10 +68,8 @@ class Calibration:
         """Value and standard deviation of every unknown of the campaign."""
         out = {}
         for i, c in enumerate(self.problem.coordinates):
-            x = float(from_standard(c.prior, self.q[i]))
-            sd = math.sqrt(max(self.covariance[i, i], 0.0))
-            up, down = from_standard(c.prior, self.q[i] + sd), from_standard(c.prior, self.q[i] - sd)
-            out[c.name] = (x, 0.5 * abs(float(up - down)))
+            low, high = self._within(i, 1.0)
+            out[c.name] = (float(from_standard(c.prior, self.q[i])), 0.5 * (high - low))
         return out
 
     @property
@@ -90,10 +88,18 @@ class Calibration:
 
     def interval(self, name: str, share: float = 0.9) -> tuple[float, float]:
         """Central interval of one unknown, holding `share` of its probability."""
-        i = self.problem.names.index(name)
-        reach = float(ndtri(0.5 + 0.5 * share)) * math.sqrt(max(self.covariance[i, i], 0.0))
+        return self._within(self.problem.names.index(name), float(ndtri(0.5 + 0.5 * share)))
+
+    def _within(self, i: int, sds: float) -> tuple[float, float]:
+        """Values so many standard deviations to either side of one unknown.
+
+        Where what formulas leave open (`widened`) exceeds its prior, these end where the prior's own about the fit and
+        about its middle do.
+        """
+        q, sd = float(self.q[i]), math.sqrt(max(self.covariance[i, i], 0.0))
         prior = self.problem.coordinates[i].prior
-        low, high = float(from_standard(prior, self.q[i] - reach)), float(from_standard(prior, self.q[i] + reach))
+        low = float(from_standard(prior, max(q - sds * sd, min(q, 0.0) - sds)))
+        high = float(from_standard(prior, min(q + sds * sd, max(q, 0.0) + sds)))
         return (low, high) if low <= high else (high, low)
 
     def residuals(self) -> dict[int, Array]:

@@ -49,7 +49,9 @@ from bayes_damper.runs.json_files import write_json
 from bayes_damper.runs.parallel_map import forked_map, single_threaded
 from bayes_damper.runs.provenance import code_sha256, provenance
 from bayes_damper.runs.threads import kernel_threads
+from bayes_damper.sampling.prior_sensitivity import decided_by
 from bayes_damper.text import (
+    UNDETERMINED,
     Printable,
     budget_sentence,
     effects_to_fit,
@@ -329,7 +331,8 @@ def _published_words(result: DiagnosisFile) -> list[str]:
 def _estimated(p: Estimate) -> str:
     """A parameter's value, unit (none for a plain number) and interval."""
     unit = "" if p["unit"] == "1" else f" {p['unit']}"
-    return f"{p['mean']:.4g}{unit}, 90 % interval {p['hdi90'][0]:.4g} to {p['hdi90'][1]:.4g}"
+    free = f" ({UNDETERMINED})" if decided_by(p.get("prior_share", 0.0)) == "prior" else ""
+    return f"{p['mean']:.4g}{unit}, 90 % interval {p['hdi90'][0]:.4g} to {p['hdi90'][1]:.4g}{free}"
 
 
 def next_steps(result: DiagnosisFile, campaign: str, folder: str = "", own: str = "") -> list[str]:

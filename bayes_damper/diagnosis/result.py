@@ -207,4 +207,6 @@ class Diagnosis:
 
 def _estimate(fit: Calibration, name: str, unit: str) -> Estimate:
     value, sd = fit.parameters[name]
-    return {"unit": unit, "mean": value, "sd": sd, "hdi90": fit.interval(name)}
+    i = fit.problem.names.index(name)
+    share = min(float(fit.covariance[i, i]), 1.0)  # the prior's variance is 1
+    return {"unit": unit, "mean": value, "sd": sd, "hdi90": fit.interval(name), "prior_share": share}

@@ -12,7 +12,9 @@ from test_problem import RIG, TRUE
 from bayes_damper.calibration import Calibration, Experiment, Problem, TrialRecord, calibrate, summarise
 from bayes_damper.diagnosis.formula import widened
 from bayes_damper.diagnosis.response import motions
+from bayes_damper.diagnosis.result import _estimate
 from bayes_damper.effects import EFFECTS
+from bayes_damper.priors.distributions import from_standard
 from bayes_damper.simulation.links import of_links
 
 
@@ -91,6 +93,20 @@ def test_intervals_widen_where_another_formula_could_pass_for_a_nominal_law(drag
     assert wide["c1t"] / sd["c1t"] > 2.0 * wide["k2t"] / sd["k2t"]
     less = {name: value[1] for name, value in widened(drag, ["bearings"], share=0.05).parameters.items()}
     assert sd["c1t"] < less["c1t"] < wide["c1t"]
+
+
+def test_no_interval_reaches_beyond_what_the_prior_leaves(drag):
+    """A stop at a thousandth of its prior's median, which formulas of its family move by 6 standard deviations."""
+    i = drag.problem.names.index("k2t")
+    prior = drag.problem.coordinates[i].prior
+    q, covariance = drag.q.copy(), drag.covariance.copy()
+    q[i], covariance[i, i] = -7.8, 36.0
+    open_ = replace(drag, q=q, covariance=covariance)
+    ends = from_standard(prior, np.array([-7.8 - 1.645, 1.645]))
+    assert open_.interval("k2t") == pytest.approx(ends, rel=1e-3)
+    assert open_.parameters["k2t"][1] < 0.5 * from_standard(prior, 1.0)
+    assert _estimate(open_, "k2t", "N m/rad")["prior_share"] == 1.0
+    assert _estimate(drag, "k2t", "N m/rad")["prior_share"] < 0.01
 
 
 def test_a_definition_leaves_nothing_open(drag):

@@ -734,6 +734,8 @@ def test_a_share_is_told_without_a_unit():
     told = {"mean": 0.1463, "sd": 0.02, "hdi90": [0.1125, 0.18]}
     assert _estimated(told | {"unit": "1"}) == "0.1463, 90 % interval 0.1125 to 0.18"
     assert _estimated(told | {"unit": "rad"}) == "0.1463 rad, 90 % interval 0.1125 to 0.18"
+    open_ = _estimated(told | {"unit": "1", "prior_share": 0.9})
+    assert open_ == "0.1463, 90 % interval 0.1125 to 0.18 (these data do not determine it)"
 
 
 def test_two_effects_that_are_the_answer_share_one_bar():

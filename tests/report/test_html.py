@@ -576,12 +576,14 @@ def test_a_verdict_says_what_the_effect_is_and_how_large(tmp_path):
         in text
     )
     assert "with stick slip 2.01 94 %" in text, "one model has one share, here and on the first screen"
+    data["effects"][0]["parameters"]["ratio"]["prior_share"] = 0.9
     data["gap"]["closed"] = {"median": 0.8, "hdi90": [-45.6, 45.3]}
     data["effects"][0]["closed"] = {"median": 0.8, "hdi90": [-45.6, 45.3]}
     data["sites"] = {"interface": 0.46, "ground2": 0.4, "sensor": 0.14}
     (tmp_path / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
     text = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
     assert "the gap is too small to give shares of it" in text
+    assert "with ratio 1.40 (1.20 to 1.60) (these data do not determine it)" in text
     assert f"with stick slip 2.01 {NOTHING}" in text
     data["gap"]["closed"] = {"median": None, "hdi90": None, "method": "cannot tell", "how": "too faint"}
     share = {"median": 0.7, "hdi90": [0.6, 0.8]}

@@ -38,9 +38,11 @@ from bayes_damper.runs.contents.diagnosis import (
     WherePublished,
     WhereRecords,
 )
+from bayes_damper.sampling.prior_sensitivity import decided_by
 from bayes_damper.text import (
     COORDINATES,
     NOTHING,
+    UNDETERMINED,
     budget_sentence,
     effects_to_fit,
     failed_sentence,
@@ -701,7 +703,8 @@ def _parameter(name: str, value: Any) -> str:
         spread = f" ({interval(low, high)})" if low is not None else f" ± {number(sd)}" if sd is not None else ""
         unit = value.get("unit", "")
         estimate = number(middle, None if low is None else high - low)
-        return f"{name} {estimate}{spread} {'' if unit == '1' else unit}".strip()
+        free = f" ({UNDETERMINED})" if decided_by(value.get("prior_share", 0.0)) == "prior" else ""
+        return f"{name} {estimate}{spread} {'' if unit == '1' else unit}".strip() + free
     if isinstance(value, list) and len(value) == 2:
         return f"{name} {number(value[0])} ± {number(value[1])}"
     return f"{name} {number(value)}"

@@ -7,13 +7,14 @@ from typing import NotRequired, TypedDict
 
 
 class Estimate(TypedDict):
-    """A parameter of an effect: mean, sd and 90 % interval."""
+    """A parameter of an effect: mean, sd, 90 % interval, and its variance over that of its prior."""
 
     unit: str
     mean: float
     sd: float
     hdi90: Sequence[float]
     median: NotRequired[float]
+    prior_share: NotRequired[float]
     meaning: NotRequired[str]
 
 
