@@ -154,26 +154,36 @@ def sensitivity_of_sets(
     """The verdict under every other choice, where no trial has repeats.
 
     sets : weighed, the nominal model among them; answered : gives the answers from weighed sets; leading : the verdict
-    on all data; offered : effects that the rig can have. The most probable sets are weighed again, without the others.
+    on all data; offered : effects that the rig can have. Where trials are left out the most probable sets are fitted
+    and weighed again, without the others. Each set's evidence changes by what weighing it again among them changes.
     """
     none = next(s for s in sets if not s.members)
-    likely = sorted((s for s in sets if math.isfinite(s.evidence)), key=lambda s: -log_weight(s, offered))[:MOST_SETS]
+    possible = [s for s in sets if math.isfinite(s.evidence)]
+    likely = sorted(possible, key=lambda s: -log_weight(s, offered))[:MOST_SETS]
     likely += [] if none in likely else [none]
-    quadratic = [Quadratic.of(s.fit) for s in likely]
+    quadratic = [Quadratic.of(s.fit) for s in possible]
     out = []
     for what, without, widths in _other_choices(nominal, MOST_TRIALS_REFITTED):
         if without:
             changed = [set_fit(s.members, _again(s.fit, without, straight=True)) for s in likely]
         else:
             changed = [
-                replace(s, plain=s.plain + q.log_evidence(widths=widths) - q.log_evidence())
-                for s, q in zip(likely, quadratic, strict=True)
+                replace(s, plain=s.plain + (q.log_evidence(widths=widths) - q.log_evidence()))
+                for s, q in zip(possible, quadratic, strict=True)
             ]
-        if not math.isfinite(changed[likely.index(none)].plain):
+        if not all(math.isfinite(s.plain) for s in changed if not s.members):
             continue
-        p = (answers := answered(weighed(changed))).probabilities
+        p = (answers := answered(_moved(likely if without else possible, changed))).probabilities
         out.append(Choice(what, answers.verdict, p[answers.verdict], p[leading]))
     return out
+
+
+def _moved(sets: Sequence[SetFit], changed: Sequence[SetFit]) -> list[SetFit]:
+    """The changed sets, best first, with the evidence of `sets` and what weighing them again changes."""
+    known = {id(s.members): s.evidence for s in sets}
+    before = {id(s.members): s.evidence for s in weighed(sets)}
+    moved = [replace(s, evidence=known[id(s.members)] + (s.evidence - before[id(s.members)])) for s in weighed(changed)]
+    return sorted(moved, key=lambda s: -s.evidence)
 
 
 def sensitivity(

@@ -469,17 +469,25 @@ def test_a_larger_set_speaks_for_the_effect_that_has_more_evidence_alone():
         assert answers_of(budget, only, ["a", "b"], evidence, shares, quiet, quiet).verdict == verdict
 
 
-def test_other_choices_weigh_the_most_probable_sets_again(monkeypatch):
-    """Not those of most evidence: sets of three have some more of it, and are less likely a priori."""
+def test_other_choices_weigh_the_most_probable_sets_again_and_all_where_none_is_fitted_again(monkeypatch):
+    """Not those of most evidence: sets of three have some more of it, and are less likely a priori. Where nothing
+    changes the answer is the same to the last digit."""
     many = [("a", "b"), ("a", "c"), ("b", "c"), ("a", "b", "c"), ("a", "b", "d")]
     known = {(): -50.0, ("a",): 0.0} | dict.fromkeys(many, 1.0)
     sets = weighed([stub(names, plain, 0.0) for names, plain in known.items()])
     monkeypatch.setattr(
         "bayes_damper.diagnosis.sensitivity.Quadratic.of", lambda fit: SimpleNamespace(log_evidence=lambda **how: 0.0)
     )
-    monkeypatch.setattr(
-        "bayes_damper.diagnosis.sensitivity._other_choices", lambda nominal, most: [("prior widths halved", (), 0.5)]
-    )
+    others = [("nothing", (), 1.0), ("without trial 1", [0], 1.0)]
+    monkeypatch.setattr("bayes_damper.diagnosis.sensitivity._other_choices", lambda nominal, most: others)
+    monkeypatch.setattr("bayes_damper.diagnosis.sensitivity._again", lambda fit, without, straight: fit)
+    asked = []
+
+    def fitted_again(members, fit):
+        asked.append({e.name for e, _ in members})
+        return next(s for s in sets if s.members is members)
+
+    monkeypatch.setattr("bayes_damper.diagnosis.sensitivity.set_fit", fitted_again)
     budget = SimpleNamespace(best=next(s for s in sets if s.names == {"a"}), parts=(), leading={"a": 1.0})
     quiet = Left(0.0, 0.0, lone=True)
 
@@ -487,9 +495,11 @@ def test_other_choices_weigh_the_most_probable_sets_again(monkeypatch):
         shares = {s.names: 0.05 for s in sets}
         return answers_of(budget, sets, ["a", "b", "c", "d"], {"a": 50.0}, shares, quiet, quiet)
 
-    (choice,) = sensitivity_of_sets(None, sets, answered, "a", 20)
+    nothing, choice = sensitivity_of_sets(None, sets, answered, "a", 20)
+    assert nothing.of_leading == answered(sets).probabilities["a"]
     assert choice.verdict == "a"
     assert choice.of_leading == pytest.approx(answered(sets).probabilities["a"], abs=0.05)
+    assert asked == [{"a"}, {"a", "b"}, {"a", "c"}, {"b", "c"}, set()]
 
 
 @pytest.mark.slow
