@@ -1,8 +1,8 @@
-"""First-order filters of the sensors, exact for a reading that is linear over each internal step."""
+"""Filters of the sensors of first and second order, exact for a reading that is linear over each internal step."""
 
 from __future__ import annotations
 
-from bayes_damper.rig.vector_math import exp, lane
+from bayes_damper.rig.vector_math import cos, exp, lane, log, sin
 
 
 @lane
@@ -25,3 +25,39 @@ def follow(h, u, y, s, tau, first):
     """
     at_rest = first > 0.5
     return low_pass(h + 1e-6 * first, y if at_rest else u, y, u if at_rest else s, tau)
+
+
+@lane
+def free_answer(x, zeta):
+    """What is left of s and of ds/dx after x, of s = 1 and ds/dx = 0 before, in s'' + 2 zeta s' + s = 0.
+
+    Gives e^(-zeta x) C and e^(-zeta x) S with C = cos(k x), S = sin(k x) / k and k^2 = 1 - zeta^2, or cosh and sinh.
+    """
+    k = exp(0.5 * log(max(abs(1.0 - zeta * zeta), 1e-8)))
+    slow = 0.5 * exp((k - zeta) * x)
+    fast = 0.5 * exp(-(k + zeta) * x)
+    swings = exp(-zeta * x)
+    c_swings = swings * cos(k * x)
+    s_swings = swings * sin(k * x)
+    rings = zeta < 1.0
+    return c_swings if rings else slow + fast, (s_swings if rings else slow - fast) / k
+
+
+@lane
+def low_pass2(h, u, y, s, v, tau, zeta):
+    """State s and v = tau ds/dt after a step h (s) of tau^2 s'' + 2 zeta tau s' + s = x, x linear from u to y."""
+    x = h / max(tau, 1e-20)
+    slope = (y - u) / max(x, 1e-20)
+    c, d = free_answer(min(x, 1e3), zeta)
+    off = s - (u - 2.0 * zeta * slope)
+    moving = v - slope
+    s_end = y - 2.0 * zeta * slope + off * c + (moving + zeta * off) * d
+    v_end = slope + moving * c - (off + zeta * moving) * d
+    return s_end, v_end
+
+
+@lane
+def follow2(h, u, y, s, v, tau, zeta, first):
+    """State of a low-pass of second order that showed the rig at rest when it was released, as in `follow`."""
+    at_rest = first > 0.5
+    return low_pass2(h + 1e-6 * first, y if at_rest else u, y, u if at_rest else s, 0.0 if at_rest else v, tau, zeta)

@@ -1,6 +1,7 @@
 """The sensors follow the motion with a lag: a low-pass in the channels.
 
-    tau dm/dt = y - m    in both channels, in one, or in both with a lag of T as filters of higher order have
+    tau dm/dt = y - m                                  in both channels, in one, or in both with a lag of T
+    tau^2 d2m/dt2 + 2 zeta tau dm/dt = y - m           in both channels: two poles
 
 Source: Doebelin (2004), Measurement Systems, sec. 3.3 (instruments of first and second order).
 """
@@ -10,9 +11,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from bayes_damper.effects._filters import follow, low_pass
+from bayes_damper.effects._filters import follow, follow2, low_pass
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
-from bayes_damper.priors.distributions import HalfNormal
+from bayes_damper.priors.distributions import HalfNormal, LogNormal
 from bayes_damper.rig.vector_math import lane
 
 
@@ -30,6 +31,14 @@ def both_settled(h, u1, u2, y1, y2, s1, s2, p, first):
     m1 = y1 if first > 0.5 else low_pass(h, u1, y1, s1, p[0])
     m2 = y2 if first > 0.5 else low_pass(h, u2, y2, s2, p[0])
     return m1, m2, m1, m2
+
+
+@lane
+def two_poles(h, u1, u2, y1, y2, s1, s2, v1, v2, p, first):
+    """The same low-pass of second order in both channels."""
+    m1, n1 = follow2(h, u1, y1, s1, v1, p[0], p[1], first)
+    m2, n2 = follow2(h, u2, y2, s2, v2, p[0], p[1], first)
+    return m1, m2, m1, m2, n1, n2
 
 
 @lane
@@ -93,6 +102,20 @@ EFFECT = Effect(
             sense=both,
             lag=lag,
             starts=((0.00005, 0.00005), (0.0005, 0.0003), (0.001, 0.001), (0.003, 0.001)),
+        ),
+        Variant(
+            name="two_poles",
+            formula="tau^2 d2m/dt2 + 2 zeta tau dm/dt = y - m in both channels, from the reading at rest",
+            parameters=(
+                TIME,
+                EffectParameter(
+                    "damping", "1", "Damping ratio of the filter.", LogNormal(0.8, 1.35),
+                    "Filters of data loggers: Butterworth 0.71, Bessel 0.87, two equal stages 1.",
+                ),
+            ),
+            sense=two_poles,
+            sensor_states=2,
+            starts=tuple((time, zeta) for zeta in (0.6, 1.0) for (time,) in STARTS),
         ),
         Variant(
             name="channel1",

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 from bayes_damper.effects.base import MOST_PARAMETERS, Kernel, Variant
@@ -52,6 +53,7 @@ def compose(
         memory=a.memory + b.memory,
         memory_scale=a.memory_scale + b.memory_scale,
         sense=a.sense or b.sense,
+        sensor_states=max(a.sensor_states, b.sensor_states),
         lag=_both_lags(acting, labels),
         amend=_both_amendments(acting, labels),
         lets_go=next((f"{label}.{v.lets_go}" for label, v in zip(labels, acting, strict=True) if v.lets_go), ""),
@@ -63,8 +65,8 @@ def compose(
 def _silent(v: Variant) -> Variant:
     """The variant's parameters without what they do."""
     return replace(
-        v, torque=None, rate=None, start=None, memory=0, memory_scale=(), sense=None, lag=None, amend=None,
-        timed=False, lets_go="", replaces_friction=False,
+        v, torque=None, rate=None, start=None, memory=0, memory_scale=(), sense=None, sensor_states=1, lag=None,
+        amend=None, timed=False, lets_go="", replaces_friction=False,
     )  # fmt: skip
 
 
@@ -90,10 +92,19 @@ def _shifted(v: Variant, start: int) -> Variant:
         return start
 
     def moved_sense(kernel: Kernel) -> Kernel:
-        @lane
-        def sense(h, u1, u2, y1, y2, s1, s2, p, first):
-            own = (p[i0], p[i1] * g1, p[i2] * g2, p[i3] * g3)
-            return kernel(h, u1, u2, y1, y2, s1, s2, own, first)
+        if v.sensor_states == 2:
+
+            @lane
+            def sense(h, u1, u2, y1, y2, s1, s2, v1, v2, p, first):
+                own = (p[i0], p[i1] * g1, p[i2] * g2, p[i3] * g3)
+                return kernel(h, u1, u2, y1, y2, s1, s2, v1, v2, own, first)
+
+        else:
+
+            @lane
+            def sense(h, u1, u2, y1, y2, s1, s2, p, first):
+                own = (p[i0], p[i1] * g1, p[i2] * g2, p[i3] * g3)
+                return kernel(h, u1, u2, y1, y2, s1, s2, own, first)
 
         return sense
 
@@ -202,3 +213,15 @@ def _both_amendments(acting: list[Variant], labels: Labels) -> Callable[..., Map
         return parameters
 
     return amend
+
+
+@lru_cache(maxsize=1024)  # the same kernel for the same sensor
+def sensor_of_one_state(kernel: Kernel) -> Kernel:
+    """A sensor of one state in each channel, as `advance` calls it."""
+
+    @lane
+    def sense(h, u1, u2, y1, y2, s1, s2, v1, v2, p, first):
+        m1, m2, n1, n2 = kernel(h, u1, u2, y1, y2, s1, s2, p, first)
+        return m1, m2, n1, n2, v1, v2
+
+    return sense

@@ -73,7 +73,8 @@ SAMPLE, SLOT, ATTEMPTS, GIVEN_UP = range(61, 65)
 DRIVE1, DRIVE2, SHOWN, RAMP1, RAMP2, RISE = range(65, 71)
 DRIVE1_NEXT, DRIVE2_NEXT, SHOWN_NEXT, RAMP1_NEXT, RAMP2_NEXT, RISE_NEXT = range(71, 77)
 MORE = 77  # and the seven after it
-BLOCK_ROWS = 85
+V1, V2 = 85, 86  # second states of the sensors
+BLOCK_ROWS = 87
 
 
 @lru_cache(maxsize=None, typed=True)  # True, 1 and 1.0 are equal, but different constants
@@ -125,9 +126,9 @@ def effect_start(p, rig):
 
 
 @vector_math.lane
-def effect_sense(h, u1, u2, y1, y2, s1, s2, p, first):
+def effect_sense(h, u1, u2, y1, y2, s1, s2, v1, v2, p, first):
     """Sensors that show what there is."""
-    return y1, y2, s1, s2
+    return y1, y2, s1, s2, v1, v2
 
 
 def advance(times, parameters, extras, inputs, weights, memory_weights, longest_step, read, out, final, status):
@@ -440,19 +441,24 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
                 u2 = block[U2, lane]
                 old1 = block[S1, lane]
                 old2 = block[S2, lane]
+                past1 = block[V1, lane]
+                past2 = block[V2, lane]
                 delay = block[DELAY, lane]
                 u1 = rest1 if first > 0.5 else u1
                 u2 = rest2 if first > 0.5 else u2
                 after = block[AFTER, lane]
                 released = (rest > 0.0) or (after >= delay)
-                m1, m2, s1, s2 = effect_sense(block[HLAST, lane], u1, u2, y1, y2, old1, old2, p, first)
+                since = block[HLAST, lane]
+                m1, m2, s1, s2, v1, v2 = effect_sense(since, u1, u2, y1, y2, old1, old2, past1, past2, p, first)
                 held = block[NOW, lane] < delay
                 # The sensors show a rig that is still held as they show everything: scaled, clipped, long settled.
-                h1, h2, _, _ = effect_sense(0.0, rest1, rest2, rest1, rest2, old1, old2, p, 1.0)
+                h1, h2, _, _, _, _ = effect_sense(0.0, rest1, rest2, rest1, rest2, old1, old2, past1, past2, p, 1.0)
                 block[Y1, lane] = h1 if held else m1
                 block[Y2, lane] = h2 if held else m2
                 block[S1, lane] = s1 if released else old1
                 block[S2, lane] = s2 if released else old2
+                block[V1, lane] = v1 if released else past1
+                block[V2, lane] = v2 if released else past2
                 block[U1, lane] = y1
                 block[U2, lane] = y2
                 block[FIRST, lane] = 0.0 if released else 1.0

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.signal import TransferFunction, lsim
 
 from bayes_damper.effects import (
     EFFECTS,
@@ -59,6 +60,11 @@ def simulated(condition=lambda e, v: True):
 
 def padded(values):
     return (*values, 0.0, 0.0, 0.0, 0.0)[:4]
+
+
+def at_rest(variant):
+    """States of a variant's sensors before the first reading."""
+    return (0.0,) * 2 * variant.sensor_states
 
 
 def states(seed=1, n=12):
@@ -182,7 +188,7 @@ def test_compiled_and_plain_python_agree(effect, variant):
             np.testing.assert_allclose(variant.start(p, RIG), variant.start.py_func(p, RIG), rtol=1e-13)
         if variant.sense is not None:
             for first in (1.0, 0.0):
-                given = (0.0 if first else 3e-4, *rng.normal(0.0, 150.0, 6), p, first)
+                given = (0.0 if first else 3e-4, *rng.normal(0.0, 150.0, 4 + 2 * variant.sensor_states), p, first)
                 np.testing.assert_allclose(variant.sense(*given), variant.sense.py_func(*given), rtol=1e-12)
 
 
@@ -215,21 +221,21 @@ def test_torque_is_finite_in_extreme_states(effect, variant):
 @of(lambda e, v: v.sense is not None and v.null is not None)
 def test_sensors_show_what_there_is_at_the_null(effect, variant):
     p = padded(variant.null)
-    s = (0.0, 0.0)
+    s = at_rest(variant)
     rng = np.random.default_rng(3)
     readings = rng.normal(0.0, 100.0, (30, 2))
     before = np.zeros(2)
     for i, y in enumerate(readings):
-        *m, s1, s2 = variant.sense.py_func(0.0 if i == 0 else 2e-4, *before, *y, *s, p, float(i == 0))
-        np.testing.assert_allclose(m, y, rtol=0.0, atol=1e-10)
-        s, before = (s1, s2), y
+        m1, m2, *s = variant.sense.py_func(0.0 if i == 0 else 2e-4, *before, *y, *s, p, float(i == 0))
+        np.testing.assert_allclose((m1, m2), y, rtol=0.0, atol=1e-10)
+        before = y
 
 
 @of(lambda e, v: v.sense is not None)
 def test_reading_the_sensor_again_at_once_changes_nothing(effect, variant):
     p = padded(variant.starts[-1])
-    *_, s1, s2 = variant.sense.py_func(0.0, 0.0, 0.0, 90.0, 60.0, 0.0, 0.0, p, 1.0)
-    once = variant.sense.py_func(4e-4, 90.0, 60.0, 80.0, 75.0, s1, s2, p, 0.0)
+    _, _, *s = variant.sense.py_func(0.0, 0.0, 0.0, 90.0, 60.0, *at_rest(variant), p, 1.0)
+    once = variant.sense.py_func(4e-4, 90.0, 60.0, 80.0, 75.0, *s, p, 0.0)
     np.testing.assert_allclose(variant.sense.py_func(0.0, 80.0, 75.0, 80.0, 75.0, *once[2:], p, 0.0), once, rtol=1e-12)
 
 
@@ -439,6 +445,20 @@ def test_low_pass_answers_a_ramp_exactly():
         assert m2 == 0.0
 
 
+@pytest.mark.parametrize("zeta", [0.5, 0.9999999, 1.0, 1.6])
+def test_low_pass_of_second_order_answers_steps_and_ramps_exactly(zeta):
+    tau, jump, slope, h = 2e-3, 70.0, -9e3, 3e-4
+    sense = EFFECTS["sensor_bandwidth"].variant("two_poles").sense.py_func
+    filtered = TransferFunction([1.0], [tau**2, 2.0 * zeta * tau, 1.0])
+    times = np.arange(120) * h
+    shown = lsim(filtered, jump + slope * times, times)[1]
+    _, _, *s = sense(0.0, 0.0, -jump, jump, -jump, *(0.0,) * 4, (tau, zeta), 1.0)
+    for t, m in zip(times[:-1], shown[1:], strict=True):
+        m1, m2, *s = sense(h, jump + slope * t, -jump, jump + slope * (t + h), -jump, *s, (tau, zeta), 0.0)
+        assert m1 == pytest.approx(m, abs=0.05)  # the reading jumps a microsecond before the first sample
+        assert m2 == pytest.approx(-jump)  # at rest it has settled
+
+
 def test_release_ramp_holds_the_rig_at_first_and_then_lets_go():
     for variant in EFFECTS["release_ramp"].variants:
         holding = RIG.k1t * RIG.theta0
@@ -509,7 +529,7 @@ def test_kernel_agrees_with_scipy_and_plain_python(effect, variant):
     else:  # a sensor reads a motion that is known on a fine grid
         fine = np.arange(0.0, TIMES[-1] + 1e-9, 2e-5)
         motion = reference(variant, values, fine)
-        s, before, shown = (0.0, 0.0), np.zeros(2), []
+        s, before, shown = at_rest(variant), np.zeros(2), []
         for i, y in enumerate(motion.T):
             m1, m2, *s = variant.sense.py_func(0.0 if i == 0 else 2e-5, *before, *y, *s, padded(values), float(i == 0))
             shown.append((m1, m2))
