@@ -24,6 +24,7 @@ All vectors of a Jacobian, of all trials that share their sample times, go throu
 
 from __future__ import annotations
 
+from bayes_damper.calibration.cases import damping_in_words, with_damping_of_each_case
 from bayes_damper.calibration.derivatives import Indices
 from bayes_damper.calibration.experiment import (
     Experiment,
@@ -72,6 +73,7 @@ __all__ = [
     "calibrate",
     "calibrate_nominal",
     "coordinate_of",
+    "damping_in_words",
     "default_priors",
     "default_starts",
     "drawn_starts",
@@ -95,6 +97,7 @@ __all__ = [
     "unseeing",
     "value_and_slope",
     "whittle",
+    "with_damping_of_each_case",
     "with_priors",
     "with_rounding",
     "with_sizes_of_its_own",

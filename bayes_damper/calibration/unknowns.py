@@ -99,7 +99,8 @@ def _shared(
     free = {case: p for case in cases if not isinstance(p := prior(name, case), float | int) and _spread(p) > 0}
     if level == "trial" or not free:
         return []
-    if len(cases) > 1 and (level == "case" or name in e.case_priors):
+    several = len({t.case for t in e.trials}) > 1  # of which those in use may be one
+    if several and (level == "case" or name in e.case_priors):
         return [Coordinate(f"{name}[{case}]", role, p, case=case) for case, p in free.items()]
     return [Coordinate(name, role, next(iter(free.values())))]
 

@@ -191,8 +191,9 @@ def moved(fit: Calibration, experiment: Experiment) -> tuple[Problem, Array]:
 
 
 def places_of(fit: Calibration, problem: Problem) -> list[int | None]:
-    """Where each coordinate of the new problem stands in the fit; None if it is new."""
+    """Where each coordinate of the new problem stands in the fit, one of a new case at that of another; None if new."""
     known = {(c.role, c.name if c.role != "stiffness" else c.index): k for k, c in enumerate(fit.problem.coordinates)}
+    known = {(c.role, c.parameter): k for k, c in enumerate(fit.problem.coordinates) if c.case is not None} | known
     return [known.get((c.role, c.name if c.role != "stiffness" else c.index)) for c in problem.coordinates]
 
 

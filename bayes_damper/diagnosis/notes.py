@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from bayes_damper.calibration import Calibration, Experiment
+from bayes_damper.calibration import Calibration, Experiment, damping_in_words
 from bayes_damper.calibration.scatter import scatter_in_words
 from bayes_damper.campaign.records import DERIVATIVE
 from bayes_damper.diagnosis.remainder import unlike_in_words
@@ -42,7 +42,7 @@ def notes_on(
             "There are no repeats, so the noise is estimated from the fast content of the records; repeat a case."
         )
     judged = fit if named is None else named  # what the answer explains does not scatter
-    notes += [*scatter_in_words(judged), *unlike_in_words(judged), *symmetries(experiment)]
+    notes += [*damping_in_words(judged), *scatter_in_words(judged), *unlike_in_words(judged), *symmetries(experiment)]
     notes += time_or_amplitude(experiment, answers)
     still = {} if named is None else named.pulled
     priors = {} if named is None else {c.name: c.prior for c in named.problem.coordinates}

@@ -15,6 +15,7 @@ from bayes_damper.calibration import (
     calibrate_nominal,
     experiment_of,
     fitted_to_all,
+    with_damping_of_each_case,
     with_rounding,
 )
 from bayes_damper.campaign import Campaign
@@ -98,6 +99,14 @@ def _diagnosed(
     experiment = fit.problem.experiment
     pool = offered(experiment, nominal, effects)
     found = search(fit, [*pool, *_drifts(experiment)], workers=workers, report=report)
+    leader = found[0].fit
+    own = with_damping_of_each_case(fit, fit.cost if leader is None else min(fit.cost, leader.cost))
+    if own is not None and own.log_evidence - fit.log_evidence > max(INDISTINCT, found[0].log_evidence):
+        report("the damping differs from case to case more than any effect explains; fitting one for each case")
+        experiment = own.problem.experiment
+        fit = calibrate_nominal(experiment, nominal=nominal, begin=own, report=report)
+        experiment = fit.problem.experiment
+        found = search(fit, [*pool, *_drifts(experiment)], workers=workers, report=report)
     fit, found = _reseeded(fit, from_usual_friction(found))
     judge = judge_without_repeats if fit.problem.noise.sensor else judge_by_repeats
     rng = np.random.default_rng(seed)

@@ -1,0 +1,98 @@
+"""Damping of each case's own spring: found where it differs, one number where nothing allows it to."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import small_rig
+from small_rig import measured, variant
+
+from bayes_damper.calibration import (
+    Problem,
+    calibrate,
+    calibrate_nominal,
+    damping_in_words,
+    with_damping_of_each_case,
+)
+from bayes_damper.diagnosis import diagnose
+from bayes_damper.diagnosis.gap import left_out_case
+from bayes_damper.diagnosis.next_experiment import moved, propose
+from bayes_damper.effects import EFFECTS
+
+DAMPING = {"I": 0.011, "IV": 0.02}
+
+
+@pytest.fixture(scope="module")
+def unlike():
+    """Trials of the primary alone on two springs, the second of which takes nearly twice the energy."""
+    parts = []
+    with pytest.MonkeyPatch.context() as patch:
+        for seed, (case, k, theta0) in enumerate((("I", 0, 0.1), ("IV", 1, 0.08))):
+            patch.setitem(small_rig.RIG, "c1t", DAMPING[case])
+            parts.append(measured(seed, cases=((case, k, theta0),), configurations=(False,), repeats=4))
+    return replace(parts[0], trials=parts[0].trials + parts[1].trials)
+
+
+@pytest.fixture(scope="module")
+def fitted(unlike):
+    nominal = calibrate_nominal(unlike)
+    return nominal, with_damping_of_each_case(nominal)
+
+
+def test_each_case_shows_the_damping_of_its_own_spring(fitted):
+    nominal, own = fitted
+    assert own.log_evidence > nominal.log_evidence + 20.0
+    for case, value in DAMPING.items():
+        mean, sd = own.parameters[f"c1t[{case}]"]
+        assert abs(mean - value) < 3.5 * sd
+        assert sd < 0.2 * value
+    assert damping_in_words(nominal) == []
+    assert "0.0" in damping_in_words(own)[0]
+    assert "case IV" in damping_in_words(own)[0]
+
+
+def test_cases_on_one_spring_share_its_damping():
+    cases = (("low", 0, 0.05), ("high", 0, 0.1))
+    for chosen in (cases, cases[:1]):
+        fit = calibrate_nominal(measured(3, cases=chosen, configurations=(False,)))
+        assert with_damping_of_each_case(fit) is None
+
+
+def test_springs_that_damp_alike_need_no_second_number():
+    fit = calibrate_nominal(measured(4, configurations=(False,)))
+    assert with_damping_of_each_case(fit).log_evidence < fit.log_evidence + 1.0
+
+
+def test_a_sound_rig_whose_springs_damp_differently_is_not_accused(unlike):
+    found = diagnose(unlike, effects={n: EFFECTS[n] for n in ("bearing_stribeck", "quadratic_drag")})
+    assert found.verdict == "none"
+    assert any("c1t differs from case to case" in note for note in found.notes)
+
+
+@pytest.mark.slow
+def test_an_effect_that_explains_more_is_not_taken_for_damping():
+    quadratic = variant("quadratic_drag")
+    measured_with_it = measured(5, effect=quadratic, values={"coefficient": 0.8}, configurations=(False,))
+    found = diagnose(measured_with_it, effects={n: EFFECTS[n] for n in ("bearing_stribeck", "quadratic_drag")})
+    assert found.verdict == "quadratic_drag"
+    assert not any("from case to case" in note for note in found.notes)
+
+
+def test_a_fit_without_one_of_two_cases_keeps_the_name_of_the_other(fitted):
+    own = fitted[1]
+    rest = own.problem.for_trials([i for i in own.problem.trials if own.problem.experiment.trials[i].case == "IV"])
+    assert set(rest.names) < set(own.problem.names)
+    assert "c1t[I]" not in rest.names
+    beyond = left_out_case(own, own, "I")
+    assert np.isfinite(beyond.nominal_rms)
+
+
+def test_a_trial_that_is_proposed_has_the_damping_of_a_case(fitted):
+    own = fitted[1]
+    stops = variant("spring_bottoming")
+    rival = calibrate(own.problem.with_effect(stops), [np.append(own.q, (0.0, 0.5))], eta=own.eta, anneal=False)
+    assert propose([own, rival], (0.5, 0.5))
+    other = replace(own.problem.experiment, trials=tuple(replace(t, case="next") for t in own.problem.experiment.trials))
+    problem, q = moved(own, other)
+    assert isinstance(problem, Problem)
+    assert q[problem.names.index("c1t")] in [own.q[own.problem.names.index(f"c1t[{case}]")] for case in DAMPING]
