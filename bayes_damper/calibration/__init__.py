@@ -24,7 +24,6 @@ All vectors of a Jacobian, of all trials that share their sample times, go throu
 
 from __future__ import annotations
 
-from bayes_damper.calibration.cases import damping_in_words, with_damping_of_each_case
 from bayes_damper.calibration.derivatives import Indices
 from bayes_damper.calibration.experiment import (
     Experiment,
@@ -73,7 +72,6 @@ __all__ = [
     "calibrate",
     "calibrate_nominal",
     "coordinate_of",
-    "damping_in_words",
     "default_priors",
     "default_starts",
     "drawn_starts",
@@ -97,7 +95,6 @@ __all__ = [
     "unseeing",
     "value_and_slope",
     "whittle",
-    "with_damping_of_each_case",
     "with_priors",
     "with_rounding",
     "with_sizes_of_its_own",

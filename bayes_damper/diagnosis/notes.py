@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from bayes_damper.calibration import Calibration, Experiment, damping_in_words
+from bayes_damper.calibration import Calibration, Experiment
+from bayes_damper.calibration.cases import damping_in_words
 from bayes_damper.calibration.scatter import scatter_in_words
 from bayes_damper.campaign.records import DERIVATIVE
 from bayes_damper.diagnosis.remainder import unlike_in_words

@@ -15,10 +15,11 @@ from bayes_damper.calibration import (
     calibrate_nominal,
     experiment_of,
     fitted_to_all,
-    with_damping_of_each_case,
     with_rounding,
 )
+from bayes_damper.calibration.cases import SHOWS_FROM, with_damping_of_each_case
 from bayes_damper.campaign import Campaign
+from bayes_damper.diagnosis.by_case import differing_in_words
 from bayes_damper.diagnosis.formula import widened
 from bayes_damper.diagnosis.gap import closing, measure_gap
 from bayes_damper.diagnosis.generic import DRIFT
@@ -101,7 +102,7 @@ def _diagnosed(
     found = search(fit, [*pool, *_drifts(experiment)], workers=workers, report=report)
     leader = found[0].fit
     own = with_damping_of_each_case(fit, fit.cost if leader is None else min(fit.cost, leader.cost))
-    if own is not None and own.log_evidence - fit.log_evidence > max(INDISTINCT, found[0].log_evidence):
+    if own is not None and own.log_evidence - fit.log_evidence > max(SHOWS_FROM, found[0].log_evidence):
         report("the damping differs from case to case more than any effect explains; fitting one for each case")
         experiment = own.problem.experiment
         fit = calibrate_nominal(experiment, nominal=nominal, begin=own, report=report)
@@ -121,6 +122,8 @@ def _diagnosed(
     if seen.wiring is not None:
         notes.insert(0, seen.wiring.sentence())
     notes += notes_on(experiment, fit, named, answers, seen.before_map)
+    if answers.verdict == "unknown":
+        notes += differing_in_words(fit, max(evidence.values(), default=0.0))
     notes.append(in_a_sentence(judged.choices, answers.verdict))
     report("measuring the gap on held-out trials, and how far it shrinks")
     # Where all trials chose the answer, those held out among them, its prediction is one of many.

@@ -1,5 +1,6 @@
 """Damping of each case's own spring: found where it differs, one number where nothing allows it to."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -7,14 +8,15 @@ import pytest
 import small_rig
 from small_rig import measured, variant
 
-from bayes_damper.calibration import (
-    Problem,
-    calibrate,
-    calibrate_nominal,
+from bayes_damper.calibration import Problem, calibrate, calibrate_nominal
+from bayes_damper.calibration.cases import (
     damping_in_words,
+    one_damping_in_words,
     with_damping_of_each_case,
+    with_own_in_each_case,
 )
 from bayes_damper.diagnosis import diagnose
+from bayes_damper.diagnosis.by_case import differing_in_words, gains_by_case
 from bayes_damper.diagnosis.gap import left_out_case
 from bayes_damper.diagnosis.next_experiment import moved, propose
 from bayes_damper.effects import EFFECTS
@@ -22,15 +24,20 @@ from bayes_damper.effects import EFFECTS
 DAMPING = {"I": 0.011, "IV": 0.02}
 
 
-@pytest.fixture(scope="module")
-def unlike():
-    """Trials of the primary alone on two springs, the second of which takes nearly twice the energy."""
+def damped(second):
+    """Trials of the primary alone on two springs, with another damping on the second."""
     parts = []
     with pytest.MonkeyPatch.context() as patch:
         for seed, (case, k, theta0) in enumerate((("I", 0, 0.1), ("IV", 1, 0.08))):
-            patch.setitem(small_rig.RIG, "c1t", DAMPING[case])
+            patch.setitem(small_rig.RIG, "c1t", second if k else DAMPING["I"])
             parts.append(measured(seed, cases=((case, k, theta0),), configurations=(False,), repeats=4))
     return replace(parts[0], trials=parts[0].trials + parts[1].trials)
+
+
+@pytest.fixture(scope="module")
+def unlike():
+    """The second spring takes nearly twice the energy."""
+    return damped(DAMPING["IV"])
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +53,8 @@ def test_each_case_shows_the_damping_of_its_own_spring(fitted):
         mean, sd = own.parameters[f"c1t[{case}]"]
         assert abs(mean - value) < 3.5 * sd
         assert sd < 0.2 * value
-    assert damping_in_words(nominal) == []
+    assert damping_in_words(nominal) == one_damping_in_words(own) == []
+    assert "right for none of them" in one_damping_in_words(nominal)[0]
     assert "0.0" in damping_in_words(own)[0]
     assert "case IV" in damping_in_words(own)[0]
 
@@ -92,7 +100,33 @@ def test_a_trial_that_is_proposed_has_the_damping_of_a_case(fitted):
     stops = variant("spring_bottoming")
     rival = calibrate(own.problem.with_effect(stops), [np.append(own.q, (0.0, 0.5))], eta=own.eta, anneal=False)
     assert propose([own, rival], (0.5, 0.5))
-    other = replace(own.problem.experiment, trials=tuple(replace(t, case="next") for t in own.problem.experiment.trials))
+    other = replace(
+        own.problem.experiment, trials=tuple(replace(t, case="next") for t in own.problem.experiment.trials)
+    )
     problem, q = moved(own, other)
     assert isinstance(problem, Problem)
     assert q[problem.names.index("c1t")] in [own.q[own.problem.names.index(f"c1t[{case}]")] for case in DAMPING]
+
+
+def test_the_parameter_that_differs_from_case_to_case_is_asked_for():
+    """On one spring damping has no reason to differ; a sentence asks what was changed, with the values."""
+    cases = (("low", 0, 0.06), ("high", 0, 0.1))
+    alike = calibrate_nominal(measured(7, cases=cases, configurations=(False,), repeats=4))
+    assert differing_in_words(alike, 0.0) == []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(small_rig.RIG, "c1t", 0.02)
+        other = measured(8, cases=cases[1:], configurations=(False,), repeats=4)
+    kept = [t for t in alike.problem.experiment.trials if t.case == "low"]
+    fit = calibrate_nominal(replace(alike.problem.experiment, trials=(*kept, *other.trials)))
+    assert max(gains_by_case(fit), key=gains_by_case(fit).get) == "c1t"
+    said = differing_in_words(fit, 0.0)[0]
+    values = re.search(r"c1t for each case .*: (\S+) in case low, (\S+) in case high", said).groups()
+    assert [float(x) for x in values] == pytest.approx([0.011, 0.02], rel=0.15)
+    assert differing_in_words(fit, 1e6) == []
+
+
+def test_the_linearised_gain_of_a_value_for_each_case_is_that_of_the_fit():
+    """Of a small difference, for which the records change in proportion."""
+    fit = calibrate_nominal(damped(1.1 * DAMPING["I"]))
+    own = with_own_in_each_case(fit, "c1t")
+    assert gains_by_case(fit)["c1t"] == pytest.approx(0.5 * (fit.cost - own.cost), rel=0.3)
