@@ -56,6 +56,7 @@ from bayes_damper.calibration.own_values import (
     Scatter,
     Size,
     middle_of,
+    nuisance,
 )
 from bayes_damper.calibration.problem import Problem
 from bayes_damper.calibration.unlearnt import LARGEST, Unlearnt, log_prior, prior_slope
@@ -86,6 +87,7 @@ _WIDEST = 9.0  # of the same for the baseline of a single record, which may be t
 _FINE = np.linspace(-5.0, 3.5, 681)
 SHOWN_FROM = 3.0  # nats by which the repeats' likelihood must gain from a scatter for it to be reported
 SURE_OF_TREND = 0.01  # by chance, in any of the things that differ
+FAR_FROM_OTHERS = 5.0  # of its own standard deviation, from which the value of one trial is odd
 LEAST_FREEDOM = 3  # of a correlation: two trials each of two cases are in some order or the other
 SUDDEN, WORTH_IT = 0.3, 1.0  # of the typical time of release, and nats, below both of which there is none
 USUAL = (0.3, 2.5)  # range of times of release over their size, root mean square, in which they scatter about none
@@ -548,6 +550,46 @@ def trend_with_order(fit: Calibration, size: Size) -> tuple[float, float]:
     if freedom < LEAST_FREEDOM:
         return r, 1.0
     return r, float(2.0 * stdtr(freedom, -abs(r) * math.sqrt(freedom / max(1.0 - r * r, 1e-12))))
+
+
+def odd_values(fit: Calibration) -> list[tuple[int, str, float]]:
+    """Trials of which one own value is far from that of all others: trial, parameter, and by what share it differs.
+
+    Judged as one more draw of a normal distribution of which the others are a sample, all trials and parameters being
+    looked at; and against what is known of that value from its own trial.
+    """
+    known: dict[str, dict[int, tuple[float, float]]] = {}
+    for block, H, _, _ in fit.linear.normal().parts:
+        spreads = np.sqrt(np.linalg.inv(H).diagonal(axis1=1, axis2=2))
+        for n, (name, _, sd) in enumerate(block.group.nuisances):
+            for k, i in enumerate(block.group.trials):
+                if name in (nuisance(r) for r in RELATIVE):
+                    known.setdefault(name, {})[i] = (float(sd[k] * block.eta[k, n]), float(sd[k] * spreads[k, n]))
+    out = []
+    looks = sum(map(len, known.values()))
+    for name, values in known.items():
+        for i, (value, spread) in values.items():
+            others = np.array([v for j, (v, _) in values.items() if j != i])
+            if others.size < LEAST_FREEDOM + 1:
+                continue
+            away = value - float(others.mean())
+            chance = float(np.std(others, ddof=1)) * math.sqrt(1.0 + 1.0 / others.size)
+            sure = looks * 2.0 * stdtr(others.size - 1, -abs(away) / max(chance, 1e-12)) < SURE_OF_TREND
+            if sure and abs(away) > FAR_FROM_OTHERS * spread:
+                out.append((i, name.removeprefix("ln_"), math.expm1(away)))
+    return out
+
+
+def odd_in_words(fit: Calibration) -> list[str]:
+    """A sentence on each trial of which one own value is far from that of all others."""
+    out = []
+    for i, name, share in odd_values(fit):
+        label, side = fit.problem.experiment.trials[i].label, "above" if share > 0.0 else "below"
+        out.append(
+            f"{label}: its {name} is {100.0 * abs(share):.2g} % {side} that of the other trials, which are far closer "
+            "to each other. The fit allows for it; look at how that trial was run."
+        )
+    return out
 
 
 def sizes_shown(fit: Calibration) -> list[Size]:

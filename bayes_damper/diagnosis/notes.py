@@ -8,7 +8,7 @@ import numpy as np
 
 from bayes_damper.calibration import Calibration, Experiment
 from bayes_damper.calibration.cases import damping_in_words
-from bayes_damper.calibration.scatter import scatter_in_words
+from bayes_damper.calibration.scatter import odd_in_words, scatter_in_words
 from bayes_damper.campaign.records import DERIVATIVE
 from bayes_damper.diagnosis.remainder import unlike_in_words
 from bayes_damper.diagnosis.sites import SiteMap
@@ -43,7 +43,13 @@ def notes_on(
             "There are no repeats, so the noise is estimated from the fast content of the records; repeat a case."
         )
     judged = fit if named is None else named  # what the answer explains does not scatter
-    notes += [*damping_in_words(judged), *scatter_in_words(judged), *unlike_in_words(judged), *symmetries(experiment)]
+    notes += [
+        *damping_in_words(judged),
+        *scatter_in_words(judged),
+        *odd_in_words(judged),
+        *unlike_in_words(judged),
+        *symmetries(experiment),
+    ]
     notes += time_or_amplitude(experiment, answers)
     still = {} if named is None else named.pulled
     priors = {} if named is None else {c.name: c.prior for c in named.problem.coordinates}

@@ -19,7 +19,13 @@ from bayes_damper.calibration.correlated_noise import FittedNoise, fit_with_nois
 from bayes_damper.calibration.experiment import trial_label
 from bayes_damper.calibration.influence import comparison, influence, without
 from bayes_damper.calibration.posterior import RecordPosterior
-from bayes_damper.calibration.scatter import scatter_in_words, scatter_shown, unseen_in_words, with_sizes_of_intervals
+from bayes_damper.calibration.scatter import (
+    odd_in_words,
+    scatter_in_words,
+    scatter_shown,
+    unseen_in_words,
+    with_sizes_of_intervals,
+)
 from bayes_damper.effects import all_effects, names_in
 from bayes_damper.fit.draw import DRAWN, Report, number_of, sampled, shaped
 from bayes_damper.fit.drawings import draw_case, draw_records
@@ -102,7 +108,7 @@ def _fitted(folder: Path, report: Report, name: str, plan: FitPlan) -> CaseEntry
     entry["noise"] = noise.to_json(units("sigma1"))
     entry["scatter"] = scatter_shown(best, units("sigma1"))
     entry["sentences"] += [*noise.sentences(units("sigma1")), *scatter_in_words(best), *unseen_in_words(best)]
-    entry["sentences"] += one_damping_in_words(best)
+    entry["sentences"] += [*odd_in_words(best), *one_damping_in_words(best)]
     entry |= _trials_apart(experiment, noise, labels, plan.get("noise", "auto"))
     entry["prior_sensitivity"] = of_standard_draws(posterior.names, sampling.flat(4 * KEPT_DRAWS))
     report(0.8, "influence of each trial done; next: evidence, files, figures")

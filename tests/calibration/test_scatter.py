@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import small_rig
 from scipy.linalg import helmert
 from scipy.stats import multivariate_normal
 from small_rig import measured
@@ -31,6 +32,8 @@ from bayes_damper.calibration.scatter import (
     TYPICAL,
     Repeats,
     learn_scatter,
+    odd_in_words,
+    odd_values,
     typical_scatter,
     unseen_in_words,
     with_releases,
@@ -724,3 +727,24 @@ def test_a_time_of_release_that_is_asked_for_again_is_still_one():
         names = [name for name, _, _ in group.nuisances]
         assert names.count(RELEASE) == 1
     assert again.switches == once.switches
+
+
+@pytest.mark.parametrize("alone", [True, False])
+def test_a_trial_whose_damping_is_far_from_all_others_is_named(alone, monkeypatch):
+    """One of six has 1.4 times the c1t, on repeats and where every trial is released from another angle."""
+
+    def trials_of(odd: int | None) -> Experiment:
+        trials = []
+        for k in range(6):
+            monkeypatch.setitem(small_rig.RIG, "c1t", 0.011 * (1.4 if k == odd else 1.0 + 0.01 * (-1) ** k))
+            angle = 0.1 * (1.0 - 0.06 * k) if alone else 0.1
+            one = measured(k, cases=(("I", 0, angle),), configurations=(False,), repeats=1, duration=0.8)
+            trials.append(replace(one.trials[0], number=k + 1, label=f"{k + 1}.csv", heldout=False))
+        return replace(one, trials=tuple(trials))
+
+    found = calibrate_nominal(trials_of(2))
+    ((trial, name, share),) = odd_values(found)
+    assert (trial, name) == (2, "c1t")
+    assert share == pytest.approx(0.4, abs=0.08)
+    assert any(re.match(r"3\.csv: its c1t is (3|4)\d % above", words) for words in odd_in_words(found))
+    assert odd_values(calibrate_nominal(trials_of(None))) == []
