@@ -580,7 +580,7 @@ def odd_values(fit: Calibration) -> list[tuple[int, str, float]]:
     return out
 
 
-def odd_in_words(fit: Calibration) -> list[str]:
+def odd_values_in_words(fit: Calibration) -> list[str]:
     """A sentence on each trial of which one own value is far from that of all others."""
     out = []
     for i, name, share in odd_values(fit):

@@ -8,7 +8,7 @@ import numpy as np
 
 from bayes_damper.calibration import Calibration, Experiment
 from bayes_damper.calibration.cases import damping_in_words
-from bayes_damper.calibration.scatter import odd_in_words, scatter_in_words
+from bayes_damper.calibration.scatter import odd_values_in_words, scatter_in_words
 from bayes_damper.campaign.records import DERIVATIVE
 from bayes_damper.diagnosis.remainder import unlike_in_words
 from bayes_damper.diagnosis.sites import SiteMap
@@ -46,7 +46,7 @@ def notes_on(
     notes += [
         *damping_in_words(judged),
         *scatter_in_words(judged),
-        *odd_in_words(judged),
+        *odd_values_in_words(judged),
         *unlike_in_words(judged),
         *symmetries(experiment),
     ]

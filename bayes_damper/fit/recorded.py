@@ -20,7 +20,7 @@ from bayes_damper.calibration.experiment import trial_label
 from bayes_damper.calibration.influence import comparison, influence, without
 from bayes_damper.calibration.posterior import RecordPosterior
 from bayes_damper.calibration.scatter import (
-    odd_in_words,
+    odd_values_in_words,
     scatter_in_words,
     scatter_shown,
     unseen_in_words,
@@ -108,7 +108,7 @@ def _fitted(folder: Path, report: Report, name: str, plan: FitPlan) -> CaseEntry
     entry["noise"] = noise.to_json(units("sigma1"))
     entry["scatter"] = scatter_shown(best, units("sigma1"))
     entry["sentences"] += [*noise.sentences(units("sigma1")), *scatter_in_words(best), *unseen_in_words(best)]
-    entry["sentences"] += [*odd_in_words(best), *one_damping_in_words(best)]
+    entry["sentences"] += [*odd_values_in_words(best), *one_damping_in_words(best)]
     entry |= _trials_apart(experiment, noise, labels, plan.get("noise", "auto"))
     entry["prior_sensitivity"] = of_standard_draws(posterior.names, sampling.flat(4 * KEPT_DRAWS))
     report(0.8, "influence of each trial done; next: evidence, files, figures")

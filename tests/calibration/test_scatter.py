@@ -32,8 +32,8 @@ from bayes_damper.calibration.scatter import (
     TYPICAL,
     Repeats,
     learn_scatter,
-    odd_in_words,
     odd_values,
+    odd_values_in_words,
     typical_scatter,
     unseen_in_words,
     with_releases,
@@ -746,5 +746,5 @@ def test_a_trial_whose_damping_is_far_from_all_others_is_named(alone, monkeypatc
     ((trial, name, share),) = odd_values(found)
     assert (trial, name) == (2, "c1t")
     assert share == pytest.approx(0.4, abs=0.08)
-    assert any(re.match(r"3\.csv: its c1t is (3|4)\d % above", words) for words in odd_in_words(found))
+    assert any(re.match(r"3\.csv: its c1t is (3|4)\d % above", words) for words in odd_values_in_words(found))
     assert odd_values(calibrate_nominal(trials_of(None))) == []

@@ -305,6 +305,18 @@ def test_a_late_primary_from_which_the_release_was_read_is_an_early_secondary():
     assert found["channel2_early"] > max(40.0, found["channel1"] + 5.0)
 
 
+def test_a_formula_that_begins_far_from_the_nominal_fit_ends_no_worse_than_that():
+    """Begun from a usual friction, some ended 15 000 nats behind the nominal model that they contain."""
+    drag = EFFECTS["quadratic_drag"]
+    fit = calibrate_nominal(measured(4, configurations=(False,), noise=0.2))
+    screens = screen_variant(Screen(fit), drag.variants[0])
+    far = fit.q.copy()
+    far[[fit.problem.names.index(name) for name in ("c1t", "drag")]] += 6.0
+    promising_most = replace(max(screens, key=lambda s: s.gain), base=tuple(far), gain=1e3)
+    found = fit_variant(fit, drag, drag.variants[0], (promising_most, *screens), 1, fit.cost)
+    assert -15.0 < found.log_evidence < 3.0
+
+
 @pytest.mark.slow
 def test_a_faint_effect_is_screened_where_it_would_just_be_seen():
     """A play of a tenth of a milliradian, constants known to 2 %: five times as much tells little of it."""
