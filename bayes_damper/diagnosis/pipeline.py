@@ -99,16 +99,8 @@ def _diagnosed(
     fit, notes = _cleaned_fit(experiment, nominal, report)
     experiment = fit.problem.experiment
     pool = offered(experiment, nominal, effects)
-    found = search(fit, [*pool, *_drifts(experiment)], workers=workers, report=report)
-    leader = found[0].fit
-    own = with_damping_of_each_case(fit, fit.cost if leader is None else min(fit.cost, leader.cost))
-    if own is not None and own.log_evidence - fit.log_evidence > max(SHOWS_FROM, found[0].log_evidence):
-        report("the damping differs from case to case more than any effect explains; fitting one for each case")
-        experiment = own.problem.experiment
-        fit = calibrate_nominal(experiment, nominal=nominal, begin=own, report=report)
-        experiment = fit.problem.experiment
-        found = search(fit, [*pool, *_drifts(experiment)], workers=workers, report=report)
-    fit, found = _reseeded(fit, from_usual_friction(found))
+    fit, found = _searched(fit, pool, workers, report)
+    experiment = fit.problem.experiment
     judge = judge_without_repeats if fit.problem.noise.sensor else judge_by_repeats
     rng = np.random.default_rng(seed)
     judged = judge(fit, found, pool, rng, rule, workers, report)
@@ -168,6 +160,21 @@ def _cleaned_fit(
         experiment = without(experiment, far)
         fit = calibrate_nominal(experiment, nominal=nominal, begin=fit, report=report)
     return fit, notes
+
+
+def _searched(
+    fit: Calibration, pool: Sequence[tuple[Effect, Variant]], workers: int, report: Callable[[str], None]
+) -> tuple[Calibration, list[Candidate]]:
+    """The nominal model, with the damping of each case's own spring where that explains most, and all candidates."""
+    pool = [*pool, *_drifts(fit.problem.experiment)]
+    found = search(fit, pool, workers=workers, report=report)
+    leader = found[0].fit
+    own = with_damping_of_each_case(fit, fit.cost if leader is None else min(fit.cost, leader.cost))
+    if own is not None and own.log_evidence - fit.log_evidence > max(SHOWS_FROM, found[0].log_evidence):
+        report("the damping differs from case to case more than any effect explains; fitting one for each case")
+        fit = calibrate_nominal(own.problem.experiment, nominal=fit.problem.nominal, begin=own, report=report)
+        found = search(fit, pool, workers=workers, report=report)
+    return _reseeded(fit, from_usual_friction(found))
 
 
 def _drifts(experiment: Experiment) -> list[tuple[Effect, Variant]]:
