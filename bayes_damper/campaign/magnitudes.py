@@ -31,6 +31,7 @@ _FILTERED = 3.0
 _IN_DEGREES = " (`init --units deg` converts them)"
 _FEWEST_LEFT = 16  # readings of a record that `every` leaves
 _COARSE = 0.5  # of a period, above which the steps of a record show no motion
+_FIRST = 5  # readings after a release, in which a motion that dies at once shows
 _ODD, _WRONG = (0.2, 2.0), (0.03, 10.0)  # largest reading over what the release gives, beyond which it is odd, or wrong
 _SWINGS = {"translational": (1.0, 10.0), "torsional": (1.6, 20.0)}
 """Swing of a free start, m or rad, from which it is odd, or wrong."""
@@ -196,6 +197,8 @@ def check_magnitudes(head: Head, trial: Trial, faults: list[str], warnings: list
         faults.append(f"{trial.file}: released from 0 without a torque, nothing can move; correct theta0 in trials.csv")
         return
     largest = float(np.quantile(np.abs(readings), 1.0 - min(0.002, 2.0 / len(centred)))) if not power else largest
+    if power and head.measurement.start == "rest":  # a motion that dies at once looks like one reading that sticks out
+        largest = max(largest, float(np.max(np.abs(trial.channels[0][:_FIRST]))))
     bound = abs(trial.theta0.value) * omega**power
     formula = {0: "theta0", 1: "theta0 sqrt(k1t/J1)", 2: "k1t theta0/J1"}[power]
     ratio = largest / bound

@@ -315,6 +315,12 @@ def test_wrong_units_and_short_records(folder: Path, change: Callable, sentence:
     assert FIRST in faults[0]
 
 
+def test_a_motion_that_dies_within_some_readings_is_no_wrong_unit(folder: Path) -> None:
+    """Its first reading sticks out of the rest, which had been held against the release: it looked like g."""
+    alter(folder / FIRST, lambda c: [c[0], np.where(c[0] < 0.1, c[1][0] * 0.3 ** (c[0] / c[0][1]), 1e-3 * c[1])])
+    assert not any("the most that this release can give" in w for w in load_campaign(folder).warnings)
+
+
 def test_a_second_channel_beyond_reason_is_refused_and_the_largest_number_allowed_is_read(folder: Path) -> None:
     """Warnings of numpy are errors here: squares and differences of what is allowed do not overflow."""
     alter(folder / COUPLED, lambda c: [c[0], c[1], 1e300 * c[2]])
