@@ -558,13 +558,15 @@ def odd_values(fit: Calibration) -> list[tuple[int, str, float]]:
     Judged as one more draw of a normal distribution of which the others are a sample, all trials and parameters being
     looked at; and against what is known of that value from its own trial.
     """
+    looked_at = {nuisance(name) for name in RELATIVE}
     known: dict[str, dict[int, tuple[float, float]]] = {}
     for block, H, _, _ in fit.linear.normal().parts:
         spreads = np.sqrt(np.linalg.inv(H).diagonal(axis1=1, axis2=2))
         for n, (name, _, sd) in enumerate(block.group.nuisances):
+            if name not in looked_at:
+                continue
             for k, i in enumerate(block.group.trials):
-                if name in (nuisance(r) for r in RELATIVE):
-                    known.setdefault(name, {})[i] = (float(sd[k] * block.eta[k, n]), float(sd[k] * spreads[k, n]))
+                known.setdefault(name, {})[i] = (float(sd[k] * block.eta[k, n]), float(sd[k] * spreads[k, n]))
     out = []
     looks = sum(map(len, known.values()))
     for name, values in known.items():

@@ -246,7 +246,7 @@ def derivative(t: float, x: Array, g: Array, codes: NDArray[np.int64], P: Array,
                 out[r] = wn * x[r + 1]
                 out[r + 1] = wn * x[r + 2]
                 out[r + 2] = wn * (15.0 * (y - x[r]) - 15.0 * x[r + 1] - 6.0 * x[r + 2])
-        elif 20 <= c <= 22 or c == 54:
+        elif c in (20, 22, 54):
             for k in range(2):
                 y = x[k] if g[QUANTITY] == 0.0 else (x[2 + k] if g[QUANTITY] == 1.0 else out[2 + k])
                 s1, s2 = x[s + 2 * k], x[s + 2 * k + 1]
