@@ -1,15 +1,18 @@
 """AC coupling: the channels lose slow content.
 
-    m = y - s,    ds/dt = rate (y - s),    s = 0 at release
+    m = y - s,    ds/dt = rate (y - s),    s = 0 at release                               in both channels, or in one
+    d2m/dt2 + 2 zeta rate dm/dt + rate^2 m = d2y/dt2,    m = y at release                 in both channels: two poles
 
 Source: Doebelin (2004), Measurement Systems, sec. 3.3; piezoelectric accelerometers as in Augustine (2013), p. 10.
+Geophones, whose mass stands still above their own frequency, are of second order (Havskov and Alguacil 2016,
+Instrumentation in Earthquake Seismology, ch. 2), and so are two AC couplings in a row.
 """
 
 from __future__ import annotations
 
-from bayes_damper.effects._filters import low_pass
+from bayes_damper.effects._filters import low_pass, low_pass2
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
-from bayes_damper.priors.distributions import HalfNormal
+from bayes_damper.priors.distributions import HalfNormal, LogNormal
 from bayes_damper.rig.vector_math import lane
 
 
@@ -25,6 +28,21 @@ def both(h, u1, u2, y1, y2, s1, s2, p, first):
     s1 = slow(h, u1, y1, s1, p[0])
     s2 = slow(h, u2, y2, s2, p[0])
     return y1 - s1, y2 - s2, s1, s2
+
+
+@lane
+def fast2(h, u, y, s, v, rate, zeta):
+    """Reading without its slow part, and the two states of that, at the end of a step h (s); rate = 1/tau."""
+    s, v = low_pass2(h * rate, u, y, s, v, 1.0, zeta)
+    return y - s - 2.0 * zeta * v, s, v
+
+
+@lane
+def two_poles(h, u1, u2, y1, y2, s1, s2, v1, v2, p, first):
+    """The same high-pass of second order in both channels."""
+    m1, s1, v1 = fast2(h, u1, y1, s1, v1, p[0], p[1])
+    m2, s2, v2 = fast2(h, u2, y2, s2, v2, p[0], p[1])
+    return m1, m2, s1, s2, v1, v2
 
 
 @lane
@@ -60,6 +78,30 @@ EFFECT = Effect(
     variants=(
         Variant(
             name="both", formula="m = y - s, ds/dt = rate (y - s)", parameters=PARAMETERS, sense=both, starts=STARTS
+        ),
+        Variant(
+            name="two_poles",
+            formula="d2m/dt2 + 2 zeta rate dm/dt + rate^2 m = d2y/dt2 in both channels, m = y at release",
+            parameters=(
+                EffectParameter(
+                    "rate",
+                    "1/s",
+                    "Angular frequency of the corner.",
+                    HalfNormal(30.0),
+                    "Geophones have corners of 1 to 15 Hz, two AC couplings in a row lower ones.",
+                    0.0,
+                ),
+                EffectParameter(
+                    "damping",
+                    "1",
+                    "Damping ratio of the filter.",
+                    LogNormal(0.8, 1.35),
+                    "Geophones with their damping resistor 0.6 to 0.7, Butterworth 0.71, two equal AC couplings 1.",
+                ),
+            ),
+            sense=two_poles,
+            sensor_states=2,
+            starts=tuple((rate, zeta) for zeta in (0.7, 1.0) for rate in (0.1, 1.0, 4.0, 12.0, 40.0)),
         ),
         Variant(
             name="channel1",

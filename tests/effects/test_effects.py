@@ -25,6 +25,7 @@ from bayes_damper.effects import (
     load_effects,
     scaled,
 )
+from bayes_damper.effects._filters import low_pass2
 from bayes_damper.errors import InputError
 from bayes_damper.priors.distributions import HalfNormal, LogNormal, LogUniform, Normal, Uniform
 from bayes_damper.rig import equations
@@ -457,6 +458,28 @@ def test_low_pass_of_second_order_answers_steps_and_ramps_exactly(zeta):
         m1, m2, *s = sense(h, jump + slope * t, -jump, jump + slope * (t + h), -jump, *s, (tau, zeta), 0.0)
         assert m1 == pytest.approx(m, abs=0.05)  # the reading jumps a microsecond before the first sample
         assert m2 == pytest.approx(-jump)  # at rest it has settled
+
+
+@pytest.mark.parametrize("zeta", [0.5, 0.9999999, 1.0, 1.6])
+def test_high_pass_of_second_order_answers_steps_and_ramps_exactly(zeta):
+    rate, jump, slope, h = 60.0, 70.0, -9e3, 3e-4
+    sense = EFFECTS["sensor_highpass"].variant("two_poles").sense.py_func
+    times = np.arange(400) * h
+    filtered = TransferFunction([1.0, 0.0, 0.0], [1.0, 2.0 * zeta * rate, rate**2])
+    shown = lsim(filtered, jump + slope * times, times)[1]
+    m1, m2, *s = sense(0.0, 0.0, 0.0, jump, 0.0, *(0.0,) * 4, (rate, zeta), 1.0)
+    assert (m1, m2) == (jump, 0.0)
+    for t, m in zip(times[:-1], shown[1:], strict=True):
+        m1, m2, *s = sense(h, jump + slope * t, 0.0, jump + slope * (t + h), 0.0, *s, (rate, zeta), 0.0)
+        assert m1 == pytest.approx(m, abs=1e-8 * jump)
+        assert m2 == 0.0
+
+
+def test_filters_of_second_order_are_smooth_where_a_step_is_short():
+    about = 1e-5 * (1.0 + np.array([-1e-7, 1e-7]))
+    below, above = (low_pass2.py_func(x, 3.0, 5.0, 0.4, -2.0, 1.0, 0.7) for x in about)
+    np.testing.assert_allclose(below, above, rtol=1e-9)
+    assert low_pass2.py_func(0.0, 3.0, 5.0, 0.4, -2.0, 1.0, 0.7) == (0.4, -2.0)
 
 
 def test_release_ramp_holds_the_rig_at_first_and_then_lets_go():

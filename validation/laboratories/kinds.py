@@ -103,7 +103,7 @@ KINDS: dict[str, Kind] = {
              lambda r: (_channel(r, 0.0, 1.0),), coupled=True),
         Kind("sensor_bandwidth", 21, "sensor", "Bessel low-pass of third order, corner 1/p0, both channels", 0.05,
              1.0, least=0.004),
-        Kind("sensor_highpass", 22, "sensor", "Butterworth high-pass of second order, corner p0, both channels", 0.05,
+        Kind("sensor_highpass", 22, "sensor", "Butterworth high-pass of third order, corner p0, both channels", 0.05,
              1.0, least=1e-3),
         Kind("sensor_clipping", 23, "sensor", "range over p0, exponential beyond p2 of it, channel p1 (2: both)", 1.0,
              8.0, lambda r: (_channel(r, 0.0, 2.0), _flat(r, 0.85, 0.95)), least=0.5),

@@ -246,15 +246,22 @@ def derivative(t: float, x: Array, g: Array, codes: NDArray[np.int64], P: Array,
                 out[r] = wn * x[r + 1]
                 out[r + 1] = wn * x[r + 2]
                 out[r + 2] = wn * (15.0 * (y - x[r]) - 15.0 * x[r + 1] - 6.0 * x[r + 2])
-        elif c in (20, 22, 54):
+        elif c == 22:  # sensor_highpass: Butterworth's polynomial of third order
+            wn = p0 * w0
+            for k in range(2):
+                y = x[k] if g[QUANTITY] == 0.0 else (x[2 + k] if g[QUANTITY] == 1.0 else out[2 + k])
+                r = s + 3 * k
+                out[r] = wn * x[r + 1]
+                out[r + 1] = wn * x[r + 2]
+                out[r + 2] = wn * (y - x[r] - 2.0 * x[r + 1] - 2.0 * x[r + 2])
+        elif c in (20, 54):
             for k in range(2):
                 y = x[k] if g[QUANTITY] == 0.0 else (x[2 + k] if g[QUANTITY] == 1.0 else out[2 + k])
                 s1, s2 = x[s + 2 * k], x[s + 2 * k + 1]
                 if c == 20:  # sensor_delay
                     out[s + 2 * k] = (y - s1) * 2.0 * w0 / p0 if p0 > 0.0 else 0.0
-                else:  # sensor_highpass, mount_resonance
-                    wn = p0 * w0 if c == 22 else p1 * w0
-                    zeta = 0.70710678 if c == 22 else P[i, 2]
+                else:  # mount_resonance
+                    wn, zeta = p1 * w0, P[i, 2]
                     out[s + 2 * k] = s2
                     out[s + 2 * k + 1] = wn * wn * (y - s1) - 2.0 * zeta * wn * s2
 
@@ -289,7 +296,8 @@ def shown(t: float, x: Array, rates: Array, g: Array, codes: NDArray[np.int64], 
             elif c == 21:  # sensor_bandwidth
                 y[k] = x[s + 3 * k]
             elif c == 22:  # sensor_highpass
-                y[k] = y[k] - x[s + 2 * k] - 1.41421356 * x[s + 2 * k + 1] / (p0 * w0)
+                r = s + 3 * k
+                y[k] = y[k] - x[r] - 2.0 * x[r + 1] - 2.0 * x[r + 2]
             elif c == 23 and _of_channel(p1, k):  # sensor_clipping
                 limit = full / p0
                 over = abs(y[k]) / limit - p2
@@ -333,7 +341,7 @@ def start(g: Array, codes: NDArray[np.int64], P: Array) -> Array:
             x[s] = p0 * g[K1] / g[J1] * x[0] / (p0 * g[K1] / g[J1] + (p1 * g[W_]) ** 2)
         elif 20 <= c <= 22 or c == 54:  # settled at the reading at rest
             for k in range(2):
-                x[s + (3 if c == 21 else 2) * k] = x[k] if g[QUANTITY] == 0.0 else 0.0
+                x[s + (3 if c in (21, 22) else 2) * k] = x[k] if g[QUANTITY] == 0.0 else 0.0
     return x
 
 
@@ -362,7 +370,7 @@ def path(times: Array, g: Array, codes: NDArray[np.int64], P: Array, tol: float)
             elif c in (16, 42, 49) and k == 1:
                 size = g[A_] * g[W_]
             elif 20 <= c <= 22 or c == 54:
-                size = g[A_] * g[W_] ** g[QUANTITY] * (1.0 if k % 2 == 0 or c == 21 else g[W_])
+                size = g[A_] * g[W_] ** g[QUANTITY] * (1.0 if k % 2 == 0 or c in (21, 22) else g[W_])
             scale[s + k] = size
     k1, k2, k3, k4 = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     k5, k6, k7, y = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
