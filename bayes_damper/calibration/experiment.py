@@ -43,6 +43,7 @@ TAIL = (-0.5, 1.5)
 """Ends of `tail`, between which any is as likely before a reading is seen: of the curves in use for a smoothed sign the
 clipped straight line is met best by -0.4, the error function by -0.15, tanh by 0, x / sqrt(1 + x^2) by 1/2, the
 arctangent by 1 and x / (1 + |x|) by 1.4 (with nu and a viscous part free, at nu times the peak speed of 20)."""
+OF_ONE_TRIGGER = 0.25  # of the records, that begin late, beyond which it is not chance, and noise may hide it in others
 
 
 @dataclass(frozen=True)
@@ -275,6 +276,12 @@ def lone(experiment: Experiment, trials: Sequence[int]) -> bool:
     """Whether no two of the trials are repeats, of one record length too. Free starts never repeat."""
     keys = [experiment.trials[i].conditions_and_length for i in trials]
     return experiment.start == "free" or len(set(keys)) == len(keys)
+
+
+def late_by_the_clock(experiment: Experiment, trials: Sequence[int]) -> bool:
+    """Whether readings leave the instant of each release of these trials open, by more than any clock does."""
+    released = [experiment.trials[i] for i in trials if experiment.trials[i].theta0]
+    return bool(released) and all(t.doubt for t in released)
 
 
 def fitted_to_all(experiment: Experiment) -> Experiment:
@@ -558,6 +565,9 @@ def experiment_of(
                 doubt=begins.doubt,
             )
         )
+    late = [t.doubt for t in records if t.doubt]
+    if len(late) > OF_ONE_TRIGGER * len(records):
+        records = [replace(t, doubt=t.doubt or max(late)) if t.theta0 else t for t in records]
     given, offset = (s and (s[0] / reaction, *s[1:]) for s in (measurement.noise_std, measurement.offset_std))
     experiment = Experiment(
         constants, stiffnesses, tuple(records), measurement.quantity, rig.normal_force, rig.restoring,

@@ -22,7 +22,7 @@ from bayes_damper.calibration.own_values import (
     wave,
 )
 from bayes_damper.calibration.unknowns import NOMINAL, Coordinate, Priors, acting_alone, middle
-from bayes_damper.campaign.records import DERIVATIVE
+from bayes_damper.campaign.records import DERIVATIVE, LONGEST_RELEASE
 from bayes_damper.priors.distributions import Distribution, LogNormal, LogUniform
 from bayes_damper.rig.inputs import Inputs
 
@@ -207,8 +207,8 @@ class Grouping:
         out = tuple(own for own, _ in bounded)
         lower, upper = (np.array([np.full(len(trials), b[k]) for _, b in bounded]).T for k in (0, 1))
         for k, (name, centre, spread) in enumerate(out):
-            if name == RELEASE:  # no longer than 1 / omega of the primary: what falls more slowly is no release
-                longest = 1.0 / np.array([e.omegas[t.k1t] for t in trials])
+            if name == RELEASE:
+                longest = LONGEST_RELEASE / np.array([e.omegas[t.k1t] for t in trials])
                 lower[:, k], upper[:, k] = -centre / spread, (longest - centre) / spread
         if not out:
             lower = upper = np.zeros((len(trials), 0))
@@ -280,7 +280,7 @@ class Grouping:
         begins = first if own or self.switches.slow else low  # one that takes its time begins unseen
         slack = np.where(low >= first, (low - begins) / half - 1e-6, 0.4)
         if own and self.experiment.quantity == "acceleration":  # and may last as long as any
-            last = high + 1.0 / np.array([self.experiment.omegas[t.k1t] for t in trials])
+            last = high + LONGEST_RELEASE / np.array([self.experiment.omegas[t.k1t] for t in trials])
         return ("delay", middle, half), ((low - middle) / half - slack, (last - middle) / half * (1.0 - 1e-9))
 
     def _of_inputs(self, trials: list[TrialRecord]) -> list[Nuisance]:

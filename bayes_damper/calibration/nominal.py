@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from bayes_damper.calibration.experiment import Experiment, lone, repeats
+from bayes_damper.calibration.experiment import Experiment, late_by_the_clock, lone, repeats
 from bayes_damper.calibration.groups import Group, Switches
 from bayes_damper.calibration.input_noise import FELT, felt, with_input_noise
 from bayes_damper.calibration.least_squares import Calibration, calibrate, calibrate_each, default_starts, drawn_starts
@@ -33,6 +33,7 @@ from bayes_damper.calibration.scatter import (
 )
 from bayes_damper.calibration.unknowns import middle
 from bayes_damper.calibration.unlearnt import log_prior
+from bayes_damper.campaign.records import LONGEST_RELEASE
 
 Array = NDArray[np.float64]
 FEW_REPEATS = 4  # repeats beyond the first of their kind, over all kinds, below which they may be late alike by chance
@@ -72,6 +73,7 @@ def releases_vary(fit: Calibration) -> bool:
     forward swings of one spring or amplitude more than those of another.
     Nor can values that a wrong model has pressed against an end of their range other than the nominal one.
     What a release that takes its time does like a later one counts as a later one.
+    Where readings leave a record's instant open by more than any clock does, it stays free.
     """
     problem = fit.problem
     z: list[float] = []
@@ -97,6 +99,8 @@ def releases_vary(fit: Calibration) -> bool:
             values = instants[members]
             pressed += _pressed(block.group, i, members, block.eta[members, i])
             z += list((values - values.mean()) / sd[members] / math.sqrt(max(1.0 - 1.0 / len(members), 1e-9)))
+    if late_by_the_clock(problem.experiment, problem.trials):
+        return bool(z)
     few = spare < FEW_REPEATS or 2 * pressed >= len(z)
     if not z or few or float(np.mean(np.square(z))) > _differing(spare):
         return bool(z)
@@ -300,7 +304,7 @@ def _about_a_mean(fit: Calibration) -> Calibration:
     best, most = about(1.0, fit)
     if most < known - HOPELESS:
         return fit
-    share, longest = 1.0, 1.0 / (usual[0].typical * max(problem.experiment.omegas))  # groups.py: none takes longer
+    share, longest = 1.0, LONGEST_RELEASE / (usual[0].typical * max(problem.experiment.omegas))
     for step in (STEP_OF_MEAN, 1.0 / STEP_OF_MEAN):
         while share * step < longest and (further := about(share * step, best))[1] > most:
             share, (best, most) = share * step, further

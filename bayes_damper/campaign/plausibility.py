@@ -272,7 +272,7 @@ def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]
     elif onset > USUAL_LAG[quantity] / omega + _BESIDE * step and times[0] <= _BESIDE * step:
         warnings.append(
             f"{trial.file}: motion begins {onset:.4g} s after the nominal release; the trigger came early, the rig "
-            "stuck, or the sensor is slow; fits take the release from the record"
+            "stuck or was let go slowly, or the sensor is slow; fits infer the instant of each release"
         )
 
 

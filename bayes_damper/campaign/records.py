@@ -35,6 +35,8 @@ SEEN, SURE = 3.0, 5.0
 for its range to be wider, and for the clock to be set: a campaign has a hundred trials, of which three in a thousand
 are beyond 3 by chance."""
 DEPARTS = (8.0, 0.05)  # noises, and of the largest reading, by which a reading has left a held rig
+LONGEST_RELEASE = 1.0
+"""Radians of the primary's oscillation over which a release may take place; what falls more slowly is no release."""
 TINY = 1e-300  # in place of zero below a fraction's line
 USUAL_LAG = {"displacement": 0.5, "velocity": 0.2, "acceleration": 0.02}
 """Radians of the oscillation after which the motion stands out from its noise."""
@@ -45,7 +47,8 @@ class Release(NamedTuple):
 
     first : index of the first reading to keep: the last one of the held rig, or at or before the nominal release;
     shift : s to take from the clock, 0 where the release lies within one and a half steps of t = 0 or is not found;
-    doubt : s by which the release may be off after that, where noise leaves more than those steps of doubt, else 0.
+    doubt : s by which the release may be off after that, where the clock was set, or noise or a motion that begins
+    gently leaves more than those steps of doubt, else 0.
     """
 
     first: int = 0
@@ -67,6 +70,9 @@ def departure(readings: Array, quantity: str, theta0: float) -> tuple[Array, flo
 def release_of(times: Array, readings: Array, quantity: str, theta0: float, omega: float) -> Release:
     """Where a record of a rig released from rest begins, and how much its clock is off.
 
+    Velocities and displacements that begin late by no more than a slow release takes may be either, and the clock of
+    single records would be set or not as noise has it: it is left, with as much doubt.
+
     times : (n,) s, nominal release at 0; readings : (n,) of the primary; omega : rad/s of the primary on its spring.
     """
     usable = np.isfinite(readings)
@@ -84,7 +90,8 @@ def release_of(times: Array, readings: Array, quantity: str, theta0: float, omeg
     if k == 0:
         return Release()
     lag = USUAL_LAG[quantity] / omega
-    if -STEPS_OF_DOUBT * step <= t[k] <= lag + STEPS_OF_DOUBT * step:
+    latest = lag if quantity == "acceleration" else 0.0
+    if -STEPS_OF_DOUBT * step <= t[k] <= latest + STEPS_OF_DOUBT * step:
         return Release(first)
     start, low, high = (float(t[k - 1]),) * 3
     if quantity != "acceleration":
@@ -95,9 +102,11 @@ def release_of(times: Array, readings: Array, quantity: str, theta0: float, omeg
             start, low, high = _bend(t, y, k, theta0, DERIVATIVE[quantity], omega, noise)
     if abs(start) <= STEPS_OF_DOUBT * step:
         return Release(first, 0.0, max(-low, high, 0.0) if start == 0.0 else 0.0)
+    if quantity != "acceleration" and 0.0 < start <= 0.5 * LONGEST_RELEASE / omega:
+        return Release(first, 0.0, max(start + step, high))
     keep = max(int(np.searchsorted(times, start, side="right")) - 1, 0)
     shift = float(times[keep])
-    return Release(keep, shift, max(shift - low, high - shift) if low < high else 0.0)
+    return Release(keep, shift, max(shift - low, high - shift) if low < high else STEPS_OF_DOUBT * step)
 
 
 def _beginning(times: Array, away: Array, quantity: str, theta0: float, omega: float, step: float) -> float:

@@ -23,6 +23,7 @@ from bayes_damper.calibration import (
     gained_by_own_releases,
     learn_noise,
 )
+from bayes_damper.calibration.latency import AS_LATE, with_latency
 from bayes_damper.diagnosis.budget import Budget, answers_of, budget_of, foreign_alone, idle_alone
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.lone import left_alone
@@ -183,6 +184,8 @@ def judge_by_repeats(
     pairs, judged = _judged_pairs(seen, pairs, left, report)
     excess = _excess(pairs[0].after if pairs and pairs[0].gain > 0.0 else seen.after)
     usual = 0.0 if winner is None or not winner.variant.lets_go else _usual_release(fit, winner, rule)
+    latency = with_latency(fit) if winner is not None and winner.effect.site in AS_LATE else None
+    late = -math.inf if latency is None else latency.log_evidence - fit.log_evidence
 
     def judge(changes: Mapping[str, float], of_pairs: Mapping[str, float], rule: Rule = rule) -> Answers:
         moved = {n: z + changes.get(n, 0.0) for n, z in seen.evidence.items()}
@@ -190,7 +193,7 @@ def judge_by_repeats(
         other = seen.drift + changes.get(DRIFT.name, 0.0)
         if seen.wiring is not None:
             other = float(np.logaddexp(other, seen.wiring.gain))
-        found = weigh(moved, none_left, left, excess, rule, both, other, seen.definitions, usual)
+        found = weigh(moved, none_left, left, excess, rule, both, other, seen.definitions, usual, late)
         return borne_by_sets(found, held)
 
     report("dividing the gap among effects")
@@ -206,7 +209,7 @@ def judge_by_repeats(
     return Judgement(
         seen, winner, pairs, answers, budget, choices,
         _under_priors(lambda rule: judge({}, {}, rule), answers, rule),
-        _weighed(seen, none_left, left, excess, judged, usual) | {"support": held},
+        _weighed(seen, none_left, left, excess, judged, usual, late) | {"support": held},
     )  # fmt: skip
 
 
@@ -219,8 +222,9 @@ JudgedPair = tuple[Pair, Left]  # what it leaves
 
 
 def _weighed(
-    seen: Seen, before: Left, after: Left, excess: float, pairs: Sequence[JudgedPair] = (), usual: float = 0.0
-) -> dict[str, Any]:
+    seen: Seen, before: Left, after: Left, excess: float, pairs: Sequence[JudgedPair] = (), usual: float = 0.0,
+    late: float = -math.inf,
+) -> dict[str, Any]:  # fmt: skip
     """All that the rule makes the probabilities from."""
     return {
         "before": asdict(before), "after": asdict(after), "excess": excess,
@@ -228,7 +232,7 @@ def _weighed(
         "pairs": [
             {"effects": list(p.effects), "log_evidence": p.log_evidence, "left": asdict(left)} for p, left in pairs
         ],
-        "definitions": seen.definitions, "usual": usual,
+        "definitions": seen.definitions, "usual": usual, "late": late,
     }  # fmt: skip
 
 

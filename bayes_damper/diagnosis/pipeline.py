@@ -18,6 +18,7 @@ from bayes_damper.calibration import (
     with_rounding,
 )
 from bayes_damper.calibration.cases import SHOWS_FROM, with_damping_of_each_case
+from bayes_damper.calibration.latency import AS_LATE, latency_in_words, with_latency, with_own_instants
 from bayes_damper.campaign import Campaign
 from bayes_damper.diagnosis.by_case import differing_in_words
 from bayes_damper.diagnosis.formula import widened
@@ -99,7 +100,8 @@ def _diagnosed(
     fit, notes = _cleaned_fit(experiment, nominal, report)
     experiment = fit.problem.experiment
     pool = offered(experiment, nominal, effects)
-    fit, found = _searched(fit, pool, workers, report)
+    fit, found, late = _searched(fit, pool, workers, report)
+    notes += late
     experiment = fit.problem.experiment
     judge = judge_without_repeats if fit.problem.noise.sensor else judge_by_repeats
     rng = np.random.default_rng(seed)
@@ -164,8 +166,12 @@ def _cleaned_fit(
 
 def _searched(
     fit: Calibration, pool: Sequence[tuple[Effect, Variant]], workers: int, report: Callable[[str], None]
-) -> tuple[Calibration, list[Candidate]]:
-    """The nominal model, with the damping of each case's own spring where that explains most, and all candidates."""
+) -> tuple[Calibration, list[Candidate], list[str]]:
+    """The nominal model and all candidates, and sentences on clocks that are late.
+
+    The model has the damping of each case's own spring, and an instant of each release, where that explains more than
+    any effect, or than any that would show alike.
+    """
     pool = [*pool, *_drifts(fit.problem.experiment)]
     found = search(fit, pool, workers=workers, report=report)
     leader = found[0].fit
@@ -174,7 +180,16 @@ def _searched(
         report("the damping differs from case to case more than any effect explains; fitting one for each case")
         fit = calibrate_nominal(own.problem.experiment, nominal=fit.problem.nominal, begin=own, report=report)
         found = search(fit, pool, workers=workers, report=report)
-    return _reseeded(fit, from_usual_friction(found))
+    notes = []
+    alike = max((c.log_evidence for c in found if c.effect.site in AS_LATE), default=0.0)
+    late = with_latency(fit) if alike > SHOWS_FROM else None
+    if late is not None and late.log_evidence - fit.log_evidence > alike + SHOWS_FROM:
+        report("all releases are late by the same time; fitting an instant for each")
+        notes.append(latency_in_words(late))
+        own = with_own_instants(fit, late)
+        fit = calibrate_nominal(own.problem.experiment, nominal=fit.problem.nominal, begin=own, report=report)
+        found = search(fit, pool, workers=workers, report=report)
+    return (*_reseeded(fit, from_usual_friction(found)), notes)
 
 
 def _drifts(experiment: Experiment) -> list[tuple[Effect, Variant]]:

@@ -25,7 +25,7 @@ from bayes_damper.calibration import (
     coordinate_of,
     grown,
 )
-from bayes_damper.calibration.experiment import angles_of
+from bayes_damper.calibration.experiment import angles_of, late_by_the_clock
 from bayes_damper.calibration.heldout import freed
 from bayes_damper.calibration.least_squares import essence, restored
 from bayes_damper.calibration.nominal import broad_noise, out_of_phase
@@ -348,8 +348,36 @@ def fit_variant(
             eta = carried(long, problem)
             other = calibrate(problem, [long.q], eta=eta, anneal=False, finish=True, most=MOST_STEPS, target=target)
             found = min(found, other, key=lambda f: f.cost)
+    if variant.lets_go and (late := _begun_on_time(fit)) is not None:
+        eta, time = late
+        slow = [
+            time if p.name == variant.lets_go else x for p, x in zip(variant.parameters, variant.starts[0], strict=True)
+        ]
+        z = [coordinate_of(p.prior, x) for p, x in zip(variant.parameters, slow, strict=True)]
+        start = np.concatenate([fit.q, z])
+        other = calibrate(problem, [start], eta=eta, anneal=False, finish=True, most=MOST_STEPS, target=target)
+        found = min(found, other, key=lambda f: f.cost)
     found = freed(found, MOST_STEPS)
     return Candidate(effect, variant, tuple(screens), found, found.log_evidence - fit.log_evidence)
+
+
+def _begun_on_time(fit: Calibration) -> tuple[dict[int, Array], float] | None:
+    """Nuisances with every release at the nominal instant, and the time over which one was half over at the fit's own.
+
+    A sudden release in the middle of a slow one is as good but for the first readings, and no short step leads from
+    the one to the other. None where no release is late by more than any clock.
+    """
+    eta, late = dict(fit.eta), []
+    for group in fit.problem.groups:
+        for m, (name, mean, sd) in enumerate(group.nuisances):
+            for k, i in enumerate(group.trials if name == "delay" else ()):
+                late.append(float(mean[k] + sd[k] * fit.eta[i][m]))
+                on_time = float(np.clip(-mean[k] / sd[k], group.lower[k, m], group.upper[k, m]))
+                eta[i] = np.where(np.arange(eta[i].size) == m, on_time, eta[i])
+    middle = float(np.median(late)) if late else 0.0
+    if middle <= 0.0 or not late_by_the_clock(fit.problem.experiment, fit.problem.trials):
+        return None
+    return eta, 2.0 * middle
 
 
 def from_usual_friction(found: Sequence[Candidate]) -> list[Candidate]:

@@ -27,6 +27,8 @@ from bayes_damper.diagnosis.search import Candidate
 PRIOR_NONE = 0.3
 PRIOR_UNKNOWN = 0.15
 PRIOR_PAIRS = 0.05
+LATE = 0.25
+"""Prior odds of releases that are all late by the same part of a sampling step, to one effect: t = 0 is declared."""
 USUAL = 20  # candidates among which the prior is shared, however few are offered
 FRICTIONS = frozenset({"bearing_drag", "interface_friction"})
 """Candidates beside a linear nominal model; both at once are the usual nonlinear model, so they count as one answer."""
@@ -229,6 +231,7 @@ def weigh(
     generic: float = -math.inf,
     definitions: Collection[str] = (),
     usual: float = 0.0,
+    late: float = -math.inf,
 ) -> Answers:
     """Probabilities of all answers.
 
@@ -236,7 +239,8 @@ def weigh(
     excess : chi-square of the best answer's mean residuals at low frequency beyond 2 sd; pairs : effects (the stronger
     first), log Z of both, and what they leave; generic : log Z of a drift of the nominal laws (generic.py), which
     counts for `unknown`; definitions : families whose formulas are; usual : log Z of the nominal model with what may be
-    usual in a laboratory and no repeats could show, as likely a priori as without it.
+    usual in a laboratory and no repeats could show, as likely a priori as without it; late : the same with releases
+    that are all late by the same time (`LATE`). Both leave what the leading effect leaves.
     """
     names = [n for n, z in evidence.items() if math.isfinite(z)]
     among = max(len(evidence), USUAL)
@@ -245,9 +249,11 @@ def weigh(
     temperature *= 1.0 + rule.shape_readings / max(after.readings, 1e-9)
     best = max((evidence[n] for n in names), default=0.0)
     mending = mended_share(after.home, rule)
-    log_w: dict[str | tuple[str, str], float] = {
-        "none": math.log(PRIOR_NONE) + float(np.logaddexp(0.0, usual)) - math.log(2.0)
-    }
+    half = 0.5 * PRIOR_NONE if usual > 0.0 else PRIOR_NONE
+    sound = np.array([math.log(half), math.log(half) + usual if usual > 0.0 else -math.inf, late / temperature])
+    sound[2] += math.log(LATE * each)
+    log_w: dict[str | tuple[str, str], float] = {"none": float(np.logaddexp.reduce(sound))}
+    as_it_is = math.exp(sound[0] - log_w["none"])  # share of `none` that leaves the gap as it is
     mended = {n: evidence[n] for n in names}
     if math.isfinite(generic):
         log_w["unknown"] = math.log(each) + generic / temperature
@@ -272,7 +278,7 @@ def weigh(
             continue
         remains = left.get(answer, after)
         if answer == "none":
-            lost = rule.seen(remains.nats)
+            lost = as_it_is * rule.seen(remains.nats) + (1.0 - as_it_is) * rule.seen(after.nats)
         else:
             easy = set(answer) != FRICTIONS if isinstance(answer, tuple) else answer in definitions
             lost = outside_library(remains, log_evidence_of(answer, evidence, pairs), rule, easy)

@@ -64,13 +64,14 @@ def laboratory(
     quantity: Quantity = "acceleration",
     noise: float = 2.0,
     instants: float = 0.0,
+    late: float = 0.0,
     step: float = 1e-3,
     angles: float = 0.01,
 ) -> Experiment:
     """Trials of a rig whose parameters, gains and offsets scatter; the last repeat of each is held out.
 
     releases : gives the time of a trial's release, s, during which the held torque falls along half a cosine;
-    instants : standard deviation of the instants at which that begins, s; angles : of the angles, relative.
+    late, instants : mean and standard deviation of the instants at which that begins, s; angles : of the angles.
     """
     rng = np.random.default_rng(seed)
     times = np.arange(n) * step
@@ -84,7 +85,7 @@ def laboratory(
                 if "drag_ratio" in sizes:
                     rig["drag_ratio"] = math.exp(sizes["drag_ratio"] * rng.standard_normal())
                 slow = {"time": releases(rng)}
-                rig |= {"delay": instants * rng.standard_normal()} if instants else {}
+                rig |= {"delay": late + instants * rng.standard_normal()} if instants or late else {}
                 y = Model(both, effect=COSINE).simulate(rig, times, effect=slow, quantity=quantity).y[0]
                 y *= 1.0 + sizes.get("gain", 0.0) * rng.standard_normal((len(y), 1))
                 y += sizes.get("offset", 0.0) * rng.standard_normal((len(y), 1))

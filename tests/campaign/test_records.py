@@ -66,6 +66,16 @@ def test_a_clock_that_is_off_is_set_by_the_motion(quantity, release):
     assert abs(release - shift) <= 1.5 * STEP
 
 
+@pytest.mark.parametrize("quantity", ["velocity", "displacement"])
+@pytest.mark.parametrize("late", [0.003, 0.006, 0.0105])
+def test_a_motion_that_begins_a_little_late_may_be_slow_instead(quantity, late):
+    """A gentle beginning was taken for a late one in those of a campaign's records whose noise was low enough."""
+    times = STEP * np.arange(400)
+    first, shift, doubt = release_of(times, record(quantity, times, late, noise=0.001), quantity, ANGLE, OMEGA)
+    assert (first, shift) == (0, 0.0)
+    assert late < doubt < late + (3.0 if quantity == "velocity" else 8.0) * STEP
+
+
 def test_a_release_marked_too_late_is_found_too():
     """The motion begins before the nominal instant: the trigger came late."""
     times = STEP * np.arange(-60, 300)

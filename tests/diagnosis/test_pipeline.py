@@ -363,6 +363,14 @@ def test_what_may_be_usual_and_was_not_repeated_counts_for_none():
     assert usual["none"] > 0.5 > usual["a"]
 
 
+def test_a_clock_that_is_late_counts_for_none():
+    """A priori a quarter as likely as one effect: where both explain the records as well, neither is certain."""
+    alone, late, both = (weigh({"a": 300.0}, QUIET, QUIET, late=z).probabilities for z in (-math.inf, 305.0, 300.0))
+    assert alone["a"] > 0.9
+    assert late["none"] > 0.9
+    assert both["none"] == pytest.approx(0.25 * both["a"], rel=0.1)
+
+
 def test_evidence_that_is_not_a_number_never_wins():
     """nan and -inf give a family no probability."""
 

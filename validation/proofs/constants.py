@@ -94,9 +94,9 @@ def replay(verdict: Verdict, rule: Rule = RULE) -> Answers:
     ]
     drift = _number(weighed["drift"], -math.inf)
     left = _left(weighed["before"]), _left(weighed["after"])
-    usual = float(weighed.get("usual", 0.0))
+    usual, late = float(weighed.get("usual", 0.0)), _number(weighed.get("late"), -math.inf)
     definitions = weighed.get("definitions", ())
-    answers = weigh(evidence, *left, float(weighed["excess"]), rule, pairs, drift, definitions, usual)
+    answers = weigh(evidence, *left, float(weighed["excess"]), rule, pairs, drift, definitions, usual, late)
     return borne_by_sets(answers, weighed.get("support", {}))
 
 

@@ -1,0 +1,83 @@
+"""A clock that is late by the same time in all trials, held against motions in closed form."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_scatter import laboratory
+
+from bayes_damper.calibration import Experiment, TrialRecord, calibrate_nominal
+from bayes_damper.calibration.latency import latency_in_words, latency_of, with_latency, with_own_instants
+from bayes_damper.campaign.records import release_of
+from bayes_damper.diagnosis import diagnose
+from bayes_damper.effects import EFFECTS
+
+J1, OMEGA, ZETA, ANGLE, STEP = 3e-3, 40.0, 0.01, 0.1, 1e-3
+LATE = {name: EFFECTS[name] for name in ("release_ramp", "sensor_bandwidth", "spring_cubic")}
+
+
+def swings(late: float, noise: float = 0.02, repeats: int = 6) -> Experiment:
+    """Velocities of a damped oscillator that is let go `late` seconds after t = 0 in all trials."""
+    rng = np.random.default_rng(3)
+    times = STEP * np.arange(600)
+    damped = OMEGA * np.sqrt(1.0 - ZETA**2)
+    since = np.maximum(times - late, 0.0)
+    y = -ANGLE * OMEGA**2 / damped * np.exp(-ZETA * OMEGA * since) * np.sin(damped * since)
+    trials = tuple(
+        TrialRecord(
+            f"{k}", "I", False, k + 1, times, y[None] + noise * rng.standard_normal((1, times.size)), 0, ANGLE, 0.0
+        )
+        for k in range(repeats)
+    )
+    return Experiment({"J1": (J1, 0.0)}, ((J1 * OMEGA**2, 1e-4),), trials, "velocity")
+
+
+@pytest.mark.parametrize("late", [0.0, 4e-4])
+def test_one_instant_of_all_trials_is_found(late):
+    fit = calibrate_nominal(swings(late), nominal="linear")
+    found = with_latency(fit)
+    assert found is not None
+    sd = np.sqrt(found.covariance[found.problem.names.index("delay"), found.problem.names.index("delay")]) * STEP
+    assert latency_of(found) == pytest.approx(late, abs=4.0 * sd)
+    assert sd < 5e-5
+    assert (found.log_evidence - fit.log_evidence > 10.0) == (late != 0.0)
+    assert late == 0.0 or "0.4 ms later than t = 0" in latency_in_words(found)
+
+
+def test_where_instants_are_free_there_is_none():
+    assert with_latency(calibrate_nominal(swings(-3e-4), nominal="linear")) is None  # a logger that came later
+    fit = calibrate_nominal(swings(4e-4), nominal="linear")
+    late = with_latency(fit)
+    own = with_own_instants(fit, late)
+    assert with_latency(own) is None
+    assert own.residuals()[0].std() == pytest.approx(0.02, rel=0.1)
+
+
+def as_read(made: Experiment) -> Experiment:
+    """Records whose release is looked for in what they read."""
+
+    def doubt(t: TrialRecord) -> float:
+        return release_of(t.times, t.y[0], made.quantity, t.theta0, made.omegas[t.k1t]).doubt
+
+    widest = max(doubt(t) for t in made.trials)
+    return replace(made, trials=tuple(replace(t, doubt=doubt(t) or widest) for t in made.trials))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", [{"late": 9e-4}, {"late": 5e-3}])
+def test_a_late_trigger_is_no_effect(how):
+    """By less than a step, and by more, which the readings show: `release_ramp` 0.97 and `sensor_bandwidth` 0.98."""
+    found = diagnose(as_read(laboratory(1, {}, n=400, quantity="velocity", noise=0.02, **how)), effects=LATE)
+    assert found.verdict == "none"
+
+
+@pytest.mark.slow
+def test_a_slow_release_is_named_where_it_differs_from_trial_to_trial():
+    """Some of the records were taken for late ones: `unknown` 0.995."""
+    slow = laboratory(
+        2, {}, n=400, releases=lambda rng: 0.016 + 0.001 * rng.standard_normal(), quantity="velocity", noise=0.02
+    )
+    found = diagnose(as_read(slow), effects=LATE)
+    assert found.verdict == "release_ramp"
