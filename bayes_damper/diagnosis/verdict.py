@@ -249,11 +249,8 @@ def weigh(
     temperature *= 1.0 + rule.shape_readings / max(after.readings, 1e-9)
     best = max((evidence[n] for n in names), default=0.0)
     mending = mended_share(after.home, rule)
-    half = 0.5 * PRIOR_NONE if usual > 0.0 else PRIOR_NONE
-    sound = np.array([math.log(half), math.log(half) + usual if usual > 0.0 else -math.inf, late / temperature])
-    sound[2] += math.log(LATE * each)
-    log_w: dict[str | tuple[str, str], float] = {"none": float(np.logaddexp.reduce(sound))}
-    as_it_is = math.exp(sound[0] - log_w["none"])  # share of `none` that leaves the gap as it is
+    sound, as_it_is = _sound(usual, math.log(LATE * each) + late / temperature)
+    log_w: dict[str | tuple[str, str], float] = {"none": sound}
     mended = {n: evidence[n] for n in names}
     if math.isfinite(generic):
         log_w["unknown"] = math.log(each) + generic / temperature
@@ -290,14 +287,20 @@ def weigh(
                 pair, pair_effects = p * (1.0 - lost), answer
         else:
             probabilities[answer] += p * (1.0 - lost)
-    count = len(probabilities)
-    mixed = {n: (1.0 - FLOOR) * p + FLOOR / count for n, p in probabilities.items()}
+    floor = FLOOR / len(probabilities)
+    mixed = {n: (1.0 - FLOOR) * p + floor for n, p in probabilities.items()}
     total = sum(mixed.values())
+    shares = {n: float(p / total) for n, p in mixed.items()}
     leading = max(weights, key=lambda n: weights[n])
-    return Answers(
-        {n: float(p / total) for n, p in mixed.items()}, temperature, left.get(leading, after), float(unknown), pair,
-        pair_effects,
-    )  # fmt: skip
+    return Answers(shares, temperature, left.get(leading, after), float(unknown), pair, pair_effects)
+
+
+def _sound(usual: float, log_late: float) -> tuple[float, float]:
+    """Log weight of `none`, and the share of it that leaves the gap as it is; log_late : log weight of a late clock."""
+    prior = math.log(PRIOR_NONE)
+    parts = [prior, log_late] if usual <= 0.0 else [prior - math.log(2.0), prior - math.log(2.0) + usual, log_late]
+    whole = float(np.logaddexp.reduce(parts))
+    return whole, math.exp(parts[0] - whole)
 
 
 def borne_by_sets(answers: Answers, support: Mapping[str, float]) -> Answers:

@@ -48,10 +48,8 @@ def tune_result(data: Mapping[str, Any], folder: Path) -> Result:
         unit = unit_of(name, kind)
         what = f"{meaning_of(name, unit)} ({percent(share)} of its variance)"
         changes.append(f"The insertion loss depends most on {what}: measure that better.")
-    if data.get("optimum") and data["optimum"].get("at_bound"):
-        changes.append(
-            f"The best design lies at the bound of {listed(data['optimum']['at_bound'])}: wider bounds may give more."
-        )
+    if at_bound := (data.get("optimum") or {}).get("at_bound"):
+        changes.append(f"The best design lies at the bound of {listed(at_bound)}: wider bounds may give more.")
     tables = [_loss_table([*designs, *better], target, kind, str(data.get("definition") or ""))]
     described = _design_table([*designs, *better], kind)
     tables += [described] if described.rows else []
