@@ -249,9 +249,7 @@ def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]
             f"{trial.file}: motion begins {-onset:.4g} s before the nominal release; the trigger came late; "
             "fits take the release from the record"
         )
-    first = float(np.median(y[:3]))
-    if power == 2 and onset > times[0]:  # held at first, then it jumps, as fast as latch and sensor let it
-        first = float(y[min(int(np.searchsorted(times, onset + _SOON / omega)), len(y) - 1)])
+    first = _first_of(times, y, power, omega, onset)
     largest = float(np.max(np.abs(y)))
     begins = _BEGINS[quantity]
     middle = {
@@ -274,6 +272,15 @@ def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]
             f"{trial.file}: motion begins {onset:.4g} s after the nominal release; the trigger came early, the rig "
             "stuck or was let go slowly, or the sensor is slow; fits infer the instant of each release"
         )
+
+
+def _first_of(times: Array, y: Array, power: int, omega: float, onset: float) -> float:
+    """What is read first: of an acceleration that was held until then, as fast as latch and sensor let it jump."""
+    if power == 2 and onset > times[0]:
+        return float(y[min(int(np.searchsorted(times, onset + _SOON / omega)), len(y) - 1)])
+    # A fast rig that is read slowly has swung far at its second reading.
+    coarse = power == 1 and omega * float(times[1] - times[0]) > 0.5 * _BEGINS["velocity"]
+    return float(np.median(y[: 1 if coarse else 3]))
 
 
 def _reversed(trial: Trial, held: str) -> str:

@@ -167,6 +167,19 @@ def test_a_wrong_unit_of_time_is_told_from_a_wrong_spring_by_the_size_of_velocit
     assert not any("another release" in w for w in found)
 
 
+def test_a_fast_rig_that_is_read_slowly_begins_with_its_release(tmp_path):
+    """Two readings after its release it had swung as far as one that is read from the middle of its motion."""
+    times = np.arange(0.0, 12.0, 0.4 / OMEGA)
+
+    def named(since):
+        y = -0.1 * OMEGA * np.exp(-0.15 * since) * np.sin(OMEGA * since)
+        found = cart(tmp_path / f"{since[0]:.3f}", [noisy(k, y) for k in range(2)], times=times, quantity="velocity")
+        return any("not those of a release" in warning for warning in found)
+
+    assert not named(times)
+    assert named(times + 1.2 / OMEGA)
+
+
 def test_single_wrong_readings_do_not_make_another_release(tmp_path):
     times = np.arange(0.0, 12.0, 1.0 / 300.0)
     records = [noisy(s, swing(times)) for s in (1, 2)]
