@@ -236,7 +236,7 @@ def test_guided_steps_keep_a_bent_ridge():
     assert left.std() == pytest.approx(0.1, rel=0.06)
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_repeats_of_a_sharp_hierarchy_agree_within_their_error():
     """Four sharp readings of five unknowns a case, so that the posterior is thin: the rule for repeats is kept."""
     rng = np.random.default_rng(21)
@@ -572,7 +572,7 @@ def test_half_shared_campaign_end_to_end(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["shared", "separate"])
+@pytest.mark.parametrize("kind", ["shared", pytest.param("separate", marks=pytest.mark.prove)])
 def test_known_pooling_of_campaigns_is_found(tmp_path, kind):
     """One campaign each, one that is half shared above; the proof below counts sixty."""
     write_campaign(tmp_path / "campaign", kind)
