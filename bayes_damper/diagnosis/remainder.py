@@ -5,11 +5,12 @@ periodogram of the mean is held against that of white noise, Exp(1): a smooth ex
 missing), a narrow line or band (a resonance, a hum), or an event in time.
 
 What repeats do not share is the laboratory's, not the model's. Trials are what is independent, so the mean is held
-against what the repeats do differ by, where that is more than the noise, at the frequencies where it is; a trial
-without repeats among others that have some, against its own fast readings, for its noise need not be theirs. Lines that
-keep no phase from trial to trial drop out of the mean and are looked for in the single records: above the frequencies
-of the rig's own motion, which differs from trial to trial with whatever scatters, and in more than one record. A trial
-that differs from its repeats by more than anything that scatters accounts for is reported by its name (`unlike`).
+against what the repeats do differ by, where that is more than the noise, at the frequencies where it is, and at all
+of them where the sensors of one case and configuration were noisier than those of the others; a trial without repeats
+among others that have some, against its own fast readings, for its noise need not be theirs. Lines that keep no phase
+from trial to trial drop out of the mean and are looked for in the single records: above the frequencies of the rig's
+own motion, which differs from trial to trial with whatever scatters, and in more than one record. A trial that
+differs from its repeats by more than anything that scatters accounts for is reported by its name (`unlike`).
 """
 
 from __future__ import annotations
@@ -115,13 +116,14 @@ def remainder_of(fit: Calibration) -> Remainder:
         for channel in range(mean.shape[0]):
             # Missing readings bring no power: without them a gap would drown in what they should have brought.
             kept = [max(int(np.count_nonzero(known[i][channel])), 1) for i in members]
-            shared.append((f, np.abs(np.fft.rfft(mean[channel])[1:-1]) ** 2 / np.mean(kept)))
+            apart = np.fft.rfft(helmert(len(members)) @ stack[:, channel])[:, 1:-1]
+            differ = np.abs(apart) ** 2 / np.mean(kept)
+            noisier = _broad_level(differ.ravel())
+            shared.append((f, np.abs(np.fft.rfft(mean[channel])[1:-1]) ** 2 / (np.mean(kept) * noisier)))
             by_itself.append(len(members) == 1)
             for k in range(len(members)):
                 power.append((f, np.abs(np.fft.rfft(stack[k, channel])[1:-1]) ** 2 / kept[k]))
-            if len(members) > 1:
-                apart = np.fft.rfft(helmert(len(members)) @ stack[:, channel])[:, 1:-1]
-                unshared += [(f, np.abs(a) ** 2 / np.mean(kept)) for a in apart]
+            unshared += [(f, p / noisier) for p in differ]
     if not shared or shared[0][0].size < 8:
         return Remainder(0.0, 0.0, 0.0, 0.0, 1.0, fit.excess, own)
     floors = _floors(unshared)
@@ -173,15 +175,20 @@ def _floors(unshared: Sequence[tuple[Array, Array]]) -> dict[bytes, Array]:
 
 
 def _own_floor(f: Array, p: Array, own: float) -> float:
-    """Power of a single record over the noise at frequencies beyond those of torques where it is clearly more, else 1.
+    """Power of a single record over the noise, beyond the frequencies of torques, where it is clearly more, else 1."""
+    return _broad_level(p[f > LOW_BAND * own])
 
-    The median of Exp(1) is ln 2, with a standard deviation of 1 / sqrt(n); a line does not change it.
+
+def _broad_level(power: Array) -> float:
+    """Level of a spectrum over the noise where it is clearly more, else 1.
+
+    The median of Exp(1) is ln 2, with a standard deviation of 1 / sqrt(n); neither a line nor what scatters slowly
+    changes it.
     """
-    fast = p[f > LOW_BAND * own]
-    if fast.size < SMOOTHED / 2.0:
+    if power.size < SMOOTHED / 2.0:
         return 1.0
-    level = float(np.median(fast)) / math.log(2.0)
-    return level if level > 1.0 + 2.0 / (math.log(2.0) * math.sqrt(fast.size)) else 1.0
+    level = float(np.median(power)) / math.log(2.0)
+    return level if level > 1.0 + 2.0 / (math.log(2.0) * math.sqrt(power.size)) else 1.0
 
 
 def _of_several(spectra: Sequence[tuple[Array, Array]]) -> list[tuple[Array, Array]]:

@@ -55,3 +55,17 @@ def test_the_noise_of_a_trial_without_repeats_is_its_own():
     shared = tuple(replace(t, y=t.y + wave) for t in (*drawn.trials[:5], noisy))
     assert remainder_of(fit).strength < 5.0
     assert remainder_of(calibrate_nominal(replace(drawn, trials=shared))).strength > 20.0
+
+
+def test_a_case_with_noisier_sensors_has_no_gap():
+    """The mean of few noisy repeats beside many quiet ones, as of sensors that err in proportion to their range."""
+    drawn = measured(3, configurations=(False,), repeats=6)
+    rng = np.random.default_rng(1)
+    case = drawn.trials[0].case
+    drawn = replace(drawn, trials=tuple(t for t in drawn.trials if t.case != case or t.number < 4 or t.heldout))
+    own = [1.7 * NOISE * rng.standard_normal(t.y.shape) * (t.case == case) for t in drawn.trials]
+    noisy = replace(drawn, trials=tuple(replace(t, y=t.y + x) for t, x in zip(drawn.trials, own, strict=True)))
+    wave = [0.6 * NOISE * np.sin(100.0 * t.times) for t in drawn.trials]
+    shared = tuple(replace(t, y=t.y + w) for t, w in zip(noisy.trials, wave, strict=True))
+    assert remainder_of(calibrate_nominal(noisy)).strength < 6.0
+    assert remainder_of(calibrate_nominal(replace(drawn, trials=shared))).strength > 20.0
