@@ -278,6 +278,12 @@ def lone(experiment: Experiment, trials: Sequence[int]) -> bool:
     return experiment.start == "free" or len(set(keys)) == len(keys)
 
 
+def prior_of_instants(experiment: Experiment) -> Normal:
+    """The usual prior of an instant of release that is one for many trials: about t = 0, by a sampling step, s."""
+    steps = [float(np.median(np.diff(t.times))) for t in experiment.trials if t.times.size > 1]
+    return Normal(0.0, float(np.median(steps or [1e-3])))
+
+
 def late_by_the_clock(experiment: Experiment, trials: Sequence[int]) -> bool:
     """Whether readings leave the instant of each release of these trials open, by more than any clock does."""
     released = [experiment.trials[i] for i in trials if experiment.trials[i].theta0]
@@ -371,10 +377,7 @@ def with_priors(experiment: Experiment, priors: PriorSet) -> Experiment:
         elif entry.value is None and name == "theta0":
             levels.pop(name)
         elif entry.value is None and name == "delay":
-            rate = float(
-                np.median([float(np.median(np.diff(t.times))) for t in experiment.trials if t.times.size > 1] or [1e-3])
-            )
-            values[name] = Normal(0.0, rate)
+            values[name] = prior_of_instants(experiment)
     if faults:
         raise InputError(faults)
     return replace(

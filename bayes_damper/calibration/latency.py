@@ -11,9 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from bayes_damper.calibration.experiment import prior_of_instants
 from bayes_damper.calibration.least_squares import Calibration, calibrate
-from bayes_damper.calibration.scatter import carried
-from bayes_damper.priors.distributions import Normal
+from bayes_damper.calibration.scatter import carried, placed
 
 AS_LATE = ("release", "sensor")  # sites of effects that may do to the records what a late release does
 STARTS = (0.0, 0.5, 1.0)  # sampling steps after t = 0, from which the instant is looked for
@@ -29,9 +29,8 @@ def with_latency(fit: Calibration) -> Calibration | None:
     trials = [e.trials[i] for i in problem.trials]
     if e.start != "rest" or problem.switches.delay or "delay" in e.levels or not any(t.theta0 for t in trials):
         return None
-    step = max(float(np.median(np.diff(t.times))) for t in trials)
     common = replace(
-        e, levels={**e.levels, "delay": "campaign"}, priors={**e.priors, "delay": Normal(0.0, step)}
+        e, levels={**e.levels, "delay": "campaign"}, priors={**e.priors, "delay": prior_of_instants(e)}
     )  # fmt: skip
     other = problem.changed(experiment=common, factors=None)
     at = other.names.index("delay")
@@ -46,15 +45,8 @@ def latency_of(fit: Calibration) -> float:
 
 def with_own_instants(fit: Calibration, late: Calibration) -> Calibration:
     """The fit with an instant of each trial's own, beginning where all trials together put it."""
-    switches = replace(fit.problem.switches, delay=True)
-    free = fit.problem.changed(switches=switches)
-    eta = carried(fit, free)
-    for group in free.groups:
-        for m, (name, mean, sd) in enumerate(group.nuisances):
-            for k, i in enumerate(group.trials if name == "delay" else ()):
-                own = (latency_of(late) - mean[k]) / sd[k]
-                eta[i] = np.where(np.arange(eta[i].size) == m, own, eta[i])
-                eta[i] = np.clip(eta[i], group.lower[k], group.upper[k])
+    free = fit.problem.changed(switches=replace(fit.problem.switches, delay=True))
+    eta = placed(free, carried(fit, free), "delay", latency_of(late))
     start = np.array([x for name, x in zip(late.problem.names, late.q, strict=True) if name != "delay"])
     return calibrate(free, [start], eta=eta, anneal=False)
 

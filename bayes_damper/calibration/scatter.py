@@ -325,13 +325,29 @@ def _lone_size(typical: Size, parts: Sequence[tuple[Array, Array]]) -> Size:
 
 def times_of_release(fit: Calibration) -> list[float]:
     """That of each trial, s; empty where the fit has none."""
+    return own_values(fit, RELEASE)
+
+
+def own_values(fit: Calibration, nuisance: str) -> list[float]:
+    """The value of a nuisance in each trial, in its unit; empty where the fit has none."""
     return [
         float(mean[k] + sd[k] * fit.eta[i][m])
         for group in fit.problem.groups
         for m, (name, mean, sd) in enumerate(group.nuisances)
         for k, i in enumerate(group.trials)
-        if name == RELEASE
+        if name == nuisance
     ]
+
+
+def placed(problem: Problem, eta: Mapping[int, Array], nuisance: str, value: float) -> dict[int, Array]:
+    """Nuisances with one of them at the same value in all trials, as far as its range allows."""
+    out = dict(eta)
+    for group in problem.groups:
+        for m, (name, mean, sd) in enumerate(group.nuisances):
+            for k, i in enumerate(group.trials if name == nuisance else ()):
+                at = np.clip((value - mean[k]) / sd[k], group.lower[k, m], group.upper[k, m])
+                out[i] = np.where(np.arange(out[i].size) == m, at, out[i])
+    return out
 
 
 def with_releases(problem: Problem, scatter: Scatter) -> Scatter:

@@ -89,9 +89,8 @@ def release_of(times: Array, readings: Array, quantity: str, theta0: float, omeg
     k = int(np.argmax(moving))
     if k == 0:
         return Release()
-    lag = USUAL_LAG[quantity] / omega
-    latest = lag if quantity == "acceleration" else 0.0
-    if -STEPS_OF_DOUBT * step <= t[k] <= latest + STEPS_OF_DOUBT * step:
+    lag = USUAL_LAG[quantity] / omega if quantity == "acceleration" else 0.0
+    if -STEPS_OF_DOUBT * step <= t[k] <= lag + STEPS_OF_DOUBT * step:
         return Release(first)
     start, low, high = (float(t[k - 1]),) * 3
     if quantity != "acceleration":

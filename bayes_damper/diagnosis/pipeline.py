@@ -100,8 +100,8 @@ def _diagnosed(
     fit, notes = _cleaned_fit(experiment, nominal, report)
     experiment = fit.problem.experiment
     pool = offered(experiment, nominal, effects)
-    fit, found, late = _searched(fit, pool, workers, report)
-    notes += late
+    fit, found, said = _searched(fit, pool, workers, report)
+    notes += said
     experiment = fit.problem.experiment
     judge = judge_without_repeats if fit.problem.noise.sensor else judge_by_repeats
     rng = np.random.default_rng(seed)

@@ -30,7 +30,7 @@ from bayes_damper.calibration.heldout import freed
 from bayes_damper.calibration.least_squares import essence, restored
 from bayes_damper.calibration.nominal import broad_noise, out_of_phase
 from bayes_damper.calibration.problem import READINGS_AT_ONCE
-from bayes_damper.calibration.scatter import carried
+from bayes_damper.calibration.scatter import carried, own_values, placed
 from bayes_damper.campaign.records import DERIVATIVE
 from bayes_damper.effects import REFERENCE, Scales, candidates, scaled
 from bayes_damper.effects.base import Effect, Variant
@@ -362,22 +362,17 @@ def fit_variant(
 
 
 def _begun_on_time(fit: Calibration) -> tuple[dict[int, Array], float] | None:
-    """Nuisances with every release at the nominal instant, and the time over which one was half over at the fit's own.
+    """Nuisances with every release at t = 0, and how long a release from there takes whose middle is the fit's instant.
 
-    A sudden release in the middle of a slow one is as good but for the first readings, and no short step leads from
+    A sudden release in the middle of a slow one does the same but for the first readings, and no short step leads from
     the one to the other. None where no release is late by more than any clock.
     """
-    eta, late = dict(fit.eta), []
-    for group in fit.problem.groups:
-        for m, (name, mean, sd) in enumerate(group.nuisances):
-            for k, i in enumerate(group.trials if name == "delay" else ()):
-                late.append(float(mean[k] + sd[k] * fit.eta[i][m]))
-                on_time = float(np.clip(-mean[k] / sd[k], group.lower[k, m], group.upper[k, m]))
-                eta[i] = np.where(np.arange(eta[i].size) == m, on_time, eta[i])
+    problem = fit.problem
+    late = own_values(fit, "delay")
     middle = float(np.median(late)) if late else 0.0
-    if middle <= 0.0 or not late_by_the_clock(fit.problem.experiment, fit.problem.trials):
+    if middle <= 0.0 or not late_by_the_clock(problem.experiment, problem.trials):
         return None
-    return eta, 2.0 * middle
+    return placed(problem, fit.eta, "delay", 0.0), 2.0 * middle
 
 
 def from_usual_friction(found: Sequence[Candidate]) -> list[Candidate]:

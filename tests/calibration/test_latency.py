@@ -39,7 +39,8 @@ def test_one_instant_of_all_trials_is_found(late):
     fit = calibrate_nominal(swings(late), nominal="linear")
     found = with_latency(fit)
     assert found is not None
-    sd = np.sqrt(found.covariance[found.problem.names.index("delay"), found.problem.names.index("delay")]) * STEP
+    at = found.problem.names.index("delay")
+    sd = np.sqrt(found.covariance[at, at]) * STEP
     assert latency_of(found) == pytest.approx(late, abs=4.0 * sd)
     assert sd < 5e-5
     assert (found.log_evidence - fit.log_evidence > 10.0) == (late != 0.0)

@@ -71,7 +71,8 @@ def laboratory(
     """Trials of a rig whose parameters, gains and offsets scatter; the last repeat of each is held out.
 
     releases : gives the time of a trial's release, s, during which the held torque falls along half a cosine;
-    late, instants : mean and standard deviation of the instants at which that begins, s; angles : of the angles.
+    late, instants : mean and standard deviation of the instants at which that begins, s; angles : standard deviation
+    of the angles, relative.
     """
     rng = np.random.default_rng(seed)
     times = np.arange(n) * step
