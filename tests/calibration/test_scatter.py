@@ -41,6 +41,7 @@ from bayes_damper.calibration.scatter import (
 )
 from bayes_damper.diagnosis.remainder import unlike_in_words
 from bayes_damper.effects import EFFECTS
+from bayes_damper.effects.base import Variant
 from bayes_damper.fit.recorded import fit_with_effect
 from bayes_damper.priors.distributions import from_standard
 from bayes_damper.rig.inputs import Inputs
@@ -67,12 +68,13 @@ def laboratory(
     late: float = 0.0,
     step: float = 1e-3,
     angles: float = 0.01,
+    fall: Variant = COSINE,
 ) -> Experiment:
     """Trials of a rig whose parameters, gains and offsets scatter; the last repeat of each is held out.
 
-    releases : gives the time of a trial's release, s, during which the held torque falls along half a cosine;
-    late, instants : mean and standard deviation of the instants at which that begins, s; angles : standard deviation
-    of the angles, relative.
+    releases : gives the time of a trial's release, s, during which the held torque falls, as `fall` has it; late,
+    instants : mean and standard deviation of the instants at which that begins, s; angles : standard deviation of the
+    angles, relative.
     """
     rng = np.random.default_rng(seed)
     times = np.arange(n) * step
@@ -87,7 +89,7 @@ def laboratory(
                     rig["drag_ratio"] = math.exp(sizes["drag_ratio"] * rng.standard_normal())
                 slow = {"time": releases(rng)}
                 rig |= {"delay": late + instants * rng.standard_normal()} if instants or late else {}
-                y = Model(both, effect=COSINE).simulate(rig, times, effect=slow, quantity=quantity).y[0]
+                y = Model(both, effect=fall).simulate(rig, times, effect=slow, quantity=quantity).y[0]
                 y *= 1.0 + sizes.get("gain", 0.0) * rng.standard_normal((len(y), 1))
                 y += sizes.get("offset", 0.0) * rng.standard_normal((len(y), 1))
                 y += noise * rng.standard_normal(y.shape)

@@ -361,6 +361,8 @@ def test_what_may_be_usual_and_was_not_repeated_counts_for_none():
     alone, usual = (weigh({"a": 8.0}, QUIET, QUIET, usual=z).probabilities for z in (0.0, 6.5))
     assert alone["a"] > 0.7
     assert usual["none"] > 0.5 > usual["a"]
+    loud = replace(QUIET, nats=60.0, share=1.0)  # what is left without the usual things is no sign against them
+    assert weigh({"a": 300.0}, loud, QUIET, usual=301.0).probabilities["none"] > 0.5
 
 
 def test_a_clock_that_is_late_counts_for_none():
