@@ -25,6 +25,7 @@ from bayes_damper.diagnosis.formula import widened
 from bayes_damper.diagnosis.gap import closing, measure_gap
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.judgement import judge_by_repeats, judge_without_repeats, sites_of
+from bayes_damper.diagnosis.later import continued
 from bayes_damper.diagnosis.law import learn
 from bayes_damper.diagnosis.next_experiment import Proposal, propose
 from bayes_damper.diagnosis.notes import notes_on
@@ -39,7 +40,7 @@ from bayes_damper.diagnosis.outliers import (
 from bayes_damper.diagnosis.result import Diagnosis
 from bayes_damper.diagnosis.search import Candidate, from_usual_friction, offered, scales_of, search
 from bayes_damper.diagnosis.sensitivity import in_a_sentence
-from bayes_damper.diagnosis.sites import SiteMap
+from bayes_damper.diagnosis.sites import SiteMap, site_map
 from bayes_damper.diagnosis.verdict import RULE, Answers, Rule
 from bayes_damper.diagnosis.where import locate
 from bayes_damper.effects import EFFECTS, Effect, classes, scaled
@@ -116,8 +117,11 @@ def _diagnosed(
     if seen.wiring is not None:
         notes.insert(0, seen.wiring.sentence())
     notes += notes_on(experiment, fit, named, answers, seen.before_map)
+    before_map, after_map = seen.before_map, seen.after_map
     if answers.verdict == "unknown":
         notes += differing_in_words(fit, max(evidence.values(), default=0.0))
+        before_map, after_map, said = _located(before_map, after_map, report)
+        notes += said
     notes.append(in_a_sentence(judged.choices, answers.verdict))
     report("measuring the gap on held-out trials, and how far it shrinks")
     # Where all trials chose the answer, those held out among them, its prediction is one of many.
@@ -129,14 +133,12 @@ def _diagnosed(
         best = widened(best, [effect.site for effect in acting])
     report("looking for the experiment that would decide best")
     proposals = tuple(_proposals(fit, found, answers))
-    law = learn(fit, judged.budget, answers.verdict, seen.before_map, name, kind, np.random.default_rng(seed), report)
+    law = learn(fit, judged.budget, answers.verdict, before_map, name, kind, np.random.default_rng(seed), report)
     return Diagnosis(
         campaign=name, experiment=experiment, nominal_kind=nominal, nominal=fit, candidates=tuple(found),
         winner=winner, answers=answers, before=seen.before, after=seen.after, gap=gap, where=locate(fit),
-        site_map=seen.before_map, remainder_map=seen.after_map, proposals=proposals,
-        sites=_sites(
-            answers, effects, seen.before_map, seen.after_map, sites_of(experiment), seen.wiring is not None
-        ),
+        site_map=before_map, remainder_map=after_map, proposals=proposals,
+        sites=_sites(answers, effects, before_map, after_map, sites_of(experiment), seen.wiring is not None),
         evidence=evidence, indistinguishable=tuple(_indistinct(evidence, effects)), pair=pair, notes=tuple(notes),
         seconds=time.perf_counter() - began, seed=seed, pairs=tuple(pairs), drift=seen.drift, best=best,
         choices=tuple(judged.choices), closing=closes, weighed=judged.weighed, kind=kind, budget=judged.budget,
@@ -222,6 +224,17 @@ def _reseeded(fit: Calibration, found: list[Candidate]) -> tuple[Calibration, li
         Candidate(c.effect, c.variant, c.screens, c.fit, c.log_evidence - (gained if c.fit is not None else 0.0))
         for c in found
     ]
+
+
+def _located(before: SiteMap, after: SiteMap, report: Callable[[str], None]) -> tuple[SiteMap, SiteMap, list[str]]:
+    """Where an unknown cause is: both maps less what the later part of the records refutes, and sentences."""
+    later = continued(before, report)
+    if later is None:
+        return before, after, []
+    found = site_map(before.fit, against=later.against)
+    rest = found if after is before else site_map(after.fit, torque=False, against=later.against)
+    said = later.in_words() if found.best == "release" else None
+    return found, rest, [] if said is None else [said]
 
 
 def _sites(

@@ -33,6 +33,8 @@ WINDOWS = 40  # of time in which a sensor may misbehave
 PLACES = 12  # on the way of an angle from one end to the other
 CONTACTS = 8  # after the release, each longer than the one before, the last one a quarter of the rig's period long
 HUM = (50.0, 60.0, 100.0, 120.0)  # Hz
+TOUCHES = (0.25, 2.0)  # periods after the release, between which what held the rig may touch it again
+TOUCHES_A_PERIOD = 12
 RESONANCES = tuple(1.5 * 1.35**k for k in range(9))  # times the rig's own frequency
 DAMPING = 0.08  # ratio of those resonators: wide enough to meet their neighbours
 SHARP = 0.02  # damping ratio of the one at the residuals' own peak
@@ -200,6 +202,14 @@ def _contacts(m: Motion, s: Scale) -> Iterator[Array]:
         rising = np.clip((m.since - edges[k]) / (middle - edges[k]), 0.0, 1.0)
         falling = np.clip((edges[k + 2] - m.since) / (edges[k + 2] - middle), 0.0, 1.0)
         yield np.asarray(np.sin(0.5 * np.pi * np.minimum(rising, falling)) ** 2)
+
+
+def _touches(m: Motion, s: Scale) -> Iterator[Array]:
+    """Half waves, each as long as a sixth of the rig's period, in the first periods after the release."""
+    spacing = 2.0 * np.pi / s.omega / TOUCHES_A_PERIOD
+    first, last = (round(end * TOUCHES_A_PERIOD) for end in TOUCHES)
+    for k in range(first, last + 1):
+        yield 0.5 + 0.5 * np.cos(np.pi * np.clip(m.since / spacing - k, -1.0, 1.0))
 
 
 def _drags(m: Motion, w: Array, reach: float) -> list[Array]:
@@ -376,6 +386,9 @@ def _release(m: Motion, s: Scale) -> Iterator[Shape]:
         yield Shape("", "contact", touch * reach / s.torque)
         yield Shape("", "contact", touch)
         yield Shape("", "contact2", None, touch if coupled else 0.0 * touch)
+    early = m.since < TOUCHES[1] * 2.0 * np.pi / s.omega
+    for touch in _touches(m, s):
+        yield Shape("", "touch", np.where(early, touch * reach / s.torque, 0.0))
 
 
 def _sensor(m: Motion, s: Scale) -> Iterator[Shape]:

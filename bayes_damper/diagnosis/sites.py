@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby, islice
 from pathlib import Path
@@ -21,9 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln, logsumexp
 
-from bayes_damper.calibration import Calibration, TrialRecord
+from bayes_damper.calibration import Calibration
 from bayes_damper.diagnosis.response import (
     Motion,
+    Pieces,
     Projected,
     in_slices,
     in_turns,
@@ -187,29 +188,36 @@ class SiteMap:
         }
 
 
-def site_map(fit: Calibration, *, torque: bool = True, prior_none: float = PRIOR_NONE) -> SiteMap:
+def site_map(
+    fit: Calibration, *, torque: bool = True, prior_none: float = PRIOR_NONE,
+    against: Callable[[Hypothesis, Array], float] | None = None,
+) -> SiteMap:  # fmt: skip
     """Evidence and probability of every site that the rig has, from what a fit leaves; 1 to 3 s a campaign.
 
     torque : also estimate the missing torque, unless the fit is too far off (`SiteMap.left`); prior_none : prior
-    probability of no gap.
+    probability of no gap; against : nats, at most 0, that other data have against a hypothesis with the amounts of its
+    columns (`Later`).
     """
     whole, fit = fit, in_slices(fit)
     moved = motions(fit)
     scale = scale_of_motions(moved, peak_of(fit))
     fit, moved = in_turns(fit, moved)
-    coupled = any(m.group.coupled for m in moved)
-    vocabulary: list[tuple[str, str, bool]] = []  # known when the first columns have been made
-    columns = (
-        _columns(fit, m, _noted(shapes_of(m, scale, coupled), vocabulary if m is moved[0] else [])) for m in moved
-    )
-    judged, found, priors = _per_part(fit, columns, vocabulary)
-    strength = max(found[None][0].values())
-    by_part = {(site, name): v for name, (evidence, _) in found.items() for site, v in evidence.items()}
-    shares = shares_of(by_part, priors, prior_none)
+    pieces, vocabulary = pieces_of(fit, moved, scale)
+    judged, found, priors = _per_part(fit, pieces, vocabulary)
+    by_part = {key: float(logsumexp([h.log_evidence for h in own])) for key, own in found.items()}
+    strength = max(v for (_, name), v in by_part.items() if name is None)
+    leading = {key: max(own, key=lambda h: h.log_evidence) for key, own in found.items()}
+    refuted: dict[tuple[str, str | None], float] = {}
+    if against is not None:
+        for key, own in found.items():
+            tempered = np.array([h.log_evidence for h in own]) / _temperature(by_part)
+            losses = np.array([against(h, _coefficients(judged[key[1]], h)[0]) for h in own])
+            refuted[key] = float(logsumexp(tempered + losses) - logsumexp(tempered))
+            leading[key] = own[int(np.argmax(tempered + losses))]
+    shares = shares_of(by_part, priors, prior_none, refuted)
     leaders: dict[str, Hypothesis] = {}
-    for site in found[None][0]:
-        only = max((name for name in found if (site, name) in by_part), key=lambda n: shares[site, n])
-        leaders[site] = found[only][1][site]
+    for site in dict.fromkeys(site for site, _ in found):
+        leaders[site] = leading[max((key for key in found if key[0] == site), key=lambda key: shares[key])]
     probabilities: dict[str, float] = {s: math.fsum(p for (site, _), p in shares.items() if site == s) for s in SITES}
     probabilities["none"] = max(1.0 - math.fsum(probabilities.values()), 0.0)
     evidence = {
@@ -225,28 +233,49 @@ def site_map(fit: Calibration, *, torque: bool = True, prior_none: float = PRIOR
     return SiteMap(evidence, probabilities, leaders, missing, whole, scale, strength, place, left)
 
 
-_Sites = tuple[dict[str, float], dict[str, Hypothesis]]
+_Hypotheses = dict[tuple[str, str | None], list[Hypothesis]]  # of (site, part of the trials)
+Vocabulary = Sequence[tuple[str, str, bool]]  # site, group, and whether it is a torque, of each shape
+
+
+def pieces_of(fit: Calibration, moved: Sequence[Motion], scale: Scale) -> tuple[Pieces, Vocabulary]:
+    """Responses to all shapes along the motions of a fit, by (case, coupled), and what the shapes are.
+
+    Where there are more than `MOST_CASES` cases, they count as one.
+    """
+    coupled = any(m.group.coupled for m in moved)
+    vocabulary: list[tuple[str, str, bool]] = []  # known when the first columns have been made
+    columns = (
+        _columns(fit, m, _noted(shapes_of(m, scale, coupled), vocabulary if m is moved[0] else [])) for m in moved
+    )
+    every = fit.problem.experiment.trials
+    by_case = 1 < len({every[i].case for block in fit.linear.blocks for i in block.group.trials}) <= MOST_CASES
+    pieces = project_parts(
+        fit, columns, lambda i: (every[i].case if by_case else "", every[i].coupled), lambda: [v[0] for v in vocabulary]
+    )
+    return pieces, vocabulary
+
+
+def best_evidence(judged: Projected, vocabulary: Vocabulary) -> float:
+    """Evidence of the best site over no gap, nats."""
+    found = _by_site(hypotheses_of(judged, [(site, group) for site, group, _ in vocabulary]), None)
+    return max(float(logsumexp([h.log_evidence for h in own])) for own in found.values())
 
 
 def _per_part(
-    fit: Calibration, columns: Iterable[Array], vocabulary: Sequence[tuple[str, str, bool]]
-) -> tuple[dict[str | None, Projected], dict[str | None, _Sites], dict[str | None, float]]:
-    """Columns, evidence and leaders of each site, and prior: of causes that act in all trials (None), or in a part.
+    fit: Calibration, pieces: Pieces, vocabulary: Vocabulary
+) -> tuple[dict[str | None, Projected], _Hypotheses, dict[str | None, float]]:
+    """Columns, hypotheses of each site, and prior: of causes that act in all trials (None), or in a part.
 
     Parts are asked for where there is a gap: each case and each configuration of a campaign of several.
     """
     trials = [fit.problem.experiment.trials[i] for block in fit.linear.blocks for i in block.group.trials]
     cases = list(dict.fromkeys(t.case for t in trials))
     by_case = 1 < len(cases) <= MOST_CASES
-    every = fit.problem.experiment.trials
-    pieces = project_parts(
-        fit, columns, lambda i: (every[i].case if by_case else "", every[i].coupled), lambda: [v[0] for v in vocabulary]
-    )
     labels = [(site, group) for site, group, _ in vocabulary]
     judged: dict[str | None, Projected] = {None: pieces.on()}
-    found: dict[str | None, _Sites] = {None: _per_site(hypotheses_of(judged[None], labels))}
+    found = _by_site(hypotheses_of(judged[None], labels), None)
     parts: dict[str, tuple[float, int, str | bool]] = {}
-    if max(found[None][0].values()) > PARTS_FROM:
+    if max(logsumexp([h.log_evidence for h in own]) for own in found.values()) > PARTS_FROM:
         if by_case:
             parts |= {f"case {case}": (PRIOR_CASE / len(cases), 0, case) for case in cases}
         if len({t.coupled for t in trials}) == 2:
@@ -254,15 +283,14 @@ def _per_part(
     for name, (_, place, value) in parts.items():
         judged[name] = pieces.on([key for key in pieces.names if key[place] == value])
         elsewhere = judged[name].raw < 0.999 * judged[None].raw  # what acts there alone is in the first answer
-        own = hypotheses_of(judged[name], labels, elsewhere)
-        found[name] = _per_site([replace(h, only=name) for h in own])
+        found |= _by_site(hypotheses_of(judged[name], labels, elsewhere), name)
     priors: dict[str | None, float] = {name: prior for name, (prior, _, _) in parts.items()}
     return judged, found, priors | {None: 1.0 - sum(priors.values())}
 
 
-def _acts_in(only: str | None, trial: TrialRecord) -> bool:
-    """Whether a cause that acts in one part of the trials acts in this one."""
-    return only in (None, f"case {trial.case}", CONFIGURATIONS[trial.coupled])
+def acts_in(only: str | None, case: str, coupled: bool) -> bool:
+    """Whether a cause that acts in one part of the trials acts in those of a case and configuration."""
+    return only in (None, f"case {case}", CONFIGURATIONS[coupled])
 
 
 def _torque_site(probabilities: Mapping[str, float], silent: Collection[str] = ()) -> str | None:
@@ -425,34 +453,40 @@ def _sparse(gram: Array, product: Array, members: NDArray[np.int64], site: str) 
     return out
 
 
-def _per_site(hypotheses: Sequence[Hypothesis]) -> tuple[dict[str, float], dict[str, Hypothesis]]:
-    evidence: dict[str, float] = {}
-    leaders: dict[str, Hypothesis] = {}
-    for site in SITES:
-        own = [h for h in hypotheses if h.site == site]
-        if own:
-            evidence[site] = float(logsumexp([h.log_evidence for h in own]))
-            leaders[site] = max(own, key=lambda h: h.log_evidence)
-    return evidence, leaders
+def _by_site(hypotheses: Sequence[Hypothesis], only: str | None) -> _Hypotheses:
+    """Hypotheses of each site that has any, on a part of the trials."""
+    every = {site: [replace(h, only=only) for h in hypotheses if h.site == site] for site in SITES}
+    return {(site, only): own for site, own in every.items() if own}
+
+
+def _temperature(evidence: Mapping[tuple[str, str | None], float]) -> float:
+    """What differences of evidence between sites and parts of the trials are divided by."""
+    return 1.0 + TEMPERING * max(0.0, *evidence.values())
 
 
 def shares_of(
-    evidence: Mapping[tuple[str, str | None], float], priors: Mapping[str | None, float], prior_none: float = PRIOR_NONE
-) -> dict[tuple[str, str | None], float]:
+    evidence: Mapping[tuple[str, str | None], float], priors: Mapping[str | None, float],
+    prior_none: float = PRIOR_NONE, refuted: Mapping[tuple[str, str | None], float] | None = None,
+) -> dict[tuple[str, str | None], float]:  # fmt: skip
     """Probability of each site and part of the trials; what is missing to 1 is that of no gap.
 
     Surrogates are linear and their shapes approximate, so differences between sites and parts count less the larger the
     gap is; against "none" they count in full.
 
-    evidence : of (site, part), nats; priors : of the parts, sum 1
+    evidence : of (site, part), nats; priors : of the parts, sum 1; refuted : nats, at most 0, that other data have
+    against it
     """
     best = max(evidence.values(), default=0.0)
-    temperature = 1.0 + TEMPERING * max(best, 0.0)
-    logs = {key: max((v - best) / temperature, -700.0) + math.log(priors[key[1]]) for key, v in evidence.items()}
+    logs = {
+        key: max((v - best) / _temperature(evidence), -700.0) + math.log(priors[key[1]]) for key, v in evidence.items()
+    }
     norm = float(logsumexp(list(logs.values())))
+    if refuted is not None:  # which moves probability between sites, and says nothing of whether there is a gap
+        logs = {key: value + refuted.get(key, 0.0) for key, value in logs.items()}
     log_gap = math.log(1.0 - prior_none) + best + norm - math.log(len({site for site, _ in logs}))
     gap = math.exp(log_gap - float(np.logaddexp(log_gap, math.log(prior_none))))
-    return {key: gap * math.exp(value - norm) for key, value in logs.items()}
+    within = float(logsumexp(list(logs.values())))
+    return {key: gap * math.exp(value - within) for key, value in logs.items()}
 
 
 # Missing torque -------------------------------------------------------------------------------------------------------
@@ -489,7 +523,8 @@ def _torque(
         taken = np.einsum("jqbn,qk->jkbn", nominal_slopes(fit, block, m), theirs * judged.absorbed[:, which])
         for k, trial in enumerate(m.group.trials):
             torque, sd = np.zeros((2, m.grid.size)), np.zeros((2, m.grid.size))
-            acts = _acts_in(leader.only, fit.problem.experiment.trials[trial])
+            of = fit.problem.experiment.trials[trial]
+            acts = acts_in(leader.only, of.case, of.coupled)
             for inertia in (0, 1):
                 features = taken[k, :, inertia] + acts * np.array([
                     (zero if q is None else q)[k]

@@ -45,7 +45,7 @@ def test_shapes_are_finite_and_as_large_as_the_motion(made, coupled):
 
 def test_no_shape_is_nothing_everywhere(made):
     for alone, both in zip(made[False][1], made[True][1], strict=True):
-        if alone.group == "place":  # one of them for each place, where a motion need not come
+        if alone.group in ("place", "touch"):  # one of them for each place or instant, where a motion need not come
             continue
         given = [a for s in (alone, both) for a in (s.q1, s.q2, s.start, s.reading) if a is not None]
         assert any(np.any(a) for a in given), f"{alone.site}/{alone.group}: a column is 0 in every trial"
@@ -72,6 +72,17 @@ def test_a_shape_is_its_formula(made, place):
         wanted = law(motion).ravel()
         alike = [abs(a.ravel() @ wanted) / np.linalg.norm(a) / np.linalg.norm(wanted) for a in given]
         assert max(alike) > 1.0 - 1e-9, f"{'/'.join(place)}: no column is proportional to the formula"
+
+
+def test_touches_share_out_the_first_periods_after_the_first_quarter(made):
+    motion, shapes = made[True]
+    period = 2.0 * np.pi * np.median(motion.th1.std(axis=1) / motion.w1.std(axis=1))
+    touches = [s.q1 for s in shapes if (s.site, s.group) == ("release", "touch")]
+    assert len(touches) == 22  # a twelfth of a period apart, from a quarter of one to two
+    total = np.sum(touches, axis=0) / (motion.k1t * motion.theta0)[:, None]
+    inside, before = motion.since[0] > 0.3 * period, motion.since[0] < 0.15 * period
+    np.testing.assert_allclose(total[:, inside], np.full_like(total[:, inside], total[0, -1]), rtol=1e-9)
+    assert not total[:, before].any()
 
 
 def test_shapes_with_a_memory_follow_their_equations(made):

@@ -1,0 +1,100 @@
+"""Whether a gap is made at the beginning of the records alone: the nominal model on what follows.
+
+What a release does, and what held the rig does when it touches it again, is over after a few periods. From there on
+the motion is that of the nominal model, begun with any angle and velocity, while a law that is wrong stays wrong. The
+linearised responses of the site map cannot show that where the gap is large: the motion that they follow is then none
+that the rig made.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayes_damper.calibration import Calibration, Experiment, calibrate_nominal
+from bayes_damper.diagnosis.response import Pieces, in_slices, in_turns, motions
+from bayes_damper.diagnosis.shapes import TOUCHES
+from bayes_damper.diagnosis.sites import TEMPERING, Hypothesis, SiteMap, acts_in, best_evidence, pieces_of
+
+Array = NDArray[np.float64]
+
+LEAST = 1.0  # periods that a record must last after the beginning is cut off
+GONE = 3.0  # nats of a gap, up to which it counts as none
+
+
+@dataclass(frozen=True, eq=False)
+class Later:
+    """What the nominal model leaves of the records without their first periods, begun with any angle and velocity.
+
+    gap : evidence of the best site over no gap, nats; pieces : the shapes of the whole records' site map on what is
+    left of them, by (case, coupled).
+    """
+
+    gap: float
+    pieces: Pieces
+
+    def against(self, hypothesis: Hypothesis, amounts: Array) -> float:
+        """Nats, at most 0, that speak against a hypothesis with these amounts (k,) of its columns.
+
+        A gap here speaks against a cause at the release, and no gap against any other, as far as its amounts make one:
+        shapes and amounts are too inexact for more. Tempered as differences between sites are (`shares_of`).
+        """
+        if hypothesis.site == "release":
+            found = max(self.gap, 0.0)
+            return -found / (1.0 + TEMPERING * found)
+        if self.gap > GONE:
+            return 0.0
+        judged = self.pieces.on([key for key in self.pieces.names if acts_in(hypothesis.only, *key)])
+        which = hypothesis.columns
+        expected = 0.5 * float(amounts @ judged.gram[np.ix_(which, which)] @ amounts)
+        gain = float(judged.product[which] @ amounts) - expected
+        return min(gain, 0.0) / (1.0 + TEMPERING * expected)
+
+    def in_words(self) -> str | None:
+        """A sentence where the gap is gone."""
+        if self.gap > GONE:
+            return None
+        return (
+            f"From {TOUCHES[1]:g} periods after the release on, the nominal model leaves no gap: what it lacks happens "
+            "at the release or soon after it."
+        )
+
+
+def continued(found: SiteMap, report: Callable[[str], None]) -> Later | None:
+    """The nominal fit to what follows the first periods, beside the site map of whole records.
+
+    None where little follows, or nothing is released.
+    """
+    fit = found.fit
+    experiment = _without_beginning(fit, found.scale.omega)
+    if experiment is None:
+        return None
+    report("fitting the nominal model to what follows the first periods")
+    later = calibrate_nominal(experiment, nominal=fit.problem.nominal)
+    sliced = in_slices(later)
+    moved = motions(sliced)
+    sliced, moved = in_turns(sliced, moved)
+    moved = [replace(m, since=m.since + max(float(m.grid[0]), 0.0)) for m in moved]
+    pieces, vocabulary = pieces_of(sliced, moved, found.scale)
+    return Later(best_evidence(pieces.on(), vocabulary), pieces)
+
+
+def _without_beginning(fit: Calibration, omega: float) -> Experiment | None:
+    """The experiment without the first periods of each record, begun there with any angle and velocity."""
+    experiment = fit.problem.experiment
+    trials = [experiment.trials[i] for i in fit.problem.trials]
+    if experiment.start != "rest" or any(not t.theta0 or t.inputs is not None for t in trials):
+        return None
+    period = 2.0 * math.pi / omega
+    begin = TOUCHES[1] * period
+    if any(t.times[-1] < begin + LEAST * period for t in trials):
+        return None
+    cut = tuple(
+        replace(t.at(t.times >= begin), theta0=0.0, theta0_sd=0.0, doubt=0.0) if t.theta0 else t
+        for t in experiment.trials
+    )  # fmt: skip
+    return replace(experiment, start="free", trials=cut)
