@@ -348,11 +348,9 @@ def fit_variant(
             eta = carried(long, problem)
             other = calibrate(problem, [long.q], eta=eta, anneal=False, finish=True, most=MOST_STEPS, target=target)
             found = min(found, other, key=lambda f: f.cost)
-    if variant.lets_go and (late := _begun_on_time(fit)) is not None:
-        eta, time = late
-        slow = [
-            time if p.name == variant.lets_go else x for p, x in zip(variant.parameters, variant.starts[0], strict=True)
-        ]
+    if variant.late and (late := _begun_on_time(fit)) is not None:
+        eta, middle = late
+        slow = (middle / variant.late, *variant.starts[0][1:])
         z = [coordinate_of(p.prior, x) for p, x in zip(variant.parameters, slow, strict=True)]
         start = np.concatenate([fit.q, z])
         other = calibrate(problem, [start], eta=eta, anneal=False, finish=True, most=MOST_STEPS, target=target)
@@ -362,17 +360,17 @@ def fit_variant(
 
 
 def _begun_on_time(fit: Calibration) -> tuple[dict[int, Array], float] | None:
-    """Nuisances with every release at t = 0, and how long a release from there takes whose middle is the fit's instant.
+    """Nuisances with every release at t = 0, and the fit's instant, s, at which a slow effect has to show the motion.
 
-    A sudden release in the middle of a slow one does the same but for the first readings, and no short step leads from
-    the one to the other. None where no release is late by more than any clock.
+    A sudden release in the middle of a slow one, or behind a slow sensor, does the same but for the first readings, and
+    no short step leads from the one to the other. None where no release is late by more than any clock.
     """
     problem = fit.problem
     late = own_values(fit, "delay")
     middle = float(np.median(late)) if late else 0.0
     if middle <= 0.0 or not late_by_the_clock(problem.experiment, problem.trials):
         return None
-    return placed(problem, fit.eta, "delay", 0.0), 2.0 * middle
+    return placed(problem, fit.eta, "delay", 0.0), middle
 
 
 def from_usual_friction(found: Sequence[Candidate]) -> list[Candidate]:

@@ -107,6 +107,8 @@ class Variant:
     amend: Callable[[Mapping[str, Any], Mapping[str, Any]], Mapping[str, Any]] | None = None
     lets_go: str = ""
     """Name of the parameter that is the time a release takes, if there is one: a trial's own time is added to it."""
+    late: float = 0.0
+    """By how much what the records show begins late, over the first parameter, if clocks that are late may hide it."""
     replaces_friction: bool = False
     """The variant brings its own friction between the faces in place of the nominal mu N R tanh."""
     starts: tuple[tuple[float, ...], ...] = ()

@@ -62,6 +62,7 @@ EFFECT = Effect(
             couples="bodies",
             timed=True,
             lets_go="time",
+            late=0.5,
             starts=STARTS,
         ),
         Variant(
@@ -72,6 +73,7 @@ EFFECT = Effect(
             couples="bodies",
             timed=True,
             lets_go="time",
+            late=0.5,
             starts=STARTS,
         ),
         Variant(
@@ -82,6 +84,7 @@ EFFECT = Effect(
             couples="bodies",
             timed=True,
             lets_go="time",
+            late=0.5,
             starts=STARTS,
         ),
         Variant(
@@ -101,6 +104,7 @@ EFFECT = Effect(
             couples="bodies",
             timed=True,
             lets_go="time",
+            late=0.5,
             starts=tuple((time, n) for n in (0.7, 1.5) for (time,) in STARTS),
         ),
     ),

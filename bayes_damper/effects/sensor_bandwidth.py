@@ -80,6 +80,7 @@ EFFECT = Effect(
             formula="tau dm/dt = y - m in both channels, from the reading at rest",
             parameters=(TIME,),
             sense=both,
+            late=1.0,
             starts=STARTS,
         ),
         Variant(
@@ -101,6 +102,7 @@ EFFECT = Effect(
             ),
             sense=both,
             lag=lag,
+            late=1.0,
             starts=((0.00005, 0.00005), (0.0005, 0.0003), (0.001, 0.001), (0.003, 0.001)),
         ),
         Variant(
@@ -115,6 +117,7 @@ EFFECT = Effect(
             ),
             sense=two_poles,
             sensor_states=2,
+            late=1.6,
             starts=tuple((time, zeta) for zeta in (0.6, 1.0) for (time,) in STARTS),
         ),
         Variant(

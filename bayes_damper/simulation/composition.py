@@ -66,7 +66,7 @@ def _silent(v: Variant) -> Variant:
     """The variant's parameters without what they do."""
     return replace(
         v, torque=None, rate=None, start=None, memory=0, memory_scale=(), sense=None, sensor_states=1, lag=None,
-        amend=None, timed=False, lets_go="", replaces_friction=False,
+        amend=None, timed=False, lets_go="", late=0.0, replaces_friction=False,
     )  # fmt: skip
 
 

@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lsim, lti
 from test_scatter import laboratory
 
 from bayes_damper.calibration import Experiment, TrialRecord, calibrate_nominal
 from bayes_damper.calibration.latency import latency_in_words, latency_of, with_latency, with_own_instants
 from bayes_damper.campaign.records import release_of
 from bayes_damper.diagnosis import diagnose
+from bayes_damper.diagnosis.search import Screen, fit_variant, screen_variant
 from bayes_damper.effects import EFFECTS
 
 J1, OMEGA, ZETA, ANGLE, STEP = 3e-3, 40.0, 0.01, 0.1, 1e-3
@@ -95,3 +97,24 @@ def test_a_slow_release_is_named_where_it_differs_from_trial_to_trial(fall):
     )  # fmt: skip
     found = diagnose(as_read(slow), effects=LATE)
     assert found.verdict == "release_ramp"
+
+
+def test_a_slow_sensor_is_found_behind_clocks_that_seem_late():
+    """Instants that are late and a time constant of 0.3 ms are a valley of their own, 160 nats behind the filter."""
+    tau, zeta = 4e-3, 0.8
+    made = swings(0.0, noise=0.0)
+    system = lti([1.0], [tau**2, 2.0 * zeta * tau, 1.0])
+    rng = np.random.default_rng(5)
+    trials = tuple(
+        replace(t, y=lsim(system, t.y[0], t.times)[1][None] + 0.02 * rng.standard_normal(t.y.shape))
+        for t in made.trials
+    )
+    fit = calibrate_nominal(as_read(replace(made, trials=trials)), nominal="linear")
+    assert fit.problem.switches.delay
+    slow = EFFECTS["sensor_bandwidth"]
+    formula = slow.variant("two_poles")
+    found = fit_variant(fit, slow, formula, screen_variant(Screen(fit), formula), 3)
+    value, sd = found.fit.parameters["effect.time"]
+    assert value == pytest.approx(tau, abs=4.0 * sd)
+    assert sd < 0.1 * tau
+    assert found.fit.parameters["effect.damping"][0] == pytest.approx(zeta, abs=0.05)
