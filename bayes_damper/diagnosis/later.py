@@ -23,6 +23,7 @@ from bayes_damper.diagnosis.sites import TEMPERING, Hypothesis, SiteMap, acts_in
 Array = NDArray[np.float64]
 
 LEAST = 1.0  # periods that a record must last after the beginning is cut off
+READINGS = 20  # of each channel that must be left
 GONE = 3.0  # nats of a gap, up to which it counts as none
 
 
@@ -86,15 +87,15 @@ def continued(found: SiteMap, report: Callable[[str], None]) -> Later | None:
 def _without_beginning(fit: Calibration, omega: float) -> Experiment | None:
     """The experiment without the first periods of each record, begun there with any angle and velocity."""
     experiment = fit.problem.experiment
-    trials = [experiment.trials[i] for i in fit.problem.trials]
-    if experiment.start != "rest" or any(not t.theta0 or t.inputs is not None for t in trials):
+    if experiment.start != "rest" or any(not t.theta0 or t.inputs is not None for t in experiment.trials):
         return None
     period = 2.0 * math.pi / omega
     begin = TOUCHES[1] * period
-    if any(t.times[-1] < begin + LEAST * period for t in trials):
-        return None
     cut = tuple(
-        replace(t.at(t.times >= begin), theta0=0.0, theta0_sd=0.0, doubt=0.0) if t.theta0 else t
-        for t in experiment.trials
+        replace(t.at(t.times >= begin), theta0=0.0, theta0_sd=0.0, doubt=0.0) for t in experiment.trials
     )  # fmt: skip
+    if any(
+        np.any(np.sum(np.isfinite(t.y), axis=1) < READINGS) or t.times[-1] < begin + LEAST * period for t in cut
+    ):  # fmt: skip
+        return None
     return replace(experiment, start="free", trials=cut)

@@ -1,13 +1,14 @@
 """What the records show without their first periods: causes at the release, and laws that stay wrong."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from small_rig import knock, measured, variant
 
 from bayes_damper.calibration import calibrate_nominal
-from bayes_damper.diagnosis.later import GONE, continued
+from bayes_damper.diagnosis.later import GONE, _without_beginning, continued
 from bayes_damper.diagnosis.sites import Hypothesis, shares_of, site_map
 
 
@@ -72,6 +73,31 @@ def test_a_hypothesis_loses_what_it_expects_and_does_not_find(kicked):
 def test_records_that_end_soon_or_are_driven_have_no_later_part():
     short = site_map(calibrate_nominal(measured(5, duration=0.3)), torque=False)
     assert continued(short, lambda _: None) is None
+
+
+def _first_trial(experiment, change):
+    return replace(experiment, trials=(change(experiment.trials[0]), *experiment.trials[1:]))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda t: t.at(t.times < 0.2),
+        lambda t: replace(t, y=np.where(t.times > 0.29, np.nan, t.y)),
+        lambda t: replace(t, theta0=0.0),
+    ],
+    ids=["ends early", "falls silent", "not released"],
+)
+def test_one_record_without_a_later_part_is_enough(change):
+    made = measured(5, duration=0.7)
+    period = 0.138
+    later, none = (
+        _without_beginning(SimpleNamespace(problem=SimpleNamespace(experiment=e)), 2.0 * np.pi / period)
+        for e in (made, _first_trial(made, change))
+    )
+    assert none is None
+    assert later.start == "free"
+    assert all(t.times[0] == pytest.approx(2.0 * period, abs=1e-3) for t in later.trials)
 
 
 def test_refuted_sites_lose_to_others_and_not_to_none():
