@@ -9,7 +9,7 @@ that the rig made.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,7 +24,8 @@ Array = NDArray[np.float64]
 
 LEAST = 1.0  # periods that a record must last after the beginning is cut off
 READINGS = 20  # of each channel that must be left
-GONE = 3.0  # nats of a gap, up to which it counts as none
+GONE, SEEN = 3.0, 10.0  # nats of a gap, up to which it counts as none, and from which as one
+FORETOLD = 0.5  # share of the gap that a hypothesis must gain to have foretold it
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,22 +39,28 @@ class Later:
     gap: float
     pieces: Pieces
 
-    def against(self, hypothesis: Hypothesis, amounts: Array) -> float:
-        """Nats, at most 0, that speak against a hypothesis with these amounts (k,) of its columns.
+    def against(self, hypotheses: Sequence[tuple[Hypothesis, Array]]) -> Array:
+        """Nats, at most 0, that speak against each hypothesis with these amounts (k,) of its columns.
 
-        A gap here speaks against a cause at the release, and no gap against any other, as far as its amounts make one:
-        shapes and amounts are too inexact for more. Tempered as differences between sites are (`shares_of`).
+        No gap here speaks against a cause elsewhere than at the release, as far as its amounts would make one. A gap
+        that any of them foretells speaks against all at the release, and for no other: shapes and amounts are too
+        inexact for more. Tempered as differences between sites are (`shares_of`).
         """
+        gains, expected = np.array([self._gain(h, amounts) for h, amounts in hypotheses]).T
+        if self.gap <= GONE:
+            return np.asarray(np.minimum(gains, 0.0) / (1.0 + TEMPERING * expected))
+        foretold = self.gap > SEEN and float(gains.max()) > FORETOLD * self.gap
+        released = np.array([h.site == "release" for h, _ in hypotheses])
+        return np.where(released & foretold, -self.gap / (1.0 + TEMPERING * self.gap), 0.0)
+
+    def _gain(self, hypothesis: Hypothesis, amounts: Array) -> tuple[float, float]:
+        """Nats that a hypothesis gains here, and that it would if it were right; at the release, 0 of both."""
         if hypothesis.site == "release":
-            found = max(self.gap, 0.0)
-            return -found / (1.0 + TEMPERING * found)
-        if self.gap > GONE:
-            return 0.0
+            return 0.0, 0.0
         judged = self.pieces.on([key for key in self.pieces.names if acts_in(hypothesis.only, *key)])
         which = hypothesis.columns
         expected = 0.5 * float(amounts @ judged.gram[np.ix_(which, which)] @ amounts)
-        gain = float(judged.product[which] @ amounts) - expected
-        return min(gain, 0.0) / (1.0 + TEMPERING * expected)
+        return float(judged.product[which] @ amounts) - expected, expected
 
     def in_words(self) -> str | None:
         """A sentence where the gap is gone."""

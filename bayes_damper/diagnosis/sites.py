@@ -190,13 +190,13 @@ class SiteMap:
 
 def site_map(
     fit: Calibration, *, torque: bool = True, prior_none: float = PRIOR_NONE,
-    against: Callable[[Hypothesis, Array], float] | None = None,
+    against: Callable[[Sequence[tuple[Hypothesis, Array]]], Array] | None = None,
 ) -> SiteMap:  # fmt: skip
     """Evidence and probability of every site that the rig has, from what a fit leaves; 1 to 3 s a campaign.
 
     torque : also estimate the missing torque, unless the fit is too far off (`SiteMap.left`); prior_none : prior
-    probability of no gap; against : nats, at most 0, that other data have against a hypothesis with the amounts of its
-    columns (`Later`).
+    probability of no gap; against : nats, at most 0, that other data have against hypotheses with the amounts of
+    their columns (`Later`).
     """
     whole, fit = fit, in_slices(fit)
     moved = motions(fit)
@@ -209,9 +209,11 @@ def site_map(
     leading = {key: max(own, key=lambda h: h.log_evidence) for key, own in found.items()}
     refuted: dict[tuple[str, str | None], float] = {}
     if against is not None:
+        every = [(h, _coefficients(judged[only], h)[0]) for (_, only), own in found.items() for h in own]
+        lost = iter(against(every))
         for key, own in found.items():
             tempered = np.array([h.log_evidence for h in own]) / _temperature(by_part)
-            losses = np.array([against(h, _coefficients(judged[key[1]], h)[0]) for h in own])
+            losses = np.array(list(islice(lost, len(own))))
             refuted[key] = float(logsumexp(tempered + losses) - logsumexp(tempered))
             leading[key] = own[int(np.argmax(tempered + losses))]
     shares = shares_of(by_part, priors, prior_none, refuted)

@@ -8,7 +8,7 @@ import pytest
 from small_rig import knock, measured, variant
 
 from bayes_damper.calibration import calibrate_nominal
-from bayes_damper.diagnosis.later import GONE, _without_beginning, continued
+from bayes_damper.diagnosis.later import GONE, SEEN, Later, _without_beginning, continued
 from bayes_damper.diagnosis.sites import Hypothesis, shares_of, site_map
 
 
@@ -43,12 +43,12 @@ def test_whether_there_is_a_gap_is_left_to_the_whole_records(kicked):
 
 @pytest.mark.parametrize(
     "cause",
-    [{"effect": variant("spring_cubic"), "values": {"k3": 40.0}}, {"torque": knock(0.45, 0.012, 0.06)}],
+    [{"effect": variant("spring_cubic"), "values": {"k3": 100.0}}, {"torque": knock(0.45, 0.012, 0.06)}],
     ids=["a law", "a late knock"],
 )
 def test_what_stays_wrong_is_not_laid_to_the_release(cause):
     _, later, both = maps_of(**cause)
-    assert later.gap > GONE
+    assert later.gap > SEEN
     assert later.in_words() is None
     assert both.best == "ground1"
     assert both.probabilities["release"] < 0.01
@@ -59,15 +59,23 @@ def test_a_hypothesis_loses_what_it_expects_and_does_not_find(kicked):
     _, later, _ = kicked
     judged = later.pieces.on()
     column = next(k for k in range(len(judged.raw)) if judged.gram[k, k] > 0.1 * judged.raw[k] > 0.0)
-    own = Hypothesis("ground1", "law", np.array([column]), 1.0, 0.0)
     amount = 10.0 / np.sqrt(judged.gram[column, column])
     expected, along = 50.0, amount * judged.product[column]
-    found = replace(later, gap=0.0)
-    assert found.against(own, np.array([amount])) == pytest.approx(min(along - expected, 0.0) / (1.0 + 0.1 * expected))
-    assert found.against(own, np.array([0.0])) == 0.0
-    assert found.against(replace(own, site="release"), np.array([amount])) == 0.0
-    assert replace(later, gap=40.0).against(own, np.array([amount])) == 0.0
-    assert replace(later, gap=40.0).against(replace(own, site="release"), np.zeros(1)) == pytest.approx(-8.0)
+    own = Hypothesis("ground1", "law", np.array([column]), 1.0, 0.0)
+    every = [(own, np.array([amount])), (own, np.zeros(1)), (replace(own, site="release"), np.array([amount]))]
+    loss = min(along - expected, 0.0) / (1.0 + 0.1 * expected)
+    assert replace(later, gap=0.0).against(every) == pytest.approx([loss, 0.0, 0.0])
+    assert replace(later, gap=40.0).against(every) == pytest.approx([0.0, 0.0, 0.0])  # which none of them foretells
+
+
+@pytest.mark.parametrize(("gap", "gain", "lost"), [(40.0, 21.0, -8.0), (40.0, 19.0, 0.0), (8.0, 8.0, 0.0)])
+def test_a_gap_that_some_site_foretells_speaks_against_the_release(kicked, monkeypatch, gap, gain, lost):
+    """Half of it, and not of one so small that some of many sites foretells it by chance."""
+    _, later, _ = kicked
+    own = Hypothesis("ground1", "law", np.array([0]), 1.0, 0.0)
+    monkeypatch.setattr(Later, "_gain", lambda _, h, __: (0.0, 0.0) if h.site == "release" else (gain, gain))
+    found = replace(later, gap=gap).against([(own, np.zeros(1)), (replace(own, site="release"), np.zeros(1))])
+    assert found == pytest.approx([0.0, lost])
 
 
 def test_records_that_end_soon_or_are_driven_have_no_later_part():
