@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 LEAST = 1.0  # periods that a record must last after the beginning is cut off
 READINGS = 20  # of each channel that must be left
 GONE, SEEN = 3.0, 10.0  # nats of a gap, up to which it counts as none, and from which as one
-FORETOLD = 0.5  # share of the gap that a hypothesis must gain to have foretold it
+PREDICTED = 0.5  # share of the gap that a hypothesis must gain to have predicted it
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,24 +43,29 @@ class Later:
         """Nats, at most 0, that speak against each hypothesis with these amounts (k,) of its columns.
 
         No gap here speaks against a cause elsewhere than at the release, as far as its amounts would make one. A gap
-        that any of them foretells speaks against all at the release, and for no other: shapes and amounts are too
+        that any of them predicts speaks against all at the release, and for no other: shapes and amounts are too
         inexact for more. Tempered as differences between sites are (`shares_of`).
         """
-        gains, expected = np.array([self._gain(h, amounts) for h, amounts in hypotheses]).T
+        gains, expected = self._gains(hypotheses)
         if self.gap <= GONE:
             return np.asarray(np.minimum(gains, 0.0) / (1.0 + TEMPERING * expected))
-        foretold = self.gap > SEEN and float(gains.max()) > FORETOLD * self.gap
+        predicted = self.gap > SEEN and float(gains.max()) > PREDICTED * self.gap
         released = np.array([h.site == "release" for h, _ in hypotheses])
-        return np.where(released & foretold, -self.gap / (1.0 + TEMPERING * self.gap), 0.0)
+        return np.where(released & predicted, -self.gap / (1.0 + TEMPERING * self.gap), 0.0)
 
-    def _gain(self, hypothesis: Hypothesis, amounts: Array) -> tuple[float, float]:
-        """Nats that a hypothesis gains here, and that it would if it were right; at the release, 0 of both."""
-        if hypothesis.site == "release":
-            return 0.0, 0.0
-        judged = self.pieces.on([key for key in self.pieces.names if acts_in(hypothesis.only, *key)])
-        which = hypothesis.columns
-        expected = 0.5 * float(amounts @ judged.gram[np.ix_(which, which)] @ amounts)
-        return float(judged.product[which] @ amounts) - expected, expected
+    def _gains(self, hypotheses: Sequence[tuple[Hypothesis, Array]]) -> tuple[Array, Array]:
+        """Nats that each hypothesis gains here, and that it would if it were right; at the release, 0 of both."""
+        along, expected = np.zeros(len(hypotheses)), np.zeros(len(hypotheses))
+        judged = {
+            only: self.pieces.on([key for key in self.pieces.names if acts_in(only, *key)])
+            for only in dict.fromkeys(h.only for h, _ in hypotheses)
+        }
+        for k, (h, amounts) in enumerate(hypotheses):
+            if h.site != "release":
+                on, which = judged[h.only], h.columns
+                along[k] = on.product[which] @ amounts
+                expected[k] = 0.5 * amounts @ on.gram[np.ix_(which, which)] @ amounts
+        return along - expected, expected
 
     def in_words(self) -> str | None:
         """A sentence where the gap is gone."""
@@ -98,11 +103,8 @@ def _without_beginning(fit: Calibration, omega: float) -> Experiment | None:
         return None
     period = 2.0 * math.pi / omega
     begin = TOUCHES[1] * period
-    cut = tuple(
-        replace(t.at(t.times >= begin), theta0=0.0, theta0_sd=0.0, doubt=0.0) for t in experiment.trials
-    )  # fmt: skip
-    if any(
-        np.any(np.sum(np.isfinite(t.y), axis=1) < READINGS) or t.times[-1] < begin + LEAST * period for t in cut
-    ):  # fmt: skip
-        return None
+    cut = tuple(replace(t.at(t.times >= begin), theta0=0.0, theta0_sd=0.0, doubt=0.0) for t in experiment.trials)
+    for t in cut:
+        if np.any(np.sum(np.isfinite(t.y), axis=1) < READINGS) or t.times[-1] < begin + LEAST * period:
+            return None
     return replace(experiment, start="free", trials=cut)

@@ -203,16 +203,17 @@ def site_map(
     scale = scale_of_motions(moved, peak_of(fit))
     fit, moved = in_turns(fit, moved)
     pieces, vocabulary = pieces_of(fit, moved, scale)
-    judged, found, priors = _per_part(fit, pieces, vocabulary)
-    by_part = {key: float(logsumexp([h.log_evidence for h in own])) for key, own in found.items()}
+    judged, found, priors = _per_part(pieces, vocabulary)
+    by_part = _evidence_of(found)
     strength = max(v for (_, name), v in by_part.items() if name is None)
     leading = {key: max(own, key=lambda h: h.log_evidence) for key, own in found.items()}
     refuted: dict[tuple[str, str | None], float] = {}
     if against is not None:
         every = [(h, _coefficients(judged[only], h)[0]) for (_, only), own in found.items() for h in own]
         lost = iter(against(every))
+        temperature = _temperature(by_part)
         for key, own in found.items():
-            tempered = np.array([h.log_evidence for h in own]) / _temperature(by_part)
+            tempered = np.array([h.log_evidence for h in own]) / temperature
             losses = np.array(list(islice(lost, len(own))))
             refuted[key] = float(logsumexp(tempered + losses) - logsumexp(tempered))
             leading[key] = own[int(np.argmax(tempered + losses))]
@@ -242,7 +243,7 @@ Vocabulary = Sequence[tuple[str, str, bool]]  # site, group, and whether it is a
 def pieces_of(fit: Calibration, moved: Sequence[Motion], scale: Scale) -> tuple[Pieces, Vocabulary]:
     """Responses to all shapes along the motions of a fit, by (case, coupled), and what the shapes are.
 
-    Where there are more than `MOST_CASES` cases, they count as one.
+    One case alone, and more than `MOST_CASES` of them, have the name "".
     """
     coupled = any(m.group.coupled for m in moved)
     vocabulary: list[tuple[str, str, bool]] = []  # known when the first columns have been made
@@ -260,27 +261,24 @@ def pieces_of(fit: Calibration, moved: Sequence[Motion], scale: Scale) -> tuple[
 def best_evidence(judged: Projected, vocabulary: Vocabulary) -> float:
     """Evidence of the best site over no gap, nats."""
     found = _by_site(hypotheses_of(judged, [(site, group) for site, group, _ in vocabulary]), None)
-    return max(float(logsumexp([h.log_evidence for h in own])) for own in found.values())
+    return max(_evidence_of(found).values())
 
 
 def _per_part(
-    fit: Calibration, pieces: Pieces, vocabulary: Vocabulary
+    pieces: Pieces, vocabulary: Vocabulary
 ) -> tuple[dict[str | None, Projected], _Hypotheses, dict[str | None, float]]:
     """Columns, hypotheses of each site, and prior: of causes that act in all trials (None), or in a part.
 
     Parts are asked for where there is a gap: each case and each configuration of a campaign of several.
     """
-    trials = [fit.problem.experiment.trials[i] for block in fit.linear.blocks for i in block.group.trials]
-    cases = list(dict.fromkeys(t.case for t in trials))
-    by_case = 1 < len(cases) <= MOST_CASES
+    cases = [case for case in dict.fromkeys(case for case, _ in pieces.names) if case]
     labels = [(site, group) for site, group, _ in vocabulary]
     judged: dict[str | None, Projected] = {None: pieces.on()}
     found = _by_site(hypotheses_of(judged[None], labels), None)
     parts: dict[str, tuple[float, int, str | bool]] = {}
-    if max(logsumexp([h.log_evidence for h in own]) for own in found.values()) > PARTS_FROM:
-        if by_case:
-            parts |= {f"case {case}": (PRIOR_CASE / len(cases), 0, case) for case in cases}
-        if len({t.coupled for t in trials}) == 2:
+    if max(_evidence_of(found).values()) > PARTS_FROM:
+        parts |= {f"case {case}": (PRIOR_CASE / len(cases), 0, case) for case in cases}
+        if len({coupled for _, coupled in pieces.names}) == 2:
             parts |= {name: (PRIOR_CONFIGURATION / 2.0, 1, coupled) for coupled, name in CONFIGURATIONS.items()}
     for name, (_, place, value) in parts.items():
         judged[name] = pieces.on([key for key in pieces.names if key[place] == value])
@@ -461,6 +459,11 @@ def _by_site(hypotheses: Sequence[Hypothesis], only: str | None) -> _Hypotheses:
     return {(site, only): own for site, own in every.items() if own}
 
 
+def _evidence_of(found: _Hypotheses) -> dict[tuple[str, str | None], float]:
+    """Evidence of each site on a part of the trials over no gap, nats."""
+    return {key: float(logsumexp([h.log_evidence for h in own])) for key, own in found.items()}
+
+
 def _temperature(evidence: Mapping[tuple[str, str | None], float]) -> float:
     """What differences of evidence between sites and parts of the trials are divided by."""
     return 1.0 + TEMPERING * max(0.0, *evidence.values())
@@ -479,9 +482,8 @@ def shares_of(
     against it
     """
     best = max(evidence.values(), default=0.0)
-    logs = {
-        key: max((v - best) / _temperature(evidence), -700.0) + math.log(priors[key[1]]) for key, v in evidence.items()
-    }
+    temperature = _temperature(evidence)
+    logs = {key: max((v - best) / temperature, -700.0) + math.log(priors[key[1]]) for key, v in evidence.items()}
     norm = float(logsumexp(list(logs.values())))
     if refuted is not None:  # which moves probability between sites, and says nothing of whether there is a gap
         logs = {key: value + refuted.get(key, 0.0) for key, value in logs.items()}

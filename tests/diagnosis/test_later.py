@@ -24,7 +24,7 @@ def kicked():
     return maps_of(torque=knock(0.001, 0.004, 2.0))
 
 
-def test_a_kick_at_the_release_is_laid_to_it_however_large(kicked):
+def test_a_kick_at_the_release_is_found_there_however_large(kicked):
     """Along a motion that the rig did not make, the linear responses of a sensor fit as well as those of the kick."""
     alone, later, both = kicked
     assert alone.best == "sensor"
@@ -46,7 +46,7 @@ def test_whether_there_is_a_gap_is_left_to_the_whole_records(kicked):
     [{"effect": variant("spring_cubic"), "values": {"k3": 100.0}}, {"torque": knock(0.45, 0.012, 0.06)}],
     ids=["a law", "a late knock"],
 )
-def test_what_stays_wrong_is_not_laid_to_the_release(cause):
+def test_what_stays_wrong_is_not_found_at_the_release(cause):
     _, later, both = maps_of(**cause)
     assert later.gap > SEEN
     assert later.in_words() is None
@@ -65,20 +65,20 @@ def test_a_hypothesis_loses_what_it_expects_and_does_not_find(kicked):
     every = [(own, np.array([amount])), (own, np.zeros(1)), (replace(own, site="release"), np.array([amount]))]
     loss = min(along - expected, 0.0) / (1.0 + 0.1 * expected)
     assert replace(later, gap=0.0).against(every) == pytest.approx([loss, 0.0, 0.0])
-    assert replace(later, gap=40.0).against(every) == pytest.approx([0.0, 0.0, 0.0])  # which none of them foretells
+    assert replace(later, gap=40.0).against(every) == pytest.approx([0.0, 0.0, 0.0])  # which none of them predicts
 
 
 @pytest.mark.parametrize(("gap", "gain", "lost"), [(40.0, 21.0, -8.0), (40.0, 19.0, 0.0), (8.0, 8.0, 0.0)])
-def test_a_gap_that_some_site_foretells_speaks_against_the_release(kicked, monkeypatch, gap, gain, lost):
-    """Half of it, and not of one so small that some of many sites foretells it by chance."""
+def test_a_gap_that_some_site_predicts_speaks_against_the_release(kicked, monkeypatch, gap, gain, lost):
+    """Half of it, and not of one so small that some of many sites predicts it by chance."""
     _, later, _ = kicked
     own = Hypothesis("ground1", "law", np.array([0]), 1.0, 0.0)
-    monkeypatch.setattr(Later, "_gain", lambda _, h, __: (0.0, 0.0) if h.site == "release" else (gain, gain))
+    monkeypatch.setattr(Later, "_gains", lambda *_: (np.array([gain, 0.0]), np.array([gain, 0.0])))
     found = replace(later, gap=gap).against([(own, np.zeros(1)), (replace(own, site="release"), np.zeros(1))])
     assert found == pytest.approx([0.0, lost])
 
 
-def test_records_that_end_soon_or_are_driven_have_no_later_part():
+def test_records_that_end_soon_have_no_later_part():
     short = site_map(calibrate_nominal(measured(5, duration=0.3)), torque=False)
     assert continued(short, lambda _: None) is None
 
@@ -93,8 +93,9 @@ def _first_trial(experiment, change):
         lambda t: t.at(t.times < 0.2),
         lambda t: replace(t, y=np.where(t.times > 0.29, np.nan, t.y)),
         lambda t: replace(t, theta0=0.0),
+        lambda t: replace(t, inputs=SimpleNamespace()),
     ],
-    ids=["ends early", "falls silent", "not released"],
+    ids=["ends early", "falls silent", "not released", "driven"],
 )
 def test_one_record_without_a_later_part_is_enough(change):
     made = measured(5, duration=0.7)
