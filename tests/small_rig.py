@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.integrate import solve_ivp
 
 from bayes_damper.calibration import Experiment, TrialRecord
 from bayes_damper.effects import EFFECTS
@@ -79,3 +81,20 @@ def knock(start: float, length: float, size: float) -> Callable[[Any], Any]:
         return np.where((x > 0.0) & (x < 1.0), size * np.sin(np.pi * np.clip(x, 0.0, 1.0)), 0.0)
 
     return torque
+
+
+def braked_by_air(reaches: Sequence[float]) -> Experiment:
+    """Decays with square drag by scipy's solver, each spring by 0.05 to 0.1 % apart; the last one is held out."""
+    rng, omega, trials = np.random.default_rng(3), 2.0 * math.pi * 2.0, []
+    for number, (reach, own) in enumerate(zip(reaches, (1.0, -0.6, 0.4), strict=False), 1):
+        k, times = omega**2 * (1.0 + 1e-3 * own), np.arange(0.0, 6.0, 0.02)
+
+        def motion(_: float, x: np.ndarray, k: float = k) -> list[float]:
+            return [x[1], -k * x[0] - 0.02 * omega * x[1] - 0.06 * abs(x[1]) * x[1]]
+
+        y = solve_ivp(motion, (0.0, 6.0), [reach, 0.0], "DOP853", times, rtol=1e-10, atol=1e-12).y[0]
+        y += 2e-5 * rng.standard_normal(times.size)
+        trials.append(
+            TrialRecord(str(number), "I", False, number, times, y[None], 0, 0.0, heldout=reach == reaches[-1])
+        )
+    return Experiment({"J1": (1.0, 0.0)}, ((158.0, 8.0),), tuple(trials), quantity="displacement", start="free")

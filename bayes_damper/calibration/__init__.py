@@ -42,6 +42,7 @@ from bayes_damper.calibration.least_squares import Calibration, calibrate, defau
 from bayes_damper.calibration.noise import Noise, rough_noise
 from bayes_damper.calibration.noise_level import error_level, evenly_sampled, learn_noise, spectrum_bins, whittle
 from bayes_damper.calibration.nominal import (
+    as_single_releases,
     calibrate_nominal,
     explained_by_own_releases,
     gained_by_own_releases,
@@ -69,6 +70,7 @@ __all__ = [
     "Problem",
     "Switches",
     "TrialRecord",
+    "as_single_releases",
     "calibrate",
     "calibrate_nominal",
     "coordinate_of",

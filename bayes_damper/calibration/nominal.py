@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from bayes_damper.calibration.experiment import Experiment, late_by_the_clock, lone, repeats
+from bayes_damper.calibration.free_starts import single_releases
 from bayes_damper.calibration.groups import Group, Switches
 from bayes_damper.calibration.input_noise import FELT, felt, with_input_noise
 from bayes_damper.calibration.least_squares import Calibration, calibrate, calibrate_each, default_starts, drawn_starts
@@ -445,21 +446,23 @@ def with_sizes_of_its_own(fit: Calibration) -> Calibration:
     return fit
 
 
-def _as_single_releases(fit: Calibration) -> Calibration:
+def as_single_releases(fit: Calibration) -> Calibration:
     """The fit with the scatter that priors say of releases by hand of other sizes, if that takes all of the error.
 
     Where an error of the model is left all the same, values of each trial's own would hide a part of what they share.
     """
-    sizes = learn_scatter(fit, apart=True)
-    if sizes.sizes == fit.problem.switches.scatter.sizes:
+    experiment = fit.problem.experiment
+    known = any(not size.of_each_record for size in fit.problem.switches.scatter.sizes)
+    if known or experiment.start != "free" or not single_releases(experiment, fit.problem.trials):
         return fit
+    sizes = learn_scatter(fit, apart=True)
     found = with_scatter(fit, sizes)
     for _ in range(MOST_TURNS):
         noise = learn_noise(found)
         found = calibrate(found.problem.with_noise(noise), [found.q], eta=found.eta, anneal=False)
         if not noise.sensor:
             return found
-    readings = sum(found.problem.experiment.trials[i].times.size for i in found.problem.trials)
+    readings = sum(experiment.trials[i].times.size for i in found.problem.trials)
     return found if noise_alone(found.problem.noise, readings) else fit
 
 
@@ -630,7 +633,7 @@ def _with_exact_inputs(
     if alone and switches is None and experiment.start == "rest" and fit.problem.switches.scatter.sizes:
         return _as_latched(with_sizes_of_its_own(fit))
     if noise.sensor:
-        return _as_single_releases(fit) if switches is None else fit
+        return as_single_releases(fit) if switches is None else fit
     # In turns these need not gain at each: the best of a few is kept.
     best, last = fit, _log_density(fit)
     for _ in range(MOST_TURNS if switches is None else 0):
@@ -643,4 +646,4 @@ def _with_exact_inputs(
         if not abs(last - before) > 1.0:
             break
     best = _releases(best)
-    return _about_a_mean(best) if switches is None else best
+    return as_single_releases(_about_a_mean(best)) if switches is None else best

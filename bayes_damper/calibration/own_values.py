@@ -41,6 +41,11 @@ class Size:
     middle: float = 0.0
 
     @property
+    def of_each_record(self) -> bool:
+        """Whether single records show it: a baseline."""
+        return self.name.startswith("drift") and self.waves == BASELINE_WAVES
+
+    @property
     def columns(self) -> tuple[tuple[str, float], ...]:
         """Names and standard deviations of the nuisances that it makes in each trial."""
         if self.name.startswith("drift"):

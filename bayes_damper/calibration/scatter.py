@@ -33,7 +33,6 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -43,6 +42,7 @@ from scipy.optimize import brentq, minimize
 from scipy.special import ndtr, ndtri, stdtr
 
 from bayes_damper.calibration.experiment import lone, repeats
+from bayes_damper.calibration.free_starts import released_apart, swinging_alike
 from bayes_damper.calibration.groups import Nuisance
 from bayes_damper.calibration.least_squares import Calibration, calibrate
 from bayes_damper.calibration.noise import Noise
@@ -93,8 +93,6 @@ SUDDEN, WORTH_IT = 0.3, 1.0  # of the typical time of release, and nats, below b
 USUAL = (0.3, 2.5)  # range of times of release over their size, root mean square, in which they scatter about none
 SLOW, SAME_WAY = 10.0, 1.5  # times the typical time of release, and of the shortest one, in which all are slow alike
 ABOUT_ITS_MEAN = 1.0 - 2.0 / math.pi  # variance of half a normal distribution over its mean square
-ALIKE = 0.1  # by how much one free start may swing further than another that it repeats: hands let go that differently
-APART = 1.3  # times what it still swings at its end is what another begins with, where they are releases of their own
 WIDENED = 2.0  # by how much a scatter that is not seen may widen an interval before it is said
 NEGLIGIBLE = 0.05  # information s^2 T'T of every trial's own value, below which it is left out
 
@@ -194,36 +192,10 @@ def learn_scatter(fit: Calibration, noise: Noise | None = None, apart: bool = Fa
     problem = fit.problem if noise is None else fit.problem.with_noise(noise)
     if problem.experiment.start != "free":
         return _of_repeats(fit, problem, {i: problem.experiment.trials[i].conditions for i in problem.trials})
-    swings = swinging_alike(problem)
-    several = len(set(swings.values())) < len(swings) or (apart and released_apart(problem))
+    swings = swinging_alike(problem.experiment, problem.trials)
+    several = len(set(swings.values())) < len(swings) or (apart and released_apart(problem.experiment))
     sizes = _of_repeats(fit, problem, swings).sizes if several else ()
     return Scatter((*sizes, *_baselines(fit, problem).sizes))
-
-
-def swinging_alike(problem: Problem) -> dict[int, tuple[Hashable, float]]:
-    """Sets of trials under the same conditions of which none swings further than another by more than ALIKE."""
-    trials = problem.experiment.trials
-    reach = {i: float(np.nanmax(trials[i].y[0]) - np.nanmin(trials[i].y[0])) for i in problem.trials}
-    out: dict[int, tuple[Hashable, float]] = {}
-    for i in sorted(reach, key=reach.__getitem__):
-        sets = (key for key in out.values() if key[0] == trials[i].conditions and reach[i] < (1.0 + ALIKE) * key[1])
-        out[i] = next(sets, (trials[i].conditions, reach[i]))
-    return out
-
-
-def released_apart(problem: Problem) -> bool:
-    """Whether one trial still swings further at its beginning than another at its end: no stretches of one decay."""
-    trials = [problem.experiment.trials[i] for i in problem.trials]
-    spans: dict[Hashable, list[tuple[float, float]]] = {}
-    for t in trials:
-        late = t.y[0, 2 * t.times.size // 3 :]
-        begins, ends = (float(np.nanmax(y) - np.nanmin(y)) for y in (t.y[0], late))
-        spans.setdefault(t.conditions, []).append((begins, ends))
-    return any(
-        min(one[0], other[0]) > APART * max(one[1], other[1])
-        for same in spans.values()
-        for one, other in combinations(same, 2)
-    )
 
 
 def _of_repeats(fit: Calibration, problem: Problem, alike: Mapping[int, Hashable]) -> Scatter:
@@ -492,11 +464,15 @@ def without_repeats(fit: Calibration) -> Scatter:
     """
     own = Unlearnt.of(fit.problem, fit.linear.normal())
     mode = own.mode()
-    out = []
-    for k, size in enumerate(fit.problem.switches.scatter.sizes):
+    out, k = [], 0
+    for size in fit.problem.switches.scatter.sizes:
+        if size.of_each_record:
+            out.append(size)
+            continue
         lines = np.tile(mode, (_GRID.size, 1))
         lines[:, k] = _GRID
         out.append(_from_grid(size, log_prior(_GRID) + [own.log_evidence(u)[0] for u in lines], 0.0))
+        k += 1
     return Scatter(tuple(out))
 
 

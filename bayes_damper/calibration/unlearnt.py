@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from bayes_damper.calibration.experiment import lone
+from bayes_damper.calibration.free_starts import single_releases
 from bayes_damper.calibration.normal_equations import Normals
 from bayes_damper.calibration.problem import Problem
 
@@ -58,7 +58,8 @@ class Part:
 class Unlearnt:
     """The linearised problem as a function of the sizes.
 
-    start (sizes,): u of the fit; q (size,); JJ (size, size), Jr (size,), rr: sums over all trials.
+    start (sizes,): u of the fit, without the sizes that single records show; q (size,); JJ (size, size), Jr (size,),
+    rr: sums over all trials.
     """
 
     start: Array
@@ -71,7 +72,7 @@ class Unlearnt:
     @classmethod
     def of(cls, problem: Problem, normals: Normals) -> Unlearnt:
         """From the normal equations of a problem at a fit."""
-        sizes = problem.switches.scatter.sizes
+        sizes = [size for size in problem.switches.scatter.sizes if not size.of_each_record]
         which = {name: k for k, size in enumerate(sizes) for name, _ in size.columns}
         q = normals.linear.q
         Jr, rr, parts = normals.g - q, normals.cost - float(q @ q), []
@@ -150,8 +151,8 @@ _LOG_PRIOR = float(log_prior(_ORIGIN)[0]) - 0.5 * _log_curvature(lambda u: -prio
 
 def gained_over_sizes(problem: Problem, normals: Normals) -> float:
     """Nats that the evidence of a fit gains by integrating over the sizes of scatters that no repeats show, else 0."""
-    sizes = problem.switches.scatter.sizes
-    if not sizes or problem.experiment.start != "rest" or not lone(problem.experiment, problem.trials):
+    shown = all(size.of_each_record for size in problem.switches.scatter.sizes)
+    if shown or not single_releases(problem.experiment, problem.trials):
         return 0.0
     with np.errstate(invalid="ignore"):  # where a record fails there is no evidence
         gained = Unlearnt.of(problem, normals).gained()

@@ -18,10 +18,12 @@ import numpy as np
 from bayes_damper.calibration import (
     Calibration,
     Experiment,
+    as_single_releases,
     calibrate,
     explained_by_own_releases,
     gained_by_own_releases,
     learn_noise,
+    under,
 )
 from bayes_damper.calibration.latency import AS_LATE, with_latency
 from bayes_damper.diagnosis.budget import Budget, answers_of, budget_of, foreign_alone, idle_alone
@@ -29,7 +31,7 @@ from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.lone import left_alone
 from bayes_damper.diagnosis.pairs import Pair, best_pairs, exactly, seconds_of
 from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of
-from bayes_damper.diagnosis.search import Candidate
+from bayes_damper.diagnosis.search import Candidate, drifts_of, search
 from bayes_damper.diagnosis.sensitivity import Choice, Quadratic, sensitivity, sensitivity_of_sets
 from bayes_damper.diagnosis.sets import SetFit, as_candidates, grown, probabilities, support
 from bayes_damper.diagnosis.sites import SiteMap, site_map
@@ -131,6 +133,12 @@ def judge_without_repeats(
 ) -> Judgement:  # fmt: skip
     """Answers where no repeats distinguish the error of the model from noise: each is judged under what it leaves."""
     sets = grown(fit, found, pool, workers=workers, report=report)
+    own = as_single_releases(sets[0].fit).problem.switches.scatter
+    if sets[0].members and own != fit.problem.switches.scatter:
+        report("values of each release's own take what the leading answer leaves; searching again with them")
+        fit = _under_what_it_leaves(under(fit, fit.problem.noise, own))
+        found = search(fit, [*pool, *drifts_of(fit.problem.experiment)], workers=workers, report=report)
+        sets = grown(fit, found, pool, workers=workers, report=report)
     fit = next(s.fit for s in sets if not s.members)
     first = next((s.fit for s in sets if s.members), None)
     found = as_candidates(found, sets)
@@ -163,6 +171,12 @@ def judge_without_repeats(
         sensitivity_of_sets(fit, sets, partial(answered, rule), answers.verdict, len(names)),
         _under_priors(answered, answers, rule), _weighed(seen, none_left, left, _excess(seen.after)),
     )  # fmt: skip
+
+
+def _under_what_it_leaves(fit: Calibration) -> Calibration:
+    """The fit under the noise that it shows, also where that is no more than the noise of the sensors."""
+    noise = learn_noise(fit)
+    return under(fit, noise if noise.sensor else noise.of_sensors, fit.problem.switches.scatter)
 
 
 def judge_by_repeats(

@@ -38,12 +38,12 @@ from bayes_damper.diagnosis.outliers import (
     without_trials,
 )
 from bayes_damper.diagnosis.result import Diagnosis
-from bayes_damper.diagnosis.search import Candidate, from_usual_friction, offered, scales_of, search
+from bayes_damper.diagnosis.search import Candidate, drifts_of, from_usual_friction, offered, search
 from bayes_damper.diagnosis.sensitivity import in_a_sentence
 from bayes_damper.diagnosis.sites import SiteMap, site_map
 from bayes_damper.diagnosis.verdict import RULE, Answers, Rule
 from bayes_damper.diagnosis.where import locate
-from bayes_damper.effects import EFFECTS, Effect, classes, scaled
+from bayes_damper.effects import EFFECTS, Effect, classes
 from bayes_damper.effects.base import Variant
 from bayes_damper.priors.distributions import Distribution
 from bayes_damper.priors.files import PriorSet
@@ -174,7 +174,7 @@ def _searched(
     The model has the damping of each case's own spring, and an instant of each release, where that explains more than
     any effect, or than any that would show alike.
     """
-    pool = [*pool, *_drifts(fit.problem.experiment)]
+    pool = [*pool, *drifts_of(fit.problem.experiment)]
     found = search(fit, pool, workers=workers, report=report)
     leader = found[0].fit
     own = with_damping_of_each_case(fit, fit.cost if leader is None else min(fit.cost, leader.cost))
@@ -192,11 +192,6 @@ def _searched(
         fit = calibrate_nominal(own.problem.experiment, nominal=fit.problem.nominal, begin=own, report=report)
         found = search(fit, pool, workers=workers, report=report)
     return (*_reseeded(fit, from_usual_friction(found)), notes)
-
-
-def _drifts(experiment: Experiment) -> list[tuple[Effect, Variant]]:
-    """The drift of the nominal laws, its rates at the rig's own pace."""
-    return [(DRIFT, scaled(variant, scales_of(experiment))) for variant in DRIFT.variants]
 
 
 def _proposals(fit: Calibration, found: list[Candidate], answers: Answers) -> list[Proposal]:

@@ -32,6 +32,7 @@ from bayes_damper.calibration.nominal import broad_noise, out_of_phase
 from bayes_damper.calibration.problem import READINGS_AT_ONCE
 from bayes_damper.calibration.scatter import carried, own_values, placed
 from bayes_damper.campaign.records import DERIVATIVE
+from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.effects import REFERENCE, Scales, candidates, scaled
 from bayes_damper.effects.base import Effect, Variant
 from bayes_damper.priors.distributions import HalfNormal
@@ -124,6 +125,11 @@ def offered(
     if experiment.coupling_law == "cosine":
         pool = [(effect, of_links(v) if effect.site == "bearings" else v) for effect, v in pool]
     return [(effect, _with_smaller_starts(v)) for effect, v in pool] if experiment.start == "free" else pool
+
+
+def drifts_of(experiment: Experiment) -> list[tuple[Effect, Variant]]:
+    """The drift of the nominal laws, its rates at the rig's own pace."""
+    return [(DRIFT, scaled(variant, scales_of(experiment))) for variant in DRIFT.variants]
 
 
 def _with_smaller_starts(variant: Variant) -> Variant:

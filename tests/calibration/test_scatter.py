@@ -13,7 +13,7 @@ import pytest
 import small_rig
 from scipy.linalg import helmert
 from scipy.stats import multivariate_normal
-from small_rig import measured
+from small_rig import braked_by_air, measured
 
 from bayes_damper.calibration import (
     Experiment,
@@ -21,12 +21,15 @@ from bayes_damper.calibration import (
     Problem,
     Switches,
     TrialRecord,
+    as_single_releases,
     calibrate,
     calibrate_nominal,
+    learn_noise,
     nominal,
     predict,
 )
 from bayes_damper.calibration import scatter as scatters
+from bayes_damper.calibration.free_starts import released_apart, single_releases, swinging_alike
 from bayes_damper.calibration.own_values import RELEASE, Scatter, Size
 from bayes_damper.calibration.scatter import (
     TYPICAL,
@@ -685,8 +688,8 @@ def test_what_an_effect_explains_is_not_said_to_scatter():
 def test_swings_of_another_size_are_no_repeats():
     """Sets of trials that swing equally far."""
     apart = let_go_by_hand([0.1, 0.2, 0.3], 0.05)
-    assert len(set(scatters.swinging_alike(Problem(apart)).values())) == 3
-    assert len(set(scatters.swinging_alike(Problem(let_go_by_hand([0.1, 0.3, 0.105, 0.31], 0.0))).values())) == 2
+    assert len(set(swinging_alike(apart, range(3)).values())) == 3
+    assert len(set(swinging_alike(let_go_by_hand([0.1, 0.3, 0.105, 0.31], 0.0), range(4)).values())) == 2
 
 
 def test_releases_of_other_sizes_have_what_priors_say_and_stretches_of_one_decay_nothing():
@@ -695,8 +698,8 @@ def test_releases_of_other_sizes_have_what_priors_say_and_stretches_of_one_decay
     (whole,) = let_go_by_hand([0.3], 0.0).trials
     pieces = [slice(0, 130), slice(130, 260), slice(260, 400)]
     cut = replace(apart, trials=tuple(replace(whole.at(p), label=str(k)) for k, p in enumerate(pieces)))
-    assert scatters.released_apart(Problem(apart))
-    assert not scatters.released_apart(Problem(cut))
+    assert released_apart(apart)
+    assert not released_apart(cut)
     begun = calibrate(Problem(cut, nominal="linear"), [np.zeros(2)], most=3)
     assert learn_scatter(begun, apart=True).sizes == ()
     fit = calibrate_nominal(apart, nominal="linear")
@@ -721,6 +724,21 @@ def test_an_error_of_the_model_is_not_hidden_in_values_of_releases_own():
     fit = calibrate_nominal(replace(rubbing, trials=tuple(dry)), nominal="linear")
     assert fit.problem.noise.sensor
     assert fit.problem.switches.scatter.sizes == ()
+
+
+def test_releases_have_values_of_their_own_beside_an_effect_that_leaves_no_more():
+    """The nominal model has none, with which it would hide a part of the drag."""
+    experiment = braked_by_air([0.3, 0.2, 0.25])
+    fit = calibrate_nominal(experiment, nominal="linear")
+    assert single_releases(experiment, fit.problem.trials)
+    assert fit.problem.switches.scatter.sizes == ()
+    found = calibrate(fit.problem.with_effect(EFFECTS["quadratic_drag"].variants[0]), eta=fit.eta)
+    for _ in range(3):
+        found = calibrate(found.problem.with_noise(learn_noise(found)), [found.q], eta=found.eta)
+    assert found.problem.noise.sensor, "springs differ"
+    own = as_single_releases(found)
+    assert {"k1t", "c1t"} <= set(sizes_of(own.problem.switches.scatter))
+    assert own.problem.noise.total[0] == pytest.approx(2e-5, rel=0.15)
 
 
 def test_a_time_of_release_that_is_asked_for_again_is_still_one():

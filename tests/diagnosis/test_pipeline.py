@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
-from small_rig import NOISE, measured, variant
+from small_rig import NOISE, braked_by_air, measured, variant
 from test_problem import RIG, TRUE, make_experiment
 
 from bayes_damper.calibration import (
@@ -1121,3 +1121,12 @@ def test_every_formula_is_fitted_where_the_nominal_model_is_out_of_phase(monkeyp
     monkeypatch.setattr("bayes_damper.diagnosis.search.out_of_phase", lambda _: True)
     assert sorted(promising(alone, pool, gains, 2)) == list(range(len(pool)))
     assert promising(alone, pool, gains, 2)[:2] == [0, 1]
+
+
+@pytest.mark.slow
+def test_springs_that_differ_between_free_starts_make_no_unknown_cause():
+    """Square drag in two recordings of one rig, one of them held out, whose springs differ by 0.16 %."""
+    few = {name: EFFECTS[name] for name in ("bearing_drag", "quadratic_drag", "spring_cubic")}
+    found = diagnose(braked_by_air([0.3, 0.2]), nominal="linear", effects=few)
+    assert found.answers.verdict == "quadratic_drag"
+    assert found.answers.probabilities["quadratic_drag"] > 0.9
