@@ -350,3 +350,11 @@ def test_scatter_in_proportion_is_no_sign_of_a_term_of_the_same_form():
     problem = fit.problem.changed(switches=replace(fit.problem.switches, scatter=said))
     evidence = site_map(calibrate(problem, [fit.q], eta=carried(fit, problem), anneal=False), torque=False).log_evidence
     assert max(evidence.values()) < 0.0
+
+
+def test_a_secondary_without_a_bearing_of_its_own_is_no_gap(monkeypatch):
+    """The prior of c3t, held to a factor of 2.7, pulled it away from zero: two nats at the bearings and the spring."""
+    monkeypatch.setitem(RIG, "c3t", 1e-9)
+    fit = calibrate_nominal(measured(5, configurations=(True,), noise=0.5))
+    assert site_map(fit, torque=False).strength < 0.0
+    assert fit.parameters["c3t"][0] < 5e-5

@@ -27,6 +27,7 @@ from bayes_damper.simulation.model import Model
 Array = NDArray[np.float64]
 KINDS = ("lone", "repeats")
 FAINT = "faint"
+FACTOR = 2.7  # of the widest priors: rigs that are drawn from them swing, and friction acts
 """Lone campaigns of which the noise leaves little: here the priors decide much."""
 RATE = 400.0
 TIMES = np.arange(100) / RATE
@@ -56,8 +57,15 @@ def campaign(kind: str, seed: int, number: int) -> Campaign:
         for k, coupled in enumerate(configurations)
     )
     experiment = Experiment(CONSTANTS, (STIFFNESS,), blank, priors={"sigma1": noise, "sigma2": noise})
+    narrow = {
+        name: LogNormal(prior.median_value, min(prior.factor, FACTOR))
+        for name, prior in default_priors(experiment).items()
+        if isinstance(prior, LogNormal) and name != "nu"
+    }
+    experiment = replace(experiment, priors={**experiment.priors, **narrow})
     truth = {
-        name: float(from_standard(prior, rng.standard_normal())) for name, prior in default_priors(experiment).items()
+        name: float(from_standard(prior, rng.standard_normal()))
+        for name, prior in (default_priors(experiment) | narrow).items()
     }
     truth |= {name: value + sd * rng.standard_normal() for name, (value, sd) in CONSTANTS.items()}
     truth["k1t"] = STIFFNESS[0] + STIFFNESS[1] * rng.standard_normal()

@@ -34,7 +34,8 @@ def _answer(number: int) -> dict[str, Any]:
     """One row: a parameter whose prior is half or twice as wide, by weights and by a new fit."""
     name, word = NAMES[number // 2], list(WIDTHS)[number % 2]
     posterior, run = _fitted({})
-    prior = default_priors(posterior.problem.experiment)[name]
+    known = posterior.problem.experiment
+    prior = (default_priors(known) | dict(known.priors))[name]
     assert isinstance(prior, LogNormal)
     i = posterior.names.index(name)
     told = of_standard_draws(posterior.names, run.flat())[name][word]
