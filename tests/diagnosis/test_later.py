@@ -27,7 +27,7 @@ def kicked():
 def test_a_kick_at_the_release_is_found_there_however_large(kicked):
     """Along a motion that the rig did not make, the linear responses of a sensor fit as well as those of the kick."""
     alone, later, both = kicked
-    assert alone.best == "sensor"
+    assert alone.probabilities["release"] < 0.6
     assert later.gap < GONE
     assert both.best == "release"
     assert both.probabilities["release"] > 0.9
