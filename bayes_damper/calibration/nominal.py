@@ -452,7 +452,7 @@ def as_single_releases(fit: Calibration) -> Calibration:
     Where an error of the model is left all the same, values of each trial's own would hide a part of what they share.
     """
     experiment = fit.problem.experiment
-    known = any(not size.of_each_record for size in fit.problem.switches.scatter.sizes)
+    known = fit.problem.switches.scatter.from_trial_to_trial
     if known or experiment.start != "free" or not single_releases(experiment, fit.problem.trials):
         return fit
     sizes = learn_scatter(fit, apart=True)

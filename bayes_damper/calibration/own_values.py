@@ -41,11 +41,6 @@ class Size:
     middle: float = 0.0
 
     @property
-    def of_each_record(self) -> bool:
-        """Whether single records show it: a baseline."""
-        return self.name.startswith("drift") and self.waves == BASELINE_WAVES
-
-    @property
     def columns(self) -> tuple[tuple[str, float], ...]:
         """Names and standard deviations of the nuisances that it makes in each trial."""
         if self.name.startswith("drift"):
@@ -60,6 +55,11 @@ class Scatter:
     """The sizes of all that may scatter."""
 
     sizes: tuple[Size, ...] = ()
+
+    @property
+    def from_trial_to_trial(self) -> tuple[Size, ...]:
+        """The sizes that single records do not show: all but those of baselines."""
+        return tuple(s for s in self.sizes if not (s.name.startswith("drift") and s.waves == BASELINE_WAVES))
 
     def sd(self, name: str) -> float:
         """Size of one of them, 0 if it does not scatter."""

@@ -464,16 +464,13 @@ def without_repeats(fit: Calibration) -> Scatter:
     """
     own = Unlearnt.of(fit.problem, fit.linear.normal())
     mode = own.mode()
-    out, k = [], 0
-    for size in fit.problem.switches.scatter.sizes:
-        if size.of_each_record:
-            out.append(size)
-            continue
+    scatter = fit.problem.switches.scatter
+    found = {}
+    for k, size in enumerate(scatter.from_trial_to_trial):
         lines = np.tile(mode, (_GRID.size, 1))
         lines[:, k] = _GRID
-        out.append(_from_grid(size, log_prior(_GRID) + [own.log_evidence(u)[0] for u in lines], 0.0))
-        k += 1
-    return Scatter(tuple(out))
+        found[size.name] = _from_grid(size, log_prior(_GRID) + [own.log_evidence(u)[0] for u in lines], 0.0)
+    return Scatter(tuple(found.get(size.name, size) for size in scatter.sizes))
 
 
 def _shortest(share: Array, of: float = 0.9) -> tuple[float, float]:

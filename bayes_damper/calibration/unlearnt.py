@@ -72,7 +72,7 @@ class Unlearnt:
     @classmethod
     def of(cls, problem: Problem, normals: Normals) -> Unlearnt:
         """From the normal equations of a problem at a fit."""
-        sizes = [size for size in problem.switches.scatter.sizes if not size.of_each_record]
+        sizes = problem.switches.scatter.from_trial_to_trial
         which = {name: k for k, size in enumerate(sizes) for name, _ in size.columns}
         q = normals.linear.q
         Jr, rr, parts = normals.g - q, normals.cost - float(q @ q), []
@@ -151,8 +151,8 @@ _LOG_PRIOR = float(log_prior(_ORIGIN)[0]) - 0.5 * _log_curvature(lambda u: -prio
 
 def gained_over_sizes(problem: Problem, normals: Normals) -> float:
     """Nats that the evidence of a fit gains by integrating over the sizes of scatters that no repeats show, else 0."""
-    shown = all(size.of_each_record for size in problem.switches.scatter.sizes)
-    if shown or not single_releases(problem.experiment, problem.trials):
+    differs = problem.switches.scatter.from_trial_to_trial
+    if not differs or not single_releases(problem.experiment, problem.trials):
         return 0.0
     with np.errstate(invalid="ignore"):  # where a record fails there is no evidence
         gained = Unlearnt.of(problem, normals).gained()

@@ -133,9 +133,10 @@ def judge_without_repeats(
 ) -> Judgement:  # fmt: skip
     """Answers where no repeats distinguish the error of the model from noise: each is judged under what it leaves."""
     sets = grown(fit, found, pool, workers=workers, report=report)
-    own = as_single_releases(sets[0].fit).problem.switches.scatter
-    if sets[0].members and own != fit.problem.switches.scatter:
-        report("values of each release's own take what the leading answer leaves; searching again with them")
+    # The nominal model has been asked where it was fitted.
+    own = as_single_releases(sets[0].fit).problem.switches.scatter if sets[0].members else fit.problem.switches.scatter
+    if own != fit.problem.switches.scatter:
+        report("the leading answer leaves no more than the trials may differ by; searching again, with values for each")
         fit = _under_what_it_leaves(under(fit, fit.problem.noise, own))
         found = search(fit, [*pool, *drifts_of(fit.problem.experiment)], workers=workers, report=report)
         sets = grown(fit, found, pool, workers=workers, report=report)
