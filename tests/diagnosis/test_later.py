@@ -21,13 +21,13 @@ def maps_of(**cause):
 
 @pytest.fixture(scope="module")
 def kicked():
-    return maps_of(torque=knock(0.001, 0.004, 2.0))
+    return maps_of(torque=knock(0.001, 0.004, 4.0))
 
 
 def test_a_kick_at_the_release_is_found_there_however_large(kicked):
     """Along a motion that the rig did not make, the linear responses of a sensor fit as well as those of the kick."""
     alone, later, both = kicked
-    assert alone.probabilities["release"] < 0.6
+    assert alone.best == "sensor"
     assert later.gap < GONE
     assert both.best == "release"
     assert both.probabilities["release"] > 0.9

@@ -27,8 +27,8 @@ from bayes_damper.simulation.model import Model
 Array = NDArray[np.float64]
 KINDS = ("lone", "repeats")
 FAINT = "faint"
-FACTOR = 2.7  # of the widest priors: rigs that are drawn from them swing, and friction acts
 """Lone campaigns of which the noise leaves little: here the priors decide much."""
+FACTOR = 2.7  # of the widest priors: rigs that are drawn from them swing, and friction acts
 RATE = 400.0
 TIMES = np.arange(100) / RATE
 CONSTANTS = {"J1": (3.015e-3, 0.0), "J2": (2.474e-3, 0.0), "R": (0.1, 0.0), "r": (0.0127, 0.0), "N0": (100.0, 3.0)}
