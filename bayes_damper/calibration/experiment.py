@@ -223,7 +223,7 @@ def default_priors(experiment: Experiment) -> dict[str, Distribution]:
     Wide (a factor of 2.7 each way for stiffness and damping, 3 for friction) because a campaign decides, not the prior:
     a parameter that its prior holds away from where readings want it looks like a gap. Wider are those of the
     coupling's damping, a few per cent of critical or half of it, and of the secondary's bearing, which a body that
-    hangs on the first alone has not got. Of nu the thesis prints no value: two standard deviations down dry friction is
+    hangs on the first alone lacks. Of nu the thesis prints no value: two standard deviations down dry friction is
     a viscous damping under another name, two up it is sharper than readings show.
     """
     j1 = experiment.constants["J1"][0]
