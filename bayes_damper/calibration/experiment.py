@@ -27,7 +27,7 @@ from bayes_damper.campaign.records import (
 )
 from bayes_damper.effects.base import Effect
 from bayes_damper.errors import InputError
-from bayes_damper.priors.distributions import Distribution, LogNormal, Normal, Uniform
+from bayes_damper.priors.distributions import Distribution, LogNormal, LogStudent, Normal, Uniform
 from bayes_damper.priors.files import PriorSet
 from bayes_damper.rig.inputs import Inputs
 from bayes_damper.simulation.integrator import LONGEST_STEP
@@ -220,11 +220,12 @@ def angles_of(experiment: Experiment) -> list[float]:
 def default_priors(experiment: Experiment) -> dict[str, Distribution]:
     """Priors of the nominal parameters, scaled to the rig; with the thesis's rig their medians are the thesis's values.
 
-    Wide (a factor of 2.7 each way for stiffness and damping, 3 for friction) because a campaign decides, not the prior:
-    a parameter that its prior holds away from where readings want it looks like a gap. Wider are those of the
-    coupling's damping, a few per cent of critical or half of it, and of the secondary's bearing, which a body that
-    hangs on the first alone lacks. Of nu the thesis prints no value: two standard deviations down dry friction is
-    a viscous damping under another name, two up it is sharper than readings show.
+    Wide (a factor of 2.7 each way for stiffness and damping, 3 for friction) and with tails that let a rig lack any
+    of them, because a campaign decides, not the prior: a parameter that its prior holds away from where readings want
+    it looks like a gap. Wider are those of the coupling's damping, a few per cent of critical or half of it, and of
+    the secondary's bearing, which a body that hangs on the first alone lacks. Of nu the thesis prints no value: two
+    standard deviations down dry friction is a viscous damping under another name, two up it is sharper than readings
+    show.
     """
     j1 = experiment.constants["J1"][0]
     j2 = experiment.constants.get("J2", (j1, 0.0))[0]
@@ -233,14 +234,14 @@ def default_priors(experiment: Experiment) -> dict[str, Distribution]:
     angle = max(float(np.median(angles_of(experiment) or [0.1])), 1e-9)
     viscous = 0.06 * math.sqrt(k1 * j1)  # damping ratio 0.03
     return {
-        "mu": LogNormal(0.007, 2.7),
-        "k2t": LogNormal(1.5 * k1 / 8.2 * j2 / 2.474e-3 * 3.015e-3 / j1, 2.7),
-        "c2t": LogNormal(0.48 * math.sqrt(k1 * j2) * 1.2, 5.0),
-        "drag": LogNormal(0.0065 * k1 * angle, 3.0),
+        "mu": LogStudent(0.007, 2.7),
+        "k2t": LogStudent(1.5 * k1 / 8.2 * j2 / 2.474e-3 * 3.015e-3 / j1, 2.7),
+        "c2t": LogStudent(0.48 * math.sqrt(k1 * j2) * 1.2, 5.0),
+        "drag": LogStudent(0.0065 * k1 * angle, 3.0),
         "nu": LogNormal(SHARPNESS / (omega * angle), 5.0),
         "tail": Uniform(*TAIL),
-        "c1t": LogNormal(viscous, 2.7),
-        "c3t": LogNormal(viscous * j2 / j1, 10.0),
+        "c1t": LogStudent(viscous, 2.7),
+        "c3t": LogStudent(viscous * j2 / j1, 10.0),
     }
 
 

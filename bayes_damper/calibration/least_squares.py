@@ -19,8 +19,6 @@ from bayes_damper.calibration.problem import Problem
 from bayes_damper.calibration.unknowns import coordinate_of, value_and_slope
 from bayes_damper.calibration.unlearnt import gained_over_sizes
 from bayes_damper.priors.distributions import (
-    LogNormal,
-    LogUniform,
     columns_from_standard,
     from_standard,
     median,
@@ -378,7 +376,7 @@ def _bend(problem: Problem, q: Array, g: Array) -> Array:
     """
     priors = tuple(c.prior for c in problem.coordinates)
     values = columns_from_standard(priors, q + np.array([[-BEND_STEP], [0.0], [BEND_STEP]]))
-    scales = [isinstance(prior, LogUniform | LogNormal) for prior in priors]
+    scales = [prior.coordinate == "log" for prior in priors]
     values[scales] = np.log(values[scales])
     low, here, high = values.T
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -35,7 +35,7 @@ from bayes_damper.campaign.records import DERIVATIVE
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.effects import REFERENCE, Scales, candidates, scaled
 from bayes_damper.effects.base import Effect, Variant
-from bayes_damper.priors.distributions import HalfNormal
+from bayes_damper.priors.distributions import HalfNormal, widths_out
 from bayes_damper.runs.parallel_map import forked_map
 from bayes_damper.runs.progress import now_and_then
 from bayes_damper.simulation.links import of_links
@@ -50,7 +50,7 @@ LEADING_SHARE = 0.25  # every variant that screens above this share of the best 
 MOST_FITS = 14
 MOST_STEPS = 25
 FAINT = 8.0  # nats: below, formulas that replace the friction are not tried
-LEADERS, UNUSUAL = 3, 2.0  # candidates, and standard deviations of its prior from which friction is unusual
+LEADERS, UNUSUAL = 3, 2.0  # candidates, and widths of its prior from which friction is unusual
 FRICTION = frozenset({"mu", "drag", "nu", "tail", "c1t", "c3t", "c2t"})
 STARTS_OF_LEADERS = 2
 MISSED = 10.0  # nats that a fit may stay behind its screening before other starts are tried
@@ -389,8 +389,9 @@ def from_usual_friction(found: Sequence[Candidate]) -> list[Candidate]:
     for k, c in enumerate(found[:LEADERS]):
         if c.fit is None:
             continue
-        friction = [i for i, own in enumerate(c.fit.problem.coordinates) if own.parameter in FRICTION]
-        if not np.abs(c.fit.q[friction]).max(initial=0.0) > UNUSUAL:
+        every = c.fit.problem.coordinates
+        friction = [i for i, own in enumerate(every) if own.parameter in FRICTION]
+        if not any(widths_out(every[i].prior, c.fit.q[i]) > UNUSUAL for i in friction):
             continue
         usual = c.fit.q.copy()
         usual[friction] = 0.0

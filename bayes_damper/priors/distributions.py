@@ -105,6 +105,35 @@ class LogNormal:
 
 
 @dataclass(frozen=True)
+class LogStudent:
+    """ln x is Student's t with four degrees of freedom, about ln median with scale ln factor.
+
+    As `LogNormal` near the median (63 % of the mass within a factor `factor`), with tails that a value may lie in: four
+    scales out is one draw in 60, not one in 16 000. With four degrees of freedom quantiles have a closed form.
+    """
+
+    median_value: float
+    factor: float
+    coordinate: Coordinate = "log"
+
+    @property
+    def support(self) -> tuple[float, float]:
+        return 0.0, math.inf
+
+    def logpdf(self, x: ArrayLike) -> Array:
+        x = np.asarray(x, float)
+        scale = math.log(self.factor)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ln = np.log(x)
+            t = (ln - math.log(self.median_value)) / scale
+            value = math.log(0.375 / scale) - 2.5 * np.log1p(0.25 * t**2) - ln
+        return np.where(x > 0.0, value, -np.inf)
+
+    def ppf(self, u: ArrayLike) -> Array:
+        return from_standard(self, ndtri(np.asarray(u, float)))
+
+
+@dataclass(frozen=True)
 class HalfNormal:
     """The positive half of a Gaussian about zero."""
 
@@ -174,6 +203,7 @@ def median(distribution: Distribution) -> float:
 # Standard coordinates: z = Phi^-1(F(x)), in which every prior is a unit Gaussian.
 
 _FARTHEST = 37.0  # standard deviations beyond which a standard coordinate is not followed
+_FARTHEST_T = 100.0  # scales beyond which a Student's t is not followed: factors of 1e47 for a scale of 3
 
 
 def from_standard(distribution: Distribution, z: ArrayLike) -> Array:
@@ -181,6 +211,8 @@ def from_standard(distribution: Distribution, z: ArrayLike) -> Array:
     y: Array = _between(np.asarray(z, float), -_FARTHEST, _FARTHEST)
     if isinstance(distribution, LogNormal):
         return np.asarray(distribution.median_value * np.exp(math.log(distribution.factor) * y))
+    if isinstance(distribution, LogStudent):
+        return np.asarray(distribution.median_value * np.exp(math.log(distribution.factor) * _student(y)))
     if isinstance(distribution, HalfNormal):
         # x / sd = -Phi^-1(Phi(-y) / 2): the upper tail is a lower tail of half its mass.
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -208,7 +240,9 @@ def columns_from_standard(distributions: Sequence[Distribution], z: Array) -> Ar
     y = _between(z.T, -_FARTHEST, _FARTHEST)
     x = np.empty(y.shape)
     if kinds.scales.size:
-        x[kinds.scales] = kinds.medians * np.exp(kinds.widths * y[kinds.scales])
+        t = y[kinds.scales]
+        t[kinds.tailed] = _student(t[kinds.tailed])
+        x[kinds.scales] = kinds.medians * np.exp(kinds.widths * t)
     if kinds.cut.size:
         with np.errstate(divide="ignore", invalid="ignore"):
             far = -ndtri_exp(log_ndtr(-y[kinds.cut]) + kinds.log_masses)
@@ -223,6 +257,7 @@ class _Kinds:
     """Which of several distributions are of one kind, and their constants as columns (m, 1)."""
 
     scales: NDArray[np.intp]
+    tailed: NDArray[np.bool_]  # which of `scales` have the tails of Student's t
     medians: Array
     widths: Array
     cut: NDArray[np.intp]
@@ -235,7 +270,7 @@ class _Kinds:
 
 @lru_cache(maxsize=64)
 def _kinds(distributions: tuple[Distribution, ...]) -> _Kinds:
-    scales = [(i, d) for i, d in enumerate(distributions) if isinstance(d, LogNormal)]
+    scales = [(i, d) for i, d in enumerate(distributions) if isinstance(d, LogNormal | LogStudent)]
     cut = [
         (i, d)
         for i, d in enumerate(distributions)
@@ -244,6 +279,7 @@ def _kinds(distributions: tuple[Distribution, ...]) -> _Kinds:
     taken = {i for i, _ in (*scales, *cut)}
     return _Kinds(
         np.array([i for i, _ in scales], np.intp),
+        np.array([isinstance(d, LogStudent) for _, d in scales], np.bool_),
         np.array([[d.median_value] for _, d in scales]),
         np.array([[math.log(d.factor)] for _, d in scales]),
         np.array([i for i, _ in cut], np.intp),
@@ -260,6 +296,8 @@ def to_standard(distribution: Distribution, x: ArrayLike) -> Array:
     x = np.asarray(x, float)
     if isinstance(distribution, LogNormal):
         return np.asarray(np.log(x / distribution.median_value) / math.log(distribution.factor))
+    if isinstance(distribution, LogStudent):
+        return _of_student(np.log(x / distribution.median_value) / math.log(distribution.factor))
     if isinstance(distribution, HalfNormal):
         distribution = Normal(0.0, distribution.sd, lower=0.0)
     if isinstance(distribution, Normal):
@@ -282,6 +320,34 @@ def to_standard(distribution: Distribution, x: ArrayLike) -> Array:
         low, high = distribution.support
         share = (x - low) / (high - low)
     return np.asarray(np.clip(ndtri(np.clip(share, 0.0, 1.0)), -8.0, 8.0))
+
+
+def widths_out(distribution: Distribution, z: ArrayLike) -> Array:
+    """How many widths (of a scale: factors) from the median: |z|, but in a tail that is heavier than a Gaussian one."""
+    z = np.asarray(z, float)
+    return np.asarray(np.abs(_student(z) if isinstance(distribution, LogStudent) else z))
+
+
+def _student(z: Array) -> Array:
+    """Student's t with four degrees of freedom whose quantile is that of z in a unit Gaussian.
+
+    Both tails by their own mass p: cos a = 2 sqrt(p (1 - p)), t^2 / 4 = cos(a / 3) / cos a - 1 (Shaw, 2006, J. Comput.
+    Finance 9).
+    """
+    tail = ndtr(-np.abs(z))
+    cosine = 2.0 * np.sqrt(tail * (1.0 - tail))
+    third = np.arctan2(1.0 - 2.0 * tail, cosine) / 3.0
+    with np.errstate(divide="ignore"):
+        t = 2.0 * np.sqrt(2.0 * np.sin(2.0 * third) * np.sin(third) / cosine)
+    return np.asarray(np.copysign(np.minimum(t, _FARTHEST_T), z))
+
+
+def _of_student(t: Array) -> Array:
+    """Standard coordinate of a Student's t with four degrees of freedom: the inverse."""
+    t = _between(np.asarray(t), -_FARTHEST_T, _FARTHEST_T)
+    sine = np.abs(t) / np.sqrt(4.0 + t**2)
+    tail = (4.0 / (4.0 + t**2) / (1.0 + sine)) ** 2 * (2.0 + sine) / 4.0
+    return np.asarray(np.copysign(ndtri(tail), t))
 
 
 def _above(u: Array, a: float) -> Array:

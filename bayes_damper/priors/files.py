@@ -25,6 +25,7 @@ from bayes_damper.priors.distributions import (
     Distribution,
     HalfNormal,
     LogNormal,
+    LogStudent,
     LogUniform,
     Normal,
     Uniform,
@@ -38,6 +39,7 @@ LEVELS = ("campaign", "case", "trial")
 _NUMBERS = {
     "normal": (("mean", "sd"), ("lower", "upper")),
     "lognormal": (("median", "factor"), ()),
+    "logstudent": (("median", "factor"), ()),
     "halfnormal": (("sd",), ()),
     "uniform": (("lower", "upper"), ()),
     "loguniform": (("lower", "upper"), ()),
@@ -542,6 +544,8 @@ def _build(kind: str, x: Mapping[str, float]) -> Distribution | float:
         return Normal(x["mean"], x["sd"], x.get("lower", -math.inf), x.get("upper", math.inf))
     if kind == "lognormal":
         return LogNormal(x["median"], x["factor"])
+    if kind == "logstudent":
+        return LogStudent(x["median"], x["factor"])
     if kind == "halfnormal":
         return HalfNormal(x["sd"])
     return Uniform(x["lower"], x["upper"]) if kind == "uniform" else LogUniform(x["lower"], x["upper"])
@@ -553,7 +557,7 @@ def _widen(prior: Distribution, factor: float) -> Distribution:
         raise ValueError(f"a width is changed by a positive factor, got {factor}")
     if isinstance(prior, Normal):
         return replace(prior, sd=prior.sd * factor)
-    if isinstance(prior, LogNormal):
+    if isinstance(prior, LogNormal | LogStudent):
         return replace(prior, factor=prior.factor**factor)
     if isinstance(prior, HalfNormal):
         return replace(prior, sd=prior.sd * factor)
@@ -579,8 +583,8 @@ def describe(value: Distribution | float | str | None) -> dict[str, Any]:
         bounds = {"lower": value.lower, "upper": value.upper}
         limits = {k: v for k, v in bounds.items() if math.isfinite(v)}
         return {"dist": "normal", "mean": value.mean, "sd": value.sd} | limits
-    if isinstance(value, LogNormal):
-        return {"dist": "lognormal", "median": value.median_value, "factor": value.factor}
+    if isinstance(value, LogNormal | LogStudent):
+        return {"dist": type(value).__name__.lower(), "median": value.median_value, "factor": value.factor}
     if isinstance(value, HalfNormal):
         return {"dist": "halfnormal", "sd": value.sd}
     if isinstance(value, Uniform | LogUniform):

@@ -56,7 +56,7 @@ def widened(priors: Mapping[str, Any], names: Sequence[str], width: float) -> di
     found = {key: dict(entry) if isinstance(entry, Mapping) else entry for key, entry in priors.items()}
     for name in names:
         entry = found[name]
-        if entry.get("dist") == "lognormal":
+        if entry.get("dist") in ("lognormal", "logstudent"):
             entry["factor"] = float(entry["factor"]) ** width
         elif entry.get("dist") == "loguniform":
             low, high = float(entry["lower"]), float(entry["upper"])

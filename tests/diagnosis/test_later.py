@@ -21,7 +21,7 @@ def maps_of(**cause):
 
 @pytest.fixture(scope="module")
 def kicked():
-    return maps_of(torque=knock(0.001, 0.004, 4.0))
+    return maps_of(torque=knock(0.001, 0.004, 6.0))
 
 
 def test_a_kick_at_the_release_is_found_there_however_large(kicked):

@@ -9,6 +9,7 @@ from scipy import stats
 from bayes_damper.priors.distributions import (
     HalfNormal,
     LogNormal,
+    LogStudent,
     LogUniform,
     Normal,
     Uniform,
@@ -16,7 +17,28 @@ from bayes_damper.priors.distributions import (
     from_standard,
     median,
     to_standard,
+    widths_out,
 )
+
+
+class TailedScale:
+    """exp of scipy's Student's t with four degrees of freedom: what scipy.stats has no name for."""
+
+    def __init__(self, median_value, scale):
+        self.t = stats.t(4, loc=math.log(median_value), scale=scale)
+
+    def logpdf(self, x):
+        return self.t.logpdf(np.log(x)) - np.log(x)
+
+    def ppf(self, u):
+        return np.exp(self.t.ppf(u))
+
+    def cdf(self, x):
+        return self.t.cdf(np.log(x))
+
+    def median(self):
+        return self.ppf(0.5)
+
 
 PAIRS = [
     pytest.param(Normal(1.5, 0.3), stats.norm(1.5, 0.3), id="normal"),
@@ -27,6 +49,7 @@ PAIRS = [
         Normal(0.0, 1.0, lower=5.0), stats.truncnorm(5.0, np.inf, loc=0.0, scale=1.0), id="normal-far-upper-tail"
     ),
     pytest.param(LogNormal(0.01, 2.5), stats.lognorm(math.log(2.5), scale=0.01), id="lognormal"),
+    pytest.param(LogStudent(0.01, 2.5), TailedScale(0.01, math.log(2.5)), id="logstudent"),
     pytest.param(HalfNormal(0.02), stats.halfnorm(scale=0.02), id="halfnormal"),
     pytest.param(Uniform(-1.0, 3.0), stats.uniform(-1.0, 4.0), id="uniform"),
     pytest.param(LogUniform(5.0, 3000.0), stats.loguniform(5.0, 3000.0), id="loguniform"),
@@ -81,9 +104,20 @@ def test_many_columns_at_once_are_those_of_one_at_a_time():
 def test_standard_coordinates_beyond_the_support_are_the_farthest(ours, theirs):
     low, high = ours.support
     for end, sign in ((low, -1.0), (high, 1.0)):
-        if math.isfinite(end) and not (isinstance(ours, LogNormal) and sign < 0.0):
+        if math.isfinite(end) and not (isinstance(ours, LogNormal | LogStudent) and sign < 0.0):
             assert sign * to_standard(ours, end + sign * 1e-3) >= 8.0
 
 
 def test_what_no_loguniform_reaches_is_the_farthest_without_a_warning():
     assert to_standard(LogUniform(5.0, 3000.0), [-1.0, 0.0, 4.0, 4000.0]).tolist() == [-8.0, -8.0, -8.0, 8.0]
+
+
+def test_a_tail_of_student_lets_a_value_lie_where_a_gaussian_one_holds_it():
+    """A drag eleven scales below its median: half of the log density that a lognormal loses there."""
+    tailed, plain = LogStudent(1.0, 3.0), LogNormal(1.0, 3.0)
+    far = 3.0**-11.0
+    assert abs(to_standard(tailed, far)) < 4.0 < to_standard(plain, 1.0 / far)
+    assert to_standard(tailed, from_standard(tailed, -5.3)) == pytest.approx(-5.3, rel=1e-12)
+    assert widths_out(tailed, to_standard(tailed, far)) == pytest.approx(11.0, rel=1e-9)
+    assert widths_out(plain, [-2.5, 1.0]).tolist() == [2.5, 1.0]
+    assert np.isfinite(from_standard(tailed, [-37.0, 37.0])).all(), "beyond a hundred scales it is not followed"

@@ -10,7 +10,7 @@ from scipy import stats
 
 from bayes_damper.campaign import Constant, load_campaign
 from bayes_damper.errors import InputError
-from bayes_damper.priors.distributions import LogNormal, Normal, Uniform, median
+from bayes_damper.priors.distributions import LogNormal, LogStudent, Normal, Uniform, median
 from bayes_damper.priors.files import campaign_priors, load_priors, priors_from_dict
 from bayes_damper.published.measurements import load_published
 from bayes_damper.rig.parameters import PARAMETERS, nearest, unit_of
@@ -115,6 +115,14 @@ def test_log_density_is_the_sum_of_its_parts():
     assert got[1] == -np.inf
     with pytest.raises(InputError, match="no value given for drag"):
         priors.log_density({"mu": 0.1})
+
+
+def test_a_prior_with_the_tails_of_student_is_read_widened_and_written_again():
+    entry = {"dist": "logstudent", "median": 0.01, "factor": 3.0, "unit": "N m"}
+    priors = priors_from_dict({"drag": entry})
+    assert priors.free["drag"] == LogStudent(0.01, 3.0)
+    assert priors.widened(2.0).free["drag"] == LogStudent(0.01, 9.0)
+    assert priors_from_dict(priors.to_dict()).free == priors.free
 
 
 def test_unit_cube_gives_quantiles_and_carries_fixed_and_tied_values():

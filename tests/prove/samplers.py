@@ -15,17 +15,17 @@ import io
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import reference
 from numpy.typing import NDArray
 
-from bayes_damper.calibration import Calibration, Experiment, Switches, TrialRecord, calibrate_nominal
+from bayes_damper.calibration import Calibration, Experiment, Switches, TrialRecord, calibrate_nominal, default_priors
 from bayes_damper.calibration.noise_unknowns import NOISE_PRIOR
 from bayes_damper.calibration.posterior import RecordPosterior
-from bayes_damper.priors.distributions import LogNormal
+from bayes_damper.priors.distributions import LogNormal, LogStudent
 from bayes_damper.sampling import diagnose_draws, resampled_start, sample
 
 Array = NDArray[np.float64]
@@ -69,7 +69,11 @@ def measured() -> Experiment:
     """One record with 2 rad/s^2 of noise, by the tests' own solver."""
     y = reference.solve(TRUTH | {"theta0": 1.004 * ANGLE}, TIMES)[0]
     y += 2.0 * np.random.default_rng(17).standard_normal(y.shape)
-    return Experiment(CONSTANTS, ((10.2, 0.0),), (TrialRecord("one", "IV", True, 1, TIMES, y, 0, ANGLE, 0.01 * ANGLE),))
+    trial = TrialRecord("one", "IV", True, 1, TIMES, y, 0, ANGLE, 0.01 * ANGLE)
+    experiment = Experiment(CONSTANTS, ((10.2, 0.0),), (trial,))
+    tailed = {name: prior for name, prior in default_priors(experiment).items() if isinstance(prior, LogStudent)}
+    # The density in JAX knows lognormal priors.
+    return replace(experiment, priors={n: LogNormal(prior.median_value, prior.factor) for n, prior in tailed.items()})
 
 
 def own(name: str = "bayes_damper") -> tuple[RecordPosterior, Run, dict[str, float]]:
