@@ -34,7 +34,8 @@ class Coordinate:
     """One unknown of the whole campaign, or of one `case` if that is given.
 
     role: "nominal", "release" (angle or instant), "constant", "stiffness" (k1t number `index`), "sensor" (scale of
-    channel `index`), "lag" (of its readings, s) or "effect".
+    channel `index`), "lag" (of its readings, s) or "effect". shape : of an effect, whether it is a parameter of shape,
+    which has no value at which the effect vanishes.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Coordinate:
     prior: Distribution
     index: int = 0
     case: str | None = None
+    shape: bool = False
 
     @property
     def parameter(self) -> str:
@@ -86,7 +88,7 @@ def coordinates_of(
         if sd > 0.0:
             out.append(Coordinate(f"lag{c + 1}", "lag", Normal(0.0, sd), c))
     if effect is not None:
-        out += [Coordinate(OF_EFFECT + p.name, "effect", p.prior) for p in effect.parameters]
+        out += [Coordinate(OF_EFFECT + p.name, "effect", p.prior, shape=p.null is None) for p in effect.parameters]
     return tuple(out)
 
 

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from bayes_damper.calibration import Calibration, calibrate
+from bayes_damper.diagnosis.remainder import odd_shapes
 from bayes_damper.diagnosis.sets import (
     Member,
     SetFit,
@@ -41,7 +42,7 @@ from bayes_damper.diagnosis.sets import (
     weighed,
 )
 from bayes_damper.diagnosis.shares import DOUBT, IN_WORDS, NO_SHARE, Closed, Products, products_of, shortest_interval
-from bayes_damper.diagnosis.verdict import FLOOR, PRIOR_NONE, RULE, Answers, Left, Rule
+from bayes_damper.diagnosis.verdict import FLOOR, RULE, Answers, Left, Rule, imitated
 from bayes_damper.rig.parameters import OF_EFFECT
 from bayes_damper.runs.contents.diagnosis import BudgetEntry, Estimate
 
@@ -289,12 +290,9 @@ def _subset(nominal: Calibration, best: SetFit, sets: Sequence[SetFit], some: fr
 # Answers where no trial has repeats ---------------------------------------------------------------------------------
 
 
-def foreign_alone(left: float, rule: Rule = RULE) -> float:
-    """Probability that a cause outside the library does what a set explains that leaves this share of the gap.
-
-    A cause outside the library is imitated as well as that with the probability `left` ^ `rule.imitated`.
-    """
-    return float(rule.prior_unknown / (1.0 - PRIOR_NONE) * max(min(left, 1.0), rule.least) ** rule.imitated)
+def foreign_alone(left: float, rule: Rule = RULE, odd: float = 0.0) -> float:
+    """Probability that a cause outside the library does what a set explains that leaves this share of the gap."""
+    return imitated(max(min(left, 1.0), rule.least), odd, rule)
 
 
 def misses_alone(left: float, rule: Rule = RULE) -> float:
@@ -335,6 +333,7 @@ def answers_of(
     that was fitted, such as exchanged channels.
     """
     weights = probabilities(sets, len(offered))
+    fits = {s.names: s.fit for s in reversed(sets)}
     known = sets[0].evidence
     other = math.exp(min(generic + log_prior(("unknown",), len(offered)) - known, 60.0)) if generic > 0.0 else 0.0
     scale = 1.0 / (1.0 + other)
@@ -353,7 +352,7 @@ def answers_of(
         out["none"] += p * idle
         out["unknown"] += p * (missed - idle)
         p *= 1.0 - missed
-        lost = 1.0 if "unknown" in names else foreign_alone(share, rule)
+        lost = 1.0 if "unknown" in names else foreign_alone(share, rule, odd_shapes(fits[names]))
         leading: Mapping[str, float] = budget.leading if names == budget.best.names else {}
         if not leading:
             leading = {max(sorted(names), key=lambda n: alone.get(n, -math.inf)): 1.0}

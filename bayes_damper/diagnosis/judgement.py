@@ -30,7 +30,7 @@ from bayes_damper.diagnosis.budget import Budget, answers_of, budget_of, foreign
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.lone import left_alone
 from bayes_damper.diagnosis.pairs import Pair, best_pairs, exactly, seconds_of
-from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of
+from bayes_damper.diagnosis.remainder import Remainder, odd_shapes, readings_of_change, remainder_of
 from bayes_damper.diagnosis.search import Candidate, drifts_of, search
 from bayes_damper.diagnosis.sensitivity import Choice, Quadratic, sensitivity, sensitivity_of_sets
 from bayes_damper.diagnosis.sets import SetFit, as_candidates, grown, probabilities, support
@@ -152,8 +152,11 @@ def judge_without_repeats(
 
     shares = _shares_left(left_by, sets, len(names))
     failing = {
-        some: 1.0 - (1.0 - foreign_alone(share, rule)) * (1.0 - idle_alone(share, none_left, rule))
-        for some, share in shares.items()
+        s.names: 1.0
+        - (1.0 - foreign_alone(shares[s.names], rule, left_by(s.fit).odd))
+        * (1.0 - idle_alone(shares[s.names], none_left, rule))
+        for s in reversed(sets)
+        if s.names in shares
     }
     budget = _budget(seen, sets, failing, rng)
     sets = _standing(sets, budget)
@@ -300,6 +303,7 @@ def _left_by_winner(seen: Seen) -> Left:
         0.5 if winner is None else _at(seen.after_map, own_sites),
         readings=math.inf if winner is None or winner.fit is None else readings_of_change(seen.fit, winner.fit),
         explained=0.0 if winner is None else winner.log_evidence,
+        odd=0.0 if winner is None or winner.fit is None else odd_shapes(winner.fit),
     )  # fmt: skip
 
 
@@ -324,7 +328,7 @@ def _left_by(pair: Pair, seen: Seen) -> Left:
     home = 0.5 * _at(found, {pair.first[0].site, pair.second[0].site})
     return left_of(
         pair.after, found.strength, seen.before, seen.before_map.strength, home, explained=pair.log_evidence,
-        exact=pair.exact,
+        exact=pair.exact, odd=odd_shapes(pair.fit),
     )  # fmt: skip
 
 

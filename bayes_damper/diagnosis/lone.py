@@ -15,6 +15,7 @@ import numpy as np
 from bayes_damper.calibration import Calibration
 from bayes_damper.calibration.noise import tails_of
 from bayes_damper.diagnosis.gap import squares_of_trials
+from bayes_damper.diagnosis.remainder import odd_shapes
 from bayes_damper.diagnosis.shares import products_of
 from bayes_damper.diagnosis.verdict import RULE, Left, Rule
 
@@ -40,7 +41,7 @@ def left_alone(nominal: Calibration, fit: Calibration, rule: Rule = RULE) -> Lef
         [r[c] / sds[c] for r in residuals.values() for c in range(len(r))],
         readings=[trials[i].y[c] for i, r in residuals.items() for c in range(len(r))],
     )
-    left = left_of_squares(before, after, tails * floor, rule)
+    left = replace(left_of_squares(before, after, tails * floor, rule), odd=odd_shapes(fit))
     heldout = nominal.problem.experiment.heldout
     if not heldout or (before > REDUCIBLE * floor).any():
         return left

@@ -11,11 +11,14 @@ from bayes_damper.calibration.cases import damping_in_words
 from bayes_damper.calibration.scatter import odd_values_in_words, scatter_in_words
 from bayes_damper.campaign.records import DERIVATIVE
 from bayes_damper.diagnosis.remainder import unlike_in_words
+from bayes_damper.diagnosis.search import Candidate
 from bayes_damper.diagnosis.sites import SiteMap
 from bayes_damper.diagnosis.verdict import Answers
 from bayes_damper.effects import EFFECTS
 from bayes_damper.priors.distributions import from_standard
+from bayes_damper.rig.parameters import OF_EFFECT
 
+ODD_SHAPE = 3.0  # nats by which a shape speaks for something else, from which that is said
 ONE_AMPLITUDE = 1.25  # ratio of the largest to the smallest first swing up to which trials have one amplitude
 
 
@@ -80,6 +83,24 @@ def notes_on(
     if answers.probabilities["none"] > 0.5 and hidden:
         notes += hidden
     return notes
+
+
+def imitated_in_words(known: Candidate | None, answers: Answers) -> list[str]:
+    """That the leading effect would explain the gap with a shape that such effects do not have."""
+    left = answers.left
+    if known is None or known.fit is None or answers.verdict != "unknown" or left.odd < ODD_SHAPE or left.share > 0.5:
+        return []
+    own = [(c, z) for c, z in zip(known.fit.problem.coordinates, known.fit.q, strict=True) if c.shape]
+    c, z = max(own, key=lambda each: abs(each[1]))
+    ratio = float(from_standard(c.prior, z) / from_standard(c.prior, 0.0))
+    name = c.parameter.removeprefix(OF_EFFECT)
+    meaning = next(p.meaning for p in known.variant.parameters if p.name == name).rstrip(".")
+    said = (
+        f"{known.effect.name} would close {max(1.0 - left.share, 0.0):.0%} of the gap, but only with `{name}` "
+        f"({meaning[0].lower()}{meaning[1:]}) {max(ratio, 1.0 / ratio):.2g} times as "
+        f"{'large' if ratio > 1.0 else 'small'} as usual. Something else at the site {known.effect.site} acts like it."
+    )
+    return [said]
 
 
 def time_or_amplitude(experiment: Experiment, answers: Answers) -> list[str]:

@@ -66,7 +66,8 @@ class PairProblem(Problem):
         self.variants = (first, second)
         self.effect = first
         others = tuple(
-            Coordinate(f"second.{p.name}", "effect", p.prior, len(first.parameters)) for p in second.parameters
+            Coordinate(f"second.{p.name}", "effect", p.prior, len(first.parameters), shape=p.null is None)
+            for p in second.parameters
         )
         self.coordinates = self.parts[0].coordinates + others
         self.names = tuple(c.name for c in self.coordinates)

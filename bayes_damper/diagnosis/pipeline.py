@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
@@ -28,7 +29,7 @@ from bayes_damper.diagnosis.judgement import judge_by_repeats, judge_without_rep
 from bayes_damper.diagnosis.later import continued
 from bayes_damper.diagnosis.law import learn
 from bayes_damper.diagnosis.next_experiment import Proposal, propose
-from bayes_damper.diagnosis.notes import notes_on
+from bayes_damper.diagnosis.notes import imitated_in_words, notes_on
 from bayes_damper.diagnosis.outliers import (
     odd_in_words,
     odd_trials,
@@ -119,6 +120,7 @@ def _diagnosed(
     notes += notes_on(experiment, fit, named, answers, seen.before_map)
     before_map, after_map = seen.before_map, seen.after_map
     if answers.verdict == "unknown":
+        notes += imitated_in_words(known, answers)
         notes += differing_in_words(fit, max(evidence.values(), default=0.0))
         before_map, after_map, said = _located(before_map, after_map, report)
         notes += said
@@ -138,7 +140,10 @@ def _diagnosed(
         campaign=name, experiment=experiment, nominal_kind=nominal, nominal=fit, candidates=tuple(found),
         winner=winner, answers=answers, before=seen.before, after=seen.after, gap=gap, where=locate(fit),
         site_map=before_map, remainder_map=after_map, proposals=proposals,
-        sites=_sites(answers, effects, before_map, after_map, sites_of(experiment), seen.wiring is not None),
+        sites=_sites(
+            answers, effects, before_map, after_map, sites_of(experiment), seen.wiring is not None,
+            None if known is None else known.effect.site,
+        ),
         evidence=evidence, indistinguishable=tuple(_indistinct(evidence, effects)), pair=pair, notes=tuple(notes),
         seconds=time.perf_counter() - began, seed=seed, pairs=tuple(pairs), drift=seen.drift, best=best,
         choices=tuple(judged.choices), closing=closes, weighed=judged.weighed, kind=kind, budget=judged.budget,
@@ -234,12 +239,13 @@ def _located(before: SiteMap, after: SiteMap, report: Callable[[str], None]) -> 
 
 def _sites(
     answers: Answers, effects: Mapping[str, Effect], before: SiteMap, after: SiteMap, known: Sequence[str],
-    miswired: bool = False,
+    miswired: bool = False, imitator: str | None = None,
 ) -> dict[str, float]:  # fmt: skip
     """Probability of each site: effects at their own, `unknown` as the site maps of gap and remainder say.
 
     known : the sites that the rig has; miswired : channels under a wrong name explain the gap better than any torque,
-    so it lies at the sensors.
+    so it lies at the sensors; imitator : site of the leading effect: what this closes of the gap with a shape that such
+    effects do not have is done there, by something else.
     """
     sites = dict.fromkeys((*known, "none"), 0.0)
     for name, p in answers.probabilities.items():
@@ -256,8 +262,10 @@ def _sites(
     if miswired:
         weights = {s: float(s == "sensor") + 0.01 for s in known}
     total = sum(weights.values())
+    imitated = 0.0 if imitator is None else (1.0 - answers.left.share) * -math.expm1(-answers.left.odd)
     for site in known:
-        sites[site] += answers.probabilities["unknown"] * weights[site] / total
+        share = imitated * (site == imitator) + (1.0 - imitated) * weights[site] / total
+        sites[site] += answers.probabilities["unknown"] * share
     return sites
 
 

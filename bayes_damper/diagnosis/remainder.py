@@ -26,6 +26,7 @@ from scipy.special import gammaincc
 
 from bayes_damper.calibration import Calibration, Experiment
 from bayes_damper.calibration.experiment import repeats_by_reading
+from bayes_damper.priors.distributions import LogNormal, LogStudent, from_standard
 
 Array = NDArray[np.float64]
 
@@ -96,6 +97,21 @@ def readings_of_change(before: Calibration, after: Calibration) -> float:
     some = d4 > 0.0
     total = float(d2[some].sum())
     return float(np.sum(d2[some] ** 3 / d4[some])) / total if total > 0.0 else math.inf
+
+
+def odd_shapes(fit: Calibration) -> float:
+    """Nats by which the shapes that a fit gives its effects speak for something else that the effects imitate.
+
+    Lognormal priors of parameters of shape say what such effects are like: the damping ratio of a filter, the speed
+    over which friction falls. What only imitates an effect may have them far away, with the tails of a `LogStudent` of
+    the same median and factor. Only what lies far out counts: three factors as 1.5 nats, ten as 40.
+    """
+    nats = 0.0
+    for c, z in zip(fit.problem.coordinates, fit.q, strict=True):
+        if c.shape and isinstance(c.prior, LogNormal):
+            x, imitated = from_standard(c.prior, z), LogStudent(c.prior.median_value, c.prior.factor)
+            nats += max(float(imitated.logpdf(x) - c.prior.logpdf(x)), 0.0)
+    return nats
 
 
 def remainder_of(fit: Calibration) -> Remainder:

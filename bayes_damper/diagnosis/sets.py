@@ -96,7 +96,7 @@ class SetProblem(Problem):
         self.parts = tuple(_cluster_problem(base, [members[k][1] for k in cluster]) for cluster in clusters)
         self.effect, self.models = self.parts[0].effect, self.parts[0].models
         own = [
-            [Coordinate(f"{OF_EFFECT}{k}.{p.name}", "effect", p.prior) for p in v.parameters]
+            [Coordinate(f"{OF_EFFECT}{k}.{p.name}", "effect", p.prior, shape=p.null is None) for p in v.parameters]
             for k, (_, v) in enumerate(self.members)
         ]
         self.coordinates = (*base.coordinates, *chain.from_iterable(own))

@@ -96,7 +96,8 @@ class Left:
     nats : evidence that anything is left; share : of the evidence of the gap, 1 for `none`; home : probability that it
     lies at the answer's own site; line, peak : the strongest narrow line, nats and frequency over the rig's own; lone :
     judged by sums of squares, for trials without repeats; readings : of a record that carry what the answer explains;
-    exact : of a pair, whether one of its formulas is a definition, which mends nothing and in which nothing is mended.
+    exact : of a pair, whether one of its formulas is a definition, which mends nothing and in which nothing is mended;
+    odd : nats by which the shapes of its effects speak for something else.
     """
 
     nats: float
@@ -107,20 +108,21 @@ class Left:
     lone: bool = False
     readings: float = math.inf
     exact: bool = False
+    odd: float = 0.0
 
 
 def left_of(
     after: Remainder, mapped: float, before: Remainder, mapped_before: float, home: float = 0.5, *,
-    explained: float = 0.0, readings: float = math.inf, exact: bool = False,
+    explained: float = 0.0, readings: float = math.inf, exact: bool = False, odd: float = 0.0,
 ) -> Left:  # fmt: skip
     """What an answer leaves, by the tests of its residuals and the site map of what is left.
 
     mapped, mapped_before : evidence of the best site in the remainder, and in the gap itself, nats; home : probability
     that the remainder lies at the answer's own site; explained : log evidence of the answer over the nominal model; the
     gap holds what is explained and what is left, more than generic spectra and maps see of sharp events; readings,
-    exact : as in `Left`. Where the gap shows at low frequencies, the share is at most that of its chi-square there:
-    what is left at sharp events, such as reversals of a friction whose formula is not quite right, has much evidence
-    but is little of the gap.
+    exact, odd : as in `Left`. Where the gap shows at low frequencies, the share is at most that of its chi-square
+    there: what is left at sharp events, such as reversals of a friction whose formula is not quite right, has much
+    evidence but is little of the gap.
     """
     nats = max(after.strength, mapped - math.log(20.0))
     remains = max(mapped, after.generic, 0.0)
@@ -128,7 +130,7 @@ def left_of(
     share = remains / whole
     if before.low_excess > 5.0 * before.low_sd:
         share = min(share, max(after.low_excess + after.low_sd, 0.0) / before.low_excess)
-    return Left(nats, min(share, 1.0), home, after.line, after.peak_hz / after.own_hz, readings=readings, exact=exact)
+    return Left(nats, min(share, 1.0), home, after.line, after.peak_hz / after.own_hz, False, readings, exact, odd)
 
 
 @dataclass(frozen=True)
@@ -202,6 +204,16 @@ def mended_share(home: float, rule: Rule = RULE) -> float:
     return float(rule.mismatch * (rule.share_away / rule.share_home) ** (1.0 - home))
 
 
+def imitated(left: float, odd: float, rule: Rule = RULE) -> float:
+    """Probability that a cause outside the library does what an answer explains that leaves this share of the gap.
+
+    Such a cause is imitated as well as that with the probability `left` ^ `rule.imitated`, and the odds grow with what
+    the shapes of the answer's effects say: odd, nats, as in `Left`.
+    """
+    chance = rule.prior_unknown / (1.0 - PRIOR_NONE) * left**rule.imitated
+    return _logistic(math.log(max(chance, 1e-300) / (1.0 - chance)) + odd)
+
+
 def outside_library(left: Left, evidence: float, rule: Rule = RULE, easy: bool = False) -> float:
     """Probability that what an answer explains is the work of a cause outside the library.
 
@@ -217,7 +229,7 @@ def outside_library(left: Left, evidence: float, rule: Rule = RULE, easy: bool =
         large = max(large, lined * rule.large(left.share, 0.3 * limit))
     least = rule.least_easy if easy else rule.least
     unnoticed = max(rule.unseen / max(evidence, 1e-9), least, rule.few_readings / max(left.readings, 1e-9))
-    base = float(rule.prior_unknown / (1.0 - PRIOR_NONE) * min(1.0, unnoticed) ** rule.imitated)
+    base = imitated(min(1.0, unnoticed), left.odd, rule)
     return 1.0 - (1.0 - base) * (1.0 - rule.seen(left.nats) * large)
 
 

@@ -11,8 +11,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy import stats
 from scipy.integrate import solve_ivp
-from scipy.signal import lfilter
+from scipy.signal import lfilter, lsim
 from small_rig import NOISE, braked_by_air, measured, variant
 from test_problem import RIG, TRUE, make_experiment
 
@@ -39,7 +40,7 @@ from bayes_damper.diagnosis.notes import symmetries, time_or_amplitude
 from bayes_damper.diagnosis.outliers import outlying, outlying_in_words, without
 from bayes_damper.diagnosis.pairs import ComposedProblem, Pair, PairProblem, Second, best_pairs, pair_problem
 from bayes_damper.diagnosis.pipeline import _sites
-from bayes_damper.diagnosis.remainder import Remainder, readings_of_change, remainder_of
+from bayes_damper.diagnosis.remainder import Remainder, odd_shapes, readings_of_change, remainder_of
 from bayes_damper.diagnosis.search import (
     Candidate,
     Screen,
@@ -53,7 +54,7 @@ from bayes_damper.diagnosis.search import (
 )
 from bayes_damper.diagnosis.sensitivity import Quadratic, sensitivity
 from bayes_damper.diagnosis.sites import write_missing_torque
-from bayes_damper.diagnosis.verdict import RULE, Answers, Left, borne_by_sets, family_evidence, left_of, weigh
+from bayes_damper.diagnosis.verdict import RULE, Answers, Left, borne_by_sets, family_evidence, imitated, left_of, weigh
 from bayes_damper.effects import EFFECTS
 from bayes_damper.effects.base import SITES, Variant
 from bayes_damper.errors import InputError
@@ -537,7 +538,8 @@ def test_a_gap_below_the_noise_is_shared_out_by_products_of_residuals(monkeypatc
     experiment = SimpleNamespace(heldout=(1,), trials=[SimpleNamespace(y=noise)])
     nominal = SimpleNamespace(problem=SimpleNamespace(experiment=experiment))
     fit = SimpleNamespace(
-        problem=SimpleNamespace(noise=SimpleNamespace(floor=(1.0,))), residuals=lambda: {0: noise},
+        problem=SimpleNamespace(noise=SimpleNamespace(floor=(1.0,)), coordinates=()), q=(),
+        residuals=lambda: {0: noise},
     )  # fmt: skip
     assert left_alone(nominal, fit).share == pytest.approx(share, abs=0.1)
 
@@ -1083,6 +1085,45 @@ def test_a_rig_of_one_body_has_no_place_between_two():
     place = SimpleNamespace(probabilities=dict.fromkeys(SITES, 1.0 / 6.0))
     found = _sites(answers, EFFECTS, place, place, sites_of(alone))
     assert found == pytest.approx({"ground1": 0.175, "bearings": 0.375, "release": 0.175, "sensor": 0.175, "none": 0.1})
+    # What the leading effect explains with a shape that is not its own happens at its site, as far as it explains it.
+    odd = SimpleNamespace(**vars(answers), left=Left(0.0, 0.1, odd=40.0))
+    placed = _sites(odd, EFFECTS, place, place, sites_of(alone), imitator="sensor")
+    assert placed["sensor"] == pytest.approx(0.9 * 0.7 + 0.1 * 0.175)
+    assert sum(placed.values()) == pytest.approx(1.0)
+
+
+def low_pass(natural, damping):
+    """Readings behind a filter of second order, natural frequency in rad/s, by scipy."""
+    system = ([natural**2], [1.0, 2.0 * damping * natural, natural**2])
+    return lambda times, y: np.array([lsim(system, y_c, times)[1] for y_c in y])
+
+
+def test_a_filter_that_rings_is_no_slow_sensor():
+    """A damping ratio of 0.15 explains the records to the noise, and is no filter's: a mount that resonates."""
+    experiment = measured(3, sensor=low_pass(400.0, 0.15), configurations=(False,), noise=0.3, duration=0.3)
+    effects = {name: EFFECTS[name] for name in ("sensor_bandwidth", "quadratic_drag")}
+    found = diagnose(experiment, effects=effects)
+    assert found.winner.effect.name == "sensor_bandwidth"
+    assert found.winner.fit.parameters["effect.damping"][0] == pytest.approx(0.15, rel=0.02)
+    assert found.answers.left.share < 0.1
+    assert found.answers.probabilities["unknown"] > 0.9
+    assert found.sites["sensor"] > 0.9
+    (said,) = (note for note in found.notes if note.startswith("sensor_bandwidth would close 100% of the gap"))
+    assert "only with `damping` (damping ratio of the filter) 5.3 times as small as usual" in said
+
+
+def test_shapes_that_an_effect_does_not_have_speak_for_something_else():
+    """By the ratio of Student's t with four degrees of freedom to a Gaussian; sizes say nothing, and no usual shape."""
+    nominal = calibrate_nominal(measured(1, configurations=(False,), duration=0.1))
+    problem = nominal.problem.with_effect(variant("sensor_bandwidth", "two_poles"))
+
+    def odd(size, shape):
+        return odd_shapes(SimpleNamespace(problem=problem, q=np.r_[np.zeros(nominal.problem.size), size, shape]))
+
+    assert [odd(5.0, 0.0), odd(0.0, -1.5)] == [0.0, 0.0]
+    assert odd(0.0, -9.8) == pytest.approx(stats.t(4).logpdf(9.8) - stats.norm.logpdf(9.8))
+    assert imitated(0.03, 0.0) == pytest.approx(0.15 / 0.7 * 0.03**0.8)
+    assert imitated(0.03, odd(0.0, 4.0)) == pytest.approx(0.4, abs=0.05)
 
 
 def test_an_effect_is_fitted_from_the_first_periods_on_where_the_nominal_model_is_out_of_phase(monkeypatch):

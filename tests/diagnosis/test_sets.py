@@ -240,7 +240,8 @@ class Calibrated:
 
 def stub(names, plain, squares, pieces=40.0, formulas=1):
     members = tuple((SimpleNamespace(name=n, variants=(None,) * formulas), SimpleNamespace(name=n)) for n in names)
-    return SetFit(members, SimpleNamespace(), plain, squares, pieces)
+    fit = SimpleNamespace(problem=SimpleNamespace(coordinates=()), q=())
+    return SetFit(members, fit, plain, squares, pieces)
 
 
 def test_what_all_sets_leave_sets_the_scale_of_evidence():

@@ -393,6 +393,7 @@ class LeftEntry(TypedDict):
     lone: NotRequired[bool]
     readings: NotRequired[float | None]
     exact: NotRequired[bool]
+    odd: NotRequired[float]
 
 
 class WeighedPair(TypedDict):
