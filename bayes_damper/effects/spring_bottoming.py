@@ -1,15 +1,17 @@
 """The springs of the coupling bottom out: beyond a stop angle an extra stiffness acts.
 
-    Q1 = -s k1t (th1 - g)   for th1 > g,   mirrored for th1 < -g
+    Q1 = -s k1t (th1 - g)                      for th1 > g,   mirrored for th1 < -g
+    Q1 = -s k1t g ((th1 - g) / g)^1.5          where rounded bodies touch (Hertz)
 
-Source: Augustine (2013), pp. 11 and 33 (name only); Shaw and Holmes (1983), J. Sound Vib. 90, 129 (piecewise linear).
+Source: Augustine (2013), pp. 11 and 33 (name only); Shaw and Holmes (1983), J. Sound Vib. 90, 129 (piecewise linear);
+Johnson (1985), Contact Mechanics, sec. 4.2 (Hertz: force as the power 3/2 of the approach).
 """
 
 from __future__ import annotations
 
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
 from bayes_damper.priors.distributions import HalfNormal, LogNormal
-from bayes_damper.rig.vector_math import lane
+from bayes_damper.rig.vector_math import exp, lane, log
 
 
 @lane
@@ -38,6 +40,13 @@ def far_side(t, th1, th2, w1, w2, z1, z2, p, rig):
     return -p[1] * rig.k1t * side * max(side * th1 - p[0], 0.0), 0.0
 
 
+@lane
+def contact(t, th1, th2, w1, w2, z1, z2, p, rig):
+    """Stops on both sides that are rounded bodies: soft where they begin to touch."""
+    side = 1.0 if th1 >= 0.0 else -1.0
+    return -p[1] * rig.k1t * side * p[0] * exp(1.5 * log(max(abs(th1) / p[0] - 1.0, 0.0))), 0.0
+
+
 ANGLE = EffectParameter(
     "angle", "rad", "Angle at which the stop begins.", LogNormal(0.06, 2.0),
     "A stop is felt if it lies within the motion, and not if far below it: half of a usual release angle, factor 2.",
@@ -59,7 +68,7 @@ EFFECT = Effect(
     summary="Beyond a stop angle the spring to ground becomes stiffer.",
     looks_like="Sharper and earlier reversals while the angle is large, nothing once the motion is small.",
     hides_behind=("k1t", "theta0"),
-    source="Augustine (2013), pp. 11 and 33; Shaw and Holmes (1983), J. Sound Vib. 90, 129.",
+    source="Augustine (2013), pp. 11 and 33; Shaw and Holmes (1983), J. Sound Vib. 90, 129; Johnson (1985), ch. 4.",
     variants=(
         Variant(
             name="both_sides",
@@ -82,6 +91,14 @@ EFFECT = Effect(
             formula="Q1 = -s k1t max(th1 - g, 0)",
             parameters=(ANGLE, SHARE),
             torque=release_side,
+            couples="bodies",
+            starts=STARTS,
+        ),
+        Variant(
+            name="contact",
+            formula="Q1 = -s k1t g sgn(th1) max(|th1| / g - 1, 0)^1.5",
+            parameters=(ANGLE, SHARE),
+            torque=contact,
             couples="bodies",
             starts=STARTS,
         ),
