@@ -269,8 +269,11 @@ def weigh(
     left: dict[str | tuple[str, str], Left] = {"none": before}
     for effects, value, remains in pairs:
         # Some of what a second effect gains the first one would gain by a better formula: it does so alone.
-        for n in () if remains.exact else set(effects) & set(mended):
-            gain = min(value - evidence[n], mending * max(best, 0.0))
+        lacks = {n: value - evidence[n] for n in (() if remains.exact else set(effects) & set(mended))}
+        least = max(min(lacks.values(), default=0.0), 1.0)
+        for n, lack in lacks.items():
+            # That the other one comes so much closer without acting is a coincidence.
+            gain = min(lack, mending * max(best, 0.0)) - math.log(max(lack, 1.0) / least)
             mended[n] = max(mended[n], evidence[n] + gain)
         log_w[effects] = pair_log_prior(effects, among, rule.prior_unknown) + value / temperature
         left[effects] = remains

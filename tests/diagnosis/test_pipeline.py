@@ -560,6 +560,22 @@ def test_both_dry_frictions_are_one_answer_beside_a_linear_model():
     assert told["quadratic_drag"].pair < 0.5
 
 
+def test_an_effect_that_another_one_replaces_alone_is_not_credited_with_what_both_explain():
+    """The second lacks 900 nats that the first explains without it. Where both explain far more than each alone, either
+    may be the one whose formula is inexact: as much less probable as it is more so."""
+    evidence = {"spring_cubic": 40_000.0, "spring_bottoming": 39_100.0}
+    remains = Left(0.0, 0.001, 0.9)
+
+    def told(both):
+        pair = ("spring_cubic", "spring_bottoming")
+        return weigh(evidence, ALL, remains, pairs=[(pair, both, remains)]).probabilities
+
+    assert told(40_002.0)["spring_cubic"] > 0.95
+    assert told(40_002.0)["spring_bottoming"] < 0.01
+    for both, odds in ((40_200.0, 1100.0 / 200.0), (40_400.0, 1300.0 / 400.0)):
+        assert told(both)["spring_cubic"] / told(both)["spring_bottoming"] == pytest.approx(odds, rel=0.05)
+
+
 def test_pairs_are_fitted_in_the_order_of_evidence_and_prior(monkeypatch):
     """Both dry frictions at once are the usual nonlinear model, and as likely beforehand as a single effect."""
 

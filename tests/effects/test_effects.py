@@ -780,3 +780,12 @@ def test_what_needs_the_coupled_rig_is_silent_on_the_uncoupled_one():
     assert not any(v.uncoupled for v in anew.variants)
     assert any(v.uncoupled for v in EFFECTS["sensor_delay"].variants)
     assert all(v.uncoupled for v in EFFECTS["bearing_drag"].variants)
+
+
+def test_rounded_stops_push_back_as_hertz_has_it():
+    """Force as the power 3/2 of the approach, on both sides, and none before they touch."""
+    torque = next(v for v in EFFECTS["spring_bottoming"].variants if v.name == "contact").torque
+    x, gap, share = np.array([-0.11, -0.06, -0.05, 0.0, 0.05, 0.07, 0.11]), 0.05, 0.7
+    found = [torque(0.0, th, 0.0, 0.0, 0.0, 0.0, 0.0, (gap, share), RIG)[0] for th in x]
+    expected = -share * RIG.k1t / math.sqrt(gap) * np.sign(x) * np.maximum(np.abs(x) - gap, 0.0) ** 1.5
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-100)
