@@ -23,6 +23,7 @@ from bayes_damper.calibration.unknowns import NOMINAL, Coordinate, acting_alone,
 from bayes_damper.effects.base import Variant
 from bayes_damper.priors.distributions import (
     Distribution,
+    columns_from_standard,
     from_standard,
 )
 from bayes_damper.rig.parameters import OF_EFFECT
@@ -168,8 +169,7 @@ class Problem:
         if not e.magnet:
             rig["mu"] = 0.0
         effect: dict[str, Any] = {}
-        for i, c in enumerate(self.coordinates):
-            x = _values(c.prior, q[:, i])
+        for c, x in zip(self.coordinates, _values(self.coordinates, q), strict=True):
             if c.role == "effect":
                 effect[c.name.removeprefix(OF_EFFECT)] = x
             elif c.role in ("sensor", "lag"):
@@ -292,19 +292,22 @@ def _model(experiment: Experiment, coupled: bool, effect: Variant | None) -> Mod
     return Model(coupled, experiment.normal_force, experiment.restoring, effect, law, longest_step(experiment))
 
 
-def _values(prior: Distribution, z: Array) -> Array:
-    """Values at standard coordinates z (n,) that seldom differ from one vector to the next."""
-    first = np.flatnonzero(np.concatenate([[True], z[1:] != z[:-1]])) if z.size else np.zeros(0, np.intp)
-    return np.repeat(from_standard(prior, z[first]), np.diff(np.append(first, z.size)))
+def _values(coordinates: Sequence[Coordinate], q: Array) -> Array:
+    """Values (k, n) of k coordinates at vectors q (n, k), which seldom differ from one to the next."""
+    new = np.ones(len(q), np.bool_)
+    new[1:] = (q[1:] != q[:-1]).any(axis=1)
+    first = np.flatnonzero(new)
+    values = columns_from_standard([c.prior for c in coordinates], q[first])
+    return np.repeat(values, np.diff(np.append(first, len(q))), axis=1)
 
 
 def _as_sensors_show(
     y: Array, coordinates: Sequence[Coordinate], group: Group, which: Indices, q: Array, eta: Array
 ) -> Array:
     """Motions y (n, channels, n_times) as the sensors show them: scale, offset and drift of channels, in place."""
-    for i, c in enumerate(coordinates):
-        if c.role == "sensor" and c.index < y.shape[1]:
-            y[:, c.index] *= _values(c.prior, q[:, i])[:, None]
+    scales = [i for i, c in enumerate(coordinates) if c.role == "sensor" and c.index < y.shape[1]]
+    for i, x in zip(scales, _values([coordinates[i] for i in scales], q[:, scales]), strict=True):
+        y[:, coordinates[i].index] *= x[:, None]
     for channel in range(y.shape[1]):
         waves, sizes = [], []
         for i, (name, mean, sd) in enumerate(group.nuisances):
