@@ -193,9 +193,8 @@ def calibrate_each(
     return [restored(problem, each) for each in found]
 
 
-def essence(fit: Calibration | None) -> Essence:
+def essence(fit: Calibration) -> Essence:
     """Of a fit, what has to be sent from one process to another."""
-    assert fit is not None
     blocks = fit.linear.blocks
     sent = blocks if sum(b.nbytes for b in blocks) < MOST_SENT else ()
     derivatives = tuple((b.r, b.J, b.T, b.eta) for b in sent)

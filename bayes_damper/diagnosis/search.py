@@ -27,7 +27,7 @@ from bayes_damper.calibration import (
 )
 from bayes_damper.calibration.experiment import angles_of, late_by_the_clock
 from bayes_damper.calibration.heldout import freed
-from bayes_damper.calibration.least_squares import essence, restored
+from bayes_damper.calibration.least_squares import Essence, essence, restored
 from bayes_damper.calibration.nominal import broad_noise, out_of_phase
 from bayes_damper.calibration.problem import READINGS_AT_ONCE
 from bayes_damper.calibration.scatter import carried, own_values, placed
@@ -464,13 +464,19 @@ def search(
     chosen = promising(nominal, pool, gains, full_fits)
     report(f"screened {len(pool)} formulas of effects; fitting the {len(chosen)} most promising")
 
+    def screened(k: int) -> Candidate:
+        return Candidate(*pool[k], screens[k], None, max(s.log_evidence for s in screens[k]))
+
     def refine(k: int, target: float) -> Candidate:
         effect, variant = pool[k]
         # Without a null the screening cannot set an amplitude, and ranks starts badly: try them all.
-        count = len(variant.starts) if variant.null is None else STARTS_OF_LEADERS if gains[k] > 0.5 * best else 1
+        leads = gains[k] > max(0.5 * best, FAINT)
+        count = len(variant.starts) if variant.null is None else STARTS_OF_LEADERS if leads else 1
         candidate = fit_variant(nominal, effect, variant, screens[k], count, target)
-        if candidate.log_evidence < max(s.log_evidence for s in screens[k]) - MISSED:
-            # The screening promised more than the fit found: it went astray, so try every other start.
+        if candidate.log_evidence < screened(k).log_evidence - MISSED:
+            # The screening promised more than the fit found: it went astray. Where that is little it is believed.
+            if gains[k] < FAINT:
+                return screened(k)
             again = fit_variant(nominal, effect, variant, screens[k], len(variant.starts), target)
             candidate = max(candidate, again, key=lambda c: c.log_evidence)
         return candidate
@@ -480,16 +486,15 @@ def search(
         first = refine(chosen[0], nominal.cost)
         reached = min(nominal.cost, math.inf if first.fit is None else first.fit.cost)
         each = now_and_then(report, len(chosen) - 1, "fitted")
-        essences = forked_map(lambda k: essence(refine(k, reached).fit), chosen[1:], workers, each)
+
+        def sent(k: int) -> Essence | None:
+            fit = refine(k, reached).fit
+            return None if fit is None else essence(fit)
+
+        essences = forked_map(sent, chosen[1:], workers, each)
         fitted = {chosen[0]: first}
         for k, found in zip(chosen[1:], essences, strict=True):
-            effect, variant = pool[k]
-            fit = restored(nominal.problem.with_effect(variant), found)
-            fitted[k] = Candidate(effect, variant, screens[k], fit, fit.log_evidence - nominal.log_evidence)
-    out = []
-    for k, (effect, variant) in enumerate(pool):
-        if k in fitted:
-            out.append(fitted[k])
-        else:
-            out.append(Candidate(effect, variant, screens[k], None, max(s.log_evidence for s in screens[k])))
-    return sorted(out, key=lambda c: -c.log_evidence)
+            if found is not None:
+                fit = restored(nominal.problem.with_effect(pool[k][1]), found)
+                fitted[k] = Candidate(*pool[k], screens[k], fit, fit.log_evidence - nominal.log_evidence)
+    return sorted((fitted.get(k) or screened(k) for k in range(len(pool))), key=lambda c: -c.log_evidence)
