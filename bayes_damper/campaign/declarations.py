@@ -264,7 +264,7 @@ def _drives(head: Head, trial: Trial) -> tuple[float, float, float] | None:
         start = math.copysign(trial.theta0.value, level) if power == 0 else trial.theta0.value
         if power == 0 and abs(level - start) > 0.3 * abs(start):  # held elsewhere than declared
             start = level
-        away, bound = departure(channel, head.measurement.quantity, start)
+        away, bound = departure(trial.times, channel, head.measurement.quantity, start)
         if np.any(away > bound):
             share = min(bound / reach, 1.0)
             before = (math.acos(1.0 - share), math.asin(share), 0.0)[power] / omega  # it has moved unseen for so long

@@ -57,6 +57,10 @@ def _loaded(folder: Path, head: Head, rows: Sequence[Row], faults: list[str], di
         if not head.broken:
             check_magnitudes(head, trial, faults, of_records)
             look_at_trial(head, trial, of_records)
+    if trials and all(t.holdout for t in trials):
+        faults.append(
+            "trials.csv: every trial is marked holdout, so nothing is left to fit: mark one of the repeats of each case"
+        )
     if faults:
         if rows and not any((folder / row.file).exists() for row in rows):
             faults.append("none of the records is there: `bayes-damper plan` judges a campaign before it is measured")

@@ -77,7 +77,7 @@ def _look_at_channel(head: Head, trial: Trial, i: int, omega: float, grows: bool
     declared = per_channel(head.measurement.offset_std, coupled)
     limits = per_channel(head.measurement.sensor_range, coupled)
     where = f"{trial.file}, column '{channel_columns(trial, head.rig.kind, head.measurement.quantity)[i]}'"
-    noise = look.noise_floor_of(y)
+    noise = look.noise_floor_of(y, trial.times)
     step = look.resolution_of(y)
     if np.ptp(y) == 0.0:
         warnings.append(f"{where}: every reading is the same; the sensor looks dead")
@@ -182,24 +182,26 @@ def _is_angle(head: Head) -> bool:
 
 def _look_at_clock(head: Head, trial: Trial, warnings: list[str]) -> None:
     times = trial.times
-    step = float(np.median(np.diff(times)))
+    step, counts = look.clock_of(times)
     rate = head.measurement.sample_rate
-    if rate is not None and abs(step * rate - 1.0) > _RATE:
+    mean, doubt = float(np.mean(np.diff(times))), float(np.std(np.diff(times))) / math.sqrt(times.size - 1)
+    if rate is not None and abs(step * rate - 1.0) > _RATE and abs(mean * rate - 1.0) > _RATE + 4.0 * doubt * rate:
         warnings.append(
             f"{trial.file}: the time column says {1.0 / step:.5g} Hz, "
             f"sample_rate says {rate:.5g}; the time column decides"
         )
     uneven = look.unevenness_of(times)
     if uneven > _UNEVEN:
-        warnings.append(f"{trial.file}: time is uneven: steps depart from {step:.4g} s by up to {100.0 * uneven:.2g} %")
-    gaps = look.gaps_of(times)
+        most = f"{float(f'{100.0 * uneven:.2g}'):g} %"
+        warnings.append(f"{trial.file}: time is uneven: steps depart from {step:.4g} s by up to {most}")
+    gaps = look.gaps_of(times) if counts else []
     if gaps:
         longest = max(gaps, key=lambda g: g[1] - g[0])
         warnings.append(
             f"{trial.file}: {counted(len(gaps), 'gap')} in time, {'the longest ' if len(gaps) > 1 else ''}"
             f"from {longest[0]:.4g} to {longest[1]:.4g} s"
         )
-    missing, singles = look.missing_of(times), look.singles_missing(times)
+    missing, singles = (look.missing_of(times), look.singles_missing(times)) if counts else (0.0, 0)
     if singles and uneven <= _JITTERS and missing <= _MISSING:
         verb = "is" if singles == 1 else "are"
         warnings.append(f"{trial.file}: {counted(singles, 'single reading')} {verb} missing")
@@ -227,7 +229,7 @@ def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]
         )
         warnings.append(_reversed(trial, _OTHER_SIDE if power == 0 else at_rest))
         y = -y
-    away, bound = departure(y, quantity, trial.theta0.value)
+    away, bound = departure(times, y, quantity, trial.theta0.value)
     departed = away > bound
     if not departed.any():
         return
@@ -314,7 +316,7 @@ def _moves_the_wrong_way(times: Array, y: Array, quantity: str, omega: float, re
     """
     largest = float(np.quantile(np.abs(y), 0.998))
     held = float(np.median(y[:_FEW])) if quantity == "displacement" else 0.0
-    bound = max(8.0 * look.noise_floor_of(y), 0.05 * float(np.max(np.abs(y))))
+    bound = max(8.0 * look.noise_floor_of(y, times), 0.05 * float(np.max(np.abs(y))))
     moving = np.abs(y - held) > bound
     lasting = moving[:-2] & moving[1:-1] & moving[2:]
     k = int(np.argmax(lasting)) if lasting.any() else 0
@@ -389,8 +391,6 @@ def look_at_repeats(head: Head, trials: Sequence[Trial], warnings: list[str]) ->
             f"trials.csv: only one trial of {', '.join(single)}: its repeatability is unknown"
             + ("" if any(t.holdout for t in trials) else ", and it is not held out")
         )
-    if all(t.holdout for t in trials):
-        warnings.append("trials.csv: every trial is marked holdout; nothing is left to train on")
     _look_for_copies(trials, warnings)
     for group in groups_of(trials).values():
         _look_for_short_twin(group, warnings)
@@ -545,7 +545,7 @@ def _onset(trial: Trial, quantity: str) -> float:
     """Time of the first reading that has left the held rig, in s; that of the first reading where none has."""
     if trial.theta0 is None:
         return 0.0
-    away, bound = departure(trial.channels[0], quantity, trial.theta0.value)
+    away, bound = departure(trial.times, trial.channels[0], quantity, trial.theta0.value)
     return float(trial.times[int(np.argmax(away > bound))])
 
 

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 _MAD_TO_SD = 1.482602218505602
+EVEN = 1e-3  # of the usual step, up to which a clock is even
 GAP, DOUBLE = 2.5, 1.5  # usual steps from one reading to the next: above them several are missing, or one
+OFF_GRID, FEW_DOUBLE = 0.2, 3  # rms of steps from whole multiples of one; double steps that stamps do not explain
 MARKS = (3, 3.0)  # equal readings that stand for missing ones, and times all others that they are
 STOPPED = 8  # equal readings of a sensor that never repeats itself otherwise
 FILLED_RUNS, FILLED = 8, 0.4  # runs of readings that were put in, and the least share of the steps that they hold
@@ -23,7 +25,7 @@ OF_SCATTER, OF_ERROR = 0.15, 8.0  # of the scatter, and standard errors, beyond 
 _HELD = 0.78  # of its peak: what is still further out half-way to the next crossing does not swing freely yet
 
 
-def noise_floor_of(readings: Array) -> float:
+def noise_floor_of(readings: Array, times: Array | None = None) -> float:
     """Standard deviation of the white noise of one channel, in the unit of the readings.
 
     Differences of order six cancel whatever is smooth over seven samples; their median absolute value, divided by
@@ -31,18 +33,32 @@ def noise_floor_of(readings: Array) -> float:
     spikes; noise that is correlated over several samples (a low-pass sensor) comes out too small. Never below the
     noise of rounding, step / sqrt(12). Zero for fewer than four readings.
 
-    readings : (n,)
+    readings : (n,); times : (n,) s, where the clock may be uneven: divided differences then, to the same effect
     """
     order = 6 if len(readings) >= 20 else 2
     if len(readings) < order + 2:
         return 0.0
-    differences = np.diff(readings, order)
-    scale = math.sqrt(math.comb(2 * order, order))
-    noise = _MAD_TO_SD * float(np.median(np.abs(differences))) / scale
+    if times is not None and unevenness_of(times) > EVEN:
+        largest = max(float(np.max(np.abs(readings))), 1e-300)  # readings of 1e308 have no finite sum
+        differences = largest * _divided_differences(times, readings / largest, order)
+    else:
+        differences = np.diff(readings, order) / math.sqrt(math.comb(2 * order, order))
+    noise = _MAD_TO_SD * float(np.median(np.abs(differences)))
     if noise == 0.0:
-        noise = min(float(np.std(differences)) / scale, float(np.std(readings)))
+        noise = min(float(np.std(differences)), float(np.std(readings)))
     step = resolution_of(readings)
     return max(noise, step / math.sqrt(12.0)) if step > 0.0 else noise
+
+
+def _divided_differences(times: Array, readings: Array, order: int) -> Array:
+    """Divided differences (at most 20 000 of them) in which white noise keeps its standard deviation."""
+    size = order + 1
+    first = np.unique(np.linspace(0, len(readings) - size, 20_000).astype(np.intp))
+    window = first[:, None] + np.arange(size)
+    t = times[window]
+    apart = (t[:, :, None] - t[:, None, :]) / np.ptp(t, axis=1)[:, None, None] + np.eye(size)
+    weights = 1.0 / np.prod(apart, axis=2)
+    return np.asarray(np.sum(weights * readings[window], axis=1) / np.sqrt(np.sum(weights**2, axis=1)))
 
 
 def resolution_of(readings: Array) -> float:
@@ -143,7 +159,7 @@ def mark_of(readings: Array) -> tuple[float, int] | None:
 
 def without_outliers(times: Array, readings: Array, omega: float, smooth: bool = False) -> Array:
     """The readings with single ones that stick out put between their neighbours."""
-    spikes = outliers_of(times, readings, noise_floor_of(readings), omega, smooth)
+    spikes = outliers_of(times, readings, noise_floor_of(readings, times), omega, smooth)
     if not spikes:
         return readings
     largest = float(np.max(np.abs(readings)))  # of 1e308 there are no finite differences
@@ -173,6 +189,24 @@ def singles_missing(times: Array) -> int:
     """How many single readings are missing: steps of about twice the median."""
     steps = np.diff(times) / np.median(np.diff(times))
     return int(np.sum((steps > DOUBLE) & (steps <= GAP)))
+
+
+def clock_of(times: Array) -> tuple[float, bool]:
+    """The usual step of a clock, in s, and whether steps count what is missing: all near multiples of a single one.
+
+    They do not where each step is drawn out or cut short at random, nor where readings at even instants have coarse or
+    trembling stamps: these stay within a step of a straight line, however many steps look double. The step is then
+    the mean one.
+    """
+    steps = np.diff(times)
+    usual = float(np.median(steps))
+    single = float(np.median(steps[steps < DOUBLE * usual]))
+    mean = float(times[-1] - times[0]) / steps.size
+    stamps = float(np.ptp(times - times[0] - mean * np.arange(times.size)))
+    if np.count_nonzero(steps > DOUBLE * usual) > FEW_DOUBLE and stamps < DOUBLE * single:
+        return mean, False
+    off = steps / single - np.round(steps / single)
+    return (single, True) if float(np.sqrt(np.mean(off**2))) < OFF_GRID else (mean, False)
 
 
 def flat_tops_of(times: Array, readings: Array, noise: float, omega: float, held_at_first: bool) -> list[float]:
@@ -279,10 +313,13 @@ def _off_the_cubic(readings: Array, noise: float) -> NDArray[np.bool_]:
 def offset_of(times: Array, readings: Array, noise: float, omega: float) -> float:
     """Level at which the channel rests at the end of the record; 0 where the last quarter shows none.
 
-    The last quarter, or two and a half periods, is averaged with a window that suppresses the oscillation itself. An
-    offset shows when the mean is beyond a seventh of the scatter there and beyond eight standard errors.
+    The last quarter, or two and a half periods (of what swings most, if that is slower than omega and the record holds
+    as many), is averaged with a window that suppresses the oscillation itself. An offset shows when the mean is beyond
+    a seventh of the scatter there and beyond eight standard errors.
     """
-    tail = readings[times >= times[-1] - max(0.25 * (times[-1] - times[0]), 5.0 * math.pi / omega)]
+    span, strongest = float(times[-1] - times[0]), dominant_frequency(times, readings)
+    slow = 2.5 / strongest if strongest > 2.5 / max(span, 1e-300) else 0.0
+    tail = readings[times >= times[-1] - max(0.25 * span, 5.0 * math.pi / omega, slow)]
     if len(tail) < 8:
         return 0.0
     mean, scatter = float(np.average(tail, weights=np.hanning(len(tail) + 2)[1:-1])), float(np.std(tail))
@@ -324,7 +361,7 @@ def find_release(times: Array, readings: Array) -> float:
     count = max(5, len(readings) // 100)
     head = readings[:count]
     level = float(np.median(head))
-    floor = max(noise_floor_of(readings), 1e-12 * float(np.ptp(readings)))
+    floor = max(noise_floor_of(readings, times), 1e-12 * float(np.ptp(readings)))
     if np.std(head) > 5.0 * floor:  # not held: it moves from the first reading on
         return float(times[0])
     noise = max(floor, float(np.std(head)))

@@ -267,6 +267,14 @@ def _check_times(trial: Trial, head: Head, name: str, faults: list[str]) -> bool
         return False
     duration = times[-1] - max(times[0], 0.0)
     if duration < period and not trial.prescribed:
+        before = float(times[-1] - times[0])
+        if times[0] < 0.0 and before >= period:
+            faults.append(
+                f"{name}: the clock begins {-times[0]:.4g} s before the release at t = 0, and "
+                + (f"only {duration:.4g} s lie" if duration > 0.0 else "no reading lies")
+                + " behind it: put t = 0 at the release, as `bayes-damper init --release find` does"
+            )
+            return False
         faults.append(
             f"{name}: {duration:.4g} s of motion is less than one natural period, {period:.4g} s (2 pi sqrt(J1/k1t)); "
             "record longer, or correct the unit of time, k1t or primary_inertia"
@@ -299,6 +307,8 @@ def _unit_guess(trial: Trial, kind: str, period: float) -> str:
     if trial.driven or frequency * float(np.ptp(trial.times)) < _SWINGS:
         return ""
     ratio = (frequency * period) ** 2
+    if 0.5 < ratio < 2.0:
+        return ""
     near = [guess for guess, factor in _UNITS[kind].items() if 0.5 < ratio / factor < 2.0]
     name = "k1" if kind == "translational" else "k1t"
     guess = f": {near[0]}?" if near else ""

@@ -56,15 +56,15 @@ class Release(NamedTuple):
     doubt: float = 0.0
 
 
-def departure(readings: Array, quantity: str, theta0: float) -> tuple[Array, float]:
+def departure(times: Array, readings: Array, quantity: str, theta0: float) -> tuple[Array, float]:
     """How far the first channel has left a held rig, and the bound beyond which that is noise no more.
 
-    readings : (n,), finite; theta0 : nominal angle (rad) or displacement (m) at which the rig is held
+    times : (n,) s; readings : (n,), finite; theta0 : nominal angle (rad) or displacement (m) at which the rig is held
     """
     sign = math.copysign(1.0, theta0) * (1.0 if quantity == "displacement" else -1.0)
     level = abs(theta0) if quantity == "displacement" else 0.0
     reach = float(np.max(np.abs(readings)))
-    return np.abs(sign * readings - level), max(DEPARTS[0] * look.noise_floor_of(readings), DEPARTS[1] * reach)
+    return np.abs(sign * readings - level), max(DEPARTS[0] * look.noise_floor_of(readings, times), DEPARTS[1] * reach)
 
 
 def release_of(times: Array, readings: Array, quantity: str, theta0: float, omega: float) -> Release:
@@ -82,7 +82,7 @@ def release_of(times: Array, readings: Array, quantity: str, theta0: float, omeg
     step = float(np.median(np.diff(t)))
     # A held reading before the release bounds it, wherever between two readings the clock puts 0.
     first = max(int(np.searchsorted(times, 0.01 * step, side="right")) - 1, 0) if times[-1] > 0.0 else 0
-    away, bound = departure(y, quantity, theta0)
+    away, bound = departure(t, y, quantity, theta0)
     moving = away > bound
     if not moving.any():
         return Release(first)
@@ -94,7 +94,7 @@ def release_of(times: Array, readings: Array, quantity: str, theta0: float, omeg
         return Release(first)
     start, low, high = (float(t[k - 1]),) * 3
     if quantity != "acceleration":
-        noise = look.noise_floor_of(y)
+        noise = look.noise_floor_of(y, t)
         if bound > 8.0 * noise:
             start = _beginning(t[k:], away[k:], quantity, theta0, omega, step)
         else:

@@ -92,6 +92,8 @@ def resampled_start(
         while count < enough and power > 1e-3:  # weights drawn together until they tell a shape
             power *= 0.7
             known, count = _normalised(power * log_weight)
+        if count < enough:  # of the others none counts at all, as where the noise is declared far too small
+            return start
         centre = known @ points
         white = (points - centre) * np.sqrt(known)[:, None]
         shapes.append(StudentT(centre, white.T @ white, freedom))

@@ -102,6 +102,28 @@ def test_the_last_trial_of_each_group_is_held_out_unless_marked(folder: Path) ->
     assert len(campaign.training) == 5
 
 
+def test_a_campaign_of_which_every_trial_is_held_out_is_refused(folder: Path) -> None:
+    lines = (folder / "trials.csv").read_text().splitlines()
+    (folder / "trials.csv").write_text("\n".join([lines[0] + ",holdout", *(line + ",true" for line in lines[1:])]))
+    (fault,) = faults_of(folder)
+    assert fault.startswith("trials.csv: every trial is marked holdout, so nothing is left to fit")
+
+
+@pytest.mark.parametrize(("shift", "said"), [(100.0, "no reading lies behind it"), (0.45, "s lie behind it")])
+def test_a_clock_that_begins_long_before_the_release_is_named(folder: Path, shift: float, said: str) -> None:
+    """It had been told how many times too small k1t/J1 is: 1."""
+    trial = load_campaign(folder).trials[0]
+    file = folder / trial.file
+    head, *rows = file.read_text().splitlines()
+    later = [row.partition(",") for row in rows]
+    begin = float(trial.times[-1]) - 0.05 if said[0] == "s" else shift
+    file.write_text("\n".join([head, *(f"{float(t) - begin!r},{rest}" for t, _, rest in later)]))
+    (fault,) = faults_of(folder)
+    assert said in fault
+    assert "put t = 0 at the release, as `bayes-damper init --release find` does" in fault
+    assert "times too small" not in fault
+
+
 def test_what_is_said_of_the_use_of_trials_is_what_the_commands_do(folder: Path) -> None:
     """`fit` uses all trials that are not marked; `diagnose` and `variability` hold out the last of each group."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import pytest
 from bayes_damper.campaign import load_campaign
 from bayes_damper.campaign import readings as look
 from bayes_damper.campaign.importer import init_campaign
+from bayes_damper.campaign.plausibility import _look_at_clock
 from bayes_damper.errors import InputError
 
 RATE, OMEGA = 30.0, 6.0  # a camera that films a slow cart
@@ -374,3 +376,58 @@ def test_what_init_writes_speaks_of_one_kind_of_rig(tmp_path, kind, own, other):
     written = (folder / "campaign.toml").read_text(encoding="utf-8")
     assert all(words in written for words in own)
     assert not any(words in written for words in other)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.05, 0.3, 0.45])
+def test_the_noise_of_readings_does_not_grow_with_the_jitter_of_their_clock(jitter):
+    """By differences of readings a clock of 5 % had shown four times the noise of a clean displacement."""
+    rng = np.random.default_rng(1)
+    times = np.arange(1001) / 1000.0 + jitter / 1000.0 * rng.uniform(-1.0, 1.0, 1001)
+    y = 0.08 * np.exp(-2.0 * times) * np.cos(58.0 * times) + 2e-5 * rng.standard_normal(1001)
+    assert look.noise_floor_of(y, times) == pytest.approx(2e-5, rel=0.1)
+    assert look.noise_floor_of(1e9 * y, times) == pytest.approx(2e4, rel=0.1)
+
+
+def clocks(kind, share, seed):
+    """Times of 1001 readings at 1 kHz whose stamps or steps tremble by a share of a step, or of which some are lost."""
+    rng, even = np.random.default_rng(seed), np.arange(1001.0)
+    if kind == "stamps":
+        times = np.sort(even + share * rng.standard_normal(1001))
+    elif kind == "steps":
+        times = np.cumsum(np.exp(share * rng.standard_normal(1001) - 0.5 * share**2))
+    elif kind == "whole":  # of a logger of 700 Hz
+        times = np.round(even / 0.7)
+    else:
+        times = (even + 0.05 * rng.uniform(-1.0, 1.0, 1001))[rng.random(1001) > share]
+    return 1e-3 * (times - times[0])
+
+
+@pytest.mark.parametrize(
+    ("kind", "share", "rate", "said"),
+    [
+        ("stamps", 0.05, 1000, {"uneven"}), ("stamps", 0.3, 1000, {"uneven"}), ("stamps", 0.45, 1000, {"uneven"}),
+        ("steps", 0.05, 1000, {"uneven"}), ("steps", 0.3, 1000, {"uneven"}), ("whole", 0.0, 700, set()),
+        ("steps", 0.3, 800, {"uneven", "says"}), ("lost", 0.05, 1000, {"uneven", "gap", "single"}),
+        ("lost", 0.3, 1000, {"uneven", "gap", "missing"}),
+    ],
+)  # fmt: skip
+def test_a_clock_that_trembles_has_no_other_rate_and_lacks_no_readings(kind, share, rate, said):
+    """Stamps and steps; what is lost is missing, at the declared rate."""
+    for seed in range(5):
+        head = SimpleNamespace(measurement=SimpleNamespace(sample_rate=rate))
+        warnings = []
+        _look_at_clock(head, SimpleNamespace(times=clocks(kind, share, seed), file="f"), warnings)
+        words = ("says", "uneven", "gap", "single", "missing")
+        assert {next(w for w in words if w in sentence) for sentence in warnings} - {"uneven"} == said - {"uneven"}
+
+
+def test_a_slow_swing_at_the_end_of_a_record_is_no_offset():
+    """An acceleration whose last quarter is less than one swing of its slow mode; a level beside it is found."""
+    times = np.arange(1001) / 1000.0
+    slow, fast = np.exp(-0.6 * times) * np.cos(17.2 * times), np.exp(-6.0 * times) * np.cos(60.0 * times)
+    y = 30.0 * slow + 60.0 * fast + 2.0 * np.random.default_rng(3).standard_normal(1001)
+    noise = look.noise_floor_of(y)
+    for shift in (0.0, 0.1, 0.2):
+        until = times <= 1.0 - shift
+        assert look.offset_of(times[until], y[until], noise, 58.0) == 0.0
+    assert look.offset_of(times, y + 20.0, noise, 58.0) == pytest.approx(20.0, abs=3.0)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from bayes_damper.sampling import resampled_start
 from bayes_damper.sampling.local_mixture import Nearby
 from bayes_damper.sampling.moves import DifferentialEvolution, Independence, Snooker, StudentT, _distinct, fit_mixture
 
@@ -284,3 +285,13 @@ def test_the_check_tells_a_snooker_that_keeps_its_target_from_one_that_does_not(
     assert p_value(Snooker()) > 1e-3
     assert p_value(Careless()) < 1e-10
     assert p_value(emcee.moves.DESnookerMove()) < 1e-10
+
+
+def test_a_target_that_no_draw_meets_is_begun_about_its_optimum():
+    """A noise declared a thousand times too small: of a cloud one point has all of the weight, and no shape."""
+    spread = np.eye(4)
+    found = resampled_start(
+        lambda x: -0.5e12 * np.sum(x**2, axis=1), np.zeros(4), spread, np.random.default_rng(1), draws=200
+    )
+    assert found.population.size == 0
+    np.testing.assert_array_equal(found.covariance, spread)
