@@ -32,6 +32,7 @@ _TAKES = 4.0  # times what primary and springs can give, from which the secondar
 _UNIT = 300.0  # times J2, which no other law of spring or friction looks like
 _FAINT = 0.2  # share explained that still gives an inertia to within its unit
 _FEWEST = 20.0  # readings in a natural period
+_ALIKE = 1.5  # times what the best lag leaves, up to which another one does as well
 _LATE = 0.3  # rad of the rig's oscillation by which channels may be apart
 _LEAST = 5.0  # natural periods of a record that are looked at, where the motion dies out sooner
 _ALONE = 1.3  # readings over their own noise, up to which a channel shows nothing else
@@ -76,7 +77,9 @@ def look_at_balance(head: Head, trials: Sequence[Trial], faults: list[str], warn
             known = 5.0 * math.hypot(found.error / max(found.inertia, 1e-300), declared.std / declared.value)
             ratios = [found.inertia / declared.value, found.inertia / (own_swing * declared.value)]
             if all(not _OFF[0] < r < _OFF[1] and abs(math.log(max(r, 1e-9))) > known for r in ratios):
-                wrong[case], sure = found.inertia, True
+                otherwise = _or_the_spring(head, case in unseen)
+                if not _look_at_clock(head, case, filtered, found, own_swing, otherwise, warnings, as_declared=True):
+                    wrong[case], sure = found.inertia, True
             continue
         other_unit = found.inertia > _UNIT * declared.value or _taken(head, filtered, own_swing) > _TAKES
         if found.explained > _FAINT and other_unit:
@@ -146,22 +149,37 @@ def _cause(head: Head, ratio: float, within: float) -> str:
 
 def _look_at_clock(
     head: Head, case: str, trials: Sequence[_Filtered], found: _Sum, own_swing: float, otherwise: str,
-    warnings: list[str],
-) -> None:  # fmt: skip
-    """Names a second channel that balances the first only if it is moved in time."""
+    warnings: list[str], as_declared: bool = False,
+) -> bool:  # fmt: skip
+    """Whether a second channel balances the first only if it is moved in time, which is named.
+
+    as_declared : with an inertia near the declared one, while another one balances the channels without a lag.
+    """
     omega = 2.0 * math.pi / natural_period(head.rig, trials[0].trial)
     lags = np.linspace(-1.2, 1.2, 25) / omega
     moved = [_balance(head, trials, float(lag), own_swing) for lag in lags]
     best = max(range(lags.size), key=lambda k: 0.0 if moved[k] is None else moved[k].explained)  # type: ignore[union-attr]
     there = moved[best]
     if there is None or there.explained < _SHOWN or 1.0 - there.explained > 0.5 * (1.0 - found.explained):
-        return
-    if abs(lags[best]) * omega > _LATE:
+        return False
+    declared = head.rig.secondary_inertia
+    if as_declared and declared is not None and not _OFF[0] < there.inertia / declared.value < _OFF[1]:
+        return False
+    late = bool(abs(lags[best]) * omega > _LATE)
+    if late:
+        alike = [
+            lag
+            for lag, m in zip(lags, moved, strict=True)
+            if m and 1.0 - m.explained < _ALIKE * (1.0 - there.explained)
+        ]
+        least, most = sorted((1e3 * abs(min(alike, key=abs)), 1e3 * abs(max(alike, key=abs))))
+        about = f"about {1e3 * abs(lags[best]):.2g}" if most < 1.5 * least else f"{least:.2g} to {most:.2g}"
         warnings.append(
-            f"case {case}: the torques on both bodies add up to zero only if the second channel is about "
-            f"{1e3 * abs(lags[best]):.2g} ms {'late' if lags[best] > 0.0 else 'early'}: see how the two channels are "
+            f"case {case}: the torques on both bodies add up to zero only if the second channel is {about} ms "
+            f"{'late' if lags[best] > 0.0 else 'early'}: see how the two channels are "
             f"sampled, and move its readings in time{otherwise}"
         )
+    return late
 
 
 def _is_copy(trial: Trial, head: Head, faults: list[str]) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -106,6 +107,16 @@ def test_where_no_fit_can_follow_it_is_an_error(tmp_path, factor, cause):
 )
 def test_a_second_channel_that_cannot_be_is_a_warning(tmp_path, change, said):
     assert re.search(said, remarks(tmp_path / "c", change))
+
+
+def test_a_late_channel_that_another_inertia_would_balance_is_said_to_be_late(tmp_path, monkeypatch):
+    """A weak coupling: 20 ms are a tenth of the second body's swing, and half more inertia does nearly as well."""
+    for name, value in (("K2", 0.8), ("C2", 0.003)):
+        monkeypatch.setattr(sys.modules[__name__], name, value)
+    found = remarks(tmp_path / "c", lambda y: np.interp(TIMES - 0.02, TIMES, y[1]))
+    assert "only if the second channel is 8.6 to 21 ms late" in found
+    assert "secondary_inertia" not in found
+    assert "add up to zero" not in remarks(tmp_path / "sound", second)
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.5])
