@@ -64,7 +64,7 @@ KINDS: dict[str, Kind] = {
     for k in (
         Kind("spring_cubic", 1, "ground1", "share p0 of k1t follows tan(p1 x)/p1 - x, or tanh where softer", 0.1, 3.0,
              lambda r: (_flat(r, 0.6, 1.1),), BOTH),
-        Kind("spring_bottoming", 2, "ground1", "contact of Hertz beyond the angle p1: p0 k1t A (|x| - p1)^1.5", 0.5,
+        Kind("spring_bottoming", 2, "ground1", "contact of a cone beyond the angle p1: p0 k1t A (|x| - p1)^2", 0.5,
              200.0, lambda r: (_flat(r, 0.4, 0.85),)),
         Kind("coupling_backlash", 3, "ground1", "share p2 of k1t is lost from p0 (p3 - 1) to p0 (p3 + 1), round by p1",
              0.02, 0.3, lambda r: (_flat(r, 0.1, 0.5), _flat(r, 0.5, 1.0), _flat(r, 0.2, 0.6))),

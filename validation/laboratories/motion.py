@@ -116,7 +116,7 @@ def derivative(t: float, x: Array, g: Array, codes: NDArray[np.int64], P: Array,
         elif c == 2:  # spring_bottoming
             beyond = abs(th1) / a - p1
             if beyond > 0.0:
-                q1 -= p0 * k1 * a * beyond**1.5 * _sign(th1)
+                q1 -= p0 * k1 * a * beyond**2 * _sign(th1)
         elif c == 3:  # coupling_backlash
             h = p1 * p0 * a
             near, far = p0 * a * (1.0 - p3), p0 * a * (1.0 + p3)
