@@ -23,7 +23,7 @@ from bayes_damper.calibration.own_values import (
 )
 from bayes_damper.calibration.unknowns import NOMINAL, Coordinate, Priors, acting_alone, middle
 from bayes_damper.campaign.records import DERIVATIVE, LONGEST_RELEASE
-from bayes_damper.priors.distributions import Distribution, LogNormal, LogStudent
+from bayes_damper.priors.distributions import Distribution, LogScale
 from bayes_damper.rig.inputs import Inputs
 
 Array = NDArray[np.float64]
@@ -360,7 +360,7 @@ def _own_value(name: str, priors: Sequence[Distribution | float]) -> tuple[Nuisa
         value = middle(p)
         if isinstance(p, float | int):
             spread, low, high = 1e-12, -math.inf, math.inf
-        elif isinstance(p, LogNormal | LogStudent):
+        elif isinstance(p, LogScale):
             spread, low, high = math.log(p.factor) * (1.0 if log else value), -math.inf, math.inf
         else:
             (low, high), edge = p.support, (float(p.ppf(0.16)), float(p.ppf(0.84)))

@@ -26,15 +26,7 @@ from bayes_damper.effects._law import is_law, read_law
 from bayes_damper.effects.base import SITES, Effect, EffectParameter, Variant
 from bayes_damper.errors import InputError
 from bayes_damper.inputs import is_file
-from bayes_damper.priors.distributions import (
-    Distribution,
-    HalfNormal,
-    LogNormal,
-    LogStudent,
-    LogUniform,
-    Normal,
-    Uniform,
-)
+from bayes_damper.priors.distributions import Distribution, HalfNormal, LogScale, LogUniform, Normal, Uniform
 from bayes_damper.rig.equations import Rig
 
 __all__ = [
@@ -132,7 +124,7 @@ def _ratio(unit: str, scales: Scales) -> float:
 
 def _stretched(prior: Distribution, ratio: float) -> Distribution:
     """The distribution of `ratio` times the variable."""
-    if isinstance(prior, LogNormal | LogStudent):
+    if isinstance(prior, LogScale):
         return replace(prior, median_value=prior.median_value * ratio)
     if isinstance(prior, Normal | HalfNormal | Uniform | LogUniform):
         changes: dict[str, Any] = {

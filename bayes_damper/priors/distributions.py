@@ -81,8 +81,8 @@ class Normal:
 
 
 @dataclass(frozen=True)
-class LogNormal:
-    """ln x is Gaussian about ln median with sd ln factor: two thirds of the mass lie within a factor `factor`."""
+class LogScale:
+    """A positive quantity that is known within a factor: ln x is symmetric about ln median, with scale ln factor."""
 
     median_value: float
     factor: float
@@ -91,6 +91,11 @@ class LogNormal:
     @property
     def support(self) -> tuple[float, float]:
         return 0.0, math.inf
+
+
+@dataclass(frozen=True)
+class LogNormal(LogScale):
+    """ln x is Gaussian about ln median with sd ln factor: two thirds of the mass lie within a factor `factor`."""
 
     def logpdf(self, x: ArrayLike) -> Array:
         x = np.asarray(x, float)
@@ -105,20 +110,12 @@ class LogNormal:
 
 
 @dataclass(frozen=True)
-class LogStudent:
+class LogStudent(LogScale):
     """ln x is Student's t with four degrees of freedom, about ln median with scale ln factor.
 
     As `LogNormal` near the median (63 % of the mass within a factor `factor`), with tails that a value may lie in: four
     scales out is one draw in 60, not one in 16 000. With four degrees of freedom quantiles have a closed form.
     """
-
-    median_value: float
-    factor: float
-    coordinate: Coordinate = "log"
-
-    @property
-    def support(self) -> tuple[float, float]:
-        return 0.0, math.inf
 
     def logpdf(self, x: ArrayLike) -> Array:
         x = np.asarray(x, float)
@@ -209,10 +206,10 @@ _FARTHEST_T = 100.0  # scales beyond which a Student's t is not followed: factor
 def from_standard(distribution: Distribution, z: ArrayLike) -> Array:
     """The value x whose quantile in `distribution` is that of `z` in a unit Gaussian; accurate far into both tails."""
     y: Array = _between(np.asarray(z, float), -_FARTHEST, _FARTHEST)
-    if isinstance(distribution, LogNormal):
-        return np.asarray(distribution.median_value * np.exp(math.log(distribution.factor) * y))
-    if isinstance(distribution, LogStudent):
-        return np.asarray(distribution.median_value * np.exp(math.log(distribution.factor) * _student(y)))
+    tailed = isinstance(distribution, LogStudent)
+    if isinstance(distribution, LogScale):
+        t = _student(y) if tailed else y
+        return np.asarray(distribution.median_value * np.exp(math.log(distribution.factor) * t))
     if isinstance(distribution, HalfNormal):
         # x / sd = -Phi^-1(Phi(-y) / 2): the upper tail is a lower tail of half its mass.
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -270,7 +267,7 @@ class _Kinds:
 
 @lru_cache(maxsize=64)
 def _kinds(distributions: tuple[Distribution, ...]) -> _Kinds:
-    scales = [(i, d) for i, d in enumerate(distributions) if isinstance(d, LogNormal | LogStudent)]
+    scales = [(i, d) for i, d in enumerate(distributions) if isinstance(d, LogScale)]
     cut = [
         (i, d)
         for i, d in enumerate(distributions)
@@ -294,10 +291,10 @@ def _kinds(distributions: tuple[Distribution, ...]) -> _Kinds:
 def to_standard(distribution: Distribution, x: ArrayLike) -> Array:
     """The standard coordinate of the value `x`, cut to +-8 where both ends of the distribution are: the inverse."""
     x = np.asarray(x, float)
-    if isinstance(distribution, LogNormal):
-        return np.asarray(np.log(x / distribution.median_value) / math.log(distribution.factor))
-    if isinstance(distribution, LogStudent):
-        return _of_student(np.log(x / distribution.median_value) / math.log(distribution.factor))
+    tailed = isinstance(distribution, LogStudent)
+    if isinstance(distribution, LogScale):
+        t = np.log(x / distribution.median_value) / math.log(distribution.factor)
+        return _of_student(t) if tailed else np.asarray(t)
     if isinstance(distribution, HalfNormal):
         distribution = Normal(0.0, distribution.sd, lower=0.0)
     if isinstance(distribution, Normal):

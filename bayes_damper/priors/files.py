@@ -25,6 +25,7 @@ from bayes_damper.priors.distributions import (
     Distribution,
     HalfNormal,
     LogNormal,
+    LogScale,
     LogStudent,
     LogUniform,
     Normal,
@@ -557,7 +558,7 @@ def _widen(prior: Distribution, factor: float) -> Distribution:
         raise ValueError(f"a width is changed by a positive factor, got {factor}")
     if isinstance(prior, Normal):
         return replace(prior, sd=prior.sd * factor)
-    if isinstance(prior, LogNormal | LogStudent):
+    if isinstance(prior, LogScale):
         return replace(prior, factor=prior.factor**factor)
     if isinstance(prior, HalfNormal):
         return replace(prior, sd=prior.sd * factor)
@@ -583,7 +584,7 @@ def describe(value: Distribution | float | str | None) -> dict[str, Any]:
         bounds = {"lower": value.lower, "upper": value.upper}
         limits = {k: v for k, v in bounds.items() if math.isfinite(v)}
         return {"dist": "normal", "mean": value.mean, "sd": value.sd} | limits
-    if isinstance(value, LogNormal | LogStudent):
+    if isinstance(value, LogScale):
         return {"dist": type(value).__name__.lower(), "median": value.median_value, "factor": value.factor}
     if isinstance(value, HalfNormal):
         return {"dist": "halfnormal", "sd": value.sd}

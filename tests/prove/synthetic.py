@@ -21,7 +21,7 @@ import reference
 from numpy.typing import NDArray
 
 from bayes_damper.calibration import FRICTION_SPREAD, Experiment, TrialRecord, default_priors
-from bayes_damper.priors.distributions import LogNormal, LogStudent, from_standard, to_standard
+from bayes_damper.priors.distributions import LogNormal, LogScale, from_standard, to_standard
 from bayes_damper.simulation.model import Model
 
 Array = NDArray[np.float64]
@@ -60,7 +60,7 @@ def campaign(kind: str, seed: int, number: int) -> Campaign:
     narrow = {
         name: LogNormal(prior.median_value, min(prior.factor, FACTOR))
         for name, prior in default_priors(experiment).items()
-        if isinstance(prior, LogNormal | LogStudent) and name != "nu"
+        if isinstance(prior, LogScale) and name != "nu"
     }
     experiment = replace(experiment, priors={**experiment.priors, **narrow})
     truth = {
