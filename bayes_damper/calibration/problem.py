@@ -305,9 +305,9 @@ def _as_sensors_show(
     y: Array, coordinates: Sequence[Coordinate], group: Group, which: Indices, q: Array, eta: Array
 ) -> Array:
     """Motions y (n, channels, n_times) as the sensors show them: scale, offset and drift of channels, in place."""
-    scales = [i for i, c in enumerate(coordinates) if c.role == "sensor" and c.index < y.shape[1]]
-    for i, x in zip(scales, _values([coordinates[i] for i in scales], q[:, scales]), strict=True):
-        y[:, coordinates[i].index] *= x[:, None]
+    for i, c in enumerate(coordinates):
+        if c.role == "sensor" and c.index < y.shape[1]:
+            y[:, c.index] *= from_standard(c.prior, q[:, i])[:, None]
     for channel in range(y.shape[1]):
         waves, sizes = [], []
         for i, (name, mean, sd) in enumerate(group.nuisances):
