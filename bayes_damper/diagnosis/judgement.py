@@ -151,12 +151,11 @@ def judge_without_repeats(
     names = sorted(seen.evidence)
 
     shares = _shares_left(left_by, sets, len(names))
+    fits = {s.names: s.fit for s in reversed(sets)}
     failing = {
-        s.names: 1.0
-        - (1.0 - foreign_alone(shares[s.names], rule, left_by(s.fit).odd))
-        * (1.0 - idle_alone(shares[s.names], none_left, rule))
-        for s in reversed(sets)
-        if s.names in shares
+        some: 1.0
+        - (1.0 - foreign_alone(share, rule, odd_shapes(fits[some]))) * (1.0 - idle_alone(share, none_left, rule))
+        for some, share in shares.items()
     }
     budget = _budget(seen, sets, failing, rng)
     sets = _standing(sets, budget)

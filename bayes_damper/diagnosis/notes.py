@@ -10,7 +10,7 @@ from bayes_damper.calibration import Calibration, Experiment
 from bayes_damper.calibration.cases import damping_in_words
 from bayes_damper.calibration.scatter import odd_values_in_words, scatter_in_words
 from bayes_damper.campaign.records import DERIVATIVE
-from bayes_damper.diagnosis.remainder import unlike_in_words
+from bayes_damper.diagnosis.remainder import oddness, unlike_in_words
 from bayes_damper.diagnosis.search import Candidate
 from bayes_damper.diagnosis.sites import SiteMap
 from bayes_damper.diagnosis.verdict import Answers
@@ -90,8 +90,9 @@ def imitated_in_words(known: Candidate | None, answers: Answers) -> list[str]:
     left = answers.left
     if known is None or known.fit is None or answers.verdict != "unknown" or left.odd < ODD_SHAPE or left.share > 0.5:
         return []
-    own = [(c, z) for c, z in zip(known.fit.problem.coordinates, known.fit.q, strict=True) if c.shape]
-    c, z = max(own, key=lambda each: abs(each[1]))
+    c, z = max(zip(known.fit.problem.coordinates, known.fit.q, strict=True), key=lambda each: oddness(*each))
+    if not c.shape:  # that of a pair, in the other effect
+        return []
     ratio = float(from_standard(c.prior, z) / from_standard(c.prior, 0.0))
     name = c.parameter.removeprefix(OF_EFFECT)
     meaning = next(p.meaning for p in known.variant.parameters if p.name == name).rstrip(".")

@@ -26,6 +26,7 @@ from scipy.special import gammaincc
 
 from bayes_damper.calibration import Calibration, Experiment
 from bayes_damper.calibration.experiment import repeats_by_reading
+from bayes_damper.calibration.unknowns import Coordinate
 from bayes_damper.priors.distributions import LogNormal, LogStudent, from_standard
 
 Array = NDArray[np.float64]
@@ -106,12 +107,15 @@ def odd_shapes(fit: Calibration) -> float:
     over which friction falls. What only imitates an effect may have them far away, with the tails of a `LogStudent` of
     the same median and factor. Only what lies far out counts: three factors as 1.5 nats, ten as 40.
     """
-    nats = 0.0
-    for c, z in zip(fit.problem.coordinates, fit.q, strict=True):
-        if c.shape and isinstance(c.prior, LogNormal):
-            x, imitated = from_standard(c.prior, z), LogStudent(c.prior.median_value, c.prior.factor)
-            nats += max(float(imitated.logpdf(x) - c.prior.logpdf(x)), 0.0)
-    return nats
+    return sum(oddness(c, z) for c, z in zip(fit.problem.coordinates, fit.q, strict=True))
+
+
+def oddness(c: Coordinate, z: float) -> float:
+    """The same of one coordinate; 0 if it is no parameter of shape."""
+    if not c.shape or not isinstance(c.prior, LogNormal):
+        return 0.0
+    x, imitated = from_standard(c.prior, z), LogStudent(c.prior.median_value, c.prior.factor)
+    return max(float(imitated.logpdf(x) - c.prior.logpdf(x)), 0.0)
 
 
 def remainder_of(fit: Calibration) -> Remainder:

@@ -130,7 +130,8 @@ def left_of(
     share = remains / whole
     if before.low_excess > 5.0 * before.low_sd:
         share = min(share, max(after.low_excess + after.low_sd, 0.0) / before.low_excess)
-    return Left(nats, min(share, 1.0), home, after.line, after.peak_hz / after.own_hz, False, readings, exact, odd)
+    peak = after.peak_hz / after.own_hz
+    return Left(nats, min(share, 1.0), home, after.line, peak, readings=readings, exact=exact, odd=odd)
 
 
 @dataclass(frozen=True)
