@@ -73,19 +73,20 @@ def look_at_balance(head: Head, trials: Sequence[Trial], faults: list[str], warn
         found = _balance(head, filtered, 0.0, own_swing)
         if found is None:
             continue
+        otherwise = _or_the_spring(head, case in unseen)
         if found.explained > _SHOWN:
             known = 5.0 * math.hypot(found.error / max(found.inertia, 1e-300), declared.std / declared.value)
             ratios = [found.inertia / declared.value, found.inertia / (own_swing * declared.value)]
-            if all(not _OFF[0] < r < _OFF[1] and abs(math.log(max(r, 1e-9))) > known for r in ratios):
-                otherwise = _or_the_spring(head, case in unseen)
-                if not _look_at_clock(head, case, filtered, found, own_swing, otherwise, warnings, as_declared=True):
-                    wrong[case], sure = found.inertia, True
+            off_by_more = all(not _OFF[0] < r < _OFF[1] and abs(math.log(max(r, 1e-9))) > known for r in ratios)
+            if off_by_more and not _look_at_clock(
+                head, case, filtered, found, own_swing, otherwise, warnings, as_declared=True
+            ):
+                wrong[case], sure = found.inertia, True
             continue
         other_unit = found.inertia > _UNIT * declared.value or _taken(head, filtered, own_swing) > _TAKES
         if found.explained > _FAINT and other_unit:
             wrong[case] = found.inertia
             continue
-        otherwise = _or_the_spring(head, case in unseen)
         _look_at_clock(head, case, filtered, found, own_swing, otherwise, warnings)
     if wrong:
         middle = float(np.median(list(wrong.values())))
@@ -167,17 +168,14 @@ def _look_at_clock(
         return False
     late = bool(abs(lags[best]) * omega > _LATE)
     if late:
-        alike = [
-            lag
-            for lag, m in zip(lags, moved, strict=True)
-            if m and 1.0 - m.explained < _ALIKE * (1.0 - there.explained)
-        ]
-        least, most = sorted((1e3 * abs(min(alike, key=abs)), 1e3 * abs(max(alike, key=abs))))
+        bound = _ALIKE * (1.0 - there.explained)
+        alike = [1e3 * abs(lag) for lag, m in zip(lags, moved, strict=True) if m and 1.0 - m.explained < bound]
+        least, most = min(alike), max(alike)
         about = f"about {1e3 * abs(lags[best]):.2g}" if most < 1.5 * least else f"{least:.2g} to {most:.2g}"
         warnings.append(
             f"case {case}: the torques on both bodies add up to zero only if the second channel is {about} ms "
-            f"{'late' if lags[best] > 0.0 else 'early'}: see how the two channels are "
-            f"sampled, and move its readings in time{otherwise}"
+            f"{'late' if lags[best] > 0.0 else 'early'}: see how the two channels are sampled, and move its readings "
+            f"in time{otherwise}"
         )
     return late
 

@@ -100,7 +100,8 @@ def _look_at_channel(head: Head, trial: Trial, i: int, omega: float, grows: bool
         )
     if step > noise:
         warnings.append(f"{where}: quantised in steps of {step:.3g}; noise below that cannot be seen")
-    slowest = 2.0 * math.pi * look.dominant_frequency(trial.times, y)  # of a coupled rig's slow mode: round tops
+    strongest = look.dominant_frequency(trial.times, y)
+    slowest = 2.0 * math.pi * strongest  # of a coupled rig's slow mode: round tops
     reacts = trial.prescribed and i == 0  # dry friction has flat tops
     begins_held = head.measurement.quantity == "displacement"
     tops = look.flat_tops_of(trial.times, y, noise, min(omega, max(slowest, 0.25 * omega)), begins_held)
@@ -123,7 +124,7 @@ def _look_at_channel(head: Head, trial: Trial, i: int, omega: float, grows: bool
             if len(spikes) == 1
             else f"{where}: {len(spikes)} single readings stick out, at {some} s{more}; they look like outliers"
         )
-    offset = look.offset_of(trial.times, y, noise, omega)
+    offset = look.offset_of(trial.times, y, noise, omega, strongest)
     expected = _OF_DECLARED * declared[i] if declared is not None else 0.0  # fits infer it within that
     if abs(offset) > max(_OF_STEPS * step if step > noise else 0.0, expected):
         _tell_offset(head, trial, where, offset, warnings)
@@ -184,7 +185,8 @@ def _look_at_clock(head: Head, trial: Trial, warnings: list[str]) -> None:
     times = trial.times
     step, counts = look.clock_of(times)
     rate = head.measurement.sample_rate
-    mean, doubt = float(np.mean(np.diff(times))), float(np.std(np.diff(times))) / math.sqrt(times.size - 1)
+    steps = np.diff(times)
+    mean, doubt = float(np.mean(steps)), float(np.std(steps)) / math.sqrt(steps.size)
     if rate is not None and abs(step * rate - 1.0) > _RATE and abs(mean * rate - 1.0) > _RATE + 4.0 * doubt * rate:
         warnings.append(
             f"{trial.file}: the time column says {1.0 / step:.5g} Hz, "

@@ -194,9 +194,9 @@ def singles_missing(times: Array) -> int:
 def clock_of(times: Array) -> tuple[float, bool]:
     """The usual step of a clock, in s, and whether steps count what is missing: all near multiples of a single one.
 
-    They do not where each step is drawn out or cut short at random, nor where readings at even instants have coarse or
-    trembling stamps: these stay within a step of a straight line, however many steps look double. The step is then
-    the mean one.
+    They do not where each step is drawn out or cut short at random, nor where readings at even instants have coarse
+    stamps or stamps with jitter: these stay within a step of a straight line, however many steps look double. The step
+    is then the mean one.
     """
     steps = np.diff(times)
     usual = float(np.median(steps))
@@ -310,14 +310,17 @@ def _off_the_cubic(readings: Array, noise: float) -> NDArray[np.bool_]:
     return (size[2:-2] > bound) & (size[2:-2] > 1.3 * beside) & (size[2:-2] > 0.8 * nearest) & (nearest > 0.5 * bound)
 
 
-def offset_of(times: Array, readings: Array, noise: float, omega: float) -> float:
+def offset_of(times: Array, readings: Array, noise: float, omega: float, strongest: float | None = None) -> float:
     """Level at which the channel rests at the end of the record; 0 where the last quarter shows none.
 
     The last quarter, or two and a half periods (of what swings most, if that is slower than omega and the record holds
     as many), is averaged with a window that suppresses the oscillation itself. An offset shows when the mean is beyond
     a seventh of the scatter there and beyond eight standard errors.
+
+    strongest : Hz, the `dominant_frequency` of the readings, where it is known
     """
-    span, strongest = float(times[-1] - times[0]), dominant_frequency(times, readings)
+    span = float(times[-1] - times[0])
+    strongest = dominant_frequency(times, readings) if strongest is None else strongest
     slow = 2.5 / strongest if strongest > 2.5 / max(span, 1e-300) else 0.0
     tail = readings[times >= times[-1] - max(0.25 * span, 5.0 * math.pi / omega, slow)]
     if len(tail) < 8:
