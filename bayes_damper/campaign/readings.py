@@ -33,12 +33,13 @@ def noise_floor_of(readings: Array, times: Array | None = None) -> float:
     spikes; noise that is correlated over several samples (a low-pass sensor) comes out too small. Never below the
     noise of rounding, step / sqrt(12). Zero for fewer than four readings.
 
-    readings : (n,); times : (n,) s, where the clock may be uneven: divided differences then, to the same effect
+    readings : (n,); times : (n,) s, where the clock may be uneven or lack readings: divided differences then, to the
+    same effect
     """
     order = 6 if len(readings) >= 20 else 2
     if len(readings) < order + 2:
         return 0.0
-    if times is not None and unevenness_of(times) > EVEN:
+    if times is not None and np.ptp(steps := np.diff(times)) > EVEN * np.median(steps):
         largest = max(float(np.max(np.abs(readings))), 1e-300)  # readings of 1e308 have no finite sum
         differences = largest * _divided_differences(times, readings / largest, order)
     else:

@@ -322,7 +322,7 @@ def noise_floor(trial: Trial) -> Array:
 
     From differences of order six, see `readings.noise_floor_of`.
     """
-    return np.array([look.noise_floor_of(channel) for channel in trial.channels])
+    return np.array([look.noise_floor_of(channel, trial.times) for channel in trial.channels])
 
 
 def natural_period(rig: Rig, trial: Trial) -> float:

@@ -13,6 +13,7 @@ from bayes_damper.campaign import load_campaign
 from bayes_damper.campaign import readings as look
 from bayes_damper.campaign.importer import init_campaign
 from bayes_damper.campaign.plausibility import _look_at_clock
+from bayes_damper.campaign.structure import noise_floor
 from bayes_damper.errors import InputError
 
 RATE, OMEGA = 30.0, 6.0  # a camera that films a slow cart
@@ -386,6 +387,21 @@ def test_the_noise_of_readings_does_not_grow_with_the_jitter_of_their_clock(jitt
     y = 0.08 * np.exp(-2.0 * times) * np.cos(58.0 * times) + 2e-5 * rng.standard_normal(1001)
     assert look.noise_floor_of(y, times) == pytest.approx(2e-5, rel=0.1)
     assert look.noise_floor_of(1e9 * y, times) == pytest.approx(2e4, rel=0.1)
+
+
+@pytest.mark.parametrize("noise", [1e-6, 2e-5, 1e-3])
+@pytest.mark.parametrize("rate", [200.0, 1000.0])
+def test_the_noise_of_readings_does_not_grow_with_those_that_are_lost(noise, rate):
+    """Of an even clock 5 % were lost at random: a clean displacement had shown 1.6 times its noise."""
+    times = np.arange(2001) / rate
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        y = 0.08 * np.exp(-2.0 * times) * np.cos(58.0 * times) + noise * rng.standard_normal(2001)
+        kept = rng.random(2001) > 0.05
+        whole, left = (
+            noise_floor(SimpleNamespace(times=times[k], channels=y[None, k])) for k in (np.ones(2001, bool), kept)
+        )
+        assert left == pytest.approx(whole, rel=0.1)
 
 
 def clocks(kind, share, seed):
