@@ -11,6 +11,7 @@ from bayes_damper.campaign import readings as look
 from bayes_damper.campaign.head import Head
 from bayes_damper.campaign.records import DERIVATIVE
 from bayes_damper.campaign.structure import Rig, Trial, channel_columns, natural_period
+from bayes_damper.text import counted
 
 _FEWEST = 4.0  # readings in a period of the primary, below which a motion is not seen
 _ABOVE_ZERO = ("primary_inertia", "secondary_inertia", "bar_radius", "magnet_radius", "magnet_pull")
@@ -140,8 +141,8 @@ def _check_measurement(head: Head, trials: Sequence[Trial], faults: list[str], w
             kept = trial.times.size // declared.every
             if left < _FEWEST or kept < _FEWEST_LEFT:
                 faults.append(
-                    f"{where}: every = {declared.every} leaves {kept} readings of {trial.file}, {left:.2g} to a period "
-                    f"of the primary; at least {_FEWEST:g} show a motion"
+                    f"{where}: every = {declared.every} leaves {counted(kept, 'reading')} of {trial.file}, {left:.2g} "
+                    f"to a period of the primary; at least {_FEWEST:g} show a motion"
                 )
                 break
     own = 1.0 / period

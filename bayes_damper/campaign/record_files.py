@@ -255,7 +255,7 @@ def _check_times(trial: Trial, head: Head, name: str, faults: list[str]) -> bool
     steps = np.diff(times)
     rate = head.measurement.sample_rate
     if len(steps) and (
-        (rate and _THOUSAND[0] < np.median(steps) * rate < _THOUSAND[1])
+        (rate and _THOUSAND[0] < np.median(steps) * rate < _THOUSAND[1] and 1e-3 * np.ptp(times) > period)
         or (not rate and np.median(steps) > _COARSE * period)
     ):
         faults.append(

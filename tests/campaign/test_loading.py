@@ -257,6 +257,7 @@ TOML_FAULTS = [
     ("noise_std = 2.0", "noise_std = -2.0", "noise_std = -2.0 must be positive"),
     ("[rig]", "[rig", "campaign.toml: not valid TOML"),
     ("bar_radius = 0.10", "bar_radius = 0.10\ninertial_coupling = 1.0", "no rig has such an inertia matrix"),
+    ("noise_std = 2.0", "every = 600", "every = 600 leaves 1 reading of trials/"),
 ]
 
 
@@ -335,6 +336,13 @@ def test_wrong_units_and_short_records(folder: Path, change: Callable, sentence:
     assert len(faults) == 1
     assert sentence in faults[0]
     assert FIRST in faults[0]
+
+
+def test_a_wrong_rate_is_no_wrong_unit_of_time(folder: Path) -> None:
+    """In milliseconds the record would be shorter than one natural period."""
+    edit(folder / "campaign.toml", "sample_rate = 1000.0", "sample_rate = 1e6")
+    (told,) = {w.partition(": ")[2] for w in load_campaign(folder).warnings}
+    assert told == "the time column says 1000 Hz, sample_rate says 1e+06; the time column decides"
 
 
 def test_a_motion_that_dies_within_some_readings_is_no_wrong_unit(folder: Path) -> None:
