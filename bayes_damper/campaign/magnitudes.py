@@ -111,12 +111,17 @@ def _check_measurement(head: Head, trials: Sequence[Trial], faults: list[str], w
     rig, declared = head.rig, head.measurement
     where = "campaign.toml [measurement]"
     largest = max((float(np.max(np.abs(t.channels))) for t in trials), default=math.inf)
-    for key in ("noise_std", "offset_std"):
+    for key in ("noise_std", "offset_std", "sensor_range"):
         if any(x > _MOST_APART * largest for x in getattr(declared, key) or ()):
             faults.append(
                 f"{where}: {key} is more than {_MOST_APART:g} times the largest reading, {largest:.3g}; give it in the "
                 "unit of the readings"
             )
+    if any(_MOST_APART * x < largest < math.inf for x in declared.sensor_range or ()):
+        faults.append(
+            f"{where}: sensor_range is less than a millionth of the largest reading, {largest:.3g}; give it in the "
+            "unit of the readings"
+        )
     if any(largest < x <= _MOST_APART * largest for x in declared.offset_std or ()):
         warnings.append(
             f"{where}: offset_std = {max(declared.offset_std or ()):g} is above the largest reading, {largest:.3g}; is "

@@ -15,6 +15,7 @@ from bayes_damper.inputs import collected, csv_rows, number_in, real, shown
 
 _MOST_FAULTS = 100  # of trials.csv: whoever has more has one cause
 _TURN = 360.0  # degrees of a release, at most
+_COUNTED = 2**53  # above it doubles skip whole numbers, so that two trials may have one
 
 
 @dataclass(frozen=True)
@@ -122,8 +123,8 @@ def _row_from(cells: Mapping[str, str], kind: str, start: str, where: str, fault
         hint = nearest_name(configuration, ("uncoupled", "coupled"))
         faults.append(f"{where}: configuration '{configuration}' is not uncoupled or coupled; {hint}")
     number = _number(cells["trial"], f"{where}, trial", faults)
-    if number is not None and (number != int(number) or number < 0):
-        faults.append(f"{where}: trial '{cells['trial']}' is not a whole number; count from 1")
+    if number is not None and not (number == int(number) and 0 <= number <= _COUNTED):
+        faults.append(f"{where}: trial '{cells['trial']}' is not a whole number up to {_COUNTED}; count from 1")
     k1t = _number(cells[k1t_name], f"{where}, {k1t_name}", faults)
     if k1t is not None and k1t <= 0.0:
         faults.append(f"{where}: {k1t_name} = {k1t!r} must be positive; give it in N m/rad (N/m)")

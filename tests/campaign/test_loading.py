@@ -257,6 +257,8 @@ TOML_FAULTS = [
     ("noise_std = 2.0", "noise_std = -2.0", "noise_std = -2.0 must be positive"),
     ("[rig]", "[rig", "campaign.toml: not valid TOML"),
     ("bar_radius = 0.10", "bar_radius = 0.10\ninertial_coupling = 1.0", "no rig has such an inertia matrix"),
+    ("noise_std = 2.0", "sensor_range = 1e29", "sensor_range is more than 1e+06 times the largest reading"),
+    ("noise_std = 2.0", "sensor_range = 1e-9", "sensor_range is less than a millionth of the largest reading"),
     ("noise_std = 2.0", "every = 600", "every = 600 leaves 1 reading of trials/"),
 ]
 
@@ -284,6 +286,7 @@ TRIAL_FAULTS = [
     ("10.2,4.7,1", "-10.2,4.7,1", "k1t_n_m_per_rad = -10.2 must be positive"),
     ("10.2,4.7,1", "10.2,nan,1", "'nan' is not finite"),
     ("10.2,4.7,1", "10.2,4.7,1.5", "trial '1.5' is not a whole number"),
+    ("10.2,4.7,1", "10.2,4.7,1e29", "line 2: trial '1e29' is not a whole number up to 9007199254740992; count from 1"),
     ("10.2,4.7,1", "10.2,0.082,1", "radians given for theta0, which is in degrees; or degrees taken for radians"),
 ]
 
