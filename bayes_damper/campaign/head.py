@@ -273,10 +273,13 @@ def check_rig(folder: Path, rig: Rig, coupled: bool, faults: list[str]) -> None:
         )
     elif rig.secondary_inertia is None:
         pass
-    elif rig.inertial_coupling.value and (
-        rig.inertial_coupling.value**2 >= rig.primary_inertia.value * rig.secondary_inertia.value
+    elif (most := abs(rig.inertial_coupling.value) + rig.inertial_coupling.std) and (
+        most**2 >= rig.primary_inertia.value * rig.secondary_inertia.value
     ):
-        faults.append(f"{where}: inertial_coupling must be smaller than sqrt(J1 J2): no rig has such an inertia matrix")
+        faults.append(
+            f"{where}: inertial_coupling, with its std, must be smaller than sqrt(J1 J2): no rig has such an inertia "
+            "matrix"
+        )
     elif min(rig.primary_inertia.value, rig.secondary_inertia.value) > 0.0:
         ratio = rig.secondary_inertia.value / rig.primary_inertia.value
         if not 1.0 / _MOST_APART <= ratio <= _MOST_APART:

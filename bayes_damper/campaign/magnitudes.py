@@ -10,11 +10,14 @@ import numpy as np
 from bayes_damper.campaign import readings as look
 from bayes_damper.campaign.head import Head
 from bayes_damper.campaign.records import DERIVATIVE
-from bayes_damper.campaign.structure import Rig, Trial, channel_columns, natural_period
+from bayes_damper.campaign.structure import TO_SI, TRIAL_COLUMNS, Rig, Trial, channel_columns, natural_period
+from bayes_damper.campaign.trials_table import LEAST_STD
 from bayes_damper.text import counted
 
 _FEWEST = 4.0  # readings in a period of the primary, below which a motion is not seen
-_ABOVE_ZERO = ("primary_inertia", "secondary_inertia", "bar_radius", "magnet_radius", "magnet_pull")
+_NOT_NEGATIVE = (
+    *("primary_inertia", "secondary_inertia", "bar_radius", "magnet_radius", "magnet_pull", "ground2_stiffness"),
+)
 
 _POSSIBLE = {
     "magnet_pull": (1e-6, 1e6, "N"), "magnet_radius": (1e-6, 1e2, "m"), "bar_radius": (1e-6, 1e3, "m"),
@@ -50,12 +53,12 @@ def check_declared(head: Head, trials: Sequence[Trial], faults: list[str], warni
 
 def _check_rig(rig: Rig, trials: Sequence[Trial], faults: list[str], warnings: list[str]) -> None:
     where = "campaign.toml [rig]"
-    for key in _ABOVE_ZERO:
+    for key in _NOT_NEGATIVE:
         constant = getattr(rig, key)
         if constant is not None and constant.std >= constant.value > 0.0:
             faults.append(
                 f"{where}: {key} = {constant.value:g} with std = {constant.std:g}: the uncertainty is as large as the "
-                "value, which cannot be 0 or less; give the standard uncertainty in the same unit"
+                "value, which cannot be negative; give the standard uncertainty in the same unit"
             )
     if rig.magnet_radius is not None and rig.bar_radius is not None and rig.magnet_radius.value >= rig.bar_radius.value:
         warnings.append(
@@ -93,11 +96,12 @@ def _check_rig(rig: Rig, trials: Sequence[Trial], faults: list[str], warnings: l
                 f"trials.csv: case {trial.case}: the uncertainty of the spring, {trial.k1t.std:g}, is as large as the "
                 f"spring itself, {trial.k1t.value:g}; give the standard uncertainty in the same unit"
             )
-    for trial in {t.theta0: t for t in trials if t.theta0 is not None}.values():
-        if trial.theta0 is not None and trial.theta0.std > abs(trial.theta0.value) > 0.0:
-            warnings.append(
-                f"trials.csv: case {trial.case}: theta0 is declared with an uncertainty larger than itself; the sign "
-                "of the release is then open: check the unit of the uncertainty"
+    for theta0, trial in {t.theta0: t for t in trials if t.theta0 is not None and not t.driven}.items():
+        if theta0 is not None and theta0.std > abs(theta0.value) > 0.0:
+            (warnings if theta0.std == LEAST_STD * TO_SI[rig.kind] else faults).append(
+                f"trials.csv: case {trial.case}: theta0 is smaller than its standard uncertainty, so the sign of the "
+                f"release is open; give {TRIAL_COLUMNS[rig.kind][3]} in the unit of theta0 (without it {LEAST_STD:g} "
+                "or more is taken)"
             )
     stiffest = max((t.k1t.value for t in trials), default=math.inf)
     if rig.ground2_stiffness.value > _MOST_APART * stiffest:

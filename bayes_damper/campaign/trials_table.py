@@ -15,6 +15,7 @@ from bayes_damper.inputs import collected, csv_rows, number_in, real, shown
 
 _MOST_FAULTS = 100  # of trials.csv: whoever has more has one cause
 _TURN = 360.0  # degrees of a release, at most
+LEAST_STD = 0.1  # of a release, deg (mm), where none is declared
 _COUNTED = 2**53  # above it doubles skip whole numbers, so that two trials may have one
 
 
@@ -173,7 +174,7 @@ def _theta0_from(
         faults.append(f"{where}: {std_name} = {std!r} must be positive; leave it empty for the larger of 0.1 and 2 %")
         return None
     if std is None:
-        std = max(0.1, 0.02 * abs(value))
+        std = max(LEAST_STD, 0.02 * abs(value))
     return Constant(value * TO_SI[kind], std * TO_SI[kind])
 
 

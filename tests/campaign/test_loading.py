@@ -257,6 +257,16 @@ TOML_FAULTS = [
     ("noise_std = 2.0", "noise_std = -2.0", "noise_std = -2.0 must be positive"),
     ("[rig]", "[rig", "campaign.toml: not valid TOML"),
     ("bar_radius = 0.10", "bar_radius = 0.10\ninertial_coupling = 1.0", "no rig has such an inertia matrix"),
+    (
+        "bar_radius = 0.10",
+        "bar_radius = 0.10\ninertial_coupling = {value = 1e-4, std = 3e-3}",
+        "no rig has such an inertia matrix",
+    ),
+    (
+        "bar_radius = 0.10",
+        "bar_radius = 0.10\nground2_stiffness = {value = 0.1, std = 0.2}",
+        "ground2_stiffness = 0.1 with std = 0.2: the uncertainty is as large as the value, which cannot be negative",
+    ),
     ("noise_std = 2.0", "sensor_range = 1e29", "sensor_range is more than 1e+06 times the largest reading"),
     ("noise_std = 2.0", "sensor_range = 1e-9", "sensor_range is less than a millionth of the largest reading"),
     ("noise_std = 2.0", "every = 600", "every = 600 leaves 1 reading of trials/"),
@@ -295,6 +305,23 @@ TRIAL_FAULTS = [
 def test_faults_of_trials_csv(folder: Path, old: str, new: str, sentence: str) -> None:
     edit(folder / "trials.csv", old, new)
     assert any(sentence in fault for fault in faults_of(folder))
+
+
+@pytest.mark.parametrize(
+    ("theta0", "std", "kind"),
+    [("4.7", "5", "fault"), ("4.7", "1", None), ("0.08", "", "warning"), ("0.08", "0.09", "fault"), ("0.1", "", None)],
+)
+def test_a_release_less_certain_than_its_size(folder: Path, theta0: str, std: str, kind: str | None) -> None:
+    """An error where that is declared; the least that is taken without a declaration may be as large."""
+    table = (folder / "trials.csv").read_text().replace("theta0_deg,", "theta0_deg,theta0_std_deg,")
+    (folder / "trials.csv").write_text(table.replace("10.2,4.7,", f"10.2,{theta0},{std},"))
+    said = "case IV: theta0 is smaller than its standard uncertainty"
+    if kind == "fault":
+        assert any(said in fault for fault in faults_of(folder))
+    else:
+        for trial in (folder / "trials").iterdir():
+            alter(trial, lambda c: [c[0], *(float(theta0) / 4.7 * y for y in c[1:])])
+        assert any(said in warning for warning in load_campaign(folder).warnings) == (kind == "warning")
 
 
 RECORD_FAULTS = [
