@@ -15,7 +15,7 @@ import numpy as np
 from bayes_damper.campaign import Campaign
 from bayes_damper.campaign.records import DERIVATIVE
 from bayes_damper.campaign.structure import natural_period
-from bayes_damper.priors.distributions import Distribution, median
+from bayes_damper.priors.distributions import Distribution
 
 _TORQUES = 100.0  # friction over the largest torque: beyond 1 the bodies hardly move
 _DAMPINGS = 100.0  # damping over the critical one: a swing would take as many periods to creep back
@@ -36,23 +36,35 @@ class _Limit:
 
 
 def beyond(where: str, values: Mapping[str, Sequence[Distribution | float]], campaign: Campaign) -> Iterator[str]:
-    """Sentences on the parameters (name -> values and priors in SI units) of which most lies beyond what can be."""
+    """Sentences on the parameters (name -> values and priors in SI units) of which too much lies beyond what can be."""
     limits = _limits(campaign)
     still = math.inf if any(t.driven for t in campaign.trials) else limits["drag"].most / _TORQUES
     for name, given in values.items():
         for value in given:
-            x = value if isinstance(value, float) else median(value)
-            given_as = f"{x:g}" if isinstance(value, float) else f"a median of {x:g}"
-            if name == "tail" and not CURVES[0] <= x <= CURVES[1]:
-                yield f"{where}: tail: {given_as} cannot be: curves of friction have {CURVES[0]:g} to {CURVES[1]:g}"
-            elif name == "drag" and isinstance(value, float) and x > still:
-                yield (
-                    f"{where}: drag: fixed at {x:g}, above the largest torque of the records, {still:.3g}: nothing "
-                    "would move; check its unit, or give a prior"
-                )
-            elif name in limits and abs(x) > limits[name].most:
-                most, what = limits[name].most, limits[name].what
-                yield f"{where}: {name}: {given_as} cannot be: above {most:.3g}, {what}; check its unit"
+            for x, given_as in _held(value):
+                if name == "tail" and not CURVES[0] <= x <= CURVES[1]:
+                    yield f"{where}: tail: {given_as} cannot be: curves of friction have {CURVES[0]:g} to {CURVES[1]:g}"
+                elif name == "drag" and isinstance(value, float) and x > still:
+                    yield (
+                        f"{where}: drag: fixed at {x:g}, above the largest torque of the records, {still:.3g}: nothing "
+                        "would move; check its unit, or give a prior"
+                    )
+                elif name in limits and abs(x) > limits[name].most:
+                    most, what = limits[name].most, limits[name].what
+                    yield f"{where}: {name}: {given_as} cannot be: above {most:.3g}, {what}; check its unit"
+                else:
+                    continue
+                break
+
+
+def _held(value: Distribution | float) -> Iterator[tuple[float, str]]:
+    """What of a fixed value or a prior is held against the limits, with its name."""
+    if isinstance(value, float):
+        yield value, f"{value:g}"
+        return
+    for share, name in ((0.5, "a median"), (0.25, "a lower quartile"), (0.75, "an upper quartile")):
+        x = float(value.ppf(share))
+        yield x, f"{name} of {x:g}"
 
 
 def _limits(campaign: Campaign) -> dict[str, _Limit]:

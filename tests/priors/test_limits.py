@@ -36,6 +36,11 @@ def campaign(tmp_path_factory):
         ({"theta0": 4.7}, "theta0: 4.7 cannot be: .* 20 times the largest one of its records; check its unit"),
         ({"delay": 10.0}, "delay: 10 cannot be: .* longest record"),
         ({"sigma1": 1e9}, "sigma1: 1e.09 cannot be: .* 1000 times the largest reading"),
+        ({"drag": {"dist": "lognormal", "median": 0.01, "factor": 1e29, "unit": "N m"}},
+         "drag: an upper quartile of .* cannot be: above .* could not move it"),
+        ({"k2t": {"dist": "normal", "mean": 1.0, "sd": 1e29, "unit": "N m/rad"}}, "k2t: a lower quartile of -.* one"),
+        ({"nu": {"dist": "loguniform", "lower": 1e-29, "upper": 1e29, "unit": "s/rad"}}, "nu: an upper quartile"),
+        ({"tail": {"dist": "normal", "mean": 0.5, "sd": 1e29, "unit": "1"}}, "tail: a lower quartile .* have -1 to 2"),
     ],
 )  # fmt: skip
 def test_a_prior_beyond_what_can_be_is_named_with_its_limit(campaign, prior, said):
